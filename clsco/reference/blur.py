@@ -1,0 +1,209 @@
+"""Defocus: every source spreads its light over the pixels around it (2.25), in NumPy float64.
+
+Sources stand on the padded grid (H, W), which has `guard` rows and columns around the frame (m, n). Offsets
+(dx, dy) go right and down from a source to the pixel that it lights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clsco import psf as psf_weights
+from clsco.reference.geometry import Array
+from clsco.reference.trace import Sources, SubpixelSources, subpixel_offsets
+from clsco.scene import Psf
+
+Shape = tuple[int, int]
+SMALLEST_RADIUS = 1e-6  # px: below, the direction on the lens is formed with this radius
+BLOCK = 16384  # sources at a time: their intermediate results stay in the cache
+
+
+def prepare_sources(coc: Array, valid: NDArray[np.bool_]) -> Array:
+    """Gradient (H, W, 2) of the blur radius in px per px, right and down, from its differences.
+
+    coc: (H, W) signed radius in px; valid: (H, W) there is a source. Central where both neighbors are valid,
+    one sided where one is, else 0. For forward-warped images and for depth maps, which have no analytic
+    surface.
+    """
+
+    def along(radius: Array, there: NDArray[np.bool_]) -> Array:
+        ahead, behind = np.zeros_like(there), np.zeros_like(there)
+        ahead[:, :-1] = there[:, 1:]
+        behind[:, 1:] = there[:, :-1]
+        high, low = radius.copy(), radius.copy()
+        high[:, :-1] = np.where(ahead[:, :-1], radius[:, 1:], radius[:, :-1])
+        low[:, 1:] = np.where(behind[:, 1:], radius[:, :-1], radius[:, 1:])
+        distance = ahead.astype(np.int64) + behind
+        return np.where(there & (distance > 0), (high - low) / np.maximum(distance, 1), 0.0)
+
+    return np.stack([along(coc, valid), along(coc.T, valid.T).T], axis=-1)
+
+
+def tilt_factor(dx: ArrayLike, dy: ArrayLike, gx: ArrayLike, gy: ArrayLike, radius: ArrayLike) -> Array:
+    """Weight 1 + l . grad R of the light that a tilted surface sends through lens point l = (dx, dy) / R.
+
+    dx, dy: px, right and down; gx, gy: gradient of the signed radius, px per px, the same way; radius:
+    signed, px. They broadcast. |l| <= 1 on the lens, so that |l . g| <= |g|: farther offsets, which pixels of
+    finite size reach, are clamped to that, and the factor is never below 0. A radius below 1e-6 px counts as
+    1e-6 px.
+    """
+    gx, gy, radius = (np.asarray(v, dtype=np.float64) for v in (gx, gy, radius))
+    safe = np.copysign(np.maximum(np.abs(radius), SMALLEST_RADIUS), radius)
+    limit = np.hypot(gx, gy)
+    slope = (np.asarray(dx) * gx + np.asarray(dy) * gy) / safe
+    return np.asarray(1.0 + np.clip(slope, -np.minimum(limit, 1.0), limit))
+
+
+def _octant(offset_limit: int) -> Iterator[tuple[int, int, set[tuple[int, int]]]]:
+    """Offsets a <= b with all the offsets that share their weight: signs changed, axes swapped."""
+    for b in range(offset_limit + 1):
+        for a in range(b + 1):
+            yield a, b, {(s * x, t * y) for x, y in ((a, b), (b, a)) for s in (1, -1) for t in (1, -1)}
+
+
+def _shares(psf: Psf, sources: Sources, there: NDArray[np.bool_]) -> Iterator[tuple[int, int, Array]]:
+    """Every offset (dx, dy) with the share (H, W) of each source's light that goes there."""
+    radius = np.where(there, sources.radius, 0.0)
+    at = np.flatnonzero(there)
+    size = np.abs(radius.ravel()[at])
+    gx, gy = sources.gradient[..., 0], sources.gradient[..., 1]
+    for a, b, offsets in _octant(psf_weights.reach(psf, float(size.max(initial=0.0)))):
+        weight = np.zeros(there.shape)
+        for start in range(0, at.size, BLOCK):
+            block = slice(start, start + BLOCK)
+            weight.ravel()[at[block]] = psf_weights.weights(
+                psf, np.asarray(float(b)), np.asarray(float(a)), size[block]
+            )
+        if not weight.any():
+            continue
+        for dx, dy in sorted(offsets):
+            yield dx, dy, weight * tilt_factor(dx, dy, gx, gy, radius) if psf.tilt else weight
+
+
+def _overlap(shift: int, frame: int, guard: int) -> tuple[slice, slice]:
+    """Targets in the frame and their sources on the padded grid, along one axis."""
+    low, high = max(0, shift - guard), min(frame, frame + guard + shift)
+    high = max(low, high)
+    return slice(low, high), slice(low + guard - shift, high + guard - shift)
+
+
+def _subpixel_shares(
+    psf: Psf, sub: SubpixelSources, shape: Shape, guard: int
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Array]]:
+    """For blocks of sub-pixel sources and every offset: source numbers, frame pixel numbers, share of light.
+
+    Sources are numbered in the order of `hit`; the share includes the source's weight 1/S^2. Targets outside
+    of the frame are left out.
+    """
+    samples = sub.hit.shape[1]
+    pixel, i, j = np.nonzero(sub.hit)
+    offset = subpixel_offsets(samples)
+    order = np.arange(pixel.size)
+    for start in range(0, pixel.size, BLOCK):
+        block = slice(start, start + BLOCK)
+        p, y, x = pixel[block], offset[i[block]], offset[j[block]]
+        radius = sub.radius[sub.hit][block]
+        gx, gy = sub.gradient[sub.hit][block].T
+        far = psf_weights.reach(psf, float(np.abs(radius).max()), subpixel=True)
+        for dy in range(-far, far + 1):
+            for dx in range(-far, far + 1):
+                row, column = sub.row[p] - guard + dy, sub.column[p] - guard + dx
+                inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
+                share = psf_weights.subpixel_weights(psf, dx - x[inside], dy - y[inside], radius[inside])
+                if psf.tilt:
+                    tilt = tilt_factor(dx - x, dy - y, gx, gy, radius)[inside]
+                    share = share * tilt
+                lit = share > 0.0
+                target = (row * shape[1] + column)[inside][lit]
+                yield order[block][inside][lit], target, share[lit] / samples**2
+
+
+def _own_sources(sources: Sources, sub: SubpixelSources | None) -> NDArray[np.bool_]:
+    """Pixels (H, W) with a source of their own: a surface, and no sub-pixel sources in its place."""
+    there = sources.label > 0
+    if sub is not None:
+        there[sub.row, sub.column] = False
+    return there
+
+
+def renormalize(
+    psf: Psf, sources: Sources, sub: SubpixelSources | None, shape: Shape, guard: int
+) -> tuple[Sources, SubpixelSources | None]:
+    """Sources whose light, as far as it would fall outside of the frame, is given back to the frame.
+
+    Arguments as for `scatter`. The radiance is divided by the share of the source's PSF (with tilt) that
+    falls inside the frame; sources outside of the frame (the guard band) end. Validated: a constant image
+    stays constant in sum up to the border.
+    """
+    m, n = shape
+    inside = np.zeros(sources.label.shape, dtype=bool)
+    inside[guard : guard + m, guard : guard + n] = True
+    there = _own_sources(sources, sub) & inside
+    kept = np.zeros(there.shape)
+    for dx, dy, share in _shares(psf, sources, there):
+        (_, rows), (_, columns) = _overlap(dy, m, guard), _overlap(dx, n, guard)
+        kept[rows, columns] += share[rows, columns]
+    scale = np.where(kept > 0.0, 1.0 / np.where(kept > 0.0, kept, 1.0), 0.0)
+    label = np.where(inside, sources.label, np.uint8(0))
+    sources = replace(sources, label=label, radiance=sources.radiance * scale[..., None])
+    if sub is None:
+        return sources, None
+    sub = replace(sub, hit=sub.hit & inside[sub.row, sub.column][:, None, None])
+    kept_sub = np.zeros(int(sub.hit.sum()))
+    for source, _, share in _subpixel_shares(psf, sub, shape, guard):
+        np.add.at(kept_sub, source, share)
+    # Shares include 1/S^2; what is divided by is the share of the source's own light.
+    kept_sub *= sub.hit.shape[1] ** 2
+    scale_sub = np.zeros(sub.hit.shape)
+    scale_sub[sub.hit] = np.where(kept_sub > 0.0, 1.0 / np.where(kept_sub > 0.0, kept_sub, 1.0), 0.0)
+    return sources, replace(sub, radiance=sub.radiance * scale_sub[..., None])
+
+
+def scatter(psf: Psf, sources: Sources, sub: SubpixelSources | None, shape: Shape, guard: int) -> Array:
+    """Defocused image (m, n, C): the sum over all sources of radiance x PSF x tilt.
+
+    sources: on the padded grid (m + 2 guard, n + 2 guard); sub: sub-pixel sources that replace their pixels'
+    own, or None; shape: (m, n) of the frame; guard: px. PSF: `clsco.psf.weights`, and `subpixel_weights` for
+    sub-pixel sources. border = "renormalize": see `renormalize`. Validated: light is conserved, a constant
+    facing plane stays constant, linear, equal to direct sums.
+    """
+    m, n = shape
+    if psf.border == "renormalize":
+        sources, sub = renormalize(psf, sources, sub, shape, guard)
+    color = np.zeros((m, n, sources.radiance.shape[2]))
+    for dx, dy, share in _shares(psf, sources, _own_sources(sources, sub)):
+        (to_rows, rows), (to_columns, columns) = _overlap(dy, m, guard), _overlap(dx, n, guard)
+        color[to_rows, to_columns] += share[rows, columns, None] * sources.radiance[rows, columns]
+    if sub is not None:
+        radiance = sub.radiance[sub.hit]
+        flat = color.reshape(m * n, -1)
+        for source, target, share in _subpixel_shares(psf, sub, shape, guard):
+            np.add.at(flat, target, share[:, None] * radiance[source])
+    return color
+
+
+def gather(psf: Psf, sources: Sources, sub: SubpixelSources | None, shape: Shape, guard: int) -> Array:
+    """The same sum as `scatter`, which a kernel forms target by target; arguments and result as there."""
+    return scatter(psf, sources, sub, shape, guard)
+
+
+def convolve(psf: Psf, radiance: Array, radius: float, guard: int) -> Array:
+    """Defocused image (m, n, C) of a surface of one blur radius: shifted sums with one table of weights.
+
+    radiance: (m + 2 guard, n + 2 guard, C), 0 where no surface is; radius: px. border = "lose" and no tilt,
+    which a constant radius does not have. The same as `scatter`.
+    """
+    far = psf_weights.reach(psf, abs(radius))
+    m, n = radiance.shape[0] - 2 * guard, radiance.shape[1] - 2 * guard
+    offset = np.arange(-far, far + 1, dtype=np.float64)
+    table = psf_weights.weights(psf, offset[None, :], offset[:, None], np.asarray(abs(radius)))
+    color = np.zeros((m, n, radiance.shape[2]))
+    for dy in range(-far, far + 1):
+        for dx in range(-far, far + 1):
+            (to_rows, rows), (to_columns, columns) = _overlap(dy, m, guard), _overlap(dx, n, guard)
+            color[to_rows, to_columns] += table[dy + far, dx + far] * radiance[rows, columns]
+    return color

@@ -1,0 +1,89 @@
+"""Forward warp: the pixels of the frame at rest move and are projected to the nearest pixel (4.3.3)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.motion import Pose
+from clsco.reference.geometry import Array, pixel_ray, project, solve_quadric
+from clsco.reference.trace import padded_grid
+from clsco.scene import Scene
+from clsco.surfaces import PlacedSurface
+
+NO_WINNER = np.iinfo(np.int64).max
+SNAP = 4096  # steps per px: rounding errors far below it cannot move a position across a pixel's edge
+
+
+def nearest_pixel(position: Array) -> NDArray[np.int64]:
+    """Pixel of a position in px: snapped to 1/4096 px, then rounded half up in integers.
+
+    Plain rounding lets the error in the last digit decide at half-pixel shifts, where it loses pixels.
+    """
+    snapped = np.floor(np.clip(position, -1e9, 1e9) * SNAP + 0.5).astype(np.int64)
+    return (snapped + SNAP // 2) >> 12
+
+
+def reproject_depth(target: NDArray[np.int64], key: NDArray[np.float32], pixels: int) -> NDArray[np.float32]:
+    """Largest inverse depth (pixels,) in 1/mm that any source brings to each target, 0 where none comes.
+
+    target: (sources,) pixel number, -1 for none; key: (sources,) inverse depth > 0, rounded to float32: that
+    is what is compared, on every device.
+    """
+    depth = np.zeros(pixels, dtype=np.float32)
+    used = target >= 0
+    np.maximum.at(depth, target[used], key[used])
+    return depth
+
+
+def reproject_winner(
+    target: NDArray[np.int64], key: NDArray[np.float32], depth: NDArray[np.float32]
+) -> NDArray[np.int64]:
+    """Lowest number of a source (pixels,) that brings the largest inverse depth to each target, or NO_WINNER.
+
+    target, key: as for `reproject_depth`, whose result `depth` is.
+    """
+    winner = np.full(depth.shape, NO_WINNER)
+    source = np.flatnonzero(target >= 0)
+    source = source[key[source] == depth[target[source]]]
+    np.minimum.at(winner, target[source], source)
+    return winner
+
+
+def reproject_gather(winner: NDArray[np.int64], values: Array) -> tuple[NDArray[np.bool_], Array]:
+    """Which targets (pixels,) have a winner, and its values (pixels, channels), 0 where there is none.
+
+    values: (sources, channels).
+    """
+    known = winner != NO_WINNER
+    return known, np.where(known[:, None], values[np.where(known, winner, 0)], 0.0)
+
+
+def reproject(
+    scene: Scene, texture: Array, rest: PlacedSurface, pose: Pose, guard: int
+) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Known (H, W), radiance (H, W, C) and inverse depth (H, W) on the padded grid, after the move to `pose`.
+
+    texture: (rows, columns, C) of the frame's size; rest: the surface at t = 0; guard: px. Sources are the
+    pixels of the frame itself; the nearest wins, of equals the first in row order. Validated: a shift by half
+    a pixel leaves no holes; 19680 and 36993 missing pixels (thesis, figures 4.14 and 4.15).
+    """
+    rows, columns = texture.shape[:2]
+    rays = pixel_ray(scene.camera, *padded_grid(scene.camera, 0))
+    w, label = solve_quadric(rest, scene.objects[0].bounds, rays)
+    hit = label > 0
+    point = rays / np.where(hit, w, 1.0)[..., None]
+    moved = rest.rest + pose.shift + (point - rest.rest) @ pose.rotation.T
+    usable = hit & (moved[..., 2] > 0.0)
+    row, column = project(scene.camera, np.where(usable[..., None], moved, 1.0))
+    target_row, target_column = nearest_pixel(row) + guard, nearest_pixel(column) + guard
+    height, width = rows + 2 * guard, columns + 2 * guard
+    usable &= (target_row >= 0) & (target_row < height) & (target_column >= 0) & (target_column < width)
+    target = np.where(usable, target_row * width + target_column, -1).ravel()
+    moved_w = np.where(usable, 1.0 / np.where(usable, moved[..., 2], 1.0), 0.0).ravel()
+    key = moved_w.astype(np.float32)
+    winner = reproject_winner(target, key, reproject_depth(target, key, height * width))
+    values = np.concatenate([texture.reshape(rows * columns, -1), moved_w[:, None]], axis=1)
+    known, gathered = reproject_gather(winner, values)
+    gathered = gathered.reshape(height, width, -1)
+    return known.reshape(height, width), gathered[..., :-1], gathered[..., -1]
