@@ -1,0 +1,31 @@
+# Everything a developer runs. Each target makes the virtual environment .venv with what it needs.
+PYTHON ?= $(shell for python in python3 python3.14 python3.13 python3.12 python3.11; do \
+	"$$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo "$$python" && break; done)
+BIN := .venv/bin
+
+.PHONY: demo test lint bench clean
+
+demo: .venv/pocl.stamp
+	$(BIN)/clsco demo -o demo
+
+test: .venv/dev.stamp
+	$(BIN)/python -m pytest -q -n auto
+
+lint: .venv/dev.stamp
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: .venv/bench.stamp
+	$(BIN)/clsco bench -o out/bench
+
+.venv/%.stamp: pyproject.toml
+	@test -n "$(PYTHON)" || { echo "python: must be 3.11 or newer; give one with make PYTHON=..." >&2; exit 1; }
+	test -x $(BIN)/python || "$(PYTHON)" -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[$(subst bench,bench$(comma)pocl$(comma)exr$(comma)formats,$*)]"
+	touch $@
+
+comma := ,
+
+clean:
+	rm -rf .venv build dist clsco.egg-info

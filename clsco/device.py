@@ -1,0 +1,310 @@
+"""OpenCL devices: which there are, which one is used and why, what it can do, and a queue on it."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Literal, Self, TypeAlias
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from clsco import poclcache
+from clsco.errors import DeviceError
+
+NO_DEVICE = (
+    "device: OpenCL needs a driver, and none with a device was found; "
+    'install PoCL for the processor with `pip install "clsco[pocl]"`, or your GPU vendor\'s OpenCL driver'
+)
+_POCL = "Portable Computing Language"
+_REASONS = (
+    "the first GPU",
+    "PoCL, as there is no GPU",
+    "the first processor, as there is neither a GPU nor PoCL",
+    "the first device, as there is neither a GPU nor a processor",
+)
+
+Program: TypeAlias = dict[str, cl.Kernel]
+"""A built program: its kernels by name. Looking a kernel up in OpenCL costs 0.2 ms, so they are kept."""
+
+
+@dataclass(frozen=True)
+class Device:
+    """An OpenCL device and what clsco has to know about it; sizes in bytes."""
+
+    name: str
+    platform: str
+    platform_version: str
+    driver: str
+    kind: Literal["gpu", "cpu", "accelerator"]
+    has_fp64: bool
+    has_int64_atomics: bool
+    correctly_rounded: bool
+    """float32 division and square root can be had correctly rounded, as in NumPy."""
+    unified_memory: bool
+    """The device works in the host's memory, so that an aligned array needs no copy."""
+    alignment: int
+    max_alloc: int
+    global_mem: int
+    compute_units: int
+    max_work_group: int
+    handle: cl.Device = field(repr=False)
+
+    @property
+    def is_pocl(self) -> bool:
+        return self.platform == _POCL
+
+    def __str__(self) -> str:
+        return f"{self.name} ({self.platform})"
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The device that would be used (None: there is no usable one) and the reason, in words."""
+
+    device: Device | None
+    reason: str
+
+
+def list_devices(name: str | None = None) -> tuple[tuple[Device, ...], Choice]:
+    """All OpenCL devices in the platforms' order, and which one `choose(name)` would use and why. Raises
+    nothing."""
+    devices = _devices()
+    try:
+        return devices, pick(devices, name, os.environ, _by_pyopencl)
+    except DeviceError as error:
+        return devices, Choice(None, str(error))
+
+
+def choose(name: str | None = None) -> Device:
+    """The device to use: `name` > CLSCO_DEVICE > PYOPENCL_CTX > a GPU > PoCL > any other processor. Never
+    prompts.
+
+    `name` is a part of the device's or platform's name or version in any case, or "gpu" or "cpu".
+    Raises DeviceError when no device is there or none matches.
+    """
+    chosen = pick(_devices(), name, os.environ, _by_pyopencl).device
+    if chosen is None:
+        raise DeviceError(NO_DEVICE)
+    return chosen
+
+
+def pick(
+    devices: Sequence[Device],
+    name: str | None,
+    environ: Mapping[str, str],
+    by_pyopencl: Callable[[str], cl.Device],
+) -> Choice:
+    """The rule of `choose`, on a given list and environment; `by_pyopencl` resolves a PYOPENCL_CTX."""
+    if not devices:
+        return Choice(None, NO_DEVICE)
+    for source, wanted in (("--device", name), ("CLSCO_DEVICE", environ.get("CLSCO_DEVICE"))):
+        if wanted:
+            return Choice(_matching(devices, source, wanted), f'{source} is "{wanted}"')
+    if specification := environ.get("PYOPENCL_CTX"):
+        handle = by_pyopencl(specification)
+        return Choice(_described(handle), f'PYOPENCL_CTX is "{specification}"')
+    best = min(devices, key=_rank)  # the first of equals, so the platforms' order decides
+    return Choice(best, _REASONS[_rank(best)])
+
+
+class Session:
+    """A context and an in-order queue on one device, with the programs built in it; released by `close` or
+    `with`.
+
+    Not to be carried over a fork: PoCL then waits for ever, even with a new session. Start processes by
+    spawning. Safe to share between threads. Raises DeviceError when the device refuses a context.
+    """
+
+    def __init__(self, device: Device, profiling: bool = False) -> None:
+        self.device = device
+        self.lock = threading.RLock()
+        self.programs: dict[str, Program] = {}
+        """What `program.build` has built here, by text and options."""
+        self.compiled: set[tuple[cl.Kernel, tuple[int, ...], bool]] = set()
+        """Kernels and launch shapes that the driver has compiled already, kept by `program.launch`."""
+        if device.is_pocl:
+            poclcache.check()
+        try:
+            self.context = cl.Context([device.handle])
+            if profiling:
+                timed = cl.command_queue_properties.PROFILING_ENABLE
+                self.queue = cl.CommandQueue(self.context, properties=timed)
+            else:
+                self.queue = cl.CommandQueue(self.context)
+        except cl.Error as error:
+            raise DeviceError(f"device {device}: must open a context and a queue; got {error}") from error
+
+    def compiling(self) -> AbstractContextManager[None]:
+        """To be held while the driver may compile, so that no other process writes to its cache at the same
+        time."""
+        return poclcache.exclusive() if self.device.is_pocl else nullcontext()
+
+    def close(self) -> None:
+        """Wait for the queue and let go of programs, queue and context; buffers keep the context until they
+        go."""
+        with self.lock:
+            self.queue.finish()
+            self.compiled.clear()
+            self.programs.clear()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _rank(device: Device) -> int:
+    if device.kind == "gpu":
+        return 0
+    if device.is_pocl:
+        return 1
+    return 2 if device.kind == "cpu" else 3
+
+
+def _matching(devices: Sequence[Device], source: str, wanted: str) -> Device:
+    def matches(device: Device) -> bool:
+        texts = (device.name, device.platform, device.platform_version)
+        return wanted.lower() == device.kind or any(wanted.lower() in text.lower() for text in texts)
+
+    found = [device for device in devices if matches(device)]
+    if not found:
+        there = ", ".join(map(str, devices))
+        raise DeviceError(f'{source}: must be a part of the name of one of {there}; got "{wanted}"')
+    return min(found, key=_rank)
+
+
+def _by_pyopencl(specification: str) -> cl.Device:
+    try:
+        return cl.choose_devices(interactive=False, answers=specification.split(":"))[0]
+    except (RuntimeError, cl.Error) as error:
+        raise DeviceError(
+            f'PYOPENCL_CTX: must name a platform and device; got "{specification}": {error}'
+        ) from error
+
+
+def _devices() -> tuple[Device, ...]:
+    poclcache.prepare()  # PoCL reads the variable when its platform is first asked for
+    try:
+        platforms = cl.get_platforms()
+    except cl.LogicError:  # the loader's word for no driver at all
+        return ()
+    handles = []
+    for platform in platforms:
+        try:
+            handles.extend(platform.get_devices())
+        except cl.Error:  # a driver without its hardware
+            continue
+    return tuple(_described(handle) for handle in handles)
+
+
+def _described(handle: cl.Device) -> Device:
+    extensions = handle.extensions.split()
+    kinds = cl.device_type
+    return Device(
+        name=handle.name.strip(),
+        platform=handle.platform.name.strip(),
+        platform_version=handle.platform.version.strip(),
+        driver=handle.driver_version.strip(),
+        # A simulator claims every kind at once: not to be mistaken for a GPU.
+        kind="cpu" if handle.type & kinds.CPU else "gpu" if handle.type & kinds.GPU else "accelerator",
+        has_fp64="cl_khr_fp64" in extensions,
+        has_int64_atomics={"cl_khr_int64_base_atomics", "cl_khr_int64_extended_atomics"} <= set(extensions),
+        correctly_rounded=bool(handle.single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT),
+        unified_memory=bool(handle.type & kinds.CPU),
+        alignment=handle.mem_base_addr_align // 8,
+        max_alloc=handle.max_mem_alloc_size,
+        global_mem=handle.global_mem_size,
+        compute_units=handle.max_compute_units,
+        max_work_group=handle.max_work_group_size,
+        handle=handle,
+    )
+
+
+@dataclass(frozen=True)
+class Check:
+    """One answer of `self_test`; `detail` says what came instead where it did not pass."""
+
+    name: str
+    passed: bool
+    detail: str = ""
+
+
+@dataclass(frozen=True)
+class _Probe:
+    name: str
+    body: str
+    """Statements of work-item i of 64, from `in` (float, in[i] = i) to `out` (long, zeros)."""
+    expected: Callable[[NDArray[np.int64]], NDArray[np.int64]]
+    needs: str | None = None
+
+
+# (1 + i e)^2 - (1 + 2 i e) = i^2 e^2 with e = 2^-23: exact when fused, 0 when the square is rounded first,
+# since i^2 e^2 < 2^-24 for i < 64.
+_SQUARE = "float x = 1.0f + in[i] * 0x1p-23f, y = -(1.0f + in[i] * 0x1p-22f);"
+
+_PROBES = (
+    _Probe("float32 addition", "out[i] = (long)(in[i] + 1.0f);", lambda i: i + 1),
+    _Probe(
+        "int32 atomics",
+        "atomic_add((volatile __global int *)out, i);",
+        lambda i: np.where(i == 0, i.sum(), 0),
+    ),
+    _Probe(
+        "int64 atomics",
+        "atom_max(out, (long)i << 40);",
+        lambda i: np.where(i == 0, i.max() << 40, 0),
+        "has_int64_atomics",
+    ),
+    _Probe("fp64", "out[i] = (long)((1.0 + in[i] * 0x1p-50) * 0x1p50);", lambda i: 2**50 + i, "has_fp64"),
+    _Probe("exact fma", f"{_SQUARE} out[i] = (long)(fma(x, x, y) * 0x1p46f);", lambda i: i * i),
+    _Probe("no contraction", f"{_SQUARE} out[i] = (long)((x * x + y) * 0x1p46f);", lambda i: 0 * i),
+)
+
+
+def self_test(device: Device) -> list[Check]:
+    """Build and run small kernels on a device: whether it computes what clsco relies on. Raises nothing of
+    OpenCL's."""
+    checks = []
+    for probe in _PROBES:
+        if probe.needs is not None and not getattr(device, probe.needs):
+            continue  # not claimed, so not used
+        try:
+            got = _ran(device, probe.body)
+        except (cl.Error, DeviceError) as error:
+            checks.append(Check(probe.name, False, str(error).splitlines()[0]))
+            continue
+        wanted = probe.expected(np.arange(64, dtype=np.int64))
+        wrong = np.flatnonzero(got != wanted)
+        detail = (
+            f"work-item {wrong[0]}: must be {wanted[wrong[0]]}; got {got[wrong[0]]}" if wrong.size else ""
+        )
+        checks.append(Check(probe.name, not wrong.size, detail))
+    return checks
+
+
+def _ran(device: Device, body: str) -> NDArray[np.int64]:
+    pragmas = ["OPENCL FP_CONTRACT OFF"]
+    if device.has_fp64:
+        pragmas.append("OPENCL EXTENSION cl_khr_fp64 : enable")
+    if device.has_int64_atomics:
+        pragmas.append("OPENCL EXTENSION cl_khr_int64_extended_atomics : enable")
+    lines = [f"#pragma {pragma}" for pragma in pragmas]
+    lines.append("__kernel void probe(__global const float *in, __global long *out)")
+    lines.append(f"{{ int i = get_global_id(0); {body} }}")
+    given, got = np.arange(64, dtype=np.float32), np.zeros(64, np.int64)
+    flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
+    with Session(device) as session, session.compiling():
+        buffers = [cl.Buffer(session.context, flags, hostbuf=array) for array in (given, got)]
+        kernel = cl.Kernel(cl.Program(session.context, "\n".join(lines)).build(), "probe")
+        kernel(session.queue, (64,), (64,), *buffers)
+        cl.enqueue_copy(session.queue, got, buffers[1], is_blocking=True)
+    return got

@@ -1,0 +1,189 @@
+"""PoCL's cache of compiled kernels: an own folder, one process at a time, and never a damaged file.
+
+PoCL compiles a kernel into a folder that all processes share, at the build and at the first launch. It loads
+what it finds there without a check: a damaged file ends the process (SIGABRT or SIGBUS), and two processes
+that compile the same kernel at once sometimes damage it. So the folder is ours, a lock is held wherever PoCL
+may write to it, and a list of checksums tells whether the files are still those that were written under the
+lock.
+"""
+
+from __future__ import annotations
+
+import atexit
+import json
+import os
+import shutil
+import tempfile
+import zlib
+from collections.abc import Iterator, MutableMapping
+from contextlib import ExitStack, contextmanager, suppress
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+try:
+    import fcntl
+except ImportError:  # Windows, where PoCL is not shipped
+    fcntl = None  # type: ignore[assignment]
+
+VARIABLE = "POCL_CACHE_DIR"
+LOCK = "clsco.lock"
+LIST = "clsco.json"
+_LARGEST = 256 * 2**20
+"""Bytes; a larger cache is emptied, since PoCL never removes what older versions of the kernels left."""
+
+_Sums = dict[str, list[int]]
+
+
+def prepare(environ: MutableMapping[str, str] = os.environ) -> None:
+    """Point PoCL at its own, versioned cache folder; to be called before the first query of the platforms.
+
+    A POCL_CACHE_DIR that the user has set stays. The folder is `clsco/pocl-<versions>` in the user's cache
+    folder, or, where that cannot be written, a temporary one that is removed when the process ends.
+    """
+    if environ.get(VARIABLE):
+        return
+    try:
+        root = Path(environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        environ[VARIABLE] = str(_made(root / "clsco" / f"pocl-{_versions()}"))
+    except (OSError, RuntimeError):  # read-only, full, or a user without a home
+        root = Path(tempfile.mkdtemp(prefix="clsco-"))
+        atexit.register(shutil.rmtree, root, ignore_errors=True)
+        environ[VARIABLE] = str(_made(root / "clsco" / "pocl"))
+
+
+def check() -> int:
+    """Remove each compiled program of which a file is not as it was recorded; the number of programs removed.
+
+    A cache that grew too large is removed as a whole. Does nothing in a folder that the user has set.
+    """
+    folder = _folder()
+    if not _is_ours(folder):
+        return 0
+    with _locked(folder):
+        recorded = _recorded(folder)
+        found = {name: [(folder / name).stat().st_size, _sum(folder / name)] for name in _names(folder)}
+        programs = {_program(name) for name in found}
+        bad = {
+            _program(name)
+            for name in found.keys() | recorded.keys()
+            if name not in found or name not in recorded or found[name][1] != recorded[name][2]
+        }
+        if sum(size for size, _ in found.values()) > _LARGEST:
+            bad = programs
+        for program in bad:
+            shutil.rmtree(folder / program, ignore_errors=True)
+        if bad:
+            _record(folder)
+        return len(bad)
+
+
+@contextmanager
+def exclusive() -> Iterator[None]:
+    """Hold the cache folder alone among all processes while PoCL may write to it; record what it wrote."""
+    folder = _folder()
+    with _locked(folder):
+        try:
+            yield
+        finally:
+            if _is_ours(folder):
+                _record(folder)
+
+
+def wipe_cache() -> Path | None:
+    """Remove every compiled kernel from PoCL's cache folder and return the folder, None if there is none.
+
+    In a folder that the user has set, only what PoCL itself puts there is removed.
+    """
+    prepare()
+    folder = _folder()
+    if not folder.is_dir():
+        return None
+    with _locked(folder):
+        _wipe(folder)
+    return folder
+
+
+def _folder() -> Path:
+    return Path(os.environ[VARIABLE])
+
+
+def _is_ours(folder: Path) -> bool:
+    # By name, because a child process inherits the variable that its parent has set.
+    return folder.parent.name == "clsco" and folder.name.startswith("pocl")
+
+
+def _made(folder: Path) -> Path:
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    with open(folder / LOCK, "ab"):  # a folder may exist and still refuse files
+        return folder
+
+
+def _versions() -> str:
+    found = []
+    for package in ("pocl-binary-distribution", "pyopencl"):
+        try:
+            found.append(version(package))
+        except PackageNotFoundError:  # PoCL came with the system
+            found.append("system")
+    return "-".join(found)
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    with ExitStack() as stack:
+        # A folder of the user's that is read-only needs no lock: PoCL cannot write to it either.
+        with suppress(OSError):
+            handle = stack.enter_context(open(_made(folder) / LOCK, "ab"))  # the lock goes when it is closed
+            if fcntl is not None:
+                fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+
+
+def _names(folder: Path) -> list[str]:
+    # `last_accessed` is rewritten at every use, and a `tempfile_` is what PoCL leaves behind; it loads
+    # neither.
+    return [
+        path.relative_to(folder).as_posix()
+        for path in sorted(folder.glob("*/**/*"))
+        if path.is_file() and path.name != "last_accessed"
+    ]
+
+
+def _program(name: str) -> str:
+    return "/".join(name.split("/")[:2])  # PoCL's folders: two letters of the hash, then the rest of it
+
+
+def _sum(path: Path) -> int:
+    return zlib.crc32(path.read_bytes())
+
+
+def _recorded(folder: Path) -> _Sums:
+    try:
+        entries = json.loads((folder / LIST).read_text("utf-8")).items()
+        return {name: [int(size), int(modified), int(crc)] for name, (size, modified, crc) in entries}
+    except (OSError, ValueError, TypeError, AttributeError):  # none yet, or damaged: as good as none
+        return {}
+
+
+def _record(folder: Path) -> None:
+    recorded = _recorded(folder)
+    sums: _Sums = {}
+    for name in _names(folder):
+        status = (folder / name).stat()
+        key = [status.st_size, status.st_mtime_ns]
+        known = recorded.get(name)
+        sums[name] = known if known is not None and known[:2] == key else [*key, _sum(folder / name)]
+    if sums != recorded:
+        temporary = folder / f"{LIST}.new"
+        temporary.write_text(json.dumps(sums), "utf-8")
+        temporary.replace(folder / LIST)
+    for left in folder.glob("tempfile_*"):
+        left.unlink(missing_ok=True)
+
+
+def _wipe(folder: Path) -> None:
+    for path in folder.iterdir():
+        if path.is_dir() and len(path.name) == 2 and path.name.isupper():
+            shutil.rmtree(path, ignore_errors=True)
+        elif path.name == LIST or path.name.startswith("tempfile_"):
+            path.unlink(missing_ok=True)

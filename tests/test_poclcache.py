@@ -1,0 +1,180 @@
+"""PoCL's cache folder: where it is, and that damage to it and a crowd around it do no harm."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from clsco import poclcache
+
+RENDER = """\
+import sys
+from pathlib import Path
+import numpy as np
+from clsco import program
+from clsco.device import Session, choose
+program.folder = lambda name: Path(sys.argv[1])
+with Session(choose("pocl")) as session:
+    built = program.build(session, ["work.cl"], {}, {}, "float")
+    for name in ("first", "second"):
+        buffer = program.empty(session, 4 * 256)
+        program.launch(session, built[name], (256,), (64,), buffer)
+        print(program.download(session, buffer, (256,), np.int32).sum())
+"""
+WORK = """\
+__kernel void first(__global int *out) { out[get_global_id(0)] = 1; }
+__kernel void second(__global int *out) { out[get_global_id(0)] = 2; }
+"""
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Callable[[], subprocess.Popen[str]]:
+    """Starts a process that builds and launches two kernels with its cache below `tmp_path`."""
+    kernels = tmp_path / "kernels"
+    kernels.mkdir()
+    (kernels / "geometry.clh").write_text("")
+    (kernels / "work.cl").write_text(WORK)
+    environ = {
+        name: value for name, value in os.environ.items() if name not in ("POCL_CACHE_DIR", "PYOPENCL_CTX")
+    }
+    environ |= {"XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": str(Path(poclcache.__file__).parent.parent)}
+
+    def started() -> subprocess.Popen[str]:
+        command = [sys.executable, "-W", "error", "-c", RENDER, str(kernels)]
+        return subprocess.Popen(
+            command, env=environ, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        )
+
+    return started
+
+
+def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
+    output, _ = process.communicate(timeout=120)
+    return process.returncode, output
+
+
+def overwrite(path: Path) -> None:
+    path.write_bytes(b"damaged " * 400)
+
+
+def cut(path: Path) -> None:
+    os.truncate(path, path.stat().st_size * 6 // 10)
+
+
+def flip(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("pattern", ["program.bc", "second.so"])
+@pytest.mark.parametrize("damage", [overwrite, cut, flip, Path.unlink])
+def test_a_damaged_cache_is_noticed_and_rebuilt(
+    start: Callable[[], subprocess.Popen[str]], tmp_path: Path, pattern: str, damage: Callable[[Path], None]
+) -> None:
+    assert ended(start()) == (0, "256\n512\n")
+    found = list((tmp_path / "clsco").rglob(pattern))
+    assert found
+    for path in found:
+        damage(path)
+    damaged = [path.read_bytes() if path.is_file() else b"" for path in found]
+    assert ended(start()) == (0, "256\n512\n")
+    for path, content in zip(found, damaged, strict=True):
+        assert path.read_bytes() != content
+
+
+def test_a_file_of_a_process_that_died_over_it_is_not_loaded(
+    start: Callable[[], subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    assert ended(start()) == (0, "256\n512\n")
+    (folder,) = (tmp_path / "clsco").iterdir()
+    (
+        folder / poclcache.LIST
+    ).unlink()  # nothing is recorded, as if the process had been killed before it could
+    for path in folder.rglob("*.so"):
+        cut(path)
+    assert ended(start()) == (0, "256\n512\n")
+
+
+def test_an_undamaged_cache_is_used(start: Callable[[], subprocess.Popen[str]], tmp_path: Path) -> None:
+    assert ended(start()) == (0, "256\n512\n")
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "clsco").rglob("*.so")}
+    assert len(before) == 2
+    assert ended(start()) == (0, "256\n512\n")
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "clsco").rglob("*.so")} == before
+    assert list((tmp_path / "clsco").rglob("tempfile_*")) == []
+
+
+def test_many_cold_starts_at_once(start: Callable[[], subprocess.Popen[str]]) -> None:
+    processes = [start() for _ in range(6)]
+    assert [ended(process) for process in processes] == [(0, "256\n512\n")] * 6
+
+
+def test_a_folder_that_the_user_has_set_stays() -> None:
+    environ = {"POCL_CACHE_DIR": "mine"}
+    poclcache.prepare(environ)
+    assert environ == {"POCL_CACHE_DIR": "mine"}
+
+
+def test_the_folder_names_the_versions(tmp_path: Path) -> None:
+    environ = {"XDG_CACHE_HOME": str(tmp_path)}
+    poclcache.prepare(environ)
+    folder = Path(environ["POCL_CACHE_DIR"])
+    assert folder.is_dir()
+    assert folder.parent == tmp_path / "clsco"
+    assert folder.name.startswith("pocl-")
+    assert any(character.isdigit() for character in folder.name)
+
+
+def test_a_cache_folder_that_cannot_be_made(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    environ = {"XDG_CACHE_HOME": str(tmp_path / "file")}
+    poclcache.prepare(environ)
+    folder = Path(environ["POCL_CACHE_DIR"])
+    assert folder.is_dir()
+    assert tmp_path not in folder.parents
+
+
+def test_wiping_leaves_what_is_not_pocls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("POCL_CACHE_DIR", str(tmp_path))
+    (tmp_path / "AB" / "CDEF").mkdir(parents=True)
+    (tmp_path / "AB" / "CDEF" / "program.bc").write_text("compiled")
+    (tmp_path / "tempfile_x").write_text("")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.txt").write_text("kept")
+    assert poclcache.wipe_cache() == tmp_path
+    assert sorted(path.name for path in tmp_path.iterdir()) == [poclcache.LOCK, "mine"]
+    assert (tmp_path / "mine" / "thesis.txt").read_text() == "kept"
+
+
+def test_too_large_a_cache_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "clsco" / "pocl-1"
+    monkeypatch.setenv("POCL_CACHE_DIR", str(folder))
+    with poclcache.exclusive():
+        for name in ("AB/one", "AB/two", "CD/three"):
+            (folder / name).mkdir(parents=True)
+            (folder / name / "program.bc").write_bytes(bytes(100))
+    assert poclcache.check() == 0
+    monkeypatch.setattr(poclcache, "_LARGEST", 299)
+    assert poclcache.check() == 3
+    assert list(folder.rglob("program.bc")) == []
+
+
+def test_only_the_damaged_program_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "clsco" / "pocl-1"
+    monkeypatch.setenv("POCL_CACHE_DIR", str(folder))
+    with poclcache.exclusive():
+        for name in ("AB/one", "AB/two"):
+            (folder / name).mkdir(parents=True)
+            (folder / name / "program.bc").write_text(name)
+    (folder / "AB/one/program.bc").write_text("AB/One")
+    assert poclcache.check() == 1
+    assert [path.parent.name for path in folder.rglob("program.bc")] == ["two"]
+    assert poclcache.check() == 0
+    (folder / poclcache.LIST).write_text('{"AB/two/program.bc": 3}')
+    assert poclcache.check() == 1
