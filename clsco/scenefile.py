@@ -1,0 +1,316 @@
+"""Scene files: TOML or JSON to a scene and back, with one message per fault."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import os
+import re
+import reprlib
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from clsco.errors import SceneError
+from clsco.scene import BUILT_IN_TEXTURES, AnyShape, Scene
+
+MAX_FILE_BYTES = 2**20
+MAX_MESSAGES = 100
+MAX_DOTS = 100  # per line: tomllib needs memory with the square of the parts of a dotted key
+
+_SHAPES: dict[str, type[BaseModel]] = {
+    shape.model_fields["shape"].default: shape for shape in get_args(AnyShape)
+}
+_SCENE_KEYS = [field.alias or name for name, field in Scene.model_fields.items()]
+_SECTIONS: dict[str, type[BaseModel]] = {
+    name: field.annotation
+    for name, field in Scene.model_fields.items()
+    if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel)
+}
+
+# (key, its new value or None for any, key that the file may hold and that would contradict it)
+_DISPLACED: tuple[tuple[str, str | None, str], ...] = (
+    ("camera.f_number", None, "camera.aperture_diameter"),
+    ("camera.aperture_diameter", None, "camera.f_number"),
+    ("camera.focus_distance", None, "camera.sensor_distance"),
+    ("camera.sensor_distance", None, "camera.focus_distance"),
+    ("psf.model", "pillbox", "psf.sigma_ratio"),
+    ("psf.model", "pillbox", "psf.truncation"),
+    ("motion.warp", "forward", "motion.texture_filter"),
+    ("motion.warp", "inverse", "fill"),
+)
+
+_RULES = {
+    "bool_type": "must be true or false",
+    "float_type": "must be a number",
+    "int_type": "must be an integer",
+    "string_type": "must be text",
+    "string_unicode": "must be valid Unicode text",
+    "string_too_short": "must not be empty",
+    "string_too_long": "must have at most {max_length} characters",
+    "literal_error": "must be {expected}",
+    "model_type": "must be a table",
+    "model_attributes_type": "must be a table",
+    "invalid_key": "keys must be text",
+}
+
+_SHORT = reprlib.Repr()
+_SHORT.maxlevel, _SHORT.maxlist, _SHORT.maxtuple, _SHORT.maxdict, _SHORT.maxother = 3, 6, 6, 4, 60
+
+
+def load_scene(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
+    """Read a scene from a .toml or .json file.
+
+    Args:
+        path: the file, at most 1 MiB.
+        overrides: settings that replace the file's, like "camera.f_number=4" or "object.0.radius=30"; a
+            value is written as in TOML, a bare word is text. The other of a pair (f_number and
+            aperture_diameter, focus_distance and sensor_distance) and keys of the model or warp that is
+            left are dropped.
+
+    Returns:
+        The scene; relative paths of textures have become absolute, starting at the file's folder.
+
+    Raises:
+        SceneError: one message per fault, `file: key: rule; got value`.
+    """
+    where = os.fspath(path)
+    data = _read(where)
+    _override(data, overrides, where)
+    scene = parse_scene(data, where)
+    folder = Path(where).absolute().parent
+    placed = tuple(
+        item
+        if item.texture in BUILT_IN_TEXTURES
+        else item.model_copy(update={"texture": str(folder / item.texture)})
+        for item in scene.objects
+    )
+    return scene.model_copy(update={"objects": placed})
+
+
+def parse_scene(mapping: Mapping[str, Any], where: str = "scene") -> Scene:
+    """Validate a scene given as nested mappings and lists with the keys of a scene file.
+
+    Args:
+        mapping: what a scene file would hold; not changed.
+        where: name for the messages.
+
+    Returns:
+        The scene; paths of textures stay as they are.
+
+    Raises:
+        SceneError: one message per fault, `where: key: rule; got value`.
+    """
+    if not isinstance(mapping, Mapping):
+        raise SceneError(f"{where}: must be a table; got {_shown(mapping)}")
+    try:
+        return Scene.model_validate(dict(mapping), by_alias=True, by_name=False)
+    except ValidationError as error:
+        faults = error.errors(include_url=False)
+    messages = [
+        f"{where}: {_message(fault)}" for fault in faults if fault["type"] != "default_factory_not_called"
+    ]
+    if len(messages) > MAX_MESSAGES:
+        messages[MAX_MESSAGES:] = [f"{where}: and {len(messages) - MAX_MESSAGES} more faults"]
+    raise SceneError(messages)
+
+
+def dump(scene: Scene) -> dict[str, Any]:
+    """The scene as a scene file would hold it, all keys that apply to it spelled out.
+
+    Args:
+        scene: a valid scene.
+
+    Returns:
+        Plain dicts, lists, strings, numbers and booleans; `parse_scene` makes an equal scene of them.
+    """
+    data: dict[str, Any] = scene.model_dump(mode="json", by_alias=True, exclude_none=True)
+    if scene.camera.f_number is not None:
+        del data["camera"]["aperture_diameter"]
+    if scene.camera.focus_distance is not None:
+        del data["camera"]["sensor_distance"]
+    for key, value in (("psf.model", scene.psf.model), ("motion.warp", scene.motion.warp)):
+        _displace(data, key, value)
+    return data
+
+
+def scene_schema() -> dict[str, Any]:
+    """JSON Schema (draft 2020-12) of a scene file, with units in the descriptions."""
+    schema = Scene.model_json_schema(by_alias=True)
+    for shape in _SHAPES.values():
+        definition = schema["$defs"][shape.__name__]
+        definition["required"] = ["shape", *definition.get("required", [])]
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "required": ["object"]}
+
+
+def _read(where: str) -> dict[str, Any]:
+    kind = Path(where).suffix.lower()
+    if kind not in (".toml", ".json"):
+        raise SceneError(f"{where}: a scene file must end in .toml or .json")
+    try:
+        with open(where, "rb") as file:
+            content = file.read(MAX_FILE_BYTES + 1)
+    except (OSError, ValueError) as error:
+        raise SceneError(f"{where}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    if len(content) > MAX_FILE_BYTES:
+        raise SceneError(f"{where}: a scene file must have at most {MAX_FILE_BYTES} bytes")
+
+    def unique(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+        table: dict[str, Any] = {}
+        for key, value in pairs:
+            if key in table:
+                raise SceneError(f"{where}: {_name((key,))}: key given twice")
+            table[key] = value
+        return table
+
+    try:
+        text = content.decode("utf-8-sig")
+        if kind == ".toml" and any(line.count(".") > MAX_DOTS for line in text.splitlines()):
+            raise SceneError(f"{where}: a line must have at most {MAX_DOTS} dots")
+        data = tomllib.loads(text) if kind == ".toml" else json.loads(text, object_pairs_hook=unique)
+    except UnicodeDecodeError as error:
+        raise SceneError(f"{where}: must be UTF-8 text; got byte {content[error.start]:#04x}") from None
+    except RecursionError:
+        raise SceneError(f"{where}: nested too deeply") from None
+    except ValueError as error:
+        raise SceneError(f"{where}: not valid {kind[1:].upper()}: {str(error).split(';')[0]}") from None
+    if not isinstance(data, dict):
+        raise SceneError(f"{where}: must be a table; got {_shown(data)}")
+    return data
+
+
+def _override(data: dict[str, Any], overrides: Sequence[str], where: str) -> None:
+    """Apply the overrides to `data` in their order."""
+    messages = []
+    for text in overrides:
+        key, equals, value = text.partition("=")
+        parts = re.sub(r"\[(\d+)\]", r".\1", key.strip()).split(".")
+        if not equals or not all(parts):
+            messages.append(
+                f"{where}: override must be KEY=VALUE, like camera.f_number=4; got {_shown(text)}"
+            )
+            continue
+        parsed = _value(value.strip())
+        _displace(data, ".".join(parts), parsed)
+        if (fault := _put(data, parts, parsed)) is not None:
+            messages.append(f"{where}: override {text}: {fault}")
+    if messages:
+        raise SceneError(messages)
+
+
+def _value(text: str) -> Any:
+    """A TOML value, or the text itself where it is none."""
+    try:
+        parsed = tomllib.loads(f"value = {text}")
+    except (ValueError, RecursionError):
+        return text
+    return parsed["value"] if len(parsed) == 1 else text
+
+
+def _put(data: dict[str, Any], parts: list[str], value: Any) -> str | None:
+    """Set the entry at `parts`, making tables on the way; tell why that cannot be."""
+    node: Any = data
+    for position, part in enumerate(parts):
+        last = position == len(parts) - 1
+        if isinstance(node, list):
+            if not (part.isdecimal() and int(part) < len(node)):
+                return f"{'.'.join(parts[:position])} has {len(node)} entries, counted from 0; got {part}"
+            key: Any = int(part)
+        elif isinstance(node, dict):
+            key = part
+            if not last:
+                node.setdefault(key, {})
+        else:
+            return f"{'.'.join(parts[:position])} must be a table; got {_shown(node)}"
+        if last:
+            node[key] = value
+        else:
+            node = node[key]
+    return None
+
+
+def _displace(data: dict[str, Any], key: str, value: Any) -> None:
+    """Remove what would contradict `key` = `value`."""
+    for cause, condition, other in _DISPLACED:
+        if key == cause and condition in (None, value):
+            section, _, entry = other.partition(".")
+            if not entry:
+                data.pop(section, None)
+            elif isinstance(data.get(section), dict):
+                data[section].pop(entry, None)
+
+
+def _message(fault: Mapping[str, Any]) -> str:
+    """`key: rule; got value` for one fault that pydantic found."""
+    kind, given, context = fault["type"], fault["input"], fault.get("ctx", {})
+    loc, shape = tuple(fault["loc"]), None
+    if kind == "rule" and loc == ("objects",):  # how pydantic calls it where the default is at fault
+        loc = ("object",)
+    if len(loc) > 2 and loc[0] == "object" and loc[2] in _SHAPES:
+        shape, loc = loc[2], loc[:2] + loc[3:]
+    if kind == "missing":
+        return f"{_name(loc)}: missing"
+    if kind == "extra_forbidden":
+        rule = _unknown(loc, shape)
+    elif kind == "rule":
+        rule = context["rule"]
+    elif kind == "float_type" and type(given) is int:
+        rule = "must be a finite number"  # an integer beyond float64
+    else:
+        rule = _RULES[kind].format(**context).replace("'", "") if kind in _RULES else fault["msg"]
+    return f"{_name(loc)}: {rule}; got {context.get('got') or _shown(given)}"
+
+
+def _unknown(loc: tuple[Any, ...], shape: str | None) -> str:
+    """Rule for an unknown key: where it belongs, or which key may be meant."""
+    key = str(loc[-1])
+    if shape is not None and len(loc) == 3:
+        known = list(_SHAPES[shape].model_fields)
+        homes = [name for name, model in _SHAPES.items() if key in model.model_fields]
+        if homes:
+            return f"belongs to shape {' or '.join(homes)}, not {shape}"
+    elif shape is not None:
+        known = list(_SHAPES[shape].model_fields[loc[-2]].annotation.model_fields)  # type: ignore[union-attr]
+    else:
+        known = list(_SECTIONS[loc[0]].model_fields) if len(loc) > 1 else _SCENE_KEYS
+    near = difflib.get_close_matches(key[:64], known, n=1)
+    near += [f"{name}.{key}" for name, model in _SECTIONS.items() if key in model.model_fields]
+    return f"unknown key (did you mean {near[0]}?)" if near else "unknown key"
+
+
+def _name(loc: Sequence[Any]) -> str:
+    """Key as it is written in a file: object[0].motion.velocity[2]."""
+    name = ""
+    for part in loc:
+        if isinstance(part, int):
+            name += f"[{part}]"
+        else:
+            bare = re.fullmatch(r"[A-Za-z0-9_-]{1,64}", str(part)) is not None
+            name += ("." if name else "") + (str(part) if bare else _shown(str(part)))
+    return name or "scene"
+
+
+def _shown(value: Any) -> str:
+    """A value on one short line, as a scene file would write it where that is possible."""
+    if isinstance(value, str):
+        return json.dumps(
+            value if len(value) <= 60 else value[:57] + "...", ensure_ascii=not value.isprintable()
+        )
+    if value is None or isinstance(value, bool):
+        return json.dumps(value)
+    if isinstance(value, int) and value.bit_length() > 128:
+        return f"an integer of about {int(value.bit_length() * 0.30103) + 1} digits"
+    if (
+        isinstance(value, list | tuple)
+        and len(value) <= 10
+        and not any(isinstance(v, list | dict) for v in value)
+    ):
+        return f"[{', '.join(_shown(entry) for entry in value)}]"
+    if isinstance(value, dict):
+        return f"a table of {len(value)} keys"
+    if isinstance(value, list | tuple):
+        return f"a list of {len(value)} entries"
+    return " ".join(_SHORT.repr(value).split())
