@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -32,25 +33,39 @@ __kernel void second(__global int *out) { out[get_global_id(0)] = 2; }
 """
 
 
-@pytest.fixture
-def start(tmp_path: Path) -> Callable[[], subprocess.Popen[str]]:
-    """Starts a process that builds and launches two kernels with its cache below `tmp_path`."""
-    kernels = tmp_path / "kernels"
-    kernels.mkdir()
+Start = Callable[[Path], subprocess.Popen[str]]
+
+
+@pytest.fixture(scope="module")
+def start(tmp_path_factory: pytest.TempPathFactory) -> Start:
+    """Starts a process that builds and launches two kernels with its cache below a given folder."""
+    kernels = tmp_path_factory.mktemp("kernels")
     (kernels / "geometry.clh").write_text("")
     (kernels / "work.cl").write_text(WORK)
     environ = {
         name: value for name, value in os.environ.items() if name not in ("POCL_CACHE_DIR", "PYOPENCL_CTX")
     }
-    environ |= {"XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": str(Path(poclcache.__file__).parent.parent)}
+    environ["PYTHONPATH"] = str(Path(poclcache.__file__).parent.parent)
 
-    def started() -> subprocess.Popen[str]:
+    def started(cache: Path) -> subprocess.Popen[str]:
         command = [sys.executable, "-W", "error", "-c", RENDER, str(kernels)]
         return subprocess.Popen(
-            command, env=environ, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+            command,
+            env=environ | {"XDG_CACHE_HOME": str(cache)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
         )
 
     return started
+
+
+@pytest.fixture(scope="module")
+def warm(start: Start, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cache that one process has filled; to be copied."""
+    cache = tmp_path_factory.mktemp("warm")
+    assert ended(start(cache)) == (0, "256\n512\n")
+    return cache
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
@@ -75,43 +90,40 @@ def flip(path: Path) -> None:
 @pytest.mark.parametrize("pattern", ["program.bc", "second.so"])
 @pytest.mark.parametrize("damage", [overwrite, cut, flip, Path.unlink])
 def test_a_damaged_cache_is_noticed_and_rebuilt(
-    start: Callable[[], subprocess.Popen[str]], tmp_path: Path, pattern: str, damage: Callable[[Path], None]
+    start: Start, warm: Path, tmp_path: Path, pattern: str, damage: Callable[[Path], None]
 ) -> None:
-    assert ended(start()) == (0, "256\n512\n")
-    found = list((tmp_path / "clsco").rglob(pattern))
-    assert found
-    for path in found:
-        damage(path)
-    damaged = [path.read_bytes() if path.is_file() else b"" for path in found]
-    assert ended(start()) == (0, "256\n512\n")
-    for path, content in zip(found, damaged, strict=True):
-        assert path.read_bytes() != content
+    shutil.copytree(warm, tmp_path, dirs_exist_ok=True)
+    (path,) = (tmp_path / "clsco").rglob(pattern)
+    damage(path)
+    damaged = path.read_bytes() if path.is_file() else b""
+    assert ended(start(tmp_path)) == (0, "256\n512\n")
+    assert path.read_bytes() != damaged
 
 
 def test_a_file_of_a_process_that_died_over_it_is_not_loaded(
-    start: Callable[[], subprocess.Popen[str]], tmp_path: Path
+    start: Start, warm: Path, tmp_path: Path
 ) -> None:
-    assert ended(start()) == (0, "256\n512\n")
+    shutil.copytree(warm, tmp_path, dirs_exist_ok=True)
     (folder,) = (tmp_path / "clsco").iterdir()
     (
         folder / poclcache.LIST
     ).unlink()  # nothing is recorded, as if the process had been killed before it could
     for path in folder.rglob("*.so"):
         cut(path)
-    assert ended(start()) == (0, "256\n512\n")
+    assert ended(start(tmp_path)) == (0, "256\n512\n")
 
 
-def test_an_undamaged_cache_is_used(start: Callable[[], subprocess.Popen[str]], tmp_path: Path) -> None:
-    assert ended(start()) == (0, "256\n512\n")
+def test_an_undamaged_cache_is_used(start: Start, warm: Path, tmp_path: Path) -> None:
+    shutil.copytree(warm, tmp_path, dirs_exist_ok=True)
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "clsco").rglob("*.so")}
     assert len(before) == 2
-    assert ended(start()) == (0, "256\n512\n")
+    assert ended(start(tmp_path)) == (0, "256\n512\n")
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "clsco").rglob("*.so")} == before
     assert list((tmp_path / "clsco").rglob("tempfile_*")) == []
 
 
-def test_many_cold_starts_at_once(start: Callable[[], subprocess.Popen[str]]) -> None:
-    processes = [start() for _ in range(6)]
+def test_many_cold_starts_at_once(start: Start, tmp_path: Path) -> None:
+    processes = [start(tmp_path) for _ in range(6)]
     assert [ended(process) for process in processes] == [(0, "256\n512\n")] * 6
 
 

@@ -1,0 +1,63 @@
+"""Each kernel and each shared function of the device has its twin in NumPy, found by file and name."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+KERNELS = sorted((ROOT / "kernels").glob("*.cl"))
+
+
+def kernel_names(text: str) -> set[str]:
+    return set(re.findall(r"\b(?:__)?kernel\s+void\s+(\w+)\s*\(", plain(text)))
+
+
+def inline_names(text: str) -> set[str]:
+    return set(re.findall(r"\binline\s+[\w\s*]*?\b(\w+)\s*\(", plain(text)))
+
+
+def plain(text: str) -> str:
+    """The text without comments and attributes."""
+    text = re.sub(r"//[^\n]*|/\*.*?\*/", " ", text, flags=re.DOTALL)
+    return re.sub(r"__attribute__\s*\(\((?:[^()]|\([^()]*\))*\)\)", " ", text)
+
+
+def twins(name: str) -> set[str]:
+    tree = ast.parse((ROOT / "clsco" / "reference" / f"{name}.py").read_text("utf-8"))
+    return {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+
+
+def test_there_are_kernels() -> None:
+    assert KERNELS
+
+
+@pytest.mark.parametrize("path", KERNELS, ids=lambda path: path.name)
+def test_each_kernel_has_its_twin(path: Path) -> None:
+    names = kernel_names(path.read_text("utf-8"))
+    assert names
+    assert names - twins(path.stem) == set()
+
+
+def test_each_shared_function_has_its_twin() -> None:
+    names = inline_names((ROOT / "kernels" / "geometry.clh").read_text("utf-8"))
+    assert names
+    assert names - twins("geometry") == set()
+
+
+def test_names_are_found_in_any_dress() -> None:
+    text = """
+    /* __kernel void not_this(int n) */ // kernel void nor_this(int n)
+    __kernel void one(int n) { }
+    __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
+    void two (int n) { }
+    kernel void __attribute__((vec_type_hint(float4))) three(int n) { }
+    inline real four(real x) { return five(x); }
+    static inline __global const real *six(real2 x) { return 0; }
+    real seven(real x) { return x; }
+    """
+    assert kernel_names(text) == {"one", "two", "three"}
+    assert inline_names(text) == {"four", "six"}

@@ -1,0 +1,125 @@
+"""What is shipped: the wheel's contents, the lazy front door, and the repository's own rules on files."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import clsco
+from clsco.resources import folder
+
+ROOT = Path(__file__).resolve().parents[2]
+LONGEST = 500
+
+
+def repository_files() -> list[Path]:
+    command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    listed = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    return [ROOT / name for name in listed.split("\0") if name and (ROOT / name).is_file()]
+
+
+def python(code: str, cwd: Path, path: Path) -> str:
+    environ = os.environ | {"PYTHONPATH": str(path)}
+    command = [sys.executable, "-W", "error", "-c", code]
+    return subprocess.run(command, cwd=cwd, env=environ, check=True, capture_output=True, text=True).stdout
+
+
+def test_no_file_is_too_long() -> None:
+    files = [path for path in repository_files() if path.suffix in (".py", ".cl", ".clh")]
+    assert files
+    lengths = {str(path.relative_to(ROOT)): path.read_text("utf-8").count("\n") for path in files}
+    assert {name: length for name, length in lengths.items() if length > LONGEST} == {}
+
+
+def test_no_file_names_a_place_on_one_machine() -> None:
+    place = re.compile(rb"""(?<![\w.])/(?:root|home|work|tmp|Users)/\w""")
+    assert place.search(b'open("/' + b'home/me/scene.toml")')
+    found = [str(path.relative_to(ROOT)) for path in repository_files() if place.search(path.read_bytes())]
+    assert found == []
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel, built from a copy of the repository's files, so that nothing is left in the tree."""
+    base = tmp_path_factory.mktemp("wheel")
+    for path in repository_files():
+        target = base / "source" / path.relative_to(ROOT)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(path, target)
+    options = ["--quiet", "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", str(base)]
+    subprocess.run([sys.executable, "-m", "pip", "wheel", *options, str(base / "source")], check=True)
+    (built,) = base.glob("clsco-*.whl")
+    return built
+
+
+def shipped() -> set[str]:
+    """What the wheel has to hold, as its names: the package, the kernels, and the example scenes."""
+    suffixes = {"clsco": (".py",), "kernels": (".py", ".cl", ".clh"), "examples": (".py", ".toml")}
+    names = [path.relative_to(ROOT) for path in repository_files()]
+    wanted = [name for name in names if name.suffix in suffixes.get(name.parts[0], ())]
+    return {name.as_posix() if name.parts[0] == "clsco" else f"clsco/{name.as_posix()}" for name in wanted}
+
+
+def test_the_wheel_holds_everything_and_nothing_else(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        names = {name for name in archive.namelist() if ".dist-info/" not in name}
+        (entry_points,) = (name for name in archive.namelist() if name.endswith("entry_points.txt"))
+        assert "clsco = clsco.cli:main" in archive.read(entry_points).decode()
+    assert f"clsco-{clsco.__version__}-" in wheel.name
+    assert {"clsco/kernels/geometry.clh", "clsco/reference/geometry.py"} <= names
+    assert any(name.startswith("clsco/examples/") for name in names)
+    assert names == shipped()
+
+
+def test_the_wheel_finds_its_kernels_and_examples(wheel: Path, tmp_path: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(tmp_path / "site")
+    code = "from clsco.resources import folder as f; print(f('kernels'), f('examples'), sep='\\n')"
+    found = [Path(line) for line in python(code, tmp_path, tmp_path / "site").splitlines()]
+    assert found == [tmp_path / "site/clsco/kernels", tmp_path / "site/clsco/examples"]
+    kernels = {path.name for path in (ROOT / "kernels").iterdir() if path.suffix in (".cl", ".clh")}
+    assert kernels
+    assert kernels <= {path.name for path in found[0].iterdir()}
+
+
+def test_a_source_tree_finds_its_kernels() -> None:
+    assert folder("kernels") == ROOT / "kernels"
+    with pytest.raises(FileNotFoundError, match=r"^no such folder: must be installed"):
+        folder("no such folder")
+
+
+def test_import_clsco_imports_nothing_large(tmp_path: Path) -> None:
+    code = "import clsco, sys; print(*sorted({name.partition('.')[0] for name in sys.modules}))"
+    loaded = set(python(code, tmp_path, ROOT).split())
+    assert "clsco" in loaded
+    assert loaded & {"numpy", "pyopencl", "pydantic", "imageio", "click", "rich"} == set()
+
+
+def test_the_front_door_offers_what_type_checkers_see() -> None:
+    tree = ast.parse((ROOT / "clsco" / "__init__.py").read_text("utf-8"))
+    (block,) = (node for node in tree.body if isinstance(node, ast.If))
+    lines = [line for line in block.body if isinstance(line, ast.ImportFrom)]
+    seen = {alias.name: line.module for line in lines for alias in line.names}
+    assert seen == clsco._FUNCTIONS | {"reference": "clsco"}
+    assert sorted(clsco.__all__) == sorted([*seen, "__version__"])
+    for name in clsco.__all__:
+        assert name in dir(clsco)
+        assert getattr(clsco, name) is not None
+    with pytest.raises(AttributeError, match="no attribute missing"):
+        _ = clsco.missing
+
+
+def test_functions_stay_functions_after_their_modules_are_imported(tmp_path: Path) -> None:
+    for name in ("render", "defocus", "inpaint"):
+        code = f"import clsco.{name}, clsco; print(callable(clsco.{name})); clsco.{name}.__call__"
+        assert python(code, tmp_path, ROOT) == "True\n"
+        code = f"import clsco; clsco.{name}; import clsco.{name}; print(callable(clsco.{name}))"
+        assert python(code, tmp_path, ROOT) == "True\n"
