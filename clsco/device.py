@@ -72,8 +72,10 @@ class Choice:
 
 
 def list_devices(name: str | None = None) -> tuple[tuple[Device, ...], Choice]:
-    """All OpenCL devices in the platforms' order, and which one `choose(name)` would use and why. Raises
-    nothing."""
+    """All OpenCL devices in the platforms' order, and which one `choose(name)` would use and why.
+
+    Raises nothing: where no device can be chosen, the reason says so.
+    """
     devices = _devices()
     try:
         return devices, pick(devices, name, os.environ, _by_pyopencl)
@@ -82,9 +84,9 @@ def list_devices(name: str | None = None) -> tuple[tuple[Device, ...], Choice]:
 
 
 def choose(name: str | None = None) -> Device:
-    """The device to use: `name` > CLSCO_DEVICE > PYOPENCL_CTX > a GPU > PoCL > any other processor. Never
-    prompts.
+    """The device to use: `name` > CLSCO_DEVICE > PYOPENCL_CTX > a GPU > PoCL > any other processor.
 
+    Never prompts.
     `name` is a part of the device's or platform's name or version in any case, or "gpu" or "cpu".
     Raises DeviceError when no device is there or none matches.
     """
@@ -141,13 +143,11 @@ class Session:
             raise DeviceError(f"device {device}: must open a context and a queue; got {error}") from error
 
     def compiling(self) -> AbstractContextManager[None]:
-        """To be held while the driver may compile, so that no other process writes to its cache at the same
-        time."""
+        """To be held while the driver may compile: no other process then writes to its cache."""
         return poclcache.exclusive() if self.device.is_pocl else nullcontext()
 
     def close(self) -> None:
-        """Wait for the queue and let go of programs, queue and context; buffers keep the context until they
-        go."""
+        """Wait for the queue and let go of the programs; the context goes when its last buffer does."""
         with self.lock:
             self.queue.finish()
             self.compiled.clear()

@@ -30,8 +30,7 @@ def build(
     structs: Mapping[str, np.dtype[Any]],
     real: Literal["double", "float"],
 ) -> Program:
-    """Build kernel files, with geometry.clh before them, into a program; the same request gives the same
-    program.
+    """Build kernel files, after geometry.clh, into a program; the same request gives the same program.
 
     sources: names of files in kernels/, such as "trace.cl". features: NAME -> small integer or bool, given to
     the compiler as -DNAME=value; structure only, since each set of values is compiled anew. structs: C name
@@ -129,8 +128,10 @@ def empty(session: Session, size: int) -> cl.Buffer:
 
 
 def download(session: Session, buffer: cl.Buffer, shape: Sequence[int], dtype: DTypeLike) -> NDArray[Any]:
-    """Wait for everything enqueued so far and return a copy of the buffer's beginning; the caller owns the
-    array."""
+    """Wait for everything enqueued so far and return a copy of the buffer's beginning, the caller's own.
+
+    shape, dtype: of the array to return. Raises DeviceError when the device fails.
+    """
     array = np.empty(tuple(shape), dtype)
     if array.nbytes:
         try:

@@ -1,5 +1,4 @@
-"""Imports run one way: scene file -> scene -> plan -> device -> frame -> files, and each outside library has
-its place."""
+"""Imports run one way, from scene file to files, and each outside library has its place."""
 
 from __future__ import annotations
 
