@@ -216,15 +216,15 @@ def fill(
 
     values: (H, W, K), radiance and then inverse depth; known: (H, W); allowed: as for `mark_missing`; guard:
     px of the padded grid that do not count in the report. Status: 0 known or outside, 1 filled, 2 missing but
-    could not be filled. "mean_median" scores on the radiance and fills inverse depth by the same rule. Sweeps
-    that fill nothing are not counted.
+    could not be filled. "mean_median" scores on the radiance and fills inverse depth by the same rule.
+    Missing pixels are marked anew before each sweep, with the filled ones known. Sweeps that fill nothing do
+    not count.
     """
-    missing = mark_missing(known, allowed)
-    left, valid = missing.copy(), known.copy()
+    left, valid = mark_missing(known, allowed), known
     frame = (slice(guard, known.shape[0] - guard), slice(guard, known.shape[1] - guard))
     sweeps = first = 0
     median_wins = np.zeros(9, dtype=bool)
-    if method == "mean_median" and missing.any():
+    if method == "mean_median" and left.any():
         mean_error, median_error = score_mean_median(values[..., :-1], known)
         median_wins = median_error < mean_error
     while method != "none" and left.any():
@@ -241,13 +241,14 @@ def fill(
         sweeps += 1
         if sweeps == 1:
             first = int(filled[frame].sum())
-        valid, left = valid | filled, left & ~filled
-    done = missing & ~left
+        valid = valid | filled
+        # The crossing of a wholly missing row and a wholly missing column is between known pixels only now.
+        left = mark_missing(valid, allowed)
+    done = valid & ~known
     if method == "mean_median" and done.any():
         for _ in range(SMOOTHING_ROUNDS):
             values = smooth_median(values, done, valid)
     status = np.where(done, FILLED, np.where(left, UNFILLED, KNOWN))
-    report = FillReport(
-        int(missing[frame].sum()), int(done[frame].sum()), int(left[frame].sum()), sweeps, first
-    )
+    done_pixels, left_pixels = int(done[frame].sum()), int(left[frame].sum())
+    report = FillReport(done_pixels + left_pixels, done_pixels, left_pixels, sweeps, first)
     return values, status, report

@@ -211,14 +211,14 @@ def mirror_index(i: NDArray[np.int64], n: int) -> NDArray[np.int64]:
     return np.asarray(np.where(folded >= n, 2 * n - 1 - folded, folded))
 
 
-def _taps(position: Array, filter: Filter) -> tuple[NDArray[np.int64], Array]:
+def _taps(position: Array, texture_filter: Filter) -> tuple[NDArray[np.int64], Array]:
     """First texel and weights (..., taps) of the texels that serve a position along one axis."""
     position = np.clip(position, -FARTHEST_TEXEL, FARTHEST_TEXEL)
-    if filter == "nearest":
+    if texture_filter == "nearest":
         return np.floor(position + 0.5).astype(np.int64), np.ones((*position.shape, 1))
     first = np.floor(position)
     t = position - first
-    if filter == "bilinear":
+    if texture_filter == "bilinear":
         return first.astype(np.int64), np.stack([1.0 - t, t], axis=-1)
     weights = (
         ((-0.5 * t + 1.0) * t - 0.5) * t,
@@ -229,13 +229,16 @@ def _taps(position: Array, filter: Filter) -> tuple[NDArray[np.int64], Array]:
     return first.astype(np.int64) - 1, np.stack(weights, axis=-1)
 
 
-def sample_texture(texture: Array, row: Array, column: Array, filter: Filter) -> Array:
+def sample_texture(texture: Array, row: Array, column: Array, texture_filter: Filter) -> Array:
     """Texture (rows, columns[, channels]) at positions (...) in px, mirrored outside: (...[, channels]).
 
-    filter: "nearest" (halves go up), "bilinear", or "bicubic" (Catmull-Rom, a = -1/2: may overshoot, is not
-    clamped). Validated: texels are kept, bilinear keeps linear and bicubic quadratic signals.
+    texture_filter: "nearest" (halves go up), "bilinear", or "bicubic" (Catmull-Rom, a = -1/2: may
+    overshoot, is not clamped). Validated: texels are kept, bilinear keeps linear, bicubic quadratic signals.
     """
-    (first_row, row_weights), (first_column, column_weights) = _taps(row, filter), _taps(column, filter)
+    (first_row, row_weights), (first_column, column_weights) = (
+        _taps(row, texture_filter),
+        _taps(column, texture_filter),
+    )
     rows, columns = texture.shape[:2]
     result = np.zeros(row.shape + texture.shape[2:])
     for i in range(row_weights.shape[-1]):

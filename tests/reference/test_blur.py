@@ -1,0 +1,327 @@
+"""Defocus against plain sums, conservation of light and a thin lens."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from clsco import psf as psf_weights
+from clsco.reference.accumulate import accumulate
+from clsco.reference.blur import convolve, gather, prepare_sources, renormalize, scatter, tilt_factor
+from clsco.reference.trace import Sources, SubpixelSources, mark_silhouettes, trace, trace_subpixels
+from clsco.scene import Plane, Psf, Scene, Sphere
+from clsco.surfaces import PlacedSurface
+
+Array = NDArray[np.float64]
+SceneMaker = Callable[..., Scene]
+Placer = Callable[..., PlacedSurface]
+
+PSFS = (
+    Psf(),
+    Psf(edge="area"),
+    Psf(edge="sampled"),
+    Psf(model="gaussian"),
+    Psf(model="gaussian", edge="area"),
+    Psf(model="gaussian", edge="sampled"),
+)
+
+
+def name_of(psf: Psf) -> str:
+    """Name of a parameter set in pytest's output."""
+    return f"{psf.model}-{psf.edge}"
+
+
+def random_sources(shape: tuple[int, int], largest: float, steepest: float, channels: int = 1) -> Sources:
+    """Sources with random radius of either sign and gradient up to `steepest`, a tenth of them empty."""
+    rng = np.random.default_rng(41)
+    label = (rng.random(shape) < 0.9).astype(np.uint8)
+    there = (label > 0)[..., None]
+    angle, length = rng.uniform(0, 2 * np.pi, shape), rng.uniform(0, steepest, shape)
+    gradient = np.stack([length * np.cos(angle), length * np.sin(angle)], axis=-1)
+    radiance = np.where(there, rng.random((*shape, channels)), 0.0)
+    radius = np.where(label > 0, rng.uniform(-largest, largest, shape), 0.0)
+    return Sources(radiance, np.ones(shape), label, radius, gradient)
+
+
+def in_the_middle(sources: Sources, margin: int) -> Sources:
+    """The same with empty pixels around, as wide as `margin`."""
+    padded = {
+        name: np.pad(value, [(margin, margin)] * 2 + [(0, 0)] * (value.ndim - 2))
+        for name, value in vars(sources).items()
+    }
+    return Sources(**padded)
+
+
+def random_subpixels(sources: Sources, samples: int, count: int) -> SubpixelSources:
+    """Sub-pixel sources in `count` random pixels, whether those have a source or not."""
+    rng = np.random.default_rng(43)
+    height, width, channels = sources.radiance.shape
+    pixel = rng.choice(height * width, count, replace=False)
+    shape = (count, samples, samples)
+    return SubpixelSources(
+        row=pixel // width,
+        column=pixel % width,
+        hit=rng.random(shape) < 0.7,
+        radius=rng.uniform(-3, 3, shape),
+        gradient=rng.uniform(-0.6, 0.6, (*shape, 2)),
+        radiance=rng.random((*shape, channels)),
+    )
+
+
+def plain_scatter(
+    psf: Psf, sources: Sources, sub: SubpixelSources | None, shape: tuple[int, int], guard: int
+) -> Array:
+    """The definition, source by source: radiance x share of light / (share within the frame, if asked)."""
+    m, n = shape
+    color = np.zeros((m, n, sources.radiance.shape[2]))
+    row, column = np.arange(m)[:, None] + guard, np.arange(n)[None, :] + guard
+
+    def add(i: int, j: int, light: Array, share: Array, weight: float) -> None:
+        inside = guard <= i < guard + m and guard <= j < guard + n
+        if psf.border == "renormalize":
+            share = share / share.sum() if inside else np.zeros_like(share)
+        color[...] += weight * share[..., None] * light
+
+    for i, j in np.ndindex(sources.label.shape):
+        if sources.label[i, j] == 0 or (sub is not None and ((sub.row == i) & (sub.column == j)).any()):
+            continue
+        radius, (gx, gy) = sources.radius[i, j], sources.gradient[i, j]
+        dx, dy = (column - j).astype(float), (row - i).astype(float)
+        share = psf_weights.weights(psf, dx, dy, radius)
+        if psf.tilt:
+            share = share * tilt_factor(dx, dy, gx, gy, radius)
+        add(i, j, sources.radiance[i, j], share, 1.0)
+    if sub is not None:
+        samples = sub.hit.shape[1]
+        for k, u, v in zip(*np.nonzero(sub.hit), strict=True):
+            i, j = int(sub.row[k]), int(sub.column[k])
+            dx = column - (j + (v + 0.5) / samples - 0.5)
+            dy = row - (i + (u + 0.5) / samples - 0.5)
+            radius, (gx, gy) = sub.radius[k, u, v], sub.gradient[k, u, v]
+            share = psf_weights.subpixel_weights(psf, dx, dy, radius)
+            if psf.tilt:
+                share = share * tilt_factor(dx, dy, gx, gy, radius)
+            add(i, j, sub.radiance[k, u, v], share, 1.0 / samples**2)
+    return color
+
+
+@pytest.mark.parametrize("border", ["lose", "renormalize"])
+@pytest.mark.parametrize("tilt", [True, False])
+@pytest.mark.parametrize("psf", [Psf(), Psf(model="gaussian"), Psf(edge="sampled")], ids=name_of)
+def test_scatter_is_the_plain_sum(psf: Psf, tilt: bool, border: str) -> None:
+    psf = psf.model_copy(update={"tilt": tilt, "border": border})
+    sources = random_sources((17, 21), 3.0, 1.5, channels=2)
+    sub = random_subpixels(sources, 2, 40)
+    for some in (None, sub):
+        found = scatter(psf, sources, some, (11, 15), 3)
+        expected = plain_scatter(psf, sources, some, (11, 15), 3)
+        assert expected.max() > 0.3
+        # A few hundred terms below 1 each, added in another order.
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13)
+        assert (gather(psf, sources, some, (11, 15), 3) == found).all()
+
+
+@pytest.mark.parametrize("tilt", [True, False])
+@pytest.mark.parametrize("psf", PSFS, ids=name_of)
+def test_light_is_conserved(psf: Psf, tilt: bool) -> None:
+    """Up to |grad R| = 1 the tilt takes on one side what it gives on the other."""
+    sources = in_the_middle(random_sources((12, 14), 4.0, 1.0, channels=3), 14)
+    assert psf_weights.reach(psf, 4.0) <= 14
+    color = scatter(psf.model_copy(update={"tilt": tilt}), sources, None, sources.label.shape, 0)
+    light = sources.radiance.sum(axis=(0, 1))
+    assert light.min() > 10
+    np.testing.assert_allclose(
+        color.sum(axis=(0, 1)), light, rtol=1e-12
+    )  # the weights' own sum is 1 to 1e-12
+    assert (color >= 0).all()
+
+
+def test_subpixel_light_is_conserved() -> None:
+    sources = in_the_middle(random_sources((10, 10), 3.0, 0.5), 8)
+    sub = random_subpixels(sources, 4, 60)
+    assert np.hypot(*np.moveaxis(sub.gradient, -1, 0)).max() < 1
+    inside = (sub.row > 5) & (sub.row < 20) & (sub.column > 5) & (sub.column < 20)
+    sub = replace(sub, hit=sub.hit & inside[:, None, None])
+    assert sub.hit.sum() > 100
+    psf = Psf(tilt=False)
+    color = scatter(psf, sources, sub, sources.label.shape, 0)
+    own = sources.radiance.copy()
+    own[sub.row, sub.column] = 0.0
+    expected = own.sum() + sub.radiance[sub.hit].sum() / 16
+    np.testing.assert_allclose(color.sum(), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("psf", PSFS, ids=name_of)
+@pytest.mark.parametrize("radius", [0.0, 0.3, 1.0, 2.7, -2.7])
+def test_constant_image_stays_constant(psf: Psf, radius: float) -> None:
+    guard = max(psf_weights.reach(psf, abs(radius)), 1)
+    shape = (9 + 2 * guard, 12 + 2 * guard)
+    radiance = np.full((*shape, 1), 0.7)
+    sources = Sources(
+        radiance, np.ones(shape), np.ones(shape, np.uint8), np.full(shape, radius), np.zeros((*shape, 2))
+    )
+    color = scatter(psf, sources, None, (9, 12), guard)
+    np.testing.assert_allclose(color, 0.7, rtol=1e-12)  # the weights' own sum is 1 to 1e-12
+    if guard > 1:
+        assert scatter(psf, sources, None, (9 + 2 * guard, 12 + 2 * guard), 0).min() < 0.69  # border loses
+
+
+@pytest.mark.parametrize("psf", PSFS, ids=name_of)
+def test_convolve_is_scatter_of_one_radius(psf: Psf) -> None:
+    sources = random_sources((18, 20), 1.0, 0.0, channels=3)
+    sources = replace(sources, radius=np.where(sources.label > 0, -2.3, 0.0))
+    expected = scatter(psf, sources, None, (12, 14), 3)
+    np.testing.assert_allclose(convolve(psf, sources.radiance, -2.3, 3), expected, atol=1e-13)
+    dx, dy = np.meshgrid(np.arange(-9.0, 10), np.arange(-9.0, 10))
+    plain = psf_weights.weights(psf, dx, dy, np.asarray(2.3))
+    lit = np.zeros((19, 19, 1))
+    lit[9, 9] = 1.0
+    np.testing.assert_allclose(convolve(psf, lit, 2.3, 0)[..., 0], plain, atol=1e-15)
+
+
+def test_renormalizing_gives_all_light_back_to_the_frame() -> None:
+    psf = Psf(border="renormalize")
+    sources = random_sources((20, 24), 4.0, 1.8)
+    sub = random_subpixels(sources, 3, 30)
+    color = scatter(psf, sources, sub, (12, 16), 4)
+    frame = (slice(4, 16), slice(4, 20))
+    own = sources.radiance.copy()
+    own[sub.row, sub.column] = 0.0
+    there = (sub.row >= 4) & (sub.row < 16) & (sub.column >= 4) & (sub.column < 20)
+    lit = sub.radiance[there][sub.hit[there]].sum() / 9
+    assert lit > 1
+    np.testing.assert_allclose(color.sum(), own[frame].sum() + lit, rtol=1e-12)
+    scaled, _ = renormalize(psf, sources, sub, (12, 16), 4)
+    assert not scaled.label[:4].any()
+    assert scaled.label[frame].any()
+
+
+@pytest.mark.parametrize("offset", [(0, 0), (3, 1)])
+def test_a_subpixel_source_lights_its_disc(offset: tuple[int, int]) -> None:
+    i, j = offset
+    hit = np.zeros((1, 4, 4), dtype=bool)
+    hit[0, i, j] = True
+    empty = np.zeros((13, 13))
+    sources = Sources(empty[..., None], empty, empty.astype(np.uint8), empty, np.zeros((13, 13, 2)))
+    sub = SubpixelSources(
+        np.array([6]),
+        np.array([6]),
+        hit,
+        np.full(hit.shape, -2.3),
+        np.zeros((*hit.shape, 2)),
+        np.ones((*hit.shape, 1)),
+    )
+    color = scatter(Psf(), sources, sub, (13, 13), 0)[..., 0]
+    # The disc by counting points of a 1/40 px lattice: its rim crosses each pixel along at most 2 px.
+    fine = (np.arange(13 * 40) + 0.5) / 40 - 0.5
+    y, x = fine[:, None] - (6 + (i + 0.5) / 4 - 0.5), fine[None, :] - (6 + (j + 0.5) / 4 - 0.5)
+    counted = (x * x + y * y <= 2.3**2).reshape(13, 40, 13, 40).mean(axis=(1, 3)) / (np.pi * 2.3**2) / 16
+    assert np.abs(color - counted).max() < 2 / 40 / (np.pi * 2.3**2) / 16
+    np.testing.assert_allclose(color.sum(), 1 / 16, rtol=1e-12)
+
+
+def test_tilt_is_clamped_to_what_the_lens_can_give() -> None:
+    dx, dy = np.meshgrid(np.arange(-4.0, 5), np.arange(-4.0, 5))
+    for gx, gy in ((0.3, -0.2), (3.0, 1.0), (0.0, 0.0)):
+        for radius in (2.5, -2.5, 1e-9, -1e-9, 0.0):
+            factor = tilt_factor(dx, dy, gx, gy, radius)
+            steepest = np.hypot(gx, gy)
+            assert factor.min() >= max(0.0, 1 - steepest)
+            assert factor.max() <= 1 + steepest + 1e-15
+            assert factor[4, 4] == 1.0
+    assert tilt_factor(1.0, 0.0, 0.4, 0.0, 2.0) == 1.2
+    assert tilt_factor(1.0, 0.0, 0.4, 0.0, -2.0) == 0.8
+    assert tilt_factor(0.0, 1.0, 0.4, -0.4, 2.0) == 0.8
+    assert tilt_factor(5.0, 0.0, 0.4, 0.0, 2.0) == 1.4
+
+
+def test_prepared_gradient_of_a_ramp_is_its_slope() -> None:
+    i, j = np.meshgrid(np.arange(9.0), np.arange(11.0), indexing="ij")
+    coc, valid = 0.25 * j - 0.5 * i, np.ones((9, 11), dtype=bool)
+    valid[4, 5] = False
+    valid[0, 1] = valid[1, 0] = False
+    gradient = prepare_sources(np.where(valid, coc, 1e6), valid)
+    expected = np.where(valid[..., None], np.array([0.25, -0.5]), 0.0)
+    expected[0, 0] = 0.0  # no valid neighbor in either direction
+    np.testing.assert_array_equal(gradient, expected)
+    square = prepare_sources(j * j, np.ones((9, 11), dtype=bool))[..., 0]
+    assert square[0].tolist() == [1.0, *(2 * j[0, 1:-1]).tolist(), 19.0]  # one-sided, central, one-sided
+
+
+def test_prepared_gradient_of_one_pixel_is_zero() -> None:
+    assert not prepare_sources(np.full((1, 1), 3.0), np.ones((1, 1), dtype=bool)).any()
+
+
+def thin_lens(scene: Scene, sources: Sources, texture: Array, guard: int) -> Array:
+    """What a detector behind a thin lens sees of a plane: mean over detector pixel and lens of f(x).
+
+    x' = x + R(x) l, where R is linear in x for a plane: x = (I + l g^T)^-1 (x' - R(0) l) in closed form.
+    """
+    m, n = texture.shape[:2]
+    gx, gy = sources.gradient[guard, guard]
+    r0 = sources.radius[guard, guard]  # at pixel (0, 0)
+    k = np.arange(600) + 0.5
+    length, angle = np.sqrt(k / 600), k * np.pi * (3 - np.sqrt(5))
+    lx, ly = length * np.cos(angle), length * np.sin(angle)
+    fine = (np.arange(6) + 0.5) / 6 - 0.5
+    color = np.zeros((m, n))
+    for u in fine:
+        for v in fine:
+            x = (np.arange(n) + v)[None, :, None] - r0 * lx
+            y = (np.arange(m) + u)[:, None, None] - r0 * ly
+            along = (gx * x + gy * y) / (1 + gx * lx + gy * ly)
+            row, column = (np.floor(p + 0.5).astype(int) for p in (y - ly * along, x - lx * along))
+            color += sources.radiance[row + guard, column + guard, 0].mean(axis=-1)
+    return color / 36
+
+
+def test_tilted_plane_agrees_with_a_thin_lens(make_scene: SceneMaker, at: Placer) -> None:
+    item = Plane(distance=256.0, slope_x=2.0, slope_y=-1.0)
+    scene = make_scene(item, (24, 24), camera={"aperture_diameter": 40.0})
+    texture = np.random.default_rng(47).random((24, 24, 1))
+    sources = trace(scene, at(item), texture, 10, moved=False)
+    assert np.hypot(*sources.gradient[10, 10]) > 0.1
+    assert 2 < np.abs(sources.radius).max() < 10
+    expected = thin_lens(scene, sources, texture, 10)
+    error = {
+        tilt: np.sqrt(np.mean((scatter(Psf(tilt=tilt), sources, None, (24, 24), 10)[..., 0] - expected) ** 2))
+        for tilt in (True, False)
+    }
+    mirrored = replace(sources, gradient=-sources.gradient)
+    wrong = np.sqrt(np.mean((scatter(Psf(), mirrored, None, (24, 24), 10)[..., 0] - expected) ** 2))
+    # 600 lens points by 36 of the detector leave noise of about 0.3 / sqrt(21600) = 0.002; less, being even.
+    assert error[True] < 0.002
+    assert error[False] > 2 * error[True]
+    assert wrong > 2 * error[False] * 0.8
+
+
+def test_silhouette_of_a_sphere_gains_from_subpixels(make_scene: SceneMaker, at: Placer) -> None:
+    """4 x 4 sources at the silhouette are closer to 12 x 12 sources everywhere than one per pixel."""
+    item = Sphere(center=(0.1, 0.05, 262.0), radius=1.2)
+    texture = np.full((32, 32, 1), 1.0)
+    camera = {"aperture_diameter": 20.0}
+
+    def image(samples: int, everywhere: bool) -> Array:
+        scene = make_scene(item, (32, 32), camera=camera, psf=Psf(silhouette_samples=samples))
+        sources = trace(scene, at(item), texture, 6, moved=False)
+        if samples == 1:
+            return scatter(scene.psf, sources, None, (32, 32), 6)
+        marked = np.ones_like(sources.label, dtype=bool) if everywhere else mark_silhouettes(sources.label)
+        sub = trace_subpixels(scene, at(item), texture, 6, False, marked)
+        return scatter(scene.psf, sources, sub, (32, 32), 6)
+
+    fine = image(12, everywhere=True)
+    assert fine.max() > 0.5
+    assert fine.min() < 0.01
+    one, four = (np.sqrt(np.mean((image(s, everywhere=False) - fine) ** 2)) for s in (1, 4))
+    assert four < 0.5 * one
+
+
+def test_accumulate_is_a_weighted_sum() -> None:
+    first, second = np.full((2, 3, 1), 1.0), np.full((2, 3, 1), 4.0)
+    total = accumulate(accumulate(np.zeros((2, 3, 1)), first, 0.25), second, 0.75)
+    assert (total == 3.25).all()

@@ -1,0 +1,282 @@
+"""Missing pixels: AIT and mean/median against plain loops, and that they always end."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from clsco.reference.fill import (
+    Method,
+    fill,
+    fill_ait,
+    fill_mean_median,
+    mark_missing,
+    score_mean_median,
+    smooth_median,
+)
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
+
+
+def plain_missing(known: Mask) -> Mask:
+    """Missing pixels by scanning rows and columns one by one."""
+    missing = np.zeros_like(known)
+    for mask, out in ((known, missing), (known.T, missing.T)):
+        for line, result in zip(mask, out, strict=True):
+            ends = np.flatnonzero(line)
+            if ends.size:
+                result[ends[0] : ends[-1]] = True
+    return missing & ~known
+
+
+def plain_ait(values: Array, known: Mask, missing: Mask) -> tuple[Array, Mask]:
+    """One sweep of AIT on one channel, pixel by pixel, as physics states it."""
+    rows, columns = known.shape
+    result, filled = values.copy(), np.zeros_like(known)
+
+    def line(index: int, row: Array, there: Mask) -> float | None:
+        ends = np.flatnonzero(there)
+        left, right = ends[ends < index], ends[ends > index]
+        if left.size == 0 or right.size == 0:
+            return None
+        a, b = int(left[-1]), int(right[0])
+        return float(row[a] + (row[b] - row[a]) * (index - a) / (b - a))
+
+    for i, j in zip(*np.nonzero(missing), strict=True):
+        value: float | None = None
+        if i in (0, rows - 1) or j in (0, columns - 1):
+            value = line(j, values[i], known[i])
+            if value is None:
+                value = line(i, values[:, j], known[:, j])
+        else:
+            for di, dj in ((0, -1), (-1, 0), (-1, -1), (-1, 1)):
+                if value is None and known[i + di, j + dj] and known[i - di, j - dj]:
+                    value = 0.5 * (values[i + di, j + dj] + values[i - di, j - dj])
+            for di, dj in ((0, -1), (0, 1), (-1, 0), (1, 0), (-1, -1), (1, -1), (-1, 1), (1, 1)):
+                if value is None and known[i + di, j + dj]:
+                    value = values[i + di, j + dj]
+        if value is not None:
+            result[i, j], filled[i, j] = value, True
+    return result, filled
+
+
+def random_masks(count: int, largest: int = 14) -> list[tuple[Array, Mask]]:
+    """Images of random sizes from 1 x 1, two channels, with random masks of random density."""
+    rng = np.random.default_rng(17)
+    cases = []
+    for _ in range(count):
+        shape = tuple(rng.integers(1, largest, 2))
+        cases.append((rng.random((*shape, 2)), rng.random(shape) < rng.random()))
+    return cases
+
+
+def test_missing_is_between_known() -> None:
+    masks = [known for _, known in random_masks(200)]
+    assert any(mark_missing(known, None).any() for known in masks)
+    for known in masks:
+        assert (mark_missing(known, None) == plain_missing(known)).all()
+        allowed = np.zeros_like(known)
+        allowed[::2] = True
+        assert (mark_missing(known, allowed) == (plain_missing(known) & allowed)).all()
+
+
+def test_a_sweep_of_ait_is_what_plain_loops_do() -> None:
+    swept = 0
+    for values, known in random_masks(300):
+        missing = mark_missing(known, None)
+        result, filled = fill_ait(values, known, missing)
+        for channel in range(2):
+            expected, expected_filled = plain_ait(values[..., channel], known, missing)
+            assert (filled == expected_filled).all()
+            np.testing.assert_allclose(result[..., channel], expected, rtol=0, atol=4 * np.finfo(float).eps)
+        swept += int(filled.sum())
+    assert swept > 1000
+
+
+def test_ait_takes_pairs_in_their_order() -> None:
+    values = np.arange(9.0).reshape(3, 3, 1) ** 2
+    missing = np.zeros((3, 3), dtype=bool)
+    missing[1, 1] = True
+    for pairs, expected in (
+        (("W", "E", "N", "S"), (9 + 25) / 2),
+        (("W", "N", "S", "NW", "SE"), (1 + 49) / 2),
+        (("W", "N", "NW", "SE", "NE", "SW"), (0 + 64) / 2),
+        (("W", "N", "NE", "SW"), (4 + 36) / 2),
+        (("E", "N", "NE"), 25.0),
+        (("SW", "NE", "SE"), 20.0),
+        (("SW", "SE"), 36.0),
+        (("NE", "SE"), 4.0),
+    ):
+        known = np.zeros((3, 3), dtype=bool)
+        place = {
+            "NW": (0, 0),
+            "N": (0, 1),
+            "NE": (0, 2),
+            "W": (1, 0),
+            "E": (1, 2),
+            "SW": (2, 0),
+            "S": (2, 1),
+            "SE": (2, 2),
+        }
+        for name in pairs:
+            known[place[name]] = True
+        result, filled = fill_ait(values, known, missing)
+        assert filled[1, 1], pairs
+        assert result[1, 1, 0] == expected, pairs
+
+
+@pytest.mark.parametrize("method", ["ait", "mean_median"])
+def test_filling_always_ends_with_nothing_left(method: Method) -> None:
+    filled_in_all, many_sweeps = 0, 0
+    for values, known in random_masks(400 if method == "ait" else 100):
+        result, status, report = fill(values, known, None, method, 0)
+        missing = status == 1
+        assert (missing | ~mark_missing(known, None)).all()
+        assert not mark_missing(known | missing, None).any()
+        assert report.unfilled_pixels == 0
+        assert report.missing_pixels == report.filled_pixels == missing.sum()
+        assert report.sweeps <= 4 * sum(known.shape)
+        assert (status == missing).all()
+        assert (result[known] == values[known]).all()
+        if missing.any():
+            # Means, medians and interpolation stay within the known values; eps for their rounding.
+            low, high = values[known].min(axis=0), values[known].max(axis=0)
+            assert (result[missing] >= low - 1e-15).all()
+            assert (result[missing] <= high + 1e-15).all()
+        filled_in_all += report.filled_pixels
+        many_sweeps += report.sweeps > 2
+    assert filled_in_all > 1000
+    assert many_sweeps > 3
+
+
+def test_crossing_of_a_missing_row_and_column_waits_for_the_second_sweep() -> None:
+    """Nothing known is left or right, above or below it before its row and column are filled."""
+    i, j = np.meshgrid(np.arange(7.0), np.arange(7.0), indexing="ij")
+    values, known = (2 * i + 3 * j)[..., None], np.ones((7, 7), dtype=bool)
+    known[3, :] = known[:, 3] = False
+    result, _, report = fill(np.where(known[..., None], values, 0.0), known, None, "ait", 0)
+    assert (report.missing_pixels, report.filled_first_sweep, report.sweeps) == (13, 12, 2)
+    assert (result == values).all()  # means of opposite pairs and linear interpolation keep a ramp
+
+
+def test_what_cannot_be_filled_is_reported() -> None:
+    known = np.zeros((9, 9), dtype=bool)
+    known[4, [1, 7]] = True
+    allowed = np.zeros((9, 9), dtype=bool)
+    allowed[4, 4] = True  # no known neighbor ever comes near
+    for method in ("ait", "mean_median"):
+        _, status, report = fill(np.ones((9, 9, 2)), known, allowed, method, 0)
+        assert (report.missing_pixels, report.filled_pixels, report.unfilled_pixels, report.sweeps) == (
+            1,
+            0,
+            1,
+            0,
+        )
+        assert status[4, 4] == 2
+        assert status.sum() == 2
+    _, status, report = fill(np.ones((9, 9, 2)), known, None, "none", 0)
+    assert (report.missing_pixels, report.unfilled_pixels, report.sweeps) == (5, 5, 0)
+    assert (status[4, 2:7] == 2).all()
+
+
+def test_guard_does_not_count() -> None:
+    known = np.zeros((6, 9), dtype=bool)
+    known[:, [0, 8]] = True
+    _, status, report = fill(np.ones((6, 9, 2)), known, None, "ait", 2)
+    assert status.sum() == 42
+    assert (report.missing_pixels, report.filled_pixels) == (2 * 5, 2 * 5)
+
+
+def test_scores_are_those_of_every_subset() -> None:
+    rng = np.random.default_rng(23)
+    values, known = rng.random((8, 9, 3)), rng.random((8, 9)) < 0.93
+    found = score_mean_median(values, known)
+    expected = np.zeros((2, 9))
+    count = subsets = 0
+    for i in range(1, 7):
+        for j in range(1, 8):
+            if not known[i - 1 : i + 2, j - 1 : j + 2].all():
+                continue
+            count += 1
+            near = np.array([values[i + a, j + b] for a, b in AROUND])
+            for k in range(4, 9):
+                for subset in combinations(range(8), k):
+                    subsets += 1
+                    some = near[list(subset)]
+                    for row, estimate in enumerate((some.mean(axis=0), np.median(some, axis=0))):
+                        expected[row, k] += ((estimate - values[i, j]) ** 2).sum()
+    assert 5 < count < 42
+    assert subsets == 163 * count
+    np.testing.assert_allclose(found, expected, rtol=1e-12)  # 1e5 squares summed in another order
+
+
+def test_median_wins_on_steps_and_mean_on_noise() -> None:
+    step = np.zeros((12, 12, 1))
+    step[:, 6:] = 1.0
+    mean_error, median_error = score_mean_median(step, np.ones((12, 12), dtype=bool))
+    assert (median_error[4:] < mean_error[4:]).any()
+    noise = np.random.default_rng(1).standard_normal((40, 40, 1))
+    mean_error, median_error = score_mean_median(noise, np.ones((40, 40), dtype=bool))
+    assert (mean_error[4:] < median_error[4:]).all()
+    nothing = score_mean_median(noise, np.zeros((40, 40), dtype=bool))
+    assert not nothing[0].any()
+    assert not nothing[1].any()
+
+
+def test_a_sweep_of_mean_median_by_hand() -> None:
+    rng = np.random.default_rng(29)
+    values, known = rng.random((10, 11, 2)), rng.random((10, 11)) < 0.5
+    missing = ~known
+    median_wins = np.arange(9) % 2 == 1
+    for minimum in (4, 1):
+        result, filled = fill_mean_median(values, known, missing, median_wins, minimum)
+        seen = set()
+        for i, j in zip(*np.nonzero(missing), strict=True):
+            near = [
+                values[i + a, j + b]
+                for a, b in AROUND
+                if 0 <= i + a < 10 and 0 <= j + b < 11 and known[i + a, j + b]
+            ]
+            assert filled[i, j] == (len(near) >= minimum)
+            if len(near) >= minimum:
+                seen.add(len(near))
+                by_median = len(near) >= 4 and median_wins[len(near)]
+                expected = np.median(near, axis=0) if by_median else np.mean(near, axis=0)
+                np.testing.assert_allclose(result[i, j], expected, rtol=1e-14)
+        assert {4, 5} <= seen
+        assert minimum == 4 or 3 in seen
+        assert not filled[known].any()
+
+
+def test_smoothing_reads_the_former_round() -> None:
+    rng = np.random.default_rng(31)
+    values, filled = rng.random((9, 9, 2)), rng.random((9, 9)) < 0.4
+    valid = filled | (rng.random((9, 9)) < 0.7)
+    result = smooth_median(values, filled, valid)
+    changed = 0
+    for i, j in np.ndindex(9, 9):
+        near = [
+            values[i + a, j + b]
+            for a, b in AROUND
+            if 0 <= i + a < 9 and 0 <= j + b < 9 and valid[i + a, j + b]
+        ]
+        expected = np.median(near, axis=0) if filled[i, j] and near else values[i, j]
+        np.testing.assert_allclose(result[i, j], expected, rtol=1e-15)
+        changed += bool(filled[i, j])
+    assert changed > 10
+
+
+def test_mean_median_fills_a_hole_in_a_ramp() -> None:
+    i, j = np.meshgrid(np.arange(12.0), np.arange(12.0), indexing="ij")
+    values = np.stack([i + 2 * j, 5 - i], axis=-1)
+    known = np.ones((12, 12), dtype=bool)
+    known[5:7, 5:7] = False
+    result, status, _ = fill(np.where(known[..., None], values, 0.0), known, None, "mean_median", 0)
+    assert (status == np.where(known, 0, 1)).all()
+    # Smoothing flattens the middle of a ramp; half a step of its 3 is what a median of 8 neighbors leaves.
+    assert np.abs(result - values)[~known].max() <= 1.5

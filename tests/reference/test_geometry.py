@@ -1,0 +1,443 @@
+"""The ray-surface solution against closed forms, exact arithmetic and differences."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from decimal import Decimal, localcontext
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from clsco.optics import blur_radius
+from clsco.reference.geometry import (
+    Filter,
+    blur_gradient,
+    difference_of_products,
+    mirror_index,
+    pixel_ray,
+    project,
+    quarter_discriminant,
+    rest_pixel,
+    sample_texture,
+    solve_quadric,
+    surface_normal,
+    surface_slope,
+)
+from clsco.scene import AnyShape, Camera, Cone, Cylinder, Ellipsoid, ObjectMotion, Plane, Quadric, Sphere
+from clsco.surfaces import PlacedSurface
+
+Array = NDArray[np.float64]
+Placer = Callable[..., PlacedSurface]
+
+EPS = np.finfo(np.float64).eps
+# Each depth is a few dozen float64 operations on numbers that do not cancel: 64 eps covers them all.
+CLOSE = 64 * EPS
+CAMERA = Camera(resolution=(65, 49))
+ELLIPSOID = Ellipsoid(center=(0.0, 0.0, 300.0), semi_axes=(30.0, 20.0, 50.0))
+SHAPES = (
+    Plane(distance=250.0, slope_x=0.7, slope_y=-0.4),
+    Sphere(center=(5.0, -3.0, 280.0)),
+    Cylinder(axis=(0.3, 1.0, 0.2)),
+    Cone(half_angle=40.0, apex=(1.0, 2.0, 250.0)),
+    ELLIPSOID,
+    Quadric(center=(0.0, 0.0, 250.0), coefficients=(1.0, -0.7, 0.4, 0.2, 0.1, -0.3, 2.0, 1.0, -5.0, 30.0)),
+)
+
+
+def all_rays(scale: float = 1.0) -> Array:
+    """Rays of every pixel of CAMERA, slopes multiplied by `scale`."""
+    rays = pixel_ray(CAMERA, np.arange(49)[:, None], np.arange(65)[None, :])
+    return rays * np.array([scale, scale, 1.0])
+
+
+def quadratic_root(a: Array, b: Array | float, c: float) -> Array:
+    """The smaller root of 3.15, 3.21 and 3.37 as the thesis writes it (3.16, 3.22, 3.38); NaN where none."""
+    discriminant = b * b - 4 * a * c
+    return np.where(discriminant >= 0, (-b - np.sqrt(np.abs(discriminant))) / (2 * a), np.nan)
+
+
+def thesis_depth(item: AnyShape, rays: Array) -> Array:
+    """Depth Z by the thesis' own formulas, with its names; NaN where the ray misses."""
+    x, y = rays[..., 0], rays[..., 1]
+    square = x**2 + y**2
+    if isinstance(item, Plane):
+        return item.distance / (1 - item.slope_x * x - item.slope_y * y)  # 3.10
+    if isinstance(item, Cone):
+        return item.apex[2] / (1 - np.sqrt(square) / np.tan(np.radians(item.half_angle)))  # 3.32, near nappe
+    c = item.center[2]
+    if isinstance(item, Sphere):
+        return quadratic_root(1 + square, -2 * c, c**2 - item.radius**2)  # 3.22
+    if isinstance(item, Cylinder):
+        return quadratic_root(1 + x**2, -2 * c, c**2 - item.radius**2)  # 3.16
+    assert isinstance(item, Ellipsoid)
+    b, _, a = item.semi_axes
+    return quadratic_root(b**2 + square * a**2, -2 * c * b**2, b**2 * (c**2 - a**2))  # 3.36
+
+
+@pytest.mark.parametrize(
+    "item",
+    [
+        Plane(distance=250.0, slope_x=0.7, slope_y=-0.4),
+        Sphere(),
+        Cylinder(),
+        Cone(half_angle=60.0),
+        Ellipsoid(semi_axes=(30.0, 30.0, 50.0)),
+    ],
+    ids=lambda item: item.shape,
+)
+def test_depth_is_that_of_the_thesis(item: AnyShape, at: Placer) -> None:
+    rays = all_rays(8.0)
+    w, label = solve_quadric(at(item), None, rays)
+    expected = thesis_depth(item, rays)
+    assert ((label > 0) == (np.isfinite(expected) & (expected > 0))).all()
+    hit = label > 0
+    assert hit.mean() > 0.2
+    # The thesis' form subtracts c^2 - rho^2 and a root of the discriminant: with c/rho < 10 that costs some
+    # 100 eps, and sqrt(100 eps) where the discriminant itself vanishes, at the limb.
+    assert np.abs(w[hit] * expected[hit] - 1).max() < 10 * np.sqrt(EPS)
+    assert np.median(np.abs(w[hit] * expected[hit] - 1)) < CLOSE
+
+
+def test_sphere_ellipsoid_and_quadric_are_one_surface(at: Placer) -> None:
+    center = (4.0, -2.0, 280.0)
+    quadric = Quadric(center=center, coefficients=(1, 1, 1, 0, 0, 0, 0, 0, 0, -900.0))
+    rays = all_rays(8.0)
+    results = [
+        solve_quadric(at(item), None, rays)
+        for item in (Sphere(center=center), Ellipsoid(center=center, semi_axes=(30.0,) * 3), quadric)
+    ]
+    assert 0.1 < (results[0][1] > 0).mean() < 0.9
+    for w, label in results[1:]:
+        assert (label == results[0][1]).all()
+        np.testing.assert_allclose(w, results[0][0], rtol=CLOSE, atol=0)
+
+
+def exact_discriminant(surface: PlacedSurface, d: Array) -> Fraction:
+    """B^2 - A C of one canonical ray in rational arithmetic, from the definition."""
+    shape = surface.canonical
+    q, half, o, ray = ([Fraction(float(v)) for v in row] for row in (shape.q, shape.l, surface.offset, d))
+    a = sum(qi * di * di for qi, di in zip(q, ray, strict=True))
+    b = sum((qi * oi + li) * di for qi, li, oi, di in zip(q, half, o, ray, strict=True))
+    c = sum((qi * oi + 2 * li) * oi for qi, li, oi in zip(q, half, o, strict=True)) - Fraction(float(shape.k))
+    return b * b - a * c
+
+
+@pytest.mark.parametrize("item", SHAPES, ids=lambda item: item.shape)
+def test_discriminant_is_the_exact_one(item: AnyShape, at: Placer) -> None:
+    moved = item.model_copy(
+        update={"motion": ObjectMotion(velocity=(3.0, 1.0, 4.0), angular_velocity=(20.0, 30.0, -10.0))}
+    )
+    surface = at(moved, 0.7)
+    rays = all_rays(8.0)[::7, ::7].reshape(-1, 3)
+    d = rays @ surface.turn.T
+    found = quarter_discriminant(surface, d)
+    for ray, value in zip(d, found, strict=True):
+        exact = exact_discriminant(surface, ray)
+        # Rounding is relative to the terms of the sum; the largest are q q m^2, k A, (l.d)^2 and q d l m.
+        m = np.cross(surface.offset, ray)
+        q, half = np.abs(surface.canonical.q), np.abs(surface.canonical.l)
+        terms = q.max() ** 2 * (m @ m) + abs(surface.canonical.k) * (q @ ray**2) + (half @ np.abs(ray)) ** 2
+        terms += 12 * q.max() * half.max() * np.abs(m).max() * np.abs(ray).max()
+        assert abs(float(exact - Fraction(float(value)))) <= 16 * EPS * terms
+
+
+@pytest.mark.parametrize("distance", [1e4, 1e5, 1e6])
+def test_small_far_sphere_keeps_its_digits(distance: float, at: Placer) -> None:
+    item = Sphere(center=(0.0, 0.0, distance), radius=1.0)
+    surface = at(item)
+    slopes = np.random.default_rng(7).uniform(-1.1 / distance, 1.1 / distance, (400, 2))
+    rays = np.concatenate([slopes, np.ones((400, 1))], axis=1)
+    w, label = solve_quadric(surface, None, rays)
+    assert 0.4 < (label > 0).mean() < 0.9
+    naive_wrong = 0
+    with localcontext() as context:
+        context.prec = 60
+        for ray, found in zip(rays, w, strict=True):
+            x, y = Decimal(float(ray[0])), Decimal(float(ray[1]))
+            c = Decimal(distance)
+            a = 1 + x * x + y * y
+            discriminant = c * c - a * (c * c - 1)
+            if abs(discriminant) <= 16 * Decimal(EPS):
+                continue  # within rounding of the products of a ray that just touches
+            assert (found > 0) == (discriminant > 0)
+            b = 2 * distance
+            naive = b * b - 4 * float(a) * (distance**2 - 1)
+            if discriminant < 0:
+                continue
+            exact = (c - discriminant.sqrt()) / a
+            near = exact - c  # in units of the radius: what cancellation would destroy
+            z = 1 / Decimal(float(found))
+            # Z itself is rounded to eps of c, and sqrt(D) to 8 eps / sqrt(D) of the radius.
+            limit = 8 * Decimal(EPS) * (c + 1 / discriminant.sqrt())
+            assert abs((z - c) - near) <= limit
+            naive_z = (b - np.sqrt(max(naive, 0.0))) / (2 * float(a))
+            naive_wrong += abs(Decimal(float(naive_z)) - exact) > limit
+    assert naive_wrong > 100  # the thesis' form fails this very test
+
+
+@pytest.mark.parametrize(
+    ("name", "coefficients", "depth"),
+    [
+        # In the object's frame x, y, z = X, Y, Z - 250; rays (x, y, 1) Z.
+        ("plane", (0, 0, 0, 0, 0, 0, -0.5, 0.25, 1, 0), lambda x, y: 250 / (1 - 0.5 * x + 0.25 * y)),
+        ("paraboloid", (1, 1, 0, 0, 0, 0, 0, 0, -40, 0), None),
+        ("parabolic cylinder", (1, 0, 0, 0, 0, 0, 0, 0, -40, 0), None),
+        ("hyperbolic paraboloid", (1, -1, 0, 0, 0, 0, 0, 0, -40, 0), None),
+        ("one sheet", (1, 1, -1, 0, 0, 0, 0, 0, 0, -400), None),
+        ("two sheets", (1, 1, -1, 0, 0, 0, 0, 0, 0, 400), None),
+        ("product of planes", (0, 0, 0, 1, 0, 0, 0, 0, 1, 0), None),
+    ],
+)
+def test_every_kind_of_quadric(
+    name: str, coefficients: tuple[float, ...], depth: Callable[[Array, Array], Array] | None, at: Placer
+) -> None:
+    item = Quadric(center=(0.0, 0.0, 250.0), coefficients=tuple(float(c) for c in coefficients))
+    rays = all_rays(8.0)
+    w, label = solve_quadric(at(item), None, rays)
+    hit = label > 0
+    assert hit.mean() > 0.1
+    z = 1 / w[hit]
+    x, y, dz = rays[hit][:, 0] * z, rays[hit][:, 1] * z, z - 250.0
+    xx, yy, zz, xy, yz, zx, lx, ly, lz, k = item.coefficients
+    terms = [
+        xx * x * x,
+        yy * y * y,
+        zz * dz * dz,
+        xy * x * y,
+        yz * y * dz,
+        zx * dz * x,
+        lx * x,
+        ly * y,
+        lz * dz,
+        k + 0 * x,
+    ]
+    # The point found is off by eps of its depth, which moves the value by eps |grad F| Z; its terms round.
+    gradient = np.abs(
+        [
+            2 * xx * x + xy * y + zx * dz + lx,
+            2 * yy * y + xy * x + yz * dz + ly,
+            2 * zz * dz + yz * y + zx * x + lz,
+        ]
+    )
+    scale = np.abs(terms).sum(axis=0) + z * gradient.sum(axis=0)
+    assert (np.abs(np.sum(terms, axis=0)) <= CLOSE * scale).all()
+    if depth is not None:
+        assert hit.all()
+        np.testing.assert_allclose(z, depth(rays[hit][:, 0], rays[hit][:, 1]), rtol=CLOSE)
+
+
+@pytest.mark.parametrize("item", SHAPES, ids=lambda item: item.shape)
+def test_no_nearer_root_is_overlooked(item: AnyShape, at: Placer) -> None:
+    surface = at(item)
+    rays = all_rays(8.0)[::6, ::6]
+    w, label = solve_quadric(surface, None, rays)
+    hit = label > 0
+    assert hit.sum() > 10
+    # The quadric must not change sign between the lens and the surface found.
+    shape = surface.canonical
+    for fraction in (0.02, 0.3, 0.6, 0.9, 0.999):
+        z = fraction / np.where(hit, w, 1.0)
+        point = surface.offset + z[..., None] * (rays @ surface.turn.T)
+        value = (shape.q * point**2 + 2 * shape.l * point).sum(axis=-1) - shape.k
+        if not shape.nappe:
+            assert (np.sign(value[hit]) == np.sign(surface.constant)).all()
+
+
+def test_cone_shows_the_wanted_nappe(at: Placer) -> None:
+    rays = all_rays(4.0)
+    r = np.hypot(rays[..., 0], rays[..., 1])
+    slope = 1 / np.tan(np.radians(40.0))
+    away, _ = solve_quadric(at(Cone(half_angle=40.0)), None, rays)
+    towards, _ = solve_quadric(at(Cone(half_angle=40.0, nappe="towards")), None, rays)
+    np.testing.assert_allclose(away, (1 - r * slope) / 250.0, rtol=CLOSE)
+    np.testing.assert_allclose(towards, (1 + r * slope) / 250.0, rtol=CLOSE)
+
+
+def test_plane_at_the_horizon_changes_sign_instead_of_running_away(at: Placer) -> None:
+    surface = at(Plane(distance=250.0, slope_x=100.0))
+    rays = all_rays(10.0)
+    w, label = solve_quadric(surface, None, rays)
+    expected = (1 - 100.0 * rays[..., 0]) / 250.0
+    assert 0.2 < (expected > 0).mean() < 0.8
+    assert ((label > 0) == (expected > 0)).all()
+    # w is a difference of numbers up to |100 x| / 250, so its error is relative to those.
+    assert (np.abs(w - np.maximum(expected, 0)) <= CLOSE * (1 + np.abs(100.0 * rays[..., 0])) / 250.0).all()
+
+
+def test_bounds_give_way_to_the_far_root(at: Placer) -> None:
+    ray = np.array([[0.0, 0.0, 1.0], [0.01, 0.0, 1.0]])
+    surface = at(Sphere())
+    whole, near = solve_quadric(surface, None, ray)
+    cut, far = solve_quadric(surface, ((-30.0, 30.0), (-30.0, 30.0), (0.0, 31.0)), ray)
+    none, miss = solve_quadric(surface, ((5.0, 30.0), (-30.0, 30.0), (0.0, 31.0)), ray)
+    assert (near == 1).all()
+    assert (far == 2).all()
+    assert (miss == 0).all()
+    assert (none == 0).all()
+    np.testing.assert_allclose(1 / whole[0], 250.0, rtol=CLOSE)
+    np.testing.assert_allclose(1 / cut[0], 310.0, rtol=CLOSE)
+
+
+def test_bounds_turn_with_the_object(at: Placer) -> None:
+    turned = Plane(motion=ObjectMotion(angular_velocity=(0.0, 0.0, 90.0)))
+    bounds = ((-20.0, 20.0), (-5.0, 5.0), (-1.0, 1.0))
+    ray = np.array([[15 / 250, 0.0, 1.0], [0.0, 15 / 250, 1.0]])
+    assert (solve_quadric(at(turned, 0.0), bounds, ray)[1] > 0).tolist() == [True, False]
+    assert (solve_quadric(at(turned, 1.0), bounds, ray)[1] > 0).tolist() == [False, True]
+
+
+def test_lens_inside_a_sphere_sees_its_far_side(at: Placer) -> None:
+    w, label = solve_quadric(at(Sphere(center=(0.0, 0.0, 10.0))), None, np.array([[0.0, 0.0, 1.0]]))
+    np.testing.assert_allclose(1 / w, 40.0, rtol=CLOSE)
+    assert label[0] > 0
+
+
+@pytest.mark.parametrize("item", SHAPES, ids=lambda item: item.shape)
+def test_slope_and_normal_agree_with_differences(item: AnyShape, at: Placer) -> None:
+    moved = item.model_copy(update={"motion": ObjectMotion(angular_velocity=(10.0, -5.0, 30.0))})
+    surface, rays = at(moved, 1.0), all_rays(6.0)[3::6, 3::6]
+    w, label = solve_quadric(surface, None, rays)
+    step = 1e-6
+    slope = surface_slope(surface, rays, w)
+    around = []
+    inner = label > 0
+    for axis in range(2):
+        shift = np.zeros(3)
+        shift[axis] = step
+        (ahead, right), (behind, left) = (solve_quadric(surface, None, rays + s * shift) for s in (1, -1))
+        inner &= (right == label) & (left == label)
+        around.append((ahead - behind) / (2 * step))
+    differences = np.stack(around, axis=-1)
+    inner &= np.abs(slope).max(axis=-1) < 1.0 / 20.0  # leave out the limb, where higher derivatives run away
+    assert inner.sum() > 20
+    # Rounding: eps w / step = 1e-12. Truncation: step^2 / 6 times the third derivative, below 1e5 where the
+    # slope is below 1/20: 2e-8.
+    np.testing.assert_allclose(slope[inner], differences[inner], atol=1e-7, rtol=0)
+    normal = surface_normal(surface, rays, w)
+    assert ((normal * rays).sum(axis=-1)[inner] < 0).all()
+    np.testing.assert_allclose((normal**2).sum(axis=-1)[label > 0], 1.0, rtol=CLOSE)
+    assert not normal[label == 0].any()
+    for axis in range(2):
+        # P = ray / w: the surface's tangent along a slope is (e - ray w'/w) / w, and the normal stands on it.
+        tangent = np.eye(3)[axis] - rays * (slope[..., axis] / np.where(inner, w, 1.0))[..., None]
+        assert (
+            np.abs((tangent * normal).sum(axis=-1))[inner] < 1e-11 * np.abs(tangent).max(axis=-1)[inner]
+        ).all()
+
+
+def test_normal_of_a_sphere_is_its_radius_vector(at: Placer) -> None:
+    item = Sphere(center=(5.0, -3.0, 280.0))
+    rays = all_rays(6.0)
+    w, label = solve_quadric(at(item), None, rays)
+    hit = label > 0
+    assert hit.any()
+    point = rays[hit] / w[hit][:, None]
+    # The points' coordinates carry eps of 280 mm, near the limb sqrt(eps) of that along the ray at worst.
+    np.testing.assert_allclose(
+        surface_normal(at(item), rays, w)[hit], (point - np.array(item.center)) / 30.0, atol=1e-9
+    )
+
+
+def test_apex_of_a_cone_has_a_direction_and_no_slope(at: Placer) -> None:
+    ray = np.array([[0.0, 0.0, 1.0]])
+    surface = at(Cone())
+    w, label = solve_quadric(surface, None, ray)
+    assert label[0] > 0
+    assert w[0] == 1 / 250.0
+    assert surface_slope(surface, ray, w).tolist() == [[0.0, 0.0]]
+    assert surface_normal(surface, ray, w).tolist() == [[0.0, 0.0, -1.0]]
+
+
+def test_blur_gradient_agrees_with_differences(at: Placer) -> None:
+    surface = at(Plane(distance=280.0, slope_x=1.5, slope_y=-0.5))
+    row, column = 20.0, 30.0
+
+    def radius(row: float, column: float) -> float:
+        return float(blur_radius(CAMERA, solve_quadric(surface, None, pixel_ray(CAMERA, row, column))[0]))
+
+    ray = pixel_ray(CAMERA, row, column)
+    w, _ = solve_quadric(surface, None, ray)
+    right, down = blur_gradient(CAMERA, surface_slope(surface, ray, w))
+    # R is linear over the plane, so that differences are exact but for eps R / 1 px.
+    assert abs(right - (radius(row, column + 1) - radius(row, column))) < 1e-11
+    assert abs(down - (radius(row + 1, column) - radius(row, column))) < 1e-11
+    assert right > 0.02
+    assert down > 0.005
+
+
+def test_pixel_ray_and_project_are_inverse() -> None:
+    corner = pixel_ray(CAMERA, 0.0, 0.0)
+    np.testing.assert_allclose(corner, [-32 * 0.01 / 20, 24 * 0.01 / 20, 1.0], rtol=CLOSE)
+    row, column = np.random.default_rng(3).uniform(-20, 90, (2, 50))
+    back = project(CAMERA, 37.0 * pixel_ray(CAMERA, row, column))
+    np.testing.assert_allclose(back, (row, column), atol=1e-12)  # eps of a few hundred px
+
+
+@pytest.mark.parametrize(("distance", "expected"), [(250.0, 80.0), (285.0, 10 * 20 / 285 / 0.01)])
+def test_ten_millimeters_are_eighty_pixels(distance: float, expected: float, at: Placer) -> None:
+    surface = at(Plane(distance=distance, motion=ObjectMotion(velocity=(10.0, 0.0, 0.0))), 1.0)
+    rays = all_rays()
+    w, _ = solve_quadric(surface, None, rays)
+    row, column, valid = rest_pixel(surface, CAMERA, rays, w)
+    assert valid.all()
+    np.testing.assert_allclose(
+        column, np.arange(65)[None, :] - expected + 0 * row, atol=1e-10
+    )  # eps of 1e3 px
+    np.testing.assert_allclose(row, np.arange(49)[:, None] + 0 * row, atol=1e-10)
+
+
+def test_rest_pixel_refuses_what_was_behind_the_lens(at: Placer) -> None:
+    # Z = 50 + 20 X: the point at X = -4 was at Z = -30 and is now at 70.
+    item = Plane(distance=50.0, slope_x=20.0, motion=ObjectMotion(velocity=(0.0, 0.0, 100.0)))
+    surface = at(item, 1.0)
+    ray = np.array([[-4.0 / 70.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
+    w, label = solve_quadric(surface, None, ray)
+    assert (label > 0).all()
+    row, column, valid = rest_pixel(surface, CAMERA, ray, w)
+    assert valid.tolist() == [False, True]
+    assert row[0] == column[0] == 0.0
+
+
+def test_difference_of_products_survives_cancellation() -> None:
+    rng = np.random.default_rng(5)
+    a, b = rng.uniform(1, 2, (2, 500))
+    c, d = a * (1 + 1e-9 * rng.standard_normal(500)), b * (1 + 1e-9 * rng.standard_normal(500))
+    found = difference_of_products(a, b, c, d)
+    naive_worst = worst = 0.0
+    for values in zip(a, b, c, d, found, strict=True):
+        p, q, r, s, value = (Fraction(float(v)) for v in values)
+        exact = p * q - r * s
+        worst = max(worst, abs(float((value - exact) / exact)))
+        naive_worst = max(
+            naive_worst, abs(float((Fraction(float(p) * float(q) - float(r) * float(s)) - exact) / exact))
+        )
+    assert worst <= 2 * EPS < naive_worst  # 1.5 ulp and the last rounding
+
+
+def test_mirror_index() -> None:
+    assert mirror_index(np.arange(-5, 9), 3).tolist() == [1, 2, 2, 1, 0, 0, 1, 2, 2, 1, 0, 0, 1, 2]
+    assert mirror_index(np.arange(-3, 4), 1).tolist() == [0] * 7
+
+
+@pytest.mark.parametrize("texture_filter", ["nearest", "bilinear", "bicubic"])
+def test_texels_are_kept(texture_filter: Filter) -> None:
+    texture = np.random.default_rng(2).random((5, 7, 3))
+    row, column = np.meshgrid(np.arange(-6, 12), np.arange(-8, 15), indexing="ij")
+    found = sample_texture(texture, row.astype(float), column.astype(float), texture_filter)
+    expected = np.pad(texture, ((6, 7), (8, 8), (0, 0)), mode="symmetric")
+    assert (found == expected).all()
+
+
+def test_filters_keep_what_they_must() -> None:
+    row, column = np.random.default_rng(4).uniform(2, 5, (2, 200))
+    i, j = np.meshgrid(np.arange(8.0), np.arange(9.0), indexing="ij")
+    nearest = sample_texture(10 * i + j, row, column, "nearest")
+    assert (nearest == 10 * np.floor(row + 0.5) + np.floor(column + 0.5)).all()
+    # A linear and a quadratic signal of size 100 come out to eps of that.
+    bilinear = sample_texture(3 * i - 2 * j + i * j, row, column, "bilinear")
+    np.testing.assert_allclose(bilinear, 3 * row - 2 * column + row * column, atol=1e-12)
+    bicubic = sample_texture(i**2 - 3 * j**2 + i * j, row, column, "bicubic")
+    np.testing.assert_allclose(bicubic, row**2 - 3 * column**2 + row * column, atol=1e-12)
+    assert sample_texture(i, np.array([2.5]), np.array([3.0]), "nearest")[0] == 3.0  # halves go up

@@ -1,0 +1,235 @@
+"""Sources, silhouettes and ground truth, against closed forms and against each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from clsco.motion import pose_at
+from clsco.optics import blur_radius
+from clsco.reference.geometry import Filter, pixel_ray, rest_pixel, solve_quadric
+from clsco.reference.trace import (
+    SILHOUETTE_RANGE,
+    ground_truth,
+    mark_silhouettes,
+    padded_grid,
+    subpixel_offsets,
+    trace,
+    trace_subpixels,
+)
+from clsco.scene import Ellipsoid, Motion, ObjectMotion, Plane, Psf, Scene, Sequence, Sphere
+from clsco.surfaces import PlacedSurface
+
+SceneMaker = Callable[..., Scene]
+Placer = Callable[..., PlacedSurface]
+
+SMALL_SPHERE = Sphere(center=(0.3, -0.2, 280.0), radius=2.5)
+SHAPE = (40, 48)
+EPS = np.finfo(np.float64).eps
+
+
+def random_texture(channels: int = 1) -> NDArray[np.float64]:
+    """Texture of SHAPE."""
+    return np.random.default_rng(11).random((*SHAPE, channels))
+
+
+def test_sources_at_rest_are_the_texels(make_scene: SceneMaker, at: Placer) -> None:
+    scene, texture = make_scene(Plane(distance=280.0, slope_x=0.5), SHAPE), random_texture(3)
+    sources = trace(scene, at(scene.objects[0]), texture, 5, moved=False)
+    assert (sources.label > 0).all()
+    assert (sources.radiance == np.pad(texture, ((5, 5), (5, 5), (0, 0)), mode="symmetric")).all()
+    assert (sources.radius == blur_radius(scene.camera, sources.inverse_depth)).all()
+    # R is linear over a plane: its differences are the gradient, but for eps of R.
+    np.testing.assert_allclose(np.diff(sources.radius, axis=1), sources.gradient[:, :-1, 0], atol=1e-11)
+    np.testing.assert_allclose(np.diff(sources.radius, axis=0), sources.gradient[:-1, :, 1], atol=1e-11)
+
+
+def test_guard_sees_the_same_surface(make_scene: SceneMaker, at: Placer) -> None:
+    scene, texture = make_scene(SMALL_SPHERE, SHAPE), random_texture()
+    wide, narrow = (trace(scene, at(SMALL_SPHERE), texture, guard, moved=False) for guard in (7, 0))
+    assert 0.1 < (narrow.label > 0).mean() < 0.9
+    for name in ("radiance", "inverse_depth", "label", "radius", "gradient"):
+        assert (getattr(wide, name)[7:-7, 7:-7] == getattr(narrow, name)).all()
+    assert not wide.radiance[wide.label == 0].any()
+    assert not wide.radius[wide.label == 0].any()
+
+
+@pytest.mark.parametrize("texture_filter", ["nearest", "bilinear", "bicubic"])
+def test_whole_pixel_motion_moves_the_texels(
+    texture_filter: Filter, make_scene: SceneMaker, at: Placer
+) -> None:
+    item = Plane(motion=ObjectMotion(velocity=(0.5, -0.25, 0.0)))  # 4 px right, 2 px down at 250 mm
+    scene = make_scene(item, SHAPE, motion=Motion(texture_filter=texture_filter))
+    texture = random_texture()
+    sources = trace(scene, at(item, 1.0), texture, 0, moved=True)
+    # Positions are off by eps of a few hundred px, and a filter's slope is at most 2 per px.
+    np.testing.assert_allclose(sources.radiance[2:, 4:], texture[:-2, :-4], atol=1e-11)
+
+
+def test_silhouettes_are_two_pixels_wide_on_both_sides() -> None:
+    label = np.zeros((9, 12), dtype=np.uint8)
+    label[:, 6:] = 1
+    assert (mark_silhouettes(label) == (np.arange(12) >= 4) & (np.arange(12) < 8)).all()
+    label[4, 1] = 2
+    lonely = mark_silhouettes(label)
+    assert lonely[2:7, 0:4].all()
+    assert not lonely[:2, :4].any()
+    assert not lonely[7:, :4].any()
+    assert not mark_silhouettes(np.full((5, 5), 2, dtype=np.uint8)).any()
+
+
+def test_silhouettes_by_plain_search() -> None:
+    label = (np.random.default_rng(9).random((20, 23)) < 0.01).astype(np.uint8) * 2
+    marked = mark_silhouettes(label)
+    assert 0.1 < marked.mean() < 0.9
+    r = SILHOUETTE_RANGE
+    for i, j in np.ndindex(label.shape):
+        window = label[max(i - r, 0) : i + r + 1, max(j - r, 0) : j + r + 1]
+        assert marked[i, j] == (window != label[i, j]).any()
+
+
+@pytest.mark.parametrize("moved", [False, True])
+def test_subpixels_are_rays_of_their_own(moved: bool, make_scene: SceneMaker, at: Placer) -> None:
+    item = SMALL_SPHERE.model_copy(update={"motion": ObjectMotion(angular_velocity=(0.0, 30.0, 0.0))})
+    scene, texture = make_scene(item, SHAPE, psf=Psf(silhouette_samples=3)), random_texture(3)
+    surface = at(item, 1.0 if moved else 0.0)
+    marked = mark_silhouettes(trace(scene, surface, texture, 4, moved).label)
+    sub = trace_subpixels(scene, surface, texture, 4, moved, marked)
+    assert sub.hit.shape == (marked.sum(), 3, 3)
+    assert 0.2 < sub.hit.mean() < 0.8
+    np.testing.assert_allclose(subpixel_offsets(3), [-1 / 3, 0.0, 1 / 3])
+    # The middle one is the pixel's own ray.
+    own = trace(scene, surface, texture, 4, moved)
+    at_pixel = (sub.row, sub.column)
+    assert (sub.hit[:, 1, 1] == (own.label[at_pixel] > 0)).all()
+    assert (sub.radius[:, 1, 1] == own.radius[at_pixel]).all()
+    hit = sub.hit[:, 1, 1]
+    assert (sub.radiance[hit, 1, 1] == own.radiance[at_pixel][hit]).all()
+    # One row up and one column right of it: a grid three times as fine sees the same.
+    i, j = 0, 2
+    rays = pixel_ray(scene.camera, sub.row - 4 + (i - 1) / 3, sub.column - 4 + (j - 1) / 3)
+    w, label = solve_quadric(surface, None, rays)
+    assert (sub.hit[:, i, j] == (label > 0)).all()
+    expected = np.where(label > 0, blur_radius(scene.camera, w), 0.0)
+    np.testing.assert_allclose(sub.radius[:, i, j], expected, atol=1e-6)  # sqrt(eps) at the limb, times 10 px
+    if not moved:
+        spread = sub.radiance - sub.radiance[:, 1:2, 1:2]
+        assert not spread.any()
+
+
+def test_truth_of_a_plane(make_scene: SceneMaker) -> None:
+    item = Plane(distance=250.0, motion=ObjectMotion(velocity=(10.0, 0.0, 35.0)))
+    scene = make_scene(item, SHAPE, sequence=Sequence(shutter=1.0, interval=1.0))
+    truth = ground_truth(scene, random_texture(), 0)
+    middle = 250.0 + 17.5
+    np.testing.assert_allclose(truth.depth, middle, rtol=8 * EPS)
+    np.testing.assert_allclose(truth.coc, blur_radius(scene.camera, 1 / middle), atol=1e-11)
+    assert truth.mask.all()
+    assert not truth.object_id.any()
+    np.testing.assert_allclose(truth.normal, np.broadcast_to([0.0, 0.0, -1.0], truth.normal.shape), atol=EPS)
+    # From t = 0.5 to 1.5 s: X + 10, Z + 35.
+    _, column = padded_grid(scene.camera, 0)
+    x = (column - 23.5) * 0.01 / 20.0 * middle
+    expected = (x + 10.0) / (middle + 35.0) * 2000.0 - (column - 23.5)
+    np.testing.assert_allclose(truth.flow[..., 0], np.broadcast_to(expected, SHAPE), atol=1e-10)
+
+
+@pytest.mark.parametrize(("distance", "expected"), [(250.0, 80.0), (285.0, 70.2)])
+def test_flow_of_the_thesis(distance: float, expected: float, make_scene: SceneMaker) -> None:
+    item = Plane(distance=distance, motion=ObjectMotion(velocity=(10.0, 0.0, 0.0)))
+    flow = ground_truth(make_scene(item, SHAPE), random_texture(), 0).flow
+    assert np.abs(flow[..., 0] - expected).max() < 0.03  # 70.175 px, given as 70.2
+    assert np.abs(flow[..., 1]).max() < 1e-10  # eps of the frame's pixel numbers times s0/p
+
+
+def test_flow_leads_to_the_same_point_of_the_object(make_scene: SceneMaker, at: Placer) -> None:
+    motion = ObjectMotion(velocity=(0.3, 0.2, 5.0), angular_velocity=(5.0, -8.0, 12.0))
+    item = Ellipsoid(center=(0.0, 0.0, 290.0), semi_axes=(3.0, 2.0, 4.0), motion=motion)
+    scene = make_scene(item, SHAPE)
+    truth = ground_truth(scene, random_texture(), 1)
+    row, column = padded_grid(scene.camera, 0)
+    camera = scene.camera
+    start, end = at(item, 1.5), at(item, 2.5)
+    then = pixel_ray(camera, row + truth.flow[..., 1], column + truth.flow[..., 0])
+    w_then, label = solve_quadric(end, None, then)
+    now = pixel_ray(camera, row, column)
+    w_now, _ = solve_quadric(start, None, now)
+    found = np.stack(rest_pixel(end, camera, then, w_then)[:2])
+    expected = np.stack(rest_pixel(start, camera, now, w_now)[:2])
+    # Points that turn out of sight come out elsewhere; of the others, those well off the limb must agree to
+    # the amplified rounding of the two ray casts.
+    facing = truth.mask & (label > 0) & ((truth.normal * now).sum(axis=-1) < -0.4)
+    agree = np.abs(found - expected).max(axis=0) < 1e-8
+    assert facing.sum() > 100
+    assert agree[facing].mean() > 0.98
+    assert np.abs(truth.flow[truth.mask]).max() > 3.0
+
+
+def test_nothing_flows_and_nothing_is_hidden_at_rest(make_scene: SceneMaker) -> None:
+    truth = ground_truth(make_scene(SMALL_SPHERE, SHAPE), random_texture(), 3)
+    assert truth.mask.any()
+    assert not truth.mask.all()
+    assert np.abs(truth.flow).max() < 1e-10
+    assert not truth.hidden.any()
+    assert np.isinf(truth.depth[~truth.mask]).all()
+    assert not truth.coc[~truth.mask].any()
+    assert (truth.object_id == np.where(truth.mask, 0, -1)).all()
+
+
+def test_back_of_a_turned_sphere_was_hidden(make_scene: SceneMaker) -> None:
+    item = SMALL_SPHERE.model_copy(
+        update={"center": (0.0, 0.0, 280.0), "motion": ObjectMotion(angular_velocity=(0.0, 180.0, 0.0))}
+    )
+    truth = ground_truth(make_scene(item, SHAPE), random_texture(), 0)  # turned by 90 deg about y
+    hidden = truth.hidden & truth.mask
+    # At a distance of 112 radii half of the disc, within 1/112 of its width, shows what was behind the limb.
+    left, right = (
+        hidden[:, :24].sum() / truth.mask[:, :24].sum(),
+        hidden[:, 24:].sum() / truth.mask[:, 24:].sum(),
+    )
+    assert sorted((left > 0.95, right > 0.95)) == [False, True]
+    assert min(left, right) < 0.05
+
+
+def test_surface_from_outside_of_the_frame_was_hidden(make_scene: SceneMaker) -> None:
+    item = Plane(motion=ObjectMotion(velocity=(1.0, 0.0, 0.0)))  # 8 px/s to the right: 4 px at the middle
+    truth = ground_truth(make_scene(item, SHAPE), random_texture(), 0)
+    assert truth.hidden[:, :4].all()
+    assert not truth.hidden[:, 4:].any()
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_euler_and_axis_are_one_for_single_axes(axis: int, make_scene: SceneMaker) -> None:
+    x, y, z = (40.0 * (axis == k) for k in range(3))
+    item = Ellipsoid(
+        center=(0.0, 0.0, 290.0),
+        semi_axes=(3.0, 2.0, 4.0),
+        motion=ObjectMotion(angular_velocity=(x, y, z)),
+    )
+    truths = [
+        ground_truth(make_scene(item, SHAPE, motion=Motion(rotation=rotation)), random_texture(), 0)
+        for rotation in ("euler", "axis")
+    ]
+    still = ground_truth(
+        make_scene(item.model_copy(update={"motion": ObjectMotion()}), SHAPE), random_texture(), 0
+    )
+    assert np.abs(truths[0].sharp - still.sharp).max() > 0.1
+    assert (truths[0].mask == truths[1].mask).all()
+    both = truths[0].mask
+    # The limb amplifies rounding to sqrt(eps) of 4 mm.
+    np.testing.assert_allclose(truths[0].depth[both], truths[1].depth[both], rtol=1e-9)
+    euler, about = (pose_at(item.motion, 0.5, rotation).rotation for rotation in ("euler", "axis"))
+    np.testing.assert_allclose(euler, about, atol=4 * EPS)
+
+
+def test_turn_about_z_is_clockwise_for_the_viewer(make_scene: SceneMaker) -> None:
+    """2.13 to 2.23: in x right, y up, z towards the camera a positive angle takes +y to +x."""
+    item = Plane(motion=ObjectMotion(angular_velocity=(0.0, 0.0, 10.0)))
+    flow = ground_truth(make_scene(item, SHAPE), random_texture(), 0).flow
+    assert (flow[0, :, 0] > 0).all()
+    assert (flow[-1, :, 0] < 0).all()
+    assert (flow[:, -1, 1] > 0).all()
+    assert (flow[:, 0, 1] < 0).all()
