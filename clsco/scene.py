@@ -41,9 +41,9 @@ def _fault(rule: str, got: str | None = None) -> PydanticCustomError:
     return PydanticCustomError("rule", "{rule}", context)
 
 
-def _at_keys(found: list[tuple[str, PydanticCustomError, Any]]) -> ValidationError:
-    """One error for several (key, fault, value), each reported at its own key."""
-    details = [InitErrorDetails(type=fault, loc=(key,), input=value) for key, fault, value in found]
+def _at_keys(found: list[tuple[tuple[str | int, ...], PydanticCustomError, Any]]) -> ValidationError:
+    """One error for several (location, fault, value), each reported at its own key."""
+    details = [InitErrorDetails(type=fault, loc=loc, input=value) for loc, fault, value in found]
     return ValidationError.from_exception_data("scene", details)
 
 
@@ -108,7 +108,7 @@ def _not_zero(value: Vector) -> Vector:
 
 def _surface(value: tuple[float, ...]) -> tuple[float, ...]:
     if not any(value[:9]):
-        raise _fault("must not all be 0, or all but the constant a000")
+        raise _fault("must not all be 0, or all but a000")
     return value
 
 
@@ -146,7 +146,7 @@ Slope = Annotated[float, Within(-1e6, 1e6, "mm per mm")]
 Coefficient = Annotated[float, Within(-1e30, 1e30)]
 Coefficients = Annotated[
     tuple[Coefficient, ...],
-    Field(min_length=10, max_length=10),
+    Field(json_schema_extra={"minItems": 10, "maxItems": 10}),
     AfterValidator(_surface),
     BeforeValidator(_list_of(10, "numbers")),
 ]
@@ -202,9 +202,7 @@ class Camera(_Strict):
     @classmethod
     def _opening(cls, value: float | None, info: ValidationInfo) -> float | None:
         f = info.data.get("focal_length")
-        if value is None or f is None:
-            return value
-        if not MIN_LENGTH_MM <= f / value <= MAX_LENGTH_MM:
+        if value is not None and f is not None and not MIN_LENGTH_MM <= f / value <= MAX_LENGTH_MM:
             raise _fault(f"must leave an aperture between {MIN_LENGTH_MM:g} and {MAX_LENGTH_MM:g} mm")
         return value
 
@@ -445,7 +443,7 @@ def origin(shape: AnyShape) -> Vector:
 
 def _bounds_in_front(shape: AnyShape) -> AnyShape:
     if shape.bounds is not None and origin(shape)[2] + shape.bounds[2][1] <= 0.0:
-        raise _at_keys([("bounds", _fault(IN_FRONT), shape.bounds)])
+        raise _at_keys([(("bounds", 2), _fault(IN_FRONT), shape.bounds[2])])
     return shape
 
 
@@ -454,7 +452,7 @@ def _known_shape(value: Any) -> Any:
         shape = value.get("shape")
         if not isinstance(shape, str) or shape not in SHAPES:
             rule = f"must be {', '.join(SHAPES[:-1])} or {SHAPES[-1]}"
-            raise _at_keys([("shape", _fault(rule, None if "shape" in value else "nothing"), shape)])
+            raise _at_keys([(("shape",), _fault(rule, None if "shape" in value else "nothing"), shape)])
     return value
 
 
@@ -484,7 +482,11 @@ class Scene(_Strict):
     fill: Fill = Fill()
     image: ImageOptions = ImageOptions()
     objects: Annotated[tuple[Object, ...], BeforeValidator(_one_object)] = Field(
-        default=(), alias="object", validate_default=True, json_schema_extra={"minItems": 1, "maxItems": 1}
+        default=(),
+        validation_alias="object",
+        serialization_alias="object",
+        validate_default=True,
+        json_schema_extra={"minItems": 1, "maxItems": 1},
     )
     """What the camera sees; one object in this version."""
 
@@ -494,5 +496,5 @@ class Scene(_Strict):
         motion = info.data.get("motion")
         if motion is not None and motion.warp == "inverse" and value.model_fields_set:
             fault = _fault('belongs to motion.warp = "forward", not "inverse"')
-            raise _at_keys([(key, fault, getattr(value, key)) for key in sorted(value.model_fields_set)])
+            raise _at_keys([((key,), fault, getattr(value, key)) for key in sorted(value.model_fields_set)])
         return value

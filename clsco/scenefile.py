@@ -15,7 +15,7 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from clsco.errors import SceneError
-from clsco.scene import BUILT_IN_TEXTURES, AnyShape, Scene
+from clsco.scene import BUILT_IN_TEXTURES, AnyShape, ObjectMotion, Scene
 
 MAX_FILE_BYTES = 2**20
 MAX_MESSAGES = 100
@@ -24,12 +24,17 @@ MAX_DOTS = 100  # per line: tomllib needs memory with the square of the parts of
 _SHAPES: dict[str, type[BaseModel]] = {
     shape.model_fields["shape"].default: shape for shape in get_args(AnyShape)
 }
-_SCENE_KEYS = [field.alias or name for name, field in Scene.model_fields.items()]
+_SCENE_KEYS = [str(field.validation_alias or name) for name, field in Scene.model_fields.items()]
 _SECTIONS: dict[str, type[BaseModel]] = {
     name: field.annotation
     for name, field in Scene.model_fields.items()
     if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel)
 }
+_PLACES: list[tuple[str, type[BaseModel]]] = [
+    *_SECTIONS.items(),
+    *(("object[0]", shape) for shape in _SHAPES.values()),
+    ("object[0].motion", ObjectMotion),
+]
 
 # (key, its new value or None for any, key that the file may hold and that would contradict it)
 _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
@@ -252,7 +257,7 @@ def _message(fault: Mapping[str, Any]) -> str:
     if len(loc) > 2 and loc[0] == "object" and loc[2] in _SHAPES:
         shape, loc = loc[2], loc[:2] + loc[3:]
     if kind == "missing":
-        return f"{_name(loc)}: missing"
+        return f"{_name(loc)}: must be given; got nothing"
     if kind == "extra_forbidden":
         rule = _unknown(loc, shape)
     elif kind == "rule":
@@ -271,14 +276,18 @@ def _unknown(loc: tuple[Any, ...], shape: str | None) -> str:
         known = list(_SHAPES[shape].model_fields)
         homes = [name for name, model in _SHAPES.items() if key in model.model_fields]
         if homes:
-            return f"belongs to shape {' or '.join(homes)}, not {shape}"
+            return f"belongs to {_listed(homes)}, not to {shape}"
     elif shape is not None:
         known = list(_SHAPES[shape].model_fields[loc[-2]].annotation.model_fields)  # type: ignore[union-attr]
     else:
         known = list(_SECTIONS[loc[0]].model_fields) if len(loc) > 1 else _SCENE_KEYS
     near = difflib.get_close_matches(key[:64], known, n=1)
-    near += [f"{name}.{key}" for name, model in _SECTIONS.items() if key in model.model_fields]
+    near += [f"{path}.{key}" for path, model in _PLACES if key in model.model_fields]
     return f"unknown key (did you mean {near[0]}?)" if near else "unknown key"
+
+
+def _listed(words: Sequence[str]) -> str:
+    return " or ".join(filter(None, (", ".join(words[:-1]), words[-1])))
 
 
 def _name(loc: Sequence[Any]) -> str:

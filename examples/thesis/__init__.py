@@ -1,0 +1,1 @@
+"""Scene files of the figures of the thesis, with its settings; comments say what it leaves open."""
