@@ -17,7 +17,7 @@ from clsco.scene import Psf
 
 Array = NDArray[np.float64]
 
-LANES = 16  # a row of weights fills whole vectors of this many floats
+LANES = 8  # a row of weights fills whole vectors of this many floats
 # Steps of the tables per px of blur radius, finer below 8 px where a weight changes fastest.
 # Measured by tests/test_psf.py: interpolation adds at most 2e-6 of white to a frame.
 FINE_STEPS, COARSE_FROM, COARSE_STEPS = 16, 8, 4
@@ -177,3 +177,91 @@ def subpixel_weights(psf: Psf, dx: Array, dy: Array, radius: Array) -> Array:
     sigma = psf.sigma_ratio * safe
     cut = psf.truncation
     return _gaussian_axis(dx, sigma, cut, tent=False) * _gaussian_axis(dy, sigma, cut, tent=False)
+
+
+@dataclass(frozen=True)
+class PsfTable:
+    """Weights over a range of blur radii as piecewise cubics, in the layout that the kernels read.
+
+    A source of radius R has the coordinate u (see `table_coordinate`), interval floor(u) and position
+    t = u - floor(u); its weight at (dx, dy) is c0 + t (c1 + t (c2 + t c3)).
+    intervals: int32 (count, 4): start in `coefficients`, half-width in px, lanes of a row, 0.
+    coefficients: float32, per interval rows of (powers, lanes): row |dy| = 0..half-width (a main table), or
+    rows -half-width..half-width for each of the S/2 x S offsets of a sub-pixel source. first: the interval that
+    `intervals` begins with. powers: 4, or 1 where weights are constant in an interval. reach: largest half-width.
+    """
+
+    first: int
+    intervals: NDArray[np.int32]
+    coefficients: NDArray[np.float32]
+    powers: int
+    reach: int
+
+
+def table_coordinate(psf: Psf, radius: Array, subpixel: bool = False) -> Array:
+    """Coordinate u of a blur radius in px: its integer part names the interval of the table."""
+    r = np.abs(np.asarray(radius, dtype=np.float64))
+    if psf.edge == "sampled" and not subpixel:
+        return np.where(r < MINIMUM_BLUR, 0.0, sampled_key(psf) * r * r)
+    return np.where(r < COARSE_FROM, r * FINE_STEPS, COARSE_FROM * FINE_STEPS + (r - COARSE_FROM) * COARSE_STEPS)
+
+
+def _table_radius(psf: Psf, coordinate: Array, subpixel: bool) -> Array:
+    """Inverse of table_coordinate."""
+    if psf.edge == "sampled" and not subpixel:
+        return np.maximum(np.sqrt(coordinate / sampled_key(psf)), MINIMUM_BLUR)
+    knee = COARSE_FROM * FINE_STEPS
+    return np.where(coordinate < knee, coordinate / FINE_STEPS, COARSE_FROM + (coordinate - knee) / COARSE_STEPS)
+
+
+def subpixel_offsets(samples: int) -> Array:
+    """Positions (samples,) of sub-pixel sources along one axis, in px from the pixel's center."""
+    return (np.arange(samples) + 0.5) / samples - 0.5
+
+
+@lru_cache(maxsize=8)
+def psf_table(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> PsfTable:
+    """Table for |blur radii| in [smallest, largest] px; subpixel > 0: for that many sub-pixel sources per axis."""
+    fine = subpixel > 0
+    first, last = (floor(float(table_coordinate(psf, np.array(r), fine))) for r in (smallest, largest))
+    stepwise = psf.edge == "sampled" and psf.model == "pillbox" and not fine
+    powers = 1 if stepwise else 4
+    intervals, blocks, start = [], [], 0
+    for index in range(first, last + 1):
+        nodes = index + (np.array([0.5]) if stepwise else NODES)
+        radii = _table_radius(psf, nodes, fine)
+        edge_radius = float(_table_radius(psf, np.array(index + (0.5 if stepwise else 1.0)), fine))
+        half = reach(psf, edge_radius, fine)
+        if psf.edge == "sampled" and not fine:
+            half = floor(sqrt(index))
+        samples = _subpixel_rows(psf, radii, half, subpixel) if fine else _main_rows(psf, radii, half)
+        lanes = -(-(2 * half + 1) // LANES) * LANES
+        block = np.zeros((samples.shape[1], powers, lanes), dtype=np.float32)
+        polynomial = samples if stepwise else np.tensordot(TO_POWERS, samples, axes=1)
+        block[:, :, : 2 * half + 1] = np.moveaxis(polynomial, 0, 1)
+        intervals.append((start, half, lanes, 0))
+        blocks.append(block.ravel())
+        start += block.size
+    table = np.array(intervals, dtype=np.int32)
+    return PsfTable(first, table, np.concatenate(blocks), powers, int(table[:, 1].max()))
+
+
+def _main_rows(psf: Psf, radii: Array, half: int) -> Array:
+    """Weights (radii, |dy|, dx) of sources at pixel centers, computed once per octant."""
+    low, high = np.triu_indices(half + 1)
+    octant = weights(psf, low.astype(float), high.astype(float), radii[:, None])
+    quadrant = np.empty((len(radii), half + 1, half + 1))
+    quadrant[:, low, high] = quadrant[:, high, low] = octant
+    return quadrant[:, :, np.abs(np.arange(-half, half + 1))]
+
+
+def _subpixel_rows(psf: Psf, radii: Array, half: int, samples: int) -> Array:
+    """Weights (radii, rows, dx) of point sources: for each offset oy >= 0 and each ox, rows dy = -half..half."""
+    span = np.arange(-half, half + 1, dtype=float)
+    offsets = subpixel_offsets(samples)
+    rows = [
+        subpixel_weights(psf, (span - ox)[None, None, :], (span - oy)[None, :, None], radii[:, None, None])
+        for oy in offsets[samples // 2 :]
+        for ox in offsets
+    ]
+    return np.concatenate(rows, axis=1)

@@ -1,0 +1,125 @@
+"""Structs shared with the device: NumPy dtypes, from which the C typedefs are generated, and how to fill them."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.motion import Pose
+from clsco.optics import blur_scale, focus_power, ray_step
+from clsco.psf import (
+    COARSE_FROM,
+    COARSE_STEPS,
+    FINE_STEPS,
+    MINIMUM_BLUR,
+    PsfTable,
+    sampled_key,
+)
+from clsco.scene import Camera, Object, Psf
+from clsco.surfaces import PlacedSurface
+
+Real = Literal["double", "float"]
+Struct = np.void
+
+
+def structs(real: Real) -> dict[str, np.dtype[Any]]:
+    """C name -> dtype of every struct, in the order in which they are declared.
+
+    camera_t: rows, columns of the frame; guard px; width, height of frame and guard band; step: slope between
+    neighboring rays; blur_scale px mm; focus_power 1/mm. surface_t: see surfaces.PlacedSurface. pose_t: see
+    motion.Pose. psf_t: how a blur radius becomes a coordinate in the tables, and which intervals they hold.
+    """
+    r = np.float64 if real == "double" else np.float32
+    i = np.int32
+    camera = [("rows", i), ("columns", i), ("guard", i), ("width", i), ("height", i)]
+    camera += [("step", r), ("blur_scale", r), ("focus_power", r)]
+    vectors = ["offset", "body_offset", "rest", "q", "l", "bounds_low", "bounds_high"]
+    surface = [("turn", r, (9,)), ("body_turn", r, (9,)), *((name, r, (3,)) for name in vectors)]
+    surface += [("k", r), ("constant", r), ("nappe", i)]
+    pose = [("rotation", r, (9,)), ("shift", r, (3,))]
+    psf = [(name, i) for name in ("first", "count", "reach", "sub_first", "sub_count")]
+    psf += [(name, r) for name in ("key", "minimum_blur", "fine_steps", "coarse_from", "coarse_steps")]
+    fields = {"camera_t": camera, "surface_t": surface, "pose_t": pose, "psf_t": psf}
+    return {name: np.dtype(members, align=True) for name, members in fields.items()}
+
+
+def _filled(name: str, real: Real, values: dict[str, Any]) -> Struct:
+    record = np.zeros((), structs(real)[name])
+    for field, value in values.items():
+        record[field] = value
+    filled: Struct = record[()]
+    return filled
+
+
+def camera_struct(camera: Camera, guard: int, real: Real) -> Struct:
+    """camera_t of a camera with a resolution, for a guard band of `guard` px."""
+    assert camera.resolution is not None  # known once the textures are loaded
+    columns, rows = camera.resolution
+    return _filled(
+        "camera_t",
+        real,
+        {
+            "rows": rows,
+            "columns": columns,
+            "guard": guard,
+            "width": columns + 2 * guard,
+            "height": rows + 2 * guard,
+            "step": ray_step(camera),
+            "blur_scale": blur_scale(camera),
+            "focus_power": focus_power(camera),
+        },
+    )
+
+
+def surface_struct(item: Object, surface: PlacedSurface, real: Real) -> Struct:
+    """surface_t of an object placed before the camera."""
+    shape = surface.canonical
+    low, high = np.array(item.bounds or ((0.0, 0.0),) * 3, dtype=np.float64).T
+    return _filled(
+        "surface_t",
+        real,
+        {
+            "turn": surface.turn.ravel(),
+            "body_turn": surface.body_turn.ravel(),
+            "offset": surface.offset,
+            "body_offset": surface.body_offset,
+            "rest": surface.rest,
+            "q": shape.q,
+            "l": shape.l,
+            "bounds_low": low,
+            "bounds_high": high,
+            "k": shape.k,
+            "constant": surface.constant,
+            "nappe": shape.nappe,
+        },
+    )
+
+
+def pose_struct(pose: Pose, real: Real) -> Struct:
+    """pose_t of a pose."""
+    return _filled("pose_t", real, {"rotation": pose.rotation.ravel(), "shift": pose.shift})
+
+
+def psf_struct(psf: Psf, table: PsfTable, subpixel: PsfTable | None, real: Real) -> Struct:
+    """psf_t for a main table and, where there are sub-pixel sources, theirs."""
+    values: dict[str, Any] = {
+        "first": table.first,
+        "count": len(table.intervals),
+        "reach": max(table.reach, subpixel.reach if subpixel else 0),
+        "key": sampled_key(psf),
+        "minimum_blur": MINIMUM_BLUR,
+        "fine_steps": FINE_STEPS,
+        "coarse_from": COARSE_FROM,
+        "coarse_steps": COARSE_STEPS,
+    }
+    if subpixel:
+        values |= {"sub_first": subpixel.first, "sub_count": len(subpixel.intervals)}
+    return _filled("psf_t", real, values)
+
+
+def flat(values: NDArray[Any], dtype: Any) -> NDArray[Any]:
+    """Channel planes (channels, rows, columns) of an image (rows, columns[, channels]), packed."""
+    planes = values[None] if values.ndim == 2 else np.moveaxis(values, -1, 0)
+    return np.ascontiguousarray(planes, dtype=dtype)

@@ -1,0 +1,393 @@
+// Spreads every source over the pixels that its point spread function lights. Twin: clsco/reference/blur.py.
+//
+//   source, value, sub_source, sub_value: see trace.cl
+//   intervals, coefficients: tables of weights, see PsfTable in clsco/psf.py
+//   total   float (CHANNELS, rows, pitch): the frame so far; moments of the exposure add up here. The `pad`
+//           columns on both sides of a row are scratch, so that a vector of taps may hang over.
+//
+// gather gives every work-item a band of output rows, which it alone writes, and walks the sources that reach it
+// in a fixed order, whole vectors of taps at a time: no atomics, same bits, for CPUs. scatter adds taps one by one in
+// fixed point: any device, any order, same bits; the oracle of the other two. convolve is for one radius only.
+// Features: CHANNELS, TILT, SUBPIXELS, POWERS (of the table), BAND (rows of a band), GATHER, SCATTER, CONVOLVE,
+// RENORMALIZE, PREPARE: which kernels are wanted.
+
+#define LANES 8       // floats in a vector of taps, as in clsco/psf.py
+#define SUB_POWERS 4  // of the tables of sub-pixel sources
+#define BLOCK 512     // columns of sources after which a band starts anew, so that its rows stay in the cache
+
+// vload8 and vstore8 are calls on PoCL; through this type they are one unaligned move.
+typedef float taps_t __attribute__((ext_vector_type(8), aligned(4)));
+#define TAPS(p) (*(__global const taps_t *)(p))
+#define ADD_TAPS(p, v) (*(__global taps_t *)(p) = TAPS(p) + (v))
+
+// Contraction changes no bit from run to run, and is a third of the speed of the loops below.
+#pragma OPENCL FP_CONTRACT ON
+
+#define INLINE static inline __attribute__((always_inline))
+
+// The polynomial of the table at position t of its interval, LANES taps at once.
+INLINE float8 weights(__global const float *c, int lanes, float t, int powers)
+{
+    if (powers == 1)
+        return TAPS(c);
+    return ((TAPS(c + 3 * lanes) * t + TAPS(c + 2 * lanes)) * t + TAPS(c + lanes)) * t + TAPS(c);
+}
+
+// One tap of it.
+INLINE float weight(__global const float *c, int lanes, float t, int powers)
+{
+    if (powers == 1)
+        return c[0];
+    return ((c[3 * lanes] * t + c[2 * lanes]) * t + c[lanes]) * t + c[0];
+}
+
+// Where the weights of one source are: row dy starts at rows + dy * step, or |dy| where rows are mirrored.
+typedef struct {
+    __global const float *rows;
+    int step, lanes, half_width, powers;
+    bool mirrored;
+    float t, ox, oy;  // position in the interval; of the source in its pixel, px
+} spread_t;
+
+INLINE spread_t pixel_spread(const psf_t psf, __global const int4 *intervals, __global const float *coefficients,
+                             float coordinate)
+{
+    const int4 interval = intervals[(int)coordinate - psf.first];
+    const spread_t spread = {coefficients + interval.x, POWERS * interval.z, interval.z, interval.y, POWERS, true,
+                             coordinate - (int)coordinate, 0, 0};
+    return spread;
+}
+
+#if SUBPIXELS
+// Rows are stored for offsets oy >= 0 and every ox; above the center they are read from the other end.
+INLINE spread_t subpixel_spread(const psf_t psf, __global const int4 *intervals, __global const float *coefficients,
+                                float coordinate, int sub)
+{
+    const int4 interval = intervals[(int)coordinate - psf.sub_first];
+    const int i = sub / SUBPIXELS, j = sub % SUBPIXELS, row = SUB_POWERS * interval.z;
+    const int stored = MAX(i, SUBPIXELS - 1 - i) - SUBPIXELS / 2;
+    const int start = (stored * SUBPIXELS + j) * (2 * interval.y + 1) + interval.y;
+    const spread_t spread = {coefficients + interval.x + start * row, 2 * i < SUBPIXELS - 1 ? -row : row, interval.z,
+                             interval.y, SUB_POWERS, false, coordinate - (int)coordinate,
+                             (j + 0.5f) / SUBPIXELS - 0.5f, (i + 0.5f) / SUBPIXELS - 0.5f};
+    return spread;
+}
+#endif
+
+// Weight of one tap with the tilt of the surface, never below 0.
+INLINE float tap(spread_t s, int dx, int dy, float4 source)
+{
+    const int row = s.mirrored && dy < 0 ? -dy : dy;
+    const float w = weight(s.rows + row * s.step + dx + s.half_width, s.lanes, s.t, s.powers);
+#if TILT
+    const float factor = (dx - s.ox) * source.y + (1 + (dy - s.oy) * source.z);
+    return factor > 0 ? w * factor : 0;
+#else
+    return w;
+#endif
+}
+
+#if GATHER
+// Adds rows -up..down of one source to `out`, the place of its first tap in its own row.
+INLINE void add_rows(spread_t s, int up, int down, float v, float4 source, __global float *out, int pitch)
+{
+    const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
+    for (int b = 0; b < s.lanes; b += LANES) {
+        for (int dy = -up; dy <= down; ++dy) {
+            const int row = s.mirrored && dy < 0 ? -dy : dy;
+            const float8 w = weights(s.rows + row * s.step + b, s.lanes, s.t, s.powers);
+#if TILT
+            float8 factor = (lane + (b - s.half_width - s.ox)) * source.y + (1 + (dy - s.oy) * source.z);
+            factor = factor > 0 ? factor : (float8)0;
+            ADD_TAPS(out + dy * pitch + b, w * (factor * v));
+#else
+            ADD_TAPS(out + dy * pitch + b, w * v);
+#endif
+        }
+    }
+}
+
+// The same where all rows lie in the band and no weight can turn negative: a row of weights serves two of the frame.
+INLINE void add_mirrored_rows(spread_t s, float v, float4 source, __global float *out, int pitch)
+{
+    const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
+    for (int b = 0; b < s.lanes; b += LANES) {
+        __global float *below = out + b, *above = out + b;
+        __global const float *row = s.rows + b;
+#if TILT
+        const float8 level = (lane + (b - s.half_width)) * (v * source.y) + v;
+#else
+        const float8 level = v;
+#endif
+        ADD_TAPS(below, weights(row, s.lanes, s.t, s.powers) * level);
+        for (int dy = 1; dy <= s.half_width; ++dy) {
+            row += s.step;
+            below += pitch;
+            above -= pitch;
+            const float8 w = weights(row, s.lanes, s.t, s.powers);
+#if TILT
+            const float8 change = w * (dy * v * source.z);
+            ADD_TAPS(below, w * level + change);
+            ADD_TAPS(above, w * level - change);
+#else
+            const float8 light = w * level;
+            ADD_TAPS(below, light);
+            ADD_TAPS(above, light);
+#endif
+        }
+    }
+}
+
+// Each work-item adds to BAND rows of `total` all the light that reaches them. Within a block every stride-th source
+// is taken, then the next: neighbors in turn would wait for each other's stores.
+__kernel void gather(const camera_t camera, const psf_t psf, __global const float4 *source,
+                     __global const float *value, __global const int4 *intervals,
+                     __global const float *coefficients, const int pitch, const int pad, __global float *total
+#if SUBPIXELS
+                     , __global const float4 *sub_source, __global const float *sub_value, const int capacity,
+                     __global const int4 *sub_intervals, __global const float *sub_coefficients
+#endif
+)
+{
+    const int first = get_global_id(0) * BAND;
+    if (first >= camera.rows)
+        return;
+    const int end = MIN(camera.rows, first + BAND);
+    const int plane = camera.width * camera.height, total_plane = camera.rows * pitch;
+    const int stride = (2 * psf.reach + LANES) / LANES * LANES;
+    const int from = MAX(first - psf.reach, -camera.guard), to = MIN(end + psf.reach, camera.rows + camera.guard);
+    for (int y = from; y < to; ++y)
+    for (int block = 0; block < camera.width; block += BLOCK)
+    for (int phase = 0; phase < stride; ++phase)
+    for (int x = block + phase; x < MIN(block + BLOCK, camera.width); x += stride) {
+        const int at = (y + camera.guard) * camera.width + x;
+        const float4 s = source[at];
+        __global float *out = total + y * pitch + x - camera.guard + pad;
+#if SUBPIXELS
+        const int slot = as_int(s.w);
+        if (slot >= 0) {
+            for (int sub = 0; sub < SUBPIXELS * SUBPIXELS; ++sub) {
+                const int id = slot * SUBPIXELS * SUBPIXELS + sub;
+                const float4 p = sub_source[id];
+                if (p.x < 0)
+                    continue;
+                const spread_t spread = subpixel_spread(psf, sub_intervals, sub_coefficients, p.x, sub);
+                const int half = spread.half_width, up = MIN(half, y - first), down = MIN(half, end - 1 - y);
+                for (int k = 0; k < CHANNELS; ++k)
+                    add_rows(spread, up, down, sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id], p,
+                             out + k * total_plane - half, pitch);
+            }
+            continue;
+        }
+#endif
+        if (s.x < 0)
+            continue;
+        const spread_t spread = pixel_spread(psf, intervals, coefficients, s.x);
+        const int half = spread.half_width, up = MIN(half, y - first), down = MIN(half, end - 1 - y);
+        const float steepest = (s.y < 0 ? -s.y : s.y) + (s.z < 0 ? -s.z : s.z);
+        const bool simple = up == half && down == half && steepest * half <= 1;
+        for (int k = 0; k < CHANNELS; ++k) {
+            const float v = value[k * plane + at];
+            if (simple)
+                add_mirrored_rows(spread, v, s, out + k * total_plane - half, pitch);
+            else
+                add_rows(spread, up, down, v, s, out + k * total_plane - half, pitch);
+        }
+    }
+}
+#endif
+
+#if CONVOLVE
+// One radius for all sources and no tilt: a plain convolution with the first interval's weights at t. Each work-item
+// makes LANES columns of 4 rows. In: value, whose guard band is at least reach + LANES wide. Out: added to total.
+__kernel void convolve(const camera_t camera, const psf_t psf, const float coordinate, __global const float *value,
+                       __global const int4 *intervals, __global const float *coefficients, const int pitch,
+                       const int pad, __global float *total)
+{
+    const int x = get_global_id(0) * LANES, y = get_global_id(1) * 4;
+    if (x >= camera.columns || y >= camera.rows)
+        return;
+    const spread_t s = pixel_spread(psf, intervals, coefficients, coordinate);
+    const int half = s.half_width, rows = MIN(4, camera.rows - y);
+    for (int k = 0; k < CHANNELS; ++k) {
+        __global const float *plane = value + k * camera.width * camera.height;
+        float8 sum[4] = {0, 0, 0, 0};
+        for (int i = -half; i < rows + half; ++i) {
+            __global const float *line = plane + (y + i + camera.guard) * camera.width + x + camera.guard;
+            for (int dx = -half; dx <= half; ++dx) {
+                const float8 light = TAPS(line - dx);
+                for (int r = 0; r < 4; ++r) {
+                    const int dy = i > r ? i - r : r - i;
+                    if (dy <= half)
+                        sum[r] += light * weight(s.rows + dy * s.step + dx + half, s.lanes, s.t, s.powers);
+                }
+            }
+        }
+        for (int r = 0; r < rows; ++r)
+            ADD_TAPS(total + (k * camera.rows + y + r) * pitch + x + pad, sum[r]);
+    }
+}
+#endif
+
+#if SCATTER
+#if HAS_INT64_ATOMICS
+typedef long fixed_t;
+#define ADD_FIXED(p, v) atom_add(p, v)
+#else
+typedef int fixed_t;
+#define ADD_FIXED(p, v) atomic_add(p, v)
+#endif
+
+// Adds one source tap by tap, rounded to multiples of 1 / scale.
+static void scatter_source(const camera_t camera, spread_t spread, float4 source, float v, float scale, int row,
+                           int column, __global fixed_t *sums)
+{
+    const int half = spread.half_width;
+    for (int dy = MAX(-half, -row); dy <= MIN(half, camera.rows - 1 - row); ++dy)
+        for (int dx = MAX(-half, -column); dx <= MIN(half, camera.columns - 1 - column); ++dx) {
+            const float light = v * tap(spread, dx, dy, source) * scale;
+            ADD_FIXED(sums + (row + dy) * camera.columns + column + dx, (fixed_t)floor(light + 0.5f));
+        }
+}
+
+// One work-item per source. In and out: sums fixed_t (CHANNELS, rows, columns), in units of 1 / scale.
+__kernel void scatter(const camera_t camera, const psf_t psf, __global const float4 *source,
+                      __global const float *value, __global const int4 *intervals,
+                      __global const float *coefficients, const float scale, __global fixed_t *sums
+#if SUBPIXELS
+                      , __global const float4 *sub_source, __global const float *sub_value, const int capacity,
+                      __global const int4 *sub_intervals, __global const float *sub_coefficients
+#endif
+)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= camera.width || y >= camera.height)
+        return;
+    const int at = y * camera.width + x, row = y - camera.guard, column = x - camera.guard;
+    const int plane = camera.width * camera.height, sums_plane = camera.rows * camera.columns;
+    const float4 s = source[at];
+#if SUBPIXELS
+    const int slot = as_int(s.w);
+    if (slot >= 0) {
+        for (int sub = 0; sub < SUBPIXELS * SUBPIXELS; ++sub) {
+            const int id = slot * SUBPIXELS * SUBPIXELS + sub;
+            const float4 p = sub_source[id];
+            if (p.x < 0)
+                continue;
+            for (int k = 0; k < CHANNELS; ++k)
+                scatter_source(camera, subpixel_spread(psf, sub_intervals, sub_coefficients, p.x, sub), p,
+                               sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id], scale, row, column,
+                               sums + k * sums_plane);
+        }
+        return;
+    }
+#endif
+    if (s.x < 0)
+        return;
+    for (int k = 0; k < CHANNELS; ++k)
+        scatter_source(camera, pixel_spread(psf, intervals, coefficients, s.x), s, value[k * plane + at], scale, row,
+                       column, sums + k * sums_plane);
+}
+
+// Fixed point to float: sums / scale, in the layout of total.
+__kernel void resolve(const camera_t camera, const float scale, const int pitch, const int pad,
+                      __global const fixed_t *sums, __global float *total)
+{
+    const int column = get_global_id(0), row = get_global_id(1);
+    if (column >= camera.columns || row >= camera.rows)
+        return;
+    for (int k = 0; k < CHANNELS; ++k)
+        total[(k * camera.rows + row) * pitch + column + pad] =
+            (float)sums[(k * camera.rows + row) * camera.columns + column] / scale;
+}
+#endif
+
+#if RENORMALIZE
+// Share of a source's light that falls inside of the frame.
+static float share_inside(const camera_t camera, spread_t spread, float4 source, int row, int column)
+{
+    const int half = spread.half_width;
+    float sum = 0;
+    for (int dy = MAX(-half, -row); dy <= MIN(half, camera.rows - 1 - row); ++dy)
+        for (int dx = MAX(-half, -column); dx <= MIN(half, camera.columns - 1 - column); ++dx)
+            sum += tap(spread, dx, dy, source);
+    return sum;
+}
+
+// border = "renormalize": no light is lost over the border of the frame; there is no guard band then.
+// In and out: value, sub_value.
+__kernel void renormalize(const camera_t camera, const psf_t psf, __global const float4 *source,
+                          __global float *value, __global const int4 *intervals,
+                          __global const float *coefficients
+#if SUBPIXELS
+                          , __global const float4 *sub_source, __global float *sub_value, const int capacity,
+                          __global const int4 *sub_intervals, __global const float *sub_coefficients
+#endif
+)
+{
+    const int column = get_global_id(0), row = get_global_id(1);
+    if (column >= camera.columns || row >= camera.rows)
+        return;
+    const int edge = MIN(MIN(row, camera.rows - 1 - row), MIN(column, camera.columns - 1 - column));
+    const int at = row * camera.columns + column, plane = camera.rows * camera.columns;
+    const float4 s = source[at];
+    if (edge >= psf.reach)
+        return;
+#if SUBPIXELS
+    const int slot = as_int(s.w);
+    if (slot >= 0) {
+        for (int sub = 0; sub < SUBPIXELS * SUBPIXELS; ++sub) {
+            const int id = slot * SUBPIXELS * SUBPIXELS + sub;
+            const float4 p = sub_source[id];
+            if (p.x < 0)
+                continue;
+            const float share = share_inside(
+                camera, subpixel_spread(psf, sub_intervals, sub_coefficients, p.x, sub), p, row, column);
+            for (int k = 0; k < CHANNELS && share > 0; ++k)
+                sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id] /= share;
+        }
+        return;
+    }
+#endif
+    if (s.x < 0)
+        return;
+    const float share = share_inside(camera, pixel_spread(psf, intervals, coefficients, s.x), s, row, column);
+    for (int k = 0; k < CHANNELS && share > 0; ++k)
+        value[k * plane + at] /= share;
+}
+#endif
+
+#if PREPARE
+// Difference of the radius to the neighbors along one axis: central, one-sided at an edge, else 0.
+static real difference(__global const real *coc, __global const uchar *valid, int at, int step, bool before, bool after)
+{
+    before = before && valid[at - step];
+    after = after && valid[at + step];
+    if (before && after)
+        return (real)0.5 * (coc[at + step] - coc[at - step]);
+    if (after)
+        return coc[at + step] - coc[at];
+    return before ? coc[at] - coc[at - step] : 0;
+}
+
+// Sources from a map of signed radii, px, instead of from a surface. In: coc real, valid uchar, both (height, width).
+// Out: source.
+__kernel void prepare_sources(const camera_t camera, const psf_t psf, __global const real *coc,
+                              __global const uchar *valid, __global float4 *source)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= camera.width || y >= camera.height)
+        return;
+    const int at = y * camera.width + x;
+    float4 record = (float4)(-1, 0, 0, as_float(-1));
+    if (valid[at]) {
+        record.x = table_coordinate(psf, coc[at], 0);
+#if TILT
+        const real2 gradient = (real2)(difference(coc, valid, at, 1, x > 0, x + 1 < camera.width),
+                                       difference(coc, valid, at, camera.width, y > 0, y + 1 < camera.height));
+        record.yz = tilt_slope(gradient, coc[at]);
+#endif
+    }
+    source[at] = record;
+}
+#endif

@@ -1,0 +1,215 @@
+// Casts rays against the surface: the sources of light of one moment, and the ground truth of a frame.
+// Twin: clsco/reference/trace.py.
+//
+// Sources live on the frame and a guard band of camera.guard px around it: (height, width), row-major.
+//   source  float4: coordinate in the PSF table (< 0: no surface), tilt right, tilt down, and as an int the
+//           slot of the pixel's sub-pixel sources (-1: none)
+//   value   float (CHANNELS, height, width): radiance times the weight of this moment in the exposure
+//   label   uchar (height, width): 0 no surface, else which root was met
+// Features besides geometry.clh's: MOVED (the object is not at rest), TILT, SUBPIXELS (sources per axis in a
+// pixel at a silhouette, 0 none), SAMPLED, and TRUTH_* for the outputs of ground_truth.
+
+// Statistics of a frame, ints: floats >= 0 keep their order as ints.
+#define LARGEST_RADIUS 0
+#define SMALLEST_RADIUS 1
+#define SLOTS 2
+
+// Keeps the range of radii that were met; the plain look first makes the atomic rare.
+static void note_radius(__global volatile int *statistics, real radius)
+{
+    const int bits = as_int((float)fabs(radius));
+    if (bits > statistics[LARGEST_RADIUS])
+        atomic_max(statistics + LARGEST_RADIUS, bits);
+    if (bits < statistics[SMALLEST_RADIUS])
+        atomic_min(statistics + SMALLEST_RADIUS, bits);
+}
+
+// Where a hit takes its radiance from in the texture, (column, row): at rest a pixel shows its own texel.
+static real2 texture_point(const surface_t *surface, const camera_t camera, real3 ray, real w, int row, int column)
+{
+#if MOVED
+    return rest_pixel(surface, camera, ray, w).xy;
+#else
+    return (real2)(column, row);
+#endif
+}
+
+static float radiance(__global const float *texture, const camera_t camera, int channel, real2 point)
+{
+    __global const float *plane = texture + channel * camera.rows * camera.columns;
+#if MOVED
+    return sample_texture(plane, camera, point.y, point.x);
+#else
+    return plane[mirror_index((int)point.y, camera.rows) * camera.columns +
+                 mirror_index((int)point.x, camera.columns)];
+#endif
+}
+
+// One source per pixel of frame and guard band. Out: source, value, label, statistics.
+__kernel void trace(const camera_t camera, const surface_t surface, const psf_t psf, const float weight,
+                    __global const float *texture, __global float4 *source, __global float *value,
+                    __global uchar *label, __global int *statistics)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= camera.width || y >= camera.height)
+        return;
+    const int row = y - camera.guard, column = x - camera.guard, at = y * camera.width + x;
+    const real3 ray = pixel_ray(camera, row, column);
+    uchar root;
+    const real w = solve_quadric(&surface, ray, &root);
+    float4 record = (float4)(-1, 0, 0, as_float(-1));
+    if (root) {
+        const real radius = blur_radius(camera, w);
+        note_radius(statistics, radius);
+        record.x = table_coordinate(psf, radius, 0);
+#if TILT
+        record.yz = tilt_slope(blur_gradient(camera, surface_slope(&surface, ray, w)), radius);
+#endif
+        const real2 point = texture_point(&surface, camera, ray, w, row, column);
+        for (int c = 0; c < CHANNELS; ++c)
+            value[c * camera.height * camera.width + at] = weight * radiance(texture, camera, c, point);
+    }
+    source[at] = record;
+#if SUBPIXELS
+    label[at] = root;
+#endif
+}
+
+#if SUBPIXELS
+// Gives a slot to every pixel within 2 px of a change of label. Slots come in any order; what is in them does
+// not. In: label. Out: source.w, pixels (slots): index of the pixel, statistics.
+__kernel void mark_silhouettes(const camera_t camera, __global const uchar *label, const int capacity,
+                               __global float4 *source, __global int *pixels, __global int *statistics)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= camera.width || y >= camera.height)
+        return;
+    const int at = y * camera.width + x;
+    const uchar own = label[at];
+    const int top = MAX(y - 2, 0), bottom = MIN(y + 2, camera.height - 1);
+    const int left = MAX(x - 2, 0), right = MIN(x + 2, camera.width - 1);
+    bool differs = false;
+    for (int i = top; i <= bottom; ++i)
+        for (int j = left; j <= right; ++j)
+            differs |= label[i * camera.width + j] != own;
+    if (!differs)
+        return;
+    const int slot = atomic_inc(statistics + SLOTS);
+    if (slot >= capacity)
+        return;
+    pixels[slot] = at;
+    source[at].w = as_float(slot);
+}
+
+// SUBPIXELS x SUBPIXELS point sources of every marked pixel. Out, per slot and sub-pixel in row-major order:
+// sub_source float4 (coordinate, tilt right, tilt down, 0), sub_value float (CHANNELS, slots, SUBPIXELS^2).
+__kernel void trace_subpixels(const camera_t camera, const surface_t surface, const psf_t psf, const float weight,
+                              __global const float *texture, __global const int *pixels, const int capacity,
+                              __global float4 *sub_source, __global float *sub_value, __global int *statistics)
+{
+    const int id = get_global_id(0), each = SUBPIXELS * SUBPIXELS;
+    const int slot = id / each, sub = id % each;
+    if (slot >= MIN(statistics[SLOTS], capacity))
+        return;
+    const int row = pixels[slot] / camera.width - camera.guard, column = pixels[slot] % camera.width - camera.guard;
+    const real i = row + (sub / SUBPIXELS + (real)0.5) / SUBPIXELS - (real)0.5;
+    const real j = column + (sub % SUBPIXELS + (real)0.5) / SUBPIXELS - (real)0.5;
+    const real3 ray = pixel_ray(camera, i, j);
+    uchar root;
+    const real w = solve_quadric(&surface, ray, &root);
+    float4 record = (float4)(-1, 0, 0, 0);
+    if (root) {
+        const real radius = blur_radius(camera, w);
+        note_radius(statistics, radius);
+        record.x = table_coordinate(psf, radius, 1);
+#if TILT
+        record.yz = tilt_slope(blur_gradient(camera, surface_slope(&surface, ray, w)), radius);
+#endif
+        const real2 point = texture_point(&surface, camera, ray, w, row, column);
+        for (int c = 0; c < CHANNELS; ++c)
+            sub_value[c * capacity * each + id] = weight / each * radiance(texture, camera, c, point);
+    }
+    sub_source[id] = record;
+}
+#endif
+
+#if TRUTH_FLOW
+// Image motion of a hit to the pose `next`, px (right, down); 0 where it gets behind the lens.
+static real2 image_flow(const surface_t *surface, const camera_t camera, const pose_t next, real3 ray, real w,
+                        int row, int column)
+{
+    const real3 rest = (real3)(surface->rest[0] + next.shift[0], surface->rest[1] + next.shift[1],
+                               surface->rest[2] + next.shift[2]);
+    const real3 to = project(camera, rest * w + turned(next.rotation, body_point(surface, ray, w)));
+    return to.z > 0 ? (real2)(to.x - column, to.y - row) : (real2)(0, 0);
+}
+#endif
+
+// Ground truth at pixel centers, (rows, columns[, components]), never anti-aliased: depth mm (+inf: nothing),
+// coc signed px (0: nothing), mask, normal, flow px to the pose `next`, hidden (the pinhole did not see the point
+// at rest), sharp radiance. `still` is the surface at rest.
+__kernel void ground_truth(const camera_t camera, const surface_t surface, const surface_t still, const pose_t next,
+                           __global const float *texture, __global uchar *mask
+#if TRUTH_DEPTH
+                           , __global float *depth
+#endif
+#if TRUTH_COC
+                           , __global float *coc
+#endif
+#if TRUTH_NORMAL
+                           , __global float *normal
+#endif
+#if TRUTH_FLOW
+                           , __global float *flow
+#endif
+#if TRUTH_HIDDEN
+                           , __global uchar *hidden
+#endif
+#if TRUTH_SHARP
+                           , __global float *sharp
+#endif
+)
+{
+    const int column = get_global_id(0), row = get_global_id(1);
+    if (column >= camera.columns || row >= camera.rows)
+        return;
+    const int at = row * camera.columns + column;
+    const real3 ray = pixel_ray(camera, row, column);
+    uchar root;
+    const real w = solve_quadric(&surface, ray, &root);
+    mask[at] = root != 0;
+#if TRUTH_DEPTH
+    depth[at] = root ? (float)(1 / w) : INFINITY;
+#endif
+#if TRUTH_COC
+    coc[at] = root ? (float)blur_radius(camera, w) : 0;
+#endif
+#if TRUTH_NORMAL
+    const real3 n = root ? surface_normal(&surface, ray, w) : (real3)(0, 0, 0);
+    normal[3 * at] = (float)n.x;
+    normal[3 * at + 1] = (float)n.y;
+    normal[3 * at + 2] = (float)n.z;
+#endif
+#if TRUTH_FLOW
+    const real2 motion = root ? image_flow(&surface, camera, next, ray, w, row, column) : (real2)(0, 0);
+    flow[2 * at] = (float)motion.x;
+    flow[2 * at + 1] = (float)motion.y;
+#endif
+#if TRUTH_HIDDEN
+    hidden[at] = 0;
+    if (root) {
+        const real3 from = rest_pixel(&surface, camera, ray, w);
+        const bool outside = !(from.z > 0 && from.x >= (real)-0.5 && from.x < camera.columns - (real)0.5 &&
+                               from.y >= (real)-0.5 && from.y < camera.rows - (real)0.5);
+        // 1 / depth at rest of this point, against what the pinhole saw there
+        uchar other;
+        const real seen = solve_quadric(&still, pixel_ray(camera, from.y, from.x), &other);
+        hidden[at] = outside || seen * from.z > w * (1 + (real)HIDDEN_MARGIN);
+    }
+#endif
+#if TRUTH_SHARP
+    const real2 point = texture_point(&surface, camera, ray, w, row, column);
+    for (int c = 0; c < CHANNELS; ++c)
+        sharp[at * CHANNELS + c] = root ? radiance(texture, camera, c, point) : 0;
+#endif
+}
