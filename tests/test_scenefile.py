@@ -416,7 +416,7 @@ scenes = st.builds(
 )
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=250, deadline=None)
 @given(scenes)
 def test_any_mapping_is_a_scene_or_a_scene_error(mapping: dict[str, Any]) -> None:
     messages: tuple[str, ...] = ()
@@ -432,7 +432,7 @@ def test_any_mapping_is_a_scene_or_a_scene_error(mapping: dict[str, Any]) -> Non
     assert "\n".join(messages).encode("utf-8")
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.text(max_size=60) | st.binary(max_size=60), st.sampled_from([".toml", ".json"]))
 def test_any_file_is_a_scene_or_a_scene_error(
     tmp_path_factory: pytest.TempPathFactory, content: str | bytes, kind: str
