@@ -1,0 +1,87 @@
+"""Files that are whole or not there, and errors that say in one line why they could not be."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import secrets
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO, NoReturn
+
+from clsco.errors import ImageError
+
+
+def refuse(path: Path, rule: str, got: object, cause: Exception | None = None) -> NoReturn:
+    """Raise ImageError with the one line `path: rule; got value`; an error as the value gives its reason."""
+    where = str(path)
+    if isinstance(got, OSError):
+        got = got.strerror or got
+    value = " ".join(str(got).split()) or type(got).__name__
+    raise ImageError(f"{where if where.isprintable() else ascii(where)}: {rule}; got {value}") from cause
+
+
+@contextlib.contextmanager
+def whole_file(path: Path) -> Iterator[BinaryIO]:
+    """Open a file that gets its name only when all of it is on the disk, and leaves nothing otherwise.
+
+    Raises ImageError where the folder, the disk or a codec fails. A file that was there stays until it is
+    replaced.
+    """
+    temporary = _temporary(path)
+    try:
+        with open(temporary, "xb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except (OSError, ValueError, RuntimeError) as error:  # the last two come from paths, JSON and OpenEXR
+        refuse(path, "the file must be writable", error, error)
+    finally:
+        with contextlib.suppress(OSError, ValueError):
+            temporary.unlink(missing_ok=True)
+
+
+def remove(path: Path) -> None:
+    """Remove a file if it is there; raises ImageError where that is not allowed."""
+    try:
+        path.unlink(missing_ok=True)
+    except (OSError, ValueError) as error:
+        refuse(path, "the file must be replaceable", error, error)
+
+
+def writable_folder(path: str | os.PathLike[str]) -> Path:
+    """Make a folder and its parents, and prove that files can be made in it; raises ImageError where not."""
+    path = Path(path)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        probe = _temporary(path / "probe")
+        probe.touch(exist_ok=False)
+        probe.unlink()
+    except (OSError, ValueError) as error:
+        refuse(path, "must be a folder that can be written", error, error)
+    return path
+
+
+def remove_stale(folder: str | os.PathLike[str]) -> None:
+    """Remove temporary files of processes that no longer run on this machine: killed while they wrote."""
+    for path in Path(folder).glob(".*.part"):
+        process = path.name.split(".")[-2].split("-")[0]
+        try:
+            os.kill(int(process), 0)
+        except ProcessLookupError:
+            remove(path)
+        except (OSError, ValueError, OverflowError):
+            continue  # alive and somebody else's, or no file of ours
+
+
+def sha256(path: Path) -> str:
+    """Give the SHA-256 of a file's content in hexadecimal; raises OSError where it cannot be read."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _temporary(path: Path) -> Path:
+    """Name a hidden file that nobody else uses, in the same folder: only there is replacing atomic."""
+    return path.parent / f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.part"

@@ -1,0 +1,255 @@
+"""Writing: a frame's files hold the frame, and a file is whole on the disk or not there."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+
+from clsco.errors import ImageError
+from clsco.files import remove_stale, writable_folder
+from clsco.frame import TRUTH_NAMES, Frame
+from clsco.images import (
+    exr_channels,
+    read_complete,
+    read_image,
+    write_exr,
+    write_frame,
+    write_json,
+    write_npz,
+    write_png,
+)
+from clsco.transfer import encode
+
+GREY = np.arange(256, dtype=np.uint8).reshape(8, 32)
+COLOR = np.random.default_rng(7).integers(0, 65536, (300, 300, 3), "u2")
+LIGHT = np.random.default_rng(7).random((300, 300), "f4")
+
+
+def frame(channels: int) -> Frame:
+    generator = np.random.default_rng(3)
+    shape = (6, 8) if channels == 1 else (6, 8, 3)
+    depth = generator.random((6, 8)).astype("f4")
+    depth[0] = np.inf
+    return Frame(
+        index=3,
+        color=(generator.random(shape) * 1.5 - 0.2).astype("f4"),
+        sharp=generator.random(shape).astype("f4"),
+        depth=depth,
+        coc=(generator.random((6, 8)) - 0.5).astype("f4"),
+        mask=generator.random((6, 8)) < 0.5,
+        filled=generator.integers(0, 3, (6, 8), "u1"),
+        object_id=generator.integers(-1, 3, (6, 8), "i4"),
+        normal=generator.random((6, 8, 3)).astype("f4"),
+        flow=generator.random((6, 8, 2)).astype("f4"),
+        hidden=generator.random((6, 8)) < 0.5,
+        metadata={"title": "Kugel, groß"},
+    )
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_frame_files_hold_the_frame(tmp_path: Path, channels: int) -> None:
+    shown = frame(channels)
+    content = write_frame(tmp_path, shown, 32, "srgb", ("npz", "exr"))
+    names = ["frame_0003.exr", "frame_0003.json", "frame_0003.npz", "frame_0003.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == names
+    assert json.loads((tmp_path / "frame_0003.json").read_text("utf-8")) == content
+    assert content["title"] == "Kugel, groß"
+    assert sorted(content["files"]) == [name for name in names if not name.endswith("json")]
+
+    image = read_image(tmp_path / "frame_0003.png")
+    np.testing.assert_array_equal(image.data, encode(shown.color, 16, "srgb"), strict=True)
+    with np.load(tmp_path / "frame_0003.npz", allow_pickle=False) as truth:
+        assert set(truth.files) == {"color", *TRUTH_NAMES}
+        for name in truth.files:
+            np.testing.assert_array_equal(truth[name], getattr(shown, name), strict=True)
+
+    stored = OpenEXR.File(str(tmp_path / "frame_0003.exr"), separate_channels=True).channels()
+    wanted = exr_channels(shown)
+    assert set(stored) == set(wanted)
+    expected = "R G B A Z coc sharp.R sharp.G sharp.B N.X N.Y N.Z flow.u flow.v id mask filled hidden"
+    assert set(stored) == set(expected.split())
+    for name, channel in stored.items():
+        np.testing.assert_array_equal(channel.pixels, wanted[name].astype("f4"), strict=True)
+    assert shown.flow is not None
+    np.testing.assert_array_equal(stored["flow.v"].pixels, shown.flow[..., 1])
+    np.testing.assert_array_equal(stored["B"].pixels, shown.color.reshape(6, 8, -1)[..., -1])
+
+
+def test_frame_without_truth(tmp_path: Path) -> None:
+    write_frame(tmp_path, Frame(12345, np.full((2, 3), 0.5, "f4")), 8, "linear", ("npz",))
+    assert read_image(tmp_path / "frame_12345.png").data.tolist() == [[128] * 3] * 2
+    with np.load(tmp_path / "frame_12345.npz") as truth:
+        assert truth.files == ["color"]
+
+
+def test_frame_is_complete_or_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = frame(1)
+    assert read_complete(tmp_path, 3) is None
+    content = write_frame(tmp_path, shown, 8, "srgb", ("npz",))
+    assert read_complete(tmp_path, 3) == content
+    (tmp_path / "frame_0003.png").write_bytes(b"x")
+    assert read_complete(tmp_path, 3) is None
+
+    write_frame(tmp_path, shown, 8, "srgb", ("npz",))
+    monkeypatch.setattr("clsco.images.write_npz", lambda *_: (_ for _ in ()).throw(ImageError("disk")))
+    with pytest.raises(ImageError, match="disk"):
+        write_frame(tmp_path, shown, 8, "srgb", ("npz",))
+    assert read_complete(tmp_path, 3) is None
+    assert not (tmp_path / "frame_0003.json").exists()
+    (tmp_path / "frame_0003.json").write_text("[]")
+    assert read_complete(tmp_path, 3) is None
+
+
+def test_same_content_gives_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = write_frame(tmp_path, frame(3), 8, "srgb", ("npz", "exr"))
+    later = time.gmtime(time.time() + 100_000)
+    monkeypatch.setattr(time, "localtime", lambda _=None: later)  # what archives put beside a name
+    assert write_frame(tmp_path, frame(3), 8, "srgb", ("npz", "exr")) == first
+
+
+WRITERS: dict[str, Callable[[Path], None]] = {
+    "png": lambda path: write_png(path, COLOR),
+    "npz": lambda path: write_npz(path, {"color": LIGHT}),
+    "exr": lambda path: write_exr(path, {"R": LIGHT}),
+    "json": lambda path: write_json(path, {"numbers": list(range(100_000))}),
+}
+
+
+@pytest.mark.parametrize("failure", ["fsync", "replace", "disk", "interrupt"])
+@pytest.mark.parametrize("write", WRITERS.values(), ids=WRITERS)
+def test_failed_writing_leaves_what_was_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: Callable[[Path], None], failure: str
+) -> None:
+    path = tmp_path / "file.bin"
+    path.write_bytes(b"before")
+
+    def fail(*_arguments: object) -> None:
+        if failure == "interrupt":
+            raise KeyboardInterrupt
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    if failure == "disk":  # the system refuses byte 50,001 in the middle of the file
+        resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, limit[1]))
+    else:
+        monkeypatch.setattr(
+            Path if failure == "replace" else os, "replace" if failure == "replace" else "fsync", fail
+        )
+    try:
+        with pytest.raises(KeyboardInterrupt if failure == "interrupt" else ImageError) as caught:
+            write(path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+    if failure != "interrupt":
+        assert str(caught.value).startswith(f"{path}: the file must be writable; got ")
+        assert str(caught.value).isprintable()
+    assert path.read_bytes() == b"before"
+    assert list(tmp_path.iterdir()) == [path]
+    monkeypatch.undo()
+    write(path)
+    assert path.stat().st_size > 50_000
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_writing_shows_nothing_unfinished(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[list[str]] = []
+    monkeypatch.setattr(os, "fsync", lambda _: seen.append([path.name for path in tmp_path.iterdir()]))
+    write_png(tmp_path / "file.png", GREY)
+    ((name,),) = seen
+    assert name.startswith(f".file.png.{os.getpid()}-")
+    assert name.endswith(".part")
+
+
+def test_unwritable_places(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"")
+    (tmp_path / "folder" / "inner").mkdir(parents=True)
+    for path in (
+        tmp_path / "none" / "a.png",
+        tmp_path / "file" / "a.png",
+        tmp_path / "folder",
+        tmp_path / "a\0.png",
+    ):
+        with pytest.raises(ImageError, match="the file must be writable; got "):
+            write_png(path, GREY)
+    with pytest.raises(ImageError, match="the file must be writable; got Out of range float"):
+        write_json(tmp_path / "a.json", {"x": float("nan")})
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder"]
+
+    assert writable_folder(tmp_path / "new" / "deep") == tmp_path / "new" / "deep"
+    assert list((tmp_path / "new" / "deep").iterdir()) == []
+    for path in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/nothing"), tmp_path / "a\0"):
+        with pytest.raises(ImageError, match="must be a folder that can be written; got "):
+            writable_folder(path)
+
+
+def test_stale_temporary_files_are_removed(tmp_path: Path) -> None:
+    with subprocess.Popen([sys.executable, "-c", ""]) as process:
+        process.wait()
+    stale, alive = tmp_path / f".a.png.{process.pid}-0.part", tmp_path / f".a.png.{os.getpid()}-0.part"
+    foreign = tmp_path / ".foreign.part"
+    for path in (stale, alive, foreign, tmp_path / "a.part"):
+        path.touch()
+    remove_stale(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([alive.name, foreign.name, "a.part"])
+
+
+KILLED = """
+import contextlib, os, random, signal, sys, time
+from pathlib import Path
+import numpy as np
+from clsco import files, images
+from clsco.frame import Frame
+
+folder, naive = Path(sys.argv[1]), sys.argv[2] == "naive"
+if naive:
+    @contextlib.contextmanager
+    def images_open(path):
+        with open(path, "wb") as file:
+            yield file
+    images.whole_file = images_open
+light = np.random.default_rng(1).random((64, 64, 3), "f4")
+images.write_frame(folder, Frame(0, light), 16, "srgb")  # makes the tables, once for all children
+random.seed(2)
+damaged = complete = 0
+for round in range(100):
+    child = os.fork()
+    if child == 0:
+        for index in range(7 * round, 10**6):
+            images.write_frame(folder, Frame(index % 50, light + index % 3), 16, "srgb", ("npz",))
+    time.sleep(random.uniform(0.001, 0.04))
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    files.remove_stale(folder)
+    names = sorted(path.name for path in folder.iterdir())
+    assert not [name for name in names if not name.startswith("frame_")], names
+    for path in folder.glob("*.png"):
+        try:
+            images.read_image(path)
+        except Exception:
+            damaged += 1
+    for path in folder.glob("*.json"):
+        whole = images.read_complete(folder, int(path.stem[-4:])) is not None
+        complete, damaged = complete + whole, damaged + (not whole)
+print(complete, damaged)
+"""
+
+
+@pytest.mark.parametrize("writer", ["whole", "naive"])
+def test_killed_at_any_moment(tmp_path: Path, writer: str) -> None:
+    command = [sys.executable, "-W", "ignore", "-c", KILLED, str(tmp_path), writer]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    complete, damaged = (int(word) for word in done.stdout.split())
+    assert complete > 100
+    assert (damaged == 0) == (writer == "whole"), done.stdout
