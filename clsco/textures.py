@@ -67,8 +67,8 @@ def texture_size(name_or_path: str | os.PathLike[str]) -> tuple[int, int]:
 def load_scene_textures(scene: Scene) -> tuple[Scene, tuple[Texture, ...]]:
     """Load the textures of all objects in the size of the frame, each file once.
 
-    Returns the scene with its resolution, which the first object's texture gives where the scene does not, and
-    a texture per object. Raises ImageError as `load_texture` does.
+    Returns the scene with its resolution, which the first object's texture gives where the scene does not,
+    and a texture per object. Raises ImageError as `load_texture` does.
     """
     columns, rows = scene.camera.resolution or texture_size(scene.objects[0].texture)
     camera = scene.camera.model_copy(update={"resolution": (columns, rows)})
