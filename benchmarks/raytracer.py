@@ -187,16 +187,18 @@ def _uniform(state):  # type: ignore[no-untyped-def]
 @njit(cache=True, inline="always")
 def _inside(box, x, y, z):  # type: ignore[no-untyped-def]
     """Whether a point of the object's frame lies in its bounds."""
-    return box[0] <= x <= box[1] and box[2] <= y <= box[3] and box[4] <= z <= box[5]
+    return (box[0] <= x) & (x <= box[1]) & (box[2] <= y) & (y <= box[3]) & (box[4] <= z) & (z <= box[5])
 
 
 @njit(cache=True, inline="always")
 def _mirror(index, count):  # type: ignore[no-untyped-def]
-    """Half-sample mirror reflection of an index: -1 -> 0, count -> count - 1."""
-    if 0 <= index < count:
-        return index
-    index = index % (2 * count)
-    return index if index < count else 2 * count - 1 - index
+    """Half-sample mirror reflection of a whole number: -1 -> 0, count -> count - 1. All floating point."""
+    # The half keeps the product off whole numbers, where rounding would decide.
+    index = index - 2 * count * np.floor((index + 0.5) * (0.5 / count))
+    index = index if index < count else 2 * count - 1 - index
+    # Infinite, or so large that whole numbers have gaps: any texel.
+    index = index if index > 0.0 else 0.0
+    return index if index < count else count - 1
 
 
 @njit(cache=True, inline="always")
@@ -205,51 +207,74 @@ def _turn(m, x, y, z):  # type: ignore[no-untyped-def]
     return m[0] * x + m[1] * y + m[2] * z, m[3] * x + m[4] * y + m[5] * z, m[6] * x + m[7] * y + m[8] * z
 
 
-@njit(cache=True, fastmath={"contract"})
-def _nearest(lens_x, lens_y, slope_x, slope_y, poses, coefficients, bounds):  # type: ignore[no-untyped-def]
-    """Nearest hit of the ray (lens + slope Z, Z): depth, object (-1: none), position about its center."""
-    best, owner = np.inf, -1
-    best_x = best_y = best_z = 0.0
-    for index in range(coefficients.shape[0]):
-        m, k, box = poses[index], coefficients[index], bounds[index]
-        # Back to rest: the ray's parameter stays the depth in the camera at the sampled time.
-        ox, oy, oz = _turn(m, lens_x - m[9], lens_y - m[10], -m[11])
-        dx, dy, dz = _turn(m, slope_x, slope_y, 1.0)
-        a = (
-            k[0] * dx * dx
-            + k[1] * dy * dy
-            + k[2] * dz * dz
-            + k[3] * dx * dy
-            + k[4] * dy * dz
-            + k[5] * dx * dz
-        )
-        cross = k[3] * (ox * dy + oy * dx) + k[4] * (oy * dz + oz * dy) + k[5] * (ox * dz + oz * dx)
-        linear = k[6] * dx + k[7] * dy + k[8] * dz
-        b = k[0] * ox * dx + k[1] * oy * dy + k[2] * oz * dz + 0.5 * (cross + linear)
-        c = (
-            k[0] * ox * ox
-            + k[1] * oy * oy
-            + k[2] * oz * oz
-            + k[3] * ox * oy
-            + k[4] * oy * oz
-            + k[5] * ox * oz
-        )
-        c += k[6] * ox + k[7] * oy + k[8] * oz + k[9]
-        # a Z^2 + 2 b Z + c = 0; the form with q keeps both roots, and the only one where a = 0.
-        discriminant = b * b - a * c
-        if discriminant < 0.0:
-            continue
-        q = -(b + math.copysign(math.sqrt(discriminant), b))
-        first = c / q if q != 0.0 else 0.0
-        second = q / a if a != 0.0 else 0.0
-        for depth in (min(first, second), max(first, second)):
-            if 0.0 < depth < best:
-                x, y, z = ox + depth * dx, oy + depth * dy, oz + depth * dz
-                if _inside(box, x, y, z):
-                    best, owner = depth, index
-                    best_x, best_y, best_z = x, y, z
-                    break
-    return best, owner, best_x, best_y, best_z
+@njit(cache=True, inline="always")
+def _meet(lens_x, lens_y, slope_x, slope_y, m, k, box):  # type: ignore[no-untyped-def]
+    """First hit of the ray (lens + slope Z, Z) with one surface: depth, 0 for none, and the point at rest.
+
+    `m`: inverse rotation and center (12); `k`: coefficients (10); `box`: bounds (6). All about the center.
+    """
+    # Back to rest: the ray's parameter stays the depth in the camera at the sampled time.
+    ox, oy, oz = _turn(m, lens_x - m[9], lens_y - m[10], -m[11])
+    dx, dy, dz = _turn(m, slope_x, slope_y, 1.0)
+    a = k[0] * dx * dx + k[1] * dy * dy + k[2] * dz * dz + k[3] * dx * dy + k[4] * dy * dz + k[5] * dx * dz
+    cross = k[3] * (ox * dy + oy * dx) + k[4] * (oy * dz + oz * dy) + k[5] * (ox * dz + oz * dx)
+    linear = k[6] * dx + k[7] * dy + k[8] * dz
+    b = k[0] * ox * dx + k[1] * oy * dy + k[2] * oz * dz + 0.5 * (cross + linear)
+    c = k[0] * ox * ox + k[1] * oy * oy + k[2] * oz * oz + k[3] * ox * oy + k[4] * oy * oz + k[5] * ox * oz
+    c += k[6] * ox + k[7] * oy + k[8] * oz + k[9]
+    # a Z^2 + 2 b Z + c = 0. The form with q keeps both roots, and the only one where a = 0. Where there
+    # is none it is no number or infinite: comparisons refuse both.
+    q = -(b + np.copysign(np.sqrt(b * b - a * c), b))
+    first, second = c / q, q / a
+    low, high = (first if first < second else second), (second if first < second else first)
+    good = (low > 0.0) & _inside(box, ox + low * dx, oy + low * dy, oz + low * dz)
+    depth = low if good else high
+    x, y, z = ox + depth * dx, oy + depth * dy, oz + depth * dz
+    good = (depth > 0.0) & (depth < np.inf) & _inside(box, x, y, z)
+    return depth if good else 0.0, x, y, z
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _cast(hits, rays, count, turn, corner, optics, surface, texture):  # type: ignore[no-untyped-def]
+    """Keep the hits of one pixel's rays with one surface where they are nearer than those before.
+
+    `hits` (2 x BLOCK): depth in mm, and index of the texel or -1; `rays` (16 x BLOCK): sample set (4) and
+    poses (12). One loop without branches over flat arrays: the compiler computes eight rays at once.
+    """
+    cosine, sine = turn
+    left, top, shift_x, shift_y = corner
+    pitch_ratio, _, focus_term = optics
+    coefficients, bounds, center = surface
+    # Scalars, so that the compiler need not fear that a store changes them.
+    k0, k1, k2, k3, k4, k5, k6, k7, k8, k9 = coefficients
+    x0, x1, y0, y1, z0, z1 = bounds
+    k, box = (k0, k1, k2, k3, k4, k5, k6, k7, k8, k9), (x0, x1, y0, y1, z0, z1)
+    center_x, center_y, center_z = center
+    base, rows, columns = texture
+    for s in range(count):
+        sub_x, sub_y = rays[s] + shift_x, rays[s + BLOCK] + shift_y
+        sub_x = sub_x - 1.0 if sub_x >= 1.0 else sub_x
+        sub_y = sub_y - 1.0 if sub_y >= 1.0 else sub_y
+        u, v = rays[s + 2 * BLOCK], rays[s + 3 * BLOCK]
+        lens_x, lens_y = cosine * u - sine * v, sine * u + cosine * v
+        slope_x = (left + sub_x) * pitch_ratio - focus_term * lens_x
+        slope_y = (top - sub_y) * pitch_ratio - focus_term * lens_y
+        m = (
+            rays[s + 4 * BLOCK], rays[s + 5 * BLOCK], rays[s + 6 * BLOCK], rays[s + 7 * BLOCK],
+            rays[s + 8 * BLOCK], rays[s + 9 * BLOCK], rays[s + 10 * BLOCK], rays[s + 11 * BLOCK],
+            rays[s + 12 * BLOCK], rays[s + 13 * BLOCK], rays[s + 14 * BLOCK], rays[s + 15 * BLOCK],
+        )  # fmt: skip
+        depth, x, y, z = _meet(lens_x, lens_y, slope_x, slope_y, m, k, box)
+        nearest, texel = hits[s], hits[s + BLOCK]
+        nearer = (depth > 0.0) & (depth < nearest)
+        hits[s] = depth if nearer else nearest
+        # A point behind the lens at rest has no projection: the focused image has no value for it.
+        rest = z + center_z
+        scale = 1.0 / (pitch_ratio * rest)
+        j = _mirror(np.floor((x + center_x) * scale + 0.5 * columns), columns)
+        i = _mirror(np.floor(0.5 * rows - (y + center_y) * scale), rows)
+        found = base + i * columns + j if rest > 0.0 else -1.0
+        hits[s + BLOCK] = found if nearer else texel
 
 
 @njit(cache=True, parallel=True, fastmath={"contract"})
@@ -258,43 +283,40 @@ def _accumulate(  # type: ignore[no-untyped-def]
 ):
     """Add samples first..last (rows, columns) of every pixel to `sums` and, over all channels, `squares`.
 
-    `points` (n, 4): position in the pixel, [0, 1), and on the unit disc; `poses` (n or 1, objects, 12).
+    `points` (4, n): position in the pixel, [0, 1), and on the unit disc; `poses` (objects, 12, n or 1).
     """
     rows, columns, channels = sums.shape
-    pitch_ratio, lens_radius, focus_term = optics
-    static = poses.shape[0] == 1
+    _, lens_radius, _ = optics
+    flat = textures.reshape(-1, channels)
     for position in prange(rows):
         row = order[position]
+        rays = np.empty((len(poses), 16, BLOCK))
+        hits = np.empty(2 * BLOCK)
         for block in range(first[row].min(), last[row].max(), BLOCK):
+            stop = min(block + BLOCK, points.shape[1])
+            rays[:, :4, : stop - block] = points[:, block:stop]
+            rays[:, 4:, : stop - block] = poses[:, :, block:stop] if poses.shape[2] > 1 else poses
             for column in range(columns):
+                begin, end = max(first[row, column], block), min(last[row, column], stop)
+                if begin >= end:
+                    continue
                 state = np.uint64(seed) + np.uint64(3 * (row * columns + column) + 1) * STEP
-                shift_x, shift_y = _uniform(state), _uniform(state + STEP)
                 angle = 2 * math.pi * _uniform(state + STEP + STEP)
-                cosine, sine = lens_radius * math.cos(angle), lens_radius * math.sin(angle)
+                turn = lens_radius * math.cos(angle), lens_radius * math.sin(angle)
+                corner = column - 0.5 * columns, 0.5 * rows - row, _uniform(state), _uniform(state + STEP)
+                hits[:BLOCK], hits[BLOCK:] = np.inf, -1.0
+                for n in range(len(poses)):
+                    surface = coefficients[n], bounds[n], centers[n]
+                    texture = float(n * rows * columns), float(rows), float(columns)
+                    _cast(hits, rays[n].reshape(-1), end - block, turn, corner, optics, surface, texture)
                 square = 0.0
-                for sample in range(max(first[row, column], block), min(last[row, column], block + BLOCK)):
-                    sub_x, sub_y = points[sample, 0] + shift_x, points[sample, 1] + shift_y
-                    sub_x = sub_x - 1.0 if sub_x >= 1.0 else sub_x
-                    sub_y = sub_y - 1.0 if sub_y >= 1.0 else sub_y
-                    u, v = points[sample, 2], points[sample, 3]
-                    lens_x, lens_y = cosine * u - sine * v, sine * u + cosine * v
-                    slope_x = (column + sub_x - 0.5 * columns) * pitch_ratio - focus_term * lens_x
-                    slope_y = (0.5 * rows - row - sub_y) * pitch_ratio - focus_term * lens_y
-                    pose = poses[0 if static else sample]
-                    hit = _nearest(lens_x, lens_y, slope_x, slope_y, pose, coefficients, bounds)
-                    _, owner, x, y, z = hit
-                    if owner < 0:
-                        continue
-                    depth = z + centers[owner, 2]
-                    if depth <= 0.0:  # behind the lens at rest: the focused image has no value for it
-                        continue
-                    scale = 1.0 / (pitch_ratio * depth)
-                    j = _mirror(math.floor((x + centers[owner, 0]) * scale + 0.5 * columns), columns)
-                    i = _mirror(math.floor(0.5 * rows - (y + centers[owner, 1]) * scale), rows)
-                    for channel in range(channels):
-                        value = textures[owner, i, j, channel]
-                        sums[row, column, channel] += value
-                        square += value * value
+                for s in range(begin - block, end - block):
+                    texel = int(hits[s + BLOCK])
+                    if texel >= 0:
+                        for channel in range(channels):
+                            value = flat[texel, channel]
+                            sums[row, column, channel] += value
+                            square += value * value
                 squares[row, column] += square
 
 
@@ -340,10 +362,13 @@ def extend(halves: Halves, counts: NDArray[np.int64]) -> Halves:
     order = np.random.default_rng(0).permutation(len(counts))
     for half in range(2):
         times = problem.start + problem.shutter * (points[half][:, 4] if moving else np.zeros(1))
-        lens = np.column_stack([points[half][:, :2], _disc(points[half][:, 2:4])])
+        lens = np.ascontiguousarray(np.column_stack([points[half][:, :2], _disc(points[half][:, 2:4])]).T)
         shape = problem.coefficients, problem.bounds, problem.centers, problem.textures
         optics = problem.pitch_ratio, problem.lens_radius, problem.focus_term
-        span, poses = (halves.counts, counts), _inverse_poses(problem, times)
+        span, poses = (
+            (halves.counts, counts),
+            np.ascontiguousarray(np.moveaxis(_inverse_poses(problem, times), 0, -1)),
+        )
         _accumulate(sums[half], squares[half], order, *span, lens, poses, *shape, optics, halves.seeds[half])
     return replace(halves, points=points, sums=sums, squares=squares, counts=counts)
 
@@ -456,19 +481,20 @@ def trace_converged(
 def pinhole_depth(scene: Any, rows: int, columns: int, times: Sequence[float]) -> Array:
     """Depth (mm) at the pixel centers at `times` (s): (times, rows, columns), inf where nothing is."""
     problem = prepare(scene, np.zeros((rows, columns)), rows, columns)
-    x = (np.arange(columns) - 0.5 * (columns - 1)) * problem.pitch_ratio
-    y = (0.5 * (rows - 1) - np.arange(rows)) * problem.pitch_ratio
-    poses = _inverse_poses(problem, np.asarray(times, float))
-    return _pinhole(x, y, poses, problem.coefficients, problem.bounds)
+    x, y = np.arange(columns) - 0.5 * (columns - 1), 0.5 * (rows - 1) - np.arange(rows)
+    poses, ratio = _inverse_poses(problem, np.asarray(times, float)), problem.pitch_ratio
+    return _pinhole(x * ratio, y * ratio, poses, problem.coefficients, problem.bounds)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _pinhole(x, y, poses, coefficients, bounds):  # type: ignore[no-untyped-def]
     """Depth of the nearest hit along (x, y, 1) for x (columns,), y (rows,) and poses (times, objects, 12)."""
-    depth = np.empty((len(poses), len(y), len(x)))
+    depth = np.full((len(poses), len(y), len(x)), np.inf)
     for moment in range(len(poses)):
         for row in range(len(y)):
             for column in range(len(x)):
-                hit = _nearest(0.0, 0.0, x[column], y[row], poses[moment], coefficients, bounds)
-                depth[moment, row, column] = hit[0]
+                for n in range(len(coefficients)):
+                    hit = _meet(0.0, 0.0, x[column], y[row], poses[moment, n], coefficients[n], bounds[n])
+                    if 0.0 < hit[0] < depth[moment, row, column]:
+                        depth[moment, row, column] = hit[0]
     return depth

@@ -84,15 +84,15 @@ def test_a_bright_texel_becomes_a_disc(radius: float) -> None:
     image, error = trace(scene(plane(distance_at(radius))), texture, 31, 33, samples=16384)
     energy, center, spread = moments(image)
     # The mean square error of the frame is `error`^2, that of the sum of its independent pixels 31 x 33
-    # times as much: `sigma`^2. Light lies at most |R| + 1 from the center, which multiplies the errors of the moments.
+    # times as much: `sigma`^2. Light lies at most |R| + 1 from the center: a factor to errors of the moments.
     sigma, reach = math.sqrt(31 * 33) * error, abs(radius) + 1
     assert 0 < sigma < 0.01
     assert energy == pytest.approx(1.0, abs=5 * sigma)
     np.testing.assert_allclose(center, [12, 18], rtol=0, atol=5 * sigma * reach)
     # A disc's mean square radius is R^2 / 2; the boxes of source and detector pixel add 1/12 each per axis.
     assert spread == pytest.approx(radius**2 / 2 + 1 / 3, abs=5 * sigma * reach**2)
-    # Far inside, every detector pixel sees the whole texel through a share 1 / (pi R^2) of the lens. All error
-    # is in the pi R^2 lit pixels, 9 of which are averaged.
+    # Far inside, every detector pixel sees the whole texel through a share 1 / (pi R^2) of the lens. The
+    # error is in the pi R^2 lit pixels, 9 of which are averaged.
     deviation = sigma / math.sqrt(9 * math.pi * radius**2)
     assert image[11:14, 17:20].mean() == pytest.approx(1 / (math.pi * radius**2), abs=5 * deviation)
     rows, columns = np.indices(image.shape)
@@ -251,8 +251,8 @@ def test_converges_below_the_noise_asked_for_and_reads_its_cache(
     assert 0 < error < 1e-3
     assert "samples" in capsys.readouterr().out
     reference, reference_error = trace(ball, texture, 64, 64, samples=8192, seed=1)
-    # Independent estimates differ by the root of the sum of their mean squares. Each of the three is a mean over
-    # the 1,400 pixels of the ball, 1 / sqrt(2 * 1400) = 2 % off, some 4 % together: five times that.
+    # Independent estimates differ by the root of the sum of their mean squares. Each of the three is a mean
+    # over the 1,400 pixels of the ball, 1 / sqrt(2 * 1400) = 2 % off, some 4 % together: five times that.
     difference = math.sqrt(np.mean((image - reference) ** 2))
     assert difference == pytest.approx(math.hypot(error, reference_error), rel=0.2)
     again, same = trace_converged(ball, texture, 64, 64, noise=1e-3, cache=tmp_path)

@@ -1,0 +1,243 @@
+"""Error of a rendered frame per setting, against the thin-lens ray tracer.
+
+    python -m benchmarks.accuracy [--only NAME] [--setting NAME] [--size 512] [--engine device|reference]
+
+Every scene is traced once (kept under build/) and rendered with each setting; a table per scene goes to the
+terminal and all figures to benchmarks/results/accuracy.json and accuracy.md. PSNR has the peak 1.0, white;
+the figure `inside` is that of the pixels more than 16 px within the silhouette at all times of the exposure.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+from scipy import ndimage
+
+import clsco
+from benchmarks.raytracer import pinhole_depth, trace_converged
+from clsco.textures import load_texture
+
+ROOT = Path(__file__).resolve().parent
+FULL_SIZE = 512
+INSIDE_PX = 16
+NOISE = 1e-4
+MOMENTS = 9
+
+Mask = NDArray[np.bool_]
+Array = NDArray[np.float64]
+Render = Callable[[Any], Iterable[Any]]
+Options = Mapping[str, Any]
+
+
+def _card(distance: float, shift_px: float) -> dict[str, Any]:
+    """A plane across the axis that moves by `shift_px` px of a 512 px frame in a second."""
+    return {
+        "shape": "plane",
+        "distance": distance,
+        "motion": {"velocity": [shift_px * 0.01 * distance / 20, 0.0, 0.0]},
+    }
+
+
+BALL = {"shape": "sphere", "center": [0.0, 0.0, 280.0], "radius": 30.0}
+SCENES: dict[str, dict[str, Any]] = {
+    "sphere": BALL,
+    "cylinder": {"shape": "cylinder", "center": [0.0, 0.0, 280.0], "radius": 30.0, "axis": [0.0, 1.0, 0.0]},
+    "ellipsoid": {"shape": "ellipsoid", "center": [0.0, 0.0, 280.0], "semi_axes": [40.0, 25.0, 30.0]},
+    "cone": {"shape": "cone", "apex": [0.0, 0.0, 250.0], "half_angle": 50.0},
+    "plane_b1.5": {"shape": "plane", "distance": 250.0, "slope_x": 1.5},
+    "plane_b1_c1": {"shape": "plane", "distance": 250.0, "slope_x": 1.0, "slope_y": 1.0},
+    "plane_moving_250": _card(250.0, 17.0),
+    "plane_moving_240": _card(240.0, 17.0),
+    "sphere_turning": {**BALL, "motion": {"angular_velocity": [0.0, 10.0, 0.0]}},
+    "sphere_moving_turning": {
+        **BALL,
+        "motion": {"velocity": [2.0, 1.0, 3.0], "angular_velocity": [0.0, 10.0, 5.0]},
+    },
+}
+
+PLAIN = {"tilt": False, "silhouette_samples": 1}
+AUTO = {"sequence": {"samples": "auto"}}
+SETTINGS: dict[str, dict[str, Any]] = {
+    "thesis": {
+        "psf": {"edge": "sampled", **PLAIN, "occlusion": "none"},
+        "sequence": {"samples": 5, "sampling": "endpoint"},
+        "motion": {"warp": "forward"},
+        "fill": {"domain": "span"},
+    },
+    "sampled, no tilt, no silhouettes": {"psf": {"edge": "sampled", **PLAIN}},
+    "area, no tilt, no silhouettes": {"psf": {"edge": "area", **PLAIN}},
+    "integrated, no tilt, no silhouettes": {"psf": PLAIN},
+    "defaults": {},
+    "edge sampled": {"psf": {"edge": "sampled"}},
+    "edge area": {"psf": {"edge": "area"}},
+    "no tilt": {"psf": {"tilt": False}},
+    "no silhouettes": {"psf": {"silhouette_samples": 1}},
+    "silhouettes 2": {"psf": {"silhouette_samples": 2}},
+    "no occlusion": {"psf": {"occlusion": "none"}},
+    "gaussian 0.62": {"psf": {"model": "gaussian", "sigma_ratio": 0.62}},
+    "gaussian 0.65": {"psf": {"model": "gaussian", "sigma_ratio": 0.65}},
+    "gaussian 0.7071": {"psf": {"model": "gaussian"}},
+}
+MOVING_SETTINGS: dict[str, dict[str, Any]] = {
+    "endpoint": {"sequence": {"sampling": "endpoint"}},
+    "auto": AUTO,
+    "auto, endpoint": {"sequence": {"samples": "auto", "sampling": "endpoint"}},
+    "auto, bilinear": {**AUTO, "motion": {"texture_filter": "bilinear"}},
+    "auto, nearest": {**AUTO, "motion": {"texture_filter": "nearest"}},
+    "auto, forward": {**AUTO, "motion": {"warp": "forward"}},
+    "auto, forward, span": {**AUTO, "motion": {"warp": "forward"}, "fill": {"domain": "span"}},
+}
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Error of one rendered frame: PSNR in dB, whole and inside; largest error; seconds to render."""
+
+    psnr: float
+    psnr_inside: float
+    largest: float
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What a scene should look like: the traced image, its RMS noise, the pixels well inside it."""
+
+    image: Array
+    noise: float
+    inside: Mask
+
+
+def scene_of(name: str, settings: Options, size: int) -> Any:
+    """The scene `name` with `settings`, size x size px; field of view and blur radii in px as at 512 px."""
+    item = SCENES[name]
+    ratio = FULL_SIZE / size
+    camera = {"resolution": [size, size], "pixel_pitch": 0.01 * ratio, "aperture_diameter": 10.0 * ratio}
+    return clsco.parse_scene({"camera": camera, "object": [{**item, "texture": "bricks"}], **settings})
+
+
+def settings_of(name: str) -> dict[str, dict[str, Any]]:
+    """The settings that make a difference to the scene `name`."""
+    return {**SETTINGS, **(MOVING_SETTINGS if "motion" in SCENES[name] else {})}
+
+
+def well_inside(seen: Mask, margin: float = INSIDE_PX) -> Mask:
+    """Pixels more than `margin` px from any not in `seen` (rows, columns); beyond the frame there is none."""
+    return seen if seen.all() else ndimage.distance_transform_edt(seen) > margin
+
+
+def judge(name: str, size: int, noise: float, cache: Path | None) -> Judged:
+    """Trace the scene `name` at size x size px to the RMS `noise`."""
+    scene = scene_of(name, {}, size)
+    texture = load_texture("bricks", "srgb", (size, size)).radiance
+    image, reached = trace_converged(scene, texture, size, size, noise, cache=cache)
+    depth = pinhole_depth(scene, size, size, list(np.linspace(0.0, scene.sequence.shutter, MOMENTS)))
+    return Judged(image, reached, well_inside(np.asarray(np.isfinite(depth).all(axis=0))))
+
+
+def psnr(difference: Array) -> float:
+    """Peak signal-to-noise ratio in dB of errors of any shape, the peak being 1.0."""
+    return -20 * math.log10(math.sqrt(float(np.mean(difference**2))))
+
+
+def compare(color: NDArray[Any], judged: Judged, seconds: float) -> Figures:
+    """Figures of a rendered image (rows, columns[, channels]), linear."""
+    difference = np.asarray(color, float) - judged.image
+    return Figures(psnr(difference), psnr(difference[judged.inside]), float(abs(difference).max()), seconds)
+
+
+def measure(name: str, settings: Options, size: int, judged: Judged, render: Render) -> Figures:
+    """Render the scene `name` with `settings` and compare its first frame with the traced one."""
+    scene = scene_of(name, settings, size)
+    began = time.perf_counter()
+    frame = next(iter(render(scene)))
+    return compare(frame.color, judged, time.perf_counter() - began)
+
+
+def show(console: Console, name: str, result: Mapping[str, Any]) -> None:
+    """Print the table of one scene."""
+    floor = -20 * math.log10(result["noise"])
+    table = Table(title=f"{name}: PSNR in dB against the tracer (its own noise: {floor:.1f} dB)")
+    table.add_column("setting")
+    for title in ("whole", "inside", "largest error", "s"):
+        table.add_column(title, justify="right")
+    for setting, row in result["settings"].items():
+        cells = (f"{row['psnr']:.1f}", f"{row['psnr_inside']:.1f}", f"{row['largest']:.4f}")
+        table.add_row(setting, *cells, f"{row['seconds']:.2f}")
+    console.print(table)
+
+
+def markdown(report: Mapping[str, Any]) -> str:
+    """The report as Markdown: settings by scenes, whole frame / inside, in dB."""
+    scenes, size = report["scenes"], report["size"]
+    lines = [
+        "# Error per setting",
+        "",
+        f"PSNR in dB (peak 1.0) against the ray-traced thin lens, {size} x {size} px, texture `bricks`:",
+        f"whole frame / more than {INSIDE_PX} px inside the silhouette. Engine: {report['engine']}.",
+        "",
+        f"| setting | {' | '.join(scenes)} |",
+        f"|---|{'---|' * len(scenes)}",
+    ]
+    for setting in {**SETTINGS, **MOVING_SETTINGS}:
+        rows = [scene["settings"].get(setting) for scene in scenes.values()]
+        if any(rows):
+            cells = ["" if row is None else f"{row['psnr']:.1f} / {row['psnr_inside']:.1f}" for row in rows]
+            lines.append(f"| {setting} | {' | '.join(cells)} |")
+    floors = [f"{-20 * math.log10(scene['noise']):.1f}" for scene in scenes.values()]
+    return "\n".join([*lines, f"| the tracer's noise | {' | '.join(floors)} |", ""])
+
+
+def update(folder: Path, report: dict[str, Any]) -> None:
+    """Write accuracy.json and accuracy.md in `folder`; what was not measured now keeps its figures."""
+    path = folder / "accuracy.json"
+    if path.exists():
+        before = json.loads(path.read_text())
+        if all(before[key] == report[key] for key in ("size", "engine")):
+            for name, scene in before["scenes"].items():
+                now = report["scenes"].setdefault(name, scene)
+                now["settings"] = {**scene["settings"], **now["settings"]}
+    report["scenes"] = {name: report["scenes"][name] for name in SCENES if name in report["scenes"]}
+    folder.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(report, indent=1) + "\n")
+    (folder / "accuracy.md").write_text(markdown(report))
+
+
+def main() -> None:
+    """Read the command line, measure, print and write."""
+    formatter = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=formatter)
+    parser.add_argument("--only", default="", metavar="NAME", help="scenes whose name contains this")
+    parser.add_argument("--setting", default="", metavar="NAME", help="settings whose name contains this")
+    parser.add_argument("--size", type=int, default=FULL_SIZE, metavar="N", help="frame of N x N px")
+    parser.add_argument("--engine", choices=("device", "reference"), default="device")
+    parser.add_argument("--noise", type=float, default=NOISE, help="RMS noise of the traced images")
+    parser.add_argument("--cache", type=Path, default=ROOT.parent / "build" / "traced")
+    parser.add_argument("-o", type=Path, default=ROOT / "results", dest="folder", metavar="DIR")
+    options = parser.parse_args()
+    render: Render = clsco.reference.render if options.engine == "reference" else clsco.render
+    console = Console()
+    for name in (name for name in SCENES if options.only in name):
+        judged = judge(name, options.size, options.noise, options.cache)
+        rows = {}
+        for setting, keys in settings_of(name).items():
+            if options.setting in setting:
+                rows[setting] = asdict(measure(name, keys, options.size, judged, render))
+        result = {"noise": judged.noise, "inside_pixels": int(judged.inside.sum()), "settings": rows}
+        show(console, name, result)
+        update(options.folder, {"size": options.size, "engine": options.engine, "scenes": {name: result}})
+
+
+if __name__ == "__main__":
+    main()
