@@ -18,19 +18,8 @@ from clsco.reference.geometry import Array
 Mask = NDArray[np.bool_]
 Method = Literal["ait", "mean_median", "none"]
 
-WEST, EAST, NORTH, SOUTH = (0, -1), (0, 1), (-1, 0), (1, 0)
-NORTH_WEST, NORTH_EAST, SOUTH_WEST, SOUTH_EAST = (-1, -1), (-1, 1), (1, -1), (1, 1)
-NEIGHBORS = (
-    WEST,
-    EAST,
-    NORTH,
-    SOUTH,
-    NORTH_WEST,
-    SOUTH_EAST,
-    NORTH_EAST,
-    SOUTH_WEST,
-)  # opposite pairs together
-COPY_ORDER = (WEST, EAST, NORTH, SOUTH, NORTH_WEST, SOUTH_WEST, NORTH_EAST, SOUTH_EAST)
+# Rows down, columns right: W E, N S, NW SE, NE SW. Opposite neighbors are pairs.
+NEIGHBORS = ((0, -1), (0, 1), (-1, 0), (1, 0), (-1, -1), (1, 1), (-1, 1), (1, -1))
 MINIMUM_COUNT = 4  # known neighbors that a pixel needs (chapter 5), fewer only where the filling would stall
 SMOOTHING_ROUNDS = 20
 
@@ -112,8 +101,7 @@ def fill_ait(values: Array, known: Mask, missing: Mask) -> tuple[Array, Mask]:
         use = near_known[pair] & near_known[pair + 1] & ~found
         value[use] = 0.5 * (near[pair] + near[pair + 1])[use]
         found |= use
-    for direction in COPY_ORDER:
-        k = NEIGHBORS.index(direction)
+    for k in range(8):
         use = near_known[k] & ~found
         value[use] = near[k][use]
         found |= use

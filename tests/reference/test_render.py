@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from clsco.frame import TRUTH_NAMES, Frame
 from clsco.reference.blur import convolve
 from clsco.reference.fill import Method
 from clsco.reference.render import render
-from clsco.scene import Cylinder, Fill, Motion, ObjectMotion, Plane, Psf, Scene, Sequence, Sphere
+from clsco.scene import Cylinder, Fill, Motion, ObjectMotion, Plane, Psf, Quadric, Scene, Sequence, Sphere
 
 SceneMaker = Callable[..., Scene]
 
@@ -106,6 +106,26 @@ def test_warps_agree_where_nothing_was_hidden(method: Method, make_scene: SceneM
     difference = inverse.color[middle] - forward.color[middle]
     apart = inverse.color[middle] - np.roll(inverse.color, 1, axis=1)[middle]
     assert 0 < np.sqrt(np.mean(difference**2)) < np.sqrt(np.mean(apart**2))
+
+
+def test_domain_surface_leaves_the_gap_between_two_sheets(make_scene: SceneMaker) -> None:
+    # x^2 - y^2 - z^2 = 1: a bowl on the left, one on the right, and 16 px of nothing between them.
+    item = Quadric(
+        center=(0.0, 0.0, 250.0),
+        coefficients=(1.0, -1.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0),
+        motion=ObjectMotion(velocity=(0.0, 0.0, -50.0)),
+    )
+    domains: tuple[Literal["surface", "span"], ...] = ("surface", "span")
+    surface, span = (
+        only(make_scene(item, SHAPE, motion=Motion(warp="forward"), fill=Fill(domain=domain)))
+        for domain in domains
+    )
+    gap = ~truth(span, "mask")
+    assert gap[:, 14:18].all()
+    assert not gap[:, [0, -1]].all()
+    assert (truth(surface, "filled") == 1).sum() > 10
+    assert not truth(surface, "filled")[gap].any()
+    assert (truth(span, "filled")[gap] == 1).sum() > 50
 
 
 def test_what_does_not_move_needs_no_filling(make_scene: SceneMaker) -> None:

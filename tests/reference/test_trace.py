@@ -194,11 +194,22 @@ def test_back_of_a_turned_sphere_was_hidden(make_scene: SceneMaker) -> None:
     assert min(left, right) < 0.05
 
 
-def test_surface_from_outside_of_the_frame_was_hidden(make_scene: SceneMaker) -> None:
-    item = Plane(motion=ObjectMotion(velocity=(1.0, 0.0, 0.0)))  # 8 px/s to the right: 4 px at the middle
-    truth = ground_truth(make_scene(item, SHAPE), random_texture(), 0)
-    assert truth.hidden[:, :4].all()
-    assert not truth.hidden[:, 4:].any()
+@pytest.mark.parametrize(
+    ("velocity", "outside"),
+    [
+        ((1.0, 0.0, 0.0), (slice(None), slice(None, 4))),
+        ((-1.0, 0.0, 0.0), (slice(None), slice(-4, None))),
+        ((0.0, -1.0, 0.0), (slice(None, 4), slice(None))),
+        ((0.0, 1.0, 0.0), (slice(-4, None), slice(None))),
+    ],
+)
+def test_surface_from_outside_of_the_frame_was_hidden(
+    velocity: tuple[float, float, float], outside: tuple[slice, slice], make_scene: SceneMaker
+) -> None:
+    item = Plane(motion=ObjectMotion(velocity=velocity))  # 8 px/s: 4 px at the middle
+    expected = np.zeros(SHAPE, dtype=bool)
+    expected[outside] = True
+    assert (ground_truth(make_scene(item, SHAPE), random_texture(), 0).hidden == expected).all()
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
