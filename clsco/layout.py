@@ -37,7 +37,7 @@ def structs(real: Real) -> dict[str, np.dtype[Any]]:
     camera += [("step", r), ("blur_scale", r), ("focus_power", r)]
     vectors = ["offset", "body_offset", "rest", "q", "l", "bounds_low", "bounds_high"]
     surface = [("turn", r, (9,)), ("body_turn", r, (9,)), *((name, r, (3,)) for name in vectors)]
-    surface += [("k", r), ("constant", r), ("nappe", i)]
+    surface += [("k", r), ("at_lens", r), ("nappe", i)]
     pose = [("rotation", r, (9,)), ("shift", r, (3,))]
     psf = [(name, i) for name in ("first", "count", "reach", "sub_first", "sub_count")]
     psf += [(name, r) for name in ("key", "minimum_blur", "fine_steps", "coarse_from", "coarse_steps")]
@@ -91,7 +91,7 @@ def surface_struct(item: Object, surface: PlacedSurface, real: Real) -> Struct:
             "bounds_low": low,
             "bounds_high": high,
             "k": shape.k,
-            "constant": surface.constant,
+            "at_lens": surface.constant,
             "nappe": shape.nappe,
         },
     )

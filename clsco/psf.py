@@ -110,9 +110,14 @@ def _gaussian_axis(offset: Array, sigma: Array, cut: float, tent: bool) -> Array
     return np.asarray(np.maximum(rising + falling, 0.0) / whole)
 
 
+def psf_extent(psf: Psf, radius: Array | float) -> Array:
+    """Distance in px at which the PSF of |blur radius| `radius` px ends: the radius, or the cut of the Gaussian."""
+    return np.asarray(radius) * (1.0 if psf.model == "pillbox" else psf.sigma_ratio * psf.truncation)
+
+
 def reach(psf: Psf, radius: float, subpixel: bool = False) -> int:
     """Largest |dx| or |dy| in px of a pixel that a source of blur radius `radius` px may light."""
-    extent = radius if psf.model == "pillbox" else psf.sigma_ratio * psf.truncation * radius
+    extent = float(psf_extent(psf, radius))
     if subpixel:
         return max(ceil(extent + 0.875) - 1, 0)
     if psf.edge == "sampled":

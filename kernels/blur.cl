@@ -172,10 +172,10 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
                 if (p.x < 0)
                     continue;
                 const spread_t spread = subpixel_spread(psf, sub_intervals, sub_coefficients, p.x, sub);
-                const int half = spread.half_width, up = MIN(half, y - first), down = MIN(half, end - 1 - y);
+                const int half_width = spread.half_width, up = MIN(half_width, y - first), down = MIN(half_width, end - 1 - y);
                 for (int k = 0; k < CHANNELS; ++k)
                     add_rows(spread, up, down, sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id], p,
-                             out + k * total_plane - half, pitch);
+                             out + k * total_plane - half_width, pitch);
             }
             continue;
         }
@@ -183,15 +183,15 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
         if (s.x < 0)
             continue;
         const spread_t spread = pixel_spread(psf, intervals, coefficients, s.x);
-        const int half = spread.half_width, up = MIN(half, y - first), down = MIN(half, end - 1 - y);
+        const int half_width = spread.half_width, up = MIN(half_width, y - first), down = MIN(half_width, end - 1 - y);
         const float steepest = (s.y < 0 ? -s.y : s.y) + (s.z < 0 ? -s.z : s.z);
-        const bool simple = up == half && down == half && steepest * half <= 1;
+        const bool simple = up == half_width && down == half_width && steepest * half_width <= 1;
         for (int k = 0; k < CHANNELS; ++k) {
             const float v = value[k * plane + at];
             if (simple)
-                add_mirrored_rows(spread, v, s, out + k * total_plane - half, pitch);
+                add_mirrored_rows(spread, v, s, out + k * total_plane - half_width, pitch);
             else
-                add_rows(spread, up, down, v, s, out + k * total_plane - half, pitch);
+                add_rows(spread, up, down, v, s, out + k * total_plane - half_width, pitch);
         }
     }
 }
@@ -208,18 +208,18 @@ __kernel void convolve(const camera_t camera, const psf_t psf, const float coord
     if (x >= camera.columns || y >= camera.rows)
         return;
     const spread_t s = pixel_spread(psf, intervals, coefficients, coordinate);
-    const int half = s.half_width, rows = MIN(4, camera.rows - y);
+    const int half_width = s.half_width, rows = MIN(4, camera.rows - y);
     for (int k = 0; k < CHANNELS; ++k) {
         __global const float *plane = value + k * camera.width * camera.height;
         float8 sum[4] = {0, 0, 0, 0};
-        for (int i = -half; i < rows + half; ++i) {
+        for (int i = -half_width; i < rows + half_width; ++i) {
             __global const float *line = plane + (y + i + camera.guard) * camera.width + x + camera.guard;
-            for (int dx = -half; dx <= half; ++dx) {
+            for (int dx = -half_width; dx <= half_width; ++dx) {
                 const float8 light = TAPS(line - dx);
                 for (int r = 0; r < 4; ++r) {
                     const int dy = i > r ? i - r : r - i;
-                    if (dy <= half)
-                        sum[r] += light * weight(s.rows + dy * s.step + dx + half, s.lanes, s.t, s.powers);
+                    if (dy <= half_width)
+                        sum[r] += light * weight(s.rows + dy * s.step + dx + half_width, s.lanes, s.t, s.powers);
                 }
             }
         }
@@ -242,9 +242,9 @@ typedef int fixed_t;
 static void scatter_source(const camera_t camera, spread_t spread, float4 source, float v, float scale, int row,
                            int column, __global fixed_t *sums)
 {
-    const int half = spread.half_width;
-    for (int dy = MAX(-half, -row); dy <= MIN(half, camera.rows - 1 - row); ++dy)
-        for (int dx = MAX(-half, -column); dx <= MIN(half, camera.columns - 1 - column); ++dx) {
+    const int half_width = spread.half_width;
+    for (int dy = MAX(-half_width, -row); dy <= MIN(half_width, camera.rows - 1 - row); ++dy)
+        for (int dx = MAX(-half_width, -column); dx <= MIN(half_width, camera.columns - 1 - column); ++dx) {
             const float light = v * tap(spread, dx, dy, source) * scale;
             ADD_FIXED(sums + (row + dy) * camera.columns + column + dx, (fixed_t)floor(light + 0.5f));
         }
@@ -306,10 +306,10 @@ __kernel void resolve(const camera_t camera, const float scale, const int pitch,
 // Share of a source's light that falls inside of the frame.
 static float share_inside(const camera_t camera, spread_t spread, float4 source, int row, int column)
 {
-    const int half = spread.half_width;
+    const int half_width = spread.half_width;
     float sum = 0;
-    for (int dy = MAX(-half, -row); dy <= MIN(half, camera.rows - 1 - row); ++dy)
-        for (int dx = MAX(-half, -column); dx <= MIN(half, camera.columns - 1 - column); ++dx)
+    for (int dy = MAX(-half_width, -row); dy <= MIN(half_width, camera.rows - 1 - row); ++dy)
+        for (int dx = MAX(-half_width, -column); dx <= MIN(half_width, camera.columns - 1 - column); ++dx)
             sum += tap(spread, dx, dy, source);
     return sum;
 }

@@ -12,7 +12,8 @@
 // Statistics of a frame, ints: floats >= 0 keep their order as ints.
 #define LARGEST_RADIUS 0
 #define SMALLEST_RADIUS 1
-#define SLOTS 2
+#define SLOTS 2       // taken at this moment
+#define MOST_SLOTS 3  // taken at any moment
 
 // Keeps the range of radii that were met; the plain look first makes the atomic rare.
 static void note_radius(__global volatile int *statistics, real radius)
@@ -68,6 +69,9 @@ __kernel void trace(const camera_t camera, const surface_t surface, const psf_t 
         const real2 point = texture_point(&surface, camera, ray, w, row, column);
         for (int c = 0; c < CHANNELS; ++c)
             value[c * camera.height * camera.width + at] = weight * radiance(texture, camera, c, point);
+    } else {
+        for (int c = 0; c < CHANNELS; ++c)
+            value[c * camera.height * camera.width + at] = 0;
     }
     source[at] = record;
 #if SUBPIXELS
@@ -109,6 +113,8 @@ __kernel void trace_subpixels(const camera_t camera, const surface_t surface, co
 {
     const int id = get_global_id(0), each = SUBPIXELS * SUBPIXELS;
     const int slot = id / each, sub = id % each;
+    if (id == 0)
+        atomic_max(statistics + MOST_SLOTS, statistics[SLOTS]);
     if (slot >= MIN(statistics[SLOTS], capacity))
         return;
     const int row = pixels[slot] / camera.width - camera.guard, column = pixels[slot] % camera.width - camera.guard;
@@ -148,6 +154,7 @@ static real2 image_flow(const surface_t *surface, const camera_t camera, const p
 // Ground truth at pixel centers, (rows, columns[, components]), never anti-aliased: depth mm (+inf: nothing),
 // coc signed px (0: nothing), mask, normal, flow px to the pose `next`, hidden (the pinhole did not see the point
 // at rest), sharp radiance. `still` is the surface at rest.
+#if TRUTH
 __kernel void ground_truth(const camera_t camera, const surface_t surface, const surface_t still, const pose_t next,
                            __global const float *texture, __global uchar *mask
 #if TRUTH_DEPTH
@@ -204,7 +211,7 @@ __kernel void ground_truth(const camera_t camera, const surface_t surface, const
         // 1 / depth at rest of this point, against what the pinhole saw there
         uchar other;
         const real seen = solve_quadric(&still, pixel_ray(camera, from.y, from.x), &other);
-        hidden[at] = outside || seen * from.z > w * (1 + (real)HIDDEN_MARGIN);
+        hidden[at] = outside || seen * from.z > w * (1 + (real)1e-6);
     }
 #endif
 #if TRUTH_SHARP
@@ -213,3 +220,4 @@ __kernel void ground_truth(const camera_t camera, const surface_t surface, const
         sharp[at * CHANNELS + c] = root ? radiance(texture, camera, c, point) : 0;
 #endif
 }
+#endif

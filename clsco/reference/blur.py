@@ -18,7 +18,7 @@ from clsco.reference.trace import Sources, SubpixelSources, subpixel_offsets
 from clsco.scene import Psf
 
 Shape = tuple[int, int]
-SMALLEST_RADIUS = 1e-6  # px: below, the direction on the lens is formed with this radius
+SMALLEST_RADIUS = 1.0  # px: below, the lens offset of a touched pixel is formed with this radius
 BLOCK = 16384  # sources at a time: their intermediate results stay in the cache
 
 
@@ -47,15 +47,12 @@ def tilt_factor(dx: ArrayLike, dy: ArrayLike, gx: ArrayLike, gy: ArrayLike, radi
     """Weight 1 + l . grad R of the light that a tilted surface sends through lens point l = (dx, dy) / R.
 
     dx, dy: px, right and down; gx, gy: gradient of the signed radius, px per px, the same way; radius:
-    signed, px. They broadcast. |l| <= 1 on the lens, so that |l . g| <= |g|: farther offsets, which pixels of
-    finite size reach, are clamped to that, and the factor is never below 0. A radius below 1e-6 px counts as
-    1e-6 px.
+    signed, px. They broadcast. Below 1 px the disc is smaller than a pixel, and the offset of a pixel that it
+    touches overstates l: a radius counts as at least 1 px there. The factor is never below 0.
     """
     gx, gy, radius = (np.asarray(v, dtype=np.float64) for v in (gx, gy, radius))
-    safe = np.copysign(np.maximum(np.abs(radius), SMALLEST_RADIUS), radius)
-    limit = np.hypot(gx, gy)
-    slope = (np.asarray(dx) * gx + np.asarray(dy) * gy) / safe
-    return np.asarray(1.0 + np.clip(slope, -np.minimum(limit, 1.0), limit))
+    size = np.where(radius < 0.0, -1.0, 1.0) * np.maximum(np.abs(radius), SMALLEST_RADIUS)
+    return np.maximum(0.0, 1.0 + (np.asarray(dx) * gx + np.asarray(dy) * gy) / size)
 
 
 def _octant(offset_limit: int) -> Iterator[tuple[int, int, set[tuple[int, int]]]]:

@@ -1,0 +1,318 @@
+"""From a scene to the passes that it needs, with their sizes and cost; pure Python, without OpenCL.
+
+A pass that a scene has no use for is neither compiled nor run nor stored: `Plan.left_out` says which and why.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import ceil
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.errors import SceneError
+from clsco.frame import TRUTH_NAMES
+from clsco.motion import Pose, pose_at, sample_times
+from clsco.optics import blur_radius, ray_step
+from clsco.psf import LANES, MINIMUM_BLUR, psf_extent, reach
+from clsco.scene import Object, Plane, Psf, Scene
+from clsco.surfaces import canonical, place, predict_inverse_depth
+
+Array = NDArray[np.float64]
+Blur = Literal["gather", "scatter", "convolve", "none"]
+
+GRID = 65  # rays per axis that predict the range of the blur radius
+PREDICTED_MOMENTS = 33  # of the whole sequence at most
+LARGEST_BLUR = 512.0  # px; beyond it one source lights a million pixels
+PIXELS_PER_SAMPLE = 1.5  # of the largest motion, with samples = "auto": more samples gain nothing
+MOST_SAMPLES = 4095
+FILTERS = {"nearest": 0, "bilinear": 1, "bicubic": 2}
+SILHOUETTE_SLOTS = 12  # pixels near silhouettes per row and column of the frame, to begin with
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What rendering a scene takes.
+
+    scene: with its resolution; channels: 1 or 3; rows, columns px; samples: intermediate frames per frame;
+    guard_px: width of the band around the frame whose surface lights it; smallest_blur, largest_blur: predicted
+    range of |R| in px over the whole sequence, with a margin; blur: how light is spread; silhouettes: sub-pixel sources per
+    axis, 0 none; tilt, forward, moves: whether these passes are taken; truth: outputs besides color;
+    passes, left_out: (name, what or why); memory_bytes: buffers on the device; taps: predicted weights per frame.
+    """
+
+    scene: Scene
+    channels: int
+    rows: int
+    columns: int
+    samples: int
+    guard_px: int
+    smallest_blur: float
+    largest_blur: float
+    blur: Blur
+    silhouettes: int
+    tilt: bool
+    forward: bool
+    moves: bool
+    truth: tuple[str, ...]
+    passes: tuple[tuple[str, str], ...]
+    left_out: tuple[tuple[str, str], ...]
+    memory_bytes: int
+    taps: float
+
+    @property
+    def width(self) -> int:
+        """Columns of frame and guard band."""
+        return self.columns + 2 * self.guard_px
+
+    @property
+    def height(self) -> int:
+        """Rows of frame and guard band."""
+        return self.rows + 2 * self.guard_px
+
+    @property
+    def slots(self) -> int:
+        """Pixels near silhouettes that there is room for at first; the device asks for more where needed."""
+        return SILHOUETTE_SLOTS * (self.width + self.height) if self.silhouettes else 0
+
+    def features(self) -> dict[str, int]:
+        """Structure that the kernels are compiled for."""
+        item, scene = self.scene.objects[0], self.scene
+        shape = canonical(item)
+        return {
+            "CHANNELS": self.channels,
+            "QUADRATIC": int(bool(shape.q.any())),
+            "LINEAR": int(bool(shape.q.any() and shape.l.any())),
+            "NAPPE": int(shape.nappe != 0),
+            "BOUNDED": int(item.bounds is not None),
+            "MOVED": int(self.moves and not self.forward),
+            "FILTER": FILTERS[scene.motion.texture_filter],
+            "TILT": int(self.tilt),
+            "SUBPIXELS": self.silhouettes,
+            "SAMPLED": int(scene.psf.edge == "sampled"),
+            "POWERS": 1 if scene.psf.edge == "sampled" and scene.psf.model == "pillbox" else 4,
+        }
+
+
+def exposure(plan: Plan, frame: int) -> tuple[Array, Array]:
+    """Times in s and weights of the intermediate frames of a frame; one at rest where nothing moves."""
+    if not plan.moves:
+        return np.zeros(1), np.ones(1)
+    return sample_times(plan.scene.sequence, frame, plan.samples)
+
+
+def guard_band(psf: Psf, largest: float) -> int:
+    """Width in px of the band around the frame whose surface can light it, and 2 px to see silhouettes in."""
+    if psf.border == "renormalize":
+        return 0
+    return max(reach(psf, largest), reach(psf, largest, True)) + 2
+
+
+def widened(plan: Plan, largest: float) -> Plan:
+    """The plan for a larger |R| in px than it predicted. Raises SceneError beyond LARGEST_BLUR."""
+    if largest > LARGEST_BLUR:
+        raise SceneError(f"camera: the blur radius must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
+    return replace(plan, largest_blur=largest, guard_px=max(plan.guard_px, guard_band(plan.scene.psf, largest)))
+
+
+def _grid(scene: Scene, guard: int) -> tuple[Array, Array]:
+    """Slopes (GRID, GRID) of rays over frame and guard band, the outermost pixels included."""
+    assert scene.camera.resolution is not None
+    columns, rows = scene.camera.resolution
+    x = np.linspace(-0.5 * (columns - 1) - guard, 0.5 * (columns - 1) + guard, GRID)
+    y = np.linspace(-0.5 * (rows - 1) - guard, 0.5 * (rows - 1) + guard, GRID)
+    across, up = np.meshgrid(x * ray_step(scene.camera), y * ray_step(scene.camera))
+    return across, up
+
+
+def _moments(scene: Scene, moves: bool) -> list[Pose]:
+    """Poses over the whole sequence, few enough to be looked at before every rendering."""
+    item, sequence = scene.objects[0], scene.sequence
+    if not moves:
+        return [pose_at(item.motion, 0.0, scene.motion.rotation)]
+    assert sequence.shutter is not None
+    end = (sequence.frames - 1) * sequence.interval + sequence.shutter
+    count = min(4 * sequence.frames + 1, PREDICTED_MOMENTS)
+    return [pose_at(item.motion, t, scene.motion.rotation) for t in np.linspace(0.0, end, count)]
+
+
+def _inverse_depths(scene: Scene, poses: list[Pose], guard: int) -> Array:
+    """Predicted inverse depths (moments, GRID, GRID) in 1/mm, 0 where nothing is hit."""
+    item = scene.objects[0]
+    return np.stack([predict_inverse_depth(item, place(item, p), *_grid(scene, guard)) for p in poses])
+
+
+def image_displacement(scene: Scene) -> float:
+    """Largest way in px that a visible point of the surface goes over the image while the shutter is open."""
+    item, sequence = scene.objects[0], scene.sequence
+    assert sequence.shutter is not None
+    frames = sorted({0, sequence.frames // 2, sequence.frames - 1})
+    return max(_frame_displacement(scene, item, k * sequence.interval, sequence.shutter) for k in frames)
+
+
+def _frame_displacement(scene: Scene, item: Object, opens: float, shutter: float) -> float:
+    x, y = _grid(scene, 0)
+    start = place(item, pose_at(item.motion, opens, scene.motion.rotation))
+    w = predict_inverse_depth(item, start, x, y)
+    hit = w > 0
+    if not hit.any():
+        return 0.0
+    rays = np.stack([x[hit], y[hit], np.ones(int(hit.sum()))])
+    body = start.body_offset[:, None] + (start.body_turn @ rays) / w[hit]
+    steps = []
+    for time in np.linspace(opens, opens + shutter, 9):
+        pose = pose_at(item.motion, float(time), scene.motion.rotation)
+        point = start.rest[:, None] + pose.shift[:, None] + pose.rotation @ body
+        ahead = np.maximum(point[2], 1e-3)
+        steps.append(point[:2] / ahead / ray_step(scene.camera))
+    ways = np.linalg.norm(np.diff(np.stack(steps), axis=0), axis=1).sum(axis=0)
+    return float(ways.max())
+
+
+def _samples(scene: Scene, moves: bool) -> int:
+    if not moves:
+        return 1
+    if scene.sequence.samples != "auto":
+        return scene.sequence.samples
+    wanted = ceil(image_displacement(scene) / PIXELS_PER_SAMPLE)
+    return min(wanted | 1, MOST_SAMPLES)  # odd, so that the middle of the shutter is one of them
+
+
+def _fills_view(item: Object, w: Array) -> bool:
+    """Whether no silhouette is in sight: the surface is hit everywhere, and cannot have a hole between rays."""
+    simple = item.bounds is None and item.shape != "quadric"
+    return simple and bool((w > 0).all())
+
+
+def _constant_blur(item: Object) -> bool:
+    """Whether every pixel has the same radius at any moment: a plane that stays parallel to the detector."""
+    turns = any(item.motion.angular_velocity[:2])
+    return isinstance(item, Plane) and item.slope_x == item.slope_y == 0.0 and not turns
+
+
+def _is_sharp(scene: Scene, largest: float) -> bool:
+    """Whether the PSF of the largest radius keeps all light in its pixel."""
+    psf = scene.psf
+    if psf.edge == "sampled":
+        return largest < MINIMUM_BLUR or psf_extent(psf, largest) < 1.0
+    return psf.edge == "area" and psf_extent(psf, largest) <= 0.5
+
+
+def _blur_range(scene: Scene, moves: bool) -> tuple[float, float, Array, int]:
+    """Smallest and largest |R| with a margin, the inverse depths seen, and the guard band that follows."""
+    item, psf, guard = scene.objects[0], scene.psf, 0
+    poses = _moments(scene, moves)
+    for _ in range(2):  # the second time with the guard band that the first asked for
+        w = _inverse_depths(scene, poses, guard)
+        radii = np.abs(blur_radius(scene.camera, w[w > 0]))
+        largest, smallest = (float(radii.max()), float(radii.min())) if radii.size else (0.0, 0.0)
+        if largest > LARGEST_BLUR:
+            nearest = 1.0 / float(w.max())
+            raise SceneError(
+                f"camera: the blur radius must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px (the surface comes "
+                f"as near as {nearest:.4g} mm; is it in mm, and the focus on it?)"
+            )
+        if not _constant_blur(item):  # rays between those of the grid
+            smallest, largest = max(0.0, 0.9 * smallest - 1.0), 1.1 * largest + 1.0
+        guard = guard_band(psf, largest)
+    return smallest, largest, w, guard
+
+
+def make_plan(scene: Scene, channels: int, truth: tuple[str, ...] = TRUTH_NAMES, method: str = "auto") -> Plan:
+    """The passes that a scene needs.
+
+    scene: with a resolution (`clsco.textures.load_scene_textures`); channels: of its texture; truth: names of the
+    outputs that are wanted besides color; method: "auto", or one of "gather", "scatter", "convolve" where it can
+    do the scene. Raises SceneError where the blur radius passes LARGEST_BLUR or the method cannot do it.
+    """
+    if scene.camera.resolution is None:
+        raise SceneError("camera.resolution: must be known before a scene is planned; got None")
+    columns, rows = scene.camera.resolution
+    item, psf = scene.objects[0], scene.psf
+    moves = item.motion.moves
+    forward = moves and scene.motion.warp == "forward"
+    samples = _samples(scene, moves)
+    smallest, largest, w, guard = _blur_range(scene, moves)
+    silhouettes = psf.silhouette_samples if psf.silhouette_samples > 1 and not forward else 0
+    if silhouettes and _fills_view(item, w):
+        silhouettes = 0
+    constant = _constant_blur(item) and not silhouettes and psf.border == "lose"
+    sharp = _is_sharp(scene, largest) and not silhouettes
+    blur = _choose_blur(method, sharp, constant)
+    if blur == "convolve":
+        guard += LANES
+    tilt = psf.tilt and not _constant_blur(item) and blur not in ("convolve", "none")
+    passes, left_out = _passes(scene, moves, forward, samples, largest, blur, silhouettes, tilt, truth, channels)
+    area = (rows + 2 * guard) * (columns + 2 * guard)
+    extent = reach(psf, largest)
+    slots = SILHOUETTE_SLOTS * (rows + columns + 4 * guard) if silhouettes else 0
+    memory = area * (16 + 4 * channels + (1 if silhouettes else 0) + ((8 + 1 + 1 + 8 + 4) if forward else 0))
+    memory += 4 * channels * rows * (columns + 2 * (guard + extent + LANES)) + 8 * channels * rows * columns
+    memory += slots * (4 + silhouettes**2 * (16 + 4 * channels)) + 16 * rows * columns * bool(truth)
+    seen = np.abs(blur_radius(scene.camera, w[w > 0]))
+    lit = np.pi * (psf_extent(psf, seen) + 0.7) ** 2
+    taps = float((w > 0).mean() * area * samples * (lit.mean() if lit.size else 0.0)) if blur != "none" else 0.0
+    return Plan(
+        scene, channels, rows, columns, samples, guard, smallest, largest, blur, silhouettes, tilt, forward,
+        moves, truth, passes, left_out, int(memory), taps,
+    )  # fmt: skip
+
+
+def _choose_blur(method: str, sharp: bool, constant: bool) -> Blur:
+    if method == "convolve" and not constant:
+        raise SceneError("method: convolve needs one blur radius for the whole frame; got a scene with many")
+    if method in ("gather", "scatter"):
+        return "gather" if method == "gather" else "scatter"
+    if method not in ("auto", "convolve"):
+        raise SceneError(f"method: must be auto, gather, scatter or convolve; got {method}")
+    if sharp:
+        return "none"
+    return "convolve" if constant else "gather"
+
+
+def _passes(
+    scene: Scene, moves: bool, forward: bool, samples: int, largest: float, blur: Blur, silhouettes: int, tilt: bool,
+    truth: tuple[str, ...], channels: int,
+) -> tuple[tuple[tuple[str, str], ...], tuple[tuple[str, str], ...]]:  # fmt: skip
+    """What is done, and what is left out with the reason."""
+    psf, item = scene.psf, scene.objects[0]
+    done: list[tuple[str, str]] = []
+    out: list[tuple[str, str]] = []
+
+    def either(wanted: bool, name: str, what: str, why_not: str) -> None:
+        (done if wanted else out).append((name, what if wanted else why_not))
+
+    plural = "s" if samples > 1 else ""
+    either(moves, "motion", f"{samples} intermediate frame{plural} per exposure", "nothing moves: one sample, at rest")
+    either(not forward, "trace", f"rays against the {item.shape}, one per pixel", "replaced by the forward warp")
+    either(
+        moves and not forward, "texture sampling", scene.motion.texture_filter,
+        "the forward warp moves whole pixels" if forward else "nothing moves: every pixel shows its own texel",
+    )  # fmt: skip
+    either(forward, "reproject", "every pixel at rest to its nearest pixel, with a depth test", "no forward warp")
+    fills = forward and scene.fill.method != "none"
+    either(
+        fills, "fill", f"{scene.fill.method}, domain {scene.fill.domain}",
+        "fill.method is none" if forward else "only a forward warp leaves pixels missing",
+    )  # fmt: skip
+    why = "silhouette_samples = 1" if psf.silhouette_samples == 1 else "no silhouette in sight"
+    each = f"{silhouettes} x {silhouettes} sub-pixel sources within 2 px"
+    either(bool(silhouettes), "silhouettes", each, "the forward warp moves whole pixels" if forward else why)
+    why = "tilt = false" if not psf.tilt else "one radius for all pixels, or none"
+    either(tilt, "tilt", "weights by the gradient of the blur radius", why)
+    how = {"gather": "many radii", "scatter": "atomic, fixed point", "convolve": "one PSF for the whole frame"}
+    either(
+        blur != "none", "blur", f"{psf.model}, {psf.edge}, R up to {largest:.3g} px, {blur}: {how.get(blur, '')}",
+        f"in focus: R up to {largest:.3g} px stays within its pixel",
+    )  # fmt: skip
+    either(psf.border == "renormalize", "renormalize", "light over the border is given back", 'border = "lose"')
+    either(psf.border == "lose", "guard band", "surface outside the frame lights it", "light stays inside the frame")
+    either(channels > 1, "color", f"{channels} channels", "gray texture: one channel")
+    out.append(("occlusion", "one object: nothing is hidden behind another"))
+    either(bool(truth), "ground truth", ", ".join(truth), "nobody asked for it")
+    missing = [name for name in TRUTH_NAMES if name not in truth]
+    if truth and missing:
+        out.append(("other outputs", f"nobody asked for {', '.join(missing)}"))
+    return tuple(done), tuple(out)

@@ -1,0 +1,134 @@
+"""Host side of the blur: PSF tables on the device, launches of blur.cl, and the frame that they add up to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import log
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from clsco.device import Program, Session
+from clsco.layout import Real, Struct, psf_struct
+from clsco.plan import Blur
+from clsco.program import download, empty, kernel, launch, upload
+from clsco.psf import LANES, PsfTable, psf_table, table_coordinate
+from clsco.scene import Psf
+
+BAND = 32  # rows that a work-item of `gather` owns: bands for many cores, and little overlap
+PIXELS = (64, 1)  # local size of kernels with a work-item per pixel
+# A pixel gets at most 2.6 + 2 ln R times the brightest source from pillboxes; the tilt at most doubles it.
+GAIN, GAIN_PER_LOG, TILT_GAIN = 2.6, 2.0, 2.0
+
+Events = list[tuple[str, cl.Event]]
+
+
+def blur_features(method: Blur, border: str, prepare: bool) -> dict[str, int]:
+    """Which kernels of blur.cl are compiled."""
+    return {
+        "GATHER": int(method == "gather"),
+        "SCATTER": int(method == "scatter"),
+        "CONVOLVE": int(method == "convolve"),
+        "RENORMALIZE": int(border == "renormalize" and method != "none"),
+        "PREPARE": int(prepare and method in ("gather", "scatter")),
+        "BAND": BAND,
+    }
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Light sources of one moment on the device, in the layout of trace.cl.
+
+    source: float4 per pixel of frame and guard band, None for `convolve` and `none`; value: radiance times weight;
+    sub_source, sub_value: of `capacity` pixels near silhouettes, None without them.
+    """
+
+    source: cl.Buffer | None
+    value: cl.Buffer
+    sub_source: cl.Buffer | None = None
+    sub_value: cl.Buffer | None = None
+    capacity: int = 0
+
+
+class Spreader:
+    """Adds the blurred light of moments to one frame; owns the frame's buffers and the PSF tables.
+
+    Holds for |R| in [smallest, largest] px; other radii are clamped to it. brightest: largest |radiance|, which sets
+    the fixed point of `scatter`.
+    """
+
+    def __init__(
+        self, session: Session, program: Program, psf: Psf, method: Blur, camera: Struct, channels: int,
+        smallest: float, largest: float, subpixels: int, real: Real, brightest: float,
+    ) -> None:  # fmt: skip
+        self.session, self.program, self.psf, self.method = session, program, psf, method
+        self.camera, self.channels = camera, channels
+        self.main = psf_table(psf, smallest, largest)
+        self.sub: PsfTable | None = psf_table(psf, smallest, largest, subpixels) if subpixels else None
+        self.struct = psf_struct(psf, self.main, self.sub, real)
+        tables = [self.main] if self.sub is None else [self.main, self.sub]
+        self.tables = [(upload(session, t.intervals), upload(session, t.coefficients)) for t in tables]
+        rows, columns = int(camera["rows"]), int(camera["columns"])
+        self.pad = int(camera["guard"]) + int(self.struct["reach"]) + LANES
+        self.pitch = columns + 2 * self.pad
+        self.total = empty(session, 4 * channels * rows * self.pitch)
+        self.scale = 1.0
+        if method == "scatter":
+            wide = session.device.has_int64_atomics
+            gain = TILT_GAIN * (GAIN + GAIN_PER_LOG * log(max(largest, 1.0)))
+            self.scale = 2.0 ** (40 if wide else 31) / (max(brightest, 1e-30) * (1.0 if wide else gain))
+            self.sums = empty(session, (8 if wide else 4) * channels * rows * columns)
+
+    def clear(self) -> None:
+        """Begin a frame."""
+        buffer = self.sums if self.method == "scatter" else self.total
+        cl.enqueue_fill_buffer(self.session.queue, buffer, np.uint32(0), 0, buffer.size)
+
+    def add(self, sources: Sources, radius: float, events: Events) -> None:
+        """Add the light of one moment; radius: |R| in px, for `convolve` only."""
+        camera, value = self.camera, sources.value
+        frame = (int(camera["columns"]), int(camera["rows"]))
+        layout = (np.int32(self.pitch), np.int32(self.pad), self.total)
+        if self.method == "none":
+            self._launch("accumulate", frame, PIXELS, events, camera, value, *layout)
+            return
+        if self.method == "convolve":
+            coordinate = self._coordinate(radius)
+            blocks = (-(-frame[0] // LANES), -(-frame[1] // 4))
+            args = (camera, self.struct, coordinate, value, *self.tables[0], *layout)
+            self._launch("convolve", blocks, (8, 1), events, *args)
+            return
+        head = (camera, self.struct, sources.source, value, *self.tables[0])
+        tail = ()
+        if self.sub is not None:
+            tail = (sources.sub_source, sources.sub_value, np.int32(sources.capacity), *self.tables[1])
+        if self.psf.border == "renormalize":
+            self._launch("renormalize", frame, PIXELS, events, *head, *tail)
+        if self.method == "gather":
+            bands = (-(-frame[1] // BAND),)
+            self._launch("gather", bands, (1,), events, *head, *layout, *tail)
+        else:
+            padded = (int(camera["width"]), int(camera["height"]))
+            self._launch("scatter", padded, PIXELS, events, *head, np.float32(self.scale), self.sums, *tail)
+
+    def image(self, events: Events) -> NDArray[np.float32]:
+        """The frame (rows, columns[, channels]); waits for the device."""
+        rows, columns = int(self.camera["rows"]), int(self.camera["columns"])
+        if self.method == "scatter":
+            args = (np.float32(self.scale), np.int32(self.pitch), np.int32(self.pad), self.sums, self.total)
+            self._launch("resolve", (columns, rows), PIXELS, events, self.camera, *args)
+        total = download(self.session, self.total, (self.channels, rows, self.pitch), np.float32)
+        planes = total[:, :, self.pad : self.pad + columns]
+        return np.ascontiguousarray(planes[0] if self.channels == 1 else np.moveaxis(planes, 0, -1))
+
+    def _coordinate(self, radius: float) -> np.float32:
+        """Coordinate in the main table, clamped to it."""
+        last = self.main.first + len(self.main.intervals)
+        u = np.float32(max(float(table_coordinate(self.psf, np.array(radius))), self.main.first))
+        return min(u, np.nextafter(np.float32(last), np.float32(0)))
+
+    def _launch(
+        self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: object
+    ) -> None:
+        events.append((name, launch(self.session, kernel(self.program, name), size, local, *args)))  # type: ignore[arg-type]
