@@ -13,12 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clsco import psf as psf_weights
-from clsco.reference.geometry import Array
-from clsco.reference.trace import Sources, SubpixelSources, subpixel_offsets
+from clsco.reference.geometry import Array, tilt_slope
+from clsco.reference.trace import Sources, SubpixelSources
 from clsco.scene import Psf
 
 Shape = tuple[int, int]
-SMALLEST_RADIUS = 1.0  # px: below, the lens offset of a touched pixel is formed with this radius
 BLOCK = 16384  # sources at a time: their intermediate results stay in the cache
 
 
@@ -47,12 +46,10 @@ def tilt_factor(dx: ArrayLike, dy: ArrayLike, gx: ArrayLike, gy: ArrayLike, radi
     """Weight 1 + l . grad R of the light that a tilted surface sends through lens point l = (dx, dy) / R.
 
     dx, dy: px, right and down; gx, gy: gradient of the signed radius, px per px, the same way; radius:
-    signed, px. They broadcast. Below 1 px the disc is smaller than a pixel, and the offset of a pixel that it
-    touches overstates l: a radius counts as at least 1 px there. The factor is never below 0.
+    signed, px. They broadcast. The factor is never below 0. See `tilt_slope` for radii below 1 px.
     """
-    gx, gy, radius = (np.asarray(v, dtype=np.float64) for v in (gx, gy, radius))
-    size = np.where(radius < 0.0, -1.0, 1.0) * np.maximum(np.abs(radius), SMALLEST_RADIUS)
-    return np.maximum(0.0, 1.0 + (np.asarray(dx) * gx + np.asarray(dy) * gy) / size)
+    slope = tilt_slope(np.stack(np.broadcast_arrays(gx, gy), axis=-1), radius)
+    return np.maximum(0.0, 1.0 + (np.asarray(dx) * slope[..., 0] + np.asarray(dy) * slope[..., 1]))
 
 
 def _octant(offset_limit: int) -> Iterator[tuple[int, int, set[tuple[int, int]]]]:
@@ -98,7 +95,7 @@ def _subpixel_shares(
     """
     samples = sub.hit.shape[1]
     pixel, i, j = np.nonzero(sub.hit)
-    offset = subpixel_offsets(samples)
+    offset = psf_weights.subpixel_offsets(samples)
     order = np.arange(pixel.size)
     for start in range(0, pixel.size, BLOCK):
         block = slice(start, start + BLOCK)
@@ -181,6 +178,14 @@ def scatter(psf: Psf, sources: Sources, sub: SubpixelSources | None, shape: Shap
         for source, target, share in _subpixel_shares(psf, sub, shape, guard):
             np.add.at(flat, target, share[:, None] * radiance[source])
     return color
+
+
+def resolve(sums: NDArray[np.int64], scale: float) -> Array:
+    """Light of sums in fixed point, which a device's `scatter` forms so that their order does not matter.
+
+    sums: any shape, light x scale rounded half up. The reference adds in float64 and has no use for it.
+    """
+    return np.asarray(sums / scale)
 
 
 def gather(psf: Psf, sources: Sources, sub: SubpixelSources | None, shape: Shape, guard: int) -> Array:

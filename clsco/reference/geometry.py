@@ -11,8 +11,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clsco.optics import blur_scale, ray_step
-from clsco.scene import Camera
+from clsco.optics import blur_scale, focus_power, ray_step
+from clsco.psf import table_coordinate as coordinate_of_radius
+from clsco.scene import Camera, Psf
 from clsco.surfaces import PlacedSurface
 
 Array = NDArray[np.float64]
@@ -21,6 +22,8 @@ Filter = Literal["nearest", "bilinear", "bicubic"]
 
 NEAREST_INVERSE_DEPTH = 1e6  # 1/mm: nearer than 1e-6 mm is nothing
 FARTHEST_TEXEL = 1e9  # px: texture positions beyond are not told apart
+SMALLEST_RADIUS = 1.0  # px: below, the lens offset of a touched pixel is formed with this radius
+STEEPEST_TILT = 1e6  # 1/px: far beyond where a weight is clamped, and finite on a limb
 
 
 def _product_error(a: Array, b: Array, product: Array) -> Array:
@@ -76,6 +79,16 @@ def project(camera: Camera, position: Array) -> tuple[Array, Array]:
     return (rows - 1) / 2 - y / step, (columns - 1) / 2 + x / step
 
 
+def turned(matrix: Array, vector: Array) -> Array:
+    """A matrix (3, 3) times vectors (..., 3)."""
+    return np.asarray(vector @ matrix.T)
+
+
+def turned_back(matrix: Array, vector: Array) -> Array:
+    """A transposed matrix (3, 3) times vectors (..., 3): from the canonical frame back to the camera's."""
+    return np.asarray(vector @ matrix)
+
+
 def quarter_discriminant(surface: PlacedSurface, d: Array) -> Array:
     """B^2 - A C of the quadric along canonical rays d (..., 3), in the form that does not cancel.
 
@@ -95,6 +108,24 @@ def quarter_discriminant(surface: PlacedSurface, d: Array) -> Array:
     return np.asarray(shape.k * leading - twist + linear * linear + 2.0 * mixed)
 
 
+def root_counts(
+    surface: PlacedSurface, bounds: Bounds | None, d: Array, body: Array, w: Array
+) -> NDArray[np.bool_]:
+    """Whether roots (...) are in front of the lens, on the right nappe and within the bounds.
+
+    d, body: (..., 3) rays in the canonical and in the object's frame; w: (...) 1/mm, finite or not. Nothing
+    is divided by Z: every comparison is multiplied by w.
+    """
+    counts = np.isfinite(w) & (w > 0.0) & (w < NEAREST_INVERSE_DEPTH)
+    w = np.where(counts, w, 0.0)
+    counts &= surface.canonical.nappe * (surface.offset[2] * w + d[..., 2]) >= 0.0
+    if bounds is not None:
+        for axis, (low, high) in enumerate(bounds):
+            along = surface.body_offset[axis] * w + body[..., axis]
+            counts &= (low * w <= along) & (along <= high * w)
+    return np.asarray(counts)
+
+
 def solve_quadric(
     surface: PlacedSurface, bounds: Bounds | None, rays: Array
 ) -> tuple[Array, NDArray[np.uint8]]:
@@ -107,8 +138,7 @@ def solve_quadric(
     at c/rho = 1e6.
     """
     shape = surface.canonical
-    d = rays @ surface.turn.T
-    body = rays @ surface.body_turn.T
+    d, body = turned(surface.turn, rays), turned(surface.body_turn, rays)
     a = (shape.q * d * d).sum(axis=-1)
     b = ((shape.q * surface.offset + shape.l) * d).sum(axis=-1)
     discriminant = quarter_discriminant(surface, d)
@@ -123,24 +153,19 @@ def solve_quadric(
     label = np.zeros(a.shape, dtype=np.uint8)
     for number in (1, 2):
         w = np.where(minus_is_sum == (number == 2), sum_root, product_root)
-        valid = (discriminant >= 0.0) & np.isfinite(w) & (w > 0.0) & (w < NEAREST_INVERSE_DEPTH)
-        w = np.where(valid, w, 0.0)
-        valid &= shape.nappe * (surface.offset[2] * w + d[..., 2]) >= 0.0
-        if bounds is not None:
-            for axis, (low, high) in enumerate(bounds):
-                along = surface.body_offset[axis] * w + body[..., axis]
-                valid &= (low * w <= along) & (along <= high * w)
-        nearer = valid & (w > inverse_depth)
+        nearer = (discriminant >= 0.0) & root_counts(surface, bounds, d, body, w) & (w > inverse_depth)
         inverse_depth = np.where(nearer, w, inverse_depth)
         label = np.where(nearer, np.uint8(number), label)
     return inverse_depth, label
 
 
-def _gradient(surface: PlacedSurface, rays: Array, w: Array) -> tuple[Array, Array]:
-    """Gradient of the quadric at ray / w, times w / 2, and the rays; both (..., 3) in the canonical frame."""
-    d = rays @ surface.turn.T
+def canonical_gradient(surface: PlacedSurface, d: Array, w: Array) -> Array:
+    """Gradient (..., 3) of the quadric at hits, times w / 2, in the canonical frame.
+
+    d: (..., 3) canonical rays; w: (...) 1/mm.
+    """
     point = surface.offset * w[..., None] + d
-    return surface.canonical.q * point + surface.canonical.l * w[..., None], d
+    return np.asarray(surface.canonical.q * point + surface.canonical.l * w[..., None])
 
 
 def surface_slope(surface: PlacedSurface, rays: Array, w: Array) -> Array:
@@ -150,13 +175,19 @@ def surface_slope(surface: PlacedSurface, rays: Array, w: Array) -> Array:
     the quadric has no gradient along the ray (a cone's apex, an exactly tangent ray). Validated against
     differences.
     """
-    g, d = _gradient(surface, rays, w)
-    n = g @ surface.turn
+    d = turned(surface.turn, rays)
+    g = canonical_gradient(surface, d, w)
+    n = turned_back(surface.turn, g)
     along = (g * d).sum(axis=-1)
     usable = (w > 0.0) & (along != 0.0)
     with np.errstate(over="ignore"):
         scale = np.where(usable, w / np.where(usable, along, 1.0), 0.0)
         return np.asarray(scale[..., None] * n[..., :2])
+
+
+def blur_radius(camera: Camera, w: Array) -> Array:
+    """Signed blur radius (...) in px of inverse depths w (...) in 1/mm (2.33)."""
+    return np.asarray(blur_scale(camera) * (focus_power(camera) - w))
 
 
 def blur_gradient(camera: Camera, slope: Array) -> Array:
@@ -173,12 +204,19 @@ def surface_normal(surface: PlacedSurface, rays: Array, w: Array) -> Array:
     rays: (..., 3); w: (...) 1/mm. Where the quadric has no gradient (a cone's apex) the direction to the
     lens. Validated against differences and the sphere's radius vector.
     """
-    g, _ = _gradient(surface, rays, w)
-    n = g @ surface.turn
+    n = turned_back(surface.turn, canonical_gradient(surface, turned(surface.turn, rays), w))
     n = np.where((n * rays).sum(axis=-1, keepdims=True) > 0.0, -n, n)
     n = np.where(np.abs(n).max(axis=-1, keepdims=True) > 0.0, n, -rays)
     n = n / np.sqrt((n * n).sum(axis=-1, keepdims=True))
     return np.where((w > 0.0)[..., None], n, 0.0)
+
+
+def body_point(surface: PlacedSurface, rays: Array, w: Array) -> Array:
+    """w times the position (..., 3) in the object's own frame of the surface point that a ray meets, no unit.
+
+    rays: (..., 3); w: (...) 1/mm.
+    """
+    return np.asarray(surface.body_offset * w[..., None] + turned(surface.body_turn, rays))
 
 
 def rest_position(surface: PlacedSurface, rays: Array, w: Array) -> Array:
@@ -186,9 +224,7 @@ def rest_position(surface: PlacedSurface, rays: Array, w: Array) -> Array:
 
     rays: (..., 3); w: (...) 1/mm. The third component is positive where the point was before the lens.
     """
-    return np.asarray(
-        surface.rest * w[..., None] + surface.body_offset * w[..., None] + rays @ surface.body_turn.T
-    )
+    return np.asarray(surface.rest * w[..., None] + body_point(surface, rays, w))
 
 
 def rest_pixel(
@@ -247,3 +283,28 @@ def sample_texture(texture: Array, row: Array, column: Array, texture_filter: Fi
             weight = row_weights[..., i] * column_weights[..., j]
             result += weight.reshape(weight.shape + (1,) * (texture.ndim - 2)) * texel
     return result
+
+
+def table_coordinate(psf: Psf, radius: Array, subpixel: bool, first: int, count: int) -> NDArray[np.float32]:
+    """Coordinates (...) in a device's table of PSF weights; their integer part names the interval.
+
+    radius: (...) px; the table has `count` intervals from `first` on, others are clamped to them. Rounded to
+    float32 without crossing into the next interval. Only the device reads tables; the reference has the
+    weights.
+    """
+    u = np.maximum(coordinate_of_radius(psf, radius, subpixel), first)
+    rounded = u.astype(np.float32)
+    ceiling = np.minimum(np.floor(u) + 1.0, first + count).astype(np.float32)
+    return np.where(rounded < ceiling, rounded, np.nextafter(ceiling, np.float32(0.0)))
+
+
+def tilt_slope(gradient: Array, radius: ArrayLike) -> Array:
+    """Gradient of the signed blur radius over that radius, (..., 2) in 1/px: l . grad R per px of offset.
+
+    gradient: (..., 2) px per px, right and down; radius: (...) signed, px. Below 1 px the disc is smaller
+    than a pixel, and the offset of a pixel that it touches overstates l: a radius counts as at least 1 px
+    there.
+    """
+    radius = np.asarray(radius, dtype=np.float64)
+    size = np.where(radius < 0.0, -1.0, 1.0) * np.maximum(np.abs(radius), SMALLEST_RADIUS)
+    return np.clip(gradient / size[..., None], -STEEPEST_TILT, STEEPEST_TILT)

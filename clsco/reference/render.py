@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from clsco.frame import Frame
 from clsco.motion import middle_time, pose_at, sample_times
-from clsco.optics import blur_radius
 from clsco.plan import make_plan
 from clsco.reference.accumulate import accumulate
 from clsco.reference.blur import prepare_sources, scatter
 from clsco.reference.fill import FillReport, fill
-from clsco.reference.geometry import Array
+from clsco.reference.geometry import Array, blur_radius
 from clsco.reference.reproject import reproject
 from clsco.reference.trace import (
     Sources,

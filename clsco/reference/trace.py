@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.motion import middle_time, pose_at
-from clsco.optics import blur_radius
+from clsco.psf import subpixel_offsets
 from clsco.reference.geometry import (
     Array,
     blur_gradient,
+    blur_radius,
+    body_point,
     mirror_index,
     pixel_ray,
     project,
@@ -24,6 +26,7 @@ from clsco.reference.geometry import (
     solve_quadric,
     surface_normal,
     surface_slope,
+    turned,
 )
 from clsco.scene import Camera, Scene
 from clsco.surfaces import PlacedSurface, place
@@ -52,8 +55,8 @@ class SubpixelSources:
     """S x S sources in each of M pixels, which replace the pixel's own; each has the weight 1/S^2.
 
     row, column (M,): padded-grid pixel; hit (M, S, S): there is surface; radius (M, S, S) px; gradient (M, S,
-    S, 2) px per px; radiance (M, S, S, C). Source (i, j) is `subpixel_offsets(S)[i]` rows and [j] columns off
-    the pixel's center.
+    S, 2) px per px; radiance (M, S, S, C). Source (i, j) is `clsco.psf.subpixel_offsets(S)[i]` rows and [j]
+    columns off the pixel's center.
     """
 
     row: NDArray[np.int64]
@@ -76,11 +79,6 @@ class Truth:
     normal: Array
     flow: Array
     hidden: NDArray[np.bool_]
-
-
-def subpixel_offsets(samples: int) -> Array:
-    """Positions (samples,) in px of sub-pixel sources from the pixel's center, along one axis."""
-    return np.asarray((np.arange(samples) + 0.5) / samples - 0.5)
 
 
 def padded_grid(camera: Camera, guard: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -188,8 +186,8 @@ def ground_truth(scene: Scene, texture: Array, frame: int) -> Truth:
     row, column = padded_grid(camera, 0)
     rays, w = pixel_ray(camera, row, column), sources.inverse_depth
     mask = sources.label > 0
-    body = surface.body_offset * w[..., None] + rays @ surface.body_turn.T
-    next_position = (surface.rest + then.shift) * w[..., None] + body @ then.rotation.T
+    body = turned(then.rotation, body_point(surface, rays, w))
+    next_position = (surface.rest + then.shift) * w[..., None] + body
     before_lens = mask & (next_position[..., 2] > 0.0)
     next_row, next_column = project(camera, np.where(before_lens[..., None], next_position, 1.0))
     flow = np.stack([next_column - column, next_row - row], axis=-1)

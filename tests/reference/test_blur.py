@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clsco import psf as psf_weights
 from clsco.reference.accumulate import accumulate
-from clsco.reference.blur import convolve, gather, prepare_sources, renormalize, scatter, tilt_factor
+from clsco.reference.blur import convolve, gather, prepare_sources, renormalize, resolve, scatter, tilt_factor
 from clsco.reference.trace import Sources, SubpixelSources, mark_silhouettes, trace, trace_subpixels
 from clsco.scene import Plane, Psf, Scene, Sphere
 from clsco.surfaces import PlacedSurface
@@ -128,8 +128,11 @@ def test_scatter_is_the_plain_sum(psf: Psf, tilt: bool, border: str) -> None:
 @pytest.mark.parametrize("tilt", [True, False])
 @pytest.mark.parametrize("psf", PSFS, ids=name_of)
 def test_light_is_conserved(psf: Psf, tilt: bool) -> None:
-    """Up to |grad R| = 1 the tilt takes on one side what it gives on the other."""
-    sources = in_the_middle(random_sources((12, 14), 4.0, 1.0, channels=3), 14)
+    """While no factor is clamped at 0 the tilt takes on one side what it gives on the other.
+
+    The farthest pixel that is lit is 4.5 radii away, in the corner of a Gaussian cut at 3 sigma.
+    """
+    sources = in_the_middle(random_sources((12, 14), 4.0, 1 / 4.5, channels=3), 14)
     assert psf_weights.reach(psf, 4.0) <= 14
     color = scatter(psf.model_copy(update={"tilt": tilt}), sources, None, sources.label.shape, 0)
     light = sources.radiance.sum(axis=(0, 1))
@@ -317,6 +320,11 @@ def test_silhouette_of_a_sphere_gains_from_subpixels(make_scene: SceneMaker, at:
     assert fine.min() < 0.01
     one, four = (np.sqrt(np.mean((image(s, everywhere=False) - fine) ** 2)) for s in (1, 4))
     assert four < 0.5 * one
+
+
+def test_resolve_undoes_the_scale() -> None:
+    light = np.array([0.0, 0.25, 3.0])
+    assert (resolve(np.floor(light * 2**20 + 0.5).astype(np.int64), 2**20) == light).all()
 
 
 def test_accumulate_is_a_weighted_sum() -> None:

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.optics import blur_radius
+from clsco.psf import table_coordinate as coordinate_of_radius
 from clsco.reference.geometry import (
     Filter,
     blur_gradient,
@@ -24,8 +25,9 @@ from clsco.reference.geometry import (
     solve_quadric,
     surface_normal,
     surface_slope,
+    table_coordinate,
 )
-from clsco.scene import AnyShape, Camera, Cone, Cylinder, Ellipsoid, ObjectMotion, Plane, Quadric, Sphere
+from clsco.scene import AnyShape, Camera, Cone, Cylinder, Ellipsoid, ObjectMotion, Plane, Psf, Quadric, Sphere
 from clsco.surfaces import PlacedSurface
 
 Array = NDArray[np.float64]
@@ -441,3 +443,19 @@ def test_filters_keep_what_they_must() -> None:
     bicubic = sample_texture(i**2 - 3 * j**2 + i * j, row, column, "bicubic")
     np.testing.assert_allclose(bicubic, row**2 - 3 * column**2 + row * column, atol=1e-12)
     assert sample_texture(i, np.array([2.5]), np.array([3.0]), "nearest")[0] == 3.0  # halves go up
+
+
+@pytest.mark.parametrize("psf", [Psf(), Psf(edge="sampled"), Psf(model="gaussian", edge="sampled")])
+def test_table_coordinate_stays_in_its_interval(psf: Psf) -> None:
+    radius = np.concatenate([np.random.default_rng(6).uniform(-6, 6, 5000), np.sqrt(np.arange(1, 36))])
+    radius = np.concatenate([radius, np.nextafter(radius, 0.0)])
+    for subpixel in (False, True):
+        exact = coordinate_of_radius(psf, radius, subpixel)
+        last = int(exact.max())
+        found = table_coordinate(psf, radius, subpixel, 0, last + 1)
+        assert found.dtype == np.float32
+        assert (np.floor(found) == np.floor(exact)).all()
+        np.testing.assert_allclose(found, exact, rtol=2.0**-23)  # one rounding, or one step back
+        clamped = table_coordinate(psf, radius, subpixel, 5, 3)
+        assert clamped.min() == 5.0
+        assert clamped.max() == np.nextafter(np.float32(8.0), np.float32(0.0))

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from clsco.motion import pose_at
 from clsco.optics import blur_radius
+from clsco.psf import subpixel_offsets
 from clsco.reference.geometry import Filter, pixel_ray, rest_pixel, solve_quadric
 from clsco.reference.trace import (
     SILHOUETTE_RANGE,
     ground_truth,
     mark_silhouettes,
     padded_grid,
-    subpixel_offsets,
     trace,
     trace_subpixels,
 )
