@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from clsco.motion import Pose
 from clsco.optics import blur_scale, focus_power, ray_step
 from clsco.psf import (
-    COARSE_FROM,
-    COARSE_STEPS,
-    FINE_STEPS,
     MINIMUM_BLUR,
+    OFFSET,
     PsfTable,
     sampled_key,
+    sampled_steps,
+    table_steps,
 )
 from clsco.scene import Camera, Object, Psf
 from clsco.surfaces import PlacedSurface
@@ -40,7 +40,8 @@ def structs(real: Real) -> dict[str, np.dtype[Any]]:
     surface += [("k", r), ("at_lens", r), ("nappe", i)]
     pose = [("rotation", r, (9,)), ("shift", r, (3,))]
     psf = [(name, i) for name in ("first", "count", "reach", "sub_first", "sub_count")]
-    psf += [(name, r) for name in ("key", "minimum_blur", "fine_steps", "coarse_from", "coarse_steps")]
+    psf += [(name, r) for name in ("key", "minimum_blur", "fine_steps", "fine_until")]
+    psf += [(name, r) for name in ("offset", "steps", "sub_steps")]
     fields = {"camera_t": camera, "surface_t": surface, "pose_t": pose, "psf_t": psf}
     return {name: np.dtype(members, align=True) for name, members in fields.items()}
 
@@ -110,10 +111,11 @@ def psf_struct(psf: Psf, table: PsfTable, subpixel: PsfTable | None, real: Real)
         "reach": max(table.reach, subpixel.reach if subpixel else 0),
         "key": sampled_key(psf),
         "minimum_blur": MINIMUM_BLUR,
-        "fine_steps": FINE_STEPS,
-        "coarse_from": COARSE_FROM,
-        "coarse_steps": COARSE_STEPS,
+        "offset": OFFSET,
+        "steps": table_steps(psf, False),
+        "sub_steps": table_steps(psf, True),
     }
+    values["fine_steps"], values["fine_until"] = sampled_steps(psf)
     if subpixel:
         values |= {"sub_first": subpixel.first, "sub_count": len(subpixel.intervals)}
     return _filled("psf_t", real, values)

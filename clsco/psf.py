@@ -18,9 +18,12 @@ from clsco.scene import Psf
 Array = NDArray[np.float64]
 
 LANES = 8  # a row of weights fills whole vectors of this many floats
-# Steps of the tables per px of blur radius, finer below 8 px where a weight changes fastest.
-# Measured by tests/test_psf.py: interpolation adds at most 2e-6 of white to a frame.
-FINE_STEPS, COARSE_FROM, COARSE_STEPS = 16, 8, 4
+# Intervals of the tables: STEPS per octave of R + OFFSET, so that they grow with the radius. A point source's weight has
+# a kink of order 3/2 where its circle touches a pixel's edge, first at R = 1/8 px; measured by tests/test_psf.py,
+# interpolation adds at most 2e-6 of white to a frame. The area form has such kinks in every weight of the whole frame.
+OFFSET, STEPS, AREA_STEPS = 0.125, 48, 128
+# A sampled Gaussian changes fastest at few taps: so many intervals per unit of dx^2 + dy^2 up to so many units.
+FINE_STEPS, FINE_UNTIL = 16, 16
 # Chebyshev points of [0, 1]: near the best cubic, and never on a jump of a sampled PSF.
 NODES = 0.5 - 0.5 * np.cos((2 * np.arange(4) + 1) * np.pi / 8)
 TO_POWERS = np.linalg.inv(np.vander(NODES, 4, increasing=True))
@@ -203,20 +206,40 @@ class PsfTable:
     reach: int
 
 
+def sampled_steps(psf: Psf) -> tuple[int, int]:
+    """Intervals per unit of dx^2 + dy^2 at first, and up to how many units; 1 per unit beyond (sampled PSFs)."""
+    return (1, 0) if psf.model == "pillbox" else (FINE_STEPS, FINE_UNTIL)
+
+
+def table_steps(psf: Psf, subpixel: bool) -> int:
+    """Intervals per octave of a table that is indexed by the radius."""
+    return AREA_STEPS if psf.model == "pillbox" and psf.edge == "area" and not subpixel else STEPS
+
+
 def table_coordinate(psf: Psf, radius: Array, subpixel: bool = False) -> Array:
     """Coordinate u of a blur radius in px: its integer part names the interval of the table."""
     r = np.abs(np.asarray(radius, dtype=np.float64))
     if psf.edge == "sampled" and not subpixel:
-        return np.where(r < MINIMUM_BLUR, 0.0, sampled_key(psf) * r * r)
-    return np.where(r < COARSE_FROM, r * FINE_STEPS, COARSE_FROM * FINE_STEPS + (r - COARSE_FROM) * COARSE_STEPS)
+        key = np.where(r < MINIMUM_BLUR, 0.0, sampled_key(psf) * r * r)
+        steps, until = sampled_steps(psf)
+        return np.where(key < until, key * steps, until * steps + (key - until))
+    mantissa, exponent = np.frexp(r / OFFSET + 1.0)
+    return np.asarray(table_steps(psf, subpixel) * (exponent - 1 + 2.0 * mantissa - 1.0))
 
 
 def _table_radius(psf: Psf, coordinate: Array, subpixel: bool) -> Array:
     """Inverse of table_coordinate."""
     if psf.edge == "sampled" and not subpixel:
-        return np.maximum(np.sqrt(coordinate / sampled_key(psf)), MINIMUM_BLUR)
-    knee = COARSE_FROM * FINE_STEPS
-    return np.where(coordinate < knee, coordinate / FINE_STEPS, COARSE_FROM + (coordinate - knee) / COARSE_STEPS)
+        return np.maximum(np.sqrt(_sampled_reach(psf, coordinate) / sampled_key(psf)), MINIMUM_BLUR)
+    position = coordinate / table_steps(psf, subpixel)
+    octave = np.floor(position)
+    return np.asarray(OFFSET * (2.0**octave * (1.0 + position - octave) - 1.0))
+
+
+def _sampled_reach(psf: Psf, coordinate: Array) -> Array:
+    """dx^2 + dy^2 up to which pixel centers are lit, from the coordinate of a sampled PSF."""
+    steps, until = sampled_steps(psf)
+    return np.where(coordinate < until * steps, coordinate / steps, until + coordinate - until * steps)
 
 
 def subpixel_offsets(samples: int) -> Array:
@@ -228,45 +251,66 @@ def subpixel_offsets(samples: int) -> Array:
 def psf_table(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> PsfTable:
     """Table for |blur radii| in [smallest, largest] px; subpixel > 0: for that many sub-pixel sources per axis."""
     fine = subpixel > 0
+    sampled = psf.edge == "sampled" and not fine
     first, last = (floor(float(table_coordinate(psf, np.array(r), fine))) for r in (smallest, largest))
-    stepwise = psf.edge == "sampled" and psf.model == "pillbox" and not fine
-    powers = 1 if stepwise else 4
+    powers = 1 if sampled and psf.model == "pillbox" else 4
+    nodes = np.array([0.5]) if powers == 1 else NODES
     intervals, blocks, start = [], [], 0
     for index in range(first, last + 1):
-        nodes = index + (np.array([0.5]) if stepwise else NODES)
-        radii = _table_radius(psf, nodes, fine)
-        edge_radius = float(_table_radius(psf, np.array(index + (0.5 if stepwise else 1.0)), fine))
-        half = reach(psf, edge_radius, fine)
-        if psf.edge == "sampled" and not fine:
-            half = floor(sqrt(index))
-        samples = _subpixel_rows(psf, radii, half, subpixel) if fine else _main_rows(psf, radii, half)
-        lanes = -(-(2 * half + 1) // LANES) * LANES
-        block = np.zeros((samples.shape[1], powers, lanes), dtype=np.float32)
-        polynomial = samples if stepwise else np.tensordot(TO_POWERS, samples, axes=1)
-        block[:, :, : 2 * half + 1] = np.moveaxis(polynomial, 0, 1)
-        intervals.append((start, half, lanes, 0))
+        radii = _table_radius(psf, index + nodes, fine)
+        if sampled:
+            half_width = floor(sqrt(float(_sampled_reach(psf, np.array(index)))))
+        else:
+            half_width = reach(psf, float(_table_radius(psf, np.array(index + 1.0), fine)), fine)
+        values = _subpixel_rows(psf, radii, half_width, subpixel) if fine else _main_rows(psf, radii, half_width)
+        lanes = -(-(2 * half_width + 1) // LANES) * LANES
+        block = np.zeros((values.shape[1], powers, lanes), dtype=np.float32)
+        polynomial = values if powers == 1 else np.tensordot(TO_POWERS, values, axes=1)
+        block[:, :, : 2 * half_width + 1] = np.moveaxis(polynomial, 0, 1)
+        intervals.append((start, half_width, lanes, 0))
         blocks.append(block.ravel())
         start += block.size
     table = np.array(intervals, dtype=np.int32)
     return PsfTable(first, table, np.concatenate(blocks), powers, int(table[:, 1].max()))
 
 
-def _main_rows(psf: Psf, radii: Array, half: int) -> Array:
+@lru_cache(maxsize=64)
+def constant_table(psf: Psf, radius: float) -> PsfTable:
+    """Table of the exact weights of one |blur radius| in px: coordinate 0, one power."""
+    half_width = reach(psf, radius)
+    rows = _main_rows(psf, np.array([radius]), half_width)[0]
+    lanes = -(-(2 * half_width + 1) // LANES) * LANES
+    block = np.zeros((half_width + 1, lanes), dtype=np.float32)
+    block[:, : 2 * half_width + 1] = rows
+    return PsfTable(0, np.array([[0, half_width, lanes, 0]], dtype=np.int32), block.ravel(), 1, half_width)
+
+
+def _main_rows(psf: Psf, radii: Array, half_width: int) -> Array:
     """Weights (radii, |dy|, dx) of sources at pixel centers, computed once per octant."""
-    low, high = np.triu_indices(half + 1)
+    low, high = np.triu_indices(half_width + 1)
     octant = weights(psf, low.astype(float), high.astype(float), radii[:, None])
-    quadrant = np.empty((len(radii), half + 1, half + 1))
+    quadrant = np.empty((len(radii), half_width + 1, half_width + 1))
     quadrant[:, low, high] = quadrant[:, high, low] = octant
-    return quadrant[:, :, np.abs(np.arange(-half, half + 1))]
+    return quadrant[:, :, np.abs(np.arange(-half_width, half_width + 1))]
 
 
-def _subpixel_rows(psf: Psf, radii: Array, half: int, samples: int) -> Array:
-    """Weights (radii, rows, dx) of point sources: for each offset oy >= 0 and each ox, rows dy = -half..half."""
-    span = np.arange(-half, half + 1, dtype=float)
-    offsets = subpixel_offsets(samples)
+def _subpixel_rows(psf: Psf, radii: Array, half_width: int, samples: int) -> Array:
+    """Weights (radii, rows, dx) of point sources: for each offset oy >= 0 and each ox, rows dy = -half..half.
+
+    Computed for 0 <= ox <= oy only: the others are the same, mirrored or with the axes swapped.
+    """
+    span = np.arange(-half_width, half_width + 1, dtype=float)
+    offsets = subpixel_offsets(samples)[samples // 2 :]
+    squares: dict[tuple[int, int], Array] = {}
+    for j, oy in enumerate(offsets):
+        for i, ox in enumerate(offsets[: j + 1]):
+            dx, dy = (span - ox)[None, None, :], (span - oy)[None, :, None]
+            squares[j, i] = subpixel_weights(psf, dx, dy, radii[:, None, None])
+            squares[i, j] = squares[j, i].swapaxes(1, 2)
+    columns = [abs(2 * k + 1 - samples) // 2 for k in range(samples)]
     rows = [
-        subpixel_weights(psf, (span - ox)[None, None, :], (span - oy)[None, :, None], radii[:, None, None])
-        for oy in offsets[samples // 2 :]
-        for ox in offsets
+        squares[j, i][:, :, :: 1 if 2 * k + 1 >= samples else -1]
+        for j in range(len(offsets))
+        for k, i in enumerate(columns)
     ]
     return np.concatenate(rows, axis=1)

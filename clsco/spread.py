@@ -13,7 +13,7 @@ from clsco.device import Program, Session
 from clsco.layout import Real, Struct, psf_struct
 from clsco.plan import Blur
 from clsco.program import download, empty, kernel, launch, upload
-from clsco.psf import LANES, PsfTable, psf_table, table_coordinate
+from clsco.psf import LANES, PsfTable, constant_table, psf_table
 from clsco.scene import Psf
 
 BAND = 32  # rows that a work-item of `gather` owns: bands for many cores, and little overlap
@@ -54,7 +54,7 @@ class Sources:
 class Spreader:
     """Adds the blurred light of moments to one frame; owns the frame's buffers and the PSF tables.
 
-    Holds for |R| in [smallest, largest] px; other radii are clamped to it. brightest: largest |radiance|, which sets
+    Holds for |R| in [smallest, largest] px; other radii are clamped to it (`convolve` makes the PSF of its radius). brightest: largest |radiance|, which sets
     the fixed point of `scatter`.
     """
 
@@ -94,10 +94,10 @@ class Spreader:
             self._launch("accumulate", frame, PIXELS, events, camera, value, *layout)
             return
         if self.method == "convolve":
-            coordinate = self._coordinate(radius)
+            table = constant_table(self.psf, radius)
+            buffers = (upload(self.session, table.intervals), upload(self.session, table.coefficients))
             blocks = (-(-frame[0] // LANES), -(-frame[1] // 4))
-            args = (camera, self.struct, coordinate, value, *self.tables[0], *layout)
-            self._launch("convolve", blocks, (8, 1), events, *args)
+            self._launch("convolve", blocks, (8, 1), events, camera, value, *buffers, *layout)
             return
         head = (camera, self.struct, sources.source, value, *self.tables[0])
         tail = ()
@@ -121,12 +121,6 @@ class Spreader:
         total = download(self.session, self.total, (self.channels, rows, self.pitch), np.float32)
         planes = total[:, :, self.pad : self.pad + columns]
         return np.ascontiguousarray(planes[0] if self.channels == 1 else np.moveaxis(planes, 0, -1))
-
-    def _coordinate(self, radius: float) -> np.float32:
-        """Coordinate in the main table, clamped to it."""
-        last = self.main.first + len(self.main.intervals)
-        u = np.float32(max(float(table_coordinate(self.psf, np.array(radius))), self.main.first))
-        return min(u, np.nextafter(np.float32(last), np.float32(0)))
 
     def _launch(
         self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: object

@@ -198,17 +198,17 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
 #endif
 
 #if CONVOLVE
-// One radius for all sources and no tilt: a plain convolution with the first interval's weights at t. Each work-item
-// makes LANES columns of 4 rows. In: value, whose guard band is at least reach + LANES wide. Out: added to total.
-__kernel void convolve(const camera_t camera, const psf_t psf, const float coordinate, __global const float *value,
-                       __global const int4 *intervals, __global const float *coefficients, const int pitch,
+// One radius for all sources and no tilt: a plain convolution with the only interval of a constant table. Each
+// work-item makes LANES columns of 4 rows. In: value, whose guard band is at least reach + LANES wide. Out: added to
+// total.
+__kernel void convolve(const camera_t camera, __global const float *value, __global const int4 *intervals, __global const float *coefficients, const int pitch,
                        const int pad, __global float *total)
 {
     const int x = get_global_id(0) * LANES, y = get_global_id(1) * 4;
     if (x >= camera.columns || y >= camera.rows)
         return;
-    const spread_t s = pixel_spread(psf, intervals, coefficients, coordinate);
-    const int half_width = s.half_width, rows = MIN(4, camera.rows - y);
+    const int half_width = intervals[0].y, lanes = intervals[0].z;
+    const int rows = MIN(4, camera.rows - y);
     for (int k = 0; k < CHANNELS; ++k) {
         __global const float *plane = value + k * camera.width * camera.height;
         float8 sum[4] = {0, 0, 0, 0};
@@ -219,7 +219,7 @@ __kernel void convolve(const camera_t camera, const psf_t psf, const float coord
                 for (int r = 0; r < 4; ++r) {
                     const int dy = i > r ? i - r : r - i;
                     if (dy <= half_width)
-                        sum[r] += light * weight(s.rows + dy * s.step + dx + half_width, s.lanes, s.t, s.powers);
+                        sum[r] += light * coefficients[dy * lanes + dx + half_width];
                 }
             }
         }
