@@ -110,7 +110,7 @@ def pick(
             return Choice(_matching(devices, source, wanted), f'{source} is "{wanted}"')
     if specification := environ.get("PYOPENCL_CTX"):
         handle = by_pyopencl(specification)
-        return Choice(_described(handle), f'PYOPENCL_CTX is "{specification}"')
+        return Choice(described(handle), f'PYOPENCL_CTX is "{specification}"')
     best = min(devices, key=_rank)  # the first of equals, so the platforms' order decides
     return Choice(best, _REASONS[_rank(best)])
 
@@ -120,10 +120,13 @@ class Session:
     `with`.
 
     Not to be carried over a fork: PoCL then waits for ever, even with a new session. Start processes by
-    spawning. Safe to share between threads. Raises DeviceError when the device refuses a context.
+    spawning. Safe to share between threads. `queue`: work in this queue and its context, for arrays that live
+    there. Raises DeviceError when the device refuses a context.
     """
 
-    def __init__(self, device: Device, profiling: bool = False) -> None:
+    def __init__(
+        self, device: Device, profiling: bool = False, queue: cl.CommandQueue | None = None
+    ) -> None:
         self.device = device
         self.lock = threading.RLock()
         self.programs: dict[str, Program] = {}
@@ -133,6 +136,9 @@ class Session:
         if device.is_pocl:
             poclcache.check()
         try:
+            if queue is not None:
+                self.context, self.queue = queue.context, queue
+                return
             self.context = cl.Context([device.handle])
             if profiling:
                 timed = cl.command_queue_properties.PROFILING_ENABLE
@@ -203,10 +209,10 @@ def _devices() -> tuple[Device, ...]:
             handles.extend(platform.get_devices())
         except cl.Error:  # a driver without its hardware
             continue
-    return tuple(_described(handle) for handle in handles)
+    return tuple(described(handle) for handle in handles)
 
 
-def _described(handle: cl.Device) -> Device:
+def described(handle: cl.Device) -> Device:
     extensions = handle.extensions.split()
     kinds = cl.device_type
     return Device(

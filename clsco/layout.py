@@ -54,24 +54,22 @@ def _filled(name: str, real: Real, values: dict[str, Any]) -> Struct:
     return filled
 
 
+def frame_struct(rows: int, columns: int, guard: int, real: Real, **optics: float) -> Struct:
+    """camera_t of a frame of rows x columns px in a guard band of `guard` px, with what of the lens is needed."""
+    size = {"rows": rows, "columns": columns, "guard": guard}
+    return _filled(
+        "camera_t", real, size | {"width": columns + 2 * guard, "height": rows + 2 * guard} | optics
+    )
+
+
 def camera_struct(camera: Camera, guard: int, real: Real) -> Struct:
     """camera_t of a camera with a resolution, for a guard band of `guard` px."""
     assert camera.resolution is not None  # known once the textures are loaded
     columns, rows = camera.resolution
-    return _filled(
-        "camera_t",
-        real,
-        {
-            "rows": rows,
-            "columns": columns,
-            "guard": guard,
-            "width": columns + 2 * guard,
-            "height": rows + 2 * guard,
-            "step": ray_step(camera),
-            "blur_scale": blur_scale(camera),
-            "focus_power": focus_power(camera),
-        },
-    )
+    return frame_struct(
+        rows, columns, guard, real,
+        step=ray_step(camera), blur_scale=blur_scale(camera), focus_power=focus_power(camera),
+    )  # fmt: skip
 
 
 def surface_struct(item: Object, surface: PlacedSurface, real: Real) -> Struct:

@@ -192,12 +192,11 @@ def _constant_blur(item: Object) -> bool:
     return isinstance(item, Plane) and item.slope_x == item.slope_y == 0.0 and not turns
 
 
-def _is_sharp(scene: Scene, largest: float) -> bool:
-    """Whether the PSF of the largest radius keeps all light in its pixel."""
-    psf = scene.psf
+def is_sharp(psf: Psf, largest: float) -> bool:
+    """Whether the PSF of the |blur radius| `largest` px keeps all light in its pixel."""
     if psf.edge == "sampled":
-        return largest < MINIMUM_BLUR or psf_extent(psf, largest) < 1.0
-    return psf.edge == "area" and psf_extent(psf, largest) <= 0.5
+        return largest < MINIMUM_BLUR or float(psf_extent(psf, largest)) < 1.0
+    return largest == 0.0 or (psf.edge == "area" and float(psf_extent(psf, largest)) <= 0.5)
 
 
 def _blur_range(scene: Scene, moves: bool) -> tuple[float, float, Array, int]:
@@ -239,7 +238,7 @@ def make_plan(scene: Scene, channels: int, truth: tuple[str, ...] = TRUTH_NAMES,
     if silhouettes and _fills_view(item, w):
         silhouettes = 0
     constant = _constant_blur(item) and not silhouettes and psf.border == "lose"
-    sharp = _is_sharp(scene, largest) and not silhouettes
+    sharp = is_sharp(psf, largest) and not silhouettes
     blur = _choose_blur(method, sharp, constant)
     if blur == "convolve":
         guard += LANES

@@ -1,0 +1,158 @@
+"""The lens by itself: one image and its map of blur radii."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+import pyopencl.array as cl_array
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from clsco.device import Device, Session, choose, described
+from clsco.errors import ImageError, SceneError
+from clsco.layout import Real, Struct, flat, frame_struct, structs
+from clsco.plan import LARGEST_BLUR, Blur, is_sharp
+from clsco.program import build, empty, kernel, launch, upload
+from clsco.psf import LANES, reach
+from clsco.scene import Psf
+from clsco.spread import PIXELS, Sources, Spreader, blur_features
+
+MOST_CHANNELS = 16
+PLAIN = {  # features of geometry.clh that only surfaces need
+    name: 0 for name in ("QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SUBPIXELS")
+}
+
+
+def defocus(
+    image: NDArray[np.floating[Any]] | cl_array.Array,
+    coc: NDArray[np.floating[Any]] | cl_array.Array,
+    psf: Psf | Mapping[str, Any] | None = None,
+    *,
+    device: str | None = None,
+    method: str = "auto",
+) -> NDArray[np.float32] | cl_array.Array:
+    """Blur an image by a map of signed blur radii, each pixel by its own PSF.
+
+    image: linear light, (rows, columns) or (rows, columns, channels), up to 16 channels; coc: signed R in px, (rows,
+    columns), positive behind the focal surface; psf: keys of the scene file's [psf]; device: part of an OpenCL
+    device's name; method: "auto", "gather", "scatter" or "convolve" (one radius). NumPy arrays, or pyopencl arrays of
+    one queue, which is then worked in.
+    Returns float32 of the image's shape, as NumPy or pyopencl array as given. Nothing is known outside of the image,
+    so with border = "lose" it darkens where light leaves it; sources have their pixel's center, and the gradient for
+    `tilt` comes from differences of `coc`. Raises ImageError, SceneError, DeviceError.
+    Validated against `clsco.reference.blur.scatter` to 1e-5 (tests/test_defocus.py). Equation 2.40.
+    """
+    model = _psf(psf)
+    if isinstance(image, cl_array.Array) or isinstance(coc, cl_array.Array):
+        queue = image.queue if isinstance(image, cl_array.Array) else coc.queue
+        session = _session_of(queue)
+        host = [a.get(queue) if isinstance(a, cl_array.Array) else a for a in (image, coc)]
+        return cl_array.to_device(queue, _defocus(session, *_checked(*host), model, method))
+    return _defocus(_session(choose(device)), *_checked(image, coc), model, method)
+
+
+def _psf(psf: Psf | Mapping[str, Any] | None) -> Psf:
+    if isinstance(psf, Psf):
+        return psf
+    try:
+        return Psf(**(psf or {}))
+    except ValidationError as error:
+        faults = error.errors(include_url=False)
+        raise SceneError(
+            [f"psf.{'.'.join(map(str, f['loc']))}: {f['msg']}; got {f['input']!r}" for f in faults]
+        ) from error
+
+
+def _checked(image: Any, coc: Any) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    picture, radii = np.asarray(image), np.asarray(coc)
+    if picture.ndim not in (2, 3) or 0 in picture.shape or (picture.ndim == 3 and picture.shape[2] > MOST_CHANNELS):
+        raise ImageError(
+            f"image: must have the shape (rows, columns) or (rows, columns, 1 to {MOST_CHANNELS}); got {picture.shape}"
+        )
+    if radii.shape != picture.shape[:2]:
+        raise ImageError(f"coc: must have the rows and columns of the image, {picture.shape[:2]}; got {radii.shape}")
+    for name, array in (("image", picture), ("coc", radii)):
+        if array.dtype.kind not in "fiu":
+            raise ImageError(f"{name}: must hold real numbers; got {array.dtype}")
+        if not np.isfinite(array).all():
+            raise ImageError(f"{name}: must be finite; got {int((~np.isfinite(array)).sum())} values that are not")
+    if picture.dtype.kind != "f":
+        raise ImageError(f"image: must be linear light in floats; got {picture.dtype}")
+    largest = float(np.abs(radii).max())
+    if largest > LARGEST_BLUR:
+        raise ImageError(f"coc: radii must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
+    return picture.astype(np.float32, copy=False), radii.astype(np.float64)
+
+
+# A context and its built programs, kept because they take longer than a small image does.
+@lru_cache(maxsize=4)
+def _session(device: Device) -> Session:
+    return Session(device)
+
+
+@lru_cache(maxsize=4)
+def _session_of(queue: cl.CommandQueue) -> Session:
+    return Session(described(queue.device), queue=queue)
+
+
+def _choose(psf: Psf, method: str, smallest: float, largest: float) -> Blur:
+    if method not in ("auto", "gather", "scatter", "convolve"):
+        raise SceneError(f"method: must be auto, gather, scatter or convolve; got {method}")
+    constant = smallest == largest and psf.border == "lose"
+    if method == "convolve" and not constant:
+        raise SceneError('method: convolve needs one radius for all pixels and border = "lose"; got many radii')
+    if method == "auto":
+        if is_sharp(psf, largest):
+            return "none"
+        return "convolve" if constant else "gather"
+    return "gather" if method == "gather" else "scatter" if method == "scatter" else "convolve"
+
+
+def _defocus(
+    session: Session, image: NDArray[np.float32], coc: NDArray[np.float64], psf: Psf, method: str
+) -> NDArray[np.float32]:
+    rows, columns = coc.shape
+    channels = image.shape[2] if image.ndim == 3 else 1
+    size = np.abs(coc)
+    smallest, largest = float(size.min()), float(size.max())
+    blur = _choose(psf, method, smallest, largest)
+    real: Real = "double" if session.device.has_fp64 else "float"
+    if blur == "none":
+        return image.copy()
+    guard = 0
+    if blur == "convolve":
+        guard = reach(psf, largest) + LANES
+    camera: Struct = frame_struct(rows, columns, guard, real)
+    features = PLAIN | blur_features(blur, psf.border, prepare=True)
+    features |= {
+        "CHANNELS": channels,
+        "TILT": int(psf.tilt and blur != "convolve"),
+        "SAMPLED": int(psf.edge == "sampled"),
+        "POWERS": 1 if psf.edge == "sampled" and psf.model == "pillbox" else 4,
+    }
+    program = build(session, ["blur.cl"], features, structs(real), real)
+    brightest = float(np.abs(image).max())
+    spreader = Spreader(session, program, psf, blur, camera, channels, smallest, largest, 0, real, brightest)
+    padded = np.pad(flat(image, np.float32), ((0, 0), (guard, guard), (guard, guard)))
+    value = upload(session, padded) if psf.border == "lose" else _writable(session, padded)
+    source = None
+    if blur != "convolve":
+        source = empty(session, 16 * rows * columns)
+        radii = upload(session, coc.astype(np.float64 if real == "double" else np.float32))
+        valid = upload(session, np.ones((rows, columns), np.uint8))
+        args = (camera, spreader.struct, radii, valid, source)
+        launch(session, kernel(program, "prepare_sources"), (columns, rows), PIXELS, *args)
+    spreader.clear()
+    spreader.add(Sources(source, value), largest, [])
+    result = spreader.image([])
+    return result if image.ndim == 2 or channels > 1 else result[..., None]
+
+
+def _writable(session: Session, array: NDArray[np.float32]) -> cl.Buffer:
+    buffer = empty(session, array.nbytes)
+    cl.enqueue_copy(session.queue, buffer, array)
+    return buffer

@@ -1,0 +1,139 @@
+"""The lens on arrays: against the reference's scatter, and what it refuses."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pyopencl.array as cl_array
+import pytest
+from numpy.typing import NDArray
+
+from clsco.defocus import defocus
+from clsco.device import Session
+from clsco.errors import ClscoError
+from clsco.reference.blur import prepare_sources, scatter
+from clsco.reference.trace import Sources
+from clsco.scene import Psf
+
+Array = NDArray[Any]
+# Float32 weights and sums over some hundred taps leave about 1e-6 of white, interpolation in the tables as much.
+FIGURE = 1e-5
+
+
+def reference(image: Array, coc: Array, psf: Psf) -> Array:
+    valid = np.ones(coc.shape, bool)
+    values = np.asarray(image, np.float64).reshape(*coc.shape, -1)
+    sources = Sources(values, np.ones(coc.shape), valid.astype(np.uint8), coc, prepare_sources(coc, valid))
+    return np.asarray(scatter(psf, sources, None, coc.shape, 0)).reshape(image.shape)
+
+
+def picture(rows: int, columns: int, channels: int = 1) -> tuple[Array, Array]:
+    rng = np.random.default_rng(7)
+    image = rng.random((rows, columns, channels) if channels > 1 else (rows, columns), dtype=np.float32)
+    i, j = np.mgrid[0:rows, 0:columns]
+    coc = 5.0 * np.sin(0.07 * j) * np.cos(0.05 * i) + 0.02 * i
+    assert np.ptp(coc) > 1.0
+    return image, coc
+
+
+PSFS = [
+    Psf(model=model, edge=edge, tilt=tilt)
+    for model in ("pillbox", "gaussian")
+    for edge in ("sampled", "area", "integrated")
+    for tilt in (False, True)
+]
+
+
+@pytest.mark.parametrize("method", ["gather", "scatter"])
+@pytest.mark.parametrize("psf", PSFS, ids=lambda p: f"{p.model}-{p.edge}-{p.tilt}")
+def test_every_psf_agrees_with_the_reference(psf: Psf, method: str) -> None:
+    image, coc = picture(70, 90)
+    error = np.abs(defocus(image, coc, psf, method=method) - reference(image, coc, psf))
+    worst = np.unravel_index(int(error.argmax()), error.shape)
+    assert error.max() < FIGURE, f"{error.max():.2e} at {worst}, {(error > FIGURE).sum()} pixels"
+
+
+@pytest.mark.parametrize("channels", [2, 3, 4])
+def test_channels_are_blurred_alike(channels: int) -> None:
+    image, coc = picture(40, 50, channels)
+    result = defocus(image, coc)
+    for k in range(channels):
+        assert np.array_equal(result[..., k], defocus(np.ascontiguousarray(image[..., k]), coc))
+
+
+@pytest.mark.parametrize("psf", PSFS[::2], ids=lambda p: f"{p.model}-{p.edge}")
+@pytest.mark.parametrize("radius", [0.3, -2.7, 9.4])
+def test_one_radius_is_a_convolution(psf: Psf, radius: float) -> None:
+    image, _ = picture(45, 61)
+    coc = np.full(image.shape, radius)
+    expected = reference(image, coc, psf)
+    for method in ("auto", "convolve", "gather", "scatter"):
+        if method == "convolve" or abs(radius) > 0.5 or method == "auto":
+            assert np.abs(defocus(image, coc, psf, method=method) - expected).max() < FIGURE, method
+
+
+def test_renormalized_border_loses_no_light() -> None:
+    image, coc = picture(50, 60)
+    psf = Psf(border="renormalize")
+    result = defocus(image, coc, psf)
+    # float32 sums of 3000 pixels: 1e-6 of the total is ten times their rounding
+    assert result.sum(dtype=np.float64) == pytest.approx(image.sum(dtype=np.float64), rel=1e-6)
+    assert np.abs(result - reference(image, coc, psf)).max() < FIGURE
+    lost = defocus(image, coc).sum(dtype=np.float64)
+    assert lost < 0.99 * image.sum(dtype=np.float64)
+
+
+def test_in_focus_is_the_image_itself() -> None:
+    image, _ = picture(20, 30)
+    assert np.array_equal(defocus(image, np.zeros(image.shape)), image)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (17, 1), (2, 3), (33, 65)])
+def test_small_and_odd_sizes(shape: tuple[int, int]) -> None:
+    image = np.random.default_rng(1).random(shape, dtype=np.float32)
+    coc = np.linspace(-3.0, 4.0, image.size).reshape(shape)
+    assert np.abs(defocus(image, coc) - reference(image, coc, Psf())).max() < FIGURE
+
+
+def test_device_arrays_come_back_as_device_arrays(session: Session) -> None:
+    image, coc = picture(30, 40)
+    on_device = cl_array.to_device(session.queue, image)
+    result = defocus(on_device, cl_array.to_device(session.queue, coc.astype(np.float32)))
+    assert isinstance(result, cl_array.Array)
+    assert np.array_equal(result.get(), defocus(image, coc.astype(np.float32)))
+
+
+def test_the_same_bits_every_time() -> None:
+    image, coc = picture(64, 64)
+    for method in ("gather", "scatter"):
+        assert len({defocus(image, coc, method=method).tobytes() for _ in range(3)}) == 1
+
+
+ONES = np.ones((4, 5), np.float32)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((ONES, np.ones((5, 4))), "coc: must have the rows and columns of the image, (4, 5); got (5, 4)"),
+        ((ONES[0], np.ones(5)), "image: must have the shape"),
+        ((ONES, np.full((4, 5), np.nan)), "coc: must be finite; got 20 values that are not"),
+        ((np.full((4, 5), np.inf, np.float32), ONES), "image: must be finite"),
+        ((np.ones((4, 5), np.uint8), ONES), "image: must be linear light in floats; got uint8"),
+        ((ONES, np.full((4, 5), 1e4)), "coc: radii must be at most 512 px; got 1e+04 px"),
+        ((ONES, ONES, {"edge": "sharp"}), "psf.edge"),
+        ((ONES, ONES, {"sigma_ratio": 1.0}), "psf.sigma_ratio"),
+    ],
+)
+def test_what_is_refused(arguments: tuple[Any, ...], message: str) -> None:
+    with pytest.raises(ClscoError) as caught:
+        defocus(*arguments)
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("method", ["convolve", "fast"])
+def test_unknown_or_unfit_methods_are_refused(method: str) -> None:
+    image, coc = picture(8, 8)
+    with pytest.raises(ClscoError, match="method: "):
+        defocus(image, coc, method=method)
