@@ -122,7 +122,7 @@ def reach(psf: Psf, radius: float, subpixel: bool = False) -> int:
     """Largest |dx| or |dy| in px of a pixel that a source of blur radius `radius` px may light."""
     extent = float(psf_extent(psf, radius))
     if subpixel:
-        return max(ceil(extent + 0.875) - 1, 0)
+        return max(ceil(extent + 1.0) - 1, 0)
     if psf.edge == "sampled":
         return floor(extent) if radius >= MINIMUM_BLUR else 0
     return max(ceil(extent + (1.0 if psf.edge == "integrated" else 0.5)) - 1, 0)

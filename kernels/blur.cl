@@ -328,11 +328,8 @@ __kernel void renormalize(const camera_t camera, const psf_t psf, __global const
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= camera.columns || row >= camera.rows)
         return;
-    const int edge = MIN(MIN(row, camera.rows - 1 - row), MIN(column, camera.columns - 1 - column));
     const int at = row * camera.columns + column, plane = camera.rows * camera.columns;
     const float4 s = source[at];
-    if (edge >= psf.reach)
-        return;
 #if SUBPIXELS
     const int slot = as_int(s.w);
     if (slot >= 0) {

@@ -25,21 +25,23 @@ static void note_radius(__global volatile int *statistics, real radius)
         atomic_min(statistics + SMALLEST_RADIUS, bits);
 }
 
-// Where a hit takes its radiance from in the texture, (column, row): at rest a pixel shows its own texel.
-static real2 texture_point(const surface_t *surface, const camera_t camera, real3 ray, real w, int row, int column)
+// Where a hit takes its radiance from in the texture: (column, row, in front of the lens). At rest a pixel shows its
+// own texel.
+static real3 texture_point(const surface_t *surface, const camera_t camera, real3 ray, real w, int row, int column)
 {
 #if MOVED
-    return rest_pixel(surface, camera, ray, w).xy;
+    return rest_pixel(surface, camera, ray, w);
 #else
-    return (real2)(column, row);
+    return (real3)(column, row, 1);
 #endif
 }
 
-static float radiance(__global const float *texture, const camera_t camera, int channel, real2 point)
+// 0 for what was behind the lens at rest: the texture knows nothing of it.
+static float radiance(__global const float *texture, const camera_t camera, int channel, real3 point)
 {
     __global const float *plane = texture + channel * camera.rows * camera.columns;
 #if MOVED
-    return sample_texture(plane, camera, point.y, point.x);
+    return point.z > 0 ? sample_texture(plane, camera, point.y, point.x) : 0;
 #else
     return plane[mirror_index((int)point.y, camera.rows) * camera.columns +
                  mirror_index((int)point.x, camera.columns)];
@@ -66,7 +68,7 @@ __kernel void trace(const camera_t camera, const surface_t surface, const psf_t 
 #if TILT
         record.yz = tilt_slope(blur_gradient(camera, surface_slope(&surface, ray, w)), radius);
 #endif
-        const real2 point = texture_point(&surface, camera, ray, w, row, column);
+        const real3 point = texture_point(&surface, camera, ray, w, row, column);
         for (int c = 0; c < CHANNELS; ++c)
             value[c * camera.height * camera.width + at] = weight * radiance(texture, camera, c, point);
     } else {
@@ -139,7 +141,7 @@ __kernel void trace_subpixels(const camera_t camera, const surface_t surface, co
 #if TILT
         record.yz = tilt_slope(blur_gradient(camera, surface_slope(&surface, ray, w)), radius);
 #endif
-        const real2 point = texture_point(&surface, camera, ray, w, row, column);
+        const real3 point = texture_point(&surface, camera, ray, w, row, column);
         for (int c = 0; c < CHANNELS; ++c)
             sub_value[c * capacity * each + id] = weight / each * radiance(texture, camera, c, point);
     }
@@ -223,7 +225,7 @@ __kernel void ground_truth(const camera_t camera, const surface_t surface, const
     }
 #endif
 #if TRUTH_SHARP
-    const real2 point = texture_point(&surface, camera, ray, w, row, column);
+    const real3 point = texture_point(&surface, camera, ray, w, row, column);
     for (int c = 0; c < CHANNELS; ++c)
         sharp[at * CHANNELS + c] = root ? radiance(texture, camera, c, point) : 0;
 #endif

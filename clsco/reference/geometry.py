@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 Bounds = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 Filter = Literal["nearest", "bilinear", "bicubic"]
 
+BOUNDS_SLACK = 1e-14  # relative
 NEAREST_INVERSE_DEPTH = 1e6  # 1/mm: nearer than 1e-6 mm is nothing
 FARTHEST_TEXEL = 1e9  # px: texture positions beyond are not told apart
 SMALLEST_RADIUS = 1.0  # px: below, the lens offset of a touched pixel is formed with this radius
@@ -121,8 +122,11 @@ def root_counts(
     counts &= surface.canonical.nappe * (surface.offset[2] * w + d[..., 2]) >= 0.0
     if bounds is not None:
         for axis, (low, high) in enumerate(bounds):
-            along = surface.body_offset[axis] * w + body[..., axis]
-            counts &= (low * w <= along) & (along <= high * w)
+            shift = surface.body_offset[axis] * w
+            along = shift + body[..., axis]
+            # A bound that touches the surface must not lose its last point to rounding.
+            slack = BOUNDS_SLACK * (np.abs(shift) + np.abs(body[..., axis]))
+            counts &= (low * w - slack <= along) & (along <= high * w + slack)
     return np.asarray(counts)
 
 
