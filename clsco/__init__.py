@@ -1,8 +1,8 @@
 """Images of moving objects out of focus, with their ground truth, computed with OpenCL.
 
 `load_scene` and `parse_scene` read a scene, `render` computes its frames, `defocus` blurs one image by its
-radius map, `inpaint` fills the missing pixels of one, and `reference` does the same in NumPy float64 without
-OpenCL. Each is imported when it is first used: without OpenCL everything but the rendering works.
+radius map, and `reference` renders in NumPy float64 without OpenCL. Each is imported when it is first used:
+without OpenCL everything but `render` and `defocus` works.
 """
 
 from __future__ import annotations
@@ -15,17 +15,15 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from clsco import reference as reference
     from clsco.defocus import defocus as defocus
-    from clsco.inpaint import inpaint as inpaint
     from clsco.render import render as render
     from clsco.scenefile import load_scene as load_scene
     from clsco.scenefile import parse_scene as parse_scene
 
 __version__ = "0.1.0"
-__all__ = ["__version__", "defocus", "inpaint", "load_scene", "parse_scene", "reference", "render"]
+__all__ = ["__version__", "defocus", "load_scene", "parse_scene", "reference", "render"]
 
 _FUNCTIONS = {
     "defocus": "clsco.defocus",
-    "inpaint": "clsco.inpaint",
     "load_scene": "clsco.scenefile",
     "parse_scene": "clsco.scenefile",
     "render": "clsco.render",

@@ -40,7 +40,7 @@ def load_texture(
     """Load a built-in pattern or an image file as linear light.
 
     name_or_path: bricks, checkerboard, slanted_edge, siemens_star, or a path. transfer: "srgb" or "linear",
-    of files with 8 and 16 bits; patterns are sRGB whatever it says, and floats are linear.
+    of patterns, which have 8 bits, and of files with 8 and 16 bits; floats are linear.
     size: (rows, columns) of the frame; a file of another size is resampled to it (`resample`), a pattern is
     made for it, 512 x 512 by default.
     Raises ImageError where there is no such pattern or file, or the file cannot be read.
@@ -48,7 +48,7 @@ def load_texture(
     source = os.fspath(name_or_path)
     if source in PATTERNS:
         rows, columns = size or (DEFAULT_SIDE, DEFAULT_SIDE)
-        return Texture(decode(PATTERNS[source](rows, columns), "srgb"), 8, source)
+        return Texture(decode(PATTERNS[source](rows, columns), transfer), 8, source)
     _require_suffix(source)
     picture = read_image(source)
     linear = decode(picture.data, transfer)

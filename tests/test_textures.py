@@ -151,9 +151,12 @@ def test_patterns_have_every_size_and_never_change(name: str) -> None:
         np.testing.assert_array_equal(codes, PATTERNS[name](*size))
     assert np.ptp(PATTERNS[name](100, 64)) > 100
     assert texture_size(name) == (512, 512)
-    texture = load_texture(name, "linear", (100, 64))  # patterns are sRGB whatever files are
-    np.testing.assert_array_equal(texture.radiance, decode(PATTERNS[name](100, 64), "srgb"), strict=True)
-    assert (texture.bits, texture.source) == (8, name)
+    for transfer in ("srgb", "linear"):
+        texture = load_texture(name, transfer, (100, 64))
+        np.testing.assert_array_equal(
+            texture.radiance, decode(PATTERNS[name](100, 64), transfer), strict=True
+        )
+        assert (texture.bits, texture.source) == (8, name)
     assert load_texture(name, "srgb").radiance.shape == (512, 512)
 
 

@@ -118,7 +118,7 @@ def test_the_front_door_offers_what_type_checkers_see() -> None:
 
 
 def test_functions_stay_functions_after_their_modules_are_imported(tmp_path: Path) -> None:
-    for name in ("render", "defocus", "inpaint"):
+    for name in ("render", "defocus"):
         code = f"import clsco.{name}, clsco; print(callable(clsco.{name})); clsco.{name}.__call__"
         assert python(code, tmp_path, ROOT) == "True\n"
         code = f"import clsco; clsco.{name}; import clsco.{name}; print(callable(clsco.{name}))"

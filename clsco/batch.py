@@ -1,0 +1,112 @@
+"""Scenes to folders of files: which frames are wanted, which are there already, and the rest rendered."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from clsco.describe import record, with_resolution
+from clsco.errors import ImageError, SceneError
+from clsco.files import remove_stale, writable_folder
+from clsco.frame import TRUTH_NAMES, Frame
+from clsco.images import read_complete, write_frame
+from clsco.render import render
+from clsco.scene import Scene
+
+Span = tuple[int | None, int | None]
+
+
+@dataclass(frozen=True)
+class Job:
+    """One scene to render: what its frames' JSON files say of it, the folder, and the frames still to do.
+
+    files: of "npz" and "exr", what is written besides PNG and JSON.
+    """
+
+    scene: Scene
+    record: dict[str, Any]
+    folder: Path
+    frames: tuple[int, ...]
+    files: tuple[str, ...]
+
+
+def folders(scenes: Sequence[Path], out: Path) -> list[Path]:
+    """Where each scene's frames go: into `out`, or for several scenes into a folder of each one's name in it.
+
+    Raises SceneError where two scenes would share a folder, or one would leave `out`.
+    """
+    if len(scenes) == 1:
+        return [out]
+    found: dict[Path, Path] = {}
+    for scene in scenes:
+        folder = out / scene.stem
+        if folder.resolve().parent != out.resolve():
+            raise SceneError(f"{scene}: frames must stay inside {out}; got {folder}")
+        if folder in found:
+            rule = f"scenes that are rendered together must have different names; got another {scene.name}"
+            raise SceneError(f"{scene}: {rule}, {found[folder]}")
+        found[folder] = scene
+    return list(found)
+
+
+def wanted(scene: Scene, span: Span, where: str) -> range:
+    """Numbers of the frames from span[0] up to but not including span[1], by default all.
+
+    Raises SceneError where the scene has no such frames.
+    """
+    count = scene.sequence.frames
+    first, end = span[0] or 0, count if span[1] is None else span[1]
+    if not first < end <= count:
+        raise SceneError(f"{where}: --frames: must lie within 0:{count} and hold a frame; got {first}:{end}")
+    return range(first, end)
+
+
+def prepare(
+    scene: Scene,
+    folder: Path,
+    frames: Sequence[int],
+    files: tuple[str, ...],
+    precision: str | None,
+    resume: bool,
+) -> Job:
+    """Make the folder, and with `resume` take out the frames that are in it, whole and of this scene.
+
+    A frame is whole where its JSON file, written last, names the scene's hash, this version, all files asked
+    for, and each file's SHA-256. Raises ImageError where a texture cannot be read or the folder written.
+    """
+    scene = with_resolution(scene)
+    about = record(scene)
+    writable_folder(folder)
+    remove_stale(folder)
+    for item in scene.objects:
+        path = Path(item.texture)
+        if path.parent.resolve() == folder.resolve() and path.stem.startswith("frame_"):
+            raise ImageError(f"{path}: a texture must not lie where frames are written; got {folder}")
+
+    def is_there(index: int) -> bool:
+        content = read_complete(folder, index)
+        if content is None:
+            return False
+        same = all(content.get(key) == about[key] for key in ("version", "scene_sha256"))
+        names = {f"frame_{index:04d}.{suffix}" for suffix in ("png", *files)}
+        return same and names <= set(content["files"]) and precision in (None, content.get("precision"))
+
+    left = tuple(index for index in frames if not (resume and is_there(index)))
+    return Job(scene, about, folder, left, files)
+
+
+def run(job: Job, device: str | None, precision: str | None) -> Iterator[Frame]:
+    """Render a job's frames, write each one, and then yield it with the metadata of its JSON file.
+
+    Truth is computed only where a file asks for it. Raises as `clsco.render` and `clsco.images.write_frame`.
+    """
+    if not job.frames:
+        return
+    truth = TRUTH_NAMES if job.files else ()  # nothing that no file asks for
+    frames = render(job.scene, truth=truth, device=device, precision=precision, frames=job.frames)
+    for frame in frames:
+        told = replace(frame, metadata={**job.record, **frame.metadata})
+        write_frame(job.folder, told, frame.metadata["bits"], job.scene.image.transfer, job.files)
+        yield told

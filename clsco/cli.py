@@ -1,0 +1,289 @@
+"""The command `clsco`: words to calls, results to tables, errors to one line each and an exit status.
+
+Exit status: 0 done; 1 a user's error, told on stderr; 2 wrong usage; 3 no usable device; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from clsco import __version__
+from clsco.errors import ClscoError, DeviceError, ImageError, SceneError
+from clsco.frame import TRUTH_NAMES
+
+if TYPE_CHECKING:
+    from clsco.batch import Span
+    from clsco.scene import Scene
+
+USER_ERROR, NO_DEVICE, INTERRUPTED = 1, 3, 130
+
+
+class Commands(click.Group):
+    """A group whose commands end with one line per error and the exit status that belongs to it."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command; what the user can mend, and Ctrl-C, ends without a traceback."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            click.echo("interrupted", err=True)
+            ctx.exit(INTERRUPTED)
+        except MemoryError:
+            click.echo("error: memory: must hold the arrays of the scene; got too little of it", err=True)
+            ctx.exit(USER_ERROR)
+        except ClscoError as error:
+            for message in error.messages if isinstance(error, SceneError) else (str(error),):
+                click.echo(f"error: {message}", err=True)
+            ctx.exit(NO_DEVICE if isinstance(error, DeviceError) else USER_ERROR)
+
+
+def _truth_files(text: str) -> tuple[str, ...]:
+    names = tuple(dict.fromkeys(text.split(","))) if text else ()
+    if not set(names) <= {"npz", "exr"}:
+        raise click.BadParameter(f"must be npz, exr or npz,exr; got {text}")
+    return names
+
+
+def _span(text: str) -> Span:
+    match = re.fullmatch(r"(\d{0,9}):(\d{0,9})", text, re.ASCII)
+    if match is None:
+        raise click.BadParameter(f"must be A:B, frames A to B - 1 counted from 0; got {text}")
+    first, end = (int(number) if number else None for number in match.groups())
+    return first, end
+
+
+PATH = click.Path(path_type=Path)
+one_scene = click.argument("scene", type=PATH)
+scenes_wanted = click.argument("scenes", metavar="SCENE...", nargs=-1, required=True, type=PATH)
+set_option = click.option(
+    "--set", "overrides", metavar="KEY=VALUE", multiple=True,
+    help="Set a key of the scene, such as camera.f_number=4 or object.0.radius=30; may be given again.",
+)  # fmt: skip
+truth_option = click.option(
+    "--truth", "files", metavar="npz,exr", type=_truth_files,
+    default="",
+    help="Also compute the ground truth, and write it in one or both of these formats.",
+)  # fmt: skip
+device_option = click.option(
+    "--device", metavar="NAME", help="Part of the name of an OpenCL device or platform, or gpu or cpu."
+)
+precision_option = click.option(
+    "--precision", type=click.Choice(["single", "double"]),
+    help="Of the geometry. Default: double where the device has it.",
+)  # fmt: skip
+quiet_option = click.option("--quiet", is_flag=True, help="Show no progress.")
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="clsco")
+def main() -> None:
+    """Images of moving objects out of focus, with their ground truth."""
+
+
+@main.command()
+@scenes_wanted
+@click.option("-o", "out", metavar="DIR", required=True, type=PATH, help="Folder for the frames.")
+@truth_option
+@click.option(
+    "--frames", "span", metavar="A:B", type=_span, default=":", help="Frames A to B - 1, counted from 0."
+)
+@set_option
+@device_option
+@precision_option
+@click.option(
+    "--resume", is_flag=True, help="Leave out frames that are in DIR already, whole and of this scene."
+)
+@quiet_option
+def render(
+    scenes: tuple[Path, ...], out: Path, files: tuple[str, ...], span: Span, overrides: tuple[str, ...],
+    device: str | None, precision: str | None, resume: bool, quiet: bool,
+) -> None:  # fmt: skip
+    """Render the frames of scenes to files.
+
+    A frame is frame_0000.png, and frame_0000.json with everything that made it. Of several scenes, each has a
+    folder of its name in DIR.
+    """
+    if "exr" in files and find_spec("OpenEXR") is None:
+        raise ImageError("--truth exr: needs OpenEXR: pip install 'clsco[exr]'; got no such module")
+    loaded = _loaded(scenes, overrides)
+    _require_device(device)
+    from clsco import batch
+
+    numbers = [batch.wanted(scene, span, str(path)) for path, scene in zip(scenes, loaded, strict=True)]
+    jobs = [
+        batch.prepare(scene, folder, frames, files, precision, resume)
+        for scene, folder, frames in zip(loaded, batch.folders(scenes, out), numbers, strict=True)
+    ]
+    with _progress(sum(len(job.frames) for job in jobs), quiet) as advance:
+        for job in jobs:
+            for _ in batch.run(job, device, precision):
+                advance()
+
+
+@main.command()
+@click.option("-o", "out", metavar="DIR", type=PATH, default=Path("demo"), show_default=True, help="Folder.")
+@device_option
+@quiet_option
+def demo(out: Path, device: str | None, quiet: bool) -> None:
+    """Render some of the example scenes, and a sheet that shows them and their ground truth."""
+    _require_device(device)
+    from clsco import batch
+    from clsco.demo import EXAMPLES, example, write_contact_sheet
+
+    scenes = {name: example(name) for name in EXAMPLES}
+    jobs = {
+        name: batch.prepare(scene, out / name, range(scene.sequence.frames), ("npz",), None, False)
+        for name, scene in scenes.items()
+    }
+    shown = {}
+    with _progress(sum(len(job.frames) for job in jobs.values()), quiet) as advance:
+        for name, job in jobs.items():
+            for frame in batch.run(job, device, None):
+                shown[name] = frame  # the last one of a sequence
+                advance()
+    write_contact_sheet(out / "contact_sheet.png", shown)
+    place = click.format_filename(out)
+    click.echo(f"{place}/contact_sheet.png: all scenes, and the ground truth of some")
+    click.echo(f"{place}/NAME/frame_0000.png, .npz, .json: image, truth and parameters; NAME is one of")
+    click.echo(f"  {', '.join(jobs)}")
+
+
+@main.command()
+@one_scene
+@set_option
+@truth_option
+def plan(scene: Path, overrides: tuple[str, ...], files: tuple[str, ...]) -> None:
+    """Tell what rendering a scene takes; runs nothing, and needs no OpenCL."""
+    (loaded,) = _loaded([scene], overrides)
+    from clsco.describe import planned
+    from clsco.show import plan_tables
+
+    _print(*plan_tables(planned(loaded, TRUTH_NAMES if files else ())))
+
+
+@main.command()
+@one_scene
+@set_option
+@device_option
+@precision_option
+def check(scene: Path, overrides: tuple[str, ...], device: str | None, precision: str | None) -> None:
+    """Compare the device with the NumPy reference, output by output.
+
+    Fails where color differs by more than 1e-5 of white in double precision. In single precision a ray may
+    miss a surface that it barely touches, so that differences near silhouettes are only told.
+    """
+    (loaded,) = _loaded([scene], overrides)
+    _require_device(device)
+    from clsco.check import compare_frames
+    from clsco.show import check_tables
+
+    for checked in compare_frames(loaded, device, precision):
+        _print(*check_tables(checked))
+        color = checked.differences[0]
+        if color.count and checked.precision == "double":
+            got = f"{color.largest:.2g} in frame {checked.index} ({color.count} pixels above)"
+            raise ClscoError(f"{scene}: color must agree within {color.figure:g} of white; got {got}")
+
+
+@main.command()
+@device_option
+@click.option("--self-test", "tested", is_flag=True, help="Run small kernels on each device.")
+def devices(device: str | None, tested: bool) -> None:
+    """List OpenCL devices, what each can do, and which one is used and why."""
+    _require_opencl()
+    from clsco.device import list_devices, self_test
+    from clsco.show import device_tables
+
+    found, choice = list_devices(device)
+    checks = {item: self_test(item) for item in found} if tested else {}
+    if found:
+        _print(*device_tables(found, choice.device, checks))
+    if choice.device is None:
+        raise DeviceError(choice.reason)
+    click.echo(f"used: {choice.device} ({choice.reason})")
+    failed = [
+        f"{item}: {check.name}" for item, results in checks.items() for check in results if not check.passed
+    ]
+    if failed:
+        raise ClscoError(f"self-test: every check must pass; got failures in {', '.join(failed)}")
+
+
+@main.command()
+def schema() -> None:
+    """Print the JSON Schema of a scene file."""
+    from clsco.scenefile import scene_schema
+
+    click.echo(json.dumps(scene_schema(), indent=2))
+
+
+@main.command()
+@scenes_wanted
+def validate(scenes: tuple[Path, ...]) -> None:
+    """Check scene files and their textures without rendering; tells all faults of all files."""
+    _loaded(scenes, ())
+    for path in scenes:
+        click.echo(f"{click.format_filename(path)}: valid")
+
+
+def _loaded(paths: Sequence[Path], overrides: tuple[str, ...]) -> list[Scene]:
+    """Load scenes and look at their textures' headers; raises SceneError with the faults of all of them."""
+    from clsco.describe import with_resolution
+    from clsco.scenefile import load_scene
+
+    scenes: list[Scene] = []
+    messages: list[str] = []
+    for path in paths:
+        try:
+            scenes.append(with_resolution(load_scene(path, overrides)))
+        except SceneError as error:
+            messages.extend(error.messages)
+        except ImageError as error:
+            messages.append(f"{path}: object[0].texture: {error}")
+    if messages:
+        raise SceneError(messages)
+    return scenes
+
+
+def _require_opencl() -> None:
+    if find_spec("pyopencl") is None:
+        raise DeviceError("device: needs pyopencl: pip install 'clsco[pocl]'; got no such module")
+
+
+def _require_device(name: str | None) -> None:
+    """Fail before anything is written where there is no device, or none of this name."""
+    _require_opencl()
+    from clsco.device import choose
+
+    choose(name)
+
+
+def _print(*things: Any) -> None:
+    """Print tables and lines to stdout, as wide as the terminal; without one, as wide as they are."""
+    from rich.console import Console
+
+    width = None if sys.stdout.isatty() else 160
+    Console(width=width, markup=False, highlight=False, emoji=False).print(*things, sep="\n")
+
+
+@contextmanager
+def _progress(total: int, quiet: bool) -> Iterator[Callable[[], object]]:
+    """Show a bar on a terminal, nothing in a pipe; gives what is to be called after each frame."""
+    if quiet or not sys.stderr.isatty() or not total:
+        yield lambda: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("frames"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        task = progress.add_task("frames", total=total)
+        yield lambda: progress.advance(task)

@@ -1,0 +1,119 @@
+"""Plans, comparisons and devices as tables for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from rich.box import SIMPLE
+from rich.console import RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from clsco.describe import unused_keys
+from clsco.plan import Plan
+
+if TYPE_CHECKING:
+    from clsco.check import Checked
+    from clsco.device import Check, Device
+
+
+def _table(
+    title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], right: Sequence[str] = ()
+) -> Table:
+    """A table of plain text; columns named in `right` hold numbers."""
+    table = Table(title=Text(title), title_justify="left", box=SIMPLE, pad_edge=False)
+    for name in columns:
+        table.add_column(Text(name), justify="right" if name in right else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*(Text(cell) for cell in row))
+    return table
+
+
+def plan_tables(plan: Plan) -> list[RenderableType]:
+    """What a plan does, leaves out, and costs, and which keys of the scene it has no use for."""
+    scene = plan.scene
+    samples = f"{plan.samples} per frame" + (", from the motion" if scene.sequence.samples == "auto" else "")
+    kind = "gray" if plan.channels == 1 else "color"
+    figures = (
+        ("frames", f"{scene.sequence.frames}, {plan.columns} x {plan.rows} px, {kind}"),
+        ("intermediate frames", samples),
+        (
+            "blur radius |R|",
+            f"{plan.smallest_blur:.2f} to {plan.largest_blur:.2f} px, predicted with a margin",
+        ),
+        ("guard band", f"{plan.guard_px} px on every side"),
+        ("blur method", plan.blur),
+        ("memory on the device", f"{plan.memory_bytes / 2**20:.1f} MiB"),
+        ("predicted work", f"{plan.taps:.3g} weights per frame"),
+    )
+    tables: list[RenderableType] = [
+        _table(f"Plan: {scene.title or scene.objects[0].name}", ("what", "how much"), figures),
+        _table("Passes that are run", ("pass", "how"), plan.passes),
+        _table("Left out", ("pass", "why"), plan.left_out),
+    ]
+    if unused := unused_keys(plan):
+        tables.append(_table("Keys that this scene has no use for", ("key", "why"), unused))
+    return tables
+
+
+def check_tables(checked: Checked) -> list[RenderableType]:
+    """Differences of one frame from the reference, and the time of each."""
+    columns = ("output", "largest", "RMS", "unit", "row", "column", "above", "figure")
+    rows = [
+        (
+            d.output,
+            f"{d.largest:.2e}",
+            f"{d.rms:.2e}",
+            d.unit,
+            f"{d.row}",
+            f"{d.column}",
+            f"{d.count}",
+            f"{d.figure:g}",
+        )
+        for d in checked.differences
+    ]
+    table = _table(
+        f"Frame {checked.index} against the reference", columns, rows, right=columns[1:3] + columns[4:]
+    )
+    times = (
+        f"{checked.device}, {checked.precision} precision: {checked.seconds:.3f} s, in kernels "
+        f"{checked.pass_seconds:.3f} s; reference: {checked.reference_seconds:.3f} s"
+    )
+    return [table, Text(times)]
+
+
+def device_tables(
+    devices: Sequence[Device], used: Device | None, checks: Mapping[Device, Sequence[Check]]
+) -> list[RenderableType]:
+    """Devices with what each can do, and the answers of their self-tests where there are any."""
+
+    def yes(has: bool) -> str:
+        return "yes" if has else "no"
+
+    columns = (
+        "",
+        "device",
+        "platform",
+        "kind",
+        "units",
+        "memory",
+        "double",
+        "64-bit atomics",
+        "exact division",
+    )
+    rows = [
+        (
+            "*" if device == used else "", device.name, f"{device.platform} {device.driver}", device.kind,
+            f"{device.compute_units}", f"{device.global_mem / 2**30:.1f} GiB", yes(device.has_fp64),
+            yes(device.has_int64_atomics), yes(device.correctly_rounded),
+        )
+        for device in devices
+    ]  # fmt: skip
+    tables: list[RenderableType] = [
+        _table("OpenCL devices (* is used)", columns, rows, right=("units", "memory"))
+    ]
+    for device, results in checks.items():
+        answers = [(check.name, "passed" if check.passed else "failed", check.detail) for check in results]
+        tables.append(_table(f"Self-test of {device}", ("check", "result", "detail"), answers))
+    return tables
