@@ -41,7 +41,7 @@ def structs(real: Real) -> dict[str, np.dtype[Any]]:
     pose = [("rotation", r, (9,)), ("shift", r, (3,))]
     psf = [(name, i) for name in ("first", "count", "reach", "sub_first", "sub_count")]
     psf += [(name, r) for name in ("key", "minimum_blur", "fine_steps", "fine_until")]
-    psf += [(name, r) for name in ("offset", "steps", "sub_steps")]
+    psf += [(name, r) for name in ("octaves_from", "steps", "sub_steps")]
     fields = {"camera_t": camera, "surface_t": surface, "pose_t": pose, "psf_t": psf}
     return {name: np.dtype(members, align=True) for name, members in fields.items()}
 
@@ -109,7 +109,7 @@ def psf_struct(psf: Psf, table: PsfTable, subpixel: PsfTable | None, real: Real)
         "reach": max(table.reach, subpixel.reach if subpixel else 0),
         "key": sampled_key(psf),
         "minimum_blur": MINIMUM_BLUR,
-        "offset": OFFSET,
+        "octaves_from": 1.0 / OFFSET,
         "steps": table_steps(psf, False),
         "sub_steps": table_steps(psf, True),
     }
