@@ -102,8 +102,8 @@ def _texture_stack(textures: Textures, rows: int, columns: int, count: int) -> A
         if image.shape[:2] != (rows, columns) or image.ndim not in (2, 3):
             raise ValueError(f"raytracer: textures must be {rows} x {columns} texels; got {image.shape}")
     images = [image.reshape(rows, columns, -1) for image in images]
-    channels = max(image.shape[2] for image in images)
-    return np.stack([np.broadcast_to(image, (rows, columns, channels)) for image in images]).astype(float)
+    size = rows, columns, max(image.shape[2] for image in images)
+    return np.stack([np.broadcast_to(image, size) for image in images]).astype(float, order="C")
 
 
 def prepare(scene: Any, textures: Textures, rows: int, columns: int, frame: int = 0) -> Problem:
