@@ -1,20 +1,27 @@
 // Forward warp: the pixels of the frame at rest move and are projected to the nearest pixel of the padded grid
 // (thesis, 4.3.3). Twin: clsco/reference/reproject.py.
 //
-//   target   int per source (pixel of the frame, row-major): pixel of the padded grid that it moves to, -1 for none
+//   rest     real per source (pixel of the frame, row-major): inverse depth at rest, 1/mm, 0 for no surface
+//   target   int per source: pixel of the padded grid that it moves to, -1 for none
 //   moved    real per source: its inverse depth after the move, 1/mm, 0 for none
 //   winner   int per pixel of the padded grid: lowest source among the nearest that come there, NO_WINNER for none
 //
 // Depths are compared as floats, so that rounding in the last digit of a double decides nothing: of equal ones the
 // first source wins. On CPUs (OWNED) a work-item owns a band of the padded grid and walks the sources that come there
 // in their order, without atomics; elsewhere two passes of atomics find the same winners.
+// Features besides geometry.clh's: OWNED.
 
 #define SNAP 4096  // steps per px: rounding errors far below it cannot move a position across a pixel's edge
 #define NO_WINNER INT_MAX
-#define SEGMENT 64  // sources whose targets are bounded together
+
+#if OWNED
+#define SEGMENT 64  // sources of a row that a work-item moves; PoCL vectorizes such a loop, but no work-items with so many terms
+#else
+#define SEGMENT 1
+#endif
 
 // Pixel of a position in px: snapped to 1/SNAP px, then rounded half up in integers. floor is a call on PoCL.
-static int nearest_pixel(real position)
+static inline int nearest_pixel(real position)
 {
     const real far = (real)1e9;
     const real inside = MAX(MIN(position, far), -far);
@@ -24,45 +31,57 @@ static int nearest_pixel(real position)
     return whole + ((snapped + SNAP / 2) >> 12);
 }
 
-// Moves every source. In: surface at rest, pose. Out: target, moved.
-__kernel void reproject_targets(const camera_t camera, const surface_t surface, const pose_t pose,
-                                __global int *target, __global real *moved)
+// Inverse depth of every source; `surface` is at rest. Out: rest.
+__kernel void reproject_rest(const camera_t camera, const surface_t surface, __global real *rest)
 {
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= camera.columns || row >= camera.rows)
         return;
-    const real3 ray = pixel_ray(camera, row, column);
     uchar root;
-    const real w = solve_quadric(&surface, ray, &root);
-    // The moved point, times the inverse depth at rest.
-    const real3 rest = (real3)(surface.rest[0], surface.rest[1], surface.rest[2]);
-    const real3 shift = (real3)(pose.shift[0], pose.shift[1], pose.shift[2]);
-    const real3 point = turned(pose.rotation, ray - rest * w) + (rest + shift) * w;
-    const real3 image = project(camera, point);
-    const int x = nearest_pixel(image.x) + camera.guard, y = nearest_pixel(image.y) + camera.guard;
-    const bool used = root && point.z > 0 && x >= 0 && x < camera.width && y >= 0 && y < camera.height;
-    const int at = row * camera.columns + column;
-    target[at] = used ? y * camera.width + x : -1;
-    moved[at] = used ? w / point.z : 0;
+    rest[row * camera.columns + column] = solve_quadric(&surface, pixel_ray(camera, row, column), &root);
+}
+
+// Moves every source about the center of `surface` at rest. In: rest. Out: target, moved, and with OWNED bounds int2
+// per SEGMENT of a row: lowest and highest target there, (INT_MAX, -1) for none.
+__kernel void reproject_targets(const camera_t camera, const surface_t surface, const pose_t pose,
+                                __global const real *restrict rest, __global int *restrict target,
+                                __global real *restrict moved
+#if OWNED
+                                , __global int2 *restrict bounds
+#endif
+)
+{
+    const int id = get_global_id(0), each = (camera.columns + SEGMENT - 1) / SEGMENT, row = id / each;
+    if (row >= camera.rows)
+        return;
+    const int begin = id % each * SEGMENT, end = MIN(begin + SEGMENT, camera.columns);
+    const real *center = surface.rest;
+    int lowest = INT_MAX, highest = -1;
+    for (int column = begin; column < end; ++column) {
+        const int at = row * camera.columns + column;
+        const real w = rest[at];
+        const real3 ray = pixel_ray(camera, row, column);
+        // The moved point times w. Component by component: PoCL vectorizes no loop that computes with vectors.
+        const real3 arm = (real3)(ray.x - center[0] * w, ray.y - center[1] * w, ray.z - center[2] * w);
+        const real3 turn = turned(pose.rotation, arm);
+        const real3 point = (real3)(turn.x + (center[0] + pose.shift[0]) * w, turn.y + (center[1] + pose.shift[1]) * w,
+                                    turn.z + (center[2] + pose.shift[2]) * w);
+        const real3 image = project(camera, point);
+        const int x = nearest_pixel(image.x) + camera.guard, y = nearest_pixel(image.y) + camera.guard;
+        const bool used = w > 0 && point.z > 0 && x >= 0 && x < camera.width && y >= 0 && y < camera.height;
+        const int to = used ? y * camera.width + x : -1;
+        target[at] = to;
+        moved[at] = used ? w / point.z : 0;
+        lowest = MIN(lowest, used ? to : INT_MAX);
+        highest = MAX(highest, to);
+    }
+#if OWNED
+    bounds[id] = (int2)(lowest, highest);
+#endif
 }
 
 #if OWNED
-// Range of the targets of each SEGMENT sources. Out: bounds int2 (lowest, highest); nothing lies in (INT_MAX, -1).
-__kernel void reproject_bounds(const camera_t camera, __global const int *target, __global int2 *bounds)
-{
-    const int id = get_global_id(0), sources = camera.rows * camera.columns;
-    if (id * SEGMENT >= sources)
-        return;
-    int lowest = INT_MAX, highest = -1;
-    for (int i = id * SEGMENT; i < MIN((id + 1) * SEGMENT, sources); ++i) {
-        const int t = target[i], used = t < 0 ? INT_MAX : t;
-        lowest = MIN(lowest, used);
-        highest = MAX(highest, t);
-    }
-    bounds[id] = (int2)(lowest, highest);
-}
-
-// The whole depth test: each work-item owns `band` rows of the padded grid. Out: winner.
+// The whole depth test: each work-item owns `band` rows of the padded grid. In: target, moved, bounds. Out: winner.
 __kernel void reproject_nearest(const camera_t camera, __global const int *target, __global const real *moved,
                                 __global const int2 *bounds, const int band, __global int *winner)
 {
@@ -70,26 +89,28 @@ __kernel void reproject_nearest(const camera_t camera, __global const int *targe
     if (first >= camera.height)
         return;
     const int begin = first * camera.width, end = MIN(first + band, camera.height) * camera.width;
-    const int sources = camera.rows * camera.columns;
-    for (int t = begin; t < end; ++t)
-        winner[t] = NO_WINNER;
-    for (int segment = 0; segment * SEGMENT < sources; ++segment) {
+    const int each = (camera.columns + SEGMENT - 1) / SEGMENT;
+    for (int to = begin; to < end; ++to)
+        winner[to] = NO_WINNER;
+    for (int segment = 0; segment < camera.rows * each; ++segment) {
         const int2 range = bounds[segment];
         if (range.x >= end || range.y < begin)
             continue;
-        for (int i = segment * SEGMENT; i < MIN((segment + 1) * SEGMENT, sources); ++i) {
-            const int t = target[i];
-            if (t < begin || t >= end)
+        const int row = segment / each, column = segment % each * SEGMENT;
+        const int from = row * camera.columns + column, sources = MIN(SEGMENT, camera.columns - column);
+        for (int i = from; i < from + sources; ++i) {
+            const int to = target[i];
+            if (to < begin || to >= end)
                 continue;
-            const int other = winner[t];
+            const int other = winner[to];
             if (other == NO_WINNER || (float)moved[i] > (float)moved[other])
-                winner[t] = i;
+                winner[to] = i;
         }
     }
 }
 #else
-// Largest inverse depth that comes to each pixel. In and out: depth, bits of a float per pixel, 0 to begin with;
-// floats > 0 keep their order as ints.
+// Largest inverse depth that comes to each pixel. In: target, moved. In and out: depth, bits of a float per pixel of the
+// padded grid, 0 to begin with; floats > 0 keep their order as ints.
 __kernel void reproject_depth(const camera_t camera, __global const int *target, __global const real *moved,
                               __global int *depth)
 {
@@ -100,22 +121,22 @@ __kernel void reproject_depth(const camera_t camera, __global const int *target,
         atomic_max(depth + target[i], as_int((float)moved[i]));
 }
 
-// Lowest source that brings it. In and out: winner, NO_WINNER to begin with.
+// Lowest source that brings it. In: target, moved, depth. In and out: winner, NO_WINNER to begin with.
 __kernel void reproject_winner(const camera_t camera, __global const int *target, __global const real *moved,
                                __global const int *depth, __global int *winner)
 {
     const int i = get_global_id(0);
     if (i >= camera.rows * camera.columns)
         return;
-    const int t = target[i];
-    if (t >= 0 && depth[t] == as_int((float)moved[i]))
-        atomic_min(winner + t, i);
+    const int to = target[i];
+    if (to >= 0 && depth[to] == as_int((float)moved[i]))
+        atomic_min(winner + to, i);
 }
 #endif
 
-// What the winners bring. In: texture float (CHANNELS, rows, columns), weight of this moment. Out, on the padded grid:
-// value float (CHANNELS, height, width), radiance times weight; w, 1/mm; coc, signed radius in px; valid: there is
-// a winner; status 0. All are 0 where there is none.
+// What the winners bring. In: texture float (CHANNELS, rows, columns), moved, winner; weight of this moment in the
+// exposure. Out, on the padded grid: value float (CHANNELS, height, width), radiance times weight; w real, inverse depth
+// in 1/mm; coc real, signed radius in px; valid uchar, there is a winner; status uchar, 0. All 0 where there is none.
 __kernel void reproject_gather(const camera_t camera, const float weight, __global const float *texture,
                                __global const real *moved, __global const int *winner, __global float *value,
                                __global real *w, __global real *coc, __global uchar *valid, __global uchar *status)

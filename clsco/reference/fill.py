@@ -37,19 +37,47 @@ class FillReport:
     filled_first_sweep: int = 0
 
 
+def find_spans(known: Mask) -> NDArray[np.int64]:
+    """First and last known pixel (H + W, 2) of each row and then of each column; (H + W, -1) for none.
+
+    known: (H, W).
+    """
+
+    def ends(lines: Mask) -> NDArray[np.int64]:
+        some = lines.any(axis=1)
+        first = np.where(some, lines.argmax(axis=1), sum(known.shape))
+        last = np.where(some, lines.shape[1] - 1 - lines[:, ::-1].argmax(axis=1), -1)
+        return np.stack([first, last], axis=1)
+
+    return np.concatenate([ends(known), ends(known.T)])
+
+
 def mark_missing(known: Mask, allowed: Mask | None) -> Mask:
     """Missing pixels (H, W): unknown, strictly between the first and last known of their row, else column.
 
     known: (H, W); allowed: (H, W), only these may be missing (domain "surface"), or None (domain "span").
     """
-
-    def between(axis: int) -> Mask:
-        before = np.logical_or.accumulate(known, axis=axis)
-        after = np.flip(np.logical_or.accumulate(np.flip(known, axis), axis=axis), axis)
-        return np.asarray(before & after)
-
-    missing = ~known & (between(1) | between(0))
+    (rows, columns), spans = known.shape, find_spans(known)
+    i, j = np.arange(rows)[:, None], np.arange(columns)[None, :]
+    first, last = spans[:rows, :1], spans[:rows, 1:]
+    top, bottom = spans[rows:].T
+    missing = ~known & (((first < j) & (j < last)) | ((top < i) & (i < bottom)))
     return missing if allowed is None else missing & allowed
+
+
+def settle_sweep(known: Mask, missing: Mask, filled: Mask) -> tuple[Mask, Mask, bool]:
+    """Known and missing pixels (H, W) after a sweep, and whether there may be missing pixels besides those.
+
+    known, missing: (H, W), before the sweep; filled: (H, W), by it. Others become missing only where a filled
+    pixel lies outside the span of known pixels of its row or column: where a whole row and a whole column
+    were missing, at their crossing.
+    """
+    row, column = np.nonzero(filled)
+    spans = find_spans(known)
+    first, last = spans[row].T
+    top, bottom = spans[known.shape[0] + column].T
+    grown = bool(((column < first) | (column > last) | (row < top) | (row > bottom)).any())
+    return known | filled, missing & ~filled, grown
 
 
 def _neighbors(
@@ -205,8 +233,8 @@ def fill(
     values: (H, W, K), radiance and then inverse depth; known: (H, W); allowed: as for `mark_missing`; guard:
     px of the padded grid that do not count in the report. Status: 0 known or outside, 1 filled, 2 missing but
     could not be filled. "mean_median" scores on the radiance and fills inverse depth by the same rule.
-    Missing pixels are marked anew before each sweep, with the filled ones known. Sweeps that fill nothing do
-    not count.
+    Before each sweep missing pixels are those between known or filled ones. Sweeps that fill nothing do not
+    count.
     """
     left, valid = mark_missing(known, allowed), known
     frame = (slice(guard, known.shape[0] - guard), slice(guard, known.shape[1] - guard))
@@ -229,9 +257,9 @@ def fill(
         sweeps += 1
         if sweeps == 1:
             first = int(filled[frame].sum())
-        valid = valid | filled
-        # The crossing of a wholly missing row and a wholly missing column is between known pixels only now.
-        left = mark_missing(valid, allowed)
+        valid, left, grown = settle_sweep(valid, left, filled)
+        if grown:
+            left = mark_missing(valid, allowed)
     done = valid & ~known
     if method == "mean_median" and done.any():
         for _ in range(SMOOTHING_ROUNDS):

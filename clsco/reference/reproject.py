@@ -24,6 +24,35 @@ def nearest_pixel(position: Array) -> NDArray[np.int64]:
     return (snapped + SNAP // 2) >> 12
 
 
+def reproject_rest(scene: Scene, rest: PlacedSurface) -> Array:
+    """Inverse depth (rows, columns) in 1/mm of the pixels of the frame, the sources of the warp.
+
+    rest: the surface at t = 0; where there is none, 0.
+    """
+    rays = pixel_ray(scene.camera, *padded_grid(scene.camera, 0))
+    return solve_quadric(rest, scene.objects[0].bounds, rays)[0]
+
+
+def reproject_targets(
+    scene: Scene, rest: PlacedSurface, pose: Pose, w: Array, guard: int
+) -> tuple[NDArray[np.int64], Array]:
+    """Target (sources,) on the padded grid and inverse depth (sources,) in 1/mm after the move to `pose`.
+
+    rest: the surface at t = 0; w: (rows, columns) from `reproject_rest`; guard: px. Targets are numbers of
+    pixels in row order; -1, and inverse depth 0, for what has none: no surface, behind the lens, outside.
+    """
+    rays = pixel_ray(scene.camera, *padded_grid(scene.camera, 0))
+    point = rays / np.where(w > 0.0, w, 1.0)[..., None]
+    moved = rest.rest + pose.shift + (point - rest.rest) @ pose.rotation.T
+    usable = (w > 0.0) & (moved[..., 2] > 0.0)
+    row, column = project(scene.camera, np.where(usable[..., None], moved, 1.0))
+    target_row, target_column = nearest_pixel(row) + guard, nearest_pixel(column) + guard
+    height, width = (n + 2 * guard for n in w.shape)
+    usable &= (target_row >= 0) & (target_row < height) & (target_column >= 0) & (target_column < width)
+    target = np.where(usable, target_row * width + target_column, -1).ravel()
+    return target, np.where(usable, 1.0 / np.where(usable, moved[..., 2], 1.0), 0.0).ravel()
+
+
 def reproject_depth(target: NDArray[np.int64], key: NDArray[np.float32], pixels: int) -> NDArray[np.float32]:
     """Largest inverse depth (pixels,) in 1/mm that any source brings to each target, 0 where none comes.
 
@@ -50,6 +79,14 @@ def reproject_winner(
     return winner
 
 
+def reproject_nearest(target: NDArray[np.int64], key: NDArray[np.float32], pixels: int) -> NDArray[np.int64]:
+    """Winner (pixels,) of the whole depth test: the first of the nearest sources, or NO_WINNER.
+
+    target, key: as for `reproject_depth`.
+    """
+    return reproject_winner(target, key, reproject_depth(target, key, pixels))
+
+
 def reproject_gather(winner: NDArray[np.int64], values: Array) -> tuple[NDArray[np.bool_], Array]:
     """Which targets (pixels,) have a winner, and its values (pixels, channels), 0 where there is none.
 
@@ -69,20 +106,9 @@ def reproject(
     a pixel leaves no holes; 19680 and 36993 missing pixels (thesis, figures 4.14 and 4.15).
     """
     rows, columns = texture.shape[:2]
-    rays = pixel_ray(scene.camera, *padded_grid(scene.camera, 0))
-    w, label = solve_quadric(rest, scene.objects[0].bounds, rays)
-    hit = label > 0
-    point = rays / np.where(hit, w, 1.0)[..., None]
-    moved = rest.rest + pose.shift + (point - rest.rest) @ pose.rotation.T
-    usable = hit & (moved[..., 2] > 0.0)
-    row, column = project(scene.camera, np.where(usable[..., None], moved, 1.0))
-    target_row, target_column = nearest_pixel(row) + guard, nearest_pixel(column) + guard
     height, width = rows + 2 * guard, columns + 2 * guard
-    usable &= (target_row >= 0) & (target_row < height) & (target_column >= 0) & (target_column < width)
-    target = np.where(usable, target_row * width + target_column, -1).ravel()
-    moved_w = np.where(usable, 1.0 / np.where(usable, moved[..., 2], 1.0), 0.0).ravel()
-    key = moved_w.astype(np.float32)
-    winner = reproject_winner(target, key, reproject_depth(target, key, height * width))
+    target, moved_w = reproject_targets(scene, rest, pose, reproject_rest(scene, rest), guard)
+    winner = reproject_nearest(target, moved_w.astype(np.float32), height * width)
     values = np.concatenate([texture.reshape(rows * columns, -1), moved_w[:, None]], axis=1)
     known, gathered = reproject_gather(winner, values)
     gathered = gathered.reshape(height, width, -1)

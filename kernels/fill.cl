@@ -1,0 +1,360 @@
+// Missing pixels: adaptive interpolation (thesis, 4.3.5) and mean/median filling (chapter 5). Twin:
+// clsco/reference/fill.py.
+//
+// On the padded grid, row-major:
+//   value    float (CHANNELS, height, width): radiance times the weight of the moment
+//   w, coc   real: inverse depth in 1/mm and signed radius of the blur in px
+//   valid    uchar: 1 known or filled, else 0
+//   status   uchar: 0 known or not missing, 1 filled, 2 missing
+//   spans    int2 per row and then per column: first and last valid pixel of the line, (INT_MAX, -1) for none
+//   list     int per missing pixel, in any order: its number
+//   counters ints, see below
+//
+// A sweep writes to missing pixels, which nobody reads before settle_sweep has made them valid: all of it sees what was
+// known before it, in any order. Features besides geometry.clh's: FILL_AIT, FILL_MEAN_MEDIAN, DOMAIN_SURFACE.
+
+#define LEFT 0           // missing pixels: entries of the list
+#define LEFT_INSIDE 1    // of them inside the frame
+#define FILLED 2         // filled by the sweep
+#define FILLED_INSIDE 3
+#define GROWN 4          // set where a filled pixel lies outside a span of its own: there may be new missing pixels
+#define DONE 5           // filled by all sweeps: entries of done
+#define CHUNK 64         // pixels per work-item where it counts, so that atomics are rare
+
+// Neighbors, in the order in which they are asked: W E, N S, NW SE, NE SW; opposite ones are pairs.
+__constant int NEIGHBOR_X[8] = {-1, 1, 0, 0, -1, 1, 1, -1};
+__constant int NEIGHBOR_Y[8] = {0, 0, -1, 1, -1, 1, -1, 1};
+
+static bool in_frame(const camera_t camera, int x, int y)
+{
+    const int column = x - camera.guard, row = y - camera.guard;
+    return column >= 0 && column < camera.columns && row >= 0 && row < camera.rows;
+}
+
+// First and last valid pixel of each row and column. In: valid. Out: spans.
+__kernel void find_spans(const camera_t camera, __global const uchar *valid, __global int2 *spans)
+{
+    const int line = get_global_id(0);
+    if (line >= camera.height + camera.width)
+        return;
+    const bool is_row = line < camera.height;
+    const int length = is_row ? camera.width : camera.height, step = is_row ? 1 : camera.width;
+    __global const uchar *along = valid + (is_row ? line * camera.width : line - camera.height);
+    int first = 0, last = length - 1;
+    while (first < length && !along[first * step])
+        ++first;
+    while (last >= first && !along[last * step])
+        --last;
+    spans[line] = first < length ? (int2)(first, last) : (int2)(INT_MAX, -1);
+}
+
+// Lists the pixels that are unknown but between the first and last valid one of their row, or else of their column,
+// CHUNK columns per work-item. In: valid, spans. Out: status of missing pixels, list, LEFT and LEFT_INSIDE.
+__kernel void mark_missing(const camera_t camera, const surface_t surface, __global const uchar *valid,
+                           __global const int2 *spans, __global uchar *status, __global int *list,
+                           __global int *counters)
+{
+    const int begin = get_global_id(0) * CHUNK, y = get_global_id(1);
+    if (begin >= camera.width || y >= camera.height)
+        return;
+    const int end = MIN(begin + CHUNK, camera.width);
+    __global const uchar *line = valid + y * camera.width;
+    int unknown = 0;
+    for (int x = begin; x < end; ++x)
+        unknown += !line[x];
+    if (!unknown)
+        return;
+    const int2 row = spans[y];
+    int found[CHUNK], count = 0, inside = 0;
+    for (int x = begin; x < end; ++x) {
+        const int2 column = spans[camera.height + x];
+        if (line[x] || !((x > row.x && x < row.y) || (y > column.x && y < column.y)))
+            continue;
+#if DOMAIN_SURFACE
+        uchar root;
+        solve_quadric(&surface, pixel_ray(camera, y - camera.guard, x - camera.guard), &root);
+        if (!root)
+            continue;
+#endif
+        found[count++] = y * camera.width + x;
+        inside += in_frame(camera, x, y);
+        status[y * camera.width + x] = 2;
+    }
+    if (!count)
+        return;
+    const int start = atomic_add(counters + LEFT, count);
+    if (inside)
+        atomic_add(counters + LEFT_INSIDE, inside);
+    for (int i = 0; i < count; ++i)
+        list[start + i] = found[i];
+}
+
+// Ends a sweep: what it filled becomes valid, the rest is listed again. In: list of `count`, status, spans. Out: valid,
+// left (as list), counters, done (list of what all sweeps filled).
+#if FILL_AIT || FILL_MEAN_MEDIAN
+__kernel void settle_sweep(const camera_t camera, __global const int *list, const int count,
+                           __global const int2 *spans, __global const uchar *status, __global uchar *valid,
+                           __global int *left, __global int *counters
+#if FILL_MEAN_MEDIAN
+                           , __global int *done
+#endif
+)
+{
+    const int begin = get_global_id(0) * CHUNK;
+    if (begin >= count)
+        return;
+    const int end = MIN(begin + CHUNK, count);
+    int filled = 0, filled_inside = 0, left_inside = 0;
+    bool grown = false;
+    for (int i = begin; i < end; ++i) {
+        const int at = list[i], x = at % camera.width, y = at / camera.width;
+        if (status[at] != 1) {
+            left_inside += in_frame(camera, x, y);
+            continue;
+        }
+        const int2 row = spans[y], column = spans[camera.height + x];
+        grown |= x < row.x || x > row.y || y < column.x || y > column.y;
+        valid[at] = 1;
+        ++filled;
+        filled_inside += in_frame(camera, x, y);
+    }
+    if (grown)
+        atomic_or(counters + GROWN, 1);
+    if (filled_inside)
+        atomic_add(counters + FILLED_INSIDE, filled_inside);
+    if (left_inside)
+        atomic_add(counters + LEFT_INSIDE, left_inside);
+    if (filled)
+        atomic_add(counters + FILLED, filled);
+    int next = filled < end - begin ? atomic_add(counters + LEFT, end - begin - filled) : 0;
+    for (int i = begin; i < end; ++i)
+        if (status[list[i]] != 1)
+            left[next++] = list[i];
+#if FILL_MEAN_MEDIAN
+    next = filled ? atomic_add(counters + DONE, filled) : 0;
+    for (int i = begin; i < end; ++i)
+        if (status[list[i]] == 1)
+            done[next++] = list[i];
+#endif
+}
+#endif
+
+#if FILL_AIT
+// Nearest valid pixel from `at` in steps of `step`, at most `most`; -1 for none.
+static int nearest_valid(__global const uchar *valid, int at, int step, int most)
+{
+    for (int i = 1; i <= most; ++i)
+        if (valid[at + i * step])
+            return at + i * step;
+    return -1;
+}
+
+// The valid pixels on both sides of a pixel of a line; x is the first, y the second, negative for none.
+static int2 between_valid(__global const uchar *valid, int at, int step, int index, int length)
+{
+    const int before = nearest_valid(valid, at, -step, index);
+    return (int2)(before, before < 0 ? -1 : nearest_valid(valid, at, step, length - 1 - index));
+}
+
+// One sweep of AIT. Inside: the mean of the first opposite pair of valid neighbors, else a copy of the first valid
+// neighbor. On the outermost rows and columns: linear between the nearest valid pixels of the row, else of the column.
+// In: list of `count`, valid. In and out: value, w, coc, status.
+__kernel void fill_ait(const camera_t camera, __global const int *list, const int count, __global const uchar *valid,
+                       __global float *value, __global real *w, __global real *coc, __global uchar *status)
+{
+    const int id = get_global_id(0);
+    if (id >= count)
+        return;
+    const int at = list[id], x = at % camera.width, y = at / camera.width;
+    int2 from = -1;
+    real share = (real)0.5;
+    if (x == 0 || y == 0 || x == camera.width - 1 || y == camera.height - 1) {
+        int step = 1;
+        from = between_valid(valid, at, step, x, camera.width);
+        if (from.y < 0) {
+            step = camera.width;
+            from = between_valid(valid, at, step, y, camera.height);
+        }
+        if (from.y >= 0)
+            share = (real)((at - from.x) / step) / ((from.y - from.x) / step);
+    } else {
+        for (int k = 0; k < 8 && from.y < 0; k += 2) {
+            const int step = NEIGHBOR_Y[k] * camera.width + NEIGHBOR_X[k];
+            if (valid[at + step] && valid[at - step])
+                from = (int2)(at + step, at - step);
+        }
+        for (int k = 0; k < 8 && from.y < 0; ++k) {
+            const int step = NEIGHBOR_Y[k] * camera.width + NEIGHBOR_X[k];
+            if (valid[at + step])
+                from = at + step;
+        }
+    }
+    if (from.y < 0)
+        return;
+    for (int c = 0; c < CHANNELS; ++c) {
+        __global float *plane = value + c * camera.height * camera.width;
+        plane[at] = (float)(plane[from.x] + ((real)plane[from.y] - plane[from.x]) * share);
+    }
+    const real inverse_depth = w[from.x] + (w[from.y] - w[from.x]) * share;
+    w[at] = inverse_depth;
+    coc[at] = blur_radius(camera, inverse_depth);
+    status[at] = 1;
+}
+#endif
+
+#if FILL_MEAN_MEDIAN
+#define LANES 8
+#define ORDER(T, a, b) { const T low = MIN(a, b); b = MAX(a, b); a = low; }
+// Sorts eight of anything that compares, with the fewest exchanges.
+#define SORT(T, s) \
+    ORDER(T, s[0], s[2]) ORDER(T, s[1], s[3]) ORDER(T, s[4], s[6]) ORDER(T, s[5], s[7]) \
+    ORDER(T, s[0], s[4]) ORDER(T, s[1], s[5]) ORDER(T, s[2], s[6]) ORDER(T, s[3], s[7]) \
+    ORDER(T, s[0], s[1]) ORDER(T, s[2], s[3]) ORDER(T, s[4], s[5]) ORDER(T, s[6], s[7]) \
+    ORDER(T, s[2], s[4]) ORDER(T, s[3], s[5]) ORDER(T, s[1], s[4]) ORDER(T, s[3], s[6]) \
+    ORDER(T, s[1], s[2]) ORDER(T, s[3], s[4]) ORDER(T, s[5], s[6])
+
+// vload8 is a call on PoCL; through these types it is one unaligned move.
+typedef float floats_t __attribute__((ext_vector_type(8), aligned(4)));
+typedef uchar uchars_t __attribute__((ext_vector_type(8), aligned(1)));
+#define FLOATS(p) (*(__global const floats_t *)(p))
+#define UCHARS(p) (*(__global const uchars_t *)(p))
+#define WIDE(v) ((real8)((v).s0, (v).s1, (v).s2, (v).s3, (v).s4, (v).s5, (v).s6, (v).s7))
+
+// Stage 0: sums over all pixels of a row with eight valid neighbors, and all channels, from which the host has the
+// squared errors of mean and median of all 163 subsets of k = 4..8 neighbors. With d the sorted differences of the
+// neighbors to the center and C binomial coefficients, the subsets of k have
+//   of means    (C(6, k-2) (sum d)^2 + C(6, k-1) sum d^2) / k^2,
+//   of medians  for odd k = 2 m + 1  C(i, m) C(7-i, m) times d_i^2, for all i,
+//               for even k = 2 m + 2  C(i, m) C(7-j, m) times ((d_i + d_j) / 2)^2, for all i < j.
+// One work-item per row, LANES pixels at once; the host adds the rows in their order. value and valid must be readable
+// LANES elements beyond their end. Out: sums real (height, 7): (sum d)^2, sum d^2, medians of k = 4..8, those of even k
+// not yet divided by 4.
+__kernel void score_mean_median(const camera_t camera, __global const float *value, __global const uchar *valid,
+                                __global real *sums)
+{
+    const int y = get_global_id(0), pitch = camera.width;
+    if (y >= camera.height)
+        return;
+    const uchar8 lane = (uchar8)(0, 1, 2, 3, 4, 5, 6, 7);
+    real8 sum[7] = {0, 0, 0, 0, 0, 0, 0};
+    for (int x = 1; x < pitch - 1 && y > 0 && y < camera.height - 1; x += LANES) {
+        const int at = y * pitch + x;
+        uchar8 whole = UCHARS(valid + at);
+        for (int k = 0; k < 8; ++k)
+            whole &= UCHARS(valid + at + NEIGHBOR_Y[k] * pitch + NEIGHBOR_X[k]);
+        whole &= as_uchar8(lane < (uchar8)(uchar)MIN(LANES, pitch - 1 - x));
+        const real8 use = WIDE(whole);
+        for (int c = 0; c < CHANNELS; ++c) {
+            __global const float *center = value + c * camera.height * pitch + at;
+            float8 near[8];
+            for (int k = 0; k < 8; ++k)
+                near[k] = FLOATS(center + NEIGHBOR_Y[k] * pitch + NEIGHBOR_X[k]);
+            SORT(float8, near)
+            const real8 middle = WIDE(FLOATS(center));
+            real8 d[8], total = 0;
+            for (int k = 0; k < 8; ++k) {
+                d[k] = (WIDE(near[k]) - middle) * use;
+                total += d[k];
+                sum[1] += d[k] * d[k];
+            }
+            sum[0] += total * total;
+            for (int i = 1; i < 7; ++i) {
+                const real8 odd = d[i] * d[i];
+                sum[3] += (real)(i * (i - 1) * (7 - i) * (6 - i) / 4) * odd;
+                sum[5] += (real)(i * (i - 1) * (i - 2) * (7 - i) * (6 - i) * (5 - i) / 36) * odd;
+                for (int j = i + 1; j < 7; ++j) {
+                    const real8 even = (d[i] + d[j]) * (d[i] + d[j]);
+                    sum[2] += (real)(i * (7 - j)) * even;
+                    sum[4] += (real)(i * (i - 1) * (7 - j) * (6 - j) / 4) * even;
+                }
+            }
+            sum[6] += (d[3] + d[4]) * (d[3] + d[4]);
+        }
+    }
+    for (int k = 0; k < 7; ++k) {
+        const real8 v = sum[k];
+        sums[7 * y + k] = ((v.s0 + v.s1) + (v.s2 + v.s3)) + ((v.s4 + v.s5) + (v.s6 + v.s7));
+    }
+}
+
+// Numbers of the valid neighbors of a pixel; returns how many there are.
+static int valid_neighbors(const camera_t camera, __global const uchar *valid, int at, int *place)
+{
+    const int x = at % camera.width, y = at / camera.width;
+    int count = 0;
+    for (int k = 0; k < 8; ++k) {
+        const int i = y + NEIGHBOR_Y[k], j = x + NEIGHBOR_X[k];
+        if (i >= 0 && i < camera.height && j >= 0 && j < camera.width && valid[i * camera.width + j])
+            place[count++] = i * camera.width + j;
+    }
+    return count;
+}
+
+// Mean or median of the first `count` of eight numbers; of an even count the mean of the middle two.
+static real estimate(real *near, int count, bool median)
+{
+    if (!median) {
+        real sum = 0;
+        for (int k = 0; k < count; ++k)
+            sum += near[k];
+        return sum / count;
+    }
+    for (int k = count; k < 8; ++k)
+        near[k] = INFINITY;
+    SORT(real, near)
+    return (real)0.5 * (near[(count - 1) / 2] + near[count / 2]);
+}
+
+// All planes of a pixel from the planes of its neighbors.
+static void write_estimate(const camera_t camera, int at, const int *place, int count, bool median,
+                           __global const float *value_in, __global const real *w_in, __global float *value_out,
+                           __global real *w_out, __global real *coc)
+{
+    real near[8];
+    for (int c = 0; c < CHANNELS; ++c) {
+        const int plane = c * camera.height * camera.width;
+        for (int k = 0; k < count; ++k)
+            near[k] = value_in[plane + place[k]];
+        value_out[plane + at] = (float)estimate(near, count, median);
+    }
+    for (int k = 0; k < count; ++k)
+        near[k] = w_in[place[k]];
+    const real inverse_depth = estimate(near, count, median);
+    w_out[at] = inverse_depth;
+    coc[at] = blur_radius(camera, inverse_depth);
+}
+
+// Stage 1: one sweep. Bit k of median_wins: for k valid neighbors the median is the better estimator; a pixel needs
+// `minimum` of them. In: list of `count`, valid. In and out: value, w, coc, status.
+__kernel void fill_mean_median(const camera_t camera, __global const int *list, const int count, const int median_wins,
+                               const int minimum, __global const uchar *valid, __global float *value,
+                               __global real *w, __global real *coc, __global uchar *status)
+{
+    const int id = get_global_id(0);
+    if (id >= count)
+        return;
+    const int at = list[id];
+    int place[8];
+    const int neighbors = valid_neighbors(camera, valid, at, place);
+    if (neighbors < minimum)
+        return;
+    write_estimate(camera, at, place, neighbors, median_wins >> neighbors & 1, value, w, value, w, coc);
+    status[at] = 1;
+}
+
+// Stage 2: one round of the 3x3 median without the center over the filled pixels. In: done, list of `count`; valid;
+// value_in, w_in, which hold all pixels. Out: the same of the filled pixels.
+__kernel void smooth_median(const camera_t camera, __global const int *done, const int count,
+                            __global const uchar *valid, __global const float *value_in, __global const real *w_in,
+                            __global float *value_out, __global real *w_out, __global real *coc)
+{
+    const int id = get_global_id(0);
+    if (id >= count)
+        return;
+    const int at = done[id];
+    int place[8];
+    const int neighbors = valid_neighbors(camera, valid, at, place);
+    if (neighbors)
+        write_estimate(camera, at, place, neighbors, true, value_in, w_in, value_out, w_out, coc);
+}
+#endif
