@@ -16,7 +16,7 @@ from clsco.program import download, empty, kernel, launch, upload
 from clsco.psf import LANES, PsfTable, constant_table, psf_table
 from clsco.scene import Psf
 
-BAND = 32  # rows that a work-item of `gather` owns: bands for many cores, and little overlap
+BAND = 64  # rows that a work-item of `gather` owns: bands for several cores, and little overlap
 PIXELS = (64, 1)  # local size of kernels with a work-item per pixel
 # A pixel gets at most 2.6 + 2 ln R times the brightest source from pillboxes; the tilt at most doubles it.
 GAIN, GAIN_PER_LOG, TILT_GAIN = 2.6, 2.0, 2.0
