@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from clsco import __version__
 from clsco.device import Session, choose
 from clsco.errors import DeviceError
+from clsco.forward import ForwardWarp
 from clsco.frame import TRUTH_NAMES, Frame
 from clsco.layout import Real, camera_struct, flat, pose_struct, structs, surface_struct
 from clsco.motion import Pose, middle_time, pose_at
@@ -93,7 +94,6 @@ class Renderer:
         self.program = build(session, sources, features, declared, self.real)
         self.forward = None
         if plan.forward:
-            from clsco.forward import ForwardWarp
             self.forward = ForwardWarp(session, plan, self.camera, self.texture, self._surface(0.0), self.real)
         self._allocate()
 
