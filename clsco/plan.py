@@ -26,7 +26,7 @@ Blur = Literal["gather", "scatter", "convolve", "none"]
 GRID = 65  # rays per axis that predict the range of the blur radius
 PREDICTED_MOMENTS = 33  # of the whole sequence at most
 LARGEST_BLUR = 512.0  # px; beyond it one source lights a million pixels
-PIXELS_PER_SAMPLE = 1.5  # of the largest motion, with samples = "auto": more samples gain nothing
+PIXELS_PER_SAMPLE = 1.0  # of the largest motion, with samples = "auto": 2 lose 5 to 9 dB, fewer gain little
 MOST_SAMPLES = 4095
 FILTERS = {"nearest": 0, "bilinear": 1, "bicubic": 2}
 SILHOUETTE_SLOTS = 12  # pixels near silhouettes per row and column of the frame, to begin with
