@@ -94,6 +94,8 @@ MOVING_SETTINGS: dict[str, dict[str, Any]] = {
     "auto": AUTO,
     "auto, endpoint": {"sequence": {"samples": "auto", "sampling": "endpoint"}},
     "auto, bilinear": {**AUTO, "motion": {"texture_filter": "bilinear"}},
+    "51 samples": {"sequence": {"samples": 51}},
+    "51 samples, bilinear": {"sequence": {"samples": 51}, "motion": {"texture_filter": "bilinear"}},
     "auto, nearest": {**AUTO, "motion": {"texture_filter": "nearest"}},
     "auto, forward": {**AUTO, "motion": {"warp": "forward"}},
     "auto, forward, span": {**AUTO, "motion": {"warp": "forward"}, "fill": {"domain": "span"}},
