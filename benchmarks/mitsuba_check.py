@@ -4,8 +4,8 @@ Mitsuba's `thinlens` camera knows no blur radius and no normalization distance: 
 the distance in focus and the field of view of the frame at the distance s0. The sphere is a fine mesh whose
 texture coordinates are the pinhole projection of its vertices; it glows by its texture without illumination.
 
-With Mitsuba 3.9.1 and the defaults below both differ by 3.95e-4 RMS (68.1 dB, peak 1.0), where the noise of both
-together is 3.93e-4; their means differ by 5e-6.
+With Mitsuba 3.9.1 and the defaults below both differ by 3.95e-4 RMS (68.1 dB, peak 1.0), where the noise of
+both together is 3.93e-4; their means differ by 5e-6.
 
     python -m benchmarks.mitsuba_check [--size 128] [--samples 4096] [--seeds 4]
 """
