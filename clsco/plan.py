@@ -16,7 +16,7 @@ from clsco.errors import SceneError
 from clsco.frame import TRUTH_NAMES
 from clsco.motion import Pose, pose_at, sample_times
 from clsco.optics import blur_radius, ray_step
-from clsco.psf import LANES, MINIMUM_BLUR, psf_extent, reach
+from clsco.psf import LANES, MINIMUM_BLUR, psf_extent, reach, table_bytes
 from clsco.scene import Object, Plane, Psf, Scene
 from clsco.surfaces import canonical, place, predict_inverse_depth
 
@@ -26,6 +26,7 @@ Blur = Literal["gather", "scatter", "convolve", "none"]
 GRID = 65  # rays per axis that predict the range of the blur radius
 PREDICTED_MOMENTS = 33  # of the whole sequence at most
 LARGEST_BLUR = 512.0  # px; beyond it one source lights a million pixels
+LARGEST_TABLES = 2**30  # bytes of PSF tables
 PIXELS_PER_SAMPLE = 1.0  # of the largest motion, with samples = "auto": 2 lose 5 to 9 dB, fewer gain little
 MOST_SAMPLES = 4095
 FILTERS = {"nearest": 0, "bilinear": 1, "bicubic": 2}
@@ -247,9 +248,10 @@ def make_plan(scene: Scene, channels: int, truth: tuple[str, ...] = TRUTH_NAMES,
     area = (rows + 2 * guard) * (columns + 2 * guard)
     extent = reach(psf, largest)
     slots = SILHOUETTE_SLOTS * (rows + columns + 4 * guard) if silhouettes else 0
+    tables = _checked_tables(psf, smallest, largest, silhouettes) if blur in ("gather", "scatter") else 0
     memory = area * (16 + 4 * channels + (1 if silhouettes else 0) + ((8 + 1 + 1 + 8 + 4) if forward else 0))
     memory += 4 * channels * rows * (columns + 2 * (guard + extent + LANES)) + 8 * channels * rows * columns
-    memory += slots * (4 + silhouettes**2 * (16 + 4 * channels)) + 16 * rows * columns * bool(truth)
+    memory += tables + slots * (4 + silhouettes**2 * (16 + 4 * channels)) + 16 * rows * columns * bool(truth)
     seen = np.abs(blur_radius(scene.camera, w[w > 0]))
     lit = np.pi * (psf_extent(psf, seen) + 0.7) ** 2
     taps = float((w > 0).mean() * area * samples * (lit.mean() if lit.size else 0.0)) if blur != "none" else 0.0
@@ -257,6 +259,18 @@ def make_plan(scene: Scene, channels: int, truth: tuple[str, ...] = TRUTH_NAMES,
         scene, channels, rows, columns, samples, guard, smallest, largest, blur, silhouettes, tilt, forward,
         moves, truth, passes, left_out, int(memory), taps,
     )  # fmt: skip
+
+
+def _checked_tables(psf: Psf, smallest: float, largest: float, silhouettes: int) -> int:
+    """Bytes of the PSF tables. Raises SceneError beyond LARGEST_TABLES."""
+    size = table_bytes(psf, smallest, largest)
+    size += table_bytes(psf, smallest, largest, silhouettes) if silhouettes else 0
+    if size > LARGEST_TABLES:
+        raise SceneError(
+            f"psf: the tables of weights must take at most {LARGEST_TABLES >> 20} MiB; got {size >> 20} MiB for radii up to "
+            f"{largest:.4g} px (fewer silhouette_samples, or a smaller aperture, take less)"
+        )
+    return size
 
 
 def _choose_blur(method: str, sharp: bool, constant: bool) -> Blur:

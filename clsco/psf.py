@@ -247,23 +247,45 @@ def subpixel_offsets(samples: int) -> Array:
     return (np.arange(samples) + 0.5) / samples - 0.5
 
 
+def _half_width(psf: Psf, index: int, subpixel: bool) -> int:
+    """Half-width in px of the rows of an interval."""
+    if psf.edge == "sampled" and not subpixel:
+        return floor(sqrt(float(_sampled_reach(psf, np.array(index)))))
+    return reach(psf, float(_table_radius(psf, np.array(index + 1.0), subpixel)), subpixel)
+
+
+def _span(psf: Psf, smallest: float, largest: float, subpixel: bool) -> range:
+    """Intervals that hold the |blur radii| from smallest to largest px."""
+    first, last = (floor(float(table_coordinate(psf, np.array(r), subpixel))) for r in (smallest, largest))
+    return range(first, last + 1)
+
+
+def _powers(psf: Psf, subpixel: bool) -> int:
+    """Coefficients per weight: one where weights do not change within an interval."""
+    return 1 if psf.edge == "sampled" and psf.model == "pillbox" and not subpixel else 4
+
+
+def table_bytes(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> int:
+    """Size of `psf_table` of the same arguments."""
+    total = 0
+    for index in _span(psf, smallest, largest, subpixel > 0):
+        half_width = _half_width(psf, index, subpixel > 0)
+        rows = (2 * half_width + 1) * subpixel * ((subpixel + 1) // 2) if subpixel else half_width + 1
+        total += 16 + 4 * rows * _powers(psf, subpixel > 0) * _lanes(half_width)
+    return total
+
+
 @lru_cache(maxsize=8)
 def psf_table(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> PsfTable:
     """Table for |blur radii| in [smallest, largest] px; subpixel > 0: for that many sub-pixel sources per axis."""
     fine = subpixel > 0
-    sampled = psf.edge == "sampled" and not fine
-    first, last = (floor(float(table_coordinate(psf, np.array(r), fine))) for r in (smallest, largest))
-    powers = 1 if sampled and psf.model == "pillbox" else 4
+    span, powers = _span(psf, smallest, largest, fine), _powers(psf, fine)
     nodes = np.array([0.5]) if powers == 1 else NODES
     intervals, blocks, start = [], [], 0
-    for index in range(first, last + 1):
-        radii = _table_radius(psf, index + nodes, fine)
-        if sampled:
-            half_width = floor(sqrt(float(_sampled_reach(psf, np.array(index)))))
-        else:
-            half_width = reach(psf, float(_table_radius(psf, np.array(index + 1.0), fine)), fine)
+    for index in span:
+        radii, half_width = _table_radius(psf, index + nodes, fine), _half_width(psf, index, fine)
         values = _subpixel_rows(psf, radii, half_width, subpixel) if fine else _main_rows(psf, radii, half_width)
-        lanes = -(-(2 * half_width + 1) // LANES) * LANES
+        lanes = _lanes(half_width)
         block = np.zeros((values.shape[1], powers, lanes), dtype=np.float32)
         polynomial = values if powers == 1 else np.tensordot(TO_POWERS, values, axes=1)
         block[:, :, : 2 * half_width + 1] = np.moveaxis(polynomial, 0, 1)
@@ -271,7 +293,7 @@ def psf_table(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> P
         blocks.append(block.ravel())
         start += block.size
     table = np.array(intervals, dtype=np.int32)
-    return PsfTable(first, table, np.concatenate(blocks), powers, int(table[:, 1].max()))
+    return PsfTable(span.start, table, np.concatenate(blocks), powers, int(table[:, 1].max()))
 
 
 @lru_cache(maxsize=64)
@@ -279,10 +301,15 @@ def constant_table(psf: Psf, radius: float) -> PsfTable:
     """Table of the exact weights of one |blur radius| in px: coordinate 0, one power."""
     half_width = reach(psf, radius)
     rows = _main_rows(psf, np.array([radius]), half_width)[0]
-    lanes = -(-(2 * half_width + 1) // LANES) * LANES
+    lanes = _lanes(half_width)
     block = np.zeros((half_width + 1, lanes), dtype=np.float32)
     block[:, : 2 * half_width + 1] = rows
     return PsfTable(0, np.array([[0, half_width, lanes, 0]], dtype=np.int32), block.ravel(), 1, half_width)
+
+
+def _lanes(half_width: int) -> int:
+    """Floats of a row of weights: whole vectors."""
+    return -(-(2 * half_width + 1) // LANES) * LANES
 
 
 def _main_rows(psf: Psf, radii: Array, half_width: int) -> Array:
