@@ -162,8 +162,15 @@ def defocus_pass(
     camera = frame_struct(rows, columns, 0, "double")
     features = dict.fromkeys(("QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SUBPIXELS"), 0)
     stepwise = psf.edge == "sampled"
-    features |= {"CHANNELS": 1, "TILT": int(psf.tilt), "SAMPLED": int(stepwise), "POWERS": 1 if stepwise else 4}
-    program = build(session, ["blur.cl"], features | blur_features("gather", "lose", True), structs("double"), "double")
+    features |= {
+        "CHANNELS": 1,
+        "TILT": int(psf.tilt),
+        "SAMPLED": int(stepwise),
+        "POWERS": 1 if stepwise else 4,
+    }
+    program = build(
+        session, ["blur.cl"], features | blur_features("gather", "lose", True), structs("double"), "double"
+    )
     spreader = Spreader(
         session, program, psf, "gather", camera, 1, float(radius.min()), float(radius.max()), 0, "double", 1.0
     )
@@ -195,12 +202,17 @@ def measured(passes: dict[str, Callable[[], object]], repetitions: int) -> dict[
 
 def main() -> None:
     """Measure, print a table, write benchmarks/results/defocus_speed.json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--radius", type=float, nargs="*", default=[2.0, 6.0, 20.0])
     parser.add_argument("--side", type=int, default=512)
     parser.add_argument("--repetitions", type=int, default=9)
     options = parser.parse_args()
-    console, table = Console(), Table(title=f"{options.side} x {options.side}, process CPU time, ns per pixel")
+    console, table = (
+        Console(),
+        Table(title=f"{options.side} x {options.side}, process CPU time, ns per pixel"),
+    )
     for heading in ("largest R", "PSF", "numba, private", "numba, bands", "clsco", "times faster", "error"):
         table.add_column(heading, justify="right")
     rows = []
@@ -231,7 +243,9 @@ def main() -> None:
                 ratio = min(ns["private"], ns["bands"]) / ns["clsco"]
                 inner = slice(int(largest) + 2, -int(largest) - 2)
                 error = float(np.abs(result() - bands())[inner, inner].max())
-                rows.append({"largest_radius_px": largest, "psf": name, **ns, "ratio": ratio, "difference": error})
+                rows.append(
+                    {"largest_radius_px": largest, "psf": name, **ns, "ratio": ratio, "difference": error}
+                )
                 table.add_row(
                     f"{largest:g}", name, *(f"{ns[k]:.1f}" for k in ("private", "bands", "clsco")), f"{ratio:.1f}",
                     f"{error:.1e}",
