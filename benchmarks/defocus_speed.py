@@ -30,7 +30,6 @@ from rich.table import Table
 from clsco.device import Session, choose
 from clsco.layout import flat, frame_struct, structs
 from clsco.program import build, empty, kernel, launch, upload
-from clsco.psf import psf_table
 from clsco.scene import Psf
 from clsco.spread import PIXELS, Sources, Spreader, blur_features
 
@@ -46,7 +45,7 @@ def radius_map(side: int, largest: float) -> Array:
     return np.where(np.hypot(i, j) < 0.4, 0.3 * largest * ball, plane)
 
 
-@njit(inline="always")  # type: ignore[untyped-decorator]
+@njit(inline="always")
 def _disc_taps(r):  # type: ignore[no-untyped-def]
     """Pixel centers within r, which the weights of a sampled disc are normalized by."""
     k, count = int(r), 0
@@ -57,7 +56,7 @@ def _disc_taps(r):  # type: ignore[no-untyped-def]
     return count
 
 
-@njit(parallel=True)  # type: ignore[untyped-decorator]
+@njit(parallel=True)
 def sampled_private(image, radius, threads):  # type: ignore[no-untyped-def]
     """Direct scatter of the thesis' disc, an image per thread."""
     rows, columns = image.shape
@@ -77,7 +76,7 @@ def sampled_private(image, radius, threads):  # type: ignore[no-untyped-def]
     return parts.sum(axis=0)
 
 
-@njit(parallel=True)  # type: ignore[untyped-decorator]
+@njit(parallel=True)
 def sampled_bands(image, radius, threads):  # type: ignore[no-untyped-def]
     """Direct scatter of the thesis' disc, each thread into its own rows."""
     rows, columns = image.shape
@@ -97,8 +96,8 @@ def sampled_bands(image, radius, threads):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(inline="always")  # type: ignore[untyped-decorator]
-def _tabulated(table, h, u, dx, dy):  # type: ignore[no-untyped-def]
+@njit(inline="always")
+def _tabulated(table, u, dx, dy):  # type: ignore[no-untyped-def]
     """Weight at (dx, dy), linear between the two nearest radii of a dense table."""
     k = int(u)
     t = u - k
@@ -106,7 +105,7 @@ def _tabulated(table, h, u, dx, dy):  # type: ignore[no-untyped-def]
     return table[k, a, b] + t * (table[k + 1, a, b] - table[k, a, b])
 
 
-@njit(parallel=True)  # type: ignore[untyped-decorator]
+@njit(parallel=True)
 def exact_private(image, radius, gx, gy, table, steps, threads):  # type: ignore[no-untyped-def]
     """Direct scatter of the integrated disc with tilt from a table (radii, |dx|, |dy|), an image per thread."""
     rows, columns = image.shape
@@ -120,11 +119,11 @@ def exact_private(image, radius, gx, gy, table, steps, threads):  # type: ignore
                 for a in range(max(-k, -i), min(k, rows - 1 - i) + 1):
                     for b in range(max(-k, -j), min(k, columns - 1 - j) + 1):
                         tilt = max(0.0, 1.0 + b * x + a * y)
-                        parts[t, i + a, j + b] += v * tilt * _tabulated(table, k, u, b, a)
+                        parts[t, i + a, j + b] += v * tilt * _tabulated(table, u, b, a)
     return parts.sum(axis=0)
 
 
-@njit(parallel=True)  # type: ignore[untyped-decorator]
+@njit(parallel=True)
 def exact_bands(image, radius, gx, gy, table, steps, threads):  # type: ignore[no-untyped-def]
     """Direct scatter of the integrated disc with tilt from a table, each thread into its own rows."""
     rows, columns = image.shape
@@ -140,7 +139,7 @@ def exact_bands(image, radius, gx, gy, table, steps, threads):  # type: ignore[n
                 for a in range(max(-k, low - i), min(k, high - 1 - i) + 1):
                     for b in range(max(-k, -j), min(k, columns - 1 - j) + 1):
                         tilt = max(0.0, 1.0 + b * x + a * y)
-                        out[i + a, j + b] += v * tilt * _tabulated(table, k, u, b, a)
+                        out[i + a, j + b] += v * tilt * _tabulated(table, u, b, a)
     return out
 
 
@@ -224,7 +223,7 @@ def main() -> None:
             single = radius.astype(np.float32)
             gy, gx = (g.astype(np.float32) for g in np.gradient(radius))
             dense = dense_table(largest, 128)
-            cases = {
+            cases: dict[str, tuple[Psf, Callable[[], Array], Callable[[], Array]]] = {
                 "sampled": (
                     Psf(edge="sampled", tilt=False),
                     lambda f=sampled_private, r=single: f(image, r, threads),

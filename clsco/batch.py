@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from clsco.describe import record, with_resolution
+from clsco.describe import record
 from clsco.errors import ImageError, SceneError
 from clsco.files import remove_stale, writable_folder
 from clsco.frame import TRUTH_NAMES, Frame
@@ -73,10 +73,10 @@ def prepare(
 ) -> Job:
     """Make the folder, and with `resume` take out the frames that are in it, whole and of this scene.
 
-    A frame is whole where its JSON file, written last, names the scene's hash, this version, all files asked
-    for, and each file's SHA-256. Raises ImageError where a texture cannot be read or the folder written.
+    scene: with its resolution. A frame is whole where its JSON file, written last, names the scene's hash,
+    this version, all files asked for, and each file's SHA-256.
+    Raises ImageError where a texture cannot be read or the folder written.
     """
-    scene = with_resolution(scene)
     about = record(scene)
     writable_folder(folder)
     remove_stale(folder)

@@ -22,7 +22,7 @@ from clsco.frame import TRUTH_NAMES
 
 if TYPE_CHECKING:
     from clsco.batch import Span
-    from clsco.scene import Scene
+    from clsco.plan import Plan
 
 USER_ERROR, NO_DEVICE, INTERRUPTED = 1, 3, 130
 
@@ -114,7 +114,7 @@ def render(
     """
     if "exr" in files and find_spec("OpenEXR") is None:
         raise ImageError("--truth exr: needs OpenEXR: pip install 'clsco[exr]'; got no such module")
-    loaded = _loaded(scenes, overrides)
+    loaded = [plan.scene for plan in _planned(scenes, overrides, files)]
     _require_device(device)
     from clsco import batch
 
@@ -138,8 +138,9 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
     _require_device(device)
     from clsco import batch
     from clsco.demo import EXAMPLES, example, write_contact_sheet
+    from clsco.describe import planned
 
-    scenes = {name: example(name) for name in EXAMPLES}
+    scenes = {name: planned(example(name), TRUTH_NAMES).scene for name in EXAMPLES}
     jobs = {
         name: batch.prepare(scene, out / name, range(scene.sequence.frames), ("npz",), None, False)
         for name, scene in scenes.items()
@@ -163,11 +164,10 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
 @truth_option
 def plan(scene: Path, overrides: tuple[str, ...], files: tuple[str, ...]) -> None:
     """Tell what rendering a scene takes; runs nothing, and needs no OpenCL."""
-    (loaded,) = _loaded([scene], overrides)
-    from clsco.describe import planned
+    (planned,) = _planned([scene], overrides, files)
     from clsco.show import plan_tables
 
-    _print(*plan_tables(planned(loaded, TRUTH_NAMES if files else ())))
+    _print(*plan_tables(planned))
 
 
 @main.command()
@@ -181,12 +181,12 @@ def check(scene: Path, overrides: tuple[str, ...], device: str | None, precision
     Fails where color differs by more than 1e-5 of white in double precision. In single precision a ray may
     miss a surface that it barely touches, so that differences near silhouettes are only told.
     """
-    (loaded,) = _loaded([scene], overrides)
+    (planned,) = _planned([scene], overrides)
     _require_device(device)
     from clsco.check import compare_frames
     from clsco.show import check_tables
 
-    for checked in compare_frames(loaded, device, precision):
+    for checked in compare_frames(planned.scene, device, precision):
         _print(*check_tables(checked))
         color = checked.differences[0]
         if color.count and checked.precision == "double":
@@ -229,28 +229,35 @@ def schema() -> None:
 @scenes_wanted
 def validate(scenes: tuple[Path, ...]) -> None:
     """Check scene files and their textures without rendering; tells all faults of all files."""
-    _loaded(scenes, ())
+    _planned(scenes)
     for path in scenes:
         click.echo(f"{click.format_filename(path)}: valid")
 
 
-def _loaded(paths: Sequence[Path], overrides: tuple[str, ...]) -> list[Scene]:
-    """Load scenes and look at their textures' headers; raises SceneError with the faults of all of them."""
-    from clsco.describe import with_resolution
+def _planned(
+    paths: Sequence[Path], overrides: tuple[str, ...] = (), files: tuple[str, ...] = ()
+) -> list[Plan]:
+    """Load scenes, read their textures and plan them; raises SceneError with the faults of all of them."""
+    from clsco.describe import planned
     from clsco.scenefile import load_scene
 
-    scenes: list[Scene] = []
+    plans: list[Plan] = []
     messages: list[str] = []
     for path in paths:
         try:
-            scenes.append(with_resolution(load_scene(path, overrides)))
+            scene = load_scene(path, overrides)
         except SceneError as error:
             messages.extend(error.messages)
+            continue
+        try:
+            plans.append(planned(scene, TRUTH_NAMES if files else ()))
+        except SceneError as error:
+            messages.extend(f"{path}: {message}" for message in error.messages)
         except ImageError as error:
             messages.append(f"{path}: object[0].texture: {error}")
     if messages:
         raise SceneError(messages)
-    return scenes
+    return plans
 
 
 def _require_opencl() -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from clsco.device import Device, Session, choose, described
-from clsco.errors import ImageError, SceneError
+from clsco.errors import DeviceError, ImageError, SceneError
 from clsco.layout import Real, Struct, flat, frame_struct, structs
 from clsco.plan import LARGEST_BLUR, Blur, is_sharp
 from clsco.program import build, empty, kernel, launch, upload
@@ -22,9 +22,8 @@ from clsco.scene import Psf
 from clsco.spread import PIXELS, Sources, Spreader, blur_features
 
 MOST_CHANNELS = 16
-PLAIN = {  # features of geometry.clh that only surfaces need
-    name: 0 for name in ("QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SUBPIXELS")
-}
+# Features of geometry.clh that only surfaces need.
+PLAIN = dict.fromkeys(("QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SUBPIXELS"), 0)
 
 
 def defocus(
@@ -47,11 +46,13 @@ def defocus(
     Validated against `clsco.reference.blur.scatter` to 1e-5 (tests/test_defocus.py). Equation 2.40.
     """
     model = _psf(psf)
-    if isinstance(image, cl_array.Array) or isinstance(coc, cl_array.Array):
-        queue = image.queue if isinstance(image, cl_array.Array) else coc.queue
-        session = _session_of(queue)
+    on_device = [a for a in (image, coc) if isinstance(a, cl_array.Array)]
+    if on_device:
+        queue = on_device[0].queue
+        if queue is None:
+            raise DeviceError("image: a pyopencl array must have a queue; got one without")
         host = [a.get(queue) if isinstance(a, cl_array.Array) else a for a in (image, coc)]
-        return cl_array.to_device(queue, _defocus(session, *_checked(*host), model, method))
+        return cl_array.to_device(queue, _defocus(_session_of(queue), *_checked(*host), model, method))
     return _defocus(_session(choose(device)), *_checked(image, coc), model, method)
 
 

@@ -25,27 +25,18 @@ RECORD_UNITS = {
 }
 
 
-def with_resolution(scene: Scene) -> Scene:
-    """The scene with its resolution, which the first texture's header gives where the scene does not.
-
-    Reads the header of every texture. Raises ImageError where one cannot be read.
-    """
-    sizes = [texture_size(item.texture) for item in scene.objects]
-    if scene.camera.resolution is not None:
-        return scene
-    camera = scene.camera.model_copy(update={"resolution": sizes[0]})
-    return scene.model_copy(update={"camera": camera})
-
-
 def planned(scene: Scene, truth: tuple[str, ...]) -> Plan:
-    """The plan of a scene for the outputs `truth` besides color; reads its texture, and computes nothing.
+    """The plan of a scene for the outputs `truth` besides color; reads its textures, and computes nothing.
 
-    Raises SceneError and ImageError, as `clsco.plan.make_plan` and `clsco.images.read_image` do.
+    The plan's scene has its resolution, which the first texture gives where the scene does not. Raises
+    SceneError and ImageError, as `clsco.plan.make_plan` and `clsco.images.read_image` do.
     """
-    scene = with_resolution(scene)
-    texture = scene.objects[0].texture
+    camera, texture = scene.camera, scene.objects[0].texture
+    size = texture_size(texture)
     gray = texture in BUILT_IN_TEXTURES or read_image(texture).data.ndim == 2
-    return make_plan(scene, 1 if gray else 3, truth)
+    if camera.resolution is None:
+        camera = camera.model_copy(update={"resolution": size})
+    return make_plan(scene.model_copy(update={"camera": camera}), 1 if gray else 3, truth)
 
 
 def units(scene: Scene) -> dict[str, str]:

@@ -146,8 +146,8 @@ class ForwardWarp:
         return Warped(self.value, self.coc, self.valid, self.status, counters)
 
     def truth(self, pose: Pose, surface: PlacedSurface, events: Events) -> dict[str, NDArray[Any]]:
-        """What the plan wants of these: "sharp", float32 (rows, columns[, channels]), radiance after the move,
-        and "filled", uint8 (rows, columns), the status of `Warped`. Arguments as for `warp`."""
+        """What the plan wants of these: "sharp", float32 (rows, columns[, channels]) radiance
+        after the move, and "filled", uint8 (rows, columns), as `Warped.status`. Arguments as for `warp`."""
         plan, guard = self.plan, self.plan.guard_px
         if not {"sharp", "filled"} & set(plan.truth):
             return {}

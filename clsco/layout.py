@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,15 +31,14 @@ def structs(real: Real) -> dict[str, np.dtype[Any]]:
     neighboring rays; blur_scale px mm; focus_power 1/mm. surface_t: see surfaces.PlacedSurface. pose_t: see
     motion.Pose. psf_t: how a blur radius becomes a coordinate in the tables, and which intervals they hold.
     """
-    r = np.float64 if real == "double" else np.float32
-    i = np.int32
-    camera = [("rows", i), ("columns", i), ("guard", i), ("width", i), ("height", i)]
+    r, i = ("f8" if real == "double" else "f4"), "i4"
+    camera: list[Any] = [("rows", i), ("columns", i), ("guard", i), ("width", i), ("height", i)]
     camera += [("step", r), ("blur_scale", r), ("focus_power", r)]
     vectors = ["offset", "body_offset", "rest", "q", "l", "bounds_low", "bounds_high"]
-    surface = [("turn", r, (9,)), ("body_turn", r, (9,)), *((name, r, (3,)) for name in vectors)]
+    surface: list[Any] = [("turn", r, (9,)), ("body_turn", r, (9,)), *((name, r, (3,)) for name in vectors)]
     surface += [("k", r), ("at_lens", r), ("nappe", i)]
     pose = [("rotation", r, (9,)), ("shift", r, (3,))]
-    psf = [(name, i) for name in ("first", "count", "reach", "sub_first", "sub_count")]
+    psf: list[Any] = [(name, i) for name in ("first", "count", "reach", "sub_first", "sub_count")]
     psf += [(name, r) for name in ("key", "minimum_blur", "fine_steps", "fine_until")]
     psf += [(name, r) for name in ("octaves_from", "steps", "sub_steps")]
     fields = {"camera_t": camera, "surface_t": surface, "pose_t": pose, "psf_t": psf}
@@ -50,8 +49,7 @@ def _filled(name: str, real: Real, values: dict[str, Any]) -> Struct:
     record = np.zeros((), structs(real)[name])
     for field, value in values.items():
         record[field] = value
-    filled: Struct = record[()]
-    return filled
+    return cast(Struct, record[()])
 
 
 def frame_struct(rows: int, columns: int, guard: int, real: Real, **optics: float) -> Struct:

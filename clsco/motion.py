@@ -79,7 +79,8 @@ def sample_times(sequence: Sequence, frame: int, samples: int) -> tuple[NDArray[
     """
     offset = 0.5 if sequence.sampling == "midpoint" else 1.0
     assert sequence.shutter is not None  # filled in by the scene's validation
-    times = frame * sequence.interval + (np.arange(samples) + offset) * (sequence.shutter / samples)
+    steps = np.arange(samples, dtype=np.float64) + offset
+    times = frame * sequence.interval + steps * (sequence.shutter / samples)
     return times, np.full(samples, 1.0 / samples)
 
 

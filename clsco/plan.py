@@ -39,8 +39,8 @@ class Plan:
 
     scene: with its resolution; channels: 1 or 3; rows, columns px; samples: intermediate frames per frame;
     guard_px: width of the band around the frame whose surface lights it; smallest_blur, largest_blur: predicted
-    range of |R| in px over the whole sequence, with a margin; blur: how light is spread; silhouettes: sub-pixel sources per
-    axis, 0 none; tilt, forward, moves: whether these passes are taken; truth: outputs besides color;
+    range of |R| in px over the whole sequence, with a margin; blur: how light is spread; silhouettes: sub-pixel
+    sources per axis, 0 none; tilt, forward, moves: whether these passes are taken; truth: outputs besides color;
     passes, left_out: (name, what or why); memory_bytes: buffers on the device; taps: predicted weights per frame.
     """
 
@@ -267,8 +267,8 @@ def _checked_tables(psf: Psf, smallest: float, largest: float, silhouettes: int)
     size += table_bytes(psf, smallest, largest, silhouettes) if silhouettes else 0
     if size > LARGEST_TABLES:
         raise SceneError(
-            f"psf: the tables of weights must take at most {LARGEST_TABLES >> 20} MiB; got {size >> 20} MiB for radii up to "
-            f"{largest:.4g} px (fewer silhouette_samples, or a smaller aperture, take less)"
+            f"psf: the tables of weights must take at most {LARGEST_TABLES >> 20} MiB; got {size >> 20} MiB for radii "
+            f"up to {largest:.4g} px (fewer silhouette_samples, or a smaller aperture, take less)"
         )
     return size
 

@@ -18,8 +18,8 @@ from clsco.scene import Psf
 Array = NDArray[np.float64]
 
 LANES = 8  # a row of weights fills whole vectors of this many floats
-# Intervals of the tables: STEPS per octave of R + OFFSET, so that they grow with the radius. A point source's weight has
-# a kink of order 3/2 where its circle touches a pixel's edge, first at R = 1/8 px; measured by tests/test_psf.py,
+# Intervals of the tables: STEPS per octave of R + OFFSET, so that they grow with the radius. A point source's weight
+# has a kink of order 3/2 where its circle touches a pixel's edge, first at R = 1/8 px; measured by tests/test_psf.py,
 # interpolation adds at most 2e-6 of white to a frame. The area forms have kinks in every weight of a frame.
 OFFSET, STEPS, AREA_STEPS = 0.125, 48, 128
 # A sampled Gaussian changes fastest at few taps: so many intervals per unit of dx^2 + dy^2 up to so many units.
@@ -129,7 +129,7 @@ def reach(psf: Psf, radius: float, subpixel: bool = False) -> int:
 
 
 def weights(psf: Psf, dx: Array, dy: Array, radius: Array) -> Array:
-    """Share of a source's light at integer offsets (dx, dy) px for |blur radius| `radius` px; sums to 1 over all offsets.
+    """Share of a source's light at integer offsets (dx, dy) px for |blur radius| `radius` px; sums to 1.
 
     The three broadcast. Pillbox (2.26) and Gaussian (2.27, sigma = sigma_ratio R) in the `edge` forms of the
     scene file. A radius of 0 is the limit: all light stays. Validated: energy 1 to 1e-12, quadrature, continuity.

@@ -170,7 +170,7 @@ class Renderer:
         placed = surface_struct(self.item, surface, self.real)
         share, slots = np.float32(weight), np.int32(self.slots)
         if plan.silhouettes:
-            cl.enqueue_fill_buffer(self.session.queue, self.statistics, np.int32(0), 8, 4)
+            cl.enqueue_fill_buffer(self.session.queue, self.statistics, np.zeros(1, np.int32), 8, 4)
         args = (camera, placed, psf, share, self.texture, self.source, self.value, self.label, self.statistics)
         self._per_pixel("trace", events, *args)
         if not plan.silhouettes:
@@ -178,9 +178,11 @@ class Renderer:
         self._per_pixel(
             "mark_silhouettes", events, camera, self.label, slots, self.source, self.pixels, self.statistics
         )
-        args = (camera, placed, psf, share, self.texture, self.pixels, slots)
-        tail = (self.sub_source, self.sub_value, self.statistics)
-        self._launch("trace_subpixels", (self.slots * plan.silhouettes**2,), (64,), events, *args, *tail)
+        out = (self.sub_source, self.sub_value, self.statistics)
+        self._launch(
+            "trace_subpixels", (self.slots * plan.silhouettes**2,), (64,), events,
+            camera, placed, psf, share, self.texture, self.pixels, slots, *out,
+        )  # fmt: skip
         return Sources(self.source, self.value, self.sub_source, self.sub_value, self.slots)
 
     def _outgrown(self) -> bool:

@@ -54,8 +54,8 @@ class Sources:
 class Spreader:
     """Adds the blurred light of moments to one frame; owns the frame's buffers and the PSF tables.
 
-    Holds for |R| in [smallest, largest] px; other radii are clamped to it (`convolve` makes the PSF of its radius). brightest: largest |radiance|, which sets
-    the fixed point of `scatter`.
+    Holds for |R| in [smallest, largest] px; other radii are clamped to it (`convolve` makes the PSF of its radius).
+    brightest: largest |radiance|, which sets the fixed point of `scatter`.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class Spreader:
     def clear(self) -> None:
         """Begin a frame."""
         buffer = self.sums if self.method == "scatter" else self.total
-        cl.enqueue_fill_buffer(self.session.queue, buffer, np.uint32(0), 0, buffer.size)
+        cl.enqueue_fill_buffer(self.session.queue, buffer, np.zeros(1, np.uint32), 0, buffer.size)
 
     def add(self, sources: Sources, radius: float, events: Events) -> None:
         """Add the light of one moment; radius: |R| in px, for `convolve` only."""
@@ -100,7 +100,7 @@ class Spreader:
             self._launch("convolve", blocks, (8, 1), events, camera, value, *buffers, *layout)
             return
         head = (camera, self.struct, sources.source, value, *self.tables[0])
-        tail = ()
+        tail: tuple[object, ...] = ()
         if self.sub is not None:
             tail = (sources.sub_source, sources.sub_value, np.int32(sources.capacity), *self.tables[1])
         if self.psf.border == "renormalize":

@@ -11,7 +11,9 @@
 // in their order, without atomics; elsewhere two passes of atomics find the same winners.
 // Features besides geometry.clh's: OWNED.
 
-#define SNAP 4096  // steps per px: rounding errors far below it cannot move a position across a pixel's edge
+// The position p of a source in px is snapped to 1/4096 px and then rounded half up, so that errors far below a step
+// cannot move it across a pixel's edge. Both roundings in one are floor(p + ROUND).
+#define ROUND ((real)(0.5 + 0.5 / 4096))
 #define NO_WINNER INT_MAX
 
 #if OWNED
@@ -19,17 +21,6 @@
 #else
 #define SEGMENT 1
 #endif
-
-// Pixel of a position in px: snapped to 1/SNAP px, then rounded half up in integers. floor is a call on PoCL.
-static inline int nearest_pixel(real position)
-{
-    const real far = (real)1e9;
-    const real inside = MAX(MIN(position, far), -far);
-    const int whole = (int)inside;
-    const real steps = (inside - whole) * SNAP + (real)0.5;
-    const int truncated = (int)steps, snapped = truncated - (steps < truncated);
-    return whole + ((snapped + SNAP / 2) >> 12);
-}
 
 // Inverse depth of every source; `surface` is at rest. Out: rest.
 __kernel void reproject_rest(const camera_t camera, const surface_t surface, __global real *rest)
@@ -55,23 +46,31 @@ __kernel void reproject_targets(const camera_t camera, const surface_t surface, 
     if (row >= camera.rows)
         return;
     const int begin = id % each * SEGMENT, end = MIN(begin + SEGMENT, camera.columns);
-    const real *center = surface.rest;
+    // With the ray r, R r + w offset is the moved point times w. Component by component, and the divisions taken out:
+    // PoCL vectorizes no loop that computes with vectors.
+    const real *R = pose.rotation, *center = surface.rest;
+    const real3 turn = turned(R, (real3)(center[0], center[1], center[2]));
+    const real3 offset = (real3)(center[0] + pose.shift[0] - turn.x, center[1] + pose.shift[1] - turn.y,
+                                 center[2] + pose.shift[2] - turn.z);
+    const real3 ray = pixel_ray(camera, row, 0);
+    const real3 line = (real3)(R[1] * ray.y + R[2], R[4] * ray.y + R[5], R[7] * ray.y + R[8]);
+    const real middle = (real)0.5 * (camera.columns - 1), inverse_step = 1 / camera.step;
+    // Where a position is 0 on the padded grid, and one more, so that what is negative is below 1.
+    const real right = middle + (camera.guard + 1) + ROUND;
+    const real down = (real)0.5 * (camera.rows - 1) + (camera.guard + 1) + ROUND;
     int lowest = INT_MAX, highest = -1;
     for (int column = begin; column < end; ++column) {
         const int at = row * camera.columns + column;
-        const real w = rest[at];
-        const real3 ray = pixel_ray(camera, row, column);
-        // The moved point times w. Component by component: PoCL vectorizes no loop that computes with vectors.
-        const real3 arm = (real3)(ray.x - center[0] * w, ray.y - center[1] * w, ray.z - center[2] * w);
-        const real3 turn = turned(pose.rotation, arm);
-        const real3 point = (real3)(turn.x + (center[0] + pose.shift[0]) * w, turn.y + (center[1] + pose.shift[1]) * w,
-                                    turn.z + (center[2] + pose.shift[2]) * w);
-        const real3 image = project(camera, point);
-        const int x = nearest_pixel(image.x) + camera.guard, y = nearest_pixel(image.y) + camera.guard;
-        const bool used = w > 0 && point.z > 0 && x >= 0 && x < camera.width && y >= 0 && y < camera.height;
-        const int to = used ? y * camera.width + x : -1;
+        const real w = rest[at], x = camera.step * (column - middle);
+        const real px = R[0] * x + line.x + offset.x * w;
+        const real py = R[3] * x + line.y + offset.y * w;
+        const real pz = R[6] * x + line.z + offset.z * w;
+        const real nearness = 1 / pz, scale = nearness * inverse_step;
+        const real i = down - py * scale, j = right + px * scale;
+        const bool used = w > 0 && pz > 0 && i >= 1 && i < camera.height + 1 && j >= 1 && j < camera.width + 1;
+        const int to = (int)(used ? i : 1) * camera.width + (int)(used ? j : 0) - camera.width - 1;
         target[at] = to;
-        moved[at] = used ? w / point.z : 0;
+        moved[at] = used ? w * nearness : 0;
         lowest = MIN(lowest, used ? to : INT_MAX);
         highest = MAX(highest, to);
     }
