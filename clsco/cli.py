@@ -93,15 +93,11 @@ def main() -> None:
 @scenes_wanted
 @click.option("-o", "out", metavar="DIR", required=True, type=PATH, help="Folder for the frames.")
 @truth_option
-@click.option(
-    "--frames", "span", metavar="A:B", type=_span, default=":", help="Frames A to B - 1, counted from 0."
-)
+@click.option("--frames", "span", metavar="A:B", type=_span, default=":", help="Frames A to B - 1, counted from 0.")
 @set_option
 @device_option
 @precision_option
-@click.option(
-    "--resume", is_flag=True, help="Leave out frames that are in DIR already, whole and of this scene."
-)
+@click.option("--resume", is_flag=True, help="Leave out frames that are in DIR already, whole and of this scene.")
 @quiet_option
 def render(
     scenes: tuple[Path, ...], out: Path, files: tuple[str, ...], span: Span, overrides: tuple[str, ...],
@@ -210,9 +206,7 @@ def devices(device: str | None, tested: bool) -> None:
     if choice.device is None:
         raise DeviceError(choice.reason)
     click.echo(f"used: {choice.device} ({choice.reason})")
-    failed = [
-        f"{item}: {check.name}" for item, results in checks.items() for check in results if not check.passed
-    ]
+    failed = [f"{item}: {check.name}" for item, results in checks.items() for check in results if not check.passed]
     if failed:
         raise ClscoError(f"self-test: every check must pass; got failures in {', '.join(failed)}")
 
@@ -234,9 +228,7 @@ def validate(scenes: tuple[Path, ...]) -> None:
         click.echo(f"{click.format_filename(path)}: valid")
 
 
-def _planned(
-    paths: Sequence[Path], overrides: tuple[str, ...] = (), files: tuple[str, ...] = ()
-) -> list[Plan]:
+def _planned(paths: Sequence[Path], overrides: tuple[str, ...] = (), files: tuple[str, ...] = ()) -> list[Plan]:
     """Load scenes, read their textures and plan them; raises SceneError with the faults of all of them."""
     from clsco.describe import planned
     from clsco.scenefile import load_scene

@@ -117,9 +117,7 @@ def contact_sheet(frames: Mapping[str, Frame]) -> Picture:
         x, y = GAP + column * (WIDE + GAP), GAP + row * (WIDE + LINE + GAP)
         put(photograph(frame.color), EXAMPLES[name], WIDE, x, y, TEXT)
     y = GAP + photographs
-    draw.text(
-        (GAP, y - 2), "The truth that comes with a frame, at the middle of the shutter", fill=TEXT, font=font
-    )
+    draw.text((GAP, y - 2), "The truth that comes with a frame, at the middle of the shutter", fill=TEXT, font=font)
     for row, name in enumerate(DETAILS):
         for column, (label, picture) in enumerate(views(frames[name]).items()):
             x, top = GAP + column * (NARROW + GAP), y + LINE + row * (NARROW + LINE + GAP)

@@ -18,9 +18,7 @@ if TYPE_CHECKING:
     from clsco.device import Check, Device
 
 
-def _table(
-    title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], right: Sequence[str] = ()
-) -> Table:
+def _table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], right: Sequence[str] = ()) -> Table:
     """A table of plain text; columns named in `right` hold numbers."""
     table = Table(title=Text(title), title_justify="left", box=SIMPLE, pad_edge=False)
     for name in columns:
@@ -73,9 +71,7 @@ def check_tables(checked: Checked) -> list[RenderableType]:
         )
         for d in checked.differences
     ]
-    table = _table(
-        f"Frame {checked.index} against the reference", columns, rows, right=columns[1:3] + columns[4:]
-    )
+    table = _table(f"Frame {checked.index} against the reference", columns, rows, right=columns[1:3] + columns[4:])
     times = (
         f"{checked.device}, {checked.precision} precision: {checked.seconds:.3f} s, in kernels "
         f"{checked.pass_seconds:.3f} s; reference: {checked.reference_seconds:.3f} s"
@@ -110,9 +106,7 @@ def device_tables(
         )
         for device in devices
     ]  # fmt: skip
-    tables: list[RenderableType] = [
-        _table("OpenCL devices (* is used)", columns, rows, right=("units", "memory"))
-    ]
+    tables: list[RenderableType] = [_table("OpenCL devices (* is used)", columns, rows, right=("units", "memory"))]
     for device, results in checks.items():
         answers = [(check.name, "passed" if check.passed else "failed", check.detail) for check in results]
         tables.append(_table(f"Self-test of {device}", ("check", "result", "detail"), answers))

@@ -34,9 +34,7 @@ class Texture:
     source: str
 
 
-def load_texture(
-    name_or_path: str | os.PathLike[str], transfer: str, size: tuple[int, int] | None = None
-) -> Texture:
+def load_texture(name_or_path: str | os.PathLike[str], transfer: str, size: tuple[int, int] | None = None) -> Texture:
     """Load a built-in pattern or an image file as linear light.
 
     name_or_path: bricks, checkerboard, slanted_edge, siemens_star, or a path. transfer: "srgb" or "linear",
@@ -73,9 +71,7 @@ def load_scene_textures(scene: Scene) -> tuple[Scene, tuple[Texture, ...]]:
     columns, rows = scene.camera.resolution or texture_size(scene.objects[0].texture)
     camera = scene.camera.model_copy(update={"resolution": (columns, rows)})
     names = [item.texture for item in scene.objects]
-    loaded = {
-        name: load_texture(name, scene.image.transfer, (rows, columns)) for name in dict.fromkeys(names)
-    }
+    loaded = {name: load_texture(name, scene.image.transfer, (rows, columns)) for name in dict.fromkeys(names)}
     return scene.model_copy(update={"camera": camera}), tuple(loaded[name] for name in names)
 
 

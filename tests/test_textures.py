@@ -153,9 +153,7 @@ def test_patterns_have_every_size_and_never_change(name: str) -> None:
     assert texture_size(name) == (512, 512)
     for transfer in ("srgb", "linear"):
         texture = load_texture(name, transfer, (100, 64))
-        np.testing.assert_array_equal(
-            texture.radiance, decode(PATTERNS[name](100, 64), transfer), strict=True
-        )
+        np.testing.assert_array_equal(texture.radiance, decode(PATTERNS[name](100, 64), transfer), strict=True)
         assert (texture.bits, texture.source) == (8, name)
     assert load_texture(name, "srgb").radiance.shape == (512, 512)
 

@@ -90,6 +90,15 @@ def test_the_wheel_finds_its_kernels_and_examples(wheel: Path, tmp_path: Path) -
     assert kernels <= {path.name for path in found[0].iterdir()}
 
 
+def test_the_wheel_renders_an_example(wheel: Path, tmp_path: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(tmp_path / "site")
+    example = tmp_path / "site/clsco/examples/sphere.toml"
+    words = ["render", str(example), "-o", "frames", "--set", "camera.resolution=[32, 24]", "--truth", "npz"]
+    assert python(f"from clsco.cli import main; main({words})", tmp_path, tmp_path / "site") == ""
+    assert sorted(path.suffix for path in (tmp_path / "frames").iterdir()) == [".json", ".npz", ".png"]
+
+
 def test_a_source_tree_finds_its_kernels() -> None:
     assert folder("kernels") == ROOT / "kernels"
     with pytest.raises(FileNotFoundError, match=r"^no such folder: must be installed"):

@@ -1,0 +1,95 @@
+"""The same scene gives the same bytes: run again, in other groups of work-items, with other threads."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import clsco
+from clsco.frame import TRUTH_NAMES, Frame
+from clsco.scenefile import parse_scene
+
+ROOT = Path(__file__).resolve().parents[2]
+OBJECTS: dict[str, dict[str, Any]] = {
+    "sphere": {
+        "shape": "sphere",
+        "center": [0.0, 0.0, 280.0],
+        "motion": {"velocity": [3.0, 0.0, -20.0], "angular_velocity": [0.0, 15.0, 25.0]},
+    },
+    "plane": {
+        "shape": "plane",
+        "distance": 260.0,
+        "motion": {"velocity": [3.0, 0.0, -20.0], "angular_velocity": [0.0, 0.0, 25.0]},
+    },
+}
+
+
+def digest(frames: Iterable[Frame]) -> str:
+    """SHA-256 of every array of every frame."""
+    found = hashlib.sha256()
+    for frame in frames:
+        for name in ("color", *TRUTH_NAMES):
+            found.update(getattr(frame, name).tobytes())
+    return found.hexdigest()
+
+
+def outcome(name: str, warp: str, method: str) -> str:
+    scene = parse_scene(
+        {
+            # Some 300 rows, so that there are several bands and groups for the threads to share.
+            "camera": {"resolution": [200, 300], "pixel_pitch": 0.02, "aperture_diameter": 20.0},
+            "sequence": {"samples": 2},
+            "motion": {"warp": warp},
+            "object": [OBJECTS[name]],
+        }
+    )
+    return digest(clsco.render(scene, method=method))
+
+
+CASES = [
+    ("sphere", "inverse", "gather"),
+    ("sphere", "inverse", "scatter"),
+    ("sphere", "forward", "gather"),
+    ("plane", "inverse", "convolve"),
+]
+
+
+@pytest.fixture(scope="module")
+def known() -> dict[tuple[str, str, str], str]:
+    found = {case: outcome(*case) for case in CASES}
+    assert len(set(found.values())) == len(CASES)
+    return found
+
+
+def test_again(known: dict[tuple[str, str, str], str]) -> None:
+    assert {case: outcome(*case) for case in CASES} == known
+
+
+@pytest.mark.parametrize("local", [(16, 4), (1, 1)])
+def test_in_other_groups(
+    local: tuple[int, int], known: dict[tuple[str, str, str], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    changed = [
+        module for name, module in sys.modules.items() if name.startswith("clsco.") and hasattr(module, "PIXELS")
+    ]
+    assert len(changed) >= 2
+    for module in changed:
+        monkeypatch.setattr(module, "PIXELS", local)
+    assert {case: outcome(*case) for case in CASES} == known
+
+
+@pytest.mark.parametrize("threads", ["1", "3"])
+def test_with_other_threads(threads: str, known: dict[tuple[str, str, str], str]) -> None:
+    code = "from test_same_bits import CASES, outcome; print(*(outcome(*case) for case in CASES), sep='\\n')"
+    path = os.pathsep.join([str(ROOT), str(Path(__file__).parent)])
+    environ = os.environ | {"POCL_MAX_PTHREAD_COUNT": threads, "PYTHONPATH": path}
+    command = [sys.executable, "-c", code]
+    printed = subprocess.run(command, env=environ, check=True, capture_output=True, text=True, timeout=300).stdout
+    assert printed.split() == list(known.values())

@@ -1,0 +1,249 @@
+"""Textures, borders, sequences and outputs, from scene to frame, against the reference and each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clsco
+from clsco import reference
+from clsco.check import compare
+from clsco.errors import DeviceError, ImageError, SceneError
+from clsco.frame import TRUTH_NAMES, Frame
+from clsco.images import read_image, write_frame, write_png
+from clsco.scene import Scene
+from clsco.scenefile import parse_scene
+from clsco.transfer import decode
+
+CAMERA = {"resolution": [56, 40], "pixel_pitch": 0.08, "aperture_diameter": 30.0}
+BALL = {"shape": "sphere", "center": [0.0, 0.0, 280.0], "radius": 30.0}
+GOING = {"velocity": [4.0, 2.0, -3.0], "angular_velocity": [5.0, 20.0, 10.0]}
+ODD: Any = np.random.default_rng(5)
+
+
+def scene(item: dict[str, Any], **sections: Any) -> Scene:
+    return parse_scene({"camera": CAMERA, **sections, "object": [item]})
+
+
+def rendered(wanted: Scene, **options: Any) -> list[Frame]:
+    return list(clsco.render(wanted, **options))
+
+
+def assert_agrees(wanted: Scene, **options: Any) -> list[Frame]:
+    """All outputs of all frames agree with the reference's; gives the frames."""
+    frames, exact = rendered(wanted, **options), list(reference.render(wanted))
+    assert len(frames) == len(exact) == wanted.sequence.frames
+    found = [difference for pair in zip(frames, exact, strict=True) for difference in compare(*pair)]
+    assert [difference for difference in found if difference.count] == []
+    assert np.ptp(frames[0].color) > 0.1
+    return frames
+
+
+@pytest.fixture
+def picture(tmp_path: Path) -> Path:
+    """A color PNG of 8 bits, of another size than the frame, with other light in each channel."""
+    codes = ODD.integers(0, 256, (30, 44, 3)).astype(np.uint8)
+    codes[..., 1] //= 2
+    write_png(tmp_path / "color.png", codes)
+    return tmp_path / "color.png"
+
+
+@pytest.mark.parametrize("method", ["gather", "scatter"])
+@pytest.mark.parametrize("warp", ["inverse", "forward"])
+def test_color_is_three_gray_scenes(method: str, warp: str, picture: Path) -> None:
+    item = {**BALL, "texture": str(picture), "motion": GOING}
+    color = scene(item, motion={"warp": warp}, sequence={"samples": 3})
+    (frame,) = assert_agrees(color, method=method)
+    assert frame.color.shape == (40, 56, 3)
+    assert frame.color[..., 0].mean() > 1.5 * frame.color[..., 1].mean()
+    data = read_image(picture).data
+    for channel in range(3):
+        write_png(picture.parent / f"gray_{channel}.png", np.ascontiguousarray(data[..., channel]))
+        gray = {**item, "texture": str(picture.parent / f"gray_{channel}.png")}
+        (alone,) = rendered(color.model_copy(update={"objects": scene(gray).objects}), method=method)
+        assert alone.color.shape == (40, 56)
+        # The same sums, but for the fixed point of `scatter`, whose unit depends on the brightest light.
+        atol = 0.0 if method == "gather" else 1e-6
+        np.testing.assert_allclose(frame.color[..., channel], alone.color, rtol=0, atol=atol)
+        for name in ("depth", "coc", "mask", "normal", "flow", "filled", "object_id", "hidden"):
+            np.testing.assert_array_equal(getattr(frame, name), getattr(alone, name), strict=True)
+
+
+@pytest.mark.parametrize("shape", [(40, 56), (40, 56, 3)])
+@pytest.mark.parametrize("kind", ["uint8", "uint16", "float32"])
+@pytest.mark.parametrize("transfer", ["srgb", "linear"])
+def test_a_sharp_picture_comes_out_as_it_went_in(
+    kind: str, transfer: str, shape: tuple[int, ...], tmp_path: Path
+) -> None:
+    # In focus and at rest every pixel shows its own texel; float32 keeps 16-bit codes, 256 steps each.
+    if kind == "float32":
+        data = ODD.random(shape).astype(np.float32)
+        np.save(tmp_path / "texture.npy", data)
+    else:
+        data = ODD.integers(0, np.iinfo(kind).max, shape, endpoint=True).astype(kind)
+        write_png(tmp_path / "texture.png", data)
+    texture = str(tmp_path / ("texture.npy" if kind == "float32" else "texture.png"))
+    camera = {"focus_distance": 250.0}
+    sharp = parse_scene({"camera": camera, "image": {"transfer": transfer}, "psf": {"edge": "area"},
+                         "object": [{"shape": "plane", "texture": texture}]})  # fmt: skip
+    (frame,) = rendered(sharp)
+    bits = 8 * data.dtype.itemsize
+    assert frame.metadata["bits"] == bits
+    write_frame(tmp_path, frame, bits, transfer)
+    out = read_image(tmp_path / "frame_0000.png")
+    assert out.bits == min(bits, 16)
+    if kind == "float32":
+        np.testing.assert_array_equal(frame.color, data, strict=True)
+        np.testing.assert_allclose(decode(out.data, transfer), data, atol=1e-4)  # sRGB: 13 / 65535 per code at most
+    else:
+        np.testing.assert_array_equal(out.data, data, strict=True)
+
+
+def test_light_above_white_is_kept(tmp_path: Path) -> None:
+    np.save(tmp_path / "sun.npy", np.where(ODD.random((40, 56)) > 0.99, 500.0, 0.2).astype(np.float32))
+    bright = scene({**BALL, "texture": str(tmp_path / "sun.npy")})
+    exact = next(reference.render(bright)).color
+    assert exact.max() > 5
+    for method in ("gather", "scatter"):
+        (frame,) = rendered(bright, method=method)
+        # Sums of float32 relative to the brightest light, 500.
+        np.testing.assert_allclose(frame.color, exact, rtol=0, atol=500 * 1e-6)
+
+
+@pytest.mark.parametrize("method", ["gather", "scatter"])
+@pytest.mark.parametrize("item", [{"shape": "plane", "slope_x": 1.0}, BALL], ids=["plane", "sphere"])
+def test_renormalizing_gives_all_light_back(method: str, item: dict[str, Any], tmp_path: Path) -> None:
+    np.save(tmp_path / "flat.npy", np.full((40, 56), 0.5, np.float32))
+    flat = {**item, "texture": str(tmp_path / "flat.npy")}
+    psf = {"border": "renormalize", "tilt": False}
+    assert_agrees(scene({**item}, psf=psf), method=method)
+    (frame,) = rendered(scene(flat, psf=psf), method=method)
+    # As much light as the focused image, since all weights of a source sum to 1, to rounding. Sub-pixel sources
+    # at a silhouette light the share of a pixel that the surface covers, and the mask says all or nothing: half
+    # of each of the 130 pixels around the sphere at most.
+    share = 0.5 * 130 / frame.color.size if item is BALL else 0.0
+    assert frame.sharp is not None
+    assert frame.color.mean() == pytest.approx(frame.sharp.mean(), rel=1e-5, abs=0.5 * share)
+    if item is not BALL:
+        np.testing.assert_allclose(frame.color.sum(), 0.5 * frame.color.size, rtol=1e-5)
+        (losing,) = rendered(scene(flat, psf={"tilt": False}), method=method)
+        assert not np.array_equal(frame.color, losing.color)
+
+
+def test_a_silhouette_at_the_border_renormalized() -> None:
+    assert_agrees(scene({**BALL, "center": [30.0, 20.0, 280.0]}, psf={"border": "renormalize"}))
+
+
+@pytest.mark.parametrize("model", ["pillbox", "gaussian"])
+@pytest.mark.parametrize("edge", ["integrated", "area", "sampled"])
+@pytest.mark.parametrize("samples", [1, 3])
+def test_point_spread_functions(model: str, edge: str, samples: int) -> None:
+    assert_agrees(scene(BALL, psf={"model": model, "edge": edge, "silhouette_samples": samples}))
+
+
+@pytest.mark.parametrize("warp", ["inverse", "forward"])
+@pytest.mark.parametrize("rotation", ["euler", "axis"])
+@pytest.mark.parametrize("sampling", ["midpoint", "endpoint"])
+def test_motion(warp: str, rotation: str, sampling: str) -> None:
+    sequence = {"frames": 2, "interval": 0.8, "shutter": 0.5, "samples": 4, "sampling": sampling}
+    motion = {"warp": warp, "rotation": rotation}
+    first, second = assert_agrees(scene({**BALL, "motion": GOING}, sequence=sequence, motion=motion))
+    assert not np.array_equal(first.color, second.color)
+    start = [0.0, 0.8] if sampling == "endpoint" else [-0.0625, 0.7375]
+    for frame, open_ in zip((first, second), start, strict=True):
+        times = [moment["time"] for moment in frame.metadata["intermediate"]]
+        assert times == pytest.approx([open_ + (i + 1) * 0.125 for i in range(4)])
+
+
+@pytest.mark.parametrize("texture_filter", ["bicubic", "bilinear", "nearest"])
+def test_texture_filters(texture_filter: str) -> None:
+    assert_agrees(scene({**BALL, "motion": GOING}, motion={"texture_filter": texture_filter}))
+
+
+@pytest.mark.parametrize("method", ["ait", "mean_median", "none"])
+@pytest.mark.parametrize("domain", ["surface", "span"])
+def test_filling(method: str, domain: str) -> None:
+    item = {**BALL, "motion": {"velocity": [0.0, 0.0, -40.0], "angular_velocity": [0.0, 0.0, 30.0]}}
+    fill, motion = {"method": method, "domain": domain}, {"warp": "forward"}
+    (frame,) = assert_agrees(scene(item, motion=motion, fill=fill, sequence={"samples": 3}))
+    missing = [moment["missing_pixels"] for moment in frame.metadata["intermediate"]]
+    filled = [moment["filled_pixels"] for moment in frame.metadata["intermediate"]]
+    assert max(missing) > 20
+    assert (max(filled) > 0) == (method != "none")
+    assert frame.filled is not None
+    assert frame.filled.any()
+
+
+SEQUENCE = {"frames": 4, "samples": 2}
+
+
+def same(one: Frame, other: Frame, names: Sequence[str] = ("color", *TRUTH_NAMES)) -> None:
+    for name in names:
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), strict=True)
+
+
+@pytest.mark.parametrize("warp", ["inverse", "forward"])
+def test_frames_by_themselves_are_those_of_the_sequence(warp: str) -> None:
+    moving = scene({**BALL, "motion": GOING}, sequence=SEQUENCE, motion={"warp": warp})
+    whole = rendered(moving)
+    some = rendered(moving, frames=[3, 1])
+    assert [frame.index for frame in some] == [3, 1]
+    for frame in some:
+        same(frame, whole[frame.index])
+    assert rendered(moving, frames=[]) == []
+
+
+def test_nothing_moves_by_no_velocity() -> None:
+    still = scene(BALL, sequence={"frames": 2, "samples": 9})
+    first, second = rendered(still)
+    assert first.metadata["samples"] == 1
+    same(first, second)
+    assert first.flow is not None
+    assert not first.flow.any()
+
+
+@pytest.mark.parametrize("warp", ["inverse", "forward"])
+@pytest.mark.parametrize("truth", [(), ("depth",), ("mask", "object_id"), ("sharp", "flow"), ("filled", "hidden")])
+def test_outputs_that_nobody_asked_for_are_not_computed(truth: tuple[str, ...], warp: str) -> None:
+    moving = scene({**BALL, "motion": GOING}, motion={"warp": warp}, sequence={"samples": 2})
+    (whole,) = rendered(moving)
+    (frame,) = rendered(moving, truth=truth)
+    same(frame, whole, ("color", *truth))
+    assert [name for name in TRUTH_NAMES if getattr(frame, name) is not None] == [n for n in TRUTH_NAMES if n in truth]
+    assert ("ground_truth" in frame.metadata["seconds"]) == bool(truth)
+    assert "ground_truth" in whole.metadata["seconds"]
+
+
+def test_passes_that_a_scene_has_no_use_for_are_not_run() -> None:
+    def passes(wanted: Scene) -> set[str]:
+        (frame,) = rendered(wanted, truth=())
+        return set(frame.metadata["seconds"])
+
+    in_focus = {**CAMERA, "focus_distance": 250.0}
+    sharp = scene({"shape": "plane"}, camera=in_focus, psf={"edge": "area"})
+    assert passes(sharp) == {"trace", "accumulate"}
+    assert passes(scene({"shape": "plane", "distance": 260.0})) == {"trace", "convolve"}
+    assert passes(scene({"shape": "plane", "slope_x": 1.0})) == {"trace", "gather"}
+    assert passes(scene(BALL)) == {"trace", "mark_silhouettes", "trace_subpixels", "gather"}
+    forward = passes(scene({**BALL, "motion": GOING}, motion={"warp": "forward"}))
+    assert not any(name.startswith("trace") and name != "trace_labels" for name in forward)
+    assert any(name.startswith("reproject") for name in forward)
+
+
+def test_wrong_calls(tmp_path: Path) -> None:
+    ball = scene(BALL)
+    for options, error, rule in (
+        ({"method": "fft"}, SceneError, "method: must be auto, gather, scatter or convolve; got fft"),
+        ({"method": "convolve"}, SceneError, "method: convolve needs one blur radius"),
+        ({"precision": "half"}, DeviceError, "precision: must be single or double; got half"),
+        ({"device": "abacus"}, DeviceError, '--device: must be a part of .*; got "abacus"'),
+    ):  # fmt: skip
+        with pytest.raises(error, match=rule):
+            rendered(ball, **options)
+    missing = scene({**BALL, "texture": str(tmp_path / "none.png")})
+    with pytest.raises(ImageError, match=r"none.png: must be a file that can be read"):
+        rendered(missing)
