@@ -10,7 +10,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clsco.device import Session
+from clsco.device import Program, Session
 from clsco.layout import Real, Struct, pose_struct, structs, surface_struct
 from clsco.motion import Pose
 from clsco.plan import Plan
@@ -20,11 +20,11 @@ from clsco.surfaces import PlacedSurface
 
 # As in the kernels.
 SEGMENT = 64  # sources of a row that a work-item moves, with OWNED
-COUNTERS = 6
+COUNTERS = 5
 SUMS = 7  # of a row
-LEFT, LEFT_INSIDE, FILLED, FILLED_INSIDE, GROWN, DONE = range(COUNTERS)
+LEFT, LEFT_INSIDE, FILLED, FILLED_INSIDE, DONE = range(COUNTERS)
 CHUNK = 64  # pixels per work-item where it counts
-LANES = 8  # elements that score_mean_median may read beyond the end
+LANES = 8  # pixels of a vector; score_mean_median may read so many beyond the end
 NO_WINNER = np.array(np.iinfo(np.int32).max, np.int32)
 ZERO = np.array(0, np.int32)
 
@@ -32,7 +32,7 @@ ZERO = np.array(0, np.int32)
 # to share out.
 BANDS_PER_CORE, SMALLEST_BAND = 8, 16
 LISTED = (64,)  # local size of kernels with a work-item per source or per entry of a list
-LINES = (8,)  # of those with a work-item per row, column or chunk
+LINES = (8,)  # of those with a work-item per row, column, segment, chunk or vector
 MINIMUM_COUNT, SMOOTHING_ROUNDS = 4, 20  # chapter 5
 
 SHAPE_FEATURES = ("CHANNELS", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED")
@@ -44,7 +44,7 @@ class Warped:
 
     value: float (CHANNELS, height, width), radiance times weight; coc: real, signed radius of the blur in px;
     valid: uchar, known or filled (elsewhere value and coc are 0); status: uchar, 0 known or not missing,
-    1 filled, 2 left; counters: within the frame, the fields of `clsco.reference.fill.FillReport`.
+    1 filled, 2 left; counters: as `Filler.fill` returns them.
     """
 
     value: cl.Buffer
@@ -68,14 +68,6 @@ def forward_features(plan: Plan, owned: bool) -> dict[str, int]:
     }
 
 
-def forward_bytes(plan: Plan, real: Real) -> int:
-    """Bytes of the buffers that a `ForwardWarp` owns."""
-    size, smooths = 8 if real == "double" else 4, plan.scene.fill.method == "mean_median"
-    sets = 2 if smooths else 1
-    per_pixel = sets * 4 * plan.channels + (sets + 1) * size + 3 * 4 + 2
-    return plan.height * plan.width * per_pixel + plan.rows * plan.columns * 2 * size
-
-
 def median_wins(sums: NDArray[np.floating[Any]]) -> int:
     """Bit k is set where the median of k neighbors has a smaller squared error than the mean.
 
@@ -88,6 +80,121 @@ def median_wins(sums: NDArray[np.floating[Any]]) -> int:
         median_error = median / (1 if k % 2 else 4)
         wins |= (median_error < mean_error) << k
     return wins
+
+
+class Filler:
+    """Owns planes with missing pixels on one device, and fills them (4.3.5, chapter 5).
+
+    program: with fill.cl; camera: camera_t, whose padded grid the planes have; channels: of the radiance; real:
+    of the other planes. value, w, coc, valid and status are as in fill.cl, for the caller to write before `fill`;
+    indices are two buffers of ints per pixel that only `fill` itself needs.
+    Raises DeviceError. Validated against `clsco.reference.fill`.
+    """
+
+    def __init__(
+        self, session: Session, program: Program, camera: Struct, channels: int, method: str, real: Real
+    ) -> None:
+        self.session, self.program, self.camera, self.method = session, program, camera, method
+        self.rows, self.columns = int(camera["height"]), int(camera["width"])
+        self.dtype = _dtype(real)
+        self.lines, pixels, size = self.rows + self.columns, self.rows * self.columns, self.dtype.itemsize
+        self.value, self.w = empty(session, 4 * (channels * pixels + LANES)), empty(session, size * pixels)
+        self.valid, self.status = empty(session, pixels + LANES), empty(session, pixels)
+        self.coc = empty(session, size * pixels)
+        for buffer in (self.value, self.valid):  # what may be read beyond the end has to be something
+            cl.enqueue_fill_buffer(session.queue, buffer, np.array(0, np.uint8), 0, buffer.size)
+        self.indices = empty(session, 4 * pixels), empty(session, 4 * pixels)
+        self.spans, self.grown = empty(session, 8 * self.lines), empty(session, 8 * self.lines)
+        self.counters = empty(session, 4 * COUNTERS)
+        self.smooths = method == "mean_median"
+        if self.smooths:
+            self.done, self.sums = empty(session, 4 * pixels), empty(session, size * SUMS * self.rows)
+            self.other_value, self.other_w = empty(session, self.value.size), empty(session, self.w.size)
+
+    def fill(self, surface: Struct, events: Events) -> dict[str, int]:
+        """Fill missing pixels sweep by sweep; returns the fields of `clsco.reference.fill.FillReport`.
+
+        surface: surface_t where pixels may be missing, with domain "surface". Waits once per sweep.
+        """
+        cl.enqueue_fill_buffer(self.session.queue, self.counters, ZERO, 0, self.counters.size)
+        source, left = self.indices
+        found = self._mark(surface, source, events)
+        wins = self._score(events) if self.smooths and found[LEFT] else 0
+        sweeps = filled = first = 0
+        minimum = MINIMUM_COUNT
+        while self.method != "none" and found[LEFT]:
+            self._sweep(source, found[LEFT], (np.int32(wins), np.int32(minimum)), events)
+            found = self._settle(surface, source, left, found[LEFT], events)
+            source, left = left, source
+            if found[FILLED]:
+                sweeps, minimum = sweeps + 1, MINIMUM_COUNT
+                filled += found[FILLED_INSIDE]
+                first = filled if sweeps == 1 else first
+            elif self.smooths and minimum > 1:
+                minimum -= 1  # fewer neighbors will do where the filling would stall
+            else:
+                break
+        if self.smooths and found[DONE]:
+            self._smooth(found[DONE], events)
+        return {
+            "missing_pixels": filled + found[LEFT_INSIDE],
+            "filled_pixels": filled,
+            "unfilled_pixels": found[LEFT_INSIDE],
+            "sweeps": sweeps,
+            "filled_first_sweep": first,
+        }
+
+    def _mark(self, surface: Struct, source: cl.Buffer, events: Events) -> list[int]:
+        """List all missing pixels."""
+        chunks, head = (-(-self.columns // CHUNK), self.rows), (self.camera, self.valid)
+        self._launch("find_spans", events, (self.lines,), LINES, *head, self.spans, self.grown)
+        args = (self.camera, surface, self.valid, self.spans, self.status, source, self.counters)
+        self._launch("mark_missing", events, chunks, (1, *LINES), *args)
+        return self._found()
+
+    def _sweep(self, source: cl.Buffer, count: int, rule: tuple[np.int32, np.int32], events: Events) -> None:
+        """Fill what can be filled of a list of `count` missing pixels; rule: of mean/median."""
+        planes = (self.valid, self.value, self.w, self.coc, self.status)
+        head = (self.camera, source, np.int32(count))
+        if self.method == "ait":
+            self._launch("fill_ait", events, (count,), LISTED, *head, *planes)
+        else:
+            vectors = (-(-count // LANES),)
+            self._launch("fill_mean_median", events, vectors, LINES, *head, *rule, *planes)
+
+    def _settle(self, surface: Struct, source: cl.Buffer, left: cl.Buffer, count: int, events: Events) -> list[int]:
+        """End a sweep over the list `source`; lists in `left` what is missing now."""
+        cl.enqueue_fill_buffer(self.session.queue, self.counters, ZERO, 0, 4 * DONE)
+        lines = (self.spans, self.grown)
+        args = (self.camera, source, np.int32(count), *lines, self.status, self.valid, left, self.counters)
+        done = (self.done,) if self.smooths else ()
+        self._launch("settle_sweep", events, (-(-count // CHUNK),), LINES, *args, *done)
+        grown = (self.camera, surface, self.valid, *lines, self.status, left, self.counters)
+        self._launch("mark_grown", events, (self.lines,), LISTED, *grown)
+        return self._found()
+
+    def _score(self, events: Events) -> int:
+        """For which counts of neighbors the median is the better estimator, as bits."""
+        args = (self.camera, self.value, self.valid, self.sums)
+        self._launch("score_mean_median", events, (self.rows,), (1,), *args)
+        return median_wins(download(self.session, self.sums, (self.rows, SUMS), self.dtype))
+
+    def _smooth(self, count: int, events: Events) -> None:
+        """Rounds of the median over the filled pixels, to and fro between two sets of planes."""
+        here, there = (self.value, self.w), (self.other_value, self.other_w)
+        for source, target in zip(here, there, strict=True):
+            cl.enqueue_copy(self.session.queue, target, source, byte_count=source.size)
+        vectors, head = (-(-count // LANES),), (self.camera, self.done, np.int32(count), self.valid)
+        for _ in range(SMOOTHING_ROUNDS):  # an even number: the last one writes to the first set
+            self._launch("smooth_median", events, vectors, LINES, *head, *here, *there, self.coc)
+            here, there = there, here
+
+    def _found(self) -> list[int]:
+        found: list[int] = download(self.session, self.counters, (COUNTERS,), np.int32).tolist()
+        return found
+
+    def _launch(self, name: str, events: Events, size: tuple[int, ...], local: tuple[int, ...], *args: Any) -> None:
+        events.append((name, launch(self.session, kernel(self.program, name), size, local, *args)))
 
 
 class ForwardWarp:
@@ -109,45 +216,43 @@ class ForwardWarp:
         owned: bool | None = None,
     ) -> None:
         self.session, self.plan, self.camera, self.texture, self.real = session, plan, camera, texture, real
-        self.item, self.method = plan.scene.objects[0], plan.scene.fill.method
-        smooths = self.method == "mean_median"
+        self.item = plan.scene.objects[0]
         self.owned = session.device.kind == "cpu" if owned is None else owned
         features = forward_features(plan, self.owned)
         self.program = build(session, ["reproject.cl", "fill.cl"], features, structs(real), real)
+        self.filler = Filler(session, self.program, camera, plan.channels, plan.scene.fill.method, real)
+        # Once the pixels are in their places, the filling may have these for its lists.
+        self.target, self.winner = self.filler.indices
+        self.sources, size = plan.rows * plan.columns, _dtype(real).itemsize
+        self.rest, self.moved = empty(session, size * self.sources), empty(session, size * self.sources)
         self.rest_surface = surface_struct(self.item, rest, real)
-        self.dtype = np.dtype(np.float64 if real == "double" else np.float32)
-        sources, pixels, size = plan.rows * plan.columns, plan.height * plan.width, self.dtype.itemsize
-        self.rest, self.moved = empty(session, size * sources), empty(session, size * sources)
-        # Targets and winners are of no use after the warp: the lists of missing pixels take their place.
-        self.target, self.winner = empty(session, 4 * pixels), empty(session, 4 * pixels)
-        self.segments = plan.rows * -(-plan.columns // SEGMENT)
-        self.bounds = empty(session, 8 * self.segments if self.owned else 0)
-        # Depths for the test with atomics, then the list of filled pixels.
-        self.depth = empty(session, 4 * pixels if smooths or not self.owned else 0)
-        self.value, self.w = self._planes(pixels, size)
-        self.smooth_value, self.smooth_w = self._planes(pixels if smooths else 0, size)
-        self.coc = empty(session, size * pixels)
-        self.valid, self.status = empty(session, pixels + LANES), empty(session, pixels)
-        self.spans = empty(session, 8 * (plan.height + plan.width))
-        self.sums = empty(session, size * SUMS * plan.height if smooths else 0)
-        self.counters = empty(session, 4 * COUNTERS)
-        for buffer in (self.value, self.valid):  # so that nobody reads what nobody wrote, beyond the end
-            cl.enqueue_fill_buffer(session.queue, buffer, np.array(0, np.uint8), 0, buffer.size)
         self._per_pixel("reproject_rest", [], (plan.columns, plan.rows), camera, self.rest_surface, self.rest)
+        self.segments = plan.rows * -(-plan.columns // SEGMENT)
+        if self.owned:
+            self.bounds = empty(session, 8 * self.segments)
+        else:
+            self.depth = empty(session, self.winner.size)
 
     def warp(self, pose: Pose, surface: PlacedSurface, weight: float, events: Events) -> Warped:
         """The pixels at rest after the move to `pose`, with missing ones filled as the scene says.
 
         surface: the object in `pose`; weight: of this moment in the exposure; events: gets what was enqueued.
         """
-        self._reproject(pose, weight, events)
-        moved = surface_struct(self.item, surface, self.real)
-        counters = self._fill(moved, events)
-        return Warped(self.value, self.coc, self.valid, self.status, counters)
+        args = (self.camera, self.rest_surface, pose_struct(pose, self.real), self.rest, self.target, self.moved)
+        if self.owned:
+            self._test_in_bands(args, events)
+        else:
+            self._test_by_atomics(args, events)
+        planes, plan = self.filler, self.plan
+        head = (self.camera, np.float32(weight), self.texture, self.moved, self.winner)
+        out = (planes.value, planes.w, planes.coc, planes.valid, planes.status)
+        self._per_pixel("reproject_gather", events, (plan.width, plan.height), *head, *out)
+        counters = planes.fill(surface_struct(self.item, surface, self.real), events)
+        return Warped(planes.value, planes.coc, planes.valid, planes.status, counters)
 
     def truth(self, pose: Pose, surface: PlacedSurface, events: Events) -> dict[str, NDArray[Any]]:
-        """What the plan wants of these: "sharp", float32 (rows, columns[, channels]) radiance
-        after the move, and "filled", uint8 (rows, columns), as `Warped.status`. Arguments as for `warp`."""
+        """What the plan wants of these: "sharp", float32 (rows, columns[, channels]), radiance after the
+        move, and "filled", uint8 (rows, columns), as `Warped.status`. Arguments as for `warp`."""
         plan, guard = self.plan, self.plan.guard_px
         if not {"sharp", "filled"} & set(plan.truth):
             return {}
@@ -164,119 +269,29 @@ class ForwardWarp:
             found["filled"] = np.ascontiguousarray(status[frame])
         return found
 
-    def _planes(self, pixels: int, size: int) -> tuple[cl.Buffer, cl.Buffer]:
-        """Radiance and inverse depth of so many pixels."""
-        channels = self.plan.channels
-        return empty(self.session, 4 * (channels * pixels + LANES)), empty(self.session, size * pixels)
+    def _test_in_bands(self, args: tuple[Any, ...], events: Events) -> None:
+        """Targets and winners; work-items own bands of the image."""
+        rows, cores = self.plan.height, self.session.device.compute_units
+        band = max(SMALLEST_BAND, -(-rows // (BANDS_PER_CORE * cores)))
+        self._launch("reproject_targets", events, (self.segments,), LINES, *args, self.bounds)
+        owned = (self.camera, self.target, self.moved, self.bounds, np.int32(band), self.winner)
+        self._launch("reproject_nearest", events, (-(-rows // band),), (1,), *owned)
 
-    def _reproject(self, pose: Pose, weight: float, events: Events) -> None:
-        plan, camera = self.plan, self.camera
-        args = (camera, self.rest_surface, pose_struct(pose, self.real), self.rest, self.target, self.moved)
-        if self.owned:
-            cores = self.session.device.compute_units
-            band = max(SMALLEST_BAND, -(-plan.height // (BANDS_PER_CORE * cores)))
-            self._launch("reproject_targets", events, (self.segments,), (8,), *args, self.bounds)
-            owned = (camera, self.target, self.moved, self.bounds, np.int32(band), self.winner)
-            self._launch("reproject_nearest", events, (-(-plan.height // band),), (1,), *owned)
-        else:
-            queue, sources = self.session.queue, (plan.rows * plan.columns,)
-            cl.enqueue_fill_buffer(queue, self.depth, ZERO, 0, self.depth.size)
-            cl.enqueue_fill_buffer(queue, self.winner, NO_WINNER, 0, self.winner.size)
-            self._launch("reproject_targets", events, sources, LISTED, *args)
-            tested = (camera, self.target, self.moved, self.depth)
-            self._launch("reproject_depth", events, sources, LISTED, *tested)
-            self._launch("reproject_winner", events, sources, LISTED, *tested, self.winner)
-        head = (camera, np.float32(weight), self.texture, self.moved, self.winner)
-        out = (self.value, self.w, self.coc, self.valid, self.status)
-        self._per_pixel("reproject_gather", events, (plan.width, plan.height), *head, *out)
-
-    def _fill(self, surface: Struct, events: Events) -> dict[str, int]:
-        """Fill missing pixels sweep by sweep; returns the counts within the frame."""
-        cl.enqueue_fill_buffer(self.session.queue, self.counters, ZERO, 0, self.counters.size)
-        source, left = self.target, self.winner
-        found = self._mark(surface, source, events)
-        wins = self._score(events) if self.method == "mean_median" and found[LEFT] else 0
-        sweeps = filled = first = 0
-        minimum = MINIMUM_COUNT
-        while self.method != "none" and found[LEFT]:
-            found = self._sweep(source, left, found[LEFT], wins, minimum, events)
-            source, left = left, source
-            if found[FILLED]:
-                sweeps, minimum = sweeps + 1, MINIMUM_COUNT
-                filled += found[FILLED_INSIDE]
-                first = first or filled
-                if found[GROWN]:
-                    found = self._mark(surface, source, events)
-            elif self.method == "mean_median" and minimum > 1:
-                minimum -= 1  # fewer neighbors will do where the filling would stall
-            else:
-                break
-        if self.method == "mean_median" and found[DONE]:
-            self._smooth(found[DONE], events)
-        return {
-            "missing_pixels": filled + found[LEFT_INSIDE],
-            "filled_pixels": filled,
-            "unfilled_pixels": found[LEFT_INSIDE],
-            "sweeps": sweeps,
-            "filled_first_sweep": first,
-        }
-
-    def _mark(self, surface: Struct, source: cl.Buffer, events: Events) -> list[int]:
-        """List all missing pixels."""
-        plan = self.plan
-        self._clear()
-        lines, chunks = (plan.height + plan.width,), (-(-plan.width // CHUNK), plan.height)
-        self._launch("find_spans", events, lines, LINES, self.camera, self.valid, self.spans)
-        args = (self.valid, self.spans, self.status, source, self.counters)
-        self._launch("mark_missing", events, chunks, (1, *LINES), self.camera, surface, *args)
-        return self._found()
-
-    def _sweep(
-        self, source: cl.Buffer, left: cl.Buffer, count: int, wins: int, minimum: int, events: Events
-    ) -> list[int]:
-        """Fill what can be filled of a list of missing pixels; lists the others in `left`."""
-        self._clear()
-        listed = (self.camera, source, np.int32(count))
-        planes = (self.valid, self.value, self.w, self.coc, self.status)
-        if self.method == "ait":
-            self._launch("fill_ait", events, (count,), LISTED, *listed, *planes)
-        else:
-            rule = (np.int32(wins), np.int32(minimum))
-            self._launch("fill_mean_median", events, (count,), LISTED, *listed, *rule, *planes)
-        done = () if self.method == "ait" else (self.depth,)
-        args = (self.spans, self.status, self.valid, left, self.counters)
-        self._launch("settle_sweep", events, (-(-count // CHUNK),), LINES, *listed, *args, *done)
-        return self._found()
-
-    def _score(self, events: Events) -> int:
-        """For which counts of neighbors the median is the better estimator, as bits."""
-        rows = self.plan.height
-        args = (self.camera, self.value, self.valid, self.sums)
-        self._launch("score_mean_median", events, (rows,), (1,), *args)
-        return median_wins(download(self.session, self.sums, (rows, SUMS), self.dtype))
-
-    def _smooth(self, count: int, events: Events) -> None:
-        """Rounds of the median over the filled pixels, to and fro between two sets of planes."""
-        queue, here, there = self.session.queue, (self.value, self.w), (self.smooth_value, self.smooth_w)
-        for source, target in zip(here, there, strict=True):
-            cl.enqueue_copy(queue, target, source, byte_count=source.size)
-        head = (self.camera, self.depth, np.int32(count), self.valid)
-        for _ in range(SMOOTHING_ROUNDS):  # an even number: the last one writes to the first set
-            self._launch("smooth_median", events, (count,), LISTED, *head, *here, *there, self.coc)
-            here, there = there, here
-
-    def _clear(self) -> None:
-        """Counters of a sweep to 0."""
-        cl.enqueue_fill_buffer(self.session.queue, self.counters, ZERO, 0, 4 * DONE)
-
-    def _found(self) -> list[int]:
-        found: list[int] = download(self.session, self.counters, (COUNTERS,), np.int32).tolist()
-        return found
+    def _test_by_atomics(self, args: tuple[Any, ...], events: Events) -> None:
+        """Targets and winners; a work-item per source."""
+        cl.enqueue_fill_buffer(self.session.queue, self.depth, ZERO, 0, self.depth.size)
+        cl.enqueue_fill_buffer(self.session.queue, self.winner, NO_WINNER, 0, self.winner.size)
+        tested = (self.camera, self.target, self.moved, self.depth)
+        self._launch("reproject_targets", events, (self.sources,), LISTED, *args)
+        self._launch("reproject_depth", events, (self.sources,), LISTED, *tested)
+        self._launch("reproject_winner", events, (self.sources,), LISTED, *tested, self.winner)
 
     def _per_pixel(self, name: str, events: Events, size: tuple[int, int], *args: Any) -> None:
         self._launch(name, events, size, PIXELS, *args)
 
-    def _launch(
-        self, name: str, events: Events, size: tuple[int, ...], local: tuple[int, ...], *args: Any
-    ) -> None:
+    def _launch(self, name: str, events: Events, size: tuple[int, ...], local: tuple[int, ...], *args: Any) -> None:
         events.append((name, launch(self.session, kernel(self.program, name), size, local, *args)))
+
+
+def _dtype(real: Real) -> np.dtype[Any]:
+    return np.dtype(np.float64 if real == "double" else np.float32)

@@ -6,7 +6,8 @@
 //   w, coc   real: inverse depth in 1/mm and signed radius of the blur in px
 //   valid    uchar: 1 known or filled, else 0
 //   status   uchar: 0 known or not missing, 1 filled, 2 missing
-//   spans    int2 per row and then per column: first and last valid pixel of the line, (INT_MAX, -1) for none
+//   spans    int2 per line, the rows and then the columns: first and last valid pixel, (INT_MAX, -1) for none
+//   grown    the same after a sweep; where they differ, the sweep has made lines longer
 //   list     int per missing pixel, in any order: its number
 //   counters ints, see below
 //
@@ -17,8 +18,7 @@
 #define LEFT_INSIDE 1    // of them inside the frame
 #define FILLED 2         // filled by the sweep
 #define FILLED_INSIDE 3
-#define GROWN 4          // set where a filled pixel lies outside a span of its own: there may be new missing pixels
-#define DONE 5           // filled by all sweeps: entries of done
+#define DONE 4           // filled by all sweeps: entries of done
 #define CHUNK 64         // pixels per work-item where it counts, so that atomics are rare
 
 // Neighbors, in the order in which they are asked: W E, N S, NW SE, NE SW; opposite ones are pairs.
@@ -31,8 +31,21 @@ static bool in_frame(const camera_t camera, int x, int y)
     return column >= 0 && column < camera.columns && row >= 0 && row < camera.rows;
 }
 
-// First and last valid pixel of each row and column. In: valid. Out: spans.
-__kernel void find_spans(const camera_t camera, __global const uchar *valid, __global int2 *spans)
+// Whether the fill domain contains a pixel: with "surface" its ray has to meet the moved surface.
+static bool may_be_missing(const camera_t camera, const surface_t surface, int x, int y)
+{
+#if DOMAIN_SURFACE
+    uchar root;
+    solve_quadric(&surface, pixel_ray(camera, y - camera.guard, x - camera.guard), &root);
+    return root;
+#else
+    return true;
+#endif
+}
+
+// First and last valid pixel of each line. In: valid. Out: spans, grown.
+__kernel void find_spans(const camera_t camera, __global const uchar *valid, __global int2 *spans,
+                         __global int2 *grown)
 {
     const int line = get_global_id(0);
     if (line >= camera.height + camera.width)
@@ -45,7 +58,7 @@ __kernel void find_spans(const camera_t camera, __global const uchar *valid, __g
         ++first;
     while (last >= first && !along[last * step])
         --last;
-    spans[line] = first < length ? (int2)(first, last) : (int2)(INT_MAX, -1);
+    spans[line] = grown[line] = first < length ? (int2)(first, last) : (int2)(INT_MAX, -1);
 }
 
 // Lists the pixels that are unknown but between the first and last valid one of their row, or else of their column,
@@ -70,12 +83,8 @@ __kernel void mark_missing(const camera_t camera, const surface_t surface, __glo
         const int2 column = spans[camera.height + x];
         if (line[x] || !((x > row.x && x < row.y) || (y > column.x && y < column.y)))
             continue;
-#if DOMAIN_SURFACE
-        uchar root;
-        solve_quadric(&surface, pixel_ray(camera, y - camera.guard, x - camera.guard), &root);
-        if (!root)
+        if (!may_be_missing(camera, surface, x, y))
             continue;
-#endif
         found[count++] = y * camera.width + x;
         inside += in_frame(camera, x, y);
         status[y * camera.width + x] = 2;
@@ -89,12 +98,22 @@ __kernel void mark_missing(const camera_t camera, const surface_t surface, __glo
         list[start + i] = found[i];
 }
 
-// Ends a sweep: what it filled becomes valid, the rest is listed again. In: list of `count`, status, spans. Out: valid,
-// left (as list), counters, done (list of what all sweeps filled).
 #if FILL_AIT || FILL_MEAN_MEDIAN
+// Makes lines reach to a pixel on them.
+static void reach(__global int2 *grown, __global const int2 *spans, int line, int index)
+{
+    const int2 span = spans[line];
+    if (index < span.x)
+        atomic_min((__global int *)(grown + line), index);
+    if (index > span.y)
+        atomic_max((__global int *)(grown + line) + 1, index);
+}
+
+// Ends a sweep: what it filled becomes valid, the rest is listed again. In: list of `count`, status, spans. Out: valid,
+// grown, left (as list), counters, done (list of what all sweeps filled).
 __kernel void settle_sweep(const camera_t camera, __global const int *list, const int count,
-                           __global const int2 *spans, __global const uchar *status, __global uchar *valid,
-                           __global int *left, __global int *counters
+                           __global const int2 *spans, __global int2 *grown, __global const uchar *status,
+                           __global uchar *valid, __global int *left, __global int *counters
 #if FILL_MEAN_MEDIAN
                            , __global int *done
 #endif
@@ -105,21 +124,18 @@ __kernel void settle_sweep(const camera_t camera, __global const int *list, cons
         return;
     const int end = MIN(begin + CHUNK, count);
     int filled = 0, filled_inside = 0, left_inside = 0;
-    bool grown = false;
     for (int i = begin; i < end; ++i) {
-        const int at = list[i], x = at % camera.width, y = at / camera.width;
-        if (status[at] != 1) {
-            left_inside += in_frame(camera, x, y);
-            continue;
+        const int at = list[i], x = at % camera.width, y = at / camera.width, inside = in_frame(camera, x, y);
+        if (status[at] == 1) {
+            reach(grown, spans, y, x);
+            reach(grown, spans, camera.height + x, y);
+            valid[at] = 1;
+            ++filled;
+            filled_inside += inside;
+        } else {
+            left_inside += inside;
         }
-        const int2 row = spans[y], column = spans[camera.height + x];
-        grown |= x < row.x || x > row.y || y < column.x || y > column.y;
-        valid[at] = 1;
-        ++filled;
-        filled_inside += in_frame(camera, x, y);
     }
-    if (grown)
-        atomic_or(counters + GROWN, 1);
     if (filled_inside)
         atomic_add(counters + FILLED_INSIDE, filled_inside);
     if (left_inside)
@@ -136,6 +152,34 @@ __kernel void settle_sweep(const camera_t camera, __global const int *list, cons
         if (status[list[i]] == 1)
             done[next++] = list[i];
 #endif
+}
+
+// Lists what is missing since lines have grown, one line per work-item. A pixel within the span of its row is left to
+// the row. In: valid, grown. In and out: spans, status, list, LEFT and LEFT_INSIDE.
+__kernel void mark_grown(const camera_t camera, const surface_t surface, __global const uchar *valid,
+                         __global int2 *spans, __global const int2 *grown, __global uchar *status,
+                         __global int *list, __global int *counters)
+{
+    const int line = get_global_id(0);
+    if (line >= camera.height + camera.width)
+        return;
+    const int2 before = spans[line], now = grown[line];
+    if (before.x == now.x && before.y == now.y)
+        return;
+    spans[line] = now;
+    const bool is_row = line < camera.height;
+    for (int i = now.x + 1; i < now.y; ++i) {
+        if (i >= before.x && i < before.y)
+            i = before.y;  // what lies between is listed, or was
+        const int x = is_row ? i : line - camera.height, y = is_row ? line : i, at = y * camera.width + x;
+        const int2 row = grown[y];
+        if (valid[at] || (is_row ? status[at] == 2 : x > row.x && x < row.y) || !may_be_missing(camera, surface, x, y))
+            continue;
+        status[at] = 2;
+        list[atomic_inc(counters + LEFT)] = at;
+        if (in_frame(camera, x, y))
+            atomic_inc(counters + LEFT_INSIDE);
+    }
 }
 #endif
 
@@ -204,6 +248,7 @@ __kernel void fill_ait(const camera_t camera, __global const int *list, const in
 
 #if FILL_MEAN_MEDIAN
 #define LANES 8
+#define UNROLL _Pragma("unroll")
 #define ORDER(T, a, b) { const T low = MIN(a, b); b = MAX(a, b); a = low; }
 // Sorts eight of anything that compares, with the fewest exchanges.
 #define SORT(T, s) \
@@ -277,84 +322,113 @@ __kernel void score_mean_median(const camera_t camera, __global const float *val
     }
 }
 
-// Numbers of the valid neighbors of a pixel; returns how many there are.
-static int valid_neighbors(const camera_t camera, __global const uchar *valid, int at, int *place)
+// LANES pixels of a list, with their valid neighbors: bit k of `bits` is neighbor k.
+typedef struct {
+    int at[LANES], bits[LANES];
+    real8 count, lower, upper, by_median;  // neighbors; places of the middle two; whether their mean is wanted
+} around_t;
+
+static around_t look_around(const camera_t camera, __global const uchar *valid, __global const int *list, int entries,
+                            int median_wins)
 {
-    const int x = at % camera.width, y = at / camera.width;
-    int count = 0;
+    around_t around;
+    for (int lane = 0; lane < LANES; ++lane) {
+        // The last pixel fills up the last vector.
+        const int at = list[MIN((int)get_global_id(0) * LANES + lane, entries - 1)];
+        const int x = at % camera.width, y = at / camera.width;
+        const bool inner = x > 0 && y > 0 && x < camera.width - 1 && y < camera.height - 1;
+        int bits = 0, count = 0;
+        UNROLL
+        for (int k = 0; k < 8; ++k) {
+            const int i = y + NEIGHBOR_Y[k], j = x + NEIGHBOR_X[k];
+            const bool inside = inner || (i >= 0 && i < camera.height && j >= 0 && j < camera.width);
+            const int known = inside ? valid[i * camera.width + j] : 0;
+            bits |= known << k;
+            count += known;
+        }
+        around.at[lane] = at;
+        around.bits[lane] = bits;
+        ((real *)&around.count)[lane] = count;
+        ((real *)&around.lower)[lane] = (count - 1) / 2;
+        ((real *)&around.upper)[lane] = count / 2;
+        ((real *)&around.by_median)[lane] = median_wins >> count & 1;
+    }
+    return around;
+}
+
+// Values of the neighbors of all lanes; infinity for those that are not valid.
+#define NEAR(values, plane) \
+    for (int lane = 0; lane < LANES; ++lane) { \
+        const int bits = around.bits[lane]; \
+        UNROLL \
+        for (int k = 0; k < 8; ++k) { \
+            const int from = around.at[lane] + NEIGHBOR_Y[k] * camera.width + NEIGHBOR_X[k]; \
+            ((real *)(values + k))[lane] = bits == 255 || bits >> k & 1 ? plane[from] : (real)INFINITY; \
+        } \
+    }
+
+// Mean or median of the values that are not infinite; sorts them. Out: result, one per lane.
+static void estimate(const around_t *around, real8 *near, real8 *result)
+{
+    real8 sum = 0, lower = 0, upper = 0;
+    for (int k = 0; k < 8; ++k)
+        sum += near[k] < (real)INFINITY ? near[k] : 0;
+    SORT(real8, near)
     for (int k = 0; k < 8; ++k) {
-        const int i = y + NEIGHBOR_Y[k], j = x + NEIGHBOR_X[k];
-        if (i >= 0 && i < camera.height && j >= 0 && j < camera.width && valid[i * camera.width + j])
-            place[count++] = i * camera.width + j;
+        lower = around->lower == k ? near[k] : lower;
+        upper = around->upper == k ? near[k] : upper;
     }
-    return count;
+    *result = around->by_median > 0 ? (real)0.5 * (lower + upper) : sum / around->count;
 }
 
-// Mean or median of the first `count` of eight numbers; of an even count the mean of the middle two.
-static real estimate(real *near, int count, bool median)
+// Writes the estimates of all planes; of lanes with fewer than `minimum` neighbors nothing.
+static void write_estimates(const camera_t camera, const around_t around, int minimum, __global const float *value_in,
+                            __global const real *w_in, __global float *value_out, __global real *w_out,
+                            __global real *coc)
 {
-    if (!median) {
-        real sum = 0;
-        for (int k = 0; k < count; ++k)
-            sum += near[k];
-        return sum / count;
-    }
-    for (int k = count; k < 8; ++k)
-        near[k] = INFINITY;
-    SORT(real, near)
-    return (real)0.5 * (near[(count - 1) / 2] + near[count / 2]);
-}
-
-// All planes of a pixel from the planes of its neighbors.
-static void write_estimate(const camera_t camera, int at, const int *place, int count, bool median,
-                           __global const float *value_in, __global const real *w_in, __global float *value_out,
-                           __global real *w_out, __global real *coc)
-{
-    real near[8];
+    real8 near[8], result;
+    const real *count = (const real *)&around.count, *found = (const real *)&result;
     for (int c = 0; c < CHANNELS; ++c) {
         const int plane = c * camera.height * camera.width;
-        for (int k = 0; k < count; ++k)
-            near[k] = value_in[plane + place[k]];
-        value_out[plane + at] = (float)estimate(near, count, median);
+        NEAR(near, (value_in + plane))
+        estimate(&around, near, &result);
+        for (int lane = 0; lane < LANES; ++lane)
+            if (count[lane] >= minimum)
+                value_out[plane + around.at[lane]] = (float)found[lane];
     }
-    for (int k = 0; k < count; ++k)
-        near[k] = w_in[place[k]];
-    const real inverse_depth = estimate(near, count, median);
-    w_out[at] = inverse_depth;
-    coc[at] = blur_radius(camera, inverse_depth);
+    NEAR(near, w_in)
+    estimate(&around, near, &result);
+    for (int lane = 0; lane < LANES; ++lane)
+        if (count[lane] >= minimum) {
+            w_out[around.at[lane]] = found[lane];
+            coc[around.at[lane]] = blur_radius(camera, found[lane]);
+        }
 }
 
-// Stage 1: one sweep. Bit k of median_wins: for k valid neighbors the median is the better estimator; a pixel needs
-// `minimum` of them. In: list of `count`, valid. In and out: value, w, coc, status.
+// Stage 1: one sweep, LANES entries per work-item. Bit k of median_wins: of k valid neighbors the median is the better
+// estimator; a pixel needs `minimum` of them. In: list of `count`, valid. In and out: value, w, coc, status.
 __kernel void fill_mean_median(const camera_t camera, __global const int *list, const int count, const int median_wins,
                                const int minimum, __global const uchar *valid, __global float *value,
                                __global real *w, __global real *coc, __global uchar *status)
 {
-    const int id = get_global_id(0);
-    if (id >= count)
+    if (get_global_id(0) * LANES >= count)
         return;
-    const int at = list[id];
-    int place[8];
-    const int neighbors = valid_neighbors(camera, valid, at, place);
-    if (neighbors < minimum)
-        return;
-    write_estimate(camera, at, place, neighbors, median_wins >> neighbors & 1, value, w, value, w, coc);
-    status[at] = 1;
+    const around_t around = look_around(camera, valid, list, count, median_wins);
+    write_estimates(camera, around, minimum, value, w, value, w, coc);
+    for (int lane = 0; lane < LANES; ++lane)
+        if (((const real *)&around.count)[lane] >= minimum)
+            status[around.at[lane]] = 1;
 }
 
-// Stage 2: one round of the 3x3 median without the center over the filled pixels. In: done, list of `count`; valid;
-// value_in, w_in, which hold all pixels. Out: the same of the filled pixels.
+// Stage 2: one round of the 3x3 median without the center over the filled pixels, LANES entries per work-item. In: done,
+// list of `count`; valid; value_in, w_in, which hold all pixels. Out: the same of the filled pixels, coc.
 __kernel void smooth_median(const camera_t camera, __global const int *done, const int count,
                             __global const uchar *valid, __global const float *value_in, __global const real *w_in,
                             __global float *value_out, __global real *w_out, __global real *coc)
 {
-    const int id = get_global_id(0);
-    if (id >= count)
+    if (get_global_id(0) * LANES >= count)
         return;
-    const int at = done[id];
-    int place[8];
-    const int neighbors = valid_neighbors(camera, valid, at, place);
-    if (neighbors)
-        write_estimate(camera, at, place, neighbors, true, value_in, w_in, value_out, w_out, coc);
+    const around_t around = look_around(camera, valid, done, count, ~0);
+    write_estimates(camera, around, 1, value_in, w_in, value_out, w_out, coc);
 }
 #endif

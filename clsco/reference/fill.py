@@ -65,19 +65,21 @@ def mark_missing(known: Mask, allowed: Mask | None) -> Mask:
     return missing if allowed is None else missing & allowed
 
 
-def settle_sweep(known: Mask, missing: Mask, filled: Mask) -> tuple[Mask, Mask, bool]:
-    """Known and missing pixels (H, W) after a sweep, and whether there may be missing pixels besides those.
+def settle_sweep(known: Mask, missing: Mask, filled: Mask) -> tuple[Mask, Mask]:
+    """Known and missing pixels (H, W) after a sweep that has filled some.
 
-    known, missing: (H, W), before the sweep; filled: (H, W), by it. Others become missing only where a filled
-    pixel lies outside the span of known pixels of its row or column: where a whole row and a whole column
-    were missing, at their crossing.
+    known, missing: (H, W), before the sweep; filled: (H, W).
     """
-    row, column = np.nonzero(filled)
-    spans = find_spans(known)
-    first, last = spans[row].T
-    top, bottom = spans[known.shape[0] + column].T
-    grown = bool(((column < first) | (column > last) | (row < top) | (row > bottom)).any())
-    return known | filled, missing & ~filled, grown
+    return known | filled, missing & ~filled
+
+
+def mark_grown(known: Mask, missing: Mask, allowed: Mask | None) -> Mask:
+    """Missing pixels (H, W) after known pixels were added to those between which `missing` (H, W) were.
+
+    known, allowed: as for `mark_missing`. There are new ones where a pixel was filled for the sake of its row,
+    which lies beyond what was known of its column, or the other way round.
+    """
+    return missing | mark_missing(known, allowed)
 
 
 def _neighbors(
@@ -257,9 +259,8 @@ def fill(
         sweeps += 1
         if sweeps == 1:
             first = int(filled[frame].sum())
-        valid, left, grown = settle_sweep(valid, left, filled)
-        if grown:
-            left = mark_missing(valid, allowed)
+        valid, left = settle_sweep(valid, left, filled)
+        left = mark_grown(valid, left, allowed)
     done = valid & ~known
     if method == "mean_median" and done.any():
         for _ in range(SMOOTHING_ROUNDS):
