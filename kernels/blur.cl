@@ -13,7 +13,6 @@
 
 #define LANES 8       // floats in a vector of taps, as in clsco/psf.py
 #define SUB_POWERS 4  // of the tables of sub-pixel sources
-#define BLOCK 512     // columns of sources after which a band starts anew, so that its rows stay in the cache
 
 // vload8 and vstore8 are calls on PoCL; through this type they are one unaligned move.
 typedef float taps_t __attribute__((ext_vector_type(8), aligned(4)));
@@ -138,8 +137,7 @@ INLINE void add_mirrored_rows(spread_t s, float v, float4 source, __global float
     }
 }
 
-// Each work-item adds to BAND rows of `total` all the light that reaches them. Within a block every stride-th source
-// is taken, then the next: neighbors in turn would wait for each other's stores.
+// Each work-item adds to BAND rows of `total` all the light that reaches them, source by source in row-major order.
 __kernel void gather(const camera_t camera, const psf_t psf, __global const float4 *source,
                      __global const float *value, __global const int4 *intervals,
                      __global const float *coefficients, const int pitch, const int pad, __global float *total
@@ -154,12 +152,10 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
         return;
     const int end = MIN(camera.rows, first + BAND);
     const int plane = camera.width * camera.height, total_plane = camera.rows * pitch;
-    const int stride = (2 * psf.reach + LANES) / LANES * LANES;
     const int from = MAX(first - psf.reach, -camera.guard), to = MIN(end + psf.reach, camera.rows + camera.guard);
-    for (int y = from; y < to; ++y)
-    for (int block = 0; block < camera.width; block += BLOCK)
-    for (int phase = 0; phase < stride; ++phase)
-    for (int x = block + phase; x < MIN(block + BLOCK, camera.width); x += stride) {
+    for (int y = from; y < to; ++y) {
+    const bool whole = y - psf.reach >= first && y + psf.reach < end;
+    for (int x = 0; x < camera.width; ++x) {
         const int at = (y + camera.guard) * camera.width + x;
         const float4 s = source[at];
         __global float *out = total + y * pitch + x - camera.guard + pad;
@@ -183,16 +179,18 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
         if (s.x < 0)
             continue;
         const spread_t spread = pixel_spread(psf, intervals, coefficients, s.x);
-        const int half_width = spread.half_width, up = MIN(half_width, y - first), down = MIN(half_width, end - 1 - y);
-        const float steepest = (s.y < 0 ? -s.y : s.y) + (s.z < 0 ? -s.z : s.z);
-        const bool simple = up == half_width && down == half_width && steepest * half_width <= 1;
+        const int half_width = spread.half_width;
+        const bool simple = (whole || (y - half_width >= first && y + half_width < end)) &&
+                            (ABS(s.y) + ABS(s.z)) * half_width <= 1;
         for (int k = 0; k < CHANNELS; ++k) {
             const float v = value[k * plane + at];
             if (simple)
                 add_mirrored_rows(spread, v, s, out + k * total_plane - half_width, pitch);
             else
-                add_rows(spread, up, down, v, s, out + k * total_plane - half_width, pitch);
+                add_rows(spread, MIN(half_width, y - first), MIN(half_width, end - 1 - y), v, s,
+                         out + k * total_plane - half_width, pitch);
         }
+    }
     }
 }
 #endif
@@ -380,8 +378,14 @@ __kernel void prepare_sources(const camera_t camera, const psf_t psf, __global c
     if (valid[at]) {
         record.x = table_coordinate(psf, coc[at], 0);
 #if TILT
-        const real2 gradient = (real2)(difference(coc, valid, at, 1, x > 0, x + 1 < camera.width),
-                                       difference(coc, valid, at, camera.width, y > 0, y + 1 < camera.height));
+        const int w = camera.width;
+        const bool within = x > 0 && x + 1 < w && y > 0 && y + 1 < camera.height;
+        real2 gradient;
+        if (within && (valid[at - 1] & valid[at + 1] & valid[at - w] & valid[at + w]))
+            gradient = (real)0.5 * (real2)(coc[at + 1] - coc[at - 1], coc[at + w] - coc[at - w]);
+        else
+            gradient = (real2)(difference(coc, valid, at, 1, x > 0, x + 1 < w),
+                               difference(coc, valid, at, w, y > 0, y + 1 < camera.height));
         record.yz = tilt_slope(gradient, coc[at]);
 #endif
     }
