@@ -32,6 +32,7 @@ ZERO = np.array(0, np.int32)
 # to share out.
 BANDS_PER_CORE, SMALLEST_BAND = 8, 16
 LISTED = (64,)  # local size of kernels with a work-item per source or per entry of a list
+OWNERS = (1,)  # of those with few, large work-items
 LINES = (8,)  # of those with a work-item per row, column, segment, chunk or vector
 MINIMUM_COUNT, SMOOTHING_ROUNDS = 4, 20  # chapter 5
 
@@ -68,18 +69,18 @@ def forward_features(plan: Plan, owned: bool) -> dict[str, int]:
     }
 
 
-def median_wins(sums: NDArray[np.floating[Any]]) -> int:
-    """Bit k is set where the median of k neighbors has a smaller squared error than the mean.
+def squared_errors(sums: NDArray[np.floating[Any]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Squared errors (9,) of mean and median of k neighbors, as `clsco.reference.fill.score_mean_median`.
 
-    sums: (rows, 7) from score_mean_median. The binomial coefficients count subsets: see the kernel.
+    sums: (rows, 7) from the kernel of that name, added here in the order of the rows. The binomial coefficients
+    count the subsets of k neighbors with a certain one, and with a certain two, in them.
     """
     squared, squares, *medians = sums.astype(np.float64).sum(axis=0).tolist()
-    wins = 0
-    for k, median in zip(range(4, 9), medians, strict=True):
-        mean_error = (comb(6, k - 2) * squared + comb(6, k - 1) * squares) / k**2
-        median_error = median / (1 if k % 2 else 4)
-        wins |= (median_error < mean_error) << k
-    return wins
+    mean_error, median_error = np.zeros(9), np.zeros(9)
+    for k, median in zip(range(MINIMUM_COUNT, 9), medians, strict=True):
+        mean_error[k] = (comb(6, k - 2) * squared + comb(6, k - 1) * squares) / k**2
+        median_error[k] = median / (1 if k % 2 else 4)
+    return mean_error, median_error
 
 
 class Filler:
@@ -174,10 +175,11 @@ class Filler:
         return self._found()
 
     def _score(self, events: Events) -> int:
-        """For which counts of neighbors the median is the better estimator, as bits."""
+        """For which counts of neighbors the median is the better estimator: bit k for k of them."""
         args = (self.camera, self.value, self.valid, self.sums)
-        self._launch("score_mean_median", events, (self.rows,), (1,), *args)
-        return median_wins(download(self.session, self.sums, (self.rows, SUMS), self.dtype))
+        self._launch("score_mean_median", events, (self.rows,), OWNERS, *args)
+        mean, median = squared_errors(download(self.session, self.sums, (self.rows, SUMS), self.dtype))
+        return int(((median < mean) << np.arange(9)).sum())
 
     def _smooth(self, count: int, events: Events) -> None:
         """Rounds of the median over the filled pixels, to and fro between two sets of planes."""
@@ -275,7 +277,7 @@ class ForwardWarp:
         band = max(SMALLEST_BAND, -(-rows // (BANDS_PER_CORE * cores)))
         self._launch("reproject_targets", events, (self.segments,), LINES, *args, self.bounds)
         owned = (self.camera, self.target, self.moved, self.bounds, np.int32(band), self.winner)
-        self._launch("reproject_nearest", events, (-(-rows // band),), (1,), *owned)
+        self._launch("reproject_nearest", events, (-(-rows // band),), OWNERS, *owned)
 
     def _test_by_atomics(self, args: tuple[Any, ...], events: Events) -> None:
         """Targets and winners; a work-item per source."""

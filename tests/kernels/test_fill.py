@@ -1,0 +1,328 @@
+"""fill.cl against its twin: each kernel, whole fillings of any mask, and that the order of lists changes no bit."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+import pytest
+from numpy.typing import NDArray
+
+from clsco import forward
+from clsco.device import Session
+from clsco.forward import LANES, Filler, ForwardWarp, squared_errors
+from clsco.layout import Real, camera_struct, flat, structs, surface_struct
+from clsco.motion import pose_at
+from clsco.optics import blur_radius
+from clsco.plan import make_plan
+from clsco.program import build, download, kernel, launch, upload
+from clsco.reference.fill import (
+    Method,
+    fill,
+    fill_ait,
+    fill_mean_median,
+    find_spans,
+    mark_grown,
+    mark_missing,
+    score_mean_median,
+    settle_sweep,
+    smooth_median,
+)
+from clsco.reference.geometry import pixel_ray, solve_quadric
+from clsco.reference.trace import padded_grid
+from clsco.scene import Camera, Fill, Motion, Object, ObjectMotion, Plane, Scene, Sphere
+from clsco.surfaces import place
+
+Array = NDArray[Any]
+Mask = NDArray[np.bool_]
+NONE = np.iinfo(np.int32).max
+FLOAT_EPS = float(np.finfo(np.float32).eps)
+BALL = Sphere(center=(0.0, 0.0, 280.0), radius=3.0)
+
+
+class Planes:
+    """A filler with the planes of a mask: values (H, W, K), radiance and then inverse depth, in floats."""
+
+    def __init__(
+        self, session: Session, values: Array, known: Mask, method: str, guard: int = 0,
+        domain: str = "span", real: Real = "double",
+    ) -> None:  # fmt: skip
+        self.session, self.shape, self.channels, self.real = session, known.shape, values.shape[2] - 1, real
+        rows, columns = (n - 2 * guard for n in self.shape)
+        self.lens = Camera(resolution=(columns, rows))
+        self.camera = camera_struct(self.lens, guard, real)
+        self.placed = place(BALL, pose_at(BALL.motion, 0.0, "euler"))
+        self.surface = surface_struct(BALL, self.placed, real)
+        features = dict.fromkeys(("LINEAR", "NAPPE", "BOUNDED", "FILTER", "SAMPLED"), 0)
+        features |= {"CHANNELS": self.channels, "QUADRATIC": 1, "DOMAIN_SURFACE": int(domain == "surface")}
+        features |= {"FILL_AIT": int(method == "ait"), "FILL_MEAN_MEDIAN": int(method == "mean_median")}
+        self.program = build(session, ["fill.cl"], features, structs(real), real)
+        self.filler = Filler(session, self.program, self.camera, self.channels, method, real)
+        self.dtype = np.dtype(np.float64 if real == "double" else np.float32)
+        self.write("value", flat(np.where(known[..., None], values, 0.0)[..., :-1], np.float32))
+        self.write("w", np.where(known, values[..., -1], 0.0).astype(self.dtype))
+        self.write("valid", known.astype(np.uint8))
+        for name in ("coc", "status", "spans", "grown", "counters"):
+            self.write(name, np.zeros(getattr(self.filler, name).size, np.uint8))
+
+    def write(self, name: str, array: Array) -> None:
+        cl.enqueue_copy(self.session.queue, getattr(self.filler, name), np.ascontiguousarray(array))
+
+    def read(self, name: str, dtype: Any = np.uint8, shape: tuple[int, ...] | None = None) -> Array:
+        return download(self.session, getattr(self.filler, name), self.shape if shape is None else shape, dtype)
+
+    def values(self) -> Array:
+        """Values (H, W, K) as they are now."""
+        radiance = self.read("value", np.float32, (self.channels, *self.shape)).astype(np.float64)
+        return np.concatenate([np.moveaxis(radiance, 0, -1), self.read("w", self.dtype)[..., None]], axis=-1)
+
+    def listed(self, mask: Mask) -> tuple[cl.Buffer, np.int32]:
+        """A list of the pixels of a mask, not in their order."""
+        pixels = np.random.default_rng(1).permutation(np.flatnonzero(mask)).astype(np.int32)
+        cl.enqueue_copy(self.session.queue, self.filler.indices[0], pixels)
+        return self.filler.indices[0], np.int32(pixels.size)
+
+    def run(self, name: str, size: int, *args: Any, local: int = 8) -> None:
+        launch(self.session, kernel(self.program, name), (size,), (local,), self.camera, *args)
+
+    def fill(self) -> tuple[Array, Array, dict[str, int]]:
+        """Values, status and report of a whole filling."""
+        report = self.filler.fill(self.surface, [])
+        return self.values(), self.read("status"), report
+
+
+def cases(count: int, largest: int, channels: int = 1) -> list[tuple[Array, Mask]]:
+    """Floats on random masks of random density and sizes from 1 x 1, and masks with nothing or everything known."""
+    rng = np.random.default_rng(53)
+    shapes = [(1, 1), (1, 9), (9, 1), (2, 11), (11, 2), (3, 3), (64, 61)]
+    shapes += [tuple(rng.integers(1, largest, 2)) for _ in range(count)]
+    masks = [rng.random(shape) < rng.random() for shape in shapes]
+    masks += [np.zeros((7, 9), dtype=bool), np.ones((7, 9), dtype=bool)]
+    return [(rng.random((*m.shape, channels + 1)).astype(np.float32).astype(np.float64), m) for m in masks]
+
+
+def close(found: Array, expected: Array, roundings: int = 1) -> None:
+    """Equal but for so many roundings of values up to 1 to float32; inverse depth stays in double."""
+    np.testing.assert_allclose(found[..., :-1], expected[..., :-1], rtol=0, atol=roundings * FLOAT_EPS)
+    np.testing.assert_allclose(found[..., -1], expected[..., -1], rtol=1e-12, atol=0)
+
+
+def spans_of(known: Mask) -> Array:
+    """Spans as the device has them."""
+    spans = find_spans(known)
+    return np.where(spans[:, 1:] < 0, np.array([NONE, -1]), spans).astype(np.int32)
+
+
+@pytest.mark.parametrize("domain", ["span", "surface"])
+def test_missing_pixels_are_listed(session: Session, domain: str) -> None:
+    marked = 0
+    for values, known in cases(40, 90):
+        guard = 0 if min(known.shape) < 20 else 4
+        planes = Planes(session, values, known, "none", guard, domain)
+        allowed = None
+        if domain == "surface":
+            rays = pixel_ray(planes.lens, *padded_grid(planes.lens, guard))
+            allowed = solve_quadric(planes.placed, None, rays)[1] > 0
+        missing = mark_missing(known, allowed)
+        report = planes.filler.fill(planes.surface, [])
+        assert (planes.read("spans", np.int32, (sum(known.shape), 2)) == spans_of(known)).all()
+        assert (planes.read("status") == np.where(missing, 2, 0)).all()
+        pixels = download(session, planes.filler.indices[0], (int(missing.sum()),), np.int32)
+        assert (np.sort(pixels) == np.flatnonzero(missing)).all()
+        inside = missing[guard : known.shape[0] - guard, guard : known.shape[1] - guard]
+        assert report["missing_pixels"] == report["unfilled_pixels"] == inside.sum()
+        marked += int(missing.sum())
+    assert marked > 500
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_a_sweep_of_ait_is_its_twin(session: Session, channels: int) -> None:
+    swept = 0
+    for values, known in cases(60, 20, channels):
+        planes, missing = Planes(session, values, known, "ait"), mark_missing(known, None)
+        if not missing.any():
+            continue
+        pixels, count = planes.listed(missing)
+        f = planes.filler
+        planes.run("fill_ait", int(count), pixels, count, f.valid, f.value, f.w, f.coc, f.status)
+        given = np.where(known[..., None], values, 0.0)
+        expected, filled = fill_ait(given, known, missing)
+        assert (planes.read("status") == filled).all()
+        close(planes.values(), expected)
+        coc = np.where(filled, blur_radius(planes.lens, expected[..., -1]), 0.0)
+        np.testing.assert_allclose(planes.read("coc", np.float64), coc, rtol=1e-12)
+        swept += int(filled.sum())
+    assert swept > 1000
+
+
+@pytest.mark.parametrize("method", ["ait", "mean_median"])
+@pytest.mark.parametrize("domain", ["span", "surface"])
+def test_settling_a_sweep_lists_what_is_missing_then(session: Session, method: str, domain: str) -> None:
+    grown = 0
+    rng = np.random.default_rng(3)
+    for values, known in cases(60, 40):
+        planes = Planes(session, values, known, method, 0, domain)
+        rays = pixel_ray(planes.lens, *padded_grid(planes.lens, 0))
+        allowed = solve_quadric(planes.placed, None, rays)[1] > 0 if domain == "surface" else None
+        missing = mark_missing(known, allowed)
+        if not missing.any():
+            continue
+        filled = missing & (rng.random(known.shape) < 0.5)
+        pixels, count = planes.listed(missing)
+        for name in ("spans", "grown"):
+            planes.write(name, spans_of(known))
+        planes.write("status", np.where(filled, 1, np.where(missing, 2, 0)).astype(np.uint8))
+        f, left = planes.filler, planes.filler.indices[1]
+        args = [pixels, count, f.spans, f.grown, f.status, f.valid, left, f.counters]
+        planes.run("settle_sweep", -(-int(count) // 64), *args, *([f.done] if f.smooths else []))
+        planes.run(
+            "mark_grown", sum(known.shape), planes.surface, f.valid, f.spans, f.grown, f.status, left, f.counters
+        )
+        after, rest = settle_sweep(known, missing, filled)
+        expected = mark_grown(after, rest, allowed)
+        assert (planes.read("valid") == after).all()
+        assert (planes.read("spans", np.int32, (sum(known.shape), 2)) == spans_of(after)).all()
+        counters = planes.read("counters", np.int32, (forward.COUNTERS,)).tolist()
+        done = [int(filled.sum())] * 2 + [int(filled.sum()) if f.smooths else 0]
+        assert counters == [int(expected.sum())] * 2 + done
+        found = download(session, left, (int(expected.sum()),), np.int32)
+        assert (np.sort(found) == np.flatnonzero(expected)).all()
+        if f.smooths:
+            finished = download(session, f.done, (int(filled.sum()),), np.int32)
+            assert (np.sort(finished) == np.flatnonzero(filled)).all()
+        grown += int((expected & ~rest).sum())
+    assert grown > (100 if domain == "span" else 0)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_scores_are_those_of_its_twin(session: Session, channels: int) -> None:
+    rng = np.random.default_rng(59)
+    for shape in [(3, 3), (2, 9), (3, 11), (12, 9), (20, 18), (31, 10), (40, 67)]:
+        values = rng.random((*shape, channels + 1)).astype(np.float32).astype(np.float64)
+        known = rng.random(shape) < 0.97
+        planes = Planes(session, values, known, "mean_median")
+        f = planes.filler
+        planes.run("score_mean_median", shape[0], f.value, f.valid, f.sums, local=1)
+        found = squared_errors(download(session, f.sums, (shape[0], forward.SUMS), np.float64))
+        # A closed form of the same sums over up to 163 subsets of 2500 pixels: some 1e5 roundings of both signs.
+        np.testing.assert_allclose(found, score_mean_median(values[..., :-1], known), rtol=1e-12)
+        assert found[0].any() or min(shape) < 4
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_a_sweep_of_mean_median_is_its_twin(session: Session, channels: int) -> None:
+    rng = np.random.default_rng(61)
+    swept = 0
+    for values, known in cases(40, 20, channels):
+        missing = mark_missing(known, None)
+        if not missing.any():
+            continue
+        for minimum in (4, 3, 2, 1):
+            planes, wins = Planes(session, values, known, "mean_median"), rng.random(9) < 0.5
+            wins[:4] = False
+            pixels, count = planes.listed(missing)
+            f, bits = planes.filler, np.int32((wins << np.arange(9)).sum())
+            args = (pixels, count, bits, np.int32(minimum), f.valid, f.value, f.w, f.coc, f.status)
+            planes.run("fill_mean_median", -(-int(count) // LANES), *args)
+            given = np.where(known[..., None], values, 0.0)
+            expected, filled = fill_mean_median(given, known, missing, wins, minimum)
+            assert (planes.read("status") == filled).all()
+            close(planes.values(), expected)
+            coc = np.where(filled, blur_radius(planes.lens, expected[..., -1]), 0.0)
+            np.testing.assert_allclose(planes.read("coc", np.float64), coc, rtol=1e-12)
+            swept += int(filled.sum())
+    assert swept > 1000
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_a_round_of_smoothing_is_its_twin(session: Session, channels: int) -> None:
+    rng = np.random.default_rng(67)
+    for values, valid in cases(40, 20, channels):
+        filled = valid & (rng.random(valid.shape) < 0.6)
+        if not filled.any():
+            continue
+        planes = Planes(session, values, valid, "mean_median")
+        f = planes.filler
+        for source, target in ((f.value, f.other_value), (f.w, f.other_w)):
+            cl.enqueue_copy(session.queue, target, source, byte_count=source.size)
+        pixels, count = planes.listed(filled)
+        args = (pixels, count, f.valid, f.other_value, f.other_w, f.value, f.w, f.coc)
+        planes.run("smooth_median", -(-int(count) // LANES), *args)
+        close(planes.values(), smooth_median(np.where(valid[..., None], values, 0.0), filled, valid))
+
+
+@pytest.mark.parametrize("method", ["ait", "mean_median", "none"])
+@pytest.mark.parametrize(("channels", "guard"), [(1, 0), (3, 2)])
+def test_whole_fillings_are_their_twins(session: Session, method: Method, channels: int, guard: int) -> None:
+    filled, most_sweeps = 0, 0
+    for values, known in cases(120 if method == "ait" else 50, 22, channels):
+        if min(known.shape) <= 2 * guard:
+            continue
+        expected, expected_status, report = fill(np.where(known[..., None], values, 0.0), known, None, method, guard)
+        found, status, counters = Planes(session, values, known, method, guard).fill()
+        assert (status == expected_status).all()
+        assert counters == asdict(report)
+        close(found, expected, roundings=report.sweeps + 1)  # one per sweep, and medians of them
+        filled, most_sweeps = filled + report.filled_pixels, max(most_sweeps, report.sweeps)
+    assert (filled > 1000 and most_sweeps > 5) or method == "none"
+
+
+@pytest.mark.parametrize("method", ["ait", "mean_median"])
+def test_what_cannot_be_filled_is_left(session: Session, method: Method) -> None:
+    """The ball is allowed to have missing pixels, and is nowhere near a known one."""
+    known = np.zeros((150, 150), dtype=bool)
+    known[75, [0, 149]] = True
+    planes = Planes(session, np.ones((150, 150, 2)), known, method, 0, "surface")
+    _, status, counters = planes.fill()
+    assert 20 < counters["unfilled_pixels"] < 100
+    assert counters["missing_pixels"] == counters["unfilled_pixels"] == (status == 2).sum()
+    assert counters["filled_pixels"] == counters["sweeps"] == 0
+    assert (planes.read("valid") == known).all()
+
+
+@pytest.mark.parametrize("method", ["ait", "mean_median"])
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_lists_and_local_sizes_change_no_bit(
+    session: Session, method: str, real: Real, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(71)
+    known = rng.random((120, 130)) < 0.6
+    known[30:60, 40:90] = False
+    values = rng.random((120, 130, 2))
+    first, status, counters = Planes(session, values, known, method, 0, "span", real).fill()
+    assert counters["filled_pixels"] > 5000
+    for local in (1, 4, 64):
+        for name in ("LISTED", "LINES", "OWNERS"):
+            monkeypatch.setattr(forward, name, (local,))
+        again, again_status, again_counters = Planes(session, values, known, method, 0, "span", real).fill()
+        assert (again == first).all()
+        assert (again_status == status).all()
+        assert again_counters == counters
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+@pytest.mark.parametrize(
+    ("motion", "count", "crossings"),
+    [
+        (ObjectMotion(velocity=(0.0, 0.0, -10.0)), 19680, 400),  # figure 4.14
+        (ObjectMotion(angular_velocity=(0.0, 0.0, 45.0)), 36993, 0),  # figure 4.15
+    ],
+)
+def test_missing_pixels_of_the_thesis(
+    session: Session, motion: ObjectMotion, count: int, crossings: int, real: Real
+) -> None:
+    item: Object = Plane(motion=motion)
+    lens, method = Camera(resolution=(512, 512)), Fill(method="ait", domain="span")
+    scene = Scene(camera=lens, objects=(item,), motion=Motion(warp="forward"), fill=method)
+    plan = make_plan(scene, 1)
+    texture = upload(session, np.random.default_rng(3).random((1, 512, 512)).astype(np.float32))
+    rest, pose = (pose_at(motion, time, "euler") for time in (0.0, 1.0))
+    camera = camera_struct(lens, plan.guard_px, real)
+    warp = ForwardWarp(session, plan, camera, texture, place(item, rest), real)
+    counters = warp.warp(pose, place(item, pose), 1.0, []).counters
+    assert counters["filled_first_sweep"] == count
+    # The crossings of 20 missing rows with 20 missing columns wait for the second sweep.
+    assert counters["missing_pixels"] == counters["filled_pixels"] == count + crossings
+    assert (counters["unfilled_pixels"], counters["sweeps"]) == (0, 2 if crossings else 1)
