@@ -28,7 +28,7 @@ except ImportError:  # Windows, where PoCL is not shipped
 VARIABLE = "POCL_CACHE_DIR"
 LOCK = "clsco.lock"
 LIST = "clsco.json"
-_LARGEST = 256 * 2**20
+_LARGEST = 64 * 2**20
 """Bytes; a larger cache is emptied, since PoCL never removes what older versions of the kernels left."""
 
 _Sums = dict[str, list[int]]
@@ -142,13 +142,12 @@ def _locked(folder: Path) -> Iterator[None]:
 def _names(folder: Path) -> list[str]:
     # `last_accessed` is rewritten at every use, and a `tempfile_` is what PoCL leaves behind; it loads
     # neither.
-    # os.walk, because Path.glob takes ten times as long, and a cache holds hundreds of files.
-    names = []
+    # os.walk and plain strings, because this is done after every compilation, and paths take ten times as long.
+    names, start = [], len(str(folder)) + 1
     for root, _, files in os.walk(folder):
-        inside = Path(root).relative_to(folder).as_posix()
-        if inside != ".":
-            names += [f"{inside}/{name}" for name in files if name != "last_accessed"]
-    return sorted(names)
+        if len(root) > start:
+            names += [f"{root[start:]}/{name}" for name in files if name != "last_accessed"]
+    return sorted(name.replace(os.sep, "/") for name in names)
 
 
 def _program(name: str) -> str:
