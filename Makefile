@@ -17,7 +17,8 @@ lint: .venv/dev.stamp
 	$(BIN)/mypy
 
 bench: .venv/bench.stamp
-	$(BIN)/clsco bench -o out/bench
+	$(BIN)/python -m benchmarks.defocus_speed
+	$(BIN)/python -m benchmarks.accuracy
 
 .venv/%.stamp: pyproject.toml
 	@test -n "$(PYTHON)" || { echo "python: must be 3.11 or newer; give one with make PYTHON=..." >&2; exit 1; }

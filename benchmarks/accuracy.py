@@ -144,9 +144,7 @@ def judge(name: str, size: int, noise: float, cache: Path | None) -> Judged:
     """Trace the scene `name`, size x size px, to the RMS `noise`, twice; half the difference is the noise."""
     scene = scene_of(name, {}, size)
     texture = load_texture("bricks", "srgb", (size, size)).radiance
-    pair = [
-        trace_converged(scene, texture, size, size, noise * 2**0.5, seed, cache=cache)[0] for seed in (0, 1)
-    ]
+    pair = [trace_converged(scene, texture, size, size, noise * 2**0.5, seed, cache=cache)[0] for seed in (0, 1)]
     depth = pinhole_depth(scene, size, size, list(np.linspace(0.0, scene.sequence.shutter, MOMENTS)))
     inside = well_inside(np.asarray(np.isfinite(depth).all(axis=0)))
     half = (pair[0] - pair[1]) / 2
@@ -188,9 +186,7 @@ def show(console: Console, name: str, result: Mapping[str, Any]) -> None:
         cells = (f"{row['psnr']:.1f}", f"{row['psnr_inside']:.1f}", f"{row['largest']:.4f}")
         table.add_row(setting, *cells, f"{row['seconds']:.2f}")
     table.add_section()
-    table.add_row(
-        "the tracer's noise", *(f"{decibels(result[key]):.1f}" for key in ("noise", "noise_inside"))
-    )
+    table.add_row("the tracer's noise", *(f"{decibels(result[key]):.1f}" for key in ("noise", "noise_inside")))
     console.print(table)
 
 

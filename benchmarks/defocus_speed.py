@@ -13,7 +13,8 @@ import argparse
 import json
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -187,7 +188,7 @@ def defocus_pass(
     return prepass, spread, lambda: spreader.image([])
 
 
-def measured(passes: dict[str, Callable[[], object]], repetitions: int) -> dict[str, float]:
+def measured(passes: Mapping[str, Callable[[], object]], repetitions: int) -> dict[str, float]:
     """Median process CPU time of each in s, repetitions interleaved."""
     spent: dict[str, list[float]] = {name: [] for name in passes}
     for run in passes.values():
@@ -223,17 +224,14 @@ def main() -> None:
             single = radius.astype(np.float32)
             gy, gx = (g.astype(np.float32) for g in np.gradient(radius))
             dense = dense_table(largest, 128)
+            exact = (image, single, gx, gy, dense, 128.0, threads)
             cases: dict[str, tuple[Psf, Callable[[], Array], Callable[[], Array]]] = {
                 "sampled": (
                     Psf(edge="sampled", tilt=False),
-                    lambda f=sampled_private, r=single: f(image, r, threads),
-                    lambda f=sampled_bands, r=single: f(image, r, threads),
+                    partial(sampled_private, image, single, threads),
+                    partial(sampled_bands, image, single, threads),
                 ),
-                "integrated, tilt": (
-                    Psf(),
-                    lambda r=single, x=gx, y=gy, d=dense: exact_private(image, r, x, y, d, 128.0, threads),
-                    lambda r=single, x=gx, y=gy, d=dense: exact_bands(image, r, x, y, d, 128.0, threads),
-                ),
+                "integrated, tilt": (Psf(), partial(exact_private, *exact), partial(exact_bands, *exact)),
             }
             for name, (psf, private, bands) in cases.items():
                 prepass, spread, result = defocus_pass(session, image, radius, psf)

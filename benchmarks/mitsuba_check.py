@@ -125,9 +125,7 @@ def report(corner: tuple[int, int], size: int, samples: int, seeds: int) -> None
         f"Mitsuba {mi.__version__} {mi.variant()}: {seeds} x {samples} samples, noise {their_noise:.2e}, "
         f"{seconds:.1f} s"
     )
-    pair = [
-        trace_converged(sphere_scene(), texture(), FRAME, FRAME, 2e-4, seed)[0][window] for seed in (0, 1)
-    ]
+    pair = [trace_converged(sphere_scene(), texture(), FRAME, FRAME, 2e-4, seed)[0][window] for seed in (0, 1)]
     ours, our_noise = (pair[0] + pair[1]) / 2, rms(pair[0] - pair[1]) / 2
     difference = ours - theirs
     print(f"tracer: noise {our_noise:.2e} in the window")
@@ -142,9 +140,7 @@ def rms(values: Array) -> float:
 
 def main() -> None:
     """Read the command line and report."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", type=int, default=128, help="side of the compared window, px")
     parser.add_argument("--corner", type=int, nargs=2, default=(60, 100), help="its first row and column")
     parser.add_argument("--samples", type=int, default=4096, help="rays per pixel and seed in Mitsuba")

@@ -470,9 +470,7 @@ def trace_converged(
         halves = extend(halves, np.maximum(full * shares, LEAST_SAMPLES).astype(np.int64))
         image, reached = estimate(halves)
     mean, seconds = 2 * halves.counts.mean(), time.perf_counter() - began
-    print(
-        f"traced {rows} x {columns}: {2 * full} samples, mean {mean:.0f}, {reached:.2e} RMS, {seconds:.1f} s"
-    )
+    print(f"traced {rows} x {columns}: {2 * full} samples, mean {mean:.0f}, {reached:.2e} RMS, {seconds:.1f} s")
     if path is not None:
         _write_cache(path, image, reached)
     return _shaped(image, texture), reached

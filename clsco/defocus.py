@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 import pyopencl as cl
 import pyopencl.array as cl_array
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
 from clsco.device import Device, Session, choose, described
 from clsco.errors import DeviceError, ImageError, SceneError
@@ -19,6 +18,7 @@ from clsco.plan import LARGEST_BLUR, Blur, is_sharp
 from clsco.program import build, empty, kernel, launch, upload
 from clsco.psf import LANES, reach
 from clsco.scene import Psf
+from clsco.scenefile import parse_psf
 from clsco.spread import PIXELS, Sources, Spreader, blur_features
 
 MOST_CHANNELS = 16
@@ -26,9 +26,19 @@ MOST_CHANNELS = 16
 PLAIN = dict.fromkeys(("QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SUBPIXELS"), 0)
 
 
+@overload
 def defocus(
-    image: NDArray[np.floating[Any]] | cl_array.Array,
-    coc: NDArray[np.floating[Any]] | cl_array.Array,
+    image: NDArray[Any], coc: NDArray[Any], psf: Psf | Mapping[str, Any] | None = None,
+    *, device: str | None = None, method: str = "auto",
+) -> NDArray[np.float32]: ...  # fmt: skip
+@overload
+def defocus(
+    image: cl_array.Array, coc: cl_array.Array, psf: Psf | Mapping[str, Any] | None = None,
+    *, device: str | None = None, method: str = "auto",
+) -> cl_array.Array: ...  # fmt: skip
+def defocus(
+    image: NDArray[Any] | cl_array.Array,
+    coc: NDArray[Any] | cl_array.Array,
     psf: Psf | Mapping[str, Any] | None = None,
     *,
     device: str | None = None,
@@ -45,7 +55,7 @@ def defocus(
     `tilt` comes from differences of `coc`. Raises ImageError, SceneError, DeviceError.
     Validated against `clsco.reference.blur.scatter` to 1e-5 (tests/test_defocus.py). Equation 2.40.
     """
-    model = _psf(psf)
+    model = psf if isinstance(psf, Psf) else parse_psf(psf or {})
     on_device = [a for a in (image, coc) if isinstance(a, cl_array.Array)]
     if on_device:
         queue = on_device[0].queue
@@ -54,18 +64,6 @@ def defocus(
         host = [a.get(queue) if isinstance(a, cl_array.Array) else a for a in (image, coc)]
         return cl_array.to_device(queue, _defocus(_session_of(queue), *_checked(*host), model, method))
     return _defocus(_session(choose(device)), *_checked(image, coc), model, method)
-
-
-def _psf(psf: Psf | Mapping[str, Any] | None) -> Psf:
-    if isinstance(psf, Psf):
-        return psf
-    try:
-        return Psf(**(psf or {}))
-    except ValidationError as error:
-        faults = error.errors(include_url=False)
-        raise SceneError(
-            [f"psf.{'.'.join(map(str, f['loc']))}: {f['msg']}; got {f['input']!r}" for f in faults]
-        ) from error
 
 
 def _checked(image: Any, coc: Any) -> tuple[NDArray[np.float32], NDArray[np.float64]]:

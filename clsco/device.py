@@ -124,9 +124,7 @@ class Session:
     there. Raises DeviceError when the device refuses a context.
     """
 
-    def __init__(
-        self, device: Device, profiling: bool = False, queue: cl.CommandQueue | None = None
-    ) -> None:
+    def __init__(self, device: Device, profiling: bool = False, queue: cl.CommandQueue | None = None) -> None:
         self.device = device
         self.lock = threading.RLock()
         self.programs: dict[str, Program] = {}
@@ -192,9 +190,7 @@ def _by_pyopencl(specification: str) -> cl.Device:
     try:
         return cl.choose_devices(interactive=False, answers=specification.split(":"))[0]
     except (RuntimeError, cl.Error) as error:
-        raise DeviceError(
-            f'PYOPENCL_CTX: must name a platform and device; got "{specification}": {error}'
-        ) from error
+        raise DeviceError(f'PYOPENCL_CTX: must name a platform and device; got "{specification}": {error}') from error
 
 
 def _devices() -> tuple[Device, ...]:
@@ -290,9 +286,7 @@ def self_test(device: Device) -> list[Check]:
             continue
         wanted = probe.expected(np.arange(64, dtype=np.int64))
         wrong = np.flatnonzero(got != wanted)
-        detail = (
-            f"work-item {wrong[0]}: must be {wanted[wrong[0]]}; got {got[wrong[0]]}" if wrong.size else ""
-        )
+        detail = f"work-item {wrong[0]}: must be {wanted[wrong[0]]}; got {got[wrong[0]]}" if wrong.size else ""
         checks.append(Check(probe.name, not wrong.size, detail))
     return checks
 

@@ -252,9 +252,7 @@ def _decode_tiff(file: BinaryIO) -> NDArray[Any]:
 
 def _exr_size(file: BinaryIO) -> tuple[int, int]:
     header = _codec(_path(file), "OpenEXR", "exr").File(str(file.name), header_only=True).header()
-    window, display = (
-        [corner.tolist() for corner in header[name]] for name in ("dataWindow", "displayWindow")
-    )
+    window, display = ([corner.tolist() for corner in header[name]] for name in ("dataWindow", "displayWindow"))
     if window != display:
         refuse(_path(file), f"the data window must be the display window, {display}", window)
     (left, top), (right, bottom) = window
@@ -308,9 +306,7 @@ def _decode_pfm(file: BinaryIO) -> NDArray[Any]:
 
 def _npy_size(file: BinaryIO) -> tuple[int, int]:
     version = np.lib.format.read_magic(file)
-    read_header = (
-        np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    )
+    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, _fortran, dtype = read_header(file)
     if len(shape) not in (2, 3) or (len(shape) == 3 and shape[2] != 3) or dtype.kind not in "uf":
         rule = "an NPY must hold numbers of shape (rows, columns) or (rows, columns, 3)"

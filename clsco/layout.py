@@ -55,9 +55,7 @@ def _filled(name: str, real: Real, values: dict[str, Any]) -> Struct:
 def frame_struct(rows: int, columns: int, guard: int, real: Real, **optics: float) -> Struct:
     """camera_t of a frame of rows x columns px in a guard band of `guard` px, with what of the lens is needed."""
     size = {"rows": rows, "columns": columns, "guard": guard}
-    return _filled(
-        "camera_t", real, size | {"width": columns + 2 * guard, "height": rows + 2 * guard} | optics
-    )
+    return _filled("camera_t", real, size | {"width": columns + 2 * guard, "height": rows + 2 * guard} | optics)
 
 
 def camera_struct(camera: Camera, guard: int, real: Real) -> Struct:

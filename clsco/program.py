@@ -120,9 +120,7 @@ def empty(session: Session, size: int) -> cl.Buffer:
     `upload`."""
     _check_size(session, size)
     try:
-        return cl.Buffer(
-            session.context, cl.mem_flags.READ_WRITE, max(size, 1)
-        )  # OpenCL knows no empty buffer
+        return cl.Buffer(session.context, cl.mem_flags.READ_WRITE, max(size, 1))  # OpenCL knows no empty buffer
     except (cl.MemoryError, cl.RuntimeError) as error:
         raise _no_memory(session, size) from error
 

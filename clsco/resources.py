@@ -19,6 +19,4 @@ def folder(name: str) -> Traversable:
     inside = files("clsco") / name
     if inside.is_dir():
         return inside
-    raise FileNotFoundError(
-        f"{name}: must be installed as clsco/{name} or lie beside the package; got neither"
-    )
+    raise FileNotFoundError(f"{name}: must be installed as clsco/{name} or lie beside the package; got neither")

@@ -70,9 +70,7 @@ class Within:
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_after_validator_function(self.check, handler(source))
 
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         low, high = ("exclusiveMinimum", "exclusiveMaximum") if self.open else ("minimum", "maximum")
         return {**handler(schema), low: self.low, high: self.high}
 
@@ -157,9 +155,7 @@ AngularVelocity = Annotated[tuple[Turn, Turn, Turn], _Triple]
 Duration = Annotated[float, Within(1e-9, 1e9, "s")]
 FNumber = Annotated[float, Within(1e-3, 1e6)]
 Pixels = Annotated[int, Within(1, 65536, "px")]
-Resolution = Annotated[
-    tuple[Pixels, Pixels], AfterValidator(_few_enough), BeforeValidator(_list_of(2, "integers"))
-]
+Resolution = Annotated[tuple[Pixels, Pixels], AfterValidator(_few_enough), BeforeValidator(_list_of(2, "integers"))]
 Samples = Annotated[Annotated[int, Within(1, 4096)] | Literal["auto"], BeforeValidator(_count_or_auto)]
 
 

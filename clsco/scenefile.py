@@ -15,15 +15,13 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from clsco.errors import SceneError
-from clsco.scene import BUILT_IN_TEXTURES, AnyShape, ObjectMotion, Scene
+from clsco.scene import BUILT_IN_TEXTURES, AnyShape, ObjectMotion, Psf, Scene
 
 MAX_FILE_BYTES = 2**20
 MAX_MESSAGES = 100
 MAX_DOTS = 100  # per line: tomllib needs memory with the square of the parts of a dotted key
 
-_SHAPES: dict[str, type[BaseModel]] = {
-    shape.model_fields["shape"].default: shape for shape in get_args(AnyShape)
-}
+_SHAPES: dict[str, type[BaseModel]] = {shape.model_fields["shape"].default: shape for shape in get_args(AnyShape)}
 _SCENE_KEYS = [str(field.validation_alias or name) for name, field in Scene.model_fields.items()]
 _SECTIONS: dict[str, type[BaseModel]] = {
     name: field.annotation
@@ -88,9 +86,7 @@ def load_scene(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
     scene = parse_scene(data, where)
     folder = Path(where).absolute().parent
     placed = tuple(
-        item
-        if item.texture in BUILT_IN_TEXTURES
-        else item.model_copy(update={"texture": str(folder / item.texture)})
+        item if item.texture in BUILT_IN_TEXTURES else item.model_copy(update={"texture": str(folder / item.texture)})
         for item in scene.objects
     )
     return scene.model_copy(update={"objects": placed})
@@ -114,12 +110,18 @@ def parse_scene(mapping: Mapping[str, Any], where: str = "scene") -> Scene:
     try:
         return Scene.model_validate(dict(mapping), by_alias=True, by_name=False)
     except ValidationError as error:
-        faults = error.errors(include_url=False)
-    messages = [
-        f"{where}: {_message(fault)}" for fault in faults if fault["type"] != "default_factory_not_called"
-    ]
+        messages = [f"{where}: {_message(fault)}" for fault in _faults(error)]
     if len(messages) > MAX_MESSAGES:
         messages[MAX_MESSAGES:] = [f"{where}: and {len(messages) - MAX_MESSAGES} more faults"]
+    raise SceneError(messages)
+
+
+def parse_psf(mapping: Mapping[str, Any]) -> Psf:
+    """Validate a PSF given as a mapping with the keys of a scene file's [psf]; raises SceneError as `parse_scene`."""
+    try:
+        return Psf.model_validate(dict(mapping))
+    except ValidationError as error:
+        messages = [_message({**fault, "loc": ("psf", *fault["loc"])}) for fault in _faults(error)]
     raise SceneError(messages)
 
 
@@ -194,9 +196,7 @@ def _override(data: dict[str, Any], overrides: Sequence[str], where: str) -> Non
         key, equals, value = text.partition("=")
         parts = re.sub(r"\[(\d+)\]", r".\1", key.strip()).split(".")
         if not equals or not all(parts):
-            messages.append(
-                f"{where}: override must be KEY=VALUE, like camera.f_number=4; got {_shown(text)}"
-            )
+            messages.append(f"{where}: override must be KEY=VALUE, like camera.f_number=4; got {_shown(text)}")
             continue
         parsed = _value(value.strip())
         _displace(data, ".".join(parts), parsed)
@@ -246,6 +246,11 @@ def _displace(data: dict[str, Any], key: str, value: Any) -> None:
                 data.pop(section, None)
             elif isinstance(data.get(section), dict):
                 data[section].pop(entry, None)
+
+
+def _faults(error: ValidationError) -> list[Mapping[str, Any]]:
+    """Faults that pydantic found, without defaults that could not be formed for want of another key."""
+    return [fault for fault in error.errors(include_url=False) if fault["type"] != "default_factory_not_called"]
 
 
 def _message(fault: Mapping[str, Any]) -> str:
@@ -305,18 +310,12 @@ def _name(loc: Sequence[Any]) -> str:
 def _shown(value: Any) -> str:
     """A value on one short line, as a scene file would write it where that is possible."""
     if isinstance(value, str):
-        return json.dumps(
-            value if len(value) <= 60 else value[:57] + "...", ensure_ascii=not value.isprintable()
-        )
+        return json.dumps(value if len(value) <= 60 else value[:57] + "...", ensure_ascii=not value.isprintable())
     if value is None or isinstance(value, bool):
         return json.dumps(value)
     if isinstance(value, int) and value.bit_length() > 128:
         return f"an integer of about {int(value.bit_length() * 0.30103) + 1} digits"
-    if (
-        isinstance(value, list | tuple)
-        and len(value) <= 10
-        and not any(isinstance(v, list | dict) for v in value)
-    ):
+    if isinstance(value, list | tuple) and len(value) <= 10 and not any(isinstance(v, list | dict) for v in value):
         return f"[{', '.join(_shown(entry) for entry in value)}]"
     if isinstance(value, dict):
         return f"a table of {len(value)} keys"

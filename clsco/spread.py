@@ -122,7 +122,5 @@ class Spreader:
         planes = total[:, :, self.pad : self.pad + columns]
         return np.ascontiguousarray(planes[0] if self.channels == 1 else np.moveaxis(planes, 0, -1))
 
-    def _launch(
-        self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: object
-    ) -> None:
+    def _launch(self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: object) -> None:
         events.append((name, launch(self.session, kernel(self.program, name), size, local, *args)))  # type: ignore[arg-type]

@@ -143,9 +143,7 @@ def test_failed_writing_leaves_what_was_there(
     if failure == "disk":  # the system refuses byte 50,001 in the middle of the file
         resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, limit[1]))
     else:
-        monkeypatch.setattr(
-            Path if failure == "replace" else os, "replace" if failure == "replace" else "fsync", fail
-        )
+        monkeypatch.setattr(Path if failure == "replace" else os, "replace" if failure == "replace" else "fsync", fail)
     try:
         with pytest.raises(KeyboardInterrupt if failure == "interrupt" else ImageError) as caught:
             write(path)

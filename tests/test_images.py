@@ -56,9 +56,7 @@ def save_tiff(path: Path, data: Array, **options: Any) -> None:
 
 
 def save_rgb_exr(path: Path, data: Array) -> None:
-    save_exr(
-        path, **({"Y": data} if data.ndim == 2 else {name: data[..., n] for n, name in enumerate("RGB")})
-    )
+    save_exr(path, **({"Y": data} if data.ndim == 2 else {name: data[..., n] for n, name in enumerate("RGB")}))
 
 
 def png(columns: int, rows: int, depth: int, color: int, raw: bytes, *extra: bytes, laced: int = 0) -> bytes:
@@ -127,9 +125,7 @@ def test_few_bits_and_palettes_become_8_bits(tmp_path: Path, bits: int) -> None:
     packed = np.packbits((codes[:, None] >> np.arange(bits)[::-1]) & 1).tobytes()
     path = tmp_path / "image.png"
     path.write_bytes(png(8, 1, bits, 0, b"\0" + packed))
-    np.testing.assert_array_equal(
-        read_image(path).data, (codes[None] * (255 // (2**bits - 1))).astype(np.uint8)
-    )
+    np.testing.assert_array_equal(read_image(path).data, (codes[None] * (255 // (2**bits - 1))).astype(np.uint8))
 
     colors = pixels("u1", (2**bits, 3))
     table, opaque = chunk(b"PLTE", colors.tobytes()), chunk(b"tRNS", b"\xff\xff")
@@ -173,9 +169,7 @@ def test_only_opaque_alpha_is_dropped(tmp_path: Path, kind: str, channels: int) 
             path.write_bytes(imagecodecs.png_encode(data))
         elif suffix == "tif":
             photometric = "rgb" if channels == 4 else "minisblack"
-            tifffile.imwrite(
-                path, data, photometric=photometric, planarconfig="contig", extrasamples=["unassalpha"]
-            )
+            tifffile.imwrite(path, data, photometric=photometric, planarconfig="contig", extrasamples=["unassalpha"])
         else:
             names = "RGBA" if channels == 4 else "YA"
             save_exr(path, **{name: data[..., n] for n, name in enumerate(names)})
@@ -317,9 +311,7 @@ def test_refuses_in_one_line_soon_and_small(tmp_path: Path, name: str, content: 
     seconds, peak = time.perf_counter() - start, tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert seconds < 1  # the figure to reach for hostile images
-    assert (
-        peak < 2**24
-    )  # the first import of a codec takes some 10 MB, the smallest image over the limit 128 MB
+    assert peak < 2**24  # the first import of a codec takes some 10 MB, the smallest image over the limit 128 MB
     if message.startswith(LIMIT):
         with pytest.raises(ImageError, match="columns and rows must"):
             image_size(path)
@@ -346,10 +338,7 @@ def test_refuses_what_is_no_file(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.png")
     assert refusal(tmp_path / "pipe.png") == "must be an image file; got a device or a pipe"
     (tmp_path / "loop.png").symlink_to("loop.png")
-    assert (
-        refusal(tmp_path / "loop.png")
-        == "must be a file that can be read; got Too many levels of symbolic links"
-    )
+    assert refusal(tmp_path / "loop.png") == "must be a file that can be read; got Too many levels of symbolic links"
     for name in ("a\0b.png", "a\nb.png", "\udcff.png", "x" * 300 + ".png"):
         with pytest.raises(ImageError) as caught:
             read_image(tmp_path / name)

@@ -42,9 +42,7 @@ def start(tmp_path_factory: pytest.TempPathFactory) -> Start:
     kernels = tmp_path_factory.mktemp("kernels")
     (kernels / "geometry.clh").write_text("")
     (kernels / "work.cl").write_text(WORK)
-    environ = {
-        name: value for name, value in os.environ.items() if name not in ("POCL_CACHE_DIR", "PYOPENCL_CTX")
-    }
+    environ = {name: value for name, value in os.environ.items() if name not in ("POCL_CACHE_DIR", "PYOPENCL_CTX")}
     environ["PYTHONPATH"] = str(Path(poclcache.__file__).parent.parent)
 
     def started(cache: Path) -> subprocess.Popen[str]:
@@ -100,14 +98,10 @@ def test_a_damaged_cache_is_noticed_and_rebuilt(
     assert path.read_bytes() != damaged
 
 
-def test_a_file_of_a_process_that_died_over_it_is_not_loaded(
-    start: Start, warm: Path, tmp_path: Path
-) -> None:
+def test_a_file_of_a_process_that_died_over_it_is_not_loaded(start: Start, warm: Path, tmp_path: Path) -> None:
     shutil.copytree(warm, tmp_path, dirs_exist_ok=True)
     (folder,) = (tmp_path / "clsco").iterdir()
-    (
-        folder / poclcache.LIST
-    ).unlink()  # nothing is recorded, as if the process had been killed before it could
+    (folder / poclcache.LIST).unlink()  # nothing is recorded, as if the process had been killed before it could
     for path in folder.rglob("*.so"):
         cut(path)
     assert ended(start(tmp_path)) == (0, "256\n512\n")

@@ -215,9 +215,7 @@ def test_structs_that_cannot_be_given(dtype: np.dtype[Any], message: str) -> Non
 
 
 def test_a_struct_whose_layout_is_not_the_compilers_does_not_build(session: Session, kernels: Path) -> None:
-    tail = np.dtype(
-        {"names": ["a", "b"], "formats": ["f8", "i4"], "offsets": [0, 8], "itemsize": 24}, align=True
-    )
+    tail = np.dtype({"names": ["a", "b"], "formats": ["f8", "i4"], "offsets": [0, 8], "itemsize": 24}, align=True)
     (kernels / "work.cl").write_text("__kernel void none(void) {}\n")
     with pytest.raises(KernelError, match="Tail_has_the_size_of_its_dtype"):
         build(session, ["work.cl"], {}, {"Tail": tail}, "double")

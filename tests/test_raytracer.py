@@ -19,9 +19,7 @@ FOCUS_TERM = 1 / 20.0 - 1 / 21.739
 KAPPA = S0 * APERTURE / (2 * PITCH)  # px mm: R = KAPPA (K - 1/Z)
 
 
-def body(
-    shape: str, velocity: Any = (0, 0, 0), turn: Any = (0, 0, 0), bounds: Any = None, **keys: Any
-) -> Any:
+def body(shape: str, velocity: Any = (0, 0, 0), turn: Any = (0, 0, 0), bounds: Any = None, **keys: Any) -> Any:
     """An object of a scene."""
     motion = SimpleNamespace(velocity=velocity, angular_velocity=turn)
     return SimpleNamespace(shape=shape, bounds=bounds, motion=motion, **keys)
@@ -41,9 +39,7 @@ def scene(*objects: Any, shutter: float = 1.0, rotation: str = "euler") -> Any:
         pixel_pitch=PITCH,
     )
     sequence = SimpleNamespace(interval=1.0, shutter=shutter)
-    return SimpleNamespace(
-        camera=camera, sequence=sequence, motion=SimpleNamespace(rotation=rotation), objects=objects
-    )
+    return SimpleNamespace(camera=camera, sequence=sequence, motion=SimpleNamespace(rotation=rotation), objects=objects)
 
 
 def distance_at(radius_px: float) -> float:
@@ -127,9 +123,7 @@ def test_a_moving_plane_is_blurred_by_a_box() -> None:
     # The texel crosses a pixel box: half a step to enter and to leave, whole steps between.
     expected[3, 6:12] = np.array([0.5, 1, 1, 1, 1, 0.5]) / length_px
     assert 0 < error < 2e-4
-    np.testing.assert_allclose(
-        image, expected, rtol=0, atol=5 * 12 * error
-    )  # 12 of 147 pixels hold the error
+    np.testing.assert_allclose(image, expected, rtol=0, atol=5 * 12 * error)  # 12 of 147 pixels hold the error
 
 
 def test_beyond_the_frame_the_texture_is_mirrored() -> None:
@@ -152,18 +146,14 @@ def test_a_positive_turn_about_z_is_clockwise(rotation: str) -> None:
 
 def test_the_matrix_of_the_thesis_is_three_turns() -> None:
     angles = np.random.default_rng(3).uniform(-4, 4, (50, 3))
-    turns = [
-        Rotation.from_rotvec(-angle[:, None] * axis) for angle, axis in zip(angles.T, np.eye(3), strict=True)
-    ]
+    turns = [Rotation.from_rotvec(-angle[:, None] * axis) for angle, axis in zip(angles.T, np.eye(3), strict=True)]
     flip = np.diag([1.0, 1.0, -1.0])
     expected = flip @ (turns[2] * turns[1] * turns[0]).as_matrix() @ flip
     # Products of three sines and cosines round by a few 1e-16.
     np.testing.assert_allclose(rotation_matrix(angles, False), expected, rtol=0, atol=2e-15)
     for axis in range(3):
         single = angles * np.eye(3)[axis]
-        np.testing.assert_allclose(
-            rotation_matrix(single, True), rotation_matrix(single, False), rtol=0, atol=2e-15
-        )
+        np.testing.assert_allclose(rotation_matrix(single, True), rotation_matrix(single, False), rtol=0, atol=2e-15)
 
 
 CONE = {"apex": (1.0, 2.0, 250.0), "half_angle": 40.0}
@@ -172,9 +162,7 @@ SOLIDS = {
     "ellipsoid": body("ellipsoid", center=(0.0, 1.0, 280.0), semi_axes=(40.0, 25.0, 30.0)),
     "cylinder": body("cylinder", center=(0.0, 0.0, 280.0), radius=30.0, axis=(1.0, 2.0, 0.5)),
     "cone": body("cone", nappe="away", **CONE),
-    "saddle": body(
-        "quadric", center=(0.0, 0.0, 300.0), coefficients=(0.01, -0.02, 0.0, 0.003, 0, 0.002, 0.1, 0, 1, 2)
-    ),
+    "saddle": body("quadric", center=(0.0, 0.0, 300.0), coefficients=(0.01, -0.02, 0.0, 0.003, 0, 0.002, 0.1, 0, 1, 2)),
     "plane": plane(250.0, 0.4, -0.3),
 }
 

@@ -93,9 +93,7 @@ def test_a_byte_order_mark_is_no_fault(ball: Path) -> None:
     assert load_scene(ball) == expected
 
 
-def test_textures_are_sought_beside_the_scene_file(
-    ball: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_textures_are_sought_beside_the_scene_file(ball: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def texture(given: str) -> str:
         return load_scene("ball.toml", [f"object.0.texture={given}"]).objects[0].texture
 
@@ -104,9 +102,7 @@ def test_textures_are_sought_beside_the_scene_file(
     assert texture("images/wall.png") == str(tmp_path / "images" / "wall.png")
     assert texture(str(tmp_path / "wall.png")) == str(tmp_path / "wall.png")
     assert texture("siemens_star") == "siemens_star"
-    assert (
-        parse_scene({"object": [{"shape": "plane", "texture": "wall.png"}]}).objects[0].texture == "wall.png"
-    )
+    assert parse_scene({"object": [{"shape": "plane", "texture": "wall.png"}]}).objects[0].texture == "wall.png"
 
 
 @pytest.mark.parametrize(
@@ -193,9 +189,7 @@ def test_bad_files(tmp_path: Path, name: str, content: bytes, message: str) -> N
 def test_numbers_beyond_all_measure(tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     path.write_text("object = [{shape = 'plane'}]\n[camera]\nf_number = 0x1" + "0" * 5000, encoding="utf-8")
-    assert (
-        load_message(path) == "camera.f_number: must be a finite number; got an integer of about 6021 digits"
-    )
+    assert load_message(path) == "camera.f_number: must be a finite number; got an integer of about 6021 digits"
     path.write_text(f"object = [{{shape = 'plane'}}]\n[camera]\nf_number = {'1' * 80}", encoding="utf-8")
     message = "must be between 0.001 and 1000000; got an integer of about 80 digits"
     assert load_message(path) == f"camera.f_number: {message}"
@@ -401,9 +395,7 @@ leaves = (
 )
 trees = st.recursive(
     leaves,
-    lambda inner: (
-        st.lists(inner, max_size=10) | st.dictionaries(st.sampled_from(KEYS) | st.text(max_size=3), inner)
-    ),
+    lambda inner: st.lists(inner, max_size=10) | st.dictionaries(st.sampled_from(KEYS) | st.text(max_size=3), inner),
     max_leaves=20,
 )
 tables = st.dictionaries(st.sampled_from(KEYS), trees, max_size=6)

@@ -82,9 +82,7 @@ def mark_grown(known: Mask, missing: Mask, allowed: Mask | None) -> Mask:
     return missing | mark_missing(known, allowed)
 
 
-def _neighbors(
-    values: Array, known: Mask, row: NDArray[np.int64], column: NDArray[np.int64]
-) -> tuple[Array, Mask]:
+def _neighbors(values: Array, known: Mask, row: NDArray[np.int64], column: NDArray[np.int64]) -> tuple[Array, Mask]:
     """Values (8, N, K) and knowledge (8, N) of the neighbors of N pixels, unknown outside of the array."""
     edge = ((1, 1), (1, 1))
     padded_values = np.pad(values, (*edge, (0, 0)))
@@ -159,9 +157,7 @@ def _median_of_known(near: Array, near_known: Mask) -> Array:
 
 def _mean_of_known(near: Array, near_known: Mask) -> Array:
     """Mean (N, K) over the first axis of values (8, N, K) that are known (8, N). At least one is known."""
-    return np.asarray(
-        np.where(near_known[..., None], near, 0.0).sum(axis=0) / near_known.sum(axis=0)[:, None]
-    )
+    return np.asarray(np.where(near_known[..., None], near, 0.0).sum(axis=0) / near_known.sum(axis=0)[:, None])
 
 
 def score_mean_median(values: Array, known: Mask) -> tuple[Array, Array]:
@@ -190,9 +186,7 @@ def score_mean_median(values: Array, known: Mask) -> tuple[Array, Array]:
     return mean_error, median_error
 
 
-def fill_mean_median(
-    values: Array, known: Mask, missing: Mask, median_wins: Mask, minimum: int
-) -> tuple[Array, Mask]:
+def fill_mean_median(values: Array, known: Mask, missing: Mask, median_wins: Mask, minimum: int) -> tuple[Array, Mask]:
     """Stage 1: one sweep; values (H, W, K) with what could be filled, and which pixels those are (H, W).
 
     values: (H, W, K); known, missing: (H, W), before the sweep; median_wins: (9,), per count of known
@@ -204,9 +198,7 @@ def fill_mean_median(
     use = count >= max(minimum, 1)
     row, column, near, near_known, count = row[use], column[use], near[:, use], near_known[:, use], count[use]
     take_median = (median_wins & (np.arange(9) >= MINIMUM_COUNT))[count]
-    value = np.where(
-        take_median[:, None], _median_of_known(near, near_known), _mean_of_known(near, near_known)
-    )
+    value = np.where(take_median[:, None], _median_of_known(near, near_known), _mean_of_known(near, near_known))
     result, filled = values.copy(), np.zeros_like(known)
     result[row, column] = value
     filled[row, column] = True

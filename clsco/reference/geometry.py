@@ -109,9 +109,7 @@ def quarter_discriminant(surface: PlacedSurface, d: Array) -> Array:
     return np.asarray(shape.k * leading - twist + linear * linear + 2.0 * mixed)
 
 
-def root_counts(
-    surface: PlacedSurface, bounds: Bounds | None, d: Array, body: Array, w: Array
-) -> NDArray[np.bool_]:
+def root_counts(surface: PlacedSurface, bounds: Bounds | None, d: Array, body: Array, w: Array) -> NDArray[np.bool_]:
     """Whether roots (...) are in front of the lens, on the right nappe and within the bounds.
 
     d, body: (..., 3) rays in the canonical and in the object's frame; w: (...) 1/mm, finite or not. Nothing
@@ -130,9 +128,7 @@ def root_counts(
     return np.asarray(counts)
 
 
-def solve_quadric(
-    surface: PlacedSurface, bounds: Bounds | None, rays: Array
-) -> tuple[Array, NDArray[np.uint8]]:
+def solve_quadric(surface: PlacedSurface, bounds: Bounds | None, rays: Array) -> tuple[Array, NDArray[np.uint8]]:
     """Inverse depth (...) in 1/mm of the nearest visible root along rays (..., 3), and which root it is.
 
     bounds: box in the object's own frame, mm. Label: 0 no surface (w = 0), 1 the root (-B + sqrt(D))/C, 2 the
@@ -231,9 +227,7 @@ def rest_position(surface: PlacedSurface, rays: Array, w: Array) -> Array:
     return np.asarray(surface.rest * w[..., None] + body_point(surface, rays, w))
 
 
-def rest_pixel(
-    surface: PlacedSurface, camera: Camera, rays: Array, w: Array
-) -> tuple[Array, Array, NDArray[np.bool_]]:
+def rest_pixel(surface: PlacedSurface, camera: Camera, rays: Array, w: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Row and column (...) in px where the camera saw a surface point at rest, and whether it did.
 
     rays: (..., 3); w: (...) 1/mm. False, and row = column = 0, where no surface is or where the point was

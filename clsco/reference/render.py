@@ -30,9 +30,7 @@ from clsco.surfaces import place
 from clsco.textures import load_scene_textures
 
 
-def _cast_sources(
-    scene: Scene, texture: Array, guard: int, time: float
-) -> tuple[Sources, SubpixelSources | None]:
+def _cast_sources(scene: Scene, texture: Array, guard: int, time: float) -> tuple[Sources, SubpixelSources | None]:
     """Sources at one moment from rays cast at the surface: the inverse warp, and every scene at rest."""
     item = scene.objects[0]
     surface = place(item, pose_at(item.motion, time, scene.motion.rotation))
@@ -88,9 +86,7 @@ def render(scene: Scene) -> Iterator[Frame]:
     forward = moves and scene.motion.warp == "forward"
     shape = texture.shape[:2]
     for frame in range(scene.sequence.frames):
-        times, weights = (
-            sample_times(scene.sequence, frame, plan.samples) if moves else (np.zeros(1), np.ones(1))
-        )
+        times, weights = sample_times(scene.sequence, frame, plan.samples) if moves else (np.zeros(1), np.ones(1))
         color = np.zeros(texture.shape)
         intermediate = []
         for time, weight in zip(times.tolist(), weights.tolist(), strict=True):

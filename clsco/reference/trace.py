@@ -155,9 +155,7 @@ def trace_subpixels(
     return SubpixelSources(row, column, label > 0, radius, gradient, radiance)
 
 
-def _hidden(
-    scene: Scene, surface: PlacedSurface, rest: PlacedSurface, rays: Array, w: Array
-) -> NDArray[np.bool_]:
+def _hidden(scene: Scene, surface: PlacedSurface, rest: PlacedSurface, rays: Array, w: Array) -> NDArray[np.bool_]:
     """Surface points that the camera did not see at rest."""
     assert scene.camera.resolution is not None
     columns, rows = scene.camera.resolution

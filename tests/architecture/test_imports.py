@@ -50,7 +50,7 @@ OUTSIDE = {
     "PIL": IMAGES | {"demo"},
     "click": {"cli"},
     "rich": {"cli", "show"},
-    "pydantic": {"scene", "scenefile", "defocus"},
+    "pydantic": {"scene", "scenefile"},
 }
 
 

@@ -72,9 +72,7 @@ def random_subpixels(sources: Sources, samples: int, count: int) -> SubpixelSour
     )
 
 
-def plain_scatter(
-    psf: Psf, sources: Sources, sub: SubpixelSources | None, shape: tuple[int, int], guard: int
-) -> Array:
+def plain_scatter(psf: Psf, sources: Sources, sub: SubpixelSources | None, shape: tuple[int, int], guard: int) -> Array:
     """The definition, source by source: radiance x share of light / (share within the frame, if asked)."""
     m, n = shape
     color = np.zeros((m, n, sources.radiance.shape[2]))
@@ -137,9 +135,7 @@ def test_light_is_conserved(psf: Psf, tilt: bool) -> None:
     color = scatter(psf.model_copy(update={"tilt": tilt}), sources, None, sources.label.shape, 0)
     light = sources.radiance.sum(axis=(0, 1))
     assert light.min() > 10
-    np.testing.assert_allclose(
-        color.sum(axis=(0, 1)), light, rtol=1e-12
-    )  # the weights' own sum is 1 to 1e-12
+    np.testing.assert_allclose(color.sum(axis=(0, 1)), light, rtol=1e-12)  # the weights' own sum is 1 to 1e-12
     assert (color >= 0).all()
 
 
@@ -164,9 +160,7 @@ def test_constant_image_stays_constant(psf: Psf, radius: float) -> None:
     guard = max(psf_weights.reach(psf, abs(radius)), 1)
     shape = (9 + 2 * guard, 12 + 2 * guard)
     radiance = np.full((*shape, 1), 0.7)
-    sources = Sources(
-        radiance, np.ones(shape), np.ones(shape, np.uint8), np.full(shape, radius), np.zeros((*shape, 2))
-    )
+    sources = Sources(radiance, np.ones(shape), np.ones(shape, np.uint8), np.full(shape, radius), np.zeros((*shape, 2)))
     color = scatter(psf, sources, None, (9, 12), guard)
     np.testing.assert_allclose(color, 0.7, rtol=1e-12)  # the weights' own sum is 1 to 1e-12
     if guard > 1:

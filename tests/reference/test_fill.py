@@ -238,9 +238,7 @@ def test_a_sweep_of_mean_median_by_hand() -> None:
         seen = set()
         for i, j in zip(*np.nonzero(missing), strict=True):
             near = [
-                values[i + a, j + b]
-                for a, b in AROUND
-                if 0 <= i + a < 10 and 0 <= j + b < 11 and known[i + a, j + b]
+                values[i + a, j + b] for a, b in AROUND if 0 <= i + a < 10 and 0 <= j + b < 11 and known[i + a, j + b]
             ]
             assert filled[i, j] == (len(near) >= minimum)
             if len(near) >= minimum:
@@ -260,11 +258,7 @@ def test_smoothing_reads_the_former_round() -> None:
     result = smooth_median(values, filled, valid)
     changed = 0
     for i, j in np.ndindex(9, 9):
-        near = [
-            values[i + a, j + b]
-            for a, b in AROUND
-            if 0 <= i + a < 9 and 0 <= j + b < 9 and valid[i + a, j + b]
-        ]
+        near = [values[i + a, j + b] for a, b in AROUND if 0 <= i + a < 9 and 0 <= j + b < 9 and valid[i + a, j + b]]
         expected = np.median(near, axis=0) if filled[i, j] and near else values[i, j]
         np.testing.assert_allclose(result[i, j], expected, rtol=1e-15)
         changed += bool(filled[i, j])

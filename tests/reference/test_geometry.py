@@ -324,9 +324,7 @@ def test_slope_and_normal_agree_with_differences(item: AnyShape, at: Placer) -> 
     for axis in range(2):
         # P = ray / w: the surface's tangent along a slope is (e - ray w'/w) / w, and the normal stands on it.
         tangent = np.eye(3)[axis] - rays * (slope[..., axis] / np.where(inner, w, 1.0))[..., None]
-        assert (
-            np.abs((tangent * normal).sum(axis=-1))[inner] < 1e-11 * np.abs(tangent).max(axis=-1)[inner]
-        ).all()
+        assert (np.abs((tangent * normal).sum(axis=-1))[inner] < 1e-11 * np.abs(tangent).max(axis=-1)[inner]).all()
 
 
 def test_normal_of_a_sphere_is_its_radius_vector(at: Placer) -> None:
@@ -384,9 +382,7 @@ def test_ten_millimeters_are_eighty_pixels(distance: float, expected: float, at:
     w, _ = solve_quadric(surface, None, rays)
     row, column, valid = rest_pixel(surface, CAMERA, rays, w)
     assert valid.all()
-    np.testing.assert_allclose(
-        column, np.arange(65)[None, :] - expected + 0 * row, atol=1e-10
-    )  # eps of 1e3 px
+    np.testing.assert_allclose(column, np.arange(65)[None, :] - expected + 0 * row, atol=1e-10)  # eps of 1e3 px
     np.testing.assert_allclose(row, np.arange(49)[:, None] + 0 * row, atol=1e-10)
 
 

@@ -117,8 +117,7 @@ def test_domain_surface_leaves_the_gap_between_two_sheets(make_scene: SceneMaker
     )
     domains: tuple[Literal["surface", "span"], ...] = ("surface", "span")
     surface, span = (
-        only(make_scene(item, SHAPE, motion=Motion(warp="forward"), fill=Fill(domain=domain)))
-        for domain in domains
+        only(make_scene(item, SHAPE, motion=Motion(warp="forward"), fill=Fill(domain=domain))) for domain in domains
     )
     gap = ~truth(span, "mask")
     assert gap[:, 14:18].all()
@@ -145,6 +144,4 @@ def test_motion_that_is_nothing_is_standing_still(make_scene: SceneMaker) -> Non
     sequence = Sequence(samples=1, sampling="endpoint")
     expected = only(make_scene(still, SHAPE)).color
     found = only(make_scene(turning, SHAPE, sequence=sequence)).color
-    np.testing.assert_allclose(
-        found, expected, atol=1e-10
-    )  # eps of the pixel numbers, times the texture's slope
+    np.testing.assert_allclose(found, expected, atol=1e-10)  # eps of the pixel numbers, times the texture's slope

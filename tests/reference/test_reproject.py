@@ -25,9 +25,7 @@ SceneMaker = Callable[..., Scene]
 Placer = Callable[..., PlacedSurface]
 
 
-def warp(
-    make_scene: SceneMaker, at: Placer, item: Object, shape: tuple[int, int], guard: int = 0
-) -> tuple[Any, ...]:
+def warp(make_scene: SceneMaker, at: Placer, item: Object, shape: tuple[int, int], guard: int = 0) -> tuple[Any, ...]:
     """Known, radiance and inverse depth after 1 s, and the texture."""
     texture = np.random.default_rng(3).random((*shape, 1))
     scene = make_scene(item, shape)
@@ -58,9 +56,7 @@ def test_missing_pixels_of_the_thesis(
 
 @pytest.mark.parametrize("shift_px", [0.0, 0.25, 0.5, 0.75, 1.0, -0.5, 2.5])
 @pytest.mark.parametrize("shape", [(30, 41), (32, 40)])
-def test_shift_leaves_no_holes(
-    shift_px: float, shape: tuple[int, int], make_scene: SceneMaker, at: Placer
-) -> None:
+def test_shift_leaves_no_holes(shift_px: float, shape: tuple[int, int], make_scene: SceneMaker, at: Placer) -> None:
     speed = shift_px * 0.125  # 1 px is 0.125 mm at 250 mm
     item = Plane(motion=ObjectMotion(velocity=(speed, -speed, 0.0)))
     known, radiance, w, texture = warp(make_scene, at, item, shape)
@@ -78,9 +74,7 @@ def test_shift_leaves_no_holes(
 
 @pytest.mark.parametrize(("angle", "turns"), [(90.0, -1), (180.0, -2), (-90.0, 1)])
 @pytest.mark.parametrize("side", [24, 25])
-def test_quarter_turns_are_exact(
-    angle: float, turns: int, side: int, make_scene: SceneMaker, at: Placer
-) -> None:
+def test_quarter_turns_are_exact(angle: float, turns: int, side: int, make_scene: SceneMaker, at: Placer) -> None:
     item = Plane(motion=ObjectMotion(angular_velocity=(0.0, 0.0, angle)))
     known, radiance, _, texture = warp(make_scene, at, item, (side, side))
     assert known.all()
@@ -98,9 +92,7 @@ def test_guard_keeps_what_leaves_the_frame(make_scene: SceneMaker, at: Placer) -
 
 def test_nearer_surface_wins(make_scene: SceneMaker, at: Placer) -> None:
     """A sphere turned by a quarter: what was left and right of its pole projects to the same pixels."""
-    item = Sphere(
-        center=(0.0, 0.0, 280.0), radius=2.5, motion=ObjectMotion(angular_velocity=(0.0, 90.0, 0.0))
-    )
+    item = Sphere(center=(0.0, 0.0, 280.0), radius=2.5, motion=ObjectMotion(angular_velocity=(0.0, 90.0, 0.0)))
     known, _, w, _ = warp(make_scene, at, item, (48, 48))
     assert known.sum() > 100
     # As many sources come to lie behind Z = 280 as before it. Through the gaps between the nearer a few show.

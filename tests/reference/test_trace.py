@@ -58,9 +58,7 @@ def test_guard_sees_the_same_surface(make_scene: SceneMaker, at: Placer) -> None
 
 
 @pytest.mark.parametrize("texture_filter", ["nearest", "bilinear", "bicubic"])
-def test_whole_pixel_motion_moves_the_texels(
-    texture_filter: Filter, make_scene: SceneMaker, at: Placer
-) -> None:
+def test_whole_pixel_motion_moves_the_texels(texture_filter: Filter, make_scene: SceneMaker, at: Placer) -> None:
     item = Plane(motion=ObjectMotion(velocity=(0.5, -0.25, 0.0)))  # 4 px right, 2 px down at 250 mm
     scene = make_scene(item, SHAPE, motion=Motion(texture_filter=texture_filter))
     texture = random_texture()
@@ -224,9 +222,7 @@ def test_euler_and_axis_are_one_for_single_axes(axis: int, make_scene: SceneMake
         ground_truth(make_scene(item, SHAPE, motion=Motion(rotation=rotation)), random_texture(), 0)
         for rotation in ("euler", "axis")
     ]
-    still = ground_truth(
-        make_scene(item.model_copy(update={"motion": ObjectMotion()}), SHAPE), random_texture(), 0
-    )
+    still = ground_truth(make_scene(item.model_copy(update={"motion": ObjectMotion()}), SHAPE), random_texture(), 0)
     assert np.abs(truths[0].sharp - still.sharp).max() > 0.1
     assert (truths[0].mask == truths[1].mask).all()
     both = truths[0].mask
