@@ -102,8 +102,9 @@ class Filler:
         self.value, self.w = empty(session, 4 * (channels * pixels + LANES)), empty(session, size * pixels)
         self.valid, self.status = empty(session, pixels + LANES), empty(session, pixels)
         self.coc = empty(session, size * pixels)
-        for buffer in (self.value, self.valid):  # what may be read beyond the end has to be something
-            cl.enqueue_fill_buffer(session.queue, buffer, np.array(0, np.uint8), 0, buffer.size)
+        tail = np.zeros(4 * LANES, np.uint8)  # read beyond the end, and used for nothing
+        cl.enqueue_copy(session.queue, self.value, tail, dst_offset=4 * channels * pixels)
+        cl.enqueue_copy(session.queue, self.valid, tail[:LANES], dst_offset=pixels)
         self.indices = empty(session, 4 * pixels), empty(session, 4 * pixels)
         self.spans, self.grown = empty(session, 8 * self.lines), empty(session, 8 * self.lines)
         self.counters = empty(session, 4 * COUNTERS)

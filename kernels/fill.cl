@@ -173,7 +173,8 @@ __kernel void mark_grown(const camera_t camera, const surface_t surface, __globa
             i = before.y;  // what lies between is listed, or was
         const int x = is_row ? i : line - camera.height, y = is_row ? line : i, at = y * camera.width + x;
         const int2 row = grown[y];
-        if (valid[at] || (is_row ? status[at] == 2 : x > row.x && x < row.y) || !may_be_missing(camera, surface, x, y))
+        const bool listed = is_row ? status[at] == 2 : x > row.x && x < row.y;
+        if (valid[at] || listed || !may_be_missing(camera, surface, x, y))
             continue;
         status[at] = 2;
         list[atomic_inc(counters + LEFT)] = at;
@@ -420,8 +421,8 @@ __kernel void fill_mean_median(const camera_t camera, __global const int *list, 
             status[around.at[lane]] = 1;
 }
 
-// Stage 2: one round of the 3x3 median without the center over the filled pixels, LANES entries per work-item. In: done,
-// list of `count`; valid; value_in, w_in, which hold all pixels. Out: the same of the filled pixels, coc.
+// Stage 2: one round of the 3x3 median without the center over the filled pixels, LANES entries per work-item. In:
+// done, list of `count`; valid; value_in, w_in, which hold all pixels. Out: the same of the filled pixels, coc.
 __kernel void smooth_median(const camera_t camera, __global const int *done, const int count,
                             __global const uchar *valid, __global const float *value_in, __global const real *w_in,
                             __global float *value_out, __global real *w_out, __global real *coc)

@@ -16,8 +16,9 @@
 #define ROUND ((real)(0.5 + 0.5 / 4096))
 #define NO_WINNER INT_MAX
 
+// Sources of a row that a work-item moves. PoCL vectorizes a loop over them, but not work-items of one source each.
 #if OWNED
-#define SEGMENT 64  // sources of a row that a work-item moves; PoCL vectorizes such a loop, but no work-items with so many terms
+#define SEGMENT 64
 #else
 #define SEGMENT 1
 #endif
@@ -108,8 +109,8 @@ __kernel void reproject_nearest(const camera_t camera, __global const int *targe
     }
 }
 #else
-// Largest inverse depth that comes to each pixel. In: target, moved. In and out: depth, bits of a float per pixel of the
-// padded grid, 0 to begin with; floats > 0 keep their order as ints.
+// Largest inverse depth that comes to each pixel. In: target, moved. In and out: depth, bits of a float per pixel of
+// the padded grid, 0 to begin with; floats > 0 keep their order as ints.
 __kernel void reproject_depth(const camera_t camera, __global const int *target, __global const real *moved,
                               __global int *depth)
 {
@@ -134,8 +135,8 @@ __kernel void reproject_winner(const camera_t camera, __global const int *target
 #endif
 
 // What the winners bring. In: texture float (CHANNELS, rows, columns), moved, winner; weight of this moment in the
-// exposure. Out, on the padded grid: value float (CHANNELS, height, width), radiance times weight; w real, inverse depth
-// in 1/mm; coc real, signed radius in px; valid uchar, there is a winner; status uchar, 0. All 0 where there is none.
+// exposure. Out, on the padded grid: value float (CHANNELS, height, width), radiance times weight; w real, inverse
+// depth in 1/mm; coc real, signed radius in px; valid uchar, there is a winner; status uchar, 0. All 0 without one.
 __kernel void reproject_gather(const camera_t camera, const float weight, __global const float *texture,
                                __global const real *moved, __global const int *winner, __global float *value,
                                __global real *w, __global real *coc, __global uchar *valid, __global uchar *status)
