@@ -249,7 +249,10 @@ def make_plan(scene: Scene, channels: int, truth: tuple[str, ...] = TRUTH_NAMES,
     extent = reach(psf, largest)
     slots = SILHOUETTE_SLOTS * (rows + columns + 4 * guard) if silhouettes else 0
     tables = _checked_tables(psf, smallest, largest, silhouettes) if blur in ("gather", "scatter") else 0
-    memory = area * (16 + 4 * channels + (1 if silhouettes else 0) + ((8 + 1 + 1 + 8 + 4) if forward else 0))
+    memory = area * (16 + 4 * channels + (1 if silhouettes else 0))
+    if forward:  # value, w, coc, valid, status, two lists; a second set to smooth in; rest depths (clsco/forward.py)
+        smoothed = 4 * channels + 12 if scene.fill.method == "mean_median" else 0
+        memory += area * (4 * channels + 26 + smoothed) + 16 * rows * columns
     memory += 4 * channels * rows * (columns + 2 * (guard + extent + LANES)) + 8 * channels * rows * columns
     memory += tables + slots * (4 + silhouettes**2 * (16 + 4 * channels)) + 16 * rows * columns * bool(truth)
     seen = np.abs(blur_radius(scene.camera, w[w > 0]))
