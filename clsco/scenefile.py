@@ -83,13 +83,38 @@ def load_scene(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
     where = os.fspath(path)
     data = _read(where)
     _override(data, overrides, where)
-    scene = parse_scene(data, where)
     folder = Path(where).absolute().parent
+    try:
+        scene = parse_scene(data, where)
+    except SceneError as error:
+        raise SceneError([*error.messages, *_missing_textures(data, folder, where)]) from error
     placed = tuple(
         item if item.texture in BUILT_IN_TEXTURES else item.model_copy(update={"texture": str(folder / item.texture)})
         for item in scene.objects
     )
     return scene.model_copy(update={"objects": placed})
+
+
+def _missing_textures(data: Mapping[str, Any], folder: Path, where: str) -> list[str]:
+    """Faults of textures that are not there, for a scene that has others: a valid one has its textures read."""
+    items = data.get("object")
+    names = (
+        [item.get("texture") if isinstance(item, Mapping) else None for item in items]
+        if isinstance(items, list)
+        else []
+    )
+    return [
+        f"{where}: object[{index}].texture: must be an existing file or a built-in pattern; got {_shown(name)}"
+        for index, name in enumerate(names[:MAX_MESSAGES])
+        if isinstance(name, str) and name and name not in BUILT_IN_TEXTURES and not _exists(folder, name)
+    ]
+
+
+def _exists(folder: Path, name: str) -> bool:
+    try:
+        return (folder / name).exists()
+    except (OSError, ValueError):  # no name of a file: too long, or with a null character
+        return False
 
 
 def parse_scene(mapping: Mapping[str, Any], where: str = "scene") -> Scene:

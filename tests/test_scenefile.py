@@ -433,3 +433,14 @@ def test_any_file_is_a_scene_or_a_scene_error(
     path.write_bytes(content.encode("utf-8", "surrogatepass") if isinstance(content, str) else content)
     with pytest.raises(SceneError):
         load_scene(path)
+
+
+def test_a_missing_texture_is_told_with_the_other_faults(tmp_path: Path) -> None:
+    path = tmp_path / "two.toml"
+    path.write_text('[[object]]\nshape = "sphere"\nradius = -1\ntexture = "nothere.png"\n')
+    with pytest.raises(SceneError) as caught:
+        load_scene(path)
+    assert [message.split(": ", 1)[1] for message in caught.value.messages] == [
+        "object[0].radius: must be greater than 0 mm; got -1",
+        'object[0].texture: must be an existing file or a built-in pattern; got "nothere.png"',
+    ]
