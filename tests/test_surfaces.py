@@ -85,8 +85,7 @@ def value(shape: Canonical, x: Array) -> Array:
 def test_canonical_form_is_the_shape(name: str) -> None:
     item = SHAPES[name]
     shape = canonical(item)
-    np.testing.assert_allclose(shape.axes @ shape.axes.T, np.eye(3), atol=8 * EPS)
-    assert not (shape.q * shape.l).any()
+    np.testing.assert_allclose(shape.axes @ shape.axes.T, np.eye(3), rtol=0, atol=8 * EPS)
     points = np.random.default_rng(1).uniform(-60, 60, (300, 3))
     parts = terms(item, points)
     expected = parts.sum(axis=0)
@@ -115,7 +114,6 @@ def test_random_quadrics_keep_their_equation() -> None:
             item = Quadric(coefficients=tuple(float(c) for c in rows))
             shape = canonical(item)
             assert np.count_nonzero(shape.q) == rank  # curvature that is only rounding is none
-            assert not (shape.q * shape.l).any()
             points = rng.uniform(-60, 60, (50, 3))
             parts = terms(item, points)
             # A dropped eigenvalue is some eps of the largest one; the center lies up to |linear| / min |q| = 150 away.
@@ -132,10 +130,11 @@ def test_a_placed_surface_moves_with_its_pose(name: str) -> None:
     body = np.random.default_rng(3).uniform(-60, 60, (20, 3))
     seen = surface.rest + pose.shift + body @ pose.rotation.T  # P(t) = C + v t + M (P0 - C)
     length = 500.0
-    np.testing.assert_allclose(surface.body_offset + seen @ surface.body_turn.T, body, atol=32 * EPS * length)
+    np.testing.assert_allclose(surface.body_offset + seen @ surface.body_turn.T, body, rtol=0, atol=32 * EPS * length)
     np.testing.assert_allclose(
         surface.offset + seen @ surface.turn.T,
         (body - surface.canonical.origin) @ surface.canonical.axes.T,
+        rtol=0,
         atol=32 * EPS * (length + np.abs(surface.canonical.origin).max()),
     )
     at_lens = value(surface.canonical, surface.offset)

@@ -46,7 +46,7 @@ GUARD = 4
 def scene(item: Any, moving: ObjectMotion = MOTION, **sections: Any) -> Scene:
     """A scene of some 40 x 50 px that sees the whole object: pixels eight times as wide as usual."""
     size = sections.pop("size", (50, 40))
-    camera = Camera(resolution=size, pixel_pitch=0.12, aperture_diameter=40.0)
+    camera = Camera(resolution=size, pixel_pitch=0.12, aperture_diameter=25.0)
     sections.setdefault("sequence", Sequence(frames=2, interval=0.4, shutter=0.3))
     return Scene(camera=camera, objects=(item.model_copy(update={"motion": moving}),), **sections)
 
@@ -117,7 +117,8 @@ def planned(wanted: Scene, channels: int, samples: int | None = None) -> Plan:
     return Plan(**{**vars(plan), **keep})
 
 
-def built(session: Session, plan: Plan, real: Real, truth: tuple[str, ...] = ()) -> Program:
+def built(session: Session, plan: Plan, real: Real, truth: tuple[str, ...] = tuple(TRUTH_BUFFERS)) -> Program:
+    """All kernels in one program, so that few have to be compiled."""
     features = plan.features() | {"TRUTH": int(bool(truth))}
     features |= {f"TRUTH_{name.upper()}": int(name in truth) for name in TRUTH_BUFFERS}
     return build(session, ["trace.cl"], features, structs(real), real)
@@ -247,8 +248,16 @@ def test_more_silhouettes_than_slots(session: Session) -> None:
     assert (found.source[found.slot >= 0][:, 0] >= -1).all()
 
 
-@pytest.mark.parametrize("samples", [2, 3, 4])
-@pytest.mark.parametrize("name", ["sphere moved, 2 x 2", "cap, 3 x 3, sampled", "cylinder, bilinear", "sphere at rest"])
+@pytest.mark.parametrize(
+    ("name", "samples"),
+    [
+        ("sphere moved, 2 x 2", 2),
+        ("sphere moved, 2 x 2", 4),
+        ("cap, 3 x 3, sampled", 3),
+        ("cylinder, bilinear", 2),
+        ("sphere at rest", 3),
+    ],
+)
 def test_subpixel_sources(session: Session, name: str, samples: int) -> None:
     wanted, channels = SCENES[name]
     wanted = wanted.model_copy(update={"psf": wanted.psf.model_copy(update={"silhouette_samples": samples})})
@@ -296,7 +305,7 @@ def test_same_bits_again_and_in_other_groups(session: Session, name: str) -> Non
 
     first = contents(traced(session, plan, 0.55))
     assert contents(traced(session, plan, 0.55)) == first
-    for local in ((1, 1), (7, 3), (16, 4)):
+    for local in ((7, 3), (16, 4)):
         assert contents(traced(session, plan, 0.55, local=local)) == first, local
 
 

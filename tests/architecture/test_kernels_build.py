@@ -1,0 +1,106 @@
+"""Every kernel file builds with every feature on, with none, and with each one the other way, in both precisions."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from clsco.defocus import PLAIN
+from clsco.device import Session
+from clsco.forward import forward_features
+from clsco.layout import Real, structs
+from clsco.plan import make_plan
+from clsco.program import build
+from clsco.render import TRUTH_BUFFERS
+from clsco.scene import Camera, Scene, Sphere
+from clsco.spread import BAND, blur_features
+
+KERNELS = Path(__file__).resolve().parents[2] / "kernels"
+ON_OR_OFF = (0, 1)
+GEOMETRY: dict[str, tuple[int, ...]] = {
+    **dict.fromkeys(("QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "SAMPLED"), ON_OR_OFF),
+    "CHANNELS": (1, 3),
+    "FILTER": (0, 2, 1),
+}
+TRUTH = [f"TRUTH_{name.upper()}" for name in TRUTH_BUFFERS]
+# Files that are built together: feature -> value when off, when on, and others. Structure is all that is compiled in.
+PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
+    ("trace.cl",): GEOMETRY
+    | dict.fromkeys(("MOVED", "TILT", "TRUTH", *TRUTH), ON_OR_OFF)
+    | {"SUBPIXELS": (0, 4, 2, 3)},
+    ("blur.cl",): dict.fromkeys(PLAIN, (0,))
+    | dict.fromkeys(("SAMPLED", "TILT", "GATHER", "SCATTER", "CONVOLVE", "RENORMALIZE", "PREPARE"), ON_OR_OFF)
+    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "POWERS": (1, 4), "BAND": (1, BAND)},
+    ("accumulate.cl",): GEOMETRY,
+    ("reproject.cl", "fill.cl"): GEOMETRY
+    | {"FILTER": (0,), "SAMPLED": (0,)}
+    | dict.fromkeys(("OWNED", "FILL_AIT", "FILL_MEAN_MEDIAN", "DOMAIN_SURFACE"), ON_OR_OFF),
+}
+GIVEN_BY_THE_BUILD = {"REAL_IS_DOUBLE", "HAS_INT64_ATOMICS", "HAS_FP64", "defined", "__FMA__", "__SSE4_1__"}
+
+
+def asked_for(files: tuple[str, ...]) -> set[str]:
+    """Features by which the preprocessor chooses in files, geometry.clh among them."""
+    found: set[str] = set()
+    for name in ("geometry.clh", *files):
+        for condition in re.findall(r"^#\s*(?:el)?if\s+(.*)", (KERNELS / name).read_text("utf-8"), re.MULTILINE):
+            found |= set(re.findall(r"\b[A-Za-z_]\w*", condition.split("//")[0]))
+    return found - GIVEN_BY_THE_BUILD
+
+
+def variants(features: dict[str, tuple[int, ...]]) -> list[dict[str, int]]:
+    """None, all, and all but one; for features of several values each of them, with all others on."""
+    off = {name: values[0] for name, values in features.items()}
+    on = {name: values[min(1, len(values) - 1)] for name, values in features.items()}
+    others = [on | {name: value} for name, values in features.items() for value in values if value != on[name]]
+    return [off, on, *others]
+
+
+def test_every_file_is_built() -> None:
+    assert {name for files in PROGRAMS for name in files} == {path.name for path in KERNELS.glob("*.cl")}
+
+
+@pytest.mark.parametrize("files", PROGRAMS, ids="+".join)
+def test_every_feature_is_known(files: tuple[str, ...]) -> None:
+    """The preprocessor takes an unknown name for 0 without a word."""
+    assert len(asked_for(files)) > 4
+    assert asked_for(files) - PROGRAMS[files].keys() == set()
+
+
+def test_what_the_host_asks_for_is_what_the_files_know() -> None:
+    scene = Scene(camera=Camera(resolution=(64, 48)), objects=(Sphere(),))
+    plan = make_plan(scene, 1, ())
+    spreading = blur_features("gather", "lose", prepare=True).keys()
+    rendering = plan.features().keys() | spreading | {"TRUTH", *TRUTH}
+    assert PROGRAMS["trace.cl",].keys() | PROGRAMS["blur.cl",].keys() == rendering
+    assert asked_for(("blur.cl",)) <= PLAIN.keys() | spreading | {"CHANNELS", "TILT", "SAMPLED", "POWERS"}
+    assert forward_features(plan, owned=True).keys() == PROGRAMS["reproject.cl", "fill.cl"].keys()
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+@pytest.mark.parametrize("files", PROGRAMS, ids="+".join)
+def test_with_all_features_none_and_all_but_one(session: Session, files: tuple[str, ...], real: Real) -> None:
+    chosen = variants(PROGRAMS[files])
+    if real == "float":  # `real` is a type: what a feature compiles does not hang on it
+        chosen = chosen[:2]
+    kernels = [set(build(session, files, features, structs(real), real)) for features in chosen]
+    defined = {
+        name for file in files for name in re.findall(r"__kernel void (\w+)\(", (KERNELS / file).read_text("utf-8"))
+    }
+    assert set().union(*kernels) == defined
+
+
+def test_trace_and_blur_are_built_together(session: Session) -> None:
+    files, features = ("trace.cl", "blur.cl"), PROGRAMS["blur.cl",] | PROGRAMS["trace.cl",]
+    for chosen in variants(features)[:2]:
+        assert "trace" in build(session, files, chosen, structs("double"), "double")
+
+
+def test_a_device_with_less(session: Session) -> None:
+    lesser = replace(session.device, has_fp64=False, has_int64_atomics=False, correctly_rounded=False)
+    with Session(lesser) as opened:
+        for files, features in PROGRAMS.items():
+            assert build(opened, files, variants(features)[1], structs("float"), "float")
