@@ -100,7 +100,8 @@ def upload(session: Session, array: NDArray[Any]) -> cl.Buffer:
     """A read-only buffer with the contents of `array`, in C order.
 
     Where the device works in the host's memory, an aligned C-ordered array is used in place: the buffer then
-    keeps it alive, and the caller must not write to it before the last kernel that reads it has ended.
+    keeps it alive, and the caller must neither write to it nor drop the buffer before the last kernel that reads it
+    has ended.
     Otherwise it is copied. Raises DeviceError when the array is larger than the device allows for one buffer.
     """
     packed = np.ascontiguousarray(array)

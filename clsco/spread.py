@@ -73,6 +73,8 @@ class Spreader:
         self.pad = int(camera["guard"]) + int(self.struct["reach"]) + LANES
         self.pitch = columns + 2 * self.pad
         self.total = empty(session, 4 * channels * rows * self.pitch)
+        # Tables of `convolve` that queued launches still read: the host runs ahead of the device.
+        self.held: list[tuple[cl.Buffer, cl.Buffer]] = []
         self.scale = 1.0
         if method == "scatter":
             wide = session.device.has_int64_atomics
@@ -96,6 +98,7 @@ class Spreader:
         if self.method == "convolve":
             table = constant_table(self.psf, radius)
             buffers = (upload(self.session, table.intervals), upload(self.session, table.coefficients))
+            self.held.append(buffers)
             blocks = (-(-frame[0] // LANES), -(-frame[1] // 4))
             self._launch("convolve", blocks, (8, 1), events, camera, value, *buffers, *layout)
             return
@@ -119,6 +122,7 @@ class Spreader:
             args = (np.float32(self.scale), np.int32(self.pitch), np.int32(self.pad), self.sums, self.total)
             self._launch("resolve", (columns, rows), PIXELS, events, self.camera, *args)
         total = download(self.session, self.total, (self.channels, rows, self.pitch), np.float32)
+        self.held.clear()
         planes = total[:, :, self.pad : self.pad + columns]
         return np.ascontiguousarray(planes[0] if self.channels == 1 else np.moveaxis(planes, 0, -1))
 

@@ -372,3 +372,19 @@ def test_prepare_sources(session: Session, psf: Psf, tilt: bool) -> None:
     np.testing.assert_allclose(found[..., 0], expected[..., 0], rtol=2.0**-23)  # rounded to the other side at most
     # Two conversions to float32, a quotient and a product.
     np.testing.assert_allclose(found[..., 1:3], expected[..., 1:3] if tilt else 0.0 * expected[..., 1:3], rtol=2.5e-7)
+
+
+def test_tables_outlive_their_launches(session: Session) -> None:
+    """The host runs ahead of the device: 150 tables are made and dropped before the first one is read."""
+    given = light(Psf(tilt=False), shape=(300, 400), guard=16).constant(5.0)
+    owner, sources = spreader(session, given, "convolve"), on_device(session, given, 1.0)
+
+    def total(wait: bool) -> Array:
+        owner.clear()
+        for radius in np.linspace(3.0, 5.0, 150).tolist():
+            owner.add(sources, radius, [])
+            if wait:
+                session.queue.finish()
+        return owner.image([])
+
+    assert (total(False) == total(True)).all()
