@@ -61,7 +61,10 @@ def check() -> int:
         return 0
     with _locked(folder):
         recorded = _recorded(folder)
-        found = {name: [(folder / name).stat().st_size, _sum(folder / name)] for name in _names(folder)}
+        found = {}
+        for name in _names(folder):
+            with suppress(FileNotFoundError):  # PoCL moves its temporary files without our lock
+                found[name] = [(folder / name).stat().st_size, _sum(folder / name)]
         programs = {_program(name) for name in found}
         bad = {
             _program(name)
@@ -170,10 +173,11 @@ def _record(folder: Path) -> None:
     recorded = _recorded(folder)
     sums: _Sums = {}
     for name in _names(folder):
-        status = (folder / name).stat()
-        key = [status.st_size, status.st_mtime_ns]
-        known = recorded.get(name)
-        sums[name] = known if known is not None and known[:2] == key else [*key, _sum(folder / name)]
+        with suppress(FileNotFoundError):
+            status = (folder / name).stat()
+            key = [status.st_size, status.st_mtime_ns]
+            known = recorded.get(name)
+            sums[name] = known if known is not None and known[:2] == key else [*key, _sum(folder / name)]
     if sums != recorded:
         temporary = folder / f"{LIST}.new"
         temporary.write_text(json.dumps(sums), "utf-8")
