@@ -1,7 +1,7 @@
 """Shapes as canonical quadrics, placed before the camera by a pose (float64, pure).
 
-Every shape is the zero set of  sum q_i X_i^2 + 2 sum l_i X_i - k  in a canonical frame of its own, with l_i = 0
-wherever q_i != 0. One ray-surface solution then serves all of them, in a form that does not cancel (Lagrange's
+Every shape is the zero set of  sum q_i X_i^2 + 2 sum l_i X_i - k  in a canonical frame of its own, along its
+principal axes. One ray-surface solution then serves all of them, in a form that does not cancel (Lagrange's
 identity, see `solve_quadric` in kernels/geometry.clh).
 """
 
@@ -18,6 +18,8 @@ from clsco.scene import Cone, Cylinder, Ellipsoid, Object, Plane, Quadric, Spher
 Vector = NDArray[np.float64]
 # Eigenvalues of a quadric below this fraction of the largest count as zero: they are rounding, not curvature.
 NULL_CURVATURE = 1e-13
+# The square is completed along an axis where that moves the origin by at most so many distances of the quadric.
+FARTHEST_CENTER = 4.0
 
 
 @dataclass(frozen=True)
@@ -63,8 +65,8 @@ def _axes_along(axis: Vector) -> NDArray[np.float64]:
     return np.array([first, np.cross(third, first), third])
 
 
-def _canonical_quadric(coefficients: tuple[float, ...]) -> Canonical:
-    """The ten coefficients of 3.39 in principal axes, with the center moved so that q_i l_i = 0."""
+def _canonical_quadric(coefficients: tuple[float, ...], farthest: float) -> Canonical:
+    """The ten coefficients of 3.39 in principal axes; `farthest` mm: how far the origin may move to make l_i 0."""
     xx, yy, zz, xy, yz, zx, x, y, z, constant = coefficients
     matrix = np.array([[xx, xy / 2, zx / 2], [xy / 2, yy, yz / 2], [zx / 2, yz / 2, zz]])
     linear = np.array([x, y, z]) / 2
@@ -73,7 +75,8 @@ def _canonical_quadric(coefficients: tuple[float, ...]) -> Canonical:
     largest = np.max(np.abs(q))
     q = np.where(np.abs(q) <= NULL_CURVATURE * largest, 0.0, q)
     half_linear = axes @ linear
-    curved = q != 0
+    # A weak curvature would put its center so far away that the offset swallows the digits of the surface.
+    curved = (q != 0) & (np.abs(half_linear) <= farthest * np.abs(q))
     shift = np.where(curved, -half_linear / np.where(curved, q, 1.0), 0.0)
     rest = np.where(curved, 0.0, half_linear)
     k = -(constant + float(half_linear @ shift))
@@ -103,7 +106,8 @@ def canonical(item: Object) -> Canonical:
         largest = float(axes_mm.max())
         return Canonical((largest / axes_mm) ** 2, zero, largest**2, still, zero)
     assert isinstance(item, Quadric)
-    return _canonical_quadric(tuple(float(c) for c in item.coefficients))
+    farthest = FARTHEST_CENTER * float(np.linalg.norm(item.center))
+    return _canonical_quadric(tuple(float(c) for c in item.coefficients), farthest)
 
 
 def place(item: Object, pose: Pose) -> PlacedSurface:
