@@ -19,8 +19,9 @@ Array = NDArray[np.float64]
 
 LANES = 8  # a row of weights fills whole vectors of this many floats
 # Intervals of the tables: STEPS per octave of R + OFFSET, so that they grow with the radius. A point source's weight
-# has a kink of order 3/2 where its circle touches a pixel's edge, first at R = 1/8 px; tests/test_psf.py
-# bounds what interpolation adds to a PSF, tests/kernels/test_blur.py what it adds to a frame. The area forms have kinks in every weight of a frame.
+# has a kink of order 3/2 where its circle touches a pixel's edge, first at R = 1/8 px; the area forms have such kinks
+# in every weight of a frame. tests/test_psf.py bounds what interpolation adds to a PSF, tests/kernels/test_blur.py what
+# it adds to a frame.
 OFFSET, STEPS, AREA_STEPS = 0.125, 48, 128
 # A sampled Gaussian changes fastest at few taps: so many intervals per unit of dx^2 + dy^2 up to so many units.
 FINE_STEPS, FINE_UNTIL = 16, 16
