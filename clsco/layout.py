@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Literal, cast
 
 import numpy as np
@@ -22,6 +23,7 @@ from clsco.surfaces import PlacedSurface
 
 Real = Literal["double", "float"]
 Struct = np.void
+EVERYWHERE = ((-np.inf, np.inf),) * 3  # bounds of an object that has none, beside one that has
 
 
 def structs(real: Real) -> dict[str, np.dtype[Any]]:
@@ -68,10 +70,15 @@ def camera_struct(camera: Camera, guard: int, real: Real) -> Struct:
     )  # fmt: skip
 
 
-def surface_struct(item: Object, surface: PlacedSurface, real: Real) -> Struct:
-    """surface_t of an object placed before the camera."""
+def surface_structs(items: Sequence[Object], surfaces: Sequence[PlacedSurface], real: Real) -> NDArray[np.void]:
+    """surface_t of every object placed before the camera, (objects,)."""
+    pairs = zip(items, surfaces, strict=True)
+    return np.array([_surface_struct(item, surface, real) for item, surface in pairs], structs(real)["surface_t"])
+
+
+def _surface_struct(item: Object, surface: PlacedSurface, real: Real) -> Struct:
     shape = surface.canonical
-    low, high = np.array(item.bounds or ((0.0, 0.0),) * 3, dtype=np.float64).T
+    low, high = np.array(item.bounds or EVERYWHERE, dtype=np.float64).T
     return _filled(
         "surface_t",
         real,
@@ -92,9 +99,10 @@ def surface_struct(item: Object, surface: PlacedSurface, real: Real) -> Struct:
     )
 
 
-def pose_struct(pose: Pose, real: Real) -> Struct:
-    """pose_t of a pose."""
-    return _filled("pose_t", real, {"rotation": pose.rotation.ravel(), "shift": pose.shift})
+def pose_structs(poses: Sequence[Pose], real: Real) -> NDArray[np.void]:
+    """pose_t of every pose, (poses,)."""
+    filled = [_filled("pose_t", real, {"rotation": p.rotation.ravel(), "shift": p.shift}) for p in poses]
+    return np.array(filled, structs(real)["pose_t"])
 
 
 def psf_struct(psf: Psf, table: PsfTable, subpixel: PsfTable | None, real: Real) -> Struct:

@@ -32,11 +32,11 @@ static bool in_frame(const camera_t camera, int x, int y)
 }
 
 // Whether the fill domain contains a pixel: with "surface" its ray has to meet the moved surface.
-static bool may_be_missing(const camera_t camera, const surface_t surface, int x, int y)
+static bool may_be_missing(const camera_t camera, __constant surface_t *surface, int x, int y)
 {
 #if DOMAIN_SURFACE
     uchar root;
-    solve_quadric(&surface, pixel_ray(camera, y - camera.guard, x - camera.guard), &root);
+    solve_quadric(surface, pixel_ray(camera, y - camera.guard, x - camera.guard), &root);
     return root;
 #else
     return true;
@@ -63,7 +63,7 @@ __kernel void find_spans(const camera_t camera, __global const uchar *valid, __g
 
 // Lists the pixels that are unknown but between the first and last valid one of their row, or else of their column,
 // CHUNK columns per work-item. In: valid, spans. Out: status of missing pixels, list, LEFT and LEFT_INSIDE.
-__kernel void mark_missing(const camera_t camera, const surface_t surface, __global const uchar *valid,
+__kernel void mark_missing(const camera_t camera, __constant surface_t *surface, __global const uchar *valid,
                            __global const int2 *spans, __global uchar *status, __global int *list,
                            __global int *counters)
 {
@@ -156,7 +156,7 @@ __kernel void settle_sweep(const camera_t camera, __global const int *list, cons
 
 // Lists what is missing since lines have grown, one line per work-item. A pixel within the span of its row is left to
 // the row. In: valid, grown. In and out: spans, status, list, LEFT and LEFT_INSIDE.
-__kernel void mark_grown(const camera_t camera, const surface_t surface, __global const uchar *valid,
+__kernel void mark_grown(const camera_t camera, __constant surface_t *surface, __global const uchar *valid,
                          __global int2 *spans, __global const int2 *grown, __global uchar *status,
                          __global int *list, __global int *counters)
 {

@@ -24,18 +24,18 @@
 #endif
 
 // Inverse depth of every source; `surface` is at rest. Out: rest.
-__kernel void reproject_rest(const camera_t camera, const surface_t surface, __global real *rest)
+__kernel void reproject_rest(const camera_t camera, __constant surface_t *surface, __global real *rest)
 {
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= camera.columns || row >= camera.rows)
         return;
     uchar root;
-    rest[row * camera.columns + column] = solve_quadric(&surface, pixel_ray(camera, row, column), &root);
+    rest[row * camera.columns + column] = solve_quadric(surface, pixel_ray(camera, row, column), &root);
 }
 
 // Moves every source about the center of `surface` at rest. In: rest. Out: target, moved, and with OWNED bounds int2
 // per SEGMENT of a row: lowest and highest target there, (INT_MAX, -1) for none.
-__kernel void reproject_targets(const camera_t camera, const surface_t surface, const pose_t pose,
+__kernel void reproject_targets(const camera_t camera, __constant surface_t *surface, __constant pose_t *pose,
                                 __global const real *restrict rest, __global int *restrict target,
                                 __global real *restrict moved
 #if OWNED
@@ -49,10 +49,10 @@ __kernel void reproject_targets(const camera_t camera, const surface_t surface, 
     const int begin = id % each * SEGMENT, end = MIN(begin + SEGMENT, camera.columns);
     // With the ray r, R r + w offset is the moved point times w. Component by component, and the divisions taken out:
     // PoCL vectorizes no loop that computes with vectors.
-    const real *R = pose.rotation, *center = surface.rest;
+    __constant real *R = pose->rotation, *center = surface->rest;
     const real3 turn = turned(R, (real3)(center[0], center[1], center[2]));
-    const real3 offset = (real3)(center[0] + pose.shift[0] - turn.x, center[1] + pose.shift[1] - turn.y,
-                                 center[2] + pose.shift[2] - turn.z);
+    const real3 offset = (real3)(center[0] + pose->shift[0] - turn.x, center[1] + pose->shift[1] - turn.y,
+                                 center[2] + pose->shift[2] - turn.z);
     const real3 ray = pixel_ray(camera, row, 0);
     const real3 line = (real3)(R[1] * ray.y + R[2], R[4] * ray.y + R[5], R[7] * ray.y + R[8]);
     const real middle = (real)0.5 * (camera.columns - 1), inverse_step = 1 / camera.step;

@@ -15,7 +15,7 @@ from clsco.layout import Real, structs
 from clsco.program import build, kernel, launch, upload
 from clsco.resources import folder
 
-PLAIN = {"QUADRATIC": 1, "LINEAR": 0, "NAPPE": 0, "BOUNDED": 0, "FILTER": 0, "CHANNELS": 1, "SAMPLED": 0}
+PLAIN = {"SEVERAL": 0, "QUADRATIC": 1, "LINEAR": 0, "NAPPE": 0, "BOUNDED": 0, "FILTER": 0, "CHANNELS": 1, "SAMPLED": 0}
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.device import Session
-from clsco.layout import Real, camera_struct, psf_struct, surface_struct
+from clsco.layout import Real, camera_struct, psf_struct, surface_structs
 from clsco.motion import pose_at
 from clsco.program import download, empty
 from clsco.psf import psf_table
@@ -26,7 +26,7 @@ NUMBER: dict[str, type[np.floating[Any]]] = {"double": np.float64, "float": np.f
 
 SOURCE = """\
 // Of the hit of the ray through (row, column): slope, normal, blur radius and its gradient, pixel at rest.
-__kernel void follow(const surface_t surface, const camera_t camera, __global const real *row,
+__kernel void follow(__constant surface_t *surface, const camera_t camera, __global const real *row,
                      __global const real *column, const int count, __global real *w, __global real *out)
 {
     const int i = get_global_id(0);
@@ -34,11 +34,11 @@ __kernel void follow(const surface_t surface, const camera_t camera, __global co
         return;
     const real3 ray = pixel_ray(camera, row[i], column[i]);
     uchar root;
-    w[i] = solve_quadric(&surface, ray, &root);
+    w[i] = solve_quadric(surface, ray, &root);
     if (!root)
         return;
-    const real2 slope = surface_slope(&surface, ray, w[i]), gradient = blur_gradient(camera, slope);
-    const real3 normal = surface_normal(&surface, ray, w[i]), pixel = rest_pixel(&surface, camera, ray, w[i]);
+    const real2 slope = surface_slope(surface, ray, w[i]), gradient = blur_gradient(camera, slope);
+    const real3 normal = surface_normal(surface, ray, w[i]), pixel = rest_pixel(surface, camera, ray, w[i]);
     const real radius = blur_radius(camera, w[i]);
     const real all[11] = {slope.x, slope.y, normal.x, normal.y, normal.z, radius, gradient.x, gradient.y,
                           pixel.x, pixel.y, pixel.z};
@@ -86,7 +86,7 @@ def test_what_follows_from_a_hit(session: Session, run_source: Run, item: Object
     count = 800
     row, column = RNG(8).uniform([[-8], [-8]], [[56], [72]], (2, count))
     w, out = empty(session, 8 * count), empty(session, 88 * count)
-    placed, lens = surface_struct(item, surface, "double"), camera_struct(camera, 0, "double")
+    placed, lens = surface_structs([item], [surface], "double"), camera_struct(camera, 0, "double")
     run_source(SOURCE, "follow", "double", features, count, placed, lens, row, column, np.int32(count), w, out)
     rays = twin.pixel_ray(camera, row, column)
     expected_w, label = twin.solve_quadric(surface, None, rays)

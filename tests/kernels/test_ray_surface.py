@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.device import Session
-from clsco.layout import Real, structs, surface_struct
+from clsco.layout import Real, structs, surface_structs
 from clsco.motion import pose_at
 from clsco.program import download, empty
 from clsco.scene import ObjectMotion, Sphere
@@ -25,15 +25,14 @@ UNIT = {"double": 2.0**-53, "float": 2.0**-24}  # largest relative error of one 
 NUMBER: dict[str, type[np.floating[Any]]] = {"double": np.float64, "float": np.float32}
 
 SOURCE = """\
-__kernel void solve(__global const surface_t *surfaces, __global const real *x, __global const real *y, const int count,
+__kernel void solve(__constant surface_t *surfaces, __global const real *x, __global const real *y, const int count,
                     const int each, __global real *w, __global uchar *label)
 {
     const int i = get_global_id(0);
     if (i >= count)
         return;
-    const surface_t surface = surfaces[i / each];
     uchar root;
-    w[i] = solve_quadric(&surface, (real3)(x[i], y[i], 1), &root);
+    w[i] = solve_quadric(surfaces + i / each, (real3)(x[i], y[i], 1), &root);
     label[i] = root;
 }
 """
@@ -401,8 +400,8 @@ def test_bounds_give_way_and_do_not_cut_what_they_touch(solve: Solve, real: Real
     ]
     for bounds, depths in boxes:
         item = Sphere(bounds=bounds)
-        placed = surface_struct(item, place(item, pose_at(ObjectMotion(), 0.0, "euler")), real)
-        w, label = solve(real, {"BOUNDED": 1}, np.array([placed]), np.array([0.0, 0.03]), np.zeros(2))
+        placed = surface_structs([item], [place(item, pose_at(ObjectMotion(), 0.0, "euler"))], real)
+        w, label = solve(real, {"BOUNDED": 1}, placed, np.array([0.0, 0.03]), np.zeros(2))
         found = np.where(label > 0, 1 / np.where(label > 0, w, 1), 0)
         np.testing.assert_allclose(found, depths, rtol=3e-3)  # which surface, not how exactly
         assert (found > 0).tolist() == [d > 0 for d in depths]
