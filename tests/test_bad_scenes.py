@@ -314,11 +314,12 @@ def test_bad_object(keys: str, message: str) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "object: one object per scene in this version; got 0"),
-        ("object = []", "object: one object per scene in this version; got 0"),
+        ("", "object: must hold 1 to 64 objects; got 0"),
+        ("object = []", "object: must hold 1 to 64 objects; got 0"),
+        ("[[object]]\nshape = 'sphere'\n" * 65, "object: must hold 1 to 64 objects; got 65"),
         (
-            'object = [{shape = "plane"}, {shape = "sphere"}]',
-            "object: one object per scene in this version; got 2",
+            'object = [{shape = "plane", name = "a"}, {shape = "cone"}, {shape = "sphere", name = "a"}]',
+            'object[2].name: names must differ; object[0] has the same; got "a"',
         ),
         (
             'object = {shape = "plane"}',

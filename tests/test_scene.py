@@ -164,6 +164,16 @@ def test_python_code_may_say_object_or_objects() -> None:
     assert Scene(objects=(Sphere(),)) == Scene.model_validate({"object": [{"shape": "sphere"}]})
 
 
+def test_objects_without_a_name_are_numbered() -> None:
+    scene = Scene(objects=(Sphere(), Plane(), Sphere(), Sphere(name="sphere 2"), Sphere(name="plane")))
+    assert [item.name for item in scene.objects] == ["sphere", "plane 2", "sphere 3", "sphere 2", "plane"]
+    again = Scene(objects=(*scene.objects[1:3], *Scene(objects=(Sphere(), Sphere())).objects))
+    assert [item.name for item in again.objects] == ["plane", "sphere", "sphere 2", "sphere 3"]
+    with pytest.raises(ValidationError, match="names must differ"):
+        Scene(objects=(Sphere(name="ball"), Plane(name="ball")))
+    assert len(Scene(objects=(Sphere(),) * 64).objects) == 64
+
+
 def test_scenes_are_frozen_and_hashable() -> None:
     scene = Scene(objects=(Sphere(),))
     with pytest.raises(ValidationError, match="frozen"):

@@ -14,8 +14,9 @@ PACKAGE = Path(__file__).resolve().parents[2] / "clsco"
 
 # A module imports from the layers above its own line only.
 LAYERS = (
-    ("errors", "resources", "poclcache", "transfer", "png"),
-    ("files", "scene", "frame"),
+    ("errors", "resources", "poclcache", "transfer", "png", "quantities"),
+    ("files", "shapes", "frame"),
+    ("scene",),
     ("optics", "psf", "motion", "images", "scenefile"),
     ("surfaces", "textures"),
     ("layout",),
@@ -50,7 +51,7 @@ OUTSIDE = {
     "PIL": IMAGES | {"demo"},
     "click": {"cli"},
     "rich": {"cli", "show"},
-    "pydantic": {"scene", "scenefile"},
+    "pydantic": {"quantities", "shapes", "scene", "scenefile"},
 }
 
 

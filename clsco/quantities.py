@@ -1,0 +1,149 @@
+"""Quantities of a scene: types with units and limits, and faults that state the rule that was broken."""
+
+from __future__ import annotations
+
+import math
+import unicodedata
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    ValidationError,
+)
+from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
+
+MAX_PIXELS = 2**28
+MIN_LENGTH_MM, MAX_LENGTH_MM = 1e-6, 1e9
+
+Vector = tuple[float, float, float]
+
+
+def fault(rule: str, got: str | None = None) -> PydanticCustomError:
+    """Error that states a rule; `got` replaces the input where that would show too much."""
+    context = {"rule": rule} if got is None else {"rule": rule, "got": got}
+    return PydanticCustomError("rule", "{rule}", context)
+
+
+def at_keys(found: list[tuple[tuple[str | int, ...], PydanticCustomError, Any]]) -> ValidationError:
+    """One error for several (location, fault, value), each reported at its own key."""
+    details = [InitErrorDetails(type=fault, loc=loc, input=value) for loc, fault, value in found]
+    return ValidationError.from_exception_data("scene", details)
+
+
+@dataclass(frozen=True)
+class Within:
+    """Constraint on a number: finite and between `low` and `high` in `unit`, ends included unless `open`."""
+
+    low: float
+    high: float
+    unit: str = ""
+    open: bool = False
+
+    def check(self, value: float) -> float:
+        unit = f" {self.unit}" if self.unit else ""
+        if isinstance(value, float) and not math.isfinite(value):
+            raise fault("must be a finite number")
+        if self.low < value < self.high or (not self.open and value in (self.low, self.high)):
+            return value
+        if 0.0 < self.low < 1.0 and value <= 0.0:
+            raise fault(f"must be greater than 0{unit}")
+        ends = ", ends excluded" if self.open else ""
+        raise fault(f"must be between {self.low:.7g} and {self.high:.7g}{unit}{ends}")
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_after_validator_function(self.check, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        low, high = ("exclusiveMinimum", "exclusiveMaximum") if self.open else ("minimum", "maximum")
+        return {**handler(schema), low: self.low, high: self.high}
+
+
+def _list_of(count: int, what: str) -> Callable[[Any], Any]:
+    """Turn a list of `count` entries into a tuple; the file formats know only lists."""
+
+    def convert(value: Any) -> Any:
+        if isinstance(value, list | tuple) and len(value) == count:
+            return tuple(value)
+        raise fault(f"must be a list of {count} {what}")
+
+    return convert
+
+
+def _single_line(value: str) -> str:
+    if any(unicodedata.category(character) in ("Cc", "Cs") for character in value):
+        raise fault("must be one line of text without control characters")
+    return value
+
+
+def _increasing(value: tuple[float, float]) -> tuple[float, float]:
+    if value[0] >= value[1]:
+        raise fault("lower bound must be less than the upper bound")
+    return value
+
+
+def _not_zero(value: Vector) -> Vector:
+    if max(abs(component) for component in value) < MIN_LENGTH_MM:
+        raise fault(f"must not be the zero vector (one component of {MIN_LENGTH_MM:g} at least)")
+    return value
+
+
+def _surface(value: tuple[float, ...]) -> tuple[float, ...]:
+    if not any(value[:9]):
+        raise fault("must not all be 0, or all but a000")
+    return value
+
+
+def _count_or_auto(value: Any) -> Any:
+    if (type(value) is int and 1 <= value <= 4096) or (type(value) is str and value == "auto"):
+        return value
+    raise fault('must be an integer between 1 and 4096, or "auto"')
+
+
+def _few_enough(value: tuple[int, int]) -> tuple[int, int]:
+    if value[0] * value[1] > MAX_PIXELS:
+        raise fault(f"must have at most {MAX_PIXELS} pixels in all")
+    return value
+
+
+_Pair, _Triple = BeforeValidator(_list_of(2, "numbers")), BeforeValidator(_list_of(3, "numbers"))
+Text = Annotated[str, Field(max_length=4096), AfterValidator(_single_line)]
+Name = Annotated[str, Field(min_length=1, max_length=4096), AfterValidator(_single_line)]
+Length = Annotated[float, Within(MIN_LENGTH_MM, MAX_LENGTH_MM, "mm")]
+SemiAxes = Annotated[tuple[Length, Length, Length], _Triple]
+Coordinate = Annotated[float, Within(-MAX_LENGTH_MM, MAX_LENGTH_MM, "mm")]
+Point = Annotated[tuple[Coordinate, Coordinate, Coordinate], _Triple]
+Interval = Annotated[tuple[Coordinate, Coordinate], AfterValidator(_increasing), _Pair]
+Box = Annotated[tuple[Interval, Interval, Interval], BeforeValidator(_list_of(3, "pairs [low, high]"))]
+Component = Annotated[float, Within(-1e9, 1e9)]
+Direction = Annotated[tuple[Component, Component, Component], AfterValidator(_not_zero), _Triple]
+Slope = Annotated[float, Within(-1e6, 1e6, "mm per mm")]
+Coefficient = Annotated[float, Within(-1e30, 1e30)]
+Coefficients = Annotated[
+    tuple[Coefficient, ...],
+    Field(json_schema_extra={"minItems": 10, "maxItems": 10}),
+    AfterValidator(_surface),
+    BeforeValidator(_list_of(10, "numbers")),
+]
+Speed = Annotated[float, Within(-1e9, 1e9, "mm/s")]
+Velocity = Annotated[tuple[Speed, Speed, Speed], _Triple]
+Turn = Annotated[float, Within(-1e9, 1e9, "deg/s")]
+AngularVelocity = Annotated[tuple[Turn, Turn, Turn], _Triple]
+Duration = Annotated[float, Within(1e-9, 1e9, "s")]
+FNumber = Annotated[float, Within(1e-3, 1e6)]
+Pixels = Annotated[int, Within(1, 65536, "px")]
+Resolution = Annotated[tuple[Pixels, Pixels], AfterValidator(_few_enough), BeforeValidator(_list_of(2, "integers"))]
+Samples = Annotated[Annotated[int, Within(1, 4096)] | Literal["auto"], BeforeValidator(_count_or_auto)]
+
+
+class Strict(BaseModel):
+    """No conversions, no unknown keys, no changes after validation."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, use_attribute_docstrings=True)
