@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from clsco.device import Device, Session, choose, described
 from clsco.errors import DeviceError, ImageError, SceneError
 from clsco.layout import Real, Struct, flat, frame_struct, structs
-from clsco.plan import LARGEST_BLUR, Blur, is_sharp
+from clsco.optics import LARGEST_BLUR
+from clsco.plan import Blur, is_sharp
 from clsco.program import build, empty, kernel, launch, upload
 from clsco.psf import LANES, reach
 from clsco.scene import Psf

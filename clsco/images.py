@@ -27,7 +27,7 @@ from clsco.transfer import encode
 MAX_PIXELS = 2**27
 MAX_SIDE = 65536
 
-_FORMAT_OF_SUFFIX = {
+IMAGE_FORMATS = {
     ".png": "PNG",
     ".jpg": "JPEG",
     ".jpeg": "JPEG",
@@ -44,6 +44,7 @@ _FIRST_BYTES = {
     "EXR": (b"v/1\x01",),
     "PFM": (b"PF", b"Pf"),
     "NPY": (b"\x93NUMPY",),
+    "NPZ": (b"PK\x03\x04",),
 }
 
 
@@ -79,12 +80,8 @@ def read_image(path: str | os.PathLike[str]) -> Picture:
     pages, values that are negative or not finite.
     Validated against files written by Pillow, tifffile, imagecodecs and OpenEXR, and by hand.
     """
-    with _opened(path) as (file, kind):
-        columns, rows = _checked_size(file, kind)
-        data = _as_stored(file, _CODECS[kind][1](file))
-        if data.shape[:2] != (rows, columns):
-            raise ValueError(f"{data.shape[1]} x {data.shape[0]} pixels under a header of {columns} x {rows}")
-        return Picture(np.ascontiguousarray(data))
+    with opened(path) as (file, kind):
+        return Picture(np.ascontiguousarray(_as_stored(file, decoded(file, kind))))
 
 
 def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
@@ -92,21 +89,24 @@ def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
 
     Returns (columns, rows), as `read_image` would give them. Raises ImageError for what the header shows.
     """
-    with _opened(path) as (file, kind):
-        return _checked_size(file, kind)
+    with opened(path) as (file, kind):
+        return checked_size(file, kind)
 
 
 @contextlib.contextmanager
-def _opened(path: str | os.PathLike[str]) -> Iterator[tuple[BinaryIO, str]]:
-    """Open a file as the format that its extension and first bytes name; any error becomes an ImageError."""
+def opened(path: str | os.PathLike[str], formats: Mapping[str, str] = IMAGE_FORMATS) -> Iterator[tuple[BinaryIO, str]]:
+    """Open a file as the format that its extension and first bytes name; any error becomes an ImageError.
+
+    formats: format by extension, as in `IMAGE_FORMATS`. Gives the file at its first byte, and the format.
+    """
     path = Path(path)
-    kind = _FORMAT_OF_SUFFIX.get(path.suffix.lower(), "")
+    kind = formats.get(path.suffix.lower(), "")
     try:
         mode = path.stat().st_mode
         if not stat.S_ISREG(mode):  # to open a pipe would block for ever
             refuse(path, "must be an image file", "a folder" if stat.S_ISDIR(mode) else "a device or a pipe")
         if not kind:
-            refuse(path, f"the extension must be one of {' '.join(_FORMAT_OF_SUFFIX)}", repr(path.suffix))
+            refuse(path, f"the extension must be one of {' '.join(formats)}", repr(path.suffix))
         with open(path, "rb") as file:
             head = file.read(8)
             found = next((name for name, first in _FIRST_BYTES.items() if head.startswith(first)), None)
@@ -132,20 +132,39 @@ def _path(file: BinaryIO) -> Path:
     return Path(file.name)
 
 
-def _codec(path: Path, module: str, extra: str) -> Any:
+def codec(path: Path, module: str, extra: str) -> Any:
+    """Import what decodes a file; raises ImageError naming the extra of clsco that brings it."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
         refuse(path, f"needs {module}: pip install 'clsco[{extra}]'", error, error)
 
 
-def _checked_size(file: BinaryIO, kind: str) -> tuple[int, int]:
+def checked_size(file: BinaryIO, kind: str) -> tuple[int, int]:
+    """Read (columns, rows) from an opened file's header, and go back to its first byte; raises as `image_size`."""
     columns, rows = _CODECS[kind][0](file)
     file.seek(0)
+    check_limits(Path(file.name), columns, rows)
+    return columns, rows
+
+
+def check_limits(path: Path, columns: int, rows: int) -> None:
+    """Raise ImageError for an image of over 2^27 pixels or 65536 a side, or without any."""
     if not (1 <= columns <= MAX_SIDE and 1 <= rows <= MAX_SIDE and columns * rows <= MAX_PIXELS):
         rule = f"columns and rows must be from 1 to {MAX_SIDE}, and at most {MAX_PIXELS} pixels"
-        refuse(_path(file), rule, f"{columns} x {rows}")
-    return columns, rows
+        refuse(path, rule, f"{columns} x {rows}")
+
+
+def decoded(file: BinaryIO, kind: str) -> NDArray[Any]:
+    """Decode an opened file whose header is within the limits: (rows, columns[, channels]), values as stored.
+
+    Raises whatever the codecs raise, which `opened` turns into an ImageError.
+    """
+    columns, rows = checked_size(file, kind)
+    data: NDArray[Any] = _CODECS[kind][1](file)
+    if data.shape[:2] != (rows, columns):
+        raise ValueError(f"{data.shape[1]} x {data.shape[0]} pixels under a header of {columns} x {rows}")
+    return data
 
 
 def _as_stored(file: BinaryIO, data: NDArray[Any]) -> NDArray[Any]:
@@ -180,7 +199,7 @@ def _decode_png(file: BinaryIO) -> NDArray[Any]:
     if transparency is not None and (color != PALETTE or transparency.strip(b"\xff")):
         refuse(_path(file), "pixels must be opaque", "a transparent color (chunk tRNS)")
     if depth == 16 and color != GREY:  # Pillow drops the lower 8 bits without a word
-        data = _codec(_path(file), "imagecodecs", "formats").png_decode(png)
+        data = codec(_path(file), "imagecodecs", "formats").png_decode(png)
     else:
         data = _by_imageio("imread", png, ".png")
     if data.dtype == bool:
@@ -226,7 +245,7 @@ def _decode_jpeg(file: BinaryIO) -> NDArray[Any]:
 
 @contextlib.contextmanager
 def _tiff_page(file: BinaryIO) -> Iterator[Any]:
-    with _codec(_path(file), "tifffile", "formats").TiffFile(file) as tiff:
+    with codec(_path(file), "tifffile", "formats").TiffFile(file) as tiff:
         if len(tiff.pages) != 1:
             refuse(_path(file), "must be a single image", f"{len(tiff.pages)} pages")
         yield tiff.pages[0]
@@ -251,7 +270,7 @@ def _decode_tiff(file: BinaryIO) -> NDArray[Any]:
 
 
 def _exr_size(file: BinaryIO) -> tuple[int, int]:
-    header = _codec(_path(file), "OpenEXR", "exr").File(str(file.name), header_only=True).header()
+    header = codec(_path(file), "OpenEXR", "exr").File(str(file.name), header_only=True).header()
     window, display = ([corner.tolist() for corner in header[name]] for name in ("dataWindow", "displayWindow"))
     if window != display:
         refuse(_path(file), f"the data window must be the display window, {display}", window)
@@ -260,7 +279,7 @@ def _exr_size(file: BinaryIO) -> tuple[int, int]:
 
 
 def _decode_exr(file: BinaryIO) -> NDArray[Any]:
-    exr = _codec(_path(file), "OpenEXR", "exr").File(str(file.name), separate_channels=True)
+    exr = codec(_path(file), "OpenEXR", "exr").File(str(file.name), separate_channels=True)
     if len(exr.parts) != 1:  # a part that cannot be decoded is left out by the library
         refuse(_path(file), "must be a single, whole image", f"{len(exr.parts)} readable parts")
     channels = {name: channel.pixels for name, channel in exr.channels().items()}
@@ -308,7 +327,7 @@ def _npy_size(file: BinaryIO) -> tuple[int, int]:
     version = np.lib.format.read_magic(file)
     read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, _fortran, dtype = read_header(file)
-    if len(shape) not in (2, 3) or (len(shape) == 3 and shape[2] != 3) or dtype.kind not in "uf":
+    if len(shape) not in (2, 3) or (len(shape) == 3 and shape[2] != 3) or dtype.kind not in "iuf":
         rule = "an NPY must hold numbers of shape (rows, columns) or (rows, columns, 3)"
         refuse(_path(file), rule, f"{dtype} of shape {shape}")
     return shape[1], shape[0]
@@ -358,7 +377,7 @@ def write_exr(path: str | os.PathLike[str], channels: Mapping[str, NDArray[Any]]
 
     Needs the extra `exr`. Raises ImageError without it, or where the file cannot be written.
     """
-    exr = _codec(Path(path), "OpenEXR", "exr")
+    exr = codec(Path(path), "OpenEXR", "exr")
     header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
     pixels = {name: np.ascontiguousarray(channel, np.float32) for name, channel in channels.items()}
     with whole_file(Path(path)) as file:

@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from clsco.scene import Camera
 
+LARGEST_BLUR = 512.0  # px; beyond it one source lights a million pixels
+
 
 def focus_power(camera: Camera) -> float:
     """K = 1/f - 1/s in 1/mm: the inverse depth that is in focus (2.24).

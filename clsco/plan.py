@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from clsco.errors import SceneError
 from clsco.frame import TRUTH_NAMES
 from clsco.motion import Pose, pose_at, sample_times
-from clsco.optics import blur_radius, ray_step
+from clsco.optics import LARGEST_BLUR, blur_radius, ray_step
 from clsco.psf import LANES, MINIMUM_BLUR, psf_extent, reach, table_bytes
 from clsco.scene import Object, Plane, Psf, Scene
 from clsco.surfaces import canonical, place, predict_inverse_depth
@@ -25,7 +25,6 @@ Blur = Literal["gather", "scatter", "convolve", "none"]
 
 GRID = 65  # rays per axis that predict the range of the blur radius
 PREDICTED_MOMENTS = 33  # of the whole sequence at most
-LARGEST_BLUR = 512.0  # px; beyond it one source lights a million pixels
 LARGEST_TABLES = 2**30  # bytes of PSF tables
 PIXELS_PER_SAMPLE = 1.0  # of the largest motion, with samples = "auto": 2 lose 5 to 9 dB, fewer gain little
 MOST_SAMPLES = 4095

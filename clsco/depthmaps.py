@@ -1,0 +1,322 @@
+"""Depth files to the inverse depth that a surface has in each pixel (float64, pure but for reading the file)."""
+
+from __future__ import annotations
+
+import math
+import os
+import zipfile
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.errors import ImageError
+from clsco.files import refuse
+from clsco.images import IMAGE_FORMATS, check_limits, checked_size, codec, decoded, opened
+from clsco.optics import LARGEST_BLUR, blur_radius, blur_scale, focus_power
+from clsco.quantities import MIN_LENGTH_MM
+from clsco.scene import Camera
+
+Array = NDArray[np.float64]
+
+UNITS = ("mm", "m", "inverse_mm", "inverse_m", "disparity", "coc")
+FARTHEST = 1e-12  # inverse depth in 1/mm of what is infinitely far: 0 means that nothing is there
+LARGEST_EXR = 2**29  # values in all channels, which are decoded together
+MOST_ARRAYS = 256  # in an NPZ
+ROUNDING = 1e-6  # of the radius at infinity: float32 files reach it, and pass it by a few times 2^-24
+
+_FORMATS = {suffix: kind for suffix, kind in IMAGE_FORMATS.items() if kind != "JPEG"} | {".npz": "NPZ"}
+
+
+@dataclass(frozen=True, eq=False)
+class DepthValues:
+    """What a depth map says, in the units of the program.
+
+    inverse_depth: (rows, columns), 1/mm, > 0; 0 where the map has no surface.
+    zero, negative, nan, infinite: pixels without a surface, by the value that the file has there.
+    far: pixels with a surface that is infinitely far, whose inverse depth is `FARTHEST`.
+    """
+
+    inverse_depth: Array
+    zero: int
+    negative: int
+    nan: int
+    infinite: int
+    far: int
+
+    @property
+    def invalid(self) -> int:
+        """Pixels without a surface."""
+        return self.zero + self.negative + self.nan + self.infinite
+
+    def report(self) -> str:
+        """One line: how many pixels have no depth and why, and how many are infinitely far; "" where none."""
+        kinds = {"zero": self.zero, "negative": self.negative, "NaN": self.nan, "infinite": self.infinite}
+        why = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
+        parts = [f"{self.invalid} of {self.inverse_depth.size} pixels have no depth ({why})"] if why else []
+        parts += [f"{self.far} are infinitely far"] if self.far else []
+        return ", ".join(parts)
+
+
+def read_depth(path: str | os.PathLike[str]) -> Array:
+    """Read the numbers of a depth file as it stores them; their meaning is for `inverse_depth`.
+
+    PNG (8 or 16 bits; fewer bits become 8), TIFF (integers or floats), PFM, NPY, NPZ (the array `depth`, or
+    the only one with two dimensions) and EXR (the channel Z; else that of a layer called depth; else any other
+    Z or V, but no third component of a vector; else R G B or Y; else the only channel there is). Three equal
+    channels count as one. The scale of a PFM is not applied, as in the readers of Middlebury's files.
+    TIFF and 16-bit color PNG need the extra `formats`, EXR needs `exr`.
+    Returns (rows, columns), float64, row 0 on top, any value: zero, negative, NaN and infinite ones too.
+    Raises ImageError, in one line, for all that is not exactly one such map: no readable file, wrong
+    extension, damaged, over 2^27 pixels or 65536 a side (refused from the header), channels that differ.
+    Validated against files written by imagecodecs, Pillow, OpenCV, tifffile, OpenEXR and NumPy, and by hand.
+    """
+    with opened(path, _FORMATS) as (file, kind):
+        if kind == "EXR":
+            data = _decode_exr(file)
+        elif kind == "NPZ":
+            data = _decode_npz(file)
+        else:
+            data = decoded(file, kind)
+        return _single_channel(file, data)
+
+
+def check_sizes(image: str, image_size: tuple[int, int], depth: str, depth_size: tuple[int, int]) -> None:
+    """Raise ImageError where an image and its depth map differ in size.
+
+    image, depth: their names for the message; sizes: (columns, rows), px.
+    """
+    if image_size != depth_size:
+        wanted, got = (f"{columns} x {rows}" for columns, rows in (image_size, depth_size))
+        refuse(Path(depth), f"the size must be that of {image}, {wanted} pixels", got)
+
+
+def inverse_depth(
+    raw: Array, unit: str, scale: float, camera: Camera, baseline: float | None = None, where: str = "depth"
+) -> DepthValues:
+    """Turn the numbers of a depth file into inverse depth.
+
+    raw: (rows, columns). scale: number times scale is in `unit`, > 0. baseline: mm, of unit "disparity" only.
+    where: name for the messages.
+
+    unit         inverse depth w of v = raw scale          no surface                         infinitely far
+    mm, m        1 / v                                     0, negative, NaN                   +inf (Blender: 1e10)
+    inverse_mm,  v                                         negative, NaN, +inf                0
+    inverse_m
+    disparity    p v / (baseline s0), v in px              0, negative, NaN, +inf             -
+    coc          K - v / kappa, v the signed R in px       NaN, infinite                      R = kappa K
+
+    KITTI's PNGs have scale 1/256; 0 there and inf in Middlebury's PFMs mean that the pixel was not measured.
+    What is infinitely far, or farther than 1e12 mm, gets 1e-12 per mm: it is there, and blurs as at infinity.
+    Raises ImageError where no pixel has a surface; where |R| passes 512 px, with the unit that is probably
+    meant; nearer than 1e-6 mm; for a radius beyond the camera's at infinity, which no depth has; and where scale
+    or baseline is missing or no positive number.
+    Validated against the formulas in exact fractions, and by converting analytic depth to every unit and back.
+    """
+    _check_numbers(unit, scale, baseline, where)
+    zero, negative = raw == 0, raw < 0
+    nan, infinite = np.isnan(raw), np.isposinf(raw)
+    if unit == "coc":
+        zero, negative, infinite = np.zeros_like(zero), np.zeros_like(zero), np.isinf(raw)
+    elif unit in ("mm", "m"):
+        infinite = np.zeros_like(infinite)
+    elif unit != "disparity":
+        zero = np.zeros_like(zero)
+    valid = ~(zero | negative | nan | infinite)
+    counts = {"zero": zero, "negative": negative, "nan": nan, "infinite": infinite}
+    numbers = {name: int(np.count_nonzero(kind)) for name, kind in counts.items()}
+    if not valid.any():
+        why = ", ".join(f"{count} {kind}" for kind, count in numbers.items() if count)
+        raise ImageError(f"{where}: at least one pixel must have a depth; got {why}")
+    if unit == "coc":
+        _check_reach(raw[valid], scale, camera, where)
+    w = _convert(raw[valid], unit, scale, camera, baseline)
+    _check_blur(w, raw[valid], unit, scale, camera, where)
+    result = np.zeros(raw.shape)
+    result[valid] = np.maximum(w, FARTHEST)
+    return DepthValues(result, **numbers, far=int(np.count_nonzero(w <= FARTHEST)))
+
+
+def _check_numbers(unit: str, scale: float, baseline: float | None, where: str) -> None:
+    if unit not in UNITS:
+        raise ImageError(f"{where}: unit must be one of {', '.join(UNITS)}; got {unit!r}")
+    if not 0 < scale < math.inf:
+        raise ImageError(f"{where}: scale must be a finite number greater than 0; got {scale:g}")
+    if (unit == "disparity") != (baseline is not None):
+        raise ImageError(f"{where}: baseline belongs to unit disparity, which needs it; got {baseline} and {unit}")
+    if baseline is not None and not 0 < baseline < math.inf:
+        raise ImageError(f"{where}: baseline must be a finite number of mm greater than 0; got {baseline:g}")
+
+
+def _convert(raw: Array, unit: str, scale: float, camera: Camera, baseline: float | None) -> Array:
+    """Inverse depth in 1/mm of numbers that have one; not above 0 where they are infinitely far."""
+    with np.errstate(over="ignore", divide="ignore"):  # what overflows is too near, and refused as that
+        value = raw * scale
+        if unit == "mm":
+            return np.asarray(1 / value)
+        if unit == "m":
+            return np.asarray(1e-3 / value)
+        if unit == "inverse_mm":
+            return value
+        if unit == "inverse_m":
+            return value * 1e-3
+        if unit == "coc":
+            return focus_power(camera) - value / blur_scale(camera)
+        return value * (camera.pixel_pitch / ((baseline or 1.0) * camera.normalization_distance))
+
+
+def _check_reach(raw: Array, scale: float, camera: Camera, where: str) -> None:
+    """Refuse a radius that the camera has at no depth: beyond infinity, by more than rounding explains."""
+    at_infinity = float(blur_radius(camera, 0.0))
+    largest = float(raw.max()) * scale
+    if largest > at_infinity + ROUNDING * abs(at_infinity):
+        count = np.count_nonzero(raw > at_infinity / scale)
+        rule = f"radii must be at most {at_infinity:.6g} px, which the camera has at infinity"
+        if at_infinity > 0:
+            opening = camera.aperture_diameter * largest / at_infinity * 1.001
+            rule += f" (or give it an aperture_diameter of {opening:.4g} mm)"
+        raise ImageError(f"{where}: {rule}; got {largest:.6g} px, and {count} pixels above")
+
+
+def _check_blur(w: Array, raw: Array, unit: str, scale: float, camera: Camera, where: str) -> None:
+    radius = np.abs(blur_radius(camera, w))
+    at = int(radius.argmax())
+    if radius[at] > LARGEST_BLUR:
+        count = np.count_nonzero(radius > LARGEST_BLUR)
+        raise ImageError(
+            f"{where}: the blur radius must be at most {LARGEST_BLUR:g} px; got {radius[at]:.4g} px at the value "
+            f"{raw[at] * scale:.4g} {unit}, and {count} of {w.size} pixels above "
+            f"({_probable_cause(raw, unit, scale, camera)})"
+        )
+    if w.max() > 1 / MIN_LENGTH_MM:
+        rule = f"depth must be at least {MIN_LENGTH_MM:g} mm"
+        raise ImageError(f"{where}: {rule}; got {1 / w.max():.4g} mm")
+
+
+def _probable_cause(raw: Array, unit: str, scale: float, camera: Camera) -> str:
+    """Name the unit in which no radius is too large and the radii are not all as at infinity."""
+    at_infinity = abs(float(blur_radius(camera, 0.0)))
+    if at_infinity > LARGEST_BLUR:
+        return f"the camera has {at_infinity:.4g} px at infinity: aperture_diameter or pixel_pitch is probably wrong"
+    spans: dict[str, float] = {}
+    for other in ("mm", "m", "inverse_m", "inverse_mm"):
+        radius = blur_radius(camera, _convert(raw, other, scale, camera, None))
+        if other != unit and np.abs(radius).max() <= LARGEST_BLUR:
+            spans[other] = float(np.ptp(radius))
+    for other, span in spans.items():
+        if 2 * span >= max(spans.values()):  # metres and their inverse often give about the same
+            return f"the depth is probably in {other}: give unit {other}"
+    return "no unit makes it less: scale, or the camera, is probably wrong"
+
+
+def _single_channel(file: BinaryIO, data: NDArray[Any]) -> Array:
+    """Take one of three equal channels, and turn numbers of any type into float64."""
+    path = Path(file.name)
+    if data.dtype.kind not in "iuf":
+        refuse(path, "values must be integers or floats", data.dtype)
+    if data.ndim == 3 and data.shape[2] == 3:
+        first = data[..., :1]
+        differ = ((data != first) & ~(np.isnan(data) & np.isnan(first))).any(axis=2)
+        if differ.any():
+            row, column = (int(index) for index in np.unravel_index(int(differ.argmax()), differ.shape))
+            got = f"{data[row, column].tolist()} at row {row}, column {column} ({int(differ.sum())} in all)"
+            refuse(path, "must hold one depth per pixel: red, green and blue must be equal", got)
+        data = data[..., 0]
+    if data.ndim != 2:
+        refuse(path, "shape must be (rows, columns)", data.shape)
+    return np.ascontiguousarray(data, np.float64)
+
+
+def _decode_exr(file: BinaryIO) -> NDArray[Any]:
+    path = Path(file.name)
+    columns, rows = checked_size(file, "EXR")
+    exr = codec(path, "OpenEXR", "exr")
+    parts = exr.File(str(path), header_only=True).parts
+    count = sum(len(part.header["channels"]) for part in parts)
+    if count * columns * rows > LARGEST_EXR:
+        refuse(path, f"an EXR must hold at most {LARGEST_EXR} values", f"{count} channels of {columns} x {rows}")
+    pages = exr.File(str(path), separate_channels=True).parts
+    if len(pages) != len(parts):  # a part that cannot be decoded is left out by the library
+        raise ValueError(f"{len(pages)} readable parts of {len(parts)}")
+    channels = {name: channel.pixels for page in pages for name, channel in page.channels.items()}
+    if len(channels) < count:
+        refuse(path, "the channels of an EXR must have different names", _names(list(channels)))
+    wanted = _depth_channels(list(channels))
+    if not wanted:
+        rule = "an EXR must hold one depth: a channel Z, V, R or Y, or Z or V of a layer"
+        refuse(path, rule, _names(list(channels)))
+    data: NDArray[Any] = channels[wanted[0]]
+    if data.shape != (rows, columns):
+        raise ValueError(f"channel {_names(wanted[:1])} of shape {data.shape}")
+    if any(not np.array_equal(data, channels[name], equal_nan=data.dtype.kind == "f") for name in wanted[1:]):
+        refuse(path, "an EXR must hold one depth, or equal ones", f"channels {_names(wanted)} that differ")
+    return data
+
+
+def _depth_channels(names: list[str]) -> list[str]:
+    """The channels that are equally likely to be the depth: the best of the kinds that are there."""
+
+    def parts(name: str) -> tuple[str, str]:
+        layer, _, last = name.rpartition(".")
+        return layer, last
+
+    def is_value(name: str) -> bool:
+        layer, last = parts(name)
+        prefix = layer + "." if layer else ""
+        return last in ("Z", "V") and not {f"{prefix}X", f"{prefix}Y"} <= set(names)
+
+    kinds = (
+        [name for name in names if name == "Z" and is_value(name)],
+        [
+            name
+            for name in names
+            if parts(name)[1].lower() == "depth" or (is_value(name) and "depth" in parts(name)[0].lower().split("."))
+        ],
+        [name for name in names if is_value(name)],
+        [name for name in names if name in ("R", "G", "B")],
+        [name for name in names if name == "Y"],
+        names if len(names) == 1 else [],
+    )
+    return next((kind for kind in kinds if kind), [])
+
+
+def _names(names: list[str]) -> str:
+    shown = [name if name.isprintable() else ascii(name) for name in sorted(names)[:20]]
+    return " ".join(shown) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
+
+
+def _decode_npz(file: BinaryIO) -> NDArray[Any]:
+    path = Path(file.name)
+    with zipfile.ZipFile(file) as archive:
+        names = (name for name in archive.namelist() if name.endswith(".npy"))
+        found = {name.removesuffix(".npy"): name for name in islice(names, MOST_ARRAYS + 1)}
+        if "depth.npy" in archive.NameToInfo:
+            found = {"depth": "depth.npy"}
+        elif len(found) > MOST_ARRAYS:
+            refuse(path, f"an NPZ must hold an array depth, or at most {MOST_ARRAYS} arrays", "more")
+        headers = {name: _npy_header(archive, entry) for name, entry in found.items()}
+        flat = [name for name, (shape, _dtype) in headers.items() if len(shape) == 2 or name == "depth"]
+        if len(flat) != 1:
+            rule = "an NPZ must hold an array depth, or one array with two dimensions"
+            refuse(path, rule, f"arrays {_names(flat)}" if flat else "none")
+        shape, dtype = headers[flat[0]]
+        if len(shape) not in (2, 3) or shape[2:] not in ((), (3,)) or dtype.kind not in "iuf":
+            rule = f"array {_names(flat)} must hold numbers of shape (rows, columns)"
+            refuse(path, rule, f"{dtype} of shape {shape}")
+        check_limits(path, shape[1], shape[0])
+        with archive.open(found[flat[0]]) as member:
+            data: NDArray[Any] = np.lib.format.read_array(member, allow_pickle=False)
+            if member.read(1):  # the archive checks its sum at the end alone
+                raise ValueError("bytes after the array")
+            return data
+
+
+def _npy_header(archive: zipfile.ZipFile, entry: str) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    with archive.open(entry) as member:
+        version = np.lib.format.read_magic(member)
+        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _fortran, dtype = read_header(member)
+    return shape, dtype
