@@ -40,29 +40,31 @@ def at_keys(found: list[tuple[tuple[str | int, ...], PydanticCustomError, Any]])
 
 @dataclass(frozen=True)
 class Within:
-    """Constraint on a number: finite and between `low` and `high` in `unit`, ends included unless `open`."""
+    """Constraint on a number: finite and between `low` and `high` in `unit`; `ends` are included or not: "[]"."""
 
     low: float
     high: float
     unit: str = ""
-    open: bool = False
+    ends: Literal["[]", "[)", "()"] = "[]"
 
     def check(self, value: float) -> float:
         unit = f" {self.unit}" if self.unit else ""
         if isinstance(value, float) and not math.isfinite(value):
             raise fault("must be a finite number")
-        if self.low < value < self.high or (not self.open and value in (self.low, self.high)):
+        above = self.low <= value if self.ends[0] == "[" else self.low < value
+        if above and (value <= self.high if self.ends[1] == "]" else value < self.high):
             return value
         if 0.0 < self.low < 1.0 and value <= 0.0:
             raise fault(f"must be greater than 0{unit}")
-        ends = ", ends excluded" if self.open else ""
-        raise fault(f"must be between {self.low:.7g} and {self.high:.7g}{unit}{ends}")
+        excluded = {"[]": "", "[)": f", {self.high:.7g} excluded", "()": ", ends excluded"}[self.ends]
+        raise fault(f"must be between {self.low:.7g} and {self.high:.7g}{unit}{excluded}")
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_after_validator_function(self.check, handler(source))
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        low, high = ("exclusiveMinimum", "exclusiveMaximum") if self.open else ("minimum", "maximum")
+        low = "minimum" if self.ends[0] == "[" else "exclusiveMinimum"
+        high = "maximum" if self.ends[1] == "]" else "exclusiveMaximum"
         return {**handler(schema), low: self.low, high: self.high}
 
 

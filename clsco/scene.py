@@ -8,13 +8,14 @@ Every rule that a scene can break is stated here, in `clsco.shapes` and in `clsc
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from clsco.quantities import (
     MAX_LENGTH_MM,
     MIN_LENGTH_MM,
+    AngularVelocity,
     Duration,
     FNumber,
     Length,
@@ -22,6 +23,7 @@ from clsco.quantities import (
     Samples,
     Strict,
     Text,
+    Velocity,
     Within,
     at_keys,
     fault,
@@ -32,6 +34,7 @@ from clsco.shapes import (
     AnyShape,
     Cone,
     Cylinder,
+    DepthMap,
     Ellipsoid,
     Object,
     ObjectMotion,
@@ -46,8 +49,10 @@ __all__ = [
     "BUILT_IN_TEXTURES",
     "AnyShape",
     "Camera",
+    "CameraMotion",
     "Cone",
     "Cylinder",
+    "DepthMap",
     "Ellipsoid",
     "Fill",
     "ImageOptions",
@@ -60,6 +65,7 @@ __all__ = [
     "Scene",
     "Sequence",
     "Sphere",
+    "Stereo",
     "Within",
     "origin",
 ]
@@ -72,6 +78,15 @@ def _aperture_mm(data: dict[str, Any]) -> float:
 def _sensor_distance_mm(data: dict[str, Any]) -> float:
     f, u = data["focal_length"], data["focus_distance"]
     return 21.739 if u is None else float(f * u / (u - f))
+
+
+class CameraMotion(ObjectMotion):
+    """Constant velocities of the camera; it turns about the center of its lens."""
+
+    velocity: Velocity = (0.0, 0.0, 0.0)
+    """Right, up, forwards; mm/s."""
+    angular_velocity: AngularVelocity = (0.0, 0.0, 0.0)
+    """About the axes right, up, backwards, in the sense of an object's; deg/s."""
 
 
 class Camera(Strict):
@@ -93,6 +108,8 @@ class Camera(Strict):
     """Pixel pitch p, mm."""
     resolution: Resolution | None = None
     """Columns and rows, px. Default: size of the first object's texture."""
+    motion: CameraMotion = CameraMotion()
+    """Velocities of the camera itself; at rest if none are given."""
 
     @field_validator("f_number")
     @classmethod
@@ -135,7 +152,8 @@ class Psf(Strict):
     silhouette_samples: Annotated[int, Within(1, 16)] = 4
     """Sources per pixel and axis near silhouettes; 1: off."""
     occlusion: Literal["visibility", "layered", "none"] = "visibility"
-    """How nearer surface hides farther surface."""
+    """How nearer surface hides farther: rays to the lens, layers of the image, or not at all. Default, where surfaces
+    are not met by rays (depth maps, forward warp): layered."""
     sigma_ratio: Annotated[float, Within(1e-6, 10.0)] = math.sqrt(0.5)
     """sigma / |R|; only with model = "gaussian"."""
     truncation: Annotated[float, Within(1.0, 6.0)] = Field(
@@ -203,6 +221,15 @@ class Fill(Strict):
     """Fill where the ray meets a surface, or everything between known pixels."""
 
 
+class Stereo(Strict):
+    """A second camera: the scene's is the left one, and the right one is moved along x."""
+
+    baseline: Length
+    """Distance of the right camera from the left one, mm."""
+    toe_in: Annotated[float, Within(0.0, 45.0, "deg", "[)")] = 0.0
+    """Angle by which each camera is turned inwards, deg."""
+
+
 class ImageOptions(Strict):
     """Reading and writing of images."""
 
@@ -223,6 +250,8 @@ class Scene(Strict):
     motion: Motion = Motion()
     fill: Fill = Fill()
     image: ImageOptions = ImageOptions()
+    stereo: Stereo | None = None
+    """A second view; none if not given."""
     objects: Objects = Field(
         default=(),
         validation_alias="object",
@@ -240,3 +269,22 @@ class Scene(Strict):
             rule = fault('belongs to motion.warp = "forward", not "inverse"')
             raise at_keys([((key,), rule, getattr(value, key)) for key in sorted(value.model_fields_set)])
         return value
+
+    @model_validator(mode="after")
+    def _visibility_needs_rays(self) -> Self:
+        explicit = "occlusion" in self.psf.model_fields_set and self.psf.occlusion == "visibility"
+        if explicit and not self.met_by_rays:
+            rule = '"visibility" needs analytic surfaces seen by rays; use "layered" or "none"'
+            raise at_keys([(("psf", "occlusion"), fault(rule), self.psf.occlusion)])
+        return self
+
+    @property
+    def moves(self) -> bool:
+        """Whether anything moves: an object, or the camera."""
+        return self.camera.motion.moves or any(item.motion.moves for item in self.objects)
+
+    @property
+    def met_by_rays(self) -> bool:
+        """Whether rays can meet every surface at any moment: no depth map, and no pixels moved by a forward warp."""
+        mapped = any(isinstance(item, DepthMap) for item in self.objects)
+        return not mapped and not (self.moves and self.motion.warp == "forward")

@@ -15,7 +15,8 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from clsco.errors import SceneError
-from clsco.scene import BUILT_IN_TEXTURES, AnyShape, ObjectMotion, Psf, Scene
+from clsco.scene import BUILT_IN_TEXTURES, AnyShape, CameraMotion, DepthMap, ObjectMotion, Psf, Scene
+from clsco.shapes import repeated_names
 
 MAX_FILE_BYTES = 2**20
 MAX_MESSAGES = 100
@@ -24,14 +25,16 @@ MAX_DOTS = 100  # per line: tomllib needs memory with the square of the parts of
 _SHAPES: dict[str, type[BaseModel]] = {shape.model_fields["shape"].default: shape for shape in get_args(AnyShape)}
 _SCENE_KEYS = [str(field.validation_alias or name) for name, field in Scene.model_fields.items()]
 _SECTIONS: dict[str, type[BaseModel]] = {
-    name: field.annotation
+    name: part
     for name, field in Scene.model_fields.items()
-    if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel)
+    for part in (field.annotation, *get_args(field.annotation))
+    if isinstance(part, type) and issubclass(part, BaseModel)
 }
 _PLACES: list[tuple[str, type[BaseModel]]] = [
     *_SECTIONS.items(),
     *(("object[0]", shape) for shape in _SHAPES.values()),
     ("object[0].motion", ObjectMotion),
+    ("camera.motion", CameraMotion),
 ]
 
 # (key, its new value or None for any, key that the file may hold and that would contradict it)
@@ -75,7 +78,7 @@ def load_scene(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
             left are dropped.
 
     Returns:
-        The scene; relative paths of textures have become absolute, starting at the file's folder.
+        The scene; relative paths of textures and depths have become absolute, starting at the file's folder.
 
     Raises:
         SceneError: one message per fault, `file: key: rule; got value`.
@@ -87,27 +90,33 @@ def load_scene(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
     try:
         scene = parse_scene(data, where)
     except SceneError as error:
-        raise SceneError([*error.messages, *_missing_textures(data, folder, where)]) from error
-    placed = tuple(
-        item if item.texture in BUILT_IN_TEXTURES else item.model_copy(update={"texture": str(folder / item.texture)})
-        for item in scene.objects
-    )
-    return scene.model_copy(update={"objects": placed})
+        raise SceneError([*error.messages, *_missing_files(data, folder, where)]) from error
+    return scene.model_copy(update={"objects": tuple(_absolute(item, folder) for item in scene.objects)})
 
 
-def _missing_textures(data: Mapping[str, Any], folder: Path, where: str) -> list[str]:
-    """Faults of textures that are not there, for a scene that has others: a valid one has its textures read."""
-    items = data.get("object")
-    names = (
-        [item.get("texture") if isinstance(item, Mapping) else None for item in items]
-        if isinstance(items, list)
-        else []
-    )
+def _absolute(item: AnyShape, folder: Path) -> AnyShape:
+    paths = {} if item.texture in BUILT_IN_TEXTURES else {"texture": str(folder / item.texture)}
+    if isinstance(item, DepthMap):
+        paths["depth"] = str(folder / item.depth)
+    return item.model_copy(update=paths)
+
+
+def _missing_files(data: Mapping[str, Any], folder: Path, where: str) -> list[str]:
+    """Faults of files that are not there, for a scene that has others: a valid one has its files read."""
+    rules = {"texture": "must be an existing file or a built-in pattern", "depth": "must be an existing file"}
     return [
-        f"{where}: object[{index}].texture: must be an existing file or a built-in pattern; got {_shown(name)}"
-        for index, name in enumerate(names[:MAX_MESSAGES])
-        if isinstance(name, str) and name and name not in BUILT_IN_TEXTURES and not _exists(folder, name)
+        f"{where}: object[{index}].{key}: {rule}; got {_shown(name)}"
+        for index, item in enumerate(_items(data)[:MAX_MESSAGES])
+        for key, rule in rules.items()
+        if isinstance(name := item.get(key), str) and name and not _exists(folder, name)
+        if key != "texture" or name not in BUILT_IN_TEXTURES
     ]
+
+
+def _items(data: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """The tables of objects, an empty one in place of what is no table."""
+    items = data.get("object")
+    return [item if isinstance(item, Mapping) else {} for item in items] if isinstance(items, list) else []
 
 
 def _exists(folder: Path, name: str) -> bool:
@@ -135,7 +144,12 @@ def parse_scene(mapping: Mapping[str, Any], where: str = "scene") -> Scene:
     try:
         return Scene.model_validate(dict(mapping), by_alias=True, by_name=False)
     except ValidationError as error:
-        messages = [f"{where}: {_message(fault)}" for fault in _faults(error)]
+        told = [_message(fault) for fault in _faults(error)]
+    names = [name if isinstance(name := item.get("name"), str) else None for item in _items(mapping)]
+    for index, fault, name in repeated_names(names):
+        message = f"object[{index}].name: {fault.message()}; got {_shown(name)}"
+        told += [message] if message not in told else []
+    messages = [f"{where}: {message}" for message in told]
     if len(messages) > MAX_MESSAGES:
         messages[MAX_MESSAGES:] = [f"{where}: and {len(messages) - MAX_MESSAGES} more faults"]
     raise SceneError(messages)
@@ -166,6 +180,8 @@ def dump(scene: Scene) -> dict[str, Any]:
         del data["camera"]["sensor_distance"]
     for key, value in (("psf.model", scene.psf.model), ("motion.warp", scene.motion.warp)):
         _displace(data, key, value)
+    if scene.psf.occlusion == "visibility" and not scene.met_by_rays:
+        del data["psf"]["occlusion"]  # the default, which only the plan can resolve
     return data
 
 
@@ -310,10 +326,18 @@ def _unknown(loc: tuple[Any, ...], shape: str | None) -> str:
     elif shape is not None:
         known = list(_SHAPES[shape].model_fields[loc[-2]].annotation.model_fields)  # type: ignore[union-attr]
     else:
-        known = list(_SECTIONS[loc[0]].model_fields) if len(loc) > 1 else _SCENE_KEYS
+        known = list(_model_at(loc[:-1]).model_fields) if len(loc) > 1 else _SCENE_KEYS
     near = difflib.get_close_matches(key[:64], known, n=1)
     near += [f"{path}.{key}" for path, model in _PLACES if key in model.model_fields]
     return f"unknown key (did you mean {near[0]}?)" if near else "unknown key"
+
+
+def _model_at(loc: Sequence[str]) -> type[BaseModel]:
+    """Model of a section, or of a table in it."""
+    model = _SECTIONS[loc[0]]
+    for part in loc[1:]:
+        model = model.model_fields[part].annotation  # type: ignore[assignment]
+    return model
 
 
 def _listed(words: Sequence[str]) -> str:

@@ -27,7 +27,7 @@ from clsco.quantities import (
     fault,
 )
 
-SHAPES = ("plane", "cylinder", "sphere", "cone", "ellipsoid", "quadric")
+SHAPES = ("plane", "cylinder", "sphere", "cone", "ellipsoid", "quadric", "depth_map")
 BUILT_IN_TEXTURES = ("bricks", "checkerboard", "slanted_edge", "siemens_star")
 MAX_OBJECTS = 64
 IN_FRONT = "must leave part of the object in front of the lens (z > 0)"
@@ -119,7 +119,7 @@ class Cone(_Object):
     """One nappe of a circular cone whose axis is parallel to the optical axis (3.23)."""
 
     shape: Literal["cone"] = "cone"
-    half_angle: Annotated[float, Within(0.0, 90.0, "deg", open=True)] = 45.0
+    half_angle: Annotated[float, Within(0.0, 90.0, "deg", "()")] = 45.0
     """Angle from axis to surface, deg."""
     nappe: Literal["away", "towards"] = "away"
     """The cone opens away from the camera, or towards it."""
@@ -157,7 +157,40 @@ class Quadric(_Object):
     """Where x = y = z = 0, mm; the origin."""
 
 
-AnyShape = Plane | Cylinder | Sphere | Cone | Ellipsoid | Quadric
+class DepthMap(_Object):
+    """Surface given by the depth of every pixel at t = 0, from a file of the texture's size."""
+
+    shape: Literal["depth_map"] = "depth_map"
+    depth: Name
+    """File of depths: PNG, TIFF, EXR, PFM, .npy or .npz; a path, relative to the scene file."""
+    unit: Literal["mm", "m", "inverse_mm", "inverse_m", "disparity", "coc"] = "mm"
+    """What the file holds: Z in mm or m, 1/Z in 1/mm or 1/m, disparity in px, or signed blur radius R in px."""
+    scale: Annotated[float, Within(1e-12, 1e12)] = 1.0
+    """What 1 in the file is worth in `unit`, such as 0.001."""
+    baseline: Length | None = Field(default=None, validate_default=True)
+    """Distance B between the views, mm: Z = B s0 / (p disparity); only with unit = "disparity"."""
+    center: Point = (0.0, 0.0, 0.0)
+    """Point about which it turns, mm; the origin. Default: in the lens."""
+
+    @field_validator("bounds")
+    @classmethod
+    def _unbounded(cls, value: Any) -> Any:
+        if value is not None:
+            raise fault("belongs to analytic shapes, not to depth_map")
+        return value
+
+    @field_validator("baseline")
+    @classmethod
+    def _of_the_disparity(cls, value: float | None, info: ValidationInfo) -> float | None:
+        unit = info.data.get("unit")  # missing where it was refused
+        if unit == "disparity" and value is None:
+            raise fault('must be given with unit = "disparity"', got="nothing")
+        if unit not in (None, "disparity") and value is not None:
+            raise fault(f'belongs to unit = "disparity", not "{unit}"')
+        return value
+
+
+AnyShape = Plane | Cylinder | Sphere | Cone | Ellipsoid | Quadric | DepthMap
 
 
 def origin(shape: AnyShape) -> Vector:

@@ -7,7 +7,7 @@ import tomllib
 import pytest
 
 from clsco.errors import SceneError
-from clsco.scenefile import parse_scene
+from clsco.scenefile import dump, parse_scene
 
 # A line of a scene file whose object is valid, and the message.
 SCENES: list[tuple[str, str]] = [
@@ -75,6 +75,30 @@ SCENES: list[tuple[str, str]] = [
     ),
     ("camera.resolution = [true, 512]", "camera.resolution[0]: must be an integer; got true"),
     ("camera.frames = 3", "camera.frames: unknown key (did you mean sequence.frames?); got 3"),
+    ("camera.motion = 3", "camera.motion: must be a table; got 3"),
+    (
+        "camera.motion.velocity = [1, 2]",
+        "camera.motion.velocity: must be a list of 3 numbers; got [1, 2]",
+    ),
+    (
+        "camera.motion.angular_velocity = [0, 0, nan]",
+        "camera.motion.angular_velocity[2]: must be a finite number; got nan",
+    ),
+    (
+        "camera.motion.speed = [0, 0, 1]",
+        "camera.motion.speed: unknown key; got [0, 0, 1]",
+    ),
+    (
+        "camera.motion.velocty = [0, 0, 1]",
+        "camera.motion.velocty: unknown key (did you mean velocity?); got [0, 0, 1]",
+    ),
+    ("camera.baseline = 65", "camera.baseline: unknown key (did you mean stereo.baseline?); got 65"),
+    ("stereo = 65", "stereo: must be a table; got 65"),
+    ("stereo = {}", "stereo.baseline: must be given; got nothing"),
+    ("stereo.baseline = 0", "stereo.baseline: must be greater than 0 mm; got 0"),
+    ("stereo = {baseline = 65, toe_in = 45}", "stereo.toe_in: must be between 0 and 45 deg, 45 excluded; got 45"),
+    ("stereo = {baseline = 65, toe_in = -1}", "stereo.toe_in: must be between 0 and 45 deg, 45 excluded; got -1"),
+    ("stereo = {baseline = 65, toein = 1}", "stereo.toein: unknown key (did you mean toe_in?); got 1"),
     ('psf.model = "disc"', 'psf.model: must be pillbox or gaussian; got "disc"'),
     ("psf.model = 1", "psf.model: must be pillbox or gaussian; got 1"),
     ('psf.edge = "sharp"', 'psf.edge: must be integrated, area or sampled; got "sharp"'),
@@ -148,16 +172,37 @@ SCENES: list[tuple[str, str]] = [
 ]
 # Keys of the one object, and the message.
 OBJECTS: list[tuple[str, str]] = [
-    ("", "object[0].shape: must be plane, cylinder, sphere, cone, ellipsoid or quadric; got nothing"),
+    ("", "object[0].shape: must be plane, cylinder, sphere, cone, ellipsoid, quadric or depth_map; got nothing"),
+    ('shape = "depth_map"', "object[0].depth: must be given; got nothing"),
+    ('shape = "depth_map", depth = ""', 'object[0].depth: must not be empty; got ""'),
     (
-        'shape = "depth_map"',
-        'object[0].shape: must be plane, cylinder, sphere, cone, ellipsoid or quadric; got "depth_map"',
+        'shape = "depth_map", depth = "z.png", unit = "cm"',
+        'object[0].unit: must be mm, m, inverse_mm, inverse_m, disparity or coc; got "cm"',
     ),
+    ('shape = "depth_map", depth = "z.png", scale = 0', "object[0].scale: must be greater than 0; got 0"),
+    ('shape = "depth_map", depth = "z.png", scale = inf', "object[0].scale: must be a finite number; got inf"),
+    (
+        'shape = "depth_map", depth = "z.png", unit = "disparity"',
+        'object[0].baseline: must be given with unit = "disparity"; got nothing',
+    ),
+    (
+        'shape = "depth_map", depth = "z.png", unit = "m", baseline = 60',
+        'object[0].baseline: belongs to unit = "disparity", not "m"; got 60',
+    ),
+    (
+        'shape = "depth_map", depth = "z.png", unit = "disparity", baseline = -1',
+        "object[0].baseline: must be greater than 0 mm; got -1",
+    ),
+    (
+        'shape = "depth_map", depth = "z.png", bounds = [[0, 1], [0, 1], [0, 1]]',
+        "object[0].bounds: belongs to analytic shapes, not to depth_map; got a list of 3 entries",
+    ),
+    ('shape = "sphere", depth = "z.png"', 'object[0].depth: belongs to depth_map, not to sphere; got "z.png"'),
     (
         'shape = "spheer"',
-        'object[0].shape: must be plane, cylinder, sphere, cone, ellipsoid or quadric; got "spheer"',
+        'object[0].shape: must be plane, cylinder, sphere, cone, ellipsoid, quadric or depth_map; got "spheer"',
     ),
-    ("shape = 3", "object[0].shape: must be plane, cylinder, sphere, cone, ellipsoid or quadric; got 3"),
+    ("shape = 3", "object[0].shape: must be plane, cylinder, sphere, cone, ellipsoid, quadric or depth_map; got 3"),
     ('shape = "plane", distance = 0', "object[0].distance: must be greater than 0 mm; got 0"),
     ('shape = "plane", distance = -250.0', "object[0].distance: must be greater than 0 mm; got -250.0"),
     (
@@ -261,7 +306,7 @@ OBJECTS: list[tuple[str, str]] = [
     ),
     (
         'shape = "cone", center = [0, 0, 250]',
-        "object[0].center: belongs to cylinder, sphere, ellipsoid or quadric, not to cone; got [0, 0, 250]",
+        "object[0].center: belongs to cylinder, sphere, ellipsoid, quadric or depth_map, not to cone; got [0, 0, 250]",
     ),
     (
         'shape = "ellipsoid", semi_axes = [30, 30]',
@@ -329,5 +374,29 @@ def test_bad_object(keys: str, message: str) -> None:
         ("object = [3]", "object[0]: must be a table; got 3"),
     ],
 )
-def test_number_of_objects(text: str, message: str) -> None:
+def test_objects(text: str, message: str) -> None:
     assert messages_of(text) == (f"bad.toml: {message}",)
+
+
+@pytest.mark.parametrize(
+    "rest",
+    [
+        '[[object]]\nshape = "depth_map"\ndepth = "z.png"',
+        '[motion]\nwarp = "forward"\n[[object]]\nshape = "sphere"\nmotion.velocity = [1, 0, 0]',
+        '[motion]\nwarp = "forward"\n[camera.motion]\nvelocity = [1, 0, 0]\n[[object]]\nshape = "sphere"',
+    ],
+)
+def test_visibility_needs_rays(rest: str) -> None:
+    rule = '"visibility" needs analytic surfaces seen by rays; use "layered" or "none"'
+    message = f'bad.toml: psf.occlusion: {rule}; got "visibility"'
+    assert messages_of(f'psf.occlusion = "visibility"\n{rest}') == (message,)
+    for fine in ("", 'psf.occlusion = "layered"\n', 'psf.occlusion = "none"\n'):
+        scene = parse_scene(tomllib.loads(fine + rest))
+        assert parse_scene(dump(scene)) == scene
+
+
+def test_names_are_told_with_the_other_faults() -> None:
+    assert messages_of('object = [{shape = "plane", name = "a"}, {shape = "plane", name = "a", distance = 0}]') == (
+        "bad.toml: object[1].distance: must be greater than 0 mm; got 0",
+        'bad.toml: object[1].name: names must differ; object[0] has the same; got "a"',
+    )

@@ -10,8 +10,10 @@ from pydantic import BaseModel, ValidationError
 from clsco.scene import (
     AnyShape,
     Camera,
+    CameraMotion,
     Cone,
     Cylinder,
+    DepthMap,
     Ellipsoid,
     Fill,
     ImageOptions,
@@ -23,6 +25,7 @@ from clsco.scene import (
     Scene,
     Sequence,
     Sphere,
+    Stereo,
     origin,
 )
 
@@ -43,6 +46,7 @@ COEFFICIENTS = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0)
                 "normalization_distance": 20.0,
                 "pixel_pitch": 0.01,
                 "resolution": None,
+                "motion": {"velocity": (0.0, 0.0, 0.0), "angular_velocity": (0.0, 0.0, 0.0)},
             },
         ),
         (
@@ -65,6 +69,22 @@ COEFFICIENTS = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0)
         (Motion(), {"warp": "inverse", "rotation": "euler", "texture_filter": "bicubic"}),
         (Fill(), {"method": "ait", "domain": "surface"}),
         (ImageOptions(), {"transfer": "srgb"}),
+        (Stereo(baseline=65.0), {"baseline": 65.0, "toe_in": 0.0}),
+        (
+            DepthMap(depth="z.exr"),
+            {
+                "shape": "depth_map",
+                "name": "depth_map",
+                "texture": "bricks",
+                "bounds": None,
+                "motion": {"velocity": (0.0, 0.0, 0.0), "angular_velocity": (0.0, 0.0, 0.0)},
+                "depth": "z.exr",
+                "unit": "mm",
+                "scale": 1.0,
+                "baseline": None,
+                "center": (0.0, 0.0, 0.0),
+            },
+        ),
         (
             Sphere(),
             {
@@ -132,6 +152,7 @@ def test_the_shutter_is_open_for_the_interval() -> None:
         (Cylinder(center=(1.0, 2.0, 300.0)), (1.0, 2.0, 300.0)),
         (Ellipsoid(center=(1.0, 2.0, 300.0)), (1.0, 2.0, 300.0)),
         (Quadric(coefficients=COEFFICIENTS, center=(1.0, 2.0, 300.0)), (1.0, 2.0, 300.0)),
+        (DepthMap(depth="z.npy"), (0.0, 0.0, 0.0)),
     ],
 )
 def test_origin(shape: AnyShape, expected: tuple[float, float, float]) -> None:
@@ -143,6 +164,21 @@ def test_moves() -> None:
     assert not ObjectMotion(velocity=(0.0, -0.0, 0.0)).moves
     assert ObjectMotion(velocity=(0.0, 0.0, 1e-9)).moves
     assert ObjectMotion(angular_velocity=(0.0, -1.0, 0.0)).moves
+
+
+def test_a_scene_moves_where_anything_does() -> None:
+    moving = {"velocity": (0.0, 1.0, 0.0)}
+    assert not Scene(objects=(Sphere(), Plane())).moves
+    assert Scene(objects=(Plane(), Sphere(motion=ObjectMotion(**moving)))).moves
+    assert Scene(camera=Camera(motion=CameraMotion(**moving)), objects=(Plane(),)).moves
+
+
+def test_rays_meet_what_is_analytic_and_not_warped_forward() -> None:
+    forward, moving = Motion(warp="forward"), ObjectMotion(velocity=(0.0, 1.0, 0.0))
+    assert Scene(objects=(Sphere(), Plane()), motion=forward).met_by_rays
+    assert Scene(objects=(Sphere(motion=moving), Plane())).met_by_rays
+    assert not Scene(objects=(Sphere(motion=moving), Plane()), motion=forward).met_by_rays
+    assert not Scene(objects=(Plane(), DepthMap(depth="z.npy"))).met_by_rays
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clsco.errors import SceneError
-from clsco.scene import AnyShape, Cone, Cylinder, Ellipsoid, Plane, Quadric, Scene, Sphere
+from clsco.scene import AnyShape, Cone, Cylinder, DepthMap, Ellipsoid, Plane, Quadric, Scene, Sphere
 from clsco.scenefile import (
     MAX_DOTS,
     MAX_FILE_BYTES,
@@ -269,6 +269,7 @@ def test_parsing_leaves_the_mapping_as_it_was() -> None:
         Cone(half_angle=50.0, nappe="towards"),
         Ellipsoid(semi_axes=(1.0, 2.0, 3.0), name="egg"),
         Quadric(coefficients=(1.0, 1.0, -1.0, 0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0 / 3.0)),
+        DepthMap(depth="z.exr", unit="disparity", baseline=193.001, scale=0.5, center=(0.0, 0.0, 300.0)),
     ],
 )
 @pytest.mark.parametrize(
@@ -278,10 +279,11 @@ def test_parsing_leaves_the_mapping_as_it_was() -> None:
         {"camera": {"f_number": 3.7, "focus_distance": 333.3, "resolution": [3, 5]}},
         {"psf": {"model": "gaussian", "edge": "sampled"}, "motion": {"texture_filter": "nearest"}},
         {"motion": {"warp": "forward"}, "fill": {"method": "none"}, "sequence": {"samples": "auto"}},
+        {"camera": {"motion": {"velocity": [0.0, 0.0, 9.0]}}, "stereo": {"baseline": 65.0, "toe_in": 1.5}},
     ],
 )
 def test_dump_is_the_way_back(item: AnyShape, rest: dict[str, Any]) -> None:
-    scene = parse_scene({**rest, "object": [item]})
+    scene = parse_scene({**rest, "object": [item, {"shape": "plane"}, {"shape": "plane"}]})
     assert parse_scene(json.loads(json.dumps(dump(scene), allow_nan=False))) == scene
 
 
@@ -293,6 +295,7 @@ def test_dump_spells_out_what_applies() -> None:
         "sensor_distance": 21.739,
         "normalization_distance": 20.0,
         "pixel_pitch": 0.01,
+        "motion": {"velocity": [0.0, 0.0, 0.0], "angular_velocity": [0.0, 0.0, 0.0]},
     }
     assert "sigma_ratio" not in data["psf"]
     assert "fill" not in data
@@ -311,6 +314,7 @@ def test_schema_documents_every_key() -> None:
         "motion",
         "fill",
         "image",
+        "stereo",
         "object",
     ]
     for definition in schema["$defs"].values():
@@ -369,7 +373,7 @@ KEYS = sorted(
         for name, model in Scene.model_fields.items()
         for key in (name, *getattr(model.annotation, "model_fields", ()))
     }
-    | {key for shape in (Plane, Cylinder, Sphere, Cone, Ellipsoid, Quadric) for key in shape.model_fields}
+    | {key for shape in (Plane, Cylinder, Sphere, Cone, Ellipsoid, Quadric, DepthMap) for key in shape.model_fields}
 )
 WORDS = [
     "plane",
@@ -399,7 +403,7 @@ trees = st.recursive(
     max_leaves=20,
 )
 tables = st.dictionaries(st.sampled_from(KEYS), trees, max_size=6)
-objects = st.builds(lambda shape, rest: {**rest, "shape": shape}, st.sampled_from(WORDS[:4]), tables)
+objects = st.builds(lambda shape, rest: {**rest, "shape": shape}, st.sampled_from(WORDS[:5]), tables)
 scenes = st.builds(
     lambda top, sections, item: {**top, **sections, **item},
     st.dictionaries(st.sampled_from(KEYS) | st.text(max_size=3), trees, max_size=4),
@@ -435,12 +439,28 @@ def test_any_file_is_a_scene_or_a_scene_error(
         load_scene(path)
 
 
+def test_files_of_a_depth_map_lie_beside_the_scene(tmp_path: Path) -> None:
+    path = tmp_path / "map.toml"
+    path.write_text('[[object]]\nshape = "depth_map"\ndepth = "z.exr"\ntexture = "left.png"\n')
+    (item,) = load_scene(path).objects
+    assert isinstance(item, DepthMap)
+    assert (item.depth, item.texture) == (str(tmp_path / "z.exr"), str(tmp_path / "left.png"))
+    elsewhere = str(tmp_path / "other" / "z.exr")
+    (item,) = load_scene(path, [f"object.0.depth={elsewhere}"]).objects
+    assert isinstance(item, DepthMap)
+    assert item.depth == elsewhere
+
+
 def test_a_missing_texture_is_told_with_the_other_faults(tmp_path: Path) -> None:
     path = tmp_path / "two.toml"
-    path.write_text('[[object]]\nshape = "sphere"\nradius = -1\ntexture = "nothere.png"\n')
+    path.write_text(
+        '[[object]]\nshape = "sphere"\nradius = -1\ntexture = "nothere.png"\n'
+        '[[object]]\nshape = "depth_map"\ndepth = "z.exr"\n'
+    )
     with pytest.raises(SceneError) as caught:
         load_scene(path)
     assert [message.split(": ", 1)[1] for message in caught.value.messages] == [
         "object[0].radius: must be greater than 0 mm; got -1",
         'object[0].texture: must be an existing file or a built-in pattern; got "nothere.png"',
+        'object[1].depth: must be an existing file; got "z.exr"',
     ]
