@@ -10,8 +10,6 @@ the figure `inside` is that of the pixels more than 16 px within the silhouette 
 from __future__ import annotations
 
 import argparse
-import json
-import math
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
@@ -25,7 +23,8 @@ from rich.table import Table
 from scipy import ndimage
 
 import clsco
-from benchmarks.raytracer import pinhole_depth, trace_converged
+from benchmarks.raytracer import pinhole_depth
+from benchmarks.truth import decibels, rms, trace_twice, update
 from clsco.textures import load_texture
 
 ROOT = Path(__file__).resolve().parent
@@ -141,24 +140,13 @@ def well_inside(seen: Mask, margin: float = INSIDE_PX) -> Mask:
 
 
 def judge(name: str, size: int, noise: float, cache: Path | None) -> Judged:
-    """Trace the scene `name`, size x size px, to the RMS `noise`, twice; half the difference is the noise."""
+    """Trace the scene `name`, size x size px, to the RMS `noise`."""
     scene = scene_of(name, {}, size)
     texture = load_texture("bricks", "srgb", (size, size)).radiance
-    pair = [trace_converged(scene, texture, size, size, noise * 2**0.5, seed, cache=cache)[0] for seed in (0, 1)]
+    image, half = trace_twice(scene, texture, size, noise, cache)
     depth = pinhole_depth(scene, size, size, list(np.linspace(0.0, scene.sequence.shutter, MOMENTS)))
     inside = well_inside(np.asarray(np.isfinite(depth).all(axis=0)))
-    half = (pair[0] - pair[1]) / 2
-    return Judged((pair[0] + pair[1]) / 2, inside, rms(half), rms(half[inside]))
-
-
-def rms(difference: Array) -> float:
-    """Root mean square of an array of any shape."""
-    return math.sqrt(float(np.mean(difference**2)))
-
-
-def decibels(error: float) -> float:
-    """Peak signal-to-noise ratio in dB of an RMS error, the peak being 1.0."""
-    return -20 * math.log10(error)
+    return Judged(image, inside, rms(half), rms(half[inside]))
 
 
 def compare(color: NDArray[Any], judged: Judged, seconds: float) -> Figures:
@@ -212,21 +200,6 @@ def markdown(report: Mapping[str, Any]) -> str:
     return "\n".join([*lines, f"| the tracer's noise | {' | '.join(floors)} |", ""])
 
 
-def update(folder: Path, report: dict[str, Any]) -> None:
-    """Write accuracy.json and accuracy.md in `folder`; what was not measured now keeps its figures."""
-    path = folder / "accuracy.json"
-    if path.exists():
-        before = json.loads(path.read_text())
-        if all(before[key] == report[key] for key in ("size", "engine")):
-            for name, scene in before["scenes"].items():
-                now = report["scenes"].setdefault(name, scene)
-                now["settings"] = {**scene["settings"], **now["settings"]}
-    report["scenes"] = {name: report["scenes"][name] for name in SCENES if name in report["scenes"]}
-    folder.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(report, indent=1) + "\n")
-    (folder / "accuracy.md").write_text(markdown(report))
-
-
 def main() -> None:
     """Read the command line, measure, print and write."""
     formatter = argparse.RawDescriptionHelpFormatter
@@ -250,7 +223,8 @@ def main() -> None:
         noises = {"noise": judged.noise, "noise_inside": judged.noise_inside}
         result = {**noises, "inside_pixels": int(judged.inside.sum()), "settings": rows}
         show(console, name, result)
-        update(options.folder, {"size": options.size, "engine": options.engine, "scenes": {name: result}})
+        report = {"size": options.size, "engine": options.engine, "scenes": {name: result}}
+        update(options.folder / "accuracy.json", report, SCENES, markdown)
 
 
 if __name__ == "__main__":
