@@ -99,7 +99,8 @@ def inverse_depth(
 ) -> DepthValues:
     """Turn the numbers of a depth file into inverse depth.
 
-    raw: (rows, columns). scale: number times scale is in `unit`, > 0. baseline: mm, of unit "disparity" only.
+    raw: (rows, columns). scale: number times scale is in `unit`; > 0, of unit "coc" also < 0, which turns the signs.
+    baseline: mm, of unit "disparity" only.
     where: name for the messages.
 
     unit         inverse depth w of v = raw scale          no surface                         infinitely far
@@ -117,24 +118,25 @@ def inverse_depth(
     Validated against the formulas in exact fractions, and by converting analytic depth to every unit and back.
     """
     _check_numbers(unit, scale, baseline, where)
-    zero, negative = raw == 0, raw < 0
-    nan, infinite = np.isnan(raw), np.isposinf(raw)
-    if unit == "coc":
-        zero, negative, infinite = np.zeros_like(zero), np.zeros_like(zero), np.isinf(raw)
-    elif unit in ("mm", "m"):
-        infinite = np.zeros_like(infinite)
-    elif unit != "disparity":
-        zero = np.zeros_like(zero)
-    valid = ~(zero | negative | nan | infinite)
-    counts = {"zero": zero, "negative": negative, "nan": nan, "infinite": infinite}
-    numbers = {name: int(np.count_nonzero(kind)) for name, kind in counts.items()}
+    nowhere = np.zeros(raw.shape, np.bool_)
+    signed = unit == "coc"
+    kinds = {
+        "zero": raw == 0 if unit in ("mm", "m", "disparity") else nowhere,
+        "negative": nowhere if signed else raw < 0,
+        "nan": np.isnan(raw),
+        "infinite": nowhere if unit in ("mm", "m") else np.isinf(raw) if signed else raw == np.inf,
+    }
+    numbers = {name: int(np.count_nonzero(kind)) for name, kind in kinds.items()}
+    valid = ~np.logical_or.reduce(list(kinds.values()))
     if not valid.any():
         why = ", ".join(f"{count} {kind}" for kind, count in numbers.items() if count)
         raise ImageError(f"{where}: at least one pixel must have a depth; got {why}")
+    with np.errstate(over="ignore"):
+        value = raw[valid] * scale
+    w = _convert(value, unit, camera, baseline)
+    _check_blur(w, value, unit, camera, where)
     if unit == "coc":
-        _check_reach(raw[valid], scale, camera, where)
-    w = _convert(raw[valid], unit, scale, camera, baseline)
-    _check_blur(w, raw[valid], unit, scale, camera, where)
+        _check_reach(value, camera, where)
     result = np.zeros(raw.shape)
     result[valid] = np.maximum(w, FARTHEST)
     return DepthValues(result, **numbers, far=int(np.count_nonzero(w <= FARTHEST)))
@@ -143,73 +145,66 @@ def inverse_depth(
 def _check_numbers(unit: str, scale: float, baseline: float | None, where: str) -> None:
     if unit not in UNITS:
         raise ImageError(f"{where}: unit must be one of {', '.join(UNITS)}; got {unit!r}")
-    if not 0 < scale < math.inf:
-        raise ImageError(f"{where}: scale must be a finite number greater than 0; got {scale:g}")
+    if not 0 < (abs(scale) if unit == "coc" else scale) < math.inf:
+        raise ImageError(f"{where}: scale must be finite and greater than 0 (unit coc: not 0); got {scale:g}")
     if (unit == "disparity") != (baseline is not None):
         raise ImageError(f"{where}: baseline belongs to unit disparity, which needs it; got {baseline} and {unit}")
     if baseline is not None and not 0 < baseline < math.inf:
         raise ImageError(f"{where}: baseline must be a finite number of mm greater than 0; got {baseline:g}")
 
 
-def _convert(raw: Array, unit: str, scale: float, camera: Camera, baseline: float | None) -> Array:
-    """Inverse depth in 1/mm of numbers that have one; not above 0 where they are infinitely far."""
+def _convert(value: Array, unit: str, camera: Camera, baseline: float | None) -> Array:
+    """Inverse depth in 1/mm of values that have one; not above 0 where they are infinitely far."""
     with np.errstate(over="ignore", divide="ignore"):  # what overflows is too near, and refused as that
-        value = raw * scale
-        if unit == "mm":
-            return np.asarray(1 / value)
-        if unit == "m":
-            return np.asarray(1e-3 / value)
-        if unit == "inverse_mm":
-            return value
-        if unit == "inverse_m":
-            return value * 1e-3
+        if unit == "disparity":
+            return value * (camera.pixel_pitch / ((baseline or 1.0) * camera.normalization_distance))
         if unit == "coc":
             return focus_power(camera) - value / blur_scale(camera)
-        return value * (camera.pixel_pitch / ((baseline or 1.0) * camera.normalization_distance))
+        if unit in ("inverse_mm", "inverse_m"):
+            return value * (1.0 if unit == "inverse_mm" else 1e-3)
+        return np.asarray((1.0 if unit == "mm" else 1e-3) / value)
 
 
-def _check_reach(raw: Array, scale: float, camera: Camera, where: str) -> None:
-    """Refuse a radius that the camera has at no depth: beyond infinity, by more than rounding explains."""
-    at_infinity = float(blur_radius(camera, 0.0))
-    largest = float(raw.max()) * scale
-    if largest > at_infinity + ROUNDING * abs(at_infinity):
-        count = np.count_nonzero(raw > at_infinity / scale)
-        rule = f"radii must be at most {at_infinity:.6g} px, which the camera has at infinity"
-        if at_infinity > 0:
-            opening = camera.aperture_diameter * largest / at_infinity * 1.001
-            rule += f" (or give it an aperture_diameter of {opening:.4g} mm)"
-        raise ImageError(f"{where}: {rule}; got {largest:.6g} px, and {count} pixels above")
-
-
-def _check_blur(w: Array, raw: Array, unit: str, scale: float, camera: Camera, where: str) -> None:
+def _check_blur(w: Array, value: Array, unit: str, camera: Camera, where: str) -> None:
     radius = np.abs(blur_radius(camera, w))
     at = int(radius.argmax())
     if radius[at] > LARGEST_BLUR:
-        count = np.count_nonzero(radius > LARGEST_BLUR)
         raise ImageError(
-            f"{where}: the blur radius must be at most {LARGEST_BLUR:g} px; got {radius[at]:.4g} px at the value "
-            f"{raw[at] * scale:.4g} {unit}, and {count} of {w.size} pixels above "
-            f"({_probable_cause(raw, unit, scale, camera)})"
+            f"{where}: the blur radius must be at most {LARGEST_BLUR:g} px; got {radius[at]:.4g} px at {value[at]:.4g} "
+            f"{unit}, and more than that limit in {np.count_nonzero(radius > LARGEST_BLUR)} of {w.size} pixels "
+            f"({_probable_cause(value, unit, camera)})"
         )
     if w.max() > 1 / MIN_LENGTH_MM:
-        rule = f"depth must be at least {MIN_LENGTH_MM:g} mm"
-        raise ImageError(f"{where}: {rule}; got {1 / w.max():.4g} mm")
+        raise ImageError(f"{where}: depth must be at least {MIN_LENGTH_MM:g} mm; got {1 / w.max():.4g} mm")
 
 
-def _probable_cause(raw: Array, unit: str, scale: float, camera: Camera) -> str:
-    """Name the unit in which no radius is too large and the radii are not all as at infinity."""
+def _probable_cause(value: Array, unit: str, camera: Camera) -> str:
+    """Name the unit in which no radius is too large, and the radii are not all as at infinity."""
     at_infinity = abs(float(blur_radius(camera, 0.0)))
     if at_infinity > LARGEST_BLUR:
         return f"the camera has {at_infinity:.4g} px at infinity: aperture_diameter or pixel_pitch is probably wrong"
     spans: dict[str, float] = {}
     for other in ("mm", "m", "inverse_m", "inverse_mm"):
-        radius = blur_radius(camera, _convert(raw, other, scale, camera, None))
-        if other != unit and np.abs(radius).max() <= LARGEST_BLUR:
-            spans[other] = float(np.ptp(radius))
+        if other != unit and value.min() >= 0:
+            radius = blur_radius(camera, _convert(value[value > 0], other, camera, None))
+            if np.abs(radius).max() <= LARGEST_BLUR:
+                spans[other] = float(np.ptp(radius))
     for other, span in spans.items():
-        if 2 * span >= max(spans.values()):  # metres and their inverse often give about the same
+        if 2 * span >= max(spans.values()):  # meters and their inverse often give about the same
             return f"the depth is probably in {other}: give unit {other}"
     return "no unit makes it less: scale, or the camera, is probably wrong"
+
+
+def _check_reach(radius: Array, camera: Camera, where: str) -> None:
+    """Refuse a radius that the camera has at no depth: beyond infinity, by more than rounding explains."""
+    at_infinity, largest = float(blur_radius(camera, 0.0)), float(radius.max())
+    if largest > at_infinity + ROUNDING * abs(at_infinity):
+        rule = f"radii must be at most {at_infinity:.6g} px, which the camera has at infinity"
+        if at_infinity > 0:
+            opening = camera.aperture_diameter * largest / at_infinity * 1.001
+            rule += f", or its aperture_diameter at least {opening:.4g} mm"
+        count = np.count_nonzero(radius > at_infinity)
+        raise ImageError(f"{where}: {rule}; got {largest:.6g} px, and {count} pixels above the limit")
 
 
 def _single_channel(file: BinaryIO, data: NDArray[Any]) -> Array:
