@@ -99,8 +99,7 @@ def inverse_depth(
 ) -> DepthValues:
     """Turn the numbers of a depth file into inverse depth.
 
-    raw: (rows, columns). scale: number times scale is in `unit`; > 0, of unit "coc" also < 0, which turns the signs.
-    baseline: mm, of unit "disparity" only.
+    raw: (rows, columns). scale: number times scale is in `unit`; > 0. baseline: mm, of unit "disparity" only.
     where: name for the messages.
 
     unit         inverse depth w of v = raw scale          no surface                         infinitely far
@@ -145,8 +144,8 @@ def inverse_depth(
 def _check_numbers(unit: str, scale: float, baseline: float | None, where: str) -> None:
     if unit not in UNITS:
         raise ImageError(f"{where}: unit must be one of {', '.join(UNITS)}; got {unit!r}")
-    if not 0 < (abs(scale) if unit == "coc" else scale) < math.inf:
-        raise ImageError(f"{where}: scale must be finite and greater than 0 (unit coc: not 0); got {scale:g}")
+    if not 0 < scale < math.inf:
+        raise ImageError(f"{where}: scale must be finite and greater than 0; got {scale:g}")
     if (unit == "disparity") != (baseline is not None):
         raise ImageError(f"{where}: baseline belongs to unit disparity, which needs it; got {baseline} and {unit}")
     if baseline is not None and not 0 < baseline < math.inf:
