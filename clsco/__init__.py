@@ -18,13 +18,15 @@ if TYPE_CHECKING:
     from clsco.render import render as render
     from clsco.scenefile import load_scene as load_scene
     from clsco.scenefile import parse_scene as parse_scene
+    from clsco.sweep import load_sweep as load_sweep
 
 __version__ = "0.1.0"
-__all__ = ["__version__", "defocus", "load_scene", "parse_scene", "reference", "render"]
+__all__ = ["__version__", "defocus", "load_scene", "load_sweep", "parse_scene", "reference", "render"]
 
 _FUNCTIONS = {
     "defocus": "clsco.defocus",
     "load_scene": "clsco.scenefile",
+    "load_sweep": "clsco.sweep",
     "parse_scene": "clsco.scenefile",
     "render": "clsco.render",
 }

@@ -10,7 +10,7 @@ import reprlib
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
@@ -20,7 +20,10 @@ from clsco.shapes import repeated_names
 
 MAX_FILE_BYTES = 2**20
 MAX_MESSAGES = 100
+MAX_OUTPUTS = 4096  # of a sweep
 MAX_DOTS = 100  # per line: tomllib needs memory with the square of the parts of a dotted key
+
+Location = tuple[str | int, ...]  # of a key: ("object", 0, "motion", "velocity")
 
 _SHAPES: dict[str, type[BaseModel]] = {shape.model_fields["shape"].default: shape for shape in get_args(AnyShape)}
 _SCENE_KEYS = [str(field.validation_alias or name) for name, field in Scene.model_fields.items()]
@@ -37,6 +40,9 @@ _PLACES: list[tuple[str, type[BaseModel]]] = [
     ("camera.motion", CameraMotion),
 ]
 
+# What can have several values in a scene file, in the keys that hold no tables.
+_SWEEPABLE = ("camera", "sequence", "motion")
+
 # (key, its new value or None for any, key that the file may hold and that would contradict it)
 _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
     ("camera.f_number", None, "camera.aperture_diameter"),
@@ -48,6 +54,20 @@ _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
     ("motion.warp", "forward", "motion.texture_filter"),
     ("motion.warp", "inverse", "fill"),
 )
+
+_END = {"anyOf": [{"type": "number"}, {"type": "array", "items": {"type": "number"}}]}
+_RANGE_SCHEMA = {
+    "title": "Range",
+    "description": "Values at equal distances, both ends among them; one output each.",
+    "type": "object",
+    "properties": {
+        "from": {"description": "First value.", **_END},
+        "to": {"description": "Last value.", **_END},
+        "steps": {"description": "Number of values.", "type": "integer", "minimum": 2, "maximum": MAX_OUTPUTS},
+    },
+    "required": ["from", "to", "steps"],
+    "additionalProperties": False,
+}
 
 _RULES = {
     "bool_type": "must be true or false",
@@ -81,31 +101,70 @@ def load_scene(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
         The scene; relative paths of textures and depths have become absolute, starting at the file's folder.
 
     Raises:
-        SceneError: one message per fault, `file: key: rule; got value`.
+        SceneError: one message per fault, `file: key: rule; got value`; keys with several values, which only
+            `clsco.load_sweep` reads, are faults.
     """
     where = os.fspath(path)
-    data = _read(where)
-    _override(data, overrides, where)
+    data = read_mapping(where, overrides)
     folder = Path(where).absolute().parent
+    if swept := swept_keys(data):
+        rule = "must be one value; clsco.load_sweep reads a list or range of them"
+        raise SceneError(at_most(where, (f"{key_name(key)}: {rule}; got {shown(value)}" for key, value in swept)))
     try:
         scene = parse_scene(data, where)
     except SceneError as error:
-        raise SceneError([*error.messages, *_missing_files(data, folder, where)]) from error
-    return scene.model_copy(update={"objects": tuple(_absolute(item, folder) for item in scene.objects)})
+        raise SceneError([*error.messages, *missing_files(data, folder, where)]) from error
+    return absolute(scene, folder)
 
 
-def _absolute(item: AnyShape, folder: Path) -> AnyShape:
-    paths = {} if item.texture in BUILT_IN_TEXTURES else {"texture": str(folder / item.texture)}
-    if isinstance(item, DepthMap):
-        paths["depth"] = str(folder / item.depth)
-    return item.model_copy(update=paths)
+def swept_keys(mapping: Mapping[str, Any]) -> list[tuple[Location, Any]]:
+    """Keys that have a list or a range of values in place of one: (location, what is given), in their order.
+
+    mapping: what a scene file holds, valid or not.
+    """
+    found: list[tuple[Location, Any]] = []
+
+    def search(table: Any, model: type[BaseModel], location: Location) -> None:
+        for key, value in table.items() if isinstance(table, Mapping) else ():
+            annotation = model.model_fields[key].annotation if key in model.model_fields else BaseModel
+            if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+                if annotation is not BaseModel:
+                    search(value, annotation, (*location, key))
+            elif isinstance(value, Mapping) or (
+                isinstance(value, list) and (not _is_vector(annotation) or any(isinstance(v, list) for v in value))
+            ):
+                found.append(((*location, key), value))
+
+    for section, table in mapping.items():
+        if section in _SWEEPABLE:
+            search(table, _SECTIONS[section], (section,))
+        elif section == "object":
+            for index, item in enumerate(_items(mapping)):
+                search(item.get("motion"), ObjectMotion, ("object", index, "motion"))
+    return found
 
 
-def _missing_files(data: Mapping[str, Any], folder: Path, where: str) -> list[str]:
+def _is_vector(annotation: Any) -> bool:
+    return get_origin(annotation) is tuple or any(map(_is_vector, get_args(annotation)))
+
+
+def absolute(scene: Scene, folder: Path) -> Scene:
+    """The scene with absolute paths of textures and depths; relative ones start at `folder`."""
+
+    def placed(item: AnyShape) -> AnyShape:
+        paths = {} if item.texture in BUILT_IN_TEXTURES else {"texture": str(folder / item.texture)}
+        if isinstance(item, DepthMap):
+            paths["depth"] = str(folder / item.depth)
+        return item.model_copy(update=paths)
+
+    return scene.model_copy(update={"objects": tuple(map(placed, scene.objects))})
+
+
+def missing_files(data: Mapping[str, Any], folder: Path, where: str) -> list[str]:
     """Faults of files that are not there, for a scene that has others: a valid one has its files read."""
     rules = {"texture": "must be an existing file or a built-in pattern", "depth": "must be an existing file"}
     return [
-        f"{where}: object[{index}].{key}: {rule}; got {_shown(name)}"
+        f"{where}: object[{index}].{key}: {rule}; got {shown(name)}"
         for index, item in enumerate(_items(data)[:MAX_MESSAGES])
         for key, rule in rules.items()
         if isinstance(name := item.get(key), str) and name and not _exists(folder, name)
@@ -140,19 +199,24 @@ def parse_scene(mapping: Mapping[str, Any], where: str = "scene") -> Scene:
         SceneError: one message per fault, `where: key: rule; got value`.
     """
     if not isinstance(mapping, Mapping):
-        raise SceneError(f"{where}: must be a table; got {_shown(mapping)}")
+        raise SceneError(f"{where}: must be a table; got {shown(mapping)}")
     try:
         return Scene.model_validate(dict(mapping), by_alias=True, by_name=False)
     except ValidationError as error:
         told = [_message(fault) for fault in _faults(error)]
     names = [name if isinstance(name := item.get("name"), str) else None for item in _items(mapping)]
     for index, fault, name in repeated_names(names):
-        message = f"object[{index}].name: {fault.message()}; got {_shown(name)}"
+        message = f"object[{index}].name: {fault.message()}; got {shown(name)}"
         told += [message] if message not in told else []
-    messages = [f"{where}: {message}" for message in told]
-    if len(messages) > MAX_MESSAGES:
-        messages[MAX_MESSAGES:] = [f"{where}: and {len(messages) - MAX_MESSAGES} more faults"]
-    raise SceneError(messages)
+    raise SceneError(at_most(where, told))
+
+
+def at_most(where: str, messages: Iterable[str]) -> list[str]:
+    """The messages as `where: message`; of very many the first 100 and the number of the others."""
+    told = list(messages)
+    if len(told) > MAX_MESSAGES:
+        told[MAX_MESSAGES:] = [f"and {len(told) - MAX_MESSAGES} more faults"]
+    return [f"{where}: {message}" for message in told]
 
 
 def parse_psf(mapping: Mapping[str, Any]) -> Psf:
@@ -188,10 +252,28 @@ def dump(scene: Scene) -> dict[str, Any]:
 def scene_schema() -> dict[str, Any]:
     """JSON Schema (draft 2020-12) of a scene file, with units in the descriptions."""
     schema = Scene.model_json_schema(by_alias=True)
+    definitions = schema["$defs"]
     for shape in _SHAPES.values():
-        definition = schema["$defs"][shape.__name__]
+        definition = definitions[shape.__name__]
         definition["required"] = ["shape", *definition.get("required", [])]
+    swept: list[type[BaseModel]] = [CameraMotion, ObjectMotion, *(_SECTIONS[name] for name in _SWEEPABLE)]
+    for model in swept:
+        for key, entry in definitions[model.__name__]["properties"].items():
+            annotation = model.model_fields[key].annotation
+            if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
+                about = {name: entry.pop(name) for name in ("title", "description", "default") if name in entry}
+                several = {"type": "array", "items": entry, "minItems": 1, "description": "All of them in turn."}
+                choice = {"anyOf": [entry, several, {"$ref": "#/$defs/Range"}]}
+                definitions[model.__name__]["properties"][key] = about | choice
+    definitions["Range"] = _RANGE_SCHEMA
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "required": ["object"]}
+
+
+def read_mapping(where: str, overrides: Sequence[str]) -> dict[str, Any]:
+    """What a scene file holds, with the overrides in place; see `load_scene`. Raises SceneError."""
+    data = _read(where)
+    _override(data, overrides, where)
+    return data
 
 
 def _read(where: str) -> dict[str, Any]:
@@ -210,7 +292,7 @@ def _read(where: str) -> dict[str, Any]:
         table: dict[str, Any] = {}
         for key, value in pairs:
             if key in table:
-                raise SceneError(f"{where}: {_name((key,))}: key given twice")
+                raise SceneError(f"{where}: {key_name((key,))}: key given twice")
             table[key] = value
         return table
 
@@ -226,7 +308,7 @@ def _read(where: str) -> dict[str, Any]:
     except ValueError as error:
         raise SceneError(f"{where}: not valid {kind[1:].upper()}: {str(error).split(';')[0]}") from None
     if not isinstance(data, dict):
-        raise SceneError(f"{where}: must be a table; got {_shown(data)}")
+        raise SceneError(f"{where}: must be a table; got {shown(data)}")
     return data
 
 
@@ -237,7 +319,7 @@ def _override(data: dict[str, Any], overrides: Sequence[str], where: str) -> Non
         key, equals, value = text.partition("=")
         parts = re.sub(r"\[(\d+)\]", r".\1", key.strip()).split(".")
         if not equals or not all(parts):
-            messages.append(f"{where}: override must be KEY=VALUE, like camera.f_number=4; got {_shown(text)}")
+            messages.append(f"{where}: override must be KEY=VALUE, like camera.f_number=4; got {shown(text)}")
             continue
         parsed = _value(value.strip())
         _displace(data, ".".join(parts), parsed)
@@ -270,7 +352,7 @@ def _put(data: dict[str, Any], parts: list[str], value: Any) -> str | None:
             if not last:
                 node.setdefault(key, {})
         else:
-            return f"{'.'.join(parts[:position])} must be a table; got {_shown(node)}"
+            return f"{'.'.join(parts[:position])} must be a table; got {shown(node)}"
         if last:
             node[key] = value
         else:
@@ -303,7 +385,7 @@ def _message(fault: Mapping[str, Any]) -> str:
     if len(loc) > 2 and loc[0] == "object" and loc[2] in _SHAPES:
         shape, loc = loc[2], loc[:2] + loc[3:]
     if kind == "missing":
-        return f"{_name(loc)}: must be given; got nothing"
+        return f"{key_name(loc)}: must be given; got nothing"
     if kind == "extra_forbidden":
         rule = _unknown(loc, shape)
     elif kind == "rule":
@@ -312,7 +394,7 @@ def _message(fault: Mapping[str, Any]) -> str:
         rule = "must be a finite number"  # an integer beyond float64
     else:
         rule = _RULES[kind].format(**context).replace("'", "") if kind in _RULES else fault["msg"]
-    return f"{_name(loc)}: {rule}; got {context.get('got') or _shown(given)}"
+    return f"{key_name(loc)}: {rule}; got {context.get('got') or shown(given)}"
 
 
 def _unknown(loc: tuple[Any, ...], shape: str | None) -> str:
@@ -344,7 +426,7 @@ def _listed(words: Sequence[str]) -> str:
     return " or ".join(filter(None, (", ".join(words[:-1]), words[-1])))
 
 
-def _name(loc: Sequence[Any]) -> str:
+def key_name(loc: Sequence[Any]) -> str:
     """Key as it is written in a file: object[0].motion.velocity[2]."""
     name = ""
     for part in loc:
@@ -352,11 +434,11 @@ def _name(loc: Sequence[Any]) -> str:
             name += f"[{part}]"
         else:
             bare = re.fullmatch(r"[A-Za-z0-9_-]{1,64}", str(part)) is not None
-            name += ("." if name else "") + (str(part) if bare else _shown(str(part)))
+            name += ("." if name else "") + (str(part) if bare else shown(str(part)))
     return name or "scene"
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
     """A value on one short line, as a scene file would write it where that is possible."""
     if isinstance(value, str):
         return json.dumps(value if len(value) <= 60 else value[:57] + "...", ensure_ascii=not value.isprintable())
@@ -365,7 +447,7 @@ def _shown(value: Any) -> str:
     if isinstance(value, int) and value.bit_length() > 128:
         return f"an integer of about {int(value.bit_length() * 0.30103) + 1} digits"
     if isinstance(value, list | tuple) and len(value) <= 10 and not any(isinstance(v, list | dict) for v in value):
-        return f"[{', '.join(_shown(entry) for entry in value)}]"
+        return f"[{', '.join(shown(entry) for entry in value)}]"
     if isinstance(value, dict):
         return f"a table of {len(value)} keys"
     if isinstance(value, list | tuple):

@@ -18,7 +18,7 @@ LAYERS = (
     ("files", "shapes", "frame"),
     ("scene",),
     ("optics", "psf", "motion", "images", "scenefile"),
-    ("surfaces", "textures", "depthmaps"),
+    ("surfaces", "textures", "depthmaps", "sweep"),
     ("layout",),
     ("plan",),
     ("reference",),
