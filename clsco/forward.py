@@ -11,10 +11,10 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco.device import Program, Session
-from clsco.layout import Real, Struct, pose_struct, structs, surface_struct
+from clsco.layout import Real, Struct, pose_structs, structs, surface_structs
 from clsco.motion import Pose
 from clsco.plan import Plan
-from clsco.program import build, download, empty, kernel, launch
+from clsco.program import build, download, empty, kernel, launch, upload
 from clsco.spread import PIXELS, Events
 from clsco.surfaces import PlacedSurface
 
@@ -113,10 +113,10 @@ class Filler:
             self.done, self.sums = empty(session, 4 * pixels), empty(session, size * SUMS * self.rows)
             self.other_value, self.other_w = empty(session, self.value.size), empty(session, self.w.size)
 
-    def fill(self, surface: Struct, events: Events) -> dict[str, int]:
+    def fill(self, surface: cl.Buffer, events: Events) -> dict[str, int]:
         """Fill missing pixels sweep by sweep; returns the fields of `clsco.reference.fill.FillReport`.
 
-        surface: surface_t where pixels may be missing, with domain "surface". Waits once per sweep.
+        surface: of surface_t where pixels may be missing, with domain "surface". Waits once per sweep.
         """
         cl.enqueue_fill_buffer(self.session.queue, self.counters, ZERO, 0, self.counters.size)
         source, left = self.indices
@@ -146,7 +146,7 @@ class Filler:
             "filled_first_sweep": first,
         }
 
-    def _mark(self, surface: Struct, source: cl.Buffer, events: Events) -> list[int]:
+    def _mark(self, surface: cl.Buffer, source: cl.Buffer, events: Events) -> list[int]:
         """List all missing pixels."""
         chunks, head = (-(-self.columns // CHUNK), self.rows), (self.camera, self.valid)
         self._launch("find_spans", events, (self.lines,), LINES, *head, self.spans, self.grown)
@@ -164,7 +164,7 @@ class Filler:
             vectors = (-(-count // LANES),)
             self._launch("fill_mean_median", events, vectors, LINES, *head, *rule, *planes)
 
-    def _settle(self, surface: Struct, source: cl.Buffer, left: cl.Buffer, count: int, events: Events) -> list[int]:
+    def _settle(self, surface: cl.Buffer, source: cl.Buffer, left: cl.Buffer, count: int, events: Events) -> list[int]:
         """End a sweep over the list `source`; lists in `left` what is missing now."""
         cl.enqueue_fill_buffer(self.session.queue, self.counters, ZERO, 0, 4 * DONE)
         lines = (self.spans, self.grown)
@@ -228,7 +228,7 @@ class ForwardWarp:
         self.target, self.winner = self.filler.indices
         self.sources, size = plan.rows * plan.columns, _dtype(real).itemsize
         self.rest, self.moved = empty(session, size * self.sources), empty(session, size * self.sources)
-        self.rest_surface = surface_struct(self.item, rest, real)
+        self.rest_surface = upload(session, surface_structs([self.item], [rest], real))
         self._per_pixel("reproject_rest", [], (plan.columns, plan.rows), camera, self.rest_surface, self.rest)
         self.segments = plan.rows * -(-plan.columns // SEGMENT)
         if self.owned:
@@ -241,7 +241,8 @@ class ForwardWarp:
 
         surface: the object in `pose`; weight: of this moment in the exposure; events: gets what was enqueued.
         """
-        args = (self.camera, self.rest_surface, pose_struct(pose, self.real), self.rest, self.target, self.moved)
+        self.placed = self._placed(pose, surface)  # held until the queue is done with it
+        args = (self.camera, self.rest_surface, self.placed[0], self.rest, self.target, self.moved)
         if self.owned:
             self._test_in_bands(args, events)
         else:
@@ -250,7 +251,7 @@ class ForwardWarp:
         head = (self.camera, np.float32(weight), self.texture, self.moved, self.winner)
         out = (planes.value, planes.w, planes.coc, planes.valid, planes.status)
         self._per_pixel("reproject_gather", events, (plan.width, plan.height), *head, *out)
-        counters = planes.fill(surface_struct(self.item, surface, self.real), events)
+        counters = planes.fill(self.placed[1], events)
         return Warped(planes.value, planes.coc, planes.valid, planes.status, counters)
 
     def truth(self, pose: Pose, surface: PlacedSurface, events: Events) -> dict[str, NDArray[Any]]:
@@ -271,6 +272,11 @@ class ForwardWarp:
             status = download(self.session, warped.status, (plan.height, plan.width), np.uint8)
             found["filled"] = np.ascontiguousarray(status[frame])
         return found
+
+    def _placed(self, pose: Pose, surface: PlacedSurface) -> tuple[cl.Buffer, cl.Buffer]:
+        """Poses and surfaces on the device."""
+        poses, surfaces = pose_structs([pose], self.real), surface_structs([self.item], [surface], self.real)
+        return upload(self.session, poses), upload(self.session, surfaces)
 
     def _test_in_bands(self, args: tuple[Any, ...], events: Events) -> None:
         """Targets and winners; work-items own bands of the image."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from clsco import forward
 from clsco.device import Session
 from clsco.forward import LANES, Filler, ForwardWarp, squared_errors
-from clsco.layout import Real, camera_struct, flat, structs, surface_struct
+from clsco.layout import Real, camera_struct, flat, structs, surface_structs
 from clsco.motion import pose_at
 from clsco.optics import blur_radius
 from clsco.plan import make_plan
@@ -54,7 +54,7 @@ class Planes:
         self.lens = Camera(resolution=(columns, rows))
         self.camera = camera_struct(self.lens, guard, real)
         self.placed = place(BALL, pose_at(BALL.motion, 0.0, "euler"))
-        self.surface = surface_struct(BALL, self.placed, real)
+        self.surface = upload(session, surface_structs([BALL], [self.placed], real))
         features = dict.fromkeys(("LINEAR", "NAPPE", "BOUNDED", "FILTER", "SAMPLED"), 0)
         features |= {"CHANNELS": self.channels, "QUADRATIC": 1, "DOMAIN_SURFACE": int(domain == "surface")}
         features |= {"FILL_AIT": int(method == "ait"), "FILL_MEAN_MEDIAN": int(method == "mean_median")}

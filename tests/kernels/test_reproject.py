@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from clsco.device import Program, Session
 from clsco.forward import SEGMENT, ForwardWarp, forward_features
-from clsco.layout import Real, camera_struct, flat, pose_struct, structs, surface_struct
+from clsco.layout import Real, camera_struct, flat, pose_structs, structs, surface_structs
 from clsco.motion import pose_at
 from clsco.plan import Plan, make_plan
 from clsco.program import build, download, empty, kernel, launch, upload
@@ -131,7 +131,7 @@ class Kernels:
         features = forward_features(case.plan, owned)
         self.session, self.case, self.owned = session, case, owned
         self.program: Program = build(session, ["reproject.cl"], features, structs("double"), "double")
-        self.surface = surface_struct(case.item, case.rest, "double")
+        self.surface = upload(session, surface_structs([case.item], [case.rest], "double"))
 
     def run(self, name: str, size: tuple[int, ...], local: tuple[int, ...], *args: Any) -> None:
         launch(self.session, kernel(self.program, name), size, local, self.case.camera, *args)
@@ -153,7 +153,8 @@ class Kernels:
         segments = rest.shape[0] * each
         target, moved = self.out(np.int32, rest.size), self.out(np.float64, rest.size)
         bounds = self.out(np.int32, 2 * segments)
-        args = (self.surface, pose_struct(self.case.pose, "double"), upload(self.session, rest), target, moved)
+        poses = upload(self.session, pose_structs([self.case.pose], "double"))
+        args = (self.surface, poses, upload(self.session, rest), target, moved)
         self.run("reproject_targets", (segments,), (local,), *args, *((bounds,) if self.owned else ()))
         return (
             download(self.session, target, (rest.size,), np.int32),
