@@ -357,6 +357,17 @@ def write_png(path: str | os.PathLike[str], data: NDArray[np.uint8] | NDArray[np
         file.write(png_bytes(data))
 
 
+def write_tiff(path: str | os.PathLike[str], data: NDArray[Any]) -> None:
+    """Write (rows, columns) or (rows, columns, 3), uint8, uint16 or float32, as a TIFF, compressed without loss.
+
+    Needs the extra `formats`. Raises ImageError without it, or where the file cannot be written.
+    """
+    tifffile = codec(Path(path), "tifffile", "formats")
+    options = {"photometric": "rgb" if data.ndim == 3 else "minisblack", "compression": "zlib", "metadata": None}
+    with whole_file(Path(path)) as file:
+        tifffile.imwrite(file, data, **options)
+
+
 def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write named arrays as an NPZ, for np.load. Raises ImageError where the file cannot be written.
 

@@ -272,7 +272,7 @@ def scene_schema() -> dict[str, Any]:
 def read_mapping(where: str, overrides: Sequence[str]) -> dict[str, Any]:
     """What a scene file holds, with the overrides in place; see `load_scene`. Raises SceneError."""
     data = _read(where)
-    _override(data, overrides, where)
+    override(data, overrides, where)
     return data
 
 
@@ -312,8 +312,8 @@ def _read(where: str) -> dict[str, Any]:
     return data
 
 
-def _override(data: dict[str, Any], overrides: Sequence[str], where: str) -> None:
-    """Apply the overrides to `data` in their order."""
+def override(data: dict[str, Any], overrides: Sequence[str], where: str) -> None:
+    """Apply the overrides to `data` in their order, see `load_scene`; raises SceneError for what is no KEY=VALUE."""
     messages = []
     for text in overrides:
         key, equals, value = text.partition("=")

@@ -27,7 +27,7 @@ LAYERS = (
     ("spread",),
     ("defocus", "forward"),
     ("render",),
-    ("describe", "demo"),
+    ("describe", "demo", "defocus_command"),
     ("batch", "check"),
     ("show",),
     ("cli",),

@@ -1,0 +1,91 @@
+"""What `clsco defocus` does: an image and its depth map to a scene, what the map leaves out, and one image file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from clsco.depthmaps import check_sizes, inverse_depth, read_depth
+from clsco.errors import ImageError, SceneError
+from clsco.files import refuse
+from clsco.frame import Frame
+from clsco.images import image_size, write_exr, write_png, write_tiff
+from clsco.scene import DepthMap, Scene
+from clsco.scenefile import override, parse_scene
+from clsco.transfer import encode
+
+WHERE = "defocus"
+IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".exr")
+_OTHER_SUFFIXES = (".jpg", ".jpeg", ".pfm", ".npy", ".npz", ".bmp", ".gif", ".webp", ".hdr")
+
+
+def scene_from_files(image: Path, depth: Path, options: Mapping[str, Any], overrides: Sequence[str] = ()) -> Scene:
+    """The scene of an image that has the depths of a map.
+
+    image, depth: files of the same size. options: value by key of the scene, such as {"camera.f_number": 2.8,
+    "object.unit": "m"}, `object` being the map; None stands for a key that is not given. overrides: as of
+    `clsco.load_scene`, after the options.
+    Returns a scene with one object of shape depth_map, and absolute paths. Raises SceneError with a line per fault.
+    """
+    item = {"shape": "depth_map", "name": "image", "texture": str(image.absolute()), "depth": str(depth.absolute())}
+    data: dict[str, Any] = {"object": item}
+    for key, value in options.items():
+        section, _, name = key.partition(".")
+        if value is not None:
+            data.setdefault(section, {})[name] = value
+    data["object"] = [item]
+    override(data, overrides, WHERE)
+    return parse_scene(data, WHERE)
+
+
+def depth_report(scene: Scene) -> list[str]:
+    """Read the depth maps of a scene, and tell of each in one line what it has no depth for, if anything.
+
+    Raises ImageError where a map and its image differ in size, and as `clsco.depthmaps.read_depth` and
+    `clsco.depthmaps.inverse_depth` do.
+    """
+    lines = []
+    for item in scene.objects:
+        if isinstance(item, DepthMap):
+            raw = read_depth(item.depth)
+            rows, columns = raw.shape
+            check_sizes(item.texture, image_size(item.texture), item.depth, (columns, rows))
+            values = inverse_depth(raw, item.unit, item.scale, scene.camera, item.baseline, item.depth)
+            lines += [f"{item.depth}: {values.report()}"] if values.report() else []
+    return lines
+
+
+def is_image_file(out: Path) -> bool:
+    """Whether OUT names an image file and no folder; raises ImageError for an image that cannot be written."""
+    suffix = out.suffix.lower()
+    if suffix in _OTHER_SUFFIXES and not out.is_dir():
+        refuse(out, f"must be a folder, or end in one of {' '.join(IMAGE_SUFFIXES)}", repr(out.suffix))
+    return suffix in IMAGE_SUFFIXES and not out.is_dir()
+
+
+def check_single(scene: Scene, out: Path) -> None:
+    """Raise where one file cannot take the frames of a scene, or would replace what they are made of."""
+    if scene.sequence.frames > 1 or scene.stereo is not None:
+        views = scene.sequence.frames * (1 if scene.stereo is None else 2)
+        raise SceneError(f"{out}: a file takes one image, a folder takes more; got {views}")
+    for item in scene.objects:
+        for path in (item.texture, *([item.depth] if isinstance(item, DepthMap) else [])):
+            if out.resolve() == Path(path).resolve():
+                raise ImageError(f"{out}: must not be the image or the depth that it is made of; got {path}")
+
+
+def write_image(out: Path, frame: Frame, bits: int, transfer: str) -> None:
+    """Write the color of a frame to one file, by its extension; raises ImageError where that fails.
+
+    bits: 8, 16 or 32, as the image has. PNG and TIFF have codes of as many bits, a PNG of 32 bits 16, and a TIFF of
+    32 bits linear float32; an EXR has linear float32 in R G B. transfer: "srgb" or "linear", of codes.
+    """
+    suffix = out.suffix.lower()
+    if suffix == ".exr":
+        gray = frame.color.ndim == 2  # in three channels, so that every reader shows it
+        write_exr(out, {name: frame.color if gray else frame.color[..., n] for n, name in enumerate("RGB")})
+    elif suffix == ".png":
+        write_png(out, encode(frame.color, min(bits, 16), transfer))
+    else:
+        write_tiff(out, frame.color if bits == 32 else encode(frame.color, bits, transfer))
