@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from clsco.files import remove_stale, writable_folder
 from clsco.frame import TRUTH_NAMES, Frame
 from clsco.images import read_complete, write_frame
 from clsco.render import render
-from clsco.scene import Scene
+from clsco.scene import DepthMap, Scene
 
 Span = tuple[int | None, int | None]
 
@@ -70,20 +70,23 @@ def prepare(
     files: tuple[str, ...],
     precision: str | None,
     resume: bool,
+    digests: Mapping[str, str] | None = None,
 ) -> Job:
     """Make the folder, and with `resume` take out the frames that are in it, whole and of this scene.
 
-    scene: with its resolution. A frame is whole where its JSON file, written last, names the scene's hash,
-    this version, all files asked for, and each file's SHA-256.
-    Raises ImageError where a texture cannot be read or the folder written.
+    scene: with its resolution. digests: of its files, as `clsco.describe.file_digests` gives them, where they are
+    known. A frame is whole where its JSON file, written last, names the scene's hash, this version, all files asked
+    for, and each file's SHA-256.
+    Raises ImageError where a texture or depth cannot be read or the folder written.
     """
-    about = record(scene)
+    about = record(scene, digests)
     writable_folder(folder)
     remove_stale(folder)
     for item in scene.objects:
-        path = Path(item.texture)
-        if path.parent.resolve() == folder.resolve() and path.stem.startswith("frame_"):
-            raise ImageError(f"{path}: a texture must not lie where frames are written; got {folder}")
+        for what, name in (("texture", item.texture), ("depth", item.depth if isinstance(item, DepthMap) else "")):
+            path = Path(name)
+            if path.stem.startswith("frame_") and path.parent.resolve() == folder.resolve():
+                raise ImageError(f"{path}: a {what} must not lie where frames are written; got {folder}")
 
     def is_there(index: int) -> bool:
         content = read_complete(folder, index)
@@ -97,16 +100,18 @@ def prepare(
     return Job(scene, about, folder, left, files)
 
 
-def run(job: Job, device: str | None, precision: str | None) -> Iterator[Frame]:
-    """Render a job's frames, write each one, and then yield it with the metadata of its JSON file.
+def run(jobs: Sequence[Job], device: str | None, precision: str | None) -> Iterator[tuple[Job, Frame]]:
+    """Render the frames of jobs, write each one, and then yield it with the metadata of its JSON file.
 
-    Truth is computed only where a file asks for it. Raises as `clsco.render` and `clsco.images.write_frame`.
+    jobs: of any scenes, in the order in which they are rendered; those of one sweep follow each other. Truth is
+    computed only where a file asks for it. Raises as `clsco.render` and `clsco.images.write_frame`.
     """
-    if not job.frames:
-        return
-    truth = TRUTH_NAMES if job.files else ()  # nothing that no file asks for
-    frames = render(job.scene, truth=truth, device=device, precision=precision, frames=job.frames)
-    for frame in frames:
-        told = replace(frame, metadata={**job.record, **frame.metadata})
-        write_frame(job.folder, told, frame.metadata["bits"], job.scene.image.transfer, job.files)
-        yield told
+    for job in jobs:
+        if not job.frames:
+            continue
+        truth = TRUTH_NAMES if job.files else ()  # nothing that no file asks for
+        frames = render(job.scene, truth=truth, device=device, precision=precision, frames=job.frames)
+        for frame in frames:
+            told = replace(frame, metadata={**job.record, **frame.metadata})
+            write_frame(job.folder, told, frame.metadata["bits"], job.scene.image.transfer, job.files)
+            yield job, told

@@ -10,6 +10,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +24,7 @@ from clsco.frame import TRUTH_NAMES
 if TYPE_CHECKING:
     from clsco.batch import Span
     from clsco.plan import Plan
+    from clsco.sweep import Sweep
 
 USER_ERROR, NO_DEVICE, INTERRUPTED = 1, 3, 130
 
@@ -106,23 +108,25 @@ def render(
     """Render the frames of scenes to files.
 
     A frame is frame_0000.png, and frame_0000.json with everything that made it. Of several scenes, each has a
-    folder of its name in DIR.
+    folder of its name in DIR. Where keys of a scene have several values, each has a folder like f_number_4 there.
     """
     if "exr" in files and find_spec("OpenEXR") is None:
         raise ImageError("--truth exr: needs OpenEXR: pip install 'clsco[exr]'; got no such module")
-    loaded = [plan.scene for plan in _planned(scenes, overrides, files)]
+    planned = _planned(_loaded(scenes, overrides), files)
     _require_device(device)
     from clsco import batch
+    from clsco.describe import file_digests
 
-    numbers = [batch.wanted(scene, span, str(path)) for path, scene in zip(scenes, loaded, strict=True)]
-    jobs = [
-        batch.prepare(scene, folder, frames, files, precision, resume)
-        for scene, folder, frames in zip(loaded, batch.folders(scenes, out), numbers, strict=True)
+    wanted = [
+        (plan.scene, folder / label, batch.wanted(plan.scene, span, str(path)))
+        for (path, labels, plans), folder in zip(planned, batch.folders(scenes, out), strict=True)
+        for label, plan in zip(labels, plans, strict=True)
     ]
+    digests = file_digests(scene for scene, _, _ in wanted)
+    jobs = [batch.prepare(*what, files, precision, resume, digests) for what in wanted]
     with _progress(sum(len(job.frames) for job in jobs), quiet) as advance:
-        for job in jobs:
-            for _ in batch.run(job, device, precision):
-                advance()
+        for _ in batch.run(jobs, device, precision):
+            advance()
 
 
 @main.command()
@@ -143,10 +147,9 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
     }
     shown = {}
     with _progress(sum(len(job.frames) for job in jobs.values()), quiet) as advance:
-        for name, job in jobs.items():
-            for frame in batch.run(job, device, None):
-                shown[name] = frame  # the last one of a sequence
-                advance()
+        for job, frame in batch.run(list(jobs.values()), device, None):
+            shown[job.folder.name] = frame  # the last one of a sequence
+            advance()
     write_contact_sheet(out / "contact_sheet.png", shown)
     place = click.format_filename(out)
     click.echo(f"{place}/contact_sheet.png: all scenes, and the ground truth of some")
@@ -160,7 +163,7 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
 @truth_option
 def plan(scene: Path, overrides: tuple[str, ...], files: tuple[str, ...]) -> None:
     """Tell what rendering a scene takes; runs nothing, and needs no OpenCL."""
-    (planned,) = _planned([scene], overrides, files)
+    planned = _first(scene, overrides, files)
     from clsco.show import plan_tables
 
     _print(*plan_tables(planned))
@@ -177,7 +180,7 @@ def check(scene: Path, overrides: tuple[str, ...], device: str | None, precision
     Fails where color differs by more than 1e-5 of white in double precision. In single precision a ray may
     miss a surface that it barely touches, so that differences near silhouettes are only told.
     """
-    (planned,) = _planned([scene], overrides)
+    planned = _first(scene, overrides)
     _require_device(device)
     from clsco.check import compare_frames
     from clsco.show import check_tables
@@ -223,33 +226,56 @@ def schema() -> None:
 @scenes_wanted
 def validate(scenes: tuple[Path, ...]) -> None:
     """Check scene files and their textures without rendering; tells all faults of all files."""
-    _planned(scenes)
-    for path in scenes:
-        click.echo(f"{click.format_filename(path)}: valid")
+    for path, labels, _ in _planned(_loaded(scenes)):
+        count = f", {len(labels)} scenes" if labels != ("",) else ""
+        click.echo(f"{click.format_filename(path)}: valid{count}")
 
 
-def _planned(paths: Sequence[Path], overrides: tuple[str, ...] = (), files: tuple[str, ...] = ()) -> list[Plan]:
-    """Load scenes, read their textures and plan them; raises SceneError with the faults of all of them."""
-    from clsco.describe import planned
-    from clsco.scenefile import load_scene
+def _loaded(paths: Sequence[Path], overrides: tuple[str, ...] = ()) -> list[tuple[Path, Sweep | SceneError]]:
+    """The scenes of files, or what is wrong with them."""
+    from clsco.sweep import load_sweep
 
-    plans: list[Plan] = []
-    messages: list[str] = []
+    loaded: list[tuple[Path, Sweep | SceneError]] = []
     for path in paths:
         try:
-            scene = load_scene(path, overrides)
+            loaded.append((path, load_sweep(path, overrides)))
         except SceneError as error:
-            messages.extend(error.messages)
+            loaded.append((path, error))
+    return loaded
+
+
+def _planned(
+    loaded: Sequence[tuple[Path, Sweep | SceneError]], files: tuple[str, ...] = ()
+) -> list[tuple[Path, tuple[str, ...], tuple[Plan, ...]]]:
+    """Read textures and depths of scenes and plan them: file, labels and plans; raises SceneError for all of them."""
+    from clsco.describe import planned_sweep
+    from clsco.scenefile import at_most
+
+    found: list[tuple[Path, tuple[str, ...], tuple[Plan, ...]]] = []
+    messages: list[str] = []
+    for path, sweep in loaded:
+        if isinstance(sweep, SceneError):
+            messages.extend(sweep.messages)
             continue
         try:
-            plans.append(planned(scene, TRUTH_NAMES if files else ()))
+            found.append((path, sweep.labels, planned_sweep(sweep, TRUTH_NAMES if files else ())))
         except SceneError as error:
-            messages.extend(f"{path}: {message}" for message in error.messages)
-        except ImageError as error:
-            messages.append(f"{path}: object[0].texture: {error}")
+            messages.extend(at_most(str(path), error.messages))
     if messages:
         raise SceneError(messages)
-    return plans
+    return found
+
+
+def _first(path: Path, overrides: tuple[str, ...], files: tuple[str, ...] = ()) -> Plan:
+    """The plan of a file's only scene; of several the first one, which is told."""
+    ((path, sweep),) = _loaded([path], overrides)
+    if isinstance(sweep, SceneError):
+        raise sweep
+    alone = replace(sweep, labels=sweep.labels[:1], scenes=sweep.scenes[:1])
+    ((_, (label,), (planned,)),) = _planned([(path, alone)], files)
+    if label:
+        click.echo(f"the first of {len(sweep.labels)} scenes, {label}:")
+    return planned
 
 
 def _require_opencl() -> None:

@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
+import numpy as np
+from numpy.typing import NDArray
+
 from clsco import __version__
+from clsco.depthmaps import check_sizes, inverse_depth, read_depth
+from clsco.errors import ImageError, SceneError
 from clsco.files import refuse, sha256
 from clsco.images import read_image
 from clsco.plan import Plan, make_plan
-from clsco.scene import BUILT_IN_TEXTURES, Scene, Within
+from clsco.scene import BUILT_IN_TEXTURES, DepthMap, Scene, Within
 from clsco.scenefile import dump
+from clsco.sweep import Sweep
 from clsco.textures import texture_size
 
 # What `Frame.metadata` and the parameters of a frame are measured in, where the name does not say it.
@@ -26,17 +33,80 @@ RECORD_UNITS = {
 
 
 def planned(scene: Scene, truth: tuple[str, ...]) -> Plan:
-    """The plan of a scene for the outputs `truth` besides color; reads its textures, and computes nothing.
+    """The plan of a scene for the outputs `truth` besides color; reads its textures and depths, computes nothing.
 
-    The plan's scene has its resolution, which the first texture gives where the scene does not. Raises
-    SceneError and ImageError, as `clsco.plan.make_plan` and `clsco.images.read_image` do.
+    The plan's scene has its resolution, which the first texture gives where the scene does not, and three channels
+    where any texture has color. Raises SceneError, all textures' and depths' faults at once, and what
+    `clsco.plan.make_plan` raises.
     """
-    camera, texture = scene.camera, scene.objects[0].texture
-    size = texture_size(texture)
-    gray = texture in BUILT_IN_TEXTURES or read_image(texture).data.ndim == 2
-    if camera.resolution is None:
-        camera = camera.model_copy(update={"resolution": size})
-    return make_plan(scene.model_copy(update={"camera": camera}), 1 if gray else 3, truth)
+    (plan,) = planned_sweep(Sweep(("",), (scene,)), truth)
+    return plan
+
+
+def planned_sweep(sweep: Sweep, truth: tuple[str, ...]) -> tuple[Plan, ...]:
+    """The plans of all scenes of a sweep, as `planned`; each file is read once. Raises SceneError for all of them."""
+    files = _read_files(sweep.scenes[0])  # the same for all: no key of theirs can have several values
+    plans, faults = [], dict[str, None]()
+    for label, scene in zip(sweep.labels, sweep.scenes, strict=True):
+        camera = scene.camera
+        if camera.resolution is None:
+            camera = camera.model_copy(update={"resolution": files.size})
+        sized = scene.model_copy(update={"camera": camera})
+        try:
+            _check_depths(sized, files.depths)
+            plans.append(make_plan(sized, files.channels, truth))
+        except SceneError as error:
+            faults.update(dict.fromkeys(f"{message}{label and f' (with {label})'}" for message in error.messages))
+    if faults:
+        raise SceneError(list(faults))
+    return tuple(plans)
+
+
+@dataclass(frozen=True, eq=False)
+class _Files:
+    """Of a scene's files: size of the first texture in px, channels of the image, and depths by their paths."""
+
+    size: tuple[int, int]
+    channels: int
+    depths: dict[str, NDArray[np.float64]]
+
+
+def _read_files(scene: Scene) -> _Files:
+    faults: list[str] = []
+    depths: dict[str, NDArray[np.float64]] = {}
+    gray = True
+    size = (0, 0)
+    for index, item in enumerate(scene.objects):
+        try:
+            found = texture_size(item.texture)
+            gray = gray and (item.texture in BUILT_IN_TEXTURES or read_image(item.texture).data.ndim == 2)
+            size = size if index else found
+        except ImageError as error:
+            faults.append(f"object[{index}].texture: {error}")
+        if isinstance(item, DepthMap) and item.depth not in depths:
+            try:
+                depths[item.depth] = read_depth(item.depth)
+            except ImageError as error:
+                faults.append(f"object[{index}].depth: {error}")
+    if faults:
+        raise SceneError(faults)
+    return _Files(size, 1 if gray else 3, depths)
+
+
+def _check_depths(scene: Scene, depths: Mapping[str, NDArray[np.float64]]) -> None:
+    """Refuse depths that do not fit the frame or the camera."""
+    assert scene.camera.resolution is not None
+    faults = []
+    for index, item in enumerate(scene.objects):
+        if isinstance(item, DepthMap):
+            rows, columns = depths[item.depth].shape
+            try:
+                check_sizes("the frame", scene.camera.resolution, item.depth, (columns, rows))
+                inverse_depth(depths[item.depth], item.unit, item.scale, scene.camera, item.baseline, item.depth)
+            except ImageError as error:
+                faults.append(f"object[{index}].depth: {error}")
+    if faults:
+        raise SceneError(faults)
 
 
 def units(scene: Scene) -> dict[str, str]:
@@ -62,60 +132,76 @@ def _unit(parts: Iterable[Any]) -> str:
     return ""
 
 
-def scene_sha256(scene: Scene) -> str:
-    """SHA-256 of what decides the image: all parameters, and the content of texture files instead of paths.
+def file_digests(scenes: Iterable[Scene]) -> dict[str, str]:
+    """SHA-256 by path of all textures and depths that are files. Raises ImageError where one cannot be read."""
+    items = [item for scene in scenes for item in scene.objects]
+    paths = [item.texture for item in items if item.texture not in BUILT_IN_TEXTURES]
+    paths += [item.depth for item in items if isinstance(item, DepthMap)]
+    return {path: _digest(path) for path in dict.fromkeys(paths)}
 
-    scene: with its resolution. Raises ImageError where a texture cannot be read.
+
+def _digest(path: str) -> str:
+    try:
+        return sha256(Path(path))
+    except OSError as error:
+        refuse(Path(path), "must be a file that can be read", error, error)
+
+
+def scene_sha256(scene: Scene, digests: Mapping[str, str] | None = None) -> str:
+    """SHA-256 of what decides the image: all parameters, and the content of texture and depth files, not their paths.
+
+    scene: with its resolution. digests: what `file_digests` gives, where that is known. Raises ImageError where a file
+    cannot be read.
     """
+    known = file_digests([scene]) if digests is None else digests
     content = dump(scene)
     for item in content["object"]:
-        item["texture"] = _texture_digest(item["texture"])
+        for key in ("texture", "depth"):
+            if key in item:
+                item[key] = known.get(item[key], item[key])
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _texture_digest(texture: str) -> str:
-    if texture in BUILT_IN_TEXTURES:
-        return texture
-    try:
-        return sha256(Path(texture))
-    except OSError as error:
-        refuse(Path(texture), "must be a file that can be read", error, error)
-
-
-def record(scene: Scene) -> dict[str, Any]:
+def record(scene: Scene, digests: Mapping[str, str] | None = None) -> dict[str, Any]:
     """What the JSON file of a frame says of its scene, besides what the rendering adds.
 
-    scene: with its resolution. Returns the parameters as a scene file has them, those derived from them in
-    mm, the units, the hash and the version. Raises ImageError where a texture cannot be read.
+    scene: with its resolution. digests: as in `scene_sha256`. Returns the parameters as a scene file has them, those
+    derived from them in mm, the units, the hashes and the version. Raises ImageError where a file cannot be read.
     """
-    camera, names = scene.camera, [item.texture for item in scene.objects]
+    camera = scene.camera
+    known = file_digests([scene]) if digests is None else digests
+    textures = [item.texture for item in scene.objects]
+    depths = [item.depth for item in scene.objects if isinstance(item, DepthMap)]
     return {
         "version": __version__,
-        "scene_sha256": scene_sha256(scene),
+        "scene_sha256": scene_sha256(scene, known),
         "scene": dump(scene),
         "derived": {
             "aperture_diameter": camera.aperture_diameter,
             "sensor_distance": camera.sensor_distance,
         },
-        "textures_sha256": {name: _texture_digest(name) for name in names if name not in BUILT_IN_TEXTURES},
+        "textures_sha256": {name: known[name] for name in textures if name not in BUILT_IN_TEXTURES},
+        "depths_sha256": {name: known[name] for name in depths},
         "units": units(scene) | RECORD_UNITS,
     }
 
 
 def unused_keys(plan: Plan) -> list[tuple[str, str]]:
     """Keys that the scene gives although nothing depends on them, and why: (key, reason)."""
-    scene, item = plan.scene, plan.scene.objects[0]
+    scene = plan.scene
     reasons: dict[str, str] = {}
 
     def give(section: str, keys: Iterable[str], why: str) -> None:
         reasons.update({f"{section}.{key}": why for key in keys})
 
+    motions = [scene.camera.motion, *(item.motion for item in scene.objects)]
     if not plan.moves:
         give("sequence", ("samples", "sampling", "shutter"), "nothing moves")
-        give("motion", type(scene.motion).model_fields, "nothing moves")
+        unused = [key for key in type(scene.motion).model_fields if key != "texture_filter" or scene.stereo is None]
+        give("motion", unused, "nothing moves")
         give("fill", type(scene.fill).model_fields, "nothing moves")
-    elif sum(map(bool, item.motion.angular_velocity)) < 2:
+    elif all(sum(map(bool, motion.angular_velocity)) < 2 for motion in motions):
         give("motion", ("rotation",), "euler and axis differ only for turns about several axes")
     if plan.forward and scene.fill.method == "none":
         give("fill", ("domain",), "fill.method is none")
@@ -127,12 +213,12 @@ def unused_keys(plan: Plan) -> list[tuple[str, str]]:
         give("psf", ("tilt",), left_out["tilt"])
     if not plan.silhouettes and scene.psf.silhouette_samples > 1:
         give("psf", ("silhouette_samples",), left_out["silhouettes"])
-    give("psf", ("occlusion",), left_out["occlusion"])
-    sections = (
-        ("psf", scene.psf),
-        ("sequence", scene.sequence),
-        ("motion", scene.motion),
-        ("fill", scene.fill),
-    )
+    if "occlusion" in left_out:
+        give("psf", ("occlusion",), left_out["occlusion"])
+    sections: list[tuple[str, Any]] = [(name, getattr(scene, name)) for name in ("psf", "sequence", "motion", "fill")]
+    for index, item in enumerate(scene.objects):
+        if isinstance(item, DepthMap) and not any(item.motion.angular_velocity):
+            give(f"object[{index}]", ("center",), "the depth map does not turn")
+            sections.append((f"object[{index}]", item))
     given = [f"{place}.{key}" for place, model in sections for key in sorted(model.model_fields_set)]
     return [(key, reasons[key]) for key in given if key in reasons]

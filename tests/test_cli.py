@@ -21,6 +21,7 @@ import clsco
 from clsco import batch, check, demo, device
 from clsco.cli import main
 from clsco.describe import planned
+from clsco.errors import ImageError
 from clsco.frame import TRUTH_NAMES, Frame
 from clsco.images import read_complete, read_image
 from clsco.scene import Scene
@@ -170,6 +171,18 @@ def test_resume_notices_another_texture_of_the_same_name(tmp_path: Path) -> None
         light = read_image(tmp_path / "frame_0000.png").data[4, 6] / 65535
         # sRGB of 1/4 and 3/4 (IEC 61966-2-1): 1.055 x^(1/2.4) - 0.055, to half a code of 16 bits.
         assert light == pytest.approx(1.055 * value ** (1 / 2.4) - 0.055, abs=1e-4)
+
+
+def test_a_depth_map_lies_outside_the_frames(tmp_path: Path) -> None:
+    scene = parse_scene(
+        {
+            "camera": {"resolution": [4, 3]},
+            "object": [{"shape": "depth_map", "depth": str(tmp_path / "frame_0000.npz")}],
+        }
+    )
+    (tmp_path / "frame_0000.npz").touch()
+    with pytest.raises(ImageError, match="a depth must not lie where frames are written"):
+        batch.prepare(scene, tmp_path, [0], (), None, False)
 
 
 BAD_SCENES = {

@@ -8,19 +8,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from clsco.describe import planned, record, scene_sha256, units, unused_keys
-from clsco.errors import ImageError
+from clsco.describe import file_digests, planned, planned_sweep, record, scene_sha256, units, unused_keys
+from clsco.errors import ImageError, SceneError
 from clsco.scenefile import dump, parse_scene
+from clsco.sweep import parse_sweep
 
 
-@pytest.mark.parametrize("shape", ["plane", "cylinder", "sphere", "cone", "ellipsoid", "quadric"])
+@pytest.mark.parametrize("shape", ["plane", "cylinder", "sphere", "cone", "ellipsoid", "quadric", "depth_map"])
 def test_every_number_has_a_unit_or_needs_none(shape: str) -> None:
     item: dict[str, Any] = {"shape": shape, "bounds": [[-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0]]}
     item |= {"coefficients": [1.0] * 10} if shape == "quadric" else {}
-    scene = parse_scene({"object": [item], "psf": {"model": "gaussian"}})
+    if shape == "depth_map":
+        item = {"shape": shape, "depth": "z.npy", "unit": "disparity", "baseline": 60.0}
+    stereo = {"baseline": 65.0, "toe_in": 1.0}
+    scene = parse_scene({"object": [item], "psf": {"model": "gaussian"}, "stereo": stereo})
     told = units(scene)
     without = {"camera.f_number", "sequence.frames", "sequence.samples", "psf.silhouette_samples"}
-    without |= {"psf.sigma_ratio", "psf.truncation", "object[0].coefficients", "object[0].axis"}
+    without |= {"psf.sigma_ratio", "psf.truncation", "object[0].coefficients", "object[0].axis", "object[0].scale"}
     numbers: set[str] = set()
 
     def walk(place: str, value: Any) -> None:
@@ -36,7 +40,8 @@ def test_every_number_has_a_unit_or_needs_none(shape: str) -> None:
     assert len(numbers) > 15
     assert numbers - without <= set(told)
     assert told["camera.focal_length"] == "mm"
-    assert told["object[0].motion.angular_velocity"] == "deg/s"
+    assert told["object[0].motion.angular_velocity"] == told["camera.motion.angular_velocity"] == "deg/s"
+    assert (told["stereo.baseline"], told["stereo.toe_in"]) == ("mm", "deg")
     assert without & set(told) == set()
 
 
@@ -97,3 +102,87 @@ def test_a_plan_takes_size_and_channels_from_the_texture(tmp_path: Path) -> None
     camera = scene.camera.model_copy(update={"resolution": (9, 7)})
     plan = planned(scene.model_copy(update={"camera": camera}), ())
     assert (plan.columns, plan.rows, plan.channels) == (9, 7, 3)
+
+
+def files_of_a_map(folder: Path, side: int = 8, depth: float = 300.0) -> dict[str, Any]:
+    np.save(folder / "z.npy", np.full((side, side), depth, np.float32))
+    return {"shape": "depth_map", "depth": str(folder / "z.npy")}
+
+
+def test_the_hash_and_the_record_have_the_content_of_depths(tmp_path: Path) -> None:
+    def digest(**item: Any) -> str:
+        return scene_sha256(parse_scene({"object": [{**files_of_a_map(tmp_path, **item)}, {"shape": "plane"}]}))
+
+    first = digest()
+    assert digest(depth=301.0) != first
+    assert digest() == first
+    moved = tmp_path / "elsewhere"
+    moved.mkdir()
+    assert scene_sha256(parse_scene({"object": [files_of_a_map(moved), {"shape": "plane"}]})) == first
+    scene = parse_scene({"object": [files_of_a_map(tmp_path), {"shape": "plane"}]})
+    told = record(scene)
+    assert list(told["depths_sha256"]) == [str(tmp_path / "z.npy")]
+    assert told["textures_sha256"] == {}
+    assert record(scene, file_digests([scene, scene])) == told
+    (tmp_path / "z.npy").unlink()
+    with pytest.raises(ImageError, match=r"z.npy: must be a file that can be read"):
+        record(scene)
+
+
+def test_a_frame_has_color_where_any_texture_has(tmp_path: Path) -> None:
+    for name, shape in (("gray", (6, 5)), ("color", (6, 5, 3))):
+        np.save(tmp_path / f"{name}.npy", np.ones(shape, np.float32))
+
+    def channels(*textures: str) -> int:
+        items = [{"shape": "plane", "texture": text} for text in textures]
+        return planned(parse_scene({"camera": {"pixel_pitch": 0.1}, "object": items}), ()).channels
+
+    gray, color = str(tmp_path / "gray.npy"), str(tmp_path / "color.npy")
+    assert [channels(gray, "bricks"), channels(gray, color), channels(color, gray)] == [1, 3, 3]
+
+
+def test_faults_of_all_files_are_told(tmp_path: Path) -> None:
+    (tmp_path / "none.npy").touch()
+    items = [
+        {"shape": "plane", "texture": "brick"},
+        {"shape": "depth_map", "depth": str(tmp_path / "z.exr"), "texture": "missing.png"},
+        {"shape": "depth_map", "depth": str(tmp_path / "none.npy")},
+    ]
+    with pytest.raises(SceneError) as caught:
+        planned(parse_scene({"object": items}), ())
+    starts = ("object[0].texture: ", "object[1].texture: ", "object[1].depth: ", "object[2].depth: ")
+    assert len(caught.value.messages) == len(starts)
+    for message, start in zip(caught.value.messages, starts, strict=True):
+        assert message.startswith(start)
+
+
+def test_depths_fit_the_frame_and_the_camera(tmp_path: Path) -> None:
+    def faults(depth: float, **camera: Any) -> tuple[str, ...]:
+        item = files_of_a_map(tmp_path, depth=depth)
+        scene = parse_scene({"object": [{"shape": "plane"}, item], "camera": {"resolution": [8, 8], **camera}})
+        with pytest.raises(SceneError) as caught:
+            planned(scene, ())
+        return caught.value.messages
+
+    place = f"object[1].depth: {tmp_path / 'z.npy'}: "
+    (message,) = faults(300.0, resolution=[9, 8])
+    assert message == f"{place}the size must be that of the frame, 9 x 8 pixels; got 8 x 8"
+    (message,) = faults(0.3)
+    assert message.startswith(f"{place}the blur radius must be at most 512 px; got ")
+    (message,) = faults(-1.0)
+    assert message == f"{place}at least one pixel must have a depth; got 64 negative"
+
+
+def test_a_sweep_is_planned_with_all_its_faults() -> None:
+    camera: dict[str, Any] = {"resolution": [[8, 8], [9, 7]], "f_number": [2.0, 1e-3]}
+    data = {"object": [{"shape": "plane", "distance": 300.0}], "camera": camera}
+    with pytest.raises(SceneError) as caught:
+        planned_sweep(parse_sweep(data), ())
+    assert [message.split(" (with ")[1] for message in caught.value.messages] == [
+        "resolution_8_8__f_number_0.001)",
+        "resolution_9_7__f_number_0.001)",
+    ]
+    camera["f_number"] = [2.0, 4.0]
+    plans = planned_sweep(parse_sweep(data), ())
+    assert [(plan.columns, plan.scene.camera.f_number) for plan in plans] == [(8, 2.0), (8, 4.0), (9, 2.0), (9, 4.0)]
+    assert plans[1] == planned(plans[1].scene, ())
