@@ -159,6 +159,7 @@ CHANNELS: dict[str, dict[str, Array]] = {
     "Blender, file output": {"Depth.V": Z, "Image.R": OTHER},
     "a vector and a value": {"N.X": OTHER, "N.Y": OTHER, "N.Z": OTHER, "near.Z": Z},
     "clsco": {"R": OTHER, "Z": Z, "coc": THIRD, "N.X": OTHER, "N.Y": OTHER, "N.Z": THIRD, "id": OTHER},
+    "all layers and one": {"Z": Z, "ViewLayer.Depth.Z": OTHER},
     "V": {"V": Z, "R": OTHER},
     "R": {"R": Z, "A": OTHER},
     "gray as RGB": {"R": Z, "G": Z, "B": Z},
@@ -400,9 +401,9 @@ def test_report_tells_the_kinds_that_there_are() -> None:
 
 
 def test_the_background_of_a_renderer_is_there() -> None:
-    values = inverse_depth(np.array([[0.3, 1e10, 65504.0]]), "m", 1.0, CAMERA)
-    np.testing.assert_array_equal(values.inverse_depth[0, 1], FARTHEST)
-    assert values.invalid == 0
+    values = inverse_depth(np.array([[0.3, 1e10, 1e9, 65504.0]]), "m", 1.0, CAMERA)
+    np.testing.assert_array_equal(values.inverse_depth[0, 1:3], FARTHEST)
+    assert (values.invalid, values.far) == (0, 2)
     # 1e-12 per mm is 1e-8 px from infinity with kappa = 1e4 px mm.
     assert blur_radius(CAMERA, values.inverse_depth[0, 1]) == pytest.approx(float(blur_radius(CAMERA, 0.0)), abs=1e-7)
 
@@ -472,6 +473,7 @@ NO_UNIT = "no unit makes it less: scale, or the camera, is probably wrong"
     (METERS, "mm", "4.996e+04 px at 0.2 mm", "3 of 3", IN("m")),
     ([200.0, 5000.0], "inverse_m", "4.996e+04 px at 5000 inverse_m", "2 of 2", IN("mm")),
     ([200.0, 5000.0], "inverse_mm", "5e+07 px at 5000 inverse_mm", "2 of 2", IN("mm")),
+    ([0.0, 300.0], "inverse_mm", "3e+06 px at 300 inverse_mm", "1 of 2", IN("mm")),
     ([0.003, 0.005], "mm", "3.333e+06 px at 0.003 mm", "2 of 2", IN("inverse_mm")),
     ([300.0, 5000.0], "coc", "5000 px at 5000 coc", "1 of 2", IN("mm")),
     ([-2000.0, 500.0], "coc", "2000 px at -2000 coc", "1 of 2", NO_UNIT),
