@@ -118,12 +118,15 @@ def _faults(
     """The scenes that are valid, and the faults of the others, each told once."""
     scenes: list[Scene] = []
     seen: dict[str, list[tuple[int, ...]]] = {}
+    still = all(axis.location[0] != "object" for axis in axes)
     for choice in choices:
         data: Any = mapping
         for axis, index in zip(axes, choice, strict=True):
             data = _with(data, axis.location, axis.values[index : index + 1])
         try:
             scenes.append(parse_scene(data, ""))
+            if still:  # valid objects need no further look
+                mapping = {**mapping, "object": scenes[0].objects}
         except SceneError as error:
             for message in error.messages:
                 seen.setdefault(_at_value(message.removeprefix(": "), axes, choice), []).append(choice)

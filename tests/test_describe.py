@@ -10,6 +10,7 @@ import pytest
 
 from clsco.describe import file_digests, planned, planned_sweep, record, scene_sha256, units, unused_keys
 from clsco.errors import ImageError, SceneError
+from clsco.scene import Scene
 from clsco.scenefile import dump, parse_scene
 from clsco.sweep import parse_sweep
 
@@ -51,6 +52,12 @@ def keys(**sections: Any) -> dict[str, str]:
     return dict(unused_keys(planned(scene, ())))
 
 
+def two(*items: dict[str, Any], **motion: Any) -> Scene:
+    """A scene of objects, the moving one first."""
+    camera = {"resolution": [32, 32], "pixel_pitch": 0.2}
+    return parse_scene({"object": list(reversed(items)), "camera": camera, "motion": motion})
+
+
 def test_keys_without_use_are_those_given_and_no_others() -> None:
     assert keys() == {}
     assert keys(sequence={"samples": 7, "frames": 2}) == {"sequence.samples": "nothing moves"}
@@ -58,6 +65,12 @@ def test_keys_without_use_are_those_given_and_no_others() -> None:
     assert keys(item=moving, sequence={"samples": 7}, psf={"tilt": True, "silhouette_samples": 2}) == {}
     turning = {"shape": "sphere", "motion": {"angular_velocity": [1.0, 2.0, 0.0]}}
     assert keys(item=turning, motion={"rotation": "axis"}) == {}
+    still = {"shape": "plane", "distance": 900.0}
+    assert dict(unused_keys(planned(two(still, turning, rotation="axis"), ()))) == {}
+    one_axis = {"shape": "sphere", "motion": {"angular_velocity": [1.0, 0.0, 0.0]}}
+    assert dict(unused_keys(planned(two(still, one_axis, rotation="axis"), ()))).keys() == {"motion.rotation"}
+    assert keys(motion={"texture_filter": "nearest"}) == {"motion.texture_filter": "nothing moves"}
+    assert keys(motion={"texture_filter": "nearest"}, stereo={"baseline": 9.0}) == {}
     forward = {"warp": "forward"}
     assert keys(motion=forward, fill={"method": "ait"}) == dict.fromkeys(
         ["motion.warp", "fill.method"], "nothing moves"
