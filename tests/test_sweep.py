@@ -142,8 +142,8 @@ def test_one_scene_is_not_read_from_a_sweep(tmp_path: Path) -> None:
         (
             "camera.focal_length = [20, 30]\ncamera.focus_distance = [25, 200, 300]",
             (
-                "camera.focus_distance[0]: must be greater than focal_length = 30 mm; got 25 (with camera.focal_length[1], "
-                "camera.focus_distance[0])"
+                "camera.focus_distance[0]: must be greater than focal_length = 30 mm; got 25 "
+                "(with camera.focal_length[1], camera.focus_distance[0])"
             ),
         ),
         (
