@@ -25,6 +25,7 @@ LAYERS = (
     ("device",),
     ("program",),
     ("spread",),
+    ("layers",),
     ("defocus", "forward"),
     ("render",),
     ("describe", "demo", "defocus_command"),
@@ -39,7 +40,7 @@ ONLY = {
     "program": {"errors", "resources", "device"},
 }
 IMPORTS_REFERENCE = {"check"}
-OPENCL = {"device", "program", "spread", "defocus", "forward", "render"}
+OPENCL = {"device", "program", "spread", "layers", "defocus", "forward", "render"}
 ON_OPENCL = {"batch", "check"}
 IMAGES = {"images"}
 OUTSIDE = {

@@ -39,6 +39,7 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | {"FILTER": (0,), "SAMPLED": (0,)}
     | dict.fromkeys(("OWNED", "FILL_AIT", "FILL_MEAN_MEDIAN", "DOMAIN_SURFACE"), ON_OR_OFF),
 }
+PROGRAMS["blur.cl", "layer.cl"] = PROGRAMS["blur.cl",] | {"CHANNELS": (2, 4), "SUBPIXELS": (0,)}
 GIVEN_BY_THE_BUILD = {"REAL_IS_DOUBLE", "HAS_INT64_ATOMICS", "HAS_FP64", "defined", "__FMA__", "__SSE4_1__"}
 
 

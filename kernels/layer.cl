@@ -1,0 +1,287 @@
+// Occlusion from what the pinhole alone sees: slabs of blur radius, each blurred together with its coverage by the
+// kernels of blur.cl, after which this file is built with CHANNELS = channels of the image + 1. Twin:
+// clsco/reference/layer.py.
+//
+// On the padded grid (height, width), row-major; a smaller signed radius is nearer:
+//   value    float (CHANNELS - 1, height, width): radiance times the weight of the moment
+//   coc      real: signed radius of the blur in px
+//   valid    uchar: whether there is surface
+//   slab     uchar: 1 is the nearest, 0 no surface
+//   seed     uchar: at an edge, the slab that goes on behind the pixel, else 0
+//   offset   int: rows to the nearest seed of the same column, NO_SEED for none
+//   hidden   uchar: the slab that is taken to go on behind the pixel, else 0
+//   edge     uchar: whether an edge is so near that coverage counts
+// and of the slab that is being blurred
+//   pyramid  float, level by level from the finest to a single pixel, each (CHANNELS + 1, rows, columns): radiance,
+//            radius, and how far they are known, 0 to 1
+//   slab_value float (CHANNELS, height, width): radiance and coverage; slab_coc, slab_valid: as coc and valid
+// All is whole numbers, or sums in a fixed order: the same bits every time.
+
+#define JUMP ((real)1)     // px, as in the twin
+#define BIN ((real)0.25)   // px
+#define CLASSES 10         // of jumps: beyond JUMP, 2 JUMP, 4 JUMP ... px
+#define NO_SEED (1 << 14)  // farther than any frame is wide
+#define RUN 64             // pixels of a row that a work-item looks at together
+#define RADIUS (CHANNELS - 1)  // plane of the pyramid
+#define KNOWN CHANNELS
+#define GROWTH 4.0f
+
+__constant float TENT[4] = {0.125f, 0.375f, 0.375f, 0.125f};
+
+static int bin_of(real coc, real low, int bins)
+{
+    const real at = FLOOR((coc - low) / BIN);
+    return at < 0 ? 0 : at < bins ? (int)at : bins - 1;
+}
+
+// One row or column per work-item. In and out: latest int (CLASSES, bins): of jumps of a class, beyond JUMP 2^class,
+// whose far side is in a bin, 1 + the largest bin of the near side; 0 for none.
+__kernel void find_jumps(const camera_t camera, const real low, const int bins, const int far,
+                         __global const real *coc, __global const uchar *valid, __global int *latest)
+{
+    const int line = get_global_id(0);
+    if (line >= camera.height + camera.width)
+        return;
+    const bool is_row = line < camera.height;
+    const int length = is_row ? camera.width : camera.height, step = is_row ? 1 : camera.width;
+    const int start = is_row ? line * camera.width : line - camera.height;
+    int last = -far - 1;
+    real before = 0;
+    for (int i = 0; i < length; ++i) {
+        const int at = start + i * step;
+        if (!valid[at])
+            continue;
+        const real now = coc[at], size = ABS(now - before);
+        if (size > JUMP && i - last <= far && last >= 0) {
+            int class = 0;
+            while (class < CLASSES - 1 && size > JUMP * (2 << class))
+                ++class;
+            __global int *entry = latest + class * bins + bin_of(MAX(now, before), low, bins);
+            const int begin = bin_of(MIN(now, before), low, bins) + 1;
+            if (*entry < begin)
+                atomic_max(entry, begin);
+        }
+        last = i;
+        before = now;
+    }
+}
+
+// bounds: first bins of the second and each further slab. Out: slab.
+__kernel void label_slabs(const camera_t camera, const real low, const int bins, const int count,
+                          __global const int *bounds, __global const real *coc, __global const uchar *valid,
+                          __global uchar *slab)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= camera.width || y >= camera.height)
+        return;
+    const int at = y * camera.width + x, bin = bin_of(coc[at], low, bins);
+    int label = 1;
+    while (label <= count && bin >= bounds[label - 1])
+        ++label;
+    slab[at] = valid[at] ? label : 0;
+}
+
+// In: coc, slab. Out: seed.
+__kernel void seed_hidden(const camera_t camera, __global const real *coc, __global const uchar *slab,
+                          __global uchar *seed)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= camera.width || y >= camera.height)
+        return;
+    const int at = y * camera.width + x, own = slab[at];
+    const int near[4] = {y > 0 ? at - camera.width : at, y + 1 < camera.height ? at + camera.width : at,
+                         x > 0 ? at - 1 : at, x + 1 < camera.width ? at + 1 : at};
+    int found = 0;
+    for (int k = 0; k < 4 && own; ++k) {
+        const int other = slab[near[k]];
+        if (other > own && coc[near[k]] - coc[at] > JUMP && (!found || other < found))
+            found = other;
+    }
+    seed[at] = found;
+}
+
+// One column per work-item; of two seeds the upper one. In: seed. Out: offset.
+__kernel void column_seeds(const camera_t camera, __global const uchar *seed, __global int *offset)
+{
+    const int x = get_global_id(0);
+    if (x >= camera.width)
+        return;
+    int last = -NO_SEED;
+    for (int y = 0; y < camera.height; ++y) {
+        const int at = y * camera.width + x;
+        last = seed[at] ? y : last;
+        offset[at] = y - last < NO_SEED ? last - y : NO_SEED;
+    }
+    last = 2 * NO_SEED;
+    for (int y = camera.height - 1; y >= 0; --y) {
+        const int at = y * camera.width + x, above = offset[at];
+        last = seed[at] ? y : last;
+        if (last - y < ABS(above))
+            offset[at] = last - y;
+    }
+}
+
+// A run of a row per work-item. deep: px, the farthest seed. In: slab, seed, offset. Out: hidden, edge.
+__kernel void reach_hidden(const camera_t camera, const int deep, __global const uchar *slab,
+                           __global const uchar *seed, __global const int *offset, __global uchar *hidden,
+                           __global uchar *edge)
+{
+    const int begin = get_global_id(0) * RUN, y = get_global_id(1);
+    if (begin >= camera.width || y >= camera.height)
+        return;
+    const int end = MIN(begin + RUN, camera.width), wide = 2 * deep, line = y * camera.width;
+    // Last and next column whose seed is near enough for the edge to count.
+    int last = -NO_SEED;
+    for (int x = MAX(begin - wide, 0); x < begin; ++x)
+        last = ABS(offset[line + x]) <= wide ? x : last;
+    bool some = false;
+    for (int x = begin; x < end; ++x) {
+        last = ABS(offset[line + x]) <= wide ? x : last;
+        edge[line + x] = x - last <= wide;
+        some |= x - last <= wide;
+    }
+    last = 2 * NO_SEED;
+    for (int x = MIN(end + wide, camera.width) - 1; x >= begin; --x) {
+        last = ABS(offset[line + x]) <= wide ? x : last;
+        if (x < end && last - x <= wide)
+            edge[line + x] = some = true;
+    }
+    for (int x = begin; x < end; ++x) {
+        int best = deep * deep + 1, label = 0;
+        for (int dx = 0; some && dx * dx < best; ++dx)
+            for (int side = -1; side <= (dx ? 1 : -1); side += 2) {
+                const int column = x + side * dx;
+                if (column < 0 || column >= camera.width)
+                    continue;
+                const int dy = offset[line + column];
+                if (dy != NO_SEED && dx * dx + dy * dy < best) {
+                    best = dx * dx + dy * dy;
+                    label = seed[line + dy * camera.width + column];
+                }
+            }
+        const int own = slab[line + x];
+        hidden[line + x] = own && label > own ? label : 0;
+    }
+}
+
+// Out: the finest level of the pyramid, of the pixels of slab `which`.
+__kernel void open_slab(const camera_t camera, const int which, __global const float *value, __global const real *coc,
+                        __global const uchar *slab, __global float *pyramid)
+{
+    const int x = get_global_id(0), y = get_global_id(1), plane = camera.height * camera.width;
+    if (x >= camera.width || y >= camera.height)
+        return;
+    const int at = y * camera.width + x;
+    const bool known = slab[at] == which;
+    for (int c = 0; c < CHANNELS - 1; ++c)
+        pyramid[c * plane + at] = known ? value[c * plane + at] : 0;
+    pyramid[RADIUS * plane + at] = known ? (float)coc[at] : 0;
+    pyramid[KNOWN * plane + at] = known;
+}
+
+// One pixel of the coarser level (rows, columns) per work-item: means of what is known, under a tent of 4 x 4 pixels of
+// the finer one (fine_rows, fine_columns). fine, coarse: where the levels are in the pyramid.
+__kernel void push(const int fine_rows, const int fine_columns, const int rows, const int columns, const int fine,
+                   const int coarse, __global float *pyramid)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= columns || y >= rows)
+        return;
+    const int fine_plane = fine_rows * fine_columns;
+    __global const float *from = pyramid + fine;
+    float total = 0, sum[CHANNELS];
+    for (int c = 0; c < CHANNELS; ++c)
+        sum[c] = 0;
+    for (int i = 0; i < 4; ++i)
+        for (int j = 0; j < 4; ++j) {
+            const int row = 2 * y + i - 1, column = 2 * x + j - 1;
+            if (row < 0 || row >= fine_rows || column < 0 || column >= fine_columns)
+                continue;
+            const int at = row * fine_columns + column;
+            const float known = TENT[i] * TENT[j] * from[KNOWN * fine_plane + at];
+            total += known;
+            for (int c = 0; c < CHANNELS; ++c)
+                sum[c] += known * from[c * fine_plane + at];
+        }
+    __global float *to = pyramid + coarse + y * columns + x;
+    for (int c = 0; c < CHANNELS; ++c)
+        to[c * rows * columns] = total > 0 ? sum[c] / total : 0;
+    to[KNOWN * rows * columns] = MIN(GROWTH * total, 1.0f);
+}
+
+// Pixel (y, x) of the finer level between those of a coarser one (rows, columns).
+static float between(__global const float *plane, int rows, int columns, int y, int x)
+{
+    const int row = y / 2, other_row = y % 2 ? MIN(row + 1, rows - 1) : MAX(row - 1, 0);
+    const int column = x / 2, other_column = x % 2 ? MIN(column + 1, columns - 1) : MAX(column - 1, 0);
+    __global const float *line = plane + row * columns, *other = plane + other_row * columns;
+    return 0.75f * (0.75f * line[column] + 0.25f * other[column]) +
+           0.25f * (0.75f * line[other_column] + 0.25f * other[other_column]);
+}
+
+// One pixel of the finer level per work-item: what it does not know, in part or whole, comes from the coarser one.
+// Arguments as for push; coarse is pulled already.
+__kernel void pull(const int fine_rows, const int fine_columns, const int rows, const int columns, const int fine,
+                   const int coarse, __global float *pyramid)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= fine_columns || y >= fine_rows)
+        return;
+    const int plane = fine_rows * fine_columns;
+    __global float *to = pyramid + fine + y * fine_columns + x;
+    const float known = to[KNOWN * plane];
+    for (int c = 0; c < CHANNELS && known < 1; ++c)
+        to[c * plane] = known * to[c * plane] +
+                        (1 - known) * between(pyramid + coarse + c * rows * columns, rows, columns, y, x);
+}
+
+// Slab `which` with its hidden part, which comes from the second level (rows, columns) of the pyramid, at `coarse`.
+__kernel void take_slab(const camera_t camera, const int which, const int rows, const int columns, const int coarse,
+                        __global const float *value, __global const real *coc, __global const uchar *slab,
+                        __global const uchar *hidden, __global const uchar *edge, __global const float *pyramid,
+                        __global float *slab_value, __global real *slab_coc, __global uchar *slab_valid)
+{
+    const int x = get_global_id(0), y = get_global_id(1), plane = camera.height * camera.width;
+    if (x >= camera.width || y >= camera.height)
+        return;
+    const int at = y * camera.width + x;
+    const bool own = slab[at] == which, there = own || hidden[at] == which;
+    __global const float *behind = pyramid + coarse;
+    for (int c = 0; c < CHANNELS - 1; ++c)
+        slab_value[c * plane + at] = own ? value[c * plane + at]
+                                   : there ? between(behind + c * rows * columns, rows, columns, y, x) : 0;
+    slab_value[(CHANNELS - 1) * plane + at] = there && edge[at];
+    slab_coc[at] = own ? coc[at] : there ? between(behind + RADIUS * rows * columns, rows, columns, y, x) : 0;
+    slab_valid[at] = there;
+}
+
+// Adds a blurred slab behind those before. It gets the room that they have left, all of it: at a cut through a
+// continuous surface the two coverages add up to that of the whole, and nothing is lost. In: blurred float (CHANNELS,
+// rows, from_pitch), with scratch columns as `total` in blur.cl. In and out: covered float (rows, columns), total.
+__kernel void composite(const camera_t camera, const int from_pitch, const int from_pad,
+                        __global const float *blurred, __global float *covered,
+#if SCATTER
+                        const float scale, __global fixed_t *total
+#else
+                        const int pitch, const int pad, __global float *total
+#endif
+)
+{
+    const int column = get_global_id(0), row = get_global_id(1);
+    if (column >= camera.columns || row >= camera.rows)
+        return;
+    __global const float *light = blurred + row * from_pitch + column + from_pad;
+    const int at = row * camera.columns + column, plane = camera.rows * from_pitch;
+    const float coverage = light[(CHANNELS - 1) * plane], before = covered[at];
+    const float room = MIN(coverage, MAX(coverage, 1.0f) - before), seen = MAX(room, 0.0f);
+    const float share = seen < coverage ? seen / coverage : 1;
+    for (int c = 0; c < CHANNELS - 1; ++c) {
+#if SCATTER
+        const float fixed = floor(light[c * plane] * share * scale + 0.5f);
+        total[c * camera.rows * camera.columns + at] += (fixed_t)fixed;
+#else
+        total[(c * camera.rows + row) * pitch + column + pad] += light[c * plane] * share;
+#endif
+    }
+    covered[at] = before + seen;
+}
