@@ -110,23 +110,7 @@ def render(
     A frame is frame_0000.png, and frame_0000.json with everything that made it. Of several scenes, each has a
     folder of its name in DIR. Where keys of a scene have several values, each has a folder like f_number_4 there.
     """
-    if "exr" in files and find_spec("OpenEXR") is None:
-        raise ImageError("--truth exr: needs OpenEXR: pip install 'clsco[exr]'; got no such module")
-    planned = _planned(_loaded(scenes, overrides), files)
-    _require_device(device)
-    from clsco import batch
-    from clsco.describe import file_digests
-
-    wanted = [
-        (plan.scene, folder / label, batch.wanted(plan.scene, span, str(path)))
-        for (path, labels, plans), folder in zip(planned, batch.folders(scenes, out), strict=True)
-        for label, plan in zip(labels, plans, strict=True)
-    ]
-    digests = file_digests(scene for scene, _, _ in wanted)
-    jobs = [batch.prepare(*what, files, precision, resume, digests) for what in wanted]
-    with _progress(sum(len(job.frames) for job in jobs), quiet) as advance:
-        for _ in batch.run(jobs, device, precision):
-            advance()
+    _render_to_folders(_loaded(scenes, overrides), out, files, span, device, precision, resume, quiet)
 
 
 @main.command()
@@ -229,6 +213,97 @@ def validate(scenes: tuple[Path, ...]) -> None:
     for path, labels, _ in _planned(_loaded(scenes)):
         count = f", {len(labels)} scenes" if labels != ("",) else ""
         click.echo(f"{click.format_filename(path)}: valid{count}")
+
+
+def _ratio(text: str) -> float:
+    above, line, below = text.partition("/")
+    try:
+        return float(above) / float(below) if line else float(text)
+    except (ValueError, ZeroDivisionError):
+        raise click.BadParameter(f"must be a number, like 0.001, or a ratio, like 1/256; got {text}") from None
+
+
+def _number(name: str, text: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    return click.option(name, metavar="NUMBER", type=float, help=text)
+
+
+@main.command()
+@click.argument("image", type=PATH)
+@click.argument("depth", type=PATH)
+@click.option(
+    "-o", "out", metavar="OUT", required=True, type=PATH,
+    help="Folder for the frame, or a file .png, .tif or .exr for its image alone.",
+)  # fmt: skip
+@click.option("--unit", metavar="UNIT", help="Of DEPTH: mm (default), m, inverse_mm, inverse_m, disparity or coc.")
+@click.option("--scale", metavar="NUMBER", type=_ratio, help="What 1 in DEPTH is worth, such as 0.001 or 1/256.")
+@_number("--baseline", "Distance between the views of a disparity, mm.")
+@_number("--focal-length", "f, mm.")
+@_number("--f-number", "f / D.")
+@_number("--aperture-diameter", "D, mm; instead of the f-number.")
+@_number("--focus-distance", "Distance in focus, mm.")
+@_number("--sensor-distance", "Distance from lens to detector, mm; instead of the distance in focus.")
+@_number("--pixel-pitch", "Distance between pixels on the detector, mm.")
+@click.option("--model", metavar="MODEL", help="Of the blur: pillbox (default) or gaussian.")
+@click.option("--edge", metavar="EDGE", help="Of the blur: integrated (default), area or sampled.")
+@click.option("--occlusion", metavar="METHOD", help="How near hides far: layered (default) or none.")
+@truth_option
+@set_option
+@device_option
+@precision_option
+@quiet_option
+def defocus(
+    image: Path, depth: Path, out: Path, files: tuple[str, ...], overrides: tuple[str, ...], device: str | None,
+    precision: str | None, quiet: bool, **options: str | float | None,
+) -> None:  # fmt: skip
+    """Defocus IMAGE by its depth map DEPTH, a file of the same size.
+
+    DEPTH is a PNG, TIFF, EXR, PFM, NPY or NPZ. All else is as in a scene with this one object, whose other keys
+    --set reaches. Where --set gives a key of the camera several values, each has a folder in OUT.
+    """
+    from clsco.defocus_command import depth_report, is_image_file, prepare_image, scenes_from_files, write_image
+
+    alone = is_image_file(out)
+    if alone and files:
+        raise click.UsageError(f"--truth: OUT must be a folder; got {click.format_filename(out)}")
+    sweep = scenes_from_files(image, depth, options, overrides)
+    for line in depth_report(sweep.scenes[0]):
+        click.echo(line, err=True)
+    if not alone:
+        _render_to_folders([(image, sweep)], out, files, (None, None), device, precision, False, quiet)
+        return
+    scenes = [plan.scene for _, _, plans in _planned([(image, sweep)]) for plan in plans]
+    prepare_image(scenes, out)
+    _require_device(device)
+    from clsco.render import render as render_frames
+
+    with _progress(1, quiet) as advance:
+        for frame in render_frames(scenes[0], truth=(), device=device, precision=precision):
+            write_image(out, frame, frame.metadata["bits"], scenes[0].image.transfer)
+            advance()
+
+
+def _render_to_folders(
+    loaded: Sequence[tuple[Path, Sweep | SceneError]], out: Path, files: tuple[str, ...], span: Span,
+    device: str | None, precision: str | None, resume: bool, quiet: bool,
+) -> None:  # fmt: skip
+    """Plan scenes, and render those of each file into its folder."""
+    if "exr" in files and find_spec("OpenEXR") is None:
+        raise ImageError("--truth exr: needs OpenEXR: pip install 'clsco[exr]'; got no such module")
+    planned = _planned(loaded, files)
+    _require_device(device)
+    from clsco import batch
+    from clsco.describe import file_digests
+
+    wanted = [
+        (plan.scene, folder / label, batch.wanted(plan.scene, span, str(path)))
+        for (path, labels, plans), folder in zip(planned, batch.folders([path for path, _ in loaded], out), strict=True)
+        for label, plan in zip(labels, plans, strict=True)
+    ]
+    digests = file_digests(scene for scene, _, _ in wanted)
+    jobs = [batch.prepare(*what, files, precision, resume, digests) for what in wanted]
+    with _progress(sum(len(job.frames) for job in jobs), quiet) as advance:
+        for _ in batch.run(jobs, device, precision):
+            advance()
 
 
 def _loaded(paths: Sequence[Path], overrides: tuple[str, ...] = ()) -> list[tuple[Path, Sweep | SceneError]]:

@@ -1,4 +1,4 @@
-"""What `clsco defocus` does: an image and its depth map to a scene, what the map leaves out, and one image file."""
+"""What `clsco defocus` does: an image and its depth map to scenes, what the map leaves out, and one image file."""
 
 from __future__ import annotations
 
@@ -8,35 +8,42 @@ from typing import Any
 
 from clsco.depthmaps import check_sizes, inverse_depth, read_depth
 from clsco.errors import ImageError, SceneError
-from clsco.files import refuse
+from clsco.files import refuse, writable_folder
 from clsco.frame import Frame
-from clsco.images import image_size, write_exr, write_png, write_tiff
+from clsco.images import codec, image_size, write_exr, write_png, write_tiff
 from clsco.scene import DepthMap, Scene
-from clsco.scenefile import override, parse_scene
+from clsco.scenefile import override
+from clsco.sweep import Sweep, parse_sweep
 from clsco.transfer import encode
 
 WHERE = "defocus"
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".exr")
-_OTHER_SUFFIXES = (".jpg", ".jpeg", ".pfm", ".npy", ".npz", ".bmp", ".gif", ".webp", ".hdr")
+_OTHER_IMAGES = (".bmp", ".gif", ".hdr", ".jpeg", ".jpg", ".npy", ".npz", ".pfm", ".ppm", ".webp")
+_SECTION_OF = {
+    **dict.fromkeys(("unit", "scale", "baseline"), "object"),
+    **dict.fromkeys(("focal_length", "f_number", "aperture_diameter", "focus_distance"), "camera"),
+    **dict.fromkeys(("sensor_distance", "pixel_pitch"), "camera"),
+    **dict.fromkeys(("model", "edge", "occlusion"), "psf"),
+}
 
 
-def scene_from_files(image: Path, depth: Path, options: Mapping[str, Any], overrides: Sequence[str] = ()) -> Scene:
-    """The scene of an image that has the depths of a map.
+def scenes_from_files(image: Path, depth: Path, options: Mapping[str, Any], overrides: Sequence[str] = ()) -> Sweep:
+    """The scene of an image that has the depths of a map; several where keys of the camera have several values.
 
-    image, depth: files of the same size. options: value by key of the scene, such as {"camera.f_number": 2.8,
-    "object.unit": "m"}, `object` being the map; None stands for a key that is not given. overrides: as of
-    `clsco.load_scene`, after the options.
-    Returns a scene with one object of shape depth_map, and absolute paths. Raises SceneError with a line per fault.
+    image, depth: files of the same size. options: value by key, of the depth map (unit, scale, baseline), of [camera]
+    (focal_length, f_number, aperture_diameter, focus_distance, sensor_distance, pixel_pitch) or of [psf] (model,
+    edge, occlusion); None stands for a key that is not given. overrides: as of `clsco.load_sweep`, after the options.
+    Returns scenes with one object of shape depth_map, and absolute paths. Raises SceneError with a line per fault.
     """
-    item = {"shape": "depth_map", "name": "image", "texture": str(image.absolute()), "depth": str(depth.absolute())}
-    data: dict[str, Any] = {"object": item}
+    paths = {"texture": str(image.absolute()), "depth": str(depth.absolute())}
+    item: dict[str, Any] = {"shape": "depth_map", "name": "image", **paths}
+    tables: dict[str, dict[str, Any]] = {"object": item, "camera": {}, "psf": {}}
     for key, value in options.items():
-        section, _, name = key.partition(".")
         if value is not None:
-            data.setdefault(section, {})[name] = value
-    data["object"] = [item]
+            tables[_SECTION_OF[key]][key] = value
+    data = {**tables, "object": [item]}
     override(data, overrides, WHERE)
-    return parse_scene(data, WHERE)
+    return parse_sweep(data, WHERE)
 
 
 def depth_report(scene: Scene) -> list[str]:
@@ -59,20 +66,31 @@ def depth_report(scene: Scene) -> list[str]:
 def is_image_file(out: Path) -> bool:
     """Whether OUT names an image file and no folder; raises ImageError for an image that cannot be written."""
     suffix = out.suffix.lower()
-    if suffix in _OTHER_SUFFIXES and not out.is_dir():
+    if out.is_dir():
+        return False
+    if suffix in _OTHER_IMAGES:
         refuse(out, f"must be a folder, or end in one of {' '.join(IMAGE_SUFFIXES)}", repr(out.suffix))
-    return suffix in IMAGE_SUFFIXES and not out.is_dir()
+    return suffix in IMAGE_SUFFIXES
 
 
-def check_single(scene: Scene, out: Path) -> None:
-    """Raise where one file cannot take the frames of a scene, or would replace what they are made of."""
-    if scene.sequence.frames > 1 or scene.stereo is not None:
-        views = scene.sequence.frames * (1 if scene.stereo is None else 2)
-        raise SceneError(f"{out}: a file takes one image, a folder takes more; got {views}")
-    for item in scene.objects:
-        for path in (item.texture, *([item.depth] if isinstance(item, DepthMap) else [])):
+def prepare_image(scenes: Sequence[Scene], out: Path) -> None:
+    """Make the folder of an image file, and prove that the file can be written.
+
+    scenes: those to be rendered. Raises SceneError where they have more than one image, ImageError where OUT is what
+    the image is made of, an extra of clsco is missing, or the folder cannot be written.
+    """
+    count = sum(scene.sequence.frames * (1 if scene.stereo is None else 2) for scene in scenes)
+    if count != 1:
+        raise SceneError(f"{out}: a file takes one image, a folder takes more; got {count}")
+    for item in scenes[0].objects:
+        for path in (item.texture, item.depth if isinstance(item, DepthMap) else item.texture):
             if out.resolve() == Path(path).resolve():
                 raise ImageError(f"{out}: must not be the image or the depth that it is made of; got {path}")
+    if out.suffix.lower() == ".exr":
+        codec(out, "OpenEXR", "exr")
+    elif out.suffix.lower() != ".png":
+        codec(out, "tifffile", "formats")
+    writable_folder(out.parent)
 
 
 def write_image(out: Path, frame: Frame, bits: int, transfer: str) -> None:
