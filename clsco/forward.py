@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import comb
 from typing import Any
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from clsco.device import Program, Session
 from clsco.layout import Real, Struct, pose_structs, structs, surface_structs
-from clsco.motion import Pose
+from clsco.motion import Pose, rest_center
 from clsco.plan import Plan
 from clsco.program import build, download, empty, kernel, launch, upload
 from clsco.spread import PIXELS, Events
@@ -36,36 +37,47 @@ OWNERS = (1,)  # of those with few, large work-items
 LINES = (8,)  # of those with a work-item per row, column, segment, chunk or vector
 MINIMUM_COUNT, SMOOTHING_ROUNDS = 4, 20  # chapter 5
 
-SHAPE_FEATURES = ("CHANNELS", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED")
+SHAPE_FEATURES = ("CHANNELS", "SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED")
+
+Surfaces = Sequence[PlacedSurface | None]
 
 
 @dataclass(frozen=True)
 class Warped:
     """One moment on the device, on the padded grid (height, width); overwritten by the next one.
 
-    value: float (CHANNELS, height, width), radiance times weight; coc: real, signed radius of the blur in px;
-    valid: uchar, known or filled (elsewhere value and coc are 0); status: uchar, 0 known or not missing,
-    1 filled, 2 left; counters: as `Filler.fill` returns them.
+    value: float (CHANNELS, height, width), radiance times weight; w: real, inverse depth in 1/mm; coc: real, signed
+    radius of the blur in px; valid: uchar, known or filled (elsewhere value, w and coc are 0); status: uchar, 0 known
+    or not missing, 1 filled, 2 left; object: uchar, number of the object that is seen, 255 for none, or None where the
+    scene has only one; counters: as `Filler.fill` returns them.
     """
 
     value: cl.Buffer
+    w: cl.Buffer
     coc: cl.Buffer
     valid: cl.Buffer
     status: cl.Buffer
+    object: cl.Buffer | None
     counters: dict[str, int]
 
 
 def forward_features(plan: Plan, owned: bool) -> dict[str, int]:
-    """What reproject.cl and fill.cl are compiled for; owned: bands of the image without atomics, for CPUs."""
-    fill = plan.scene.fill
+    """What reproject.cl and fill.cl are compiled for; owned: bands of the image without atomics, for CPUs.
+
+    A depth map has no outline that a ray could miss: where there is one, domain "surface" is "span". Holes are filled
+    from the far side (FILL_FAR) where a scene may have surfaces at several depths: several objects, or a depth map.
+    """
+    fill, mapped = plan.scene.fill, any(item.shape == "depth_map" for item in plan.scene.objects)
     shape = {name: value for name, value in plan.features().items() if name in SHAPE_FEATURES}
     return shape | {
         "FILTER": 0,
         "SAMPLED": 0,
         "OWNED": int(owned),
+        "MAPPED": int(mapped),
         "FILL_AIT": int(fill.method == "ait"),
         "FILL_MEAN_MEDIAN": int(fill.method == "mean_median"),
-        "DOMAIN_SURFACE": int(fill.domain == "surface"),
+        "FILL_FAR": int(mapped or len(plan.scene.objects) > 1),
+        "DOMAIN_SURFACE": int(fill.domain == "surface" and not mapped),
     }
 
 
@@ -86,16 +98,18 @@ def squared_errors(sums: NDArray[np.floating[Any]]) -> tuple[NDArray[np.float64]
 class Filler:
     """Owns planes with missing pixels on one device, and fills them (4.3.5, chapter 5).
 
-    program: with fill.cl; camera: camera_t, whose padded grid the planes have; channels: of the radiance; real:
-    of the other planes. value, w, coc, valid and status are as in fill.cl, for the caller to write before `fill`;
-    indices are two buffers of ints per pixel that only `fill` itself needs.
+    program: with fill.cl; camera: camera_t, whose padded grid the planes have; features: of the program; real: of the
+    planes. value, w, coc, valid, status and object (None without SEVERAL) are as in fill.cl, for the caller to write
+    before `fill`; indices are two buffers of ints per pixel that only `fill` itself needs.
     Raises DeviceError. Validated against `clsco.reference.fill`.
     """
 
     def __init__(
-        self, session: Session, program: Program, camera: Struct, channels: int, method: str, real: Real
+        self, session: Session, program: Program, camera: Struct, features: dict[str, int], real: Real
     ) -> None:
-        self.session, self.program, self.camera, self.method = session, program, camera, method
+        self.session, self.program, self.camera = session, program, camera
+        self.interpolates, self.smooths = bool(features["FILL_AIT"]), bool(features["FILL_MEAN_MEDIAN"])
+        self.is_far, channels = bool(features["FILL_FAR"]), features["CHANNELS"]
         self.rows, self.columns = int(camera["height"]), int(camera["width"])
         self.dtype = _dtype(real)
         self.lines, pixels, size = self.rows + self.columns, self.rows * self.columns, self.dtype.itemsize
@@ -108,32 +122,35 @@ class Filler:
         self.indices = empty(session, 4 * pixels), empty(session, 4 * pixels)
         self.spans, self.grown = empty(session, 8 * self.lines), empty(session, 8 * self.lines)
         self.counters = empty(session, 4 * COUNTERS)
-        self.smooths = method == "mean_median"
+        self.object = empty(session, pixels) if features["SEVERAL"] else None
+        self.far = (empty(session, 4 * pixels),) if self.is_far else ()
         if self.smooths:
             self.done, self.sums = empty(session, 4 * pixels), empty(session, size * SUMS * self.rows)
             self.other_value, self.other_w = empty(session, self.value.size), empty(session, self.w.size)
 
-    def fill(self, surface: cl.Buffer, events: Events) -> dict[str, int]:
+    def fill(self, surfaces: cl.Buffer, count: int, events: Events) -> dict[str, int]:
         """Fill missing pixels sweep by sweep; returns the fields of `clsco.reference.fill.FillReport`.
 
-        surface: of surface_t where pixels may be missing, with domain "surface". Waits once per sweep.
+        surfaces: `count` of surface_t, where pixels may be missing with domain "surface". Waits once per sweep.
         """
         cl.enqueue_fill_buffer(self.session.queue, self.counters, ZERO, 0, self.counters.size)
         source, left = self.indices
-        found = self._mark(surface, source, events)
+        placed = (self.camera, surfaces, np.int32(count), self.valid)
+        found = self._mark(placed, source, events)
         wins = self._score(events) if self.smooths and found[LEFT] else 0
         sweeps = filled = first = 0
-        minimum = MINIMUM_COUNT
-        while self.method != "none" and found[LEFT]:
-            self._sweep(source, found[LEFT], (np.int32(wins), np.int32(minimum)), events)
-            found = self._settle(surface, source, left, found[LEFT], events)
+        most, least = MINIMUM_COUNT if self.smooths else 1, 0 if self.is_far else 1
+        minimum = most
+        while (self.interpolates or self.smooths) and found[LEFT]:
+            self._sweep(source, found[LEFT], np.int32(wins), np.int32(minimum), events)
+            found = self._settle(placed, source, left, found[LEFT], events)
             source, left = left, source
             if found[FILLED]:
-                sweeps, minimum = sweeps + 1, MINIMUM_COUNT
+                sweeps, minimum = sweeps + 1, most
                 filled += found[FILLED_INSIDE]
                 first = filled if sweeps == 1 else first
-            elif self.smooths and minimum > 1:
-                minimum -= 1  # fewer neighbors will do where the filling would stall
+            elif minimum > least:
+                minimum -= 1  # fewer neighbors will do where the filling would stall, and then nearer ones
             else:
                 break
         if self.smooths and found[DONE]:
@@ -146,32 +163,40 @@ class Filler:
             "filled_first_sweep": first,
         }
 
-    def _mark(self, surface: cl.Buffer, source: cl.Buffer, events: Events) -> list[int]:
+    def _mark(self, placed: tuple[Any, ...], source: cl.Buffer, events: Events) -> list[int]:
         """List all missing pixels."""
         chunks, head = (-(-self.columns // CHUNK), self.rows), (self.camera, self.valid)
         self._launch("find_spans", events, (self.lines,), LINES, *head, self.spans, self.grown)
-        args = (self.camera, surface, self.valid, self.spans, self.status, source, self.counters)
+        args = (*placed, self.spans, self.status, source, self.counters, *self._depths())
         self._launch("mark_missing", events, chunks, (1, *LINES), *args)
         return self._found()
 
-    def _sweep(self, source: cl.Buffer, count: int, rule: tuple[np.int32, np.int32], events: Events) -> None:
-        """Fill what can be filled of a list of `count` missing pixels; rule: of mean/median."""
-        planes = (self.valid, self.value, self.w, self.coc, self.status)
+    def _depths(self) -> tuple[cl.Buffer, ...]:
+        """What the bound on the depth of neighbors is made from, and kept in."""
+        return (self.w, *self.far) if self.is_far else ()
+
+    def _sweep(self, source: cl.Buffer, count: int, wins: np.int32, minimum: np.int32, events: Events) -> None:
+        """Fill what can be filled of a list of `count` missing pixels; wins: of the median, by count of neighbors."""
+        seen = () if self.object is None else (self.object,)
+        planes = (*self.far, self.valid, self.value, self.w, self.coc, self.status, *seen)
         head = (self.camera, source, np.int32(count))
-        if self.method == "ait":
-            self._launch("fill_ait", events, (count,), LISTED, *head, *planes)
+        if self.interpolates:
+            rule = (minimum,) if self.is_far else ()
+            self._launch("fill_ait", events, (count,), LISTED, *head, *rule, *planes)
         else:
             vectors = (-(-count // LANES),)
-            self._launch("fill_mean_median", events, vectors, LINES, *head, *rule, *planes)
+            self._launch("fill_mean_median", events, vectors, LINES, *head, wins, minimum, *planes)
 
-    def _settle(self, surface: cl.Buffer, source: cl.Buffer, left: cl.Buffer, count: int, events: Events) -> list[int]:
+    def _settle(
+        self, placed: tuple[Any, ...], source: cl.Buffer, left: cl.Buffer, count: int, events: Events
+    ) -> list[int]:
         """End a sweep over the list `source`; lists in `left` what is missing now."""
         cl.enqueue_fill_buffer(self.session.queue, self.counters, ZERO, 0, 4 * DONE)
         lines = (self.spans, self.grown)
         args = (self.camera, source, np.int32(count), *lines, self.status, self.valid, left, self.counters)
         done = (self.done,) if self.smooths else ()
         self._launch("settle_sweep", events, (-(-count // CHUNK),), LINES, *args, *done)
-        grown = (self.camera, surface, self.valid, *lines, self.status, left, self.counters)
+        grown = (*placed, *lines, self.status, left, self.counters, *self._depths())
         self._launch("mark_grown", events, (self.lines,), LISTED, *grown)
         return self._found()
 
@@ -187,7 +212,7 @@ class Filler:
         here, there = (self.value, self.w), (self.other_value, self.other_w)
         for source, target in zip(here, there, strict=True):
             cl.enqueue_copy(self.session.queue, target, source, byte_count=source.size)
-        vectors, head = (-(-count // LANES),), (self.camera, self.done, np.int32(count), self.valid)
+        vectors, head = (-(-count // LANES),), (self.camera, self.done, np.int32(count), *self.far, self.valid)
         for _ in range(SMOOTHING_ROUNDS):  # an even number: the last one writes to the first set
             self._launch("smooth_median", events, vectors, LINES, *head, *here, *there, self.coc)
             here, there = there, here
@@ -203,8 +228,10 @@ class Filler:
 class ForwardWarp:
     """Owns the buffers of the forward warp for one plan on one device, and the pixels' inverse depth at rest.
 
-    camera: camera_t of the plan; texture: float (CHANNELS, rows, columns); rest: the surface at rest; owned:
-    the depth test without atomics, by default on processors; the same bits either way.
+    camera: camera_t of the plan; texture: float (textures, CHANNELS, rows, columns). Of every object of the scene:
+    surfaces: as the textures show it, None for a depth map; maps: inverse depth (rows, columns) in 1/mm of a depth map,
+    0 where nothing is, None for others; textures: number of its texture, by default its own. owned: the depth test
+    without atomics, by default on processors; the same bits either way.
     Raises DeviceError, KernelError. Validated against `clsco.reference.reproject` and `clsco.reference.fill`.
     """
 
@@ -214,69 +241,102 @@ class ForwardWarp:
         plan: Plan,
         camera: Struct,
         texture: cl.Buffer,
-        rest: PlacedSurface,
+        surfaces: Surfaces,
+        maps: Sequence[NDArray[np.float64] | None],
         real: Real,
         owned: bool | None = None,
+        textures: Sequence[int] | None = None,
     ) -> None:
         self.session, self.plan, self.camera, self.texture, self.real = session, plan, camera, texture, real
-        self.item = plan.scene.objects[0]
+        self.items = plan.scene.objects
+        self.textures = list(textures or range(len(self.items)))
         self.owned = session.device.kind == "cpu" if owned is None else owned
         features = forward_features(plan, self.owned)
         self.program = build(session, ["reproject.cl", "fill.cl"], features, structs(real), real)
-        self.filler = Filler(session, self.program, camera, plan.channels, plan.scene.fill.method, real)
+        self.filler = Filler(session, self.program, camera, features, real)
         # Once the pixels are in their places, the filling may have these for its lists.
         self.target, self.winner = self.filler.indices
         self.sources, size = plan.rows * plan.columns, _dtype(real).itemsize
         self.rest, self.moved = empty(session, size * self.sources), empty(session, size * self.sources)
-        self.rest_surface = upload(session, surface_structs([self.item], [rest], real))
-        self._per_pixel("reproject_rest", [], (plan.columns, plan.rows), camera, self.rest_surface, self.rest)
+        self.object = (empty(session, self.sources),) if features["SEVERAL"] else ()
+        self.rest_surfaces = self._surfaces(surfaces)
+        members = np.uint64(sum(1 << k for k, surface in enumerate(surfaces) if surface is not None))
+        given = [depth for depth in maps if depth is not None]
+        self.maps = (upload(session, np.stack(given).astype(_dtype(real))),) if given else ()
+        args = (camera, self.rest_surfaces, np.int32(len(self.items)), members, *self.maps, self.rest, *self.object)
+        self._per_pixel("reproject_rest", [], (plan.columns, plan.rows), *args)
         self.segments = plan.rows * -(-plan.columns // SEGMENT)
         if self.owned:
             self.bounds = empty(session, 8 * self.segments)
         else:
             self.depth = empty(session, self.winner.size)
 
-    def warp(self, pose: Pose, surface: PlacedSurface, weight: float, events: Events) -> Warped:
-        """The pixels at rest after the move to `pose`, with missing ones filled as the scene says.
+    def warp(self, poses: Sequence[Pose], surfaces: Surfaces, weight: float, events: Events) -> Warped:
+        """The pixels at rest after the move of the objects to `poses`, with missing ones filled as the scene says.
 
-        surface: the object in `pose`; weight: of this moment in the exposure; events: gets what was enqueued.
+        poses: of every object before the camera, wherever that is itself; surfaces: the objects in their poses, None
+        for depth maps; weight: of this moment in the exposure; events: gets what was enqueued.
         """
-        self.placed = self._placed(pose, surface)  # held until the queue is done with it
-        args = (self.camera, self.rest_surface, self.placed[0], self.rest, self.target, self.moved)
+        # Held until the queue is done with them; the filling waits for that.
+        self.placed = upload(self.session, pose_structs(poses, self.real)), self._surfaces(surfaces)
+        args = (self.camera, self.rest_surfaces, self.placed[0], self.rest, self.target, self.moved, *self.object)
         if self.owned:
             self._test_in_bands(args, events)
         else:
             self._test_by_atomics(args, events)
         planes, plan = self.filler, self.plan
         head = (self.camera, np.float32(weight), self.texture, self.moved, self.winner)
-        out = (planes.value, planes.w, planes.coc, planes.valid, planes.status)
-        self._per_pixel("reproject_gather", events, (plan.width, plan.height), *head, *out)
-        counters = planes.fill(self.placed[1], events)
-        return Warped(planes.value, planes.coc, planes.valid, planes.status, counters)
+        several = (self.rest_surfaces, *self.object) if self.object else ()
+        seen = () if planes.object is None else (planes.object,)
+        out = (planes.value, planes.w, planes.coc, planes.valid, planes.status, *seen)
+        self._per_pixel("reproject_gather", events, (plan.width, plan.height), *head, *several, *out)
+        counters = planes.fill(self.placed[1], len(self.items), events)
+        return Warped(planes.value, planes.w, planes.coc, planes.valid, planes.status, planes.object, counters)
 
-    def truth(self, pose: Pose, surface: PlacedSurface, events: Events) -> dict[str, NDArray[Any]]:
-        """What the plan wants of these: "sharp", float32 (rows, columns[, channels]), radiance after the
-        move, and "filled", uint8 (rows, columns), as `Warped.status`. Arguments as for `warp`."""
-        plan, guard = self.plan, self.plan.guard_px
-        if not {"sharp", "filled"} & set(plan.truth):
+    def truth(self, poses: Sequence[Pose], surfaces: Surfaces, events: Events) -> dict[str, NDArray[Any]]:
+        """What the plan wants of these, float32 or as stated, (rows, columns[, channels]). Arguments as for `warp`.
+
+        "sharp": radiance after the move; "filled": uint8, as `Warped.status`. Of a scene with a depth map, at which no
+        ray can be cast, also what is known of the pixels' surface, filled ones included: "depth" in mm, +inf for none;
+        "coc" in px, 0 for none; "mask", bool; "object_id", int32, -1 for none. These are the values of the source that
+        came to the pixel, up to half a pixel from its center.
+        """
+        plan = self.plan
+        names = {"sharp", "filled"} | ({"depth", "coc", "mask", "object_id"} if self.maps else set())
+        if not names & set(plan.truth):
             return {}
-        warped = self.warp(pose, surface, 1.0, events)
-        frame = (..., slice(guard, guard + plan.rows), slice(guard, guard + plan.columns))
-        found: dict[str, NDArray[Any]] = {}
+        warped = self.warp(poses, surfaces, 1.0, events)
+        real, valid = _dtype(self.real), self._frame(warped.valid, np.bool_)
+        found: dict[str, NDArray[Any]] = {"mask": valid}
         if "sharp" in plan.truth:
-            shape = (plan.channels, plan.height, plan.width)
-            planes = download(self.session, warped.value, shape, np.float32)[frame]
-            image = planes[0] if plan.channels == 1 else np.moveaxis(planes, 0, -1)
-            found["sharp"] = np.ascontiguousarray(image)
+            planes = self._frame(warped.value, np.float32, plan.channels)
+            found["sharp"] = np.ascontiguousarray(planes[0] if plan.channels == 1 else np.moveaxis(planes, 0, -1))
         if "filled" in plan.truth:
-            status = download(self.session, warped.status, (plan.height, plan.width), np.uint8)
-            found["filled"] = np.ascontiguousarray(status[frame])
-        return found
+            found["filled"] = self._frame(warped.status, np.uint8)
+        if self.maps:
+            w = self._frame(warped.w, real)
+            found["depth"] = np.where(valid, 1.0 / np.where(valid, w, 1.0), np.inf).astype(np.float32)
+            found["coc"] = self._frame(warped.coc, real).astype(np.float32)
+            seen = 0 if warped.object is None else self._frame(warped.object, np.uint8)
+            found["object_id"] = np.where(valid, seen, -1).astype(np.int32)
+        return {name: array for name, array in found.items() if name in names & set(plan.truth)}
 
-    def _placed(self, pose: Pose, surface: PlacedSurface) -> tuple[cl.Buffer, cl.Buffer]:
-        """Poses and surfaces on the device."""
-        poses, surfaces = pose_structs([pose], self.real), surface_structs([self.item], [surface], self.real)
-        return upload(self.session, poses), upload(self.session, surfaces)
+    def _frame(self, buffer: cl.Buffer, dtype: Any, channels: int | None = None) -> NDArray[Any]:
+        """The frame's part (rows, columns) of a plane on the padded grid, or (channels, rows, columns) of several."""
+        plan, guard = self.plan, self.plan.guard_px
+        shape = (plan.height, plan.width) if channels is None else (channels, plan.height, plan.width)
+        inside = (..., slice(guard, guard + plan.rows), slice(guard, guard + plan.columns))
+        return np.ascontiguousarray(download(self.session, buffer, shape, dtype)[inside])
+
+    def _surfaces(self, surfaces: Surfaces) -> cl.Buffer:
+        """surface_t of every object on the device; of depth maps only the center, about which they turn."""
+        known = [k for k, surface in enumerate(surfaces) if surface is not None]
+        placed = [surface for surface in surfaces if surface is not None]
+        array = np.zeros(len(self.items), structs(self.real)["surface_t"])
+        array[known] = surface_structs([self.items[k] for k in known], placed, self.real)
+        array["rest"] = [rest_center(item) for item in self.items]
+        array["texture"] = self.textures
+        return upload(self.session, array)
 
     def _test_in_bands(self, args: tuple[Any, ...], events: Events) -> None:
         """Targets and winners; work-items own bands of the image."""

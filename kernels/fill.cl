@@ -9,10 +9,17 @@
 //   spans    int2 per line, the rows and then the columns: first and last valid pixel, (INT_MAX, -1) for none
 //   grown    the same after a sweep; where they differ, the sweep has made lines longer
 //   list     int per missing pixel, in any order: its number
+//   far      float per missing pixel of the grid, with FILL_FAR: largest inverse depth of neighbors that may serve it
+//   object   uchar, with SEVERAL: which object is seen, 255 for none
 //   counters ints, see below
 //
 // A sweep writes to missing pixels, which nobody reads before settle_sweep has made them valid: all of it sees what was
-// known before it, in any order. Features besides geometry.clh's: FILL_AIT, FILL_MEAN_MEDIAN, DOMAIN_SURFACE.
+// known before it, in any order. Features besides geometry.clh's: FILL_AIT, FILL_MEAN_MEDIAN, FILL_FAR, DOMAIN_SURFACE.
+//
+// FILL_FAR: what a moving edge uncovers lies behind it, and is filled from the farther side only. The nearest pair of
+// known pixels on opposite sides of a missing one says how far its surface is: as far as the farther of the two. Known
+// neighbors that are more than FAR_SLACK nearer than that do not serve, and a pixel that has only such ones waits for
+// others to be filled, until nothing else can be. In the gap that a growing surface leaves, both sides are near, and serve.
 
 #define LEFT 0           // missing pixels: entries of the list
 #define LEFT_INSIDE 1    // of them inside the frame
@@ -20,6 +27,7 @@
 #define FILLED_INSIDE 3
 #define DONE 4           // filled by all sweeps: entries of done
 #define CHUNK 64         // pixels per work-item where it counts, so that atomics are rare
+#define FAR_SLACK 1.02f  // relative: a surface at 45 degrees changes less over two pixels of 0.5 degrees each
 
 // Neighbors, in the order in which they are asked: W E, N S, NW SE, NE SW; opposite ones are pairs.
 __constant int NEIGHBOR_X[8] = {-1, 1, 0, 0, -1, 1, 1, -1};
@@ -31,17 +39,47 @@ static bool in_frame(const camera_t camera, int x, int y)
     return column >= 0 && column < camera.columns && row >= 0 && row < camera.rows;
 }
 
-// Whether the fill domain contains a pixel: with "surface" its ray has to meet the moved surface.
-static bool may_be_missing(const camera_t camera, __constant surface_t *surface, int x, int y)
+// Whether the fill domain contains a pixel: with "surface" its ray has to meet one of the moved surfaces.
+static bool may_be_missing(const camera_t camera, __constant surface_t *surfaces, int count, int x, int y)
 {
 #if DOMAIN_SURFACE
-    uchar root;
-    solve_quadric(surface, pixel_ray(camera, y - camera.guard, x - camera.guard), &root);
-    return root;
+    uchar label;
+    int object;
+    nearest_surface(surfaces, count, ~(ulong)0, pixel_ray(camera, y - camera.guard, x - camera.guard), &label, &object);
+    return object >= 0;
 #else
     return true;
 #endif
 }
+
+#if FILL_FAR
+// Bound on the inverse depth of neighbors that may serve a missing pixel. Of the row, the column and the two diagonals
+// the one decides that meets valid pixels on both sides first, that is within the fewest steps.
+static float far_bound(const camera_t camera, __global const uchar *valid, __global const real *w, int x, int y)
+{
+    int ends[8];
+    for (int k = 0; k < 8; ++k)
+        ends[k] = -1;
+    for (int step = 1; step < MAX(camera.width, camera.height); ++step)
+        for (int k = 0; k < 8; ++k) {
+            const int i = y + step * NEIGHBOR_Y[k], j = x + step * NEIGHBOR_X[k];
+            const bool inside = i >= 0 && i < camera.height && j >= 0 && j < camera.width;
+            if (ends[k] < 0 && inside && valid[i * camera.width + j])
+                ends[k] = i * camera.width + j;
+            if (k % 2 && ends[k - 1] >= 0 && ends[k] >= 0)
+                return FAR_SLACK * (float)MIN(w[ends[k - 1]], w[ends[k]]);
+        }
+    return INFINITY;
+}
+
+// Whether a valid pixel may serve one with this bound.
+static bool serves(__global const uchar *valid, __global const real *w, int at, float bound)
+{
+    return valid[at] && (float)w[at] <= bound;
+}
+#else
+#define serves(valid, w, at, bound) valid[at]
+#endif
 
 // First and last valid pixel of each line. In: valid. Out: spans, grown.
 __kernel void find_spans(const camera_t camera, __global const uchar *valid, __global int2 *spans,
@@ -62,10 +100,15 @@ __kernel void find_spans(const camera_t camera, __global const uchar *valid, __g
 }
 
 // Lists the pixels that are unknown but between the first and last valid one of their row, or else of their column,
-// CHUNK columns per work-item. In: valid, spans. Out: status of missing pixels, list, LEFT and LEFT_INSIDE.
-__kernel void mark_missing(const camera_t camera, __constant surface_t *surface, __global const uchar *valid,
-                           __global const int2 *spans, __global uchar *status, __global int *list,
-                           __global int *counters)
+// CHUNK columns per work-item. In: `count` surfaces, valid, w, spans. Out: status and far of missing pixels, list, LEFT
+// and LEFT_INSIDE.
+__kernel void mark_missing(const camera_t camera, __constant surface_t *surfaces, const int count,
+                           __global const uchar *valid, __global const int2 *spans, __global uchar *status,
+                           __global int *list, __global int *counters
+#if FILL_FAR
+                           , __global const real *w, __global float *far
+#endif
+)
 {
     const int begin = get_global_id(0) * CHUNK, y = get_global_id(1);
     if (begin >= camera.width || y >= camera.height)
@@ -78,23 +121,26 @@ __kernel void mark_missing(const camera_t camera, __constant surface_t *surface,
     if (!unknown)
         return;
     const int2 row = spans[y];
-    int found[CHUNK], count = 0, inside = 0;
+    int found[CHUNK], entries = 0, inside = 0;
     for (int x = begin; x < end; ++x) {
         const int2 column = spans[camera.height + x];
         if (line[x] || !((x > row.x && x < row.y) || (y > column.x && y < column.y)))
             continue;
-        if (!may_be_missing(camera, surface, x, y))
+        if (!may_be_missing(camera, surfaces, count, x, y))
             continue;
-        found[count++] = y * camera.width + x;
+#if FILL_FAR
+        far[y * camera.width + x] = far_bound(camera, valid, w, x, y);
+#endif
+        found[entries++] = y * camera.width + x;
         inside += in_frame(camera, x, y);
         status[y * camera.width + x] = 2;
     }
-    if (!count)
+    if (!entries)
         return;
-    const int start = atomic_add(counters + LEFT, count);
+    const int start = atomic_add(counters + LEFT, entries);
     if (inside)
         atomic_add(counters + LEFT_INSIDE, inside);
-    for (int i = 0; i < count; ++i)
+    for (int i = 0; i < entries; ++i)
         list[start + i] = found[i];
 }
 
@@ -155,10 +201,14 @@ __kernel void settle_sweep(const camera_t camera, __global const int *list, cons
 }
 
 // Lists what is missing since lines have grown, one line per work-item. A pixel within the span of its row is left to
-// the row. In: valid, grown. In and out: spans, status, list, LEFT and LEFT_INSIDE.
-__kernel void mark_grown(const camera_t camera, __constant surface_t *surface, __global const uchar *valid,
-                         __global int2 *spans, __global const int2 *grown, __global uchar *status,
-                         __global int *list, __global int *counters)
+// the row. In: `count` surfaces, valid, w, grown. In and out: spans, status, far, list, LEFT and LEFT_INSIDE.
+__kernel void mark_grown(const camera_t camera, __constant surface_t *surfaces, const int count,
+                         __global const uchar *valid, __global int2 *spans, __global const int2 *grown,
+                         __global uchar *status, __global int *list, __global int *counters
+#if FILL_FAR
+                         , __global const real *w, __global float *far
+#endif
+)
 {
     const int line = get_global_id(0);
     if (line >= camera.height + camera.width)
@@ -174,8 +224,11 @@ __kernel void mark_grown(const camera_t camera, __constant surface_t *surface, _
         const int x = is_row ? i : line - camera.height, y = is_row ? line : i, at = y * camera.width + x;
         const int2 row = grown[y];
         const bool listed = is_row ? status[at] == 2 : x > row.x && x < row.y;
-        if (valid[at] || listed || !may_be_missing(camera, surface, x, y))
+        if (valid[at] || listed || !may_be_missing(camera, surfaces, count, x, y))
             continue;
+#if FILL_FAR
+        far[at] = far_bound(camera, valid, w, x, y);
+#endif
         status[at] = 2;
         list[atomic_inc(counters + LEFT)] = at;
         if (in_frame(camera, x, y))
@@ -202,10 +255,20 @@ static int2 between_valid(__global const uchar *valid, int at, int step, int ind
 }
 
 // One sweep of AIT. Inside: the mean of the first opposite pair of valid neighbors, else a copy of the first valid
-// neighbor. On the outermost rows and columns: linear between the nearest valid pixels of the row, else of the column.
-// In: list of `count`, valid. In and out: value, w, coc, status.
-__kernel void fill_ait(const camera_t camera, __global const int *list, const int count, __global const uchar *valid,
-                       __global float *value, __global real *w, __global real *coc, __global uchar *status)
+// neighbor. On the outermost rows and columns: linear between the nearest valid pixels of the row, else of the column;
+// with FILL_FAR a copy of the farther one where the other may not serve a pixel of its depth. The object is that of the
+// first pixel that serves. In: list of `count`, valid; minimum, far: with 0 any neighbor serves. In and out: value, w,
+// coc, status, object.
+__kernel void fill_ait(const camera_t camera, __global const int *list, const int count,
+#if FILL_FAR
+                       const int minimum, __global const float *far,
+#endif
+                       __global const uchar *valid, __global float *value, __global real *w, __global real *coc,
+                       __global uchar *status
+#if SEVERAL
+                       , __global uchar *object
+#endif
+)
 {
     const int id = get_global_id(0);
     if (id >= count)
@@ -222,15 +285,24 @@ __kernel void fill_ait(const camera_t camera, __global const int *list, const in
         }
         if (from.y >= 0)
             share = (real)((at - from.x) / step) / ((from.y - from.x) / step);
+#if FILL_FAR
+        if (from.y >= 0 && (float)w[from.x] > FAR_SLACK * (float)w[from.y])
+            from.x = from.y;
+        else if (from.y >= 0 && (float)w[from.y] > FAR_SLACK * (float)w[from.x])
+            from.y = from.x;
+#endif
     } else {
+#if FILL_FAR
+        const float bound = minimum ? far[at] : INFINITY;
+#endif
         for (int k = 0; k < 8 && from.y < 0; k += 2) {
             const int step = NEIGHBOR_Y[k] * camera.width + NEIGHBOR_X[k];
-            if (valid[at + step] && valid[at - step])
+            if (serves(valid, w, at + step, bound) && serves(valid, w, at - step, bound))
                 from = (int2)(at + step, at - step);
         }
         for (int k = 0; k < 8 && from.y < 0; ++k) {
             const int step = NEIGHBOR_Y[k] * camera.width + NEIGHBOR_X[k];
-            if (valid[at + step])
+            if (serves(valid, w, at + step, bound))
                 from = at + step;
         }
     }
@@ -244,6 +316,9 @@ __kernel void fill_ait(const camera_t camera, __global const int *list, const in
     w[at] = inverse_depth;
     coc[at] = blur_radius(camera, inverse_depth);
     status[at] = 1;
+#if SEVERAL
+    object[at] = object[from.x];
+#endif
 }
 #endif
 
@@ -323,14 +398,18 @@ __kernel void score_mean_median(const camera_t camera, __global const float *val
     }
 }
 
-// LANES pixels of a list, with their valid neighbors: bit k of `bits` is neighbor k.
+// LANES pixels of a list, with the neighbors that serve them: bit k of `bits` is neighbor k.
 typedef struct {
     int at[LANES], bits[LANES];
     real8 count, lower, upper, by_median;  // neighbors; places of the middle two; whether their mean is wanted
 } around_t;
 
 static around_t look_around(const camera_t camera, __global const uchar *valid, __global const int *list, int entries,
-                            int median_wins)
+                            int median_wins
+#if FILL_FAR
+                            , __global const real *w, __global const float *far, int minimum
+#endif
+)
 {
     around_t around;
     for (int lane = 0; lane < LANES; ++lane) {
@@ -339,11 +418,14 @@ static around_t look_around(const camera_t camera, __global const uchar *valid, 
         const int x = at % camera.width, y = at / camera.width;
         const bool inner = x > 0 && y > 0 && x < camera.width - 1 && y < camera.height - 1;
         int bits = 0, count = 0;
+#if FILL_FAR
+        const float bound = minimum ? far[at] : INFINITY;
+#endif
         UNROLL
         for (int k = 0; k < 8; ++k) {
             const int i = y + NEIGHBOR_Y[k], j = x + NEIGHBOR_X[k];
             const bool inside = inner || (i >= 0 && i < camera.height && j >= 0 && j < camera.width);
-            const int known = inside ? valid[i * camera.width + j] : 0;
+            const int known = inside ? serves(valid, w, i * camera.width + j, bound) : 0;
             bits |= known << k;
             count += known;
         }
@@ -406,30 +488,67 @@ static void write_estimates(const camera_t camera, const around_t around, int mi
         }
 }
 
-// Stage 1: one sweep, LANES entries per work-item. Bit k of median_wins: of k valid neighbors the median is the better
-// estimator; a pixel needs `minimum` of them. In: list of `count`, valid. In and out: value, w, coc, status.
+#if FILL_FAR
+#define BOUNDED_BY(w, far, minimum) , w, far, minimum
+#else
+#define BOUNDED_BY(w, far, minimum)
+#endif
+
+// Stage 1: one sweep, LANES entries per work-item. Bit k of median_wins: of k neighbors the median is the better
+// estimator; a pixel needs `minimum` of them, with FILL_FAR and 0 any single one. The object is that of the first one.
+// In: list of `count`, valid, far. In and out: value, w, coc, status, object.
 __kernel void fill_mean_median(const camera_t camera, __global const int *list, const int count, const int median_wins,
-                               const int minimum, __global const uchar *valid, __global float *value,
-                               __global real *w, __global real *coc, __global uchar *status)
+                               const int minimum,
+#if FILL_FAR
+                               __global const float *far,
+#endif
+                               __global const uchar *valid, __global float *value, __global real *w,
+                               __global real *coc, __global uchar *status
+#if SEVERAL
+                               , __global uchar *object
+#endif
+)
 {
     if (get_global_id(0) * LANES >= count)
         return;
-    const around_t around = look_around(camera, valid, list, count, median_wins);
-    write_estimates(camera, around, minimum, value, w, value, w, coc);
-    for (int lane = 0; lane < LANES; ++lane)
-        if (((const real *)&around.count)[lane] >= minimum)
-            status[around.at[lane]] = 1;
+    const around_t around = look_around(camera, valid, list, count, median_wins BOUNDED_BY(w, far, minimum));
+    const int least = MAX(minimum, 1);
+    write_estimates(camera, around, least, value, w, value, w, coc);
+    for (int lane = 0; lane < LANES; ++lane) {
+        if (((const real *)&around.count)[lane] < least)
+            continue;
+        status[around.at[lane]] = 1;
+#if SEVERAL
+        int k = 0;
+        while (!(around.bits[lane] >> k & 1))
+            ++k;
+        object[around.at[lane]] = object[around.at[lane] + NEIGHBOR_Y[k] * camera.width + NEIGHBOR_X[k]];
+#endif
+    }
 }
 
-// Stage 2: one round of the 3x3 median without the center over the filled pixels, LANES entries per work-item. In:
-// done, list of `count`; valid; value_in, w_in, which hold all pixels. Out: the same of the filled pixels, coc.
+// Stage 2: one round of the 3x3 median without the center over the filled pixels, LANES entries per work-item; a pixel
+// that no neighbor serves stays. In: done, list of `count`; valid, far; value_in, w_in, which hold all pixels. Out: the
+// same of the filled pixels, coc.
 __kernel void smooth_median(const camera_t camera, __global const int *done, const int count,
+#if FILL_FAR
+                            __global const float *far,
+#endif
                             __global const uchar *valid, __global const float *value_in, __global const real *w_in,
                             __global float *value_out, __global real *w_out, __global real *coc)
 {
     if (get_global_id(0) * LANES >= count)
         return;
-    const around_t around = look_around(camera, valid, done, count, ~0);
+    const around_t around = look_around(camera, valid, done, count, ~0 BOUNDED_BY(w_in, far, 1));
     write_estimates(camera, around, 1, value_in, w_in, value_out, w_out, coc);
+#if FILL_FAR
+    for (int lane = 0; lane < LANES; ++lane) {
+        const int at = around.at[lane];
+        for (int c = 0; c < CHANNELS && !around.bits[lane]; ++c)
+            value_out[c * camera.height * camera.width + at] = value_in[c * camera.height * camera.width + at];
+        if (!around.bits[lane])
+            w_out[at] = w_in[at];
+    }
+#endif
 }
 #endif

@@ -5,16 +5,22 @@
 //   target   int per source: pixel of the padded grid that it moves to, -1 for none
 //   moved    real per source: its inverse depth after the move, 1/mm, 0 for none
 //   winner   int per pixel of the padded grid: lowest source among the nearest that come there, NO_WINNER for none
+//   object   uchar per source, with SEVERAL: which object it belongs to, 0 where there is none
+//
+// The source in a pixel at rest is the nearest of all surfaces there; it moves with its object. `count` objects have a
+// surface, a pose and a texture each. Those in `members` are met by rays; the others are depth maps (MAPPED), whose
+// surface_t has only the center.
 //
 // Depths are compared as floats, so that rounding in the last digit of a double decides nothing: of equal ones the
 // first source wins. On CPUs (OWNED) a work-item owns a band of the padded grid and walks the sources that come there
 // in their order, without atomics; elsewhere two passes of atomics find the same winners.
-// Features besides geometry.clh's: OWNED.
+// Features besides geometry.clh's: OWNED, MAPPED.
 
 // The position p of a source in px is snapped to 1/4096 px and then rounded half up, so that errors far below a step
 // cannot move it across a pixel's edge. Both roundings in one are floor(p + ROUND).
 #define ROUND ((real)(0.5 + 0.5 / 4096))
 #define NO_WINNER INT_MAX
+#define NO_OBJECT 255
 
 // Sources of a row that a work-item moves. PoCL vectorizes a loop over them, but not work-items of one source each.
 #if OWNED
@@ -23,38 +29,62 @@
 #define SEGMENT 1
 #endif
 
-// Inverse depth of every source; `surface` is at rest. Out: rest.
-__kernel void reproject_rest(const camera_t camera, __constant surface_t *surface, __global real *rest)
+// Inverse depth and object of every source; `surfaces` are at rest; maps real (depth maps, rows, columns): inverse
+// depths at rest. Of equally near objects the first counts. Out: rest, object.
+__kernel void reproject_rest(const camera_t camera, __constant surface_t *surfaces, const int count,
+                             const ulong members,
+#if MAPPED
+                             __global const real *maps,
+#endif
+                             __global real *rest
+#if SEVERAL
+                             , __global uchar *object
+#endif
+)
 {
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= camera.columns || row >= camera.rows)
         return;
-    uchar root;
-    rest[row * camera.columns + column] = solve_quadric(surface, pixel_ray(camera, row, column), &root);
+    const int at = row * camera.columns + column;
+    real nearest = 0;
+    int whose = 0;
+#if MAPPED
+    for (int k = 0; k < count; ++k) {
+        uchar root;
+        const bool is_map = !(members >> k & 1);
+        const real w = is_map ? maps[at] : solve_quadric(surfaces + k, pixel_ray(camera, row, column), &root);
+        maps += is_map ? camera.rows * camera.columns : 0;
+        whose = w > nearest ? k : whose;
+        nearest = w > nearest ? w : nearest;
+    }
+#else
+    uchar label;
+    nearest = nearest_surface(surfaces, count, members, pixel_ray(camera, row, column), &label, &whose);
+#endif
+    rest[at] = nearest;
+#if SEVERAL
+    object[at] = whose < 0 ? 0 : whose;
+#endif
 }
 
-// Moves every source about the center of `surface` at rest. In: rest. Out: target, moved, and with OWNED bounds int2
-// per SEGMENT of a row: lowest and highest target there, (INT_MAX, -1) for none.
-__kernel void reproject_targets(const camera_t camera, __constant surface_t *surface, __constant pose_t *pose,
-                                __global const real *restrict rest, __global int *restrict target,
+// Moves the sources of object k in columns begin to end of a row by its pose, about the center of its surface at rest.
+// Gives the lowest and highest target, (INT_MAX, -1) for none.
+static inline int2 move_sources(const camera_t camera, __constant surface_t *surface, __constant pose_t *pose, int row,
+                                int begin, int end, __global const real *restrict rest, __global int *restrict target,
                                 __global real *restrict moved
-#if OWNED
-                                , __global int2 *restrict bounds
+#if SEVERAL
+                                , __global const uchar *restrict object, int k
 #endif
 )
 {
-    const int id = get_global_id(0), each = (camera.columns + SEGMENT - 1) / SEGMENT, row = id / each;
-    if (row >= camera.rows)
-        return;
-    const int begin = id % each * SEGMENT, end = MIN(begin + SEGMENT, camera.columns);
     // With the ray r, R r + w offset is the moved point times w. Component by component, and the divisions taken out:
     // PoCL vectorizes no loop that computes with vectors.
     __constant real *R = pose->rotation, *center = surface->rest;
     const real3 turn = turned(R, (real3)(center[0], center[1], center[2]));
     const real3 offset = (real3)(center[0] + pose->shift[0] - turn.x, center[1] + pose->shift[1] - turn.y,
                                  center[2] + pose->shift[2] - turn.z);
-    const real3 ray = pixel_ray(camera, row, 0);
-    const real3 line = (real3)(R[1] * ray.y + R[2], R[4] * ray.y + R[5], R[7] * ray.y + R[8]);
+    const real y = camera.step * ((real)0.5 * (camera.rows - 1) - row);
+    const real3 line = (real3)(R[1] * y + R[2], R[4] * y + R[5], R[7] * y + R[8]);
     const real middle = (real)0.5 * (camera.columns - 1), inverse_step = 1 / camera.step;
     // Where a position is 0 on the padded grid, and one more, so that what is negative is below 1.
     const real right = middle + (camera.guard + 1) + ROUND;
@@ -68,15 +98,59 @@ __kernel void reproject_targets(const camera_t camera, __constant surface_t *sur
         const real pz = R[6] * x + line.z + offset.z * w;
         const real nearness = 1 / pz, scale = nearness * inverse_step;
         const real i = down - py * scale, j = right + px * scale;
-        const bool used = w > 0 && pz > 0 && i >= 1 && i < camera.height + 1 && j >= 1 && j < camera.width + 1;
+        bool used = w > 0 && pz > 0 && i >= 1 && i < camera.height + 1 && j >= 1 && j < camera.width + 1;
+#if SEVERAL
+        const bool mine = object[at] == k;
+        used = used && mine;
+#endif
         const int to = (int)(used ? i : 1) * camera.width + (int)(used ? j : 0) - camera.width - 1;
+#if SEVERAL
+        target[at] = mine ? to : target[at];
+        moved[at] = used ? w * nearness : mine ? 0 : moved[at];
+#else
         target[at] = to;
         moved[at] = used ? w * nearness : 0;
+#endif
         lowest = MIN(lowest, used ? to : INT_MAX);
         highest = MAX(highest, to);
     }
+    return (int2)(lowest, highest);
+}
+
+// Moves every source with its object. In: rest, object. Out: target, moved, and with OWNED bounds int2 per SEGMENT of a
+// row: lowest and highest target there, (INT_MAX, -1) for none.
+__kernel void reproject_targets(const camera_t camera, __constant surface_t *surfaces, __constant pose_t *poses,
+                                __global const real *restrict rest, __global int *restrict target,
+                                __global real *restrict moved
+#if SEVERAL
+                                , __global const uchar *restrict object
+#endif
 #if OWNED
-    bounds[id] = (int2)(lowest, highest);
+                                , __global int2 *restrict bounds
+#endif
+)
+{
+    const int id = get_global_id(0), each = (camera.columns + SEGMENT - 1) / SEGMENT, row = id / each;
+    if (row >= camera.rows)
+        return;
+    const int begin = id % each * SEGMENT, end = MIN(begin + SEGMENT, camera.columns);
+#if SEVERAL
+    ulong present = 0;
+    for (int column = begin; column < end; ++column)
+        present |= (ulong)1 << object[row * camera.columns + column];
+    int2 range = (int2)(INT_MAX, -1);
+    for (int k = 0; present >> k; ++k) {
+        if (!(present >> k & 1))
+            continue;
+        const int2 own =
+            move_sources(camera, surfaces + k, poses + k, row, begin, end, rest, target, moved, object, k);
+        range = (int2)(MIN(range.x, own.x), MAX(range.y, own.y));
+    }
+#else
+    const int2 range = move_sources(camera, surfaces, poses, row, begin, end, rest, target, moved);
+#endif
+#if OWNED
+    bounds[id] = range;
 #endif
 }
 
@@ -134,12 +208,21 @@ __kernel void reproject_winner(const camera_t camera, __global const int *target
 }
 #endif
 
-// What the winners bring. In: texture float (CHANNELS, rows, columns), moved, winner; weight of this moment in the
-// exposure. Out, on the padded grid: value float (CHANNELS, height, width), radiance times weight; w real, inverse
-// depth in 1/mm; coc real, signed radius in px; valid uchar, there is a winner; status uchar, 0. All 0 without one.
+// What the winners bring. In: texture float (textures, CHANNELS, rows, columns), of which each surface names its own;
+// moved, winner, object; weight of this moment in the exposure. Out, on the padded grid: value float (CHANNELS, height,
+// width), radiance times weight; w real, inverse depth in 1/mm; coc real, signed radius in px; valid uchar, there is a
+// winner; status uchar, 0; seen uchar, with SEVERAL, its object. All 0 without one, and seen NO_OBJECT.
 __kernel void reproject_gather(const camera_t camera, const float weight, __global const float *texture,
-                               __global const real *moved, __global const int *winner, __global float *value,
-                               __global real *w, __global real *coc, __global uchar *valid, __global uchar *status)
+                               __global const real *moved, __global const int *winner,
+#if SEVERAL
+                               __constant surface_t *surfaces, __global const uchar *object,
+#endif
+                               __global float *value, __global real *w, __global real *coc, __global uchar *valid,
+                               __global uchar *status
+#if SEVERAL
+                               , __global uchar *seen
+#endif
+)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
@@ -147,6 +230,11 @@ __kernel void reproject_gather(const camera_t camera, const float weight, __glob
     const int at = y * camera.width + x, source = winner[at];
     const bool known = source != NO_WINNER;
     const real inverse_depth = known ? moved[source] : 0;
+#if SEVERAL
+    const int whose = known ? object[source] : NO_OBJECT;
+    seen[at] = whose;
+    texture += known ? (size_t)surfaces[whose].texture * CHANNELS * camera.rows * camera.columns : 0;
+#endif
     for (int c = 0; c < CHANNELS; ++c)
         value[c * camera.height * camera.width + at] =
             known ? weight * texture[c * camera.rows * camera.columns + source] : 0;

@@ -2,17 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.motion import Pose
+from clsco.motion import Pose, rest_center
 from clsco.reference.geometry import Array, pixel_ray, project, solve_quadric
 from clsco.reference.trace import padded_grid
 from clsco.scene import Scene
 from clsco.surfaces import PlacedSurface
 
 NO_WINNER = np.iinfo(np.int64).max
+NO_OBJECT = np.uint8(255)
 SNAP = 4096  # steps per px: rounding errors far below it cannot move a position across a pixel's edge
+
+Surfaces = Sequence[PlacedSurface | None]
+Maps = Sequence[Array | None]
+
+
+@dataclass(frozen=True, eq=False)
+class Reprojected:
+    """Pixels of the padded grid (H, W) after a move.
+
+    known: some source came there; radiance (H, W, C); inverse_depth (H, W) 1/mm; object (H, W): number of the object
+    that is seen. All 0, and object 255, where nothing is known.
+    """
+
+    known: NDArray[np.bool_]
+    radiance: Array
+    inverse_depth: Array
+    object: NDArray[np.uint8]
 
 
 def nearest_pixel(position: Array) -> NDArray[np.int64]:
@@ -24,26 +45,37 @@ def nearest_pixel(position: Array) -> NDArray[np.int64]:
     return (snapped + SNAP // 2) >> 12
 
 
-def reproject_rest(scene: Scene, rest: PlacedSurface) -> Array:
-    """Inverse depth (rows, columns) in 1/mm of the pixels of the frame, the sources of the warp.
+def reproject_rest(scene: Scene, surfaces: Surfaces, maps: Maps) -> tuple[Array, NDArray[np.uint8]]:
+    """Inverse depth (rows, columns) in 1/mm and object of the pixels of the frame, the sources of the warp.
 
-    rest: the surface at t = 0; where there is none, 0.
+    Of every object of the scene: surfaces: at t = 0, None for a depth map; maps: its inverse depth (rows, columns) in
+    1/mm, None for others. The nearest counts, of equals the first. Where there is none, both are 0.
     """
     rays = pixel_ray(scene.camera, *padded_grid(scene.camera, 0))
-    return solve_quadric(rest, scene.objects[0].bounds, rays)[0]
+    nearest, whose = np.zeros(rays.shape[:2]), np.zeros(rays.shape[:2], dtype=np.uint8)
+    for k, (item, surface, depth) in enumerate(zip(scene.objects, surfaces, maps, strict=True)):
+        w = depth if surface is None else solve_quadric(surface, item.bounds, rays)[0]
+        assert w is not None  # an object is either
+        nearer = w > nearest
+        nearest, whose = np.where(nearer, w, nearest), np.where(nearer, np.uint8(k), whose)
+    return nearest, whose
 
 
 def reproject_targets(
-    scene: Scene, rest: PlacedSurface, pose: Pose, w: Array, guard: int
+    scene: Scene, poses: Sequence[Pose], w: Array, whose: NDArray[np.uint8], guard: int
 ) -> tuple[NDArray[np.int64], Array]:
-    """Target (sources,) on the padded grid and inverse depth (sources,) in 1/mm after the move to `pose`.
+    """Target (sources,) on the padded grid and inverse depth (sources,) in 1/mm after the objects' move to `poses`.
 
-    rest: the surface at t = 0; w: (rows, columns) from `reproject_rest`; guard: px. Targets are numbers of
-    pixels in row order; -1, and inverse depth 0, for what has none: no surface, behind the lens, outside.
+    Each object turns about its center and is then shifted, both in any way. w, whose: (rows, columns) from
+    `reproject_rest`; guard: px. Targets are numbers of pixels in row order; -1, and inverse depth 0, for what has
+    none: no surface, behind the lens, outside.
     """
     rays = pixel_ray(scene.camera, *padded_grid(scene.camera, 0))
     point = rays / np.where(w > 0.0, w, 1.0)[..., None]
-    moved = rest.rest + pose.shift + (point - rest.rest) @ pose.rotation.T
+    moved = np.empty_like(point)
+    for k, (item, pose) in enumerate(zip(scene.objects, poses, strict=True)):
+        own, center = whose == k, rest_center(item)
+        moved[own] = center + pose.shift + (point[own] - center) @ pose.rotation.T
     usable = (w > 0.0) & (moved[..., 2] > 0.0)
     row, column = project(scene.camera, np.where(usable[..., None], moved, 1.0))
     target_row, target_column = nearest_pixel(row) + guard, nearest_pixel(column) + guard
@@ -97,19 +129,24 @@ def reproject_gather(winner: NDArray[np.int64], values: Array) -> tuple[NDArray[
 
 
 def reproject(
-    scene: Scene, texture: Array, rest: PlacedSurface, pose: Pose, guard: int
-) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Known (H, W), radiance (H, W, C) and inverse depth (H, W) on the padded grid, after the move to `pose`.
+    scene: Scene, textures: Sequence[Array], surfaces: Surfaces, maps: Maps, poses: Sequence[Pose], guard: int
+) -> Reprojected:
+    """What is known of the padded grid after the objects' move to `poses`.
 
-    texture: (rows, columns, C) of the frame's size; rest: the surface at t = 0; guard: px. Sources are the
-    pixels of the frame itself; the nearest wins, of equals the first in row order. Validated: a shift by half
-    a pixel leaves no holes; 19680 and 36993 missing pixels (thesis, figures 4.14 and 4.15).
+    textures: (rows, columns, C) of the frame's size, one per object; surfaces, maps: as for `reproject_rest`; guard:
+    px. Sources are the pixels of the frame itself, with what the pinhole sees there; the nearest wins, of equals the
+    first in row order. Validated: a shift by half a pixel leaves no holes; 19680 and 36993 missing pixels (thesis,
+    figures 4.14 and 4.15); a depth map made from a surface moves as the surface does.
     """
-    rows, columns = texture.shape[:2]
+    rows, columns, channels = textures[0].shape
     height, width = rows + 2 * guard, columns + 2 * guard
-    target, moved_w = reproject_targets(scene, rest, pose, reproject_rest(scene, rest), guard)
+    rest, whose = reproject_rest(scene, surfaces, maps)
+    target, moved_w = reproject_targets(scene, poses, rest, whose, guard)
     winner = reproject_nearest(target, moved_w.astype(np.float32), height * width)
-    values = np.concatenate([texture.reshape(rows * columns, -1), moved_w[:, None]], axis=1)
-    known, gathered = reproject_gather(winner, values)
-    gathered = gathered.reshape(height, width, -1)
-    return known.reshape(height, width), gathered[..., :-1], gathered[..., -1]
+    row, column = np.indices(whose.shape)
+    radiance = np.stack(textures)[whose, row, column]
+    values = [radiance.reshape(rows * columns, channels), moved_w[:, None], whose.reshape(-1, 1)]
+    known, gathered = reproject_gather(winner, np.concatenate(values, axis=1))
+    gathered, known = gathered.reshape(height, width, -1), known.reshape(height, width)
+    seen = np.where(known, gathered[..., -1].astype(np.uint8), NO_OBJECT)
+    return Reprojected(known, gathered[..., :-2], gathered[..., -2], seen)

@@ -20,9 +20,10 @@ from clsco.plan import make_plan
 from clsco.program import build, download, kernel, launch, upload
 from clsco.reference.fill import (
     Method,
-    fill,
+    far_bounds,
     fill_ait,
     fill_mean_median,
+    fill_objects,
     find_spans,
     mark_grown,
     mark_missing,
@@ -43,11 +44,14 @@ BALL = Sphere(center=(0.0, 0.0, 280.0), radius=3.0)
 
 
 class Planes:
-    """A filler with the planes of a mask: values (H, W, K), radiance and then inverse depth, in floats."""
+    """A filler with the planes of a mask: values (H, W, K), radiance and then inverse depth, in floats.
+
+    far: of several objects, whose holes are filled from the far side; what is known shows object 0, 1, 2, 0, 1 ...
+    """
 
     def __init__(
         self, session: Session, values: Array, known: Mask, method: str, guard: int = 0,
-        domain: str = "span", real: Real = "double",
+        domain: str = "span", real: Real = "double", far: bool = False,
     ) -> None:  # fmt: skip
         self.session, self.shape, self.channels, self.real = session, known.shape, values.shape[2] - 1, real
         rows, columns = (n - 2 * guard for n in self.shape)
@@ -57,15 +61,18 @@ class Planes:
         self.surface = upload(session, surface_structs([BALL], [self.placed], real))
         features = dict.fromkeys(("LINEAR", "NAPPE", "BOUNDED", "FILTER", "SAMPLED"), 0)
         features |= {"CHANNELS": self.channels, "QUADRATIC": 1, "DOMAIN_SURFACE": int(domain == "surface")}
+        features |= {"SEVERAL": int(far), "FILL_FAR": int(far)}
         features |= {"FILL_AIT": int(method == "ait"), "FILL_MEAN_MEDIAN": int(method == "mean_median")}
         self.program = build(session, ["fill.cl"], features, structs(real), real)
-        self.filler = Filler(session, self.program, self.camera, self.channels, method, real)
+        self.filler = Filler(session, self.program, self.camera, features, real)
         self.dtype = np.dtype(np.float64 if real == "double" else np.float32)
         self.write("value", flat(np.where(known[..., None], values, 0.0)[..., :-1], np.float32))
         self.write("w", np.where(known, values[..., -1], 0.0).astype(self.dtype))
         self.write("valid", known.astype(np.uint8))
         for name in ("coc", "status", "spans", "grown", "counters"):
             self.write(name, np.zeros(getattr(self.filler, name).size, np.uint8))
+        if far:
+            self.write("object", objects_of(known))
 
     def write(self, name: str, array: Array) -> None:
         cl.enqueue_copy(self.session.queue, getattr(self.filler, name), np.ascontiguousarray(array))
@@ -84,13 +91,29 @@ class Planes:
         cl.enqueue_copy(self.session.queue, self.filler.indices[0], pixels)
         return self.filler.indices[0], np.int32(pixels.size)
 
+    @property
+    def seen(self) -> tuple[cl.Buffer, ...]:
+        return () if self.filler.object is None else (self.filler.object,)
+
+    def bounded(self, bounds: NDArray[np.float32] | None, *before: Any) -> tuple[Any, ...]:
+        """Arguments of a kernel with bounds on the inverse depth of neighbors, and without."""
+        if bounds is None:
+            return ()
+        cl.enqueue_copy(self.session.queue, self.filler.far[0], np.ascontiguousarray(bounds))
+        return (*before, *self.filler.far)
+
     def run(self, name: str, size: int, *args: Any, local: int = 8) -> None:
         launch(self.session, kernel(self.program, name), (size,), (local,), self.camera, *args)
 
     def fill(self) -> tuple[Array, Array, dict[str, int]]:
         """Values, status and report of a whole filling."""
-        report = self.filler.fill(self.surface, [])
+        report = self.filler.fill(self.surface, 1, [])
         return self.values(), self.read("status"), report
+
+
+def objects_of(known: Mask) -> NDArray[np.uint8]:
+    """Objects seen in known pixels."""
+    return np.where(known, np.arange(known.size).reshape(known.shape) % 3, 255).astype(np.uint8)
 
 
 def cases(count: int, largest: int, channels: int = 1) -> list[tuple[Array, Mask]]:
@@ -126,7 +149,7 @@ def test_missing_pixels_are_listed(session: Session, domain: str) -> None:
             rays = pixel_ray(planes.lens, *padded_grid(planes.lens, guard))
             allowed = solve_quadric(planes.placed, None, rays)[1] > 0
         missing = mark_missing(known, allowed)
-        report = planes.filler.fill(planes.surface, [])
+        report = planes.filler.fill(planes.surface, 1, [])
         assert (planes.read("spans", np.int32, (sum(known.shape), 2)) == spans_of(known)).all()
         assert (planes.read("status") == np.where(missing, 2, 0)).all()
         pixels = download(session, planes.filler.indices[0], (int(missing.sum()),), np.int32)
@@ -137,19 +160,25 @@ def test_missing_pixels_are_listed(session: Session, domain: str) -> None:
     assert marked > 500
 
 
-@pytest.mark.parametrize("channels", [1, 3])
-def test_a_sweep_of_ait_is_its_twin(session: Session, channels: int) -> None:
+@pytest.mark.parametrize(("channels", "far"), [(1, None), (3, None), (1, 1), (3, 0)])
+def test_a_sweep_of_ait_is_its_twin(session: Session, channels: int, far: int | None) -> None:
+    """far: whether neighbors are bounded (1), or would be but for a stalled sweep (0)."""
     swept = 0
     for values, known in cases(60, 20, channels):
-        planes, missing = Planes(session, values, known, "ait"), mark_missing(known, None)
+        missing = mark_missing(known, None)
         if not missing.any():
             continue
+        planes = Planes(session, values, known, "ait", far=far is not None)
         pixels, count = planes.listed(missing)
-        f = planes.filler
-        planes.run("fill_ait", int(count), pixels, count, f.valid, f.value, f.w, f.coc, f.status)
-        given = np.where(known[..., None], values, 0.0)
-        expected, filled = fill_ait(given, known, missing)
+        f, given = planes.filler, np.where(known[..., None], values, 0.0)
+        bounds = None if far is None else far_bounds(given[..., -1], known, missing)
+        rule = planes.bounded(bounds, np.int32(far or 0))
+        planes.run("fill_ait", int(count), pixels, count, *rule, f.valid, f.value, f.w, f.coc, f.status, *planes.seen)
+        within = np.full_like(bounds, np.inf) if far == 0 else bounds
+        expected, filled, source = fill_ait(given, known, missing, within)
         assert (planes.read("status") == filled).all()
+        if far is not None:
+            assert (planes.read("object") == objects_of(known).ravel()[source]).all()
         close(planes.values(), expected)
         coc = np.where(filled, blur_radius(planes.lens, expected[..., -1]), 0.0)
         np.testing.assert_allclose(planes.read("coc", np.float64), coc, rtol=1e-12)
@@ -177,9 +206,8 @@ def test_settling_a_sweep_lists_what_is_missing_then(session: Session, method: s
         f, left = planes.filler, planes.filler.indices[1]
         args = [pixels, count, f.spans, f.grown, f.status, f.valid, left, f.counters]
         planes.run("settle_sweep", -(-int(count) // 64), *args, *([f.done] if f.smooths else []))
-        planes.run(
-            "mark_grown", sum(known.shape), planes.surface, f.valid, f.spans, f.grown, f.status, left, f.counters
-        )
+        grown_args = (planes.surface, np.int32(1), f.valid, f.spans, f.grown, f.status, left, f.counters)
+        planes.run("mark_grown", sum(known.shape), *grown_args)
         after, rest = settle_sweep(known, missing, filled)
         expected = mark_grown(after, rest, allowed)
         assert (planes.read("valid") == after).all()
@@ -211,24 +239,29 @@ def test_scores_are_those_of_its_twin(session: Session, channels: int) -> None:
         assert found[0].any() or min(shape) < 4
 
 
-@pytest.mark.parametrize("channels", [1, 3])
-def test_a_sweep_of_mean_median_is_its_twin(session: Session, channels: int) -> None:
+@pytest.mark.parametrize(("channels", "far"), [(1, False), (3, False), (1, True)])
+def test_a_sweep_of_mean_median_is_its_twin(session: Session, channels: int, far: bool) -> None:
     rng = np.random.default_rng(61)
     swept = 0
     for values, known in cases(40, 20, channels):
         missing = mark_missing(known, None)
         if not missing.any():
             continue
-        for minimum in (4, 3, 2, 1):
-            planes, wins = Planes(session, values, known, "mean_median"), rng.random(9) < 0.5
+        given = np.where(known[..., None], values, 0.0)
+        bounds = far_bounds(given[..., -1], known, missing) if far else None
+        for minimum in (4, 3, 2, 1, 0) if far else (4, 3, 2, 1):
+            planes, wins = Planes(session, values, known, "mean_median", far=far), rng.random(9) < 0.5
             wins[:4] = False
             pixels, count = planes.listed(missing)
             f, bits = planes.filler, np.int32((wins << np.arange(9)).sum())
-            args = (pixels, count, bits, np.int32(minimum), f.valid, f.value, f.w, f.coc, f.status)
+            planes_out = (f.valid, f.value, f.w, f.coc, f.status, *planes.seen)
+            args = (pixels, count, bits, np.int32(minimum), *planes.bounded(bounds), *planes_out)
             planes.run("fill_mean_median", -(-int(count) // LANES), *args)
-            given = np.where(known[..., None], values, 0.0)
-            expected, filled = fill_mean_median(given, known, missing, wins, minimum)
+            within = bounds if minimum or bounds is None else np.full_like(bounds, np.inf)
+            expected, filled, source = fill_mean_median(given, known, missing, wins, minimum, within)
             assert (planes.read("status") == filled).all()
+            if far:
+                assert (planes.read("object") == objects_of(known).ravel()[source]).all()
             close(planes.values(), expected)
             coc = np.where(filled, blur_radius(planes.lens, expected[..., -1]), 0.0)
             np.testing.assert_allclose(planes.read("coc", np.float64), coc, rtol=1e-12)
@@ -236,33 +269,43 @@ def test_a_sweep_of_mean_median_is_its_twin(session: Session, channels: int) -> 
     assert swept > 1000
 
 
-@pytest.mark.parametrize("channels", [1, 3])
-def test_a_round_of_smoothing_is_its_twin(session: Session, channels: int) -> None:
+@pytest.mark.parametrize(("channels", "far"), [(1, False), (3, False), (3, True)])
+def test_a_round_of_smoothing_is_its_twin(session: Session, channels: int, far: bool) -> None:
     rng = np.random.default_rng(67)
+    alone = 0
     for values, valid in cases(40, 20, channels):
         filled = valid & (rng.random(valid.shape) < 0.6)
         if not filled.any():
             continue
-        planes = Planes(session, values, valid, "mean_median")
+        planes = Planes(session, values, valid, "mean_median", far=far)
         f = planes.filler
+        bounds = rng.random(valid.shape).astype(np.float32) if far else None
         for source, target in ((f.value, f.other_value), (f.w, f.other_w)):
             cl.enqueue_copy(session.queue, target, source, byte_count=source.size)
         pixels, count = planes.listed(filled)
-        args = (pixels, count, f.valid, f.other_value, f.other_w, f.value, f.w, f.coc)
+        args = (pixels, count, *planes.bounded(bounds), f.valid, f.other_value, f.other_w, f.value, f.w, f.coc)
         planes.run("smooth_median", -(-int(count) // LANES), *args)
-        close(planes.values(), smooth_median(np.where(valid[..., None], values, 0.0), filled, valid))
+        given = np.where(valid[..., None], values, 0.0)
+        expected = smooth_median(given, filled, valid, bounds)
+        close(planes.values(), expected)
+        alone += int((expected == given)[filled].all(axis=-1).sum())
+    assert not far or alone > 50  # pixels that no neighbor may serve
 
 
 @pytest.mark.parametrize("method", ["ait", "mean_median", "none"])
-@pytest.mark.parametrize(("channels", "guard"), [(1, 0), (3, 2)])
-def test_whole_fillings_are_their_twins(session: Session, method: Method, channels: int, guard: int) -> None:
+@pytest.mark.parametrize(("channels", "guard", "far"), [(1, 0, False), (3, 2, False), (1, 0, True), (3, 2, True)])
+def test_whole_fillings_are_their_twins(session: Session, method: Method, channels: int, guard: int, far: bool) -> None:
     filled, most_sweeps = 0, 0
     for values, known in cases(120 if method == "ait" else 50, 22, channels):
         if min(known.shape) <= 2 * guard:
             continue
-        expected, expected_status, report = fill(np.where(known[..., None], values, 0.0), known, None, method, guard)
-        found, status, counters = Planes(session, values, known, method, guard).fill()
+        given, seen = np.where(known[..., None], values, 0.0), objects_of(known)
+        expected, objects, expected_status, report = fill_objects(given, seen, known, None, method, guard, far)
+        planes = Planes(session, values, known, method, guard, far=far)
+        found, status, counters = planes.fill()
         assert (status == expected_status).all()
+        if far:
+            assert (planes.read("object") == objects).all()
         assert counters == asdict(report)
         close(found, expected, roundings=report.sweeps + 1)  # one per sweep, and medians of them
         filled, most_sweeps = filled + report.filled_pixels, max(most_sweeps, report.sweeps)
@@ -283,20 +326,20 @@ def test_what_cannot_be_filled_is_left(session: Session, method: Method) -> None
 
 
 @pytest.mark.parametrize("method", ["ait", "mean_median"])
-@pytest.mark.parametrize("real", ["double", "float"])
+@pytest.mark.parametrize(("real", "far"), [("double", False), ("float", False), ("double", True)])
 def test_lists_and_local_sizes_change_no_bit(
-    session: Session, method: str, real: Real, monkeypatch: pytest.MonkeyPatch
+    session: Session, method: str, real: Real, far: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rng = np.random.default_rng(71)
     known = rng.random((120, 130)) < 0.6
     known[30:60, 40:90] = False
     values = rng.random((120, 130, 2))
-    first, status, counters = Planes(session, values, known, method, 0, "span", real).fill()
+    first, status, counters = Planes(session, values, known, method, 0, "span", real, far).fill()
     assert counters["filled_pixels"] > 5000
     for local in (1, 4, 64):
         for name in ("LISTED", "LINES", "OWNERS"):
             monkeypatch.setattr(forward, name, (local,))
-        again, again_status, again_counters = Planes(session, values, known, method, 0, "span", real).fill()
+        again, again_status, again_counters = Planes(session, values, known, method, 0, "span", real, far).fill()
         assert (again == first).all()
         assert (again_status == status).all()
         assert again_counters == counters
@@ -317,11 +360,11 @@ def test_missing_pixels_of_the_thesis(
     lens, method = Camera(resolution=(512, 512)), Fill(method="ait", domain="span")
     scene = Scene(camera=lens, objects=(item,), motion=Motion(warp="forward"), fill=method)
     plan = make_plan(scene, 1)
-    texture = upload(session, np.random.default_rng(3).random((1, 512, 512)).astype(np.float32))
+    texture = upload(session, np.random.default_rng(3).random((1, 1, 512, 512)).astype(np.float32))
     rest, pose = (pose_at(motion, time, "euler") for time in (0.0, 1.0))
     camera = camera_struct(lens, plan.guard_px, real)
-    warp = ForwardWarp(session, plan, camera, texture, place(item, rest), real)
-    counters = warp.warp(pose, place(item, pose), 1.0, []).counters
+    warp = ForwardWarp(session, plan, camera, texture, [place(item, rest)], [None], real)
+    counters = warp.warp([pose], [place(item, pose)], 1.0, []).counters
     assert counters["filled_first_sweep"] == count
     # The crossings of 20 missing rows with 20 missing columns wait for the second sweep.
     assert counters["missing_pixels"] == counters["filled_pixels"] == count + crossings

@@ -89,7 +89,7 @@ def test_a_sweep_of_ait_is_what_plain_loops_do() -> None:
     swept = 0
     for values, known in random_masks(300):
         missing = mark_missing(known, None)
-        result, filled = fill_ait(values, known, missing)
+        result, filled, _ = fill_ait(values, known, missing)
         for channel in range(2):
             expected, expected_filled = plain_ait(values[..., channel], known, missing)
             assert (filled == expected_filled).all()
@@ -125,7 +125,7 @@ def test_ait_takes_pairs_in_their_order() -> None:
         }
         for name in pairs:
             known[place[name]] = True
-        result, filled = fill_ait(values, known, missing)
+        result, filled, _ = fill_ait(values, known, missing)
         assert filled[1, 1], pairs
         assert result[1, 1, 0] == expected, pairs
 
@@ -234,7 +234,7 @@ def test_a_sweep_of_mean_median_by_hand() -> None:
     missing = ~known
     median_wins = np.arange(9) % 2 == 1
     for minimum in (4, 1):
-        result, filled = fill_mean_median(values, known, missing, median_wins, minimum)
+        result, filled, _ = fill_mean_median(values, known, missing, median_wins, minimum)
         seen = set()
         for i, j in zip(*np.nonzero(missing), strict=True):
             near = [
@@ -291,7 +291,7 @@ def test_mean_median_is_its_stages_one_after_another(kind: str) -> None:
     expected, valid = values, known.copy()
     while mark_missing(valid, None).any():
         for minimum in (4, 3, 2, 1):
-            swept, filled = fill_mean_median(expected, valid, mark_missing(valid, None), wins, minimum)
+            swept, filled, _ = fill_mean_median(expected, valid, mark_missing(valid, None), wins, minimum)
             if filled.any():
                 break
         expected, valid = swept, valid | filled

@@ -30,7 +30,8 @@ def warp(make_scene: SceneMaker, at: Placer, item: Object, shape: tuple[int, int
     texture = np.random.default_rng(3).random((*shape, 1))
     scene = make_scene(item, shape)
     pose = pose_at(item.motion, 1.0, "euler")
-    return (*reproject(scene, texture, at(item), pose, guard), texture)
+    found = reproject(scene, [texture], [at(item)], [None], [pose], guard)
+    return found.known, found.radiance, found.inverse_depth, texture
 
 
 @pytest.mark.parametrize(
