@@ -18,7 +18,7 @@ from clsco.files import refuse
 from clsco.images import IMAGE_FORMATS, check_limits, checked_size, codec, decoded, opened
 from clsco.optics import LARGEST_BLUR, blur_radius, blur_scale, focus_power
 from clsco.quantities import MIN_LENGTH_MM
-from clsco.scene import Camera
+from clsco.scene import Camera, DepthMap, Scene
 
 Array = NDArray[np.float64]
 
@@ -139,6 +139,25 @@ def inverse_depth(
     result = np.zeros(raw.shape)
     result[valid] = np.maximum(w, FARTHEST)
     return DepthValues(result, **numbers, far=int(np.count_nonzero(w <= FARTHEST)))
+
+
+def load_scene_depths(scene: Scene) -> tuple[Array | None, ...]:
+    """Inverse depth (rows, columns) in 1/mm of every object that is a depth map, None for others.
+
+    scene: with its resolution. Raises ImageError where a file cannot be read, has another size than the frame, or
+    does not fit the camera.
+    """
+    found: list[Array | None] = []
+    for item in scene.objects:
+        if not isinstance(item, DepthMap):
+            found.append(None)
+            continue
+        raw = read_depth(item.depth)
+        assert scene.camera.resolution is not None
+        check_sizes("the frame", scene.camera.resolution, item.depth, (raw.shape[1], raw.shape[0]))
+        values = inverse_depth(raw, item.unit, item.scale, scene.camera, item.baseline, item.depth)
+        found.append(values.inverse_depth)
+    return tuple(found)
 
 
 def _check_numbers(unit: str, scale: float, baseline: float | None, where: str) -> None:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.motion import Pose
-from clsco.optics import blur_scale, focus_power, ray_step
+from clsco.occlusion import Layer, lens_extent
+from clsco.optics import blur_scale, focus_power, lens_radius, ray_step
 from clsco.psf import (
     MINIMUM_BLUR,
     OFFSET,
@@ -30,20 +31,22 @@ def structs(real: Real) -> dict[str, np.dtype[Any]]:
     """C name -> dtype of every struct, in the order in which they are declared.
 
     camera_t: rows, columns of the frame; guard px; width, height of frame and guard band; step: slope between
-    neighboring rays; blur_scale px mm; focus_power 1/mm. surface_t: see surfaces.PlacedSurface. pose_t: see
-    motion.Pose. psf_t: how a blur radius becomes a coordinate in the tables, and which intervals they hold.
+    neighboring rays; blur_scale px mm; focus_power 1/mm; lens_radius mm. surface_t: see surfaces.PlacedSurface;
+    texture: its number in the stack. pose_t: see motion.Pose. layer_t: see occlusion.Layer; count: of all objects.
+    psf_t: how a blur radius becomes a coordinate in the tables, and which intervals they hold; the rest: see occlusion.
     """
     r, i = ("f8" if real == "double" else "f4"), "i4"
     camera: list[Any] = [("rows", i), ("columns", i), ("guard", i), ("width", i), ("height", i)]
-    camera += [("step", r), ("blur_scale", r), ("focus_power", r)]
+    camera += [("step", r), ("blur_scale", r), ("focus_power", r), ("lens_radius", r)]
     vectors = ["offset", "body_offset", "rest", "q", "l", "bounds_low", "bounds_high"]
     surface: list[Any] = [("turn", r, (9,)), ("body_turn", r, (9,)), *((name, r, (3,)) for name in vectors)]
-    surface += [("k", r), ("at_lens", r), ("nappe", i)]
+    surface += [("k", r), ("at_lens", r), ("nappe", i), ("texture", i)]
     pose = [("rotation", r, (9,)), ("shift", r, (3,))]
+    layer = [("members", "u8"), ("blockers", "u8"), ("count", i)]
     psf: list[Any] = [(name, i) for name in ("first", "count", "reach", "sub_first", "sub_count")]
     psf += [(name, r) for name in ("key", "minimum_blur", "fine_steps", "fine_until")]
-    psf += [(name, r) for name in ("octaves_from", "steps", "sub_steps")]
-    fields = {"camera_t": camera, "surface_t": surface, "pose_t": pose, "psf_t": psf}
+    psf += [(name, r) for name in ("octaves_from", "steps", "sub_steps", "lens_extent")]
+    fields = {"camera_t": camera, "surface_t": surface, "pose_t": pose, "layer_t": layer, "psf_t": psf}
     return {name: np.dtype(members, align=True) for name, members in fields.items()}
 
 
@@ -67,16 +70,20 @@ def camera_struct(camera: Camera, guard: int, real: Real) -> Struct:
     return frame_struct(
         rows, columns, guard, real,
         step=ray_step(camera), blur_scale=blur_scale(camera), focus_power=focus_power(camera),
+        lens_radius=lens_radius(camera),
     )  # fmt: skip
 
 
-def surface_structs(items: Sequence[Object], surfaces: Sequence[PlacedSurface], real: Real) -> NDArray[np.void]:
-    """surface_t of every object placed before the camera, (objects,)."""
-    pairs = zip(items, surfaces, strict=True)
-    return np.array([_surface_struct(item, surface, real) for item, surface in pairs], structs(real)["surface_t"])
+def surface_structs(
+    items: Sequence[Object], surfaces: Sequence[PlacedSurface], real: Real, textures: Sequence[int] | None = None
+) -> NDArray[np.void]:
+    """surface_t of every object placed before the camera, (objects,); textures: number of each one's, by default 0."""
+    numbers = textures or [0] * len(items)
+    filled = [_surface_struct(*one, real) for one in zip(items, surfaces, numbers, strict=True)]
+    return np.array(filled, structs(real)["surface_t"])
 
 
-def _surface_struct(item: Object, surface: PlacedSurface, real: Real) -> Struct:
+def _surface_struct(item: Object, surface: PlacedSurface, texture: int, real: Real) -> Struct:
     shape = surface.canonical
     low, high = np.array(item.bounds or EVERYWHERE, dtype=np.float64).T
     return _filled(
@@ -95,6 +102,7 @@ def _surface_struct(item: Object, surface: PlacedSurface, real: Real) -> Struct:
             "k": shape.k,
             "at_lens": surface.constant,
             "nappe": shape.nappe,
+            "texture": texture,
         },
     )
 
@@ -103,6 +111,11 @@ def pose_structs(poses: Sequence[Pose], real: Real) -> NDArray[np.void]:
     """pose_t of every pose, (poses,)."""
     filled = [_filled("pose_t", real, {"rotation": p.rotation.ravel(), "shift": p.shift}) for p in poses]
     return np.array(filled, structs(real)["pose_t"])
+
+
+def layer_struct(layer: Layer, objects: int) -> Struct:
+    """layer_t of a layer of a scene of so many objects."""
+    return _filled("layer_t", "double", {"members": layer.members, "blockers": layer.blockers, "count": objects})
 
 
 def psf_struct(psf: Psf, table: PsfTable, subpixel: PsfTable | None, real: Real) -> Struct:
@@ -116,6 +129,7 @@ def psf_struct(psf: Psf, table: PsfTable, subpixel: PsfTable | None, real: Real)
         "octaves_from": 1.0 / OFFSET,
         "steps": table_steps(psf, False),
         "sub_steps": table_steps(psf, True),
+        "lens_extent": lens_extent(psf),
     }
     values["fine_steps"], values["fine_until"] = sampled_steps(psf)
     if subpixel:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.scene import Object, ObjectMotion, Sequence
+from clsco.scene import Object, ObjectMotion, Scene, Sequence
 
+Eye = Literal["left", "right"]
 # The thesis turns an object in a frame whose z axis points towards the camera (2.13).
 TOWARDS_CAMERA = np.diag([1.0, 1.0, -1.0])
 
@@ -69,6 +71,31 @@ def rest_center(item: Object) -> NDArray[np.float64]:
     if item.shape == "plane":
         return np.array([0.0, 0.0, item.distance])
     return np.asarray(item.apex if item.shape == "cone" else item.center, dtype=np.float64)
+
+
+def eye_pose(scene: Scene, eye: Eye, time: float) -> Pose:
+    """Pose of the camera, or of one of a stereo pair, in the frame of the camera at rest.
+
+    A camera moves and turns about the center of its lens. The right one stands `baseline` to the right of the left
+    one, which is the scene's; both turn inwards by `toe_in`.
+    """
+    rig = pose_at(scene.camera.motion, time, scene.motion.rotation)
+    if scene.stereo is None or (eye == "left" and scene.stereo.toe_in == 0.0):
+        return rig
+    angle = np.radians(scene.stereo.toe_in) * (1.0 if eye == "left" else -1.0)
+    inwards = np.array([[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]])
+    apart = np.array([scene.stereo.baseline if eye == "right" else 0.0, 0.0, 0.0])
+    return Pose(rig.rotation @ inwards, rig.shift + rig.rotation @ apart)
+
+
+def poses_at(scene: Scene, time: float, eye: Eye = "left") -> tuple[Pose, ...]:
+    """Poses of all objects after `time` seconds, as the camera sees them, wherever it is then itself."""
+    camera, found = eye_pose(scene, eye, time), []
+    for item in scene.objects:
+        pose, center = pose_at(item.motion, time, scene.motion.rotation), rest_center(item)
+        shift = camera.rotation.T @ (pose.shift - camera.shift) + (camera.rotation.T @ center - center)
+        found.append(Pose(camera.rotation.T @ pose.rotation, shift))
+    return tuple(found)
 
 
 def sample_times(sequence: Sequence, frame: int, samples: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

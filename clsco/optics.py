@@ -18,6 +18,11 @@ def focus_power(camera: Camera) -> float:
     return 1.0 / camera.focal_length - 1.0 / camera.sensor_distance
 
 
+def lens_radius(camera: Camera) -> float:
+    """D / 2 in mm."""
+    return 0.5 * camera.aperture_diameter
+
+
 def blur_scale(camera: Camera) -> float:
     """kappa = s0 D / (2 p) in px mm: blur radius per unit of inverse depth (2.33)."""
     return camera.normalization_distance * camera.aperture_diameter / (2.0 * camera.pixel_pitch)

@@ -5,6 +5,7 @@ A pass that a scene has no use for is neither compiled nor run nor stored: `Plan
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import ceil
 from typing import Literal
@@ -14,7 +15,8 @@ from numpy.typing import NDArray
 
 from clsco.errors import SceneError
 from clsco.frame import TRUTH_NAMES
-from clsco.motion import Pose, pose_at, sample_times
+from clsco.motion import Eye, Pose, poses_at, rest_center, sample_times
+from clsco.occlusion import Layer, extent, layers
 from clsco.optics import LARGEST_BLUR, blur_radius, ray_step
 from clsco.psf import LANES, MINIMUM_BLUR, psf_extent, reach, table_bytes
 from clsco.scene import Object, Plane, Psf, Scene
@@ -22,6 +24,8 @@ from clsco.surfaces import canonical, place, predict_inverse_depth
 
 Array = NDArray[np.float64]
 Blur = Literal["gather", "scatter", "convolve", "none"]
+Maps = Sequence[Array | None]
+Occlusion = Literal["visibility", "layered", "none"]
 
 GRID = 65  # rays per axis that predict the range of the blur radius
 PREDICTED_MOMENTS = 33  # of the whole sequence at most
@@ -39,8 +43,9 @@ class Plan:
     scene: with its resolution; channels: 1 or 3; rows, columns px; samples: intermediate frames per frame;
     guard_px: width of the band around the frame whose surface lights it; smallest_blur, largest_blur: predicted
     range of |R| in px over the whole sequence, with a margin; blur: how light is spread; silhouettes: sub-pixel
-    sources per axis, 0 none; tilt, forward, moves: whether these passes are taken; truth: outputs besides color;
-    passes, left_out: (name, what or why); memory_bytes: buffers on the device; taps: predicted weights per frame.
+    sources per axis, 0 none; tilt, forward, moves: whether these passes are taken; eye: of a stereo pair; occlusion: as
+    it is done; layers: what is spread one after the other; truth: outputs besides color; passes, left_out: (name, what
+    or why); memory_bytes: buffers on the device; taps: predicted weights per frame.
     """
 
     scene: Scene
@@ -56,6 +61,9 @@ class Plan:
     tilt: bool
     forward: bool
     moves: bool
+    eye: Eye
+    occlusion: Occlusion
+    layers: tuple[Layer, ...]
     truth: tuple[str, ...]
     passes: tuple[tuple[str, str], ...]
     left_out: tuple[tuple[str, str], ...]
@@ -77,23 +85,39 @@ class Plan:
         """Pixels near silhouettes that there is room for at first; the device asks for more where needed."""
         return SILHOUETTE_SLOTS * (self.width + self.height) if self.silhouettes else 0
 
+    @property
+    def eye_moved(self) -> bool:
+        """Whether the frame is seen from elsewhere than the textures."""
+        return displaced(self.scene, self.eye)
+
     def features(self) -> dict[str, int]:
         """Structure that the kernels are compiled for."""
-        item, scene = self.scene.objects[0], self.scene
-        shape = canonical(item)
+        scene = self.scene
+        analytic = [item for item in scene.objects if item.shape != "depth_map"]
+        shapes = [canonical(item) for item in analytic]
+        quadratic = any(shape.q.any() for shape in shapes)
         return {
             "CHANNELS": self.channels,
-            "QUADRATIC": int(bool(shape.q.any())),
-            "LINEAR": int(bool(shape.q.any() and shape.l.any())),
-            "NAPPE": int(shape.nappe != 0),
-            "BOUNDED": int(item.bounds is not None),
-            "MOVED": int(self.moves and not self.forward),
+            "SEVERAL": int(len(scene.objects) > 1),
+            "QUADRATIC": int(quadratic),
+            "LINEAR": int(quadratic and any(shape.l.any() for shape in shapes)),
+            "NAPPE": int(any(shape.nappe != 0 for shape in shapes)),
+            "BOUNDED": int(any(item.bounds is not None for item in analytic)),
+            "OCCLUDED": max(layer.blockers.bit_count() for layer in self.layers),
+            "MOVED": int((self.moves or self.eye_moved) and not self.forward),
             "FILTER": FILTERS[scene.motion.texture_filter],
             "TILT": int(self.tilt),
             "SUBPIXELS": self.silhouettes,
             "SAMPLED": int(scene.psf.edge == "sampled"),
             "POWERS": 1 if scene.psf.edge == "sampled" and scene.psf.model == "pillbox" else 4,
         }
+
+
+def is_forward(scene: Scene, eye: Eye) -> bool:
+    """Whether the pixels at rest are moved: with the forward warp what moves, and depth maps always."""
+    if any(item.shape == "depth_map" for item in scene.objects):
+        return True
+    return scene.motion.warp == "forward" and (scene.moves or displaced(scene, eye))
 
 
 def exposure(plan: Plan, frame: int) -> tuple[Array, Array]:
@@ -127,69 +151,105 @@ def _grid(scene: Scene, guard: int) -> tuple[Array, Array]:
     return across, up
 
 
-def _moments(scene: Scene, moves: bool) -> list[Pose]:
-    """Poses over the whole sequence, few enough to be looked at before every rendering."""
-    item, sequence = scene.objects[0], scene.sequence
-    if not moves:
-        return [pose_at(item.motion, 0.0, scene.motion.rotation)]
+def displaced(scene: Scene, eye: Eye) -> bool:
+    """Whether one of a stereo pair sees the scene from elsewhere than the textures."""
+    return scene.stereo is not None and (eye == "right" or scene.stereo.toe_in > 0.0)
+
+
+def _moments(scene: Scene, eye: Eye) -> list[tuple[Pose, ...]]:
+    """Poses of the objects over the whole sequence, few enough to be looked at before every rendering."""
+    sequence = scene.sequence
+    if not scene.moves:
+        return [poses_at(scene, 0.0, eye)]
     assert sequence.shutter is not None
     end = (sequence.frames - 1) * sequence.interval + sequence.shutter
     count = min(4 * sequence.frames + 1, PREDICTED_MOMENTS)
-    return [pose_at(item.motion, t, scene.motion.rotation) for t in np.linspace(0.0, end, count)]
+    return [poses_at(scene, t, eye) for t in np.linspace(0.0, end, count).tolist()]
 
 
-def _inverse_depths(scene: Scene, poses: list[Pose], guard: int) -> Array:
-    """Predicted inverse depths (moments, GRID, GRID) in 1/mm, 0 where nothing is hit."""
-    item = scene.objects[0]
-    return np.stack([predict_inverse_depth(item, place(item, p), *_grid(scene, guard)) for p in poses])
+def _inverse_depths(scene: Scene, moments: list[tuple[Pose, ...]], maps: Maps, guard: int) -> Array:
+    """Predicted inverse depths (objects, moments, GRID, GRID) in 1/mm, 0 where nothing is hit."""
+    grid, found = _grid(scene, guard), []
+    for k, (item, depth) in enumerate(zip(scene.objects, maps, strict=True)):
+        if depth is None:
+            found.append([predict_inverse_depth(item, place(item, poses[k]), *grid) for poses in moments])
+        else:
+            found.append([_moved_map(scene, item, depth, poses[k]) for poses in moments])
+    return np.array(found)
 
 
-def image_displacement(scene: Scene) -> float:
-    """Largest way in px that a visible point of the surface goes over the image while the shutter is open."""
-    item, sequence = scene.objects[0], scene.sequence
-    assert sequence.shutter is not None
-    frames = sorted({0, sequence.frames // 2, sequence.frames - 1})
-    return max(_frame_displacement(scene, item, k * sequence.interval, sequence.shutter) for k in frames)
+def _moved_map(scene: Scene, item: Object, depth: Array, pose: Pose) -> Array:
+    """Inverse depths (GRID, GRID) of some points of a depth map after a move, its nearest and farthest among them."""
+    rows, columns = (np.linspace(0, n - 1, GRID).round().astype(np.intp) for n in depth.shape)
+    i, j = (n.copy() for n in np.meshgrid(rows, columns, indexing="ij"))
+    seen = np.where(depth > 0, depth, np.inf)
+    for place_at, extreme in enumerate((seen.argmin(), depth.argmax())):
+        i[0, place_at], j[0, place_at] = np.unravel_index(extreme, depth.shape)
+    w, step, center = depth[i, j], ray_step(scene.camera), rest_center(item)
+    middle = (np.array(depth.shape) - 1) / 2
+    rays = np.stack([(j - middle[1]) * step, (middle[0] - i) * step, np.ones(i.shape)], axis=-1)
+    point = rays / np.where(w > 0, w, 1.0)[..., None]
+    z = (center + pose.shift + (point - center) @ pose.rotation.T)[..., 2]
+    return np.where((w > 0) & (z > 0), 1.0 / np.where(z > 0, z, 1.0), 0.0)
 
 
-def _frame_displacement(scene: Scene, item: Object, opens: float, shutter: float) -> float:
+def image_displacement(scene: Scene, maps: Maps | None = None) -> float:
+    """Largest way in px that a visible point of a surface goes over the image while the shutter is open.
+
+    maps: as for `make_plan`.
+    """
+    frames = sorted({0, scene.sequence.frames // 2, scene.sequence.frames - 1})
+    known = enumerate(maps or (None,) * len(scene.objects))
+    return max(_frame_displacement(scene, k, depth, frame) for k, depth in known for frame in frames)
+
+
+def _frame_displacement(scene: Scene, number: int, depth: Array | None, frame: int) -> float:
+    assert scene.sequence.shutter is not None
+    item, opens = scene.objects[number], frame * scene.sequence.interval
     x, y = _grid(scene, 0)
-    start = place(item, pose_at(item.motion, opens, scene.motion.rotation))
-    w = predict_inverse_depth(item, start, x, y)
+    opening, center = poses_at(scene, opens)[number], rest_center(item)[:, None]
+    if depth is None:
+        w = predict_inverse_depth(item, place(item, opening), x, y)
+    else:
+        w = np.full(x.shape, float(np.quantile(depth[depth > 0], 0.99)))  # as if all of it were near
     hit = w > 0
     if not hit.any():
         return 0.0
     rays = np.stack([x[hit], y[hit], np.ones(int(hit.sum()))])
-    body = start.body_offset[:, None] + (start.body_turn @ rays) / w[hit]
+    body = opening.rotation.T @ (rays / w[hit] - center - opening.shift[:, None])
     steps = []
-    for time in np.linspace(opens, opens + shutter, 9):
-        pose = pose_at(item.motion, float(time), scene.motion.rotation)
-        point = start.rest[:, None] + pose.shift[:, None] + pose.rotation @ body
+    for time in np.linspace(opens, opens + scene.sequence.shutter, 9).tolist():
+        pose = poses_at(scene, time)[number]
+        point = center + pose.shift[:, None] + pose.rotation @ body
         ahead = np.maximum(point[2], 1e-3)
         steps.append(point[:2] / ahead / ray_step(scene.camera))
     ways = np.linalg.norm(np.diff(np.stack(steps), axis=0), axis=1).sum(axis=0)
     return float(ways.max())
 
 
-def _samples(scene: Scene, moves: bool) -> int:
-    if not moves:
+def _samples(scene: Scene, maps: Maps) -> int:
+    if not scene.moves:
         return 1
     if scene.sequence.samples != "auto":
         return scene.sequence.samples
-    wanted = ceil(image_displacement(scene) / PIXELS_PER_SAMPLE)
+    wanted = ceil(image_displacement(scene, maps) / PIXELS_PER_SAMPLE)
     return min(wanted | 1, MOST_SAMPLES)  # odd, so that the middle of the shutter is one of them
 
 
-def _fills_view(item: Object, w: Array) -> bool:
+def _fills_view(scene: Scene, w: Array) -> bool:
     """Whether no silhouette is in sight: the surface is hit everywhere, and cannot have a hole between rays."""
-    simple = item.bounds is None and item.shape != "quadric"
+    item = scene.objects[0]
+    simple = len(scene.objects) == 1 and item.bounds is None and item.shape != "quadric"
     return simple and bool((w > 0).all())
 
 
-def _constant_blur(item: Object) -> bool:
+def _constant_blur(scene: Scene) -> bool:
     """Whether every pixel has the same radius at any moment: a plane that stays parallel to the detector."""
-    turns = any(item.motion.angular_velocity[:2])
-    return isinstance(item, Plane) and item.slope_x == item.slope_y == 0.0 and not turns
+    item, camera = scene.objects[0], scene.camera.motion
+    turns = any((*item.motion.angular_velocity[:2], *camera.angular_velocity[:2]))
+    turned = scene.stereo is not None and scene.stereo.toe_in > 0.0
+    flat = isinstance(item, Plane) and item.slope_x == item.slope_y == 0.0 and not turns and not turned
+    return len(scene.objects) == 1 and flat
 
 
 def is_sharp(psf: Psf, largest: float) -> bool:
@@ -199,12 +259,11 @@ def is_sharp(psf: Psf, largest: float) -> bool:
     return largest == 0.0 or (psf.edge == "area" and float(psf_extent(psf, largest)) <= 0.5)
 
 
-def _blur_range(scene: Scene, moves: bool) -> tuple[float, float, Array, int]:
-    """Smallest and largest |R| with a margin, the inverse depths seen, and the guard band that follows."""
-    item, psf, guard = scene.objects[0], scene.psf, 0
-    poses = _moments(scene, moves)
+def _blur_range(scene: Scene, moments: list[tuple[Pose, ...]], maps: Maps) -> tuple[float, float, Array, int]:
+    """Smallest and largest |R| with a margin, the inverse depths of the objects, and the guard band that follows."""
+    psf, guard = scene.psf, 0
     for _ in range(2):  # the second time with the guard band that the first asked for
-        w = _inverse_depths(scene, poses, guard)
+        w = _inverse_depths(scene, moments, maps, guard)
         radii = np.abs(blur_radius(scene.camera, w[w > 0]))
         largest, smallest = (float(radii.max()), float(radii.min())) if radii.size else (0.0, 0.0)
         if largest > LARGEST_BLUR:
@@ -213,37 +272,68 @@ def _blur_range(scene: Scene, moves: bool) -> tuple[float, float, Array, int]:
                 f"camera: the blur radius must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px (the surface comes "
                 f"as near as {nearest:.4g} mm; is it in mm, and the focus on it?)"
             )
-        if not _constant_blur(item):  # rays between those of the grid
+        if not _constant_blur(scene):  # rays between those of the grid
             smallest, largest = max(0.0, 0.9 * smallest - 1.0), 1.1 * largest + 1.0
         guard = guard_band(psf, largest)
     return smallest, largest, w, guard
 
 
-def make_plan(scene: Scene, channels: int, truth: tuple[str, ...] = TRUTH_NAMES, method: str = "auto") -> Plan:
+def _occlusion(
+    scene: Scene, forward: bool, sharp: bool, moments: list[tuple[Pose, ...]], w: Array
+) -> tuple[Occlusion, tuple[Layer, ...]]:
+    """How what hides what is dealt with, and the layers of objects that follow."""
+    together = (Layer((1 << len(scene.objects)) - 1, 0),)
+    wanted = scene.psf.occlusion
+    mapped = any(item.shape == "depth_map" for item in scene.objects)
+    if wanted == "none" or sharp or (len(scene.objects) == 1 and not mapped):
+        return "none", together
+    if wanted == "layered" or forward:
+        return "layered", together
+    extents = [extent(item, [poses[k] for poses in moments], w[k]) for k, item in enumerate(scene.objects)]
+    found = layers(extents, scene.camera, scene.psf)
+    return ("visibility", found) if any(layer.blockers for layer in found) else ("none", together)
+
+
+def make_plan(
+    scene: Scene,
+    channels: int,
+    truth: tuple[str, ...] = TRUTH_NAMES,
+    method: str = "auto",
+    eye: Eye = "left",
+    maps: Maps | None = None,
+) -> Plan:
     """The passes that a scene needs.
 
-    scene: with a resolution (`clsco.textures.load_scene_textures`); channels: of its texture; truth: names of the
+    scene: with a resolution (`clsco.textures.load_scene_textures`); channels: of its textures; truth: names of the
     outputs that are wanted besides color; method: "auto", or one of "gather", "scatter", "convolve" where it can
-    do the scene. Raises SceneError where the blur radius passes LARGEST_BLUR or the method cannot do it.
+    do the scene; eye: of a stereo pair; maps: inverse depth (rows, columns) in 1/mm of every object that is a depth
+    map, 0 where nothing is, None for others (`clsco.depthmaps.load_scene_depths`). Raises SceneError where the blur
+    radius passes LARGEST_BLUR or the method cannot do it.
     """
     if scene.camera.resolution is None:
         raise SceneError("camera.resolution: must be known before a scene is planned; got None")
     columns, rows = scene.camera.resolution
-    item, psf = scene.objects[0], scene.psf
-    moves = item.motion.moves
-    forward = moves and scene.motion.warp == "forward"
-    samples = _samples(scene, moves)
-    smallest, largest, w, guard = _blur_range(scene, moves)
-    silhouettes = psf.silhouette_samples if psf.silhouette_samples > 1 and not forward else 0
-    if silhouettes and _fills_view(item, w):
+    psf, moves = scene.psf, scene.moves
+    forward = is_forward(scene, eye)
+    maps = maps or (None,) * len(scene.objects)
+    samples = _samples(scene, maps)
+    moments = _moments(scene, eye)
+    smallest, largest, each, guard = _blur_range(scene, moments, maps)
+    w = each.max(axis=0)
+    slabs = psf.occlusion == "layered" and len(scene.objects) > 1
+    silhouettes = psf.silhouette_samples if psf.silhouette_samples > 1 and not forward and not slabs else 0
+    if silhouettes and _fills_view(scene, w):
         silhouettes = 0
-    constant = _constant_blur(item) and not silhouettes and psf.border == "lose"
+    constant = _constant_blur(scene) and not silhouettes and psf.border == "lose"
     sharp = is_sharp(psf, largest) and not silhouettes
     blur = _choose_blur(method, sharp, constant)
     if blur == "convolve":
         guard += LANES
-    tilt = psf.tilt and not _constant_blur(item) and blur not in ("convolve", "none")
-    passes, left_out = _passes(scene, moves, forward, samples, largest, blur, silhouettes, tilt, truth, channels)
+    occlusion, found = _occlusion(scene, forward, sharp, moments, each)
+    tilt = psf.tilt and not _constant_blur(scene) and blur not in ("convolve", "none")
+    passes, left_out = _passes(
+        scene, forward, samples, largest, blur, silhouettes, tilt, truth, channels, occlusion, len(found)
+    )
     area = (rows + 2 * guard) * (columns + 2 * guard)
     extent = reach(psf, largest)
     slots = SILHOUETTE_SLOTS * (rows + columns + 4 * guard) if silhouettes else 0
@@ -259,7 +349,7 @@ def make_plan(scene: Scene, channels: int, truth: tuple[str, ...] = TRUTH_NAMES,
     taps = float((w > 0).mean() * area * samples * (lit.mean() if lit.size else 0.0)) if blur != "none" else 0.0
     return Plan(
         scene, channels, rows, columns, samples, guard, smallest, largest, blur, silhouettes, tilt, forward,
-        moves, truth, passes, left_out, int(memory), taps,
+        moves, eye, occlusion, found, truth, passes, left_out, int(memory), taps,
     )  # fmt: skip
 
 
@@ -288,11 +378,12 @@ def _choose_blur(method: str, sharp: bool, constant: bool) -> Blur:
 
 
 def _passes(
-    scene: Scene, moves: bool, forward: bool, samples: int, largest: float, blur: Blur, silhouettes: int, tilt: bool,
-    truth: tuple[str, ...], channels: int,
+    scene: Scene, forward: bool, samples: int, largest: float, blur: Blur, silhouettes: int, tilt: bool,
+    truth: tuple[str, ...], channels: int, occlusion: Occlusion, layers: int,
 ) -> tuple[tuple[tuple[str, str], ...], tuple[tuple[str, str], ...]]:  # fmt: skip
     """What is done, and what is left out with the reason."""
-    psf, item = scene.psf, scene.objects[0]
+    psf, moves = scene.psf, scene.moves
+    shapes = ", ".join(dict.fromkeys(item.shape for item in scene.objects))
     done: list[tuple[str, str]] = []
     out: list[tuple[str, str]] = []
 
@@ -301,7 +392,7 @@ def _passes(
 
     plural = "s" if samples > 1 else ""
     either(moves, "motion", f"{samples} intermediate frame{plural} per exposure", "nothing moves: one sample, at rest")
-    either(not forward, "trace", f"rays against the {item.shape}, one per pixel", "replaced by the forward warp")
+    either(not forward, "trace", f"rays against the {shapes}, one per pixel", "replaced by the forward warp")
     either(
         moves and not forward, "texture sampling", scene.motion.texture_filter,
         "the forward warp moves whole pixels" if forward else "nothing moves: every pixel shows its own texel",
@@ -325,7 +416,14 @@ def _passes(
     either(psf.border == "renormalize", "renormalize", "light over the border is given back", 'border = "lose"')
     either(psf.border == "lose", "guard band", "surface outside the frame lights it", "light stays inside the frame")
     either(channels > 1, "color", f"{channels} channels", "gray texture: one channel")
-    out.append(("occlusion", "one object: nothing is hidden behind another"))
+    how_hidden = {
+        "visibility": f"{layers} layer{'s' if layers > 1 else ''}, taps tested where something is in the way",
+        "layered": "slabs of what the pinhole sees, front to back",
+        "none": "",
+    }
+    why = "one object" if len(scene.objects) == 1 else "no object hides another within its blur"
+    why = 'occlusion = "none"' if psf.occlusion == "none" else "everything is in focus" if blur == "none" else why
+    either(occlusion != "none", "occlusion", how_hidden[occlusion], why)
     either(bool(truth), "ground truth", ", ".join(truth), "nobody asked for it")
     missing = [name for name in TRUTH_NAMES if name not in truth]
     if truth and missing:

@@ -10,22 +10,27 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco import __version__
+from clsco.depthmaps import load_scene_depths
 from clsco.device import Session, choose
 from clsco.errors import DeviceError
 from clsco.forward import ForwardWarp
 from clsco.frame import TRUTH_NAMES, Frame
-from clsco.layout import Real, camera_struct, flat, pose_struct, structs, surface_struct
-from clsco.motion import Pose, middle_time, pose_at
+from clsco.layers import Layers
+from clsco.layout import Real, Struct, camera_struct, flat, layer_struct, pose_structs, structs, surface_structs
+from clsco.maptruth import map_flow, map_normal
+from clsco.motion import Pose, middle_time, poses_at
+from clsco.occlusion import Layer
 from clsco.optics import blur_radius
-from clsco.plan import Plan, exposure, make_plan, widened
+from clsco.plan import Maps, Plan, exposure, make_plan, widened
 from clsco.program import build, download, empty, kernel, launch, upload
-from clsco.scene import Scene
+from clsco.scene import DepthMap, Scene
 from clsco.spread import PIXELS, Events, Sources, Spreader, blur_features
 from clsco.surfaces import PlacedSurface, place
 from clsco.textures import Texture, load_scene_textures
 
 # Outputs that ground_truth writes, with what one pixel of each takes: dtype and components (0: the channels).
 TRUTH_BUFFERS: dict[str, tuple[type[np.generic], int]] = {
+    "object_id": (np.int32, 1),
     "depth": (np.float32, 1),
     "coc": (np.float32, 1),
     "normal": (np.float32, 3),
@@ -33,6 +38,7 @@ TRUTH_BUFFERS: dict[str, tuple[type[np.generic], int]] = {
     "hidden": (np.uint8, 1),
     "sharp": (np.float32, 0),
 }
+Planes = tuple[cl.Buffer, cl.Buffer, cl.Buffer]  # value, coc, valid on the padded grid, as in layers.py
 SLACK = 1.0 + 1e-6  # the host's float64 and the device's float round differently
 # What of the statistics a frame must begin with: no radius met, no slot taken (trace.cl).
 EMPTY_STATISTICS = np.array([0, np.iinfo(np.int32).max, 0, 0], dtype=np.int32)
@@ -57,11 +63,12 @@ def render(
     Validated against `clsco.reference.render` on every scene in examples/ and a ray tracer (benchmarks/accuracy.py).
     """
     scene, textures = load_scene_textures(scene)
-    texture = textures[0]
-    plan = make_plan(scene, texture.radiance.shape[2] if texture.radiance.ndim == 3 else 1, tuple(truth), method)
+    channels = max(texture.radiance.shape[2] if texture.radiance.ndim == 3 else 1 for texture in textures)
+    maps = load_scene_depths(scene)
+    plan = make_plan(scene, channels, tuple(truth), method, maps=maps)
     wanted = range(scene.sequence.frames) if frames is None else frames
     with Session(choose(device), profiling=True) as session:
-        renderer = Renderer(session, plan, texture, precision)
+        renderer = Renderer(session, plan, textures, maps, precision)
         for index in wanted:
             yield renderer.frame(index)
 
@@ -69,7 +76,9 @@ def render(
 class Renderer:
     """Owns the buffers and programs for one plan on one device."""
 
-    def __init__(self, session: Session, plan: Plan, texture: Texture, precision: str | None = None) -> None:
+    def __init__(
+        self, session: Session, plan: Plan, textures: Sequence[Texture], maps: Maps, precision: str | None = None
+    ) -> None:
         device = session.device
         if precision not in (None, "single", "double"):
             raise DeviceError(f"precision: must be single or double; got {precision}")
@@ -80,21 +89,30 @@ class Renderer:
         wants_double = precision == "double" or (precision is None and device.has_fp64)
         self.real: Real = "double" if wants_double else "float"
         self.session, self.plan = session, plan
-        self.item = plan.scene.objects[0]
-        self.bits = texture.bits
+        self.items = plan.scene.objects
+        self.bits = max(texture.bits for texture in textures)
         self.smallest, self.largest, self.slots = plan.smallest_blur, plan.largest_blur, plan.slots
-        self.brightest = float(np.abs(texture.radiance).max(initial=0.0))
-        self.texture = upload(session, flat(texture.radiance, np.float32))
+        self.brightest = max(float(np.abs(texture.radiance).max(initial=0.0)) for texture in textures)
+        stack = list(dict.fromkeys(textures))  # those that several objects have in common once
+        self.texture_of = [stack.index(texture) for texture in textures]
+        self.texture = upload(session, np.stack([_planes(texture.radiance, plan.channels) for texture in stack]))
+        self.held: list[cl.Buffer] = []  # what queued launches still read: the host runs ahead of the device
         self.camera = camera_struct(plan.scene.camera, plan.guard_px, self.real)
-        blur = blur_features(plan.blur, plan.scene.psf.border, plan.forward)
+        blur = blur_features(plan.blur, plan.scene.psf.border, plan.forward or plan.occlusion == "layered")
         features = plan.features() | blur | {"TRUTH": int(bool(plan.truth))}
+        features["PINHOLE"] = int(plan.occlusion == "layered" and not plan.forward)
         features |= {f"TRUTH_{name.upper()}": int(name in self._truth_names()) for name in TRUTH_BUFFERS}
         declared = structs(self.real)
         sources = ["trace.cl"] + (["accumulate.cl"] if plan.blur == "none" else ["blur.cl"])
+        if features["OCCLUDED"]:
+            sources = ["occlusion.clh", *sources]
         self.program = build(session, sources, features, declared, self.real)
         self.forward = None
         if plan.forward:
-            self.forward = ForwardWarp(session, plan, self.camera, self.texture, self._surface(0.0), self.real)
+            at_rest = self._placed_at(poses_at(plan.scene, 0.0))
+            self.forward = ForwardWarp(
+                session, plan, self.camera, self.texture, at_rest, maps, self.real, textures=self.texture_of
+            )
         self._allocate()
 
     def _truth_names(self) -> list[str]:
@@ -116,13 +134,34 @@ class Renderer:
         self.label = empty(session, area if each else 0)
         self.pixels = empty(session, 4 * self.slots)
         self.sub_source = empty(session, 16 * self.slots * each)
+        occluded = (8 if self.real == "double" else 4) * bool(plan.features()["OCCLUDED"])
+        self.depth, self.sub_depth = empty(session, occluded * area), empty(session, occluded * self.slots * each)
         self.sub_value = empty(session, 4 * plan.channels * self.slots * each)
+        self.slabs: Layers | None = None
+        if plan.occlusion == "layered":
+            features = plan.features() | blur_features(plan.blur, plan.scene.psf.border, True)
+            self.slabs = Layers(session, self.spreader, features, self.largest, self.real, self.brightest)
+            size = 8 if self.real == "double" else 4
+            self.coc, self.valid = empty(session, size * area), empty(session, area)
 
-    def _pose(self, time: float) -> Pose:
-        return pose_at(self.item.motion, time, self.plan.scene.motion.rotation)
+    def _poses(self, time: float) -> tuple[Pose, ...]:
+        return poses_at(self.plan.scene, time, self.plan.eye)
 
-    def _surface(self, time: float) -> PlacedSurface:
-        return place(self.item, self._pose(time))
+    def _placed_at(self, poses: Sequence[Pose]) -> list[PlacedSurface | None]:
+        """The objects in their poses; a depth map is no surface that a ray could meet."""
+        pairs = zip(self.items, poses, strict=True)
+        return [None if isinstance(item, DepthMap) else place(item, pose) for item, pose in pairs]
+
+    def _surfaces(self, time: float) -> list[PlacedSurface]:
+        return [surface for surface in self._placed_at(self._poses(time)) if surface is not None]
+
+    def _upload(self, array: NDArray[Any]) -> cl.Buffer:
+        """What a launch of this frame reads."""
+        self.held.append(upload(self.session, array))
+        return self.held[-1]
+
+    def _placed(self, surfaces: Sequence[PlacedSurface]) -> cl.Buffer:
+        return self._upload(surface_structs(self.items, surfaces, self.real, self.texture_of))
 
     def frame(self, index: int) -> Frame:
         """Render one frame: again with larger buffers where the prediction of the plan was too small."""
@@ -139,51 +178,76 @@ class Renderer:
             if not self._outgrown():
                 break
         truth = self._ground_truth(index, events)
+        self.held.clear()
         return Frame(index=index, color=color, metadata=self._metadata(index, moments, events), **truth)
 
     def _moment(self, time: float, weight: float, events: Events) -> dict[str, Any]:
         """One intermediate frame: its sources, blurred and added; returns what is told of it."""
         report: dict[str, Any] = {"time": time, "weight": weight}
-        counters = {"missing_pixels": 0, "filled_pixels": 0, "unfilled_pixels": 0, "sweeps": 0}
+        report |= {"missing_pixels": 0, "filled_pixels": 0, "unfilled_pixels": 0, "sweeps": 0}
         if self.forward is not None:
-            warped = self.forward.warp(self._pose(time), self._surface(time), weight, events)
-            counters |= warped.counters
-            sources = Sources(self.source, warped.value)
-            if self.plan.blur in ("gather", "scatter"):
-                args = (self.camera, self.spreader.struct, warped.coc, warped.valid, self.source)
-                self._per_pixel("prepare_sources", events, *args)
-        else:
-            sources = self._trace(self._surface(time), weight, events)
-        self.spreader.add(sources, self._central_radius(time), events)
-        return report | counters
+            poses = self._poses(time)
+            warped = self.forward.warp(poses, self._placed_at(poses), weight, events)
+            report |= warped.counters
+            return report | self._add_planes((warped.value, warped.coc, warped.valid), time, events)
+        surfaces = self._placed(self._surfaces(time))
+        if self.slabs is not None:
+            return report | self._add_planes(self._look(surfaces, weight, events), time, events)
+        for layer in self.plan.layers:
+            self.spreader.add(self._trace(surfaces, layer, weight, events), self._central_radius(time), events)
+        return report
+
+    def _add_planes(self, planes: Planes, time: float, events: Events) -> dict[str, int]:
+        """Light of an image with its blur radii; how many slabs it took where occlusion is layered."""
+        value, coc, valid = planes
+        if self.slabs is not None:
+            return {"slabs": self.slabs.add(value, coc, valid, events)}
+        if self.plan.blur in ("gather", "scatter"):
+            self._per_pixel("prepare_sources", events, self.camera, self.spreader.struct, coc, valid, self.source)
+        self.spreader.add(Sources(self.source, value), self._central_radius(time), events)
+        return {}
+
+    def _look(self, surfaces: cl.Buffer, weight: float, events: Events) -> Planes:
+        """What the pinhole sees of all objects."""
+        planes = (self.value, self.coc, self.valid)
+        head = (self.camera, surfaces, self._everything(), np.float32(weight), self.texture)
+        self._per_pixel("pinhole", events, *head, *planes, self.statistics)
+        return planes
+
+    def _everything(self) -> Struct:
+        return layer_struct(Layer((1 << len(self.items)) - 1, 0), len(self.items))
 
     def _central_radius(self, time: float) -> float:
         """|R| on the axis, which is that of every pixel where the blur is a convolution."""
         if self.plan.blur != "convolve":
             return 0.0
-        surface = self._surface(time)
+        surface = self._surfaces(time)[0]
         inverse_depth = -2.0 * float(surface.canonical.l @ surface.turn[:, 2]) / surface.constant
         return abs(float(blur_radius(self.plan.scene.camera, inverse_depth)))
 
-    def _trace(self, surface: PlacedSurface, weight: float, events: Events) -> Sources:
-        plan, psf, camera = self.plan, self.spreader.struct, self.camera
-        placed = surface_struct(self.item, surface, self.real)
+    def _trace(self, surfaces: cl.Buffer, layer: Layer, weight: float, events: Events) -> Sources:
+        """Sources of one layer; its buffers are those of the layer before, which the queue is done with by then."""
+        plan, camera = self.plan, self.camera
+        head = (camera, surfaces, layer_struct(layer, len(self.items)), self.spreader.struct)
+        occluded = bool(plan.features()["OCCLUDED"])
         share, slots = np.float32(weight), np.int32(self.slots)
         if plan.silhouettes:
             cl.enqueue_fill_buffer(self.session.queue, self.statistics, np.zeros(1, np.int32), 8, 4)
-        args = (camera, placed, psf, share, self.texture, self.source, self.value, self.label, self.statistics)
-        self._per_pixel("trace", events, *args)
+        args = (*head, share, self.texture, self.source, self.value, self.label, self.statistics)
+        self._per_pixel("trace", events, *args, *((self.depth,) if occluded else ()))
+        seen: dict[str, Any] = {"surfaces": surfaces, "layer": head[2], "depth": self.depth} if occluded else {}
         if not plan.silhouettes:
-            return Sources(self.source, self.value)
+            return Sources(self.source, self.value, **seen)
         self._per_pixel(
             "mark_silhouettes", events, camera, self.label, slots, self.source, self.pixels, self.statistics
         )
-        out = (self.sub_source, self.sub_value, self.statistics)
+        out = (self.sub_source, self.sub_value, self.statistics, *((self.sub_depth,) if occluded else ()))
         self._launch(
             "trace_subpixels", (self.slots * plan.silhouettes**2,), (64,), events,
-            camera, placed, psf, share, self.texture, self.pixels, slots, *out,
+            *head, share, self.texture, self.pixels, slots, *out,
         )  # fmt: skip
-        return Sources(self.source, self.value, self.sub_source, self.sub_value, self.slots)
+        seen |= {"sub_depth": self.sub_depth} if occluded else {}
+        return Sources(self.source, self.value, self.sub_source, self.sub_value, self.slots, **seen)
 
     def _outgrown(self) -> bool:
         """Whether the frame met more than was predicted; if so, makes room for it."""
@@ -206,15 +270,17 @@ class Renderer:
         plan = self.plan
         if not plan.truth:
             return {}
-        time = middle_time(plan.scene.sequence, index) if plan.moves else 0.0
-        later = middle_time(plan.scene.sequence, index + 1) if plan.moves else 0.0
+        if self.forward is not None and any(isinstance(item, DepthMap) for item in self.items):
+            return self._map_truth(self.forward, index, events)
+        time, later = self._middles(index)
         pixels = plan.rows * plan.columns
         names = self._truth_names()
         sizes = {n: TRUTH_BUFFERS[n][1] or plan.channels for n in names}
         mask = empty(self.session, pixels)
         buffers = {n: empty(self.session, pixels * sizes[n] * TRUTH_BUFFERS[n][0]().itemsize) for n in names}
-        surface, still = (surface_struct(self.item, self._surface(t), self.real) for t in (time, 0.0))
-        head = (self.camera, surface, still, pose_struct(self._pose(later), self.real), self.texture, mask)
+        surfaces, still = (self._placed(self._surfaces(t)) for t in (time, 0.0))
+        poses = self._upload(pose_structs(self._poses(later), self.real))
+        head = (self.camera, surfaces, still, poses, self._everything(), self.texture, mask)
         self._launch("ground_truth", (plan.columns, plan.rows), PIXELS, events, *head, *buffers.values())
         shape = (plan.rows, plan.columns)
         found = download(self.session, mask, shape, np.bool_)
@@ -223,10 +289,25 @@ class Renderer:
             full = shape if sizes[name] == 1 else (*shape, sizes[name])
             out[name] = download(self.session, buffer, full, np.bool_ if name == "hidden" else TRUTH_BUFFERS[name][0])
         if self.forward is not None:
-            out |= self.forward.truth(self._pose(time), self._surface(time), events)
+            poses_now = self._poses(time)
+            out |= self.forward.truth(poses_now, self._placed_at(poses_now), events)
         out |= {"filled": np.zeros(shape, np.uint8), "mask": found} | out
-        out["object_id"] = np.where(found, 0, -1).astype(np.int32)
         return {name: array for name, array in out.items() if name in plan.truth}
+
+    def _middles(self, index: int) -> tuple[float, float]:
+        """Times of the ground truth of a frame and of the next one."""
+        if not self.plan.moves:
+            return 0.0, 0.0
+        return middle_time(self.plan.scene.sequence, index), middle_time(self.plan.scene.sequence, index + 1)
+
+    def _map_truth(self, forward: ForwardWarp, index: int, events: Events) -> dict[str, NDArray[Any]]:
+        """Ground truth of a scene with depth maps, which no ray can be cast at: of the pixels in their new places."""
+        now, then = (self._poses(t) for t in self._middles(index))
+        out = forward.truth(now, self._placed_at(now), events)
+        where = (self.plan.scene.camera, self.items, out["depth"], out["object_id"])
+        out |= {"normal": map_normal(*where[:1], out["depth"]), "flow": map_flow(*where, now, then)}
+        out["hidden"] = out["filled"] > 0
+        return {name: array for name, array in out.items() if name in self.plan.truth}
 
     def _metadata(self, index: int, moments: list[dict[str, Any]], events: Events) -> dict[str, Any]:
         seconds: dict[str, float] = {}
@@ -252,3 +333,9 @@ class Renderer:
 
     def _launch(self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: Any) -> None:
         events.append((name, launch(self.session, kernel(self.program, name), size, local, *args)))
+
+
+def _planes(radiance: NDArray[np.float64], channels: int) -> NDArray[np.float32]:
+    """Channel planes (channels, rows, columns) of a texture; gray ones serve color scenes as well."""
+    planes = flat(radiance, np.float32)
+    return np.ascontiguousarray(np.broadcast_to(planes, (channels, *planes.shape[1:])))

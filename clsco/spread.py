@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from clsco.device import Program, Session
 from clsco.layout import Real, Struct, psf_struct
+from clsco.occlusion import lens_cells
 from clsco.plan import Blur
 from clsco.program import download, empty, kernel, launch, upload
 from clsco.psf import LANES, PsfTable, constant_table, psf_table
@@ -41,7 +42,8 @@ class Sources:
     """Light sources of one moment on the device, in the layout of trace.cl.
 
     source: float4 per pixel of frame and guard band, None for `convolve` and `none`; value: radiance times weight;
-    sub_source, sub_value: of `capacity` pixels near silhouettes, None without them.
+    sub_source, sub_value: of `capacity` pixels near silhouettes, None without them. surfaces, layer, depth, sub_depth:
+    what stands in the way, and of what; None where nothing does.
     """
 
     source: cl.Buffer | None
@@ -49,6 +51,10 @@ class Sources:
     sub_source: cl.Buffer | None = None
     sub_value: cl.Buffer | None = None
     capacity: int = 0
+    surfaces: cl.Buffer | None = None
+    layer: Struct | None = None
+    depth: cl.Buffer | None = None
+    sub_depth: cl.Buffer | None = None
 
 
 class Spreader:
@@ -69,6 +75,7 @@ class Spreader:
         self.struct = psf_struct(psf, self.main, self.sub, real)
         tables = [self.main] if self.sub is None else [self.main, self.sub]
         self.tables = [(upload(session, t.intervals), upload(session, t.coefficients)) for t in tables]
+        self.lens = upload(session, lens_cells(psf).astype(np.float32))
         rows, columns = int(camera["rows"]), int(camera["columns"])
         self.pad = int(camera["guard"]) + int(self.struct["reach"]) + LANES
         self.pitch = columns + 2 * self.pad
@@ -108,6 +115,9 @@ class Spreader:
             tail = (sources.sub_source, sources.sub_value, np.int32(sources.capacity), *self.tables[1])
         if self.psf.border == "renormalize":
             self._launch("renormalize", frame, PIXELS, events, *head, *tail)
+        if sources.layer is not None:
+            tail += (sources.surfaces, sources.layer, self.lens, sources.depth)
+            tail += () if self.sub is None else (sources.sub_depth,)
         if self.method == "gather":
             bands = (-(-frame[1] // BAND),)
             self._launch("gather", bands, (1,), events, *head, *layout, *tail)

@@ -8,8 +8,8 @@
 // gather gives every work-item a band of output rows, which it alone writes, and walks the sources that reach it
 // in a fixed order, whole vectors of taps at a time: no atomics, same bits, for CPUs. scatter adds taps one by one in
 // fixed point: any device, any order, same bits; the oracle of the other two. convolve is for one radius only.
-// Features: CHANNELS, TILT, SUBPIXELS, POWERS (of the table), BAND (rows of a band), GATHER, SCATTER, CONVOLVE,
-// RENORMALIZE, PREPARE: which kernels are wanted.
+// Features: CHANNELS, TILT, SUBPIXELS, POWERS (of the table), BAND (rows of a band), OCCLUDED (after occlusion.clh),
+// GATHER, SCATTER, CONVOLVE, RENORMALIZE, PREPARE: which kernels are wanted.
 
 #define LANES 8       // floats in a vector of taps, as in clsco/psf.py
 #define SUB_POWERS 4  // of the tables of sub-pixel sources
@@ -22,7 +22,9 @@ typedef float taps_t __attribute__((ext_vector_type(8), aligned(4)));
 // Contraction changes no bit from run to run, and is a third of the speed of the loops below.
 #pragma OPENCL FP_CONTRACT ON
 
+#if !OCCLUDED
 #define INLINE static inline __attribute__((always_inline))
+#endif
 
 // The polynomial of the table at position t of its interval, LANES taps at once.
 INLINE float8 weights(__global const float *c, int lanes, float t, int powers)
@@ -86,6 +88,31 @@ INLINE float tap(spread_t s, int dx, int dy, float4 source)
 #endif
 }
 
+#if OCCLUDED
+// Of kernels that test what is in the way: see occlusion.clh and trace.cl. lens: weights of its cells.
+#if SUBPIXELS
+#define SUBPIXEL_DEPTH , __global const real *sub_depth
+#else
+#define SUBPIXEL_DEPTH
+#endif
+#define OCCLUSION_ARGUMENTS \
+    , __constant surface_t *surfaces, const layer_t layer, __constant float *lens, __global const real *depth \
+    SUBPIXEL_DEPTH
+
+// What stands in the way of a source at (row, column), px, and inverse depth w.
+static void see(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
+                __constant float *lens, real row, real column, real w, spread_t spread, real width, sight_t *sight)
+{
+    const real radius = blur_radius(camera, w);
+    bool edge;
+    look(camera, surfaces, layer, pixel_ray(camera, row, column), w, radius, psf.lens_extent, width, sight, &edge);
+    if (!sight->wide)
+        look_through(sight, lens, radius, psf.lens_extent, spread.ox, spread.oy, MIN(spread.half_width, SIGHT_MIDDLE));
+}
+#else
+#define OCCLUSION_ARGUMENTS
+#endif
+
 #if GATHER
 // Adds rows -up..down of one source to `out`, the place of its first tap in its own row.
 INLINE void add_rows(spread_t s, int up, int down, float v, float4 source, __global float *out, int pitch)
@@ -106,7 +133,42 @@ INLINE void add_rows(spread_t s, int up, int down, float v, float4 source, __glo
     }
 }
 
-// The same where all rows lie in the band and no weight can turn negative: a row of weights serves two of the frame.
+#if OCCLUDED
+// The same for all channels, `apart` apart in `light` and `planes` in `out`, where something stands in the way.
+INLINE void add_seen_rows(spread_t s, const sight_t *sight, int up, int down, __global const float *light, int apart,
+                          float4 source, __global float *out, int planes, int pitch)
+{
+    const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
+    for (int dy = -up; dy <= down; ++dy) {
+        __global const float *row = s.rows + (s.mirrored && dy < 0 ? -dy : dy) * s.step;
+        const float y = dy - s.oy;
+        float states[LANES];
+        for (int b = 0; b < s.lanes; b += LANES) {
+            const int first = b - s.half_width, block = b / LANES % (LANES - 1);
+            const float8 x = lane + (first - s.ox);
+            float8 share = 1;
+            if (sight->wide) {
+                if (block == 0)
+                    *(own_lanes_t *)states = look_along(sight, first - s.ox, y);
+                if (states[block] == 0)
+                    continue;
+                if (states[block] < 1)
+                    share = free_share(sight, x, (float8)y);
+            } else
+                share = *(const own_lanes_t *)(sight->share[dy + SIGHT_MIDDLE] + first + SIGHT_MIDDLE);
+            float8 w = weights(row + b, s.lanes, s.t, s.powers) * share;
+#if TILT
+            const float8 factor = x * source.y + (1 + y * source.z);
+            w *= factor > 0 ? factor : (float8)0;
+#endif
+            for (int k = 0; k < CHANNELS; ++k)
+                ADD_TAPS(out + k * planes + dy * pitch + b, w * light[k * apart]);
+        }
+    }
+}
+#endif
+
+// The same as add_rows where all rows lie in the band and no weight can turn negative: a row of weights serves two of the frame.
 INLINE void add_mirrored_rows(spread_t s, float v, float4 source, __global float *out, int pitch)
 {
     const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
@@ -145,6 +207,7 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
                      , __global const float4 *sub_source, __global const float *sub_value, const int capacity,
                      __global const int4 *sub_intervals, __global const float *sub_coefficients
 #endif
+                     OCCLUSION_ARGUMENTS
 )
 {
     const int first = get_global_id(0) * BAND;
@@ -169,6 +232,16 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
                     continue;
                 const spread_t spread = subpixel_spread(psf, sub_intervals, sub_coefficients, p.x, sub);
                 const int half_width = spread.half_width, up = MIN(half_width, y - first), down = MIN(half_width, end - 1 - y);
+#if OCCLUDED
+                if (as_int(p.w) == BLOCKED) {
+                    sight_t sight;
+                    see(camera, surfaces, layer, psf, lens, y + spread.oy, x - camera.guard + spread.ox, sub_depth[id],
+                        spread, (real)1 / SUBPIXELS, &sight);
+                    add_seen_rows(spread, &sight, up, down, sub_value + id, capacity * SUBPIXELS * SUBPIXELS, p,
+                                  out - half_width, total_plane, pitch);
+                    continue;
+                }
+#endif
                 for (int k = 0; k < CHANNELS; ++k)
                     add_rows(spread, up, down, sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id], p,
                              out + k * total_plane - half_width, pitch);
@@ -180,6 +253,15 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
             continue;
         const spread_t spread = pixel_spread(psf, intervals, coefficients, s.x);
         const int half_width = spread.half_width;
+#if OCCLUDED
+        if (as_int(s.w) == BLOCKED) {
+            sight_t sight;
+            see(camera, surfaces, layer, psf, lens, y, x - camera.guard, depth[at], spread, (real)1, &sight);
+            add_seen_rows(spread, &sight, MIN(half_width, y - first), MIN(half_width, end - 1 - y), value + at, plane,
+                          s, out - half_width, total_plane, pitch);
+            continue;
+        }
+#endif
         const bool simple = (whole || (y - half_width >= first && y + half_width < end)) &&
                             (ABS(s.y) + ABS(s.z)) * half_width <= 1;
         for (int k = 0; k < CHANNELS; ++k) {
@@ -236,14 +318,33 @@ typedef int fixed_t;
 #define ADD_FIXED(p, v) atomic_add(p, v)
 #endif
 
-// Adds one source tap by tap, rounded to multiples of 1 / scale.
+#if OCCLUDED
+#define SIGHT_ARGUMENT , const sight_t *sight
+#define SIGHT , sight
+
+static float tap_share(const sight_t *sight, int dx, int dy, spread_t s)
+{
+    if (!sight->wide)
+        return sight->share[dy + SIGHT_MIDDLE][dx + SIGHT_MIDDLE];
+    return FIRST_LANE(free_share(sight, (lanes_t)(dx - s.ox), (lanes_t)(dy - s.oy)));
+}
+#else
+#define SIGHT_ARGUMENT
+#define SIGHT
+#endif
+
+// Adds one source tap by tap, rounded to multiples of 1 / scale. sight: what is in the way, if anything.
 static void scatter_source(const camera_t camera, spread_t spread, float4 source, float v, float scale, int row,
-                           int column, __global fixed_t *sums)
+                           int column, __global fixed_t *sums SIGHT_ARGUMENT)
 {
     const int half_width = spread.half_width;
     for (int dy = MAX(-half_width, -row); dy <= MIN(half_width, camera.rows - 1 - row); ++dy)
         for (int dx = MAX(-half_width, -column); dx <= MIN(half_width, camera.columns - 1 - column); ++dx) {
-            const float light = v * tap(spread, dx, dy, source) * scale;
+            float light = v * tap(spread, dx, dy, source) * scale;
+#if OCCLUDED
+            if (sight)
+                light *= tap_share(sight, dx, dy, spread);
+#endif
             ADD_FIXED(sums + (row + dy) * camera.columns + column + dx, (fixed_t)floor(light + 0.5f));
         }
 }
@@ -256,6 +357,7 @@ __kernel void scatter(const camera_t camera, const psf_t psf, __global const flo
                       , __global const float4 *sub_source, __global const float *sub_value, const int capacity,
                       __global const int4 *sub_intervals, __global const float *sub_coefficients
 #endif
+                      OCCLUSION_ARGUMENTS
 )
 {
     const int x = get_global_id(0), y = get_global_id(1);
@@ -272,19 +374,32 @@ __kernel void scatter(const camera_t camera, const psf_t psf, __global const flo
             const float4 p = sub_source[id];
             if (p.x < 0)
                 continue;
+            const spread_t spread = subpixel_spread(psf, sub_intervals, sub_coefficients, p.x, sub);
+#if OCCLUDED
+            sight_t seen;
+            const sight_t *sight = as_int(p.w) == BLOCKED ? &seen : 0;
+            if (sight)
+                see(camera, surfaces, layer, psf, lens, row + spread.oy, column + spread.ox, sub_depth[id], spread,
+                    (real)1 / SUBPIXELS, &seen);
+#endif
             for (int k = 0; k < CHANNELS; ++k)
-                scatter_source(camera, subpixel_spread(psf, sub_intervals, sub_coefficients, p.x, sub), p,
-                               sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id], scale, row, column,
-                               sums + k * sums_plane);
+                scatter_source(camera, spread, p, sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id], scale, row,
+                               column, sums + k * sums_plane SIGHT);
         }
         return;
     }
 #endif
     if (s.x < 0)
         return;
+    const spread_t spread = pixel_spread(psf, intervals, coefficients, s.x);
+#if OCCLUDED
+    sight_t seen;
+    const sight_t *sight = as_int(s.w) == BLOCKED ? &seen : 0;
+    if (sight)
+        see(camera, surfaces, layer, psf, lens, row, column, depth[at], spread, (real)1, &seen);
+#endif
     for (int k = 0; k < CHANNELS; ++k)
-        scatter_source(camera, pixel_spread(psf, intervals, coefficients, s.x), s, value[k * plane + at], scale, row,
-                       column, sums + k * sums_plane);
+        scatter_source(camera, spread, s, value[k * plane + at], scale, row, column, sums + k * sums_plane SIGHT);
 }
 
 // Fixed point to float: sums / scale, in the layout of total.

@@ -2,18 +2,22 @@
 // Twin: clsco/reference/trace.py.
 //
 // Sources live on the frame and a guard band of camera.guard px around it: (height, width), row-major.
-//   source  float4: coordinate in the PSF table (< 0: no surface), tilt right, tilt down, and as an int the
-//           slot of the pixel's sub-pixel sources (-1: none)
+//   source  float4: coordinate in the PSF table (< 0: no light), tilt right, tilt down, and as an int the slot of the
+//           pixel's sub-pixel sources, WHOLE or BLOCKED
 //   value   float (CHANNELS, height, width): radiance times the weight of this moment in the exposure
-//   label   uchar (height, width): 0 no surface, else which root was met
-// Features besides geometry.clh's: MOVED (the object is not at rest), TILT, SUBPIXELS (sources per axis in a
-// pixel at a silhouette, 0 none), SAMPLED, and TRUTH_* for the outputs of ground_truth.
+//   label   uchar (height, width): 0 no surface, else which root of which object was met, and on which side of others
+//   depth   real (height, width): inverse depth, with OCCLUDED
+//   texture float (textures, CHANNELS, rows, columns); surface_t names its object's
+// Features besides geometry.clh's: MOVED (not all is where it was at rest), TILT, SUBPIXELS (sources per axis in a
+// pixel at a silhouette, 0 none), SAMPLED, OCCLUDED, PINHOLE, and TRUTH_* for the outputs of ground_truth.
 
 // Statistics of a frame, ints: floats >= 0 keep their order as ints.
 #define LARGEST_RADIUS 0
 #define SMALLEST_RADIUS 1
 #define SLOTS 2       // taken at this moment
 #define MOST_SLOTS 3  // taken at any moment
+
+#define WHOLE -1  // besides a slot, and BLOCKED of occlusion.clh
 
 // Keeps the range of radii that were met; the plain look first makes the atomic rare.
 static void note_radius(__global volatile int *statistics, real radius)
@@ -27,7 +31,7 @@ static void note_radius(__global volatile int *statistics, real radius)
 
 // Where a hit takes its radiance from in the texture: (column, row, in front of the lens). At rest a pixel shows its
 // own texel.
-static real3 texture_point(const surface_t *surface, const camera_t camera, real3 ray, real w, int row, int column)
+static real3 texture_point(__constant surface_t *surface, const camera_t camera, real3 ray, real w, int row, int column)
 {
 #if MOVED
     return rest_pixel(surface, camera, ray, w);
@@ -37,9 +41,11 @@ static real3 texture_point(const surface_t *surface, const camera_t camera, real
 }
 
 // 0 for what was behind the lens at rest: the texture knows nothing of it.
-static float radiance(__global const float *texture, const camera_t camera, int channel, real3 point)
+static float radiance(__global const float *texture, __constant surface_t *surface, const camera_t camera, int channel,
+                      real3 point)
 {
-    __global const float *plane = texture + channel * camera.rows * camera.columns;
+    const int number = surface->texture * CHANNELS + channel;
+    __global const float *plane = texture + (size_t)number * camera.rows * camera.columns;
 #if MOVED
     return point.z > 0 ? sample_texture(plane, camera, point.y, point.x) : 0;
 #else
@@ -48,10 +54,15 @@ static float radiance(__global const float *texture, const camera_t camera, int 
 #endif
 }
 
-// One source per pixel of frame and guard band. Out: source, value, label, statistics.
-__kernel void trace(const camera_t camera, const surface_t surface, const psf_t psf, const float weight,
-                    __global const float *texture, __global float4 *source, __global float *value,
-                    __global uchar *label, __global int *statistics)
+// One source per pixel of frame and guard band, on the nearest of the layer's objects. Out: source, value, label,
+// statistics, depth.
+__kernel void trace(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
+                    const float weight, __global const float *texture, __global float4 *source, __global float *value,
+                    __global uchar *label, __global int *statistics
+#if OCCLUDED
+                    , __global real *depth
+#endif
+)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
@@ -59,18 +70,32 @@ __kernel void trace(const camera_t camera, const surface_t surface, const psf_t 
     const int row = y - camera.guard, column = x - camera.guard, at = y * camera.width + x;
     const real3 ray = pixel_ray(camera, row, column);
     uchar root;
-    const real w = solve_quadric(&surface, ray, &root);
-    float4 record = (float4)(-1, 0, 0, as_float(-1));
-    if (root) {
+    int object;
+    const real w = nearest_surface(surfaces, layer.count, layer.members, ray, &root, &object);
+    float4 record = (float4)(-1, 0, 0, as_float(WHOLE));
+    bool lit = root;
+#if OCCLUDED
+    depth[at] = w;
+    if (lit) {
+        bool edge;
+        const int seen = look(camera, surfaces, layer, ray, w, blur_radius(camera, w), psf.lens_extent, 1, 0,
+                              &edge);
+        lit = seen != HIDDEN;
+        record.w = as_float(seen == PARTLY ? BLOCKED : WHOLE);
+        root |= edge << 7;
+    }
+#endif
+    if (lit) {
+        __constant surface_t *surface = surfaces + object;
         const real radius = blur_radius(camera, w);
         note_radius(statistics, radius);
         record.x = table_coordinate(psf, radius, 0);
 #if TILT
-        record.yz = tilt_slope(blur_gradient(camera, surface_slope(&surface, ray, w)), radius);
+        record.yz = tilt_slope(blur_gradient(camera, surface_slope(surface, ray, w)), radius);
 #endif
-        const real3 point = texture_point(&surface, camera, ray, w, row, column);
+        const real3 point = texture_point(surface, camera, ray, w, row, column);
         for (int c = 0; c < CHANNELS; ++c)
-            value[c * camera.height * camera.width + at] = weight * radiance(texture, camera, c, point);
+            value[c * camera.height * camera.width + at] = weight * radiance(texture, surface, camera, c, point);
     } else {
         for (int c = 0; c < CHANNELS; ++c)
             value[c * camera.height * camera.width + at] = 0;
@@ -115,11 +140,17 @@ __kernel void mark_silhouettes(const camera_t camera, __global const uchar *labe
     source[at].w = as_float(slot);
 }
 
-// SUBPIXELS x SUBPIXELS point sources of every marked pixel. Out, per slot and sub-pixel in row-major order:
-// sub_source float4 (coordinate, tilt right, tilt down, 0), sub_value float (CHANNELS, slots, SUBPIXELS^2).
-__kernel void trace_subpixels(const camera_t camera, const surface_t surface, const psf_t psf, const float weight,
-                              __global const float *texture, __global const int *pixels, const int capacity,
-                              __global float4 *sub_source, __global float *sub_value, __global int *statistics)
+// SUBPIXELS x SUBPIXELS point sources of every marked pixel. Out, per slot and sub-pixel in row-major order: sub_source
+// float4 (coordinate, tilt right, tilt down, WHOLE or BLOCKED), sub_value float (CHANNELS, slots, SUBPIXELS^2),
+// sub_depth real.
+__kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfaces, const layer_t layer,
+                              const psf_t psf, const float weight, __global const float *texture,
+                              __global const int *pixels, const int capacity, __global float4 *sub_source,
+                              __global float *sub_value, __global int *statistics
+#if OCCLUDED
+                              , __global real *sub_depth
+#endif
+)
 {
     const int id = get_global_id(0), each = SUBPIXELS * SUBPIXELS;
     const int slot = id / each, sub = id % each;
@@ -132,41 +163,85 @@ __kernel void trace_subpixels(const camera_t camera, const surface_t surface, co
     const real j = column + (sub % SUBPIXELS + (real)0.5) / SUBPIXELS - (real)0.5;
     const real3 ray = pixel_ray(camera, i, j);
     uchar root;
-    const real w = solve_quadric(&surface, ray, &root);
-    float4 record = (float4)(-1, 0, 0, 0);
-    if (root) {
+    int object;
+    const real w = nearest_surface(surfaces, layer.count, layer.members, ray, &root, &object);
+    float4 record = (float4)(-1, 0, 0, as_float(WHOLE));
+    bool lit = root;
+#if OCCLUDED
+    sub_depth[id] = w;
+    if (lit) {
+        bool edge;
+        const int seen = look(camera, surfaces, layer, ray, w, blur_radius(camera, w), psf.lens_extent,
+                              (real)1 / SUBPIXELS, 0, &edge);
+        lit = seen != HIDDEN;
+        record.w = as_float(seen == PARTLY ? BLOCKED : WHOLE);
+    }
+#endif
+    if (lit) {
+        __constant surface_t *surface = surfaces + object;
         const real radius = blur_radius(camera, w);
         note_radius(statistics, radius);
         record.x = table_coordinate(psf, radius, 1);
 #if TILT
-        record.yz = tilt_slope(blur_gradient(camera, surface_slope(&surface, ray, w)), radius);
+        record.yz = tilt_slope(blur_gradient(camera, surface_slope(surface, ray, w)), radius);
 #endif
-        const real3 point = texture_point(&surface, camera, ray, w, row, column);
+        const real3 point = texture_point(surface, camera, ray, w, row, column);
         for (int c = 0; c < CHANNELS; ++c)
-            sub_value[c * capacity * each + id] = weight / each * radiance(texture, camera, c, point);
+            sub_value[c * capacity * each + id] = weight / each * radiance(texture, surface, camera, c, point);
     }
     sub_source[id] = record;
 }
 #endif
 
+#if PINHOLE
+// What the pinhole sees of the layer's objects, for `layered` occlusion. Out: value as in trace; coc real, signed R in px,
+// and valid uchar, (height, width); statistics.
+__kernel void pinhole(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const float weight,
+                      __global const float *texture, __global float *value, __global real *coc, __global uchar *valid,
+                      __global int *statistics)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= camera.width || y >= camera.height)
+        return;
+    const int row = y - camera.guard, column = x - camera.guard, at = y * camera.width + x;
+    const real3 ray = pixel_ray(camera, row, column);
+    uchar root;
+    int object;
+    const real w = nearest_surface(surfaces, layer.count, layer.members, ray, &root, &object);
+    __constant surface_t *surface = surfaces + MAX(object, 0);
+    const real3 point = texture_point(surface, camera, ray, w, row, column);
+    for (int c = 0; c < CHANNELS; ++c)
+        value[c * camera.height * camera.width + at] =
+            root ? weight * radiance(texture, surface, camera, c, point) : 0;
+    coc[at] = root ? blur_radius(camera, w) : 0;
+    valid[at] = root != 0;
+    if (root)
+        note_radius(statistics, coc[at]);
+}
+#endif
+
 #if TRUTH_FLOW
 // Image motion of a hit to the pose `next`, px (right, down); 0 where it gets behind the lens.
-static real2 image_flow(const surface_t *surface, const camera_t camera, const pose_t next, real3 ray, real w,
-                        int row, int column)
+static real2 image_flow(__constant surface_t *surface, const camera_t camera, __constant pose_t *next, real3 ray,
+                        real w, int row, int column)
 {
-    const real3 rest = (real3)(surface->rest[0] + next.shift[0], surface->rest[1] + next.shift[1],
-                               surface->rest[2] + next.shift[2]);
-    const real3 to = project(camera, rest * w + turned(next.rotation, body_point(surface, ray, w)));
+    const real3 rest = (real3)(surface->rest[0] + next->shift[0], surface->rest[1] + next->shift[1],
+                               surface->rest[2] + next->shift[2]);
+    const real3 to = project(camera, rest * w + turned(next->rotation, body_point(surface, ray, w)));
     return to.z > 0 ? (real2)(to.x - column, to.y - row) : (real2)(0, 0);
 }
 #endif
 
 // Ground truth at pixel centers, (rows, columns[, components]), never anti-aliased: depth mm (+inf: nothing),
-// coc signed px (0: nothing), mask, normal, flow px to the pose `next`, hidden (the pinhole did not see the point
-// at rest), sharp radiance. `still` is the surface at rest.
+// coc signed px (0: nothing), mask, object (-1: nothing), normal, flow px to the pose `next`, hidden (the pinhole did
+// not see the point at rest), sharp radiance. `still` are the surfaces at rest.
 #if TRUTH
-__kernel void ground_truth(const camera_t camera, const surface_t surface, const surface_t still, const pose_t next,
-                           __global const float *texture, __global uchar *mask
+__kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces, __constant surface_t *still,
+                           __constant pose_t *next, const layer_t layer, __global const float *texture,
+                           __global uchar *mask
+#if TRUTH_OBJECT_ID
+                           , __global int *object_id
+#endif
 #if TRUTH_DEPTH
                            , __global float *depth
 #endif
@@ -193,8 +268,13 @@ __kernel void ground_truth(const camera_t camera, const surface_t surface, const
     const int at = row * camera.columns + column;
     const real3 ray = pixel_ray(camera, row, column);
     uchar root;
-    const real w = solve_quadric(&surface, ray, &root);
+    int object;
+    const real w = nearest_surface(surfaces, layer.count, layer.members, ray, &root, &object);
+    __constant surface_t *surface = surfaces + MAX(object, 0);
     mask[at] = root != 0;
+#if TRUTH_OBJECT_ID
+    object_id[at] = object;
+#endif
 #if TRUTH_DEPTH
     depth[at] = root ? (float)(1 / w) : INFINITY;
 #endif
@@ -202,32 +282,32 @@ __kernel void ground_truth(const camera_t camera, const surface_t surface, const
     coc[at] = root ? (float)blur_radius(camera, w) : 0;
 #endif
 #if TRUTH_NORMAL
-    const real3 n = root ? surface_normal(&surface, ray, w) : (real3)(0, 0, 0);
+    const real3 n = root ? surface_normal(surface, ray, w) : (real3)(0, 0, 0);
     normal[3 * at] = (float)n.x;
     normal[3 * at + 1] = (float)n.y;
     normal[3 * at + 2] = (float)n.z;
 #endif
 #if TRUTH_FLOW
-    const real2 motion = root ? image_flow(&surface, camera, next, ray, w, row, column) : (real2)(0, 0);
+    const real2 motion = root ? image_flow(surface, camera, next + MAX(object, 0), ray, w, row, column) : (real2)(0, 0);
     flow[2 * at] = (float)motion.x;
     flow[2 * at + 1] = (float)motion.y;
 #endif
 #if TRUTH_HIDDEN
     hidden[at] = 0;
     if (root) {
-        const real3 from = rest_pixel(&surface, camera, ray, w);
+        const real3 from = rest_pixel(surface, camera, ray, w);
         const bool outside = !(from.z > 0 && from.x >= (real)-0.5 && from.x < camera.columns - (real)0.5 &&
                                from.y >= (real)-0.5 && from.y < camera.rows - (real)0.5);
         // 1 / depth at rest of this point, against what the pinhole saw there
         uchar other;
-        const real seen = solve_quadric(&still, pixel_ray(camera, from.y, from.x), &other);
+        const real seen = solve_quadric(still + object, pixel_ray(camera, from.y, from.x), &other);
         hidden[at] = outside || seen * from.z > w * (1 + (real)1e-6);
     }
 #endif
 #if TRUTH_SHARP
-    const real3 point = texture_point(&surface, camera, ray, w, row, column);
+    const real3 point = texture_point(surface, camera, ray, w, row, column);
     for (int c = 0; c < CHANNELS; ++c)
-        sharp[at * CHANNELS + c] = root ? radiance(texture, camera, c, point) : 0;
+        sharp[at * CHANNELS + c] = root ? radiance(texture, surface, camera, c, point) : 0;
 #endif
 }
 #endif

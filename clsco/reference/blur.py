@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clsco import psf as psf_weights
 from clsco.reference.geometry import Array, tilt_slope
+from clsco.reference.occlusion import look_through, tap_share
 from clsco.reference.trace import Sources, SubpixelSources
 from clsco.scene import Psf
 
@@ -65,6 +66,7 @@ def _shares(psf: Psf, sources: Sources, there: NDArray[np.bool_]) -> Iterator[tu
     at = np.flatnonzero(there)
     size = np.abs(radius.ravel()[at])
     gx, gy = sources.gradient[..., 0], sources.gradient[..., 1]
+    cells = np.empty(0) if sources.sight is None else look_through(sources.sight)
     for a, b, offsets in _octant(psf_weights.reach(psf, float(size.max(initial=0.0)))):
         weight = np.zeros(there.shape)
         for start in range(0, at.size, BLOCK):
@@ -75,7 +77,11 @@ def _shares(psf: Psf, sources: Sources, there: NDArray[np.bool_]) -> Iterator[tu
         if not weight.any():
             continue
         for dx, dy in sorted(offsets):
-            yield dx, dy, weight * tilt_factor(dx, dy, gx, gy, radius) if psf.tilt else weight
+            share = weight * tilt_factor(dx, dy, gx, gy, radius) if psf.tilt else weight.copy()
+            if sources.sight is not None:
+                hidden = sources.sight.row >= 0
+                share.ravel()[hidden] *= tap_share(sources.sight, cells, dx, dy)
+            yield dx, dy, share
 
 
 def _overlap(shift: int, frame: int, guard: int) -> tuple[slice, slice]:
@@ -103,6 +109,8 @@ def _subpixel_shares(
         radius = sub.radius[sub.hit][block]
         gx, gy = sub.gradient[sub.hit][block].T
         far = psf_weights.reach(psf, float(np.abs(radius).max()), subpixel=True)
+        sight = None if sub.sight is None else sub.sight.of(block)
+        cells = np.empty(0) if sight is None else look_through(sight)
         for dy in range(-far, far + 1):
             for dx in range(-far, far + 1):
                 row, column = sub.row[p] - guard + dy, sub.column[p] - guard + dx
@@ -111,6 +119,10 @@ def _subpixel_shares(
                 if psf.tilt:
                     tilt = tilt_factor(dx - x, dy - y, gx, gy, radius)[inside]
                     share = share * tilt
+                if sight is not None:
+                    seen = np.ones(p.size)
+                    seen[sight.row >= 0] = tap_share(sight, cells, dx, dy)
+                    share = share * seen[inside]
                 lit = share > 0.0
                 target = (row * shape[1] + column)[inside][lit]
                 yield order[block][inside][lit], target, share[lit] / samples**2
@@ -118,7 +130,7 @@ def _subpixel_shares(
 
 def _own_sources(sources: Sources, sub: SubpixelSources | None) -> NDArray[np.bool_]:
     """Pixels (H, W) with a source of their own: a surface, and no sub-pixel sources in its place."""
-    there = sources.label > 0
+    there = sources.lit.copy()
     if sub is not None:
         there[sub.row, sub.column] = False
     return there
@@ -142,8 +154,7 @@ def renormalize(
         (_, rows), (_, columns) = _overlap(dy, m, guard), _overlap(dx, n, guard)
         kept[rows, columns] += share[rows, columns]
     scale = np.where(kept > 0.0, 1.0 / np.where(kept > 0.0, kept, 1.0), 0.0)
-    label = np.where(inside, sources.label, np.uint8(0))
-    sources = replace(sources, label=label, radiance=sources.radiance * scale[..., None])
+    sources = replace(sources, lit=sources.lit & inside, radiance=sources.radiance * scale[..., None])
     if sub is None:
         return sources, None
     sub = replace(sub, hit=sub.hit & inside[sub.row, sub.column][:, None, None])

@@ -6,6 +6,7 @@ depth in 1/mm; w = 0 stands for "no surface". Every function works on arrays of 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -157,6 +158,26 @@ def solve_quadric(surface: PlacedSurface, bounds: Bounds | None, rays: Array) ->
         inverse_depth = np.where(nearer, w, inverse_depth)
         label = np.where(nearer, np.uint8(number), label)
     return inverse_depth, label
+
+
+def nearest_surface(
+    surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], members: int, rays: Array
+) -> tuple[Array, NDArray[np.uint8], NDArray[np.int32]]:
+    """Inverse depth (...) in 1/mm of the nearest surface along rays (..., 3), its label, and its number.
+
+    surfaces, bounds: of all objects; members: bit k is set where object k counts. Label: 0 no surface (w = 0, number
+    -1), else 2 k + the label of `solve_quadric` for object k. Of equally near ones the first counts.
+    """
+    nearest = np.zeros(rays.shape[:-1])
+    label, number = np.zeros(nearest.shape, dtype=np.uint8), np.full(nearest.shape, -1, dtype=np.int32)
+    for k, surface in enumerate(surfaces):
+        if members >> k & 1:
+            w, root = solve_quadric(surface, bounds[k], rays)
+            nearer = w > nearest
+            nearest = np.where(nearer, w, nearest)
+            label = np.where(nearer, (2 * k + root).astype(np.uint8), label)
+            number = np.where(nearer, np.int32(k), number)
+    return nearest, label, number
 
 
 def canonical_gradient(surface: PlacedSurface, d: Array, w: Array) -> Array:

@@ -2,63 +2,101 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import asdict
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.depthmaps import load_scene_depths
 from clsco.frame import Frame
-from clsco.motion import middle_time, pose_at, sample_times
-from clsco.plan import make_plan
+from clsco.maptruth import map_flow, map_normal
+from clsco.motion import Eye, Pose, middle_time, poses_at
+from clsco.occlusion import Layer
+from clsco.plan import Maps, Plan, exposure, make_plan
 from clsco.reference.accumulate import accumulate
 from clsco.reference.blur import prepare_sources, scatter
-from clsco.reference.fill import FillReport, fill
+from clsco.reference.fill import FillReport, fill_objects
 from clsco.reference.geometry import Array, blur_radius
+from clsco.reference.layer import layered
 from clsco.reference.reproject import reproject
 from clsco.reference.trace import (
     Sources,
     SubpixelSources,
+    View,
     ground_truth,
     mark_silhouettes,
     trace,
     trace_subpixels,
+    view_at,
 )
-from clsco.scene import Scene
-from clsco.surfaces import place
+from clsco.scene import DepthMap, Scene
+from clsco.surfaces import PlacedSurface, place
 from clsco.textures import load_scene_textures
 
 
-def _cast_sources(scene: Scene, texture: Array, guard: int, time: float) -> tuple[Sources, SubpixelSources | None]:
-    """Sources at one moment from rays cast at the surface: the inverse warp, and every scene at rest."""
-    item = scene.objects[0]
-    surface = place(item, pose_at(item.motion, time, scene.motion.rotation))
-    moved = item.motion.moves and time != 0.0
-    sources = trace(scene, surface, texture, guard, moved)
-    if scene.psf.silhouette_samples == 1:
+def _cast_sources(view: View, layer: Layer, guard: int) -> tuple[Sources, SubpixelSources | None]:
+    """Sources of one layer from rays cast at its objects: the inverse warp, and every scene at rest."""
+    sources = trace(view, layer, guard)
+    if view.scene.psf.silhouette_samples == 1:
         return sources, None
     marked = mark_silhouettes(sources.label)
-    return sources, trace_subpixels(scene, surface, texture, guard, moved, marked) if marked.any() else None
+    return sources, trace_subpixels(view, layer, guard, marked) if marked.any() else None
+
+
+@dataclass(frozen=True, eq=False)
+class _Warped:
+    """What a forward warp gives: sources, the object of each (H, W), status of the filling (H, W), its report."""
+
+    sources: Sources
+    objects: NDArray[np.uint8]
+    status: NDArray[np.uint8]
+    report: FillReport
 
 
 def _warped_sources(
-    scene: Scene, texture: Array, guard: int, time: float
-) -> tuple[Sources, NDArray[np.uint8], FillReport]:
+    scene: Scene, textures: tuple[Array, ...], maps: Maps, guard: int, time: float, eye: Eye
+) -> _Warped:
     """Sources at one moment from the pixels at rest: the forward warp, with its holes filled."""
-    item = scene.objects[0]
-    start, pose = (pose_at(item.motion, t, scene.motion.rotation) for t in (0.0, time))
-    known, radiance, inverse_depth = reproject(scene, texture, place(item, start), pose, guard)
+    poses, mapped = poses_at(scene, time, eye), any(depth is not None for depth in maps)
+    at_rest = _placed(scene, poses_at(scene, 0.0))
+    new = reproject(scene, textures, at_rest, maps, poses, guard)
     allowed = None
-    if scene.fill.domain == "surface":
-        allowed = trace(scene, place(item, pose), texture, guard, True).label > 0
-    values = np.concatenate([radiance, inverse_depth[..., None]], axis=-1)
-    values, status, report = fill(values, known, allowed, scene.fill.method, guard)
-    valid = known | (status == 1)
-    inverse_depth = values[..., -1]
-    radius = np.where(valid, blur_radius(scene.camera, inverse_depth), 0.0)
+    if scene.fill.domain == "surface" and not mapped:
+        view = view_at(scene, textures, time, eye, True)
+        allowed = trace(view, Layer((1 << len(scene.objects)) - 1, 0), guard).label > 0
+    values = np.concatenate([new.radiance, new.inverse_depth[..., None]], axis=-1)
+    far = mapped or len(scene.objects) > 1
+    values, objects, status, report = fill_objects(
+        values, new.object, new.known, allowed, scene.fill.method, guard, far
+    )
+    valid = new.known | (status == 1)
+    return _Warped(_sources(scene, values[..., :-1], values[..., -1], valid), objects, status, report)
+
+
+def _placed(scene: Scene, poses: Sequence[Pose]) -> tuple[PlacedSurface | None, ...]:
+    """The objects in their poses, None for depth maps."""
+    pairs = zip(scene.objects, poses, strict=True)
+    return tuple(None if isinstance(item, DepthMap) else place(item, pose) for item, pose in pairs)
+
+
+def _sources(scene: Scene, radiance: Array, w: Array, valid: NDArray[np.bool_]) -> Sources:
+    """Sources of an image with inverse depths; the gradient of the radius from its differences."""
+    radius = np.where(valid, blur_radius(scene.camera, w), 0.0)
     gradient = prepare_sources(radius, valid)
-    return Sources(values[..., :-1], inverse_depth, valid.astype(np.uint8), radius, gradient), status, report
+    return Sources(radiance, w, valid.astype(np.uint8), radius, gradient, valid)
+
+
+def _image_of_planes(
+    scene: Scene, plan: Plan, sources: Sources, shape: tuple[int, int]
+) -> tuple[Array, dict[str, int]]:
+    """The blurred image (m, n, C) of what the pinhole sees, and what is told of it."""
+    if plan.occlusion != "layered":
+        return scatter(scene.psf, sources, None, shape, plan.guard_px), {}
+    planes = (sources.radiance, sources.radius, sources.lit)
+    image, count = layered(scene.psf, *planes, shape, plan.guard_px, plan.largest_blur)
+    return image, {"slabs": count}
 
 
 def _without_channel(image: Array) -> Any:
@@ -77,39 +115,80 @@ def render(scene: Scene) -> Iterator[Frame]:
     Errors: those of the plan and of the textures. Metadata: {"intermediate": [...]}, one mapping per
     intermediate frame with its time in s, its weight and the counts of `clsco.reference.fill.FillReport`.
     """
-    scene, textures = load_scene_textures(scene)
-    texture = np.asarray(textures[0].radiance, dtype=np.float64)
-    texture = texture[..., None] if texture.ndim == 2 else texture
-    plan = make_plan(scene, texture.shape[2])
-    scene, guard = plan.scene, plan.guard_px
-    moves = scene.objects[0].motion.moves
-    forward = moves and scene.motion.warp == "forward"
-    shape = texture.shape[:2]
+    scene, loaded = load_scene_textures(scene)
+    channels = max(texture.radiance.shape[2] if texture.radiance.ndim == 3 else 1 for texture in loaded)
+    textures = tuple(_with_channels(texture.radiance, channels) for texture in loaded)
+    maps = load_scene_depths(scene)
+    plan = make_plan(scene, channels, maps=maps)
     for frame in range(scene.sequence.frames):
-        times, weights = sample_times(scene.sequence, frame, plan.samples) if moves else (np.zeros(1), np.ones(1))
-        color = np.zeros(texture.shape)
-        intermediate = []
-        for time, weight in zip(times.tolist(), weights.tolist(), strict=True):
-            if forward:
-                sources, _, report = _warped_sources(scene, texture, guard, time)
-                image = scatter(scene.psf, sources, None, shape, guard)
-            else:
-                sources, sub = _cast_sources(scene, texture, guard, time)
-                report = FillReport()
-                image = scatter(scene.psf, sources, sub, shape, guard)
-            color = accumulate(color, image, weight)
-            intermediate.append({"time": time, "weight": weight, **asdict(report)})
-        truth = ground_truth(scene, texture, frame)
-        sharp, filled = truth.sharp, np.zeros(shape, dtype=np.uint8)
-        if forward:
-            middle, status, _ = _warped_sources(scene, texture, guard, middle_time(scene.sequence, frame))
-            sharp, filled = _crop(middle.radiance, guard), _crop(status, guard)
-        arrays: dict[str, Any] = {name: getattr(truth, name) for name in vars(truth) if name != "sharp"}
-        yield Frame(
-            index=frame,
-            color=_without_channel(color),
-            sharp=_without_channel(sharp),
-            filled=filled,
-            metadata={"intermediate": intermediate},
-            **arrays,
-        )
+        yield _frame(plan, textures, maps, frame)
+
+
+def _with_channels(radiance: Array, channels: int) -> Array:
+    """A texture (rows, columns, channels); gray ones serve color scenes as well."""
+    image = radiance.reshape(*radiance.shape[:2], -1)
+    return np.broadcast_to(image, (*image.shape[:2], channels))
+
+
+def _moment(plan: Plan, textures: tuple[Array, ...], maps: Maps, time: float) -> tuple[Array, dict[str, int]]:
+    """The blurred image (m, n, C) of one moment, and what is told of it."""
+    scene, guard, shape = plan.scene, plan.guard_px, textures[0].shape[:2]
+    if plan.forward:
+        warped = _warped_sources(scene, textures, maps, guard, time, plan.eye)
+        image, told = _image_of_planes(scene, plan, warped.sources, shape)
+        return image, asdict(warped.report) | told
+    view = view_at(scene, textures, time, plan.eye, plan.moves or plan.eye_moved)
+    if plan.occlusion == "layered":
+        seen = trace(view, plan.layers[0], guard)
+        image, told = _image_of_planes(scene, plan, seen, shape)
+        return image, asdict(FillReport()) | told
+    image = np.zeros(textures[0].shape)
+    for layer in plan.layers:
+        sources, sub = _cast_sources(view, layer, guard)
+        image = image + scatter(scene.psf, sources, sub, shape, guard)
+    return image, asdict(FillReport())
+
+
+def _frame(plan: Plan, textures: tuple[Array, ...], maps: Maps, index: int) -> Frame:
+    scene, guard = plan.scene, plan.guard_px
+    color, told = np.zeros(textures[0].shape), []
+    for time, weight in zip(*(values.tolist() for values in exposure(plan, index)), strict=True):
+        image, report = _moment(plan, textures, maps, time)
+        color = accumulate(color, image, weight)
+        told.append({"time": time, "weight": weight, **report})
+    arrays = _truth(plan, textures, maps, index) | {"filled": np.zeros(color.shape[:2], dtype=np.uint8)}
+    if plan.forward:
+        time = middle_time(scene.sequence, index) if plan.moves else 0.0
+        middle = _warped_sources(scene, textures, maps, guard, time, plan.eye)
+        arrays |= {"sharp": _crop(middle.sources.radiance, guard), "filled": _crop(middle.status, guard)}
+        if any(depth is not None for depth in maps):
+            arrays |= _map_truth(plan, middle, index)
+    sharp = _without_channel(arrays.pop("sharp"))
+    return Frame(index=index, color=_without_channel(color), sharp=sharp, metadata={"intermediate": told}, **arrays)
+
+
+def _truth(plan: Plan, textures: tuple[Array, ...], maps: Maps, index: int) -> dict[str, Any]:
+    """Ground truth from rays, where there are surfaces that they can meet."""
+    if any(depth is not None for depth in maps):
+        return {}
+    return dict(vars(ground_truth(plan.scene, textures, index, plan.eye)))
+
+
+def _map_truth(plan: Plan, middle: _Warped, index: int) -> dict[str, Any]:
+    """Ground truth of a scene with depth maps: of the pixels in their new places."""
+    scene, guard = plan.scene, plan.guard_px
+    valid = _crop(middle.sources.lit, guard)
+    w = _crop(middle.sources.inverse_depth, guard)
+    depth = np.where(valid, 1.0 / np.where(valid, w, 1.0), np.inf)
+    number = np.where(valid, _crop(middle.objects, guard), -1).astype(np.int32)
+    times = [middle_time(scene.sequence, k) if plan.moves else 0.0 for k in (index, index + 1)]
+    now, then = (poses_at(scene, time, plan.eye) for time in times)
+    return {
+        "depth": depth,
+        "coc": _crop(middle.sources.radius, guard),
+        "mask": valid,
+        "object_id": number,
+        "normal": map_normal(scene.camera, depth),
+        "flow": map_flow(scene.camera, scene.objects, depth, number, now, then),
+        "hidden": _crop(middle.status, guard) > 0,
+    }

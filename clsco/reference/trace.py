@@ -5,12 +5,15 @@ The padded grid has `guard` rows and columns on each side of the frame: surface 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.motion import middle_time, pose_at
+from clsco.motion import Eye, Pose, middle_time, poses_at
+from clsco.occlusion import Layer
+from clsco.plan import displaced
 from clsco.psf import subpixel_offsets
 from clsco.reference.geometry import (
     Array,
@@ -18,6 +21,7 @@ from clsco.reference.geometry import (
     blur_radius,
     body_point,
     mirror_index,
+    nearest_surface,
     pixel_ray,
     project,
     rest_pixel,
@@ -28,6 +32,7 @@ from clsco.reference.geometry import (
     surface_slope,
     turned,
 )
+from clsco.reference.occlusion import HIDDEN, Sight, look
 from clsco.scene import Camera, Scene
 from clsco.surfaces import PlacedSurface, place
 
@@ -39,8 +44,9 @@ class Sources:
     """Sources of light, one per pixel of the padded grid (H, W).
 
     radiance (H, W, C) linear light; inverse_depth (H, W) 1/mm; label (H, W): 0 no source, else which root of
-    the surface; radius (H, W) signed blur radius in px; gradient (H, W, 2) of the radius, px per px, right
-    and down.
+    which object, and where two surfaces meet; radius (H, W) signed blur radius in px; gradient (H, W, 2) of the
+    radius, px per px, right and down; lit (H, W): light of it reaches the lens; sight: what is in its way, None for
+    nothing at all.
     """
 
     radiance: Array
@@ -48,13 +54,16 @@ class Sources:
     label: NDArray[np.uint8]
     radius: Array
     gradient: Array
+    lit: NDArray[np.bool_]
+    sight: Sight | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class SubpixelSources:
     """S x S sources in each of M pixels, which replace the pixel's own; each has the weight 1/S^2.
 
-    row, column (M,): padded-grid pixel; hit (M, S, S): there is surface; radius (M, S, S) px; gradient (M, S,
+    row, column (M,): padded-grid pixel; hit (M, S, S): there is surface that the lens sees; sight: what is in the way
+    of those, in their order, None for nothing at all; radius (M, S, S) px; gradient (M, S,
     S, 2) px per px; radiance (M, S, S, C). Source (i, j) is `clsco.psf.subpixel_offsets(S)[i]` rows and [j]
     columns off the pixel's center.
     """
@@ -65,6 +74,7 @@ class SubpixelSources:
     radius: Array
     gradient: Array
     radiance: Array
+    sight: Sight | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,11 +98,61 @@ def padded_grid(camera: Camera, guard: int) -> tuple[NDArray[np.int64], NDArray[
     return np.arange(-guard, rows + guard)[:, None], np.arange(-guard, columns + guard)[None, :]
 
 
-def _cast(scene: Scene, surface: PlacedSurface, rays: Array) -> tuple[Array, NDArray[np.uint8], Array, Array]:
-    """Inverse depth, label, blur radius and its gradient along rays; 0 where no surface is."""
-    w, label = solve_quadric(surface, scene.objects[0].bounds, rays)
+@dataclass(frozen=True, eq=False)
+class View:
+    """All objects at one moment, as the camera sees them.
+
+    surfaces: one per object; textures: (rows, columns, channels) of the frame's size, one per object; moved: not
+    everything is exactly where it is at rest, or the camera is not.
+    """
+
+    scene: Scene
+    surfaces: tuple[PlacedSurface, ...]
+    textures: tuple[Array, ...]
+    moved: bool
+
+
+def view_at(scene: Scene, textures: tuple[Array, ...], time: float, eye: Eye, moved: bool) -> View:
+    """The objects after `time` seconds; other arguments as for `View`."""
+    placed = zip(scene.objects, poses_at(scene, time, eye), strict=True)
+    return View(scene, tuple(place(item, pose) for item, pose in placed), textures, moved)
+
+
+@dataclass(frozen=True, eq=False)
+class _Cast:
+    """What rays (...) meet: inverse depth in 1/mm, label, object, blur radius in px, its gradient, radiance."""
+
+    w: Array
+    label: NDArray[np.uint8]
+    number: NDArray[np.int32]
+    radius: Array
+    gradient: Array
+    radiance: Array
+
+
+def _cast(
+    view: View, members: int, row: NDArray[Any], column: NDArray[Any], texel: tuple[NDArray[Any], NDArray[Any]]
+) -> _Cast:
+    """The nearest of some objects along rays through (row, column) px, 0 where none is.
+
+    texel: row and column of the pixel whose texel a ray shows at rest.
+    """
+    scene, rays = view.scene, pixel_ray(view.scene.camera, row, column)
+    w, label, number = nearest_surface(view.surfaces, [item.bounds for item in scene.objects], members, rays)
+    gradient, radiance = np.zeros((*w.shape, 2)), np.zeros((*w.shape, view.textures[0].shape[2]))
+    for k, surface in enumerate(view.surfaces):
+        if not members >> k & 1:
+            continue
+        own = (number == k)[..., None]
+        gradient = np.where(own, blur_gradient(scene.camera, surface_slope(surface, rays, w)), gradient)
+        texels = (np.asarray(n, dtype=np.int64) for n in texel)
+        if view.moved:
+            shown = _moved_radiance(scene, surface, view.textures[k], rays, w)
+        else:
+            shown = np.broadcast_to(_texels(view.textures[k], *texels), radiance.shape)
+        radiance = np.where(own, shown, radiance)
     radius = np.where(label > 0, blur_radius(scene.camera, w), 0.0)
-    return w, label, radius, blur_gradient(scene.camera, surface_slope(surface, rays, w))
+    return _Cast(w, label, number, radius, gradient, radiance)
 
 
 def _moved_radiance(scene: Scene, surface: PlacedSurface, texture: Array, rays: Array, w: Array) -> Array:
@@ -107,18 +167,30 @@ def _texels(texture: Array, row: NDArray[np.int64], column: NDArray[np.int64]) -
     return np.asarray(texture[mirror_index(row, texture.shape[0]), mirror_index(column, texture.shape[1])])
 
 
-def trace(scene: Scene, surface: PlacedSurface, texture: Array, guard: int, moved: bool) -> Sources:
-    """Sources of light on the padded grid, from one ray through each pixel's center.
+def trace(view: View, layer: Layer, guard: int) -> Sources:
+    """Sources of light on the padded grid, from one ray through each pixel's center to a layer's objects.
 
-    texture: (rows, columns, channels) of the frame's size, linear light; guard: px; moved: the surface is not
-    exactly where it is at rest. At rest the radiance is the texel itself, else the texture is sampled where
-    the camera saw the point at rest. Validated against the thesis' depth formulas and the texture at rest.
+    guard: px. At rest the radiance is the texel itself, else the texture is sampled where the camera saw the point at
+    rest. Validated against the thesis' depth formulas and the texture at rest.
     """
+    scene = view.scene
     row, column = padded_grid(scene.camera, guard)
-    rays = pixel_ray(scene.camera, row, column)
-    w, label, radius, gradient = _cast(scene, surface, rays)
-    radiance = _moved_radiance(scene, surface, texture, rays, w) if moved else _texels(texture, row, column)
-    return Sources(np.where((label > 0)[..., None], radiance, 0.0), w, label, radius, gradient)
+    hit = _cast(view, layer.members, row, column, (row, column))
+    label, lit, sight = hit.label, hit.label > 0, None
+    if layer.blockers:
+        rays = pixel_ray(scene.camera, row, column)[lit]
+        here = np.zeros(len(rays))
+        bounds = [item.bounds for item in scene.objects]
+        state, edge, seen = look(
+            scene.camera, view.surfaces, bounds, layer, scene.psf, rays, hit.w[lit], hit.radius[lit], here, here, 1.0
+        )
+        label = label.copy()
+        label[lit] |= edge.astype(np.uint8) << 7
+        number = np.full(lit.size, -1)
+        number[np.flatnonzero(lit)] = seen.row
+        sight = replace(seen, row=number)
+        lit[lit] = state != HIDDEN
+    return Sources(hit.radiance, hit.w, label, hit.radius, hit.gradient, lit, sight)
 
 
 def mark_silhouettes(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
@@ -132,70 +204,90 @@ def mark_silhouettes(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
     return np.asarray((windows != label[..., None, None]).any(axis=(-1, -2)))
 
 
-def trace_subpixels(
-    scene: Scene, surface: PlacedSurface, texture: Array, guard: int, moved: bool, marked: NDArray[np.bool_]
-) -> SubpixelSources:
+def trace_subpixels(view: View, layer: Layer, guard: int, marked: NDArray[np.bool_]) -> SubpixelSources:
     """Sub-pixel sources of the marked pixels (H, W) of the padded grid; other arguments as for `trace`.
 
     Their number per axis is psf.silhouette_samples. At rest they share their pixel's own texel, else each
     samples the texture at its own position.
     """
+    scene = view.scene
     samples = scene.psf.silhouette_samples
     row, column = np.nonzero(marked)
     offsets = subpixel_offsets(samples)
     at_row = (row - guard)[:, None, None] + offsets[:, None]
     at_column = (column - guard)[:, None, None] + offsets[None, :]
-    rays = pixel_ray(scene.camera, at_row, at_column)
-    w, label, radius, gradient = _cast(scene, surface, rays)
-    if moved:
-        radiance = _moved_radiance(scene, surface, texture, rays, w)
-    else:
-        texels = _texels(texture, row - guard, column - guard)
-        radiance = np.broadcast_to(texels[:, None, None, :], (*w.shape, texture.shape[2]))
-    return SubpixelSources(row, column, label > 0, radius, gradient, radiance)
+    texel = ((row - guard)[:, None, None], (column - guard)[:, None, None])
+    hit = _cast(view, layer.members, at_row, at_column, texel)
+    lit, sight = hit.label > 0, None
+    if layer.blockers:
+        rays = pixel_ray(scene.camera, at_row, at_column)[lit]
+        x, y = (np.broadcast_to(n, lit.shape)[lit] for n in (offsets[None, :], offsets[:, None]))
+        bounds = [item.bounds for item in scene.objects]
+        state, _, sight = look(
+            scene.camera, view.surfaces, bounds, layer, scene.psf, rays, hit.w[lit], hit.radius[lit], x, y,
+            1.0 / samples,
+        )  # fmt: skip
+        seen = state != HIDDEN
+        lit[lit] = seen
+        sight = sight.of(seen)
+    return SubpixelSources(row, column, lit, hit.radius, hit.gradient, hit.radiance, sight)
 
 
-def _hidden(scene: Scene, surface: PlacedSurface, rest: PlacedSurface, rays: Array, w: Array) -> NDArray[np.bool_]:
-    """Surface points that the camera did not see at rest."""
+def _hidden(view: View, rest: PlacedSurface, number: int, rays: Array, w: Array) -> NDArray[np.bool_]:
+    """Points of an object's surface that the camera did not see of it at rest."""
+    scene, surface = view.scene, view.surfaces[number]
     assert scene.camera.resolution is not None
     columns, rows = scene.camera.resolution
     row, column, valid = rest_pixel(surface, scene.camera, rays, w)
     outside = (row < -0.5) | (row >= rows - 0.5) | (column < -0.5) | (column >= columns - 0.5)
-    w_rest, _ = solve_quadric(rest, scene.objects[0].bounds, pixel_ray(scene.camera, row, column))
+    w_rest, _ = solve_quadric(rest, scene.objects[number].bounds, pixel_ray(scene.camera, row, column))
     depth_ratio = np.where(valid, rest_position(surface, rays, w)[..., 2], 1.0)
     covered = w_rest * depth_ratio > w * (1.0 + 1e-6)
     return np.asarray((w > 0.0) & (~valid | outside | covered))
 
 
-def ground_truth(scene: Scene, texture: Array, frame: int) -> Truth:
-    """Ground truth (rows, columns[, ...]) of a frame at the middle of its shutter, at pixel centers.
-
-    texture: as for `trace`. `flow` goes from a pixel to where its surface point is at the middle of the next
-    frame's shutter; 0 where that is behind the lens. `hidden`: the point is outside of the frame at rest, or
-    another point of the surface hides it there (nearer by more than 1e-6 of its depth). Validated: flow
-    against the thesis' 80 and 70 px, normals and radius against closed forms.
-    """
-    item, camera = scene.objects[0], scene.camera
-    rotation = scene.motion.rotation
-    now, then = (pose_at(item.motion, middle_time(scene.sequence, k), rotation) for k in (frame, frame + 1))
-    start = pose_at(item.motion, 0.0, rotation)
-    surface, rest = place(item, now), place(item, start)
-    sources = trace(scene, surface, texture, 0, item.motion.moves)
+def _flow(surface: PlacedSurface, then: Pose, camera: Camera, rays: Array, w: Array) -> Array:
+    """Image motion (..., 2) in px, right and down, of hits to where they are in the pose `then`."""
     row, column = padded_grid(camera, 0)
-    rays, w = pixel_ray(camera, row, column), sources.inverse_depth
-    mask = sources.label > 0
     body = turned(then.rotation, body_point(surface, rays, w))
     next_position = (surface.rest + then.shift) * w[..., None] + body
-    before_lens = mask & (next_position[..., 2] > 0.0)
+    before_lens = (w > 0.0) & (next_position[..., 2] > 0.0)
     next_row, next_column = project(camera, np.where(before_lens[..., None], next_position, 1.0))
     flow = np.stack([next_column - column, next_row - row], axis=-1)
+    return np.where(before_lens[..., None], flow, 0.0)
+
+
+def ground_truth(scene: Scene, textures: tuple[Array, ...], frame: int, eye: Eye = "left") -> Truth:
+    """Ground truth (rows, columns[, ...]) of a frame at the middle of its shutter, at pixel centers.
+
+    textures: as for `View`. `flow` goes from a pixel to where its surface point is at the middle of the next
+    frame's shutter; 0 where that is behind the lens. `hidden`: the point is outside of the frame at rest, or
+    another point of its object hides it there (nearer by more than 1e-6 of its depth). Validated: flow
+    against the thesis' 80 and 70 px, normals and radius against closed forms.
+    """
+    moves, camera = scene.moves, scene.camera
+    now, then = (middle_time(scene.sequence, k) if moves else 0.0 for k in (frame, frame + 1))
+    view = view_at(scene, textures, now, eye, moves or displaced(scene, eye))
+    rest = view_at(scene, textures, 0.0, "left", False)
+    later = poses_at(scene, then, eye)
+    row, column = padded_grid(camera, 0)
+    rays = pixel_ray(camera, row, column)
+    hit = _cast(view, (1 << len(scene.objects)) - 1, row, column, (row, column))
+    mask, w = hit.label > 0, hit.w
+    flow, normal = np.zeros((*w.shape, 2)), np.zeros((*w.shape, 3))
+    hidden = np.zeros(w.shape, dtype=bool)
+    for k, surface in enumerate(view.surfaces):
+        own = hit.number == k
+        flow = np.where(own[..., None], _flow(surface, later[k], camera, rays, w), flow)
+        normal = np.where(own[..., None], surface_normal(surface, rays, w), normal)
+        hidden = np.where(own, _hidden(view, rest.surfaces[k], k, rays, w), hidden)
     return Truth(
-        sharp=sources.radiance,
+        sharp=hit.radiance,
         depth=np.where(mask, 1.0 / np.where(mask, w, 1.0), np.inf),
-        coc=sources.radius,
+        coc=hit.radius,
         mask=mask,
-        object_id=np.where(mask, np.int32(0), np.int32(-1)),
-        normal=surface_normal(surface, rays, w),
-        flow=np.where(before_lens[..., None], flow, 0.0),
-        hidden=_hidden(scene, surface, rest, rays, w),
+        object_id=hit.number,
+        normal=normal,
+        flow=flow,
+        hidden=hidden,
     )

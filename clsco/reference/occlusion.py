@@ -1,0 +1,306 @@
+"""What stands between surface points and the lens: the factor V(x, l) of the physics, in NumPy float64.
+
+The line from a point at inverse depth w to lens point l meets a quadric Q at inverse depths w + v, v > 0, with
+C v^2 + 2 B v + F = 0, C = Q(lens point), F = w^2 Q(point). F does not depend on l. Where its sign differs from C's
+there is one crossing for every l; else two or none, and two exactly where h = -B - sqrt(C F) > 0, with signs such that
+C > 0.
+Taps stand for cells of the lens; over them the edge of what is blocked is softened by a cubic step of the same
+variance as the boxes that overlap there, so that V is continuous.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.occlusion import LENS_CELLS, Layer, lens_cells, lens_extent
+from clsco.optics import blur_scale, lens_radius, ray_step
+from clsco.reference.geometry import Array, Bounds, turned
+from clsco.scene import Camera, Psf
+from clsco.surfaces import PlacedSurface
+
+Mask = NDArray[np.bool_]
+
+CLEAR, PARTLY, HIDDEN = np.uint8(0), np.uint8(1), np.uint8(2)
+SOFT_BOX = (5.0 / 12.0) ** 0.5  # half width of the cubic step that has the variance of a box 1 wide
+WIDE_LENS = 4.0  # px: a lens at least so wide is looked at once per tap, others on a grid of cells
+SHARP_EDGE = 2.0  # px: a blurred outline this narrow asks for sub-pixel sources
+TINY = 1e-30
+
+
+@dataclass(frozen=True, eq=False)
+class Blocker:
+    """One surface as N points see it against the lens; x, y: offset of a tap in cells, right and down.
+
+    h (N, 3): constant, x, y, over the width of the soft edge, without the root; root (N,), f (N, 5): x, y, xx, xy, yy
+    under it. With limits: crossings (N,) 1 or 2; b (N, 3), f0 (N,), c, d (N, 6), soft (N,): 1 over the width of the
+    edge; limits: (N, 4) each, limit + v (limit_0 + limit_x x + limit_y y) >= 0.
+    """
+
+    h: Array
+    root: Array
+    f: Array
+    crossings: NDArray[np.int64]
+    b: Array
+    f0: Array
+    c: Array
+    d: Array
+    soft: Array
+    limits: tuple[Array, ...]
+
+    def of(self, chosen: NDArray[Any]) -> Blocker:
+        """The same for some of the points."""
+        arrays = {k: v[chosen] for k, v in vars(self).items() if k != "limits"}
+        return Blocker(**arrays, limits=tuple(limit[chosen] for limit in self.limits))
+
+
+def _dot(weights: Array, vectors: Array) -> Array:
+    return np.asarray(vectors @ weights)
+
+
+def _limits(surface: PlacedSurface, bounds: Bounds | None, w: Array, rays: Array, p: Array, e: Array) -> list[Array]:
+    """Conditions on a crossing: on the right nappe and within the bounds. e: (N, 2) mm per cell, right and down."""
+    found = []
+    nappe, o = float(surface.canonical.nappe), surface.offset
+    if nappe:
+        found.append(np.stack([p[:, 2], np.full(w.shape, o[2]), *(e * surface.turn[2, :2]).T], axis=-1) * nappe)
+    if bounds is not None:
+        body = surface.body_offset * w[:, None] + turned(surface.body_turn, rays)
+        for axis, (low, high) in enumerate(bounds):
+            at, along = surface.body_offset[axis], e * surface.body_turn[axis, :2]
+            for limit, sign in ((low, 1.0), (high, -1.0)):
+                head = np.stack([body[:, axis] - limit * w, np.full(w.shape, at - limit)], axis=-1)
+                found.append(np.concatenate([head, along], axis=-1) * sign)
+    return found
+
+
+def meet_blocker(
+    camera: Camera, surface: PlacedSurface, bounds: Bounds | None, rays: Array, w: Array, cells: Array, extent: float,
+    wide: Mask, source: float,
+) -> tuple[NDArray[np.uint8], Mask, Blocker]:  # fmt: skip
+    """How a surface hides the lens from points at inverse depth w (N,) in 1/mm on rays (N, 3).
+
+    cells: (N,) per lens radius, signed as the blur radius; extent: of the lens in lens radii; wide: (N,) a cell is a
+    pixel; source: width of the sources, px. Returns whether the lens is CLEAR, PARTLY or all HIDDEN (N,), which
+    points are on the surface's other side than the lens or near an outline of it that has hardly any width (N,), and
+    what is to be tested per tap.
+    """
+    q, l, k, o = surface.canonical.q, surface.canonical.l, surface.canonical.k, surface.offset  # noqa: E741
+    p = o * w[:, None] + turned(surface.turn, rays)
+    e = np.stack([lens_radius(camera) / cells, -lens_radius(camera) / cells], axis=-1)
+    ex, ey = (e[:, i, None] * surface.turn[:, i] for i in (0, 1))
+    side = -1.0 if surface.constant < 0 else 1.0
+    f = side * (_dot(q, p * p) + w * (2 * _dot(l, p) - k * w))
+    b = side * (_dot(q, p * o) + _dot(l, p) + w * (l @ o - k))
+    bx, by = (side * (_dot(q, p * v) + w * _dot(l, v)) for v in (ex, ey))
+    c = side * surface.constant
+    cx, cy = (side * 2 * (_dot(q, o * v) + _dot(l, v)) for v in (ex, ey))
+    cxx, cyy, cxy = side * _dot(q, ex * ex), side * _dot(q, ey * ey), side * 2 * _dot(q, ex * ey)
+    once = f <= 0
+
+    with np.errstate(all="ignore"):  # points with one crossing have no root; what they give is not used
+        root = np.sqrt(c * f)
+        h = -b - root
+        gx, gy = (np.where(root > 0, f * v / (2 * root), 0.0) for v in (cx, cy))
+        sx, sy = surface.turn[:, 0] * ray_step(camera), -surface.turn[:, 1] * ray_step(camera)
+        ratio = np.where(root > 0, c / root, 0.0)
+        hx, hy = (side * ((q * o) @ v + l @ v) + ratio * side * (_dot(q * v, p) + w * (l @ v)) for v in (sx, sy))
+        across = np.where(wide, np.hypot(hx - bx - gx, hy - by - gy), np.hypot(hx, hy))
+        spread = SOFT_BOX * np.hypot(np.hypot(bx + gx, by + gy), source * across)
+        scale = 1 / (2 * np.maximum(spread, TINY))
+        most = extent * np.abs(cells) + 1.5
+        change = f * (np.hypot(cx, cy) + (np.abs(cxx) + np.abs(cxy) + np.abs(cyy)) * most) * most
+        reach = np.minimum(np.where(root > 0, change / root, np.inf), np.sqrt(change))
+        reach = reach + np.hypot(bx, by) * most
+        clear = ~once & ((h + reach) * scale <= -0.5)
+        hidden = once | ((h - reach) * scale >= 0.5)
+        area = scale * scale * f
+        middle = np.sqrt(np.maximum(b * b - c * f, 0.0))
+        v = np.where(once, np.where(b < 0, (middle - b) / c, -f / (b + middle)), -b / c)
+        place = np.maximum(np.abs(blur_scale(camera) * v), TINY)
+        soft = 1 / (2 * SOFT_BOX * np.hypot(1.0, source * np.where(wide, cells / place - 1, cells / place)))
+    limits = _limits(surface, bounds, w, rays, p, e)
+    state = np.where(clear, CLEAR, np.where(hidden & (not limits), HIDDEN, PARTLY))
+    edge = once & (f < 0) | ~once & ~clear & ~hidden & (reach <= SHARP_EDGE * np.hypot(hx, hy))
+    zero = np.zeros_like(w)
+    blocker = Blocker(
+        h=np.stack([h * scale, -bx * scale, -by * scale], axis=-1),
+        root=root * scale,
+        f=np.stack([cx * area, cy * area, cxx * area, cxy * area, cyy * area], axis=-1),
+        crossings=np.where(once, 1, 2),
+        b=np.stack([b, bx, by], axis=-1),
+        f0=f,
+        c=np.stack([zero + c, cx, cy, cxx, cxy, cyy], axis=-1),
+        d=np.stack(
+            [
+                b * b - c * f,
+                2 * b * bx - cx * f,
+                2 * b * by - cy * f,
+                bx * bx - cxx * f,
+                2 * bx * by - cxy * f,
+                by * by - cyy * f,
+            ],
+            axis=-1,
+        ),
+        soft=soft,
+        limits=tuple(limits),
+    )
+    return state.astype(np.uint8), edge, blocker
+
+
+def soft_step(t: Array) -> Array:
+    """Cubic step from 0 at t = -1/2 to 1 at 1/2."""
+    t = np.clip(t + 0.5, 0.0, 1.0)
+    return np.asarray(t * t * (3.0 - 2.0 * t))
+
+
+def crossing_share(m: Blocker, v: Array, b: Array, c: Array, x: Array, y: Array) -> Array:
+    """Share of the taps' cells from which a crossing at w + v (N,) blocks: the least that any condition leaves.
+
+    b, c, x, y: (N,), at the taps.
+    """
+    steep = c * v + b
+    steep = np.where(np.abs(steep) > TINY, steep, TINY)
+    _, c_x, c_y, c_xx, c_xy, c_yy = m.c.T
+    vx = -v * (m.b[:, 1] + 0.5 * v * (c_x + 2 * c_xx * x + c_xy * y)) / steep
+    vy = -v * (m.b[:, 2] + 0.5 * v * (c_y + c_xy * x + 2 * c_yy * y)) / steep
+    least = np.ones_like(v)
+    for limit in m.limits:
+        at = limit[:, 1] + limit[:, 2] * x + limit[:, 3] * y
+        slope = np.hypot(v * limit[:, 2] + at * vx, v * limit[:, 3] + at * vy)
+        least = np.minimum(least, soft_step((limit[:, 0] + v * at) * m.soft / (slope + TINY)))
+    return np.where(v > 0, least, 0.0)
+
+
+def blocked_height(m: Blocker, x: Array, y: Array) -> Array:
+    """h (N,) of a surface without limits at taps x, y (N,), over the width of the soft edge."""
+    fx, fy, fxx, fxy, fyy = m.f.T
+    f = x * (fx + fxx * x + fxy * y) + y * (fy + fyy * y)
+    under = np.sqrt(np.maximum(m.root * m.root + f, 0.0))
+    return np.asarray(m.h[:, 0] + m.h[:, 1] * x + m.h[:, 2] * y - f / (under + m.root + TINY))
+
+
+def blocked_share(m: Blocker, x: Array, y: Array) -> Array:
+    """Share (N,) of the lens, over the cells of taps x, y (N,), that one surface blocks."""
+    if not m.limits:
+        return soft_step(blocked_height(m, x, y))
+    b = m.b[:, 0] + m.b[:, 1] * x + m.b[:, 2] * y
+    c, d = (p[:, 0] + x * (p[:, 1] + p[:, 3] * x + p[:, 4] * y) + y * (p[:, 2] + p[:, 5] * y) for p in (m.c, m.d))
+    root = np.sqrt(np.maximum(d, 0.0))
+    t = np.where(b < 0, root - b, -b - root)
+    t = np.where(np.abs(t) > TINY, t, TINY)
+    with np.errstate(all="ignore"):  # a lens point on the surface itself has an infinite crossing
+        both = (crossing_share(m, v, b, c, x, y) for v in (t / c, m.f0 / t))
+        share = np.maximum(*both)
+    slope = np.hypot(m.d[:, 1] + 2 * m.d[:, 3] * x + m.d[:, 4] * y, m.d[:, 2] + m.d[:, 4] * x + 2 * m.d[:, 5] * y)
+    return np.where(m.crossings == 1, share, share * soft_step(d * m.soft / (slope + TINY)))
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What hides the lens from sources; made by `look`.
+
+    row: (sources,) where a source is in the other arrays, -1 if nothing hides it or all is hidden. Of the M others:
+    radius px; wide; x, y: place of the source in its pixel, px; blockers: per surface which of them it concerns, and
+    how. extent: of the lens in lens radii; cells: light (L, L) through its cells.
+    """
+
+    row: NDArray[np.int64]
+    radius: Array
+    wide: Mask
+    x: Array
+    y: Array
+    blockers: tuple[tuple[Mask, Blocker], ...]
+    extent: float
+    cells: Array
+
+    def of(self, chosen: NDArray[Any] | slice) -> Sight:
+        """The same for some of the sources."""
+        row = self.row[chosen]
+        there = row[row >= 0]
+        blockers = tuple(
+            (mask[there], blocker.of(np.cumsum(mask)[there[mask[there]]] - 1)) for mask, blocker in self.blockers
+        )
+        new = np.where(row >= 0, np.cumsum(row >= 0) - 1, -1)
+        return Sight(
+            new, self.radius[there], self.wide[there], self.x[there], self.y[there], blockers, self.extent, self.cells
+        )
+
+
+def free_share(sight: Sight, x: Array, y: Array) -> Array:
+    """Share (M,) of the lens, over the cells of taps x, y (M,) from the sources, that nothing blocks.
+
+    Where the lens is wide, a tap at the rim of the blur sees only the inside of it: with a tent across it, cut at the
+    distance s from its middle, the mean of what is left is at -(1 - s)^2 / 3, and below s = 0 at (2 s - 1) / 3.
+    """
+    rim = np.maximum(np.abs(sight.radius) * sight.extent, 1.0)
+    s = np.clip(0.5 * rim - (x * x + y * y) / (2 * rim), -1.0, 1.0)
+    inwards = np.where(sight.wide, 1 - np.where(s > 0, (1 - s) ** 2, 1 - 2 * s) / (3 * rim), 1.0)
+    share = np.ones_like(x)
+    for mask, blocker in sight.blockers:
+        share[mask] *= 1 - blocked_share(blocker, (x * inwards)[mask], (y * inwards)[mask])
+    return share
+
+
+def look_through(sight: Sight) -> Array:
+    """Share (M, L, L) of each cell of the lens that nothing blocks, of sources that the lens is not wide for."""
+    size = 2 * LENS_CELLS
+    share = np.ones((sight.radius.size, size, size))
+    for i in range(size):
+        for j in range(size):
+            x, y = (np.full(sight.radius.size, n + 0.5 - LENS_CELLS) for n in (j, i))
+            share[:, i, j] = free_share(sight, x, y)
+    return share
+
+
+def tap_share(sight: Sight, cells: Array, dx: float | Array, dy: float | Array) -> Array:
+    """Share (M,) of the lens that is free, as seen from the tap (dx, dy) px off each source's pixel.
+
+    cells: (M, L, L) from `look_through`. Where the lens is not wide, the tap's tent weighs its cells.
+    """
+    step = np.abs(sight.radius) * sight.extent / LENS_CELLS
+    at = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
+    across, down = (
+        np.maximum(0.0, 1 - np.abs(at * step[:, None] + (place - d)[:, None]))
+        for place, d in ((sight.x, np.asarray(dx)), (sight.y, np.asarray(dy)))
+    )
+    weight = down[:, :, None] * across[:, None, :] * sight.cells
+    whole = weight.sum(axis=(1, 2))
+    narrow = (weight * cells).sum(axis=(1, 2)) / np.where(whole > 0, whole, 1.0)
+    return np.where(
+        sight.wide,
+        free_share(sight, np.asarray(dx - sight.x), np.asarray(dy - sight.y)),
+        np.where(whole > 0, narrow, 1.0),
+    )
+
+
+def look(
+    camera: Camera, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], layer: Layer, psf: Psf,
+    rays: Array, w: Array, radius: Array, x: Array, y: Array, width: float,
+) -> tuple[NDArray[np.uint8], Mask, Sight]:  # fmt: skip
+    """What stands between the lens and points at inverse depth w (N,) in 1/mm on rays (N, 3).
+
+    surfaces, bounds: of all objects; layer: of them, what can block; radius: (N,) px; x, y: (N,) place of the source in
+    its pixel, px; width: of the sources, px. Returns CLEAR, PARTLY or HIDDEN (N,); what changes where two surfaces
+    meet, and at outlines of what stands close before the point (N,); and what is to be tested for taps.
+    """
+    extent = lens_extent(psf)
+    wide = np.abs(radius) * extent >= WIDE_LENS
+    cells = np.where(wide, radius, np.where(radius < 0, -LENS_CELLS, LENS_CELLS) / extent)
+    state, edge = np.full(w.shape, CLEAR), np.zeros(w.shape, dtype=bool)
+    found = []
+    for k, surface in enumerate(surfaces):
+        if layer.blockers >> k & 1:
+            one, changes, blocker = meet_blocker(camera, surface, bounds[k], rays, w, cells, extent, wide, width)
+            state, edge = np.maximum(state, one), edge ^ changes
+            found.append((one == PARTLY, blocker))
+    partly = state == PARTLY
+    row = np.where(partly, np.cumsum(partly) - 1, -1)
+    blockers = tuple((mask[partly], blocker.of(mask & partly)) for mask, blocker in found)
+    return state, edge, Sight(
+        row, radius[partly], wide[partly], x[partly], y[partly], blockers, extent, lens_cells(psf)
+    )  # fmt: skip
