@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import ceil
 
 import numpy as np
 import pyopencl as cl
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from clsco.device import Session
 from clsco.layout import Real, structs
 from clsco.program import build, download, empty, kernel, launch, upload
-from clsco.psf import reach
+from clsco.psf import psf_extent, reach
 from clsco.scene import Psf
 from clsco.spread import PIXELS, Events, Sources, Spreader
 
@@ -50,10 +51,11 @@ class Layers:
 
     Pixels are put into slabs of the signed blur radius so that the two sides of every jump between neighbors, beyond
     JUMP px, fall into different ones; at most MOST_SLABS. A slab takes its surface to go on behind the pixels in front
-    of it at jumps, twice the reach of the blur deep, with values from its own pixels by push-pull (Gortler et al.
-    1996). Its radiance and its coverage are blurred by the PSF as one image, and it gets at each pixel the room that
-    the coverage of nearer slabs leaves. A cut through a continuous surface has no hidden part and shows nowhere; where
-    no neighbors jump there is one slab, and the frame is that of psf.occlusion = "none", to the bit.
+    of it at jumps, as deep as the blur of both sides reaches, with values from its own pixels by push-pull (Gortler et
+    al. 1996). Near jumps its radiance and its coverage are blurred by the PSF as one image, and it gets at each pixel
+    the room that the coverage of nearer slabs leaves; elsewhere light simply adds up. A cut through a continuous
+    surface has no hidden part and shows nowhere; where no neighbors jump there is one slab, and the frame is that of
+    psf.occlusion = "none", to the bit.
 
     Raises DeviceError, KernelError. Validated against `clsco.reference.layer` and the ray tracer.
     """
@@ -78,7 +80,7 @@ class Layers:
         self.frame = int(self.camera["columns"]), int(self.camera["rows"])
         self.levels = _levels(self.height, self.width, self.channels + 2)
         pixels, size = self.height * self.width, 8 if real == "double" else 4
-        self.latest = empty(session, 4 * CLASSES * self.bins)
+        self.latest = empty(session, 4 * (CLASSES * self.bins + 1))
         self.source, self.offset = empty(session, 16 * pixels), empty(session, 4 * pixels)
         self.slab, self.seed, self.hidden, self.edge = (empty(session, pixels) for _ in range(4))
         last = self.levels[-1]
@@ -94,17 +96,18 @@ class Layers:
         value: float (channels, height, width), radiance times the weight of the moment; coc: real, signed R in px, and
         valid: uchar, both (height, width); all on the padded grid. Waits once for the device.
         """
-        bounds = self._bounds(coc, valid, events)
-        if not bounds:
-            args = (self.camera, self.spreader.struct, coc, valid, self.source)
-            self._launch("prepare_sources", self._padded(), PIXELS, events, *args)
-            self.spreader.add(Sources(self.source, value), 0.0, events)
-            return 1
-        self._label(bounds, coc, valid, events)
-        cl.enqueue_fill_buffer(self.session.queue, self.covered, ZERO, 0, self.covered.size)
-        for which in range(1, len(bounds) + 2):
-            self._extend(which, value, coc, events)
-            self._blur(events)
+        bounds, deep = self._bounds(coc, valid, events)
+        args = (self.camera, self.spreader.struct, coc, valid, self.source)
+        self._launch("prepare_sources", self._padded(), PIXELS, events, *args)
+        if bounds:
+            self._label(bounds, deep, coc, valid, events)
+            self._keep(near_edges=False, events=events)
+        self.spreader.add(Sources(self.source, value), 0.0, events)
+        if bounds:
+            cl.enqueue_fill_buffer(self.session.queue, self.covered, ZERO, 0, self.covered.size)
+            for which in range(1, len(bounds) + 2):
+                self._extend(which, value, coc, events)
+                self._blur(events)
         return len(bounds) + 1
 
     def _padded(self) -> tuple[int, int]:
@@ -113,15 +116,18 @@ class Layers:
     def _real(self, value: float) -> np.generic:
         return np.float64(value) if self.real == "double" else np.float32(value)
 
-    def _bounds(self, coc: cl.Buffer, valid: cl.Buffer, events: Events) -> list[int]:
-        """Where the slabs of a moment begin, in bins."""
+    def _bounds(self, coc: cl.Buffer, valid: cl.Buffer, events: Events) -> tuple[list[int], int]:
+        """Where the slabs of a moment begin, in bins, and how far behind an edge surface may be seen, px."""
         cl.enqueue_fill_buffer(self.session.queue, self.latest, ZERO, 0, self.latest.size)
         far = np.int32(2 * self.reach + 1)
         args = (self.camera, self._real(self.low), np.int32(self.bins), far, coc, valid, self.latest)
         self._launch("find_jumps", (self.height + self.width,), LINES, events, *args)
-        return slab_bounds(download(self.session, self.latest, (CLASSES, self.bins), np.int32))
+        found = download(self.session, self.latest, (CLASSES * self.bins + 1,), np.int32)
+        largest_sum = int(found[-1])  # of the radii on both sides of a jump
+        deep = ceil(float(psf_extent(self.spreader.psf, largest_sum))) + 2
+        return slab_bounds(found[:-1].reshape(CLASSES, self.bins)), deep
 
-    def _label(self, bounds: list[int], coc: cl.Buffer, valid: cl.Buffer, events: Events) -> None:
+    def _label(self, bounds: list[int], deep: int, coc: cl.Buffer, valid: cl.Buffer, events: Events) -> None:
         """The slab of every pixel, and the one behind it."""
         self.held = [upload(self.session, np.array(bounds, np.int32))]  # the device reads it later
         head = (self.camera, self._real(self.low), np.int32(self.bins), np.int32(len(bounds)))
@@ -129,8 +135,13 @@ class Layers:
         self._launch("seed_hidden", self._padded(), PIXELS, events, self.camera, coc, self.slab, self.seed)
         self._launch("column_seeds", (self.width,), LINES, events, self.camera, self.seed, self.offset)
         runs = (-(-self.width // RUN), self.height)
-        args = (self.camera, np.int32(2 * self.reach), self.slab, self.seed, self.offset, self.hidden, self.edge)
+        args = (self.camera, np.int32(deep), self.slab, self.seed, self.offset, self.hidden, self.edge)
         self._launch("reach_hidden", runs, RUNS, events, *args)
+
+    def _keep(self, near_edges: bool, events: Events) -> None:
+        """Leave only the sources near edges, or only the others."""
+        args = (self.camera, np.int32(near_edges), self.edge, self.source)
+        self._launch("keep_sources", self._padded(), PIXELS, events, *args)
 
     def _extend(self, which: int, value: cl.Buffer, coc: cl.Buffer, events: Events) -> None:
         """One slab with its hidden part."""
@@ -145,7 +156,7 @@ class Layers:
                 self._launch(name, grid, PIXELS, events, *sizes, self.pyramid)
         coarse = (np.int32(n) for n in self.levels[1])
         out = (self.value, self.coc, self.valid)
-        labels = (self.hidden, self.edge, self.pyramid)
+        labels = (self.hidden, self.pyramid)
         self._launch("take_slab", self._padded(), PIXELS, events, self.camera, number, *coarse, *planes, *labels, *out)
 
     def _blur(self, events: Events) -> None:
@@ -153,6 +164,7 @@ class Layers:
         inner, outer = self.inner, self.spreader
         args = (self.camera, inner.struct, self.coc, self.valid, self.source)
         self._launch("prepare_sources", self._padded(), PIXELS, events, *args)
+        self._keep(near_edges=True, events=events)
         inner.clear()
         inner.add(Sources(self.source, self.value), 0.0, events)
         layout = (np.int32(inner.pitch), np.int32(inner.pad))

@@ -10,7 +10,7 @@
 //   seed     uchar: at an edge, the slab that goes on behind the pixel, else 0
 //   offset   int: rows to the nearest seed of the same column, NO_SEED for none
 //   hidden   uchar: the slab that is taken to go on behind the pixel, else 0
-//   edge     uchar: whether an edge is so near that coverage counts
+//   edge     uchar: whether an edge is so near that coverage counts; light from elsewhere simply adds up
 // and of the slab that is being blurred
 //   pyramid  float, level by level from the finest to a single pixel, each (CHANNELS + 1, rows, columns): radiance,
 //            radius, and how far they are known, 0 to 1
@@ -35,7 +35,8 @@ static int bin_of(real coc, real low, int bins)
 }
 
 // One row or column per work-item. In and out: latest int (CLASSES, bins): of jumps of a class, beyond JUMP 2^class,
-// whose far side is in a bin, 1 + the largest bin of the near side; 0 for none.
+// whose far side is in a bin, 1 + the largest bin of the near side, 0 for none; after it the largest sum of the two
+// radii of a jump, without their signs, px, rounded up.
 __kernel void find_jumps(const camera_t camera, const real low, const int bins, const int far,
                          __global const real *coc, __global const uchar *valid, __global int *latest)
 {
@@ -60,6 +61,9 @@ __kernel void find_jumps(const camera_t camera, const real low, const int bins, 
             const int begin = bin_of(MIN(now, before), low, bins) + 1;
             if (*entry < begin)
                 atomic_max(entry, begin);
+            const int sum = -(int)FLOOR(-(ABS(now) + ABS(before)));
+            if (latest[CLASSES * bins] < sum)
+                atomic_max(latest + CLASSES * bins, sum);
         }
         last = i;
         before = now;
@@ -130,21 +134,21 @@ __kernel void reach_hidden(const camera_t camera, const int deep, __global const
     if (begin >= camera.width || y >= camera.height)
         return;
     const int end = MIN(begin + RUN, camera.width), wide = 2 * deep, line = y * camera.width;
-    // Last and next column whose seed is near enough for the edge to count.
+    // Last and next column whose seed is near enough for the edge to count; whether any seed may be found.
     int last = -NO_SEED;
-    for (int x = MAX(begin - wide, 0); x < begin; ++x)
-        last = ABS(offset[line + x]) <= wide ? x : last;
     bool some = false;
-    for (int x = begin; x < end; ++x) {
+    for (int x = MAX(begin - wide, 0); x < end; ++x) {
         last = ABS(offset[line + x]) <= wide ? x : last;
-        edge[line + x] = x - last <= wide;
-        some |= x - last <= wide;
+        some |= ABS(offset[line + x]) <= deep && x >= begin - deep;
+        if (x >= begin)
+            edge[line + x] = x - last <= wide;
     }
     last = 2 * NO_SEED;
     for (int x = MIN(end + wide, camera.width) - 1; x >= begin; --x) {
         last = ABS(offset[line + x]) <= wide ? x : last;
+        some |= ABS(offset[line + x]) <= deep && x < end + deep;
         if (x < end && last - x <= wide)
-            edge[line + x] = some = true;
+            edge[line + x] = 1;
     }
     for (int x = begin; x < end; ++x) {
         int best = deep * deep + 1, label = 0;
@@ -238,7 +242,7 @@ __kernel void pull(const int fine_rows, const int fine_columns, const int rows, 
 // Slab `which` with its hidden part, which comes from the second level (rows, columns) of the pyramid, at `coarse`.
 __kernel void take_slab(const camera_t camera, const int which, const int rows, const int columns, const int coarse,
                         __global const float *value, __global const real *coc, __global const uchar *slab,
-                        __global const uchar *hidden, __global const uchar *edge, __global const float *pyramid,
+                        __global const uchar *hidden, __global const float *pyramid,
                         __global float *slab_value, __global real *slab_coc, __global uchar *slab_valid)
 {
     const int x = get_global_id(0), y = get_global_id(1), plane = camera.height * camera.width;
@@ -250,9 +254,21 @@ __kernel void take_slab(const camera_t camera, const int which, const int rows, 
     for (int c = 0; c < CHANNELS - 1; ++c)
         slab_value[c * plane + at] = own ? value[c * plane + at]
                                    : there ? between(behind + c * rows * columns, rows, columns, y, x) : 0;
-    slab_value[(CHANNELS - 1) * plane + at] = there && edge[at];
+    slab_value[(CHANNELS - 1) * plane + at] = there;
     slab_coc[at] = own ? coc[at] : there ? between(behind + RADIUS * rows * columns, rows, columns, y, x) : 0;
     slab_valid[at] = there;
+}
+
+// Leaves only the sources near edges, or only the others. In: edge. In and out: source.
+__kernel void keep_sources(const camera_t camera, const int near_edges, __global const uchar *edge,
+                           __global float4 *source)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= camera.width || y >= camera.height)
+        return;
+    const int at = y * camera.width + x;
+    if (edge[at] != near_edges)
+        source[at].x = -1;
 }
 
 // Adds a blurred slab behind those before. It gets the room that they have left, all of it: at a cut through a

@@ -6,10 +6,13 @@ All that is known is what the pinhole sees: the radiance and the signed blur rad
 
 from __future__ import annotations
 
+from dataclasses import replace
+from math import ceil
+
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.psf import reach
+from clsco.psf import psf_extent, reach
 from clsco.reference.blur import prepare_sources, scatter
 from clsco.reference.geometry import Array
 from clsco.reference.trace import Sources
@@ -39,23 +42,25 @@ def bins_of(largest: float) -> tuple[float, int]:
     return -half * BIN, 2 * half
 
 
-def find_jumps(coc: Array, valid: Mask, low: float, bins: int, far: int) -> Integers:
+def find_jumps(coc: Array, valid: Mask, low: float, bins: int, far: int) -> tuple[Integers, int]:
     """Where jumps of the radius begin: (CLASSES, bins), 1 + the largest bin of the near side, 0 for no jump.
 
+    And the largest sum of the two radii of a jump, without their signs, px, rounded up.
     coc: (H, W) px; valid: (H, W); low px, bins: from `bins_of`; far: px. A jump is between two valid pixels of a row or
     a column with none between them, at most `far` px apart. Entry (k, b): jumps of class k, beyond JUMP 2^k px, whose
     far side is in bin b.
     """
-    latest = np.zeros((CLASSES, bins), dtype=np.int64)
+    latest, largest_sum = np.zeros((CLASSES, bins), dtype=np.int64), 0
     for radius, there in ((coc, valid), (coc.T, valid.T)):
         line, at = np.nonzero(there)
         value = radius[line, at]
         near, away = np.minimum(value[:-1], value[1:]), np.maximum(value[:-1], value[1:])
         pair = (line[1:] == line[:-1]) & (np.diff(at) <= far) & (away - near > JUMP)
         near, away = near[pair], away[pair]
+        largest_sum = max(largest_sum, int(np.ceil(np.abs(near) + np.abs(away)).max(initial=0)))
         size = np.clip(np.ceil(np.log2((away - near) / JUMP)) - 1, 0, CLASSES - 1).astype(np.int64)
         np.maximum.at(latest, (size, _bin(away, low, bins)), _bin(near, low, bins) + 1)
-    return latest
+    return latest, largest_sum
 
 
 def slab_bounds(latest: Integers) -> list[int]:
@@ -106,7 +111,8 @@ def reach_hidden(slab: Labels, seed: Labels, offset: Integers, deep: int) -> tup
 
     Both (H, W). offset: (H, W) from `column_seeds`; deep: px, no seed is farther. Of seeds at the same distance the one
     of the nearest column counts, of two such columns the left one. Only what is behind the pixel's own slab counts.
-    Edges count up to 2 `deep` px away, rows and columns counted separately: hidden surface lights no pixel beyond.
+    Edges count up to 2 `deep` px away, rows and columns counted separately: from beyond, no light falls where hidden
+    surface may be seen.
     """
     columns, wide = slab.shape[1], 2 * deep
     best, found = np.full(slab.shape, deep * deep + 1), np.zeros_like(slab)
@@ -163,20 +169,24 @@ def pull(fine: Array, coarse: Array) -> Array:
 
 
 def take_slab(
-    radiance: Array, coc: Array, slab: Labels, hidden: Labels, edge: Mask, coarse: Array, which: int
+    radiance: Array, coc: Array, slab: Labels, hidden: Labels, coarse: Array, which: int
 ) -> tuple[Array, Array, Mask]:
     """One slab to be blurred: radiance with coverage (H, W, C + 1), radius (H, W), and where it is (H, W).
 
-    coarse: the pulled second level of the slab's pyramid, from which the hidden part comes. Coverage is counted
-    near edges only: elsewhere nothing is hidden, and light simply adds up.
+    coarse: the pulled second level of the slab's pyramid, from which the hidden part comes.
     """
     rows, columns = slab.shape
     behind = _between(_between(coarse, rows, 0), columns, 1)
     own, extended = slab == which, hidden == which
     there = own | extended
     light = np.where(own[..., None], radiance, behind[..., :-2])
-    value = np.concatenate([light, edge[..., None]], axis=-1) * there[..., None]
+    value = np.concatenate([light, np.ones((rows, columns, 1))], axis=-1) * there[..., None]
     return value, np.where(own, coc, np.where(extended, behind[..., -2], 0.0)), there
+
+
+def keep_sources(sources: Sources, edge: Mask, near_edges: bool) -> Sources:
+    """Only the sources near edges, or only the others. edge: (H, W) from `reach_hidden`."""
+    return replace(sources, lit=sources.lit & (edge == near_edges))
 
 
 def composite(total: Array, covered: Array, blurred: Array) -> tuple[Array, Array]:
@@ -191,9 +201,7 @@ def composite(total: Array, covered: Array, blurred: Array) -> tuple[Array, Arra
     return total + share[..., None] * blurred[..., :-1], covered + seen
 
 
-def extend_slab(
-    radiance: Array, coc: Array, slab: Labels, hidden: Labels, edge: Mask, which: int
-) -> tuple[Array, Array, Mask]:
+def extend_slab(radiance: Array, coc: Array, slab: Labels, hidden: Labels, which: int) -> tuple[Array, Array, Mask]:
     """One slab with its hidden part; result as of `take_slab`. Push-pull over a pyramid (Gortler et al. 1996)."""
     levels = [open_slab(radiance, coc, slab, which)]
     while max(levels[-1].shape[:2]) > 1:
@@ -201,7 +209,12 @@ def extend_slab(
     coarse = levels[-1]
     for fine in levels[-2:0:-1]:
         coarse = pull(fine, coarse)
-    return take_slab(radiance, coc, slab, hidden, edge, coarse, which)
+    return take_slab(radiance, coc, slab, hidden, coarse, which)
+
+
+def depth_of_hidden(psf: Psf, largest_sum: int) -> int:
+    """How far behind an edge surface may be seen, px: as far as the blurs of both sides reach together."""
+    return ceil(float(psf_extent(psf, largest_sum))) + 2
 
 
 def layered(
@@ -212,36 +225,28 @@ def layered(
     radiance: (H, W, C) on the padded grid, linear light; coc: (H, W) signed blur radius in px; valid: (H, W) there is
     surface; shape: (m, n) of the frame; guard: px; largest: px, no |coc| is larger. Without a jump of the radius it is
     `clsco.reference.blur.scatter`. Validated: a cut through a slanted plane leaves no seam, an edge before a plane is
-    its closed form, and against the ray tracer.
+    its closed form, one brightness stays so, and against the ray tracer.
     """
-    slab = label_slabs(coc, valid, *bins_of(largest), cuts(psf, coc, valid, largest))
-    return spread_slabs(psf, radiance, coc, slab, shape, guard, largest)
-
-
-def cuts(psf: Psf, coc: Array, valid: Mask, largest: float) -> list[int]:
-    """Where a map of radii is cut: `slab_bounds` of its jumps, px apart of up to twice the reach of the blur."""
-    return slab_bounds(find_jumps(coc, valid, *bins_of(largest), 2 * reach(psf, largest) + 1))
+    low, bins = bins_of(largest)
+    latest, largest_sum = find_jumps(coc, valid, low, bins, 2 * reach(psf, largest) + 1)
+    slab = label_slabs(coc, valid, low, bins, slab_bounds(latest))
+    return spread_slabs(psf, radiance, coc, slab, shape, guard, depth_of_hidden(psf, largest_sum))
 
 
 def spread_slabs(
-    psf: Psf, radiance: Array, coc: Array, slab: Labels, shape: tuple[int, int], guard: int, largest: float
+    psf: Psf, radiance: Array, coc: Array, slab: Labels, shape: tuple[int, int], guard: int, deep: int
 ) -> tuple[Array, int]:
-    """As `layered`, for given slabs (H, W)."""
-    count = int(slab.max(initial=0))
-    deep = 2 * reach(psf, largest)
-    if count > 1:
-        seed = seed_hidden(coc, slab)
-        hidden, edge = reach_hidden(slab, seed, column_seeds(seed), deep)
-    total, covered = np.zeros((*shape, radiance.shape[2])), np.zeros(shape)
+    """As `layered`, for given slabs (H, W) that go on up to `deep` px behind an edge."""
+
+    def light(value: Array, radius: Array, there: Mask, near_edges: bool) -> Array:
+        label, gradient = there.astype(np.uint8), prepare_sources(radius, there)
+        sources = Sources(value, np.ones(coc.shape), label, radius, gradient, there)
+        return scatter(psf, keep_sources(sources, edge, near_edges), None, shape, guard)
+
+    count, seed = int(slab.max(initial=0)), seed_hidden(coc, slab)
+    hidden, edge = reach_hidden(slab, seed, column_seeds(seed), deep)
+    total, covered = light(radiance, coc, slab > 0, near_edges=False), np.zeros(shape)
     for which in range(1, count + 1):
-        if count > 1:
-            value, radius, there = extend_slab(radiance, coc, slab, hidden, edge, which)
-        else:
-            there = slab > 0
-            value, radius = np.where(there[..., None], radiance, 0.0), np.where(there, coc, 0.0)
-        sources = Sources(value, np.ones(coc.shape), there.astype(np.uint8), radius, prepare_sources(radius, there))
-        blurred = scatter(psf, sources, None, shape, guard)
-        if count == 1:
-            return blurred, 1
+        blurred = light(*extend_slab(radiance, coc, slab, hidden, which), near_edges=True)
         total, covered = composite(total, covered, blurred)
     return total, count

@@ -63,7 +63,7 @@ class View:
         """Without occlusion."""
         gradient = prepare_sources(self.coc, self.valid)
         ones = np.ones(self.coc.shape)
-        sources = Sources(self.radiance, ones, self.valid.astype(np.uint8), self.coc, gradient)
+        sources = Sources(self.radiance, ones, self.valid.astype(np.uint8), self.coc, gradient, self.valid)
         return scatter(self.psf, sources, None, self.shape, self.guard)
 
 
@@ -135,14 +135,14 @@ def test_labels_are_those_of_the_twin(session: Session) -> None:
     device = Device(session, view)
     _, count = device.image()
     low, bins = twin.bins_of(view.largest)
-    deep = 2 * reach(view.psf, view.largest)
     assert (device.layers.low, device.layers.bins) == (low, bins)
-    latest = twin.find_jumps(view.coc, view.valid, low, bins, deep + 1)
-    np.testing.assert_array_equal(download(session, device.layers.latest, latest.shape, np.int32), latest)
+    latest, largest_sum = twin.find_jumps(view.coc, view.valid, low, bins, 2 * reach(view.psf, view.largest) + 1)
+    found = download(session, device.layers.latest, (latest.size + 1,), np.int32)
+    np.testing.assert_array_equal(found, [*latest.ravel(), largest_sum])
     slab = twin.label_slabs(view.coc, view.valid, low, bins, twin.slab_bounds(latest))
     seed = twin.seed_hidden(view.coc, slab)
     offset = twin.column_seeds(seed)
-    hidden, edge = twin.reach_hidden(slab, seed, offset, deep)
+    hidden, edge = twin.reach_hidden(slab, seed, offset, twin.depth_of_hidden(view.psf, largest_sum))
     assert count == slab.max() > 3
     assert (hidden > 0).any()
     assert not edge.all()
@@ -158,9 +158,7 @@ def test_the_last_slab_is_extended_as_by_the_twin(session: Session) -> None:
     device = Device(session, view)
     device.image()
     slab, hidden = device.read("slab", np.uint8), device.read("hidden", np.uint8)
-    value, radius, there = twin.extend_slab(
-        view.radiance, view.coc, slab, hidden, device.read("edge", np.bool_), int(slab.max())
-    )
+    value, radius, there = twin.extend_slab(view.radiance, view.coc, slab, hidden, int(slab.max()))
     size = view.coc.shape
     found = np.moveaxis(download(session, device.layers.value, (3, *size), np.float32), 0, -1)
     # A mean of means, each of 16 terms: a few roundings of 2^-24 of values up to 4.
@@ -176,7 +174,7 @@ def test_bounds_of_the_host_are_those_of_the_twin() -> None:
     counts = set()
     for surfaces in (1, 2, 3, 6, 12, 40):
         coc = rng.uniform(-30, 30, surfaces)[rng.integers(0, surfaces, (20, 20))]
-        latest = twin.find_jumps(coc, rng.random((20, 20)) < 0.9, low, bins, 5)
+        latest, _ = twin.find_jumps(coc, rng.random((20, 20)) < 0.9, low, bins, 5)
         bounds = layers.slab_bounds(latest.astype(np.int32))
         assert bounds == twin.slab_bounds(latest)
         counts.add(len(bounds))
