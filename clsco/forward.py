@@ -123,7 +123,7 @@ class Filler:
         self.spans, self.grown = empty(session, 8 * self.lines), empty(session, 8 * self.lines)
         self.counters = empty(session, 4 * COUNTERS)
         self.object = empty(session, pixels) if features["SEVERAL"] else None
-        self.far = (empty(session, 4 * pixels),) if self.is_far else ()
+        self.far: tuple[cl.Buffer, ...] = (empty(session, 4 * pixels),) if self.is_far else ()
         if self.smooths:
             self.done, self.sums = empty(session, 4 * pixels), empty(session, size * SUMS * self.rows)
             self.other_value, self.other_w = empty(session, self.value.size), empty(session, self.w.size)
@@ -268,6 +268,7 @@ class ForwardWarp:
         self.segments = plan.rows * -(-plan.columns // SEGMENT)
         if self.owned:
             self.bounds = empty(session, 8 * self.segments)
+            self.depth = self.filler.coc  # not yet written then
         else:
             self.depth = empty(session, self.winner.size)
 
@@ -285,6 +286,10 @@ class ForwardWarp:
         else:
             self._test_by_atomics(args, events)
         planes, plan = self.filler, self.plan
+        if planes.is_far:
+            chunks = (-(-plan.width // (SEGMENT if self.owned else 1)), plan.height)
+            gaps = (self.camera, self.depth, self.winner, planes.valid)
+            self._launch("reproject_gaps", events, chunks, (1, *LINES) if self.owned else PIXELS, *gaps)
         head = (self.camera, np.float32(weight), self.texture, self.moved, self.winner)
         several = (self.rest_surfaces, *self.object) if self.object else ()
         seen = () if planes.object is None else (planes.object,)
@@ -344,7 +349,8 @@ class ForwardWarp:
         band = max(SMALLEST_BAND, -(-rows // (BANDS_PER_CORE * cores)))
         self._launch("reproject_targets", events, (self.segments,), LINES, *args, self.bounds)
         owned = (self.camera, self.target, self.moved, self.bounds, np.int32(band), self.winner)
-        self._launch("reproject_nearest", events, (-(-rows // band),), OWNERS, *owned)
+        depth = (self.depth,) if self.filler.is_far else ()
+        self._launch("reproject_nearest", events, (-(-rows // band),), OWNERS, *owned, *depth)
 
     def _test_by_atomics(self, args: tuple[Any, ...], events: Events) -> None:
         """Targets and winners; a work-item per source."""

@@ -14,13 +14,15 @@
 // Depths are compared as floats, so that rounding in the last digit of a double decides nothing: of equal ones the
 // first source wins. On CPUs (OWNED) a work-item owns a band of the padded grid and walks the sources that come there
 // in their order, without atomics; elsewhere two passes of atomics find the same winners.
-// Features besides geometry.clh's: OWNED, MAPPED.
+// Features besides geometry.clh's: OWNED, MAPPED, FILL_FAR (surfaces at several depths).
 
 // The position p of a source in px is snapped to 1/4096 px and then rounded half up, so that errors far below a step
 // cannot move it across a pixel's edge. Both roundings in one are floor(p + ROUND).
 #define ROUND ((real)(0.5 + 0.5 / 4096))
 #define NO_WINNER INT_MAX
 #define NO_OBJECT 255
+#define SAME_DEPTH 1.02f  // relative: neighbors at rest that differ by less are one surface
+#define WIDEST_GAP 3      // px on each side: surfaces may grow to four times their size
 
 // Sources of a row that a work-item moves. PoCL vectorizes a loop over them, but not work-items of one source each.
 #if OWNED
@@ -155,9 +157,14 @@ __kernel void reproject_targets(const camera_t camera, __constant surface_t *sur
 }
 
 #if OWNED
-// The whole depth test: each work-item owns `band` rows of the padded grid. In: target, moved, bounds. Out: winner.
+// The whole depth test: each work-item owns `band` rows of the padded grid. In: target, moved, bounds. Out: winner; with
+// FILL_FAR depth, as reproject_depth gives it.
 __kernel void reproject_nearest(const camera_t camera, __global const int *target, __global const real *moved,
-                                __global const int2 *bounds, const int band, __global int *winner)
+                                __global const int2 *bounds, const int band, __global int *winner
+#if FILL_FAR
+                                , __global int *depth
+#endif
+)
 {
     const int first = get_global_id(0) * band;
     if (first >= camera.height)
@@ -181,6 +188,10 @@ __kernel void reproject_nearest(const camera_t camera, __global const int *targe
                 winner[to] = i;
         }
     }
+#if FILL_FAR
+    for (int to = begin; to < end; ++to)
+        depth[to] = winner[to] == NO_WINNER ? 0 : as_int((float)moved[winner[to]]);
+#endif
 }
 #else
 // Largest inverse depth that comes to each pixel. In: target, moved. In and out: depth, bits of a float per pixel of
@@ -208,10 +219,75 @@ __kernel void reproject_winner(const camera_t camera, __global const int *target
 }
 #endif
 
+#if FILL_FAR
+// The first winner that is nearer than `bound`, in steps of (right, down) from a pixel; -1 for none.
+static int nearer_pixel(const camera_t camera, __global const int *depth, int x, int y, int right, int down,
+                        float bound)
+{
+    for (int step = 1; step <= WIDEST_GAP; ++step) {
+        x += right;
+        y += down;
+        if (x < 0 || x >= camera.width || y < 0 || y >= camera.height)
+            return -1;
+        if (as_float(depth[y * camera.width + x]) > bound)
+            return y * camera.width + x;
+    }
+    return -1;
+}
+
+// Whether a winner is seen only through a surface that has grown: on opposite sides are nearer ones that were neighbors
+// at rest, on one surface, which was closed between them.
+static bool shows_through(const camera_t camera, __global const int *depth, __global const int *winner, int x, int y)
+{
+    const float bound = SAME_DEPTH * as_float(depth[y * camera.width + x]);
+    for (int k = 0; k < 4; ++k) {
+        const int right = k == 1 ? 0 : 1, down = k == 0 ? 0 : k == 3 ? -1 : 1;
+        const int before = nearer_pixel(camera, depth, x, y, -right, -down, bound);
+        const int after = before < 0 ? -1 : nearer_pixel(camera, depth, x, y, right, down, bound);
+        if (after < 0)
+            continue;
+        const int a = winner[before], b = winner[after];
+        const int rows = a / camera.columns - b / camera.columns, columns = a % camera.columns - b % camera.columns;
+        const float first = as_float(depth[before]), second = as_float(depth[after]);
+        if (ABS(rows) <= 1 && ABS(columns) <= 1 && MAX(first, second) <= SAME_DEPTH * MIN(first, second))
+            return true;
+    }
+    return false;
+}
+
+// Leaves out what only shows through another surface, SEGMENT pixels per work-item. In: depth, winner. Out: valid uchar
+// per pixel of the padded grid, what is known.
+__kernel void reproject_gaps(const camera_t camera, __global const int *restrict depth, __global const int *winner,
+                             __global uchar *restrict valid)
+{
+    const int begin = get_global_id(0) * SEGMENT, y = get_global_id(1);
+    if (begin >= camera.width || y >= camera.height)
+        return;
+    const int end = MIN(begin + SEGMENT, camera.width);
+    __global const int *line = depth + y * camera.width;
+    for (int x = begin; x < end; ++x)
+        valid[y * camera.width + x] = line[x] > 0;
+    // Most segments lie amid one surface. Floats > 0 keep their order as ints, whose extrema PoCL vectorizes.
+    int lowest = INT_MAX, highest = 0;
+    for (int x = begin; x < end; ++x)
+        lowest = MIN(lowest, line[x] > 0 ? line[x] : INT_MAX);
+    const int left = MAX(begin - WIDEST_GAP, 0), right = MIN(end + WIDEST_GAP, camera.width);
+    for (int i = MAX(y - WIDEST_GAP, 0); i <= MIN(y + WIDEST_GAP, camera.height - 1); ++i)
+        for (int x = left; x < right; ++x)
+            highest = MAX(highest, depth[i * camera.width + x]);
+    if (!(as_float(highest) > SAME_DEPTH * as_float(lowest)))  // nor for the NaN of no winner at all
+        return;
+    for (int x = begin; x < end; ++x)
+        if (line[x] > 0 && shows_through(camera, depth, winner, x, y))
+            valid[y * camera.width + x] = 0;
+}
+#endif
+
 // What the winners bring. In: texture float (textures, CHANNELS, rows, columns), of which each surface names its own;
 // moved, winner, object; weight of this moment in the exposure. Out, on the padded grid: value float (CHANNELS, height,
 // width), radiance times weight; w real, inverse depth in 1/mm; coc real, signed radius in px; valid uchar, there is a
-// winner; status uchar, 0; seen uchar, with SEVERAL, its object. All 0 without one, and seen NO_OBJECT.
+// winner; status uchar, 0; seen uchar, with SEVERAL, its object. All 0 without one, and seen NO_OBJECT. With FILL_FAR
+// valid is from reproject_gaps, and winners of other pixels do not count.
 __kernel void reproject_gather(const camera_t camera, const float weight, __global const float *texture,
                                __global const real *moved, __global const int *winner,
 #if SEVERAL
@@ -228,7 +304,12 @@ __kernel void reproject_gather(const camera_t camera, const float weight, __glob
     if (x >= camera.width || y >= camera.height)
         return;
     const int at = y * camera.width + x, source = winner[at];
+#if FILL_FAR
+    const bool known = valid[at];
+#else
     const bool known = source != NO_WINNER;
+    valid[at] = known;
+#endif
     const real inverse_depth = known ? moved[source] : 0;
 #if SEVERAL
     const int whose = known ? object[source] : NO_OBJECT;
@@ -240,6 +321,5 @@ __kernel void reproject_gather(const camera_t camera, const float weight, __glob
             known ? weight * texture[c * camera.rows * camera.columns + source] : 0;
     w[at] = inverse_depth;
     coc[at] = known ? blur_radius(camera, inverse_depth) : 0;
-    valid[at] = known;
     status[at] = 0;
 }

@@ -23,6 +23,7 @@ from clsco.reference.reproject import (
     nearest_pixel,
     reproject,
     reproject_depth,
+    reproject_gaps,
     reproject_gather,
     reproject_nearest,
     reproject_rest,
@@ -174,6 +175,7 @@ class Kernels:
     def __init__(self, session: Session, case: Case, owned: bool) -> None:
         features = forward_features(case.plan, owned)
         self.session, self.case, self.owned, self.several = session, case, owned, bool(features["SEVERAL"])
+        self.far = bool(features["FILL_FAR"])
         self.program: Program = build(session, ["reproject.cl"], features, structs("double"), "double")
         self.surfaces = case.forward(session, owned).rest_surfaces
 
@@ -215,10 +217,13 @@ class Kernels:
 
     def nearest(self, target: Array, moved: Array, bounds: Array, band: int, local: int = 1) -> Array:
         pixels = self.case.shape[0] * self.case.shape[1]
-        winner = self.out(np.int32, pixels)
+        winner, depth = self.out(np.int32, pixels), self.out(np.int32, pixels)
         inputs = [upload(self.session, a) for a in (target, moved, bounds)]
         size = (-(-self.case.shape[0] // band),)
-        self.run("reproject_nearest", size, (local,), *inputs, np.int32(band), winner)
+        self.run("reproject_nearest", size, (local,), *inputs, np.int32(band), winner, *((depth,) if self.far else ()))
+        if self.far:
+            expected = reproject_depth(target.astype(np.int64), moved.astype(np.float32), pixels)
+            assert (download(self.session, depth, (pixels,), np.float32) == expected).all()
         return download(self.session, winner, (pixels,), np.int32)
 
     def by_atomics(self, target: Array, moved: Array, local: int = 64) -> tuple[Array, Array]:
@@ -230,6 +235,14 @@ class Kernels:
         self.run("reproject_winner", target.shape, (local,), *sources, depth, winner)
         found = download(self.session, depth, (pixels,), np.int32).view(np.float32)
         return found, download(self.session, winner, (pixels,), np.int32)
+
+    def gaps(self, winner: Array, depth: Array, local: tuple[int, int] = (1, 8)) -> Array:
+        """What is known without what shows through."""
+        height, width = self.case.shape
+        size = (-(-width // (SEGMENT if self.owned else 1)), height)
+        valid = self.out(np.uint8, height * width, 9)
+        self.run("reproject_gaps", size, local, upload(self.session, depth), upload(self.session, winner), valid)
+        return download(self.session, valid, (height, width), np.uint8)
 
 
 def narrow(winner: NDArray[np.int64]) -> Array:
@@ -294,6 +307,28 @@ def test_warp_is_its_twin(session: Session, items: tuple[Object, ...], shape: tu
     coc = np.where(known, camera["blur_scale"] * (camera["focus_power"] - w), 0.0)
     # What rtol = 1e-12 of w makes of the radius, in px.
     np.testing.assert_allclose(found["coc"], coc, rtol=0, atol=1e-12 * camera["blur_scale"] * w.max(initial=0))
+
+
+@pytest.mark.parametrize("owned", [True, False])
+@pytest.mark.parametrize("depth_mm", [170.0, 110.0, 70.0])
+def test_what_shows_through_a_grown_surface_is_left_out(session: Session, owned: bool, depth_mm: float) -> None:
+    """A card comes nearer before a plane. Where it grows more than to four times its size, gaps remain."""
+    card = Plane(
+        name="card", distance=200.0, bounds=((-1.5, 1.5), (-1.5, 1.5), (-1.0, 1.0)),
+        motion=ObjectMotion(velocity=(0.3, 0.0, depth_mm - 200.0)),
+    )  # fmt: skip
+    case = make_group((card, FAR), (60, 150))
+    rest, whose = reproject_rest(case.plan.scene, case.rest, case.maps)
+    target, moved = reproject_targets(case.plan.scene, case.poses, rest, whose, case.guard)
+    key, pixels = moved.astype(np.float32), case.shape[0] * case.shape[1]
+    depth = reproject_depth(target, key, pixels).reshape(case.shape)
+    winner = reproject_winner(target, key, depth.ravel()).reshape(case.shape)
+    expected = reproject_gaps(winner, depth, 150)
+    left_out = (winner != NO_WINNER) & ~expected
+    assert left_out.sum() > 100
+    kernels = Kernels(session, case, owned)
+    for local in ((1, 8), (64, 1)):
+        assert (kernels.gaps(narrow(winner), depth, local) == expected).all()
 
 
 @pytest.mark.parametrize("name", ["near and far", "map and ball", "map before map"])
