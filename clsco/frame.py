@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 TRUTH_NAMES = ("sharp", "depth", "coc", "mask", "filled", "object_id", "normal", "flow", "hidden")
+STEREO_NAMES = ("disparity", "occluded")  # besides, of a stereo pair
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +32,10 @@ class Frame:
     normal     float32 (rows, columns, 3): unit vector in the camera frame, x right, y up, z into the scene
     flow       float32 (rows, columns, 2), px: x right, y down, to the next frame
     hidden     bool (rows, columns): the point was not seen at rest, so its radiance is extrapolated
+    disparity  float32 (rows, columns), px: column in the left view less column in the right one of the surface point;
+               0 where nothing is. Only of a stereo pair, as the next
+    occluded   bool (rows, columns): the other view does not see the point: something is before it, or it is outside
+    eye        "left" or "right" of a stereo pair, else ""
     metadata   what made the frame; JSON-able
     """
 
@@ -45,4 +50,7 @@ class Frame:
     normal: NDArray[np.float32] | None = None
     flow: NDArray[np.float32] | None = None
     hidden: NDArray[np.bool_] | None = None
+    disparity: NDArray[np.float32] | None = None
+    occluded: NDArray[np.bool_] | None = None
+    eye: str = ""
     metadata: Mapping[str, Any] = field(default_factory=dict)

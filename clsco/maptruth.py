@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.motion import Pose, rest_center
+from clsco.motion import Eye, Pose, rest_center
 from clsco.optics import ray_step
 from clsco.scene import Camera, Object
 
+SAME_SURFACE = 1.02  # how much nearer than a point what is seen in its place may be, and still be its own surface
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
@@ -76,3 +77,29 @@ def map_flow(
             shift = sign * (moved[..., axis] / ahead - point[..., axis] / here) / step
             flow[..., axis] = np.where(seen, shift, flow[..., axis])
     return flow.astype(np.float32)
+
+
+def map_stereo(
+    camera: Camera, items: Sequence[Object], depth: NDArray[np.floating], object_id: NDArray[np.int32],
+    now: Sequence[Pose], there: Sequence[Pose], opposite: NDArray[np.floating], eye: Eye,
+) -> tuple[Floats, NDArray[np.bool_]]:  # fmt: skip
+    """Disparity (rows, columns) in px, and what the other view does not see (rows, columns), from depth.
+
+    depth, object_id, now: of this view, `eye`, as for `map_flow`; there: poses that the other one sees; opposite: its
+    depth (rows, columns) in mm. Occluded: where the point is in the other view, something is more than SAME_SURFACE
+    times nearer, or the frame ends.
+    """
+    flow = map_flow(camera, items, depth, object_id, now, there)
+    rows, columns = depth.shape
+    i, j = np.indices(depth.shape)
+    row, column = (np.floor(at + flow[..., axis] + 0.5).astype(np.int64) for at, axis in ((i, 1), (j, 0)))
+    inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    seen = opposite[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)]
+    point, moved = _points(camera, depth), np.full(depth.shape, np.inf)
+    for k, item in enumerate(items):
+        center = rest_center(item)
+        body = (point - center - now[k].shift) @ now[k].rotation
+        z = (center + there[k].shift + body @ there[k].rotation.T)[..., 2]
+        moved = np.where(object_id == k, z, moved)
+    occluded = (object_id >= 0) & (~inside | (seen * SAME_SURFACE < moved))
+    return (flow[..., 0] * (1.0 if eye == "right" else -1.0)).astype(np.float32), occluded

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import SceneError
-from clsco.frame import TRUTH_NAMES
+from clsco.frame import STEREO_NAMES, TRUTH_NAMES
 from clsco.motion import Eye, Pose, poses_at, rest_center, sample_times
 from clsco.occlusion import Layer, extent, layers
 from clsco.optics import LARGEST_BLUR, blur_radius, ray_step
@@ -310,6 +310,8 @@ def make_plan(
     map, 0 where nothing is, None for others (`clsco.depthmaps.load_scene_depths`). Raises SceneError where the blur
     radius passes LARGEST_BLUR or the method cannot do it.
     """
+    if scene.stereo is None:
+        truth = tuple(name for name in truth if name not in STEREO_NAMES)
     if scene.camera.resolution is None:
         raise SceneError("camera.resolution: must be known before a scene is planned; got None")
     columns, rows = scene.camera.resolution

@@ -14,11 +14,11 @@ from clsco.depthmaps import load_scene_depths
 from clsco.device import Session, choose
 from clsco.errors import DeviceError
 from clsco.forward import ForwardWarp
-from clsco.frame import TRUTH_NAMES, Frame
+from clsco.frame import STEREO_NAMES, TRUTH_NAMES, Frame
 from clsco.layers import Layers
 from clsco.layout import Real, Struct, camera_struct, flat, layer_struct, pose_structs, structs, surface_structs
-from clsco.maptruth import map_flow, map_normal
-from clsco.motion import Pose, middle_time, poses_at
+from clsco.maptruth import map_flow, map_normal, map_stereo
+from clsco.motion import Eye, Pose, middle_time, poses_at
 from clsco.occlusion import Layer
 from clsco.optics import blur_radius
 from clsco.plan import Maps, Plan, exposure, make_plan, widened
@@ -37,7 +37,10 @@ TRUTH_BUFFERS: dict[str, tuple[type[np.generic], int]] = {
     "flow": (np.float32, 2),
     "hidden": (np.uint8, 1),
     "sharp": (np.float32, 0),
+    "disparity": (np.float32, 1),
+    "occluded": (np.uint8, 1),
 }
+BOOLEAN = ("hidden", "occluded")
 Planes = tuple[cl.Buffer, cl.Buffer, cl.Buffer]  # value, coc, valid on the padded grid, as in layers.py
 SLACK = 1.0 + 1e-6  # the host's float64 and the device's float round differently
 # What of the statistics a frame must begin with: no radius met, no slot taken (trace.cl).
@@ -47,7 +50,7 @@ EMPTY_STATISTICS = np.array([0, np.iinfo(np.int32).max, 0, 0], dtype=np.int32)
 def render(
     scene: Scene,
     *,
-    truth: Sequence[str] = TRUTH_NAMES,
+    truth: Sequence[str] = (*TRUTH_NAMES, *STEREO_NAMES),
     device: str | None = None,
     precision: str | None = None,
     method: str = "auto",
@@ -55,22 +58,25 @@ def render(
 ) -> Iterator[Frame]:
     """Render frames of a scene.
 
-    truth: names of the outputs besides color (`clsco.frame.TRUTH_NAMES`), none of which costs anything when it is
+    truth: names of the outputs besides color (`clsco.frame`), none of which costs anything when it is
     left out; device: part of the name of an OpenCL device; precision: "double" or "single" for geometry, by default
     double where the device has it; method: of the blur, see `clsco.plan.make_plan`; frames: numbers of the frames
     wanted, by default all.
-    Yields frames in order. Raises SceneError, ImageError, DeviceError, KernelError.
+    Yields frames in order, of a stereo pair the left and then the right one. Raises SceneError, ImageError,
+    DeviceError, KernelError.
     Validated against `clsco.reference.render` on every scene in examples/ and a ray tracer (benchmarks/accuracy.py).
     """
     scene, textures = load_scene_textures(scene)
     channels = max(texture.radiance.shape[2] if texture.radiance.ndim == 3 else 1 for texture in textures)
     maps = load_scene_depths(scene)
-    plan = make_plan(scene, channels, tuple(truth), method, maps=maps)
+    eyes: tuple[Eye, ...] = ("left",) if scene.stereo is None else ("left", "right")
+    plans = [make_plan(scene, channels, tuple(truth), method, eye, maps) for eye in eyes]
     wanted = range(scene.sequence.frames) if frames is None else frames
     with Session(choose(device), profiling=True) as session:
-        renderer = Renderer(session, plan, textures, maps, precision)
+        renderers = [Renderer(session, plan, textures, maps, precision) for plan in plans]
         for index in wanted:
-            yield renderer.frame(index)
+            for renderer in renderers:
+                yield renderer.frame(index)
 
 
 class Renderer:
@@ -179,7 +185,8 @@ class Renderer:
                 break
         truth = self._ground_truth(index, events)
         self.held.clear()
-        return Frame(index=index, color=color, metadata=self._metadata(index, moments, events), **truth)
+        eye = self.plan.eye if self.plan.scene.stereo else ""
+        return Frame(index=index, color=color, metadata=self._metadata(index, moments, events), eye=eye, **truth)
 
     def _moment(self, time: float, weight: float, events: Events) -> dict[str, Any]:
         """One intermediate frame: its sources, blurred and added; returns what is told of it."""
@@ -281,13 +288,19 @@ class Renderer:
         surfaces, still = (self._placed(self._surfaces(t)) for t in (time, 0.0))
         poses = self._upload(pose_structs(self._poses(later), self.real))
         head = (self.camera, surfaces, still, poses, self._everything(), self.texture, mask)
-        self._launch("ground_truth", (plan.columns, plan.rows), PIXELS, events, *head, *buffers.values())
+        args: list[Any] = [buffer for name, buffer in buffers.items() if name not in STEREO_NAMES]
+        if set(STEREO_NAMES) & set(names):
+            opposite = poses_at(plan.scene, time, "left" if plan.eye == "right" else "right")
+            args += [self._placed([surface for surface in self._placed_at(opposite) if surface is not None])]
+            args += [self._upload(pose_structs(opposite, self.real)), np.int32(1 if plan.eye == "right" else -1)]
+            args += [buffers[name] for name in STEREO_NAMES if name in names]
+        self._launch("ground_truth", (plan.columns, plan.rows), PIXELS, events, *head, *args)
         shape = (plan.rows, plan.columns)
         found = download(self.session, mask, shape, np.bool_)
         out: dict[str, NDArray[Any]] = {}
         for name, buffer in buffers.items():
             full = shape if sizes[name] == 1 else (*shape, sizes[name])
-            out[name] = download(self.session, buffer, full, np.bool_ if name == "hidden" else TRUTH_BUFFERS[name][0])
+            out[name] = download(self.session, buffer, full, np.bool_ if name in BOOLEAN else TRUTH_BUFFERS[name][0])
         if self.forward is not None:
             poses_now = self._poses(time)
             out |= self.forward.truth(poses_now, self._placed_at(poses_now), events)
@@ -305,8 +318,12 @@ class Renderer:
         now, then = (self._poses(t) for t in self._middles(index))
         out = forward.truth(now, self._placed_at(now), events)
         where = (self.plan.scene.camera, self.items, out["depth"], out["object_id"])
-        out |= {"normal": map_normal(*where[:1], out["depth"]), "flow": map_flow(*where, now, then)}
+        out |= {"normal": map_normal(self.plan.scene.camera, out["depth"]), "flow": map_flow(*where, now, then)}
         out["hidden"] = out["filled"] > 0
+        if self.plan.scene.stereo is not None:
+            there = poses_at(self.plan.scene, self._middles(index)[0], "left" if self.plan.eye == "right" else "right")
+            opposite = forward.truth(there, self._placed_at(there), events)["depth"]
+            out["disparity"], out["occluded"] = map_stereo(*where, now, there, opposite, self.plan.eye)
         return {name: array for name, array in out.items() if name in self.plan.truth}
 
     def _metadata(self, index: int, moments: list[dict[str, Any]], events: Events) -> dict[str, Any]:

@@ -220,21 +220,30 @@ __kernel void pinhole(const camera_t camera, __constant surface_t *surfaces, con
 }
 #endif
 
-#if TRUTH_FLOW
-// Image motion of a hit to the pose `next`, px (right, down); 0 where it gets behind the lens.
-static real2 image_flow(__constant surface_t *surface, const camera_t camera, __constant pose_t *next, real3 ray,
-                        real w, int row, int column)
+#if TRUTH_FLOW || TRUTH_DISPARITY || TRUTH_OCCLUDED
+// Where a hit is in the image in the pose `other`: column, row, and its depth there over its depth here.
+static real3 moved_pixel(__constant surface_t *surface, const camera_t camera, __constant pose_t *other, real3 ray,
+                         real w)
 {
-    const real3 rest = (real3)(surface->rest[0] + next->shift[0], surface->rest[1] + next->shift[1],
-                               surface->rest[2] + next->shift[2]);
-    const real3 to = project(camera, rest * w + turned(next->rotation, body_point(surface, ray, w)));
-    return to.z > 0 ? (real2)(to.x - column, to.y - row) : (real2)(0, 0);
+    const real3 rest = (real3)(surface->rest[0] + other->shift[0], surface->rest[1] + other->shift[1],
+                               surface->rest[2] + other->shift[2]);
+    return project(camera, rest * w + turned(other->rotation, body_point(surface, ray, w)));
+}
+#endif
+
+#if TRUTH_HIDDEN || TRUTH_OCCLUDED
+static bool outside_frame(const camera_t camera, real3 at)
+{
+    return !(at.z > 0 && at.x >= (real)-0.5 && at.x < camera.columns - (real)0.5 && at.y >= (real)-0.5 &&
+             at.y < camera.rows - (real)0.5);
 }
 #endif
 
 // Ground truth at pixel centers, (rows, columns[, components]), never anti-aliased: depth mm (+inf: nothing),
 // coc signed px (0: nothing), mask, object (-1: nothing), normal, flow px to the pose `next`, hidden (the pinhole did
-// not see the point at rest), sharp radiance. `still` are the surfaces at rest.
+// not see the point at rest), sharp radiance; of a stereo pair disparity px and occluded (the other view does not see
+// the point). `still` are the surfaces at rest, `opposite` those that the other view sees, in poses `there`; to_left: 1
+// for the right view, -1 for the left one.
 #if TRUTH
 __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces, __constant surface_t *still,
                            __constant pose_t *next, const layer_t layer, __global const float *texture,
@@ -259,6 +268,15 @@ __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces
 #endif
 #if TRUTH_SHARP
                            , __global float *sharp
+#endif
+#if TRUTH_DISPARITY || TRUTH_OCCLUDED
+                           , __constant surface_t *opposite, __constant pose_t *there, const int to_left
+#endif
+#if TRUTH_DISPARITY
+                           , __global float *disparity
+#endif
+#if TRUTH_OCCLUDED
+                           , __global uchar *occluded
 #endif
 )
 {
@@ -288,26 +306,40 @@ __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces
     normal[3 * at + 2] = (float)n.z;
 #endif
 #if TRUTH_FLOW
-    const real2 motion = root ? image_flow(surface, camera, next + MAX(object, 0), ray, w, row, column) : (real2)(0, 0);
-    flow[2 * at] = (float)motion.x;
-    flow[2 * at + 1] = (float)motion.y;
+    const real3 later = moved_pixel(surface, camera, next + MAX(object, 0), ray, w);
+    flow[2 * at] = root && later.z > 0 ? (float)(later.x - column) : 0;
+    flow[2 * at + 1] = root && later.z > 0 ? (float)(later.y - row) : 0;
 #endif
 #if TRUTH_HIDDEN
     hidden[at] = 0;
     if (root) {
         const real3 from = rest_pixel(surface, camera, ray, w);
-        const bool outside = !(from.z > 0 && from.x >= (real)-0.5 && from.x < camera.columns - (real)0.5 &&
-                               from.y >= (real)-0.5 && from.y < camera.rows - (real)0.5);
         // 1 / depth at rest of this point, against what the pinhole saw there
         uchar other;
         const real seen = solve_quadric(still + object, pixel_ray(camera, from.y, from.x), &other);
-        hidden[at] = outside || seen * from.z > w * (1 + (real)1e-6);
+        hidden[at] = outside_frame(camera, from) || seen * from.z > w * (1 + (real)1e-6);
     }
 #endif
 #if TRUTH_SHARP
     const real3 point = texture_point(surface, camera, ray, w, row, column);
     for (int c = 0; c < CHANNELS; ++c)
         sharp[at * CHANNELS + c] = root ? radiance(texture, surface, camera, c, point) : 0;
+#endif
+#if TRUTH_DISPARITY || TRUTH_OCCLUDED
+    const real3 other = moved_pixel(surface, camera, there + MAX(object, 0), ray, w);
+#endif
+#if TRUTH_DISPARITY
+    disparity[at] = root && other.z > 0 ? (float)(to_left * (other.x - column)) : 0;
+#endif
+#if TRUTH_OCCLUDED
+    occluded[at] = 0;
+    if (root) {
+        uchar any;
+        int nearest;
+        const real seen = nearest_surface(opposite, layer.count, layer.members,
+                                          pixel_ray(camera, other.y, other.x), &any, &nearest);
+        occluded[at] = outside_frame(camera, other) || seen * other.z > w * (1 + (real)1e-6);
+    }
 #endif
 }
 #endif

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clsco.depthmaps import load_scene_depths
 from clsco.frame import Frame
-from clsco.maptruth import map_flow, map_normal
+from clsco.maptruth import map_flow, map_normal, map_stereo
 from clsco.motion import Eye, Pose, middle_time, poses_at
 from clsco.occlusion import Layer
 from clsco.plan import Maps, Plan, exposure, make_plan
@@ -119,9 +119,11 @@ def render(scene: Scene) -> Iterator[Frame]:
     channels = max(texture.radiance.shape[2] if texture.radiance.ndim == 3 else 1 for texture in loaded)
     textures = tuple(_with_channels(texture.radiance, channels) for texture in loaded)
     maps = load_scene_depths(scene)
-    plan = make_plan(scene, channels, maps=maps)
+    eyes: tuple[Eye, ...] = ("left",) if scene.stereo is None else ("left", "right")
+    plans = [make_plan(scene, channels, eye=eye, maps=maps) for eye in eyes]
     for frame in range(scene.sequence.frames):
-        yield _frame(plan, textures, maps, frame)
+        for plan in plans:
+            yield _frame(plan, textures, maps, frame)
 
 
 def _with_channels(radiance: Array, channels: int) -> Array:
@@ -162,9 +164,11 @@ def _frame(plan: Plan, textures: tuple[Array, ...], maps: Maps, index: int) -> F
         middle = _warped_sources(scene, textures, maps, guard, time, plan.eye)
         arrays |= {"sharp": _crop(middle.sources.radiance, guard), "filled": _crop(middle.status, guard)}
         if any(depth is not None for depth in maps):
-            arrays |= _map_truth(plan, middle, index)
+            arrays |= _map_truth(plan, textures, maps, middle, index)
     sharp = _without_channel(arrays.pop("sharp"))
-    return Frame(index=index, color=_without_channel(color), sharp=sharp, metadata={"intermediate": told}, **arrays)
+    eye = plan.eye if scene.stereo else ""
+    about = {"intermediate": told}
+    return Frame(index=index, color=_without_channel(color), sharp=sharp, metadata=about, eye=eye, **arrays)
 
 
 def _truth(plan: Plan, textures: tuple[Array, ...], maps: Maps, index: int) -> dict[str, Any]:
@@ -174,7 +178,7 @@ def _truth(plan: Plan, textures: tuple[Array, ...], maps: Maps, index: int) -> d
     return dict(vars(ground_truth(plan.scene, textures, index, plan.eye)))
 
 
-def _map_truth(plan: Plan, middle: _Warped, index: int) -> dict[str, Any]:
+def _map_truth(plan: Plan, textures: tuple[Array, ...], maps: Maps, middle: _Warped, index: int) -> dict[str, Any]:
     """Ground truth of a scene with depth maps: of the pixels in their new places."""
     scene, guard = plan.scene, plan.guard_px
     valid = _crop(middle.sources.lit, guard)
@@ -183,7 +187,15 @@ def _map_truth(plan: Plan, middle: _Warped, index: int) -> dict[str, Any]:
     number = np.where(valid, _crop(middle.objects, guard), -1).astype(np.int32)
     times = [middle_time(scene.sequence, k) if plan.moves else 0.0 for k in (index, index + 1)]
     now, then = (poses_at(scene, time, plan.eye) for time in times)
-    return {
+    stereo: dict[str, Any] = {}
+    if scene.stereo is not None:
+        opposite: Eye = "left" if plan.eye == "right" else "right"
+        there = poses_at(scene, times[0], opposite)
+        other = _warped_sources(scene, textures, maps, guard, times[0], opposite).sources
+        seen = np.where(other.lit, 1.0 / np.where(other.lit, other.inverse_depth, 1.0), np.inf)
+        args = (scene.camera, scene.objects, depth, number, now, there, _crop(seen, guard), plan.eye)
+        stereo = dict(zip(("disparity", "occluded"), map_stereo(*args), strict=True))
+    return stereo | {
         "depth": depth,
         "coc": _crop(middle.sources.radius, guard),
         "mask": valid,

@@ -89,6 +89,8 @@ class Truth:
     normal: Array
     flow: Array
     hidden: NDArray[np.bool_]
+    disparity: Array | None
+    occluded: NDArray[np.bool_] | None
 
 
 def padded_grid(camera: Camera, guard: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -233,28 +235,56 @@ def trace_subpixels(view: View, layer: Layer, guard: int, marked: NDArray[np.boo
     return SubpixelSources(row, column, lit, hit.radius, hit.gradient, hit.radiance, sight)
 
 
+def _outside(camera: Camera, row: Array, column: Array) -> NDArray[np.bool_]:
+    assert camera.resolution is not None
+    columns, rows = camera.resolution
+    return np.asarray((row < -0.5) | (row >= rows - 0.5) | (column < -0.5) | (column >= columns - 0.5))
+
+
 def _hidden(view: View, rest: PlacedSurface, number: int, rays: Array, w: Array) -> NDArray[np.bool_]:
     """Points of an object's surface that the camera did not see of it at rest."""
     scene, surface = view.scene, view.surfaces[number]
-    assert scene.camera.resolution is not None
-    columns, rows = scene.camera.resolution
     row, column, valid = rest_pixel(surface, scene.camera, rays, w)
-    outside = (row < -0.5) | (row >= rows - 0.5) | (column < -0.5) | (column >= columns - 0.5)
     w_rest, _ = solve_quadric(rest, scene.objects[number].bounds, pixel_ray(scene.camera, row, column))
     depth_ratio = np.where(valid, rest_position(surface, rays, w)[..., 2], 1.0)
     covered = w_rest * depth_ratio > w * (1.0 + 1e-6)
-    return np.asarray((w > 0.0) & (~valid | outside | covered))
+    return np.asarray((w > 0.0) & (~valid | _outside(scene.camera, row, column) | covered))
 
 
-def _flow(surface: PlacedSurface, then: Pose, camera: Camera, rays: Array, w: Array) -> Array:
-    """Image motion (..., 2) in px, right and down, of hits to where they are in the pose `then`."""
-    row, column = padded_grid(camera, 0)
-    body = turned(then.rotation, body_point(surface, rays, w))
-    next_position = (surface.rest + then.shift) * w[..., None] + body
-    before_lens = (w > 0.0) & (next_position[..., 2] > 0.0)
-    next_row, next_column = project(camera, np.where(before_lens[..., None], next_position, 1.0))
-    flow = np.stack([next_column - column, next_row - row], axis=-1)
-    return np.where(before_lens[..., None], flow, 0.0)
+def _moved_pixel(
+    surface: PlacedSurface, other: Pose, camera: Camera, rays: Array, w: Array
+) -> tuple[Array, Array, Array]:
+    """Row and column in px of hits in the pose `other`, and their depth there over that here (1 behind the lens)."""
+    body = turned(other.rotation, body_point(surface, rays, w))
+    position = (surface.rest + other.shift) * w[..., None] + body
+    before_lens = (w > 0.0) & (position[..., 2] > 0.0)
+    row, column = project(camera, np.where(before_lens[..., None], position, 1.0))
+    at_row, at_column = padded_grid(camera, 0)
+    return (
+        np.where(before_lens, row, at_row),
+        np.where(before_lens, column, at_column),
+        np.where(before_lens, position[..., 2], 1.0),
+    )
+
+
+def _stereo(
+    scene: Scene, textures: tuple[Array, ...], view: View, eye: Eye, time: float, hit: _Cast, rays: Array
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Disparity in px, and what the other view does not see."""
+    opposite: Eye = "left" if eye == "right" else "right"
+    other, poses = view_at(scene, textures, time, opposite, True), poses_at(scene, time, opposite)
+    disparity, occluded = np.zeros(hit.w.shape), np.zeros(hit.w.shape, dtype=bool)
+    bounds = [item.bounds for item in scene.objects]
+    _, at_column = padded_grid(scene.camera, 0)
+    for k, surface in enumerate(view.surfaces):
+        row, column, ratio = _moved_pixel(surface, poses[k], scene.camera, rays, hit.w)
+        own = hit.number == k
+        disparity = np.where(own, (1.0 if eye == "right" else -1.0) * (column - at_column), disparity)
+        everything = (1 << len(scene.objects)) - 1
+        seen, _, _ = nearest_surface(other.surfaces, bounds, everything, pixel_ray(scene.camera, row, column))
+        covered = seen * ratio > hit.w * (1.0 + 1e-6)
+        occluded = np.where(own, covered | _outside(scene.camera, row, column), occluded)
+    return disparity, occluded
 
 
 def ground_truth(scene: Scene, textures: tuple[Array, ...], frame: int, eye: Eye = "left") -> Truth:
@@ -278,9 +308,13 @@ def ground_truth(scene: Scene, textures: tuple[Array, ...], frame: int, eye: Eye
     hidden = np.zeros(w.shape, dtype=bool)
     for k, surface in enumerate(view.surfaces):
         own = hit.number == k
-        flow = np.where(own[..., None], _flow(surface, later[k], camera, rays, w), flow)
+        next_row, next_column, _ = _moved_pixel(surface, later[k], camera, rays, w)
+        flow = np.where(own[..., None], np.stack([next_column - column, next_row - row], axis=-1), flow)
         normal = np.where(own[..., None], surface_normal(surface, rays, w), normal)
         hidden = np.where(own, _hidden(view, rest.surfaces[k], k, rays, w), hidden)
+    disparity, occluded = None, None
+    if scene.stereo is not None:
+        disparity, occluded = _stereo(scene, textures, view, eye, now, hit, rays)
     return Truth(
         sharp=hit.radiance,
         depth=np.where(mask, 1.0 / np.where(mask, w, 1.0), np.inf),
@@ -290,4 +324,6 @@ def ground_truth(scene: Scene, textures: tuple[Array, ...], frame: int, eye: Eye
         normal=normal,
         flow=flow,
         hidden=hidden,
+        disparity=disparity,
+        occluded=occluded,
     )
