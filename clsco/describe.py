@@ -17,7 +17,7 @@ from clsco.depthmaps import check_sizes, inverse_depth, read_depth
 from clsco.errors import ImageError, SceneError
 from clsco.files import refuse, sha256
 from clsco.images import read_image
-from clsco.plan import Plan, make_plan
+from clsco.plan import Maps, Plan, make_plan
 from clsco.scene import BUILT_IN_TEXTURES, DepthMap, Scene, Within
 from clsco.scenefile import dump
 from clsco.sweep import Sweep
@@ -53,8 +53,7 @@ def planned_sweep(sweep: Sweep, truth: tuple[str, ...]) -> tuple[Plan, ...]:
             camera = camera.model_copy(update={"resolution": files.size})
         sized = scene.model_copy(update={"camera": camera})
         try:
-            _check_depths(sized, files.depths)
-            plans.append(make_plan(sized, files.channels, truth))
+            plans.append(make_plan(sized, files.channels, truth, maps=_inverse_depths(sized, files.depths)))
         except SceneError as error:
             faults.update(dict.fromkeys(f"{message}{label and f' (with {label})'}" for message in error.messages))
     if faults:
@@ -93,20 +92,23 @@ def _read_files(scene: Scene) -> _Files:
     return _Files(size, 1 if gray else 3, depths)
 
 
-def _check_depths(scene: Scene, depths: Mapping[str, NDArray[np.float64]]) -> None:
-    """Refuse depths that do not fit the frame or the camera."""
+def _inverse_depths(scene: Scene, depths: Mapping[str, NDArray[np.float64]]) -> Maps:
+    """Inverse depth of the objects that are depth maps; refuses what does not fit the frame or the camera."""
     assert scene.camera.resolution is not None
-    faults = []
+    faults: list[str] = []
+    maps: list[NDArray[np.float64] | None] = [None] * len(scene.objects)
     for index, item in enumerate(scene.objects):
         if isinstance(item, DepthMap):
-            rows, columns = depths[item.depth].shape
+            raw = depths[item.depth]
             try:
-                check_sizes("the frame", scene.camera.resolution, item.depth, (columns, rows))
-                inverse_depth(depths[item.depth], item.unit, item.scale, scene.camera, item.baseline, item.depth)
+                check_sizes("the frame", scene.camera.resolution, item.depth, (raw.shape[1], raw.shape[0]))
+                values = inverse_depth(raw, item.unit, item.scale, scene.camera, item.baseline, item.depth)
+                maps[index] = values.inverse_depth
             except ImageError as error:
                 faults.append(f"object[{index}].depth: {error}")
     if faults:
         raise SceneError(faults)
+    return tuple(maps)
 
 
 def units(scene: Scene) -> dict[str, str]:

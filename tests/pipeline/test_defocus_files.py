@@ -1,0 +1,87 @@
+"""`clsco defocus` from files to files: a wall is a plane, a file and a folder get the same image, and focal stacks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+import pytest
+import tifffile
+from click.testing import CliRunner, Result
+from numpy.typing import NDArray
+
+import clsco
+from clsco.cli import main
+from clsco.images import read_image
+from clsco.scenefile import parse_scene
+from clsco.transfer import encode
+
+
+def clsco_(*words: object) -> Result:
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+def exr_pixels(path: Path) -> NDArray[Any]:
+    channels = OpenEXR.File(str(path), separate_channels=True).channels()
+    return np.dstack([channels[name].pixels for name in "RGB"])
+
+
+@pytest.fixture
+def wall(tmp_path: Path) -> tuple[Path, Path]:
+    """A float image of 40 x 32 px, and the depth in m of a wall at 0.4 m."""
+    image = np.random.default_rng(2).random((32, 40, 3)).astype(np.float32)
+    tifffile.imwrite(tmp_path / "image.tif", image, photometric="rgb")
+    np.save(tmp_path / "depth.npy", np.full((32, 40), 0.4, np.float32))
+    return tmp_path / "image.tif", tmp_path / "depth.npy"
+
+
+OPTIONS = ("--unit", "m", "--pixel-pitch", 0.05, "--focus-distance", 250)  # R = 2.99 px at 400 mm
+
+
+def test_a_wall_of_depths_is_a_plane(wall: tuple[Path, Path], tmp_path: Path) -> None:
+    image, depth = wall
+    result = clsco_("defocus", image, depth, "-o", tmp_path / "out.tif", *OPTIONS)
+    assert (result.exit_code, result.output) == (0, "")
+    camera = {"pixel_pitch": 0.05, "focus_distance": 250.0}
+    plane = {"shape": "plane", "distance": 400.0, "texture": str(image)}
+    (frame,) = clsco.reference.render(parse_scene({"camera": camera, "object": [plane]}))
+    # A plane goes on beyond the frame, a map does not: that light reaches R = 3 px and a pixel inwards.
+    inner = (slice(5, -5), slice(5, -5))
+    # The figure to reach for whole frames; 0.4 m is 1.5e-8 from 400 mm in float32, and so is R.
+    np.testing.assert_allclose(read_image(tmp_path / "out.tif").data[inner], frame.color[inner], rtol=0, atol=1e-5)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["depth.npy", "image.tif", "out.tif"]
+
+
+def test_a_folder_gets_frames_and_a_file_the_same_image(wall: tuple[Path, Path], tmp_path: Path) -> None:
+    depths = np.full((32, 40), 0.4, np.float32)
+    depths[0, :3] = 0, np.nan, -1
+    np.save(wall[1], depths)
+    for out in ("all", "one.png", "one.exr"):
+        result = clsco_("defocus", *wall, "-o", tmp_path / out, *OPTIONS, *(["--truth", "npz"] if out == "all" else []))
+        assert (result.exit_code, result.stdout) == (0, ""), result.output
+        assert result.stderr == f"{wall[1]}: 3 of 1280 pixels have no depth (1 zero, 1 negative, 1 NaN)\n"
+    assert sorted(path.name for path in (tmp_path / "all").iterdir()) == [
+        "frame_0000.json", "frame_0000.npz", "frame_0000.png",
+    ]  # fmt: skip
+    assert (tmp_path / "all" / "frame_0000.png").read_bytes() == (tmp_path / "one.png").read_bytes()
+    with np.load(tmp_path / "all" / "frame_0000.npz") as truth:
+        np.testing.assert_array_equal(truth["color"], exr_pixels(tmp_path / "one.exr"))
+        np.testing.assert_array_equal(truth["mask"], depths > 0)
+        # 1 / (1 / Z) in float64 and one rounding to float32.
+        np.testing.assert_allclose(truth["depth"][depths > 0], 400.0, rtol=2.0**-23)
+
+
+def test_a_focal_stack_fills_folders(wall: tuple[Path, Path], tmp_path: Path) -> None:
+    result = clsco_("defocus", *wall, "-o", tmp_path / "out", *OPTIONS, "--set", "camera.focus_distance=[250, 400]")
+    assert result.exit_code == 0, result.output
+    names = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert names == ["focus_distance_250", "focus_distance_400"]
+    sharp = read_image(tmp_path / "out" / names[1] / "frame_0000.png").data
+    wanted = encode(read_image(wall[0]).data, 16, "srgb")
+    # Light is off by a rounding of float32, 2^-24: at most 0.05 codes where sRGB is steepest, so the next code at most.
+    np.testing.assert_allclose(sharp.astype(int), wanted, rtol=0, atol=1)
+    result = clsco_("defocus", *wall, "-o", tmp_path / "o.png", *OPTIONS, "--set", "camera.focus_distance=[250, 400]")
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert "o.png: a file takes one image, a folder takes more; got 2" in result.stderr
