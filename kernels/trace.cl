@@ -9,7 +9,7 @@
 //   depth   real (height, width): inverse depth, with OCCLUDED
 //   texture float (textures, CHANNELS, rows, columns); surface_t names its object's
 // Features besides geometry.clh's: MOVED (not all is where it was at rest), TILT, SUBPIXELS (sources per axis in a
-// pixel at a silhouette, 0 none), SAMPLED, OCCLUDED, PINHOLE, and TRUTH_* for the outputs of ground_truth.
+// pixel at a silhouette, 0 none), SAMPLED, OCCLUDED, PINHOLE, LENSES, and TRUTH_* for the outputs of ground_truth.
 
 // Statistics of a frame, ints: floats >= 0 keep their order as ints.
 #define LARGEST_RADIUS 0
@@ -54,6 +54,43 @@ static float radiance(__global const float *texture, __constant surface_t *surfa
 #endif
 }
 
+// What the lens makes of a hit: its record; below 0 where its light does not reach the lens. subpixel: the source is one
+// of SUBPIXELS^2. In and out: label, statistics.
+static float4 source_record(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
+                            real3 ray, real w, int subpixel, uchar *label, __global int *statistics)
+{
+    float4 record = (float4)(-1, 0, 0, as_float(WHOLE));
+    if (*label == 0)
+        return record;
+    const real radius = blur_radius(camera, w);
+    __constant surface_t *surface = surfaces + (*label - 1) / 2;
+#if OCCLUDED
+    bool edge;
+    const int seen = look(camera, surfaces, layer, ray, w, radius, psf.lens_extent,
+                          subpixel ? (real)1 / SUBPIXELS : 1, 0, &edge);
+    *label |= edge << 7;
+    if (seen == HIDDEN)
+        return record;
+    record.w = as_float(seen == PARTLY ? BLOCKED : WHOLE);
+#endif
+    note_radius(statistics, radius);
+    record.x = table_coordinate(psf, radius, subpixel);
+#if TILT
+    record.yz = tilt_slope(blur_gradient(camera, surface_slope(surface, ray, w)), radius);
+#endif
+    return record;
+}
+
+// Radiance of a hit on a pixel's ray, times the weight, to a plane of `values` per channel; 0 without one.
+static void take_radiance(const camera_t camera, __constant surface_t *surfaces, real3 ray, real w, uchar label, int row,
+                          int column, float weight, __global const float *texture, __global float *values, int plane)
+{
+    __constant surface_t *surface = surfaces + MAX(label - 1, 0) / 2;
+    const real3 point = label ? texture_point(surface, camera, ray, w, row, column) : (real3)(0, 0, 0);
+    for (int c = 0; c < CHANNELS; ++c)
+        values[c * plane] = label ? weight * radiance(texture, surface, camera, c, point) : 0;
+}
+
 // One source per pixel of frame and guard band, on the nearest of the layer's objects. Out: source, value, label,
 // statistics, depth.
 __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
@@ -72,39 +109,53 @@ __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const
     uchar root;
     int object;
     const real w = nearest_surface(surfaces, layer.count, layer.members, ray, &root, &object);
-    float4 record = (float4)(-1, 0, 0, as_float(WHOLE));
-    bool lit = root;
+    take_radiance(camera, surfaces, ray, w, root, row, column, weight, texture, value + at,
+                  camera.height * camera.width);
+    source[at] = source_record(camera, surfaces, layer, psf, ray, w, 0, &root, statistics);
 #if OCCLUDED
     depth[at] = w;
-    if (lit) {
-        bool edge;
-        const int seen = look(camera, surfaces, layer, ray, w, blur_radius(camera, w), psf.lens_extent, 1, 0,
-                              &edge);
-        lit = seen != HIDDEN;
-        record.w = as_float(seen == PARTLY ? BLOCKED : WHOLE);
-        root |= edge << 7;
-    }
 #endif
-    if (lit) {
-        __constant surface_t *surface = surfaces + object;
-        const real radius = blur_radius(camera, w);
-        note_radius(statistics, radius);
-        record.x = table_coordinate(psf, radius, 0);
-#if TILT
-        record.yz = tilt_slope(blur_gradient(camera, surface_slope(surface, ray, w)), radius);
-#endif
-        const real3 point = texture_point(surface, camera, ray, w, row, column);
-        for (int c = 0; c < CHANNELS; ++c)
-            value[c * camera.height * camera.width + at] = weight * radiance(texture, surface, camera, c, point);
-    } else {
-        for (int c = 0; c < CHANNELS; ++c)
-            value[c * camera.height * camera.width + at] = 0;
-    }
-    source[at] = record;
 #if SUBPIXELS
     label[at] = root;
 #endif
 }
+
+#if LENSES
+// The part of trace that all lenses have in common. Out: value, depth, and hit uchar (height, width), the label before
+// any lens looks.
+__kernel void cast(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const float weight,
+                   __global const float *texture, __global float *value, __global real *depth, __global uchar *hit)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= camera.width || y >= camera.height)
+        return;
+    const int row = y - camera.guard, column = x - camera.guard, at = y * camera.width + x;
+    const real3 ray = pixel_ray(camera, row, column);
+    uchar root;
+    int object;
+    depth[at] = nearest_surface(surfaces, layer.count, layer.members, ray, &root, &object);
+    hit[at] = root;
+    take_radiance(camera, surfaces, ray, depth[at], root, row, column, weight, texture, value + at,
+                  camera.height * camera.width);
+}
+
+// The rest of it, for one lens. In: depth, hit. Out: source, label, statistics.
+__kernel void aim(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
+                  __global const real *depth, __global const uchar *hit, __global float4 *source,
+                  __global uchar *label, __global int *statistics)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= camera.width || y >= camera.height)
+        return;
+    const int at = y * camera.width + x;
+    const real3 ray = pixel_ray(camera, y - camera.guard, x - camera.guard);
+    uchar root = hit[at];
+    source[at] = source_record(camera, surfaces, layer, psf, ray, depth[at], 0, &root, statistics);
+#if SUBPIXELS
+    label[at] = root;
+#endif
+}
+#endif
 
 #if SUBPIXELS
 typedef uint four_labels_t __attribute__((aligned(1)));
@@ -165,31 +216,11 @@ __kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfa
     uchar root;
     int object;
     const real w = nearest_surface(surfaces, layer.count, layer.members, ray, &root, &object);
-    float4 record = (float4)(-1, 0, 0, as_float(WHOLE));
-    bool lit = root;
+    take_radiance(camera, surfaces, ray, w, root, row, column, weight / each, texture, sub_value + id, capacity * each);
+    sub_source[id] = source_record(camera, surfaces, layer, psf, ray, w, 1, &root, statistics);
 #if OCCLUDED
     sub_depth[id] = w;
-    if (lit) {
-        bool edge;
-        const int seen = look(camera, surfaces, layer, ray, w, blur_radius(camera, w), psf.lens_extent,
-                              (real)1 / SUBPIXELS, 0, &edge);
-        lit = seen != HIDDEN;
-        record.w = as_float(seen == PARTLY ? BLOCKED : WHOLE);
-    }
 #endif
-    if (lit) {
-        __constant surface_t *surface = surfaces + object;
-        const real radius = blur_radius(camera, w);
-        note_radius(statistics, radius);
-        record.x = table_coordinate(psf, radius, 1);
-#if TILT
-        record.yz = tilt_slope(blur_gradient(camera, surface_slope(surface, ray, w)), radius);
-#endif
-        const real3 point = texture_point(surface, camera, ray, w, row, column);
-        for (int c = 0; c < CHANNELS; ++c)
-            sub_value[c * capacity * each + id] = weight / each * radiance(texture, surface, camera, c, point);
-    }
-    sub_source[id] = record;
 }
 #endif
 
@@ -208,11 +239,8 @@ __kernel void pinhole(const camera_t camera, __constant surface_t *surfaces, con
     uchar root;
     int object;
     const real w = nearest_surface(surfaces, layer.count, layer.members, ray, &root, &object);
-    __constant surface_t *surface = surfaces + MAX(object, 0);
-    const real3 point = texture_point(surface, camera, ray, w, row, column);
-    for (int c = 0; c < CHANNELS; ++c)
-        value[c * camera.height * camera.width + at] =
-            root ? weight * radiance(texture, surface, camera, c, point) : 0;
+    take_radiance(camera, surfaces, ray, w, root, row, column, weight, texture, value + at,
+                  camera.height * camera.width);
     coc[at] = root ? blur_radius(camera, w) : 0;
     valid[at] = root != 0;
     if (root)

@@ -1,0 +1,371 @@
+"""One plan on one device: upload once, enqueue the passes, read back once per frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from clsco import __version__
+from clsco.device import Session
+from clsco.errors import DeviceError
+from clsco.forward import ForwardWarp
+from clsco.frame import STEREO_NAMES, Frame
+from clsco.layers import Layers
+from clsco.layout import Real, Struct, camera_struct, flat, layer_struct, pose_structs, structs, surface_structs
+from clsco.maptruth import map_flow, map_normal, map_stereo
+from clsco.motion import Pose, middle_time, poses_at
+from clsco.occlusion import Layer
+from clsco.optics import blur_radius
+from clsco.plan import Maps, Plan, exposure, widened
+from clsco.program import build, download, empty, kernel, launch, upload
+from clsco.scene import DepthMap
+from clsco.spread import PIXELS, Events, Sources, Spreader, blur_features
+from clsco.surfaces import PlacedSurface, place
+from clsco.textures import Texture
+
+# Outputs that ground_truth writes, with what one pixel of each takes: dtype and components (0: the channels).
+TRUTH_BUFFERS: dict[str, tuple[type[np.generic], int]] = {
+    "object_id": (np.int32, 1),
+    "depth": (np.float32, 1),
+    "coc": (np.float32, 1),
+    "normal": (np.float32, 3),
+    "flow": (np.float32, 2),
+    "hidden": (np.uint8, 1),
+    "sharp": (np.float32, 0),
+    "disparity": (np.float32, 1),
+    "occluded": (np.uint8, 1),
+}
+BOOLEAN = ("hidden", "occluded")
+Planes = tuple[cl.Buffer, cl.Buffer, cl.Buffer]  # value, coc, valid on the padded grid, as in layers.py
+SLACK = 1.0 + 1e-6  # the host's float64 and the device's float round differently
+# What of the statistics a frame must begin with: no radius met, no slot taken (trace.cl).
+EMPTY_STATISTICS = np.array([0, np.iinfo(np.int32).max, 0, 0], dtype=np.int32)
+
+
+class Hits:
+    """What `cast` found for the lenses of one group: planes of hits, the last moment's of each layer."""
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self.buffers: dict[Layer, tuple[cl.Buffer, cl.Buffer, cl.Buffer]] = {}
+        self.times: dict[Layer, float] = {}
+
+    def planes(
+        self, plan: Plan, time: float, layer: Layer, real: Real
+    ) -> tuple[tuple[cl.Buffer, cl.Buffer, cl.Buffer], bool]:
+        """Planes value, depth and hit of a layer, as in trace.cl, and whether they are still to be cast for `time`."""
+        area = plan.width * plan.height
+        if layer not in self.buffers:
+            size = 8 if real == "double" else 4
+            sizes = (4 * plan.channels * area, size * area, area)
+            value, depth, hit = (empty(self.session, n) for n in sizes)
+            self.buffers[layer] = value, depth, hit
+        new = self.times.get(layer) != time
+        self.times[layer] = time
+        return self.buffers[layer], new
+
+
+class Renderer:
+    """Owns the buffers and programs for one plan on one device.
+
+    textures, maps: of every object, as `clsco.textures.load_scene_textures` and `clsco.depthmaps.load_scene_depths` give
+    them; precision: "single", "double", or None for double where the device has it; hits: shared with the renderers of
+    other lenses, whose plans have the same guard band.
+    """
+
+    def __init__(
+        self, session: Session, plan: Plan, textures: Sequence[Texture], maps: Maps, precision: str | None = None,
+        hits: Hits | None = None,
+    ) -> None:  # fmt: skip
+        device = session.device
+        if precision not in (None, "single", "double"):
+            raise DeviceError(f"precision: must be single or double; got {precision}")
+        if plan.memory_bytes > device.global_mem:
+            raise DeviceError(
+                f"device {device}: the scene needs {plan.memory_bytes >> 20} MiB; got {device.global_mem >> 20} MiB"
+            )
+        wants_double = precision == "double" or (precision is None and device.has_fp64)
+        self.real: Real = "double" if wants_double else "float"
+        self.session, self.plan, self.hits = session, plan, hits
+        self.items = plan.scene.objects
+        self.bits = max(texture.bits for texture in textures)
+        self.smallest, self.largest, self.slots = plan.smallest_blur, plan.largest_blur, plan.slots
+        self.brightest = max(float(np.abs(texture.radiance).max(initial=0.0)) for texture in textures)
+        stack = list(dict.fromkeys(textures))  # those that several objects have in common once
+        self.texture_of = [stack.index(texture) for texture in textures]
+        self.texture = upload(session, np.stack([_planes(texture.radiance, plan.channels) for texture in stack]))
+        self.held: list[cl.Buffer] = []  # what queued launches still read: the host runs ahead of the device
+        self.camera = camera_struct(plan.scene.camera, plan.guard_px, self.real)
+        blur = blur_features(plan.blur, plan.scene.psf.border, plan.forward or plan.occlusion == "layered")
+        features = plan.features() | blur | {"TRUTH": int(bool(plan.truth))}
+        features["LENSES"] = int(hits is not None)
+        features["PINHOLE"] = int(plan.occlusion == "layered" and not plan.forward)
+        features |= {f"TRUTH_{name.upper()}": int(name in self._truth_names()) for name in TRUTH_BUFFERS}
+        declared = structs(self.real)
+        sources = ["trace.cl"] + (["accumulate.cl"] if plan.blur == "none" else ["blur.cl"])
+        if features["OCCLUDED"]:
+            sources = ["occlusion.clh", *sources]
+        self.program = build(session, sources, features, declared, self.real)
+        self.forward = None
+        if plan.forward:
+            at_rest = self._placed_at(poses_at(plan.scene, 0.0))
+            self.forward = ForwardWarp(
+                session, plan, self.camera, self.texture, at_rest, maps, self.real, textures=self.texture_of
+            )
+        self._allocate()
+
+    def _truth_names(self) -> list[str]:
+        """Outputs of ground_truth; a forward warp makes its own focused image."""
+        return [n for n in TRUTH_BUFFERS if n in self.plan.truth and not (n == "sharp" and self.plan.forward)]
+
+    def _allocate(self) -> None:
+        """Buffers whose size depends on the range of radii and on the number of silhouette pixels."""
+        plan, session = self.plan, self.session
+        area = plan.width * plan.height
+        self.spreader = Spreader(
+            session, self.program, plan.scene.psf, plan.blur, self.camera, plan.channels, self.smallest, self.largest,
+            plan.silhouettes, self.real, self.brightest,
+        )  # fmt: skip
+        self.source = empty(session, 16 * area)
+        self.value = empty(session, 4 * plan.channels * area)
+        self.statistics = empty(session, EMPTY_STATISTICS.nbytes)
+        each = plan.silhouettes**2
+        self.label = empty(session, area if each else 0)
+        self.pixels = empty(session, 4 * self.slots)
+        self.sub_source = empty(session, 16 * self.slots * each)
+        occluded = (8 if self.real == "double" else 4) * bool(plan.features()["OCCLUDED"])
+        self.depth, self.sub_depth = empty(session, occluded * area), empty(session, occluded * self.slots * each)
+        self.sub_value = empty(session, 4 * plan.channels * self.slots * each)
+        self.slabs: Layers | None = None
+        if plan.occlusion == "layered":
+            features = plan.features() | blur_features(plan.blur, plan.scene.psf.border, True)
+            self.slabs = Layers(session, self.spreader, features, self.largest, self.real, self.brightest)
+            size = 8 if self.real == "double" else 4
+            self.coc, self.valid = empty(session, size * area), empty(session, area)
+
+    def _poses(self, time: float) -> tuple[Pose, ...]:
+        return poses_at(self.plan.scene, time, self.plan.eye)
+
+    def _placed_at(self, poses: Sequence[Pose]) -> list[PlacedSurface | None]:
+        """The objects in their poses; a depth map is no surface that a ray could meet."""
+        pairs = zip(self.items, poses, strict=True)
+        return [None if isinstance(item, DepthMap) else place(item, pose) for item, pose in pairs]
+
+    def _surfaces(self, time: float) -> list[PlacedSurface]:
+        return [surface for surface in self._placed_at(self._poses(time)) if surface is not None]
+
+    def _upload(self, array: NDArray[Any]) -> cl.Buffer:
+        """What a launch of this frame reads."""
+        self.held.append(upload(self.session, array))
+        return self.held[-1]
+
+    def _placed(self, surfaces: Sequence[PlacedSurface]) -> cl.Buffer:
+        return self._upload(surface_structs(self.items, surfaces, self.real, self.texture_of))
+
+    def begin(self) -> None:
+        """Begin a frame: no light yet."""
+        self.events: Events = []
+        self.moments: list[dict[str, Any]] = []
+        self.spreader.clear()
+        cl.enqueue_copy(self.session.queue, self.statistics, EMPTY_STATISTICS)
+
+    def add_moment(self, time: float, weight: float) -> None:
+        """Add one intermediate frame."""
+        self.moments.append(self._moment(time, weight, self.events))
+
+    def finish(self, index: int) -> Frame:
+        """The frame of this number, of the moments added: again with larger buffers where the plan was too small."""
+        color = self.spreader.image(self.events)
+        while self._outgrown():
+            self.begin()
+            for time, weight in zip(*(values.tolist() for values in exposure(self.plan, index)), strict=True):
+                self.add_moment(time, weight)
+            color = self.spreader.image(self.events)
+        truth = self._ground_truth(index, self.events)
+        self.held.clear()
+        eye = self.plan.eye if self.plan.scene.stereo else ""
+        about = self._metadata(index, self.moments, self.events)
+        return Frame(index=index, color=color, metadata=about, eye=eye, **truth)
+
+    def _moment(self, time: float, weight: float, events: Events) -> dict[str, Any]:
+        """One intermediate frame: its sources, blurred and added; returns what is told of it."""
+        report: dict[str, Any] = {"time": time, "weight": weight}
+        report |= {"missing_pixels": 0, "filled_pixels": 0, "unfilled_pixels": 0, "sweeps": 0}
+        if self.forward is not None:
+            poses = self._poses(time)
+            warped = self.forward.warp(poses, self._placed_at(poses), weight, events)
+            report |= warped.counters
+            return report | self._add_planes((warped.value, warped.coc, warped.valid), time, events)
+        surfaces = self._placed(self._surfaces(time))
+        if self.slabs is not None:
+            return report | self._add_planes(self._look(surfaces, weight, events), time, events)
+        for layer in self.plan.layers:
+            sources = self._trace(surfaces, layer, time, weight, events)
+            self.spreader.add(sources, self._central_radius(time), events)
+        return report
+
+    def _add_planes(self, planes: Planes, time: float, events: Events) -> dict[str, int]:
+        """Light of an image with its blur radii; how many slabs it took where occlusion is layered."""
+        value, coc, valid = planes
+        if self.slabs is not None:
+            return {"slabs": self.slabs.add(value, coc, valid, events)}
+        if self.plan.blur in ("gather", "scatter"):
+            self._per_pixel("prepare_sources", events, self.camera, self.spreader.struct, coc, valid, self.source)
+        self.spreader.add(Sources(self.source, value), self._central_radius(time), events)
+        return {}
+
+    def _look(self, surfaces: cl.Buffer, weight: float, events: Events) -> Planes:
+        """What the pinhole sees of all objects."""
+        planes = (self.value, self.coc, self.valid)
+        head = (self.camera, surfaces, self._everything(), np.float32(weight), self.texture)
+        self._per_pixel("pinhole", events, *head, *planes, self.statistics)
+        return planes
+
+    def _everything(self) -> Struct:
+        return layer_struct(Layer((1 << len(self.items)) - 1, 0), len(self.items))
+
+    def _central_radius(self, time: float) -> float:
+        """|R| on the axis, which is that of every pixel where the blur is a convolution."""
+        if self.plan.blur != "convolve":
+            return 0.0
+        surface = self._surfaces(time)[0]
+        inverse_depth = -2.0 * float(surface.canonical.l @ surface.turn[:, 2]) / surface.constant
+        return abs(float(blur_radius(self.plan.scene.camera, inverse_depth)))
+
+    def _trace(self, surfaces: cl.Buffer, layer: Layer, time: float, weight: float, events: Events) -> Sources:
+        """Sources of one layer; its buffers are those of the layer before, which the queue is done with by then."""
+        plan, camera = self.plan, self.camera
+        head = (camera, surfaces, layer_struct(layer, len(self.items)), self.spreader.struct)
+        occluded = bool(plan.features()["OCCLUDED"])
+        share, slots = np.float32(weight), np.int32(self.slots)
+        if plan.silhouettes:
+            cl.enqueue_fill_buffer(self.session.queue, self.statistics, np.zeros(1, np.int32), 8, 4)
+        value, depth, out = self.value, self.depth, (self.source, self.label, self.statistics)
+        if self.hits is None:
+            args = (*head, share, self.texture, self.source, value, self.label, self.statistics)
+            self._per_pixel("trace", events, *args, *((depth,) if occluded else ()))
+        else:
+            planes, new = self.hits.planes(plan, time, layer, self.real)
+            value, depth, hit = planes
+            if new:
+                self._per_pixel("cast", events, *head[:3], share, self.texture, *planes)
+            self._per_pixel("aim", events, *head, depth, hit, *out)
+        seen: dict[str, Any] = {"surfaces": surfaces, "layer": head[2], "depth": depth} if occluded else {}
+        if not plan.silhouettes:
+            return Sources(self.source, value, **seen)
+        self._per_pixel(
+            "mark_silhouettes", events, camera, self.label, slots, self.source, self.pixels, self.statistics
+        )
+        subs = (self.sub_source, self.sub_value, self.statistics, *((self.sub_depth,) if occluded else ()))
+        self._launch(
+            "trace_subpixels", (self.slots * plan.silhouettes**2,), (64,), events,
+            *head, share, self.texture, self.pixels, slots, *subs,
+        )  # fmt: skip
+        seen |= {"sub_depth": self.sub_depth} if occluded else {}
+        return Sources(self.source, value, self.sub_source, self.sub_value, self.slots, **seen)
+
+    def _outgrown(self) -> bool:
+        """Whether the frame met more than was predicted; if so, makes room for it."""
+        if self.forward is not None:
+            return False
+        found = download(self.session, self.statistics, EMPTY_STATISTICS.shape, np.int32)
+        largest, smallest = (float(r) for r in found[:2].view(np.float32))
+        slots = int(found[3])
+        fits = largest <= self.largest * SLACK + 1e-6 and smallest >= self.smallest / SLACK - 1e-6
+        if largest == 0.0 or (fits and slots <= self.slots):
+            return False
+        self.largest, self.smallest = max(largest * SLACK, self.largest), min(smallest / SLACK, self.smallest)
+        self.slots = max(slots, self.slots)
+        self.plan = widened(self.plan, self.largest)
+        self.camera = camera_struct(self.plan.scene.camera, self.plan.guard_px, self.real)
+        self.hits = None  # the guard band may not be that of the others any more
+        self._allocate()
+        return True
+
+    def _ground_truth(self, index: int, events: Events) -> dict[str, NDArray[Any]]:
+        plan = self.plan
+        if not plan.truth:
+            return {}
+        if self.forward is not None and any(isinstance(item, DepthMap) for item in self.items):
+            return self._map_truth(self.forward, index, events)
+        time, later = self._middles(index)
+        pixels = plan.rows * plan.columns
+        names = self._truth_names()
+        sizes = {n: TRUTH_BUFFERS[n][1] or plan.channels for n in names}
+        mask = empty(self.session, pixels)
+        buffers = {n: empty(self.session, pixels * sizes[n] * TRUTH_BUFFERS[n][0]().itemsize) for n in names}
+        surfaces, still = (self._placed(self._surfaces(t)) for t in (time, 0.0))
+        poses = self._upload(pose_structs(self._poses(later), self.real))
+        head = (self.camera, surfaces, still, poses, self._everything(), self.texture, mask)
+        args: list[Any] = [buffer for name, buffer in buffers.items() if name not in STEREO_NAMES]
+        if set(STEREO_NAMES) & set(names):
+            opposite = poses_at(plan.scene, time, "left" if plan.eye == "right" else "right")
+            args += [self._placed([surface for surface in self._placed_at(opposite) if surface is not None])]
+            args += [self._upload(pose_structs(opposite, self.real)), np.int32(1 if plan.eye == "right" else -1)]
+            args += [buffers[name] for name in STEREO_NAMES if name in names]
+        self._launch("ground_truth", (plan.columns, plan.rows), PIXELS, events, *head, *args)
+        shape = (plan.rows, plan.columns)
+        found = download(self.session, mask, shape, np.bool_)
+        out: dict[str, NDArray[Any]] = {}
+        for name, buffer in buffers.items():
+            full = shape if sizes[name] == 1 else (*shape, sizes[name])
+            out[name] = download(self.session, buffer, full, np.bool_ if name in BOOLEAN else TRUTH_BUFFERS[name][0])
+        if self.forward is not None:
+            poses_now = self._poses(time)
+            out |= self.forward.truth(poses_now, self._placed_at(poses_now), events)
+        out |= {"filled": np.zeros(shape, np.uint8), "mask": found} | out
+        return {name: array for name, array in out.items() if name in plan.truth}
+
+    def _middles(self, index: int) -> tuple[float, float]:
+        """Times of the ground truth of a frame and of the next one."""
+        if not self.plan.moves:
+            return 0.0, 0.0
+        return middle_time(self.plan.scene.sequence, index), middle_time(self.plan.scene.sequence, index + 1)
+
+    def _map_truth(self, forward: ForwardWarp, index: int, events: Events) -> dict[str, NDArray[Any]]:
+        """Ground truth of a scene with depth maps, which no ray can be cast at: of the pixels in their new places."""
+        now, then = (self._poses(t) for t in self._middles(index))
+        out = forward.truth(now, self._placed_at(now), events)
+        where = (self.plan.scene.camera, self.items, out["depth"], out["object_id"])
+        out |= {"normal": map_normal(self.plan.scene.camera, out["depth"]), "flow": map_flow(*where, now, then)}
+        out["hidden"] = out["filled"] > 0
+        if self.plan.scene.stereo is not None:
+            there = poses_at(self.plan.scene, self._middles(index)[0], "left" if self.plan.eye == "right" else "right")
+            opposite = forward.truth(there, self._placed_at(there), events)["depth"]
+            out["disparity"], out["occluded"] = map_stereo(*where, now, there, opposite, self.plan.eye)
+        return {name: array for name, array in out.items() if name in self.plan.truth}
+
+    def _metadata(self, index: int, moments: list[dict[str, Any]], events: Events) -> dict[str, Any]:
+        seconds: dict[str, float] = {}
+        for name, event in events:
+            spent = 1e-9 * (event.profile.end - event.profile.start)
+            seconds[name] = seconds.get(name, 0.0) + spent
+        device = self.session.device
+        return {
+            "frame": index,
+            "intermediate": moments,
+            "samples": len(moments),
+            "guard_px": self.plan.guard_px,
+            "blur_method": self.plan.blur,
+            "bits": self.bits,
+            "device": str(device),
+            "precision": "double" if self.real == "double" else "single",
+            "version": __version__,
+            "seconds": seconds,
+        }
+
+    def _per_pixel(self, name: str, events: Events, *args: Any) -> None:
+        self._launch(name, (self.plan.width, self.plan.height), PIXELS, events, *args)
+
+    def _launch(self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: Any) -> None:
+        events.append((name, launch(self.session, kernel(self.program, name), size, local, *args)))
+
+
+def _planes(radiance: NDArray[np.float64], channels: int) -> NDArray[np.float32]:
+    """Channel planes (channels, rows, columns) of a texture; gray ones serve color scenes as well."""
+    planes = flat(radiance, np.float32)
+    return np.ascontiguousarray(np.broadcast_to(planes, (channels, *planes.shape[1:])))
