@@ -125,6 +125,23 @@ __kernel void column_seeds(const camera_t camera, __global const uchar *seed, __
     }
 }
 
+// flags |= bit for the pixels of a run that are within `far` px of a seed, rows and columns counted separately.
+static void flag_near(__global const int *offset, int begin, int end, int width, int far, uchar bit, uchar *flags)
+{
+    int last = -NO_SEED;
+    for (int x = MAX(begin - far, 0); x < end; ++x) {
+        last = ABS(offset[x]) <= far ? x : last;
+        if (x >= begin && x - last <= far)
+            flags[x - begin] |= bit;
+    }
+    last = 2 * NO_SEED;
+    for (int x = MIN(end + far, width) - 1; x >= begin; --x) {
+        last = ABS(offset[x]) <= far ? x : last;
+        if (x < end && last - x <= far)
+            flags[x - begin] |= bit;
+    }
+}
+
 // A run of a row per work-item. deep: px, the farthest seed. In: slab, seed, offset. Out: hidden, edge.
 __kernel void reach_hidden(const camera_t camera, const int deep, __global const uchar *slab,
                            __global const uchar *seed, __global const int *offset, __global uchar *hidden,
@@ -133,26 +150,15 @@ __kernel void reach_hidden(const camera_t camera, const int deep, __global const
     const int begin = get_global_id(0) * RUN, y = get_global_id(1);
     if (begin >= camera.width || y >= camera.height)
         return;
-    const int end = MIN(begin + RUN, camera.width), wide = 2 * deep, line = y * camera.width;
-    // Last and next column whose seed is near enough for the edge to count; whether any seed may be found.
-    int last = -NO_SEED;
-    bool some = false;
-    for (int x = MAX(begin - wide, 0); x < end; ++x) {
-        last = ABS(offset[line + x]) <= wide ? x : last;
-        some |= ABS(offset[line + x]) <= deep && x >= begin - deep;
-        if (x >= begin)
-            edge[line + x] = x - last <= wide;
-    }
-    last = 2 * NO_SEED;
-    for (int x = MIN(end + wide, camera.width) - 1; x >= begin; --x) {
-        last = ABS(offset[line + x]) <= wide ? x : last;
-        some |= ABS(offset[line + x]) <= deep && x < end + deep;
-        if (x < end && last - x <= wide)
-            edge[line + x] = 1;
-    }
+    const int end = MIN(begin + RUN, camera.width), line = y * camera.width;
+    uchar flags[RUN];
+    for (int i = 0; i < RUN; ++i)
+        flags[i] = 0;
+    flag_near(offset + line, begin, end, camera.width, 2 * deep, 1, flags);
+    flag_near(offset + line, begin, end, camera.width, deep, 2, flags);
     for (int x = begin; x < end; ++x) {
         int best = deep * deep + 1, label = 0;
-        for (int dx = 0; some && dx * dx < best; ++dx)
+        for (int dx = 0; (flags[x - begin] & 2) && dx * dx < best; ++dx)
             for (int side = -1; side <= (dx ? 1 : -1); side += 2) {
                 const int column = x + side * dx;
                 if (column < 0 || column >= camera.width)
@@ -165,6 +171,7 @@ __kernel void reach_hidden(const camera_t camera, const int deep, __global const
             }
         const int own = slab[line + x];
         hidden[line + x] = own && label > own ? label : 0;
+        edge[line + x] = flags[x - begin] & 1;
     }
 }
 
