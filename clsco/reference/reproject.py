@@ -150,7 +150,7 @@ def reproject_gaps(winner: NDArray[np.int64], depth: NDArray[np.float32], column
         close = np.maximum(first, second) <= SAME_DEPTH * np.minimum(first, second)
         neighbors = (abs(a // columns - b // columns) <= 1) & (abs(a % columns - b % columns) <= 1)
         hidden |= (before >= 0) & (after >= 0) & close & neighbors
-    return known & ~hidden
+    return np.asarray(known & ~hidden)
 
 
 def reproject_gather(winner: NDArray[np.int64], values: Array) -> tuple[NDArray[np.bool_], Array]:

@@ -21,7 +21,7 @@ from clsco.spread import BAND, blur_features
 KERNELS = Path(__file__).resolve().parents[2] / "kernels"
 ON_OR_OFF = (0, 1)
 GEOMETRY: dict[str, tuple[int, ...]] = {
-    **dict.fromkeys(("QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "SAMPLED"), ON_OR_OFF),
+    **dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "SAMPLED"), ON_OR_OFF),
     "CHANNELS": (1, 3),
     "FILTER": (0, 2, 1),
 }
@@ -37,7 +37,7 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     ("accumulate.cl",): GEOMETRY,
     ("reproject.cl", "fill.cl"): GEOMETRY
     | {"FILTER": (0,), "SAMPLED": (0,)}
-    | dict.fromkeys(("OWNED", "FILL_AIT", "FILL_MEAN_MEDIAN", "DOMAIN_SURFACE"), ON_OR_OFF),
+    | dict.fromkeys(("OWNED", "MAPPED", "FILL_AIT", "FILL_MEAN_MEDIAN", "FILL_FAR", "DOMAIN_SURFACE"), ON_OR_OFF),
 }
 PROGRAMS["blur.cl", "layer.cl"] = PROGRAMS["blur.cl",] | {"CHANNELS": (2, 4), "SUBPIXELS": (0,)}
 GIVEN_BY_THE_BUILD = {"REAL_IS_DOUBLE", "HAS_INT64_ATOMICS", "HAS_FP64", "defined", "__FMA__", "__SSE4_1__"}
