@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from clsco.reference.fill import (
     Method,
+    far_bounds,
     fill,
     fill_ait,
     fill_mean_median,
+    fill_objects,
     mark_missing,
     score_mean_median,
     smooth_median,
@@ -299,3 +301,65 @@ def test_mean_median_is_its_stages_one_after_another(kind: str) -> None:
         expected = smooth_median(expected, valid & ~known, valid)
     assert (result == expected).all()
     assert ((status == 1) == (valid & ~known)).all()
+
+
+NEAR, FAR = 1 / 200.0, 1 / 400.0
+
+
+def test_bounds_come_from_the_first_pair_on_opposite_sides() -> None:
+    """One wanted pixel in an empty image, known ones at given steps from it: the farther of which pair decides?"""
+    directions = {"W": (0, -1), "E": (0, 1), "N": (-1, 0), "S": (1, 0)}
+    directions |= {"NW": (-1, -1), "SE": (1, 1), "NE": (-1, 1), "SW": (1, -1)}
+    for ends, expected in (
+        ({"W": (1, FAR), "E": (4, NEAR)}, FAR),  # uncovered by an edge that has moved to the right
+        ({"W": (1, NEAR), "E": (1, NEAR), "N": (9, FAR), "S": (1, FAR)}, NEAR),  # a gap in a near surface
+        ({"W": (3, NEAR), "E": (3, NEAR), "N": (2, FAR), "S": (2, NEAR)}, FAR),  # the column is shorter
+        ({"W": (2, NEAR), "E": (2, NEAR), "N": (2, FAR), "S": (2, FAR)}, NEAR),  # of equals the row
+        ({"NE": (1, FAR), "SW": (2, NEAR), "W": (3, NEAR), "E": (1, NEAR)}, FAR),
+        ({"NW": (5, NEAR), "SE": (1, NEAR), "N": (1, FAR), "E": (1, FAR)}, NEAR),  # no other line has two ends
+        ({"W": (1, FAR), "N": (1, FAR)}, np.inf),
+    ):
+        w, known, wanted = np.zeros((19, 19)), np.zeros((19, 19), dtype=bool), np.zeros((19, 19), dtype=bool)
+        wanted[9, 9] = True
+        for name, (step, depth) in ends.items():
+            at = (9 + step * directions[name][0], 9 + step * directions[name][1])
+            w[at], known[at] = depth, True
+        bounds = far_bounds(w, known, wanted)
+        assert bounds[9, 9] == np.float32(1.02) * np.float32(expected), ends
+        assert np.isinf(bounds[~wanted]).all()
+
+
+@pytest.mark.parametrize("method", ["ait", "mean_median"])
+def test_what_an_edge_uncovers_is_filled_from_the_far_side(method: Method) -> None:
+    """A hole between a near card (1) and a far plane (2): nothing of the card comes into it."""
+    values, objects = np.zeros((30, 40, 2)), np.full((30, 40), 2, dtype=np.uint8)
+    values[..., 0], values[..., 1] = 0.2, FAR
+    values[8:20, 20:32], objects[8:20, 20:32] = (0.9, NEAR), 1
+    known = np.ones((30, 40), dtype=bool)
+    known[8:20, 12:20] = known[14, 25] = False  # uncovered, and a gap in the card
+    given, seen = np.where(known[..., None], values, 0.0), np.where(known, objects, 255).astype(np.uint8)
+    result, found, status, report = fill_objects(given, seen, known, None, method, 0)
+    assert (status == ~known).all()
+    assert report.filled_pixels == 12 * 8 + 1
+    # Means and medians of equal values, which a few roundings may change.
+    np.testing.assert_allclose(result, values, rtol=1e-12)
+    assert (found == objects).all()
+    across, *_ = fill(given, known, None, method, 0)
+    assert np.abs(across - values)[..., 0].max() > 0.3
+
+
+@pytest.mark.parametrize("method", ["ait", "mean_median"])
+def test_far_filling_always_ends_with_nothing_left(method: Method) -> None:
+    """Depths at random, so that bounds often leave no neighbor: then nearer ones serve."""
+    relaxed = 0
+    for values, known in random_masks(200 if method == "ait" else 60):
+        objects = np.where(known, 1, 255).astype(np.uint8)
+        result, found, status, report = fill_objects(values, objects, known, None, method, 0)
+        assert report.unfilled_pixels == 0
+        assert report.sweeps <= 4 * sum(known.shape)
+        assert (found[known | (status == 1)] == 1).all()
+        assert (found[status == 0][~known[status == 0]] == 255).all()
+        missing = mark_missing(known, None)
+        bounds = far_bounds(values[..., 1], known, missing)
+        relaxed += int((result[..., 1].astype(np.float32) > bounds)[missing].sum())
+    assert relaxed > 5
