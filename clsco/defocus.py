@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from clsco.device import Device, Session, choose, described
 from clsco.errors import DeviceError, ImageError, SceneError
+from clsco.layers import Layers
 from clsco.layout import Real, Struct, flat, frame_struct, structs
 from clsco.optics import LARGEST_BLUR
 from clsco.plan import Blur, is_sharp
@@ -50,11 +51,13 @@ def defocus(
     image: linear light, (rows, columns) or (rows, columns, channels), up to 16 channels; coc: signed R in px, (rows,
     columns), positive behind the focal surface; psf: keys of the scene file's [psf]; device: part of an OpenCL
     device's name; method: "auto", "gather", "scatter" or "convolve" (one radius). NumPy arrays, or pyopencl arrays of
-    one queue, which is then worked in.
+    one queue, which is then worked in. With occlusion = "layered" smaller signed radii, which are nearer, hide larger
+    ones where the map jumps (`clsco.layers.Layers`); with any other nothing hides anything.
     Returns float32 of the image's shape, as NumPy or pyopencl array as given. Nothing is known outside of the image,
     so with border = "lose" it darkens where light leaves it; sources have their pixel's center, and the gradient for
     `tilt` comes from differences of `coc`. Raises ImageError, SceneError, DeviceError.
-    Validated against `clsco.reference.blur.scatter` to 1e-5 (tests/test_defocus.py). Equation 2.40.
+    Validated against `clsco.reference.blur.scatter` and `clsco.reference.layer.layered` to 1e-5
+    (tests/test_defocus.py). Equation 2.40.
     """
     model = psf if isinstance(psf, Psf) else parse_psf(psf or {})
     on_device = [a for a in (image, coc) if isinstance(a, cl_array.Array)]
@@ -139,15 +142,20 @@ def _defocus(
     spreader = Spreader(session, program, psf, blur, camera, channels, smallest, largest, 0, real, brightest)
     padded = np.pad(flat(image, np.float32), ((0, 0), (guard, guard), (guard, guard)))
     value = upload(session, padded) if psf.border == "lose" else _writable(session, padded)
-    source = None
-    if blur != "convolve":
-        source = empty(session, 16 * rows * columns)
+    spreader.clear()
+    if blur == "convolve":
+        spreader.add(Sources(None, value), largest, [])
+    else:
         radii = upload(session, coc.astype(np.float64 if real == "double" else np.float32))
         valid = upload(session, np.ones((rows, columns), np.uint8))
-        args = (camera, spreader.struct, radii, valid, source)
-        launch(session, kernel(program, "prepare_sources"), (columns, rows), PIXELS, *args)
-    spreader.clear()
-    spreader.add(Sources(source, value), largest, [])
+        if psf.occlusion == "layered":
+            layers = Layers(session, spreader, features, largest, real, brightest)
+            layers.add(value, radii, valid, [])
+        else:
+            source = empty(session, 16 * rows * columns)
+            args = (camera, spreader.struct, radii, valid, source)
+            launch(session, kernel(program, "prepare_sources"), (columns, rows), PIXELS, *args)
+            spreader.add(Sources(source, value), 0.0, [])
     result = spreader.image([])
     return result if image.ndim == 2 or channels > 1 else result[..., None]
 

@@ -94,20 +94,22 @@ class Layers:
         """Add the light of one moment to the spreader's frame, and return the number of slabs that it took.
 
         value: float (channels, height, width), radiance times the weight of the moment; coc: real, signed R in px, and
-        valid: uchar, both (height, width); all on the padded grid. Waits once for the device.
+        valid: uchar, both (height, width); all on the padded grid. With border = "renormalize" value is written to.
+        Waits once for the device.
         """
         bounds, deep = self._bounds(coc, valid, events)
-        args = (self.camera, self.spreader.struct, coc, valid, self.source)
-        self._launch("prepare_sources", self._padded(), PIXELS, events, *args)
         if bounds:
             self._label(bounds, deep, coc, valid, events)
-            self._keep(near_edges=False, events=events)
-        self.spreader.add(Sources(self.source, value), 0.0, events)
-        if bounds:
             cl.enqueue_fill_buffer(self.session.queue, self.covered, ZERO, 0, self.covered.size)
             for which in range(1, len(bounds) + 2):
                 self._extend(which, value, coc, events)
                 self._blur(events)
+        args = (self.camera, self.spreader.struct, coc, valid, self.source)
+        self._launch("prepare_sources", self._padded(), PIXELS, events, *args)
+        if bounds:
+            self._keep(near_edges=False, events=events)
+        # Last, since border = "renormalize" writes to value.
+        self.spreader.add(Sources(self.source, value), 0.0, events)
         return len(bounds) + 1
 
     def _padded(self) -> tuple[int, int]:

@@ -13,6 +13,7 @@ from clsco.defocus import defocus
 from clsco.device import Session
 from clsco.errors import ClscoError
 from clsco.reference.blur import prepare_sources, scatter
+from clsco.reference.layer import layered
 from clsco.reference.trace import Sources
 from clsco.scene import Psf
 
@@ -24,7 +25,7 @@ FIGURE = 1e-5
 def reference(image: Array, coc: Array, psf: Psf) -> Array:
     valid = np.ones(coc.shape, bool)
     values = np.asarray(image, np.float64).reshape(*coc.shape, -1)
-    sources = Sources(values, np.ones(coc.shape), valid.astype(np.uint8), coc, prepare_sources(coc, valid))
+    sources = Sources(values, np.ones(coc.shape), valid.astype(np.uint8), coc, prepare_sources(coc, valid), valid)
     return np.asarray(scatter(psf, sources, None, coc.shape, 0)).reshape(image.shape)
 
 
@@ -71,6 +72,24 @@ def test_one_radius_is_a_convolution(psf: Psf, radius: float) -> None:
     for method in ("auto", "convolve", "gather", "scatter"):
         if method == "convolve" or abs(radius) > 0.5 or method == "auto":
             assert np.abs(defocus(image, coc, psf, method=method) - expected).max() < FIGURE, method
+
+
+@pytest.mark.parametrize("method", ["gather", "scatter"])
+@pytest.mark.parametrize("psf", PSFS[::2], ids=lambda p: f"{p.model}-{p.edge}")
+def test_what_is_nearer_hides_what_is_farther(psf: Psf, method: str) -> None:
+    """A disc of -4 px before the waves, with layers; a map without jumps is as without them."""
+    image, coc = picture(60, 80, channels=3)
+    model = psf.model_copy(update={"occlusion": "layered"})
+    assert np.array_equal(defocus(image, coc, model, method=method), defocus(image, coc, psf, method=method))
+    i, j = np.mgrid[0:60, 0:80]
+    disc = np.hypot(i - 28, j - 33) < 15
+    image, coc = np.where(disc[..., None], 0.2 * image, image), np.where(disc, -4.0, 1.0 + 0.6 * np.abs(coc))
+    found = defocus(image, coc, model, method=method)
+    light, largest = np.asarray(image, np.float64), float(np.abs(coc).max())
+    expected, count = layered(model, light, coc, np.ones(coc.shape, bool), coc.shape, 0, largest)
+    assert count == 2
+    assert np.abs(expected - reference(image, coc, psf)).max() > 0.1
+    assert np.abs(found - expected).max() < FIGURE
 
 
 def test_renormalized_border_loses_no_light() -> None:
