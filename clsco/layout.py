@@ -41,6 +41,7 @@ def structs(real: Real) -> dict[str, np.dtype[Any]]:
     vectors = ["offset", "body_offset", "rest", "q", "l", "bounds_low", "bounds_high"]
     surface: list[Any] = [("turn", r, (9,)), ("body_turn", r, (9,)), *((name, r, (3,)) for name in vectors)]
     surface += [("k", r), ("at_lens", r), ("nappe", i), ("texture", i)]
+    surface += [("near_x", r, (2,)), ("near_y", r, (2,)), ("near_w", r)]
     pose = [("rotation", r, (9,)), ("shift", r, (3,))]
     layer = [("members", "u8"), ("blockers", "u8"), ("count", i)]
     psf: list[Any] = [(name, i) for name in ("first", "count", "reach", "sub_first", "sub_count")]
@@ -103,6 +104,9 @@ def _surface_struct(item: Object, surface: PlacedSurface, texture: int, real: Re
             "at_lens": surface.constant,
             "nappe": shape.nappe,
             "texture": texture,
+            "near_x": surface.seen.x,
+            "near_y": surface.seen.y,
+            "near_w": surface.seen.w[1],
         },
     )
 

@@ -7,17 +7,18 @@ other share a layer, and only what can stand in a layer's way is tested for it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.motion import Pose, rest_center
+from clsco.motion import Pose
 from clsco.optics import lens_radius
 from clsco.psf import disc_coverage
 from clsco.scene import Camera, Object, Psf
+from clsco.surfaces import Extent, place
 
 Array = NDArray[np.float64]
 
@@ -33,15 +34,6 @@ class Layer:
 
     members: int
     blockers: int
-
-
-@dataclass(frozen=True)
-class Extent:
-    """Where an object can be seen: slopes (x, y) of rays, low and high, and inverse depths in 1/mm."""
-
-    x: tuple[float, float]
-    y: tuple[float, float]
-    w: tuple[float, float]
 
 
 def lens_extent(psf: Psf) -> float:
@@ -60,41 +52,15 @@ def lens_cells(psf: Psf) -> Array:
     return np.asarray(area * np.exp(-0.5 * (x * x + y * y) * spread**2))
 
 
-def _ball(item: Object, pose: Pose) -> tuple[Array, float]:
-    """Center (3,) and radius in mm of a ball around an object, infinite where there is none."""
-    center, found = rest_center(item), []
-    if item.shape == "sphere":
-        found.append((np.zeros(3), item.radius))
-    if item.shape == "ellipsoid":
-        found.append((np.zeros(3), max(item.semi_axes)))
-    if item.bounds is not None:
-        box = np.array(item.bounds)
-        found.append((box.mean(axis=1), 0.5 * float(np.linalg.norm(box[:, 1] - box[:, 0]))))
-    if not found:
-        return center, inf
-    offset, radius = min(found, key=lambda ball: ball[1])
-    return center + pose.shift + pose.rotation @ offset, radius
-
-
-def _interval(center: float, distance: float, radius: float) -> tuple[float, float]:
-    """Slopes of the rays to all points of a ball in front of the lens, along one axis."""
-    ends = [(center + s * radius) / (distance + t * radius) for s in (-1, 1) for t in (-1, 1)]
-    return min(ends), max(ends)
-
-
 def extent(item: Object, poses: Sequence[Pose], seen: Array) -> Extent:
     """Where an object can be over all `poses`; seen: inverse depths in 1/mm at rays over the frame, 0 for none."""
+    hit = seen[seen > 0]
+    depths = (0.9 * float(hit.min()), 1.1 * float(hit.max())) if hit.size else (0.0, inf)
     found = []
     for pose in poses:
-        (x, y, z), radius = _ball(item, pose)
-        if z - radius > 1e-3 * radius:
-            depths = (1.0 / (z + radius), 1.0 / (z - radius))
-            found.append(Extent(_interval(x, z, radius), _interval(y, z, radius), depths))
-            continue
-        # Without an end, or around the lens: anywhere, as deep as its rays are. A thin thing may hide between them.
-        hit = seen[seen > 0]
-        depths = (0.9 * float(hit.min()), 1.1 * float(hit.max())) if hit.size else (0.0, inf)
-        found.append(Extent((-inf, inf), (-inf, inf), depths))
+        one = place(item, pose).seen
+        # Without an end, or around the lens: as deep as its rays are. A thin thing may hide between them.
+        found.append(one if one.w[1] < inf else replace(one, w=depths))
     return reduce(_hull, found)
 
 

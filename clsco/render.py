@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 from clsco.depthmaps import load_scene_depths
 from clsco.device import Session, choose
@@ -96,7 +97,7 @@ def _render_group(
         maps.append(load_scene_depths(sized))
         plans.append(tuple(make_plan(sized, channels, truth, method, eye, maps[-1]) for eye in eyes))
     wanted = range(first.sequence.frames) if frames is None else frames
-    if len(scenes) == 1 or not all(_shares_rays(one, other) for one, other in zip(plans, plans[1:], strict=False)):
+    if len(scenes) == 1 or not all(_shares_rays(one, other) for one, other in pairwise(plans)):
         for k, of_eyes in enumerate(plans):
             renderers = [Renderer(session, plan, textures, maps[k], precision) for plan in of_eyes]
             for index in wanted:

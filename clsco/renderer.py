@@ -72,9 +72,9 @@ class Hits:
 class Renderer:
     """Owns the buffers and programs for one plan on one device.
 
-    textures, maps: of every object, as `clsco.textures.load_scene_textures` and `clsco.depthmaps.load_scene_depths` give
-    them; precision: "single", "double", or None for double where the device has it; hits: shared with the renderers of
-    other lenses, whose plans have the same guard band.
+    textures, maps: of every object, as `clsco.textures.load_scene_textures` and `clsco.depthmaps.load_scene_depths`
+    give them; precision: "single", "double", or None for double where the device has it; hits: shared with the
+    renderers of other lenses, whose plans have the same guard band.
     """
 
     def __init__(

@@ -8,6 +8,7 @@ identity, see `solve_quadric` in kernels/geometry.clh).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,12 +40,24 @@ class Canonical:
 
 
 @dataclass(frozen=True)
+class Extent:
+    """Where an object can be seen: slopes (x, y) of rays, low and high, and inverse depths in 1/mm."""
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+    w: tuple[float, float]
+
+
+EVERYWHERE = Extent((-inf, inf), (-inf, inf), (0.0, inf))
+
+
+@dataclass(frozen=True)
 class PlacedSurface:
     """A surface at one moment, as the rays of the camera see it: a ray d has X = offset + Z turn d.
 
     turn (3, 3) and offset (3,) mm: camera to canonical frame; body_turn, body_offset: camera to object's frame
     (for bounds and for the way back to rest); rest (3,): the center at rest in mm; constant: the quadric's
-    value at the lens center. canonical: the shape.
+    value at the lens center. canonical: the shape; seen: no part of it is elsewhere.
     """
 
     canonical: Canonical
@@ -54,6 +67,7 @@ class PlacedSurface:
     body_offset: Vector
     rest: Vector
     constant: float
+    seen: Extent = EVERYWHERE
 
 
 def _axes_along(axis: Vector) -> NDArray[np.float64]:
@@ -123,7 +137,32 @@ def place(item: Object, pose: Pose) -> PlacedSurface:
         constant = (distance - item.radius) * (distance + item.radius)
     else:
         constant = float(shape.q @ offset**2 + 2.0 * (shape.l @ offset) - shape.k)
-    return PlacedSurface(shape, turn, offset, body_turn, body_offset, rest, constant)
+    return PlacedSurface(shape, turn, offset, body_turn, body_offset, rest, constant, _seen(item, pose))
+
+
+def _seen(item: Object, pose: Pose) -> Extent:
+    """Where an object can be seen: that of a ball around it, everywhere if there is none or the lens is in it."""
+    balls: list[tuple[Vector, float]] = []
+    if isinstance(item, Sphere):
+        balls.append((np.zeros(3), item.radius))
+    if isinstance(item, Ellipsoid):
+        balls.append((np.zeros(3), max(item.semi_axes)))
+    if item.bounds is not None:
+        box = np.array(item.bounds)
+        balls.append((box.mean(axis=1), 0.5 * float(np.linalg.norm(box[:, 1] - box[:, 0]))))
+    if not balls:
+        return EVERYWHERE
+    middle, radius = min(balls, key=lambda ball: ball[1])
+    x, y, z = (rest_center(item) + pose.shift + pose.rotation @ middle).tolist()
+    radius *= 1.0 + 1e-9
+    if z - radius <= 1e-3 * radius:
+        return EVERYWHERE
+
+    def interval(center: float) -> tuple[float, float]:
+        ends = [(center + s * radius) / (z + t * radius) for s in (-1, 1) for t in (-1, 1)]
+        return min(ends), max(ends)
+
+    return Extent(interval(x), interval(y), (1.0 / (z + radius), 1.0 / (z - radius)))
 
 
 def predict_inverse_depth(

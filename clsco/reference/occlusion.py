@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.occlusion import LENS_CELLS, Layer, lens_cells, lens_extent
-from clsco.optics import blur_scale, lens_radius, ray_step
-from clsco.reference.geometry import Array, Bounds, turned
+from clsco.optics import blur_scale, lens_radius
+from clsco.reference.geometry import Array, Bounds, difference_of_products, turned
 from clsco.scene import Camera, Psf
 from clsco.surfaces import PlacedSurface
 
@@ -37,8 +37,9 @@ class Blocker:
     """One surface as N points see it against the lens; x, y: offset of a tap in cells, right and down.
 
     h (N, 3): constant, x, y, over the width of the soft edge, without the root; root (N,), f (N, 5): x, y, xx, xy, yy
-    under it. With limits: crossings (N,) 1 or 2; b (N, 3), f0 (N,), c, d (N, 6), soft (N,): 1 over the width of the
-    edge; limits: (N, 4) each, limit + v (limit_0 + limit_x x + limit_y y) >= 0.
+    under it. With limits: crossings (N,) 1 or 2, or 0 for a plane, whose limits are an h (N, 3) each; else b (N, 3),
+    f0 (N,), c, d (N, 6), soft (N,): 1 over the width of the edge; limits: (N, 4) each,
+    limit + v (limit_0 + limit_x x + limit_y y) >= 0.
     """
 
     h: Array
@@ -90,66 +91,93 @@ def meet_blocker(
     what is to be tested per tap.
     """
     q, l, k, o = surface.canonical.q, surface.canonical.l, surface.canonical.k, surface.offset  # noqa: E741
+    # The line to lens point l goes over the image by lens_radius l per inverse depth.
+    way = lens_radius(camera) * extent * (surface.seen.w[1] - w)
+    far = way <= 0
+    for axis, (low, high) in enumerate((surface.seen.x, surface.seen.y)):
+        far = far | (rays[:, axis] + way < low) | (rays[:, axis] - way > high)
     p = o * w[:, None] + turned(surface.turn, rays)
     e = np.stack([lens_radius(camera) / cells, -lens_radius(camera) / cells], axis=-1)
     ex, ey = (e[:, i, None] * surface.turn[:, i] for i in (0, 1))
     side = -1.0 if surface.constant < 0 else 1.0
     f = side * (_dot(q, p * p) + w * (2 * _dot(l, p) - k * w))
     b = side * (_dot(q, p * o) + _dot(l, p) + w * (l @ o - k))
-    bx, by = (side * (_dot(q, p * v) + w * _dot(l, v)) for v in (ex, ey))
     c = side * surface.constant
-    cx, cy = (side * 2 * (_dot(q, o * v) + _dot(l, v)) for v in (ex, ey))
-    cxx, cyy, cxy = side * _dot(q, ex * ex), side * _dot(q, ey * ey), side * 2 * _dot(q, ex * ey)
-    once = f <= 0
-
-    with np.errstate(all="ignore"):  # points with one crossing have no root; what they give is not used
-        root = np.sqrt(c * f)
-        h = -b - root
-        gx, gy = (np.where(root > 0, f * v / (2 * root), 0.0) for v in (cx, cy))
-        sx, sy = surface.turn[:, 0] * ray_step(camera), -surface.turn[:, 1] * ray_step(camera)
-        ratio = np.where(root > 0, c / root, 0.0)
-        hx, hy = (side * ((q * o) @ v + l @ v) + ratio * side * (_dot(q * v, p) + w * (l @ v)) for v in (sx, sy))
-        across = np.where(wide, np.hypot(hx - bx - gx, hy - by - gy), np.hypot(hx, hy))
-        spread = SOFT_BOX * np.hypot(np.hypot(bx + gx, by + gy), source * across)
-        scale = 1 / (2 * np.maximum(spread, TINY))
-        most = extent * np.abs(cells) + 1.5
+    once, flat = f <= 0, not q.any()
+    d = difference_of_products(b, b, c, f)
+    most = extent * np.abs(cells) + 1.5
+    limits = _limits(surface, bounds, w, rays, p, e)
+    with np.errstate(all="ignore"):  # where there is one crossing, what belongs to two is not used, and vice versa
+        # Where the line meets the surface, or passes it: so many px of the image away, per lens radius. The edge of
+        # what is hidden is softened over the cell and over what the width of the source adds to it.
+        root = np.sqrt(np.maximum(d, 0.0))
+        v = np.where(once, np.where(b < 0, (root - b) / c, -f / (b + root)), -b / c)
+        place = np.maximum(np.abs(blur_scale(camera) * v), TINY)
+        soft = SOFT_BOX * np.hypot(1.0, source * np.where(wide, cells / place - 1, cells / place))
+        if flat:
+            state, limits = flatten_limits(limits, _dot(l, p), float(l @ o), ex @ l, ey @ l, soft, most)
+            state = np.where(once & ~far, state, CLEAR)
+            return state.astype(np.uint8), (f < 0) & ~far, _planar(limits, w.size)
+        bx, by = (side * (_dot(q, p * u) + w * _dot(l, u)) for u in (ex, ey))
+        cx, cy = (side * 2 * (_dot(q, o * u) + _dot(l, u)) for u in (ex, ey))
+        cxx, cyy, cxy = side * _dot(q, ex * ex), side * _dot(q, ey * ey), side * 2 * _dot(q, ex * ey)
+        # B^2 - C F, which is 0 at the edge
+        dx, dy = 2 * b * bx - cx * f, 2 * b * by - cy * f
+        dxx, dyy, dxy = bx * bx - cxx * f, by * by - cyy * f, 2 * bx * by - cxy * f
+        under = np.sqrt(c * f)
+        h = -b - under
+        # Slope of h = D / (sqrt(C F) - B) at the edge, across which D curves by twice its lower eigenvalue.
+        curve = 0.5 * (dxx + dyy - np.hypot(dxx - dyy, dxy))
+        slope = np.sqrt(np.maximum(dx * dx + dy * dy - 4 * d * curve, 0.0)) / (2 * np.maximum(under, TINY))
+        scale = 1 / (2 * soft * np.maximum(slope, TINY))
         change = f * (np.hypot(cx, cy) + (np.abs(cxx) + np.abs(cxy) + np.abs(cyy)) * most) * most
-        reach = np.minimum(np.where(root > 0, change / root, np.inf), np.sqrt(change))
+        reach = np.minimum(np.where(under > 0, change / under, np.inf), np.sqrt(change))
         reach = reach + np.hypot(bx, by) * most
-        clear = ~once & ((h + reach) * scale <= -0.5)
+        clear = far | ~once & ((h + reach) * scale <= -0.5)
         hidden = once | ((h - reach) * scale >= 0.5)
         area = scale * scale * f
-        middle = np.sqrt(np.maximum(b * b - c * f, 0.0))
-        v = np.where(once, np.where(b < 0, (middle - b) / c, -f / (b + middle)), -b / c)
-        place = np.maximum(np.abs(blur_scale(camera) * v), TINY)
-        soft = 1 / (2 * SOFT_BOX * np.hypot(1.0, source * np.where(wide, cells / place - 1, cells / place)))
-    limits = _limits(surface, bounds, w, rays, p, e)
     state = np.where(clear, CLEAR, np.where(hidden & (not limits), HIDDEN, PARTLY))
-    edge = once & (f < 0) | ~once & ~clear & ~hidden & (reach <= SHARP_EDGE * np.hypot(hx, hy))
+    edge = ~far & (once & (f < 0) | ~once & ~clear & ~hidden & (place * extent <= SHARP_EDGE))
     zero = np.zeros_like(w)
     blocker = Blocker(
         h=np.stack([h * scale, -bx * scale, -by * scale], axis=-1),
-        root=root * scale,
+        root=under * scale,
         f=np.stack([cx * area, cy * area, cxx * area, cxy * area, cyy * area], axis=-1),
         crossings=np.where(once, 1, 2),
         b=np.stack([b, bx, by], axis=-1),
         f0=f,
         c=np.stack([zero + c, cx, cy, cxx, cxy, cyy], axis=-1),
-        d=np.stack(
-            [
-                b * b - c * f,
-                2 * b * bx - cx * f,
-                2 * b * by - cy * f,
-                bx * bx - cxx * f,
-                2 * bx * by - cxy * f,
-                by * by - cyy * f,
-            ],
-            axis=-1,
-        ),
-        soft=soft,
+        d=np.stack([d, dx, dy, dxx, dxy, dyy], axis=-1),
+        soft=1 / (2 * soft),
         limits=tuple(limits),
     )
     return state.astype(np.uint8), edge, blocker
+
+
+def flatten_limits(
+    limits: Sequence[Array], near: Array, far: float, far_x: Array, far_y: Array, soft: Array, most: Array
+) -> tuple[NDArray[np.uint8], list[Array]]:
+    """Conditions on the one crossing with a plane, linear in the tap: what they leave (N,), and h (N, 3) of each.
+
+    The crossing is at v = -near / (far + far_x x + far_y y). limits: (N, 4) each; soft: half width of the edge (N,);
+    most: cells to the farthest tap (N,). h: constant, x, y, over the width of the edge.
+    """
+    state, found = np.full(near.shape, HIDDEN), []
+    for limit in limits:
+        base = limit[:, 0] * far - near * limit[:, 1]
+        x, y = limit[:, 0] * far_x - near * limit[:, 2], limit[:, 0] * far_y - near * limit[:, 3]
+        scale = (-1.0 if far < 0 else 1.0) / (2 * soft * np.maximum(np.hypot(x, y), TINY))
+        state = np.where(base * scale - most / (2 * soft) < 0.5, np.minimum(state, PARTLY), state)
+        state = np.where(base * scale + most / (2 * soft) <= -0.5, CLEAR, state)
+        found.append(np.stack([base * scale, x * scale, y * scale], axis=-1))
+    return state, found
+
+
+def _planar(limits: Sequence[Array], points: int) -> Blocker:
+    """A plane: of its `limits` each is (N, 3), an h."""
+    none, zero = np.zeros((points, 6)), np.zeros(points)
+    crossings = np.zeros(points, dtype=np.int64)
+    return Blocker(none[:, :3], zero, none[:, :5], crossings, none[:, :3], zero, none, none, zero, tuple(limits))
 
 
 def soft_step(t: Array) -> Array:
@@ -188,6 +216,8 @@ def blocked_share(m: Blocker, x: Array, y: Array) -> Array:
     """Share (N,) of the lens, over the cells of taps x, y (N,), that one surface blocks."""
     if not m.limits:
         return soft_step(blocked_height(m, x, y))
+    if m.limits[0].shape[1] == 3:  # a plane
+        return np.asarray(np.min([soft_step(h[:, 0] + h[:, 1] * x + h[:, 2] * y) for h in m.limits], axis=0))
     b = m.b[:, 0] + m.b[:, 1] * x + m.b[:, 2] * y
     c, d = (p[:, 0] + x * (p[:, 1] + p[:, 3] * x + p[:, 4] * y) + y * (p[:, 2] + p[:, 5] * y) for p in (m.c, m.d))
     root = np.sqrt(np.maximum(d, 0.0))
