@@ -26,7 +26,7 @@ from clsco.spread import PIXELS, Spreader
 Array = NDArray[Any]
 RNG = np.random.default_rng
 STRUCTS = structs("double")
-SHAPES = {"QUADRATIC": 0, "LINEAR": 0, "NAPPE": 0, "BOUNDED": 0, "FILTER": 0}
+SHAPES = dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "OCCLUDED"), 0)
 PSFS = [Psf(model=model, edge=edge) for model in ("pillbox", "gaussian") for edge in ("sampled", "area", "integrated")]
 # Float32 adds some 200 terms, each rounded by 2^-24 of a sum of about 1: at worst 1e-5, as a random walk below 1e-6.
 ROUNDING = 1.5e-6
@@ -48,7 +48,7 @@ def random_sources(shape: tuple[int, int], smallest: float, largest: float, stee
     gradient = np.stack([length * np.cos(angle), length * np.sin(angle)], axis=-1)
     radius = np.where(there, rng.choice([-1, 1], shape) * rng.uniform(smallest, largest, shape), 0.0)
     radiance = np.where(there[..., None], rng.random((*shape, channels)), 0.0)
-    return Sources(radiance, np.ones(shape), label, radius, gradient)
+    return Sources(radiance, np.ones(shape), label, radius, gradient, there)
 
 
 def random_subpixels(sources: Sources, samples: int, count: int, smallest: float, largest: float) -> SubpixelSources:
@@ -96,7 +96,7 @@ class Light:
 
     def constant(self, radius: float) -> Light:
         """The same with one radius and no gradient."""
-        there = self.sources.label > 0
+        there = self.sources.lit
         alike = replace(self.sources, radius=np.where(there, radius, 0.0), gradient=0 * self.sources.gradient)
         return replace(self, sources=alike, sub=None, smallest=abs(radius), largest=abs(radius))
 
@@ -124,7 +124,7 @@ def records(given: Light, radius: Array, gradient: Array, there: Array, subpixel
 def on_device(session: Session, given: Light, weight: float) -> spread.Sources:
     """The sources in the layout of trace.cl; values are written to by `renormalize`."""
     sources, sub = given.sources, given.sub
-    source = records(given, sources.radius, sources.gradient, sources.label > 0, False)
+    source = records(given, sources.radius, sources.gradient, sources.lit, False)
     source[..., 3].view(np.int32)[...] = -1
     held = (empty(session, 0), empty(session, 0), 0)
     if sub is not None:
@@ -273,13 +273,13 @@ def test_renormalize_divides_by_what_stays(session: Session) -> None:
     value = download(session, sources.value, (3, 24, 31), np.float32)
     scaled, _ = twin.renormalize(given.psf, given.sources, given.sub, given.shape, 0)
     assert given.sub is not None
-    own = given.sources.label > 0
+    own = given.sources.lit.copy()
     own[given.sub.row, given.sub.column] = False
     expected = np.moveaxis(scaled.radiance, -1, 0)
     assert (expected / np.moveaxis(np.maximum(given.sources.radiance, 1e-9), -1, 0))[:, own].max() > 1.5
     # The share that stays is a sum of weights, good to the table's L1 error over the share itself, 1/8 at least.
     np.testing.assert_allclose(value[:, own], expected[:, own], rtol=1e-4)
-    kept = ~own & (given.sources.label > 0)
+    kept = ~own & given.sources.lit
     assert (value[:, kept] == flat(given.sources.radiance, np.float32)[:, kept]).all()  # others are not touched
 
 
@@ -319,7 +319,7 @@ def test_what_is_not_there_adds_nothing(session: Session) -> None:
     assert given.sub is not None
     nothing = replace(
         given,
-        sources=replace(given.sources, label=0 * given.sources.label),
+        sources=replace(given.sources, lit=np.zeros_like(given.sources.lit)),
         sub=replace(given.sub, hit=np.zeros_like(given.sub.hit)),
     )
     for method in ("gather", "scatter"):
@@ -329,10 +329,10 @@ def test_what_is_not_there_adds_nothing(session: Session) -> None:
 def test_light_is_kept_in_fixed_point(session: Session) -> None:
     """One source in an empty frame: its light is there to the last of 2^40 parts, but for the table's 1e-7."""
     given = light(Psf(), shape=(21, 21), guard=0)
-    there = np.zeros((21, 21), np.uint8)
-    there[10, 10] = 1
+    there = np.zeros((21, 21), np.bool_)
+    there[10, 10] = True
     sources = replace(
-        given.sources, label=there, radiance=np.float64(0.75) * there[..., None], radius=np.float64(3.3) * there
+        given.sources, lit=there, radiance=np.float64(0.75) * there[..., None], radius=np.float64(3.3) * there
     )
     given = replace(given, sources=replace(sources, gradient=0.2 * there[..., None] * np.ones(2)))
     for method in ("gather", "scatter"):
@@ -357,7 +357,7 @@ def test_scatter_with_32_bits(session: Session) -> None:
 @pytest.mark.parametrize("psf", [Psf(), Psf(edge="sampled")], ids=name_of)
 def test_prepare_sources(session: Session, psf: Psf, tilt: bool) -> None:
     given = light(psf.model_copy(update={"tilt": tilt}), shape=(19, 23), guard=2)
-    coc, valid = given.sources.radius, given.sources.label > 0
+    coc, valid = given.sources.radius, given.sources.lit
     table = psf_table(psf, 0.0, given.largest)
     program = build(session, ["blur.cl"], features(given.psf, 1, 0, table.powers), STRUCTS, "double")
     struct, out = psf_struct(psf, table, None, "double"), empty(session, 16 * coc.size)
