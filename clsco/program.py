@@ -15,7 +15,7 @@ from clsco.device import Program, Session
 from clsco.errors import DeviceError, KernelError
 from clsco.resources import folder
 
-HEADER = "geometry.clh"
+HEADERS = ("wide.clh", "geometry.clh")
 _C_TYPES = {
     "f4": "float", "f8": "double",
     "i1": "char", "i2": "short", "i4": "int", "i8": "long",
@@ -30,7 +30,7 @@ def build(
     structs: Mapping[str, np.dtype[Any]],
     real: Literal["double", "float"],
 ) -> Program:
-    """Build kernel files, after geometry.clh, into a program; the same request gives the same program.
+    """Build kernel files, after the shared headers, into a program; the same request gives the same program.
 
     sources: names of files in kernels/, such as "trace.cl". features: NAME -> small integer or bool, given to
     the compiler as -DNAME=value; structure only, since each set of values is compiled anew. structs: C name
@@ -159,7 +159,7 @@ def program_text(
     lines += [f"typedef {real}{width} real{width};" for width in ("", 2, 3, 4, 8, 16)]
     lines += [struct_text(name, dtype, structs) for name, dtype in structs.items()]
     kernels = folder("kernels")
-    for source in (HEADER, *sources):
+    for source in (*HEADERS, *sources):
         path = kernels / source
         if not path.is_file():
             raise KernelError(f"kernels: must hold every file that is asked for; got no {source}")

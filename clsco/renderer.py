@@ -15,7 +15,17 @@ from clsco.errors import DeviceError
 from clsco.forward import ForwardWarp
 from clsco.frame import STEREO_NAMES, Frame
 from clsco.layers import Layers
-from clsco.layout import Real, Struct, camera_struct, flat, layer_struct, pose_structs, structs, surface_structs
+from clsco.layout import (
+    WIDE_BYTES,
+    Real,
+    Struct,
+    camera_struct,
+    flat,
+    layer_struct,
+    pose_structs,
+    structs,
+    surface_structs,
+)
 from clsco.maptruth import map_flow, map_normal, map_stereo
 from clsco.motion import Pose, middle_time, poses_at
 from clsco.occlusion import Layer
@@ -54,14 +64,11 @@ class Hits:
         self.buffers: dict[Layer, tuple[cl.Buffer, cl.Buffer, cl.Buffer]] = {}
         self.times: dict[Layer, float] = {}
 
-    def planes(
-        self, plan: Plan, time: float, layer: Layer, real: Real
-    ) -> tuple[tuple[cl.Buffer, cl.Buffer, cl.Buffer], bool]:
+    def planes(self, plan: Plan, time: float, layer: Layer) -> tuple[tuple[cl.Buffer, cl.Buffer, cl.Buffer], bool]:
         """Planes value, depth and hit of a layer, as in trace.cl, and whether they are still to be cast for `time`."""
         area = plan.width * plan.height
         if layer not in self.buffers:
-            size = 8 if real == "double" else 4
-            sizes = (4 * plan.channels * area, size * area, area)
+            sizes = (4 * plan.channels * area, WIDE_BYTES * area, area)
             value, depth, hit = (empty(self.session, n) for n in sizes)
             self.buffers[layer] = value, depth, hit
         new = self.times.get(layer) != time
@@ -137,7 +144,7 @@ class Renderer:
         self.label = empty(session, area if each else 0)
         self.pixels = empty(session, 4 * self.slots)
         self.sub_source = empty(session, 16 * self.slots * each)
-        occluded = (8 if self.real == "double" else 4) * bool(plan.features()["OCCLUDED"])
+        occluded = WIDE_BYTES * bool(plan.features()["OCCLUDED"])
         self.depth, self.sub_depth = empty(session, occluded * area), empty(session, occluded * self.slots * each)
         self.sub_value = empty(session, 4 * plan.channels * self.slots * each)
         self.slabs: Layers | None = None
@@ -249,7 +256,7 @@ class Renderer:
             args = (*head, share, self.texture, self.source, value, self.label, self.statistics)
             self._per_pixel("trace", events, *args, *((depth,) if occluded else ()))
         else:
-            planes, new = self.hits.planes(plan, time, layer, self.real)
+            planes, new = self.hits.planes(plan, time, layer)
             value, depth, hit = planes
             if new:
                 self._per_pixel("cast", events, *head[:3], share, self.texture, *planes)

@@ -91,21 +91,22 @@ INLINE float tap(spread_t s, int dx, int dy, float4 source)
 #if OCCLUDED
 // Of kernels that test what is in the way: see occlusion.clh and trace.cl. lens: weights of its cells.
 #if SUBPIXELS
-#define SUBPIXEL_DEPTH , __global const real *sub_depth
+#define SUBPIXEL_DEPTH , __global const wide_t *sub_depth
 #else
 #define SUBPIXEL_DEPTH
 #endif
 #define OCCLUSION_ARGUMENTS \
-    , __constant surface_t *surfaces, const layer_t layer, __constant float *lens, __global const real *depth \
+    , __constant surface_t *surfaces, const layer_t layer, __constant float *lens, __global const wide_t *depth \
     SUBPIXEL_DEPTH
 
 // What stands in the way of a source at (row, column), px, and inverse depth w.
 static void see(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
-                __constant float *lens, real row, real column, real w, spread_t spread, real width, sight_t *sight)
+                __constant float *lens, real row, real column, wide_t w, spread_t spread, real width, sight_t *sight)
 {
-    const real radius = blur_radius(camera, w);
+    const real radius = narrow(blur_radius(camera, w));
+    const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
     bool edge;
-    look(camera, surfaces, layer, pixel_ray(camera, row, column), w, radius, psf.lens_extent, width, sight, &edge);
+    look(camera, surfaces, layer, ray, w, radius, psf.lens_extent, width, sight, &edge);
     if (!sight->wide)
         look_through(sight, lens, radius, psf.lens_extent, spread.ox, spread.oy, MIN(spread.half_width, SIGHT_MIDDLE));
 }
@@ -491,7 +492,7 @@ __kernel void prepare_sources(const camera_t camera, const psf_t psf, __global c
     const int at = y * camera.width + x;
     float4 record = (float4)(-1, 0, 0, as_float(-1));
     if (valid[at]) {
-        record.x = table_coordinate(psf, coc[at], 0);
+        record.x = table_coordinate(psf, widened(coc[at]), 0);
 #if TILT
         const int w = camera.width;
         const bool within = x > 0 && x + 1 < w && y > 0 && y + 1 < camera.height;

@@ -45,7 +45,7 @@ static bool may_be_missing(const camera_t camera, __constant surface_t *surfaces
 #if DOMAIN_SURFACE
     uchar label;
     int object;
-    nearest_surface(surfaces, count, ~(ulong)0, pixel_ray(camera, y - camera.guard, x - camera.guard), &label, &object);
+    nearest_surface(surfaces, count, ~(ulong)0, pixel_ray(camera, widened(y - camera.guard), widened(x - camera.guard)), &label, &object);
     return object >= 0;
 #else
     return true;
@@ -314,7 +314,7 @@ __kernel void fill_ait(const camera_t camera, __global const int *list, const in
     }
     const real inverse_depth = w[from.x] + (w[from.y] - w[from.x]) * share;
     w[at] = inverse_depth;
-    coc[at] = blur_radius(camera, inverse_depth);
+    coc[at] = narrow(blur_radius(camera, widened(inverse_depth)));
     status[at] = 1;
 #if SEVERAL
     object[at] = object[from.x];

@@ -48,20 +48,21 @@ __kernel void reproject_rest(const camera_t camera, __constant surface_t *surfac
     if (column >= camera.columns || row >= camera.rows)
         return;
     const int at = row * camera.columns + column;
+    const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
     real nearest = 0;
     int whose = 0;
 #if MAPPED
     for (int k = 0; k < count; ++k) {
         uchar root;
         const bool is_map = !(members >> k & 1);
-        const real w = is_map ? maps[at] : solve_quadric(surfaces + k, pixel_ray(camera, row, column), &root);
+        const real w = is_map ? maps[at] : narrow(solve_quadric(surfaces + k, ray, &root));
         maps += is_map ? camera.rows * camera.columns : 0;
         whose = w > nearest ? k : whose;
         nearest = w > nearest ? w : nearest;
     }
 #else
     uchar label;
-    nearest = nearest_surface(surfaces, count, members, pixel_ray(camera, row, column), &label, &whose);
+    nearest = narrow(nearest_surface(surfaces, count, members, ray, &label, &whose));
 #endif
     rest[at] = nearest;
 #if SEVERAL
@@ -82,9 +83,9 @@ static inline int2 move_sources(const camera_t camera, __constant surface_t *sur
     // With the ray r, R r + w offset is the moved point times w. Component by component, and the divisions taken out:
     // PoCL vectorizes no loop that computes with vectors.
     __constant real *R = pose->rotation, *center = surface->rest;
-    const real3 turn = turned(R, (real3)(center[0], center[1], center[2]));
-    const real3 offset = (real3)(center[0] + pose->shift[0] - turn.x, center[1] + pose->shift[1] - turn.y,
-                                 center[2] + pose->shift[2] - turn.z);
+    const wide3_t turn = turned(R, wide_load(center)), shifted = wide3_add(wide_load(center), wide_load(pose->shift));
+    const real3 offset = (real3)(narrow(wide_sub(shifted.x, turn.x)), narrow(wide_sub(shifted.y, turn.y)),
+                                 narrow(wide_sub(shifted.z, turn.z)));
     const real y = camera.step * ((real)0.5 * (camera.rows - 1) - row);
     const real3 line = (real3)(R[1] * y + R[2], R[4] * y + R[5], R[7] * y + R[8]);
     const real middle = (real)0.5 * (camera.columns - 1), inverse_step = 1 / camera.step;
@@ -320,6 +321,6 @@ __kernel void reproject_gather(const camera_t camera, const float weight, __glob
         value[c * camera.height * camera.width + at] =
             known ? weight * texture[c * camera.rows * camera.columns + source] : 0;
     w[at] = inverse_depth;
-    coc[at] = known ? blur_radius(camera, inverse_depth) : 0;
+    coc[at] = known ? narrow(blur_radius(camera, widened(inverse_depth))) : 0;
     status[at] = 0;
 }

@@ -6,7 +6,7 @@
 //           pixel's sub-pixel sources, WHOLE or BLOCKED
 //   value   float (CHANNELS, height, width): radiance times the weight of this moment in the exposure
 //   label   uchar (height, width): 0 no surface, else which root of which object was met, and on which side of others
-//   depth   real (height, width): inverse depth, with OCCLUDED
+//   depth   wide_t (height, width): inverse depth, with OCCLUDED
 //   texture float (textures, CHANNELS, rows, columns); surface_t names its object's
 // Features besides geometry.clh's: MOVED (not all is where it was at rest), TILT, SUBPIXELS (sources per axis in a
 // pixel at a silhouette, 0 none), SAMPLED, OCCLUDED, PINHOLE, LENSES, and TRUTH_* for the outputs of ground_truth.
@@ -31,38 +31,40 @@ static void note_radius(__global volatile int *statistics, real radius)
 
 // Where a hit takes its radiance from in the texture: (column, row, in front of the lens). At rest a pixel shows its
 // own texel.
-static real3 texture_point(__constant surface_t *surface, const camera_t camera, real3 ray, real w, int row, int column)
+static wide3_t texture_point(__constant surface_t *surface, const camera_t camera, wide3_t ray, wide_t w, int row,
+                             int column)
 {
 #if MOVED
     return rest_pixel(surface, camera, ray, w);
 #else
-    return (real3)(column, row, 1);
+    return wide_vector(widened(column), widened(row), widened(1));
 #endif
 }
 
 // 0 for what was behind the lens at rest: the texture knows nothing of it.
 static float radiance(__global const float *texture, __constant surface_t *surface, const camera_t camera, int channel,
-                      real3 point)
+                      wide3_t point)
 {
     const int number = surface->texture * CHANNELS + channel;
     __global const float *plane = texture + (size_t)number * camera.rows * camera.columns;
 #if MOVED
-    return point.z > 0 ? sample_texture(plane, camera, point.y, point.x) : 0;
+    return narrow(point.z) > 0 ? sample_texture(plane, camera, point.y, point.x) : 0;
 #else
-    return plane[mirror_index((int)point.y, camera.rows) * camera.columns +
-                 mirror_index((int)point.x, camera.columns)];
+    return plane[mirror_index((int)narrow(point.y), camera.rows) * camera.columns +
+                 mirror_index((int)narrow(point.x), camera.columns)];
 #endif
 }
 
 // What the lens makes of a hit: its record; below 0 where its light does not reach the lens. subpixel: the source is one
 // of SUBPIXELS^2. In and out: label, statistics.
 static float4 source_record(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
-                            real3 ray, real w, int subpixel, uchar *label, __global int *statistics)
+                            wide3_t ray, wide_t w, int subpixel, uchar *label, __global int *statistics)
 {
     float4 record = (float4)(-1, 0, 0, as_float(WHOLE));
     if (*label == 0)
         return record;
-    const real radius = blur_radius(camera, w);
+    const wide_t whole_radius = blur_radius(camera, w);
+    const real radius = narrow(whole_radius);
     __constant surface_t *surface = surfaces + (*label - 1) / 2;
 #if OCCLUDED
     bool edge;
@@ -74,7 +76,7 @@ static float4 source_record(const camera_t camera, __constant surface_t *surface
     record.w = as_float(seen == PARTLY ? BLOCKED : WHOLE);
 #endif
     note_radius(statistics, radius);
-    record.x = table_coordinate(psf, radius, subpixel);
+    record.x = table_coordinate(psf, whole_radius, subpixel);
 #if TILT
     record.yz = tilt_slope(blur_gradient(camera, surface_slope(surface, ray, w)), radius);
 #endif
@@ -82,11 +84,14 @@ static float4 source_record(const camera_t camera, __constant surface_t *surface
 }
 
 // Radiance of a hit on a pixel's ray, times the weight, to a plane of `values` per channel; 0 without one.
-static void take_radiance(const camera_t camera, __constant surface_t *surfaces, real3 ray, real w, uchar label, int row,
-                          int column, float weight, __global const float *texture, __global float *values, int plane)
+static void take_radiance(const camera_t camera, __constant surface_t *surfaces, wide3_t ray, wide_t w, uchar label,
+                          int row, int column, float weight, __global const float *texture, __global float *values,
+                          int plane)
 {
     __constant surface_t *surface = surfaces + MAX(label - 1, 0) / 2;
-    const real3 point = label ? texture_point(surface, camera, ray, w, row, column) : (real3)(0, 0, 0);
+    const wide_t zero = widened(0);
+    const wide3_t nowhere = wide_vector(zero, zero, zero);
+    const wide3_t point = label ? texture_point(surface, camera, ray, w, row, column) : nowhere;
     for (int c = 0; c < CHANNELS; ++c)
         values[c * plane] = label ? weight * radiance(texture, surface, camera, c, point) : 0;
 }
@@ -97,7 +102,7 @@ __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const
                     const float weight, __global const float *texture, __global float4 *source, __global float *value,
                     __global uchar *label, __global int *statistics
 #if OCCLUDED
-                    , __global real *depth
+                    , __global wide_t *depth
 #endif
 )
 {
@@ -105,10 +110,10 @@ __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const
     if (x >= camera.width || y >= camera.height)
         return;
     const int row = y - camera.guard, column = x - camera.guard, at = y * camera.width + x;
-    const real3 ray = pixel_ray(camera, row, column);
+    const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
     uchar root;
     int object;
-    const real w = nearest_surface(surfaces, layer.count, layer.members, ray, &root, &object);
+    const wide_t w = nearest_surface(surfaces, layer.count, layer.members, ray, &root, &object);
     take_radiance(camera, surfaces, ray, w, root, row, column, weight, texture, value + at,
                   camera.height * camera.width);
     source[at] = source_record(camera, surfaces, layer, psf, ray, w, 0, &root, statistics);
@@ -124,13 +129,13 @@ __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const
 // The part of trace that all lenses have in common. Out: value, depth, and hit uchar (height, width), the label before
 // any lens looks.
 __kernel void cast(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const float weight,
-                   __global const float *texture, __global float *value, __global real *depth, __global uchar *hit)
+                   __global const float *texture, __global float *value, __global wide_t *depth, __global uchar *hit)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
         return;
     const int row = y - camera.guard, column = x - camera.guard, at = y * camera.width + x;
-    const real3 ray = pixel_ray(camera, row, column);
+    const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
     uchar root;
     int object;
     depth[at] = nearest_surface(surfaces, layer.count, layer.members, ray, &root, &object);
@@ -141,14 +146,14 @@ __kernel void cast(const camera_t camera, __constant surface_t *surfaces, const 
 
 // The rest of it, for one lens. In: depth, hit. Out: source, label, statistics.
 __kernel void aim(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
-                  __global const real *depth, __global const uchar *hit, __global float4 *source,
+                  __global const wide_t *depth, __global const uchar *hit, __global float4 *source,
                   __global uchar *label, __global int *statistics)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
         return;
     const int at = y * camera.width + x;
-    const real3 ray = pixel_ray(camera, y - camera.guard, x - camera.guard);
+    const wide3_t ray = pixel_ray(camera, widened(y - camera.guard), widened(x - camera.guard));
     uchar root = hit[at];
     source[at] = source_record(camera, surfaces, layer, psf, ray, depth[at], 0, &root, statistics);
 #if SUBPIXELS
@@ -193,13 +198,13 @@ __kernel void mark_silhouettes(const camera_t camera, __global const uchar *labe
 
 // SUBPIXELS x SUBPIXELS point sources of every marked pixel. Out, per slot and sub-pixel in row-major order: sub_source
 // float4 (coordinate, tilt right, tilt down, WHOLE or BLOCKED), sub_value float (CHANNELS, slots, SUBPIXELS^2),
-// sub_depth real.
+// sub_depth wide_t.
 __kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfaces, const layer_t layer,
                               const psf_t psf, const float weight, __global const float *texture,
                               __global const int *pixels, const int capacity, __global float4 *sub_source,
                               __global float *sub_value, __global int *statistics
 #if OCCLUDED
-                              , __global real *sub_depth
+                              , __global wide_t *sub_depth
 #endif
 )
 {
@@ -210,12 +215,12 @@ __kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfa
     if (slot >= MIN(statistics[SLOTS], capacity))
         return;
     const int row = pixels[slot] / camera.width - camera.guard, column = pixels[slot] % camera.width - camera.guard;
-    const real i = row + (sub / SUBPIXELS + (real)0.5) / SUBPIXELS - (real)0.5;
-    const real j = column + (sub % SUBPIXELS + (real)0.5) / SUBPIXELS - (real)0.5;
-    const real3 ray = pixel_ray(camera, i, j);
+    const wide_t down = widened((sub / SUBPIXELS + (real)0.5) / SUBPIXELS - (real)0.5);
+    const wide_t right = widened((sub % SUBPIXELS + (real)0.5) / SUBPIXELS - (real)0.5);
+    const wide3_t ray = pixel_ray(camera, wide_add(widened(row), down), wide_add(widened(column), right));
     uchar root;
     int object;
-    const real w = nearest_surface(surfaces, layer.count, layer.members, ray, &root, &object);
+    const wide_t w = nearest_surface(surfaces, layer.count, layer.members, ray, &root, &object);
     take_radiance(camera, surfaces, ray, w, root, row, column, weight / each, texture, sub_value + id, capacity * each);
     sub_source[id] = source_record(camera, surfaces, layer, psf, ray, w, 1, &root, statistics);
 #if OCCLUDED
@@ -235,13 +240,13 @@ __kernel void pinhole(const camera_t camera, __constant surface_t *surfaces, con
     if (x >= camera.width || y >= camera.height)
         return;
     const int row = y - camera.guard, column = x - camera.guard, at = y * camera.width + x;
-    const real3 ray = pixel_ray(camera, row, column);
+    const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
     uchar root;
     int object;
-    const real w = nearest_surface(surfaces, layer.count, layer.members, ray, &root, &object);
+    const wide_t w = nearest_surface(surfaces, layer.count, layer.members, ray, &root, &object);
     take_radiance(camera, surfaces, ray, w, root, row, column, weight, texture, value + at,
                   camera.height * camera.width);
-    coc[at] = root ? blur_radius(camera, w) : 0;
+    coc[at] = root ? narrow(blur_radius(camera, w)) : 0;
     valid[at] = root != 0;
     if (root)
         note_radius(statistics, coc[at]);
@@ -250,20 +255,27 @@ __kernel void pinhole(const camera_t camera, __constant surface_t *surfaces, con
 
 #if TRUTH_FLOW || TRUTH_DISPARITY || TRUTH_OCCLUDED
 // Where a hit is in the image in the pose `other`: column, row, and its depth there over its depth here.
-static real3 moved_pixel(__constant surface_t *surface, const camera_t camera, __constant pose_t *other, real3 ray,
-                         real w)
+static wide3_t moved_pixel(__constant surface_t *surface, const camera_t camera, __constant pose_t *other, wide3_t ray,
+                           wide_t w)
 {
-    const real3 rest = (real3)(surface->rest[0] + other->shift[0], surface->rest[1] + other->shift[1],
-                               surface->rest[2] + other->shift[2]);
-    return project(camera, rest * w + turned(other->rotation, body_point(surface, ray, w)));
+    const wide3_t rest = wide3_add(wide_load(surface->rest), wide_load(other->shift));
+    const wide3_t turned_point = turned(other->rotation, body_point(surface, ray, w));
+    return project(camera, wide3_add(wide3_scale(rest, w), turned_point));
 }
 #endif
 
 #if TRUTH_HIDDEN || TRUTH_OCCLUDED
-static bool outside_frame(const camera_t camera, real3 at)
+static bool outside_frame(const camera_t camera, wide3_t whole)
 {
+    const real3 at = narrow3(whole);
     return !(at.z > 0 && at.x >= (real)-0.5 && at.x < camera.columns - (real)0.5 && at.y >= (real)-0.5 &&
              at.y < camera.rows - (real)0.5);
+}
+
+// Whether what is seen at inverse depth `seen` hides a point at w here, w / ratio there.
+static bool covered(wide_t seen, wide_t ratio, wide_t w)
+{
+    return wide_less(wide_mul(w, wide_add(widened(1), widened((real)1e-6))), wide_mul(seen, ratio));
 }
 #endif
 
@@ -312,20 +324,20 @@ __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces
     if (column >= camera.columns || row >= camera.rows)
         return;
     const int at = row * camera.columns + column;
-    const real3 ray = pixel_ray(camera, row, column);
+    const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
     uchar root;
     int object;
-    const real w = nearest_surface(surfaces, layer.count, layer.members, ray, &root, &object);
+    const wide_t w = nearest_surface(surfaces, layer.count, layer.members, ray, &root, &object);
     __constant surface_t *surface = surfaces + MAX(object, 0);
     mask[at] = root != 0;
 #if TRUTH_OBJECT_ID
     object_id[at] = object;
 #endif
 #if TRUTH_DEPTH
-    depth[at] = root ? (float)(1 / w) : INFINITY;
+    depth[at] = root ? (float)narrow(wide_div(widened(1), w)) : INFINITY;
 #endif
 #if TRUTH_COC
-    coc[at] = root ? (float)blur_radius(camera, w) : 0;
+    coc[at] = root ? (float)narrow(blur_radius(camera, w)) : 0;
 #endif
 #if TRUTH_NORMAL
     const real3 n = root ? surface_normal(surface, ray, w) : (real3)(0, 0, 0);
@@ -334,39 +346,39 @@ __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces
     normal[3 * at + 2] = (float)n.z;
 #endif
 #if TRUTH_FLOW
-    const real3 later = moved_pixel(surface, camera, next + MAX(object, 0), ray, w);
-    flow[2 * at] = root && later.z > 0 ? (float)(later.x - column) : 0;
-    flow[2 * at + 1] = root && later.z > 0 ? (float)(later.y - row) : 0;
+    const wide3_t later = moved_pixel(surface, camera, next + MAX(object, 0), ray, w);
+    flow[2 * at] = root && narrow(later.z) > 0 ? (float)narrow(wide_sub(later.x, widened(column))) : 0;
+    flow[2 * at + 1] = root && narrow(later.z) > 0 ? (float)narrow(wide_sub(later.y, widened(row))) : 0;
 #endif
 #if TRUTH_HIDDEN
     hidden[at] = 0;
     if (root) {
-        const real3 from = rest_pixel(surface, camera, ray, w);
+        const wide3_t from = rest_pixel(surface, camera, ray, w);
         // 1 / depth at rest of this point, against what the pinhole saw there
         uchar other;
-        const real seen = solve_quadric(still + object, pixel_ray(camera, from.y, from.x), &other);
-        hidden[at] = outside_frame(camera, from) || seen * from.z > w * (1 + (real)1e-6);
+        const wide_t seen = solve_quadric(still + object, pixel_ray(camera, from.y, from.x), &other);
+        hidden[at] = outside_frame(camera, from) || covered(seen, from.z, w);
     }
 #endif
 #if TRUTH_SHARP
-    const real3 point = texture_point(surface, camera, ray, w, row, column);
+    const wide3_t point = texture_point(surface, camera, ray, w, row, column);
     for (int c = 0; c < CHANNELS; ++c)
         sharp[at * CHANNELS + c] = root ? radiance(texture, surface, camera, c, point) : 0;
 #endif
 #if TRUTH_DISPARITY || TRUTH_OCCLUDED
-    const real3 other = moved_pixel(surface, camera, there + MAX(object, 0), ray, w);
+    const wide3_t other = moved_pixel(surface, camera, there + MAX(object, 0), ray, w);
 #endif
 #if TRUTH_DISPARITY
-    disparity[at] = root && other.z > 0 ? (float)(to_left * (other.x - column)) : 0;
+    disparity[at] = root && narrow(other.z) > 0 ? (float)(to_left * narrow(wide_sub(other.x, widened(column)))) : 0;
 #endif
 #if TRUTH_OCCLUDED
     occluded[at] = 0;
     if (root) {
         uchar any;
         int nearest;
-        const real seen = nearest_surface(opposite, layer.count, layer.members,
-                                          pixel_ray(camera, other.y, other.x), &any, &nearest);
-        occluded[at] = outside_frame(camera, other) || seen * other.z > w * (1 + (real)1e-6);
+        const wide_t seen = nearest_surface(opposite, layer.count, layer.members,
+                                            pixel_ray(camera, other.y, other.x), &any, &nearest);
+        occluded[at] = outside_frame(camera, other) || covered(seen, other.z, w);
     }
 #endif
 }

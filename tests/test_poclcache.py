@@ -40,7 +40,8 @@ Start = Callable[[Path], subprocess.Popen[str]]
 def start(tmp_path_factory: pytest.TempPathFactory) -> Start:
     """Starts a process that builds and launches two kernels with its cache below a given folder."""
     kernels = tmp_path_factory.mktemp("kernels")
-    (kernels / "geometry.clh").write_text("")
+    for header in ("wide.clh", "geometry.clh"):
+        (kernels / header).write_text("")
     (kernels / "work.cl").write_text(WORK)
     environ = {name: value for name, value in os.environ.items() if name not in ("POCL_CACHE_DIR", "PYOPENCL_CTX")}
     environ["PYTHONPATH"] = str(Path(poclcache.__file__).parent.parent)

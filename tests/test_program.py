@@ -70,6 +70,7 @@ __kernel void real_size(__global int *out)
 
 @pytest.fixture
 def kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    (tmp_path / "wide.clh").write_text("")
     (tmp_path / "geometry.clh").write_text(HEADER)
     (tmp_path / "work.cl").write_text(WORK)
     monkeypatch.setattr(program_module, "folder", lambda name: tmp_path)

@@ -1,4 +1,4 @@
-"""Kernels of the tests' own, built after geometry.clh as every kernel file is."""
+"""Kernels of the tests' own, built after the shared headers as every kernel file is."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from clsco import program as program_module
 from clsco.device import Session
 from clsco.layout import Real, structs
-from clsco.program import build, kernel, launch, upload
+from clsco.program import HEADERS, build, kernel, launch, upload
 from clsco.resources import folder
 
 PLAIN = {"SEVERAL": 0, "QUADRATIC": 1, "LINEAR": 0, "NAPPE": 0, "BOUNDED": 0, "FILTER": 0, "CHANNELS": 1, "SAMPLED": 0}
@@ -24,7 +24,8 @@ def run_source(session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
     Arrays are uploaded, and stay until the device is done; buffers and scalars are passed on.
     """
-    (tmp_path / "geometry.clh").write_text((folder("kernels") / "geometry.clh").read_text("utf-8"), "utf-8")
+    for header in HEADERS:
+        (tmp_path / header).write_text((folder("kernels") / header).read_text("utf-8"), "utf-8")
     monkeypatch.setattr(program_module, "folder", lambda name: tmp_path)
 
     def run(text: str, name: str, real: Real, features: dict[str, int], count: int, *args: Any) -> None:

@@ -1,0 +1,45 @@
+"""Numbers of a `wide_t` in buffers: doubles, or two floats each (kernels/wide.clh)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from clsco.device import Session
+from clsco.layout import Real
+from clsco.program import download
+
+Array = NDArray[Any]
+
+PARTS = """\
+#if REAL_IS_DOUBLE
+#define GET(p, i) p[i]
+#define PUT(p, i, a) p[i] = a
+#else
+#define GET(p, i) wide_pair(p[2 * (i)], p[2 * (i) + 1])
+#define PUT(p, i, a) p[2 * (i)] = (a).high, p[2 * (i) + 1] = (a).low
+#endif
+"""
+
+
+def in_parts(values: Array, real: Real) -> Array:
+    """Numbers (...) as GET reads them: float64 (...), or float32 (..., 2)."""
+    high = np.asarray(values, dtype=np.float32)
+    return values if real == "double" else np.stack([high, (values - high).astype(np.float32)], axis=-1)
+
+
+def whole(session: Session, buffer: cl.Buffer, shape: tuple[int, ...], real: Real) -> Array:
+    """What PUT wrote, float64 (...): the sum of the parts, the first of which is that sum rounded to float."""
+    if real == "double":
+        return download(session, buffer, shape, np.float64)
+    parts = download(session, buffer, (*shape, 2), np.float32)
+    np.testing.assert_array_equal(parts[..., 0], parts.sum(axis=-1))
+    return np.asarray(parts.astype(np.float64).sum(axis=-1))
+
+
+def held(values: Array) -> Array:
+    """Numbers near `values` that both precisions hold exactly: 48 bits."""
+    return np.asarray(in_parts(np.asarray(values, dtype=np.float64), "float").astype(np.float64).sum(axis=-1))
