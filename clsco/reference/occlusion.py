@@ -151,6 +151,8 @@ def meet_blocker(
         soft=1 / (2 * soft),
         limits=tuple(limits),
     )
+    if limits:
+        state = np.where(~clear & hides_all(blocker, most), HIDDEN, state)
     return state.astype(np.uint8), edge, blocker
 
 
@@ -228,6 +230,15 @@ def blocked_share(m: Blocker, x: Array, y: Array) -> Array:
         share = np.maximum(*both)
     slope = np.hypot(m.d[:, 1] + 2 * m.d[:, 3] * x + m.d[:, 4] * y, m.d[:, 2] + m.d[:, 4] * x + 2 * m.d[:, 5] * y)
     return np.where(m.crossings == 1, share, share * soft_step(d * m.soft / (slope + TINY)))
+
+
+def hides_all(m: Blocker, most: Array) -> Mask:
+    """Whether a surface hides the lens (N,) at 16 points all over it, a little beyond its rim, `most` (N,), among them."""
+    hidden = np.ones(most.shape, dtype=bool)
+    for radius in (most / np.cos(np.pi / 8), 0.5 * most):
+        for angle in np.arange(8) * (np.pi / 4):
+            hidden &= blocked_share(m, radius * np.cos(angle), radius * np.sin(angle)) >= 1.0
+    return hidden
 
 
 @dataclass(frozen=True, eq=False)
