@@ -11,7 +11,7 @@ variance as the boxes that overlap there, so that V is continuous.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -39,7 +39,7 @@ class Blocker:
     h (N, 3): constant, x, y, over the width of the soft edge, without the root; root (N,), f (N, 5): x, y, xx, xy, yy
     under it. With limits: crossings (N,) 1 or 2, or 0 for a plane, whose limits are an h (N, 3) each; else b (N, 3),
     f0 (N,), c, d (N, 6), soft (N,): 1 over the width of the edge; limits: (N, 4) each,
-    limit + v (limit_0 + limit_x x + limit_y y) >= 0.
+    limit + v (limit_0 + limit_x x + limit_y y) >= 0; kept: (N,) each, where it is needed.
     """
 
     h: Array
@@ -52,11 +52,13 @@ class Blocker:
     d: Array
     soft: Array
     limits: tuple[Array, ...]
+    kept: tuple[Mask, ...]
 
     def of(self, chosen: NDArray[Any]) -> Blocker:
         """The same for some of the points."""
-        arrays = {k: v[chosen] for k, v in vars(self).items() if k != "limits"}
-        return Blocker(**arrays, limits=tuple(limit[chosen] for limit in self.limits))
+        arrays = {k: v[chosen] for k, v in vars(self).items() if k not in ("limits", "kept")}
+        limits, kept = (tuple(array[chosen] for array in arrays) for arrays in (self.limits, self.kept))
+        return Blocker(**arrays, limits=limits, kept=kept)
 
 
 def _dot(weights: Array, vectors: Array) -> Array:
@@ -150,9 +152,12 @@ def meet_blocker(
         d=np.stack([d, dx, dy, dxx, dxy, dyy], axis=-1),
         soft=1 / (2 * soft),
         limits=tuple(limits),
+        kept=tuple(np.ones(w.shape, dtype=bool) for _ in limits),
     )
     if limits:
-        state = np.where(~clear & hides_all(blocker, most), HIDDEN, state)
+        all_hidden, kept = hides_all(blocker, most)
+        state = np.where(~clear & all_hidden, HIDDEN, state)
+        blocker = replace(blocker, kept=kept)
     return state.astype(np.uint8), edge, blocker
 
 
@@ -179,7 +184,7 @@ def _planar(limits: Sequence[Array], points: int) -> Blocker:
     """A plane: of its `limits` each is (N, 3), an h."""
     none, zero = np.zeros((points, 6)), np.zeros(points)
     crossings = np.zeros(points, dtype=np.int64)
-    return Blocker(none[:, :3], zero, none[:, :5], crossings, none[:, :3], zero, none, none, zero, tuple(limits))
+    return Blocker(none[:, :3], zero, none[:, :5], crossings, none[:, :3], zero, none, none, zero, tuple(limits), ())
 
 
 def soft_step(t: Array) -> Array:
@@ -188,22 +193,48 @@ def soft_step(t: Array) -> Array:
     return np.asarray(t * t * (3.0 - 2.0 * t))
 
 
-def crossing_share(m: Blocker, v: Array, b: Array, c: Array, x: Array, y: Array) -> Array:
-    """Share of the taps' cells from which a crossing at w + v (N,) blocks: the least that any condition leaves.
+@dataclass(frozen=True, eq=False)
+class Crossing:
+    """One of the crossings with the lines to taps: w + v, and how v changes with the tap, (N,) each."""
 
-    b, c, x, y: (N,), at the taps.
-    """
+    v: Array
+    x: Array
+    y: Array
+
+
+def crossing_at(m: Blocker, v: Array, b: Array, c: Array, x: Array, y: Array) -> Crossing:
+    """The crossing at w + v (N,); b, c, x, y: (N,), at the taps."""
     steep = c * v + b
-    steep = np.where(np.abs(steep) > TINY, steep, TINY)
+    scale = -v / np.where(np.abs(steep) > TINY, steep, TINY)
     _, c_x, c_y, c_xx, c_xy, c_yy = m.c.T
-    vx = -v * (m.b[:, 1] + 0.5 * v * (c_x + 2 * c_xx * x + c_xy * y)) / steep
-    vy = -v * (m.b[:, 2] + 0.5 * v * (c_y + c_xy * x + 2 * c_yy * y)) / steep
-    least = np.ones_like(v)
-    for limit in m.limits:
-        at = limit[:, 1] + limit[:, 2] * x + limit[:, 3] * y
-        slope = np.hypot(v * limit[:, 2] + at * vx, v * limit[:, 3] + at * vy)
-        least = np.minimum(least, soft_step((limit[:, 0] + v * at) * m.soft / (slope + TINY)))
-    return np.where(v > 0, least, 0.0)
+    vx = scale * (m.b[:, 1] + 0.5 * v * (c_x + 2 * c_xx * x + c_xy * y))
+    vy = scale * (m.b[:, 2] + 0.5 * v * (c_y + c_xy * x + 2 * c_yy * y))
+    return Crossing(v, vx, vy)
+
+
+def limit_share(m: Blocker, limit: Array, at: Crossing, x: Array, y: Array) -> Array:
+    """Share (N,) of the taps' cells over which a crossing meets one condition (N, 4)."""
+    slope = limit[:, 1] + limit[:, 2] * x + limit[:, 3] * y
+    steep = np.hypot(at.v * limit[:, 2] + slope * at.x, at.v * limit[:, 3] + slope * at.y)
+    return soft_step((limit[:, 0] + at.v * slope) * m.soft / (steep + TINY))
+
+
+def crossing_share(m: Blocker, at: Crossing, x: Array, y: Array) -> Array:
+    """Share (N,) of them from which a crossing blocks: the least that any condition leaves."""
+    least = np.ones_like(x)
+    for limit, kept in zip(m.limits, m.kept, strict=True):
+        least = np.where(kept, np.minimum(least, limit_share(m, limit, at, x, y)), least)
+    return np.where(at.v > 0, least, 0.0)
+
+
+def find_crossings(m: Blocker, x: Array, y: Array) -> tuple[Crossing, Crossing]:
+    """Both crossings at taps x, y (N,), or the one."""
+    b = m.b[:, 0] + m.b[:, 1] * x + m.b[:, 2] * y
+    c, d = (p[:, 0] + x * (p[:, 1] + p[:, 3] * x + p[:, 4] * y) + y * (p[:, 2] + p[:, 5] * y) for p in (m.c, m.d))
+    root = np.sqrt(np.maximum(d, 0.0))
+    t = np.where(b < 0, root - b, -b - root)
+    t = np.where(np.abs(t) > TINY, t, TINY)
+    return crossing_at(m, t / c, b, c, x, y), crossing_at(m, m.f0 / t, b, c, x, y)
 
 
 def blocked_height(m: Blocker, x: Array, y: Array) -> Array:
@@ -220,25 +251,33 @@ def blocked_share(m: Blocker, x: Array, y: Array) -> Array:
         return soft_step(blocked_height(m, x, y))
     if m.limits[0].shape[1] == 3:  # a plane
         return np.asarray(np.min([soft_step(h[:, 0] + h[:, 1] * x + h[:, 2] * y) for h in m.limits], axis=0))
-    b = m.b[:, 0] + m.b[:, 1] * x + m.b[:, 2] * y
-    c, d = (p[:, 0] + x * (p[:, 1] + p[:, 3] * x + p[:, 4] * y) + y * (p[:, 2] + p[:, 5] * y) for p in (m.c, m.d))
-    root = np.sqrt(np.maximum(d, 0.0))
-    t = np.where(b < 0, root - b, -b - root)
-    t = np.where(np.abs(t) > TINY, t, TINY)
     with np.errstate(all="ignore"):  # a lens point on the surface itself has an infinite crossing
-        both = (crossing_share(m, v, b, c, x, y) for v in (t / c, m.f0 / t))
-        share = np.maximum(*both)
-    slope = np.hypot(m.d[:, 1] + 2 * m.d[:, 3] * x + m.d[:, 4] * y, m.d[:, 2] + m.d[:, 4] * x + 2 * m.d[:, 5] * y)
-    return np.where(m.crossings == 1, share, share * soft_step(d * m.soft / (slope + TINY)))
+        one, other = (crossing_share(m, at, x, y) for at in find_crossings(m, x, y))
+    # Without any condition left, a surface that is crossed twice is as one that never had any.
+    share, d = np.maximum(one, other), m.d
+    height = d[:, 0] + x * (d[:, 1] + d[:, 3] * x + d[:, 4] * y) + y * (d[:, 2] + d[:, 5] * y)
+    slope = np.hypot(d[:, 1] + 2 * d[:, 3] * x + d[:, 4] * y, d[:, 2] + d[:, 4] * x + 2 * d[:, 5] * y)
+    twice = np.where(
+        np.any(m.kept, axis=0), share * soft_step(height * m.soft / (slope + TINY)), soft_step(blocked_height(m, x, y))
+    )
+    return np.where(m.crossings == 1, share, twice)
 
 
-def hides_all(m: Blocker, most: Array) -> Mask:
-    """Whether a surface hides the lens (N,) at 16 points all over it, a little beyond its rim, `most` (N,), among them."""
-    hidden = np.ones(most.shape, dtype=bool)
+def hides_all(m: Blocker, most: Array) -> tuple[Mask, tuple[Mask, ...]]:
+    """Whether a surface hides the lens (N,) at 16 points all over it, a little beyond its rim, `most` (N,), among them.
+
+    Also which conditions (N,) each some crossing there does not meet wholly; others can be dropped.
+    """
+    hidden, kept = np.ones(most.shape, dtype=bool), [np.zeros(most.shape, dtype=bool) for _ in m.limits]
     for radius in (most / np.cos(np.pi / 8), 0.5 * most):
         for angle in np.arange(8) * (np.pi / 4):
-            hidden &= blocked_share(m, radius * np.cos(angle), radius * np.sin(angle)) >= 1.0
-    return hidden
+            x, y = radius * np.cos(angle), radius * np.sin(angle)
+            hidden &= blocked_share(m, x, y) >= 1.0
+            with np.errstate(all="ignore"):
+                for at in find_crossings(m, x, y):
+                    for k, limit in enumerate(m.limits):
+                        kept[k] |= (at.v > 0) & (limit_share(m, limit, at, x, y) < 1.0)
+    return hidden, tuple(kept)
 
 
 @dataclass(frozen=True, eq=False)
