@@ -18,7 +18,8 @@ LAYERS = (
     ("files", "shapes", "frame"),
     ("scene",),
     ("optics", "psf", "motion", "images", "scenefile"),
-    ("surfaces", "textures", "depthmaps", "sweep"),
+    ("surfaces", "textures", "depthmaps", "sweep", "framefiles"),
+    ("occlusion", "maptruth"),
     ("layout",),
     ("plan",),
     ("reference",),
@@ -27,6 +28,7 @@ LAYERS = (
     ("spread",),
     ("layers",),
     ("defocus", "forward"),
+    ("renderer",),
     ("render",),
     ("describe", "demo", "defocus_command"),
     ("batch", "check"),
@@ -40,8 +42,8 @@ ONLY = {
     "program": {"errors", "resources", "device"},
 }
 IMPORTS_REFERENCE = {"check"}
-OPENCL = {"device", "program", "spread", "layers", "defocus", "forward", "render"}
-ON_OPENCL = {"batch", "check"}
+OPENCL = {"device", "program", "spread", "layers", "defocus", "forward", "renderer"}
+ON_OPENCL = {"render", "batch", "check"}
 IMAGES = {"images"}
 OUTSIDE = {
     "pyopencl": OPENCL,
@@ -142,7 +144,8 @@ def test_allowed_imports_pass() -> None:
     texts = {
         "cli": "import click\nfrom clsco import __version__\nfrom clsco.check import compare_frames",
         "check": "from clsco import reference\nfrom clsco.render import render",
-        "render": "import pyopencl\nfrom clsco.plan import make_plan",
+        "render": "from clsco.renderer import Renderer",
+        "renderer": "import pyopencl\nfrom clsco.plan import make_plan",
         "plan": "",
         "reference.__init__": "from clsco.reference.render import render",
         "reference.render": "from clsco.plan import make_plan",

@@ -10,15 +10,15 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco import psf as psf_weights
+from clsco.occlusion import Layer
 from clsco.reference.accumulate import accumulate
 from clsco.reference.blur import convolve, gather, prepare_sources, renormalize, resolve, scatter, tilt_factor
-from clsco.reference.trace import Sources, SubpixelSources, mark_silhouettes, trace, trace_subpixels
+from clsco.reference.trace import Sources, SubpixelSources, mark_silhouettes, trace, trace_subpixels, view_at
 from clsco.scene import Plane, Psf, Scene, Sphere
-from clsco.surfaces import PlacedSurface
 
 Array = NDArray[np.float64]
 SceneMaker = Callable[..., Scene]
-Placer = Callable[..., PlacedSurface]
+ALONE = Layer(1, 0)  # one object, and nothing in its way
 
 PSFS = (
     Psf(),
@@ -44,7 +44,7 @@ def random_sources(shape: tuple[int, int], largest: float, steepest: float, chan
     gradient = np.stack([length * np.cos(angle), length * np.sin(angle)], axis=-1)
     radiance = np.where(there, rng.random((*shape, channels)), 0.0)
     radius = np.where(label > 0, rng.uniform(-largest, largest, shape), 0.0)
-    return Sources(radiance, np.ones(shape), label, radius, gradient)
+    return Sources(radiance, np.ones(shape), label, radius, gradient, label > 0)
 
 
 def in_the_middle(sources: Sources, margin: int) -> Sources:
@@ -52,6 +52,7 @@ def in_the_middle(sources: Sources, margin: int) -> Sources:
     padded = {
         name: np.pad(value, [(margin, margin)] * 2 + [(0, 0)] * (value.ndim - 2))
         for name, value in vars(sources).items()
+        if value is not None
     }
     return Sources(**padded)
 
@@ -84,8 +85,8 @@ def plain_scatter(psf: Psf, sources: Sources, sub: SubpixelSources | None, shape
             share = share / share.sum() if inside else np.zeros_like(share)
         color[...] += weight * share[..., None] * light
 
-    for i, j in np.ndindex(sources.label.shape):
-        if sources.label[i, j] == 0 or (sub is not None and ((sub.row == i) & (sub.column == j)).any()):
+    for i, j in np.ndindex(sources.lit.shape):
+        if not sources.lit[i, j] or (sub is not None and ((sub.row == i) & (sub.column == j)).any()):
             continue
         radius, (gx, gy) = sources.radius[i, j], sources.gradient[i, j]
         dx, dy = (column - j).astype(float), (row - i).astype(float)
@@ -132,7 +133,7 @@ def test_light_is_conserved(psf: Psf, tilt: bool) -> None:
     """
     sources = in_the_middle(random_sources((12, 14), 4.0, 1 / 4.5, channels=3), 14)
     assert psf_weights.reach(psf, 4.0) <= 14
-    color = scatter(psf.model_copy(update={"tilt": tilt}), sources, None, sources.label.shape, 0)
+    color = scatter(psf.model_copy(update={"tilt": tilt}), sources, None, sources.lit.shape, 0)
     light = sources.radiance.sum(axis=(0, 1))
     assert light.min() > 10
     np.testing.assert_allclose(color.sum(axis=(0, 1)), light, rtol=1e-12)  # the weights' own sum is 1 to 1e-12
@@ -147,7 +148,7 @@ def test_subpixel_light_is_conserved() -> None:
     sub = replace(sub, hit=sub.hit & inside[:, None, None])
     assert sub.hit.sum() > 100
     psf = Psf(tilt=False)
-    color = scatter(psf, sources, sub, sources.label.shape, 0)
+    color = scatter(psf, sources, sub, sources.lit.shape, 0)
     own = sources.radiance.copy()
     own[sub.row, sub.column] = 0.0
     expected = own.sum() + sub.radiance[sub.hit].sum() / 16
@@ -160,7 +161,8 @@ def test_constant_image_stays_constant(psf: Psf, radius: float) -> None:
     guard = max(psf_weights.reach(psf, abs(radius)), 1)
     shape = (9 + 2 * guard, 12 + 2 * guard)
     radiance = np.full((*shape, 1), 0.7)
-    sources = Sources(radiance, np.ones(shape), np.ones(shape, np.uint8), np.full(shape, radius), np.zeros((*shape, 2)))
+    planes = (np.ones(shape), np.ones(shape, np.uint8), np.full(shape, radius), np.zeros((*shape, 2)))
+    sources = Sources(radiance, *planes, np.ones(shape, np.bool_))
     color = scatter(psf, sources, None, (9, 12), guard)
     np.testing.assert_allclose(color, 0.7, rtol=1e-12)  # the weights' own sum is 1 to 1e-12
     if guard > 1:
@@ -170,7 +172,7 @@ def test_constant_image_stays_constant(psf: Psf, radius: float) -> None:
 @pytest.mark.parametrize("psf", PSFS, ids=name_of)
 def test_convolve_is_scatter_of_one_radius(psf: Psf) -> None:
     sources = random_sources((18, 20), 1.0, 0.0, channels=3)
-    sources = replace(sources, radius=np.where(sources.label > 0, -2.3, 0.0))
+    sources = replace(sources, radius=np.where(sources.lit, -2.3, 0.0))
     expected = scatter(psf, sources, None, (12, 14), 3)
     np.testing.assert_allclose(convolve(psf, sources.radiance, -2.3, 3), expected, atol=1e-13)
     dx, dy = np.meshgrid(np.arange(-9.0, 10), np.arange(-9.0, 10))
@@ -193,8 +195,8 @@ def test_renormalizing_gives_all_light_back_to_the_frame() -> None:
     assert lit > 1
     np.testing.assert_allclose(color.sum(), own[frame].sum() + lit, rtol=1e-12)
     scaled, _ = renormalize(psf, sources, sub, (12, 16), 4)
-    assert not scaled.label[:4].any()
-    assert scaled.label[frame].any()
+    assert not scaled.lit[:4].any()
+    assert scaled.lit[frame].any()
 
 
 @pytest.mark.parametrize("offset", [(0, 0), (3, 1)])
@@ -203,7 +205,8 @@ def test_a_subpixel_source_lights_its_disc(offset: tuple[int, int]) -> None:
     hit = np.zeros((1, 4, 4), dtype=bool)
     hit[0, i, j] = True
     empty = np.zeros((13, 13))
-    sources = Sources(empty[..., None], empty, empty.astype(np.uint8), empty, np.zeros((13, 13, 2)))
+    none = np.zeros((13, 13), dtype=bool)
+    sources = Sources(empty[..., None], empty, empty.astype(np.uint8), empty, np.zeros((13, 13, 2)), none)
     sub = SubpixelSources(
         np.array([6]),
         np.array([6]),
@@ -274,11 +277,11 @@ def thin_lens(scene: Scene, sources: Sources, texture: Array, guard: int) -> Arr
     return color / 36
 
 
-def test_tilted_plane_agrees_with_a_thin_lens(make_scene: SceneMaker, at: Placer) -> None:
+def test_tilted_plane_agrees_with_a_thin_lens(make_scene: SceneMaker) -> None:
     item = Plane(distance=256.0, slope_x=2.0, slope_y=-1.0)
     scene = make_scene(item, (24, 24), camera={"aperture_diameter": 40.0})
     texture = np.random.default_rng(47).random((24, 24, 1))
-    sources = trace(scene, at(item), texture, 10, moved=False)
+    sources = trace(view_at(scene, (texture,), 0.0, "left", False), ALONE, 10)
     assert np.hypot(*sources.gradient[10, 10]) > 0.1
     assert 2 < np.abs(sources.radius).max() < 10
     expected = thin_lens(scene, sources, texture, 10)
@@ -294,7 +297,7 @@ def test_tilted_plane_agrees_with_a_thin_lens(make_scene: SceneMaker, at: Placer
     assert wrong > 2 * error[False] * 0.8
 
 
-def test_silhouette_of_a_sphere_gains_from_subpixels(make_scene: SceneMaker, at: Placer) -> None:
+def test_silhouette_of_a_sphere_gains_from_subpixels(make_scene: SceneMaker) -> None:
     """4 x 4 sources at the silhouette are closer to 12 x 12 sources everywhere than one per pixel."""
     item = Sphere(center=(0.1, 0.05, 262.0), radius=1.2)
     texture = np.full((32, 32, 1), 1.0)
@@ -302,11 +305,12 @@ def test_silhouette_of_a_sphere_gains_from_subpixels(make_scene: SceneMaker, at:
 
     def image(samples: int, everywhere: bool) -> Array:
         scene = make_scene(item, (32, 32), camera=camera, psf=Psf(silhouette_samples=samples))
-        sources = trace(scene, at(item), texture, 6, moved=False)
+        view = view_at(scene, (texture,), 0.0, "left", False)
+        sources = trace(view, ALONE, 6)
         if samples == 1:
             return scatter(scene.psf, sources, None, (32, 32), 6)
         marked = np.ones_like(sources.label, dtype=bool) if everywhere else mark_silhouettes(sources.label)
-        sub = trace_subpixels(scene, at(item), texture, 6, False, marked)
+        sub = trace_subpixels(view, ALONE, 6, marked)
         return scatter(scene.psf, sources, sub, (32, 32), 6)
 
     fine = image(12, everywhere=True)

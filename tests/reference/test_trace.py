@@ -9,16 +9,19 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.motion import pose_at
+from clsco.occlusion import Layer
 from clsco.optics import blur_radius
 from clsco.psf import subpixel_offsets
 from clsco.reference.geometry import Filter, pixel_ray, rest_pixel, solve_quadric
 from clsco.reference.trace import (
     SILHOUETTE_RANGE,
+    View,
     ground_truth,
     mark_silhouettes,
     padded_grid,
     trace,
     trace_subpixels,
+    view_at,
 )
 from clsco.scene import Ellipsoid, Motion, ObjectMotion, Plane, Psf, Scene, Sequence, Sphere
 from clsco.surfaces import PlacedSurface
@@ -28,6 +31,7 @@ Placer = Callable[..., PlacedSurface]
 
 SMALL_SPHERE = Sphere(center=(0.3, -0.2, 280.0), radius=2.5)
 SHAPE = (40, 48)
+ALONE = Layer(1, 0)  # one object, and nothing in its way
 EPS = np.finfo(np.float64).eps
 
 
@@ -36,9 +40,14 @@ def random_texture(channels: int = 1) -> NDArray[np.float64]:
     return np.random.default_rng(11).random((*SHAPE, channels))
 
 
-def test_sources_at_rest_are_the_texels(make_scene: SceneMaker, at: Placer) -> None:
+def seen(scene: Scene, texture: NDArray[np.float64], time: float = 0.0, moved: bool = False) -> View:
+    """A scene of one object as the camera sees it."""
+    return view_at(scene, (texture,), time, "left", moved)
+
+
+def test_sources_at_rest_are_the_texels(make_scene: SceneMaker) -> None:
     scene, texture = make_scene(Plane(distance=280.0, slope_x=0.5), SHAPE), random_texture(3)
-    sources = trace(scene, at(scene.objects[0]), texture, 5, moved=False)
+    sources = trace(seen(scene, texture), ALONE, 5)
     assert (sources.label > 0).all()
     assert (sources.radiance == np.pad(texture, ((5, 5), (5, 5), (0, 0)), mode="symmetric")).all()
     assert (sources.radius == blur_radius(scene.camera, sources.inverse_depth)).all()
@@ -47,9 +56,9 @@ def test_sources_at_rest_are_the_texels(make_scene: SceneMaker, at: Placer) -> N
     np.testing.assert_allclose(np.diff(sources.radius, axis=0), sources.gradient[:-1, :, 1], atol=1e-11)
 
 
-def test_guard_sees_the_same_surface(make_scene: SceneMaker, at: Placer) -> None:
+def test_guard_sees_the_same_surface(make_scene: SceneMaker) -> None:
     scene, texture = make_scene(SMALL_SPHERE, SHAPE), random_texture()
-    wide, narrow = (trace(scene, at(SMALL_SPHERE), texture, guard, moved=False) for guard in (7, 0))
+    wide, narrow = (trace(seen(scene, texture), ALONE, guard) for guard in (7, 0))
     assert 0.1 < (narrow.label > 0).mean() < 0.9
     for name in ("radiance", "inverse_depth", "label", "radius", "gradient"):
         assert (getattr(wide, name)[7:-7, 7:-7] == getattr(narrow, name)).all()
@@ -58,11 +67,11 @@ def test_guard_sees_the_same_surface(make_scene: SceneMaker, at: Placer) -> None
 
 
 @pytest.mark.parametrize("texture_filter", ["nearest", "bilinear", "bicubic"])
-def test_whole_pixel_motion_moves_the_texels(texture_filter: Filter, make_scene: SceneMaker, at: Placer) -> None:
+def test_whole_pixel_motion_moves_the_texels(texture_filter: Filter, make_scene: SceneMaker) -> None:
     item = Plane(motion=ObjectMotion(velocity=(0.5, -0.25, 0.0)))  # 4 px right, 2 px down at 250 mm
     scene = make_scene(item, SHAPE, motion=Motion(texture_filter=texture_filter))
     texture = random_texture()
-    sources = trace(scene, at(item, 1.0), texture, 0, moved=True)
+    sources = trace(seen(scene, texture, 1.0, moved=True), ALONE, 0)
     # Positions are off by eps of a few hundred px, and a filter's slope is at most 2 per px.
     np.testing.assert_allclose(sources.radiance[2:, 4:], texture[:-2, :-4], atol=1e-11)
 
@@ -94,13 +103,13 @@ def test_subpixels_are_rays_of_their_own(moved: bool, make_scene: SceneMaker, at
     item = SMALL_SPHERE.model_copy(update={"motion": ObjectMotion(angular_velocity=(0.0, 30.0, 0.0))})
     scene, texture = make_scene(item, SHAPE, psf=Psf(silhouette_samples=3)), random_texture(3)
     surface = at(item, 1.0 if moved else 0.0)
-    marked = mark_silhouettes(trace(scene, surface, texture, 4, moved).label)
-    sub = trace_subpixels(scene, surface, texture, 4, moved, marked)
-    assert sub.hit.shape == (marked.sum(), 3, 3)
+    view = seen(scene, texture, 1.0 if moved else 0.0, moved)
+    own = trace(view, ALONE, 4)
+    sub = trace_subpixels(view, ALONE, 4, mark_silhouettes(own.label))
+    assert sub.hit.shape == (mark_silhouettes(own.label).sum(), 3, 3)
     assert 0.2 < sub.hit.mean() < 0.8
     np.testing.assert_allclose(subpixel_offsets(3), [-1 / 3, 0.0, 1 / 3])
     # The middle one is the pixel's own ray.
-    own = trace(scene, surface, texture, 4, moved)
     at_pixel = (sub.row, sub.column)
     assert (sub.hit[:, 1, 1] == (own.label[at_pixel] > 0)).all()
     assert (sub.radius[:, 1, 1] == own.radius[at_pixel]).all()
@@ -114,14 +123,15 @@ def test_subpixels_are_rays_of_their_own(moved: bool, make_scene: SceneMaker, at
     expected = np.where(label > 0, blur_radius(scene.camera, w), 0.0)
     np.testing.assert_allclose(sub.radius[:, i, j], expected, atol=1e-6)  # sqrt(eps) at the limb, times 10 px
     if not moved:
-        spread = sub.radiance - sub.radiance[:, 1:2, 1:2]
-        assert not spread.any()
+        # They share the pixel's texel, and have no light where nothing is hit.
+        texel = np.pad(texture, ((4, 4), (4, 4), (0, 0)), mode="symmetric")[at_pixel][:, None, None]
+        assert (sub.radiance == np.where(sub.hit[..., None], texel, 0.0)).all()
 
 
 def test_truth_of_a_plane(make_scene: SceneMaker) -> None:
     item = Plane(distance=250.0, motion=ObjectMotion(velocity=(10.0, 0.0, 35.0)))
     scene = make_scene(item, SHAPE, sequence=Sequence(shutter=1.0, interval=1.0))
-    truth = ground_truth(scene, random_texture(), 0)
+    truth = ground_truth(scene, (random_texture(),), 0)
     middle = 250.0 + 17.5
     np.testing.assert_allclose(truth.depth, middle, rtol=8 * EPS)
     np.testing.assert_allclose(truth.coc, blur_radius(scene.camera, 1 / middle), atol=1e-11)
@@ -138,7 +148,7 @@ def test_truth_of_a_plane(make_scene: SceneMaker) -> None:
 @pytest.mark.parametrize(("distance", "expected"), [(250.0, 80.0), (285.0, 70.2)])
 def test_flow_of_the_thesis(distance: float, expected: float, make_scene: SceneMaker) -> None:
     item = Plane(distance=distance, motion=ObjectMotion(velocity=(10.0, 0.0, 0.0)))
-    flow = ground_truth(make_scene(item, SHAPE), random_texture(), 0).flow
+    flow = ground_truth(make_scene(item, SHAPE), (random_texture(),), 0).flow
     assert np.abs(flow[..., 0] - expected).max() < 0.03  # 70.175 px, given as 70.2
     assert np.abs(flow[..., 1]).max() < 1e-10  # eps of the frame's pixel numbers times s0/p
 
@@ -147,7 +157,7 @@ def test_flow_leads_to_the_same_point_of_the_object(make_scene: SceneMaker, at: 
     motion = ObjectMotion(velocity=(0.3, 0.2, 5.0), angular_velocity=(5.0, -8.0, 12.0))
     item = Ellipsoid(center=(0.0, 0.0, 290.0), semi_axes=(3.0, 2.0, 4.0), motion=motion)
     scene = make_scene(item, SHAPE)
-    truth = ground_truth(scene, random_texture(), 1)
+    truth = ground_truth(scene, (random_texture(),), 1)
     row, column = padded_grid(scene.camera, 0)
     camera = scene.camera
     start, end = at(item, 1.5), at(item, 2.5)
@@ -167,7 +177,7 @@ def test_flow_leads_to_the_same_point_of_the_object(make_scene: SceneMaker, at: 
 
 
 def test_nothing_flows_and_nothing_is_hidden_at_rest(make_scene: SceneMaker) -> None:
-    truth = ground_truth(make_scene(SMALL_SPHERE, SHAPE), random_texture(), 3)
+    truth = ground_truth(make_scene(SMALL_SPHERE, SHAPE), (random_texture(),), 3)
     assert truth.mask.any()
     assert not truth.mask.all()
     assert np.abs(truth.flow).max() < 1e-10
@@ -181,7 +191,7 @@ def test_back_of_a_turned_sphere_was_hidden(make_scene: SceneMaker) -> None:
     item = SMALL_SPHERE.model_copy(
         update={"center": (0.0, 0.0, 280.0), "motion": ObjectMotion(angular_velocity=(0.0, 180.0, 0.0))}
     )
-    truth = ground_truth(make_scene(item, SHAPE), random_texture(), 0)  # turned by 90 deg about y
+    truth = ground_truth(make_scene(item, SHAPE), (random_texture(),), 0)  # turned by 90 deg about y
     hidden = truth.hidden & truth.mask
     # At a distance of 112 radii half of the disc, within 1/112 of its width, shows what was behind the limb.
     left, right = (
@@ -207,7 +217,7 @@ def test_surface_from_outside_of_the_frame_was_hidden(
     item = Plane(motion=ObjectMotion(velocity=velocity))  # 8 px/s: 4 px at the middle
     expected = np.zeros(SHAPE, dtype=bool)
     expected[outside] = True
-    assert (ground_truth(make_scene(item, SHAPE), random_texture(), 0).hidden == expected).all()
+    assert (ground_truth(make_scene(item, SHAPE), (random_texture(),), 0).hidden == expected).all()
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -219,10 +229,10 @@ def test_euler_and_axis_are_one_for_single_axes(axis: int, make_scene: SceneMake
         motion=ObjectMotion(angular_velocity=(x, y, z)),
     )
     truths = [
-        ground_truth(make_scene(item, SHAPE, motion=Motion(rotation=rotation)), random_texture(), 0)
+        ground_truth(make_scene(item, SHAPE, motion=Motion(rotation=rotation)), (random_texture(),), 0)
         for rotation in ("euler", "axis")
     ]
-    still = ground_truth(make_scene(item.model_copy(update={"motion": ObjectMotion()}), SHAPE), random_texture(), 0)
+    still = ground_truth(make_scene(item.model_copy(update={"motion": ObjectMotion()}), SHAPE), (random_texture(),), 0)
     assert np.abs(truths[0].sharp - still.sharp).max() > 0.1
     assert (truths[0].mask == truths[1].mask).all()
     both = truths[0].mask
@@ -235,7 +245,7 @@ def test_euler_and_axis_are_one_for_single_axes(axis: int, make_scene: SceneMake
 def test_turn_about_z_is_clockwise_for_the_viewer(make_scene: SceneMaker) -> None:
     """2.13 to 2.23: in x right, y up, z towards the camera a positive angle takes +y to +x."""
     item = Plane(motion=ObjectMotion(angular_velocity=(0.0, 0.0, 10.0)))
-    flow = ground_truth(make_scene(item, SHAPE), random_texture(), 0).flow
+    flow = ground_truth(make_scene(item, SHAPE), (random_texture(),), 0).flow
     assert (flow[0, :, 0] > 0).all()
     assert (flow[-1, :, 0] < 0).all()
     assert (flow[:, -1, 1] > 0).all()
