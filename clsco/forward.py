@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from math import comb
 from typing import Any
@@ -19,6 +19,7 @@ from clsco.program import build, download, empty, kernel, launch, upload
 from clsco.spread import PIXELS, Events
 from clsco.surfaces import PlacedSurface
 
+KERNELS = ("reproject.cl", "fill.cl", "mean_median.cl")
 # As in the kernels.
 SEGMENT = 64  # sources of a row that a work-item moves, with OWNED
 COUNTERS = 5
@@ -82,7 +83,7 @@ def forward_features(plan: Plan, owned: bool) -> dict[str, int]:
 
 
 def squared_errors(sums: NDArray[np.floating[Any]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Squared errors (9,) of mean and median of k neighbors, as `clsco.reference.fill.score_mean_median`.
+    """Squared errors (9,) of mean and median of k neighbors, as `score_mean_median` of `clsco.reference.mean_median`.
 
     sums: (rows, 7) from the kernel of that name, added here in the order of the rows. The binomial coefficients
     count the subsets of k neighbors with a certain one, and with a certain two, in them.
@@ -252,7 +253,7 @@ class ForwardWarp:
         self.textures = list(textures or range(len(self.items)))
         self.owned = session.device.kind == "cpu" if owned is None else owned
         features = forward_features(plan, self.owned)
-        self.program = build(session, ["reproject.cl", "fill.cl"], features, structs(real), real)
+        self.program = build(session, KERNELS, features, structs(real), real)
         self.filler = Filler(session, self.program, camera, features, real)
         # Once the pixels are in their places, the filling may have these for its lists.
         self.target, self.winner = self.filler.indices
@@ -298,8 +299,10 @@ class ForwardWarp:
         counters = planes.fill(self.placed[1], len(self.items), events)
         return Warped(planes.value, planes.w, planes.coc, planes.valid, planes.status, planes.object, counters)
 
-    def truth(self, poses: Sequence[Pose], surfaces: Surfaces, events: Events) -> dict[str, NDArray[Any]]:
-        """What the plan wants of these, float32 or as stated, (rows, columns[, channels]). Arguments as for `warp`.
+    def truth(
+        self, poses: Sequence[Pose], surfaces: Surfaces, wanted: Collection[str], events: Events
+    ) -> dict[str, NDArray[Any]]:
+        """What is wanted of these, float32 or as stated, (rows, columns[, channels]). Other arguments as for `warp`.
 
         "sharp": radiance after the move; "filled": uint8, as `Warped.status`. Of a scene with a depth map, at which no
         ray can be cast, also what is known of the pixels' surface, filled ones included: "depth" in mm, +inf for none;
@@ -308,23 +311,25 @@ class ForwardWarp:
         """
         plan = self.plan
         names = {"sharp", "filled"} | ({"depth", "coc", "mask", "object_id"} if self.maps else set())
-        if not names & set(plan.truth):
+        if not names & set(wanted):
             return {}
         warped = self.warp(poses, surfaces, 1.0, events)
         real, valid = _dtype(self.real), self._frame(warped.valid, np.bool_)
         found: dict[str, NDArray[Any]] = {"mask": valid}
-        if "sharp" in plan.truth:
+        if "sharp" in wanted:
             planes = self._frame(warped.value, np.float32, plan.channels)
             found["sharp"] = np.ascontiguousarray(planes[0] if plan.channels == 1 else np.moveaxis(planes, 0, -1))
-        if "filled" in plan.truth:
+        if "filled" in wanted:
             found["filled"] = self._frame(warped.status, np.uint8)
         if self.maps:
             w = self._frame(warped.w, real)
             found["depth"] = np.where(valid, 1.0 / np.where(valid, w, 1.0), np.inf).astype(np.float32)
             found["coc"] = self._frame(warped.coc, real).astype(np.float32)
-            seen = 0 if warped.object is None else self._frame(warped.object, np.uint8)
+            seen = np.zeros(valid.shape, np.int32)
+            if warped.object is not None:
+                seen = self._frame(warped.object, np.uint8).astype(np.int32)
             found["object_id"] = np.where(valid, seen, -1).astype(np.int32)
-        return {name: array for name, array in found.items() if name in names & set(plan.truth)}
+        return {name: array for name, array in found.items() if name in names & set(wanted)}
 
     def _frame(self, buffer: cl.Buffer, dtype: Any, channels: int | None = None) -> NDArray[Any]:
         """The frame's part (rows, columns) of a plane on the padded grid, or (channels, rows, columns) of several."""

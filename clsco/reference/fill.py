@@ -1,4 +1,4 @@
-"""Missing pixels: adaptive interpolation (thesis, 4.3.5) and mean/median filling (chapter 5).
+"""Missing pixels: which there are, adaptive interpolation (thesis, 4.3.5), and whole fillings of either kind.
 
 Values are arrays (H, W, K) of any channels, radiance and inverse depth alike. A pixel filled in a sweep
 serves others from the next sweep on, so the order of pixels within a sweep does not matter.
@@ -11,23 +11,23 @@ from its farther side only: every missing pixel has a bound on the inverse depth
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco.reference.geometry import Array
+from clsco.reference.mean_median import (
+    MINIMUM_COUNT,
+    SMOOTHING_ROUNDS,
+    fill_mean_median,
+    score_mean_median,
+    smooth_median,
+)
+from clsco.reference.neighbors import NEIGHBORS, Bounds, Mask, Pixels, known_neighbors, neighbor_numbers
 
-Mask = NDArray[np.bool_]
-Bounds = NDArray[np.float32] | None  # (H, W), inverse depth: of missing pixels, by `far_bounds`
-Pixels = NDArray[np.int64]
 Method = Literal["ait", "mean_median", "none"]
 
-# Rows down, columns right: W E, N S, NW SE, NE SW. Opposite neighbors are pairs.
-NEIGHBORS = ((0, -1), (0, 1), (-1, 0), (1, 0), (-1, -1), (1, 1), (-1, 1), (1, -1))
-MINIMUM_COUNT = 4  # known neighbors that a pixel needs (chapter 5), fewer only where the filling would stall
-SMOOTHING_ROUNDS = 20
 FAR_SLACK = np.float32(1.02)  # relative; a surface at 45 degrees changes less over two pixels of 0.5 degrees each
 
 KNOWN, FILLED, UNFILLED = np.uint8(0), np.uint8(1), np.uint8(2)
@@ -119,24 +119,6 @@ def mark_grown(known: Mask, missing: Mask, allowed: Mask | None) -> Mask:
     return missing | mark_missing(known, allowed)
 
 
-def _neighbors(values: Array, known: Mask, row: Pixels, column: Pixels, bounds: Bounds = None) -> tuple[Array, Mask]:
-    """Values (8, N, K) of the neighbors of N pixels, and which are known (8, N), within the array and the bounds."""
-    edge = ((1, 1), (1, 1))
-    padded_values = np.pad(values, (*edge, (0, 0)))
-    padded_known = np.pad(known, edge)
-    at = [(row + 1 + i, column + 1 + j) for i, j in NEIGHBORS]
-    near, near_known = np.stack([padded_values[p] for p in at]), np.stack([padded_known[p] for p in at])
-    if bounds is not None:
-        near_known &= near[..., -1].astype(np.float32) <= bounds[row, column]
-    return near, near_known
-
-
-def _neighbor_numbers(k: Pixels, row: Pixels, column: Pixels, width: int) -> Pixels:
-    """Numbers (N,) in row order of the neighbors k (N,) of N pixels."""
-    step = np.array(NEIGHBORS)[k]
-    return np.asarray((row + step[:, 0]) * width + column + step[:, 1])
-
-
 def _nearest_known(known: Mask) -> tuple[Pixels, Pixels]:
     """Column of the nearest known pixel to the left (-1: none) and right (width: none) of every pixel."""
     width = known.shape[1]
@@ -180,7 +162,7 @@ def fill_ait(values: Array, known: Mask, missing: Mask, bounds: Bounds = None) -
     inside = missing.copy()
     inside[[0, -1], :] = inside[:, [0, -1]] = False
     row, column = np.nonzero(inside)
-    near, near_known = _neighbors(values, known, row, column, bounds)
+    near, near_known = known_neighbors(values, known, row, column, bounds)
     result, filled, source = values.copy(), np.zeros_like(known), np.arange(known.size).reshape(known.shape)
     value, found = np.zeros((row.size, values.shape[2])), np.zeros(row.size, dtype=bool)
     first = np.zeros(row.size, dtype=np.int64)
@@ -196,7 +178,7 @@ def fill_ait(values: Array, known: Mask, missing: Mask, bounds: Bounds = None) -
         found |= use
     result[row[found], column[found]] = value[found]
     filled[row[found], column[found]] = True
-    source[row[found], column[found]] = _neighbor_numbers(first, row, column, known.shape[1])[found]
+    source[row[found], column[found]] = neighbor_numbers(first, row, column, known.shape[1])[found]
     border = missing & ~inside
     if border.any():
         far = bounds is not None
@@ -210,84 +192,6 @@ def fill_ait(values: Array, known: Mask, missing: Mask, bounds: Bounds = None) -
         source[usable] = ends[usable]
         filled |= usable
     return result, filled, source
-
-
-def _median_of_known(near: Array, near_known: Mask) -> Array:
-    """Median (N, K) over the first axis of values (8, N, K) that are known (8, N); of an even count the mean
-    of the middle two. At least one is known."""
-    ordered = np.sort(np.where(near_known[..., None], near, np.inf), axis=0)
-    count = near_known.sum(axis=0)
-    pixel = np.arange(count.size)
-    return np.asarray(0.5 * (ordered[(count - 1) // 2, pixel] + ordered[count // 2, pixel]))
-
-
-def _mean_of_known(near: Array, near_known: Mask) -> Array:
-    """Mean (N, K) over the first axis of values (8, N, K) that are known (8, N). At least one is known."""
-    return np.asarray(np.where(near_known[..., None], near, 0.0).sum(axis=0) / near_known.sum(axis=0)[:, None])
-
-
-def score_mean_median(values: Array, known: Mask) -> tuple[Array, Array]:
-    """Stage 0: sums of squared errors (9,) of mean and of median, estimating the center from k neighbors.
-
-    values: (H, W, K); known: (H, W). Over all known pixels whose 8 neighbors exist and are known, all
-    channels and all 163 subsets of k = 4..8 neighbors; entries below 4 are 0. The median wins a k only where
-    its sum is strictly smaller. Validated against plain enumeration with numpy.mean and numpy.median.
-    """
-    whole = known.copy()
-    whole[[0, -1], :] = whole[:, [0, -1]] = False
-    for i, j in NEIGHBORS:
-        whole &= np.roll(known, (-i, -j), axis=(0, 1))
-    row, column = np.nonzero(whole)
-    near, _ = _neighbors(values, known, row, column)
-    # Subsets of the sorted neighbors are the subsets of the neighbors, and their medians need no sorting.
-    near = np.sort(near, axis=0)
-    center = values[row, column]
-    mean_error, median_error = np.zeros(9), np.zeros(9)
-    for k in range(MINIMUM_COUNT, 9):
-        for subset in combinations(range(8), k):
-            mean = near[list(subset)].sum(axis=0) / k
-            median = 0.5 * (near[subset[(k - 1) // 2]] + near[subset[k // 2]])
-            mean_error[k] += float(((mean - center) ** 2).sum())
-            median_error[k] += float(((median - center) ** 2).sum())
-    return mean_error, median_error
-
-
-def fill_mean_median(
-    values: Array, known: Mask, missing: Mask, median_wins: Mask, minimum: int, bounds: Bounds = None
-) -> tuple[Array, Mask, Pixels]:
-    """Stage 1: one sweep; values (H, W, K) with what could be filled, which pixels those are (H, W), and from where.
-
-    values: (H, W, K), inverse depth last; known, missing: (H, W), before the sweep; median_wins: (9,), per count of
-    known neighbors; minimum: known neighbors that a pixel needs; bounds: on the inverse depth of those. Below 4 of
-    them the mean is taken. From where: (H, W), number of the first of them, the pixel's own elsewhere.
-    """
-    row, column = np.nonzero(missing)
-    near, near_known = _neighbors(values, known, row, column, bounds)
-    count = near_known.sum(axis=0)
-    use = count >= max(minimum, 1)
-    row, column, near, near_known, count = row[use], column[use], near[:, use], near_known[:, use], count[use]
-    take_median = (median_wins & (np.arange(9) >= MINIMUM_COUNT))[count]
-    value = np.where(take_median[:, None], _median_of_known(near, near_known), _mean_of_known(near, near_known))
-    result, filled, source = values.copy(), np.zeros_like(known), np.arange(known.size).reshape(known.shape)
-    result[row, column] = value
-    filled[row, column] = True
-    source[row, column] = _neighbor_numbers(near_known.argmax(axis=0), row, column, known.shape[1])
-    return result, filled, source
-
-
-def smooth_median(values: Array, filled: Mask, valid: Mask, bounds: Bounds = None) -> Array:
-    """Stage 2: one round of the 3x3 median without the center over the filled pixels.
-
-    values: (H, W, K), inverse depth last; filled: (H, W), only these change; valid: (H, W), known or filled, only
-    these serve, with bounds on their inverse depth.
-    All pixels read the former round.
-    """
-    row, column = np.nonzero(filled)
-    near, near_known = _neighbors(values, valid, row, column, bounds)
-    some = near_known.any(axis=0)
-    result = values.copy()
-    result[row[some], column[some]] = _median_of_known(near[:, some], near_known[:, some])
-    return result
 
 
 def fill(

@@ -10,11 +10,12 @@ import pytest
 
 from clsco.defocus import PLAIN
 from clsco.device import Session
+from clsco.forward import KERNELS as FORWARD
 from clsco.forward import forward_features
 from clsco.layout import Real, structs
 from clsco.plan import make_plan
-from clsco.program import build
-from clsco.render import TRUTH_BUFFERS
+from clsco.program import HEADERS, build
+from clsco.renderer import TRUTH_BUFFERS
 from clsco.scene import Camera, Scene, Sphere
 from clsco.spread import BAND, blur_features
 
@@ -29,24 +30,27 @@ TRUTH = [f"TRUTH_{name.upper()}" for name in TRUTH_BUFFERS]
 # Files that are built together: feature -> value when off, when on, and others. Structure is all that is compiled in.
 PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     ("trace.cl",): GEOMETRY
-    | dict.fromkeys(("MOVED", "TILT", "TRUTH", *TRUTH), ON_OR_OFF)
-    | {"SUBPIXELS": (0, 4, 2, 3)},
+    | dict.fromkeys(("MOVED", "TILT", "TRUTH", *TRUTH, "PINHOLE", "LENSES"), ON_OR_OFF)
+    | {"SUBPIXELS": (0, 4, 2, 3), "OCCLUDED": (0,)},
     ("blur.cl",): dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(("SAMPLED", "TILT", "GATHER", "SCATTER", "CONVOLVE", "RENORMALIZE", "PREPARE"), ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "POWERS": (1, 4), "BAND": (1, BAND)},
     ("accumulate.cl",): GEOMETRY,
-    ("reproject.cl", "fill.cl"): GEOMETRY
+    FORWARD: GEOMETRY
     | {"FILTER": (0,), "SAMPLED": (0,)}
     | dict.fromkeys(("OWNED", "MAPPED", "FILL_AIT", "FILL_MEAN_MEDIAN", "FILL_FAR", "DOMAIN_SURFACE"), ON_OR_OFF),
 }
+# What can be in the way of a source: one object, or any other number up to all but one.
+OCCLUSION = ("occlusion.clh", "trace.cl", "blur.cl")
+PROGRAMS[OCCLUSION] = PROGRAMS["blur.cl",] | PROGRAMS["trace.cl",] | {"OCCLUDED": (1, 2, 63)}
 PROGRAMS["blur.cl", "layer.cl"] = PROGRAMS["blur.cl",] | {"CHANNELS": (2, 4), "SUBPIXELS": (0,)}
-GIVEN_BY_THE_BUILD = {"REAL_IS_DOUBLE", "HAS_INT64_ATOMICS", "HAS_FP64", "defined", "__FMA__", "__SSE4_1__"}
+GIVEN_BY_THE_BUILD = {"REAL_IS_DOUBLE", "HAS_INT64_ATOMICS", "HAS_FP64", "defined", "__FMA__", "__SSE4_1__", "__AVX__"}
 
 
 def asked_for(files: tuple[str, ...]) -> set[str]:
-    """Features by which the preprocessor chooses in files, geometry.clh among them."""
+    """Features by which the preprocessor chooses in files, and in the headers of all."""
     found: set[str] = set()
-    for name in ("geometry.clh", *files):
+    for name in (*HEADERS, *files):
         for condition in re.findall(r"^#\s*(?:el)?if\s+(.*)", (KERNELS / name).read_text("utf-8"), re.MULTILINE):
             found |= set(re.findall(r"\b[A-Za-z_]\w*", condition.split("//")[0]))
     return found - GIVEN_BY_THE_BUILD
@@ -61,7 +65,8 @@ def variants(features: dict[str, tuple[int, ...]]) -> list[dict[str, int]]:
 
 
 def test_every_file_is_built() -> None:
-    assert {name for files in PROGRAMS for name in files} == {path.name for path in KERNELS.glob("*.cl")}
+    built = {name for files in PROGRAMS for name in (*HEADERS, *files)}
+    assert built == {path.name for path in KERNELS.glob("*.cl*")}
 
 
 @pytest.mark.parametrize("files", PROGRAMS, ids="+".join)
@@ -75,10 +80,10 @@ def test_what_the_host_asks_for_is_what_the_files_know() -> None:
     scene = Scene(camera=Camera(resolution=(64, 48)), objects=(Sphere(),))
     plan = make_plan(scene, 1, ())
     spreading = blur_features("gather", "lose", prepare=True).keys()
-    rendering = plan.features().keys() | spreading | {"TRUTH", *TRUTH}
+    rendering = plan.features().keys() | spreading | {"TRUTH", *TRUTH, "PINHOLE", "LENSES"}
     assert PROGRAMS["trace.cl",].keys() | PROGRAMS["blur.cl",].keys() == rendering
     assert asked_for(("blur.cl",)) <= PLAIN.keys() | spreading | {"CHANNELS", "TILT", "SAMPLED", "POWERS"}
-    assert forward_features(plan, owned=True).keys() == PROGRAMS["reproject.cl", "fill.cl"].keys()
+    assert forward_features(plan, owned=True).keys() == PROGRAMS[FORWARD].keys()
 
 
 @pytest.mark.parametrize("real", ["double", "float"])

@@ -22,16 +22,14 @@ from clsco.reference.fill import (
     Method,
     far_bounds,
     fill_ait,
-    fill_mean_median,
     fill_objects,
     find_spans,
     mark_grown,
     mark_missing,
-    score_mean_median,
     settle_sweep,
-    smooth_median,
 )
 from clsco.reference.geometry import pixel_ray, solve_quadric
+from clsco.reference.mean_median import fill_mean_median, score_mean_median, smooth_median
 from clsco.reference.trace import padded_grid
 from clsco.scene import Camera, Fill, Motion, Object, ObjectMotion, Plane, Scene, Sphere
 from clsco.surfaces import place
@@ -63,7 +61,7 @@ class Planes:
         features |= {"CHANNELS": self.channels, "QUADRATIC": 1, "DOMAIN_SURFACE": int(domain == "surface")}
         features |= {"SEVERAL": int(far), "FILL_FAR": int(far)}
         features |= {"FILL_AIT": int(method == "ait"), "FILL_MEAN_MEDIAN": int(method == "mean_median")}
-        self.program = build(session, ["fill.cl"], features, structs(real), real)
+        self.program = build(session, ["fill.cl", "mean_median.cl"], features, structs(real), real)
         self.filler = Filler(session, self.program, self.camera, features, real)
         self.dtype = np.dtype(np.float64 if real == "double" else np.float32)
         self.write("value", flat(np.where(known[..., None], values, 0.0)[..., :-1], np.float32))

@@ -13,12 +13,10 @@ from clsco.reference.fill import (
     far_bounds,
     fill,
     fill_ait,
-    fill_mean_median,
     fill_objects,
     mark_missing,
-    score_mean_median,
-    smooth_median,
 )
+from clsco.reference.mean_median import fill_mean_median, score_mean_median, smooth_median
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
