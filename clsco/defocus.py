@@ -24,8 +24,8 @@ from clsco.scenefile import parse_psf
 from clsco.spread import PIXELS, Sources, Spreader, blur_features
 
 MOST_CHANNELS = 16
-# Features of geometry.clh that only surfaces need.
-PLAIN = dict.fromkeys(("QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SUBPIXELS"), 0)
+# Features that only surfaces need.
+PLAIN = dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SUBPIXELS", "OCCLUDED"), 0)
 
 
 @overload
