@@ -47,7 +47,7 @@ def structs(real: Real) -> dict[str, np.dtype[Any]]:
     surface += _reals(real, bounds_low=three, bounds_high=three, k=(), at_lens=())
     surface += [("nappe", i), ("texture", i), *_reals(real, near_x=two, near_y=two, near_w=())]
     pose = _reals(real, rotation=nine, shift=three)
-    layer = [("members", "u8"), ("blockers", "u8"), ("count", i)]
+    layer = [("members", "u8"), ("blockers", "u8"), *((name, i) for name in ("count", "own", "sheet"))]
     psf: list[Any] = [(name, i) for name in ("first", "count", "reach", "sub_first", "sub_count")]
     psf += _reals(real, key=(), minimum_blur=(), fine_steps=(), fine_until=(), octaves_from=(), steps=(), sub_steps=())
     psf += _reals(real, lens_extent=())
@@ -156,7 +156,7 @@ def pose_structs(poses: Sequence[Pose], real: Real) -> NDArray[np.void]:
 
 def layer_struct(layer: Layer, objects: int) -> Struct:
     """layer_t of a layer of a scene of so many objects."""
-    return _filled("layer_t", "double", {"members": layer.members, "blockers": layer.blockers, "count": objects})
+    return _filled("layer_t", "double", vars(layer) | {"count": objects})
 
 
 def psf_struct(psf: Psf, table: PsfTable, subpixel: PsfTable | None, real: Real) -> Struct:

@@ -29,11 +29,14 @@ LENS_CELLS = 8  # of the lens per half axis, where it is looked at on a grid of 
 class Layer:
     """Objects that are seen together, as the nearest of them along each ray, and what may hide them.
 
-    members, blockers: bit k is object k of the scene.
+    members, blockers: bit k is object k of the scene. own: number of an object that may hide itself, -1 for none;
+    sheet: which of its roots the layer has (`solve_quadric`), 0 for both.
     """
 
     members: int
     blockers: int
+    own: int = -1
+    sheet: int = 0
 
 
 def lens_extent(psf: Psf) -> float:
@@ -82,22 +85,33 @@ def may_hide(near: Extent, far: Extent, camera: Camera, reach: float) -> bool:
     return all(a[0] - way <= b[1] and b[0] - way <= a[1] for a, b in axes)
 
 
-def layers(extents: Sequence[Extent], camera: Camera, psf: Psf) -> tuple[Layer, ...]:
+def is_hollow(item: Object) -> bool:
+    """Whether the lens may see the inside of a surface past its own edge: it is curved, and cut by bounds."""
+    return item.bounds is not None and item.shape != "plane"
+
+
+def layers(items: Sequence[Object], extents: Sequence[Extent], camera: Camera, psf: Psf) -> tuple[Layer, ...]:
     """Few layers for objects at `extents`, in the order of the scene, so that none hides another of its layer.
 
-    One layer and no blockers where nothing is hidden.
+    Of a hollow one each of its two roots is a layer. One layer and no blockers where nothing is hidden.
     """
     count, reach = len(extents), lens_extent(psf)
     hides = [[m != k and may_hide(extents[m], extents[k], camera, reach) for m in range(count)] for k in range(count)]
     groups: list[list[int]] = []
-    for k in range(count):
+    for k in (k for k in range(count) if not is_hollow(items[k])):
         group = next((g for g in groups if not any(hides[k][m] or hides[m][k] for m in g)), None)
         if group is None:
             groups.append([k])
         else:
             group.append(k)
     blockers = [{m for k in group for m in range(count) if hides[k][m]} for group in groups]
-    return tuple(
+    sheets = [
+        Layer(1 << k, 1 << k | sum(1 << m for m in range(count) if hides[k][m]), k, sheet)
+        for k in range(count)
+        if is_hollow(items[k])
+        for sheet in (1, 2)
+    ]
+    return (*sheets, *(
         Layer(sum(1 << k for k in group), sum(1 << m for m in found))
         for group, found in zip(groups, blockers, strict=True)
-    )
+    ))  # fmt: skip

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from clsco.errors import SceneError
 from clsco.frame import STEREO_NAMES, TRUTH_NAMES
 from clsco.motion import Eye, Pose, poses_at, rest_center, sample_times
-from clsco.occlusion import Layer, extent, layers
+from clsco.occlusion import Layer, extent, is_hollow, layers
 from clsco.optics import LARGEST_BLUR, blur_radius, ray_step
 from clsco.psf import LANES, MINIMUM_BLUR, psf_extent, reach, table_bytes
 from clsco.scene import Object, Plane, Psf, Scene
@@ -285,12 +285,12 @@ def _occlusion(
     together = (Layer((1 << len(scene.objects)) - 1, 0),)
     wanted = scene.psf.occlusion
     mapped = any(item.shape == "depth_map" for item in scene.objects)
-    if wanted == "none" or sharp or (len(scene.objects) == 1 and not mapped):
+    if wanted == "none" or sharp or (len(scene.objects) == 1 and not mapped and not is_hollow(scene.objects[0])):
         return "none", together
     if wanted == "layered" or forward:
         return "layered", together
     extents = [extent(item, [poses[k] for poses in moments], w[k]) for k, item in enumerate(scene.objects)]
-    found = layers(extents, scene.camera, scene.psf)
+    found = layers(scene.objects, extents, scene.camera, scene.psf)
     return ("visibility", found) if any(layer.blockers for layer in found) else ("none", together)
 
 
@@ -334,7 +334,7 @@ def make_plan(
     occlusion, found = _occlusion(scene, forward, sharp, moments, each)
     tilt = psf.tilt and not _constant_blur(scene) and blur not in ("convolve", "none")
     passes, left_out = _passes(
-        scene, forward, samples, largest, blur, silhouettes, tilt, truth, channels, occlusion, len(found)
+        scene, eye, forward, samples, largest, blur, silhouettes, tilt, truth, channels, occlusion, len(found)
     )
     area = (rows + 2 * guard) * (columns + 2 * guard)
     extent = reach(psf, largest)
@@ -380,7 +380,7 @@ def _choose_blur(method: str, sharp: bool, constant: bool) -> Blur:
 
 
 def _passes(
-    scene: Scene, forward: bool, samples: int, largest: float, blur: Blur, silhouettes: int, tilt: bool,
+    scene: Scene, eye: Eye, forward: bool, samples: int, largest: float, blur: Blur, silhouettes: int, tilt: bool,
     truth: tuple[str, ...], channels: int, occlusion: Occlusion, layers: int,
 ) -> tuple[tuple[tuple[str, str], ...], tuple[tuple[str, str], ...]]:  # fmt: skip
     """What is done, and what is left out with the reason."""
@@ -396,7 +396,7 @@ def _passes(
     either(moves, "motion", f"{samples} intermediate frame{plural} per exposure", "nothing moves: one sample, at rest")
     either(not forward, "trace", f"rays against the {shapes}, one per pixel", "replaced by the forward warp")
     either(
-        moves and not forward, "texture sampling", scene.motion.texture_filter,
+        (moves or displaced(scene, eye)) and not forward, "texture sampling", scene.motion.texture_filter,
         "the forward warp moves whole pixels" if forward else "nothing moves: every pixel shows its own texel",
     )  # fmt: skip
     either(forward, "reproject", "every pixel at rest to its nearest pixel, with a depth test", "no forward warp")

@@ -61,8 +61,9 @@ __kernel void reproject_rest(const camera_t camera, __constant surface_t *surfac
         nearest = w > nearest ? w : nearest;
     }
 #else
+    const layer_t layer = {members, 0, count, -1, 0};
     uchar label;
-    nearest = narrow(nearest_surface(surfaces, count, members, ray, &label, &whose));
+    nearest = narrow(nearest_surface(surfaces, layer, ray, &label, &whose));
 #endif
     rest[at] = nearest;
 #if SEVERAL

@@ -113,7 +113,7 @@ __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const
     const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
     uchar root;
     int object;
-    const wide_t w = nearest_surface(surfaces, layer.count, layer.members, ray, &root, &object);
+    const wide_t w = nearest_surface(surfaces, layer, ray, &root, &object);
     take_radiance(camera, surfaces, ray, w, root, row, column, weight, texture, value + at,
                   camera.height * camera.width);
     source[at] = source_record(camera, surfaces, layer, psf, ray, w, 0, &root, statistics);
@@ -138,7 +138,7 @@ __kernel void cast(const camera_t camera, __constant surface_t *surfaces, const 
     const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
     uchar root;
     int object;
-    depth[at] = nearest_surface(surfaces, layer.count, layer.members, ray, &root, &object);
+    depth[at] = nearest_surface(surfaces, layer, ray, &root, &object);
     hit[at] = root;
     take_radiance(camera, surfaces, ray, depth[at], root, row, column, weight, texture, value + at,
                   camera.height * camera.width);
@@ -220,7 +220,7 @@ __kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfa
     const wide3_t ray = pixel_ray(camera, wide_add(widened(row), down), wide_add(widened(column), right));
     uchar root;
     int object;
-    const wide_t w = nearest_surface(surfaces, layer.count, layer.members, ray, &root, &object);
+    const wide_t w = nearest_surface(surfaces, layer, ray, &root, &object);
     take_radiance(camera, surfaces, ray, w, root, row, column, weight / each, texture, sub_value + id, capacity * each);
     sub_source[id] = source_record(camera, surfaces, layer, psf, ray, w, 1, &root, statistics);
 #if OCCLUDED
@@ -243,7 +243,7 @@ __kernel void pinhole(const camera_t camera, __constant surface_t *surfaces, con
     const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
     uchar root;
     int object;
-    const wide_t w = nearest_surface(surfaces, layer.count, layer.members, ray, &root, &object);
+    const wide_t w = nearest_surface(surfaces, layer, ray, &root, &object);
     take_radiance(camera, surfaces, ray, w, root, row, column, weight, texture, value + at,
                   camera.height * camera.width);
     coc[at] = root ? narrow(blur_radius(camera, w)) : 0;
@@ -327,7 +327,7 @@ __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces
     const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
     uchar root;
     int object;
-    const wide_t w = nearest_surface(surfaces, layer.count, layer.members, ray, &root, &object);
+    const wide_t w = nearest_surface(surfaces, layer, ray, &root, &object);
     __constant surface_t *surface = surfaces + MAX(object, 0);
     mask[at] = root != 0;
 #if TRUTH_OBJECT_ID
@@ -376,7 +376,7 @@ __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces
     if (root) {
         uchar any;
         int nearest;
-        const wide_t seen = nearest_surface(opposite, layer.count, layer.members,
+        const wide_t seen = nearest_surface(opposite, layer,
                                             pixel_ray(camera, other.y, other.x), &any, &nearest);
         occluded[at] = outside_frame(camera, other) || covered(seen, other.z, w);
     }

@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clsco.occlusion import Layer
 from clsco.optics import blur_scale, focus_power, ray_step
 from clsco.psf import table_coordinate as coordinate_of_radius
 from clsco.scene import Camera, Psf
@@ -130,13 +131,20 @@ def root_counts(surface: PlacedSurface, bounds: Bounds | None, d: Array, body: A
 
 
 def solve_quadric(surface: PlacedSurface, bounds: Bounds | None, rays: Array) -> tuple[Array, NDArray[np.uint8]]:
+    """`solve_sheet` for both roots."""
+    return solve_sheet(surface, bounds, rays, 0)
+
+
+def solve_sheet(
+    surface: PlacedSurface, bounds: Bounds | None, rays: Array, sheet: int
+) -> tuple[Array, NDArray[np.uint8]]:
     """Inverse depth (...) in 1/mm of the nearest visible root along rays (..., 3), and which root it is.
 
-    bounds: box in the object's own frame, mm. Label: 0 no surface (w = 0), 1 the root (-B + sqrt(D))/C, 2 the
-    root (-B - sqrt(D))/C of C w^2 + 2 B w + A = 0. A root counts when it is real, 0 < w < 1e6, on the wanted
-    nappe and within the bounds; nothing is divided by Z, so horizon and infinity are the sign of w. Of two
-    equal roots the first counts. Validated against 3.10, 3.16, 3.22, 3.32, 3.36 and against exact arithmetic
-    at c/rho = 1e6.
+    bounds: box in the object's own frame, mm; sheet: the label of the only root that counts, 0 for both. Label: 0 no
+    surface (w = 0), 1 the root (-B + sqrt(D))/C, 2 the root (-B - sqrt(D))/C of C w^2 + 2 B w + A = 0. A root counts
+    when it is real, 0 < w < 1e6, on the wanted nappe and within the bounds; nothing is divided by Z, so horizon and
+    infinity are the sign of w. Of two equal roots the first counts. Validated against 3.10, 3.16, 3.22, 3.32, 3.36 and
+    against exact arithmetic at c/rho = 1e6.
     """
     shape = surface.canonical
     d, body = turned(surface.turn, rays), turned(surface.body_turn, rays)
@@ -152,7 +160,7 @@ def solve_quadric(surface: PlacedSurface, bounds: Bounds | None, rays: Array) ->
     minus_is_sum = ~np.signbit(b)
     inverse_depth = np.zeros_like(a)
     label = np.zeros(a.shape, dtype=np.uint8)
-    for number in (1, 2):
+    for number in (1, 2) if sheet == 0 else (sheet,):
         w = np.where(minus_is_sum == (number == 2), sum_root, product_root)
         nearer = (discriminant >= 0.0) & root_counts(surface, bounds, d, body, w) & (w > inverse_depth)
         inverse_depth = np.where(nearer, w, inverse_depth)
@@ -161,18 +169,18 @@ def solve_quadric(surface: PlacedSurface, bounds: Bounds | None, rays: Array) ->
 
 
 def nearest_surface(
-    surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], members: int, rays: Array
+    surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], layer: Layer, rays: Array
 ) -> tuple[Array, NDArray[np.uint8], NDArray[np.int32]]:
     """Inverse depth (...) in 1/mm of the nearest surface along rays (..., 3), its label, and its number.
 
-    surfaces, bounds: of all objects; members: bit k is set where object k counts. Label: 0 no surface (w = 0, number
+    surfaces, bounds: of all objects; layer: which of them count, and which sheet. Label: 0 no surface (w = 0, number
     -1), else 2 k + the label of `solve_quadric` for object k. Of equally near ones the first counts.
     """
     nearest = np.zeros(rays.shape[:-1])
     label, number = np.zeros(nearest.shape, dtype=np.uint8), np.full(nearest.shape, -1, dtype=np.int32)
     for k, surface in enumerate(surfaces):
-        if members >> k & 1:
-            w, root = solve_quadric(surface, bounds[k], rays)
+        if layer.members >> k & 1:
+            w, root = solve_sheet(surface, bounds[k], rays, layer.sheet)
             nearer = w > nearest
             nearest = np.where(nearer, w, nearest)
             label = np.where(nearer, (2 * k + root).astype(np.uint8), label)

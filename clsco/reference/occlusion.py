@@ -83,12 +83,13 @@ def _limits(surface: PlacedSurface, bounds: Bounds | None, w: Array, rays: Array
 
 def meet_blocker(
     camera: Camera, surface: PlacedSurface, bounds: Bounds | None, rays: Array, w: Array, cells: Array, extent: float,
-    wide: Mask, source: float,
+    wide: Mask, source: float, own: bool = False,
 ) -> tuple[NDArray[np.uint8], Mask, Blocker]:  # fmt: skip
     """How a surface hides the lens from points at inverse depth w (N,) in 1/mm on rays (N, 3).
 
     cells: (N,) per lens radius, signed as the blur radius; extent: of the lens in lens radii; wide: (N,) a cell is a
-    pixel; source: width of the sources, px. Returns whether the lens is CLEAR, PARTLY or all HIDDEN (N,), which
+    pixel; source: width of the sources, px; own: the points are on the surface itself, of which another part may be
+    between them and the lens. Returns whether the lens is CLEAR, PARTLY or all HIDDEN (N,), which
     points are on the surface's other side than the lens or near an outline of it that has hardly any width (N,), and
     what is to be tested per tap.
     """
@@ -102,10 +103,11 @@ def meet_blocker(
     e = np.stack([lens_radius(camera) / cells, -lens_radius(camera) / cells], axis=-1)
     ex, ey = (e[:, i, None] * surface.turn[:, i] for i in (0, 1))
     side = -1.0 if surface.constant < 0 else 1.0
-    f = side * (_dot(q, p * p) + w * (2 * _dot(l, p) - k * w))
+    f = np.zeros_like(w) if own else side * (_dot(q, p * p) + w * (2 * _dot(l, p) - k * w))
     b = side * (_dot(q, p * o) + _dot(l, p) + w * (l @ o - k))
     c = side * surface.constant
-    once, flat = f <= 0, not q.any()
+    once, flat = b < 0 if own else f <= 0, not q.any()
+    far = far | (own & ~once)
     d = difference_of_products(b, b, c, f)
     most = extent * np.abs(cells) + 1.5
     limits = _limits(surface, bounds, w, rays, p, e)
@@ -224,7 +226,8 @@ def crossing_share(m: Blocker, at: Crossing, x: Array, y: Array) -> Array:
     least = np.ones_like(x)
     for limit, kept in zip(m.limits, m.kept, strict=True):
         least = np.where(kept, np.minimum(least, limit_share(m, limit, at, x, y)), least)
-    return np.where(at.v > 0, least, 0.0)
+    # Behind a point of the surface itself the tilt lets no light pass; a step there would only be seen in rounding.
+    return np.where((m.f0 == 0) | (at.v > 0), least, 0.0)
 
 
 def find_crossings(m: Blocker, x: Array, y: Array) -> tuple[Crossing, Crossing]:
@@ -254,7 +257,7 @@ def blocked_share(m: Blocker, x: Array, y: Array) -> Array:
     with np.errstate(all="ignore"):  # a lens point on the surface itself has an infinite crossing
         one, other = (crossing_share(m, at, x, y) for at in find_crossings(m, x, y))
     # Without any condition left, a surface that is crossed twice is as one that never had any.
-    share, d = np.maximum(one, other), m.d
+    share, d = np.where(m.f0 == 0, one, np.maximum(one, other)), m.d
     height = d[:, 0] + x * (d[:, 1] + d[:, 3] * x + d[:, 4] * y) + y * (d[:, 2] + d[:, 5] * y)
     slope = np.hypot(d[:, 1] + 2 * d[:, 3] * x + d[:, 4] * y, d[:, 2] + d[:, 4] * x + 2 * d[:, 5] * y)
     twice = np.where(
@@ -266,9 +269,11 @@ def blocked_share(m: Blocker, x: Array, y: Array) -> Array:
 def hides_all(m: Blocker, most: Array) -> tuple[Mask, tuple[Mask, ...]]:
     """Whether a surface hides the lens (N,) at 16 points all over it, a little beyond its rim, `most` (N,), among them.
 
-    Also which conditions (N,) each some crossing there does not meet wholly; others can be dropped.
+    Also which conditions (N,) each some crossing there does not meet wholly; others can be dropped, but for one where
+    there is one crossing.
     """
     hidden, kept = np.ones(most.shape, dtype=bool), [np.zeros(most.shape, dtype=bool) for _ in m.limits]
+    kept[0] |= m.crossings == 1
     for radius in (most / np.cos(np.pi / 8), 0.5 * most):
         for angle in np.arange(8) * (np.pi / 4):
             x, y = radius * np.cos(angle), radius * np.sin(angle)
@@ -375,7 +380,8 @@ def look(
     found = []
     for k, surface in enumerate(surfaces):
         if layer.blockers >> k & 1:
-            one, changes, blocker = meet_blocker(camera, surface, bounds[k], rays, w, cells, extent, wide, width)
+            head = (camera, surface, bounds[k], rays, w)
+            one, changes, blocker = meet_blocker(*head, cells, extent, wide, width, k == layer.own)
             state, edge = np.maximum(state, one), edge ^ changes
             found.append((one == PARTLY, blocker))
     partly = state == PARTLY

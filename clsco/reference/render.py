@@ -25,6 +25,7 @@ from clsco.reference.trace import (
     Sources,
     SubpixelSources,
     View,
+    everything,
     ground_truth,
     mark_silhouettes,
     trace,
@@ -65,7 +66,7 @@ def _warped_sources(
     allowed = None
     if scene.fill.domain == "surface" and not mapped:
         view = view_at(scene, textures, time, eye, True)
-        allowed = trace(view, Layer((1 << len(scene.objects)) - 1, 0), guard).label > 0
+        allowed = trace(view, everything(scene), guard).label > 0
     values = np.concatenate([new.radiance, new.inverse_depth[..., None]], axis=-1)
     far = mapped or len(scene.objects) > 1
     values, objects, status, report = fill_objects(
@@ -184,7 +185,8 @@ def _map_truth(plan: Plan, textures: tuple[Array, ...], maps: Maps, middle: _War
     valid = _crop(middle.sources.lit, guard)
     w = _crop(middle.sources.inverse_depth, guard)
     depth = np.where(valid, 1.0 / np.where(valid, w, 1.0), np.inf)
-    number = np.where(valid, _crop(middle.objects, guard), -1).astype(np.int32)
+    seen = _crop(middle.objects, guard).astype(np.int32) if len(scene.objects) > 1 else 0
+    number = np.where(valid, seen, -1).astype(np.int32)
     times = [middle_time(scene.sequence, k) if plan.moves else 0.0 for k in (index, index + 1)]
     now, then = (poses_at(scene, time, plan.eye) for time in times)
     stereo: dict[str, Any] = {}

@@ -120,6 +120,11 @@ def view_at(scene: Scene, textures: tuple[Array, ...], time: float, eye: Eye, mo
     return View(scene, tuple(place(item, pose) for item, pose in placed), textures, moved)
 
 
+def everything(scene: Scene) -> Layer:
+    """All objects, as the pinhole sees them."""
+    return Layer((1 << len(scene.objects)) - 1, 0)
+
+
 @dataclass(frozen=True, eq=False)
 class _Cast:
     """What rays (...) meet: inverse depth in 1/mm, label, object, blur radius in px, its gradient, radiance."""
@@ -133,17 +138,17 @@ class _Cast:
 
 
 def _cast(
-    view: View, members: int, row: NDArray[Any], column: NDArray[Any], texel: tuple[NDArray[Any], NDArray[Any]]
+    view: View, layer: Layer, row: NDArray[Any], column: NDArray[Any], texel: tuple[NDArray[Any], NDArray[Any]]
 ) -> _Cast:
     """The nearest of some objects along rays through (row, column) px, 0 where none is.
 
     texel: row and column of the pixel whose texel a ray shows at rest.
     """
     scene, rays = view.scene, pixel_ray(view.scene.camera, row, column)
-    w, label, number = nearest_surface(view.surfaces, [item.bounds for item in scene.objects], members, rays)
+    w, label, number = nearest_surface(view.surfaces, [item.bounds for item in scene.objects], layer, rays)
     gradient, radiance = np.zeros((*w.shape, 2)), np.zeros((*w.shape, view.textures[0].shape[2]))
     for k, surface in enumerate(view.surfaces):
-        if not members >> k & 1:
+        if not layer.members >> k & 1:
             continue
         own = (number == k)[..., None]
         gradient = np.where(own, blur_gradient(scene.camera, surface_slope(surface, rays, w)), gradient)
@@ -177,7 +182,7 @@ def trace(view: View, layer: Layer, guard: int) -> Sources:
     """
     scene = view.scene
     row, column = padded_grid(scene.camera, guard)
-    hit = _cast(view, layer.members, row, column, (row, column))
+    hit = _cast(view, layer, row, column, (row, column))
     label, lit, sight = hit.label, hit.label > 0, None
     if layer.blockers:
         rays = pixel_ray(scene.camera, row, column)[lit]
@@ -219,7 +224,7 @@ def trace_subpixels(view: View, layer: Layer, guard: int, marked: NDArray[np.boo
     at_row = (row - guard)[:, None, None] + offsets[:, None]
     at_column = (column - guard)[:, None, None] + offsets[None, :]
     texel = ((row - guard)[:, None, None], (column - guard)[:, None, None])
-    hit = _cast(view, layer.members, at_row, at_column, texel)
+    hit = _cast(view, layer, at_row, at_column, texel)
     lit, sight = hit.label > 0, None
     if layer.blockers:
         rays = pixel_ray(scene.camera, at_row, at_column)[lit]
@@ -280,8 +285,7 @@ def _stereo(
         row, column, ratio = _moved_pixel(surface, poses[k], scene.camera, rays, hit.w)
         own = hit.number == k
         disparity = np.where(own, (1.0 if eye == "right" else -1.0) * (column - at_column), disparity)
-        everything = (1 << len(scene.objects)) - 1
-        seen, _, _ = nearest_surface(other.surfaces, bounds, everything, pixel_ray(scene.camera, row, column))
+        seen, _, _ = nearest_surface(other.surfaces, bounds, everything(scene), pixel_ray(scene.camera, row, column))
         covered = seen * ratio > hit.w * (1.0 + 1e-6)
         occluded = np.where(own, covered | _outside(scene.camera, row, column), occluded)
     return disparity, occluded
@@ -302,7 +306,7 @@ def ground_truth(scene: Scene, textures: tuple[Array, ...], frame: int, eye: Eye
     later = poses_at(scene, then, eye)
     row, column = padded_grid(camera, 0)
     rays = pixel_ray(camera, row, column)
-    hit = _cast(view, (1 << len(scene.objects)) - 1, row, column, (row, column))
+    hit = _cast(view, everything(scene), row, column, (row, column))
     mask, w = hit.label > 0, hit.w
     flow, normal = np.zeros((*w.shape, 2)), np.zeros((*w.shape, 3))
     hidden = np.zeros(w.shape, dtype=bool)
