@@ -11,14 +11,25 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.device import Program, Session
-from clsco.layout import Real, camera_struct, flat, pose_struct, psf_struct, structs, surface_struct
-from clsco.motion import middle_time, pose_at
+from clsco.frame import STEREO_NAMES
+from clsco.layout import (
+    Real,
+    camera_struct,
+    flat,
+    layer_struct,
+    pose_structs,
+    psf_struct,
+    structs,
+    surface_structs,
+)
+from clsco.motion import Eye, middle_time, poses_at
+from clsco.occlusion import Layer
 from clsco.plan import Plan, make_plan
 from clsco.program import build, download, empty, kernel, launch, upload
 from clsco.psf import psf_table
 from clsco.reference import trace as twin
 from clsco.reference.geometry import table_coordinate, tilt_slope
-from clsco.render import EMPTY_STATISTICS, TRUTH_BUFFERS
+from clsco.renderer import EMPTY_STATISTICS, TRUTH_BUFFERS
 from clsco.scene import (
     Camera,
     Cone,
@@ -32,8 +43,9 @@ from clsco.scene import (
     Scene,
     Sequence,
     Sphere,
+    Stereo,
 )
-from clsco.surfaces import PlacedSurface, place
+from clsco.surfaces import place
 
 Array = NDArray[Any]
 SINGLE = 2.0**-24  # largest relative error of a rounding to float32
@@ -41,6 +53,8 @@ BOX = ((-26.0, 20.0), (-15.0, 22.0), (-40.0, 40.0))
 MOTION = ObjectMotion(velocity=(3.0, -2.0, 6.0), angular_velocity=(20.0, 15.0, -40.0))
 STILL = ObjectMotion()
 GUARD = 4
+MONO = tuple(name for name in TRUTH_BUFFERS if name not in STEREO_NAMES)
+WHOLE, BLOCKED = -1, -2  # in a source's last field, where it holds no slot
 
 
 def scene(item: Any, moving: ObjectMotion = MOTION, **sections: Any) -> Scene:
@@ -48,11 +62,28 @@ def scene(item: Any, moving: ObjectMotion = MOTION, **sections: Any) -> Scene:
     size = sections.pop("size", (50, 40))
     camera = Camera(resolution=size, pixel_pitch=0.12, aperture_diameter=25.0)
     sections.setdefault("sequence", Sequence(frames=2, interval=0.4, shutter=0.3))
-    return Scene(camera=camera, objects=(item.model_copy(update={"motion": moving}),), **sections)
+    items = item if isinstance(item, tuple) else (item.model_copy(update={"motion": moving}),)
+    return Scene(camera=camera, objects=items, **sections)
 
 
 BALL = Sphere(center=(3.0, -2.0, 280.0))
 BOWL = Quadric(coefficients=(1.0, 0.8, 0.0, 0, 0, 0, 0, 0, -40.0, 0), center=(0.0, 0.0, 250.0))
+WALL = Plane(distance=380.0, slope_x=0.2)
+# A ball before a tilted cylinder before a wall; a card that sinks into it; a ball that moves inside of a tube.
+ROW = (
+    Sphere(center=(-16.0, 4.0, 170.0), radius=16.0, motion=MOTION),
+    Cylinder(center=(8.0, 0.0, 260.0), radius=14.0, axis=(0.3, 1.0, 0.2)),
+    WALL,
+)
+CARD = Plane(distance=240.0, slope_x=-0.8, bounds=BOX, motion=MOTION)
+TUBE = Cylinder(center=(2.0, 1.0, 230.0), radius=24.0, axis=(0.2, 0.1, 1.0), bounds=((-60, 60), (-60, 60), (-50, 50)))
+
+
+def bounded(wanted: Scene) -> bool:
+    """Whether a curved surface is cut, so that the lens sees its inside past its edge."""
+    return any(item.bounds is not None and item.shape != "plane" for item in wanted.objects)
+
+
 # Every feature on and off: name, scene, channels.
 SCENES: dict[str, tuple[Scene, int]] = {
     "plane at rest": (scene(Plane(slope_x=0.5, slope_y=-0.2), STILL), 3),
@@ -78,6 +109,12 @@ SCENES: dict[str, tuple[Scene, int]] = {
     "one column": (scene(BALL, size=(1, 40)), 1),
     "one pixel": (scene(BALL, size=(1, 1)), 1),
     "nothing in sight": (scene(Sphere(center=(900.0, 0.0, 280.0)), STILL), 1),
+    "three in a row": (scene(ROW, psf=Psf(silhouette_samples=2)), 1),
+    "card in a cylinder": (scene((CARD, *ROW[1:]), psf=Psf(silhouette_samples=1)), 3),
+    "ball in a tube": (
+        scene((BALL.model_copy(update={"motion": MOTION}), TUBE), psf=Psf(model="gaussian", silhouette_samples=3)),
+        1,
+    ),
 }
 
 
@@ -99,36 +136,51 @@ class Traced:
         return self.source[..., 3].view(np.int32)
 
 
-def random_texture(wanted: Scene, channels: int) -> Array:
+def random_textures(wanted: Scene, channels: int) -> tuple[Array, ...]:
+    """One per object, (rows, columns, channels)."""
     assert wanted.camera.resolution is not None
     columns, rows = wanted.camera.resolution
-    return np.random.default_rng(3).random((rows, columns, channels), np.float32)
+    return tuple(np.random.default_rng(3).random((len(wanted.objects), rows, columns, channels), np.float32))
 
 
-def placed(wanted: Scene, time: float) -> PlacedSurface:
-    item = wanted.objects[0]
-    return place(item, pose_at(item.motion, time, wanted.motion.rotation))
+def view(plan: Plan, time: float) -> twin.View:
+    textures = tuple(texture.astype(float) for texture in random_textures(plan.scene, plan.channels))
+    return twin.view_at(plan.scene, textures, time, plan.eye, plan.moves or plan.eye_moved)
 
 
-def planned(wanted: Scene, channels: int, samples: int | None = None) -> Plan:
+def planned(wanted: Scene, channels: int, samples: int | None = None, eye: Eye = "left") -> Plan:
     """Plan of a scene, with `samples` sub-pixel sources or as many as the scene has silhouettes for."""
-    plan = make_plan(wanted, channels, ())
+    plan = make_plan(wanted, channels, (), eye=eye)
     keep = {"guard_px": GUARD} | ({} if samples is None else {"silhouettes": samples})
     return Plan(**{**vars(plan), **keep})
 
 
-def built(session: Session, plan: Plan, real: Real, truth: tuple[str, ...] = tuple(TRUTH_BUFFERS)) -> Program:
+def built(session: Session, plan: Plan, real: Real, truth: tuple[str, ...] = MONO) -> Program:
     """All kernels in one program, so that few have to be compiled."""
-    features = plan.features() | {"TRUTH": int(bool(truth))}
+    features = plan.features() | {"TRUTH": int(bool(truth)), "PINHOLE": 0, "LENSES": 0, "GATHER": 0}
     features |= {f"TRUTH_{name.upper()}": int(name in truth) for name in TRUTH_BUFFERS}
-    return build(session, ["trace.cl"], features, structs(real), real)
+    files = ["occlusion.clh", "trace.cl"] if features["OCCLUDED"] else ["trace.cl"]
+    return build(session, files, features, structs(real), real)
+
+
+def on_device(session: Session, plan: Plan, time: float, real: Real, eye: Eye | None = None) -> cl.Buffer:
+    """Surfaces of all objects at a time."""
+    items = plan.scene.objects
+    pairs = zip(items, poses_at(plan.scene, time, eye or plan.eye), strict=True)
+    return upload(session, surface_structs(items, [place(*pair) for pair in pairs], real, range(len(items))))
+
+
+def stack(session: Session, plan: Plan) -> cl.Buffer:
+    """Textures of all objects."""
+    textures = random_textures(plan.scene, plan.channels)
+    return upload(session, np.stack([flat(texture, np.float32) for texture in textures]))
 
 
 def traced(
     session: Session, plan: Plan, time: float, weight: float = 1.0, real: Real = "double",
-    local: tuple[int, int] = (64, 1), capacity: int | None = None,
+    local: tuple[int, int] = (64, 1), capacity: int | None = None, layer: Layer | None = None,
 ) -> Traced:  # fmt: skip
-    """All passes of one moment."""
+    """All passes of one moment, of one layer; by default the first."""
     wanted, each, area = plan.scene, plan.silhouettes**2, plan.width * plan.height
     capacity = area if capacity is None else capacity
     tables = [
@@ -136,8 +188,9 @@ def traced(
     ]
     psf = psf_struct(wanted.psf, tables[0], tables[1] if each else None, real)
     camera = camera_struct(wanted.camera, plan.guard_px, real)
-    surface = surface_struct(wanted.objects[0], placed(wanted, time), real)
-    texture = upload(session, flat(random_texture(wanted, plan.channels), np.float32))
+    surfaces = on_device(session, plan, time, real)
+    texture = stack(session, plan)
+    shown = layer_struct(layer or plan.layers[0], len(wanted.objects))
     sizes = (
         16 * area,
         4 * plan.channels * area,
@@ -145,17 +198,20 @@ def traced(
         4 * capacity,
         16 * capacity * each,
         4 * capacity * each * plan.channels,
+        8 * area,
+        8 * capacity * each,
     )
-    source, value, label, pixels, sub_source, sub_value = (empty(session, size) for size in sizes)
+    source, value, label, pixels, sub_source, sub_value, *depths = (empty(session, size) for size in sizes)
+    depth, sub_depth = ((buffer,) if plan.features()["OCCLUDED"] else () for buffer in depths)
     statistics = empty(session, EMPTY_STATISTICS.nbytes)
     cl.enqueue_copy(session.queue, statistics, EMPTY_STATISTICS)
     program, grid = built(session, plan, real), (plan.width, plan.height)
-    head = (camera, surface, psf, np.float32(weight), texture)
-    launch(session, kernel(program, "trace"), grid, local, *head, source, value, label, statistics)
+    head = (camera, surfaces, shown, psf, np.float32(weight), texture)
+    launch(session, kernel(program, "trace"), grid, local, *head, source, value, label, statistics, *depth)
     if each:
         marks = (camera, label, np.int32(capacity), source, pixels, statistics)
         launch(session, kernel(program, "mark_silhouettes"), grid, local, *marks)
-        out = (pixels, np.int32(capacity), sub_source, sub_value, statistics)
+        out = (pixels, np.int32(capacity), sub_source, sub_value, statistics, *sub_depth)
         launch(session, kernel(program, "trace_subpixels"), (capacity * each,), (local[0] * local[1],), *head, *out)
     shape = (plan.height, plan.width)
     found = Traced(
@@ -202,24 +258,42 @@ def assert_records(plan: Plan, found: Array, radius: Array, gradient: Array, the
 def test_sources(session: Session, name: str, time: float) -> None:
     wanted, channels = SCENES[name]
     plan = planned(wanted, channels)
-    found = traced(session, plan, time, 0.3)
-    texture = random_texture(wanted, channels).astype(float)
-    expected = twin.trace(wanted, placed(wanted, time), texture, GUARD, plan.moves)
-    there = expected.label > 0
+    assert (len(plan.layers) > 1) == (len(wanted.objects) > 1 or bounded(wanted))
+    shares = []
+    for layer in plan.layers:
+        found, expected = traced(session, plan, time, 0.3, layer=layer), twin.trace(view(plan, time), layer, GUARD)
+        there = expected.label > 0
+        shares.append(there.mean())
+        if plan.silhouettes and plan.features()["QUADRATIC"]:  # a plane has but one root
+            assert (found.label == expected.label).all()
+        elif plan.silhouettes:
+            assert ((found.label > 0) == there).all()
+        assert ((found.source[..., 0] >= 0) == expected.lit).all()
+        assert_records(plan, found.source, expected.radius, expected.gradient, expected.lit, False)
+        # Filters work in float32, on positions that float32 would not hold: see test_geometry.py for the figure.
+        limit = 0.3 * (34 * SINGLE if plan.moves else SINGLE) + SINGLE
+        np.testing.assert_allclose(found.value, 0.3 * np.moveaxis(expected.radiance, -1, 0), rtol=0, atol=limit)
+        assert not found.value[:, ~there].any()
+        blocked = np.zeros_like(there) if expected.sight is None else expected.sight.row.reshape(there.shape) >= 0
+        own = found.slot < 0
+        assert (found.slot[own] == np.where(blocked & expected.lit, BLOCKED, WHOLE)[own]).all()
+        assert own.all() or plan.silhouettes
     if name not in ("nothing in sight", "one pixel"):
-        assert there.mean() > 0.2
-    if plan.silhouettes and plan.features()["QUADRATIC"]:  # a plane has but one root
-        assert (found.label == expected.label).all()
-    elif plan.silhouettes:
-        assert ((found.label > 0) == there).all()
-    assert ((found.source[..., 0] >= 0) == there).all()
-    assert_records(plan, found.source, expected.radius, expected.gradient, there, False)
-    # Filters work in float32, on positions that float32 would not hold: see test_geometry.py for the figure.
-    limit = 0.3 * (34 * SINGLE if plan.moves else SINGLE) + SINGLE
-    np.testing.assert_allclose(found.value, 0.3 * np.moveaxis(expected.radiance, -1, 0), rtol=0, atol=limit)
-    assert not found.value[:, ~there].any()
-    if not plan.silhouettes:
-        assert (found.slot == -1).all()
+        assert max(shares) > 0.2
+
+
+def test_scenes_have_sources_of_every_kind() -> None:
+    """The test above would show little if nothing, or everything, were hidden."""
+    found = np.zeros(4, np.int64)
+    for name in ("three in a row", "card in a cylinder", "ball in a tube"):
+        plan = planned(*SCENES[name])
+        for layer in plan.layers:
+            one = twin.trace(view(plan, 0.55), layer, GUARD)
+            if one.sight is not None:
+                blocked = one.sight.row.reshape(one.lit.shape) >= 0
+                kinds = (one.lit & blocked, one.lit & ~blocked, (one.label > 0) & ~one.lit, one.label >= 128)
+                found += [int(kind.sum()) for kind in kinds]
+    assert found.min() > 100, found
 
 
 @pytest.mark.parametrize("name", [name for name, (wanted, n) in SCENES.items() if planned(wanted, n).silhouettes])
@@ -256,6 +330,8 @@ def test_more_silhouettes_than_slots(session: Session) -> None:
         ("cap, 3 x 3, sampled", 3),
         ("cylinder, bilinear", 2),
         ("sphere at rest", 3),
+        ("three in a row", 2),
+        ("ball in a tube", 3),
     ],
 )
 def test_subpixel_sources(session: Session, name: str, samples: int) -> None:
@@ -264,8 +340,7 @@ def test_subpixel_sources(session: Session, name: str, samples: int) -> None:
     plan = planned(wanted, channels, samples)
     found = traced(session, plan, 0.55, 0.3)
     marked = twin.mark_silhouettes(found.label)
-    texture = random_texture(wanted, channels).astype(float)
-    expected = twin.trace_subpixels(wanted, placed(wanted, 0.55), texture, GUARD, plan.moves, marked)
+    expected = twin.trace_subpixels(view(plan, 0.55), plan.layers[0], GUARD, marked)
     slots = found.slot[expected.row, expected.column]
     records, hit = found.sub_source[slots], expected.hit
     assert 0.1 < hit.mean() < 0.99
@@ -279,9 +354,8 @@ def test_subpixel_sources(session: Session, name: str, samples: int) -> None:
 
 def test_range_of_radii_is_noted(session: Session) -> None:
     plan = planned(*SCENES["sphere moved, 2 x 2"])
-    surface, texture = placed(plan.scene, 0.55), random_texture(plan.scene, 3).astype(float)
-    sources = twin.trace(plan.scene, surface, texture, GUARD, True)
-    sub = twin.trace_subpixels(plan.scene, surface, texture, GUARD, True, twin.mark_silhouettes(sources.label))
+    sources = twin.trace(view(plan, 0.55), plan.layers[0], GUARD)
+    sub = twin.trace_subpixels(view(plan, 0.55), plan.layers[0], GUARD, twin.mark_silhouettes(sources.label))
     radii = np.abs(np.concatenate([sources.radius[sources.label > 0], sub.radius[sub.hit]]))
     noted = traced(session, plan, 0.55).statistics[:2].view(np.float32)
     # Rounded to float32; the largest is at the limb, good to the root of 1e-15 of some 60 px.
@@ -290,7 +364,7 @@ def test_range_of_radii_is_noted(session: Session) -> None:
     assert nothing.tolist() == EMPTY_STATISTICS.tolist()
 
 
-@pytest.mark.parametrize("name", ["sphere moved, 2 x 2", "bounded paraboloid", "card, nearest"])
+@pytest.mark.parametrize("name", ["sphere moved, 2 x 2", "bounded paraboloid", "card, nearest", "three in a row"])
 def test_same_bits_again_and_in_other_groups(session: Session, name: str) -> None:
     plan = planned(*SCENES[name])
 
@@ -329,43 +403,63 @@ def test_single_precision(session: Session, name: str) -> None:
 
 def truth_on_device(session: Session, plan: Plan, names: tuple[str, ...], frame: int) -> dict[str, Array]:
     """Outputs of ground_truth, built for these outputs only."""
-    wanted, item = plan.scene, plan.scene.objects[0]
+    wanted = plan.scene
     now, then = (middle_time(wanted.sequence, k) for k in (frame, frame + 1))
     camera, shape = camera_struct(wanted.camera, plan.guard_px, "double"), (plan.rows, plan.columns)
-    surface, still = (surface_struct(item, placed(wanted, t), "double") for t in (now, 0.0))
-    later = pose_struct(pose_at(item.motion, then, wanted.motion.rotation), "double")
-    texture = upload(session, flat(random_texture(wanted, plan.channels), np.float32))
+    surfaces, still = (on_device(session, plan, t, "double") for t in (now, 0.0))
+    if plan.eye_moved:
+        still = on_device(session, plan, 0.0, "double", "left")
+    later = upload(session, pose_structs(poses_at(wanted, then, plan.eye), "double"))
+    layer = layer_struct(twin.everything(wanted), len(wanted.objects))
     forms: dict[str, tuple[Any, int]] = {"mask": (np.uint8, 1)}
     forms |= {name: (form[0], form[1] or plan.channels) for name, form in TRUTH_BUFFERS.items() if name in names}
     buffers = {
         n: empty(session, plan.rows * plan.columns * size * dtype().itemsize) for n, (dtype, size) in forms.items()
     }
-    head = (camera, surface, still, later, texture)
+    args: list[Any] = [camera, surfaces, still, later, layer, stack(session, plan)]
+    args += [buffer for name, buffer in buffers.items() if name not in STEREO_NAMES]
+    if set(names) & set(STEREO_NAMES):
+        other: Eye = "left" if plan.eye == "right" else "right"
+        poses = upload(session, pose_structs(poses_at(wanted, now, other), "double"))
+        args += [on_device(session, plan, now, "double", other), poses, np.int32(1 if plan.eye == "right" else -1)]
+        args += [buffer for name, buffer in buffers.items() if name in STEREO_NAMES]
     program = built(session, plan, "double", names)
-    launch(session, kernel(program, "ground_truth"), shape[::-1], (64, 1), *head, *buffers.values())
+    launch(session, kernel(program, "ground_truth"), shape[::-1], (64, 1), *args)
     return {name: download(session, buffers[name], (*shape, size), dtype) for name, (dtype, size) in forms.items()}
 
 
-@pytest.mark.parametrize("frame", [0, 1])
-@pytest.mark.parametrize("name", SCENES)
-def test_ground_truth(session: Session, name: str, frame: int) -> None:
-    wanted, channels = SCENES[name]
-    plan = planned(wanted, channels)
-    found = truth_on_device(session, plan, tuple(TRUTH_BUFFERS), frame)
-    expected = twin.ground_truth(wanted, random_texture(wanted, channels).astype(float), frame)
+def assert_truth(session: Session, plan: Plan, names: tuple[str, ...], frame: int) -> None:
+    """All outputs of ground_truth agree with the twin's."""
+    found = truth_on_device(session, plan, names, frame)
+    textures = tuple(texture.astype(float) for texture in random_textures(plan.scene, plan.channels))
+    expected = twin.ground_truth(plan.scene, textures, frame, plan.eye)
     assert (found["mask"][..., 0] == expected.mask).all()
-    seen = expected.mask
-    for output in ("depth", "coc", "normal", "flow", "hidden", "sharp"):
+    seen, nothing = expected.mask, {"depth": np.inf, "object_id": -1}
+    for output in names:
         exact = np.asarray(getattr(expected, output), dtype=float)
         exact = exact[..., None] if exact.ndim == 2 else exact
-        assert (found[output][~seen] == (np.inf if output == "depth" else 0)).all(), output
-        if output == "hidden":
-            assert (found[output][seen] == exact[seen]).all()
+        assert (found[output][~seen] == nothing.get(output, 0)).all(), output
+        if output in ("hidden", "occluded", "object_id"):
+            assert (found[output][seen] == exact[seen]).all(), output
             continue
         # Rounded to float32 at the end, texture filters in float32; near a limb half of float64's digits are left.
         scale = np.abs(exact[seen]).max(initial=1.0)
         limit = 40 * SINGLE if output == "sharp" else SINGLE * np.abs(exact[seen]) + 2e-7 * scale
         assert (np.abs(found[output][seen] - exact[seen]) <= limit).all(), output
+
+
+@pytest.mark.parametrize("frame", [0, 1])
+@pytest.mark.parametrize("name", SCENES)
+def test_ground_truth(session: Session, name: str, frame: int) -> None:
+    assert_truth(session, planned(*SCENES[name]), MONO, frame)
+
+
+@pytest.mark.parametrize("eye", ["left", "right"])
+def test_ground_truth_of_a_stereo_pair(session: Session, eye: Eye) -> None:
+    plan = planned(scene(ROW, stereo=Stereo(baseline=12.0, toe_in=1.0)), 1, eye=eye)
+    assert_truth(session, plan, tuple(TRUTH_BUFFERS), 0)
+    occluded = truth_on_device(session, plan, ("disparity", "occluded"), 0)["occluded"]
+    assert 0.02 < occluded.mean() < 0.5
 
 
 def test_hidden_points_are_there_and_seen_ones_too(session: Session) -> None:
@@ -379,11 +473,11 @@ def test_hidden_points_are_there_and_seen_ones_too(session: Session) -> None:
     assert hidden[2] == 0.0
 
 
-@pytest.mark.parametrize("output", TRUTH_BUFFERS)
+@pytest.mark.parametrize("output", MONO)
 def test_each_output_alone_is_the_same(session: Session, output: str) -> None:
     plan = planned(*SCENES["sphere moved, 2 x 2"])
     alone = truth_on_device(session, plan, (output,), 1)
-    everything = truth_on_device(session, plan, tuple(TRUTH_BUFFERS), 1)
+    everything = truth_on_device(session, plan, MONO, 1)
     assert set(alone) == {"mask", output}
     for name, array in alone.items():
         assert (array == everything[name]).all()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -49,7 +50,7 @@ def random_sources(shape: tuple[int, int], largest: float, steepest: float, chan
 
 def in_the_middle(sources: Sources, margin: int) -> Sources:
     """The same with empty pixels around, as wide as `margin`."""
-    padded = {
+    padded: dict[str, Any] = {
         name: np.pad(value, [(margin, margin)] * 2 + [(0, 0)] * (value.ndim - 2))
         for name, value in vars(sources).items()
         if value is not None
