@@ -88,6 +88,11 @@ def eye_pose(scene: Scene, eye: Eye, time: float) -> Pose:
     return Pose(rig.rotation @ inwards, rig.shift + rig.rotation @ apart)
 
 
+def rest_poses(scene: Scene) -> tuple[Pose, ...]:
+    """Poses of all objects before the camera that their textures belong to: neither moved nor turned."""
+    return (Pose(np.eye(3), np.zeros(3)),) * len(scene.objects)
+
+
 def poses_at(scene: Scene, time: float, eye: Eye = "left") -> tuple[Pose, ...]:
     """Poses of all objects after `time` seconds, as the camera sees them, wherever it is then itself."""
     camera, found = eye_pose(scene, eye, time), []

@@ -27,7 +27,7 @@ from clsco.layout import (
     surface_structs,
 )
 from clsco.maptruth import map_flow, map_normal, map_stereo
-from clsco.motion import Pose, middle_time, poses_at
+from clsco.motion import Pose, middle_time, poses_at, rest_poses
 from clsco.occlusion import Layer
 from clsco.optics import blur_radius
 from clsco.plan import Maps, Plan, exposure, widened
@@ -119,7 +119,7 @@ class Renderer:
         self.program = build(session, sources, features, declared, self.real)
         self.forward = None
         if plan.forward:
-            at_rest = self._placed_at(poses_at(plan.scene, 0.0))
+            at_rest = self._placed_at(rest_poses(plan.scene))
             self.forward = ForwardWarp(
                 session, plan, self.camera, self.texture, at_rest, maps, self.real, textures=self.texture_of
             )
@@ -305,7 +305,8 @@ class Renderer:
         sizes = {n: TRUTH_BUFFERS[n][1] or plan.channels for n in names}
         mask = empty(self.session, pixels)
         buffers = {n: empty(self.session, pixels * sizes[n] * TRUTH_BUFFERS[n][0]().itemsize) for n in names}
-        surfaces, still = (self._placed(self._surfaces(t)) for t in (time, 0.0))
+        at_rest = [surface for surface in self._placed_at(rest_poses(plan.scene)) if surface is not None]
+        surfaces, still = self._placed(self._surfaces(time)), self._placed(at_rest)
         poses = self._upload(pose_structs(self._poses(later), self.real))
         head = (self.camera, surfaces, still, poses, self._everything(), self.texture, mask)
         args: list[Any] = [buffer for name, buffer in buffers.items() if name not in STEREO_NAMES]

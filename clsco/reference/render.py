@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from clsco.depthmaps import load_scene_depths
 from clsco.frame import Frame
 from clsco.maptruth import map_flow, map_normal, map_stereo
-from clsco.motion import Eye, Pose, middle_time, poses_at
+from clsco.motion import Eye, Pose, middle_time, poses_at, rest_poses
 from clsco.occlusion import Layer
 from clsco.plan import Maps, Plan, exposure, make_plan
 from clsco.reference.accumulate import accumulate
@@ -61,7 +61,7 @@ def _warped_sources(
 ) -> _Warped:
     """Sources at one moment from the pixels at rest: the forward warp, with its holes filled."""
     poses, mapped = poses_at(scene, time, eye), any(depth is not None for depth in maps)
-    at_rest = _placed(scene, poses_at(scene, 0.0))
+    at_rest = _placed(scene, rest_poses(scene))
     new = reproject(scene, textures, at_rest, maps, poses, guard)
     allowed = None
     if scene.fill.domain == "surface" and not mapped:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.motion import Eye, Pose, middle_time, poses_at
+from clsco.motion import Eye, Pose, middle_time, poses_at, rest_poses
 from clsco.occlusion import Layer
 from clsco.plan import displaced
 from clsco.psf import subpixel_offsets
@@ -302,7 +302,7 @@ def ground_truth(scene: Scene, textures: tuple[Array, ...], frame: int, eye: Eye
     moves, camera = scene.moves, scene.camera
     now, then = (middle_time(scene.sequence, k) if moves else 0.0 for k in (frame, frame + 1))
     view = view_at(scene, textures, now, eye, moves or displaced(scene, eye))
-    rest = view_at(scene, textures, 0.0, "left", False)
+    rest = [place(item, pose) for item, pose in zip(scene.objects, rest_poses(scene), strict=True)]
     later = poses_at(scene, then, eye)
     row, column = padded_grid(camera, 0)
     rays = pixel_ray(camera, row, column)
@@ -315,7 +315,7 @@ def ground_truth(scene: Scene, textures: tuple[Array, ...], frame: int, eye: Eye
         next_row, next_column, _ = _moved_pixel(surface, later[k], camera, rays, w)
         flow = np.where(own[..., None], np.stack([next_column - column, next_row - row], axis=-1), flow)
         normal = np.where(own[..., None], surface_normal(surface, rays, w), normal)
-        hidden = np.where(own, _hidden(view, rest.surfaces[k], k, rays, w), hidden)
+        hidden = np.where(own, _hidden(view, rest[k], k, rays, w), hidden)
     disparity, occluded = None, None
     if scene.stereo is not None:
         disparity, occluded = _stereo(scene, textures, view, eye, now, hit, rays)
