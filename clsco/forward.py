@@ -344,7 +344,10 @@ class ForwardWarp:
         placed = [surface for surface in surfaces if surface is not None]
         array = np.zeros(len(self.items), structs(self.real)["surface_t"])
         array[known] = surface_structs([self.items[k] for k in known], placed, self.real)
-        array["rest"] = [rest_center(item) for item in self.items]
+        for k in set(range(len(self.items))) - set(known):
+            center, rest = rest_center(self.items[k]), array["rest"][k]
+            rest[:3] = center
+            rest[3:] = (center - rest[:3])[: rest.size - 3]  # the low parts of single precision
         array["texture"] = self.textures
         return upload(self.session, array)
 
