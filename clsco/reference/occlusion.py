@@ -106,8 +106,7 @@ def meet_blocker(
     f = np.zeros_like(w) if own else side * (_dot(q, p * p) + w * (2 * _dot(l, p) - k * w))
     b = side * (_dot(q, p * o) + _dot(l, p) + w * (l @ o - k))
     c = side * surface.constant
-    once, flat = b < 0 if own else f <= 0, not q.any()
-    far = far | (own & ~once)
+    once, flat = f <= 0, not q.any()
     d = difference_of_products(b, b, c, f)
     most = extent * np.abs(cells) + 1.5
     limits = _limits(surface, bounds, w, rays, p, e)
@@ -379,7 +378,9 @@ def look(
     state, edge = np.full(w.shape, CLEAR), np.zeros(w.shape, dtype=bool)
     found = []
     for k, surface in enumerate(surfaces):
-        if layer.blockers >> k & 1:
+        # The near one of two roots has nothing of its own surface before it.
+        front = k == layer.own and layer.sheet == (2 if surface.constant < 0 else 1)
+        if layer.blockers >> k & 1 and not front:
             head = (camera, surface, bounds[k], rays, w)
             one, changes, blocker = meet_blocker(*head, cells, extent, wide, width, k == layer.own)
             state, edge = np.maximum(state, one), edge ^ changes
