@@ -16,6 +16,8 @@ from clsco.errors import DeviceError, KernelError
 from clsco.resources import folder
 
 HEADERS = ("wide.clh", "geometry.clh")
+OCCLUSION_HEADERS = ("occlusion.clh", "sight.clh")  # with the feature OCCLUDED
+HEADERS_OF = {"blur.cl": ("spread.clh",)}
 _C_TYPES = {
     "f4": "float", "f8": "double",
     "i1": "char", "i2": "short", "i4": "int", "i8": "long",
@@ -44,7 +46,9 @@ def build(
     device = session.device
     if real == "double" and not device.has_fp64:
         raise DeviceError(f"precision: double needs a device with fp64, use single; got {device}")
-    text = program_text(sources, structs, real, device.has_fp64, device.has_int64_atomics)
+    headers = [*(OCCLUSION_HEADERS if features.get("OCCLUDED") else ())]
+    headers += [header for source in sources for header in HEADERS_OF.get(source, ())]
+    text = program_text([*headers, *sources], structs, real, device.has_fp64, device.has_int64_atomics)
     options = [f"-D{name}={int(value)}" for name, value in sorted(features.items())]
     options.append("-cl-std=CL1.2")
     if real == "float":  # else 0.5 is a double, and so is the arithmetic around it

@@ -114,8 +114,6 @@ class Renderer:
         features |= {f"TRUTH_{name.upper()}": int(name in self._truth_names()) for name in TRUTH_BUFFERS}
         declared = structs(self.real)
         sources = ["trace.cl"] + (["accumulate.cl"] if plan.blur == "none" else ["blur.cl"])
-        if features["OCCLUDED"]:
-            sources = ["occlusion.clh", *sources]
         self.program = build(session, sources, features, declared, self.real)
         self.forward = None
         if plan.forward:
@@ -324,7 +322,7 @@ class Renderer:
             out[name] = download(self.session, buffer, full, np.bool_ if name in BOOLEAN else TRUTH_BUFFERS[name][0])
         if self.forward is not None:
             poses_now = self._poses(time)
-            out |= self.forward.truth(poses_now, self._placed_at(poses_now), events)
+            out |= self.forward.truth(poses_now, self._placed_at(poses_now), plan.truth, events)
         out |= {"filled": np.zeros(shape, np.uint8), "mask": found} | out
         return {name: array for name, array in out.items() if name in plan.truth}
 
@@ -337,14 +335,16 @@ class Renderer:
     def _map_truth(self, forward: ForwardWarp, index: int, events: Events) -> dict[str, NDArray[Any]]:
         """Ground truth of a scene with depth maps, which no ray can be cast at: of the pixels in their new places."""
         now, then = (self._poses(t) for t in self._middles(index))
-        out = forward.truth(now, self._placed_at(now), events)
+        needed = {"depth", "object_id", "filled"}  # for the others
+        out = forward.truth(now, self._placed_at(now), needed | set(self.plan.truth), events)
         where = (self.plan.scene.camera, self.items, out["depth"], out["object_id"])
         out |= {"normal": map_normal(self.plan.scene.camera, out["depth"]), "flow": map_flow(*where, now, then)}
         out["hidden"] = out["filled"] > 0
         if self.plan.scene.stereo is not None:
             there = poses_at(self.plan.scene, self._middles(index)[0], "left" if self.plan.eye == "right" else "right")
-            opposite = forward.truth(there, self._placed_at(there), events)["depth"]
+            opposite = forward.truth(there, self._placed_at(there), ("depth",), events)["depth"]
             out["disparity"], out["occluded"] = map_stereo(*where, now, there, opposite, self.plan.eye)
+        out["depth"] = out["depth"].astype(np.float32)
         return {name: array for name, array in out.items() if name in self.plan.truth}
 
     def _metadata(self, index: int, moments: list[dict[str, Any]], events: Events) -> dict[str, Any]:

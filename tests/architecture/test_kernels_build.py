@@ -14,7 +14,7 @@ from clsco.forward import KERNELS as FORWARD
 from clsco.forward import forward_features
 from clsco.layout import Real, structs
 from clsco.plan import make_plan
-from clsco.program import HEADERS, build
+from clsco.program import HEADERS, HEADERS_OF, OCCLUSION_HEADERS, build
 from clsco.renderer import TRUTH_BUFFERS
 from clsco.scene import Camera, Scene, Sphere
 from clsco.spread import BAND, blur_features
@@ -41,7 +41,7 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | dict.fromkeys(("OWNED", "MAPPED", "FILL_AIT", "FILL_MEAN_MEDIAN", "FILL_FAR", "DOMAIN_SURFACE"), ON_OR_OFF),
 }
 # What can be in the way of a source: one object, or any other number up to all but one.
-OCCLUSION = ("occlusion.clh", "trace.cl", "blur.cl")
+OCCLUSION = ("trace.cl", "blur.cl")
 PROGRAMS[OCCLUSION] = PROGRAMS["blur.cl",] | PROGRAMS["trace.cl",] | {"OCCLUDED": (1, 2, 63)}
 # Features that have to do with it; of the others there is one value, the program being a long one.
 TOLD = {"OCCLUDED", "SEVERAL", "QUADRATIC", "NAPPE", "BOUNDED", "CHANNELS", "SUBPIXELS", "TILT", "GATHER", "SCATTER"}
@@ -50,10 +50,16 @@ PROGRAMS["blur.cl", "layer.cl"] = PROGRAMS["blur.cl",] | {"CHANNELS": (2, 4), "S
 GIVEN_BY_THE_BUILD = {"REAL_IS_DOUBLE", "HAS_INT64_ATOMICS", "HAS_FP64", "defined", "__FMA__", "__SSE4_1__", "__AVX__"}
 
 
+def headers(files: tuple[str, ...]) -> tuple[str, ...]:
+    """What is built before files; what can be in the way is tested where they do so together."""
+    own = tuple(header for name in files for header in HEADERS_OF.get(name, ()))
+    return (*HEADERS, *(OCCLUSION_HEADERS if files == OCCLUSION else ()), *own)
+
+
 def asked_for(files: tuple[str, ...]) -> set[str]:
-    """Features by which the preprocessor chooses in files, and in the headers of all."""
+    """Features by which the preprocessor chooses in files and their headers."""
     found: set[str] = set()
-    for name in (*HEADERS, *files):
+    for name in (*headers(files), *files):
         for condition in re.findall(r"^#\s*(?:el)?if\s+(.*)", (KERNELS / name).read_text("utf-8"), re.MULTILINE):
             found |= set(re.findall(r"\b[A-Za-z_]\w*", condition.split("//")[0]))
     return found - GIVEN_BY_THE_BUILD
@@ -68,7 +74,7 @@ def variants(features: dict[str, tuple[int, ...]]) -> list[dict[str, int]]:
 
 
 def test_every_file_is_built() -> None:
-    built = {name for files in PROGRAMS for name in (*HEADERS, *files)}
+    built = {name for files in PROGRAMS for name in (*headers(files), *files)}
     assert built == {path.name for path in KERNELS.glob("*.cl*")}
 
 

@@ -159,7 +159,7 @@ def built(session: Session, plan: Plan, real: Real, truth: tuple[str, ...] = MON
     """All kernels in one program, so that few have to be compiled."""
     features = plan.features() | {"TRUTH": int(bool(truth)), "PINHOLE": 0, "LENSES": 0, "GATHER": 0}
     features |= {f"TRUTH_{name.upper()}": int(name in truth) for name in TRUTH_BUFFERS}
-    files = ["occlusion.clh", "trace.cl"] if features["OCCLUDED"] else ["trace.cl"]
+    files = ["trace.cl"]
     return build(session, files, features, structs(real), real)
 
 
