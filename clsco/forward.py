@@ -305,9 +305,10 @@ class ForwardWarp:
         """What is wanted of these, float32 or as stated, (rows, columns[, channels]). Other arguments as for `warp`.
 
         "sharp": radiance after the move; "filled": uint8, as `Warped.status`. Of a scene with a depth map, at which no
-        ray can be cast, also what is known of the pixels' surface, filled ones included: "depth" in mm, +inf for none;
-        "coc" in px, 0 for none; "mask", bool; "object_id", int32, -1 for none. These are the values of the source that
-        came to the pixel, up to half a pixel from its center.
+        ray can be cast, also what is known of the pixels' surface, filled ones included: "depth" in mm, +inf for none,
+        float64 where the device computes in it, for normals come from its differences; "coc" in px, 0 for none;
+        "mask", bool; "object_id", int32, -1 for none. These are the values of the source that came to the pixel, up to
+        half a pixel from its center.
         """
         plan = self.plan
         names = {"sharp", "filled"} | ({"depth", "coc", "mask", "object_id"} if self.maps else set())
@@ -323,7 +324,7 @@ class ForwardWarp:
             found["filled"] = self._frame(warped.status, np.uint8)
         if self.maps:
             w = self._frame(warped.w, real)
-            found["depth"] = np.where(valid, 1.0 / np.where(valid, w, 1.0), np.inf).astype(np.float32)
+            found["depth"] = np.where(valid, 1.0 / np.where(valid, w, 1.0), np.inf)
             found["coc"] = self._frame(warped.coc, real).astype(np.float32)
             seen = np.zeros(valid.shape, np.int32)
             if warped.object is not None:
