@@ -297,6 +297,8 @@ class ForwardWarp:
         out = (planes.value, planes.w, planes.coc, planes.valid, planes.status, *seen)
         self._per_pixel("reproject_gather", events, (plan.width, plan.height), *head, *several, *out)
         counters = planes.fill(self.placed[1], len(self.items), events)
+        if self.maps:
+            self._per_pixel("extend_border", events, (plan.width, plan.height), self.camera, *out[:4])
         return Warped(planes.value, planes.w, planes.coc, planes.valid, planes.status, planes.object, counters)
 
     def truth(

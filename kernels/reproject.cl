@@ -325,3 +325,28 @@ __kernel void reproject_gather(const camera_t camera, const float weight, __glob
     coc[at] = known ? narrow(blur_radius(camera, widened(inverse_depth))) : 0;
     status[at] = 0;
 }
+
+#if MAPPED
+// A depth map knows nothing outside of the frame: there the image goes on as its mirror image, as textures do. In and
+// out, on the padded grid: value, w, coc, valid as in reproject_gather; pixels outside of the frame that are not valid
+// take what is in their mirror image.
+__kernel void extend_border(const camera_t camera, __global float *value, __global real *w, __global real *coc,
+                            __global uchar *valid)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= camera.width || y >= camera.height)
+        return;
+    const int column = x - camera.guard, row = y - camera.guard, at = y * camera.width + x;
+    const bool inside = column >= 0 && column < camera.columns && row >= 0 && row < camera.rows;
+    const int from = (mirror_index(row, camera.rows) + camera.guard) * camera.width +
+                     mirror_index(column, camera.columns) + camera.guard;
+    if (inside || valid[at] || !valid[from])
+        return;
+    const int plane = camera.width * camera.height;
+    for (int c = 0; c < CHANNELS; ++c)
+        value[c * plane + at] = value[c * plane + from];
+    w[at] = w[from];
+    coc[at] = coc[from];
+    valid[at] = 1;
+}
+#endif

@@ -20,7 +20,7 @@ from clsco.reference.blur import prepare_sources, scatter
 from clsco.reference.fill import FillReport, fill_objects
 from clsco.reference.geometry import Array, blur_radius
 from clsco.reference.layer import layered
-from clsco.reference.reproject import reproject
+from clsco.reference.reproject import extend_border, reproject
 from clsco.reference.trace import (
     Sources,
     SubpixelSources,
@@ -73,6 +73,8 @@ def _warped_sources(
         values, new.object, new.known, allowed, scene.fill.method, guard, far
     )
     valid = new.known | (status == 1)
+    if mapped:
+        values, valid = extend_border(values, valid, guard)
     return _Warped(_sources(scene, values[..., :-1], values[..., -1], valid), objects, status, report)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.motion import Pose, rest_center
-from clsco.reference.geometry import Array, pixel_ray, project, solve_quadric
+from clsco.reference.geometry import Array, mirror_index, pixel_ray, project, solve_quadric
 from clsco.reference.trace import padded_grid
 from clsco.scene import Scene
 from clsco.surfaces import PlacedSurface
@@ -190,3 +190,14 @@ def reproject(
     gathered, known = gathered.reshape(height, width, -1), known.reshape(height, width)
     seen = np.where(known, gathered[..., -1].astype(np.uint8), NO_OBJECT)
     return Reprojected(known, gathered[..., :-2], gathered[..., -2], seen)
+
+
+def extend_border(values: Array, valid: NDArray[np.bool_], guard: int) -> tuple[Array, NDArray[np.bool_]]:
+    """Values (H, W, K) and validity (H, W) of the padded grid with what is outside of the frame mirrored into it.
+
+    values, valid: (H, W, K) and (H, W). A depth map knows nothing there; its image goes on as its mirror image, as
+    textures do. Only pixels that are not valid change.
+    """
+    row, column = (mirror_index(np.arange(-guard, n - guard), n - 2 * guard) + guard for n in valid.shape)
+    take = ~valid & valid[np.ix_(row, column)]
+    return np.where(take[..., None], values[np.ix_(row, column)], values), valid | take
