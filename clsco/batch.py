@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 from clsco.describe import record
 from clsco.errors import ImageError, SceneError
 from clsco.files import remove_stale, writable_folder
-from clsco.frame import TRUTH_NAMES, Frame
-from clsco.images import read_complete, write_frame
-from clsco.render import render
+from clsco.frame import STEREO_NAMES, TRUTH_NAMES, Frame
+from clsco.framefiles import frame_files, read_complete, write_frame
+from clsco.render import render_sweep
 from clsco.scene import DepthMap, Scene
 
 Span = tuple[int | None, int | None]
+TOGETHER, PIXELS_TOGETHER = 16, 2**24  # scenes of a sweep that are on the device at a time, and pixels of all of them
 
 
 @dataclass(frozen=True)
@@ -93,25 +96,41 @@ def prepare(
         if content is None:
             return False
         same = all(content.get(key) == about[key] for key in ("version", "scene_sha256"))
-        names = {f"frame_{index:04d}.{suffix}" for suffix in ("png", *files)}
-        return same and names <= set(content["files"]) and precision in (None, content.get("precision"))
+        whole = frame_files(index, scene.stereo is not None, files) <= set(content["files"])
+        told = content["views"].values() if scene.stereo is not None else [content]
+        return same and whole and all(precision in (None, view.get("precision")) for view in told)
 
     left = tuple(index for index in frames if not (resume and is_there(index)))
     return Job(scene, about, folder, left, files)
 
 
-def run(jobs: Sequence[Job], device: str | None, precision: str | None) -> Iterator[tuple[Job, Frame]]:
-    """Render the frames of jobs, write each one, and then yield it with the metadata of its JSON file.
+def run(jobs: Sequence[Job], device: str | None, precision: str | None) -> Iterator[tuple[Job, tuple[Frame, ...]]]:
+    """Render the frames of jobs, write each one, and then yield it: one frame, or the two views of a stereo pair.
 
-    jobs: of any scenes, in the order in which they are rendered; those of one sweep follow each other. Truth is
-    computed only where a file asks for it. Raises as `clsco.render` and `clsco.images.write_frame`.
+    jobs: of scenes with their resolutions, in the order in which they are rendered; those of one sweep follow each
+    other, and up to `TOGETHER` of them share their rays where they can. Truth is computed only where a file asks for
+    it. Raises as `clsco.render` and `clsco.framefiles.write_frame`.
     """
-    for job in jobs:
-        if not job.frames:
+    for _, alike in groupby((job for job in jobs if job.frames), key=lambda job: (job.frames, job.files)):
+        members = list(alike)
+        largest = max(math.prod(job.scene.camera.resolution or ()) for job in members)
+        count = max(1, min(TOGETHER, PIXELS_TOGETHER // largest))
+        for start in range(0, len(members), count):
+            yield from _run_together(members[start : start + count], device, precision)
+
+
+def _run_together(
+    jobs: Sequence[Job], device: str | None, precision: str | None
+) -> Iterator[tuple[Job, tuple[Frame, ...]]]:
+    """As `run`, of jobs with the same frames and the same files."""
+    truth = (*TRUTH_NAMES, *STEREO_NAMES) if jobs[0].files else ()  # nothing that no file asks for
+    scenes, wanted = [job.scene for job in jobs], jobs[0].frames
+    left: Frame | None = None
+    for number, frame in render_sweep(scenes, truth=truth, device=device, precision=precision, frames=wanted):
+        if frame.eye == "left":
+            left = frame
             continue
-        truth = TRUTH_NAMES if job.files else ()  # nothing that no file asks for
-        frames = render(job.scene, truth=truth, device=device, precision=precision, frames=job.frames)
-        for frame in frames:
-            told = replace(frame, metadata={**job.record, **frame.metadata})
-            write_frame(job.folder, told, frame.metadata["bits"], job.scene.image.transfer, job.files)
-            yield job, told
+        job, views = jobs[number], (frame,) if left is None else (left, frame)
+        write_frame(job.folder, views, frame.metadata["bits"], job.scene.image.transfer, job.files, job.record)
+        left = None
+        yield job, views

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco import reference
-from clsco.frame import TRUTH_NAMES, Frame
+from clsco.frame import STEREO_NAMES, TRUTH_NAMES, Frame
 from clsco.render import render
 from clsco.scene import Scene
 
@@ -28,6 +28,8 @@ FIGURES: dict[str, tuple[str, float]] = {
     "filled": ("", 0.0),
     "object_id": ("", 0.0),
     "hidden": ("", 0.0),
+    "disparity": ("px", 1e-4),
+    "occluded": ("", 0.0),
 }
 
 
@@ -51,9 +53,11 @@ class Difference:
 
 @dataclass(frozen=True)
 class Checked:
-    """One frame: its differences, and seconds in kernels, of the whole call, and of the reference."""
+    """One frame, or one view of a stereo pair (`eye`): its differences, and seconds in kernels, of the whole call, and
+    of the reference."""
 
     index: int
+    eye: str
     differences: tuple[Difference, ...]
     device: str
     precision: str
@@ -82,15 +86,15 @@ def compare(frame: Frame, exact: Frame) -> tuple[Difference, ...]:
     """Differences of color and of all truth that `frame` has."""
     return tuple(
         difference(name, getattr(frame, name), getattr(exact, name))
-        for name in ("color", *TRUTH_NAMES)
+        for name in ("color", *TRUTH_NAMES, *STEREO_NAMES)
         if getattr(frame, name) is not None
     )
 
 
 def compare_frames(scene: Scene, device: str | None, precision: str | None) -> Iterator[Checked]:
-    """Render each frame on the device and with the reference. Raises as `clsco.render`."""
+    """Render each frame, of a stereo pair each view, on the device and with the reference. Raises as `clsco.render`."""
     frames, exacts = render(scene, device=device, precision=precision), reference.render(scene)
-    for _ in range(scene.sequence.frames):
+    for _ in range(scene.sequence.frames * (1 if scene.stereo is None else 2)):
         start = time.perf_counter()
         frame = next(frames)
         middle = time.perf_counter()
@@ -98,6 +102,6 @@ def compare_frames(scene: Scene, device: str | None, precision: str | None) -> I
         end = time.perf_counter()
         told = frame.metadata
         yield Checked(
-            frame.index, compare(frame, exact), told["device"], told["precision"],
+            frame.index, frame.eye, compare(frame, exact), told["device"], told["precision"],
             sum(told["seconds"].values()), middle - start, end - middle,
         )  # fmt: skip

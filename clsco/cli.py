@@ -19,7 +19,7 @@ import click
 
 from clsco import __version__
 from clsco.errors import ClscoError, DeviceError, ImageError, SceneError
-from clsco.frame import TRUTH_NAMES
+from clsco.frame import STEREO_NAMES, TRUTH_NAMES
 
 if TYPE_CHECKING:
     from clsco.batch import Span
@@ -124,15 +124,15 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
     from clsco.demo import EXAMPLES, example, write_contact_sheet
     from clsco.describe import planned
 
-    scenes = {name: planned(example(name), TRUTH_NAMES).scene for name in EXAMPLES}
+    scenes = {name: planned(example(name), ()).scene for name in EXAMPLES}
     jobs = {
         name: batch.prepare(scene, out / name, range(scene.sequence.frames), ("npz",), None, False)
         for name, scene in scenes.items()
     }
     shown = {}
     with _progress(sum(len(job.frames) for job in jobs.values()), quiet) as advance:
-        for job, frame in batch.run(list(jobs.values()), device, None):
-            shown[job.folder.name] = frame  # the last one of a sequence
+        for job, frames in batch.run(list(jobs.values()), device, None):
+            shown[job.folder.name] = frames  # the last one of a sequence
             advance()
     write_contact_sheet(out / "contact_sheet.png", shown)
     place = click.format_filename(out)
@@ -147,10 +147,12 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
 @truth_option
 def plan(scene: Path, overrides: tuple[str, ...], files: tuple[str, ...]) -> None:
     """Tell what rendering a scene takes; runs nothing, and needs no OpenCL."""
-    planned = _first(scene, overrides, files)
+    first = _first(scene, overrides, files)
+    from clsco.describe import planned
     from clsco.show import plan_tables
 
-    _print(*plan_tables(planned))
+    right = [] if first.scene.stereo is None else [planned(first.scene, first.truth, "right")]
+    _print(*plan_tables([first, *right]))
 
 
 @main.command()
@@ -173,7 +175,8 @@ def check(scene: Path, overrides: tuple[str, ...], device: str | None, precision
         _print(*check_tables(checked))
         color = checked.differences[0]
         if color.count and checked.precision == "double":
-            got = f"{color.largest:.2g} in frame {checked.index} ({color.count} pixels above)"
+            view = f" ({checked.eye})" if checked.eye else ""
+            got = f"{color.largest:.2g} in frame {checked.index}{view} ({color.count} pixels above)"
             raise ClscoError(f"{scene}: color must agree within {color.figure:g} of white; got {got}")
 
 
@@ -333,7 +336,7 @@ def _planned(
             messages.extend(sweep.messages)
             continue
         try:
-            found.append((path, sweep.labels, planned_sweep(sweep, TRUTH_NAMES if files else ())))
+            found.append((path, sweep.labels, planned_sweep(sweep, (*TRUTH_NAMES, *STEREO_NAMES) if files else ())))
         except SceneError as error:
             messages.extend(at_most(str(path), error.messages))
     if messages:

@@ -30,15 +30,19 @@ EXAMPLES = {
     "cylinder_turning": "cylinder coming nearer, turning",
     "card": "card with edges, turning",
     "road": "road from a moving car",
+    "occlusion_near_sphere": "near sphere before a far plane",
+    "occlusion_three": "three objects, the column in focus",
+    "depth_map": "image with a depth map",
+    "stereo": "stereo pair, left view",
 }
-DETAILS = ("cylinder_turning", "card", "road")
+DETAILS = ("cylinder_turning", "card", "road", "depth_map", "stereo")
 WIDE, NARROW, GAP, LINE = 300, 196, 12, 24
 BACKGROUND, TEXT, QUIET = (250, 250, 248), (20, 20, 20), (110, 110, 110)
 
 # Anchors of color scales, evenly spaced: dark to bright for depth; blue, white, red around R = 0.
 SEQUENTIAL = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
 DIVERGING = ((20, 70, 160), (120, 170, 220), (247, 247, 247), (230, 145, 110), (165, 20, 40))
-NOTHING = (225, 225, 222)
+NOTHING, OCCLUDED = (225, 225, 222), (215, 60, 50)
 
 
 def example(name: str) -> Scene:
@@ -64,8 +68,12 @@ def flow_colors(flow: NDArray[np.float32], longest: float) -> Picture:
     return (255 * shade).round().astype(np.uint8)
 
 
-def views(frame: Frame) -> dict[str, Picture]:
-    """Pictures (rows, columns, 3) of a frame with all its truth, by a label that says the range of each."""
+def views(frames: Sequence[Frame]) -> dict[str, Picture]:
+    """Pictures (rows, columns, 3) of a frame, or of a stereo pair, by a label that says the range of each.
+
+    frames: one, or the left and the right view; with all truth.
+    """
+    frame = frames[0]
     assert frame.depth is not None
     assert frame.coc is not None
     assert frame.mask is not None
@@ -77,15 +85,23 @@ def views(frame: Frame) -> dict[str, Picture]:
     least, most = (round(float(limit), 1) + 0.0 for limit in (frame.coc[seen].min(), frame.coc[seen].max()))
     bound = max(abs(least), abs(most), 1e-6)
     longest = float(np.linalg.norm(frame.flow[seen], axis=-1).max())
-    maps = {
-        f"depth, {near:.0f} to {far:.0f} mm": scaled(np.where(seen, frame.depth, far), near, far, SEQUENTIAL),
-        f"blur radius R, {least:.1f} to {most:.1f} px": scaled(frame.coc, -bound, bound, DIVERGING),
-        "normal": (127.5 * (1 + frame.normal * np.array([1, 1, -1]))).round().astype(np.uint8),
-    }
+    depth = scaled(np.where(seen, frame.depth, far), near, far, SEQUENTIAL)
+    maps = {f"depth, {near:.0f} to {far:.0f} mm": depth}
+    if frame.disparity is not None and frame.occluded is not None:
+        low, high = (float(limit) for limit in (frame.disparity[seen].min(), frame.disparity[seen].max()))
+        label = f"disparity, {low:.1f} to {high:.1f} px"
+        covered = np.where(frame.occluded[..., None], OCCLUDED, photograph(frame.sharp))
+        maps |= {label: scaled(frame.disparity, low, high, SEQUENTIAL), "red: not in the right view": covered}
+    else:
+        maps[f"blur radius R, {least:.1f} to {most:.1f} px"] = scaled(frame.coc, -bound, bound, DIVERGING)
+        maps["normal"] = (127.5 * (1 + frame.normal * np.array([1, 1, -1]))).round().astype(np.uint8)
     if longest > 0:
         maps[f"flow, up to {longest:.0f} px"] = flow_colors(frame.flow, longest)
     on_gray = {label: np.where(seen[..., None], m, NOTHING).astype(np.uint8) for label, m in maps.items()}
-    return {"color": photograph(frame.color), "sharp": photograph(frame.sharp), **on_gray}
+    photographs = {"color": photograph(frame.color)}
+    if len(frames) > 1:
+        photographs = {"left": photographs["color"], "right": photograph(frames[1].color)}
+    return {**photographs, "sharp": photograph(frame.sharp), **on_gray}
 
 
 def photograph(light: NDArray[np.float32]) -> Picture:
@@ -94,10 +110,10 @@ def photograph(light: NDArray[np.float32]) -> Picture:
     return codes if codes.ndim == 3 else np.repeat(codes[..., None], 3, axis=2)
 
 
-def contact_sheet(frames: Mapping[str, Frame]) -> Picture:
+def contact_sheet(frames: Mapping[str, Sequence[Frame]]) -> Picture:
     """Draw a frame of every example, and below all views of some; returns (rows, columns, 3).
 
-    frames: by the names in EXAMPLES, with all truth.
+    frames: one, or a stereo pair, by the names in EXAMPLES, with all truth.
     """
     across = 4
     width = GAP + across * (WIDE + GAP)
@@ -112,10 +128,10 @@ def contact_sheet(frames: Mapping[str, Frame]) -> Picture:
         sheet.paste(small, (x, y))
         draw.text((x, y + side + 3), label, fill=ink, font=font)
 
-    for number, (name, frame) in enumerate(frames.items()):
+    for number, (name, shown) in enumerate(frames.items()):
         row, column = divmod(number, across)
         x, y = GAP + column * (WIDE + GAP), GAP + row * (WIDE + LINE + GAP)
-        put(photograph(frame.color), EXAMPLES[name], WIDE, x, y, TEXT)
+        put(photograph(shown[0].color), EXAMPLES[name], WIDE, x, y, TEXT)
     y = GAP + photographs
     draw.text((GAP, y - 2), "The truth that comes with a frame, at the middle of the shutter", fill=TEXT, font=font)
     for row, name in enumerate(DETAILS):
@@ -125,6 +141,6 @@ def contact_sheet(frames: Mapping[str, Frame]) -> Picture:
     return np.asarray(sheet)
 
 
-def write_contact_sheet(path: Path, frames: Mapping[str, Frame]) -> None:
+def write_contact_sheet(path: Path, frames: Mapping[str, Sequence[Frame]]) -> None:
     """Write `contact_sheet` as a PNG. Raises ImageError where it cannot be written."""
     write_png(path, contact_sheet(frames))

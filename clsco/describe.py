@@ -17,33 +17,32 @@ from clsco.depthmaps import check_sizes, inverse_depth, read_depth
 from clsco.errors import ImageError, SceneError
 from clsco.files import refuse, sha256
 from clsco.images import read_image
+from clsco.motion import Eye
 from clsco.plan import Maps, Plan, make_plan
 from clsco.scene import BUILT_IN_TEXTURES, DepthMap, Scene, Within
 from clsco.scenefile import dump
 from clsco.sweep import Sweep
 from clsco.textures import texture_size
 
-# What `Frame.metadata` and the parameters of a frame are measured in, where the name does not say it.
-RECORD_UNITS = {
-    "derived.aperture_diameter": "mm",
-    "derived.sensor_distance": "mm",
-    "intermediate[].time": "s",
-    "seconds": "s, by pass on the device",
-}
+# What parameters derived from a scene, and the metadata of a frame, are measured in, where the name does not say it.
+DERIVED_UNITS = {"derived.aperture_diameter": "mm", "derived.sensor_distance": "mm"}
+FRAME_UNITS = {"intermediate[].time": "s", "seconds": "s, by pass on the device"}
 
 
-def planned(scene: Scene, truth: tuple[str, ...]) -> Plan:
+def planned(scene: Scene, truth: tuple[str, ...], eye: Eye = "left") -> Plan:
     """The plan of a scene for the outputs `truth` besides color; reads its textures and depths, computes nothing.
+
+    eye: of a stereo pair.
 
     The plan's scene has its resolution, which the first texture gives where the scene does not, and three channels
     where any texture has color. Raises SceneError, all textures' and depths' faults at once, and what
     `clsco.plan.make_plan` raises.
     """
-    (plan,) = planned_sweep(Sweep(("",), (scene,)), truth)
+    (plan,) = planned_sweep(Sweep(("",), (scene,)), truth, eye)
     return plan
 
 
-def planned_sweep(sweep: Sweep, truth: tuple[str, ...]) -> tuple[Plan, ...]:
+def planned_sweep(sweep: Sweep, truth: tuple[str, ...], eye: Eye = "left") -> tuple[Plan, ...]:
     """The plans of all scenes of a sweep, as `planned`; each file is read once. Raises SceneError for all of them."""
     files = _read_files(sweep.scenes[0])  # the same for all: no key of theirs can have several values
     plans, faults = [], dict[str, None]()
@@ -53,12 +52,18 @@ def planned_sweep(sweep: Sweep, truth: tuple[str, ...]) -> tuple[Plan, ...]:
             camera = camera.model_copy(update={"resolution": files.size})
         sized = scene.model_copy(update={"camera": camera})
         try:
-            plans.append(make_plan(sized, files.channels, truth, maps=_inverse_depths(sized, files.depths)))
+            maps = _inverse_depths(sized, files.depths)
+            views = {view: make_plan(sized, files.channels, truth, eye=view, maps=maps) for view in _views(scene)}
+            plans.append(views[eye])
         except SceneError as error:
             faults.update(dict.fromkeys(f"{message}{label and f' (with {label})'}" for message in error.messages))
     if faults:
         raise SceneError(list(faults))
     return tuple(plans)
+
+
+def _views(scene: Scene) -> tuple[Eye, ...]:
+    return ("left",) if scene.stereo is None else ("left", "right")
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +131,12 @@ def units(scene: Scene) -> dict[str, str]:
     return found
 
 
+def _record_units(scene: Scene) -> dict[str, str]:
+    """Units of what a frame's JSON file has besides the scene's parameters; of a stereo pair those of each view."""
+    views = [""] if scene.stereo is None else [f"views.{view}." for view in _views(scene)]
+    return DERIVED_UNITS | {view + key: unit for view in views for key, unit in FRAME_UNITS.items()}
+
+
 def _unit(parts: Iterable[Any]) -> str:
     """Unit of the first constraint that names one, however deep in the types it is."""
     for part in parts:
@@ -185,7 +196,7 @@ def record(scene: Scene, digests: Mapping[str, str] | None = None) -> dict[str, 
         },
         "textures_sha256": {name: known[name] for name in textures if name not in BUILT_IN_TEXTURES},
         "depths_sha256": {name: known[name] for name in depths},
-        "units": units(scene) | RECORD_UNITS,
+        "units": units(scene) | _record_units(scene),
     }
 
 

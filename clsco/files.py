@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import os
 import secrets
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, NoReturn
@@ -43,6 +44,27 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
             temporary.unlink(missing_ok=True)
 
 
+@contextlib.contextmanager
+def together(folder: Path, name: str) -> Iterator[Path]:
+    """Open a hidden folder; what was written into it moves to `folder` when all of it is there, and else goes away.
+
+    name: of what the files make up. Raises ImageError where the folder cannot be written; errors from inside name the
+    files as if they were in `folder` already. Files that were there stay until they are replaced.
+    """
+    made = _temporary(folder / name)
+    try:
+        made.mkdir()
+        yield made
+        for path in sorted(made.iterdir()):
+            path.replace(folder / path.name)
+    except ImageError as error:
+        raise ImageError(str(error).replace(str(made), str(folder))) from error
+    except (OSError, ValueError) as error:
+        refuse(folder / name, "the files must be writable", error, error)
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+
+
 def remove(path: Path) -> None:
     """Remove a file if it is there; raises ImageError where that is not allowed."""
     try:
@@ -65,13 +87,16 @@ def writable_folder(path: str | os.PathLike[str]) -> Path:
 
 
 def remove_stale(folder: str | os.PathLike[str]) -> None:
-    """Remove temporary files of processes that no longer run on this machine: killed while they wrote."""
+    """Remove temporary files and folders of processes that no longer run on this machine: killed while they wrote."""
     for path in Path(folder).glob(".*.part"):
         process = path.name.split(".")[-2].split("-")[0]
         try:
             os.kill(int(process), 0)
         except ProcessLookupError:
-            remove(path)
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                remove(path)
         except (OSError, ValueError, OverflowError):
             continue  # alive and somebody else's, or no file of ours
 

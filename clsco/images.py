@@ -19,10 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import ImageError
-from clsco.files import refuse, remove, sha256, whole_file
-from clsco.frame import TRUTH_NAMES, Frame
+from clsco.files import refuse, whole_file
 from clsco.png import GREY, GREY_ALPHA, PALETTE, RGB_ALPHA, SIGNATURE, checked_png, png_bytes, png_size
-from clsco.transfer import encode
 
 MAX_PIXELS = 2**27
 MAX_SIDE = 65536
@@ -383,80 +381,27 @@ def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]) 
                 np.lib.format.write_array(member, np.ascontiguousarray(array), allow_pickle=False)
 
 
-def write_exr(path: str | os.PathLike[str], channels: Mapping[str, NDArray[Any]]) -> None:
+def write_exr(path: str | os.PathLike[str], *views: Mapping[str, NDArray[Any]], names: Sequence[str] = ()) -> None:
     """Write named channels of shape (rows, columns) as float32 in an OpenEXR file, compressed without loss.
 
+    views: channels of each view; of several ones each is a part with the attribute `view`, as OpenEXR keeps them
+    since version 2.0. names: of the views, of stereo pairs "left" and "right"; () for the only one.
     Needs the extra `exr`. Raises ImageError without it, or where the file cannot be written.
     """
     exr = codec(Path(path), "OpenEXR", "exr")
     header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
-    pixels = {name: np.ascontiguousarray(channel, np.float32) for name, channel in channels.items()}
+    pixels = [{name: np.ascontiguousarray(plane, np.float32) for name, plane in view.items()} for view in views]
+    if names:
+        pairs = zip(names, pixels, strict=True)
+        content = exr.File([exr.Part({**header, "view": name}, planes, name=name) for name, planes in pairs])
+    else:
+        (planes,) = pixels
+        content = exr.File(header, planes)
     with whole_file(Path(path)) as file:
-        exr.File(header, pixels).write(file)
+        content.write(file)
 
 
 def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None:
     """Write a JSON file; raises ImageError where a number is not finite, or the file cannot be written."""
     with whole_file(Path(path)) as file:
         file.write(json.dumps(content, indent=2, allow_nan=False).encode() + b"\n")
-
-
-def exr_channels(frame: Frame) -> dict[str, NDArray[Any]]:
-    """Name a frame's arrays as channels R G B A, Z, coc, sharp.R, N.X, flow.u, id, mask, filled, hidden.
-
-    A grey frame has R, G and B too, so that every reader shows it. A is 1: a photograph covers all of its
-    pixels.
-    """
-
-    def split(layer: str, names: str, array: NDArray[Any] | None) -> dict[str, NDArray[Any]]:
-        if array is None:
-            return {}
-        return {layer + name: array if array.ndim == 2 else array[..., n] for n, name in enumerate(names)}
-
-    single: dict[str, NDArray[Any] | None] = {"Z": frame.depth, "coc": frame.coc, "id": frame.object_id}
-    single |= {"mask": frame.mask, "filled": frame.filled, "hidden": frame.hidden}
-    return {
-        **split("", "RGB", frame.color),
-        "A": np.ones(frame.color.shape[:2], np.float32),
-        **{name: channel for name, channel in single.items() if channel is not None},
-        **split("sharp.", "RGB", frame.sharp),
-        **split("N.", "XYZ", frame.normal),
-        **split("flow.", "uv", frame.flow),
-    }
-
-
-def write_frame(
-    folder: str | os.PathLike[str], frame: Frame, bits: int, transfer: str, truth: Sequence[str] = ()
-) -> dict[str, Any]:
-    """Write frame_0000.png, .npz and .exr as asked, and last frame_0000.json: the frame is complete.
-
-    bits: 8, 16 or 32, as the textures have; 32 makes a PNG of 16. transfer: "srgb" or "linear", of the PNG
-    alone.
-    truth: any of "npz" and "exr"; each holds the color and all truth that the frame has, in linear light.
-    Light below 0 or above 1 is clipped in the PNG and kept in the others.
-    Returns the content of the JSON file: the frame's metadata, and `files`: file name -> SHA-256.
-    Raises ImageError where a file cannot be written; an older JSON file is gone by then.
-    """
-    stem = Path(folder) / f"frame_{frame.index:04d}"
-    paths = {suffix: stem.with_suffix(f".{suffix}") for suffix in ("png", *truth)}
-    remove(stem.with_suffix(".json"))
-    write_png(paths["png"], encode(frame.color, min(bits, 16), transfer))
-    if "npz" in paths:
-        arrays = {name: getattr(frame, name) for name in ("color", *TRUTH_NAMES)}
-        write_npz(paths["npz"], {name: array for name, array in arrays.items() if array is not None})
-    if "exr" in paths:
-        write_exr(paths["exr"], exr_channels(frame))
-    content = {**frame.metadata, "files": {path.name: sha256(path) for path in paths.values()}}
-    write_json(stem.with_suffix(".json"), content)
-    return content
-
-
-def read_complete(folder: str | os.PathLike[str], index: int) -> dict[str, Any] | None:
-    """Give the JSON content of a frame on disk if all files that it names are there, unchanged; else None."""
-    folder = Path(folder)
-    try:
-        content: dict[str, Any] = json.loads((folder / f"frame_{index:04d}.json").read_bytes())
-        whole = all(sha256(folder / name) == digest for name, digest in content["files"].items())
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return None
-    return content if whole else None

@@ -28,31 +28,54 @@ def _table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], ri
     return table
 
 
-def plan_tables(plan: Plan) -> list[RenderableType]:
-    """What a plan does, leaves out, and costs, and which keys of the scene it has no use for."""
+def plan_tables(plans: Sequence[Plan]) -> list[RenderableType]:
+    """What a plan does, leaves out, and costs, and which keys of the scene it has no use for.
+
+    plans: one, or those of the left and the right view of a stereo pair.
+    """
+    plan = plans[0]
     scene = plan.scene
     samples = f"{plan.samples} per frame" + (", from the motion" if scene.sequence.samples == "auto" else "")
     kind = "gray" if plan.channels == 1 else "color"
-    figures = (
-        ("frames", f"{scene.sequence.frames}, {plan.columns} x {plan.rows} px, {kind}"),
-        ("intermediate frames", samples),
-        (
-            "blur radius |R|",
-            f"{plan.smallest_blur:.2f} to {plan.largest_blur:.2f} px, predicted with a margin",
-        ),
-        ("guard band", f"{plan.guard_px} px on every side"),
-        ("blur method", plan.blur),
-        ("memory on the device", f"{plan.memory_bytes / 2**20:.1f} MiB"),
-        ("predicted work", f"{plan.taps:.3g} weights per frame"),
-    )
+    figures = [("frames", f"{scene.sequence.frames}, {plan.columns} x {plan.rows} px, {kind}")]
+    if scene.stereo is not None:
+        turned = f", each turned inwards by {scene.stereo.toe_in:g} deg" if scene.stereo.toe_in else ""
+        figures.append(("views", f"left and right, {scene.stereo.baseline:g} mm apart{turned}"))
+    figures.append(("intermediate frames", samples))
+    figures += _of_views([_figures(each) for each in plans])
     tables: list[RenderableType] = [
         _table(f"Plan: {scene.title or scene.objects[0].name}", ("what", "how much"), figures),
-        _table("Passes that are run", ("pass", "how"), plan.passes),
-        _table("Left out", ("pass", "why"), plan.left_out),
+        _table("Passes that are run", ("pass", "how"), _of_views([each.passes for each in plans])),
+        _table("Left out", ("pass", "why"), _of_views([each.left_out for each in plans])),
     ]
     if unused := unused_keys(plan):
         tables.append(_table("Keys that this scene has no use for", ("key", "why"), unused))
     return tables
+
+
+def _figures(plan: Plan) -> list[tuple[str, str]]:
+    return [
+        ("blur radius |R|", f"{plan.smallest_blur:.2f} to {plan.largest_blur:.2f} px, predicted with a margin"),
+        ("guard band", f"{plan.guard_px} px on every side"),
+        ("blur method", plan.blur),
+        ("memory on the device", f"{plan.memory_bytes / 2**20:.1f} MiB"),
+        ("predicted work", f"{plan.taps:.3g} weights per frame"),
+    ]
+
+
+def _of_views(rows: Sequence[Sequence[tuple[str, str]]]) -> list[tuple[str, str]]:
+    """Rows of all views in the order of the first one: once where they agree, else with the name of the view."""
+    if len(rows) == 1:
+        return list(rows[0])
+    views = [dict(one) for one in rows]
+    found = []
+    for name in dict.fromkeys(name for one in rows for name, _ in one):
+        texts = [view.get(name) for view in views]
+        alike = len(set(texts)) == 1
+        for eye, text in zip(("left", "right"), texts, strict=True):
+            if text is not None and (eye == "left" or not alike):
+                found.append((name if alike else f"{name} ({eye})", text))
+    return found
 
 
 def check_tables(checked: Checked) -> list[RenderableType]:
@@ -71,7 +94,10 @@ def check_tables(checked: Checked) -> list[RenderableType]:
         )
         for d in checked.differences
     ]
-    table = _table(f"Frame {checked.index} against the reference", columns, rows, right=columns[1:3] + columns[4:])
+    view = f", {checked.eye} view," if checked.eye else ""
+    table = _table(
+        f"Frame {checked.index}{view} against the reference", columns, rows, right=columns[1:3] + columns[4:]
+    )
     times = (
         f"{checked.device}, {checked.precision} precision: {checked.seconds:.3f} s, in kernels "
         f"{checked.pass_seconds:.3f} s; reference: {checked.reference_seconds:.3f} s"

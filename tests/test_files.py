@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,17 +19,9 @@ import pytest
 
 from clsco.errors import ImageError
 from clsco.files import remove_stale, writable_folder
-from clsco.frame import TRUTH_NAMES, Frame
-from clsco.images import (
-    exr_channels,
-    read_complete,
-    read_image,
-    write_exr,
-    write_frame,
-    write_json,
-    write_npz,
-    write_png,
-)
+from clsco.frame import STEREO_NAMES, TRUTH_NAMES, Frame
+from clsco.framefiles import exr_channels, frame_files, read_complete, write_frame
+from clsco.images import read_image, write_exr, write_json, write_npz, write_png
 from clsco.transfer import encode
 
 GREY = np.arange(256, dtype=np.uint8).reshape(8, 32)
@@ -60,7 +53,7 @@ def frame(channels: int) -> Frame:
 @pytest.mark.parametrize("channels", [1, 3])
 def test_frame_files_hold_the_frame(tmp_path: Path, channels: int) -> None:
     shown = frame(channels)
-    content = write_frame(tmp_path, shown, 32, "srgb", ("npz", "exr"))
+    content = write_frame(tmp_path, (shown,), 32, "srgb", ("npz", "exr"))
     names = ["frame_0003.exr", "frame_0003.json", "frame_0003.npz", "frame_0003.png"]
     assert sorted(path.name for path in tmp_path.iterdir()) == names
     assert json.loads((tmp_path / "frame_0003.json").read_text("utf-8")) == content
@@ -86,8 +79,74 @@ def test_frame_files_hold_the_frame(tmp_path: Path, channels: int) -> None:
     np.testing.assert_array_equal(stored["B"].pixels, shown.color.reshape(6, 8, -1)[..., -1])
 
 
+def pair() -> tuple[Frame, Frame]:
+    """Two views of different content."""
+    generator = np.random.default_rng(4)
+    left, right = (
+        replace(
+            frame(1),
+            color=generator.random((6, 8)).astype("f4"),
+            disparity=generator.random((6, 8)).astype("f4"),
+            occluded=generator.random((6, 8)) < 0.5,
+            eye=eye,
+            metadata={"guard_px": guard},
+        )
+        for eye, guard in (("left", 4), ("right", 5))
+    )
+    return left, right
+
+
+def test_a_stereo_pair_has_files_of_each_view_and_one_exr(tmp_path: Path) -> None:
+    views = pair()
+    content = write_frame(tmp_path, views, 8, "linear", ("npz", "exr"), {"title": "Pair"})
+    apart = [f"frame_0003_{eye}.{suffix}" for eye in ("left", "right") for suffix in ("npz", "png")]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["frame_0003.exr", "frame_0003.json", *apart]
+    assert set(content["files"]) == frame_files(3, True, ("npz", "exr")) == {"frame_0003.exr", *apart}
+    assert content["views"] == {"left": {"guard_px": 4}, "right": {"guard_px": 5}}
+    assert content["title"] == "Pair"
+    assert read_complete(tmp_path, 3) == content
+
+    parts = OpenEXR.File(str(tmp_path / "frame_0003.exr"), separate_channels=True).parts
+    assert [part.name() for part in parts] == [part.header["view"] for part in parts] == ["left", "right"]
+    for shown, part in zip(views, parts, strict=True):
+        wanted = exr_channels(shown)
+        assert set(part.channels) == set(wanted) >= {"R", "Z", "flow.u", "disparity", "occluded"}
+        for name, channel in part.channels.items():
+            np.testing.assert_array_equal(channel.pixels, wanted[name].astype("f4"), strict=True)
+        np.testing.assert_array_equal(part.channels["disparity"].pixels, shown.disparity, strict=True)
+        stem = f"frame_0003_{shown.eye}"
+        np.testing.assert_array_equal(read_image(tmp_path / f"{stem}.png").data, encode(shown.color, 8, "linear"))
+        with np.load(tmp_path / f"{stem}.npz", allow_pickle=False) as truth:
+            assert set(truth.files) == {"color", *TRUTH_NAMES, *STEREO_NAMES}
+            for name in truth.files:
+                np.testing.assert_array_equal(truth[name], getattr(shown, name), strict=True)
+
+    (tmp_path / "frame_0003_right.png").write_bytes((tmp_path / "frame_0003_left.png").read_bytes())
+    assert read_complete(tmp_path, 3) is None
+
+
+@pytest.mark.parametrize("broken", ["write_png", "write_npz", "write_exr"])
+def test_a_pair_is_written_together_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken: str) -> None:
+    from clsco import framefiles
+
+    write, calls = getattr(framefiles, broken), []
+
+    def second_fails(path: Path, *given: object, **options: object) -> None:
+        calls.append(path)
+        if len(calls) == (1 if broken == "write_exr" else 2):
+            raise ImageError(f"{path}: the file must be writable; got No space left on device")
+        write(path, *given, **options)
+
+    monkeypatch.setattr(framefiles, broken, second_fails)
+    with pytest.raises(ImageError) as caught:
+        write_frame(tmp_path, pair(), 8, "linear", ("npz", "exr"))
+    name = "frame_0003.exr" if broken == "write_exr" else f"frame_0003_right.{broken[-3:]}"
+    assert str(caught.value) == f"{tmp_path / name}: the file must be writable; got No space left on device"
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_frame_without_truth(tmp_path: Path) -> None:
-    write_frame(tmp_path, Frame(12345, np.full((2, 3), 0.5, "f4")), 8, "linear", ("npz",))
+    write_frame(tmp_path, (Frame(12345, np.full((2, 3), 0.5, "f4")),), 8, "linear", ("npz",))
     assert read_image(tmp_path / "frame_12345.png").data.tolist() == [[128] * 3] * 2
     with np.load(tmp_path / "frame_12345.npz") as truth:
         assert truth.files == ["color"]
@@ -96,26 +155,30 @@ def test_frame_without_truth(tmp_path: Path) -> None:
 def test_frame_is_complete_or_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shown = frame(1)
     assert read_complete(tmp_path, 3) is None
-    content = write_frame(tmp_path, shown, 8, "srgb", ("npz",))
+    content = write_frame(tmp_path, (shown,), 8, "srgb", ("npz",))
     assert read_complete(tmp_path, 3) == content
     (tmp_path / "frame_0003.png").write_bytes(b"x")
     assert read_complete(tmp_path, 3) is None
 
-    write_frame(tmp_path, shown, 8, "srgb", ("npz",))
-    monkeypatch.setattr("clsco.images.write_npz", lambda *_: (_ for _ in ()).throw(ImageError("disk")))
+    content = write_frame(tmp_path, (shown,), 8, "srgb", ("npz",))
+    with monkeypatch.context() as patch:
+        patch.setattr("clsco.framefiles.write_npz", lambda *_: (_ for _ in ()).throw(ImageError("disk")))
+        with pytest.raises(ImageError, match="disk"):
+            write_frame(tmp_path, (replace(shown, color=1 - shown.color),), 8, "srgb", ("npz",))
+    assert read_complete(tmp_path, 3) == content  # the older frame is still there
+    monkeypatch.setattr("clsco.framefiles.write_json", lambda *_: (_ for _ in ()).throw(ImageError("disk")))
     with pytest.raises(ImageError, match="disk"):
-        write_frame(tmp_path, shown, 8, "srgb", ("npz",))
-    assert read_complete(tmp_path, 3) is None
-    assert not (tmp_path / "frame_0003.json").exists()
+        write_frame(tmp_path, (shown,), 8, "srgb", ("npz",))
+    assert read_complete(tmp_path, 3) is None  # new files, and none that says they are whole
     (tmp_path / "frame_0003.json").write_text("[]")
     assert read_complete(tmp_path, 3) is None
 
 
 def test_same_content_gives_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    first = write_frame(tmp_path, frame(3), 8, "srgb", ("npz", "exr"))
+    first = write_frame(tmp_path, (frame(3),), 8, "srgb", ("npz", "exr"))
     later = time.gmtime(time.time() + 100_000)
     monkeypatch.setattr(time, "localtime", lambda _=None: later)  # what archives put beside a name
-    assert write_frame(tmp_path, frame(3), 8, "srgb", ("npz", "exr")) == first
+    assert write_frame(tmp_path, (frame(3),), 8, "srgb", ("npz", "exr")) == first
 
 
 WRITERS: dict[str, Callable[[Path], None]] = {
@@ -198,6 +261,9 @@ def test_stale_temporary_files_are_removed(tmp_path: Path) -> None:
     foreign = tmp_path / ".foreign.part"
     for path in (stale, alive, foreign, tmp_path / "a.part"):
         path.touch()
+    folder = tmp_path / f".frame_0000.{process.pid}-1.part"
+    folder.mkdir()
+    (folder / "frame_0000.png").touch()
     remove_stale(tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([alive.name, foreign.name, "a.part"])
 
@@ -206,7 +272,7 @@ KILLED = """
 import contextlib, os, random, signal, sys, time
 from pathlib import Path
 import numpy as np
-from clsco import files, images
+from clsco import files, framefiles, images
 from clsco.frame import Frame
 
 folder, naive = Path(sys.argv[1]), sys.argv[2] == "naive"
@@ -215,16 +281,19 @@ if naive:
     def images_open(path):
         with open(path, "wb") as file:
             yield file
-    images.whole_file = images_open
+    @contextlib.contextmanager
+    def in_place(folder, name):
+        yield folder
+    images.whole_file, framefiles.together, framefiles.sha256 = images_open, in_place, lambda path: path.name
 light = np.random.default_rng(1).random((64, 64, 3), "f4")
-images.write_frame(folder, Frame(0, light), 16, "srgb")  # makes the tables, once for all children
+framefiles.write_frame(folder, (Frame(0, light),), 16, "srgb")  # makes the tables, once for all children
 random.seed(2)
 damaged = complete = 0
 for round in range(100):
     child = os.fork()
     if child == 0:
         for index in range(7 * round, 10**6):
-            images.write_frame(folder, Frame(index % 50, light + index % 3), 16, "srgb", ("npz",))
+            framefiles.write_frame(folder, (Frame(index % 50, light + index % 3),), 16, "srgb", ("npz",))
     time.sleep(random.uniform(0.001, 0.04))
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
@@ -237,7 +306,7 @@ for round in range(100):
         except Exception:
             damaged += 1
     for path in folder.glob("*.json"):
-        whole = images.read_complete(folder, int(path.stem[-4:])) is not None
+        whole = framefiles.read_complete(folder, int(path.stem[-4:])) is not None
         complete, damaged = complete + whole, damaged + (not whole)
 print(complete, damaged)
 """

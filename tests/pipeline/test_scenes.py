@@ -14,7 +14,8 @@ from clsco import reference
 from clsco.check import compare
 from clsco.errors import DeviceError, ImageError, SceneError
 from clsco.frame import TRUTH_NAMES, Frame
-from clsco.images import read_image, write_frame, write_png
+from clsco.framefiles import write_frame
+from clsco.images import read_image, write_png
 from clsco.scene import Scene
 from clsco.scenefile import parse_scene
 from clsco.transfer import decode
@@ -93,7 +94,7 @@ def test_a_sharp_picture_comes_out_as_it_went_in(
     (frame,) = rendered(sharp)
     bits = 8 * data.dtype.itemsize
     assert frame.metadata["bits"] == bits
-    write_frame(tmp_path, frame, bits, transfer)
+    write_frame(tmp_path, (frame,), bits, transfer)
     out = read_image(tmp_path / "frame_0000.png")
     assert out.bits == min(bits, 16)
     if kind == "float32":
