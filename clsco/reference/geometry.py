@@ -160,11 +160,15 @@ def solve_sheet(
     minus_is_sum = ~np.signbit(b)
     inverse_depth = np.zeros_like(a)
     label = np.zeros(a.shape, dtype=np.uint8)
-    for number in (1, 2) if sheet == 0 else (sheet,):
+    # They differ by 2 sqrt(D) / C: the nearer one first.
+    plus_first = (surface.constant > 0.0) | (root == 0.0)
+    for first in (True, False):
+        number = np.where(plus_first == first, np.uint8(1), np.uint8(2))
         w = np.where(minus_is_sum == (number == 2), sum_root, product_root)
-        nearer = (discriminant >= 0.0) & root_counts(surface, bounds, d, body, w) & (w > inverse_depth)
-        inverse_depth = np.where(nearer, w, inverse_depth)
-        label = np.where(nearer, np.uint8(number), label)
+        wanted = (label == 0) & (discriminant >= 0.0) & ((sheet == 0) | (number == sheet))
+        counts = wanted & root_counts(surface, bounds, d, body, w)
+        inverse_depth = np.where(counts, w, inverse_depth)
+        label = np.where(counts, number, label)
     return inverse_depth, label
 
 
