@@ -49,8 +49,8 @@ class Warped:
 
     value: float (CHANNELS, height, width), radiance times weight; w: real, inverse depth in 1/mm; coc: real, signed
     radius of the blur in px; valid: uchar, known or filled (elsewhere value, w and coc are 0); status: uchar, 0 known
-    or not missing, 1 filled, 2 left; object: uchar, number of the object that is seen, 255 for none, or None where the
-    scene has only one; counters: as `Filler.fill` returns them.
+    or not missing, 1 filled, 2 left; object: uchar, number of the object that is seen, 255 for none and in
+    the mirror image around a depth map, or None where the scene has only one; counters: as `Filler.fill` returns them.
     """
 
     value: cl.Buffer
