@@ -340,12 +340,15 @@ def make_plan(
     extent = reach(psf, largest)
     slots = SILHOUETTE_SLOTS * (rows + columns + 4 * guard) if silhouettes else 0
     tables = _checked_tables(psf, smallest, largest, silhouettes) if blur in ("gather", "scatter") else 0
-    memory = area * (16 + 4 * channels + (1 if silhouettes else 0))
-    if forward:  # value, w, coc, valid, status, two lists; a second set to smooth in; rest depths (clsco/forward.py)
-        smoothed = 4 * channels + 12 if scene.fill.method == "mean_median" else 0
-        memory += area * (4 * channels + 26 + smoothed) + 16 * rows * columns
-    memory += 4 * channels * rows * (columns + 2 * (guard + extent + LANES)) + 8 * channels * rows * columns
-    memory += tables + slots * (4 + silhouettes**2 * (16 + 4 * channels)) + 16 * rows * columns * bool(truth)
+    hidden = 8 if occlusion == "visibility" else 0  # inverse depth of a source
+    memory = area * (16 + 4 * channels + (1 if silhouettes else 0) + hidden)
+    if forward:
+        memory += _forward_memory(scene, area, channels)
+    if occlusion == "layered":  # what the pinhole sees; a slab with its coverage, and its pyramid (clsco/layers.py)
+        memory += area * (9 + 33 + 4 * (channels + 1) + 6 * (channels + 2)) + 4 * (channels + 1) * area
+    memory += 4 * channels * rows * (columns + 2 * (guard + extent + LANES))
+    memory += 4 * channels * rows * columns * (1 + len({item.texture for item in scene.objects}))
+    memory += tables + slots * (4 + silhouettes**2 * (16 + 4 * channels + hidden)) + 16 * rows * columns * bool(truth)
     seen = np.abs(blur_radius(scene.camera, w[w > 0]))
     lit = np.pi * (psf_extent(psf, seen) + 0.7) ** 2
     taps = float((w > 0).mean() * area * samples * (lit.mean() if lit.size else 0.0)) if blur != "none" else 0.0
@@ -353,6 +356,16 @@ def make_plan(
         scene, channels, rows, columns, samples, guard, smallest, largest, blur, silhouettes, tilt, forward,
         moves, eye, occlusion, found, truth, passes, left_out, int(memory), taps,
     )  # fmt: skip
+
+
+def _forward_memory(scene: Scene, area: int, channels: int) -> int:
+    """Bytes of the forward warp on `area` px (clsco/forward.py)."""
+    columns, rows = scene.camera.resolution or (0, 0)
+    several, maps = len(scene.objects) > 1, sum(item.shape == "depth_map" for item in scene.objects)
+    # value, w, coc, valid, status, two lists; a second set to smooth in; bounds of the far side, and objects
+    planes = 4 * channels + 26 + (4 * channels + 12 if scene.fill.method == "mean_median" else 0)
+    planes += 4 * (several or maps > 0) + several
+    return area * planes + rows * columns * (16 + several + 8 * maps)
 
 
 def _checked_tables(psf: Psf, smallest: float, largest: float, silhouettes: int) -> int:

@@ -218,7 +218,7 @@ class Fill(Strict):
     method: Literal["ait", "mean_median", "none"] = "ait"
     """Adaptive interpolation (section 4.3.5), mean and median (chapter 5), or no filling."""
     domain: Literal["surface", "span"] = "surface"
-    """Fill where the ray meets a surface, or everything between known pixels."""
+    """Fill where the ray meets a surface, or everything between known pixels; with a depth map both are the latter."""
 
 
 class Stereo(Strict):
