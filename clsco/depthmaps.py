@@ -56,8 +56,12 @@ class DepthValues:
         """One line: how many pixels have no depth and why, and how many are infinitely far; "" where none."""
         kinds = {"zero": self.zero, "negative": self.negative, "NaN": self.nan, "infinite": self.infinite}
         why = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
-        parts = [f"{self.invalid} of {self.inverse_depth.size} pixels have no depth ({why})"] if why else []
-        parts += [f"{self.far} are infinitely far"] if self.far else []
+        size, verb = self.inverse_depth.size, "is" if self.far == 1 else "are"
+        parts = [f"{self.invalid} of {size} pixels have no depth ({why})"] if why else []
+        if self.far:
+            parts.append(
+                f"{self.far} {verb} infinitely far" if why else f"{self.far} of {size} pixels {verb} infinitely far"
+            )
         return ", ".join(parts)
 
 
@@ -208,7 +212,7 @@ def _probable_cause(value: Array, unit: str, camera: Camera) -> str:
             if np.abs(radius).max() <= LARGEST_BLUR:
                 spans[other] = float(np.ptp(radius))
     for other, span in spans.items():
-        if 2 * span >= max(spans.values()):  # meters and their inverse often give about the same
+        if 10 * span >= max(spans.values()):  # meters are likelier than their inverse, which often gives about the same
             return f"the depth is probably in {other}: give unit {other}"
     return "no unit makes it less: scale, or the camera, is probably wrong"
 
