@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import imagecodecs
 import numpy as np
 import OpenEXR
 import pytest
@@ -15,6 +16,8 @@ from numpy.typing import NDArray
 import clsco
 from clsco.cli import main
 from clsco.images import read_image
+from clsco.optics import blur_radius
+from clsco.scene import Camera
 from clsco.scenefile import parse_scene
 from clsco.transfer import encode
 
@@ -85,3 +88,49 @@ def test_a_focal_stack_fills_folders(wall: tuple[Path, Path], tmp_path: Path) ->
     result = clsco_("defocus", *wall, "-o", tmp_path / "o.png", *OPTIONS, "--set", "camera.focus_distance=[250, 400]")
     assert (result.exit_code, result.stdout) == (1, "")
     assert "o.png: a file takes one image, a folder takes more; got 2" in result.stderr
+
+
+Z_M = np.where(np.indices((24, 32))[1] < 16, 0.2, 0.5)  # in m: a near half and a far one
+CAMERA = Camera(pixel_pitch=0.05, focus_distance=200.0)  # near in focus; R = 6.0 px at 500 mm, 10.0 px at infinity
+
+
+def depth_files(folder: Path) -> dict[str, tuple[Path, tuple[object, ...], str]]:
+    """Files as other programs write them: path, options, and what is told of pixels without a depth."""
+    blender = np.where(Z_M > 0.3, 1e10, Z_M).astype(np.float32)  # nothing there: the far end of the view
+    header = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
+    light = {f"ViewLayer.Combined.{name}": np.full(Z_M.shape, 0.5, np.float32) for name in "RGBA"}
+    OpenEXR.File(header, light | {"ViewLayer.Depth.Z": blender}).write(str(folder / "blender.exr"))
+    disparity = 30.0 * 20.0 / (0.05 * 1000 * Z_M).astype(np.float32)  # baseline s0 / (p Z)
+    disparity[:, 0] = np.inf
+    head = b"Pf\n32 24\n-0.003922\n"
+    (folder / "disp0.pfm").write_bytes(head + disparity[::-1].astype("<f4").tobytes())
+    kitti = np.rint(256 * Z_M).astype(np.uint16)
+    kitti[:, 0] = 0
+    (folder / "kitti.png").write_bytes(imagecodecs.png_encode(kitti))
+    none = "24 of 768 pixels have no depth (24 {})\n".format
+    return {
+        "blender": (folder / "blender.exr", ("--unit", "m"), "384 of 768 pixels are infinitely far\n"),
+        "middlebury": (folder / "disp0.pfm", ("--unit", "disparity", "--baseline", 30), none("infinite")),
+        "kitti": (folder / "kitti.png", ("--unit", "m", "--scale", "1/256"), none("zero")),
+    }
+
+
+@pytest.mark.parametrize("kind", ["blender", "middlebury", "kitti"])
+def test_files_of_other_programs(tmp_path: Path, kind: str) -> None:
+    image = np.random.default_rng(5).integers(0, 256, (24, 32, 3), "u1")
+    (tmp_path / "photo.png").write_bytes(imagecodecs.png_encode(image))
+    path, options, told = depth_files(tmp_path)[kind]
+    camera = ("--pixel-pitch", CAMERA.pixel_pitch, "--focus-distance", CAMERA.focus_distance)
+    result = clsco_(
+        "defocus", tmp_path / "photo.png", path, "-o", tmp_path / "out", *options, *camera, "--truth", "npz"
+    )
+    assert (result.exit_code, result.stderr) == (0, f"{path}: {told}")
+    with np.load(tmp_path / "out" / "frame_0000.npz") as truth:
+        near, far = truth["coc"][:, 1:14], truth["coc"][:, 18:]
+        # KITTI's 51/256 m is 199.2 mm, where R is 10,000 / 5 px mm * (1 / 200 - 1 / 199.2) = -0.04 px.
+        assert np.abs(near).max() < (0.041 if kind == "kitti" else 1e-4)
+        wanted = float(blur_radius(CAMERA, 1e-12 if kind == "blender" else 1 / 500))
+        np.testing.assert_allclose(far, wanted, rtol=0, atol=1e-4)
+        assert np.isfinite(truth["color"]).all()
+        # Of a disc of 0.04 px in a pixel, 2 R / (3 pi) = 0.85 % of the light cross each of four sides.
+        np.testing.assert_allclose(truth["color"][:, 1:3], truth["sharp"][:, 1:3], rtol=0, atol=0.034)
