@@ -1,0 +1,174 @@
+"""What several objects give to those who compare views: flow, disparity, depth maps, sweeps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import clsco
+from clsco.frame import Frame
+from clsco.optics import focus_power
+from clsco.render import render_sweep
+from clsco.scene import Scene
+from clsco.scenefile import parse_scene
+
+SIZE = 96
+CAMERA = {"resolution": [SIZE, SIZE], "pixel_pitch": 0.05, "focus_distance": 250.0}
+BALL = {"shape": "sphere", "center": [-5.0, 4.0, 190.0], "radius": 14.0}
+WALL = {"shape": "plane", "distance": 380.0, "slope_x": 0.2}
+CARD = {"shape": "plane", "distance": 300.0, "bounds": [[2.0, 30.0], [-30.0, 1.0], [-1.0, 1.0]], "name": "card"}
+# The texture's steepest second derivative, per px^2: 0.25 (2 pi / 24)^2.
+BEND = 0.25 * (2 * np.pi / 24) ** 2
+
+
+@pytest.fixture
+def waves(tmp_path: Path) -> str:
+    """A texture of smooth waves of 24 px and more."""
+    i, j = np.indices((SIZE, SIZE))
+    light = 0.5 + 0.25 * np.sin(2 * np.pi * j / 24) * np.cos(2 * np.pi * i / 31)
+    np.save(tmp_path / "waves.npy", light.astype(np.float32))
+    return str(tmp_path / "waves.npy")
+
+
+def scene(texture: str, *items: dict[str, Any], **sections: Any) -> Scene:
+    objects = [{"texture": texture, **item} for item in items]
+    return parse_scene({"camera": {**CAMERA, **sections.pop("camera", {})}, **sections, "object": objects})
+
+
+def fetched(image: NDArray[Any], row: NDArray[Any], column: NDArray[Any]) -> NDArray[Any]:
+    """Bilinear interpolation of an image (rows, columns) at positions in px, clamped to it."""
+    rows, columns = image.shape
+    i = np.clip(np.floor(row).astype(int), 0, rows - 2)
+    j = np.clip(np.floor(column).astype(int), 0, columns - 2)
+    y, x = row - i, column - j
+    above = image[i, j] * (1 - x) + image[i, j + 1] * x
+    below = image[i + 1, j] * (1 - x) + image[i + 1, j + 1] * x
+    return np.asarray(above * (1 - y) + below * y)
+
+
+def whole_cell(number: NDArray[Any], row: NDArray[Any], column: NDArray[Any], own: NDArray[Any]) -> NDArray[Any]:
+    """Where all four pixels around a position show the object `own`."""
+    rows, columns = number.shape
+    i, j = np.floor(row).astype(int), np.floor(column).astype(int)
+    inside = (i >= 0) & (i < rows - 1) & (j >= 0) & (j < columns - 1)
+    i, j = np.clip(i, 0, rows - 2), np.clip(j, 0, columns - 2)
+    same = [number[i + a, j + b] == own for a in (0, 1) for b in (0, 1)]
+    return np.asarray(inside & np.logical_and.reduce(same))
+
+
+def test_flow_carries_a_frame_to_the_next(waves: str) -> None:
+    """Away from the outlines the sharp image of a frame, fetched along the flow from the next one, is the same."""
+    moving = {"velocity": [6.0, -3.0, 4.0], "angular_velocity": [0.0, 8.0, 5.0]}
+    wanted = scene(
+        waves, BALL | {"motion": moving}, CARD | {"motion": {"velocity": [-5.0, 2.0, 0.0]}}, WALL,
+        sequence={"frames": 2, "samples": 1}, camera={"motion": {"velocity": [1.0, 0.0, 2.0]}},
+    )  # fmt: skip
+    now, then = clsco.render(wanted)
+    assert now.flow is not None
+    assert now.sharp is not None
+    assert now.object_id is not None
+    assert now.hidden is not None
+    assert then.sharp is not None
+    assert then.object_id is not None
+    assert then.hidden is not None
+    i, j = np.indices(now.sharp.shape)
+    row, column = i + now.flow[..., 1], j + now.flow[..., 0]
+    seen = whole_cell(then.object_id, row, column, now.object_id) & ~now.hidden
+    assert set(np.unique(now.object_id[seen])) == {0, 1, 2}
+    assert seen.mean() > 0.6
+    assert np.abs(now.flow[seen]).max() > 3
+    error = np.abs(fetched(then.sharp, row, column) - now.sharp)[seen]
+    # Bilinear interpolation errs by an eighth of the second derivative in each axis, which the turned and foreshortened
+    # texture of the ball has up to three times as large; cubic sampling of the texture adds a tenth of that.
+    assert np.quantile(error, 0.99) < 1.1 * 3 * BEND / 4
+    assert np.median(error) < BEND / 8
+
+
+@pytest.mark.parametrize("toe_in", [0.0, 0.5])
+def test_stereo_views_agree_outside_of_occlusions(waves: str, toe_in: float) -> None:
+    pair = scene(waves, BALL, CARD, WALL, stereo={"baseline": 6.0, "toe_in": toe_in})
+    left, right = clsco.render(pair)
+    assert (left.eye, right.eye) == ("left", "right")
+    for one, other, sign in ((left, right, -1.0), (right, left, 1.0)):
+        assert one.disparity is not None
+        assert one.occluded is not None
+        assert one.object_id is not None
+        assert one.depth is not None
+        assert one.sharp is not None
+        assert other.sharp is not None
+        assert other.object_id is not None
+        assert other.depth is not None
+        assert 0.02 < one.occluded.mean() < 0.5
+        if toe_in:
+            continue
+        exact = 6.0 * 20.0 / (0.05 * one.depth.astype(np.float64))
+        np.testing.assert_allclose(one.disparity, exact, rtol=2e-7, atol=0)  # one rounding each of depth and disparity
+        grid = np.indices(one.sharp.shape)
+        i, j = grid[0], grid[1]
+        column = j + sign * one.disparity
+        seen = whole_cell(other.object_id, i, column, one.object_id)
+        # What is not occluded is the same object there, but for cells that an outline cuts.
+        assert (seen | one.occluded).mean() > 0.9
+        assert not (seen & one.occluded & (fetched(other.depth, i, column) > 0.999 * one.depth)).any()
+        error = np.abs(fetched(other.sharp, i, column) - one.sharp)[seen & ~one.occluded]
+        assert np.quantile(error, 0.99) < 1.1 * 3 * BEND / 8  # as for the flow, along the rows only
+
+
+def test_what_is_hidden_from_the_other_view_is_nearer_there(waves: str) -> None:
+    left, right = clsco.render(scene(waves, BALL, WALL, stereo={"baseline": 6.0}))
+    assert left.occluded is not None
+    assert left.object_id is not None
+    assert left.disparity is not None
+    inside = np.indices(left.occluded.shape)[1] - left.disparity >= 0
+    assert (left.object_id[left.occluded & inside] == 1).all()  # the wall, behind the ball
+    assert right.occluded is not None
+
+
+def test_a_depth_map_of_a_scene_gives_its_frame(waves: str, tmp_path: Path) -> None:
+    """Depth and focused image of an analytic scene make the frame that its layers make, up to their rounding.
+
+    Outside of the frame the map is mirrored, where the slanted wall goes on: the light that comes from there differs.
+    """
+    analytic = scene(waves, BALL, WALL, psf={"occlusion": "layered"})
+    (frame,) = clsco.render(analytic)
+    assert frame.depth is not None
+    assert frame.sharp is not None
+    assert frame.coc is not None
+    np.save(tmp_path / "sharp.npy", frame.sharp)
+    bend = 10.0 * 20.0 / (2 * 0.05)  # px mm: what a change of inverse depth does to R
+    for unit, depth in (("mm", frame.depth), ("inverse_mm", 1 / frame.depth), ("coc", frame.coc)):
+        np.save(tmp_path / "depth.npy", depth)
+        item = {"shape": "depth_map", "depth": str(tmp_path / "depth.npy"), "unit": unit}
+        (mapped,) = clsco.render(scene(str(tmp_path / "sharp.npy"), item))
+        # R from float32 is off by 6e-8 of kappa / Z or of R itself, and a frame changes by less than 1 per px of R.
+        within = slice(frame.metadata["guard_px"], -frame.metadata["guard_px"])
+        assert np.abs(mapped.color - frame.color)[within, within].max() < 1e-5
+        assert 6e-8 * bend / 176.0 < 1e-5
+        assert mapped.depth is not None
+        np.testing.assert_allclose(mapped.depth, frame.depth, rtol=1e-5, atol=0)
+    assert focus_power(analytic.camera) > 0
+
+
+def frames_of(scenes: list[Scene]) -> list[Frame]:
+    return [frame for _, frame in sorted(render_sweep(scenes), key=lambda found: found[0])]
+
+
+@pytest.mark.parametrize("key", ["focus_distance", "f_number"])
+def test_sweeps_over_the_lens_have_the_bits_of_single_scenes(waves: str, key: str) -> None:
+    values = {"focus_distance": [200.0, 250.0, 400.0], "f_number": [2.0, 4.0, 8.0]}[key]
+    moving = BALL | {"motion": {"velocity": [5.0, 0.0, 0.0]}}
+    scenes = [scene(waves, moving, WALL, sequence={"samples": 2}, camera={key: value}) for value in values]
+    together, alone = frames_of(scenes), [next(iter(clsco.render(one))) for one in scenes]
+    assert len(together) == 3
+    assert np.abs(together[0].color - together[2].color).max() > 0.01
+    casts = [frame.metadata["seconds"].keys() for frame in together]
+    assert "cast" in casts[0]
+    assert "cast" not in casts[1]
+    assert "trace" not in casts[0]
+    for one, other in zip(together, alone, strict=True):
+        np.testing.assert_array_equal(one.color, other.color)
+        np.testing.assert_array_equal(one.coc, other.coc)
