@@ -129,13 +129,14 @@ def meet_blocker(
         dxx, dyy, dxy = bx * bx - cxx * f, by * by - cyy * f, 2 * bx * by - cxy * f
         under = np.sqrt(c * f)
         h = -b - under
-        # Slope of h = D / (sqrt(C F) - B) at the edge, across which D curves by twice its lower eigenvalue.
-        curve = 0.5 * (dxx + dyy - np.hypot(dxx - dyy, dxy))
-        slope = np.sqrt(np.maximum(dx * dx + dy * dy - 4 * d * curve, 0.0)) / (2 * np.maximum(under, TINY))
-        scale = 1 / (2 * soft * np.maximum(slope, TINY))
         change = f * (np.hypot(cx, cy) + (np.abs(cxx) + np.abs(cxy) + np.abs(cyy)) * most) * most
         reach = np.minimum(np.where(under > 0, change / under, np.inf), np.sqrt(change))
         reach = reach + np.hypot(bx, by) * most
+        # Slope of h = D / (sqrt(C F) - B) at the edge, across which D curves by twice its lower eigenvalue; where there
+        # is no edge, a thousandth of what the range allows, as on devices, which could not hold more.
+        curve = 0.5 * (dxx + dyy - np.hypot(dxx - dyy, dxy))
+        slope = np.sqrt(np.maximum(dx * dx + dy * dy - 4 * d * curve, 0.0)) / (2 * np.maximum(under, TINY))
+        scale = 1 / (2 * soft * np.maximum(slope, np.maximum(1e-3 * reach / most, TINY)))
         clear = far | ~once & ((h + reach) * scale <= -0.5)
         hidden = once | ((h - reach) * scale >= 0.5)
         area = scale * scale * f
