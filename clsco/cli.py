@@ -240,6 +240,7 @@ def _number(name: str, text: str) -> Callable[[Callable[..., None]], Callable[..
 @click.option("--unit", metavar="UNIT", help="Of DEPTH: mm (default), m, inverse_mm, inverse_m, disparity or coc.")
 @click.option("--scale", metavar="NUMBER", type=_ratio, help="What 1 in DEPTH is worth, such as 0.001 or 1/256.")
 @_number("--baseline", "Distance between the views of a disparity, mm.")
+@_number("--offset", "Added to a disparity, px, such as doffs of Middlebury's calibrations.")
 @_number("--focal-length", "f, mm.")
 @_number("--f-number", "f / D.")
 @_number("--aperture-diameter", "D, mm; instead of the f-number.")

@@ -20,7 +20,7 @@ WHERE = "defocus"
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".exr")
 _OTHER_IMAGES = (".bmp", ".gif", ".hdr", ".jpeg", ".jpg", ".npy", ".npz", ".pfm", ".ppm", ".webp")
 _SECTION_OF = {
-    **dict.fromkeys(("unit", "scale", "baseline"), "object"),
+    **dict.fromkeys(("unit", "scale", "baseline", "offset"), "object"),
     **dict.fromkeys(("focal_length", "f_number", "aperture_diameter", "focus_distance"), "camera"),
     **dict.fromkeys(("sensor_distance", "pixel_pitch"), "camera"),
     **dict.fromkeys(("model", "edge", "occlusion"), "psf"),
@@ -30,9 +30,10 @@ _SECTION_OF = {
 def scenes_from_files(image: Path, depth: Path, options: Mapping[str, Any], overrides: Sequence[str] = ()) -> Sweep:
     """The scene of an image that has the depths of a map; several where keys of the camera have several values.
 
-    image, depth: files of the same size. options: value by key, of the depth map (unit, scale, baseline), of [camera]
-    (focal_length, f_number, aperture_diameter, focus_distance, sensor_distance, pixel_pitch) or of [psf] (model,
-    edge, occlusion); None stands for a key that is not given. overrides: as of `clsco.load_sweep`, after the options.
+    image, depth: files of the same size. options: value by key, of the depth map (unit, scale, baseline, offset), of
+    [camera] (focal_length, f_number, aperture_diameter, focus_distance, sensor_distance, pixel_pitch) or of [psf]
+    (model, edge, occlusion); None stands for a key that is not given. overrides: as of `clsco.load_sweep`, after the
+    options.
     Returns scenes with one object of shape depth_map, and absolute paths. Raises SceneError with a line per fault.
     """
     paths = {"texture": str(image.absolute()), "depth": str(depth.absolute())}
@@ -58,7 +59,7 @@ def depth_report(scene: Scene) -> list[str]:
             raw = read_depth(item.depth)
             rows, columns = raw.shape
             check_sizes(item.texture, image_size(item.texture), item.depth, (columns, rows))
-            values = inverse_depth(raw, item.unit, item.scale, scene.camera, item.baseline, item.depth)
+            values = inverse_depth(raw, item.unit, item.scale, scene.camera, item.baseline, item.depth, item.offset)
             lines += [f"{item.depth}: {values.report()}"] if values.report() else []
     return lines
 

@@ -99,18 +99,19 @@ def check_sizes(image: str, image_size: tuple[int, int], depth: str, depth_size:
 
 
 def inverse_depth(
-    raw: Array, unit: str, scale: float, camera: Camera, baseline: float | None = None, where: str = "depth"
-) -> DepthValues:
+    raw: Array, unit: str, scale: float, camera: Camera, baseline: float | None = None, where: str = "depth",
+    offset: float | None = None,
+) -> DepthValues:  # fmt: skip
     """Turn the numbers of a depth file into inverse depth.
 
-    raw: (rows, columns). scale: number times scale is in `unit`; > 0. baseline: mm, of unit "disparity" only.
-    where: name for the messages.
+    raw: (rows, columns). scale: number times scale is in `unit`; > 0. baseline: mm, offset: px, added to it, of unit
+    "disparity" only. where: name for the messages.
 
     unit         inverse depth w of v = raw scale          no surface                         infinitely far
     mm, m        1 / v                                     0, negative, NaN                   +inf (Blender: 1e10)
     inverse_mm,  v                                         negative, NaN, +inf                0
     inverse_m
-    disparity    p v / (baseline s0), v in px              0, negative, NaN, +inf             -
+    disparity    p (v + offset) / (baseline s0), v in px   0, negative, NaN, +inf             -
     coc          K - v / kappa, v the signed R in px       NaN, infinite                      R = kappa K
 
     KITTI's PNGs have scale 1/256; 0 there and inf in Middlebury's PFMs mean that the pixel was not measured.
@@ -135,7 +136,7 @@ def inverse_depth(
         why = ", ".join(f"{count} {kind}" for kind, count in numbers.items() if count)
         raise ImageError(f"{where}: at least one pixel must have a depth; got {why}")
     with np.errstate(over="ignore"):
-        value = raw[valid] * scale
+        value = raw[valid] * scale + (offset or 0.0)
     w = _convert(value, unit, camera, baseline)
     _check_blur(w, value, unit, camera, where)
     if unit == "coc":
@@ -159,7 +160,7 @@ def load_scene_depths(scene: Scene) -> tuple[Array | None, ...]:
         raw = read_depth(item.depth)
         assert scene.camera.resolution is not None
         check_sizes("the frame", scene.camera.resolution, item.depth, (raw.shape[1], raw.shape[0]))
-        values = inverse_depth(raw, item.unit, item.scale, scene.camera, item.baseline, item.depth)
+        values = inverse_depth(raw, item.unit, item.scale, scene.camera, item.baseline, item.depth, item.offset)
         found.append(values.inverse_depth)
     return tuple(found)
 

@@ -107,7 +107,7 @@ def _inverse_depths(scene: Scene, depths: Mapping[str, NDArray[np.float64]]) -> 
             raw = depths[item.depth]
             try:
                 check_sizes("the frame", scene.camera.resolution, item.depth, (raw.shape[1], raw.shape[0]))
-                values = inverse_depth(raw, item.unit, item.scale, scene.camera, item.baseline, item.depth)
+                values = inverse_depth(raw, item.unit, item.scale, scene.camera, item.baseline, item.depth, item.offset)
                 maps[index] = values.inverse_depth
             except ImageError as error:
                 faults.append(f"object[{index}].depth: {error}")

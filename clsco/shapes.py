@@ -169,6 +169,8 @@ class DepthMap(_Object):
     """What 1 in the file is worth in `unit`, such as 0.001."""
     baseline: Length | None = Field(default=None, validate_default=True)
     """Distance B between the views, mm: Z = B s0 / (p disparity); only with unit = "disparity"."""
+    offset: Annotated[float, Within(0.0, 1e6, "px")] | None = None
+    """Added to the disparity, px: `doffs` of Middlebury's calibrations; only with unit = "disparity"."""
     center: Point = (0.0, 0.0, 0.0)
     """Point about which it turns, mm; the origin. Default: in the lens."""
 
@@ -179,11 +181,11 @@ class DepthMap(_Object):
             raise fault("belongs to analytic shapes, not to depth_map")
         return value
 
-    @field_validator("baseline")
+    @field_validator("baseline", "offset")
     @classmethod
     def _of_the_disparity(cls, value: float | None, info: ValidationInfo) -> float | None:
         unit = info.data.get("unit")  # missing where it was refused
-        if unit == "disparity" and value is None:
+        if unit == "disparity" and value is None and info.field_name == "baseline":
             raise fault('must be given with unit = "disparity"', got="nothing")
         if unit not in (None, "disparity") and value is not None:
             raise fault(f'belongs to unit = "disparity", not "{unit}"')

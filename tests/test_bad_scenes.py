@@ -190,6 +190,14 @@ OBJECTS: list[tuple[str, str]] = [
         'object[0].baseline: belongs to unit = "disparity", not "m"; got 60',
     ),
     (
+        'shape = "depth_map", depth = "z.png", offset = 124.343',
+        'object[0].offset: belongs to unit = "disparity", not "mm"; got 124.343',
+    ),
+    (
+        'shape = "depth_map", depth = "z.png", unit = "disparity", baseline = 6, offset = -1',
+        "object[0].offset: must be between 0 and 1000000 px; got -1",
+    ),
+    (
         'shape = "depth_map", depth = "z.png", unit = "disparity", baseline = -1',
         "object[0].baseline: must be greater than 0 mm; got -1",
     ),

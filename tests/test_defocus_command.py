@@ -57,6 +57,7 @@ def test_options_are_keys_of_the_scene(files: tuple[Path, Path]) -> None:
         "unit": "disparity",
         "scale": 0.5,
         "baseline": 60.0,
+        "offset": 124.343,
         "focal_length": 50.0,
         "f_number": 2.8,
         "focus_distance": 900.0,
@@ -67,8 +68,9 @@ def test_options_are_keys_of_the_scene(files: tuple[Path, Path]) -> None:
     }
     scene = scene_of(*files, options)
     item, camera, psf = only_map(scene), scene.camera, scene.psf
-    given = [item.unit, item.scale, item.baseline, camera.focal_length, camera.f_number, camera.focus_distance]
-    assert [*given, camera.pixel_pitch, psf.model, psf.edge, psf.occlusion] == list(options.values())
+    given: list[Any] = [item.unit, item.scale, item.baseline, item.offset, camera.focal_length, camera.f_number]
+    given += [camera.focus_distance, camera.pixel_pitch, psf.model, psf.edge, psf.occlusion]
+    assert given == list(options.values())
     pair = scene_of(*files, {"aperture_diameter": 3.0, "sensor_distance": 20.5}).camera
     assert (pair.aperture_diameter, pair.sensor_distance) == (3.0, 20.5)
 

@@ -41,6 +41,13 @@ def test_units_against_exact_fractions(unit: str, value: float, meters: Fraction
     np.testing.assert_allclose(w_of([value * 256], unit, scale=1 / 256), [wanted], rtol=3 * 2.0**-53)
 
 
+def test_an_offset_is_added_to_a_disparity() -> None:
+    # Z = B s0 / (p (d + 120)) = 60 mm * 20 mm / (0.01 mm * 480); what was not measured has no disparity to add to.
+    w = w_of([360.0, 0.0, np.inf], "disparity", offset=120.0)
+    np.testing.assert_allclose(w, [1 / 250, 0.0, 0.0], rtol=2.0**-51)
+    np.testing.assert_array_equal(w_of([180.0], "disparity", scale=2.0, offset=120.0), w[:1])  # in px, not in steps
+
+
 def test_a_radius_is_taken_as_it_is() -> None:
     radii = [-30.0, 0.0, 12.5, 39.0]
     # K - w cancels: both are at most 0.007 per mm, each rounded twice to 2^-53 of that, and kappa makes px of it.

@@ -82,6 +82,7 @@ COEFFICIENTS = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0)
                 "unit": "mm",
                 "scale": 1.0,
                 "baseline": None,
+                "offset": None,
                 "center": (0.0, 0.0, 0.0),
             },
         ),

@@ -22,6 +22,7 @@ from clsco.scenefile import (
     parse_scene,
     scene_schema,
 )
+from clsco.sweep import load_sweep
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").rglob("*.toml"))
 THESIS = [path for path in EXAMPLES if path.parent.name == "thesis"]
@@ -329,9 +330,9 @@ def test_schema_documents_every_key() -> None:
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_examples_load(path: Path) -> None:
-    scene = load_scene(path)
-    assert scene.title
-    assert parse_scene(dump(scene)) == scene
+    for scene in load_sweep(path).scenes:
+        assert scene.title
+        assert parse_scene(dump(scene)) == scene
 
 
 @pytest.mark.parametrize("path", THESIS, ids=lambda path: path.stem)
@@ -356,14 +357,8 @@ def test_there_are_examples() -> None:
     figures = {path.stem[4:8] for path in THESIS}
     assert figures >= {"3_04", "3_05", "3_08", "3_09", "3_12", "3_13", "3_15", "3_17", "4_02", "4_03", "4_06"}
     assert figures >= {"4_13", "4_14", "4_15", "4_16", "4_17", "4_19"}
-    assert {load_scene(path).objects[0].shape for path in EXAMPLES} == {
-        "plane",
-        "cylinder",
-        "sphere",
-        "cone",
-        "ellipsoid",
-        "quadric",
-    }
+    shapes = {item.shape for path in EXAMPLES for item in load_sweep(path).scenes[0].objects}
+    assert shapes == {"plane", "cylinder", "sphere", "cone", "ellipsoid", "quadric", "depth_map"}
 
 
 KEYS = sorted(
