@@ -17,7 +17,7 @@ from clsco.forward import ForwardWarp
 from clsco.layout import Real, camera_struct, flat, structs
 from clsco.motion import Pose, pose_at
 from clsco.plan import Plan, make_plan
-from clsco.program import HEADERS, build, download, kernel, launch, upload
+from clsco.program import HEADERS, OCCLUSION_HEADERS, build, download, kernel, launch, upload
 from clsco.reference.reproject import Reprojected, reproject
 from clsco.resources import folder
 from clsco.scene import (
@@ -48,7 +48,7 @@ def run_source(session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
     Arrays are uploaded, and stay until the device is done; buffers and scalars are passed on.
     """
-    for header in HEADERS:
+    for header in (*HEADERS, *OCCLUSION_HEADERS):
         (tmp_path / header).write_text((folder("kernels") / header).read_text("utf-8"), "utf-8")
     monkeypatch.setattr(program_module, "folder", lambda name: tmp_path)
 
