@@ -11,7 +11,7 @@ import pytest
 
 import clsco
 from clsco.cli import main
-from clsco.frame import TRUTH_NAMES
+from clsco.frame import STEREO_NAMES, TRUTH_NAMES
 
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "README.md").read_text("utf-8")
@@ -45,7 +45,17 @@ def test_the_python_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capture
 def test_commands_and_outputs_are_all_named() -> None:
     assert set(re.findall(r"^\| `clsco (\w+)", TEXT, re.MULTILINE)) == set(main.commands)
     named = re.findall(r"^\| `(\w+)` \| (?:float32|bool|u?int\d+)", TEXT, re.MULTILINE)
-    assert sorted(named) == sorted(["color", *TRUTH_NAMES])
+    assert sorted(named) == sorted(["color", *TRUTH_NAMES, *STEREO_NAMES])
+
+
+def test_options_and_examples_of_files_exist() -> None:
+    (command,) = (block for block in blocks("sh") if "clsco defocus" in block)
+    options = {name for option in main.commands["defocus"].params for name in option.opts}
+    table = re.findall(r"^\| [^|]+ \| `(--unit [^`]+)`", TEXT, re.MULTILINE)
+    assert len(table) == 3
+    used = set(re.findall(r"--[\w-]+", " ".join([command, *table])))
+    assert used <= options
+    assert {"--unit", "--scale", "--baseline", "--offset"} <= used
 
 
 def test_keys_and_links_exist() -> None:
