@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco import __version__
-from clsco.depthmaps import check_sizes, inverse_depth, read_depth
+from clsco.depthmaps import map_inverse_depth, read_depth
 from clsco.errors import ImageError, SceneError
 from clsco.files import refuse, sha256
 from clsco.images import read_image
@@ -99,16 +99,12 @@ def _read_files(scene: Scene) -> _Files:
 
 def _inverse_depths(scene: Scene, depths: Mapping[str, NDArray[np.float64]]) -> Maps:
     """Inverse depth of the objects that are depth maps; refuses what does not fit the frame or the camera."""
-    assert scene.camera.resolution is not None
     faults: list[str] = []
     maps: list[NDArray[np.float64] | None] = [None] * len(scene.objects)
     for index, item in enumerate(scene.objects):
         if isinstance(item, DepthMap):
-            raw = depths[item.depth]
             try:
-                check_sizes("the frame", scene.camera.resolution, item.depth, (raw.shape[1], raw.shape[0]))
-                values = inverse_depth(raw, item.unit, item.scale, scene.camera, item.baseline, item.depth, item.offset)
-                maps[index] = values.inverse_depth
+                maps[index] = map_inverse_depth(scene, item, depths[item.depth])
             except ImageError as error:
                 faults.append(f"object[{index}].depth: {error}")
     if faults:
@@ -213,7 +209,8 @@ def unused_keys(plan: Plan) -> list[tuple[str, str]]:
         give("sequence", ("samples", "sampling", "shutter"), "nothing moves")
         unused = [key for key in type(scene.motion).model_fields if key != "texture_filter" or scene.stereo is None]
         give("motion", unused, "nothing moves")
-        give("fill", type(scene.fill).model_fields, "nothing moves")
+        if not plan.forward:
+            give("fill", type(scene.fill).model_fields, "nothing moves")
     elif all(sum(map(bool, motion.angular_velocity)) < 2 for motion in motions):
         give("motion", ("rotation",), "euler and axis differ only for turns about several axes")
     if plan.forward and scene.fill.method == "none":

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from clsco.depthmaps import FARTHEST, UNITS, inverse_depth
+from clsco.depthmaps import FARTHEST, UNITS, fill_depth, inverse_depth
 from clsco.errors import ImageError
 from clsco.optics import LARGEST_BLUR, blur_radius, blur_scale, focus_power
 from clsco.scene import Camera
@@ -218,3 +218,43 @@ def test_every_other_refusal(raw: list[float], unit: str, options: dict[str, Any
 
 def test_the_aperture_that_is_suggested_will_do() -> None:
     w_of([45.0, 60.0, 3.0], "coc", camera=Camera(aperture_diameter=15.02))
+
+
+def test_missing_depths_of_a_plane_come_back() -> None:
+    row, column = np.indices((40, 50))
+    w = 1e-3 * (3 + 0.01 * row - 0.005 * column)  # a tilted plane: 1/Z is linear in the image
+    holes = np.random.default_rng(6).random(w.shape) < 0.6
+    holes[10:25, 12:30] = True
+    holes[[0, -1], :], holes[:, [0, -1]] = False, False  # beyond the outermost depths nothing is known of a slope
+    filled = fill_depth(np.where(holes, 0.0, w))
+    # Over gaps of up to 20 px in rows and columns w changes by less than 0.2 of 2.75, which may be one surface.
+    np.testing.assert_allclose(filled, w, rtol=1e-13)
+    assert (filled[~holes] == w[~holes]).all()
+
+
+def test_missing_depths_at_a_step_are_the_farther_ones() -> None:
+    w = np.full((6, 12), 1 / 200)
+    w[:, 6:] = 1 / 400
+    known = w.copy()
+    known[:, 3:9] = 0.0
+    assert (fill_depth(known)[:, 3:9] == 1 / 400).all()
+    assert (fill_depth(known.T)[3:9] == 1 / 400).all()
+
+
+def test_missing_depths_are_those_of_one_of_two_surfaces() -> None:
+    w = np.full((9, 40), 1 / 200)
+    w[:, 20:] = 1 / 400
+    known = w.copy()
+    known[4, 2:38] = 0.0  # a line that crosses the step: what is above and below is closest
+    np.testing.assert_allclose(fill_depth(known), w, rtol=1e-15)
+    known = w.copy()
+    known[2:7, 18:23] = 0.0  # as far to both sides as up and down
+    assert set(np.unique(np.round(1 / fill_depth(known), 9))) == {200.0, 400.0}
+    assert (fill_depth(known)[2:7, 18:23] == 1 / 400).all()
+
+
+def test_a_single_depth_fills_the_map() -> None:
+    w = np.zeros((5, 7))
+    w[1, 5] = 1 / 300
+    np.testing.assert_allclose(fill_depth(w), 1 / 300, rtol=1e-15)
+    assert (fill_depth(np.zeros((2, 3))) == 0.0).all()

@@ -71,9 +71,22 @@ def test_a_folder_gets_frames_and_a_file_the_same_image(wall: tuple[Path, Path],
     assert (tmp_path / "all" / "frame_0000.png").read_bytes() == (tmp_path / "one.png").read_bytes()
     with np.load(tmp_path / "all" / "frame_0000.npz") as truth:
         np.testing.assert_array_equal(truth["color"], exr_pixels(tmp_path / "one.exr"))
-        np.testing.assert_array_equal(truth["mask"], depths > 0)
+        # What has no depth gets that around it, and keeps its light.
+        assert truth["mask"].all()
+        np.testing.assert_array_equal(truth["sharp"], read_image(wall[0]).data)
         # 1 / (1 / Z) in float64 and one rounding to float32.
-        np.testing.assert_allclose(truth["depth"][depths > 0], 400.0, rtol=2.0**-23)
+        np.testing.assert_allclose(truth["depth"], 400.0, rtol=2.0**-23)
+
+
+def test_where_there_is_no_depth_nothing_is_without_filling(wall: tuple[Path, Path], tmp_path: Path) -> None:
+    depths = np.full((32, 40), 0.4, np.float32)
+    depths[10:14, 20:] = 0
+    np.save(wall[1], depths)
+    more = ("--truth", "npz", "--set", "motion.warp=forward", "--set", "fill.method=none")
+    assert clsco_("defocus", *wall, "-o", tmp_path / "out", *OPTIONS, *more).exit_code == 0
+    with np.load(tmp_path / "out" / "frame_0000.npz") as truth:
+        np.testing.assert_array_equal(truth["mask"], depths > 0)
+        assert (truth["sharp"][depths == 0] == 0).all()
 
 
 def test_a_focal_stack_fills_folders(wall: tuple[Path, Path], tmp_path: Path) -> None:
