@@ -207,8 +207,8 @@ def unused_keys(plan: Plan) -> list[tuple[str, str]]:
     motions = [scene.camera.motion, *(item.motion for item in scene.objects)]
     if not plan.moves:
         give("sequence", ("samples", "sampling", "shutter"), "nothing moves")
-        unused = [key for key in type(scene.motion).model_fields if key != "texture_filter" or scene.stereo is None]
-        give("motion", unused, "nothing moves")
+        used = ["warp"] * plan.forward + ["texture_filter"] * (scene.stereo is not None)
+        give("motion", [key for key in type(scene.motion).model_fields if key not in used], "nothing moves")
         if not plan.forward:
             give("fill", type(scene.fill).model_fields, "nothing moves")
     elif all(sum(map(bool, motion.angular_velocity)) < 2 for motion in motions):

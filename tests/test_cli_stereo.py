@@ -12,6 +12,7 @@ from click.testing import CliRunner, Result
 
 import clsco
 from clsco import batch
+from clsco.check import compare_frames
 from clsco.cli import main
 from clsco.frame import STEREO_NAMES, TRUTH_NAMES
 from clsco.framefiles import read_complete
@@ -160,6 +161,18 @@ def test_every_view_is_checked(scene: Path) -> None:
     for view in ("left", "right"):
         assert f"Frame 0, {view} view, against the reference" in result.output
     assert result.output.count("disparity ") == result.output.count("occluded ") == 2
+
+
+@pytest.mark.parametrize("warp", ["inverse", "forward"])
+def test_views_turned_inwards_agree_with_the_reference(scene: Path, warp: str) -> None:
+    words = ["stereo.toe_in=1.5", "sequence.frames=1", f"motion.warp={warp}"]
+    views = list(compare_frames(clsco.load_scene(scene, words), None, "double"))
+    assert [checked.eye for checked in views] == ["left", "right"]
+    assert [found for checked in views for found in checked.differences if found.count] == []
+    # The texture is that of the camera that is not turned: 1.5 deg are 20 mm / 0.1 mm * tan(1.5 deg) = 5.2 columns.
+    frame = next(clsco.render(clsco.load_scene(scene, [*words, "object.0.motion.velocity=[0, 0, 0]"])))
+    assert frame.hidden is not None
+    assert frame.hidden.mean() == pytest.approx(5 / 40, abs=1 / 40)
 
 
 def test_a_fault_of_the_right_view_alone_is_told_before_anything_is_written(tmp_path: Path) -> None:

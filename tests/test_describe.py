@@ -83,6 +83,12 @@ def test_keys_without_use_are_those_given_and_no_others() -> None:
     assert keys(psf=sharp).keys() == {"psf.edge", "psf.model"}
 
 
+def test_depth_maps_are_filled_at_rest(tmp_path: Path) -> None:
+    options = {"motion": {"warp": "forward"}, "fill": {"method": "none"}, "camera": {"resolution": [8, 8]}}
+    scene = parse_scene({"object": [files_of_a_map(tmp_path)], **options})
+    assert unused_keys(planned(scene, ())) == []
+
+
 def test_the_hash_is_of_what_decides_the_image(tmp_path: Path) -> None:
     def digest(folder: str, **item: Any) -> str:
         (tmp_path / folder).mkdir(exist_ok=True)
