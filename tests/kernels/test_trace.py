@@ -22,7 +22,7 @@ from clsco.layout import (
     structs,
     surface_structs,
 )
-from clsco.motion import Eye, middle_time, poses_at
+from clsco.motion import Eye, Pose, middle_time, poses_at, rest_poses
 from clsco.occlusion import Layer
 from clsco.plan import Plan, make_plan
 from clsco.program import build, download, empty, kernel, launch, upload
@@ -165,9 +165,14 @@ def built(session: Session, plan: Plan, real: Real, truth: tuple[str, ...] = MON
 
 def on_device(session: Session, plan: Plan, time: float, real: Real, eye: Eye | None = None) -> cl.Buffer:
     """Surfaces of all objects at a time."""
+    return placed_on_device(session, plan, poses_at(plan.scene, time, eye or plan.eye), real)
+
+
+def placed_on_device(session: Session, plan: Plan, poses: Sequence[Pose], real: Real) -> cl.Buffer:
+    """Surfaces of all objects in poses."""
     items = plan.scene.objects
-    pairs = zip(items, poses_at(plan.scene, time, eye or plan.eye), strict=True)
-    return upload(session, surface_structs(items, [place(*pair) for pair in pairs], real, range(len(items))))
+    placed = [place(*pair) for pair in zip(items, poses, strict=True)]
+    return upload(session, surface_structs(items, placed, real, range(len(items))))
 
 
 def stack(session: Session, plan: Plan) -> cl.Buffer:
@@ -406,9 +411,8 @@ def truth_on_device(session: Session, plan: Plan, names: tuple[str, ...], frame:
     wanted = plan.scene
     now, then = (middle_time(wanted.sequence, k) for k in (frame, frame + 1))
     camera, shape = camera_struct(wanted.camera, plan.guard_px, "double"), (plan.rows, plan.columns)
-    surfaces, still = (on_device(session, plan, t, "double") for t in (now, 0.0))
-    if plan.eye_moved:
-        still = on_device(session, plan, 0.0, "double", "left")
+    surfaces = on_device(session, plan, now, "double")
+    still = placed_on_device(session, plan, rest_poses(wanted), "double")
     later = upload(session, pose_structs(poses_at(wanted, then, plan.eye), "double"))
     layer = layer_struct(twin.everything(wanted), len(wanted.objects))
     forms: dict[str, tuple[Any, int]] = {"mask": (np.uint8, 1)}
