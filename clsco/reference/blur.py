@@ -141,8 +141,8 @@ def renormalize(
 ) -> tuple[Sources, SubpixelSources | None]:
     """Sources whose light, as far as it would fall outside of the frame, is given back to the frame.
 
-    Arguments as for `scatter`. The radiance is divided by the share of the source's PSF (with tilt) that
-    falls inside the frame; sources outside of the frame (the guard band) end. Validated: a constant image
+    Arguments as for `scatter`. The radiance is divided by the share of the source's PSF (with tilt) that falls inside
+    the frame, whatever is in its way; sources outside of the frame (the guard band) end. Validated: a constant image
     stays constant in sum up to the border.
     """
     m, n = shape
@@ -150,7 +150,7 @@ def renormalize(
     inside[guard : guard + m, guard : guard + n] = True
     there = _own_sources(sources, sub) & inside
     kept = np.zeros(there.shape)
-    for dx, dy, share in _shares(psf, sources, there):
+    for dx, dy, share in _shares(psf, replace(sources, sight=None), there):
         (_, rows), (_, columns) = _overlap(dy, m, guard), _overlap(dx, n, guard)
         kept[rows, columns] += share[rows, columns]
     scale = np.where(kept > 0.0, 1.0 / np.where(kept > 0.0, kept, 1.0), 0.0)
@@ -159,7 +159,7 @@ def renormalize(
         return sources, None
     sub = replace(sub, hit=sub.hit & inside[sub.row, sub.column][:, None, None])
     kept_sub = np.zeros(int(sub.hit.sum()))
-    for source, _, share in _subpixel_shares(psf, sub, shape, guard):
+    for source, _, share in _subpixel_shares(psf, replace(sub, sight=None), shape, guard):
         np.add.at(kept_sub, source, share)
     # Shares include 1/S^2; what is divided by is the share of the source's own light.
     kept_sub *= sub.hit.shape[1] ** 2
