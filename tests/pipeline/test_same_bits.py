@@ -28,6 +28,8 @@ OBJECTS: dict[str, dict[str, Any]] = {
         "distance": 260.0,
         "motion": {"velocity": [3.0, 0.0, -20.0], "angular_velocity": [0.0, 0.0, 25.0]},
     },
+    "card": {"shape": "plane", "distance": 230.0, "bounds": [[-9.0, 12.0], [-15.0, 4.0], [-1.0, 1.0]]},
+    "wall": {"shape": "plane", "distance": 330.0},
 }
 
 
@@ -47,7 +49,7 @@ def outcome(name: str, warp: str, method: str) -> str:
             "camera": {"resolution": [200, 300], "pixel_pitch": 0.02, "aperture_diameter": 20.0},
             "sequence": {"samples": 2},
             "motion": {"warp": warp},
-            "object": [OBJECTS[name]],
+            "object": [OBJECTS[each] for each in name.split()],
         }
     )
     return digest(clsco.render(scene, method=method))
@@ -58,6 +60,9 @@ CASES = [
     ("sphere", "inverse", "scatter"),
     ("sphere", "forward", "gather"),
     ("plane", "inverse", "convolve"),
+    ("sphere card wall", "inverse", "gather"),
+    ("sphere card wall", "inverse", "scatter"),
+    ("sphere card wall", "forward", "gather"),
 ]
 
 
