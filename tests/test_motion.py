@@ -3,14 +3,40 @@
 from __future__ import annotations
 
 from math import cos, pi, radians, sin
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from clsco.motion import middle_time, pose_at, rest_center, rotation_matrix, sample_times
-from clsco.scene import AnyShape, Cone, Ellipsoid, ObjectMotion, Plane, Quadric, Sequence, Sphere
+from clsco.motion import (
+    Pose,
+    eye_pose,
+    middle_time,
+    pose_at,
+    poses_at,
+    rest_center,
+    rest_poses,
+    rotation_matrix,
+    sample_times,
+)
+from clsco.scene import (
+    AnyShape,
+    Camera,
+    CameraMotion,
+    Cone,
+    Ellipsoid,
+    Motion,
+    Object,
+    ObjectMotion,
+    Plane,
+    Quadric,
+    Scene,
+    Sequence,
+    Sphere,
+    Stereo,
+)
 
 Array = NDArray[np.float64]
 EPS = np.finfo(np.float64).eps
@@ -182,3 +208,105 @@ def test_an_odd_number_of_midpoints_has_the_middle_of_the_shutter(samples: int) 
     assert weights.sum() == pytest.approx(1.0, abs=samples * EPS)
     assert times.mean() == pytest.approx(middle_time(sequence, 7), rel=1e-14)
     assert ((times > 2.1) & (times < 2.3)).all()
+
+
+# Cameras that move, and pairs of them
+
+TURNING = ObjectMotion(velocity=(3.0, -2.0, 7.0), angular_velocity=(20.0, -35.0, 50.0))
+ITEMS: tuple[Object, ...] = (Sphere(center=(10.0, -5.0, 200.0), motion=TURNING), Plane(distance=300.0), Cone())
+
+
+def seen_from(scene: Scene, number: int, point: Array, time: float) -> Array:
+    """Where a point of an object, given as it is at rest, is in the frame of the left camera."""
+    item = scene.objects[number]
+    pose, center = poses_at(scene, time)[number], rest_center(item)
+    return np.asarray(center + pose.shift + pose.rotation @ (point - center))
+
+
+def camera_scene(going: CameraMotion, **sections: Any) -> Scene:
+    return Scene(camera=Camera(resolution=(8, 8), motion=going), objects=ITEMS, **sections)
+
+
+@pytest.mark.parametrize("rotation", ROTATIONS)
+def test_a_moving_camera_sees_the_world_the_other_way(rotation: str) -> None:
+    """Point p of the world is at R^T (p - s) for a camera at s turned by R, whatever moves the point itself."""
+    motion = CameraMotion(velocity=(12.0, 5.0, -30.0), angular_velocity=(10.0, 25.0, -40.0))
+    scene = camera_scene(motion, motion=Motion(rotation="euler" if rotation == "euler" else "axis"))
+    rng = np.random.default_rng(2)
+    for number, item in enumerate(ITEMS):
+        for time in (0.0, 0.3, 1.7):
+            point = rest_center(item) + rng.uniform(-20, 20, 3)
+            world = moved(point, rest_center(item), item.motion, time, rotation)
+            camera = pose_at(motion, time, rotation)
+            expected = camera.rotation.T @ (world - camera.shift)
+            np.testing.assert_allclose(seen_from(scene, number, point, time), expected, atol=1e-12)
+    assert np.abs(seen_from(scene, 1, np.array([0.0, 0.0, 300.0]), 1.7) - [0.0, 0.0, 300.0]).max() > 10
+
+
+def test_a_camera_that_goes_forwards_comes_nearer() -> None:
+    scene = camera_scene(CameraMotion(velocity=(4.0, 0.0, 50.0)))
+    np.testing.assert_allclose(seen_from(scene, 1, np.array([0.0, 0.0, 300.0]), 1.0), [-4.0, 0.0, 250.0])
+
+
+def test_a_camera_turns_in_the_sense_of_objects() -> None:
+    """Its own pose is that of an object with the same velocities, and all else turns the other way."""
+    turn = (0.0, 30.0, 0.0)
+    camera = eye_pose(camera_scene(CameraMotion(angular_velocity=turn)), "left", 1.0)
+    np.testing.assert_array_equal(camera.rotation, pose_at(ObjectMotion(angular_velocity=turn), 1.0, "euler").rotation)
+    assert not camera.shift.any()
+    scene = camera_scene(CameraMotion(angular_velocity=turn))
+    seen = seen_from(scene, 1, np.array([0.0, 0.0, 300.0]), 1.0)
+    np.testing.assert_allclose(seen, camera.rotation.T @ [0.0, 0.0, 300.0], atol=1e-12)
+    assert np.linalg.norm(seen) == pytest.approx(300.0)
+
+
+def test_everything_moves_alike_as_the_camera_stands_still() -> None:
+    still = camera_scene(CameraMotion())
+    for item, pose in zip(ITEMS, poses_at(still, 0.8), strict=True):
+        own = pose_at(item.motion, 0.8, "euler")
+        np.testing.assert_array_equal(pose.rotation, own.rotation)
+        np.testing.assert_array_equal(pose.shift, own.shift)
+
+
+def test_eyes_of_a_pair() -> None:
+    scene = camera_scene(CameraMotion(), stereo=Stereo(baseline=65.0))
+    left, right = (eye_pose(scene, eye, 0.0) for eye in ("left", "right"))
+    for eye, shift in ((left, [0.0, 0.0, 0.0]), (right, [65.0, 0.0, 0.0])):
+        np.testing.assert_array_equal(eye.rotation, np.eye(3))
+        np.testing.assert_array_equal(eye.shift, shift)
+    for pose, other in zip(poses_at(scene, 0.5, "right"), poses_at(scene, 0.5, "left"), strict=True):
+        np.testing.assert_allclose(pose.shift, other.shift - [65.0, 0.0, 0.0], atol=1e-13)
+        np.testing.assert_array_equal(pose.rotation, other.rotation)
+
+
+def test_eyes_that_are_turned_inwards_meet() -> None:
+    """Both axes go through the point in the middle of the pair, baseline / (2 tan toe_in) before it."""
+    scene = camera_scene(CameraMotion(), stereo=Stereo(baseline=60.0, toe_in=3.0))
+    meeting = np.array([30.0, 0.0, 30.0 / np.tan(np.radians(3.0))])
+    for eye in ("left", "right"):
+        camera = eye_pose(scene, eye, 0.0)
+        own = camera.rotation.T @ (meeting - camera.shift)
+        np.testing.assert_allclose(own[:2], 0.0, atol=1e-12)
+        assert own[2] == pytest.approx(np.hypot(30.0, meeting[2]))
+
+
+def test_a_pair_moves_as_one() -> None:
+    """The right camera stays where it is relative to the left one."""
+    motion = CameraMotion(velocity=(5.0, 1.0, -8.0), angular_velocity=(15.0, -20.0, 30.0))
+    scene = camera_scene(motion, stereo=Stereo(baseline=40.0, toe_in=1.5))
+
+    def relative(time: float) -> tuple[Array, Array]:
+        left, right = (eye_pose(scene, eye, time) for eye in ("left", "right"))
+        return left.rotation.T @ (right.shift - left.shift), left.rotation.T @ right.rotation
+
+    for found, expected in zip(relative(1.3), relative(0.0), strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-13)
+
+
+def test_textures_belong_to_the_camera_that_is_neither_moved_nor_turned() -> None:
+    scene = camera_scene(CameraMotion(), stereo=Stereo(baseline=40.0, toe_in=1.5))
+    for pose in rest_poses(scene):
+        assert isinstance(pose, Pose)
+        np.testing.assert_array_equal(pose.rotation, np.eye(3))
+        assert not pose.shift.any()
+    assert len(rest_poses(scene)) == 3
