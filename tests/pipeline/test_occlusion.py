@@ -36,13 +36,17 @@ SCENES: dict[str, dict[str, Any]] = {
     "row, sampled": {"object": [BALL, COLUMN, WALL], "psf": {"edge": "sampled", "silhouette_samples": 2}},
     "tube": {"object": [TUBE, WALL], "psf": {"silhouette_samples": 2}},
     "no tilt, no silhouettes": {"object": [BALL, CARD, WALL], "psf": {"tilt": False, "silhouette_samples": 1}},
-    "renormalize": {"object": [BALL, WALL], "psf": {"border": "renormalize"}},
+    "renormalize": {
+        "object": [BALL | {"center": [0.0, 0.0, 205.0]}, CARD, WALL],
+        "psf": {"border": "renormalize", "silhouette_samples": 2},
+    },
     "moving": {"object": [BALL | {"motion": GOING}, COLUMN, WALL], "sequence": {"samples": 2}},
     "camera": {"object": [BALL, CARD, WALL], "sequence": {"samples": 2}, "camera": CAMERA | {"motion": GOING}},
 }
 VARIANTS = [(name, "visibility") for name in SCENES]
 VARIANTS += [(name, "layered") for name in ("card, gaussian", "moving", "renormalize")]
 VARIANTS += [(name, "none") for name in ("row", "camera")]
+SOME = (("row", "visibility"), ("tube", "visibility"), ("moving", "layered"), ("camera", "none"))  # others: slow
 
 
 def scene(sections: dict[str, Any], **psf: Any) -> Scene:
@@ -55,7 +59,9 @@ def image(wanted: Scene, **options: Any) -> Frame:
     return frame
 
 
-@pytest.mark.parametrize(("name", "occlusion"), VARIANTS)
+@pytest.mark.parametrize(
+    ("name", "occlusion"), [pytest.param(*case, marks=[pytest.mark.slow] * (case not in SOME)) for case in VARIANTS]
+)
 def test_device_against_reference(name: str, occlusion: str) -> None:
     """Every pixel of every output; gather and scatter are two ways to the same sum."""
     wanted = scene(SCENES[name], occlusion=occlusion)
@@ -93,7 +99,9 @@ def test_occlusion_is_seen() -> None:
 
 
 @pytest.mark.parametrize("method", ["gather", "scatter"])
-@pytest.mark.parametrize("name", ["row", "card in a ball, area", "tube"])
+@pytest.mark.parametrize(
+    "name", ["row", *(pytest.param(n, marks=pytest.mark.slow) for n in ("card in a ball, area", "tube"))]
+)
 def test_order_in_the_file_does_not_matter(name: str, method: str) -> None:
     items = SCENES[name]["object"]
     first = image(scene(SCENES[name]), method=method, truth=("depth",))
@@ -178,7 +186,7 @@ WHITE: dict[str, tuple[list[dict[str, Any]], dict[str, Any], float, float]] = {
 }
 
 
-@pytest.mark.parametrize("name", WHITE)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n != "ball")) for n in WHITE])
 def test_white_before_white_is_white(tmp_path: Path, name: str) -> None:
     """Whatever an object takes away of the wall's light it gives itself: the parts of the lens add up to 1.
 
