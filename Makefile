@@ -3,13 +3,16 @@ PYTHON ?= $(shell for python in python3 python3.14 python3.13 python3.12 python3
 	"$$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo "$$python" && break; done)
 BIN := .venv/bin
 
-.PHONY: demo test lint bench clean
+.PHONY: demo test test-slow lint bench clean
 
 demo: .venv/pocl.stamp
 	$(BIN)/clsco demo -o demo
 
 test: .venv/dev.stamp
 	$(BIN)/python -m pytest -q -n auto
+
+test-slow: .venv/dev.stamp
+	$(BIN)/python -m pytest -q -n auto -m slow
 
 lint: .venv/dev.stamp
 	$(BIN)/ruff check .
@@ -19,6 +22,7 @@ lint: .venv/dev.stamp
 bench: .venv/bench.stamp
 	$(BIN)/python -m benchmarks.defocus_speed
 	$(BIN)/python -m benchmarks.accuracy
+	$(BIN)/python -m benchmarks.occlusion
 
 .venv/%.stamp: pyproject.toml
 	@test -n "$(PYTHON)" || { echo "python: must be 3.11 or newer; give one with make PYTHON=..." >&2; exit 1; }

@@ -323,8 +323,16 @@ def test_what_cannot_be_filled_is_left(session: Session, method: Method) -> None
     assert (planes.read("valid") == known).all()
 
 
-@pytest.mark.parametrize("method", ["ait", "mean_median"])
-@pytest.mark.parametrize(("real", "far"), [("double", False), ("float", False), ("double", True)])
+@pytest.mark.parametrize(
+    ("method", "real", "far"),
+    [
+        ("ait", "float", False),
+        ("mean_median", "double", True),
+        pytest.param("ait", "double", True, marks=pytest.mark.slow),
+        pytest.param("mean_median", "float", False, marks=pytest.mark.slow),
+        pytest.param("mean_median", "double", False, marks=pytest.mark.slow),
+    ],
+)
 def test_lists_and_local_sizes_change_no_bit(
     session: Session, method: str, real: Real, far: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -55,9 +55,22 @@ def test_warp_is_its_twin(session: Session, any_warp: Warp, make_case: Maker, ch
     np.testing.assert_allclose(found["coc"], coc, rtol=0, atol=1e-12 * camera["blur_scale"] * w.max(initial=0))
 
 
-@pytest.mark.parametrize("method", ["ait", "mean_median"])
-@pytest.mark.parametrize("domain", ["surface", "span"])
-@pytest.mark.parametrize("name", ["two balls", "near and far", "map and ball"])
+@pytest.mark.parametrize(
+    ("name", "domain", "method"),
+    [
+        ("two balls", "span", "mean_median"),
+        ("near and far", "surface", "ait"),
+        ("map and ball", "span", "ait"),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in (
+                ("two balls", "surface", "ait"),
+                ("near and far", "surface", "mean_median"),
+                ("map and ball", "surface", "mean_median"),
+            )
+        ),
+    ],
+)
 def test_filled_warp_is_its_twin(
     session: Session, make_case: Maker, warps: Warps, name: str, domain: str, method: Method
 ) -> None:
@@ -98,8 +111,17 @@ def test_objects_may_share_textures(session: Session, make_case: Maker, warps: W
     assert (value != case.warp(session)["value"][..., 0]).any()
 
 
-@pytest.mark.parametrize("name", ["sphere 64 x 64", "near and far", "map before map"])
-@pytest.mark.parametrize(("fill", "real"), [("ait", "double"), ("mean_median", "double"), ("ait", "float")])
+@pytest.mark.parametrize(
+    ("name", "fill", "real"),
+    [
+        ("sphere 64 x 64", "ait", "float"),
+        ("near and far", "mean_median", "double"),
+        pytest.param("sphere 64 x 64", "mean_median", "double", marks=pytest.mark.slow),
+        pytest.param("near and far", "ait", "float", marks=pytest.mark.slow),
+        pytest.param("map before map", "ait", "double", marks=pytest.mark.slow),
+        pytest.param("map before map", "mean_median", "double", marks=pytest.mark.slow),
+    ],
+)
 def test_both_depth_tests_give_the_same_bits(
     session: Session, make_case: Maker, warps: Warps, name: str, fill: str, real: Real
 ) -> None:

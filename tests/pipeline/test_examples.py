@@ -28,6 +28,11 @@ SMALL = ("camera.resolution=[96, 64]", "camera.pixel_pitch=0.05", "camera.apertu
 SMALL_MAP = ("camera.pixel_pitch=0.08", "camera.aperture_diameter=20.0")
 # Where things hide each other, half the blur: the reference looks at every tap.
 SMALL_SEVERAL = (*SMALL[:2], "camera.aperture_diameter=20.0")
+# What takes the reference many seconds, and is looked at in parts by tests/pipeline/test_occlusion.py.
+LONG = {
+    f"occlusion_{stem}" for stem in ("passing", "tube", "sharp_near", "sharp_far", "interpenetrating", "three", "wire")
+}
+LONG |= {"bowl", "tube", "focal_stack", "camera_motion"}
 SEVERAL = ("bowl", "cone_turning", "cylinder_turning", "plane_gaussian", "quadric", "road", "fig_3_12_right")
 
 
@@ -71,7 +76,9 @@ def worst(frames: list[Frame], exacts: tuple[Frame, ...]) -> list[Difference]:
     return [found for pair in zip(frames, exacts, strict=True) for found in compare(*pair)]
 
 
-@pytest.mark.parametrize("path", PATHS, ids=name)
+@pytest.mark.parametrize(
+    "path", [pytest.param(p, marks=[pytest.mark.slow] * (p.stem in LONG)) for p in PATHS], ids=name
+)
 def test_every_output_agrees_in_double_precision(path: Path, small: Small, exact: Exact) -> None:
     # Geometry is the same arithmetic in float64, and a hit or a miss is decided alike; color is summed in
     # float32 from at most a few hundred weights, each good to 6e-8, of PSF tables good to 1e-6 of their sum.
@@ -120,7 +127,7 @@ def _shifted(array: NDArray[np.bool_], step: int, axis: int) -> NDArray[np.bool_
     return out
 
 
-@pytest.mark.parametrize("stem", SEVERAL)
+@pytest.mark.parametrize("stem", [s for s in SEVERAL if s != "bowl"])
 def test_single_precision_differs_near_silhouettes_only(stem: str, small: Small, exact: Exact) -> None:
     # float32 places a surface to 2^-24 of its distance times the condition of the root, and a sub-pixel ray
     # may miss what it barely touches: one of 16 of a pixel's sources, spread over the reach of the PSF.

@@ -88,7 +88,7 @@ def test_flow_carries_a_frame_to_the_next(waves: str) -> None:
     assert np.median(error) < BEND / 8
 
 
-@pytest.mark.parametrize("toe_in", [0.0, 0.5])
+@pytest.mark.parametrize("toe_in", [0.0, pytest.param(0.5, marks=pytest.mark.slow)])
 def test_stereo_views_agree_outside_of_occlusions(waves: str, toe_in: float) -> None:
     pair = scene(waves, BALL, CARD, WALL, stereo={"baseline": 6.0, "toe_in": toe_in})
     left, right = clsco.render(pair)
@@ -157,7 +157,7 @@ def frames_of(scenes: list[Scene]) -> list[Frame]:
     return [frame for _, frame in sorted(render_sweep(scenes), key=lambda found: found[0])]
 
 
-@pytest.mark.parametrize("key", ["focus_distance", "f_number"])
+@pytest.mark.parametrize("key", ["focus_distance", pytest.param("f_number", marks=pytest.mark.slow)])
 def test_sweeps_over_the_lens_have_the_bits_of_single_scenes(waves: str, key: str) -> None:
     values = {"focus_distance": [200.0, 250.0, 400.0], "f_number": [2.0, 4.0, 8.0]}[key]
     moving = BALL | {"motion": {"velocity": [5.0, 0.0, 0.0]}}
