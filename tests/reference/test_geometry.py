@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from clsco.occlusion import Layer
 from clsco.optics import blur_radius
 from clsco.psf import table_coordinate as coordinate_of_radius
 from clsco.reference.geometry import (
@@ -17,12 +18,14 @@ from clsco.reference.geometry import (
     blur_gradient,
     difference_of_products,
     mirror_index,
+    nearest_surface,
     pixel_ray,
     project,
     quarter_discriminant,
     rest_pixel,
     sample_texture,
     solve_quadric,
+    solve_sheet,
     surface_normal,
     surface_slope,
     table_coordinate,
@@ -455,3 +458,33 @@ def test_table_coordinate_stays_in_its_interval(psf: Psf) -> None:
         clamped = table_coordinate(psf, radius, subpixel, 5, 3)
         assert clamped.min() == 5.0
         assert clamped.max() == np.nextafter(np.float32(8.0), np.float32(0.0))
+
+
+def test_nearest_of_several_surfaces(at: Placer) -> None:
+    """Each of those that count, ray by ray; of two equally near ones the first."""
+    items = (Sphere(center=(-10.0, 0.0, 250.0)), Sphere(center=(10.0, 0.0, 255.0)), Plane(distance=300.0))
+    surfaces, bounds = [at(item) for item in (*items, items[0])], [None] * 4
+    rays = pixel_ray(CAMERA.model_copy(update={"pixel_pitch": 0.1}), np.arange(49.0)[:, None], np.arange(65.0))
+    roots = [solve_quadric(surface, None, rays) for surface in surfaces[:3]]
+    for members in range(1, 8):
+        w, label, number = nearest_surface(surfaces, bounds, Layer(members, 0), rays)
+        depths = np.stack([roots[k][0] if members >> k & 1 else 0 * w for k in range(3)])
+        assert (w == depths.max(axis=0)).all()
+        assert (number == np.where(w > 0, depths.argmax(axis=0), -1)).all()
+        own = np.stack([roots[k][1] for k in range(3)])[np.maximum(number, 0), *np.indices(w.shape)]
+        assert (label == np.where(w > 0, 2 * number + own, 0)).all()
+    assert len(np.unique(number)) == 3
+    assert not (nearest_surface(surfaces, bounds, Layer(0b1001, 0), rays)[2] == 3).any()
+
+
+def test_sheets_are_the_two_roots(at: Placer) -> None:
+    ball = at(Sphere(center=(5.0, -3.0, 280.0)))
+    rays = pixel_ray(CAMERA.model_copy(update={"pixel_pitch": 0.1}), np.arange(49.0)[:, None], np.arange(65.0))
+    near, far = (solve_sheet(ball, None, rays, sheet) for sheet in (1, 2))
+    hit = near[1] > 0
+    assert 0.1 < hit.mean() < 0.9
+    assert (near[0] == solve_quadric(ball, None, rays)[0]).all()
+    assert (far[1] == np.where(hit, 2, 0)).all()
+    assert (far[0][hit] < near[0][hit]).all()
+    back = np.linalg.norm(rays[hit] / far[0][hit][:, None] - [5.0, -3.0, 280.0], axis=-1)
+    np.testing.assert_allclose(back, 30.0, rtol=1e-12)
