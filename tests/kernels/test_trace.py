@@ -168,7 +168,7 @@ def on_device(session: Session, plan: Plan, time: float, real: Real, eye: Eye | 
     return placed_on_device(session, plan, poses_at(plan.scene, time, eye or plan.eye), real)
 
 
-def placed_on_device(session: Session, plan: Plan, poses: Sequence[Pose], real: Real) -> cl.Buffer:
+def placed_on_device(session: Session, plan: Plan, poses: tuple[Pose, ...], real: Real) -> cl.Buffer:
     """Surfaces of all objects in poses."""
     items = plan.scene.objects
     placed = [place(*pair) for pair in zip(items, poses, strict=True)]

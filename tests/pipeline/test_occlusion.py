@@ -43,10 +43,6 @@ SCENES: dict[str, dict[str, Any]] = {
     "moving": {"object": [BALL | {"motion": GOING}, COLUMN, WALL], "sequence": {"samples": 2}},
     "camera": {"object": [BALL, CARD, WALL], "sequence": {"samples": 2}, "camera": CAMERA | {"motion": GOING}},
 }
-SOME = {(name, "visibility") for name in ("row", "card, gaussian", "tube")} | {
-    ("card, gaussian", "layered"),
-    ("row", "none"),
-}
 VARIANTS = [(name, "visibility") for name in SCENES]
 VARIANTS += [(name, "layered") for name in ("card, gaussian", "moving", "renormalize")]
 VARIANTS += [(name, "none") for name in ("row", "camera")]
