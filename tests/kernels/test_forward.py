@@ -22,6 +22,7 @@ from clsco.reference.reproject import extend_border, nearest_pixel, reproject_re
 from clsco.reference.trace import padded_grid
 from clsco.scene import DepthMap, Object, ObjectMotion, Plane, Sphere
 
+pytestmark = pytest.mark.slow  # whole frames of it are looked at in tests/pipeline
 Maker = Callable[..., Any]
 Warp = tuple[tuple[Object, ...], tuple[int, int]]
 Warps = dict[str, Warp]

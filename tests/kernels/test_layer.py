@@ -121,7 +121,7 @@ VIEWS = {
 }
 
 
-@pytest.mark.parametrize("name", VIEWS)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n != "near and far")) for n in VIEWS])
 def test_frames(session: Session, name: str) -> None:
     view = VIEWS[name]
     expected, count = view.expected()

@@ -22,6 +22,7 @@ from clsco.reference.occlusion import CLEAR, PARTLY, look, look_through, tap_sha
 from clsco.scene import Camera, Cone, Cylinder, Ellipsoid, Object, Plane, Psf, Quadric, Scene, Sphere
 from clsco.surfaces import place
 
+pytestmark = pytest.mark.slow  # whole frames of it are looked at in tests/pipeline
 Array = NDArray[Any]
 Runner = Callable[..., None]
 KERNEL = """

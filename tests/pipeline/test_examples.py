@@ -30,7 +30,8 @@ SMALL_MAP = ("camera.pixel_pitch=0.08", "camera.aperture_diameter=20.0")
 SMALL_SEVERAL = (*SMALL[:2], "camera.aperture_diameter=20.0")
 # What takes the reference many seconds, and is looked at in parts by tests/pipeline/test_occlusion.py.
 LONG = {
-    f"occlusion_{stem}" for stem in ("passing", "tube", "sharp_near", "sharp_far", "interpenetrating", "three", "wire")
+    f"occlusion_{stem}"
+    for stem in ("passing", "tube", "sharp_near", "sharp_far", "interpenetrating", "three", "wire", "ground", "card")
 }
 LONG |= {"bowl", "tube", "focal_stack", "camera_motion"}
 SEVERAL = ("bowl", "cone_turning", "cylinder_turning", "plane_gaussian", "quadric", "road", "fig_3_12_right")
