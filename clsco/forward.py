@@ -12,7 +12,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco.device import Program, Session
-from clsco.layout import Real, Struct, pose_structs, structs, surface_structs
+from clsco.layout import WIDE_BYTES, Real, Struct, pose_structs, structs, surface_structs
 from clsco.motion import Pose, rest_center
 from clsco.plan import Plan
 from clsco.program import build, download, empty, kernel, launch, upload
@@ -257,8 +257,9 @@ class ForwardWarp:
         self.filler = Filler(session, self.program, camera, features, real)
         # Once the pixels are in their places, the filling may have these for its lists.
         self.target, self.winner = self.filler.indices
-        self.sources, size = plan.rows * plan.columns, _dtype(real).itemsize
-        self.rest, self.moved = empty(session, size * self.sources), empty(session, size * self.sources)
+        self.sources = plan.rows * plan.columns
+        self.rest = empty(session, WIDE_BYTES * self.sources)
+        self.moved = empty(session, _dtype(real).itemsize * self.sources)
         self.object = (empty(session, self.sources),) if features["SEVERAL"] else ()
         self.rest_surfaces = self._surfaces(surfaces)
         members = np.uint64(sum(1 << k for k, surface in enumerate(surfaces) if surface is not None))

@@ -1,7 +1,7 @@
 // Forward warp: the pixels of the frame at rest move and are projected to the nearest pixel of the padded grid
 // (thesis, 4.3.3). Twin: clsco/reference/reproject.py.
 //
-//   rest     real per source (pixel of the frame, row-major): inverse depth at rest, 1/mm, 0 for no surface
+//   rest     wide_t per source (pixel of the frame, row-major): inverse depth at rest, 1/mm, 0 for no surface
 //   target   int per source: pixel of the padded grid that it moves to, -1 for none
 //   moved    real per source: its inverse depth after the move, 1/mm, 0 for none
 //   winner   int per pixel of the padded grid: lowest source among the nearest that come there, NO_WINNER for none
@@ -38,7 +38,7 @@ __kernel void reproject_rest(const camera_t camera, __constant surface_t *surfac
 #if MAPPED
                              __global const real *maps,
 #endif
-                             __global real *rest
+                             __global wide_t *rest
 #if SEVERAL
                              , __global uchar *object
 #endif
@@ -49,21 +49,22 @@ __kernel void reproject_rest(const camera_t camera, __constant surface_t *surfac
         return;
     const int at = row * camera.columns + column;
     const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
-    real nearest = 0;
+    wide_t nearest = widened(0);
     int whose = 0;
 #if MAPPED
     for (int k = 0; k < count; ++k) {
         uchar root;
         const bool is_map = !(members >> k & 1);
-        const real w = is_map ? maps[at] : narrow(solve_quadric(surfaces + k, ray, &root));
+        const wide_t w = is_map ? widened(maps[at]) : solve_quadric(surfaces + k, ray, &root);
         maps += is_map ? camera.rows * camera.columns : 0;
-        whose = w > nearest ? k : whose;
-        nearest = w > nearest ? w : nearest;
+        const bool nearer = wide_less(nearest, w);
+        whose = nearer ? k : whose;
+        nearest = nearer ? w : nearest;
     }
 #else
     const layer_t layer = {members, 0, count, -1, 0};
     uchar label;
-    nearest = narrow(nearest_surface(surfaces, layer, ray, &label, &whose));
+    nearest = nearest_surface(surfaces, layer, ray, &label, &whose);
 #endif
     rest[at] = nearest;
 #if SEVERAL
@@ -74,7 +75,7 @@ __kernel void reproject_rest(const camera_t camera, __constant surface_t *surfac
 // Moves the sources of object k in columns begin to end of a row by its pose, about the center of its surface at rest.
 // Gives the lowest and highest target, (INT_MAX, -1) for none.
 static inline int2 move_sources(const camera_t camera, __constant surface_t *surface, __constant pose_t *pose, int row,
-                                int begin, int end, __global const real *restrict rest, __global int *restrict target,
+                                int begin, int end, __global const wide_t *restrict rest, __global int *restrict target,
                                 __global real *restrict moved
 #if SEVERAL
                                 , __global const uchar *restrict object, int k
@@ -85,35 +86,43 @@ static inline int2 move_sources(const camera_t camera, __constant surface_t *sur
     // PoCL vectorizes no loop that computes with vectors.
     __constant real *R = pose->rotation, *center = surface->rest;
     const wide3_t turn = turned(R, wide_load(center)), shifted = wide3_add(wide_load(center), wide_load(pose->shift));
-    const real3 offset = (real3)(narrow(wide_sub(shifted.x, turn.x)), narrow(wide_sub(shifted.y, turn.y)),
-                                 narrow(wide_sub(shifted.z, turn.z)));
-    const real y = camera.step * ((real)0.5 * (camera.rows - 1) - row);
-    const real3 line = (real3)(R[1] * y + R[2], R[4] * y + R[5], R[7] * y + R[8]);
-    const real middle = (real)0.5 * (camera.columns - 1), inverse_step = 1 / camera.step;
+    const wide_t across = wide_sub(shifted.x, turn.x), up = wide_sub(shifted.y, turn.y);
+    const wide_t away = wide_sub(shifted.z, turn.z);
+    const wide_t step = WIDE_FIELD(camera.step), y = pixel_ray(camera, widened(row), widened(0)).y;
+    const wide_t line_x = wide_add(wide_mul(wide_part(R, 9, 1), y), wide_part(R, 9, 2));
+    const wide_t line_y = wide_add(wide_mul(wide_part(R, 9, 4), y), wide_part(R, 9, 5));
+    const wide_t line_z = wide_add(wide_mul(wide_part(R, 9, 7), y), wide_part(R, 9, 8));
+    const wide_t R_x = wide_part(R, 9, 0), R_y = wide_part(R, 9, 3), R_z = wide_part(R, 9, 6);
+    const real middle = (real)0.5 * (camera.columns - 1);
+    const wide_t inverse_step = wide_div(widened(1), step);
     // Where a position is 0 on the padded grid, and one more, so that what is negative is below 1.
-    const real right = middle + (camera.guard + 1) + ROUND;
-    const real down = (real)0.5 * (camera.rows - 1) + (camera.guard + 1) + ROUND;
+    const wide_t right = widened(middle + (camera.guard + 1) + ROUND);
+    const wide_t down = widened((real)0.5 * (camera.rows - 1) + (camera.guard + 1) + ROUND);
+    const wide_t first = widened(1), bottom = widened(camera.height + 1), edge = widened(camera.width + 1);
     int lowest = INT_MAX, highest = -1;
     for (int column = begin; column < end; ++column) {
         const int at = row * camera.columns + column;
-        const real w = rest[at], x = camera.step * (column - middle);
-        const real px = R[0] * x + line.x + offset.x * w;
-        const real py = R[3] * x + line.y + offset.y * w;
-        const real pz = R[6] * x + line.z + offset.z * w;
-        const real nearness = 1 / pz, scale = nearness * inverse_step;
-        const real i = down - py * scale, j = right + px * scale;
-        bool used = w > 0 && pz > 0 && i >= 1 && i < camera.height + 1 && j >= 1 && j < camera.width + 1;
+        const wide_t w = rest[at], x = wide_mul(step, widened(column - middle));
+        const wide_t px = wide_add(wide_add(wide_mul(R_x, x), line_x), wide_mul(across, w));
+        const wide_t py = wide_add(wide_add(wide_mul(R_y, x), line_y), wide_mul(up, w));
+        const wide_t pz = wide_add(wide_add(wide_mul(R_z, x), line_z), wide_mul(away, w));
+        const wide_t nearness = wide_div(widened(1), pz), scale = wide_mul(nearness, inverse_step);
+        const wide_t i = wide_sub(down, wide_mul(py, scale)), j = wide_add(right, wide_mul(px, scale));
+        const real depth = narrow(wide_mul(w, nearness));
+        bool used = narrow(w) > 0 && narrow(pz) > 0 && !wide_less(i, first) && wide_less(i, bottom) &&
+                    !wide_less(j, first) && wide_less(j, edge);
 #if SEVERAL
         const bool mine = object[at] == k;
         used = used && mine;
 #endif
-        const int to = (int)(used ? i : 1) * camera.width + (int)(used ? j : 0) - camera.width - 1;
+        const int line = wide_whole(used ? i : first), place = wide_whole(used ? j : widened(0));
+        const int to = line * camera.width + place - camera.width - 1;
 #if SEVERAL
         target[at] = mine ? to : target[at];
-        moved[at] = used ? w * nearness : mine ? 0 : moved[at];
+        moved[at] = used ? depth : mine ? 0 : moved[at];
 #else
         target[at] = to;
-        moved[at] = used ? w * nearness : 0;
+        moved[at] = used ? depth : 0;
 #endif
         lowest = MIN(lowest, used ? to : INT_MAX);
         highest = MAX(highest, to);
@@ -124,7 +133,7 @@ static inline int2 move_sources(const camera_t camera, __constant surface_t *sur
 // Moves every source with its object. In: rest, object. Out: target, moved, and with OWNED bounds int2 per SEGMENT of a
 // row: lowest and highest target there, (INT_MAX, -1) for none.
 __kernel void reproject_targets(const camera_t camera, __constant surface_t *surfaces, __constant pose_t *poses,
-                                __global const real *restrict rest, __global int *restrict target,
+                                __global const wide_t *restrict rest, __global int *restrict target,
                                 __global real *restrict moved
 #if SEVERAL
                                 , __global const uchar *restrict object
