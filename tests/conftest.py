@@ -7,14 +7,20 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
-# Workers would wait for each other's compilations, and every session would check the files of all tests before it:
-# in a folder that the user has set, clsco does neither. Before the first query of the platforms, hence not a fixture.
+# Before the first query of the platforms, hence not a fixture. In a folder that is not its own, clsco does not check the
+# files of all tests before; and workers, who inherit what the process that starts them has set, would wait for each
+# other's compilations in one folder.
 if not os.environ.get("POCL_CACHE_DIR"):
     os.environ["POCL_CACHE_DIR"] = tempfile.mkdtemp(prefix="clsco-tests-")
     atexit.register(shutil.rmtree, os.environ["POCL_CACHE_DIR"], ignore_errors=True)
+if "PYTEST_XDIST_WORKER" in os.environ:
+    own = Path(os.environ["POCL_CACHE_DIR"]) / os.environ["PYTEST_XDIST_WORKER"]
+    own.mkdir(exist_ok=True)
+    os.environ["POCL_CACHE_DIR"] = str(own)
 
 from clsco.device import Session, choose
 
