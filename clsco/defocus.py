@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from clsco.device import Device, Session, choose, described
 from clsco.errors import DeviceError, ImageError, SceneError
 from clsco.layers import Layers
-from clsco.layout import Real, Struct, flat, frame_struct, structs
+from clsco.layout import Real, Struct, flat, frame_struct, in_parts, structs
 from clsco.optics import LARGEST_BLUR
 from clsco.plan import Blur, is_sharp
 from clsco.program import build, empty, kernel, launch, upload
@@ -146,7 +146,7 @@ def _defocus(
     if blur == "convolve":
         spreader.add(Sources(None, value), largest, [])
     else:
-        radii = upload(session, coc.astype(np.float64 if real == "double" else np.float32))
+        radii = upload(session, in_parts(coc, real))
         valid = upload(session, np.ones((rows, columns), np.uint8))
         if psf.occlusion == "layered":
             layers = Layers(session, spreader, features, largest, real, brightest)

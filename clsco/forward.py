@@ -12,7 +12,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco.device import Program, Session
-from clsco.layout import WIDE_BYTES, Real, Struct, pose_structs, structs, surface_structs
+from clsco.layout import WIDE, WIDE_BYTES, Real, Struct, in_parts, pose_structs, structs, surface_structs
 from clsco.motion import Pose, rest_center
 from clsco.plan import Plan
 from clsco.program import build, download, empty, kernel, launch, upload
@@ -47,7 +47,7 @@ Surfaces = Sequence[PlacedSurface | None]
 class Warped:
     """One moment on the device, on the padded grid (height, width); overwritten by the next one.
 
-    value: float (CHANNELS, height, width), radiance times weight; w: real, inverse depth in 1/mm; coc: real, signed
+    value: float (CHANNELS, height, width), radiance times weight; w: real, inverse depth in 1/mm; coc: wide_t, signed
     radius of the blur in px; valid: uchar, known or filled (elsewhere value, w and coc are 0); status: uchar, 0 known
     or not missing, 1 filled, 2 left; object: uchar, number of the object that is seen, 255 for none and in
     the mirror image around a depth map, or None where the scene has only one; counters: as `Filler.fill` returns them.
@@ -116,7 +116,7 @@ class Filler:
         self.lines, pixels, size = self.rows + self.columns, self.rows * self.columns, self.dtype.itemsize
         self.value, self.w = empty(session, 4 * (channels * pixels + LANES)), empty(session, size * pixels)
         self.valid, self.status = empty(session, pixels + LANES), empty(session, pixels)
-        self.coc = empty(session, size * pixels)
+        self.coc = empty(session, WIDE_BYTES * pixels)
         tail = np.zeros(4 * LANES, np.uint8)  # read beyond the end, and used for nothing
         cl.enqueue_copy(session.queue, self.value, tail, dst_offset=4 * channels * pixels)
         cl.enqueue_copy(session.queue, self.valid, tail[:LANES], dst_offset=pixels)
@@ -259,12 +259,12 @@ class ForwardWarp:
         self.target, self.winner = self.filler.indices
         self.sources = plan.rows * plan.columns
         self.rest = empty(session, WIDE_BYTES * self.sources)
-        self.moved = empty(session, _dtype(real).itemsize * self.sources)
+        self.moved = empty(session, WIDE_BYTES * self.sources)
         self.object = (empty(session, self.sources),) if features["SEVERAL"] else ()
         self.rest_surfaces = self._surfaces(surfaces)
         members = np.uint64(sum(1 << k for k, surface in enumerate(surfaces) if surface is not None))
         given = [depth for depth in maps if depth is not None]
-        self.maps = (upload(session, np.stack(given).astype(_dtype(real))),) if given else ()
+        self.maps = (upload(session, in_parts(np.stack(given), real)),) if given else ()
         args = (camera, self.rest_surfaces, np.int32(len(self.items)), members, *self.maps, self.rest, *self.object)
         self._per_pixel("reproject_rest", [], (plan.columns, plan.rows), *args)
         self.segments = plan.rows * -(-plan.columns // SEGMENT)
@@ -328,7 +328,8 @@ class ForwardWarp:
         if self.maps:
             w = self._frame(warped.w, real)
             found["depth"] = np.where(valid, 1.0 / np.where(valid, w, 1.0), np.inf)
-            found["coc"] = self._frame(warped.coc, real).astype(np.float32)
+            coc = self._frame(warped.coc, WIDE[self.real])
+            found["coc"] = (coc if self.real == "double" else coc["high"]).astype(np.float32)
             seen = np.zeros(valid.shape, np.int32)
             if warped.object is not None:
                 seen = self._frame(warped.object, np.uint8).astype(np.int32)

@@ -10,7 +10,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco.device import Session
-from clsco.layout import Real, structs
+from clsco.layout import WIDE_BYTES, Real, structs
 from clsco.program import build, download, empty, kernel, launch, upload
 from clsco.psf import psf_extent, reach
 from clsco.scene import Psf
@@ -79,13 +79,13 @@ class Layers:
         self.height, self.width = int(self.camera["height"]), int(self.camera["width"])
         self.frame = int(self.camera["columns"]), int(self.camera["rows"])
         self.levels = _levels(self.height, self.width, self.channels + 2)
-        pixels, size = self.height * self.width, 8 if real == "double" else 4
+        pixels = self.height * self.width
         self.latest = empty(session, 4 * (CLASSES * self.bins + 1))
         self.source, self.offset = empty(session, 16 * pixels), empty(session, 4 * pixels)
         self.slab, self.seed, self.hidden, self.edge = (empty(session, pixels) for _ in range(4))
         last = self.levels[-1]
         self.pyramid = empty(session, 4 * (last[2] + (self.channels + 2) * last[0] * last[1]))
-        self.value, self.coc = empty(session, 4 * (self.channels + 1) * pixels), empty(session, size * pixels)
+        self.value, self.coc = empty(session, 4 * (self.channels + 1) * pixels), empty(session, WIDE_BYTES * pixels)
         self.valid = empty(session, pixels)
         self.covered = empty(session, 4 * self.frame[0] * self.frame[1])
         self.held: list[cl.Buffer] = []
@@ -93,8 +93,8 @@ class Layers:
     def add(self, value: cl.Buffer, coc: cl.Buffer, valid: cl.Buffer, events: Events) -> int:
         """Add the light of one moment to the spreader's frame, and return the number of slabs that it took.
 
-        value: float (channels, height, width), radiance times the weight of the moment; coc: real, signed R in px, and
-        valid: uchar, both (height, width); all on the padded grid. With border = "renormalize" value is written to.
+        value: float (channels, height, width), radiance times the weight of the moment; coc: wide_t, signed R in px,
+        and valid: uchar, both (height, width); all on the padded grid. With border = "renormalize" value is written to.
         Waits once for the device.
         """
         bounds, deep = self._bounds(coc, valid, events)

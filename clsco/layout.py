@@ -25,6 +25,7 @@ from clsco.surfaces import PlacedSurface
 Real = Literal["double", "float"]
 Struct = np.void
 WIDE_BYTES = 8  # of a number on the device: a double, or two floats
+WIDE: dict[Real, np.dtype[Any]] = {"double": np.dtype("f8"), "float": np.dtype([("high", "f4"), ("low", "f4")])}
 LOW = "_low"  # ends the name of a low part
 EVERYWHERE = ((-np.inf, np.inf),) * 3  # bounds of an object that has none, beside one that has
 
@@ -85,6 +86,16 @@ def packed(name: str, records: NDArray[np.void], real: Real) -> NDArray[np.void]
             out[field], out[field + LOW] = high, low
         else:
             out[field] = np.concatenate([high, low], axis=-1)
+    return out
+
+
+def in_parts(values: NDArray[Any], real: Real) -> NDArray[Any]:
+    """Numbers (...) of double precision as the device's `wide_t`, (...) of dtype WIDE."""
+    if real == "double":
+        return values
+    out = np.empty(values.shape, WIDE[real])
+    out["high"] = values
+    out["low"] = values - out["high"]
     return out
 
 

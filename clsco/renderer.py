@@ -149,8 +149,7 @@ class Renderer:
         if plan.occlusion == "layered":
             features = plan.features() | blur_features(plan.blur, plan.scene.psf.border, True)
             self.slabs = Layers(session, self.spreader, features, self.largest, self.real, self.brightest)
-            size = 8 if self.real == "double" else 4
-            self.coc, self.valid = empty(session, size * area), empty(session, area)
+            self.coc, self.valid = empty(session, WIDE_BYTES * area), empty(session, area)
 
     def _poses(self, time: float) -> tuple[Pose, ...]:
         return poses_at(self.plan.scene, time, self.plan.eye)

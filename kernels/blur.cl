@@ -367,20 +367,20 @@ __kernel void renormalize(const camera_t camera, const psf_t psf, __global const
 
 #if PREPARE
 // Difference of the radius to the neighbors along one axis: central, one-sided at an edge, else 0.
-static real difference(__global const real *coc, __global const uchar *valid, int at, int step, bool before, bool after)
+static real difference(__global const wide_t *coc, __global const uchar *valid, int at, int step, bool before, bool after)
 {
     before = before && valid[at - step];
     after = after && valid[at + step];
     if (before && after)
-        return (real)0.5 * (coc[at + step] - coc[at - step]);
+        return (real)0.5 * narrow(wide_sub(coc[at + step], coc[at - step]));
     if (after)
-        return coc[at + step] - coc[at];
-    return before ? coc[at] - coc[at - step] : 0;
+        return narrow(wide_sub(coc[at + step], coc[at]));
+    return before ? narrow(wide_sub(coc[at], coc[at - step])) : 0;
 }
 
-// Sources from a map of signed radii, px, instead of from a surface. In: coc real, valid uchar, both (height, width).
+// Sources from a map of signed radii, px, instead of from a surface. In: coc wide_t, valid uchar, both (height, width).
 // Out: source.
-__kernel void prepare_sources(const camera_t camera, const psf_t psf, __global const real *coc,
+__kernel void prepare_sources(const camera_t camera, const psf_t psf, __global const wide_t *coc,
                               __global const uchar *valid, __global float4 *source)
 {
     const int x = get_global_id(0), y = get_global_id(1);
@@ -389,17 +389,18 @@ __kernel void prepare_sources(const camera_t camera, const psf_t psf, __global c
     const int at = y * camera.width + x;
     float4 record = (float4)(-1, 0, 0, as_float(-1));
     if (valid[at]) {
-        record.x = table_coordinate(psf, widened(coc[at]), 0);
+        record.x = table_coordinate(psf, coc[at], 0);
 #if TILT
         const int w = camera.width;
         const bool within = x > 0 && x + 1 < w && y > 0 && y + 1 < camera.height;
         real2 gradient;
         if (within && (valid[at - 1] & valid[at + 1] & valid[at - w] & valid[at + w]))
-            gradient = (real)0.5 * (real2)(coc[at + 1] - coc[at - 1], coc[at + w] - coc[at - w]);
+            gradient = (real)0.5 * (real2)(narrow(wide_sub(coc[at + 1], coc[at - 1])),
+                                           narrow(wide_sub(coc[at + w], coc[at - w])));
         else
             gradient = (real2)(difference(coc, valid, at, 1, x > 0, x + 1 < w),
                                difference(coc, valid, at, w, y > 0, y + 1 < camera.height));
-        record.yz = tilt_slope(gradient, coc[at]);
+        record.yz = tilt_slope(gradient, narrow(coc[at]));
 #endif
     }
     source[at] = record;

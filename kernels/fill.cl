@@ -3,7 +3,8 @@
 //
 // On the padded grid, row-major:
 //   value    float (CHANNELS, height, width): radiance times the weight of the moment
-//   w, coc   real: inverse depth in 1/mm and signed radius of the blur in px
+//   w        real: inverse depth in 1/mm
+//   coc      wide_t: signed radius of the blur in px
 //   valid    uchar: 1 known or filled, else 0
 //   status   uchar: 0 known or not missing, 1 filled, 2 missing
 //   spans    int2 per line, the rows and then the columns: first and last valid pixel, (INT_MAX, -1) for none
@@ -265,7 +266,7 @@ __kernel void fill_ait(const camera_t camera, __global const int *list, const in
 #if FILL_FAR
                        const int minimum, __global const float *far,
 #endif
-                       __global const uchar *valid, __global float *value, __global real *w, __global real *coc,
+                       __global const uchar *valid, __global float *value, __global real *w, __global wide_t *coc,
                        __global uchar *status
 #if SEVERAL
                        , __global uchar *object
@@ -316,7 +317,7 @@ __kernel void fill_ait(const camera_t camera, __global const int *list, const in
     }
     const real inverse_depth = w[from.x] + (w[from.y] - w[from.x]) * share;
     w[at] = inverse_depth;
-    coc[at] = narrow(blur_radius(camera, widened(inverse_depth)));
+    coc[at] = blur_radius(camera, widened(inverse_depth));
     status[at] = 1;
 #if SEVERAL
     object[at] = object[from.x];

@@ -4,7 +4,7 @@
 //
 // On the padded grid (height, width), row-major; a smaller signed radius is nearer:
 //   value    float (CHANNELS - 1, height, width): radiance times the weight of the moment
-//   coc      real: signed radius of the blur in px
+//   coc      wide_t: signed radius of the blur in px
 //   valid    uchar: whether there is surface
 //   slab     uchar: 1 is the nearest, 0 no surface
 //   seed     uchar: at an edge, the slab that goes on behind the pixel, else 0
@@ -38,7 +38,7 @@ static int bin_of(real coc, real low, int bins)
 // whose far side is in a bin, 1 + the largest bin of the near side, 0 for none; after it the largest sum of the two
 // radii of a jump, without their signs, px, rounded up.
 __kernel void find_jumps(const camera_t camera, const real low, const int bins, const int far,
-                         __global const real *coc, __global const uchar *valid, __global int *latest)
+                         __global const wide_t *coc, __global const uchar *valid, __global int *latest)
 {
     const int line = get_global_id(0);
     if (line >= camera.height + camera.width)
@@ -52,7 +52,7 @@ __kernel void find_jumps(const camera_t camera, const real low, const int bins, 
         const int at = start + i * step;
         if (!valid[at])
             continue;
-        const real now = coc[at], size = ABS(now - before);
+        const real now = narrow(coc[at]), size = ABS(now - before);
         if (size > JUMP && i - last <= far && last >= 0) {
             int class = 0;
             while (class < CLASSES - 1 && size > JUMP * (2 << class))
@@ -72,13 +72,13 @@ __kernel void find_jumps(const camera_t camera, const real low, const int bins, 
 
 // bounds: first bins of the second and each further slab. Out: slab.
 __kernel void label_slabs(const camera_t camera, const real low, const int bins, const int count,
-                          __global const int *bounds, __global const real *coc, __global const uchar *valid,
+                          __global const int *bounds, __global const wide_t *coc, __global const uchar *valid,
                           __global uchar *slab)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
         return;
-    const int at = y * camera.width + x, bin = bin_of(coc[at], low, bins);
+    const int at = y * camera.width + x, bin = bin_of(narrow(coc[at]), low, bins);
     int label = 1;
     while (label <= count && bin >= bounds[label - 1])
         ++label;
@@ -86,7 +86,7 @@ __kernel void label_slabs(const camera_t camera, const real low, const int bins,
 }
 
 // In: coc, slab. Out: seed.
-__kernel void seed_hidden(const camera_t camera, __global const real *coc, __global const uchar *slab,
+__kernel void seed_hidden(const camera_t camera, __global const wide_t *coc, __global const uchar *slab,
                           __global uchar *seed)
 {
     const int x = get_global_id(0), y = get_global_id(1);
@@ -98,7 +98,7 @@ __kernel void seed_hidden(const camera_t camera, __global const real *coc, __glo
     int found = 0;
     for (int k = 0; k < 4 && own; ++k) {
         const int other = slab[near[k]];
-        if (other > own && coc[near[k]] - coc[at] > JUMP && (!found || other < found))
+        if (other > own && narrow(coc[near[k]]) - narrow(coc[at]) > JUMP && (!found || other < found))
             found = other;
     }
     seed[at] = found;
@@ -176,7 +176,7 @@ __kernel void reach_hidden(const camera_t camera, const int deep, __global const
 }
 
 // Out: the finest level of the pyramid, of the pixels of slab `which`.
-__kernel void open_slab(const camera_t camera, const int which, __global const float *value, __global const real *coc,
+__kernel void open_slab(const camera_t camera, const int which, __global const float *value, __global const wide_t *coc,
                         __global const uchar *slab, __global float *pyramid)
 {
     const int x = get_global_id(0), y = get_global_id(1), plane = camera.height * camera.width;
@@ -186,7 +186,7 @@ __kernel void open_slab(const camera_t camera, const int which, __global const f
     const bool known = slab[at] == which;
     for (int c = 0; c < CHANNELS - 1; ++c)
         pyramid[c * plane + at] = known ? value[c * plane + at] : 0;
-    pyramid[RADIUS * plane + at] = known ? (float)coc[at] : 0;
+    pyramid[RADIUS * plane + at] = known ? (float)narrow(coc[at]) : 0;
     pyramid[KNOWN * plane + at] = known;
 }
 
@@ -248,9 +248,9 @@ __kernel void pull(const int fine_rows, const int fine_columns, const int rows, 
 
 // Slab `which` with its hidden part, which comes from the second level (rows, columns) of the pyramid, at `coarse`.
 __kernel void take_slab(const camera_t camera, const int which, const int rows, const int columns, const int coarse,
-                        __global const float *value, __global const real *coc, __global const uchar *slab,
+                        __global const float *value, __global const wide_t *coc, __global const uchar *slab,
                         __global const uchar *hidden, __global const float *pyramid,
-                        __global float *slab_value, __global real *slab_coc, __global uchar *slab_valid)
+                        __global float *slab_value, __global wide_t *slab_coc, __global uchar *slab_valid)
 {
     const int x = get_global_id(0), y = get_global_id(1), plane = camera.height * camera.width;
     if (x >= camera.width || y >= camera.height)
@@ -262,7 +262,8 @@ __kernel void take_slab(const camera_t camera, const int which, const int rows, 
         slab_value[c * plane + at] = own ? value[c * plane + at]
                                    : there ? between(behind + c * rows * columns, rows, columns, y, x) : 0;
     slab_value[(CHANNELS - 1) * plane + at] = there;
-    slab_coc[at] = own ? coc[at] : there ? between(behind + RADIUS * rows * columns, rows, columns, y, x) : 0;
+    const float radius = there && !own ? between(behind + RADIUS * rows * columns, rows, columns, y, x) : 0;
+    slab_coc[at] = own ? coc[at] : widened(radius);
     slab_valid[at] = there;
 }
 

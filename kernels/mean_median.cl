@@ -146,7 +146,7 @@ static void estimate(const around_t *around, real8 *near, real8 *result)
 // Writes the estimates of all planes; of lanes with fewer than `minimum` neighbors nothing.
 static void write_estimates(const camera_t camera, const around_t around, int minimum, __global const float *value_in,
                             __global const real *w_in, __global float *value_out, __global real *w_out,
-                            __global real *coc)
+                            __global wide_t *coc)
 {
     real8 near[8], result;
     const real *count = (const real *)&around.count, *found = (const real *)&result;
@@ -163,7 +163,7 @@ static void write_estimates(const camera_t camera, const around_t around, int mi
     for (int lane = 0; lane < LANES; ++lane)
         if (count[lane] >= minimum) {
             w_out[around.at[lane]] = found[lane];
-            coc[around.at[lane]] = narrow(blur_radius(camera, widened(found[lane])));
+            coc[around.at[lane]] = blur_radius(camera, widened(found[lane]));
         }
 }
 
@@ -182,7 +182,7 @@ __kernel void fill_mean_median(const camera_t camera, __global const int *list, 
                                __global const float *far,
 #endif
                                __global const uchar *valid, __global float *value, __global real *w,
-                               __global real *coc, __global uchar *status
+                               __global wide_t *coc, __global uchar *status
 #if SEVERAL
                                , __global uchar *object
 #endif
@@ -214,7 +214,7 @@ __kernel void smooth_median(const camera_t camera, __global const int *done, con
                             __global const float *far,
 #endif
                             __global const uchar *valid, __global const float *value_in, __global const real *w_in,
-                            __global float *value_out, __global real *w_out, __global real *coc)
+                            __global float *value_out, __global real *w_out, __global wide_t *coc)
 {
     if (get_global_id(0) * LANES >= count)
         return;

@@ -3,7 +3,7 @@
 //
 //   rest     wide_t per source (pixel of the frame, row-major): inverse depth at rest, 1/mm, 0 for no surface
 //   target   int per source: pixel of the padded grid that it moves to, -1 for none
-//   moved    real per source: its inverse depth after the move, 1/mm, 0 for none
+//   moved    wide_t per source: its inverse depth after the move, 1/mm, 0 for none
 //   winner   int per pixel of the padded grid: lowest source among the nearest that come there, NO_WINNER for none
 //   object   uchar per source, with SEVERAL: which object it belongs to, 0 where there is none
 //
@@ -36,7 +36,7 @@
 __kernel void reproject_rest(const camera_t camera, __constant surface_t *surfaces, const int count,
                              const ulong members,
 #if MAPPED
-                             __global const real *maps,
+                             __global const wide_t *maps,
 #endif
                              __global wide_t *rest
 #if SEVERAL
@@ -55,7 +55,7 @@ __kernel void reproject_rest(const camera_t camera, __constant surface_t *surfac
     for (int k = 0; k < count; ++k) {
         uchar root;
         const bool is_map = !(members >> k & 1);
-        const wide_t w = is_map ? widened(maps[at]) : solve_quadric(surfaces + k, ray, &root);
+        const wide_t w = is_map ? maps[at] : solve_quadric(surfaces + k, ray, &root);
         maps += is_map ? camera.rows * camera.columns : 0;
         const bool nearer = wide_less(nearest, w);
         whose = nearer ? k : whose;
@@ -76,7 +76,7 @@ __kernel void reproject_rest(const camera_t camera, __constant surface_t *surfac
 // Gives the lowest and highest target, (INT_MAX, -1) for none.
 static inline int2 move_sources(const camera_t camera, __constant surface_t *surface, __constant pose_t *pose, int row,
                                 int begin, int end, __global const wide_t *restrict rest, __global int *restrict target,
-                                __global real *restrict moved
+                                __global wide_t *restrict moved
 #if SEVERAL
                                 , __global const uchar *restrict object, int k
 #endif
@@ -108,7 +108,7 @@ static inline int2 move_sources(const camera_t camera, __constant surface_t *sur
         const wide_t pz = wide_add(wide_add(wide_mul(R_z, x), line_z), wide_mul(away, w));
         const wide_t nearness = wide_div(widened(1), pz), scale = wide_mul(nearness, inverse_step);
         const wide_t i = wide_sub(down, wide_mul(py, scale)), j = wide_add(right, wide_mul(px, scale));
-        const real depth = narrow(wide_mul(w, nearness));
+        const wide_t depth = wide_mul(w, nearness), none = widened(0);
         bool used = narrow(w) > 0 && narrow(pz) > 0 && !wide_less(i, first) && wide_less(i, bottom) &&
                     !wide_less(j, first) && wide_less(j, edge);
 #if SEVERAL
@@ -119,10 +119,10 @@ static inline int2 move_sources(const camera_t camera, __constant surface_t *sur
         const int to = line * camera.width + place - camera.width - 1;
 #if SEVERAL
         target[at] = mine ? to : target[at];
-        moved[at] = used ? depth : mine ? 0 : moved[at];
+        moved[at] = used ? depth : mine ? none : moved[at];
 #else
         target[at] = to;
-        moved[at] = used ? depth : 0;
+        moved[at] = used ? depth : none;
 #endif
         lowest = MIN(lowest, used ? to : INT_MAX);
         highest = MAX(highest, to);
@@ -134,7 +134,7 @@ static inline int2 move_sources(const camera_t camera, __constant surface_t *sur
 // row: lowest and highest target there, (INT_MAX, -1) for none.
 __kernel void reproject_targets(const camera_t camera, __constant surface_t *surfaces, __constant pose_t *poses,
                                 __global const wide_t *restrict rest, __global int *restrict target,
-                                __global real *restrict moved
+                                __global wide_t *restrict moved
 #if SEVERAL
                                 , __global const uchar *restrict object
 #endif
@@ -170,7 +170,7 @@ __kernel void reproject_targets(const camera_t camera, __constant surface_t *sur
 #if OWNED
 // The whole depth test: each work-item owns `band` rows of the padded grid. In: target, moved, bounds. Out: winner; with
 // FILL_FAR depth, as reproject_depth gives it.
-__kernel void reproject_nearest(const camera_t camera, __global const int *target, __global const real *moved,
+__kernel void reproject_nearest(const camera_t camera, __global const int *target, __global const wide_t *moved,
                                 __global const int2 *bounds, const int band, __global int *winner
 #if FILL_FAR
                                 , __global int *depth
@@ -195,37 +195,37 @@ __kernel void reproject_nearest(const camera_t camera, __global const int *targe
             if (to < begin || to >= end)
                 continue;
             const int other = winner[to];
-            if (other == NO_WINNER || (float)moved[i] > (float)moved[other])
+            if (other == NO_WINNER || (float)narrow(moved[i]) > (float)narrow(moved[other]))
                 winner[to] = i;
         }
     }
 #if FILL_FAR
     for (int to = begin; to < end; ++to)
-        depth[to] = winner[to] == NO_WINNER ? 0 : as_int((float)moved[winner[to]]);
+        depth[to] = winner[to] == NO_WINNER ? 0 : as_int((float)narrow(moved[winner[to]]));
 #endif
 }
 #else
 // Largest inverse depth that comes to each pixel. In: target, moved. In and out: depth, bits of a float per pixel of
 // the padded grid, 0 to begin with; floats > 0 keep their order as ints.
-__kernel void reproject_depth(const camera_t camera, __global const int *target, __global const real *moved,
+__kernel void reproject_depth(const camera_t camera, __global const int *target, __global const wide_t *moved,
                               __global int *depth)
 {
     const int i = get_global_id(0);
     if (i >= camera.rows * camera.columns)
         return;
     if (target[i] >= 0)
-        atomic_max(depth + target[i], as_int((float)moved[i]));
+        atomic_max(depth + target[i], as_int((float)narrow(moved[i])));
 }
 
 // Lowest source that brings it. In: target, moved, depth. In and out: winner, NO_WINNER to begin with.
-__kernel void reproject_winner(const camera_t camera, __global const int *target, __global const real *moved,
+__kernel void reproject_winner(const camera_t camera, __global const int *target, __global const wide_t *moved,
                                __global const int *depth, __global int *winner)
 {
     const int i = get_global_id(0);
     if (i >= camera.rows * camera.columns)
         return;
     const int to = target[i];
-    if (to >= 0 && depth[to] == as_int((float)moved[i]))
+    if (to >= 0 && depth[to] == as_int((float)narrow(moved[i])))
         atomic_min(winner + to, i);
 }
 #endif
@@ -296,15 +296,15 @@ __kernel void reproject_gaps(const camera_t camera, __global const int *restrict
 
 // What the winners bring. In: texture float (textures, CHANNELS, rows, columns), of which each surface names its own;
 // moved, winner, object; weight of this moment in the exposure. Out, on the padded grid: value float (CHANNELS, height,
-// width), radiance times weight; w real, inverse depth in 1/mm; coc real, signed radius in px; valid uchar, there is a
+// width), radiance times weight; w real, inverse depth in 1/mm; coc wide_t, signed radius in px; valid uchar, there is a
 // winner; status uchar, 0; seen uchar, with SEVERAL, its object. All 0 without one, and seen NO_OBJECT. With FILL_FAR
 // valid is from reproject_gaps, and winners of other pixels do not count.
 __kernel void reproject_gather(const camera_t camera, const float weight, __global const float *texture,
-                               __global const real *moved, __global const int *winner,
+                               __global const wide_t *moved, __global const int *winner,
 #if SEVERAL
                                __constant surface_t *surfaces, __global const uchar *object,
 #endif
-                               __global float *value, __global real *w, __global real *coc, __global uchar *valid,
+                               __global float *value, __global real *w, __global wide_t *coc, __global uchar *valid,
                                __global uchar *status
 #if SEVERAL
                                , __global uchar *seen
@@ -321,7 +321,7 @@ __kernel void reproject_gather(const camera_t camera, const float weight, __glob
     const bool known = source != NO_WINNER;
     valid[at] = known;
 #endif
-    const real inverse_depth = known ? moved[source] : 0;
+    const wide_t none = widened(0), inverse_depth = known ? moved[source] : none;
 #if SEVERAL
     const int whose = known ? object[source] : NO_OBJECT;
     seen[at] = whose;
@@ -330,8 +330,8 @@ __kernel void reproject_gather(const camera_t camera, const float weight, __glob
     for (int c = 0; c < CHANNELS; ++c)
         value[c * camera.height * camera.width + at] =
             known ? weight * texture[c * camera.rows * camera.columns + source] : 0;
-    w[at] = inverse_depth;
-    coc[at] = known ? narrow(blur_radius(camera, widened(inverse_depth))) : 0;
+    w[at] = narrow(inverse_depth);
+    coc[at] = known ? blur_radius(camera, inverse_depth) : none;
     status[at] = 0;
 }
 
@@ -339,7 +339,7 @@ __kernel void reproject_gather(const camera_t camera, const float weight, __glob
 // A depth map knows nothing outside of the frame: there the image goes on as its mirror image, as textures do. In and
 // out, on the padded grid: value, w, coc, valid as in reproject_gather; pixels outside of the frame that are not valid
 // take what is in their mirror image.
-__kernel void extend_border(const camera_t camera, __global float *value, __global real *w, __global real *coc,
+__kernel void extend_border(const camera_t camera, __global float *value, __global real *w, __global wide_t *coc,
                             __global uchar *valid)
 {
     const int x = get_global_id(0), y = get_global_id(1);

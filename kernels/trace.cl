@@ -230,10 +230,10 @@ __kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfa
 #endif
 
 #if PINHOLE
-// What the pinhole sees of the layer's objects, for `layered` occlusion. Out: value as in trace; coc real, signed R in px,
+// What the pinhole sees of the layer's objects, for `layered` occlusion. Out: value as in trace; coc wide_t, signed R in px,
 // and valid uchar, (height, width); statistics.
 __kernel void pinhole(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const float weight,
-                      __global const float *texture, __global float *value, __global real *coc, __global uchar *valid,
+                      __global const float *texture, __global float *value, __global wide_t *coc, __global uchar *valid,
                       __global int *statistics)
 {
     const int x = get_global_id(0), y = get_global_id(1);
@@ -246,10 +246,11 @@ __kernel void pinhole(const camera_t camera, __constant surface_t *surfaces, con
     const wide_t w = nearest_surface(surfaces, layer, ray, &root, &object);
     take_radiance(camera, surfaces, ray, w, root, row, column, weight, texture, value + at,
                   camera.height * camera.width);
-    coc[at] = root ? narrow(blur_radius(camera, w)) : 0;
+    const wide_t none = widened(0);
+    coc[at] = root ? blur_radius(camera, w) : none;
     valid[at] = root != 0;
     if (root)
-        note_radius(statistics, coc[at]);
+        note_radius(statistics, narrow(coc[at]));
 }
 #endif
 

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-# Before the first query of the platforms, hence not a fixture. In a folder that is not its own, clsco does not check the
-# files of all tests before; and workers, who inherit what the process that starts them has set, would wait for each
-# other's compilations in one folder.
+# Before the first query of the platforms, hence not a fixture. In a folder that is not its own, clsco does not check
+# the files of all tests before; and workers, who inherit what the process that starts them has set, would wait for
+# each other's compilations in one folder.
 if not os.environ.get("POCL_CACHE_DIR"):
     os.environ["POCL_CACHE_DIR"] = tempfile.mkdtemp(prefix="clsco-tests-")
     atexit.register(shutil.rmtree, os.environ["POCL_CACHE_DIR"], ignore_errors=True)

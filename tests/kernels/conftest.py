@@ -36,6 +36,7 @@ from clsco.scene import (
     Sphere,
 )
 from clsco.surfaces import PlacedSurface, place
+from tests.kernels.wide_numbers import whole
 
 Array = NDArray[Any]
 
@@ -157,7 +158,7 @@ class Case:
             "valid": download(session, done.valid, self.shape, np.bool_),
             "value": np.moveaxis(download(session, done.value, (channels, *self.shape), np.float32), 0, -1),
             "w": download(session, done.w, self.shape, real),
-            "coc": download(session, done.coc, self.shape, real),
+            "coc": whole(session, done.coc, self.shape, self.real),
         }
 
 

@@ -10,14 +10,14 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.device import Session
-from clsco.layout import Real, camera_struct, psf_struct, surface_structs
+from clsco.layout import Real, camera_struct, in_parts, psf_struct, surface_structs
 from clsco.motion import pose_at
 from clsco.program import download, empty
 from clsco.psf import psf_table
 from clsco.reference import geometry as twin
 from clsco.scene import Camera, Cone, Ellipsoid, Object, ObjectMotion, Plane, Psf, Quadric
 from clsco.surfaces import place
-from tests.kernels.wide_numbers import PARTS, held, in_parts, whole
+from tests.kernels.wide_numbers import PARTS, held, whole
 
 Array = NDArray[Any]
 Run = Callable[..., None]

@@ -13,7 +13,7 @@ from clsco import layers
 from clsco.defocus import PLAIN
 from clsco.device import Session
 from clsco.layers import Layers
-from clsco.layout import Real, flat, frame_struct, structs
+from clsco.layout import Real, flat, frame_struct, in_parts, structs
 from clsco.plan import Blur
 from clsco.program import build, download, empty, upload
 from clsco.psf import reach
@@ -82,8 +82,7 @@ class Device:
             session, program, psf, method, camera, channels, 0.0, view.largest, 0, real, 1.0
         )  # fmt: skip
         self.layers = Layers(session, self.spreader, features, view.largest, real, 1.0)
-        dtype = np.float64 if real == "double" else np.float32
-        self.coc, self.valid = upload(session, view.coc.astype(dtype)), upload(session, view.valid.astype(np.uint8))
+        self.coc, self.valid = upload(session, in_parts(view.coc, real)), upload(session, view.valid.astype(np.uint8))
 
     def image(self, moments: int = 1) -> tuple[Array, int]:
         """The frame (rows, columns, channels) of equal moments, and the number of slabs of each."""

@@ -14,12 +14,12 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.device import Session
-from clsco.layout import Real, packed, structs, surface_structs
+from clsco.layout import Real, in_parts, packed, structs, surface_structs
 from clsco.motion import pose_at
 from clsco.program import download, empty
 from clsco.scene import ObjectMotion, Sphere
 from clsco.surfaces import place
-from tests.kernels.wide_numbers import PARTS, held, in_parts, whole
+from tests.kernels.wide_numbers import PARTS, held, whole
 
 Array = NDArray[Any]
 Solve = Callable[[Real, dict[str, int], Array, Array, Array], tuple[Array, Array]]

@@ -12,9 +12,9 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.device import Session
-from clsco.layout import Real, packed, structs
+from clsco.layout import Real, in_parts, packed, structs
 from clsco.program import download, empty
-from tests.kernels.wide_numbers import PARTS, held, in_parts, whole
+from tests.kernels.wide_numbers import PARTS, held, whole
 
 Array = NDArray[Any]
 Run = Callable[..., None]

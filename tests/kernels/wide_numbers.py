@@ -9,7 +9,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco.device import Session
-from clsco.layout import Real
+from clsco.layout import WIDE, Real, in_parts
 from clsco.program import download
 
 Array = NDArray[Any]
@@ -25,21 +25,20 @@ PARTS = """\
 """
 
 
-def in_parts(values: Array, real: Real) -> Array:
-    """Numbers (...) as GET reads them: float64 (...), or float32 (..., 2)."""
-    high = np.asarray(values, dtype=np.float32)
-    return values if real == "double" else np.stack([high, (values - high).astype(np.float32)], axis=-1)
-
-
 def whole(session: Session, buffer: cl.Buffer, shape: tuple[int, ...], real: Real) -> Array:
     """What PUT wrote, float64 (...): the sum of the parts, the first of which is that sum rounded to float."""
     if real == "double":
         return download(session, buffer, shape, np.float64)
-    parts = download(session, buffer, (*shape, 2), np.float32)
-    np.testing.assert_array_equal(parts[..., 0], parts.sum(axis=-1))
-    return np.asarray(parts.astype(np.float64).sum(axis=-1))
+    parts = download(session, buffer, shape, WIDE[real])
+    np.testing.assert_array_equal(parts["high"], parts["high"] + parts["low"])
+    return together(parts)
+
+
+def together(parts: Array) -> Array:
+    """Sums of pairs of floats, float64."""
+    return np.asarray(parts["high"].astype(np.float64) + parts["low"])
 
 
 def held(values: Array) -> Array:
     """Numbers near `values` that both precisions hold exactly: 48 bits."""
-    return np.asarray(in_parts(np.asarray(values, dtype=np.float64), "float").astype(np.float64).sum(axis=-1))
+    return together(in_parts(np.asarray(values, dtype=np.float64), "float"))
