@@ -12,7 +12,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco.device import Program, Session
-from clsco.layout import WIDE, WIDE_BYTES, Real, Struct, in_parts, pose_structs, structs, surface_structs
+from clsco.layout import WIDE, WIDE_BYTES, Real, Struct, in_parts, pose_structs, rounded, structs, surface_structs
 from clsco.motion import Pose, rest_center
 from clsco.plan import Plan
 from clsco.program import build, download, empty, kernel, launch, upload
@@ -47,7 +47,7 @@ Surfaces = Sequence[PlacedSurface | None]
 class Warped:
     """One moment on the device, on the padded grid (height, width); overwritten by the next one.
 
-    value: float (CHANNELS, height, width), radiance times weight; w: real, inverse depth in 1/mm; coc: wide_t, signed
+    value: float (CHANNELS, height, width), radiance times weight; w: wide_t, inverse depth in 1/mm; coc: wide_t, signed
     radius of the blur in px; valid: uchar, known or filled (elsewhere value, w and coc are 0); status: uchar, 0 known
     or not missing, 1 filled, 2 left; object: uchar, number of the object that is seen, 255 for none and in
     the mirror image around a depth map, or None where the scene has only one; counters: as `Filler.fill` returns them.
@@ -113,8 +113,8 @@ class Filler:
         self.is_far, channels = bool(features["FILL_FAR"]), features["CHANNELS"]
         self.rows, self.columns = int(camera["height"]), int(camera["width"])
         self.dtype = _dtype(real)
-        self.lines, pixels, size = self.rows + self.columns, self.rows * self.columns, self.dtype.itemsize
-        self.value, self.w = empty(session, 4 * (channels * pixels + LANES)), empty(session, size * pixels)
+        self.lines, pixels = self.rows + self.columns, self.rows * self.columns
+        self.value, self.w = empty(session, 4 * (channels * pixels + LANES)), empty(session, WIDE_BYTES * pixels)
         self.valid, self.status = empty(session, pixels + LANES), empty(session, pixels)
         self.coc = empty(session, WIDE_BYTES * pixels)
         tail = np.zeros(4 * LANES, np.uint8)  # read beyond the end, and used for nothing
@@ -126,7 +126,7 @@ class Filler:
         self.object = empty(session, pixels) if features["SEVERAL"] else None
         self.far: tuple[cl.Buffer, ...] = (empty(session, 4 * pixels),) if self.is_far else ()
         if self.smooths:
-            self.done, self.sums = empty(session, 4 * pixels), empty(session, size * SUMS * self.rows)
+            self.done, self.sums = empty(session, 4 * pixels), empty(session, self.dtype.itemsize * SUMS * self.rows)
             self.other_value, self.other_w = empty(session, self.value.size), empty(session, self.w.size)
 
     def fill(self, surfaces: cl.Buffer, count: int, events: Events) -> dict[str, int]:
@@ -318,7 +318,7 @@ class ForwardWarp:
         if not names & set(wanted):
             return {}
         warped = self.warp(poses, surfaces, 1.0, events)
-        real, valid = _dtype(self.real), self._frame(warped.valid, np.bool_)
+        wide, valid = WIDE[self.real], self._frame(warped.valid, np.bool_)
         found: dict[str, NDArray[Any]] = {"mask": valid}
         if "sharp" in wanted:
             planes = self._frame(warped.value, np.float32, plan.channels)
@@ -326,10 +326,9 @@ class ForwardWarp:
         if "filled" in wanted:
             found["filled"] = self._frame(warped.status, np.uint8)
         if self.maps:
-            w = self._frame(warped.w, real)
+            w = rounded(self._frame(warped.w, wide), self.real)
             found["depth"] = np.where(valid, 1.0 / np.where(valid, w, 1.0), np.inf)
-            coc = self._frame(warped.coc, WIDE[self.real])
-            found["coc"] = (coc if self.real == "double" else coc["high"]).astype(np.float32)
+            found["coc"] = rounded(self._frame(warped.coc, wide), self.real).astype(np.float32)
             seen = np.zeros(valid.shape, np.int32)
             if warped.object is not None:
                 seen = self._frame(warped.object, np.uint8).astype(np.int32)

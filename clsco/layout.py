@@ -99,6 +99,11 @@ def in_parts(values: NDArray[Any], real: Real) -> NDArray[Any]:
     return out
 
 
+def rounded(parts: NDArray[Any], real: Real) -> NDArray[Any]:
+    """Numbers (...) of dtype WIDE as the device's `real`."""
+    return parts if real == "double" else parts["high"]
+
+
 def _filled(name: str, real: Real, values: dict[str, Any]) -> Struct:
     record = np.zeros((), structs("double")[name])
     for field, value in values.items():

@@ -3,8 +3,7 @@
 //
 // On the padded grid, row-major:
 //   value    float (CHANNELS, height, width): radiance times the weight of the moment
-//   w        real: inverse depth in 1/mm
-//   coc      wide_t: signed radius of the blur in px
+//   w, coc   wide_t: inverse depth in 1/mm and signed radius of the blur in px
 //   valid    uchar: 1 known or filled, else 0
 //   status   uchar: 0 known or not missing, 1 filled, 2 missing
 //   spans    int2 per line, the rows and then the columns: first and last valid pixel, (INT_MAX, -1) for none
@@ -58,7 +57,7 @@ static bool may_be_missing(const camera_t camera, __constant surface_t *surfaces
 #if FILL_FAR
 // Bound on the inverse depth of neighbors that may serve a missing pixel. Of the row, the column and the two diagonals
 // the one decides that meets valid pixels on both sides first, that is within the fewest steps.
-static float far_bound(const camera_t camera, __global const uchar *valid, __global const real *w, int x, int y)
+static float far_bound(const camera_t camera, __global const uchar *valid, __global const wide_t *w, int x, int y)
 {
     int ends[8];
     for (int k = 0; k < 8; ++k)
@@ -70,15 +69,15 @@ static float far_bound(const camera_t camera, __global const uchar *valid, __glo
             if (ends[k] < 0 && inside && valid[i * camera.width + j])
                 ends[k] = i * camera.width + j;
             if (k % 2 && ends[k - 1] >= 0 && ends[k] >= 0)
-                return FAR_SLACK * (float)MIN(w[ends[k - 1]], w[ends[k]]);
+                return FAR_SLACK * MIN((float)narrow(w[ends[k - 1]]), (float)narrow(w[ends[k]]));
         }
     return INFINITY;
 }
 
 // Whether a valid pixel may serve one with this bound.
-static bool serves(__global const uchar *valid, __global const real *w, int at, float bound)
+static bool serves(__global const uchar *valid, __global const wide_t *w, int at, float bound)
 {
-    return valid[at] && (float)w[at] <= bound;
+    return valid[at] && (float)narrow(w[at]) <= bound;
 }
 #else
 #define serves(valid, w, at, bound) valid[at]
@@ -109,7 +108,7 @@ __kernel void mark_missing(const camera_t camera, __constant surface_t *surfaces
                            __global const uchar *valid, __global const int2 *spans, __global uchar *status,
                            __global int *list, __global int *counters
 #if FILL_FAR
-                           , __global const real *w, __global float *far
+                           , __global const wide_t *w, __global float *far
 #endif
 )
 {
@@ -209,7 +208,7 @@ __kernel void mark_grown(const camera_t camera, __constant surface_t *surfaces, 
                          __global const uchar *valid, __global int2 *spans, __global const int2 *grown,
                          __global uchar *status, __global int *list, __global int *counters
 #if FILL_FAR
-                         , __global const real *w, __global float *far
+                         , __global const wide_t *w, __global float *far
 #endif
 )
 {
@@ -266,7 +265,7 @@ __kernel void fill_ait(const camera_t camera, __global const int *list, const in
 #if FILL_FAR
                        const int minimum, __global const float *far,
 #endif
-                       __global const uchar *valid, __global float *value, __global real *w, __global wide_t *coc,
+                       __global const uchar *valid, __global float *value, __global wide_t *w, __global wide_t *coc,
                        __global uchar *status
 #if SEVERAL
                        , __global uchar *object
@@ -278,7 +277,7 @@ __kernel void fill_ait(const camera_t camera, __global const int *list, const in
         return;
     const int at = list[id], x = at % camera.width, y = at / camera.width;
     int2 from = -1;
-    real share = (real)0.5;
+    wide_t whole_share = widened((real)0.5);
     if (x == 0 || y == 0 || x == camera.width - 1 || y == camera.height - 1) {
         int step = 1;
         from = between_valid(valid, at, step, x, camera.width);
@@ -287,11 +286,11 @@ __kernel void fill_ait(const camera_t camera, __global const int *list, const in
             from = between_valid(valid, at, step, y, camera.height);
         }
         if (from.y >= 0)
-            share = (real)((at - from.x) / step) / ((from.y - from.x) / step);
+            whole_share = wide_div(widened((at - from.x) / step), widened((from.y - from.x) / step));
 #if FILL_FAR
-        if (from.y >= 0 && (float)w[from.x] > FAR_SLACK * (float)w[from.y])
+        if (from.y >= 0 && (float)narrow(w[from.x]) > FAR_SLACK * (float)narrow(w[from.y]))
             from.x = from.y;
-        else if (from.y >= 0 && (float)w[from.y] > FAR_SLACK * (float)w[from.x])
+        else if (from.y >= 0 && (float)narrow(w[from.y]) > FAR_SLACK * (float)narrow(w[from.x]))
             from.y = from.x;
 #endif
     } else {
@@ -311,13 +310,15 @@ __kernel void fill_ait(const camera_t camera, __global const int *list, const in
     }
     if (from.y < 0)
         return;
+    const real share = narrow(whole_share);
     for (int c = 0; c < CHANNELS; ++c) {
         __global float *plane = value + c * camera.height * camera.width;
         plane[at] = (float)(plane[from.x] + ((real)plane[from.y] - plane[from.x]) * share);
     }
-    const real inverse_depth = w[from.x] + (w[from.y] - w[from.x]) * share;
+    const wide_t change = wide_mul(wide_sub(w[from.y], w[from.x]), whole_share);
+    const wide_t inverse_depth = wide_add(w[from.x], change);
     w[at] = inverse_depth;
-    coc[at] = blur_radius(camera, widened(inverse_depth));
+    coc[at] = blur_radius(camera, inverse_depth);
     status[at] = 1;
 #if SEVERAL
     object[at] = object[from.x];

@@ -86,7 +86,7 @@ typedef struct {
 static around_t look_around(const camera_t camera, __global const uchar *valid, __global const int *list, int entries,
                             int median_wins
 #if FILL_FAR
-                            , __global const real *w, __global const float *far, int minimum
+                            , __global const wide_t *w, __global const float *far, int minimum
 #endif
 )
 {
@@ -119,13 +119,13 @@ static around_t look_around(const camera_t camera, __global const uchar *valid, 
 }
 
 // Values of the neighbors of all lanes; infinity for those that are not valid.
-#define NEAR(values, plane) \
+#define NEAR(values, value_at_from) \
     for (int lane = 0; lane < LANES; ++lane) { \
         const int bits = around.bits[lane]; \
         UNROLL \
         for (int k = 0; k < 8; ++k) { \
             const int from = around.at[lane] + NEIGHBOR_Y[k] * camera.width + NEIGHBOR_X[k]; \
-            ((real *)(values + k))[lane] = bits == 255 || bits >> k & 1 ? plane[from] : (real)INFINITY; \
+            ((real *)(values + k))[lane] = bits == 255 || bits >> k & 1 ? (value_at_from) : (real)INFINITY; \
         } \
     }
 
@@ -145,24 +145,24 @@ static void estimate(const around_t *around, real8 *near, real8 *result)
 
 // Writes the estimates of all planes; of lanes with fewer than `minimum` neighbors nothing.
 static void write_estimates(const camera_t camera, const around_t around, int minimum, __global const float *value_in,
-                            __global const real *w_in, __global float *value_out, __global real *w_out,
+                            __global const wide_t *w_in, __global float *value_out, __global wide_t *w_out,
                             __global wide_t *coc)
 {
     real8 near[8], result;
     const real *count = (const real *)&around.count, *found = (const real *)&result;
     for (int c = 0; c < CHANNELS; ++c) {
         const int plane = c * camera.height * camera.width;
-        NEAR(near, (value_in + plane))
+        NEAR(near, value_in[plane + from])
         estimate(&around, near, &result);
         for (int lane = 0; lane < LANES; ++lane)
             if (count[lane] >= minimum)
                 value_out[plane + around.at[lane]] = (float)found[lane];
     }
-    NEAR(near, w_in)
+    NEAR(near, narrow(w_in[from]))
     estimate(&around, near, &result);
     for (int lane = 0; lane < LANES; ++lane)
         if (count[lane] >= minimum) {
-            w_out[around.at[lane]] = found[lane];
+            w_out[around.at[lane]] = widened(found[lane]);
             coc[around.at[lane]] = blur_radius(camera, widened(found[lane]));
         }
 }
@@ -181,7 +181,7 @@ __kernel void fill_mean_median(const camera_t camera, __global const int *list, 
 #if FILL_FAR
                                __global const float *far,
 #endif
-                               __global const uchar *valid, __global float *value, __global real *w,
+                               __global const uchar *valid, __global float *value, __global wide_t *w,
                                __global wide_t *coc, __global uchar *status
 #if SEVERAL
                                , __global uchar *object
@@ -213,8 +213,8 @@ __kernel void smooth_median(const camera_t camera, __global const int *done, con
 #if FILL_FAR
                             __global const float *far,
 #endif
-                            __global const uchar *valid, __global const float *value_in, __global const real *w_in,
-                            __global float *value_out, __global real *w_out, __global wide_t *coc)
+                            __global const uchar *valid, __global const float *value_in, __global const wide_t *w_in,
+                            __global float *value_out, __global wide_t *w_out, __global wide_t *coc)
 {
     if (get_global_id(0) * LANES >= count)
         return;

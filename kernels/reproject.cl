@@ -296,7 +296,7 @@ __kernel void reproject_gaps(const camera_t camera, __global const int *restrict
 
 // What the winners bring. In: texture float (textures, CHANNELS, rows, columns), of which each surface names its own;
 // moved, winner, object; weight of this moment in the exposure. Out, on the padded grid: value float (CHANNELS, height,
-// width), radiance times weight; w real, inverse depth in 1/mm; coc wide_t, signed radius in px; valid uchar, there is a
+// width), radiance times weight; w wide_t, inverse depth in 1/mm; coc wide_t, signed radius in px; valid uchar, there is a
 // winner; status uchar, 0; seen uchar, with SEVERAL, its object. All 0 without one, and seen NO_OBJECT. With FILL_FAR
 // valid is from reproject_gaps, and winners of other pixels do not count.
 __kernel void reproject_gather(const camera_t camera, const float weight, __global const float *texture,
@@ -304,7 +304,7 @@ __kernel void reproject_gather(const camera_t camera, const float weight, __glob
 #if SEVERAL
                                __constant surface_t *surfaces, __global const uchar *object,
 #endif
-                               __global float *value, __global real *w, __global wide_t *coc, __global uchar *valid,
+                               __global float *value, __global wide_t *w, __global wide_t *coc, __global uchar *valid,
                                __global uchar *status
 #if SEVERAL
                                , __global uchar *seen
@@ -330,7 +330,7 @@ __kernel void reproject_gather(const camera_t camera, const float weight, __glob
     for (int c = 0; c < CHANNELS; ++c)
         value[c * camera.height * camera.width + at] =
             known ? weight * texture[c * camera.rows * camera.columns + source] : 0;
-    w[at] = narrow(inverse_depth);
+    w[at] = inverse_depth;
     coc[at] = known ? blur_radius(camera, inverse_depth) : none;
     status[at] = 0;
 }
@@ -339,7 +339,7 @@ __kernel void reproject_gather(const camera_t camera, const float weight, __glob
 // A depth map knows nothing outside of the frame: there the image goes on as its mirror image, as textures do. In and
 // out, on the padded grid: value, w, coc, valid as in reproject_gather; pixels outside of the frame that are not valid
 // take what is in their mirror image.
-__kernel void extend_border(const camera_t camera, __global float *value, __global real *w, __global wide_t *coc,
+__kernel void extend_border(const camera_t camera, __global float *value, __global wide_t *w, __global wide_t *coc,
                             __global uchar *valid)
 {
     const int x = get_global_id(0), y = get_global_id(1);

@@ -152,12 +152,12 @@ class Case:
     def warp(self, session: Session, owned: bool | None = None) -> dict[str, Array]:
         """Valid, value, w, coc and object from the device, nothing filled."""
         done = self.forward(session, owned).warp(self.poses, self.placed(self.poses), 1.0, [])
-        real, channels = structs(self.real)["pose_t"]["shift"].base, self.plan.channels
+        channels = self.plan.channels
         seen = {} if done.object is None else {"object": download(session, done.object, self.shape, np.uint8)}
         return seen | {
             "valid": download(session, done.valid, self.shape, np.bool_),
             "value": np.moveaxis(download(session, done.value, (channels, *self.shape), np.float32), 0, -1),
-            "w": download(session, done.w, self.shape, real),
+            "w": whole(session, done.w, self.shape, self.real),
             "coc": whole(session, done.coc, self.shape, self.real),
         }
 

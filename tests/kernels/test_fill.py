@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from clsco import forward
 from clsco.device import Session
 from clsco.forward import LANES, Filler, ForwardWarp, squared_errors
-from clsco.layout import Real, camera_struct, flat, structs, surface_structs
+from clsco.layout import Real, camera_struct, flat, in_parts, structs, surface_structs
 from clsco.motion import pose_at
 from clsco.optics import blur_radius
 from clsco.plan import make_plan
@@ -33,6 +33,7 @@ from clsco.reference.mean_median import fill_mean_median, score_mean_median, smo
 from clsco.reference.trace import padded_grid
 from clsco.scene import Camera, Fill, Motion, Object, ObjectMotion, Plane, Scene, Sphere
 from clsco.surfaces import place
+from tests.kernels.wide_numbers import whole
 
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
@@ -63,9 +64,8 @@ class Planes:
         features |= {"FILL_AIT": int(method == "ait"), "FILL_MEAN_MEDIAN": int(method == "mean_median")}
         self.program = build(session, ["fill.cl", "mean_median.cl"], features, structs(real), real)
         self.filler = Filler(session, self.program, self.camera, features, real)
-        self.dtype = np.dtype(np.float64 if real == "double" else np.float32)
         self.write("value", flat(np.where(known[..., None], values, 0.0)[..., :-1], np.float32))
-        self.write("w", np.where(known, values[..., -1], 0.0).astype(self.dtype))
+        self.write("w", in_parts(np.where(known, values[..., -1], 0.0), real))
         self.write("valid", known.astype(np.uint8))
         for name in ("coc", "status", "spans", "grown", "counters"):
             self.write(name, np.zeros(getattr(self.filler, name).size, np.uint8))
@@ -81,7 +81,8 @@ class Planes:
     def values(self) -> Array:
         """Values (H, W, K) as they are now."""
         radiance = self.read("value", np.float32, (self.channels, *self.shape)).astype(np.float64)
-        return np.concatenate([np.moveaxis(radiance, 0, -1), self.read("w", self.dtype)[..., None]], axis=-1)
+        w = whole(self.session, self.filler.w, self.shape, self.real)
+        return np.concatenate([np.moveaxis(radiance, 0, -1), w[..., None]], axis=-1)
 
     def listed(self, mask: Mask) -> tuple[cl.Buffer, np.int32]:
         """A list of the pixels of a mask, not in their order."""
