@@ -18,6 +18,7 @@ from clsco.psf import LANES, PsfTable, constant_table, psf_table
 from clsco.scene import Psf
 
 BAND = 64  # rows that a work-item of `gather` owns: bands for several cores, and little overlap
+MOST_IN_ONE_SUM = 128  # taps of `gather` that a float adds up before it goes into another sum
 PIXELS = (64, 1)  # local size of kernels with a work-item per pixel
 # A pixel gets at most 2.6 + 2 ln R times the brightest source from pillboxes; the tilt at most doubles it.
 GAIN, GAIN_PER_LOG, TILT_GAIN = 2.6, 2.0, 2.0
@@ -78,8 +79,14 @@ class Spreader:
         self.lens = upload(session, lens_cells(psf).astype(np.float32))
         rows, columns = int(camera["rows"]), int(camera["columns"])
         self.pad = int(camera["guard"]) + int(self.struct["reach"]) + LANES
-        self.pitch = columns + 2 * self.pad
+        self.pitch = -(-(columns + 2 * self.pad) // LANES) * LANES
         self.total = empty(session, 4 * channels * rows * self.pitch)
+        row_taps = 2 * int(self.struct["reach"]) + 1
+        self.group = 0 if row_taps**2 <= MOST_IN_ONE_SUM else max(1, MOST_IN_ONE_SUM // row_taps)
+        self.part = self.total
+        if self.group and method == "gather":
+            self.part = empty(session, self.total.size)
+            cl.enqueue_fill_buffer(session.queue, self.part, np.zeros(1, np.uint32), 0, self.part.size)
         # Tables of `convolve` that queued launches still read: the host runs ahead of the device.
         self.held: list[tuple[cl.Buffer, cl.Buffer]] = []
         self.scale = 1.0
@@ -120,7 +127,7 @@ class Spreader:
             tail += () if self.sub is None else (sources.sub_depth,)
         if self.method == "gather":
             bands = (-(-frame[1] // BAND),)
-            self._launch("gather", bands, (1,), events, *head, *layout, *tail)
+            self._launch("gather", bands, (1,), events, *head, np.int32(self.group), self.part, *layout, *tail)
         else:
             padded = (int(camera["width"]), int(camera["height"]))
             self._launch("scatter", padded, PIXELS, events, *head, np.float32(self.scale), self.sums, *tail)

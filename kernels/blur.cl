@@ -4,6 +4,8 @@
 //   intervals, coefficients: tables of weights, see PsfTable in clsco/psf.py
 //   total   float (CHANNELS, rows, pitch): the frame so far; moments of the exposure add up here. The `pad`
 //           columns on both sides of a row are scratch, so that a vector of taps may hang over.
+//   part    the same, zeros: what some rows of sources add, on its way to total. Of thousands of equal small taps added
+//           one by one to one float, each is rounded the same way (benchmarks/optimisation_log.md).
 //
 // gather gives every work-item a band of output rows, which it alone writes, and walks the sources that reach it
 // in a fixed order, whole vectors of taps at a time: no atomics, same bits, for CPUs. scatter adds taps one by one in
@@ -97,10 +99,22 @@ INLINE void add_mirrored_rows(spread_t s, float v, float4 source, __global float
     }
 }
 
-// Each work-item adds to BAND rows of `total` all the light that reaches them, source by source in row-major order.
+// Moves what has come to rows first..last from part to total.
+static void settle(int first, int last, int plane, int pitch, __global float *part, __global float *total)
+{
+    for (int k = 0; k < CHANNELS; ++k)
+        for (int at = k * plane + first * pitch; at < k * plane + (last + 1) * pitch; at += LANES) {
+            ADD_TAPS(total + at, TAPS(part + at));
+            *(__global taps_t *)(part + at) = 0;
+        }
+}
+
+// Each work-item adds to BAND rows of `total` all the light that reaches them, source by source in row-major order, by
+// way of part in groups of so many rows of sources; with 0 directly, part being total then.
 __kernel void gather(const camera_t camera, const psf_t psf, __global const float4 *source,
                      __global const float *value, __global const int4 *intervals,
-                     __global const float *coefficients, const int pitch, const int pad, __global float *total
+                     __global const float *coefficients, const int group, __global float *part, const int pitch,
+                     const int pad, __global float *total
 #if SUBPIXELS
                      , __global const float4 *sub_source, __global const float *sub_value, const int capacity,
                      __global const int4 *sub_intervals, __global const float *sub_coefficients
@@ -119,7 +133,7 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
     for (int x = 0; x < camera.width; ++x) {
         const int at = (y + camera.guard) * camera.width + x;
         const float4 s = source[at];
-        __global float *out = total + y * pitch + x - camera.guard + pad;
+        __global float *out = part + y * pitch + x - camera.guard + pad;
 #if SUBPIXELS
         const int slot = as_int(s.w);
         if (slot >= 0) {
@@ -171,6 +185,8 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
                          out + k * total_plane - half_width, pitch);
         }
     }
+    if (group && ((y + 1 - from) % group == 0 || y + 1 == to))
+        settle(MAX(first, y + 1 - group - psf.reach), MIN(end - 1, y + psf.reach), total_plane, pitch, part, total);
     }
 }
 #endif
@@ -192,14 +208,17 @@ __kernel void convolve(const camera_t camera, __global const float *value, __glo
         float8 sum[4] = {0, 0, 0, 0};
         for (int i = -half_width; i < rows + half_width; ++i) {
             __global const float *line = plane + (y + i + camera.guard) * camera.width + x + camera.guard;
+            float8 part[4] = {0, 0, 0, 0};  // of one row, as in gather
             for (int dx = -half_width; dx <= half_width; ++dx) {
                 const float8 light = TAPS(line - dx);
                 for (int r = 0; r < 4; ++r) {
                     const int dy = i > r ? i - r : r - i;
                     if (dy <= half_width)
-                        sum[r] += light * coefficients[dy * lanes + dx + half_width];
+                        part[r] += light * coefficients[dy * lanes + dx + half_width];
                 }
             }
+            for (int r = 0; r < 4; ++r)
+                sum[r] += part[r];
         }
         for (int r = 0; r < rows; ++r)
             ADD_TAPS(total + (k * camera.rows + y + r) * pitch + x + pad, sum[r]);
