@@ -12,7 +12,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco.device import Program, Session
-from clsco.layout import WIDE, WIDE_BYTES, Real, Struct, in_parts, pose_structs, rounded, structs, surface_structs
+from clsco.layout import WIDE, WIDE_BYTES, Real, Struct, in_parts, pose_structs, structs, surface_structs, together
 from clsco.motion import Pose, rest_center
 from clsco.plan import Plan
 from clsco.program import build, download, empty, kernel, launch, upload
@@ -309,8 +309,7 @@ class ForwardWarp:
 
         "sharp": radiance after the move; "filled": uint8, as `Warped.status`. Of a scene with a depth map, at which no
         ray can be cast, also what is known of the pixels' surface, filled ones included: "depth" in mm, +inf for none,
-        float64 where the device computes in it, for normals come from its differences; "coc" in px, 0 for none;
-        "mask", bool; "object_id", int32, -1 for none. These are the values of the source that came to the pixel, up to
+        float64, for normals come from its differences; "coc" in px, 0 for none; "mask", bool; "object_id", int32, -1 for none. These are the values of the source that came to the pixel, up to
         half a pixel from its center.
         """
         plan = self.plan
@@ -326,9 +325,9 @@ class ForwardWarp:
         if "filled" in wanted:
             found["filled"] = self._frame(warped.status, np.uint8)
         if self.maps:
-            w = rounded(self._frame(warped.w, wide), self.real)
+            w = together(self._frame(warped.w, wide), self.real)
             found["depth"] = np.where(valid, 1.0 / np.where(valid, w, 1.0), np.inf)
-            found["coc"] = rounded(self._frame(warped.coc, wide), self.real).astype(np.float32)
+            found["coc"] = together(self._frame(warped.coc, wide), self.real).astype(np.float32)
             seen = np.zeros(valid.shape, np.int32)
             if warped.object is not None:
                 seen = self._frame(warped.object, np.uint8).astype(np.int32)

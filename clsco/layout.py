@@ -99,9 +99,9 @@ def in_parts(values: NDArray[Any], real: Real) -> NDArray[Any]:
     return out
 
 
-def rounded(parts: NDArray[Any], real: Real) -> NDArray[Any]:
-    """Numbers (...) of dtype WIDE as the device's `real`."""
-    return parts if real == "double" else parts["high"]
+def together(parts: NDArray[Any], real: Real) -> NDArray[Any]:
+    """Numbers (...) of dtype WIDE in float64."""
+    return parts if real == "double" else parts["high"] + parts["low"].astype(np.float64)
 
 
 def _filled(name: str, real: Real, values: dict[str, Any]) -> Struct:

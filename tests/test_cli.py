@@ -343,7 +343,7 @@ def test_check_notices_a_wrong_pixel(ball: Path, monkeypatch: pytest.MonkeyPatch
     assert rows["color"][-4:] == ["5", "7", "1", "1e-05"]
     assert rows["depth"][-4:-1] == ["2", "3", "1"]
     assert rows["sharp"][-2] == "0"
-    assert clsco_("check", ball, "--precision", "single").exit_code == 0  # told, no failure
+    assert clsco_("check", ball, "--precision", "single").exit_code == 1
 
 
 def test_devices() -> None:

@@ -9,7 +9,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco.device import Session
-from clsco.layout import WIDE, Real, in_parts
+from clsco.layout import WIDE, Real, in_parts, together
 from clsco.program import download
 
 Array = NDArray[Any]
@@ -31,14 +31,9 @@ def whole(session: Session, buffer: cl.Buffer, shape: tuple[int, ...], real: Rea
         return download(session, buffer, shape, np.float64)
     parts = download(session, buffer, shape, WIDE[real])
     np.testing.assert_array_equal(parts["high"], parts["high"] + parts["low"])
-    return together(parts)
-
-
-def together(parts: Array) -> Array:
-    """Sums of pairs of floats, float64."""
-    return np.asarray(parts["high"].astype(np.float64) + parts["low"])
+    return together(parts, real)
 
 
 def held(values: Array) -> Array:
     """Numbers near `values` that both precisions hold exactly: 48 bits."""
-    return together(in_parts(np.asarray(values, dtype=np.float64), "float"))
+    return together(in_parts(np.asarray(values, dtype=np.float64), "float"), "float")
