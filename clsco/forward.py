@@ -309,8 +309,8 @@ class ForwardWarp:
 
         "sharp": radiance after the move; "filled": uint8, as `Warped.status`. Of a scene with a depth map, at which no
         ray can be cast, also what is known of the pixels' surface, filled ones included: "depth" in mm, +inf for none,
-        float64, for normals come from its differences; "coc" in px, 0 for none; "mask", bool; "object_id", int32, -1 for none. These are the values of the source that came to the pixel, up to
-        half a pixel from its center.
+        float64, for normals come from its differences; "coc" in px, 0 for none; "mask", bool; "object_id", int32, -1
+        for none. These are the values of the source that came to the pixel, up to half a pixel from its center.
         """
         plan = self.plan
         names = {"sharp", "filled"} | ({"depth", "coc", "mask", "object_id"} if self.maps else set())
