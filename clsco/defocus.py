@@ -130,7 +130,7 @@ def _defocus(
     if blur == "convolve":
         guard = reach(psf, largest) + LANES
     camera: Struct = frame_struct(rows, columns, guard, real)
-    features = PLAIN | blur_features(blur, psf.border, prepare=True)
+    features = PLAIN | blur_features(blur, psf, largest, real, prepare=True)
     features |= {
         "CHANNELS": channels,
         "TILT": int(psf.tilt and blur != "convolve"),
@@ -139,7 +139,8 @@ def _defocus(
     }
     program = build(session, ["blur.cl"], features, structs(real), real)
     brightest = float(np.abs(image).max())
-    spreader = Spreader(session, program, psf, blur, camera, channels, smallest, largest, 0, real, brightest)
+    spans = bool(features["SPANS"])
+    spreader = Spreader(session, program, psf, blur, camera, channels, smallest, largest, 0, real, brightest, spans)
     padded = np.pad(flat(image, np.float32), ((0, 0), (guard, guard), (guard, guard)))
     value = upload(session, padded) if psf.border == "lose" else _writable(session, padded)
     spreader.clear()

@@ -18,7 +18,7 @@ from clsco.frame import STEREO_NAMES, TRUTH_NAMES
 from clsco.motion import Eye, Pose, poses_at, rest_center, sample_times
 from clsco.occlusion import Layer, extent, is_hollow, layers
 from clsco.optics import LARGEST_BLUR, blur_radius, ray_step
-from clsco.psf import LANES, MINIMUM_BLUR, psf_extent, reach, table_bytes
+from clsco.psf import LANES, MINIMUM_BLUR, SPANNED, psf_extent, reach, table_bytes
 from clsco.scene import Object, Plane, Psf, Scene
 from clsco.surfaces import canonical, place, predict_inverse_depth
 
@@ -346,7 +346,12 @@ def make_plan(
         memory += _forward_memory(scene, area, channels)
     if occlusion == "layered":  # what the pinhole sees; a slab with its coverage, and its pyramid (clsco/layers.py)
         memory += area * (9 + 33 + 4 * (channels + 1) + 6 * (channels + 2)) + 4 * (channels + 1) * area
-    memory += 4 * channels * rows * (columns + 2 * (guard + extent + LANES))
+    pitch = columns + 2 * (guard + extent + LANES)
+    memory += 4 * channels * rows * pitch
+    if blur == "gather" and extent > 5:  # sums on their way to the frame, and with wide discs spans (clsco/spread.py)
+        memory += (
+            4 * channels * min(rows + 63, 2048) * pitch * (5 if psf.model == "pillbox" and extent >= SPANNED else 1)
+        )
     memory += 4 * channels * rows * columns * (1 + len({item.texture for item in scene.objects}))
     memory += tables + slots * (4 + silhouettes**2 * (16 + 4 * channels + hidden)) + 16 * rows * columns * bool(truth)
     seen = np.abs(blur_radius(scene.camera, w[w > 0]))

@@ -28,6 +28,8 @@ FINE_STEPS, FINE_UNTIL = 16, 16
 # Chebyshev points of [0, 1]: near the best cubic, and never on a jump of a sampled PSF.
 NODES = 0.5 - 0.5 * np.cos((2 * np.arange(4) + 1) * np.pi / 8)
 TO_POWERS = np.linalg.inv(np.vander(NODES, 4, increasing=True))
+# Of a PSF this wide, to both sides in px, rows that have one weight over so many px are kept as their two ends.
+SPANNED, SMALLEST_SPAN = 12, 4
 MINIMUM_BLUR = 0.5  # px; sampled PSFs leave smaller radii alone (thesis, 2.2)
 
 
@@ -194,10 +196,11 @@ class PsfTable:
 
     A source of radius R has the coordinate u (see `table_coordinate`), interval floor(u) and position
     t = u - floor(u); its weight at (dx, dy) is c0 + t (c1 + t (c2 + t c3)).
-    intervals: int32 (count, 4): start in `coefficients`, half-width in px, lanes of a row, 0.
+    intervals: int32 (count, 4): start in `coefficients`, half-width in px, lanes of a row, start in `outlines`.
     coefficients: float32, per interval rows of (powers, lanes): row |dy| = 0..half-width (a main table), or
     rows -half-width..half-width for each of the S/2 x S offsets of a sub-pixel source. first: the interval that
     `intervals` begins with. powers: 4, or 1 where weights are constant in an interval. reach: largest half-width.
+    outlines: int32, of the intervals of a main table, see `_outline`; else empty.
     """
 
     first: int
@@ -205,6 +208,7 @@ class PsfTable:
     coefficients: NDArray[np.float32]
     powers: int
     reach: int
+    outlines: NDArray[np.int32]
 
 
 def sampled_steps(psf: Psf) -> tuple[int, int]:
@@ -282,7 +286,7 @@ def psf_table(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> P
     fine = subpixel > 0
     span, powers = _span(psf, smallest, largest, fine), _powers(psf, fine)
     nodes = np.array([0.5]) if powers == 1 else NODES
-    intervals, blocks, start = [], [], 0
+    intervals, blocks, start, outlines = [], [], 0, [np.zeros(0, dtype=np.int32)]
     for index in span:
         radii, half_width = _table_radius(psf, index + nodes, fine), _half_width(psf, index, fine)
         values = _subpixel_rows(psf, radii, half_width, subpixel) if fine else _main_rows(psf, radii, half_width)
@@ -290,11 +294,14 @@ def psf_table(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> P
         block = np.zeros((values.shape[1], powers, lanes), dtype=np.float32)
         polynomial = values if powers == 1 else np.tensordot(TO_POWERS, values, axes=1)
         block[:, :, : 2 * half_width + 1] = np.moveaxis(polynomial, 0, 1)
-        intervals.append((start, half_width, lanes, 0))
+        intervals.append((start, half_width, lanes, sum(map(len, outlines))))
         blocks.append(block.ravel())
+        if psf.model == "pillbox" and not fine:
+            outlines.append(_outline(block[:, :, half_width : 2 * half_width + 1]))
         start += block.size
     table = np.array(intervals, dtype=np.int32)
-    return PsfTable(span.start, table, np.concatenate(blocks), powers, int(table[:, 1].max()))
+    outline = np.concatenate(outlines)
+    return PsfTable(span.start, table, np.concatenate(blocks), powers, int(table[:, 1].max()), outline)
 
 
 @lru_cache(maxsize=64)
@@ -305,7 +312,26 @@ def constant_table(psf: Psf, radius: float) -> PsfTable:
     lanes = _lanes(half_width)
     block = np.zeros((half_width + 1, lanes), dtype=np.float32)
     block[:, : 2 * half_width + 1] = rows
-    return PsfTable(0, np.array([[0, half_width, lanes, 0]], dtype=np.int32), block.ravel(), 1, half_width)
+    table = np.array([[0, half_width, lanes, 0]], dtype=np.int32)
+    return PsfTable(0, table, block.ravel(), 1, half_width, np.zeros(0, dtype=np.int32))
+
+
+def _outline(block: NDArray[np.float32]) -> NDArray[np.int32]:
+    """Where the weights of an interval are, and where they are all the same: int32 (3 (half-width + 1),).
+
+    block: coefficients (|dy|, powers, |dx|). Three numbers for each n = 0..half-width. Of the row |dy| = n: the |dx| up
+    to which every weight equals the middle one, -1 for none. Of the column |dx| = n: the |dy| where it leaves these
+    rows, and the last one with any light.
+    """
+    same = (block == block[:1, :, :1]).all(axis=1)
+    width = np.where(same.all(axis=1), same.shape[1], same.argmin(axis=1)) - 1
+    width = np.where((width >= SMALLEST_SPAN) & (len(width) > SPANNED), width, -1)
+    width = np.minimum.accumulate(width)
+    lit = (block != 0).any(axis=1)
+    first = (width[:, None] >= np.arange(len(width))).sum(axis=0)
+    last = len(width) - 1 - lit[::-1].argmax(axis=0)
+    last = np.where(lit.any(axis=0), last, -1)
+    return np.stack([width, first, last], axis=1).astype(np.int32).ravel()
 
 
 def _lanes(half_width: int) -> int:

@@ -14,9 +14,10 @@ from clsco.layout import Real, Struct, psf_struct
 from clsco.occlusion import lens_cells
 from clsco.plan import Blur
 from clsco.program import download, empty, kernel, launch, upload
-from clsco.psf import LANES, PsfTable, constant_table, psf_table
+from clsco.psf import LANES, SPANNED, PsfTable, constant_table, psf_table, reach
 from clsco.scene import Psf
 
+BANDS_PER_CORE = 4  # at a time, where they need memory of their own
 BAND = 64  # rows that a work-item of `gather` owns: bands for several cores, and little overlap
 MOST_IN_ONE_SUM = 128  # taps of `gather` that a float adds up before it goes into another sum
 PIXELS = (64, 1)  # local size of kernels with a work-item per pixel
@@ -26,13 +27,19 @@ GAIN, GAIN_PER_LOG, TILT_GAIN = 2.6, 2.0, 2.0
 Events = list[tuple[str, cl.Event]]
 
 
-def blur_features(method: Blur, border: str, prepare: bool) -> dict[str, int]:
-    """Which kernels of blur.cl are compiled."""
+def spans_rows(psf: Psf, largest: float, real: Real) -> bool:
+    """Whether `gather` keeps rows that have one weight as their two ends: wide discs on devices with fp64."""
+    return psf.model == "pillbox" and real == "double" and reach(psf, largest) >= SPANNED
+
+
+def blur_features(method: Blur, psf: Psf, largest: float, real: Real, prepare: bool) -> dict[str, int]:
+    """Which kernels of blur.cl are compiled, and for what; largest: |R| in px."""
     return {
         "GATHER": int(method == "gather"),
+        "SPANS": int(method == "gather" and spans_rows(psf, largest, real)),
         "SCATTER": int(method == "scatter"),
         "CONVOLVE": int(method == "convolve"),
-        "RENORMALIZE": int(border == "renormalize" and method != "none"),
+        "RENORMALIZE": int(psf.border == "renormalize" and method != "none"),
         "PREPARE": int(prepare and method in ("gather", "scatter")),
         "BAND": BAND,
     }
@@ -62,12 +69,12 @@ class Spreader:
     """Adds the blurred light of moments to one frame; owns the frame's buffers and the PSF tables.
 
     Holds for |R| in [smallest, largest] px; other radii are clamped to it (`convolve` makes the PSF of its radius).
-    brightest: largest |radiance|, which sets the fixed point of `scatter`.
+    brightest: largest |radiance|, which sets the fixed point of `scatter`; spans: the program has the feature SPANS.
     """
 
     def __init__(
         self, session: Session, program: Program, psf: Psf, method: Blur, camera: Struct, channels: int,
-        smallest: float, largest: float, subpixels: int, real: Real, brightest: float,
+        smallest: float, largest: float, subpixels: int, real: Real, brightest: float, spans: bool,
     ) -> None:  # fmt: skip
         self.session, self.program, self.psf, self.method = session, program, psf, method
         self.camera, self.channels = camera, channels
@@ -83,10 +90,15 @@ class Spreader:
         self.total = empty(session, 4 * channels * rows * self.pitch)
         row_taps = 2 * int(self.struct["reach"]) + 1
         self.group = 0 if row_taps**2 <= MOST_IN_ONE_SUM else max(1, MOST_IN_ONE_SUM // row_taps)
-        self.part = self.total
-        if self.group and method == "gather":
-            self.part = empty(session, self.total.size)
-            cl.enqueue_fill_buffer(session.queue, self.part, np.zeros(1, np.uint32), 0, self.part.size)
+        self.part, self.spans = self.total, tuple[cl.Buffer, ...]()
+        self.bands = -(-rows // BAND)
+        if method == "gather" and (self.group or spans):
+            # Some bands at a time, so that a large frame does not take several times its size.
+            self.bands = min(self.bands, BANDS_PER_CORE * session.device.compute_units)
+            size = 4 * channels * self.bands * BAND * self.pitch
+            self.part = _zeros(session, size)
+            if spans:
+                self.spans = (upload(session, self.main.outlines), _zeros(session, (4 if psf.tilt else 2) * size))
         # Tables of `convolve` that queued launches still read: the host runs ahead of the device.
         self.held: list[tuple[cl.Buffer, cl.Buffer]] = []
         self.scale = 1.0
@@ -126,8 +138,10 @@ class Spreader:
             tail += (sources.surfaces, sources.layer, self.lens, sources.depth)
             tail += () if self.sub is None else (sources.sub_depth,)
         if self.method == "gather":
-            bands = (-(-frame[1] // BAND),)
-            self._launch("gather", bands, (1,), events, *head, np.int32(self.group), self.part, *layout, *tail)
+            parts = np.int32(self.group), self.part
+            for start in range(0, -(-frame[1] // BAND), self.bands):
+                args = (*head, *self.spans, np.int32(start), *parts, *layout, *tail)
+                self._launch("gather", (self.bands,), (1,), events, *args)
         else:
             padded = (int(camera["width"]), int(camera["height"]))
             self._launch("scatter", padded, PIXELS, events, *head, np.float32(self.scale), self.sums, *tail)
@@ -145,3 +159,10 @@ class Spreader:
 
     def _launch(self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: object) -> None:
         events.append((name, launch(self.session, kernel(self.program, name), size, local, *args)))  # type: ignore[arg-type]
+
+
+def _zeros(session: Session, size: int) -> cl.Buffer:
+    """A buffer of so many bytes, all 0."""
+    buffer = empty(session, size)
+    cl.enqueue_fill_buffer(session.queue, buffer, np.zeros(1, np.uint32), 0, size)
+    return buffer

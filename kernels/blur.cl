@@ -11,7 +11,7 @@
 // in a fixed order, whole vectors of taps at a time: no atomics, same bits, for CPUs. scatter adds taps one by one in
 // fixed point: any device, any order, same bits; the oracle of the other two. convolve is for one radius only.
 // Features: CHANNELS, TILT, SUBPIXELS, POWERS (of the table), BAND (rows of a band), OCCLUDED (after occlusion.clh),
-// GATHER, SCATTER, CONVOLVE, RENORMALIZE, PREPARE: which kernels are wanted.
+// SPANS (of gather: wide discs), GATHER, SCATTER, CONVOLVE, RENORMALIZE, PREPARE: which kernels are wanted.
 
 #if GATHER
 // Adds rows -up..down of one source to `out`, the place of its first tap in its own row.
@@ -99,22 +99,28 @@ INLINE void add_mirrored_rows(spread_t s, float v, float4 source, __global float
     }
 }
 
-// Moves what has come to rows first..last from part to total.
-static void settle(int first, int last, int plane, int pitch, __global float *part, __global float *total)
+// Moves what has come to rows first..last from part, `apart` between its planes and `shift` from a row's place in total.
+static void settle(int first, int last, int apart, int shift, int plane, int pitch, __global float *part,
+                   __global float *total)
 {
     for (int k = 0; k < CHANNELS; ++k)
-        for (int at = k * plane + first * pitch; at < k * plane + (last + 1) * pitch; at += LANES) {
-            ADD_TAPS(total + at, TAPS(part + at));
-            *(__global taps_t *)(part + at) = 0;
+        for (int at = first * pitch; at < (last + 1) * pitch; at += LANES) {
+            ADD_TAPS(total + k * plane + at, TAPS(part + k * apart + shift + at));
+            *(__global taps_t *)(part + k * apart + shift + at) = 0;
         }
 }
 
-// Each work-item adds to BAND rows of `total` all the light that reaches them, source by source in row-major order, by
-// way of part in groups of so many rows of sources; with 0 directly, part being total then.
+// Each work-item adds to BAND rows of `total`, the first one's band being `start`, all the light that reaches them, row by
+// row of sources. part: BAND rows for each work-item, of which every `group` rows of sources the sum goes on to total; with
+// group 0 it is total. spans: twice the same of doubles (with TILT), zeros as well.
 __kernel void gather(const camera_t camera, const psf_t psf, __global const float4 *source,
                      __global const float *value, __global const int4 *intervals,
-                     __global const float *coefficients, const int group, __global float *part, const int pitch,
-                     const int pad, __global float *total
+                     __global const float *coefficients,
+#if SPANS
+                     __global const int *outlines, __global double *spans,
+#endif
+                     const int start, const int group, __global float *part, const int pitch, const int pad,
+                     __global float *total
 #if SUBPIXELS
                      , __global const float4 *sub_source, __global const float *sub_value, const int capacity,
                      __global const int4 *sub_intervals, __global const float *sub_coefficients
@@ -122,18 +128,30 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
                      OCCLUSION_ARGUMENTS
 )
 {
-    const int first = get_global_id(0) * BAND;
+    const int own = get_global_id(0), first = (start + own) * BAND;
     if (first >= camera.rows)
         return;
     const int end = MIN(camera.rows, first + BAND);
     const int plane = camera.width * camera.height, total_plane = camera.rows * pitch;
+    const int apart = group ? (int)get_global_size(0) * BAND * pitch : total_plane;
+    const int shift = group ? (own * BAND - first) * pitch : 0;  // from a row of the frame to that of part
     const int from = MAX(first - psf.reach, -camera.guard), to = MIN(end + psf.reach, camera.rows + camera.guard);
     for (int y = from; y < to; ++y) {
     const bool whole = y - psf.reach >= first && y + psf.reach < end;
-    for (int x = 0; x < camera.width; ++x) {
-        const int at = (y + camera.guard) * camera.width + x;
+    const int line = (y + camera.guard) * camera.width, place = shift + y * pitch - camera.guard + pad;
+    for (int block = 0; block < camera.width; block += LANES) {
+    int single = (1 << MIN(LANES, camera.width - block)) - 1;
+#if SPANS
+    if (camera.width - block >= LANES)
+        single = add_alike(psf, line + block, plane, place + block, apart, y - first, end - 1 - y, source, value,
+                           intervals, coefficients, outlines, part, spans, pitch);
+#endif
+    while (single) {
+        const int x = block + __builtin_ctz(single);
+        single &= single - 1;
+        const int at = line + x;
         const float4 s = source[at];
-        __global float *out = part + y * pitch + x - camera.guard + pad;
+        __global float *out = part + place + x;
 #if SUBPIXELS
         const int slot = as_int(s.w);
         if (slot >= 0) {
@@ -150,13 +168,13 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
                     see(camera, surfaces, layer, psf, lens, y + spread.oy, x - camera.guard + spread.ox, sub_depth[id],
                         spread, (real)1 / SUBPIXELS, &sight);
                     add_seen_rows(spread, &sight, up, down, sub_value + id, capacity * SUBPIXELS * SUBPIXELS, p,
-                                  out - half_width, total_plane, pitch);
+                                  out - half_width, apart, pitch);
                     continue;
                 }
 #endif
                 for (int k = 0; k < CHANNELS; ++k)
                     add_rows(spread, up, down, sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id], p,
-                             out + k * total_plane - half_width, pitch);
+                             out + k * apart - half_width, pitch);
             }
             continue;
         }
@@ -170,7 +188,7 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
             sight_t sight;
             see(camera, surfaces, layer, psf, lens, y, x - camera.guard, depth[at], spread, (real)1, &sight);
             add_seen_rows(spread, &sight, MIN(half_width, y - first), MIN(half_width, end - 1 - y), value + at, plane,
-                          s, out - half_width, total_plane, pitch);
+                          s, out - half_width, apart, pitch);
             continue;
         }
 #endif
@@ -179,15 +197,23 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
         for (int k = 0; k < CHANNELS; ++k) {
             const float v = value[k * plane + at];
             if (simple)
-                add_mirrored_rows(spread, v, s, out + k * total_plane - half_width, pitch);
+                add_mirrored_rows(spread, v, s, out + k * apart - half_width, pitch);
             else
                 add_rows(spread, MIN(half_width, y - first), MIN(half_width, end - 1 - y), v, s,
-                         out + k * total_plane - half_width, pitch);
+                         out + k * apart - half_width, pitch);
         }
     }
-    if (group && ((y + 1 - from) % group == 0 || y + 1 == to))
-        settle(MAX(first, y + 1 - group - psf.reach), MIN(end - 1, y + psf.reach), total_plane, pitch, part, total);
     }
+    if (group && ((y + 1 - from) % group == 0 || y + 1 == to))
+        settle(MAX(first, y + 1 - group - psf.reach), MIN(end - 1, y + psf.reach), apart, shift, total_plane, pitch, part,
+               total);
+    }
+#if SPANS
+    for (int k = 0; k < CHANNELS; ++k)
+        for (int row = first; row < end; ++row)
+            add_spans(spans + k * apart + shift + row * pitch, CHANNELS * apart, pitch,
+                      total + k * total_plane + row * pitch);
+#endif
 }
 #endif
 

@@ -16,7 +16,7 @@ from clsco.layout import Real, structs
 from clsco.plan import make_plan
 from clsco.program import HEADERS, HEADERS_OF, OCCLUSION_HEADERS, build
 from clsco.renderer import TRUTH_BUFFERS
-from clsco.scene import Camera, Scene, Sphere
+from clsco.scene import Camera, Psf, Scene, Sphere
 from clsco.spread import BAND, blur_features
 
 KERNELS = Path(__file__).resolve().parents[2] / "kernels"
@@ -33,7 +33,7 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | dict.fromkeys(("MOVED", "TILT", "TRUTH", *TRUTH, "PINHOLE", "LENSES"), ON_OR_OFF)
     | {"SUBPIXELS": (0, 4, 2, 3), "OCCLUDED": (0,)},
     ("blur.cl",): dict.fromkeys(PLAIN, (0,))
-    | dict.fromkeys(("SAMPLED", "TILT", "GATHER", "SCATTER", "CONVOLVE", "RENORMALIZE", "PREPARE"), ON_OR_OFF)
+    | dict.fromkeys(("SAMPLED", "TILT", "GATHER", "SPANS", "SCATTER", "CONVOLVE", "RENORMALIZE", "PREPARE"), ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "POWERS": (1, 4), "BAND": (1, BAND)},
     ("accumulate.cl",): GEOMETRY,
     FORWARD: GEOMETRY
@@ -88,7 +88,7 @@ def test_every_feature_is_known(files: tuple[str, ...]) -> None:
 def test_what_the_host_asks_for_is_what_the_files_know() -> None:
     scene = Scene(camera=Camera(resolution=(64, 48)), objects=(Sphere(),))
     plan = make_plan(scene, 1, ())
-    spreading = blur_features("gather", "lose", prepare=True).keys()
+    spreading = blur_features("gather", Psf(), 1.0, "double", prepare=True).keys()
     rendering = plan.features().keys() | spreading | {"TRUTH", *TRUTH, "PINHOLE", "LENSES"}
     assert PROGRAMS["trace.cl",].keys() | PROGRAMS["blur.cl",].keys() == rendering
     assert asked_for(("blur.cl",)) <= PLAIN.keys() | spreading | {"CHANNELS", "TILT", "SAMPLED", "POWERS"}
@@ -99,8 +99,8 @@ def test_what_the_host_asks_for_is_what_the_files_know() -> None:
 @pytest.mark.parametrize("files", PROGRAMS, ids="+".join)
 def test_with_all_features_none_and_all_but_one(session: Session, files: tuple[str, ...], real: Real) -> None:
     chosen = variants(PROGRAMS[files])
-    if real == "float":  # `real` is a type: what a feature compiles does not hang on it
-        chosen = chosen[:2]
+    if real == "float":  # `real` is a type: what a feature compiles does not hang on it; SPANS are doubles
+        chosen = [one | {"SPANS": 0} for one in chosen[:2]]
     kernels = [set(build(session, files, features, structs(real), real)) for features in chosen]
     defined = {
         name for file in files for name in re.findall(r"__kernel void (\w+)\(", (KERNELS / file).read_text("utf-8"))
@@ -118,4 +118,4 @@ def test_a_device_with_less(session: Session) -> None:
     lesser = replace(session.device, has_fp64=False, has_int64_atomics=False, correctly_rounded=False)
     with Session(lesser) as opened:
         for files, features in PROGRAMS.items():
-            assert build(opened, files, variants(features)[1], structs("float"), "float")
+            assert build(opened, files, variants(features)[1] | {"SPANS": 0}, structs("float"), "float")

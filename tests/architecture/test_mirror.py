@@ -30,10 +30,13 @@ WITHOUT_TWIN = {
         ("weights", "weight", "pixel_spread", "subpixel_spread", "tap", "see"),
         "reads tables, in whose place the reference has the closed forms",
     ),
+    "spans": dict.fromkeys(
+        ("weights_of", "add_neighbors", "add_spans", "add_alike"), "taps of many sources at once, which scatter adds up"
+    ),
 }
 
 # Headers whose twin is part of another file.
-PART_OF = {"sight": "occlusion", "spread": "blur"}
+PART_OF = {"sight": "occlusion", "spread": "blur", "spans": "blur"}
 
 
 def kernel_names(text: str) -> set[str]:

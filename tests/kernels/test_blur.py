@@ -149,9 +149,9 @@ def copied(session: Session, array: Array) -> Any:
     return buffer
 
 
-def features(psf: Psf, channels: int, samples: int, powers: int) -> dict[str, int]:
+def features(psf: Psf, channels: int, samples: int, powers: int, spans: bool = False) -> dict[str, int]:
     """All kernels in one program, so that few have to be compiled; tests/architecture builds them one by one."""
-    kernels = dict.fromkeys(("GATHER", "SCATTER", "CONVOLVE", "RENORMALIZE", "PREPARE"), 1)
+    kernels = dict.fromkeys(("GATHER", "SCATTER", "CONVOLVE", "RENORMALIZE", "PREPARE"), 1) | {"SPANS": int(spans)}
     chosen = {"CHANNELS": channels, "SUBPIXELS": samples, "POWERS": powers, "BAND": spread.BAND}
     return SHAPES | kernels | chosen | {"TILT": int(psf.tilt), "SAMPLED": int(psf.edge == "sampled")}
 
@@ -160,10 +160,12 @@ def spreader(session: Session, given: Light, method: Blur) -> Spreader:
     psf = given.psf
     table = psf_table(psf, given.smallest, given.largest)
     file = "accumulate.cl" if method == "none" else "blur.cl"
-    program = build(session, [file], features(psf, given.channels, given.samples, table.powers), STRUCTS, "double")
+    spans = spread.spans_rows(psf, given.largest, "double")
+    chosen = features(psf, given.channels, given.samples, table.powers, spans)
+    program = build(session, [file], chosen, STRUCTS, "double")
     ends = (given.smallest, given.largest)
     return Spreader(
-        session, program, psf, method, given.camera(), given.channels, *ends, given.samples, "double", 1.0
+        session, program, psf, method, given.camera(), given.channels, *ends, given.samples, "double", 1.0, spans
     )  # fmt: skip
 
 
@@ -194,6 +196,25 @@ def test_every_psf(session: Session, psf: Psf, tilt: bool, method: Blur) -> None
     expected = given.expected()
     assert np.ptp(expected) > 0.3
     assert_close(blurred(session, given, method), expected, FIGURE[psf.edge])
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("psf", [Psf(), Psf(edge="area"), Psf(edge="sampled", tilt=False)], ids=name_of)
+def test_wide_discs_by_the_ends_of_their_rows(session: Session, psf: Psf, channels: int) -> None:
+    """Radii of one interval side by side, and none such; steep tilts, of which weights end at 0; several bands."""
+    shape = (3 * spread.BAND // 2, 61)
+    given = light(psf, shape=shape, guard=3, largest=26.0, steepest=0.2, channels=channels, samples=2)
+    assert spread.spans_rows(psf, given.largest, "double")
+    rows, columns = np.indices(given.sources.lit.shape)
+    alone = (columns > 40) | (RNG(45).random(rows.shape) < 0.02)
+    radius = np.where(alone, given.sources.radius, 14.0 + 0.11 * rows + 0.02 * columns)
+    steep = np.where((rows % 9 == 0)[..., None], 20.0, 1.0) * given.sources.gradient
+    sources = replace(given.sources, radius=np.where(given.sources.lit, radius, 0.0), gradient=steep)
+    given = replace(given, sources=sources)
+    found = blurred(session, given, "gather", moments=2)
+    assert_close(found, blurred(session, given, "scatter"), ROUNDING)
+    assert_close(found, given.expected(), 2e-5)  # of wide discs of random radii the tables know that much
+    assert (found == blurred(session, given, "gather", moments=2)).all()
 
 
 @pytest.mark.parametrize("samples", [2, 3, 4])

@@ -73,13 +73,13 @@ class Device:
 
     def __init__(self, session: Session, view: View, method: Blur = "gather", real: Real = "double") -> None:
         psf, channels = view.psf, view.radiance.shape[2]
-        features = PLAIN | blur_features(method, psf.border, prepare=True)
+        features = PLAIN | blur_features(method, psf, view.largest, real, prepare=True)
         features |= {"CHANNELS": channels, "TILT": int(psf.tilt), "SAMPLED": 0, "POWERS": 4}
         program = build(session, ["blur.cl"], features, structs(real), real)
         camera = frame_struct(*view.shape, view.guard, real)
         self.session, self.view = session, view
         self.spreader = Spreader(
-            session, program, psf, method, camera, channels, 0.0, view.largest, 0, real, 1.0
+            session, program, psf, method, camera, channels, 0.0, view.largest, 0, real, 1.0, bool(features["SPANS"])
         )  # fmt: skip
         self.layers = Layers(session, self.spreader, features, view.largest, real, 1.0)
         self.coc, self.valid = upload(session, in_parts(view.coc, real)), upload(session, view.valid.astype(np.uint8))
