@@ -28,8 +28,10 @@ FINE_STEPS, FINE_UNTIL = 16, 16
 # Chebyshev points of [0, 1]: near the best cubic, and never on a jump of a sampled PSF.
 NODES = 0.5 - 0.5 * np.cos((2 * np.arange(4) + 1) * np.pi / 8)
 TO_POWERS = np.linalg.inv(np.vander(NODES, 4, increasing=True))
-# Of a PSF this wide, to both sides in px, rows that have one weight over so many px are kept as their two ends.
-SPANNED, SMALLEST_SPAN = 12, 4
+# Of discs this wide, to both sides in px, rows that have one weight over so many px are kept as their two ends. With
+# `sampled` intervals are so short that neighbors share one where discs are very wide only.
+SPANNED = {"sampled": 40, "area": 12, "integrated": 12}
+SMALLEST_SPAN = 4
 MINIMUM_BLUR = 0.5  # px; sampled PSFs leave smaller radii alone (thesis, 2.2)
 
 
@@ -297,7 +299,7 @@ def psf_table(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> P
         intervals.append((start, half_width, lanes, sum(map(len, outlines))))
         blocks.append(block.ravel())
         if psf.model == "pillbox" and not fine:
-            outlines.append(_outline(block[:, :, half_width : 2 * half_width + 1]))
+            outlines.append(_outline(block[:, :, half_width : 2 * half_width + 1], SPANNED[psf.edge]))
         start += block.size
     table = np.array(intervals, dtype=np.int32)
     outline = np.concatenate(outlines)
@@ -316,16 +318,16 @@ def constant_table(psf: Psf, radius: float) -> PsfTable:
     return PsfTable(0, table, block.ravel(), 1, half_width, np.zeros(0, dtype=np.int32))
 
 
-def _outline(block: NDArray[np.float32]) -> NDArray[np.int32]:
+def _outline(block: NDArray[np.float32], spanned: int) -> NDArray[np.int32]:
     """Where the weights of an interval are, and where they are all the same: int32 (3 (half-width + 1),).
 
     block: coefficients (|dy|, powers, |dx|). Three numbers for each n = 0..half-width. Of the row |dy| = n: the |dx| up
     to which every weight equals the middle one, -1 for none. Of the column |dx| = n: the |dy| where it leaves these
-    rows, and the last one with any light.
+    rows, and the last one with any light. spanned: half-width from which on there are such rows.
     """
     same = (block == block[:1, :, :1]).all(axis=1)
     width = np.where(same.all(axis=1), same.shape[1], same.argmin(axis=1)) - 1
-    width = np.where((width >= SMALLEST_SPAN) & (len(width) > SPANNED), width, -1)
+    width = np.where((width >= SMALLEST_SPAN) & (len(width) > spanned), width, -1)
     width = np.minimum.accumulate(width)
     lit = (block != 0).any(axis=1)
     first = (width[:, None] >= np.arange(len(width))).sum(axis=0)

@@ -29,7 +29,7 @@ Events = list[tuple[str, cl.Event]]
 
 def spans_rows(psf: Psf, largest: float, real: Real) -> bool:
     """Whether `gather` keeps rows that have one weight as their two ends: wide discs on devices with fp64."""
-    return psf.model == "pillbox" and real == "double" and reach(psf, largest) >= SPANNED
+    return psf.model == "pillbox" and real == "double" and reach(psf, largest) >= SPANNED[psf.edge]
 
 
 def blur_features(method: Blur, psf: Psf, largest: float, real: Real, prepare: bool) -> dict[str, int]:

@@ -203,17 +203,19 @@ def test_every_psf(session: Session, psf: Psf, tilt: bool, method: Blur) -> None
 def test_wide_discs_by_the_ends_of_their_rows(session: Session, psf: Psf, channels: int) -> None:
     """Radii of one interval side by side, and none such; steep tilts, of which weights end at 0; several bands."""
     shape = (3 * spread.BAND // 2, 61)
-    given = light(psf, shape=shape, guard=3, largest=26.0, steepest=0.2, channels=channels, samples=2)
+    largest = 44.0 if psf.edge == "sampled" else 26.0
+    given = light(psf, shape=shape, guard=3, largest=largest, steepest=0.2, channels=channels, samples=2)
     assert spread.spans_rows(psf, given.largest, "double")
     rows, columns = np.indices(given.sources.lit.shape)
     alone = (columns > 40) | (RNG(45).random(rows.shape) < 0.02)
-    radius = np.where(alone, given.sources.radius, 14.0 + 0.11 * rows + 0.02 * columns)
+    radius = np.where(alone, given.sources.radius, 0.55 * largest + 0.11 * rows + 0.02 * columns)
     steep = np.where((rows % 9 == 0)[..., None], 20.0, 1.0) * given.sources.gradient
     sources = replace(given.sources, radius=np.where(given.sources.lit, radius, 0.0), gradient=steep)
     given = replace(given, sources=sources)
     found = blurred(session, given, "gather", moments=2)
     assert_close(found, blurred(session, given, "scatter"), ROUNDING)
-    assert_close(found, given.expected(), 2e-5)  # of wide discs of random radii the tables know that much
+    # Of single wide discs the tables know that much; those of `area` have kinks.
+    assert_close(found, given.expected(), 1e-4 if psf.edge == "area" else 2e-5)
     assert (found == blurred(session, given, "gather", moments=2)).all()
 
 
