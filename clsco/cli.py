@@ -217,6 +217,43 @@ def validate(scenes: tuple[Path, ...]) -> None:
         click.echo(f"{click.format_filename(path)}: valid{count}")
 
 
+@main.command()
+@click.option("-o", "out", metavar="DIR", required=True, type=PATH, help="Folder for the figures and plots.")
+@click.option("--quick", is_flag=True, help="A small grid: a minute or two on a slow machine.")
+@click.option("--compare", is_flag=True, help="Also measure numba and OpenCV, as far as they are installed.")
+@click.option("--size", "sizes", metavar="PX", type=int, multiple=True, help="Pixels a side; may be given again.")
+@click.option("--radius", "radii", metavar="PX", type=float, multiple=True, help="Largest radius; may be given again.")
+@device_option
+@quiet_option
+def bench(
+    out: Path, quick: bool, compare: bool, sizes: tuple[int, ...], radii: tuple[float, ...], device: str | None,
+    quiet: bool,
+) -> None:  # fmt: skip
+    """Measure speed against error of the defocus pass: bench.json, bench.csv and plots in DIR.
+
+    Time is process CPU time, on a graphics card that of its kernels; from radii on the device to the frame on the host.
+    Errors are those of a crop, against the NumPy reference. Cases with long calls are left out, and named in the JSON.
+    """
+    from clsco.bench.cases import make_grid
+    from clsco.bench.peers import require_peers
+    from clsco.files import writable_folder
+
+    grid = make_grid(quick, sizes, radii)
+    tools, missing = require_peers() if compare else ([], [])
+    _require_device(device)
+    from clsco.bench import measure, report
+    from clsco.device import choose
+
+    report.require_matplotlib()
+    for tool in missing:
+        click.echo(f"{tool}: left out, as it is not installed: pip install 'clsco[bench]'", err=True)
+    folder, chosen = writable_folder(out), choose(device)
+    with _progress(measure.steps(grid, chosen, tools), quiet, "calls") as advance:
+        measured = measure.run(grid, chosen, tools, advance)
+    report.write(folder, measured)
+    _print(*report.tables(measured))
+
+
 def _ratio(text: str) -> float:
     above, line, below = text.partition("/")
     try:
@@ -378,15 +415,15 @@ def _print(*things: Any) -> None:
 
 
 @contextmanager
-def _progress(total: int, quiet: bool) -> Iterator[Callable[[], object]]:
-    """Show a bar on a terminal, nothing in a pipe; gives what is to be called after each frame."""
+def _progress(total: int, quiet: bool, what: str = "frames") -> Iterator[Callable[[], object]]:
+    """Show a bar on a terminal, nothing in a pipe; gives what is to be called after each frame, or what it is."""
     if quiet or not sys.stderr.isatty() or not total:
         yield lambda: None
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (TextColumn("frames"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True)) as progress:
-        task = progress.add_task("frames", total=total)
+        task = progress.add_task(what, total=total)
         yield lambda: progress.advance(task)

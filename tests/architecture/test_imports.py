@@ -31,7 +31,7 @@ LAYERS = (
     ("renderer",),
     ("render",),
     ("describe", "demo", "defocus_command"),
-    ("batch", "check"),
+    ("batch", "check", "bench"),
     ("show",),
     ("cli",),
 )
@@ -41,19 +41,22 @@ ONLY = {
     "device": {"errors", "poclcache"},
     "program": {"errors", "resources", "device"},
 }
-IMPORTS_REFERENCE = {"check"}
+IMPORTS_REFERENCE = {"check", "bench"}
 OPENCL = {"device", "program", "spread", "layers", "defocus", "forward", "renderer"}
-ON_OPENCL = {"render", "batch", "check"}
+ON_OPENCL = {"render", "batch", "check", "bench"}
 IMAGES = {"images"}
 OUTSIDE = {
-    "pyopencl": OPENCL,
+    "pyopencl": OPENCL | {"bench"},
     "imageio": IMAGES,
     "imagecodecs": IMAGES,
     "tifffile": IMAGES,
     "OpenEXR": IMAGES,
     "PIL": IMAGES | {"demo"},
     "click": {"cli"},
-    "rich": {"cli", "show"},
+    "rich": {"cli", "show", "bench"},
+    "matplotlib": {"bench"},
+    "numba": {"bench"},
+    "cv2": {"bench"},
     "pydantic": {"quantities", "shapes", "scene", "scenefile"},
 }
 
@@ -123,7 +126,7 @@ def test_the_package_keeps_the_rules() -> None:
         ("scene", "from clsco.scenefile import load_scene", "scene: must not import scenefile"),
         ("optics", "from clsco import psf", "optics: must not import psf"),
         ("plan", "import clsco.render", "plan: must not import render"),
-        ("render", "from clsco.reference.trace import trace", "render: reference is for check only"),
+        ("render", "from clsco.reference.trace import trace", "render: reference is for bench, check only"),
         ("reference.blur", "from clsco.device import choose", "must not import device"),
         (
             "program",

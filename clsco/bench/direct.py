@@ -1,0 +1,136 @@
+"""Direct scatter in numba, as one would write it without OpenCL, in the two usual ways; needs the extra `bench`.
+
+A private image per thread, added up at the end; and bands of rows, each thread taking what falls into its own.
+"""
+
+from __future__ import annotations
+
+import os
+from functools import lru_cache
+from typing import Any
+
+# Idle threads must not spin while something else is timed.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+os.environ.setdefault("NUMBA_THREADING_LAYER", "workqueue")
+
+import numpy as np
+from numba import get_num_threads, njit, prange
+from numpy.typing import NDArray
+
+from clsco.psf import weights
+from clsco.scene import Psf
+
+Array = NDArray[Any]
+THREADS = get_num_threads()
+BLOCK = 2**18  # weights at a time: their intermediate results stay small
+
+
+@njit(inline="always")
+def _disc_taps(r):  # type: ignore[no-untyped-def]
+    """Pixel centers within r, which the weights of a sampled disc are normalized by."""
+    k, count = int(r), 0
+    for a in range(-k, k + 1):
+        for b in range(-k, k + 1):
+            if a * a + b * b <= r * r:
+                count += 1
+    return count
+
+
+@njit(parallel=True)
+def sampled_private(image, radius, threads):  # type: ignore[no-untyped-def]
+    """Direct scatter of the thesis' disc, an image per thread."""
+    rows, columns = image.shape
+    parts = np.zeros((threads, rows, columns), np.float32)
+    for t in prange(threads):
+        for i in range(t * rows // threads, (t + 1) * rows // threads):
+            for j in range(columns):
+                r = radius[i, j]
+                if r < 0.5:
+                    parts[t, i, j] += image[i, j]
+                    continue
+                k, v = int(r), image[i, j] / _disc_taps(r)
+                for a in range(max(-k, -i), min(k, rows - 1 - i) + 1):
+                    for b in range(max(-k, -j), min(k, columns - 1 - j) + 1):
+                        if a * a + b * b <= r * r:
+                            parts[t, i + a, j + b] += v
+    return parts.sum(axis=0)
+
+
+@njit(parallel=True)
+def sampled_bands(image, radius, threads):  # type: ignore[no-untyped-def]
+    """Direct scatter of the thesis' disc, each thread into its own rows."""
+    rows, columns = image.shape
+    out = np.zeros((rows, columns), np.float32)
+    reach = int(radius.max()) + 1
+    for t in prange(threads):
+        low, high = t * rows // threads, (t + 1) * rows // threads
+        for i in range(max(0, low - reach), min(rows, high + reach)):
+            for j in range(columns):
+                r = radius[i, j]
+                k = 0 if r < 0.5 else int(r)
+                v = image[i, j] / (_disc_taps(r) if k else 1)
+                for a in range(max(-k, low - i), min(k, high - 1 - i) + 1):
+                    for b in range(max(-k, -j), min(k, columns - 1 - j) + 1):
+                        if a * a + b * b <= r * r or k == 0:
+                            out[i + a, j + b] += v
+    return out
+
+
+@njit(inline="always")
+def _tabulated(table, u, dx, dy):  # type: ignore[no-untyped-def]
+    """Weight at (dx, dy), linear between the two nearest radii of a dense table."""
+    k = int(u)
+    t = u - k
+    a, b = abs(dx), abs(dy)
+    return table[k, a, b] + t * (table[k + 1, a, b] - table[k, a, b])
+
+
+@njit(parallel=True)
+def exact_private(image, radius, gx, gy, table, steps, threads):  # type: ignore[no-untyped-def]
+    """Direct scatter of the integrated disc with tilt from a table (radii, |dx|, |dy|), an image per thread."""
+    rows, columns = image.shape
+    parts = np.zeros((threads, rows, columns), np.float32)
+    for t in prange(threads):
+        for i in range(t * rows // threads, (t + 1) * rows // threads):
+            for j in range(columns):
+                r = radius[i, j]
+                k, v, u, s = int(np.ceil(r + 1.0)) - 1, image[i, j], r * steps, max(r, 1.0)
+                x, y = gx[i, j] / s, gy[i, j] / s
+                for a in range(max(-k, -i), min(k, rows - 1 - i) + 1):
+                    for b in range(max(-k, -j), min(k, columns - 1 - j) + 1):
+                        tilt = max(0.0, 1.0 + b * x + a * y)
+                        parts[t, i + a, j + b] += v * tilt * _tabulated(table, u, b, a)
+    return parts.sum(axis=0)
+
+
+@njit(parallel=True)
+def exact_bands(image, radius, gx, gy, table, steps, threads):  # type: ignore[no-untyped-def]
+    """Direct scatter of the integrated disc with tilt from a table, each thread into its own rows."""
+    rows, columns = image.shape
+    out = np.zeros((rows, columns), np.float32)
+    reach = int(radius.max()) + 2
+    for t in prange(threads):
+        low, high = t * rows // threads, (t + 1) * rows // threads
+        for i in range(max(0, low - reach), min(rows, high + reach)):
+            for j in range(columns):
+                r = radius[i, j]
+                k, v, u, s = int(np.ceil(r + 1.0)) - 1, image[i, j], r * steps, max(r, 1.0)
+                x, y = gx[i, j] / s, gy[i, j] / s
+                for a in range(max(-k, low - i), min(k, high - 1 - i) + 1):
+                    for b in range(max(-k, -j), min(k, columns - 1 - j) + 1):
+                        tilt = max(0.0, 1.0 + b * x + a * y)
+                        out[i + a, j + b] += v * tilt * _tabulated(table, u, b, a)
+    return out
+
+
+@lru_cache(maxsize=2)
+def dense_table(largest: float, steps: int) -> Array:
+    """Weights of the integrated disc (radii, |dx|, |dy|) at every 1/steps px, as a user would tabulate them."""
+    offsets = np.arange(int(np.ceil(largest)) + 2, dtype=float)
+    radii = np.arange(int(largest * steps) + 3) / steps
+    table = np.empty((radii.size, offsets.size, offsets.size), np.float32)
+    together = max(1, BLOCK // offsets.size**2)
+    for start in range(0, radii.size, together):
+        block = slice(start, start + together)
+        table[block] = weights(Psf(), offsets[None, :, None], offsets[None, None, :], radii[block, None, None])
+    return table

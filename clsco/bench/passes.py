@@ -1,0 +1,80 @@
+"""The defocus pass by itself, part by part, so that it can be timed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from clsco.defocus import PLAIN
+from clsco.device import Session
+from clsco.layout import Real, flat, frame_struct, in_parts, structs
+from clsco.plan import Blur
+from clsco.program import build, empty, kernel, launch, upload
+from clsco.psf import LANES, reach
+from clsco.scene import Psf
+from clsco.spread import PIXELS, Events, Sources, Spreader, blur_features
+
+Array = NDArray[Any]
+
+
+class Pass:
+    """The defocus pass of one image on the device, from its radii to the frame; warm after its first call."""
+
+    def __init__(self, session: Session, image: Array, radii: Array, psf: Psf, method: Blur, real: Real) -> None:
+        rows, columns = radii.shape
+        channels = image.shape[2] if image.ndim == 3 else 1
+        size = np.abs(radii)
+        smallest, self.largest = float(size.min()), float(size.max())
+        constant = method == "convolve"
+        guard = reach(psf, self.largest) + LANES if constant else 0
+        stepwise = psf.edge == "sampled" and psf.model == "pillbox"
+        features = PLAIN | blur_features(method, psf, self.largest, real, prepare=True)
+        features |= {"CHANNELS": channels, "TILT": int(psf.tilt and not constant)}
+        features |= {"SAMPLED": int(psf.edge == "sampled"), "POWERS": 1 if stepwise else 4}
+        self.session, self.camera = session, frame_struct(rows, columns, guard, real)
+        self.program = build(session, ["blur.cl"], features, structs(real), real)
+        self.spreader = Spreader(
+            session, self.program, psf, method, self.camera, channels, smallest, self.largest, 0, real,
+            float(np.abs(image).max()), bool(features["SPANS"]),
+        )  # fmt: skip
+        padded = np.pad(flat(image, np.float32), ((0, 0), (guard, guard), (guard, guard)))
+        self.sources = Sources(None if constant else empty(session, 16 * rows * columns), upload(session, padded))
+        valid = np.ones(radii.shape, np.uint8)
+        self.radii = () if constant else (upload(session, in_parts(radii, real)), upload(session, valid))
+
+    def prepare(self, events: Events) -> None:
+        """Enqueue the prepass: radii to records of sources."""
+        if self.sources.source is not None:
+            columns, rows = int(self.camera["columns"]), int(self.camera["rows"])
+            args = (self.camera, self.spreader.struct, *self.radii, self.sources.source)
+            prepass = kernel(self.program, "prepare_sources")
+            events.append(("prepare_sources", launch(self.session, prepass, (columns, rows), PIXELS, *args)))
+
+    def spread(self, events: Events) -> None:
+        """Enqueue the blur of all sources into an empty frame."""
+        self.spreader.clear()
+        self.spreader.add(self.sources, self.largest, events)
+
+    def __call__(self, events: Events) -> Array:
+        """All of it: the frame (rows, columns[, channels]) on the host."""
+        self.prepare(events)
+        self.spread(events)
+        return self.spreader.image(events)
+
+    @property
+    def bytes(self) -> int:
+        """Size of the buffers on the device."""
+        held = _buffers([*vars(self.spreader).values(), *vars(self.sources).values(), *self.radii])
+        return sum({buffer.int_ptr: int(buffer.size) for buffer in held}.values())
+
+
+def _buffers(things: Sequence[object]) -> Iterator[cl.Buffer]:
+    for thing in things:
+        if isinstance(thing, cl.Buffer):
+            yield thing
+        elif isinstance(thing, list | tuple):
+            yield from _buffers(thing)

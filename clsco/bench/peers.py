@@ -1,0 +1,67 @@
+"""What else blurs by a radius map or by one radius: numba's direct scatter and OpenCV; the extra `bench` has both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.bench.cases import PSFS, Scene
+from clsco.errors import ClscoError
+from clsco.psf import reach, weights
+
+Array = NDArray[Any]
+
+MODULES = {"numba": "numba", "OpenCV": "cv2"}
+# Tool, method, scene and PSF.
+PEERS: tuple[tuple[str, str, Scene, str], ...] = (
+    *(("numba", way, "varying", psf) for psf in ("sampled", "integrated, tilt") for way in ("private", "bands")),
+    *(("OpenCV", "filter2D", "constant", psf) for psf in PSFS),
+    ("OpenCV", "GaussianBlur", "constant", "gaussian"),
+)
+# Of numba's table per px of radius, fewer for large radii, where weights change slowly and tables grow with R^3.
+MOST_STEPS, TABLE_WEIGHTS = 128, 2.0e6
+
+
+def require_peers() -> tuple[list[str], list[str]]:
+    """Tools that are installed, and those that are not. Raises ClscoError where none is."""
+    there = [tool for tool, module in MODULES.items() if find_spec(module) is not None]
+    if not there:
+        raise ClscoError(f"--compare: needs {' or '.join(MODULES)}: pip install 'clsco[bench]'; got no such module")
+    return there, [tool for tool in MODULES if tool not in there]
+
+
+def set_up(tool: str, method: str, psf: str, image: Array, radii: Array) -> Callable[[], Array]:
+    """A peer's pass over linear light (rows, columns), float32, by radii in px of the same shape; makes its tables."""
+    return _numba(method, psf, image, radii) if tool == "numba" else _opencv(method, psf, image, float(radii[0, 0]))
+
+
+def _numba(way: str, psf: str, image: Array, radii: Array) -> Callable[[], Array]:
+    from clsco.bench import direct
+
+    single = radii.astype(np.float32)
+    if psf == "sampled":
+        sampled = direct.sampled_private if way == "private" else direct.sampled_bands
+        return lambda: sampled(image, single, direct.THREADS)
+    exact = direct.exact_private if way == "private" else direct.exact_bands
+    gy, gx = (gradient.astype(np.float32) for gradient in np.gradient(radii))
+    largest = float(radii.max())
+    steps = int(min(MOST_STEPS, TABLE_WEIGHTS / (largest + 2.0) ** 3 + 1.0))
+    table = direct.dense_table(largest, steps)
+    return lambda: exact(image, single, gx, gy, table, float(steps), direct.THREADS)
+
+
+def _opencv(method: str, name: str, image: Array, radius: float) -> Callable[[], Array]:
+    import cv2
+
+    psf = PSFS[name]
+    far = reach(psf, radius)
+    if method == "GaussianBlur":
+        size, sigma = (2 * far + 1, 2 * far + 1), psf.sigma_ratio * radius
+        return lambda: cv2.GaussianBlur(image, size, sigma, borderType=cv2.BORDER_CONSTANT)
+    offset = np.arange(-far, far + 1.0)
+    kernel = weights(psf, offset[None, :], offset[:, None], np.asarray(radius)).astype(np.float32)
+    return lambda: cv2.filter2D(image, -1, kernel, borderType=cv2.BORDER_CONSTANT)

@@ -1,0 +1,276 @@
+"""The benchmark: its rows and files, what it refuses, and its arithmetic; no test looks at how long something took."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from clsco.bench import measure, peers, report
+from clsco.bench.cases import PSFS, QUICK, Grid, channels_of, crop_of, grid_cases, make_grid, mean_taps, radius_map
+from clsco.bench.measure import Bench, front
+from clsco.bench.passes import Pass
+from clsco.bench.roofline import Roof, intensity, multiply_add_rate, tap_rate, triad_rate
+from clsco.cli import main
+from clsco.device import Session
+from clsco.errors import ClscoError, ImageError
+from clsco.plan import Blur
+from clsco.scene import Psf
+
+FIGURE = 1e-5  # of white, as in tests/test_defocus.py
+METHODS = set(get_args(Blur)) - {"none"}
+FILES = ["bench.csv", "bench.json", "radius.png", "roofline.png", "size.png", "speed_error.png"]
+SMALL = Grid(sizes=(24, 40), radii=(2.5,), channels=(1,), rounds=2, longest_s=100.0)
+
+
+def bench_(*words: object) -> Result:
+    return CliRunner().invoke(main, ["bench", *map(str, words)])
+
+
+@pytest.fixture(scope="module")
+def steps() -> list[int]:
+    return []
+
+
+@pytest.fixture(scope="module")
+def measured(session: Session, steps: list[int]) -> Bench:
+    return measure.run(SMALL, session.device, [], lambda: steps.append(1))
+
+
+def test_every_case_has_a_row(measured: Bench, steps: list[int], session: Session) -> None:
+    cases = grid_cases(SMALL, has_fp64=True)
+    names = ("size", "radius", "scene", "psf", "channels", "precision", "tool", "method")
+
+    def keys(things: list[Any]) -> list[tuple[Any, ...]]:
+        return sorted(tuple(getattr(thing, name) for name in names) for thing in things)
+
+    assert keys(measured.rows) == keys(cases)
+    assert len(set(cases)) == len(cases) == 2 * len(PSFS) * 2 * len(METHODS)
+    assert {case.method for case in cases} == METHODS
+    assert measured.left_out == []
+    assert len(steps) == measure.steps(SMALL, session.device, []) == 3 * len(cases)
+
+
+def test_every_method_is_close_to_the_reference(measured: Bench) -> None:
+    for row in measured.rows:
+        assert 0.0 <= row.rms_error <= row.largest_error < FIGURE, row
+        assert (row.psnr_db is None) == (row.rms_error == 0.0)
+    worst = max(measured.rows, key=lambda row: row.largest_error)
+    assert worst.largest_error > 0.0
+
+
+def test_figures_of_a_row_belong_together(measured: Bench) -> None:
+    for row in measured.rows:
+        assert row.device_ns is not None
+        assert row.gflop_per_s is not None
+        assert row.of_peak is not None
+        assert row.cost_ns == (row.cpu_ns if measured.device["kind"] == "cpu" else row.device_ns)
+        assert row.method in row.kernels_ns
+        assert ("prepare_sources" in row.kernels_ns) == (row.method != "convolve")
+        assert sum(row.kernels_ns.values()) == pytest.approx(row.device_ns)
+        assert row.gflop_per_s * row.device_ns == pytest.approx(2 * row.taps)
+        assert row.of_peak * measured.roof.gflop_per_s == pytest.approx(row.gflop_per_s)
+        assert min(row.cpu_ns, row.wall_ns, row.first_call_s) > 0.0
+        # A color in and one out, and a record of 16 bytes where radii differ.
+        least = row.size**2 * (8 * row.channels + (16 if row.method != "convolve" else 0))
+        assert row.device_bytes is not None
+        assert row.device_bytes >= least
+    assert measured.peak_rss_bytes is None or measured.peak_rss_bytes > 2**20
+
+
+def test_bytes_on_the_device_are_those_of_its_buffers(session: Session) -> None:
+    """In focus nothing hangs over: a record, a validity, a color, the radius, and the frame with its margins."""
+    radii = np.zeros((16, 16))
+    one = Pass(session, np.zeros((16, 16), np.float32), radii, Psf(edge="sampled"), "gather", "double")
+    spreader = one.spreader
+    margins = 4 * 16 * spreader.pitch
+    tables = sum(buffer.size for table in spreader.tables for buffer in table) + spreader.lens.size
+    assert one.bytes == 256 * (16 + 1 + 4 + 8) + margins + tables
+
+
+def test_long_cases_are_left_out_with_the_reason(session: Session, tmp_path: Path) -> None:
+    grid = replace(SMALL, sizes=(24,), precisions=("single",), longest_s=0.0)
+    calls: list[int] = []
+    found = measure.run(grid, session.device, [], lambda: calls.append(1))
+    assert found.rows == []
+    assert len(found.left_out) == len(grid_cases(grid, session.device.has_fp64))
+    assert len(calls) == measure.steps(grid, session.device, [])
+    for case in found.left_out:
+        assert case["method"] in METHODS
+        assert case["why"].startswith("a call must take 0 s at most; got at least ")
+    with pytest.raises(ClscoError, match=r"^bench: some case must be short enough; got none, a call must take 0 s"):
+        report.write(tmp_path, found)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_front_is_what_nothing_beats() -> None:
+    rng = np.random.default_rng(3)
+    for count in (0, 1, 2, 30):
+        for _ in range(20):
+            costs, errors = rng.integers(0, 8, (2, count)).astype(float).tolist()  # few values: many are equal
+            expected = [
+                not any(
+                    c <= cost and e <= error and (c < cost or e < error) for c, e in zip(costs, errors, strict=True)
+                )
+                for cost, error in zip(costs, errors, strict=True)
+            ]
+            assert front(costs, errors) == expected
+            assert any(expected) == (count > 0)
+
+
+def test_each_task_has_a_front_of_its_own(measured: Bench) -> None:
+    tasks = {row.task for row in measured.rows}
+    assert len(tasks) == 2 * 2 * len(PSFS)
+    assert {row.task for row in measured.rows if row.on_front} == tasks
+    assert not all(row.on_front for row in measured.rows)
+
+
+def test_rates_of_known_times() -> None:
+    assert triad_rate(1000, 100.0) == 30.0  # 3000 bytes in 100 ns
+    assert multiply_add_rate(items=4, count=5, nanoseconds=100.0) == 32.0  # 4 x 5 steps of 10 x 8 x 2 flop
+    assert tap_rate(taps=50.0, nanoseconds=10.0) == 10.0
+    assert intensity(taps=6.0) == 1.0
+    roof = Roof(gb_per_s=10.0, gflop_per_s=100.0)
+    assert [roof.at(x) for x in (0.5, 10.0, 40.0)] == [5.0, 100.0, 100.0]
+
+
+def test_taps_of_one_radius_are_counted() -> None:
+    """Pixel centers within 2 px; squares of 2 px around those that a disc of 0.5 px touches; 3 sigma of 2.12 px + 1."""
+    assert mean_taps(PSFS["sampled"], 2.0, "constant") == 13.0
+    assert mean_taps(PSFS["integrated, tilt"], 0.5, "constant") == 9.0
+    assert mean_taps(PSFS["gaussian"], 1.0, "constant") == 49.0
+    assert mean_taps(PSFS["sampled"], 2.0, "varying") < 13.0
+
+
+def test_the_crop_lies_in_the_image_and_holds_an_edge() -> None:
+    for size in (16, 100, 512, 8192):
+        for radius in (0.0, 6.0, 60.0):
+            for psf in PSFS.values():
+                rows, columns = crop_of(size, radius, psf)
+                assert 0 <= rows.start < rows.stop <= size
+                assert 0 <= columns.start < columns.stop <= size
+                assert rows.stop - rows.start == columns.stop - columns.start >= min(size, 32)
+    crop = crop_of(2048, 60.0, PSFS["gaussian"])
+    radii = radius_map(2048, 60.0)[crop]
+    assert np.abs(np.diff(radii, axis=1)).max() > 10.0
+
+
+def test_files_hold_all_rows(measured: Bench, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    report.write(tmp_path, measured)
+    assert sorted(path.name for path in tmp_path.iterdir()) == FILES
+    content = json.loads((tmp_path / "bench.json").read_text())
+    assert content["device"]["name"] == measured.device["name"]
+    assert {"clsco", "numpy", "pyopencl", "python"} <= content["versions"].keys()
+    assert content["settings"]["sizes"] == [24, 40]
+    assert content["roof"].keys() == {"gb_per_s", "gflop_per_s"}
+    with open(tmp_path / "bench.csv", newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert len(lines) == len(content["rows"]) == len(measured.rows)
+    for line, row, wanted in zip(lines, content["rows"], measured.rows, strict=True):
+        assert row["cost_ns"] == float(line["cost_ns"]) == pytest.approx(wanted.cost_ns, rel=1e-5)
+        assert (line["method"], line["psf"]) == (wanted.method, wanted.psf)
+
+
+@pytest.mark.parametrize("failure", [OSError("disk full"), RuntimeError("no such font")])
+def test_nothing_is_left_when_a_plot_fails(
+    measured: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failure: Exception
+) -> None:
+    def fail(_: Bench) -> Any:
+        raise failure
+
+    (tmp_path / "bench.csv").write_text("before")
+    plots: dict[str, Callable[[Bench], Any]] = {"speed_error.png": fail}
+    monkeypatch.setattr(report, "PLOTS", plots)
+    with pytest.raises(ImageError if isinstance(failure, OSError) else RuntimeError):
+        report.write(tmp_path, measured)
+    assert [path.name for path in tmp_path.iterdir()] == ["bench.csv"]
+    assert (tmp_path / "bench.csv").read_text() == "before"
+
+
+def test_the_command_writes_and_shows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("matplotlib")
+    small = replace(QUICK, channels=(3,), precisions=("double",), rounds=1, longest_s=100.0)
+    monkeypatch.setattr("clsco.bench.cases.QUICK", small)
+    result = bench_("-o", tmp_path / "new", "--quick", "--size", 20, "--radius", 0, "--radius", 1.5, "--device", "pocl")
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == FILES
+    rows = json.loads((tmp_path / "new/bench.json").read_text())["rows"]
+    assert {(row["size"], row["radius"], row["channels"]) for row in rows} == {(20, 0.0, 3), (20, 1.5, 3)}
+    assert max(row["largest_error"] for row in rows) < FIGURE
+    assert result.stdout.count(" gather ") == sum(row["method"] == "gather" for row in rows) == 2 * len(PSFS)
+    sharp = {row["psnr_db"] for row in rows if row["radius"] == 0.0}
+    assert sharp == {None}  # no error, hence no ratio
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--size", 0), "error: --size: must be 16 to 8192 px; got 0"),
+        (("--size", 8193), "error: --size: must be 16 to 8192 px; got 8193"),
+        (("--radius", -1), "error: --radius: must be 0 to 60 px; got -1"),
+        (("--radius", 61), "error: --radius: must be 0 to 60 px; got 61"),
+        (("--radius", "nan"), "error: --radius: must be 0 to 60 px; got nan"),
+    ],
+)
+def test_bad_options_give_one_message(words: tuple[object, ...], message: str, tmp_path: Path) -> None:
+    result = bench_("-o", tmp_path / "out", *words)
+    assert (result.exit_code, result.stdout, result.stderr.splitlines()) == (1, "", [message])
+    assert not (tmp_path / "out").exists()
+
+
+def without(monkeypatch: pytest.MonkeyPatch, *missing: str) -> None:
+    there = importlib.util.find_spec
+
+    def find_spec(name: str, package: str | None = None) -> Any:
+        return None if name in missing else there(name, package)
+
+    monkeypatch.setattr(report, "find_spec", find_spec)
+    monkeypatch.setattr(peers, "find_spec", find_spec)
+
+
+def test_missing_extras_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    without(monkeypatch, "matplotlib", "numba", "cv2")
+    for words, what in (((), "bench: needs matplotlib"), (("--compare",), "--compare: needs numba or OpenCV")):
+        result = bench_("-o", tmp_path / "out", "--quick", *words)
+        message = f"error: {what}: pip install 'clsco[bench]'; got no such module"
+        assert (result.exit_code, result.stdout, result.stderr.splitlines()) == (1, "", [message])
+    assert not (tmp_path / "out").exists()
+    without(monkeypatch, "cv2")
+    assert peers.require_peers()[1] == ["OpenCV"]
+
+
+# Numba compiles each for seconds.
+@pytest.mark.parametrize(
+    "peer",
+    [pytest.param(peer, marks=pytest.mark.slow if peer in peers.PEERS[:3] else ()) for peer in peers.PEERS],
+    ids=lambda peer: "-".join(peer),
+)
+def test_peers_do_the_same(peer: tuple[str, str, Any, str]) -> None:
+    tool, method, scene, psf = peer
+    pytest.importorskip(peers.MODULES[tool])
+    radii = radius_map(40, 3.3) if scene == "varying" else np.full((40, 40), 3.3)
+    image = np.random.default_rng(0).random((40, 40), dtype=np.float32)
+    found = peers.set_up(tool, method, psf, image, radii)()
+    exact = measure.reference(image[..., None], radii, PSFS[psf])[..., 0]
+    error = np.abs(found - exact).max()
+    # GaussianBlur samples where clsco integrates; a table of floats is linear between its radii.
+    assert error < (5e-3 if method == "GaussianBlur" else 2e-5)
+    assert np.abs(found - image).max() > 0.1
+
+
+def test_grids_of_the_options() -> None:
+    assert make_grid(False, [], []) == Grid()
+    assert make_grid(True, [], []) == QUICK
+    asked = make_grid(True, [64, 32, 64], [3.0])
+    assert (asked.sizes, asked.radii, asked.rounds) == ((32, 64), (3.0,), QUICK.rounds)
+    image = np.zeros((4, 5, 3), np.float32)
+    assert (channels_of(image, 1).shape, channels_of(image, 3).shape) == ((4, 5), (4, 5, 3))
