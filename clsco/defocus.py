@@ -128,7 +128,7 @@ def _defocus(
         return image.copy()
     guard = 0
     if blur == "convolve":
-        guard = reach(psf, largest) + LANES
+        guard = reach(psf, largest) + 2 * LANES
     camera: Struct = frame_struct(rows, columns, guard, real)
     features = PLAIN | blur_features(blur, psf, largest, real, prepare=True)
     features |= {

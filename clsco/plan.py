@@ -330,7 +330,7 @@ def make_plan(
     sharp = is_sharp(psf, largest) and not silhouettes
     blur = _choose_blur(method, sharp, constant)
     if blur == "convolve":
-        guard += LANES
+        guard += 2 * LANES
     occlusion, found = _occlusion(scene, forward, sharp, moments, each)
     tilt = psf.tilt and not _constant_blur(scene) and blur not in ("convolve", "none")
     passes, left_out = _passes(

@@ -100,7 +100,7 @@ class Spreader:
             if spans:
                 self.spans = (upload(session, self.main.outlines), _zeros(session, (4 if psf.tilt else 2) * size))
         # Tables of `convolve` that queued launches still read: the host runs ahead of the device.
-        self.held: list[tuple[cl.Buffer, cl.Buffer]] = []
+        self.held: list[tuple[cl.Buffer, ...]] = []
         self.scale = 1.0
         if method == "scatter":
             wide = session.device.has_int64_atomics
@@ -123,9 +123,10 @@ class Spreader:
             return
         if self.method == "convolve":
             table = constant_table(self.psf, radius)
-            buffers = (upload(self.session, table.intervals), upload(self.session, table.coefficients))
+            arrays = (table.intervals, table.coefficients, table.outlines)
+            buffers = tuple(upload(self.session, array) for array in arrays)
             self.held.append(buffers)
-            blocks = (-(-frame[0] // LANES), -(-frame[1] // 4))
+            blocks = (-(-frame[0] // (2 * LANES)), -(-frame[1] // 4))
             self._launch("convolve", blocks, (8, 1), events, camera, value, *buffers, *layout)
             return
         head = (camera, self.struct, sources.source, value, *self.tables[0])

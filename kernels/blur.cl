@@ -218,36 +218,47 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
 #endif
 
 #if CONVOLVE
-// One radius for all sources and no tilt: a plain convolution with the only interval of a constant table. Each
-// work-item makes LANES columns of 4 rows. In: value, whose guard band is at least reach + LANES wide. Out: added to
-// total.
-__kernel void convolve(const camera_t camera, __global const float *value, __global const int4 *intervals, __global const float *coefficients, const int pitch,
-                       const int pad, __global float *total)
+// One radius for all sources and no tilt: a plain convolution with the only interval of a constant table, whose row of
+// half_width + 1 is 0. Each work-item makes 2 LANES columns of 4 rows, as many as there are registers for. In: value, whose
+// guard band is at least reach + 2 LANES wide. Out: added to total.
+__kernel void convolve(const camera_t camera, __global const float *value, __global const int4 *intervals,
+                       __global const float *coefficients, __global const int *outlines, const int pitch, const int pad,
+                       __global float *total)
 {
-    const int x = get_global_id(0) * LANES, y = get_global_id(1) * 4;
+    const int x = get_global_id(0) * 2 * LANES, y = get_global_id(1) * 4;
     if (x >= camera.columns || y >= camera.rows)
         return;
-    const int half_width = intervals[0].y, lanes = intervals[0].z;
-    const int rows = MIN(4, camera.rows - y);
+    const int half_width = intervals[0].y, lanes = intervals[0].z, rows = MIN(4, camera.rows - y);
     for (int k = 0; k < CHANNELS; ++k) {
-        __global const float *plane = value + k * camera.width * camera.height;
-        float8 sum[4] = {0, 0, 0, 0};
+        __global const float *plane = value + (k * camera.height + y + camera.guard) * camera.width + x + camera.guard;
+        float8 sum[8] = {0, 0, 0, 0, 0, 0, 0, 0};
         for (int i = -half_width; i < rows + half_width; ++i) {
-            __global const float *line = plane + (y + i + camera.guard) * camera.width + x + camera.guard;
-            float8 part[4] = {0, 0, 0, 0};  // of one row, as in gather
-            for (int dx = -half_width; dx <= half_width; ++dx) {
-                const float8 light = TAPS(line - dx);
+            __global const float *line = plane + i * camera.width, *c[4];
+            int last = 0;
+            #pragma unroll
+            for (int r = 0; r < 4; ++r) {
+                const int dy = MIN(ABS(i - r), half_width + 1);
+                c[r] = coefficients + dy * lanes + half_width;
+                last = MAX(last, outlines[dy]);
+            }
+            float8 part[8] = {0, 0, 0, 0, 0, 0, 0, 0};  // of one row, as in gather
+            for (int dx = -last; dx <= last; ++dx) {
+                const float8 left = TAPS(line - dx), right = TAPS(line - dx + LANES);
+                #pragma unroll
                 for (int r = 0; r < 4; ++r) {
-                    const int dy = i > r ? i - r : r - i;
-                    if (dy <= half_width)
-                        part[r] += light * coefficients[dy * lanes + dx + half_width];
+                    part[2 * r] += left * c[r][dx];
+                    part[2 * r + 1] += right * c[r][dx];
                 }
             }
-            for (int r = 0; r < 4; ++r)
+            #pragma unroll
+            for (int r = 0; r < 8; ++r)
                 sum[r] += part[r];
         }
-        for (int r = 0; r < rows; ++r)
-            ADD_TAPS(total + (k * camera.rows + y + r) * pitch + x + pad, sum[r]);
+        __global float *out = total + (k * camera.rows + y) * pitch + x + pad;
+        for (int r = 0; r < rows; ++r) {
+            ADD_TAPS(out + r * pitch, sum[2 * r]);
+            ADD_TAPS(out + r * pitch + LANES, sum[2 * r + 1]);
+        }
     }
 }
 #endif

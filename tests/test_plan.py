@@ -250,7 +250,7 @@ def test_guard_band_holds_every_source_that_lights_the_frame(model: Any, edge: A
     assert guard_band(psf.model_copy(update={"border": "renormalize"}), 5.0) == 0
     flat = plan(STILL, psf=psf)
     assert flat.blur == "convolve"
-    assert flat.guard_px == guard_band(psf, flat.largest_blur) + LANES  # a vector of sources may hang over
+    assert flat.guard_px == guard_band(psf, flat.largest_blur) + 2 * LANES  # two vectors of sources may hang over
 
 
 def test_widened() -> None:

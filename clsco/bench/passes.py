@@ -30,7 +30,7 @@ class Pass:
         size = np.abs(radii)
         smallest, self.largest = float(size.min()), float(size.max())
         constant = method == "convolve"
-        guard = reach(psf, self.largest) + LANES if constant else 0
+        guard = reach(psf, self.largest) + 2 * LANES if constant else 0
         stepwise = psf.edge == "sampled" and psf.model == "pillbox"
         features = PLAIN | blur_features(method, psf, self.largest, real, prepare=True)
         features |= {"CHANNELS": channels, "TILT": int(psf.tilt and not constant)}
