@@ -198,8 +198,15 @@ def test_every_psf(session: Session, psf: Psf, tilt: bool, method: Blur) -> None
     assert_close(blurred(session, given, method), expected, FIGURE[psf.edge])
 
 
-@pytest.mark.parametrize("channels", [1, 3])
-@pytest.mark.parametrize("psf", [Psf(), Psf(edge="area"), Psf(edge="sampled", tilt=False)], ids=name_of)
+@pytest.mark.parametrize(
+    ("psf", "channels"),
+    [
+        (Psf(), 3),
+        (Psf(edge="sampled", tilt=False), 1),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in ((Psf(), 1), (Psf(edge="area"), 1))),
+    ],
+    ids=["colors", "sampled", "gray", "area"],
+)
 def test_wide_discs_by_the_ends_of_their_rows(session: Session, psf: Psf, channels: int) -> None:
     """Radii of one interval side by side, and none such; steep tilts, of which weights end at 0; several bands."""
     shape = (3 * spread.BAND // 2, 61)

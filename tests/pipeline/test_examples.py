@@ -33,7 +33,7 @@ LONG = {
     for stem in ("passing", "tube", "sharp_near", "sharp_far", "interpenetrating", "three", "wire", "ground", "card")
 }
 LONG |= {"bowl", "tube", "focal_stack", "camera_motion"}
-SINGLE = ("cylinder_turning", "quadric", "road", "stereo", "fig_4_06", "thesis_pipeline")
+SINGLE = ("cylinder_turning", "quadric", "road", "fig_4_06", "thesis_pipeline")
 SEVERAL = ("bowl", "cone_turning", "cylinder_turning", "plane_gaussian", "quadric", "road", "fig_3_12_right")
 
 

@@ -77,7 +77,7 @@ def test_again(known: dict[tuple[str, str, str], str]) -> None:
     assert {case: outcome(*case) for case in CASES} == known
 
 
-@pytest.mark.parametrize("local", [(16, 4), (1, 1)])
+@pytest.mark.parametrize("local", [(16, 4), pytest.param((1, 1), marks=pytest.mark.slow)])
 def test_in_other_groups(
     local: tuple[int, int], known: dict[tuple[str, str, str], str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
