@@ -19,7 +19,7 @@ from clsco.scene import Psf
 
 BANDS_PER_CORE = 4  # at a time, where they need memory of their own
 BAND = 64  # rows that a work-item of `gather` owns: bands for several cores, and little overlap
-MOST_IN_ONE_SUM = 128  # taps of `gather` that a float adds up before it goes into another sum
+MOST_IN_ONE_SUM = 256  # taps of `gather` that a float adds up before it goes into another sum
 PIXELS = (64, 1)  # local size of kernels with a work-item per pixel
 # A pixel gets at most 2.6 + 2 ln R times the brightest source from pillboxes; the tilt at most doubles it.
 GAIN, GAIN_PER_LOG, TILT_GAIN = 2.6, 2.0, 2.0
