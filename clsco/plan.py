@@ -349,13 +349,8 @@ def make_plan(
     pitch = columns + 2 * (guard + extent + LANES)
     memory += 4 * channels * rows * pitch
     if blur == "gather" and extent > 5:  # sums on their way to the frame, and with wide discs spans (clsco/spread.py)
-        memory += (
-            4
-            * channels
-            * min(rows + 63, 2048)
-            * pitch
-            * (5 if psf.model == "pillbox" and extent >= SPANNED[psf.edge] else 1)
-        )
+        spans = psf.model == "pillbox" and extent >= SPANNED[psf.edge]
+        memory += 4 * channels * min(rows + 63, 2048) * pitch * (5 if spans else 1)
     memory += 4 * channels * rows * columns * (1 + len({item.texture for item in scene.objects}))
     memory += tables + slots * (4 + silhouettes**2 * (16 + 4 * channels + hidden)) + 16 * rows * columns * bool(truth)
     seen = np.abs(blur_radius(scene.camera, w[w > 0]))

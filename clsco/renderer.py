@@ -107,11 +107,10 @@ class Renderer:
         self.texture = upload(session, np.stack([_planes(texture.radiance, plan.channels) for texture in stack]))
         self.held: list[cl.Buffer] = []  # what queued launches still read: the host runs ahead of the device
         self.camera = camera_struct(plan.scene.camera, plan.guard_px, self.real)
-        features = (
-            plan.features()
-            | self._blur_features(plan.forward or plan.occlusion == "layered")
-            | {"TRUTH": int(bool(plan.truth))}
-        )
+        psf, prepare = plan.scene.psf, plan.forward or plan.occlusion == "layered"
+        # As the programs are built: that stays when the range of radii turns out to be larger than predicted.
+        self.blur_features = blur_features(plan.blur, psf, plan.largest_blur, self.real, prepare)
+        features = plan.features() | self.blur_features | {"TRUTH": int(bool(plan.truth))}
         features["LENSES"] = int(hits is not None)
         features["PINHOLE"] = int(plan.occlusion == "layered" and not plan.forward)
         features |= {f"TRUTH_{name.upper()}": int(name in self._truth_names()) for name in TRUTH_BUFFERS}
@@ -126,10 +125,6 @@ class Renderer:
             )
         self._allocate()
 
-    def _blur_features(self, prepare: bool) -> dict[str, int]:
-        plan = self.plan
-        return blur_features(plan.blur, plan.scene.psf, plan.largest_blur, self.real, prepare)
-
     def _truth_names(self) -> list[str]:
         """Outputs of ground_truth; a forward warp makes its own focused image."""
         return [n for n in TRUTH_BUFFERS if n in self.plan.truth and not (n == "sharp" and self.plan.forward)]
@@ -140,7 +135,7 @@ class Renderer:
         area = plan.width * plan.height
         self.spreader = Spreader(
             session, self.program, plan.scene.psf, plan.blur, self.camera, plan.channels, self.smallest, self.largest,
-            plan.silhouettes, self.real, self.brightest, bool(self._blur_features(prepare=False)["SPANS"]),
+            plan.silhouettes, self.real, self.brightest, bool(self.blur_features["SPANS"]),
         )  # fmt: skip
         self.source = empty(session, 16 * area)
         self.value = empty(session, 4 * plan.channels * area)
@@ -154,7 +149,7 @@ class Renderer:
         self.sub_value = empty(session, 4 * plan.channels * self.slots * each)
         self.slabs: Layers | None = None
         if plan.occlusion == "layered":
-            features = plan.features() | self._blur_features(prepare=True)
+            features = plan.features() | self.blur_features
             self.slabs = Layers(session, self.spreader, features, self.largest, self.real, self.brightest)
             self.coc, self.valid = empty(session, WIDE_BYTES * area), empty(session, area)
 

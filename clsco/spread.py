@@ -89,6 +89,7 @@ class Spreader:
         self.pitch = -(-(columns + 2 * self.pad) // LANES) * LANES
         self.total = empty(session, 4 * channels * rows * self.pitch)
         row_taps = 2 * int(self.struct["reach"]) + 1
+        # Rows of sources after which sums go on to the frame, 0 where they are short.
         self.group = 0 if row_taps**2 <= MOST_IN_ONE_SUM else max(1, MOST_IN_ONE_SUM // row_taps)
         self.part, self.spans = self.total, tuple[cl.Buffer, ...]()
         self.bands = -(-rows // BAND)

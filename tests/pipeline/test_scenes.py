@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ from clsco.errors import DeviceError, ImageError, SceneError
 from clsco.frame import TRUTH_NAMES, Frame
 from clsco.framefiles import write_frame
 from clsco.images import read_image, write_png
+from clsco.plan import Plan
 from clsco.scene import Scene
 from clsco.scenefile import parse_scene
 from clsco.transfer import decode
@@ -249,3 +252,20 @@ def test_wrong_calls(tmp_path: Path) -> None:
     missing = scene({**BALL, "texture": str(tmp_path / "none.png")})
     with pytest.raises(ImageError, match=r"none.png: must be a file that can be read"):
         rendered(missing)
+
+
+def test_radii_beyond_the_prediction_are_rendered_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The programs are those of the narrow blur that was predicted; buffers and tables grow."""
+    rendering = import_module("clsco.render")
+    predict = rendering.make_plan
+
+    def too_little(*args: Any, **options: Any) -> Plan:
+        plan = predict(*args, **options)
+        assert plan.largest_blur > 13.0
+        return replace(plan, smallest_blur=1.0, largest_blur=3.0, guard_px=4)
+
+    monkeypatch.setattr(rendering, "make_plan", too_little)
+    wide = CAMERA | {"aperture_diameter": 80.0}
+    plane = {"shape": "plane", "distance": 380.0, "slope_x": 0.4, "texture": "slanted_edge"}
+    (frame,) = assert_agrees(scene(plane, camera=wide))
+    assert frame.metadata["guard_px"] > 13
