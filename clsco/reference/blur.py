@@ -14,12 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from clsco import psf as psf_weights
 from clsco.reference.geometry import Array, tilt_slope
-from clsco.reference.occlusion import look_through, tap_share
+from clsco.reference.occlusion import Sight, look_through, tap_share
 from clsco.reference.trace import Sources, SubpixelSources
 from clsco.scene import Psf
 
 Shape = tuple[int, int]
 BLOCK = 16384  # sources at a time: their intermediate results stay in the cache
+SIGHTS = 2048  # the same of sources that something is in the way of, of which there is more to keep
 
 
 def prepare_sources(coc: Array, valid: NDArray[np.bool_]) -> Array:
@@ -60,13 +61,24 @@ def _octant(offset_limit: int) -> Iterator[tuple[int, int, set[tuple[int, int]]]
             yield a, b, {(s * x, t * y) for x, y in ((a, b), (b, a)) for s in (1, -1) for t in (1, -1)}
 
 
+def _alike(sight: Sight) -> list[tuple[NDArray[np.int64], Sight, Array]]:
+    """Groups of what is partly hidden, of nearly the same radius and so of the same taps, and their cells of the lens.
+
+    Numbers of the sources in a group, its part of `sight`, and what `look_through` makes of it.
+    """
+    hidden = np.flatnonzero(sight.row >= 0)
+    hidden = hidden[np.argsort(np.abs(sight.radius[sight.row[hidden]]), kind="stable")]
+    parts = [hidden[start : start + SIGHTS] for start in range(0, hidden.size, SIGHTS)]
+    return [(part, group, look_through(group)) for part in parts for group in [sight.of(part)]]
+
+
 def _shares(psf: Psf, sources: Sources, there: NDArray[np.bool_]) -> Iterator[tuple[int, int, Array]]:
     """Every offset (dx, dy) with the share (H, W) of each source's light that goes there."""
     radius = np.where(there, sources.radius, 0.0)
     at = np.flatnonzero(there)
     size = np.abs(radius.ravel()[at])
     gx, gy = sources.gradient[..., 0], sources.gradient[..., 1]
-    cells = np.empty(0) if sources.sight is None else look_through(sources.sight)
+    groups = [] if sources.sight is None else _alike(sources.sight)
     for a, b, offsets in _octant(psf_weights.reach(psf, float(size.max(initial=0.0)))):
         weight = np.zeros(there.shape)
         for start in range(0, at.size, BLOCK):
@@ -78,9 +90,10 @@ def _shares(psf: Psf, sources: Sources, there: NDArray[np.bool_]) -> Iterator[tu
             continue
         for dx, dy in sorted(offsets):
             share = weight * tilt_factor(dx, dy, gx, gy, radius) if psf.tilt else weight.copy()
-            if sources.sight is not None:
-                hidden = sources.sight.row >= 0
-                share.ravel()[hidden] *= tap_share(sources.sight, cells, dx, dy)
+            for hidden, sight, cells in groups:
+                light = share.ravel()[hidden]
+                if light.any():
+                    share.ravel()[hidden] = light * tap_share(sight, cells, dx, dy)
             yield dx, dy, share
 
 
@@ -102,9 +115,10 @@ def _subpixel_shares(
     samples = sub.hit.shape[1]
     pixel, i, j = np.nonzero(sub.hit)
     offset = psf_weights.subpixel_offsets(samples)
-    order = np.arange(pixel.size)
-    for start in range(0, pixel.size, BLOCK):
-        block = slice(start, start + BLOCK)
+    order = np.argsort(np.abs(sub.radius[sub.hit]), kind="stable")  # a block's sources have the same taps
+    size = BLOCK if sub.sight is None else SIGHTS
+    for start in range(0, pixel.size, size):
+        block = order[start : start + size]
         p, y, x = pixel[block], offset[i[block]], offset[j[block]]
         radius = sub.radius[sub.hit][block]
         gx, gy = sub.gradient[sub.hit][block].T
@@ -125,7 +139,7 @@ def _subpixel_shares(
                     share = share * seen[inside]
                 lit = share > 0.0
                 target = (row * shape[1] + column)[inside][lit]
-                yield order[block][inside][lit], target, share[lit] / samples**2
+                yield block[inside][lit], target, share[lit] / samples**2
 
 
 def _own_sources(sources: Sources, sub: SubpixelSources | None) -> NDArray[np.bool_]:

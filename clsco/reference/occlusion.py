@@ -332,35 +332,36 @@ def free_share(sight: Sight, x: Array, y: Array) -> Array:
 
 
 def look_through(sight: Sight) -> Array:
-    """Share (M, L, L) of each cell of the lens that nothing blocks, of sources that the lens is not wide for."""
-    size = 2 * LENS_CELLS
-    share = np.ones((sight.radius.size, size, size))
-    for i in range(size):
-        for j in range(size):
-            x, y = (np.full(sight.radius.size, n + 0.5 - LENS_CELLS) for n in (j, i))
-            share[:, i, j] = free_share(sight, x, y)
+    """Share (N, L, L) of each cell of the lens that nothing blocks, of the N sources that the lens is not wide for."""
+    narrow = ~sight.wide
+    size, points = 2 * LENS_CELLS, sight.radius.size
+    share = np.ones((np.count_nonzero(narrow), size, size))
+    if narrow.any():
+        for i in range(size):
+            for j in range(size):
+                x, y = (np.full(points, n + 0.5 - LENS_CELLS) for n in (j, i))
+                share[:, i, j] = free_share(sight, x, y)[narrow]
     return share
 
 
 def tap_share(sight: Sight, cells: Array, dx: float | Array, dy: float | Array) -> Array:
     """Share (M,) of the lens that is free, as seen from the tap (dx, dy) px off each source's pixel.
 
-    cells: (M, L, L) from `look_through`. Where the lens is not wide, the tap's tent weighs its cells.
+    cells: (N, L, L) from `look_through`. Where the lens is not wide, the tap's tent weighs its cells.
     """
-    step = np.abs(sight.radius) * sight.extent / LENS_CELLS
-    at = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
-    across, down = (
-        np.maximum(0.0, 1 - np.abs(at * step[:, None] + (place - d)[:, None]))
-        for place, d in ((sight.x, np.asarray(dx)), (sight.y, np.asarray(dy)))
-    )
-    weight = down[:, :, None] * across[:, None, :] * sight.cells
-    whole = weight.sum(axis=(1, 2))
-    narrow = (weight * cells).sum(axis=(1, 2)) / np.where(whole > 0, whole, 1.0)
-    return np.where(
-        sight.wide,
-        free_share(sight, np.asarray(dx - sight.x), np.asarray(dy - sight.y)),
-        np.where(whole > 0, narrow, 1.0),
-    )
+    share = free_share(sight, dx - sight.x, dy - sight.y) if sight.wide.any() else np.ones_like(sight.x)
+    narrow = ~sight.wide
+    if narrow.any():
+        step = np.abs(sight.radius[narrow]) * sight.extent / LENS_CELLS
+        at = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
+        across, down = (
+            np.maximum(0.0, 1 - np.abs(at * step[:, None] + (place - d)[narrow, None]))
+            for place, d in ((sight.x, dx), (sight.y, dy))
+        )
+        whole = np.einsum("mi,ij,mj->m", down, sight.cells, across, optimize=True)
+        free = np.einsum("mi,mij,mj->m", down, sight.cells * cells, across, optimize=True)
+        share[narrow] = np.where(whole > 0, free / np.where(whole > 0, whole, 1.0), 1.0)
+    return share
 
 
 def look(
