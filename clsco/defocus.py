@@ -18,7 +18,7 @@ from clsco.layout import Real, Struct, flat, frame_struct, in_parts, structs
 from clsco.optics import LARGEST_BLUR
 from clsco.plan import Blur, is_sharp
 from clsco.program import build, empty, kernel, launch, upload
-from clsco.psf import LANES, reach
+from clsco.psf import LANES, is_disc, reach
 from clsco.scene import Psf
 from clsco.scenefile import parse_psf
 from clsco.spread import PIXELS, Sources, Spreader, blur_features
@@ -135,7 +135,7 @@ def _defocus(
         "CHANNELS": channels,
         "TILT": int(psf.tilt and blur != "convolve"),
         "SAMPLED": int(psf.edge == "sampled"),
-        "POWERS": 1 if psf.edge == "sampled" and psf.model == "pillbox" else 4,
+        "DISC": int(is_disc(psf)),
     }
     program = build(session, ["blur.cl"], features, structs(real), real)
     brightest = float(np.abs(image).max())

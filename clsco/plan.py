@@ -18,7 +18,7 @@ from clsco.frame import STEREO_NAMES, TRUTH_NAMES
 from clsco.motion import Eye, Pose, poses_at, rest_center, sample_times
 from clsco.occlusion import Layer, extent, is_hollow, layers
 from clsco.optics import LARGEST_BLUR, blur_radius, ray_step
-from clsco.psf import LANES, MINIMUM_BLUR, SPANNED, psf_extent, reach, table_bytes
+from clsco.psf import LANES, MINIMUM_BLUR, SPANNED, is_disc, psf_extent, reach, table_bytes
 from clsco.scene import Object, Plane, Psf, Scene
 from clsco.surfaces import canonical, place, predict_inverse_depth
 
@@ -109,7 +109,7 @@ class Plan:
             "TILT": int(self.tilt),
             "SUBPIXELS": self.silhouettes,
             "SAMPLED": int(scene.psf.edge == "sampled"),
-            "POWERS": 1 if scene.psf.edge == "sampled" and scene.psf.model == "pillbox" else 4,
+            "DISC": int(is_disc(scene.psf)),
         }
 
 

@@ -27,10 +27,10 @@ OFFSET, STEPS, AREA_STEPS = 0.125, 48, 128
 FINE_STEPS, FINE_UNTIL = 16, 16
 # Chebyshev points of [0, 1]: near the best cubic, and never on a jump of a sampled PSF.
 NODES = 0.5 - 0.5 * np.cos((2 * np.arange(4) + 1) * np.pi / 8)
+POWERS = len(NODES)  # coefficients of a weight
 TO_POWERS = np.linalg.inv(np.vander(NODES, 4, increasing=True))
-# Of discs this wide, to both sides in px, rows that have one weight over so many px are kept as their two ends. With
-# `sampled` intervals are so short that neighbors share one where discs are very wide only.
-SPANNED = {"sampled": 40, "area": 12, "integrated": 12}
+# Of discs this wide, to both sides in px, rows that have one weight over so many px are kept as their two ends.
+SPANNED = {"sampled": 2, "area": 12, "integrated": 12}
 SMALLEST_SPAN = 4
 MINIMUM_BLUR = 0.5  # px; sampled PSFs leave smaller radii alone (thesis, 2.2)
 
@@ -198,18 +198,20 @@ class PsfTable:
 
     A source of radius R has the coordinate u (see `table_coordinate`), interval floor(u) and position
     t = u - floor(u); its weight at (dx, dy) is c0 + t (c1 + t (c2 + t c3)).
-    intervals: int32 (count, 4): start in `coefficients`, half-width in px, lanes of a row, start in `outlines`.
-    coefficients: float32, per interval rows of (powers, lanes): row |dy| = 0..half-width (a main table), or
+    intervals: int32 (count, 4): start in `coefficients`, half-width in px, start in `quadrants`, start in `outlines`.
+    coefficients: float32, per interval rows of (POWERS, lanes): row |dy| = 0..half-width (a main table), or
     rows -half-width..half-width for each of the S/2 x S offsets of a sub-pixel source. first: the interval that
-    `intervals` begins with. powers: 4, or 1 where weights are constant in an interval. reach: largest half-width.
-    outlines: int32, of the intervals of a main table, see `_outline`; else empty.
+    `intervals` begins with. reach: largest half-width. quadrants, outlines: of a main table, else empty: the weights
+    of |dx|, |dy| = 0..half-width again, their POWERS side by side, and int32, see `_outline`. Of a sampled disc
+    (`is_disc`) coefficients and quadrants have the one weight of each interval, and outlines the square roots of 0, 1,
+    ... up to the last interval's number, rounded down.
     """
 
     first: int
     intervals: NDArray[np.int32]
     coefficients: NDArray[np.float32]
-    powers: int
     reach: int
+    quadrants: NDArray[np.float32]
     outlines: NDArray[np.int32]
 
 
@@ -267,18 +269,22 @@ def _span(psf: Psf, smallest: float, largest: float, subpixel: bool) -> range:
     return range(first, last + 1)
 
 
-def _powers(psf: Psf, subpixel: bool) -> int:
-    """Coefficients per weight: one where weights do not change within an interval."""
-    return 1 if psf.edge == "sampled" and psf.model == "pillbox" and not subpixel else 4
+def is_disc(psf: Psf) -> bool:
+    """Whether all pixels that a source lights get the same: the sampled pillbox, which needs no table of weights."""
+    return psf.edge == "sampled" and psf.model == "pillbox"
 
 
 def table_bytes(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> int:
     """Size of `psf_table` of the same arguments."""
     total = 0
+    if is_disc(psf) and not subpixel:
+        span = _span(psf, smallest, largest, False)
+        return 20 * len(span) + 4 * span.stop
     for index in _span(psf, smallest, largest, subpixel > 0):
         half_width = _half_width(psf, index, subpixel > 0)
         rows = (2 * half_width + 1) * subpixel * ((subpixel + 1) // 2) if subpixel else half_width + 1
-        total += 16 + 4 * rows * _powers(psf, subpixel > 0) * _lanes(half_width)
+        taps = rows * _lanes(half_width) + (0 if subpixel else (half_width + 1) ** 2)
+        total += 16 + 4 * POWERS * taps
     return total
 
 
@@ -286,24 +292,39 @@ def table_bytes(psf: Psf, smallest: float, largest: float, subpixel: int = 0) ->
 def psf_table(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> PsfTable:
     """Table for |blur radii| in [smallest, largest] px; subpixel > 0: for that many sub-pixel sources per axis."""
     fine = subpixel > 0
-    span, powers = _span(psf, smallest, largest, fine), _powers(psf, fine)
-    nodes = np.array([0.5]) if powers == 1 else NODES
-    intervals, blocks, start, outlines = [], [], 0, [np.zeros(0, dtype=np.int32)]
+    span = _span(psf, smallest, largest, fine)
+    if is_disc(psf) and not fine:
+        return _disc_table(psf, span)
+    intervals, blocks, start = [], [], 0
+    quadrants, outlines = [np.zeros(0, dtype=np.float32)], [np.zeros(0, dtype=np.int32)]
     for index in span:
-        radii, half_width = _table_radius(psf, index + nodes, fine), _half_width(psf, index, fine)
+        radii, half_width = _table_radius(psf, index + NODES, fine), _half_width(psf, index, fine)
         values = _subpixel_rows(psf, radii, half_width, subpixel) if fine else _main_rows(psf, radii, half_width)
         lanes = _lanes(half_width)
-        block = np.zeros((values.shape[1], powers, lanes), dtype=np.float32)
-        polynomial = values if powers == 1 else np.tensordot(TO_POWERS, values, axes=1)
-        block[:, :, : 2 * half_width + 1] = np.moveaxis(polynomial, 0, 1)
-        intervals.append((start, half_width, lanes, sum(map(len, outlines))))
+        block = np.zeros((values.shape[1], POWERS, lanes), dtype=np.float32)
+        block[:, :, : 2 * half_width + 1] = np.moveaxis(np.tensordot(TO_POWERS, values, axes=1), 0, 1)
+        intervals.append((start, half_width, sum(map(len, quadrants)), sum(map(len, outlines))))
         blocks.append(block.ravel())
-        if psf.model == "pillbox" and not fine:
-            outlines.append(_outline(block[:, :, half_width : 2 * half_width + 1], SPANNED[psf.edge]))
+        if not fine:
+            spanned = psf.model == "pillbox" and half_width >= SPANNED[psf.edge]
+            quadrant = block[:, :, half_width : 2 * half_width + 1]
+            quadrants.append(np.moveaxis(quadrant, 1, 2).ravel())
+            outlines.append(_outline(quadrant, spanned))
         start += block.size
     table = np.array(intervals, dtype=np.int32)
-    outline = np.concatenate(outlines)
-    return PsfTable(span.start, table, np.concatenate(blocks), powers, int(table[:, 1].max()), outline)
+    main = np.concatenate(quadrants), np.concatenate(outlines)
+    return PsfTable(span.start, table, np.concatenate(blocks), int(table[:, 1].max()), *main)
+
+
+def _disc_table(psf: Psf, span: range) -> PsfTable:
+    """Table of a sampled disc: an interval for every whole number n that R^2 exceeds."""
+    half_width = np.floor(np.sqrt(span)).astype(np.int32)
+    number = np.arange(len(span))
+    intervals = np.stack([number, half_width, number, np.zeros(len(span))], axis=1).astype(np.int32)
+    center = np.zeros(1)
+    each = weights(psf, center, center, _table_radius(psf, np.array(span) + 0.5, False)).astype(np.float32)
+    roots = np.floor(np.sqrt(np.arange(span.stop))).astype(np.int32)
+    return PsfTable(span.start, intervals, each, int(half_width[-1]), each, roots)
 
 
 @lru_cache(maxsize=64)
@@ -317,22 +338,23 @@ def constant_table(psf: Psf, radius: float) -> PsfTable:
     lanes = _lanes(half_width)
     block = np.zeros((half_width + 2, lanes), dtype=np.float32)
     block[:-1, : 2 * half_width + 1] = rows
-    table = np.array([[0, half_width, lanes, 0]], dtype=np.int32)
+    table = np.array([[0, half_width, 0, 0]], dtype=np.int32)
     lit = block[:, half_width : 2 * half_width + 1] != 0
     last = np.where(lit.any(axis=1), half_width - lit[:, ::-1].argmax(axis=1), -1)
-    return PsfTable(0, table, block.ravel(), 1, half_width, last.astype(np.int32))
+    return PsfTable(0, table, block.ravel(), half_width, np.zeros(0, np.float32), last.astype(np.int32))
 
 
-def _outline(block: NDArray[np.float32], spanned: int) -> NDArray[np.int32]:
+def _outline(block: NDArray[np.float32], spanned: bool) -> NDArray[np.int32]:
     """Where the weights of an interval are, and where they are all the same: int32 (3 (half-width + 1),).
 
     block: coefficients (|dy|, powers, |dx|). Three numbers for each n = 0..half-width. Of the row |dy| = n: the |dx| up
     to which every weight equals the middle one, -1 for none. Of the column |dx| = n: the |dy| where it leaves these
-    rows, and the last one with any light. spanned: half-width from which on there are such rows.
+    rows, and the last one with any light. spanned: rows with one weight
+    count.
     """
     same = (block == block[:1, :, :1]).all(axis=1)
     width = np.where(same.all(axis=1), same.shape[1], same.argmin(axis=1)) - 1
-    width = np.where((width >= SMALLEST_SPAN) & (len(width) > spanned), width, -1)
+    width = np.where((width >= SMALLEST_SPAN) & spanned, width, -1)
     width = np.minimum.accumulate(width)
     lit = (block != 0).any(axis=1)
     first = (width[:, None] >= np.arange(len(width))).sum(axis=0)

@@ -90,16 +90,21 @@ class Spreader:
         self.total = empty(session, 4 * channels * rows * self.pitch)
         row_taps = 2 * int(self.struct["reach"]) + 1
         # Rows of sources after which sums go on to the frame, 0 where they are short.
-        self.group = 0 if row_taps**2 <= MOST_IN_ONE_SUM else max(1, MOST_IN_ONE_SUM // row_taps)
+        # Of discs most light goes by the ends of rows.
+        short = row_taps**2 <= MOST_IN_ONE_SUM
+        many = max(MOST_IN_ONE_SUM // row_taps, row_taps // 4 if spans else 1)
+        self.group = 0 if short else many
         self.part, self.spans = self.total, tuple[cl.Buffer, ...]()
+        self.alike = tuple(upload(session, array) for array in (self.main.quadrants, self.main.outlines))
         self.bands = -(-rows // BAND)
         if method == "gather" and (self.group or spans):
             # Some bands at a time, so that a large frame does not take several times its size.
             self.bands = min(self.bands, BANDS_PER_CORE * session.device.compute_units)
             size = 4 * channels * self.bands * BAND * self.pitch
-            self.part = _zeros(session, size)
+            if self.group:
+                self.part = _zeros(session, size)
             if spans:
-                self.spans = (upload(session, self.main.outlines), _zeros(session, (4 if psf.tilt else 2) * size))
+                self.spans = (_zeros(session, (4 if psf.tilt else 2) * size),)
         # Tables of `convolve` that queued launches still read: the host runs ahead of the device.
         self.held: list[tuple[cl.Buffer, ...]] = []
         self.scale = 1.0
@@ -142,7 +147,7 @@ class Spreader:
         if self.method == "gather":
             parts = np.int32(self.group), self.part
             for start in range(0, -(-frame[1] // BAND), self.bands):
-                args = (*head, *self.spans, np.int32(start), *parts, *layout, *tail)
+                args = (*head, *self.alike, *self.spans, np.int32(start), *parts, *layout, *tail)
                 self._launch("gather", (self.bands,), (1,), events, *args)
         else:
             padded = (int(camera["width"]), int(camera["height"]))

@@ -10,8 +10,8 @@
 // gather gives every work-item a band of output rows, which it alone writes, and walks the sources that reach it
 // in a fixed order, whole vectors of taps at a time: no atomics, same bits, for CPUs. scatter adds taps one by one in
 // fixed point: any device, any order, same bits; the oracle of the other two. convolve is for one radius only.
-// Features: CHANNELS, TILT, SUBPIXELS, POWERS (of the table), BAND (rows of a band), OCCLUDED (after occlusion.clh),
-// SPANS (of gather: wide discs), GATHER, SCATTER, CONVOLVE, RENORMALIZE, PREPARE: which kernels are wanted.
+// Features: CHANNELS, TILT, SUBPIXELS, DISC (sampled, one weight), BAND (rows of a band), OCCLUDED (after occlusion.clh),
+// SPANS (of gather: discs by the ends of their rows), GATHER, SCATTER, CONVOLVE, RENORMALIZE, PREPARE: which kernels are wanted.
 
 #if GATHER
 // Adds rows -up..down of one source to `out`, the place of its first tap in its own row.
@@ -20,8 +20,7 @@ INLINE void add_rows(spread_t s, int up, int down, float v, float4 source, __glo
     const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
     for (int b = 0; b < s.lanes; b += LANES) {
         for (int dy = -up; dy <= down; ++dy) {
-            const int row = s.mirrored && dy < 0 ? -dy : dy;
-            const float8 w = weights(s.rows + row * s.step + b, s.lanes, s.t, s.powers);
+            const float8 w = weights(s, dy, b);
 #if TILT
             float8 factor = (lane + (b - s.half_width - s.ox)) * source.y + (1 + (dy - s.oy) * source.z);
             factor = factor > 0 ? factor : (float8)0;
@@ -40,7 +39,6 @@ INLINE void add_seen_rows(spread_t s, const sight_t *sight, int up, int down, __
 {
     const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
     for (int dy = -up; dy <= down; ++dy) {
-        __global const float *row = s.rows + (s.mirrored && dy < 0 ? -dy : dy) * s.step;
         const float y = dy - s.oy;
         float states[LANES];
         for (int b = 0; b < s.lanes; b += LANES) {
@@ -56,7 +54,7 @@ INLINE void add_seen_rows(spread_t s, const sight_t *sight, int up, int down, __
                     share = free_share(sight, x, (float8)y);
             } else
                 share = *(const own_lanes_t *)(sight->share[dy + SIGHT_MIDDLE] + first + SIGHT_MIDDLE);
-            float8 w = weights(row + b, s.lanes, s.t, s.powers) * share;
+            float8 w = weights(s, dy, b) * share;
 #if TILT
             const float8 factor = x * source.y + (1 + y * source.z);
             w *= factor > 0 ? factor : (float8)0;
@@ -74,18 +72,16 @@ INLINE void add_mirrored_rows(spread_t s, float v, float4 source, __global float
     const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
     for (int b = 0; b < s.lanes; b += LANES) {
         __global float *below = out + b, *above = out + b;
-        __global const float *row = s.rows + b;
 #if TILT
         const float8 level = (lane + (b - s.half_width)) * (v * source.y) + v;
 #else
         const float8 level = v;
 #endif
-        ADD_TAPS(below, weights(row, s.lanes, s.t, s.powers) * level);
+        ADD_TAPS(below, weights(s, 0, b) * level);
         for (int dy = 1; dy <= s.half_width; ++dy) {
-            row += s.step;
             below += pitch;
             above -= pitch;
-            const float8 w = weights(row, s.lanes, s.t, s.powers);
+            const float8 w = weights(s, dy, b);
 #if TILT
             const float8 change = w * (dy * v * source.z);
             ADD_TAPS(below, w * level + change);
@@ -116,8 +112,9 @@ static void settle(int first, int last, int apart, int shift, int plane, int pit
 __kernel void gather(const camera_t camera, const psf_t psf, __global const float4 *source,
                      __global const float *value, __global const int4 *intervals,
                      __global const float *coefficients,
+                     __global const float *quadrants, __global const int *outlines,
 #if SPANS
-                     __global const int *outlines, __global double *spans,
+                     __global double *spans,
 #endif
                      const int start, const int group, __global float *part, const int pitch, const int pad,
                      __global float *total
@@ -133,7 +130,7 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
         return;
     const int end = MIN(camera.rows, first + BAND);
     const int plane = camera.width * camera.height, total_plane = camera.rows * pitch;
-    const int apart = group ? (int)get_global_size(0) * BAND * pitch : total_plane;
+    const int spans_apart = (int)get_global_size(0) * BAND * pitch, apart = group ? spans_apart : total_plane;
     const int shift = group ? (own * BAND - first) * pitch : 0;  // from a row of the frame to that of part
     const int from = MAX(first - psf.reach, -camera.guard), to = MIN(end + psf.reach, camera.rows + camera.guard);
     for (int y = from; y < to; ++y) {
@@ -141,10 +138,17 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
     const int line = (y + camera.guard) * camera.width, place = shift + y * pitch - camera.guard + pad;
     for (int block = 0; block < camera.width; block += LANES) {
     int single = (1 << MIN(LANES, camera.width - block)) - 1;
+#if SPANS || !DISC
+    if (camera.width - block >= LANES) {
 #if SPANS
-    if (camera.width - block >= LANES)
-        single = add_alike(psf, line + block, plane, place + block, apart, y - first, end - 1 - y, source, value,
-                           intervals, coefficients, outlines, part, spans, pitch);
+        __global double *span = spans + own * BAND * pitch + (y - first) * pitch - camera.guard + pad + block;
+#else
+        __global double *span = 0;
+#endif
+        const band_t band = {y - first, end - 1 - y, pitch, apart, spans_apart, CHANNELS * spans_apart, part + place + block,
+                             span};
+        single = add_alike(psf, line + block, plane, source, value, intervals, quadrants, outlines, band);
+    }
 #endif
     while (single) {
         const int x = block + __builtin_ctz(single);
@@ -211,7 +215,7 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
 #if SPANS
     for (int k = 0; k < CHANNELS; ++k)
         for (int row = first; row < end; ++row)
-            add_spans(spans + k * apart + shift + row * pitch, CHANNELS * apart, pitch,
+            add_spans(spans + k * spans_apart + (own * BAND + row - first) * pitch, CHANNELS * spans_apart, pitch,
                       total + k * total_plane + row * pitch);
 #endif
 }
@@ -228,7 +232,7 @@ __kernel void convolve(const camera_t camera, __global const float *value, __glo
     const int x = get_global_id(0) * 2 * LANES, y = get_global_id(1) * 4;
     if (x >= camera.columns || y >= camera.rows)
         return;
-    const int half_width = intervals[0].y, lanes = intervals[0].z, rows = MIN(4, camera.rows - y);
+    const int half_width = intervals[0].y, lanes = (2 * half_width / LANES + 1) * LANES, rows = MIN(4, camera.rows - y);
     for (int k = 0; k < CHANNELS; ++k) {
         __global const float *plane = value + (k * camera.height + y + camera.guard) * camera.width + x + camera.guard;
         float8 sum[8] = {0, 0, 0, 0, 0, 0, 0, 0};

@@ -14,7 +14,7 @@ from clsco.device import Session
 from clsco.layout import Real, flat, frame_struct, in_parts, structs
 from clsco.plan import Blur
 from clsco.program import build, empty, kernel, launch, upload
-from clsco.psf import LANES, reach
+from clsco.psf import LANES, is_disc, reach
 from clsco.scene import Psf
 from clsco.spread import PIXELS, Events, Sources, Spreader, blur_features
 
@@ -31,10 +31,9 @@ class Pass:
         smallest, self.largest = float(size.min()), float(size.max())
         constant = method == "convolve"
         guard = reach(psf, self.largest) + 2 * LANES if constant else 0
-        stepwise = psf.edge == "sampled" and psf.model == "pillbox"
         features = PLAIN | blur_features(method, psf, self.largest, real, prepare=True)
         features |= {"CHANNELS": channels, "TILT": int(psf.tilt and not constant)}
-        features |= {"SAMPLED": int(psf.edge == "sampled"), "POWERS": 1 if stepwise else 4}
+        features |= {"SAMPLED": int(psf.edge == "sampled"), "DISC": int(is_disc(psf))}
         self.session, self.camera = session, frame_struct(rows, columns, guard, real)
         self.program = build(session, ["blur.cl"], features, structs(real), real)
         self.spreader = Spreader(
