@@ -348,9 +348,10 @@ def make_plan(
         memory += area * (9 + 33 + 4 * (channels + 1) + 6 * (channels + 2)) + 4 * (channels + 1) * area
     pitch = columns + 2 * (guard + extent + LANES)
     memory += 4 * channels * rows * pitch
-    if blur == "gather" and extent > 5:  # sums on their way to the frame, and with wide discs spans (clsco/spread.py)
+    if blur == "gather":  # sums on their way to the frame, and ends of rows (clsco/spread.py)
         spans = psf.model == "pillbox" and extent >= SPANNED[psf.edge]
-        memory += 4 * channels * min(rows + 63, 2048) * pitch * (5 if spans else 1)
+        planes = (extent > 7) + (4 if psf.tilt else 2) * spans
+        memory += 4 * channels * min(rows + 63, 2048) * pitch * planes
     memory += 4 * channels * rows * columns * (1 + len({item.texture for item in scene.objects}))
     memory += tables + slots * (4 + silhouettes**2 * (16 + 4 * channels + hidden)) + 16 * rows * columns * bool(truth)
     seen = np.abs(blur_radius(scene.camera, w[w > 0]))

@@ -279,12 +279,13 @@ def table_bytes(psf: Psf, smallest: float, largest: float, subpixel: int = 0) ->
     total = 0
     if is_disc(psf) and not subpixel:
         span = _span(psf, smallest, largest, False)
-        return 20 * len(span) + 4 * span.stop
+        return 24 * len(span) + 4 * span.stop
     for index in _span(psf, smallest, largest, subpixel > 0):
         half_width = _half_width(psf, index, subpixel > 0)
         rows = (2 * half_width + 1) * subpixel * ((subpixel + 1) // 2) if subpixel else half_width + 1
-        taps = rows * _lanes(half_width) + (0 if subpixel else (half_width + 1) ** 2)
-        total += 16 + 4 * POWERS * taps
+        total += 16 + 4 * POWERS * rows * _lanes(half_width)
+        if not subpixel:
+            total += 4 * POWERS * (half_width + 1) ** 2 + 12 * (half_width + 1)
     return total
 
 

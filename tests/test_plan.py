@@ -168,9 +168,9 @@ def test_geometry_is_compiled_for_the_shape(item: Any, needed: set[str]) -> None
 @pytest.mark.parametrize(("name", "number"), [("nearest", 0), ("bilinear", 1), ("bicubic", 2)])
 def test_texture_filter_and_table_form(name: Any, number: int) -> None:
     given = plan(moving(BALL, RIGHT), motion=Motion(texture_filter=name), psf=Psf(edge="sampled")).features()
-    assert (given["FILTER"], given["SAMPLED"], given["POWERS"]) == (number, 1, 1)
-    assert plan(BALL).features()["POWERS"] == 4
-    assert plan(BALL, psf=Psf(model="gaussian", edge="sampled")).features()["POWERS"] == 4
+    assert (given["FILTER"], given["SAMPLED"], given["DISC"]) == (number, 1, 1)
+    assert plan(BALL).features()["DISC"] == 0
+    assert plan(BALL, psf=Psf(model="gaussian", edge="sampled")).features()["DISC"] == 0
     assert plan(BALL).features()["SAMPLED"] == 0
 
 

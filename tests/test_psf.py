@@ -12,10 +12,12 @@ from scipy.integrate import quad
 
 from clsco.psf import (
     LANES,
+    POWERS,
     PsfTable,
     _table_radius,
     constant_table,
     disc_coverage,
+    is_disc,
     psf_extent,
     psf_table,
     reach,
@@ -284,20 +286,43 @@ def test_reach_is_exact(psf: Psf) -> None:
 # The tables
 
 
-def read(table: PsfTable, coordinate: float, row: int, stride: int) -> Array:
-    """Weights (2 half-width + 1,) of a row as a kernel reads them; `stride` rows between two positions."""
-    interval = int(coordinate) - table.first
-    start, half_width, lanes, _ = (int(v) for v in table.intervals[interval])
-    t, at = coordinate - int(coordinate), start + row * stride * table.powers * lanes
-    powers = table.coefficients[at : at + table.powers * lanes].reshape(table.powers, lanes).astype(np.float64)
-    assert not powers[:, 2 * half_width + 1 :].any()  # what a whole vector adds beyond the PSF is nothing
-    return np.asarray((powers * (t ** np.arange(table.powers))[:, None]).sum(axis=0)[: 2 * half_width + 1])
+def read(table: PsfTable, coordinate: float, row: int, powers: int = POWERS) -> Array:
+    """Weights (2 half-width + 1,) of a row as a kernel reads them."""
+    start, half_width = (int(v) for v in table.intervals[int(coordinate) - table.first, :2])
+    lanes = (2 * half_width // LANES + 1) * LANES
+    t, at = coordinate - int(coordinate), start + row * powers * lanes
+    found = table.coefficients[at : at + powers * lanes].reshape(powers, lanes).astype(np.float64)
+    assert not found[:, 2 * half_width + 1 :].any()  # what a whole vector adds beyond the PSF is nothing
+    return np.asarray((found * (t ** np.arange(powers))[:, None]).sum(axis=0)[: 2 * half_width + 1])
 
 
-def pixel_table(table: PsfTable, coordinate: float) -> Array:
+def pixel_table(table: PsfTable, coordinate: float, powers: int = POWERS) -> Array:
     """All weights of a source: rows of |dy|."""
     half_width = int(table.intervals[int(coordinate) - table.first, 1])
-    return np.stack([read(table, coordinate, abs(dy), 1) for dy in range(-half_width, half_width + 1)])
+    return np.stack([read(table, coordinate, abs(dy), powers) for dy in range(-half_width, half_width + 1)])
+
+
+def disc_table(table: PsfTable, coordinate: float) -> Array:
+    """The same of a sampled disc: in each row as many pixels as a square root says, all with one weight."""
+    start, half_width, same, _ = (int(v) for v in table.intervals[int(coordinate) - table.first])
+    assert table.coefficients[start] == table.quadrants[same]
+    span = np.abs(np.arange(-half_width, half_width + 1))
+    ends = [int(table.outlines[int(coordinate) - dy * dy]) for dy in span]
+    return np.stack([(span <= end) * float(table.coefficients[start]) for end in ends])
+
+
+def quadrant(table: PsfTable, coordinate: float) -> Array:
+    """Weights (half-width + 1, half-width + 1) of |dx|, |dy| as groups of neighbors read them."""
+    _, half_width, start, outline = (int(v) for v in table.intervals[int(coordinate) - table.first])
+    found = table.quadrants[start : start + POWERS * (half_width + 1) ** 2].reshape(half_width + 1, -1, POWERS)
+    weights = (found.astype(np.float64) * (coordinate - int(coordinate)) ** np.arange(POWERS)).sum(axis=-1)
+    width, first, last = table.outlines[outline : outline + 3 * (half_width + 1)].reshape(-1, 3).T
+    n = np.arange(half_width + 1)
+    spanned = n[None, :] <= width[:, None]  # (|dy|, |dx|), of one weight
+    assert (weights[spanned] == weights[0, 0]).all()
+    assert (~spanned).argmax(axis=0)[~spanned.all(axis=0)].tolist() == first[~spanned.all(axis=0)].tolist()
+    assert not weights[n[None, :] > last[:, None]].any()
+    return np.asarray(weights)
 
 
 def subpixel_table(table: PsfTable, coordinate: float, samples: int, i: int, j: int) -> Array:
@@ -306,7 +331,7 @@ def subpixel_table(table: PsfTable, coordinate: float, samples: int, i: int, j: 
     stored = max(i, samples - 1 - i) - samples // 2
     middle = (stored * samples + j) * (2 * half_width + 1) + half_width
     sign = -1 if i < samples - 1 - i else 1
-    return np.stack([read(table, coordinate, middle + sign * dy, 1) for dy in range(-half_width, half_width + 1)])
+    return np.stack([read(table, coordinate, middle + sign * dy) for dy in range(-half_width, half_width + 1)])
 
 
 def coordinate_of(table: PsfTable, psf: Psf, radius: float, subpixel: bool = False) -> float:
@@ -337,13 +362,15 @@ def test_table_holds_the_weights(psf: Psf) -> None:
         table = psf_table(psf, low, high)
         assert table.intervals.dtype == np.int32
         assert table.coefficients.dtype == np.float32
-        assert table.coefficients.nbytes + table.intervals.nbytes == table_bytes(psf, low, high)
-        assert (table.intervals[:, 2] % LANES == 0).all()
+        assert sum(a.nbytes for a in vars(table).values() if isinstance(a, np.ndarray)) == table_bytes(psf, low, high)
         radii = [low, high, low + 1e-9, 0.5, 0.500001, 1.0, np.nextafter(1.0, 0.0), *rng.uniform(low, high, count)]
         error = energy = 0.0
         for radius in [r for r in radii if low <= r <= high]:
-            found = pixel_table(table, coordinate_of(table, psf, radius))
+            coordinate = coordinate_of(table, psf, radius)
+            found = (disc_table if is_disc(psf) else pixel_table)(table, coordinate)
             half = len(found) // 2
+            if not is_disc(psf):
+                np.testing.assert_array_equal(quadrant(table, coordinate), found[half:, half:])
             assert reach(psf, radius) <= half <= table.reach
             error = max(error, float(np.abs(found - square(psf, radius, half)).sum()))
             energy = max(energy, abs(found.sum() - 1.0))
@@ -359,7 +386,6 @@ def test_subpixel_table_holds_the_weights_of_every_position(model: str, samples:
     low, high = 0.3, 3.5
     table = psf_table(psf, low, high, samples)
     assert table.coefficients.nbytes + table.intervals.nbytes == table_bytes(psf, low, high, samples)
-    assert table.powers == 4
     offset = subpixel_offsets(samples)
     radii = [low, high, *np.random.default_rng(14).uniform(low, high, 20)]
     for radius in radii:
@@ -380,11 +406,10 @@ def test_subpixel_table_holds_the_weights_of_every_position(model: str, samples:
 def test_constant_table_is_exact(psf: Psf) -> None:
     for radius in (0.0, 0.4, 1.0, 2.7, 9.3):
         table = constant_table(psf, radius)
-        assert table.powers == 1
         assert table.reach == reach(psf, radius)
         # Rounded to float32 once, and mirrored from one octant: weights to 1e-16 R^2, as in the first test.
         expected = square(psf, radius, table.reach)
-        np.testing.assert_allclose(pixel_table(table, 0.0), expected, rtol=2.0**-24 + 1e-12, atol=1e-14)
+        np.testing.assert_allclose(pixel_table(table, 0.0, powers=1), expected, rtol=2.0**-24 + 1e-12, atol=1e-14)
 
 
 @pytest.mark.parametrize("subpixel", [False, True])

@@ -33,8 +33,10 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | dict.fromkeys(("MOVED", "TILT", "TRUTH", *TRUTH, "PINHOLE", "LENSES"), ON_OR_OFF)
     | {"SUBPIXELS": (0, 4, 2, 3), "OCCLUDED": (0,)},
     ("blur.cl",): dict.fromkeys(PLAIN, (0,))
-    | dict.fromkeys(("SAMPLED", "TILT", "GATHER", "SPANS", "SCATTER", "CONVOLVE", "RENORMALIZE", "PREPARE"), ON_OR_OFF)
-    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "POWERS": (1, 4), "BAND": (1, BAND)},
+    | dict.fromkeys(
+        ("SAMPLED", "TILT", "GATHER", "SPANS", "SCATTER", "CONVOLVE", "RENORMALIZE", "PREPARE", "DISC"), ON_OR_OFF
+    )
+    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (1, BAND)},
     ("accumulate.cl",): GEOMETRY,
     FORWARD: GEOMETRY
     | {"FILTER": (0,), "SAMPLED": (0,)}
@@ -91,7 +93,7 @@ def test_what_the_host_asks_for_is_what_the_files_know() -> None:
     spreading = blur_features("gather", Psf(), 1.0, "double", prepare=True).keys()
     rendering = plan.features().keys() | spreading | {"TRUTH", *TRUTH, "PINHOLE", "LENSES"}
     assert PROGRAMS["trace.cl",].keys() | PROGRAMS["blur.cl",].keys() == rendering
-    assert asked_for(("blur.cl",)) <= PLAIN.keys() | spreading | {"CHANNELS", "TILT", "SAMPLED", "POWERS"}
+    assert asked_for(("blur.cl",)) <= PLAIN.keys() | spreading | {"CHANNELS", "TILT", "SAMPLED", "DISC"}
     assert forward_features(plan, owned=True).keys() == PROGRAMS[FORWARD].keys()
 
 

@@ -27,16 +27,29 @@ WITHOUT_TWIN = {
     },
     "sight": {"look_along": "finds out which vectors of taps need a test at all"},
     "spread": dict.fromkeys(
-        ("weights", "weight", "pixel_spread", "subpixel_spread", "tap", "see"),
+        ("weights", "pixel_spread", "subpixel_spread", "tap", "see"),
         "reads tables, in whose place the reference has the closed forms",
     ),
-    "spans": dict.fromkeys(
-        ("weights_of", "add_neighbors", "add_spans", "add_alike"), "taps of many sources at once, which scatter adds up"
+    "neighbors": dict.fromkeys(
+        [
+            "add_left_ends",
+            "add_right_ends",
+            "sums_of",
+            "add_spans",
+            "add_neighbors",
+            "weight_of",
+            "add_column",
+            "add_columns",
+            "lowest",
+            "bits_of",
+            "add_alike",
+        ],
+        "taps of many sources at once, which scatter adds up",
     ),
 }
 
 # Headers whose twin is part of another file.
-PART_OF = {"sight": "occlusion", "spread": "blur", "spans": "blur"}
+PART_OF = {"sight": "occlusion", "spread": "blur", "neighbors": "blur"}
 
 
 def kernel_names(text: str) -> set[str]:

@@ -16,7 +16,7 @@ from clsco.device import Session
 from clsco.layout import Struct, flat, frame_struct, psf_struct, structs
 from clsco.plan import Blur
 from clsco.program import build, download, empty, kernel, launch, upload
-from clsco.psf import psf_table
+from clsco.psf import is_disc, psf_table
 from clsco.reference import blur as twin
 from clsco.reference.geometry import table_coordinate, tilt_slope
 from clsco.reference.trace import Sources, SubpixelSources
@@ -149,19 +149,18 @@ def copied(session: Session, array: Array) -> Any:
     return buffer
 
 
-def features(psf: Psf, channels: int, samples: int, powers: int, spans: bool = False) -> dict[str, int]:
+def features(psf: Psf, channels: int, samples: int, spans: bool = False) -> dict[str, int]:
     """All kernels in one program, so that few have to be compiled; tests/architecture builds them one by one."""
     kernels = dict.fromkeys(("GATHER", "SCATTER", "CONVOLVE", "RENORMALIZE", "PREPARE"), 1) | {"SPANS": int(spans)}
-    chosen = {"CHANNELS": channels, "SUBPIXELS": samples, "POWERS": powers, "BAND": spread.BAND}
+    chosen = {"CHANNELS": channels, "SUBPIXELS": samples, "DISC": int(is_disc(psf)), "BAND": spread.BAND}
     return SHAPES | kernels | chosen | {"TILT": int(psf.tilt), "SAMPLED": int(psf.edge == "sampled")}
 
 
 def spreader(session: Session, given: Light, method: Blur) -> Spreader:
     psf = given.psf
-    table = psf_table(psf, given.smallest, given.largest)
     file = "accumulate.cl" if method == "none" else "blur.cl"
     spans = spread.spans_rows(psf, given.largest, "double")
-    chosen = features(psf, given.channels, given.samples, table.powers, spans)
+    chosen = features(psf, given.channels, given.samples, spans)
     program = build(session, [file], chosen, STRUCTS, "double")
     ends = (given.smallest, given.largest)
     return Spreader(
@@ -389,7 +388,7 @@ def test_prepare_sources(session: Session, psf: Psf, tilt: bool) -> None:
     given = light(psf.model_copy(update={"tilt": tilt}), shape=(19, 23), guard=2)
     coc, valid = given.sources.radius, given.sources.lit
     table = psf_table(psf, 0.0, given.largest)
-    program = build(session, ["blur.cl"], features(given.psf, 1, 0, table.powers), STRUCTS, "double")
+    program = build(session, ["blur.cl"], features(given.psf, 1, 0), STRUCTS, "double")
     struct, out = psf_struct(psf, table, None, "double"), empty(session, 16 * coc.size)
     maps = (upload(session, coc), upload(session, valid.astype(np.uint8)))
     size = (coc.shape[1], coc.shape[0])

@@ -74,7 +74,7 @@ class Device:
     def __init__(self, session: Session, view: View, method: Blur = "gather", real: Real = "double") -> None:
         psf, channels = view.psf, view.radiance.shape[2]
         features = PLAIN | blur_features(method, psf, view.largest, real, prepare=True)
-        features |= {"CHANNELS": channels, "TILT": int(psf.tilt), "SAMPLED": 0, "POWERS": 4}
+        features |= {"CHANNELS": channels, "TILT": int(psf.tilt), "SAMPLED": 0, "DISC": 0}
         program = build(session, ["blur.cl"], features, structs(real), real)
         camera = frame_struct(*view.shape, view.guard, real)
         self.session, self.view = session, view
