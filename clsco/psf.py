@@ -267,6 +267,11 @@ def _span(psf: Psf, smallest: float, largest: float, subpixel: bool) -> range:
     return range(first, last + 1)
 
 
+def table_reach(psf: Psf, largest: float, subpixel: bool = False) -> int:
+    """Largest half-width in px of the rows of `psf_table` for radii up to `largest` px."""
+    return _half_width(psf, _span(psf, largest, largest, subpixel)[-1], subpixel)
+
+
 def _powers(psf: Psf, subpixel: bool) -> int:
     """Coefficients per weight: one where weights do not change within an interval."""
     return 1 if psf.edge == "sampled" and psf.model == "pillbox" and not subpixel else 4
