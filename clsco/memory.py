@@ -4,23 +4,23 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import ceil
 
 from clsco.errors import SceneError
 from clsco.layout import WIDE_BYTES
 from clsco.plan import Blur, Plan
-from clsco.psf import LANES, SPANNED, table_bytes, table_reach
+from clsco.psf import LANES, SPANNED, reach, table_bytes, table_reach
 from clsco.scene import Psf
-from clsco.strips import BAND
+from clsco.strips import BAND, cut
 
 BANDS_PER_CORE = 4  # of `gather` at a time, where they need memory of their own
 MOST_IN_ONE_SUM = 256  # taps of `gather` that a float adds up before it goes into another sum
 # What a pixel of each output of ground_truth takes, in bytes; that of `sharp` per channel.
 TRUTH_BYTES = {
     "object_id": 4, "depth": 4, "coc": 4, "normal": 12, "flow": 8, "hidden": 1, "sharp": 4, "disparity": 4,
-    "occluded": 1,
+    "occluded": 1, "mask": 1,
 }  # fmt: skip
 _UNITS = {"": 1, "b": 1} | {f"{p}b": 1000**n for n, p in enumerate("kmgt", 1)}
 _UNITS |= {f"{p}ib": 1024**n for n, p in enumerate("kmgt", 1)}
@@ -86,16 +86,21 @@ def bands_at_a_time(rows: int, cores: int) -> int:
     return min(ceil(rows / BAND), BANDS_PER_CORE * cores)
 
 
+def has_spans(psf: Psf, largest: float) -> bool:
+    """Whether discs up to `largest` px are so wide that `gather` keeps rows that have one weight as their two ends."""
+    return psf.model == "pillbox" and reach(psf, largest) >= SPANNED[psf.edge]
+
+
 def spread_bytes(
-    psf: Psf, method: Blur, channels: int, rows: int, columns: int, guard: int, reach: int, spans: bool, cores: int
+    psf: Psf, method: Blur, channels: int, rows: int, columns: int, guard: int, far: int, spans: bool, cores: int
 ) -> dict[str, int]:
     """Buffers of `clsco.spread.Spreader` besides its tables: total, and part, spans and sums where there are any.
 
-    rows: of the tallest strip; reach: half-width of the table's largest weights, px; the others as for the Spreader.
+    rows: of the tallest strip; far: largest half-width in the tables, px; the others as for the Spreader.
     """
-    pitch = ceil((columns + 2 * (guard + reach + LANES)) / LANES) * LANES
+    pitch = ceil((columns + 2 * (guard + far + LANES)) / LANES) * LANES
     sizes = {"total": 4 * channels * rows * pitch}
-    if method == "gather" and (spans or (2 * reach + 1) ** 2 > MOST_IN_ONE_SUM):
+    if method == "gather" and (spans or (2 * far + 1) ** 2 > MOST_IN_ONE_SUM):
         sizes["part"] = 4 * channels * bands_at_a_time(rows, cores) * BAND * pitch
         if spans:
             sizes["spans"] = (4 if psf.tilt else 2) * sizes["part"]
@@ -104,55 +109,79 @@ def spread_bytes(
     return sizes
 
 
+def _spreader(
+    psf: Psf, method: Blur, channels: int, rows: int, columns: int, guard: int, ends: tuple[float, float],
+    silhouettes: int, cores: int,
+) -> dict[str, int]:  # fmt: skip
+    """All buffers of a Spreader for radii between two ends, on a device with fp64."""
+    far = max(table_reach(psf, ends[1]), table_reach(psf, ends[1], True) if silhouettes else 0)
+    spans = method == "gather" and has_spans(psf, ends[1])
+    tables = table_bytes(psf, *ends) + (table_bytes(psf, *ends, silhouettes) if silhouettes else 0)
+    return {"tables": tables} | spread_bytes(psf, method, channels, rows, columns, guard, far, spans, cores)
+
+
+def _layers(
+    psf: Psf, method: Blur, channels: int, rows: int, columns: int, guard: int, largest: float, cores: int
+) -> dict[str, int]:
+    """Buffers of `clsco.layers.Layers`: planes of a slab and of where it is, its pyramid, and its own blur."""
+    area, values = (rows + 2 * guard) * (columns + 2 * guard), channels + 1  # with coverage
+    planes = 16 + 4 + 4 + 4 * values + WIDE_BYTES + 1
+    sizes = {"planes": planes * area, "pyramid": 4 * (values + 1) * area * 4 // 3, "covered": 4 * rows * columns}
+    sizes |= _spreader(psf, method, values, rows, columns, guard, (0.0, largest), 0, cores)
+    return {f"slab {name}": size for name, size in sizes.items()}
+
+
 def buffer_bytes(plan: Plan, cores: int) -> dict[str, int]:
-    """Buffers on the device while a frame of a plan is made, in the strips that the plan has; on a device with fp64."""
+    """Buffers on the device while a frame of a plan is made, in the strips that the plan has; on a device with fp64.
+
+    cores: compute units of the device. Those of ground truth, "truth ...", are there only while it is made.
+    """
     psf, channels, each = plan.scene.psf, plan.channels, plan.silhouettes**2
-    rows, area = plan.strips[0].rows, plan.width * plan.tallest
+    rows, area, ends = plan.strips[0].rows, plan.width * plan.tallest, (plan.smallest_blur, plan.largest_blur)
     wide = WIDE_BYTES * bool(plan.features()["OCCLUDED"])
     textures = len({item.texture for item in plan.scene.objects})
     sizes = {"texture": 4 * channels * textures * plan.rows * plan.columns}
     sizes |= {"source": 16 * area, "value": 4 * channels * area, "depth": wide * area, "label": area * bool(each)}
     sizes |= {"pixels": 4 * plan.slots, "sub_source": 16 * each * plan.slots, "sub_depth": wide * each * plan.slots}
     sizes |= {"sub_value": 4 * channels * each * plan.slots}
-    sizes |= _spread(plan, channels, rows, cores)
-    ends = plan.smallest_blur, plan.largest_blur
-    sizes["tables"] = table_bytes(psf, *ends) + (table_bytes(psf, *ends, plan.silhouettes) if each else 0)
+    blur = (psf, plan.blur, channels, rows, plan.columns, plan.guard_px)
+    sizes |= _spreader(*blur, ends, plan.silhouettes, cores)
     if plan.occlusion == "layered":
-        sizes |= {"coc": WIDE_BYTES * area, "valid": area}
-        sizes |= {f"slab {name}": size for name, size in _layer_bytes(plan, area, cores).items()}
+        sizes |= {"coc": WIDE_BYTES * area, "valid": area} | _layers(*blur, plan.largest_blur, cores)
     if plan.forward:
-        sizes |= {f"warp {name}": size for name, size in _warp_bytes(plan, area).items()}
-    if plan.truth:
-        values = {name: TRUTH_BYTES[name] * (channels if name == "sharp" else 1) for name in TRUTH_BYTES}
-        sizes |= {f"truth {name}": values[name] * rows * plan.columns for name in plan.truth if name in values}
-        sizes["truth mask"] = rows * plan.columns
+        sizes |= _warp(plan, area)
+    maps = any(item.shape == "depth_map" for item in plan.scene.objects)
+    if plan.truth and not maps:  # no ray is cast at a depth map
+        values = TRUTH_BYTES | {"sharp": 0 if plan.forward else TRUTH_BYTES["sharp"] * channels}
+        wanted = {"mask", *plan.truth} & set(values)
+        sizes |= {f"truth {name}": values[name] * rows * plan.columns for name in wanted}
     return sizes
 
 
-def _spread(plan: Plan, channels: int, rows: int, cores: int) -> dict[str, int]:
-    psf, largest = plan.scene.psf, plan.largest_blur
-    reach = max(table_reach(psf, largest), table_reach(psf, largest, True) if plan.silhouettes else 0)
-    spans = plan.blur == "gather" and psf.model == "pillbox" and reach >= SPANNED[psf.edge]
-    return spread_bytes(psf, plan.blur, channels, rows, plan.columns, plan.guard_px, reach, spans, cores)
-
-
-def _layer_bytes(plan: Plan, area: int, cores: int) -> dict[str, int]:
-    """Buffers of `clsco.layers.Layers`: planes of a slab and of where it is, its pyramid, and its own blur."""
-    channels = plan.channels + 1  # with coverage
-    planes = 16 + 4 + 4 + 4 * channels + WIDE_BYTES + 1
-    sizes = {"planes": planes * area, "pyramid": 4 * (channels + 1) * area * 4 // 3}
-    sizes |= {"covered": 4 * plan.rows * plan.columns}
-    return sizes | _spread(plan, channels, plan.rows, cores)
-
-
-def _warp_bytes(plan: Plan, area: int) -> dict[str, int]:
+def _warp(plan: Plan, area: int) -> dict[str, int]:
     """Buffers of `clsco.forward.ForwardWarp` and its filling."""
     scene, channels, pixels = plan.scene, plan.channels, plan.rows * plan.columns
     several, maps = len(scene.objects) > 1, sum(item.shape == "depth_map" for item in scene.objects)
     # value, w, coc, valid, status, two lists; a second set to smooth in; bounds of the far side, and objects
     planes = 4 * channels + 26 + (4 * channels + 12 if scene.fill.method == "mean_median" else 0)
     planes += 4 * (several or maps > 0) + several
-    return {"planes": planes * area, "sources": (2 * WIDE_BYTES + several + WIDE_BYTES * maps) * pixels}
+    return {"warp": planes * area, "warp at rest": (2 * WIDE_BYTES + several + WIDE_BYTES * maps) * pixels}
+
+
+def defocus_bytes(
+    psf: Psf, method: Blur, channels: int, shape: tuple[int, int], guard: int, ends: tuple[float, float], cores: int,
+    strip_rows: int,
+) -> dict[str, int]:  # fmt: skip
+    """Buffers of `clsco.defocus` for an image of this shape with radii between two ends, in strips of so many rows."""
+    strips = cut(shape[0], strip_rows, guard, table_reach(psf, ends[1]) + 2)
+    area = (shape[1] + 2 * guard) * max(strip.height for strip in strips)
+    sizes = {"value": 4 * channels * area}
+    if method != "convolve":
+        sizes |= {"source": 16 * area, "coc": WIDE_BYTES * area, "valid": area}
+    blur = (psf, method, channels, strips[0].rows, shape[1], guard)
+    sizes |= _spreader(*blur, ends, 0, cores)
+    layered = psf.occlusion == "layered" and method != "convolve"
+    return sizes | (_layers(*blur, ends[1], cores) if layered else {})
 
 
 def hit_bytes(plan: Plan) -> int:
@@ -160,55 +189,53 @@ def hit_bytes(plan: Plan) -> int:
     return len(plan.layers) * (4 * plan.channels + WIDE_BYTES + 1) * plan.width * plan.height
 
 
-def device_bytes(plan: Plan, cores: int) -> int:
-    """All of `buffer_bytes`."""
-    return sum(buffer_bytes(plan, cores).values())
+def device_bytes(plan: Plan, cores: int, views: int = 1) -> int:
+    """All of `buffer_bytes` for one view, or several that are on the device together."""
+    return _sum(buffer_bytes(plan, cores), views)
+
+
+def _sum(sizes: Mapping[str, int], views: int) -> int:
+    """Views get their ground truth one after the other."""
+    return sum(size * (1 if name.startswith("truth") else views) for name, size in sizes.items())
 
 
 def fitted(plan: Plan, limit: Limit) -> Plan:
-    """The plan with as few strips as fit the limit: the whole frame where it does.
+    """The plan with as few strips as fit the limit: the whole frame where it does. Raises as `rows_that_fit`."""
+    why = None
+    if plan.forward or plan.occlusion == "layered":
+        why = "the forward warp" if plan.forward else "layered occlusion"
 
-    Raises SceneError where nothing fits a limit that was given; else the least strips are taken, or the whole frame
-    where a pass needs it.
+    def sizes(rows: int) -> Mapping[str, int]:
+        return buffer_bytes(replace(plan, strip_rows=rows), limit.cores)
+
+    return replace(plan, strip_rows=rows_that_fit(plan.rows, limit, sizes, why))
+
+
+def rows_that_fit(rows: int, limit: Limit, sizes: Callable[[int], Mapping[str, int]], whole: str | None) -> int:
+    """Rows of the tallest strips that fit the limit: all of them, or a multiple of BAND.
+
+    rows: of the frame; sizes: gives the buffers for strips of so many rows; whole: what needs the whole frame, if
+    anything does. Where nothing fits it raises SceneError if the limit was given; else the least strips are taken, or
+    the whole frame where something needs it.
     """
 
-    def of(rows: int) -> Plan:
-        return replace(plan, strip_rows=rows)
+    def fits(tried: int) -> bool:
+        found = sizes(tried)
+        return _sum(found, limit.views) <= limit.total and max(found.values()) <= limit.buffer
 
-    def fits(rows: int) -> bool:
-        sizes = buffer_bytes(of(rows), limit.cores).values()
-        return sum(sizes) * limit.views <= limit.total and max(sizes) <= limit.buffer
-
-    if fits(plan.rows):
-        return of(0)
-    whole = needs_whole(plan)
-    if whole is None:
-        return of(tallest_strip(plan.rows, fits) or _refused(of(min(BAND, plan.rows)), limit, "in strips of 64 rows"))
-    _refused(of(plan.rows), limit, f"as {whole} needs the whole frame")
-    return of(0)
-
-
-def _refused(plan: Plan, limit: Limit, why: str) -> int:
-    """Rows of the strips of a plan that does not fit; raises SceneError where the limit was given."""
-    needed = limit.views * device_bytes(plan, limit.cores)
+    if fits(rows):
+        return rows
+    least = rows if whole else min(BAND, rows)
+    if not whole and fits(least):
+        few, many = 1, (rows - 1) // BAND
+        while few < many:
+            middle = (few + many + 1) // 2
+            few, many = (middle, many) if fits(middle * BAND) else (few, middle - 1)
+        return few * BAND
+    needed = _sum(sizes(least), limit.views)
     if limit.given and needed > limit.total:
+        why = f"as {whole} needs the whole frame" if whole else f"in strips of {least} rows"
         raise SceneError(
-            f"memory: must be at least {ceil(needed / 2**20)} MiB for this scene, {why}; got {limit.total / 2**20:.4g} MiB"
+            f"memory: must be at least {ceil(needed / 2**20)} MiB here, {why}; got {limit.total / 2**20:.4g} MiB"
         )
-    return plan.strip_rows
-
-
-def needs_whole(plan: Plan) -> str | None:
-    """The pass that cannot be done in strips, if there is one."""
-    if plan.forward:
-        return "the forward warp"
-    return "layered occlusion" if plan.occlusion == "layered" else None
-
-
-def tallest_strip(rows: int, fits: Callable[[int], bool]) -> int:
-    """Most rows of a strip that fit, a multiple of BAND below `rows`; 0 where one band does not."""
-    least, most = 0, (rows - 1) // BAND
-    while least < most:
-        middle = (least + most + 1) // 2
-        least, most = (middle, most) if fits(middle * BAND) else (least, middle - 1)
-    return least * BAND
+    return least

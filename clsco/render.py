@@ -139,7 +139,7 @@ def _in_lockstep(plans: Sequence[tuple[Plan, ...]], limit: Limit) -> list[list[P
         guard = max(plan.guard_px for plan in of_lenses)
         alike = [replace(plan, guard_px=guard) for plan in of_lenses]
         needed = sum(device_bytes(plan, limit.cores) for plan in alike) + hit_bytes(alike[0])
-        if needed * limit.views > limit.total or any(fitted(plan, limit).strip_rows for plan in alike):
+        if needed * limit.views > limit.total or any(fitted(plan, limit).strip_rows < plan.rows for plan in alike):
             return []
         found.append(alike)
     return found

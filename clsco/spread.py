@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from clsco.device import Program, Session
 from clsco.layout import Real, Struct, psf_struct
-from clsco.memory import MOST_IN_ONE_SUM, bands_at_a_time, spread_bytes
+from clsco.memory import MOST_IN_ONE_SUM, bands_at_a_time, has_spans, spread_bytes
 from clsco.occlusion import lens_cells
 from clsco.plan import Blur
 from clsco.program import empty, kernel, launch, mapped, upload
-from clsco.psf import LANES, SPANNED, PsfTable, constant_table, psf_table, reach
+from clsco.psf import LANES, PsfTable, constant_table, psf_table
 from clsco.scene import Psf
 from clsco.strips import BAND
 
@@ -28,7 +28,7 @@ Events = list[tuple[str, cl.Event]]
 
 def spans_rows(psf: Psf, largest: float, real: Real) -> bool:
     """Whether `gather` keeps rows that have one weight as their two ends: wide discs on devices with fp64."""
-    return psf.model == "pillbox" and real == "double" and reach(psf, largest) >= SPANNED[psf.edge]
+    return real == "double" and has_spans(psf, largest)
 
 
 def blur_features(method: Blur, psf: Psf, largest: float, real: Real, prepare: bool) -> dict[str, int]:
