@@ -236,6 +236,6 @@ def rows_that_fit(rows: int, limit: Limit, sizes: Callable[[int], Mapping[str, i
     if limit.given and needed > limit.total:
         why = f"as {whole} needs the whole frame" if whole else f"in strips of {least} rows"
         raise SceneError(
-            f"memory: must be at least {ceil(needed / 2**20)} MiB here, {why}; got {limit.total / 2**20:.4g} MiB"
+            f"memory: must be at least {ceil(needed / 2**20)} MiB for this frame, {why}; got {limit.total / 2**20:.4g} MiB"
         )
     return least
