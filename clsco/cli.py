@@ -399,9 +399,7 @@ def _planned(
     return found
 
 
-def _first(
-    path: Path, overrides: tuple[str, ...], files: tuple[str, ...] = (), memory: int | None = None
-) -> Plan:
+def _first(path: Path, overrides: tuple[str, ...], files: tuple[str, ...] = (), memory: int | None = None) -> Plan:
     """The plan of a file's only scene; of several the first one, which is told."""
     ((path, sweep),) = _loaded([path], overrides)
     if isinstance(sweep, SceneError):

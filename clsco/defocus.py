@@ -56,8 +56,9 @@ def defocus(
     columns), positive behind the focal surface; psf: keys of the scene file's [psf]; device: part of an OpenCL
     device's name; method: "auto", "gather", "scatter" or "convolve" (one radius). NumPy arrays, or pyopencl arrays of
     one queue, which is then worked in; memory: most that buffers on the device may take, bytes or a size like "1.5GiB",
-    by default half of what is free: an image that needs more is done in horizontal strips, with the same bits. With occlusion = "layered" smaller signed radii, which are nearer, hide larger
-    ones where the map jumps (`clsco.layers.Layers`); with any other nothing hides anything.
+    by default half of what is free: an image that needs more is done in horizontal strips, with the same bits. With
+    occlusion = "layered" smaller signed radii, which are nearer, hide larger ones where the map jumps
+    (`clsco.layers.Layers`), which needs the whole image; with any other nothing hides anything.
     Returns float32 of the image's shape, as NumPy or pyopencl array as given. Nothing is known outside of the image,
     so with border = "lose" it darkens where light leaves it; sources have their pixel's center, and the gradient for
     `tilt` comes from differences of `coc`. Raises ImageError, SceneError, DeviceError.
@@ -110,7 +111,9 @@ def _checked(image: Any, coc: Any) -> _Given:
     brightest, largest = (max(abs(low), abs(high)) for low, high in ends)
     if largest > LARGEST_BLUR:
         raise ImageError(f"coc: radii must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
-    smallest = min(float(np.abs(radii[first : first + BAND].astype(np.float64)).min()) for first in range(0, len(radii), BAND))
+    smallest = min(
+        float(np.abs(radii[first : first + BAND].astype(np.float64)).min()) for first in range(0, len(radii), BAND)
+    )
     return _Given(picture, radii, smallest, largest, float(np.float32(brightest)))
 
 
@@ -138,9 +141,7 @@ def _choose(psf: Psf, method: str, smallest: float, largest: float) -> Blur:
     return "gather" if method == "gather" else "scatter" if method == "scatter" else "convolve"
 
 
-def _defocus(
-    session: Session, given: _Given, psf: Psf, method: str, memory: str | int | None
-) -> NDArray[np.float32]:
+def _defocus(session: Session, given: _Given, psf: Psf, method: str, memory: str | int | None) -> NDArray[np.float32]:
     device = session.device
     shape, channels = given.image.shape, given.channels
     rows, columns = shape[:2]

@@ -44,7 +44,9 @@ def structs(real: Real) -> dict[str, np.dtype[Any]]:
     psf_t: how a blur radius becomes a coordinate in the tables, and which intervals they hold; the rest: see occlusion.
     """
     i, two, three, nine = "i4", (2,), (3,), (9,)
-    camera: list[Any] = [(name, i) for name in ("rows", "columns", "frame_rows", "top", "guard", "above", "width", "height")]
+    camera: list[Any] = [
+        (name, i) for name in ("rows", "columns", "frame_rows", "top", "guard", "above", "width", "height")
+    ]
     camera += _reals(real, step=(), blur_scale=(), focus_power=(), lens_radius=())
     surface = _reals(real, turn=nine, body_turn=nine, offset=three, body_offset=three, rest=three, q=three, l=three)
     surface += _reals(real, bounds_low=three, bounds_high=three, k=(), at_lens=())

@@ -235,7 +235,6 @@ def rows_that_fit(rows: int, limit: Limit, sizes: Callable[[int], Mapping[str, i
     needed = _sum(sizes(least), limit.views)
     if limit.given and needed > limit.total:
         why = f"as {whole} needs the whole frame" if whole else f"in strips of {least} rows"
-        raise SceneError(
-            f"memory: must be at least {ceil(needed / 2**20)} MiB for this frame, {why}; got {limit.total / 2**20:.4g} MiB"
-        )
+        least_mib, got = ceil(needed / 2**20), f"{limit.total / 2**20:.4g} MiB"
+        raise SceneError(f"memory: must be at least {least_mib} MiB for this frame, {why}; got {got}")
     return least

@@ -142,7 +142,7 @@ def download(session: Session, buffer: cl.Buffer, shape: Sequence[int], dtype: D
 
 
 def download_into(session: Session, buffer: cl.Buffer, array: NDArray[Any]) -> None:
-    """Wait for everything enqueued so far and write the buffer's beginning to a C-ordered array. Raises as `download`."""
+    """Wait for all that is enqueued and copy the buffer's beginning to a C-ordered array. Raises as `download`."""
     if array.nbytes:
         try:
             cl.enqueue_copy(session.queue, array, buffer, is_blocking=True)
@@ -151,14 +151,14 @@ def download_into(session: Session, buffer: cl.Buffer, array: NDArray[Any]) -> N
 
 
 @contextmanager
-def mapped(session: Session, buffer: cl.Buffer, shape: Sequence[int], dtype: DTypeLike) -> Iterator[NDArray[Any]]:
-    """Wait for everything enqueued so far and read the buffer's beginning where it is; on a processor nothing is copied.
+def mapped(session: Session, buffer: cl.Buffer, shape: Sequence[int]) -> Iterator[NDArray[np.float32]]:
+    """Wait for all that is enqueued and read the buffer's beginning where it is; on a processor nothing is copied.
 
-    shape, dtype: of the array, which is gone after the block. Raises as `download`.
+    shape: of the array, which is gone after the block. Raises as `download`.
     """
     try:
         flags = cl.map_flags.READ
-        array, _ = cl.enqueue_map_buffer(session.queue, buffer, flags, 0, tuple(shape), dtype, is_blocking=True)
+        array, _ = cl.enqueue_map_buffer(session.queue, buffer, flags, 0, tuple(shape), np.float32, is_blocking=True)
     except (cl.MemoryError, cl.RuntimeError) as error:
         raise DeviceError(f"device {session.device}: must give results back; got {error}") from error
     try:

@@ -41,9 +41,8 @@ def render(
     DeviceError, KernelError.
     Validated against `clsco.reference.render` on every scene in examples/ and a ray tracer (benchmarks/accuracy.py).
     """
-    wanted = {"truth": truth, "device": device, "precision": precision, "method": method, "frames": frames}
-    wanted["memory"] = memory
-    for _, frame in render_sweep((scene,), **wanted):  # type: ignore[arg-type]
+    options = {"truth": truth, "device": device, "precision": precision, "method": method, "frames": frames}
+    for _, frame in render_sweep((scene,), **options, memory=memory):  # type: ignore[arg-type]
         yield frame
 
 

@@ -20,7 +20,6 @@ from clsco.layout import (
     Real,
     Struct,
     camera_struct,
-    flat,
     layer_struct,
     pose_structs,
     structs,

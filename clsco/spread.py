@@ -67,7 +67,8 @@ class Sources:
 class Spreader:
     """Adds the blurred light of moments to a frame, or a strip of it; owns its buffers and the PSF tables.
 
-    camera: of the frame, or of the strip that it begins with, which is the tallest; another one can be set. Holds for |R| in [smallest, largest] px; other radii are clamped to it (`convolve` makes the PSF of its radius).
+    camera: of the frame, or of the strip that it begins with, which is the tallest; another one can be set. Holds for
+    |R| in [smallest, largest] px; other radii are clamped to it (`convolve` makes the PSF of its radius).
     brightest: largest |radiance|, which sets the fixed point of `scatter`; spans: the program has the feature SPANS.
     """
 
@@ -156,7 +157,7 @@ class Spreader:
             self._launch("resolve", (columns, rows), PIXELS, events, self.camera, *args)
         if out is None:
             out = np.empty((rows, columns) if self.channels == 1 else (rows, columns, self.channels), np.float32)
-        with mapped(self.session, self.total, (self.channels, rows, self.pitch), np.float32) as total:
+        with mapped(self.session, self.total, (self.channels, rows, self.pitch)) as total:
             planes = total[:, :, self.pad : self.pad + columns]
             out[...] = planes[0] if self.channels == 1 else np.moveaxis(planes, 0, -1)
         self.held.clear()

@@ -105,8 +105,8 @@ def _require_suffix(source: str) -> None:
 def resample(linear: Floats, size: tuple[int, ...], first: int = 0, end: int | None = None) -> Floats:
     """Resample an image to another size with the same outer borders, without aliasing.
 
-    linear: (rows, columns[, channels]), linear light. size: (rows, columns). first, end: which rows of it are wanted, by
-    default all. Returns size[, channels], >= 0.
+    linear: (rows, columns[, channels]), linear light. size: (rows, columns). first, end: which rows of it are wanted,
+    by default all. Returns size[, channels], >= 0.
     Separable Catmull-Rom cubic (Catmull and Rom 1974; a = -1/2 of Keys 1981), as wide as an output pixel
     where the image shrinks. Each output pixel's weights sum to 1; beyond the border the nearest pixel
     repeats; what rings below 0 is 0. Validated on constants, cosines, mirrored images, and by the mean.

@@ -8,8 +8,8 @@ import pytest
 
 from clsco.errors import SceneError
 from clsco.frame import TRUTH_NAMES
-from clsco.optics import LARGEST_BLUR, blur_radius
 from clsco.memory import device_bytes
+from clsco.optics import LARGEST_BLUR, blur_radius
 from clsco.plan import Plan, exposure, guard_band, image_displacement, is_sharp, make_plan, widened
 from clsco.psf import LANES, reach
 from clsco.scene import Camera, Cone, Fill, Motion, ObjectMotion, Plane, Psf, Quadric, Scene, Sequence, Sphere

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco import psf as psf_weights
-from clsco import spread
+from clsco import spread, strips
 from clsco.device import Session
 from clsco.layout import Struct, flat, frame_struct, psf_struct, structs
 from clsco.plan import Blur
