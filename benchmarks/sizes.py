@@ -1,10 +1,10 @@
 """Time and memory of large frames, with a limit of memory: python -m benchmarks.sizes
 
-One gray channel, R from 0 to 20 px at every size, the defaults of the PSF (occlusion "none"). `render`: a plane tilted in
-both directions, rays included; `defocus`: an image and its radii, as arrays. Each size in a process of its own. Time is
-process CPU time of the second frame, with programs and tables at hand; memory is the most that the process held at a
-time (the peak of its resident set), the image, the frame and Python with its libraries (about 130 MiB) among it.
-`command`: `clsco render` as a whole, from the texture's pattern to the PNG file.
+One gray channel, R from 0 to 20 px at every size, the defaults of the PSF. `render`: a plane tilted in both directions,
+rays included; `defocus`: an image and its radii, as arrays, where nothing hides anything. Each size in a process of its
+own. Time is process CPU time of the second frame, with programs and tables at hand; memory is the most that the process
+held at a time (the peak of its resident set), the image, the frame and Python with its libraries among it. `command`:
+`clsco render` as a whole, from the texture's pattern to the PNG file.
 """
 
 from __future__ import annotations
@@ -21,8 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 import clsco
 from clsco.scene import Scene
@@ -110,14 +108,13 @@ def main() -> None:
             command = [sys.executable, "-m", "benchmarks.sizes", *options]
             done = subprocess.run(command, check=True, capture_output=True, text=True)
             rows.append(json.loads(done.stdout.splitlines()[-1]))
-    table = Table(title=f"R up to {LARGEST:g} px, --memory {given.memory}")
-    for name in ("", "size", "CPU ns per px", "CPU s", "wall s", "peak MiB"):
-        table.add_column(name)
+    lines = [f"R up to {LARGEST:g} px, gray, `--memory {given.memory}` (`python -m benchmarks.sizes`)", ""]
+    lines += ["| | size, px | CPU ns per px | CPU s | wall s | peak MiB |", "|---|---|---|---|---|---|"]
     for row in rows:
-        pixels = row["size"] ** 2
-        figures = (1e9 * row["cpu_s"] / pixels, row["cpu_s"], row["wall_s"], row["peak_bytes"] / 2**20)
-        table.add_row(row["part"], str(row["size"]), *(f"{figure:.4g}" for figure in figures))
-    Console(width=100).print(table)
+        figures = (1e9 * row["cpu_s"] / row["size"] ** 2, row["cpu_s"], row["wall_s"], row["peak_bytes"] / 2**20)
+        lines.append(f"| {row['part']} | {row['size']} | " + " | ".join(f"{figure:.4g}" for figure in figures) + " |")
+    print("\n".join(lines))
+    (RESULTS / "sizes.md").write_text("\n".join(lines) + "\n")
     (RESULTS / "sizes.json").write_text(json.dumps(rows, indent=2) + "\n")
 
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner, Result
 
 import clsco
 from clsco import memory
+from clsco.cli import main
 from clsco.errors import SceneError
 from clsco.memory import Limit, free_bytes, limit_of, parse_size, rows_that_fit
 from clsco.strips import BAND, Strip, cut
@@ -120,3 +124,43 @@ def test_layers_need_the_whole_image() -> None:
     image, coc = RNG.random(SHAPE, np.float32), RNG.random(SHAPE) * 3
     with pytest.raises(SceneError, match=r"MiB for this frame, as layered occlusion needs the whole frame; got 1 MiB"):
         clsco.defocus(image, coc, {"occlusion": "layered"}, memory="1MiB")
+
+
+PLANE = '[camera]\nresolution = [100, 500]\n[[object]]\nshape = "plane"\ndistance = 300.0\nslope_y = 0.2\n'
+
+
+def clsco_(*words: object) -> Result:
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+def test_commands_take_a_limit(tmp_path: Path) -> None:
+    scene, out = tmp_path / "plane.toml", tmp_path / "out"
+    scene.write_text(PLANE)
+    assert "1, the whole frame" in clsco_("plan", scene).stdout
+    told = clsco_("plan", scene, "--memory", "1.2MiB")
+    assert "3 of up to 192 rows, with up to 12 more on either side" in told.stdout
+    for command in (("plan", scene), ("render", scene, "-o", out)):
+        refused = clsco_(*command, "--memory", "300kB")
+        assert (refused.exit_code, refused.stdout) == (1, "")
+        assert refused.stderr.startswith(
+            f"error: {scene}: memory: must be at least 1 MiB for this frame, in strips of 64"
+        )
+        wrong = clsco_(*command, "--memory", "lots")
+        assert wrong.exit_code == 2
+        assert "'--memory': must be a size greater than 0, like 1.5GiB or 800MB; got lots" in wrong.stderr
+    assert not out.exists()
+    done = clsco_("render", scene, "-o", out, "--memory", "1.2MiB")
+    assert done.exit_code == 0, done.output
+    assert json.loads((out / "frame_0000.json").read_text())["strips"] == 3
+
+
+def test_a_depth_map_needs_the_whole_frame(tmp_path: Path) -> None:
+    image, depth, out = tmp_path / "image.npy", tmp_path / "depth.npy", tmp_path / "out"
+    np.save(image, RNG.random((90, 80), np.float32))
+    np.save(depth, np.full((90, 80), 400.0, np.float32))
+    for target in (out, tmp_path / "out.png"):
+        refused = clsco_("defocus", image, depth, "-o", target, "--memory", "100kB")
+        assert (refused.exit_code, refused.stdout) == (1, "")
+        assert f"error: {image}: memory: must be at least " in refused.stderr
+        assert " MiB for this frame, as the forward warp needs the whole frame; got 0.09537 MiB" in refused.stderr
+        assert not target.exists()

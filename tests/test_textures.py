@@ -96,6 +96,7 @@ def test_resampling_keeps_constants_and_mirrors(before: tuple[int, int], after: 
         np.testing.assert_allclose(resample(np.flip(image, axis), after), np.flip(result, axis), atol=1e-13)
     np.testing.assert_allclose(resample(image[..., 1], after), result[..., 1], atol=1e-15)
     assert result.min() >= 0
+    np.testing.assert_array_equal(resample(image, after, 1, 3), result[1:3])
     assert np.shares_memory(resample(image, before), image)
 
 
@@ -149,6 +150,8 @@ def test_patterns_have_every_size_and_never_change(name: str) -> None:
         assert codes.shape == size
         assert codes.dtype == np.uint8
         np.testing.assert_array_equal(codes, PATTERNS[name](*size))
+        for first in range(size[0]):
+            np.testing.assert_array_equal(PATTERNS[name](*size, first, first + 7), codes[first : first + 7])
     assert np.ptp(PATTERNS[name](100, 64)) > 100
     assert texture_size(name) == (512, 512)
     for transfer in ("srgb", "linear"):
