@@ -52,6 +52,10 @@ TRUTH_BUFFERS: dict[str, tuple[type[np.generic], int]] = {
 }
 BOOLEAN = ("hidden", "occluded")
 Planes = tuple[cl.Buffer, cl.Buffer, cl.Buffer]  # value, coc, valid on the padded grid, as in layers.py
+OUTGROWN = (
+    "spreader", "source", "value", "label", "pixels", "sub_source", "depth", "sub_depth", "sub_value", "slabs", "coc",
+    "valid",
+)  # fmt: skip
 SLACK = 1.0 + 1e-6  # the host's float64 and the device's float round differently
 # What of the statistics a frame must begin with: no radius met, no slot taken (trace.cl).
 EMPTY_STATISTICS = np.array([0, np.iinfo(np.int32).max, 0, 0], dtype=np.int32)
@@ -100,7 +104,7 @@ class Renderer:
         self.items = plan.scene.objects
         self.bits = max(texture.bits for texture in textures)
         self.smallest, self.largest, self.slots = plan.smallest_blur, plan.largest_blur, plan.slots
-        self.brightest = max(float(np.abs(texture.radiance).max(initial=0.0)) for texture in textures)
+        self.brightest = max(float(texture.radiance.max(initial=0.0)) for texture in textures)  # none is below 0
         stack = list(dict.fromkeys(textures))  # those that several objects have in common once
         self.texture_of = [stack.index(texture) for texture in textures]
         self.texture = upload(session, texture_planes([texture.radiance for texture in stack], plan.channels))
@@ -131,6 +135,8 @@ class Renderer:
     def _allocate(self) -> None:
         """Buffers whose size depends on the range of radii and on the number of silhouette pixels."""
         plan, session = self.plan, self.session
+        for name in OUTGROWN:
+            vars(self).pop(name, None)  # before the larger ones take memory
         self.strips = plan.strips
         self.camera = self._camera(self.strips[0])
         area = plan.width * plan.tallest
