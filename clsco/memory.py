@@ -8,6 +8,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import ceil
 
+import numpy as np
+
 from clsco.errors import SceneError
 from clsco.layout import WIDE_BYTES
 from clsco.plan import Blur, Plan
@@ -17,11 +19,18 @@ from clsco.strips import BAND, cut
 
 BANDS_PER_CORE = 4  # of `gather` at a time, where they need memory of their own
 MOST_IN_ONE_SUM = 256  # taps of `gather` that a float adds up before it goes into another sum
-# What a pixel of each output of ground_truth takes, in bytes; that of `sharp` per channel.
-TRUTH_BYTES = {
-    "object_id": 4, "depth": 4, "coc": 4, "normal": 12, "flow": 8, "hidden": 1, "sharp": 4, "disparity": 4,
-    "occluded": 1, "mask": 1,
-}  # fmt: skip
+# Outputs that ground_truth writes, with what one pixel of each takes: dtype and components (0: the channels).
+TRUTH_BUFFERS: dict[str, tuple[type[np.generic], int]] = {
+    "object_id": (np.int32, 1),
+    "depth": (np.float32, 1),
+    "coc": (np.float32, 1),
+    "normal": (np.float32, 3),
+    "flow": (np.float32, 2),
+    "hidden": (np.uint8, 1),
+    "sharp": (np.float32, 0),
+    "disparity": (np.float32, 1),
+    "occluded": (np.uint8, 1),
+}
 _UNITS = {"": 1, "b": 1} | {f"{p}b": 1000**n for n, p in enumerate("kmgt", 1)}
 _UNITS |= {f"{p}ib": 1024**n for n, p in enumerate("kmgt", 1)}
 
@@ -152,7 +161,8 @@ def buffer_bytes(plan: Plan, cores: int) -> dict[str, int]:
         sizes |= _warp(plan, area)
     maps = any(item.shape == "depth_map" for item in plan.scene.objects)
     if plan.truth and not maps:  # no ray is cast at a depth map
-        values = TRUTH_BYTES | {"sharp": 0 if plan.forward else TRUTH_BYTES["sharp"] * channels}
+        values = {name: np.dtype(kind).itemsize * (n or channels) for name, (kind, n) in TRUTH_BUFFERS.items()}
+        values |= {"mask": 1} | ({"sharp": 0} if plan.forward else {})
         wanted = {"mask", *plan.truth} & set(values)
         sizes |= {f"truth {name}": values[name] * rows * plan.columns for name in wanted}
     return sizes

@@ -158,7 +158,9 @@ def mapped(session: Session, buffer: cl.Buffer, shape: Sequence[int]) -> Iterato
     """
     try:
         flags = cl.map_flags.READ
-        array, _ = cl.enqueue_map_buffer(session.queue, buffer, flags, 0, tuple(shape), np.dtype(np.float32), is_blocking=True)
+        array, _ = cl.enqueue_map_buffer(
+            session.queue, buffer, flags, 0, tuple(shape), np.dtype(np.float32), is_blocking=True
+        )
     except (cl.MemoryError, cl.RuntimeError) as error:
         raise DeviceError(f"device {session.device}: must give results back; got {error}") from error
     try:

@@ -26,7 +26,7 @@ from clsco.layout import (
     surface_structs,
 )
 from clsco.maptruth import map_flow, map_normal, map_stereo
-from clsco.memory import Limit, device_bytes, fitted
+from clsco.memory import TRUTH_BUFFERS, Limit, device_bytes, fitted
 from clsco.motion import Pose, middle_time, poses_at, rest_poses
 from clsco.occlusion import Layer
 from clsco.optics import blur_radius
@@ -38,18 +38,6 @@ from clsco.strips import Strip
 from clsco.surfaces import PlacedSurface, place
 from clsco.textures import Texture
 
-# Outputs that ground_truth writes, with what one pixel of each takes: dtype and components (0: the channels).
-TRUTH_BUFFERS: dict[str, tuple[type[np.generic], int]] = {
-    "object_id": (np.int32, 1),
-    "depth": (np.float32, 1),
-    "coc": (np.float32, 1),
-    "normal": (np.float32, 3),
-    "flow": (np.float32, 2),
-    "hidden": (np.uint8, 1),
-    "sharp": (np.float32, 0),
-    "disparity": (np.float32, 1),
-    "occluded": (np.uint8, 1),
-}
 BOOLEAN = ("hidden", "occluded")
 Planes = tuple[cl.Buffer, cl.Buffer, cl.Buffer]  # value, coc, valid on the padded grid, as in layers.py
 OUTGROWN = (
