@@ -104,7 +104,9 @@ def prepare(
     return Job(scene, about, folder, left, files)
 
 
-def run(jobs: Sequence[Job], device: str | None, precision: str | None) -> Iterator[tuple[Job, tuple[Frame, ...]]]:
+def run(
+    jobs: Sequence[Job], device: str | None, precision: str | None, memory: int | None = None
+) -> Iterator[tuple[Job, tuple[Frame, ...]]]:
     """Render the frames of jobs, write each one, and then yield it: one frame, or the two views of a stereo pair.
 
     jobs: of scenes with their resolutions, in the order in which they are rendered; those of one sweep follow each
@@ -116,17 +118,18 @@ def run(jobs: Sequence[Job], device: str | None, precision: str | None) -> Itera
         largest = max(math.prod(job.scene.camera.resolution or ()) for job in members)
         count = max(1, min(TOGETHER, PIXELS_TOGETHER // largest))
         for start in range(0, len(members), count):
-            yield from _run_together(members[start : start + count], device, precision)
+            yield from _run_together(members[start : start + count], device, precision, memory)
 
 
 def _run_together(
-    jobs: Sequence[Job], device: str | None, precision: str | None
+    jobs: Sequence[Job], device: str | None, precision: str | None, memory: int | None
 ) -> Iterator[tuple[Job, tuple[Frame, ...]]]:
     """As `run`, of jobs with the same frames and the same files."""
     truth = (*TRUTH_NAMES, *STEREO_NAMES) if jobs[0].files else ()  # nothing that no file asks for
     scenes, wanted = [job.scene for job in jobs], jobs[0].frames
     left: Frame | None = None
-    for number, frame in render_sweep(scenes, truth=truth, device=device, precision=precision, frames=wanted):
+    options = {"truth": truth, "device": device, "precision": precision, "frames": wanted, "memory": memory}
+    for number, frame in render_sweep(scenes, **options):  # type: ignore[arg-type]
         if frame.eye == "left":
             left = frame
             continue

@@ -63,6 +63,15 @@ def _span(text: str) -> Span:
     return first, end
 
 
+def _size(text: str) -> int:
+    from clsco.memory import parse_size
+
+    try:
+        return parse_size(text)
+    except SceneError as error:
+        raise click.BadParameter(str(error).removeprefix("memory: ")) from None
+
+
 PATH = click.Path(path_type=Path)
 one_scene = click.argument("scene", type=PATH)
 scenes_wanted = click.argument("scenes", metavar="SCENE...", nargs=-1, required=True, type=PATH)
@@ -82,6 +91,11 @@ precision_option = click.option(
     "--precision", type=click.Choice(["single", "double"]),
     help="Of the geometry. Default: double where the device has it.",
 )  # fmt: skip
+memory_option = click.option(
+    "--memory", metavar="SIZE", type=_size,
+    help="Most that buffers on the device may take, like 1.5GiB or 800MB; frames that need more are made in strips. "
+    "Default: half of what is free.",
+)  # fmt: skip
 quiet_option = click.option("--quiet", is_flag=True, help="Show no progress.")
 
 
@@ -99,18 +113,19 @@ def main() -> None:
 @set_option
 @device_option
 @precision_option
+@memory_option
 @click.option("--resume", is_flag=True, help="Leave out frames that are in DIR already, whole and of this scene.")
 @quiet_option
 def render(
     scenes: tuple[Path, ...], out: Path, files: tuple[str, ...], span: Span, overrides: tuple[str, ...],
-    device: str | None, precision: str | None, resume: bool, quiet: bool,
+    device: str | None, precision: str | None, memory: int | None, resume: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Render the frames of scenes to files.
 
     A frame is frame_0000.png, and frame_0000.json with everything that made it. Of several scenes, each has a
     folder of its name in DIR. Where keys of a scene have several values, each has a folder like f_number_4 there.
     """
-    _render_to_folders(_loaded(scenes, overrides), out, files, span, device, precision, resume, quiet)
+    _render_to_folders(_loaded(scenes, overrides), out, files, span, device, precision, memory, resume, quiet)
 
 
 @main.command()
@@ -145,13 +160,14 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
 @one_scene
 @set_option
 @truth_option
-def plan(scene: Path, overrides: tuple[str, ...], files: tuple[str, ...]) -> None:
+@memory_option
+def plan(scene: Path, overrides: tuple[str, ...], files: tuple[str, ...], memory: int | None) -> None:
     """Tell what rendering a scene takes; runs nothing, and needs no OpenCL."""
-    first = _first(scene, overrides, files)
+    first = _first(scene, overrides, files, memory)
     from clsco.describe import planned
     from clsco.show import plan_tables
 
-    right = [] if first.scene.stereo is None else [planned(first.scene, first.truth, "right")]
+    right = [] if first.scene.stereo is None else [planned(first.scene, first.truth, "right", memory)]
     _print(*plan_tables([first, *right]))
 
 
@@ -290,10 +306,11 @@ def _number(name: str, text: str) -> Callable[[Callable[..., None]], Callable[..
 @set_option
 @device_option
 @precision_option
+@memory_option
 @quiet_option
 def defocus(
     image: Path, depth: Path, out: Path, files: tuple[str, ...], overrides: tuple[str, ...], device: str | None,
-    precision: str | None, quiet: bool, **options: str | float | None,
+    precision: str | None, memory: int | None, quiet: bool, **options: str | float | None,
 ) -> None:  # fmt: skip
     """Defocus IMAGE by its depth map DEPTH, a file of the same size.
 
@@ -309,27 +326,27 @@ def defocus(
     for line in depth_report(sweep.scenes[0]):
         click.echo(line, err=True)
     if not alone:
-        _render_to_folders([(image, sweep)], out, files, (None, None), device, precision, False, quiet)
+        _render_to_folders([(image, sweep)], out, files, (None, None), device, precision, memory, False, quiet)
         return
-    scenes = [plan.scene for _, _, plans in _planned([(image, sweep)]) for plan in plans]
+    scenes = [plan.scene for _, _, plans in _planned([(image, sweep)], (), memory) for plan in plans]
     prepare_image(scenes, out)
     _require_device(device)
     from clsco.render import render as render_frames
 
     with _progress(1, quiet) as advance:
-        for frame in render_frames(scenes[0], truth=(), device=device, precision=precision):
+        for frame in render_frames(scenes[0], truth=(), device=device, precision=precision, memory=memory):
             write_image(out, frame, frame.metadata["bits"], scenes[0].image.transfer)
             advance()
 
 
 def _render_to_folders(
     loaded: Sequence[tuple[Path, Sweep | SceneError]], out: Path, files: tuple[str, ...], span: Span,
-    device: str | None, precision: str | None, resume: bool, quiet: bool,
+    device: str | None, precision: str | None, memory: int | None, resume: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Plan scenes, and render those of each file into its folder."""
     if "exr" in files and find_spec("OpenEXR") is None:
         raise ImageError("--truth exr: needs OpenEXR: pip install 'clsco[exr]'; got no such module")
-    planned = _planned(loaded, files)
+    planned = _planned(loaded, files, memory)
     _require_device(device)
     from clsco import batch
     from clsco.describe import file_digests
@@ -342,7 +359,7 @@ def _render_to_folders(
     digests = file_digests(scene for scene, _, _ in wanted)
     jobs = [batch.prepare(*what, files, precision, resume, digests) for what in wanted]
     with _progress(sum(len(job.frames) for job in jobs), quiet) as advance:
-        for _ in batch.run(jobs, device, precision):
+        for _ in batch.run(jobs, device, precision, memory):
             advance()
 
 
@@ -360,9 +377,10 @@ def _loaded(paths: Sequence[Path], overrides: tuple[str, ...] = ()) -> list[tupl
 
 
 def _planned(
-    loaded: Sequence[tuple[Path, Sweep | SceneError]], files: tuple[str, ...] = ()
+    loaded: Sequence[tuple[Path, Sweep | SceneError]], files: tuple[str, ...] = (), memory: int | None = None
 ) -> list[tuple[Path, tuple[str, ...], tuple[Plan, ...]]]:
     """Read textures and depths of scenes and plan them: file, labels and plans; raises SceneError for all of them."""
+    truth = (*TRUTH_NAMES, *STEREO_NAMES) if files else ()
     from clsco.describe import planned_sweep
     from clsco.scenefile import at_most
 
@@ -373,7 +391,7 @@ def _planned(
             messages.extend(sweep.messages)
             continue
         try:
-            found.append((path, sweep.labels, planned_sweep(sweep, (*TRUTH_NAMES, *STEREO_NAMES) if files else ())))
+            found.append((path, sweep.labels, planned_sweep(sweep, truth, memory=memory)))
         except SceneError as error:
             messages.extend(at_most(str(path), error.messages))
     if messages:
@@ -381,13 +399,13 @@ def _planned(
     return found
 
 
-def _first(path: Path, overrides: tuple[str, ...], files: tuple[str, ...] = ()) -> Plan:
+def _first(path: Path, overrides: tuple[str, ...], files: tuple[str, ...] = (), memory: int | None = None) -> Plan:
     """The plan of a file's only scene; of several the first one, which is told."""
     ((path, sweep),) = _loaded([path], overrides)
     if isinstance(sweep, SceneError):
         raise sweep
     alone = replace(sweep, labels=sweep.labels[:1], scenes=sweep.scenes[:1])
-    ((_, (label,), (planned,)),) = _planned([(path, alone)], files)
+    ((_, (label,), (planned,)),) = _planned([(path, alone)], files, memory)
     if label:
         click.echo(f"the first of {len(sweep.labels)} scenes, {label}:")
     return planned

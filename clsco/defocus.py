@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, overload
 
@@ -14,14 +15,16 @@ from numpy.typing import NDArray
 from clsco.device import Device, Session, choose, described
 from clsco.errors import DeviceError, ImageError, SceneError
 from clsco.layers import Layers
-from clsco.layout import Real, Struct, flat, frame_struct, in_parts, structs
+from clsco.layout import WIDE_BYTES, Real, Struct, flat, frame_struct, in_parts, structs
+from clsco.memory import defocus_bytes, limit_of, rows_that_fit
 from clsco.optics import LARGEST_BLUR
 from clsco.plan import Blur, is_sharp
-from clsco.program import build, empty, kernel, launch, upload
-from clsco.psf import LANES, is_disc, reach
+from clsco.program import build, empty, kernel, launch
+from clsco.psf import LANES, is_disc, reach, table_reach
 from clsco.scene import Psf
 from clsco.scenefile import parse_psf
 from clsco.spread import PIXELS, Sources, Spreader, blur_features
+from clsco.strips import BAND, Strip, cut
 
 MOST_CHANNELS = 16
 # Features that only surfaces need.
@@ -31,12 +34,12 @@ PLAIN = dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FI
 @overload
 def defocus(
     image: NDArray[Any], coc: NDArray[Any], psf: Psf | Mapping[str, Any] | None = None,
-    *, device: str | None = None, method: str = "auto",
+    *, device: str | None = None, method: str = "auto", memory: str | int | None = None,
 ) -> NDArray[np.float32]: ...  # fmt: skip
 @overload
 def defocus(
     image: cl_array.Array, coc: cl_array.Array, psf: Psf | Mapping[str, Any] | None = None,
-    *, device: str | None = None, method: str = "auto",
+    *, device: str | None = None, method: str = "auto", memory: str | int | None = None,
 ) -> cl_array.Array: ...  # fmt: skip
 def defocus(
     image: NDArray[Any] | cl_array.Array,
@@ -45,14 +48,17 @@ def defocus(
     *,
     device: str | None = None,
     method: str = "auto",
+    memory: str | int | None = None,
 ) -> NDArray[np.float32] | cl_array.Array:
     """Blur an image by a map of signed blur radii, each pixel by its own PSF.
 
     image: linear light, (rows, columns) or (rows, columns, channels), up to 16 channels; coc: signed R in px, (rows,
     columns), positive behind the focal surface; psf: keys of the scene file's [psf]; device: part of an OpenCL
     device's name; method: "auto", "gather", "scatter" or "convolve" (one radius). NumPy arrays, or pyopencl arrays of
-    one queue, which is then worked in. With occlusion = "layered" smaller signed radii, which are nearer, hide larger
-    ones where the map jumps (`clsco.layers.Layers`); with any other nothing hides anything.
+    one queue, which is then worked in; memory: most that buffers on the device may take, bytes or a size like "1.5GiB",
+    by default half of what is free: an image that needs more is done in horizontal strips, with the same bits. With
+    occlusion = "layered" smaller signed radii, which are nearer, hide larger ones where the map jumps
+    (`clsco.layers.Layers`), which needs the whole image; with any other nothing hides anything.
     Returns float32 of the image's shape, as NumPy or pyopencl array as given. Nothing is known outside of the image,
     so with border = "lose" it darkens where light leaves it; sources have their pixel's center, and the gradient for
     `tilt` comes from differences of `coc`. Raises ImageError, SceneError, DeviceError.
@@ -66,11 +72,26 @@ def defocus(
         if queue is None:
             raise DeviceError("image: a pyopencl array must have a queue; got one without")
         host = [a.get(queue) if isinstance(a, cl_array.Array) else a for a in (image, coc)]
-        return cl_array.to_device(queue, _defocus(_session_of(queue), *_checked(*host), model, method))
-    return _defocus(_session(choose(device)), *_checked(image, coc), model, method)
+        return cl_array.to_device(queue, _defocus(_session_of(queue), _checked(*host), model, method, memory))
+    return _defocus(_session(choose(device)), _checked(image, coc), model, method, memory)
 
 
-def _checked(image: Any, coc: Any) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+@dataclass(frozen=True)
+class _Given:
+    """An image, (rows, columns[, channels]), with its map of signed radii, and what is in them."""
+
+    image: NDArray[Any]
+    coc: NDArray[Any]
+    smallest: float
+    largest: float
+    brightest: float
+
+    @property
+    def channels(self) -> int:
+        return int(self.image.shape[2]) if self.image.ndim == 3 else 1
+
+
+def _checked(image: Any, coc: Any) -> _Given:
     picture, radii = np.asarray(image), np.asarray(coc)
     if picture.ndim not in (2, 3) or 0 in picture.shape or (picture.ndim == 3 and picture.shape[2] > MOST_CHANNELS):
         raise ImageError(
@@ -78,17 +99,22 @@ def _checked(image: Any, coc: Any) -> tuple[NDArray[np.float32], NDArray[np.floa
         )
     if radii.shape != picture.shape[:2]:
         raise ImageError(f"coc: must have the rows and columns of the image, {picture.shape[:2]}; got {radii.shape}")
+    ends = []
     for name, array in (("image", picture), ("coc", radii)):
         if array.dtype.kind not in "fiu":
             raise ImageError(f"{name}: must hold real numbers; got {array.dtype}")
-        if not np.isfinite(array).all():
+        ends.append((float(array.min()), float(array.max())))  # as NaN and infinity are, and without a plane of its own
+        if not np.isfinite(ends[-1]).all():
             raise ImageError(f"{name}: must be finite; got {int((~np.isfinite(array)).sum())} values that are not")
     if picture.dtype.kind != "f":
         raise ImageError(f"image: must be linear light in floats; got {picture.dtype}")
-    largest = float(np.abs(radii).max())
+    brightest, largest = (max(abs(low), abs(high)) for low, high in ends)
     if largest > LARGEST_BLUR:
         raise ImageError(f"coc: radii must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
-    return picture.astype(np.float32, copy=False), radii.astype(np.float64)
+    smallest = min(
+        float(np.abs(radii[first : first + BAND].astype(np.float64)).min()) for first in range(0, len(radii), BAND)
+    )
+    return _Given(picture, radii, smallest, largest, float(np.float32(brightest)))
 
 
 # A context and its built programs, kept because they take longer than a small image does.
@@ -115,53 +141,92 @@ def _choose(psf: Psf, method: str, smallest: float, largest: float) -> Blur:
     return "gather" if method == "gather" else "scatter" if method == "scatter" else "convolve"
 
 
-def _defocus(
-    session: Session, image: NDArray[np.float32], coc: NDArray[np.float64], psf: Psf, method: str
-) -> NDArray[np.float32]:
-    rows, columns = coc.shape
-    channels = image.shape[2] if image.ndim == 3 else 1
-    size = np.abs(coc)
-    smallest, largest = float(size.min()), float(size.max())
-    blur = _choose(psf, method, smallest, largest)
-    real: Real = "double" if session.device.has_fp64 else "float"
+def _defocus(session: Session, given: _Given, psf: Psf, method: str, memory: str | int | None) -> NDArray[np.float32]:
+    device = session.device
+    shape, channels = given.image.shape, given.channels
+    rows, columns = shape[:2]
+    ends = given.smallest, given.largest
+    limit = limit_of(memory, device.global_mem, device.max_alloc, device.compute_units, device.unified_memory)
+    blur = _choose(psf, method, *ends)
     if blur == "none":
-        return image.copy()
-    guard = 0
-    if blur == "convolve":
-        guard = reach(psf, largest) + 2 * LANES
-    camera: Struct = frame_struct(rows, columns, guard, real)
-    features = PLAIN | blur_features(blur, psf, largest, real, prepare=True)
-    features |= {
-        "CHANNELS": channels,
-        "TILT": int(psf.tilt and blur != "convolve"),
-        "SAMPLED": int(psf.edge == "sampled"),
-        "DISC": int(is_disc(psf)),
-    }
-    program = build(session, ["blur.cl"], features, structs(real), real)
-    brightest = float(np.abs(image).max())
-    spans = bool(features["SPANS"])
-    spreader = Spreader(session, program, psf, blur, camera, channels, smallest, largest, 0, real, brightest, spans)
-    padded = np.pad(flat(image, np.float32), ((0, 0), (guard, guard), (guard, guard)))
-    value = upload(session, padded) if psf.border == "lose" else _writable(session, padded)
-    spreader.clear()
-    if blur == "convolve":
-        spreader.add(Sources(None, value), largest, [])
-    else:
-        radii = upload(session, in_parts(coc, real))
-        valid = upload(session, np.ones((rows, columns), np.uint8))
+        return given.image.astype(np.float32)
+    guard = reach(psf, given.largest) + 2 * LANES if blur == "convolve" else 0
+    layered = psf.occlusion == "layered" and blur != "convolve"
+    tallest = rows_that_fit(
+        rows, limit, lambda n: defocus_bytes(psf, blur, channels, (rows, columns), guard, ends, limit.cores, n),
+        "layered occlusion" if layered else None,
+    )  # fmt: skip
+    strips = cut(rows, tallest, guard, table_reach(psf, given.largest) + 2)
+    engine = _Engine(session, given, psf, blur, guard, strips)
+    out = np.empty(shape, np.float32)
+    for strip in strips:
+        engine.defocus(strip, out[strip.inside] if channels > 1 or len(shape) == 2 else out[strip.inside, :, 0])
+    return out
+
+
+class _Engine:
+    """Owns the buffers and the program for the strips of one image."""
+
+    def __init__(
+        self, session: Session, given: _Given, psf: Psf, blur: Blur, guard: int, strips: Sequence[Strip]
+    ) -> None:
+        self.session, self.given, self.psf, self.blur, self.guard = session, given, psf, blur, guard
+        self.real: Real = "double" if session.device.has_fp64 else "float"
+        channels, columns = given.channels, given.coc.shape[1]
+        features = PLAIN | blur_features(blur, psf, given.largest, self.real, prepare=True)
+        features |= {
+            "CHANNELS": channels,
+            "TILT": int(psf.tilt and blur != "convolve"),
+            "SAMPLED": int(psf.edge == "sampled"),
+            "DISC": int(is_disc(psf)),
+        }
+        self.program = build(session, ["blur.cl"], features, structs(self.real), self.real)
+        self.spreader = Spreader(
+            session, self.program, psf, blur, self._camera(strips[0]), channels, given.smallest, given.largest, 0,
+            self.real, given.brightest, bool(features["SPANS"]),
+        )  # fmt: skip
+        area = max(strip.height for strip in strips) * (columns + 2 * guard)
+        self.value = empty(session, 4 * channels * area)
+        if blur == "convolve":
+            return
+        self.source, self.coc = empty(session, 16 * area), empty(session, WIDE_BYTES * area)
+        self.valid = empty(session, area)
+        cl.enqueue_fill_buffer(session.queue, self.valid, np.ones(1, np.uint8), 0, area)
+        self.layers: Layers | None = None
         if psf.occlusion == "layered":
-            layers = Layers(session, spreader, features, largest, real, brightest)
-            layers.add(value, radii, valid, [])
+            self.layers = Layers(session, self.spreader, features, given.largest, self.real, given.brightest)
+
+    def _camera(self, strip: Strip) -> Struct:
+        rows, columns = self.given.coc.shape
+        return frame_struct(rows, columns, self.guard, self.real, strip)
+
+    def defocus(self, strip: Strip, out: NDArray[np.float32]) -> None:
+        """Blur one strip into out, (rows, columns[, channels])."""
+        spreader, camera = self.spreader, self._camera(strip)
+        spreader.camera = camera
+        self._send(strip)
+        spreader.clear()
+        if self.blur == "convolve":
+            spreader.add(Sources(None, self.value), self.given.largest, [])
+        elif self.layers is not None:
+            self.layers.add(self.value, self.coc, self.valid, [])
         else:
-            source = empty(session, 16 * rows * columns)
-            args = (camera, spreader.struct, radii, valid, source)
-            launch(session, kernel(program, "prepare_sources"), (columns, rows), PIXELS, *args)
-            spreader.add(Sources(source, value), 0.0, [])
-    result = spreader.image([])
-    return result if image.ndim == 2 or channels > 1 else result[..., None]
+            args = (camera, spreader.struct, self.coc, self.valid, self.source)
+            size = (int(camera["width"]), int(camera["height"]))
+            launch(self.session, kernel(self.program, "prepare_sources"), size, PIXELS, *args)
+            spreader.add(Sources(self.source, self.value), 0.0, [])
+        spreader.image([], out)
 
-
-def _writable(session: Session, array: NDArray[np.float32]) -> cl.Buffer:
-    buffer = empty(session, array.nbytes)
-    cl.enqueue_copy(session.queue, buffer, array)
-    return buffer
+    def _send(self, strip: Strip) -> None:
+        """What of image and radii lights a strip to the device: with zeros around where the image ends."""
+        rows, guard = len(self.given.coc), self.guard
+        top, end = max(strip.top - strip.above, 0), min(strip.top + strip.rows + strip.below, rows)
+        planes = flat(self.given.image[top:end], np.float32)
+        if guard:
+            missing = top - (strip.top - strip.above)
+            widths = ((0, 0), (missing, strip.height - missing - (end - top)), (guard, guard))
+            planes = np.pad(planes, widths)
+        cl.enqueue_copy(self.session.queue, self.value, planes)
+        if self.blur != "convolve":
+            radii = self.given.coc[top:end].astype(np.float64)
+            cl.enqueue_copy(self.session.queue, self.coc, in_parts(radii, self.real))

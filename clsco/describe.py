@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -17,6 +17,7 @@ from clsco.depthmaps import map_inverse_depth, read_depth
 from clsco.errors import ImageError, SceneError
 from clsco.files import refuse, sha256
 from clsco.images import read_image
+from clsco.memory import fitted, limit_of
 from clsco.motion import Eye
 from clsco.plan import Maps, Plan, make_plan
 from clsco.scene import BUILT_IN_TEXTURES, DepthMap, Scene, Within
@@ -29,20 +30,22 @@ DERIVED_UNITS = {"derived.aperture_diameter": "mm", "derived.sensor_distance": "
 FRAME_UNITS = {"intermediate[].time": "s", "seconds": "s, by pass on the device"}
 
 
-def planned(scene: Scene, truth: tuple[str, ...], eye: Eye = "left") -> Plan:
+def planned(scene: Scene, truth: tuple[str, ...], eye: Eye = "left", memory: int | None = None) -> Plan:
     """The plan of a scene for the outputs `truth` besides color; reads its textures and depths, computes nothing.
 
-    eye: of a stereo pair.
+    eye: of a stereo pair; memory: as for `clsco.render`, on a device like this machine's processor.
 
     The plan's scene has its resolution, which the first texture gives where the scene does not, and three channels
     where any texture has color. Raises SceneError, all textures' and depths' faults at once, and what
     `clsco.plan.make_plan` raises.
     """
-    (plan,) = planned_sweep(Sweep(("",), (scene,)), truth, eye)
+    (plan,) = planned_sweep(Sweep(("",), (scene,)), truth, eye, memory)
     return plan
 
 
-def planned_sweep(sweep: Sweep, truth: tuple[str, ...], eye: Eye = "left") -> tuple[Plan, ...]:
+def planned_sweep(
+    sweep: Sweep, truth: tuple[str, ...], eye: Eye = "left", memory: int | None = None
+) -> tuple[Plan, ...]:
     """The plans of all scenes of a sweep, as `planned`; each file is read once. Raises SceneError for all of them."""
     files = _read_files(sweep.scenes[0])  # the same for all: no key of theirs can have several values
     plans, faults = [], dict[str, None]()
@@ -54,7 +57,8 @@ def planned_sweep(sweep: Sweep, truth: tuple[str, ...], eye: Eye = "left") -> tu
         try:
             maps = _inverse_depths(sized, files.depths)
             views = {view: make_plan(sized, files.channels, truth, eye=view, maps=maps) for view in _views(scene)}
-            plans.append(views[eye])
+            limit = replace(limit_of(memory), views=len(views))
+            plans.append({view: fitted(plan, limit) for view, plan in views.items()}[eye])
         except SceneError as error:
             faults.update(dict.fromkeys(f"{message}{label and f' (with {label})'}" for message in error.messages))
     if faults:

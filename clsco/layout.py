@@ -20,6 +20,7 @@ from clsco.psf import (
     table_steps,
 )
 from clsco.scene import Camera, Object, Psf
+from clsco.strips import Strip
 from clsco.surfaces import PlacedSurface
 
 Real = Literal["double", "float"]
@@ -36,13 +37,16 @@ def structs(real: Real) -> dict[str, np.dtype[Any]]:
     In single precision every real number has a low part, what rounding to float left of it (kernels/wide.clh): a
     scalar x is followed by x_low, an array of n numbers is one of 2 n, the low parts last.
 
-    camera_t: rows, columns of the frame; guard px; width, height of frame and guard band; step: slope between
-    neighboring rays; blur_scale px mm; focus_power 1/mm; lens_radius mm. surface_t: see surfaces.PlacedSurface;
+    camera_t: rows, columns of the frame, or of a strip of it (clsco/strips.py); frame_rows: of the frame; top: first
+    row of the strip; guard: columns, above: rows of the grid before its own; width, height of the grid; step: slope
+    between neighboring rays; blur_scale px mm; focus_power 1/mm; lens_radius mm. surface_t: see surfaces.PlacedSurface;
     texture: its number in the stack. pose_t: see motion.Pose. layer_t: see occlusion.Layer; count: of all objects.
     psf_t: how a blur radius becomes a coordinate in the tables, and which intervals they hold; the rest: see occlusion.
     """
     i, two, three, nine = "i4", (2,), (3,), (9,)
-    camera: list[Any] = [("rows", i), ("columns", i), ("guard", i), ("width", i), ("height", i)]
+    camera: list[Any] = [
+        (name, i) for name in ("rows", "columns", "frame_rows", "top", "guard", "above", "width", "height")
+    ]
     camera += _reals(real, step=(), blur_scale=(), focus_power=(), lens_radius=())
     surface = _reals(real, turn=nine, body_turn=nine, offset=three, body_offset=three, rest=three, q=three, l=three)
     surface += _reals(real, bounds_low=three, bounds_high=three, k=(), at_lens=())
@@ -111,18 +115,25 @@ def _filled(name: str, real: Real, values: dict[str, Any]) -> Struct:
     return cast(Struct, packed(name, record, real)[()])
 
 
-def frame_struct(rows: int, columns: int, guard: int, real: Real, **optics: float) -> Struct:
-    """camera_t of a frame of rows x columns px in a guard band of `guard` px, with what of the lens is needed."""
-    size = {"rows": rows, "columns": columns, "guard": guard}
-    return _filled("camera_t", real, size | {"width": columns + 2 * guard, "height": rows + 2 * guard} | optics)
+def frame_struct(
+    rows: int, columns: int, guard: int, real: Real, strip: Strip | None = None, **optics: float
+) -> Struct:
+    """camera_t of a frame of rows x columns px in a guard band of `guard` px, with what of the lens is needed.
+
+    strip: which of its rows, by default all of them.
+    """
+    part = strip or Strip(0, rows, guard, guard)
+    size = {"rows": part.rows, "columns": columns, "frame_rows": rows, "top": part.top, "guard": guard}
+    size |= {"above": part.above, "width": columns + 2 * guard, "height": part.height}
+    return _filled("camera_t", real, size | optics)
 
 
-def camera_struct(camera: Camera, guard: int, real: Real) -> Struct:
-    """camera_t of a camera with a resolution, for a guard band of `guard` px."""
+def camera_struct(camera: Camera, guard: int, real: Real, strip: Strip | None = None) -> Struct:
+    """camera_t of a camera with a resolution, for a guard band of `guard` px; strip as for `frame_struct`."""
     assert camera.resolution is not None  # known once the textures are loaded
     columns, rows = camera.resolution
     return frame_struct(
-        rows, columns, guard, real,
+        rows, columns, guard, real, strip,
         step=ray_step(camera), blur_scale=blur_scale(camera), focus_power=focus_power(camera),
         lens_radius=lens_radius(camera),
     )  # fmt: skip

@@ -18,8 +18,9 @@ from clsco.frame import STEREO_NAMES, TRUTH_NAMES
 from clsco.motion import Eye, Pose, poses_at, rest_center, sample_times
 from clsco.occlusion import Layer, extent, is_hollow, layers
 from clsco.optics import LARGEST_BLUR, blur_radius, ray_step
-from clsco.psf import LANES, MINIMUM_BLUR, SPANNED, is_disc, psf_extent, reach, table_bytes
+from clsco.psf import LANES, MINIMUM_BLUR, is_disc, psf_extent, reach, table_bytes, table_reach
 from clsco.scene import Object, Plane, Psf, Scene
+from clsco.strips import Strip, cut
 from clsco.surfaces import canonical, place, predict_inverse_depth
 
 Array = NDArray[np.float64]
@@ -45,7 +46,7 @@ class Plan:
     range of |R| in px over the whole sequence, with a margin; blur: how light is spread; silhouettes: sub-pixel
     sources per axis, 0 none; tilt, forward, moves: whether these passes are taken; eye: of a stereo pair; occlusion: as
     it is done; layers: what is spread one after the other; truth: outputs besides color; passes, left_out: (name, what
-    or why); memory_bytes: buffers on the device; taps: predicted weights per frame.
+    or why); taps: predicted weights per frame; strip_rows: of the frame that are worked on at a time, 0 for all.
     """
 
     scene: Scene
@@ -67,8 +68,8 @@ class Plan:
     truth: tuple[str, ...]
     passes: tuple[tuple[str, str], ...]
     left_out: tuple[tuple[str, str], ...]
-    memory_bytes: int
     taps: float
+    strip_rows: int = 0
 
     @property
     def width(self) -> int:
@@ -81,9 +82,25 @@ class Plan:
         return self.rows + 2 * self.guard_px
 
     @property
+    def reach_px(self) -> int:
+        """How far away in px a source may matter to a pixel: the reach of the PSF, and 2 px to see silhouettes in."""
+        each = (table_reach(self.scene.psf, self.largest_blur, subpixel) for subpixel in (False, True))
+        return max(each) + 2
+
+    @property
+    def strips(self) -> tuple[Strip, ...]:
+        """The strips that the frame is made in, one after the other; the first one is the tallest."""
+        return cut(self.rows, self.strip_rows or self.rows, self.guard_px, self.reach_px)
+
+    @property
+    def tallest(self) -> int:
+        """Rows of the largest grid of a strip."""
+        return max(strip.height for strip in self.strips)
+
+    @property
     def slots(self) -> int:
         """Pixels near silhouettes that there is room for at first; the device asks for more where needed."""
-        return SILHOUETTE_SLOTS * (self.width + self.height) if self.silhouettes else 0
+        return SILHOUETTE_SLOTS * (self.width + self.tallest) if self.silhouettes else 0
 
     @property
     def eye_moved(self) -> bool:
@@ -336,45 +353,20 @@ def make_plan(
     passes, left_out = _passes(
         scene, eye, forward, samples, largest, blur, silhouettes, tilt, truth, channels, occlusion, len(found)
     )
+    if blur in ("gather", "scatter"):
+        _check_tables(psf, smallest, largest, silhouettes)
     area = (rows + 2 * guard) * (columns + 2 * guard)
-    extent = reach(psf, largest)
-    slots = SILHOUETTE_SLOTS * (rows + columns + 4 * guard) if silhouettes else 0
-    tables = _checked_tables(psf, smallest, largest, silhouettes) if blur in ("gather", "scatter") else 0
-    hidden = 8 if occlusion == "visibility" else 0  # inverse depth of a source
-    memory = area * (16 + 4 * channels + (1 if silhouettes else 0) + hidden)
-    if forward:
-        memory += _forward_memory(scene, area, channels)
-    if occlusion == "layered":  # what the pinhole sees; a slab with its coverage, and its pyramid (clsco/layers.py)
-        memory += area * (9 + 33 + 4 * (channels + 1) + 6 * (channels + 2)) + 4 * (channels + 1) * area
-    pitch = columns + 2 * (guard + extent + LANES)
-    memory += 4 * channels * rows * pitch
-    if blur == "gather":  # sums on their way to the frame, and ends of rows (clsco/spread.py)
-        spans = psf.model == "pillbox" and extent >= SPANNED[psf.edge]
-        planes = (extent > 7) + (4 if psf.tilt else 2) * spans
-        memory += 4 * channels * min(rows + 63, 2048) * pitch * planes
-    memory += 4 * channels * rows * columns * (1 + len({item.texture for item in scene.objects}))
-    memory += tables + slots * (4 + silhouettes**2 * (16 + 4 * channels + hidden)) + 16 * rows * columns * bool(truth)
     seen = np.abs(blur_radius(scene.camera, w[w > 0]))
     lit = np.pi * (psf_extent(psf, seen) + 0.7) ** 2
     taps = float((w > 0).mean() * area * samples * (lit.mean() if lit.size else 0.0)) if blur != "none" else 0.0
     return Plan(
         scene, channels, rows, columns, samples, guard, smallest, largest, blur, silhouettes, tilt, forward,
-        moves, eye, occlusion, found, truth, passes, left_out, int(memory), taps,
+        moves, eye, occlusion, found, truth, passes, left_out, taps,
     )  # fmt: skip
 
 
-def _forward_memory(scene: Scene, area: int, channels: int) -> int:
-    """Bytes of the forward warp on `area` px (clsco/forward.py)."""
-    columns, rows = scene.camera.resolution or (0, 0)
-    several, maps = len(scene.objects) > 1, sum(item.shape == "depth_map" for item in scene.objects)
-    # value, w, coc, valid, status, two lists; a second set to smooth in; bounds of the far side, and objects
-    planes = 4 * channels + 26 + (4 * channels + 12 if scene.fill.method == "mean_median" else 0)
-    planes += 4 * (several or maps > 0) + several
-    return area * planes + rows * columns * (16 + several + 8 * maps)
-
-
-def _checked_tables(psf: Psf, smallest: float, largest: float, silhouettes: int) -> int:
-    """Bytes of the PSF tables. Raises SceneError beyond LARGEST_TABLES."""
+def _check_tables(psf: Psf, smallest: float, largest: float, silhouettes: int) -> None:
+    """Raise SceneError where the PSF tables take more than LARGEST_TABLES."""
     size = table_bytes(psf, smallest, largest)
     size += table_bytes(psf, smallest, largest, silhouettes) if silhouettes else 0
     if size > LARGEST_TABLES:
@@ -382,7 +374,6 @@ def _checked_tables(psf: Psf, smallest: float, largest: float, silhouettes: int)
             f"psf: the tables of weights must take at most {LARGEST_TABLES >> 20} MiB; got {size >> 20} MiB for radii "
             f"up to {largest:.4g} px (fewer silhouette_samples, or a smaller aperture, take less)"
         )
-    return size
 
 
 def _choose_blur(method: str, sharp: bool, constant: bool) -> Blur:

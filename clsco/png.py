@@ -30,7 +30,7 @@ def png_bytes(data: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
     np.subtract(lines[1:], lines[:-1], out=filtered[1:, 1:])
     color = GREY if data.ndim == 2 else RGB
     header = struct.pack(">IIBBBBB", columns, rows, 8 * data.dtype.itemsize, color, 0, 0, 0)
-    pixels = zlib.compress(filtered.tobytes(), 1)
+    pixels = zlib.compress(filtered.data, 1)
     return SIGNATURE + _chunk(b"IHDR", header) + _chunk(b"IDAT", pixels) + _chunk(b"IEND", b"")
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any, Literal
 
 import numpy as np
@@ -136,12 +137,36 @@ def download(session: Session, buffer: cl.Buffer, shape: Sequence[int], dtype: D
     shape, dtype: of the array to return. Raises DeviceError when the device fails.
     """
     array = np.empty(tuple(shape), dtype)
+    download_into(session, buffer, array)
+    return array
+
+
+def download_into(session: Session, buffer: cl.Buffer, array: NDArray[Any]) -> None:
+    """Wait for all that is enqueued and copy the buffer's beginning to a C-ordered array. Raises as `download`."""
     if array.nbytes:
         try:
             cl.enqueue_copy(session.queue, array, buffer, is_blocking=True)
         except (cl.MemoryError, cl.RuntimeError) as error:
             raise DeviceError(f"device {session.device}: must give results back; got {error}") from error
-    return array
+
+
+@contextmanager
+def mapped(session: Session, buffer: cl.Buffer, shape: Sequence[int]) -> Iterator[NDArray[np.float32]]:
+    """Wait for all that is enqueued and read the buffer's beginning where it is; on a processor nothing is copied.
+
+    shape: of the array, which is gone after the block. Raises as `download`.
+    """
+    try:
+        flags = cl.map_flags.READ
+        array, _ = cl.enqueue_map_buffer(
+            session.queue, buffer, flags, 0, tuple(shape), np.dtype(np.float32), is_blocking=True
+        )
+    except (cl.MemoryError, cl.RuntimeError) as error:
+        raise DeviceError(f"device {session.device}: must give results back; got {error}") from error
+    try:
+        yield array
+    finally:
+        array.base.release(session.queue)
 
 
 def program_text(

@@ -274,6 +274,11 @@ def is_disc(psf: Psf) -> bool:
     return psf.edge == "sampled" and psf.model == "pillbox"
 
 
+def table_reach(psf: Psf, largest: float, subpixel: bool = False) -> int:
+    """Largest half-width in px of the rows of `psf_table` for radii up to `largest` px."""
+    return _half_width(psf, _span(psf, largest, largest, subpixel)[-1], subpixel)
+
+
 def table_bytes(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> int:
     """Size of `psf_table` of the same arguments."""
     total = 0

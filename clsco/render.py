@@ -9,9 +9,10 @@ from itertools import pairwise
 from clsco.depthmaps import load_scene_depths
 from clsco.device import Session, choose
 from clsco.frame import STEREO_NAMES, TRUTH_NAMES, Frame
+from clsco.memory import Limit, device_bytes, fitted, hit_bytes, limit_of, parse_size
 from clsco.motion import Eye
-from clsco.plan import Plan, exposure, make_plan
-from clsco.renderer import Hits, Renderer
+from clsco.plan import Plan, make_plan
+from clsco.renderer import Hits, Renderer, expose
 from clsco.scene import Scene
 from clsco.textures import load_scene_textures
 
@@ -27,19 +28,21 @@ def render(
     precision: str | None = None,
     method: str = "auto",
     frames: Iterable[int] | None = None,
+    memory: str | int | None = None,
 ) -> Iterator[Frame]:
     """Render frames of a scene.
 
     truth: names of the outputs besides color (`clsco.frame`), none of which costs anything when it is
     left out; device: part of the name of an OpenCL device; precision: "double" or "single" for geometry, by default
     double where the device has it; method: of the blur, see `clsco.plan.make_plan`; frames: numbers of the frames
-    wanted, by default all.
+    wanted, by default all; memory: most that the buffers on the device may take, bytes or a size like "1.5GiB", by
+    default half of what is free: a frame that needs more is made in horizontal strips, with the same bits.
     Yields frames in order, of a stereo pair the left and then the right one. Raises SceneError, ImageError,
     DeviceError, KernelError.
     Validated against `clsco.reference.render` on every scene in examples/ and a ray tracer (benchmarks/accuracy.py).
     """
-    wanted = {"truth": truth, "device": device, "precision": precision, "method": method, "frames": frames}
-    for _, frame in render_sweep((scene,), **wanted):  # type: ignore[arg-type]
+    options = {"truth": truth, "device": device, "precision": precision, "method": method, "frames": frames}
+    for _, frame in render_sweep((scene,), **options, memory=memory):  # type: ignore[arg-type]
         yield frame
 
 
@@ -51,6 +54,7 @@ def render_sweep(
     precision: str | None = None,
     method: str = "auto",
     frames: Iterable[int] | None = None,
+    memory: str | int | None = None,
 ) -> Iterator[tuple[int, Frame]]:
     """Render frames of several scenes, such as those of `clsco.load_sweep`.
 
@@ -60,10 +64,12 @@ def render_sweep(
     Validated: the same bits as from `render` for each scene (tests/pipeline/test_sweep.py).
     """
     chosen = None if frames is None else list(frames)
+    if memory is not None:
+        parse_size(memory)
     with Session(choose(device), profiling=True) as session:
         for group in _groups(scenes):
             members = [scenes[k] for k in group]
-            for k, frame in _render_group(session, members, tuple(truth), precision, method, chosen):
+            for k, frame in _render_group(session, members, tuple(truth), precision, method, chosen, memory):
                 yield group[k], frame
 
 
@@ -84,7 +90,7 @@ def _without_lens(scene: Scene) -> Scene:
 
 def _render_group(
     session: Session, scenes: Sequence[Scene], truth: tuple[str, ...], precision: str | None, method: str,
-    frames: Sequence[int] | None,
+    frames: Sequence[int] | None, memory: str | int | None,
 ) -> Iterator[tuple[int, Frame]]:  # fmt: skip
     first, textures = load_scene_textures(scenes[0])
     channels = max(texture.radiance.shape[2] if texture.radiance.ndim == 3 else 1 for texture in textures)
@@ -97,23 +103,45 @@ def _render_group(
         maps.append(load_scene_depths(sized))
         plans.append(tuple(make_plan(sized, channels, truth, method, eye, maps[-1]) for eye in eyes))
     wanted = range(first.sequence.frames) if frames is None else frames
-    if len(scenes) == 1 or not all(_shares_rays(one, other) for one, other in pairwise(plans)):
+    device = session.device
+    whole = limit_of(memory, device.global_mem, device.max_alloc, device.compute_units, device.unified_memory)
+    limit = replace(whole, views=len(eyes))
+    lockstep = _in_lockstep(plans, limit)
+    if not lockstep:
         for k, of_eyes in enumerate(plans):
-            renderers = [Renderer(session, plan, textures, maps[k], precision) for plan in of_eyes]
+            fitting = [fitted(plan, limit) for plan in of_eyes]
+            renderers = [Renderer(session, plan, textures, maps[k], limit, precision) for plan in fitting]
             for index in wanted:
                 for renderer in renderers:
                     yield k, _together([renderer], index)[0]
+            renderers.clear()  # before those of the next scene take memory
+            del renderer
         return
-    lockstep = []
-    for of_lenses in zip(*plans, strict=True):
-        guard, hits = max(plan.guard_px for plan in of_lenses), Hits(session)
-        alike = [replace(plan, guard_px=guard) for plan in of_lenses]
-        lockstep.append([Renderer(session, p, textures, m, precision, hits) for p, m in zip(alike, maps, strict=True)])
+    together = []
+    for of_lenses in lockstep:
+        hits = Hits(session)
+        pairs = zip(of_lenses, maps, strict=True)
+        together.append([Renderer(session, plan, textures, m, limit, precision, hits) for plan, m in pairs])
     for index in wanted:
-        rendered = [_together(renderers, index) for renderers in lockstep]
+        rendered = [_together(renderers, index) for renderers in together]
         for k, pair in enumerate(zip(*rendered, strict=True)):
             for frame in pair:
                 yield k, frame
+
+
+def _in_lockstep(plans: Sequence[tuple[Plan, ...]], limit: Limit) -> list[list[Plan]]:
+    """Plans per eye and lens that share their rays, with one guard band; none where they cannot, or do not fit."""
+    if len(plans) == 1 or not all(_shares_rays(one, other) for one, other in pairwise(plans)):
+        return []
+    found = []
+    for of_lenses in zip(*plans, strict=True):
+        guard = max(plan.guard_px for plan in of_lenses)
+        alike = [replace(plan, guard_px=guard) for plan in of_lenses]
+        needed = sum(device_bytes(plan, limit.cores) for plan in alike) + hit_bytes(alike[0])
+        if needed * limit.views > limit.total or any(fitted(plan, limit).strip_rows < plan.rows for plan in alike):
+            return []
+        found.append(alike)
+    return found
 
 
 def _shares_rays(one: tuple[Plan, ...], other: tuple[Plan, ...]) -> bool:
@@ -129,10 +157,5 @@ def _shares_rays(one: tuple[Plan, ...], other: tuple[Plan, ...]) -> bool:
 
 def _together(renderers: Sequence[Renderer], index: int) -> list[Frame]:
     """One frame of each renderer, moment by moment."""
-    for renderer in renderers:
-        renderer.begin()
-    times, weights = exposure(renderers[0].plan, index)
-    for time, weight in zip(times.tolist(), weights.tolist(), strict=True):
-        for renderer in renderers:
-            renderer.add_moment(time, weight)
+    expose(renderers, index)
     return [renderer.finish(index) for renderer in renderers]

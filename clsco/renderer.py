@@ -20,37 +20,30 @@ from clsco.layout import (
     Real,
     Struct,
     camera_struct,
-    flat,
     layer_struct,
     pose_structs,
     structs,
     surface_structs,
 )
 from clsco.maptruth import map_flow, map_normal, map_stereo
+from clsco.memory import TRUTH_BUFFERS, Limit, device_bytes, fitted
 from clsco.motion import Pose, middle_time, poses_at, rest_poses
 from clsco.occlusion import Layer
 from clsco.optics import blur_radius
 from clsco.plan import Maps, Plan, exposure, widened
-from clsco.program import build, download, empty, kernel, launch, upload
+from clsco.program import build, download, download_into, empty, kernel, launch, upload
 from clsco.scene import DepthMap
 from clsco.spread import PIXELS, Events, Sources, Spreader, blur_features
+from clsco.strips import Strip
 from clsco.surfaces import PlacedSurface, place
 from clsco.textures import Texture
 
-# Outputs that ground_truth writes, with what one pixel of each takes: dtype and components (0: the channels).
-TRUTH_BUFFERS: dict[str, tuple[type[np.generic], int]] = {
-    "object_id": (np.int32, 1),
-    "depth": (np.float32, 1),
-    "coc": (np.float32, 1),
-    "normal": (np.float32, 3),
-    "flow": (np.float32, 2),
-    "hidden": (np.uint8, 1),
-    "sharp": (np.float32, 0),
-    "disparity": (np.float32, 1),
-    "occluded": (np.uint8, 1),
-}
 BOOLEAN = ("hidden", "occluded")
 Planes = tuple[cl.Buffer, cl.Buffer, cl.Buffer]  # value, coc, valid on the padded grid, as in layers.py
+OUTGROWN = (
+    "spreader", "source", "value", "label", "pixels", "sub_source", "depth", "sub_depth", "sub_value", "slabs", "coc",
+    "valid",
+)  # fmt: skip
 SLACK = 1.0 + 1e-6  # the host's float64 and the device's float round differently
 # What of the statistics a frame must begin with: no radius met, no slot taken (trace.cl).
 EMPTY_STATISTICS = np.array([0, np.iinfo(np.int32).max, 0, 0], dtype=np.int32)
@@ -81,32 +74,30 @@ class Renderer:
 
     textures, maps: of every object, as `clsco.textures.load_scene_textures` and `clsco.depthmaps.load_scene_depths`
     give them; precision: "single", "double", or None for double where the device has it; hits: shared with the
-    renderers of other lenses, whose plans have the same guard band.
+    renderers of other lenses, whose plans have the same guard band; limit: the plan is fitted to it.
     """
 
     def __init__(
-        self, session: Session, plan: Plan, textures: Sequence[Texture], maps: Maps, precision: str | None = None,
-        hits: Hits | None = None,
+        self, session: Session, plan: Plan, textures: Sequence[Texture], maps: Maps, limit: Limit,
+        precision: str | None = None, hits: Hits | None = None,
     ) -> None:  # fmt: skip
         device = session.device
         if precision not in (None, "single", "double"):
             raise DeviceError(f"precision: must be single or double; got {precision}")
-        if plan.memory_bytes > device.global_mem:
-            raise DeviceError(
-                f"device {device}: the scene needs {plan.memory_bytes >> 20} MiB; got {device.global_mem >> 20} MiB"
-            )
+        if (needed := device_bytes(plan, device.compute_units)) > device.global_mem:
+            raise DeviceError(f"device {device}: the scene needs {needed >> 20} MiB; got {device.global_mem >> 20} MiB")
         wants_double = precision == "double" or (precision is None and device.has_fp64)
         self.real: Real = "double" if wants_double else "float"
-        self.session, self.plan, self.hits = session, plan, hits
+        self.session, self.plan, self.limit, self.hits = session, plan, limit, hits
         self.items = plan.scene.objects
         self.bits = max(texture.bits for texture in textures)
         self.smallest, self.largest, self.slots = plan.smallest_blur, plan.largest_blur, plan.slots
-        self.brightest = max(float(np.abs(texture.radiance).max(initial=0.0)) for texture in textures)
+        self.brightest = max(float(texture.radiance.max(initial=0.0)) for texture in textures)  # none is below 0
         stack = list(dict.fromkeys(textures))  # those that several objects have in common once
         self.texture_of = [stack.index(texture) for texture in textures]
-        self.texture = upload(session, np.stack([_planes(texture.radiance, plan.channels) for texture in stack]))
+        self.texture = upload(session, texture_planes([texture.radiance for texture in stack], plan.channels))
         self.held: list[cl.Buffer] = []  # what queued launches still read: the host runs ahead of the device
-        self.camera = camera_struct(plan.scene.camera, plan.guard_px, self.real)
+        self.camera = self._camera(plan.strips[0])
         psf, prepare = plan.scene.psf, plan.forward or plan.occlusion == "layered"
         # As the programs are built: that stays when the range of radii turns out to be larger than predicted.
         self.blur_features = blur_features(plan.blur, psf, plan.largest_blur, self.real, prepare)
@@ -132,7 +123,11 @@ class Renderer:
     def _allocate(self) -> None:
         """Buffers whose size depends on the range of radii and on the number of silhouette pixels."""
         plan, session = self.plan, self.session
-        area = plan.width * plan.height
+        for name in OUTGROWN:
+            vars(self).pop(name, None)  # before the larger ones take memory
+        self.strips = plan.strips
+        self.camera = self._camera(self.strips[0])
+        area = plan.width * plan.tallest
         self.spreader = Spreader(
             session, self.program, plan.scene.psf, plan.blur, self.camera, plan.channels, self.smallest, self.largest,
             plan.silhouettes, self.real, self.brightest, bool(self.blur_features["SPANS"]),
@@ -172,30 +167,39 @@ class Renderer:
     def _placed(self, surfaces: Sequence[PlacedSurface]) -> cl.Buffer:
         return self._upload(surface_structs(self.items, surfaces, self.real, self.texture_of))
 
+    def _camera(self, strip: Strip) -> Struct:
+        return camera_struct(self.plan.scene.camera, self.plan.guard_px, self.real, strip)
+
     def begin(self) -> None:
         """Begin a frame: no light yet."""
         self.events: Events = []
-        self.moments: list[dict[str, Any]] = []
-        self.spreader.clear()
+        shape = (self.plan.rows, self.plan.columns)
+        self.color = np.empty(shape if self.plan.channels == 1 else (*shape, self.plan.channels), np.float32)
         cl.enqueue_copy(self.session.queue, self.statistics, EMPTY_STATISTICS)
 
+    def begin_strip(self, strip: Strip) -> None:
+        """Begin one of the strips of the frame."""
+        self.camera = self.spreader.camera = self._camera(strip)
+        self.moments: list[dict[str, Any]] = []  # the same for every strip
+        self.spreader.clear()
+
     def add_moment(self, time: float, weight: float) -> None:
-        """Add one intermediate frame."""
+        """Add one intermediate frame to the strip."""
         self.moments.append(self._moment(time, weight, self.events))
 
+    def end_strip(self, strip: Strip) -> None:
+        """Read back a strip of which all intermediate frames have been added."""
+        self.spreader.image(self.events, self.color[strip.inside])
+
     def finish(self, index: int) -> Frame:
-        """The frame of this number, of the moments added: again with larger buffers where the plan was too small."""
-        color = self.spreader.image(self.events)
+        """The frame of this number, of the strips added: again with larger buffers where the plan was too small."""
         while self._outgrown():
-            self.begin()
-            for time, weight in zip(*(values.tolist() for values in exposure(self.plan, index)), strict=True):
-                self.add_moment(time, weight)
-            color = self.spreader.image(self.events)
+            expose([self], index)
         truth = self._ground_truth(index, self.events)
         self.held.clear()
         eye = self.plan.eye if self.plan.scene.stereo else ""
         about = self._metadata(index, self.moments, self.events)
-        return Frame(index=index, color=color, metadata=about, eye=eye, **truth)
+        return Frame(index=index, color=self.color, metadata=about, eye=eye, **truth)
 
     def _moment(self, time: float, weight: float, events: Events) -> dict[str, Any]:
         """One intermediate frame: its sources, blurred and added; returns what is told of it."""
@@ -284,11 +288,11 @@ class Renderer:
         fits = largest <= self.largest * SLACK + 1e-6 and smallest >= self.smallest / SLACK - 1e-6
         if largest == 0.0 or (fits and slots <= self.slots):
             return False
-        self.largest, self.smallest = max(largest * SLACK, self.largest), min(smallest / SLACK, self.smallest)
         self.slots = max(slots, self.slots)
-        self.plan = widened(self.plan, self.largest)
-        self.camera = camera_struct(self.plan.scene.camera, self.plan.guard_px, self.real)
-        self.hits = None  # the guard band may not be that of the others any more
+        if not fits:
+            self.largest, self.smallest = max(largest * SLACK, self.largest), min(smallest / SLACK, self.smallest)
+            self.plan = fitted(widened(self.plan, self.largest), self.limit)
+            self.hits = None  # the guard band may not be that of the others any more
         self._allocate()
         return True
 
@@ -299,7 +303,7 @@ class Renderer:
         if self.forward is not None and any(isinstance(item, DepthMap) for item in self.items):
             return self._map_truth(self.forward, index, events)
         time, later = self._middles(index)
-        pixels = plan.rows * plan.columns
+        pixels = self.strips[0].rows * plan.columns
         names = self._truth_names()
         sizes = {n: TRUTH_BUFFERS[n][1] or plan.channels for n in names}
         mask = empty(self.session, pixels)
@@ -307,24 +311,26 @@ class Renderer:
         at_rest = [surface for surface in self._placed_at(rest_poses(plan.scene)) if surface is not None]
         surfaces, still = self._placed(self._surfaces(time)), self._placed(at_rest)
         poses = self._upload(pose_structs(self._poses(later), self.real))
-        head = (self.camera, surfaces, still, poses, self._everything(), self.texture, mask)
+        head = (surfaces, still, poses, self._everything(), self.texture, mask)
         args: list[Any] = [buffer for name, buffer in buffers.items() if name not in STEREO_NAMES]
         if set(STEREO_NAMES) & set(names):
             opposite = poses_at(plan.scene, time, "left" if plan.eye == "right" else "right")
             args += [self._placed([surface for surface in self._placed_at(opposite) if surface is not None])]
             args += [self._upload(pose_structs(opposite, self.real)), np.int32(1 if plan.eye == "right" else -1)]
             args += [buffers[name] for name in STEREO_NAMES if name in names]
-        self._launch("ground_truth", (plan.columns, plan.rows), PIXELS, events, *head, *args)
         shape = (plan.rows, plan.columns)
-        found = download(self.session, mask, shape, np.bool_)
-        out: dict[str, NDArray[Any]] = {}
-        for name, buffer in buffers.items():
+        out: dict[str, NDArray[Any]] = {"mask": np.empty(shape, np.bool_)}
+        for name in names:
             full = shape if sizes[name] == 1 else (*shape, sizes[name])
-            out[name] = download(self.session, buffer, full, np.bool_ if name in BOOLEAN else TRUTH_BUFFERS[name][0])
+            out[name] = np.empty(full, np.bool_ if name in BOOLEAN else TRUTH_BUFFERS[name][0])
+        for strip in self.strips:
+            self._launch("ground_truth", (plan.columns, strip.rows), PIXELS, events, self._camera(strip), *head, *args)
+            for name, buffer in ({"mask": mask} | buffers).items():
+                download_into(self.session, buffer, out[name][strip.inside])
         if self.forward is not None:
             poses_now = self._poses(time)
             out |= self.forward.truth(poses_now, self._placed_at(poses_now), plan.truth, events)
-        out |= {"filled": np.zeros(shape, np.uint8), "mask": found} | out
+        out |= {"filled": np.zeros(shape, np.uint8)} | out
         return {name: array for name, array in out.items() if name in plan.truth}
 
     def _middles(self, index: int) -> tuple[float, float]:
@@ -359,6 +365,7 @@ class Renderer:
             "intermediate": moments,
             "samples": len(moments),
             "guard_px": self.plan.guard_px,
+            "strips": len(self.strips),
             "blur_method": self.plan.blur,
             "bits": self.bits,
             "device": str(device),
@@ -368,13 +375,37 @@ class Renderer:
         }
 
     def _per_pixel(self, name: str, events: Events, *args: Any) -> None:
-        self._launch(name, (self.plan.width, self.plan.height), PIXELS, events, *args)
+        size = (int(self.camera["width"]), int(self.camera["height"]))
+        self._launch(name, size, PIXELS, events, *args)
 
     def _launch(self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: Any) -> None:
         events.append((name, launch(self.session, kernel(self.program, name), size, local, *args)))
 
 
-def _planes(radiance: NDArray[np.float64], channels: int) -> NDArray[np.float32]:
-    """Channel planes (channels, rows, columns) of a texture; gray ones serve color scenes as well."""
-    planes = flat(radiance, np.float32)
-    return np.ascontiguousarray(np.broadcast_to(planes, (channels, *planes.shape[1:])))
+def expose(renderers: Sequence[Renderer], index: int) -> None:
+    """Light of the frame of this number, strip by strip and moment by moment, for renderers with the same of both."""
+    times, weights = exposure(renderers[0].plan, index)
+    for renderer in renderers:
+        renderer.begin()
+    for strip in renderers[0].strips:
+        for renderer in renderers:
+            renderer.begin_strip(strip)
+        for time, weight in zip(times.tolist(), weights.tolist(), strict=True):
+            for renderer in renderers:
+                renderer.add_moment(time, weight)
+        for renderer in renderers:
+            renderer.end_strip(strip)
+
+
+def texture_planes(radiances: Sequence[NDArray[np.float32]], channels: int) -> NDArray[np.float32]:
+    """Channel planes (textures, channels, rows, columns); gray textures serve color scenes as well.
+
+    The only texture of a gray scene is given as it is, without a copy.
+    """
+    planes = [radiance[None] if radiance.ndim == 2 else np.moveaxis(radiance, -1, 0) for radiance in radiances]
+    if len(planes) == channels == 1:
+        return planes[0][None]
+    stack = np.empty((len(planes), channels, *planes[0].shape[1:]), np.float32)
+    for texture, plane in zip(stack, planes, strict=True):
+        texture[...] = plane
+    return stack

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from clsco.describe import unused_keys
+from clsco.memory import device_bytes
 from clsco.plan import Plan
 
 if TYPE_CHECKING:
@@ -54,13 +56,22 @@ def plan_tables(plans: Sequence[Plan]) -> list[RenderableType]:
 
 
 def _figures(plan: Plan) -> list[tuple[str, str]]:
+    memory = f"{device_bytes(plan, os.cpu_count() or 1) / 2**20:.1f} MiB"
     return [
         ("blur radius |R|", f"{plan.smallest_blur:.2f} to {plan.largest_blur:.2f} px, predicted with a margin"),
         ("guard band", f"{plan.guard_px} px on every side"),
         ("blur method", plan.blur),
-        ("memory on the device", f"{plan.memory_bytes / 2**20:.1f} MiB"),
+        ("memory on the device", memory + (" for each view" if plan.scene.stereo else "")),
+        ("strips", _strips(plan)),
         ("predicted work", f"{plan.taps:.3g} weights per frame"),
     ]
+
+
+def _strips(plan: Plan) -> str:
+    count = len(plan.strips)
+    if count == 1:
+        return "1, the whole frame"
+    return f"{count} of up to {plan.strips[0].rows} rows, with up to {plan.reach_px} more on either side"
 
 
 def _of_views(rows: Sequence[Sequence[tuple[str, str]]]) -> list[tuple[str, str]]:

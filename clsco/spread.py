@@ -11,15 +11,14 @@ from numpy.typing import NDArray
 
 from clsco.device import Program, Session
 from clsco.layout import Real, Struct, psf_struct
+from clsco.memory import MOST_IN_ONE_SUM, bands_at_a_time, has_spans, spread_bytes
 from clsco.occlusion import lens_cells
 from clsco.plan import Blur
-from clsco.program import download, empty, kernel, launch, upload
-from clsco.psf import LANES, SPANNED, PsfTable, constant_table, psf_table, reach
+from clsco.program import empty, kernel, launch, mapped, upload
+from clsco.psf import LANES, PsfTable, constant_table, psf_table
 from clsco.scene import Psf
+from clsco.strips import BAND
 
-BANDS_PER_CORE = 4  # at a time, where they need memory of their own
-BAND = 64  # rows that a work-item of `gather` owns: bands for several cores, and little overlap
-MOST_IN_ONE_SUM = 256  # taps of `gather` that a float adds up before it goes into another sum
 PIXELS = (64, 1)  # local size of kernels with a work-item per pixel
 # A pixel gets at most 2.6 + 2 ln R times the brightest source from pillboxes; the tilt at most doubles it.
 GAIN, GAIN_PER_LOG, TILT_GAIN = 2.6, 2.0, 2.0
@@ -29,7 +28,7 @@ Events = list[tuple[str, cl.Event]]
 
 def spans_rows(psf: Psf, largest: float, real: Real) -> bool:
     """Whether `gather` keeps rows that have one weight as their two ends: wide discs on devices with fp64."""
-    return psf.model == "pillbox" and real == "double" and reach(psf, largest) >= SPANNED[psf.edge]
+    return real == "double" and has_spans(psf, largest)
 
 
 def blur_features(method: Blur, psf: Psf, largest: float, real: Real, prepare: bool) -> dict[str, int]:
@@ -66,9 +65,10 @@ class Sources:
 
 
 class Spreader:
-    """Adds the blurred light of moments to one frame; owns the frame's buffers and the PSF tables.
+    """Adds the blurred light of moments to a frame, or a strip of it; owns its buffers and the PSF tables.
 
-    Holds for |R| in [smallest, largest] px; other radii are clamped to it (`convolve` makes the PSF of its radius).
+    camera: of the frame, or of the strip that it begins with, which is the tallest; another one can be set. Holds for
+    |R| in [smallest, largest] px; other radii are clamped to it (`convolve` makes the PSF of its radius).
     brightest: largest |radiance|, which sets the fixed point of `scatter`; spans: the program has the feature SPANS.
     """
 
@@ -87,24 +87,23 @@ class Spreader:
         rows, columns = int(camera["rows"]), int(camera["columns"])
         self.pad = int(camera["guard"]) + int(self.struct["reach"]) + LANES
         self.pitch = -(-(columns + 2 * self.pad) // LANES) * LANES
-        self.total = empty(session, 4 * channels * rows * self.pitch)
-        row_taps = 2 * int(self.struct["reach"]) + 1
-        # Rows of sources after which sums go on to the frame, 0 where they are short.
-        # Of discs most light goes by the ends of rows.
-        short = row_taps**2 <= MOST_IN_ONE_SUM
+        far, cores = int(self.struct["reach"]), session.device.compute_units
+        sizes = spread_bytes(psf, method, channels, rows, columns, int(camera["guard"]), far, spans, cores)
+        self.total = empty(session, sizes["total"])
+        row_taps = 2 * far + 1
+        # Rows of sources after which sums go on to the frame, 0 where they are short. Of discs most light is in spans.
         many = max(MOST_IN_ONE_SUM // row_taps, row_taps // 4 if spans else 1)
-        self.group = 0 if short else many
+        self.group = many if "part" in sizes else 0
         self.part, self.spans = self.total, tuple[cl.Buffer, ...]()
         self.alike = tuple(upload(session, array) for array in (self.main.quadrants, self.main.outlines))
         self.bands = -(-rows // BAND)
-        if method == "gather" and (self.group or spans):
+        if {"part", "spans"} & sizes.keys():
             # Some bands at a time, so that a large frame does not take several times its size.
-            self.bands = min(self.bands, BANDS_PER_CORE * session.device.compute_units)
-            size = 4 * channels * self.bands * BAND * self.pitch
-            if self.group:
-                self.part = _zeros(session, size)
-            if spans:
-                self.spans = (_zeros(session, (4 if psf.tilt else 2) * size),)
+            self.bands = bands_at_a_time(rows, cores)
+            if "part" in sizes:
+                self.part = _zeros(session, sizes["part"])
+            if "spans" in sizes:
+                self.spans = (_zeros(session, sizes["spans"]),)
         # Tables of `convolve` that queued launches still read: the host runs ahead of the device.
         self.held: list[tuple[cl.Buffer, ...]] = []
         self.scale = 1.0
@@ -112,10 +111,10 @@ class Spreader:
             wide = session.device.has_int64_atomics
             gain = TILT_GAIN * (GAIN + GAIN_PER_LOG * log(max(largest, 1.0)))
             self.scale = 2.0 ** (40 if wide else 31) / (max(brightest, 1e-30) * (1.0 if wide else gain))
-            self.sums = empty(session, (8 if wide else 4) * channels * rows * columns)
+            self.sums = empty(session, sizes["sums"])
 
     def clear(self) -> None:
-        """Begin a frame."""
+        """Begin a frame, or a strip of it."""
         buffer = self.sums if self.method == "scatter" else self.total
         cl.enqueue_fill_buffer(self.session.queue, buffer, np.zeros(1, np.uint32), 0, buffer.size)
 
@@ -140,7 +139,7 @@ class Spreader:
         if self.sub is not None:
             tail = (sources.sub_source, sources.sub_value, np.int32(sources.capacity), *self.tables[1])
         if self.psf.border == "renormalize":
-            self._launch("renormalize", frame, PIXELS, events, *head, *tail)
+            self._launch("renormalize", (frame[0], int(camera["height"])), PIXELS, events, *head, *tail)
         if sources.layer is not None:
             tail += (sources.surfaces, sources.layer, self.lens, sources.depth)
             tail += () if self.sub is None else (sources.sub_depth,)
@@ -153,16 +152,19 @@ class Spreader:
             padded = (int(camera["width"]), int(camera["height"]))
             self._launch("scatter", padded, PIXELS, events, *head, np.float32(self.scale), self.sums, *tail)
 
-    def image(self, events: Events) -> NDArray[np.float32]:
-        """The frame (rows, columns[, channels]); waits for the device."""
+    def image(self, events: Events, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+        """The frame, or its strip, (rows, columns[, channels]), in `out` where it is given; waits for the device."""
         rows, columns = int(self.camera["rows"]), int(self.camera["columns"])
         if self.method == "scatter":
             args = (np.float32(self.scale), np.int32(self.pitch), np.int32(self.pad), self.sums, self.total)
             self._launch("resolve", (columns, rows), PIXELS, events, self.camera, *args)
-        total = download(self.session, self.total, (self.channels, rows, self.pitch), np.float32)
+        if out is None:
+            out = np.empty((rows, columns) if self.channels == 1 else (rows, columns, self.channels), np.float32)
+        with mapped(self.session, self.total, (self.channels, rows, self.pitch)) as total:
+            planes = total[:, :, self.pad : self.pad + columns]
+            out[...] = planes[0] if self.channels == 1 else np.moveaxis(planes, 0, -1)
         self.held.clear()
-        planes = total[:, :, self.pad : self.pad + columns]
-        return np.ascontiguousarray(planes[0] if self.channels == 1 else np.moveaxis(planes, 0, -1))
+        return out
 
     def _launch(self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: object) -> None:
         events.append((name, launch(self.session, kernel(self.program, name), size, local, *args)))  # type: ignore[arg-type]

@@ -1,9 +1,14 @@
-"""Textures in linear light: built-in patterns, or image files resampled to the frame (float64, pure)."""
+"""Textures in linear light: built-in patterns, or image files resampled to the frame (pure).
+
+Computed in float64, some rows at a time, and kept in float32: what a frame of 8192 x 8192 takes besides is little.
+"""
 
 from __future__ import annotations
 
 import functools
+import math
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +21,8 @@ from clsco.scene import Scene
 from clsco.transfer import decode, encode
 
 DEFAULT_SIDE = 512
+ROWS_AT_A_TIME = 128
+ALIGNMENT = 4096  # bytes: devices that work in the host's memory then use an array as it is
 
 Codes = NDArray[np.uint8]
 Floats = NDArray[np.float64]
@@ -25,11 +32,11 @@ Floats = NDArray[np.float64]
 class Texture:
     """What a surface looks like, in linear light.
 
-    radiance: float64 (rows, columns) or (rows, columns, 3), 1 = white, >= 0; row 0 on top.
+    radiance: float32 (rows, columns) or (rows, columns, 3), 1 = white, >= 0; row 0 on top.
     bits: 8, 16 or 32 per value, as it was stored. source: name of the pattern, or path of the file.
     """
 
-    radiance: Floats
+    radiance: NDArray[np.float32]
     bits: int
     source: str
 
@@ -46,11 +53,26 @@ def load_texture(name_or_path: str | os.PathLike[str], transfer: str, size: tupl
     source = os.fspath(name_or_path)
     if source in PATTERNS:
         rows, columns = size or (DEFAULT_SIDE, DEFAULT_SIDE)
-        return Texture(decode(PATTERNS[source](rows, columns), transfer), 8, source)
+        draw = PATTERNS[source]
+        return Texture(_by_rows((rows, columns), lambda a, b: decode(draw(rows, columns, a, b), transfer)), 8, source)
     _require_suffix(source)
     picture = read_image(source)
-    linear = decode(picture.data, transfer)
-    return Texture(resample(linear, size or linear.shape[:2]), picture.bits, source)
+    stored, bits = picture.data, picture.bits
+    if size is None or stored.shape[:2] == size:
+        return Texture(_by_rows(stored.shape, lambda a, b: decode(stored[a:b], transfer)), bits, source)
+    linear, shape = decode(stored, transfer), (*size, *stored.shape[2:])
+    return Texture(_by_rows(shape, lambda a, b: resample(linear, size, a, b)), bits, source)
+
+
+def _by_rows(shape: tuple[int, ...], rows_of: Callable[[int, int], Floats]) -> NDArray[np.float32]:
+    """An image of this shape in float32, aligned; rows_of: gives its rows from one up to another."""
+    image = np.empty(4 * math.prod(shape) + ALIGNMENT, np.uint8)
+    start = -image.ctypes.data % ALIGNMENT
+    aligned = image[start : start + 4 * math.prod(shape)].view(np.float32).reshape(shape)
+    for first in range(0, shape[0], ROWS_AT_A_TIME):
+        end = min(first + ROWS_AT_A_TIME, shape[0])
+        aligned[first:end] = rows_of(first, end)
+    return aligned
 
 
 def texture_size(name_or_path: str | os.PathLike[str]) -> tuple[int, int]:
@@ -80,45 +102,54 @@ def _require_suffix(source: str) -> None:
         raise ImageError(f"texture: must be one of {', '.join(PATTERNS)}, or an image file; got {source!r}")
 
 
-def resample(linear: Floats, size: tuple[int, ...]) -> Floats:
+def resample(linear: Floats, size: tuple[int, ...], first: int = 0, end: int | None = None) -> Floats:
     """Resample an image to another size with the same outer borders, without aliasing.
 
-    linear: (rows, columns[, channels]), linear light. size: (rows, columns). Returns size[, channels], >= 0.
+    linear: (rows, columns[, channels]), linear light. size: (rows, columns). first, end: which rows of it are wanted,
+    by default all. Returns size[, channels], >= 0.
     Separable Catmull-Rom cubic (Catmull and Rom 1974; a = -1/2 of Keys 1981), as wide as an output pixel
     where the image shrinks. Each output pixel's weights sum to 1; beyond the border the nearest pixel
     repeats; what rings below 0 is 0. Validated on constants, cosines, mirrored images, and by the mean.
     """
     if linear.shape[:2] == size:
-        return linear
-    for axis in (0, 1):
-        if linear.shape[axis] != size[axis]:
-            linear = np.swapaxes(_resample_rows(np.swapaxes(linear, 0, axis), size[axis]), 0, axis)
+        return linear[first:end]
+    wanted = np.arange(size[0])[first:end]
+    linear = linear[wanted] if linear.shape[0] == size[0] else _resample_rows(linear, size[0], wanted)
+    if linear.shape[1] != size[1]:
+        linear = np.swapaxes(_resample_rows(np.swapaxes(linear, 0, 1), size[1], np.arange(size[1])), 0, 1)
     return np.ascontiguousarray(np.maximum(linear, 0))
 
 
-def _resample_rows(image: Floats, rows: int) -> Floats:
+def _resample_rows(image: Floats, rows: int, wanted: NDArray[np.intp]) -> Floats:
+    """The wanted ones of the rows of an image that has `rows` then."""
     before = image.shape[0]
     width = max(before / rows, 1.0)
-    center = (np.arange(rows) + 0.5) * before / rows - 0.5
+    center = (wanted + 0.5) * before / rows - 0.5
     taps = np.floor(center - 2 * width)[:, None] + np.arange(int(np.ceil(4 * width)) + 2)
     t = np.abs(taps - center[:, None]) / width
     outer = np.where(t < 2, ((2.5 - 0.5 * t) * t - 4) * t + 2, 0)
     weights = np.where(t < 1, (1.5 * t - 2.5) * t * t + 1, outer)
     weights /= weights.sum(axis=1, keepdims=True)
     nearest = np.clip(taps, 0, before - 1).astype(np.intp)
-    result = np.zeros((rows, *image.shape[1:]))
+    result = np.zeros((len(wanted), *image.shape[1:]))
     for weight, source in zip(weights.T, nearest.T, strict=True):
         result += weight.reshape(-1, *[1] * (image.ndim - 1)) * image[source]
     return result
 
 
-def bricks(rows: int, columns: int) -> Codes:
+# Patterns are drawn in full, or the rows from `first` up to `end` of them.
+
+
+def bricks(rows: int, columns: int, first: int = 0, end: int | None = None) -> Codes:
     """Draw a brick wall in running bond with detail at all scales; 14 courses over the shorter side.
 
     Returns sRGB codes (rows, columns), the same everywhere: only fixed random numbers, and algebra.
     """
     scale = DEFAULT_SIDE / min(rows, columns)  # the wall is laid out in pixels of a 512 x 512 image
-    y = (np.arange(rows, dtype=np.float64) + 0.5) * scale
+    step = max(1, round(2.5 / scale))  # how far a shadow falls: rows above those that are wanted are needed
+    top = max(first - step, 0)
+    row = np.arange(rows)[top:end]
+    y = (row.astype(np.float64) + 0.5) * scale
     x = (np.arange(columns, dtype=np.float64) + 0.5) * scale
     length, height, joint = 108.0, 36.6, 5.0
 
@@ -141,7 +172,7 @@ def bricks(rows: int, columns: int) -> Codes:
     face = np.clip(0.5 + inside / max(1.6, scale), 0, 1)
 
     # Brightness of the fired clay and of the mortar.
-    grain = _random(np.arange(rows)[:, None], np.arange(columns), 10) - 0.5
+    grain = _random(row[:, None], np.arange(columns), 10) - 0.5
     sand = 0.6 * _noise(x / 2.3, y / 2.1, 11) + 0.6 * _noise(x / 1.4, y / 1.5, 17) - 0.6
     stain = _noise(x / 61, y / 47, 12) - 0.5
     coarse = 0.5 * _noise(x / 3.6, y / 2.9, 13) + 0.5 * _noise(x / 2.7, y / 3.5, 14)
@@ -155,11 +186,10 @@ def bricks(rows: int, columns: int) -> Codes:
     relief = 1.3 * np.clip(inside / 3.5, -0.4, 1) + 0.55 * sand * face + 0.8 * flecks * face
     light = np.zeros_like(relief)
     light[1:, 1:] = np.clip((relief[1:, 1:] - relief[:-1, :-1]) / max(scale, 0.35), -1, 1)
-    step = max(1, round(2.5 / scale))
     shadow = np.zeros_like(face)
     shadow[step:, step:] = face[:-step, :-step]
     wall = face * clay + (1 - face) * mortar * (1 - 0.5 * shadow) + 0.16 * light
-    codes: Codes = np.floor(255 * np.clip(wall, 0.02, 0.98) + 0.5).astype(np.uint8)
+    codes: Codes = np.floor(255 * np.clip(wall[first - top :], 0.02, 0.98) + 0.5).astype(np.uint8)
     return codes
 
 
@@ -188,32 +218,32 @@ def _random_table() -> Floats:
     return (raw >> np.uint64(11)).astype(np.float64).reshape(512, 512) * 2.0**-53
 
 
-def checkerboard(rows: int, columns: int) -> Codes:
+def checkerboard(rows: int, columns: int, first: int = 0, end: int | None = None) -> Codes:
     """Draw squares of sRGB codes 232 and 24, 16 along the shorter side; returns (rows, columns)."""
     side = max(1, round(min(rows, columns) / 16))
-    odd = (np.arange(rows)[:, None] // side + np.arange(columns) // side) % 2
+    odd = (np.arange(rows)[first:end, None] // side + np.arange(columns) // side) % 2
     return np.where(odd == 1, 24, 232).astype(np.uint8)
 
 
-def slanted_edge(rows: int, columns: int) -> Codes:
+def slanted_edge(rows: int, columns: int, first: int = 0, end: int | None = None) -> Codes:
     """Draw a straight edge through the center, 5 degrees from the vertical, for an MTF after ISO 12233.
 
     Returns sRGB codes (rows, columns): light 0.2 on the left, 0.8 on the right, 4 : 1, and in each pixel on
     the edge the mean by exact area, to the nearest code.
     """
     angle = np.deg2rad(5.0)
-    i, j = np.arange(rows)[:, None] - (rows - 1) / 2, np.arange(columns) - (columns - 1) / 2
+    i, j = np.arange(rows)[first:end, None] - (rows - 1) / 2, np.arange(columns) - (columns - 1) / 2
     right = _area_beyond(j * np.cos(angle) + i * np.sin(angle), np.cos(angle), np.sin(angle))
     return encode(0.2 + 0.6 * right, 8, "srgb").astype(np.uint8)
 
 
-def siemens_star(rows: int, columns: int) -> Codes:
+def siemens_star(rows: int, columns: int, first: int = 0, end: int | None = None) -> Codes:
     """Draw 36 bright and 36 dark spokes, light 0.8 and 0.05, around the center.
 
     Returns sRGB codes (rows, columns). A pixel that one edge crosses has the mean by exact area, to
     the nearest code; near the center, where several cross, the mean of 16 x 16 samples.
     """
-    i, j = np.arange(rows)[:, None] - (rows - 1) / 2, np.arange(columns) - (columns - 1) / 2
+    i, j = np.arange(rows)[first:end, None] - (rows - 1) / 2, np.arange(columns) - (columns - 1) / 2
     edge = np.rint(np.arctan2(i, j) * 36 / np.pi)  # the nearest edge, between spoke edge - 1 and spoke edge
     angle = edge * np.pi / 36
     after = _area_beyond(i * np.cos(angle) - j * np.sin(angle), np.cos(angle), np.sin(angle))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 TRANSFERS = ("srgb", "linear")
+AT_A_TIME = 2**20  # values, so that what is between light and codes takes little
 
 
 def decode(data: NDArray[np.generic], transfer: str) -> NDArray[np.float64]:
@@ -35,6 +36,14 @@ def encode(linear: NDArray[np.floating], bits: int, transfer: str) -> NDArray[np
     root, along which sRGB codes are nearly even, finds a bin that holds at most one such start, and one
     comparison decides.
     """
+    codes: NDArray[Any] = np.empty(linear.shape, f"u{bits // 8}")
+    given, out = linear.reshape(-1), codes.reshape(-1)
+    for first in range(0, given.size, AT_A_TIME):
+        out[first : first + AT_A_TIME] = _codes_of(given[first : first + AT_A_TIME], bits, transfer)
+    return codes
+
+
+def _codes_of(linear: NDArray[np.floating], bits: int, transfer: str) -> NDArray[Any]:
     top = 2**bits - 1
     light = np.fmin(np.fmax(linear, 0), 1)
     codes: NDArray[Any]

@@ -12,5 +12,5 @@ __kernel void accumulate(const camera_t camera, __global const float *value, con
         return;
     for (int k = 0; k < CHANNELS; ++k)
         total[(k * camera.rows + row) * pitch + column + pad] +=
-            value[(k * camera.height + row + camera.guard) * camera.width + column + camera.guard];
+            value[(k * camera.height + row + camera.above) * camera.width + column + camera.guard];
 }

@@ -2,8 +2,8 @@
 //
 //   source, value, sub_source, sub_value: see trace.cl
 //   intervals, coefficients: tables of weights, see PsfTable in clsco/psf.py
-//   total   float (CHANNELS, rows, pitch): the frame so far; moments of the exposure add up here. The `pad`
-//           columns on both sides of a row are scratch, so that a vector of taps may hang over.
+//   total   float (CHANNELS, rows, pitch): the frame, or a strip of it, so far; moments of the exposure add up here. The
+//           `pad` columns on both sides of a row are scratch, so that a vector of taps may hang over.
 //   part    the same, zeros: what some rows of sources add, on its way to total. Of thousands of equal small taps added
 //           one by one to one float, each is rounded the same way (benchmarks/optimisation_log.md).
 //
@@ -132,10 +132,10 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
     const int plane = camera.width * camera.height, total_plane = camera.rows * pitch;
     const int spans_apart = (int)get_global_size(0) * BAND * pitch, apart = group ? spans_apart : total_plane;
     const int shift = group ? (own * BAND - first) * pitch : 0;  // from a row of the frame to that of part
-    const int from = MAX(first - psf.reach, -camera.guard), to = MIN(end + psf.reach, camera.rows + camera.guard);
+    const int from = MAX(first - psf.reach, -camera.above), to = MIN(end + psf.reach, camera.height - camera.above);
     for (int y = from; y < to; ++y) {
     const bool whole = y - psf.reach >= first && y + psf.reach < end;
-    const int line = (y + camera.guard) * camera.width, place = shift + y * pitch - camera.guard + pad;
+    const int line = (y + camera.above) * camera.width, place = shift + y * pitch - camera.guard + pad;
     for (int block = 0; block < camera.width; block += LANES) {
     int single = (1 << MIN(LANES, camera.width - block)) - 1;
 #if SPANS || !DISC
@@ -169,8 +169,8 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
 #if OCCLUDED
                 if (as_int(p.w) == BLOCKED) {
                     sight_t sight;
-                    see(camera, surfaces, layer, psf, lens, y + spread.oy, x - camera.guard + spread.ox, sub_depth[id],
-                        spread, (real)1 / SUBPIXELS, &sight);
+                    see(camera, surfaces, layer, psf, lens, camera.top + y + spread.oy, x - camera.guard + spread.ox,
+                        sub_depth[id], spread, (real)1 / SUBPIXELS, &sight);
                     add_seen_rows(spread, &sight, up, down, sub_value + id, capacity * SUBPIXELS * SUBPIXELS, p,
                                   out - half_width, apart, pitch);
                     continue;
@@ -190,7 +190,7 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
 #if OCCLUDED
         if (as_int(s.w) == BLOCKED) {
             sight_t sight;
-            see(camera, surfaces, layer, psf, lens, y, x - camera.guard, depth[at], spread, (real)1, &sight);
+            see(camera, surfaces, layer, psf, lens, camera.top + y, x - camera.guard, depth[at], spread, (real)1, &sight);
             add_seen_rows(spread, &sight, MIN(half_width, y - first), MIN(half_width, end - 1 - y), value + at, plane,
                           s, out - half_width, apart, pitch);
             continue;
@@ -234,7 +234,7 @@ __kernel void convolve(const camera_t camera, __global const float *value, __glo
         return;
     const int half_width = intervals[0].y, lanes = (2 * half_width / LANES + 1) * LANES, rows = MIN(4, camera.rows - y);
     for (int k = 0; k < CHANNELS; ++k) {
-        __global const float *plane = value + (k * camera.height + y + camera.guard) * camera.width + x + camera.guard;
+        __global const float *plane = value + (k * camera.height + y + camera.above) * camera.width + x + camera.guard;
         float8 sum[8] = {0, 0, 0, 0, 0, 0, 0, 0};
         for (int i = -half_width; i < rows + half_width; ++i) {
             __global const float *line = plane + i * camera.width, *c[4];
@@ -321,7 +321,7 @@ __kernel void scatter(const camera_t camera, const psf_t psf, __global const flo
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
         return;
-    const int at = y * camera.width + x, row = y - camera.guard, column = x - camera.guard;
+    const int at = y * camera.width + x, row = y - camera.above, column = x - camera.guard;
     const int plane = camera.width * camera.height, sums_plane = camera.rows * camera.columns;
     const float4 s = source[at];
 #if SUBPIXELS
@@ -337,8 +337,8 @@ __kernel void scatter(const camera_t camera, const psf_t psf, __global const flo
             sight_t seen;
             const sight_t *sight = as_int(p.w) == BLOCKED ? &seen : 0;
             if (sight)
-                see(camera, surfaces, layer, psf, lens, row + spread.oy, column + spread.ox, sub_depth[id], spread,
-                    (real)1 / SUBPIXELS, &seen);
+                see(camera, surfaces, layer, psf, lens, camera.top + row + spread.oy, column + spread.ox, sub_depth[id],
+                    spread, (real)1 / SUBPIXELS, &seen);
 #endif
             for (int k = 0; k < CHANNELS; ++k)
                 scatter_source(camera, spread, p, sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id], scale, row,
@@ -354,7 +354,7 @@ __kernel void scatter(const camera_t camera, const psf_t psf, __global const flo
     sight_t seen;
     const sight_t *sight = as_int(s.w) == BLOCKED ? &seen : 0;
     if (sight)
-        see(camera, surfaces, layer, psf, lens, row, column, depth[at], spread, (real)1, &seen);
+        see(camera, surfaces, layer, psf, lens, camera.top + row, column, depth[at], spread, (real)1, &seen);
 #endif
     for (int k = 0; k < CHANNELS; ++k)
         scatter_source(camera, spread, s, value[k * plane + at], scale, row, column, sums + k * sums_plane SIGHT);
@@ -379,7 +379,7 @@ static float share_inside(const camera_t camera, spread_t spread, float4 source,
 {
     const int half_width = spread.half_width;
     float sum = 0;
-    for (int dy = MAX(-half_width, -row); dy <= MIN(half_width, camera.rows - 1 - row); ++dy)
+    for (int dy = MAX(-half_width, -row); dy <= MIN(half_width, camera.frame_rows - 1 - row); ++dy)
         for (int dx = MAX(-half_width, -column); dx <= MIN(half_width, camera.columns - 1 - column); ++dx)
             sum += tap(spread, dx, dy, source);
     return sum;
@@ -396,10 +396,10 @@ __kernel void renormalize(const camera_t camera, const psf_t psf, __global const
 #endif
 )
 {
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= camera.columns || row >= camera.rows)
+    const int column = get_global_id(0), y = get_global_id(1), row = FRAME_ROW(camera, y);
+    if (column >= camera.columns || y >= camera.height)
         return;
-    const int at = row * camera.columns + column, plane = camera.rows * camera.columns;
+    const int at = y * camera.columns + column, plane = camera.height * camera.columns;
     const float4 s = source[at];
 #if SUBPIXELS
     const int slot = as_int(s.w);

@@ -1,13 +1,13 @@
 // Casts rays against the surface: the sources of light of one moment, and the ground truth of a frame.
 // Twin: clsco/reference/trace.py.
 //
-// Sources live on the frame and a guard band of camera.guard px around it: (height, width), row-major.
+// Sources live on the frame, or a strip of its rows, and what around it may light it: (height, width), row-major.
 //   source  float4: coordinate in the PSF table (< 0: no light), tilt right, tilt down, and as an int the slot of the
 //           pixel's sub-pixel sources, WHOLE or BLOCKED
 //   value   float (CHANNELS, height, width): radiance times the weight of this moment in the exposure
 //   label   uchar (height, width): 0 no surface, else which root of which object was met, and on which side of others
 //   depth   wide_t (height, width): inverse depth, with OCCLUDED
-//   texture float (textures, CHANNELS, rows, columns); surface_t names its object's
+//   texture float (textures, CHANNELS, frame_rows, columns); surface_t names its object's
 // Features besides geometry.clh's: MOVED (not all is where it was at rest), TILT, SUBPIXELS (sources per axis in a
 // pixel at a silhouette, 0 none), SAMPLED, OCCLUDED, PINHOLE, LENSES, and TRUTH_* for the outputs of ground_truth.
 
@@ -46,11 +46,11 @@ static float radiance(__global const float *texture, __constant surface_t *surfa
                       wide3_t point)
 {
     const int number = surface->texture * CHANNELS + channel;
-    __global const float *plane = texture + (size_t)number * camera.rows * camera.columns;
+    __global const float *plane = texture + (size_t)number * camera.frame_rows * camera.columns;
 #if MOVED
     return narrow(point.z) > 0 ? sample_texture(plane, camera, point.y, point.x) : 0;
 #else
-    return plane[mirror_index((int)narrow(point.y), camera.rows) * camera.columns +
+    return plane[mirror_index((int)narrow(point.y), camera.frame_rows) * camera.columns +
                  mirror_index((int)narrow(point.x), camera.columns)];
 #endif
 }
@@ -109,7 +109,7 @@ __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
         return;
-    const int row = y - camera.guard, column = x - camera.guard, at = y * camera.width + x;
+    const int row = FRAME_ROW(camera, y), column = x - camera.guard, at = y * camera.width + x;
     const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
     uchar root;
     int object;
@@ -134,7 +134,7 @@ __kernel void cast(const camera_t camera, __constant surface_t *surfaces, const 
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
         return;
-    const int row = y - camera.guard, column = x - camera.guard, at = y * camera.width + x;
+    const int row = FRAME_ROW(camera, y), column = x - camera.guard, at = y * camera.width + x;
     const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
     uchar root;
     int object;
@@ -153,7 +153,7 @@ __kernel void aim(const camera_t camera, __constant surface_t *surfaces, const l
     if (x >= camera.width || y >= camera.height)
         return;
     const int at = y * camera.width + x;
-    const wide3_t ray = pixel_ray(camera, widened(y - camera.guard), widened(x - camera.guard));
+    const wide3_t ray = pixel_ray(camera, widened(FRAME_ROW(camera, y)), widened(x - camera.guard));
     uchar root = hit[at];
     source[at] = source_record(camera, surfaces, layer, psf, ray, depth[at], 0, &root, statistics);
 #if SUBPIXELS
@@ -214,7 +214,7 @@ __kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfa
         atomic_max(statistics + MOST_SLOTS, statistics[SLOTS]);
     if (slot >= MIN(statistics[SLOTS], capacity))
         return;
-    const int row = pixels[slot] / camera.width - camera.guard, column = pixels[slot] % camera.width - camera.guard;
+    const int row = FRAME_ROW(camera, pixels[slot] / camera.width), column = pixels[slot] % camera.width - camera.guard;
     const wide_t down = widened((sub / SUBPIXELS + (real)0.5) / SUBPIXELS - (real)0.5);
     const wide_t right = widened((sub % SUBPIXELS + (real)0.5) / SUBPIXELS - (real)0.5);
     const wide3_t ray = pixel_ray(camera, wide_add(widened(row), down), wide_add(widened(column), right));
@@ -239,7 +239,7 @@ __kernel void pinhole(const camera_t camera, __constant surface_t *surfaces, con
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
         return;
-    const int row = y - camera.guard, column = x - camera.guard, at = y * camera.width + x;
+    const int row = FRAME_ROW(camera, y), column = x - camera.guard, at = y * camera.width + x;
     const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
     uchar root;
     int object;
@@ -270,7 +270,7 @@ static bool outside_frame(const camera_t camera, wide3_t whole)
 {
     const real3 at = narrow3(whole);
     return !(at.z > 0 && at.x >= (real)-0.5 && at.x < camera.columns - (real)0.5 && at.y >= (real)-0.5 &&
-             at.y < camera.rows - (real)0.5);
+             at.y < camera.frame_rows - (real)0.5);
 }
 
 // Whether what is seen at inverse depth `seen` hides a point at w here, w / ratio there.
@@ -280,7 +280,7 @@ static bool covered(wide_t seen, wide_t ratio, wide_t w)
 }
 #endif
 
-// Ground truth at pixel centers, (rows, columns[, components]), never anti-aliased: depth mm (+inf: nothing),
+// Ground truth of a strip at pixel centers, (rows, columns[, components]), never anti-aliased: depth mm (+inf: nothing),
 // coc signed px (0: nothing), mask, object (-1: nothing), normal, flow px to the pose `next`, hidden (the pinhole did
 // not see the point at rest), sharp radiance; of a stereo pair disparity px and occluded (the other view does not see
 // the point). `still` are the surfaces at rest, `opposite` those that the other view sees, in poses `there`; to_left: 1
@@ -321,10 +321,10 @@ __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces
 #endif
 )
 {
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= camera.columns || row >= camera.rows)
+    const int column = get_global_id(0), row = camera.top + get_global_id(1);
+    if (column >= camera.columns || row >= camera.top + camera.rows)
         return;
-    const int at = row * camera.columns + column;
+    const int at = (row - camera.top) * camera.columns + column;
     const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
     uchar root;
     int object;

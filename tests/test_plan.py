@@ -8,6 +8,7 @@ import pytest
 
 from clsco.errors import SceneError
 from clsco.frame import TRUTH_NAMES
+from clsco.memory import device_bytes
 from clsco.optics import LARGEST_BLUR, blur_radius
 from clsco.plan import Plan, exposure, guard_band, image_displacement, is_sharp, make_plan, widened
 from clsco.psf import LANES, reach
@@ -343,10 +344,10 @@ def test_what_stays_sharp(psf: Psf, largest: float, sharp: bool) -> None:
 
 def test_memory_and_work_grow_with_what_is_done() -> None:
     small, large = plan(BALL, size=(64, 48)), plan(BALL, size=(640, 480))
-    assert 0 < small.memory_bytes < large.memory_bytes
+    assert 0 < device_bytes(small, 2) < device_bytes(large, 2)
     assert small.taps < large.taps
     gray, color, truth = (plan(BALL, c, t) for c, t in ((1, ()), (3, ()), (3, TRUTH_NAMES)))
-    assert gray.memory_bytes < color.memory_bytes < truth.memory_bytes
+    assert device_bytes(gray, 2) < device_bytes(color, 2) < device_bytes(truth, 2)
     moved = plan(moving(BALL, RIGHT), sequence=Sequence(samples=7))
     assert moved.taps == pytest.approx(7 * small.taps, rel=0.1)  # the ball goes 4 px
     # Pixels of frame and guard band, each spread over its disc of about pi (R + 0.7)^2 px.

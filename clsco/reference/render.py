@@ -129,9 +129,9 @@ def render(scene: Scene) -> Iterator[Frame]:
             yield _frame(plan, textures, maps, frame)
 
 
-def _with_channels(radiance: Array, channels: int) -> Array:
+def _with_channels(radiance: NDArray[np.float32], channels: int) -> Array:
     """A texture (rows, columns, channels); gray ones serve color scenes as well."""
-    image = radiance.reshape(*radiance.shape[:2], -1)
+    image = radiance.astype(np.float64).reshape(*radiance.shape[:2], -1)
     return np.broadcast_to(image, (*image.shape[:2], channels))
 
 

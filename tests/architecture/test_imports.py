@@ -15,13 +15,14 @@ PACKAGE = Path(__file__).resolve().parents[2] / "clsco"
 # A module imports from the layers above its own line only.
 LAYERS = (
     ("errors", "resources", "poclcache", "transfer", "png", "quantities"),
-    ("files", "shapes", "frame"),
+    ("files", "shapes", "frame", "strips"),
     ("scene",),
     ("optics", "psf", "motion", "images", "scenefile"),
     ("surfaces", "textures", "depthmaps", "sweep", "framefiles"),
     ("occlusion", "maptruth"),
     ("layout",),
     ("plan",),
+    ("memory",),
     ("reference",),
     ("device",),
     ("program",),

@@ -13,11 +13,12 @@ from clsco.device import Session
 from clsco.forward import KERNELS as FORWARD
 from clsco.forward import forward_features
 from clsco.layout import Real, structs
+from clsco.memory import TRUTH_BUFFERS
 from clsco.plan import make_plan
 from clsco.program import HEADERS, HEADERS_OF, OCCLUSION_HEADERS, build
-from clsco.renderer import TRUTH_BUFFERS
 from clsco.scene import Camera, Psf, Scene, Sphere
-from clsco.spread import BAND, blur_features
+from clsco.spread import blur_features
+from clsco.strips import BAND
 
 KERNELS = Path(__file__).resolve().parents[2] / "kernels"
 ON_OR_OFF = (0, 1)

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco import psf as psf_weights
-from clsco import spread
+from clsco import spread, strips
 from clsco.device import Session
 from clsco.layout import Struct, flat, frame_struct, psf_struct, structs
 from clsco.plan import Blur
@@ -152,7 +152,7 @@ def copied(session: Session, array: Array) -> Any:
 def features(psf: Psf, channels: int, samples: int, spans: bool = False) -> dict[str, int]:
     """All kernels in one program, so that few have to be compiled; tests/architecture builds them one by one."""
     kernels = dict.fromkeys(("GATHER", "SCATTER", "CONVOLVE", "RENORMALIZE", "PREPARE"), 1) | {"SPANS": int(spans)}
-    chosen = {"CHANNELS": channels, "SUBPIXELS": samples, "DISC": int(is_disc(psf)), "BAND": spread.BAND}
+    chosen = {"CHANNELS": channels, "SUBPIXELS": samples, "DISC": int(is_disc(psf)), "BAND": strips.BAND}
     return SHAPES | kernels | chosen | {"TILT": int(psf.tilt), "SAMPLED": int(psf.edge == "sampled")}
 
 
@@ -208,7 +208,7 @@ def test_every_psf(session: Session, psf: Psf, tilt: bool, method: Blur) -> None
 )
 def test_wide_discs_by_the_ends_of_their_rows(session: Session, psf: Psf, channels: int) -> None:
     """Radii of one interval side by side, and none such; steep tilts, of which weights end at 0; several bands."""
-    shape = (3 * spread.BAND // 2, 61)
+    shape = (3 * strips.BAND // 2, 61)
     largest = 44.0 if psf.edge == "sampled" else 26.0
     given = light(psf, shape=shape, guard=3, largest=largest, steepest=0.2, channels=channels, samples=2)
     assert spread.spans_rows(psf, given.largest, "double")
@@ -248,7 +248,7 @@ def test_subpixel_sources_of_a_sampled_psf_and_without_tilt(session: Session) ->
 def test_gather_is_scatter(session: Session, channels: int, samples: int) -> None:
     """The same weights from the same tables, in another order and in fixed point: only float32 rounding is left."""
     given = light(Psf(), shape=(150, 70), largest=7.0, channels=channels, samples=samples)
-    assert given.shape[0] > 2 * spread.BAND
+    assert given.shape[0] > 2 * strips.BAND
     assert_close(blurred(session, given, "gather"), blurred(session, given, "scatter"), ROUNDING)
 
 

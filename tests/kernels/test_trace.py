@@ -22,6 +22,7 @@ from clsco.layout import (
     structs,
     surface_structs,
 )
+from clsco.memory import TRUTH_BUFFERS
 from clsco.motion import Eye, Pose, middle_time, poses_at, rest_poses
 from clsco.occlusion import Layer
 from clsco.plan import Plan, make_plan
@@ -29,7 +30,7 @@ from clsco.program import build, download, empty, kernel, launch, upload
 from clsco.psf import psf_table
 from clsco.reference import trace as twin
 from clsco.reference.geometry import table_coordinate, tilt_slope
-from clsco.renderer import EMPTY_STATISTICS, TRUTH_BUFFERS
+from clsco.renderer import EMPTY_STATISTICS
 from clsco.scene import (
     Camera,
     Cone,

@@ -1,0 +1,251 @@
+"""Memory on the device: what the buffers of a plan take, how much there is, and the strips that fit; without OpenCL."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from math import ceil
+
+import numpy as np
+
+from clsco.errors import SceneError
+from clsco.layout import WIDE_BYTES
+from clsco.plan import Blur, Plan
+from clsco.psf import LANES, SPANNED, reach, table_bytes, table_reach
+from clsco.scene import Psf
+from clsco.strips import BAND, cut
+
+BANDS_PER_CORE = 4  # of `gather` at a time, where they need memory of their own
+MOST_IN_ONE_SUM = 256  # taps of `gather` that a float adds up before it goes into another sum
+# Outputs that ground_truth writes, with what one pixel of each takes: dtype and components (0: the channels).
+TRUTH_BUFFERS: dict[str, tuple[type[np.generic], int]] = {
+    "object_id": (np.int32, 1),
+    "depth": (np.float32, 1),
+    "coc": (np.float32, 1),
+    "normal": (np.float32, 3),
+    "flow": (np.float32, 2),
+    "hidden": (np.uint8, 1),
+    "sharp": (np.float32, 0),
+    "disparity": (np.float32, 1),
+    "occluded": (np.uint8, 1),
+}
+_UNITS = {"": 1, "b": 1} | {f"{p}b": 1000**n for n, p in enumerate("kmgt", 1)}
+_UNITS |= {f"{p}ib": 1024**n for n, p in enumerate("kmgt", 1)}
+
+
+@dataclass(frozen=True)
+class Limit:
+    """What the buffers of a frame may take, in bytes.
+
+    total: all of them; buffer: each of them; cores: compute units, which work at a time; given: by the user, who is
+    told where nothing fits; views: that are on the device together and share `total`, as those of a stereo pair.
+    """
+
+    total: int
+    buffer: int
+    cores: int
+    given: bool
+    views: int = 1
+
+
+def parse_size(size: str | int) -> int:
+    """Bytes of a size like 1.5GiB, 800MB or 100000. Raises SceneError for what is none."""
+    match = re.fullmatch(r"\s*(\d{1,15}(?:\.\d{1,15})?)\s*([a-z]{0,3})\s*", str(size).lower(), re.ASCII)
+    bytes_of_unit = _UNITS.get(match[2]) if match else None
+    found = int(float(match[1]) * bytes_of_unit) if match and bytes_of_unit else 0
+    if found < 1:
+        raise SceneError(f"memory: must be a size greater than 0, like 1.5GiB or 800MB; got {size}")
+    return found
+
+
+def free_bytes() -> int | None:
+    """Memory of this machine that is free, in bytes; None where the system does not tell."""
+    try:
+        with open("/proc/meminfo", encoding="ascii") as file:
+            told = dict(line.split(":", 1) for line in file)
+        return int(told["MemAvailable"].split()[0]) * 1024
+    except (OSError, KeyError, ValueError):
+        names = getattr(os, "sysconf_names", {})
+        known = {"SC_PHYS_PAGES", "SC_PAGE_SIZE"} <= set(names)
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") if known else None
+
+
+def limit_of(
+    memory: str | int | None, on_device: int | None = None, buffer: int | None = None, cores: int | None = None,
+    shared: bool = True,
+) -> Limit:  # fmt: skip
+    """The limit that a user gives, or half of what is free.
+
+    memory: as `parse_size` takes it, or None. Of the device: on_device: its memory, buffer: its largest buffer, both
+    in bytes, cores: its compute units, shared: it works in the machine's memory; by default the processor.
+    Raises SceneError as `parse_size`.
+    """
+    units = cores or os.cpu_count() or 1
+    there = [size for size in (on_device, free_bytes() if shared else None) if size is not None]
+    total = min(there) // 2 if there else 2**62
+    if memory is not None:
+        total = parse_size(memory)
+    return Limit(total, buffer or 2**62, units, memory is not None)
+
+
+def bands_at_a_time(rows: int, cores: int) -> int:
+    """Bands of a strip of so many rows that are worked on together where each needs memory of its own."""
+    return min(ceil(rows / BAND), BANDS_PER_CORE * cores)
+
+
+def has_spans(psf: Psf, largest: float) -> bool:
+    """Whether discs up to `largest` px are so wide that `gather` keeps rows that have one weight as their two ends."""
+    return psf.model == "pillbox" and reach(psf, largest) >= SPANNED[psf.edge]
+
+
+def spread_bytes(
+    psf: Psf, method: Blur, channels: int, rows: int, columns: int, guard: int, far: int, spans: bool, cores: int
+) -> dict[str, int]:
+    """Buffers of `clsco.spread.Spreader` besides its tables: total, and part, spans and sums where there are any.
+
+    rows: of the tallest strip; far: largest half-width in the tables, px; the others as for the Spreader.
+    """
+    pitch = ceil((columns + 2 * (guard + far + LANES)) / LANES) * LANES
+    sizes = {"total": 4 * channels * rows * pitch}
+    bands = 4 * channels * bands_at_a_time(rows, cores) * BAND * pitch
+    if method == "gather" and (2 * far + 1) ** 2 > MOST_IN_ONE_SUM:
+        sizes["part"] = bands
+    if method == "gather" and spans:
+        sizes["spans"] = (4 if psf.tilt else 2) * bands
+    if method == "scatter":
+        sizes["sums"] = 8 * channels * rows * columns
+    return sizes
+
+
+def _spreader(
+    psf: Psf, method: Blur, channels: int, rows: int, columns: int, guard: int, ends: tuple[float, float],
+    silhouettes: int, cores: int,
+) -> dict[str, int]:  # fmt: skip
+    """All buffers of a Spreader for radii between two ends, on a device with fp64."""
+    far = max(table_reach(psf, ends[1]), table_reach(psf, ends[1], True) if silhouettes else 0)
+    spans = method == "gather" and has_spans(psf, ends[1])
+    tables = table_bytes(psf, *ends) + (table_bytes(psf, *ends, silhouettes) if silhouettes else 0)
+    return {"tables": tables} | spread_bytes(psf, method, channels, rows, columns, guard, far, spans, cores)
+
+
+def _layers(
+    psf: Psf, method: Blur, channels: int, rows: int, columns: int, guard: int, largest: float, cores: int
+) -> dict[str, int]:
+    """Buffers of `clsco.layers.Layers`: planes of a slab and of where it is, its pyramid, and its own blur."""
+    area, values = (rows + 2 * guard) * (columns + 2 * guard), channels + 1  # with coverage
+    planes = 16 + 4 + 4 + 4 * values + WIDE_BYTES + 1
+    sizes = {"planes": planes * area, "pyramid": 4 * (values + 1) * area * 4 // 3, "covered": 4 * rows * columns}
+    sizes |= _spreader(psf, method, values, rows, columns, guard, (0.0, largest), 0, cores)
+    return {f"slab {name}": size for name, size in sizes.items()}
+
+
+def buffer_bytes(plan: Plan, cores: int) -> dict[str, int]:
+    """Buffers on the device while a frame of a plan is made, in the strips that the plan has; on a device with fp64.
+
+    cores: compute units of the device. Those of ground truth, "truth ...", are there only while it is made.
+    """
+    psf, channels, each = plan.scene.psf, plan.channels, plan.silhouettes**2
+    rows, area, ends = plan.strips[0].rows, plan.width * plan.tallest, (plan.smallest_blur, plan.largest_blur)
+    wide = WIDE_BYTES * bool(plan.features()["OCCLUDED"])
+    textures = len({item.texture for item in plan.scene.objects})
+    sizes = {"texture": 4 * channels * textures * plan.rows * plan.columns}
+    sizes |= {"source": 16 * area, "value": 4 * channels * area, "depth": wide * area, "label": area * bool(each)}
+    sizes |= {"pixels": 4 * plan.slots, "sub_source": 16 * each * plan.slots, "sub_depth": wide * each * plan.slots}
+    sizes |= {"sub_value": 4 * channels * each * plan.slots}
+    blur = (psf, plan.blur, channels, rows, plan.columns, plan.guard_px)
+    sizes |= _spreader(*blur, ends, plan.silhouettes, cores)
+    if plan.occlusion == "layered":
+        sizes |= {"coc": WIDE_BYTES * area, "valid": area} | _layers(*blur, plan.largest_blur, cores)
+    if plan.forward:
+        sizes |= _warp(plan, area)
+    maps = any(item.shape == "depth_map" for item in plan.scene.objects)
+    if plan.truth and not maps:  # no ray is cast at a depth map
+        values = {name: np.dtype(kind).itemsize * (n or channels) for name, (kind, n) in TRUTH_BUFFERS.items()}
+        values |= {"mask": 1} | ({"sharp": 0} if plan.forward else {})
+        wanted = {"mask", *plan.truth} & set(values)
+        sizes |= {f"truth {name}": values[name] * rows * plan.columns for name in wanted}
+    return sizes
+
+
+def _warp(plan: Plan, area: int) -> dict[str, int]:
+    """Buffers of `clsco.forward.ForwardWarp` and its filling."""
+    scene, channels, pixels = plan.scene, plan.channels, plan.rows * plan.columns
+    several, maps = len(scene.objects) > 1, sum(item.shape == "depth_map" for item in scene.objects)
+    # value, w, coc, valid, status, two lists; a second set to smooth in; bounds of the far side, and objects
+    planes = 4 * channels + 26 + (4 * channels + 12 if scene.fill.method == "mean_median" else 0)
+    planes += 4 * (several or maps > 0) + several
+    return {"warp": planes * area, "warp at rest": (2 * WIDE_BYTES + several + WIDE_BYTES * maps) * pixels}
+
+
+def defocus_bytes(
+    psf: Psf, method: Blur, channels: int, shape: tuple[int, int], guard: int, ends: tuple[float, float], cores: int,
+    strip_rows: int,
+) -> dict[str, int]:  # fmt: skip
+    """Buffers of `clsco.defocus` for an image of this shape with radii between two ends, in strips of so many rows."""
+    strips = cut(shape[0], strip_rows, guard, table_reach(psf, ends[1]) + 2)
+    area = (shape[1] + 2 * guard) * max(strip.height for strip in strips)
+    sizes = {"value": 4 * channels * area}
+    if method != "convolve":
+        sizes |= {"source": 16 * area, "coc": WIDE_BYTES * area, "valid": area}
+    blur = (psf, method, channels, strips[0].rows, shape[1], guard)
+    sizes |= _spreader(*blur, ends, 0, cores)
+    layered = psf.occlusion == "layered" and method != "convolve"
+    return sizes | (_layers(*blur, ends[1], cores) if layered else {})
+
+
+def hit_bytes(plan: Plan) -> int:
+    """Planes of `clsco.renderer.Hits`, which lenses share."""
+    return len(plan.layers) * (4 * plan.channels + WIDE_BYTES + 1) * plan.width * plan.height
+
+
+def device_bytes(plan: Plan, cores: int, views: int = 1) -> int:
+    """All of `buffer_bytes` for one view, or several that are on the device together."""
+    return _sum(buffer_bytes(plan, cores), views)
+
+
+def _sum(sizes: Mapping[str, int], views: int) -> int:
+    """Views get their ground truth one after the other."""
+    return sum(size * (1 if name.startswith("truth") else views) for name, size in sizes.items())
+
+
+def fitted(plan: Plan, limit: Limit) -> Plan:
+    """The plan with as few strips as fit the limit: the whole frame where it does. Raises as `rows_that_fit`."""
+    why = None
+    if plan.forward or plan.occlusion == "layered":
+        why = "the forward warp" if plan.forward else "layered occlusion"
+
+    def sizes(rows: int) -> Mapping[str, int]:
+        return buffer_bytes(replace(plan, strip_rows=rows), limit.cores)
+
+    return replace(plan, strip_rows=rows_that_fit(plan.rows, limit, sizes, why))
+
+
+def rows_that_fit(rows: int, limit: Limit, sizes: Callable[[int], Mapping[str, int]], whole: str | None) -> int:
+    """Rows of the tallest strips that fit the limit: all of them, or a multiple of BAND.
+
+    rows: of the frame; sizes: gives the buffers for strips of so many rows; whole: what needs the whole frame, if
+    anything does. Where nothing fits it raises SceneError if the limit was given; else the least strips are taken, or
+    the whole frame where something needs it.
+    """
+
+    def fits(tried: int) -> bool:
+        found = sizes(tried)
+        return _sum(found, limit.views) <= limit.total and max(found.values()) <= limit.buffer
+
+    if fits(rows):
+        return rows
+    least = rows if whole else min(BAND, rows)
+    if not whole and fits(least):
+        few, many = 1, (rows - 1) // BAND
+        while few < many:
+            middle = (few + many + 1) // 2
+            few, many = (middle, many) if fits(middle * BAND) else (few, middle - 1)
+        return few * BAND
+    needed = _sum(sizes(least), limit.views)
+    if limit.given and needed > limit.total:
+        why = f"as {whole} needs the whole frame" if whole else f"in strips of {least} rows"
+        least_mib, got = ceil(needed / 2**20), f"{limit.total / 2**20:.4g} MiB"
+        raise SceneError(f"memory: must be at least {least_mib} MiB for this frame, {why}; got {got}")
+    return least

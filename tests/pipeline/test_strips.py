@@ -1,0 +1,186 @@
+"""A frame in strips has the bits of the whole frame, and takes the memory that was predicted."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+import pytest
+
+import clsco
+from clsco.describe import planned
+from clsco.device import choose
+from clsco.errors import SceneError
+from clsco.frame import STEREO_NAMES, TRUTH_NAMES, Frame
+from clsco.memory import device_bytes
+from clsco.plan import Plan, guard_band, make_plan
+from clsco.render import render_sweep
+from clsco.scene import Scene
+from clsco.scenefile import parse_scene
+from clsco.strips import BAND, cut
+
+TRUTH = (*TRUTH_NAMES, *STEREO_NAMES)
+ROWS, COLUMNS = 3 * BAND + 23, 50
+BALL = {
+    "shape": "sphere",
+    "center": [1.0, 0.0, 280.0],
+    "radius": 12.0,
+    "texture": "checkerboard",
+    "motion": {"velocity": [3.0, -9.0, -20.0], "angular_velocity": [0.0, 15.0, 25.0]},
+}
+CARD = {"shape": "plane", "distance": 230.0, "bounds": [[-5.0, 4.0], [-15.0, 4.0], [-1.0, 1.0]]}
+FLOOR = {"shape": "plane", "distance": 300.0, "slope_y": 0.4}
+WALL = {"shape": "plane", "distance": 330.0}
+SCENES: dict[str, tuple[str, dict[str, Any]]] = {
+    "moving ball": ("gather", {"object": [BALL], "sequence": {"samples": 2, "frames": 2}}),
+    "card before a floor": ("gather", {"object": [CARD, FLOOR]}),
+    "pair": ("gather", {"object": [BALL, FLOOR], "stereo": {"baseline": 6.0}, "psf": {"occlusion": "none"}}),
+    "fixed point": ("scatter", {"object": [BALL], "psf": {"edge": "area"}}),
+    "fixed point, card": ("scatter", {"object": [CARD, FLOOR]}),
+    "light given back": ("gather", {"object": [BALL], "psf": {"border": "renormalize", "edge": "sampled"}}),
+    "one radius": ("convolve", {"object": [WALL]}),
+    "in focus": ("auto", {"object": [WALL], "camera": {"focus_distance": 330.0}}),
+}
+SLOW = ("fixed point, card",)
+
+
+def scene_of(name: str) -> Scene:
+    data = SCENES[name][1]
+    camera = {"resolution": [COLUMNS, ROWS], "pixel_pitch": 0.04, "aperture_diameter": 45.0} | data.get("camera", {})
+    psf = {"silhouette_samples": 2} | data.get("psf", {})
+    return parse_scene(data | {"camera": camera, "psf": psf})
+
+
+def memory_for(scene: Scene, rows: int, truth: tuple[str, ...] = TRUTH, method: str = "auto") -> int:
+    """Just as much as strips of so many rows need."""
+    eyes = ("left",) if scene.stereo is None else ("left", "right")
+    plans = [replace(plan_of(scene, truth, method, eye), strip_rows=rows) for eye in eyes]
+    return max(device_bytes(plan, choose().compute_units, len(eyes)) for plan in plans)
+
+
+def plan_of(scene: Scene, truth: tuple[str, ...], method: str, eye: Any) -> Plan:
+    known = planned(scene, truth, eye)
+    return make_plan(known.scene, known.channels, truth, method, eye)
+
+
+def assert_same(frames: list[Frame], others: list[Frame]) -> None:
+    assert len(frames) == len(others) > 0
+    for one, other in zip(frames, others, strict=True):
+        for name in ("color", *TRUTH):
+            wanted, got = getattr(one, name), getattr(other, name)
+            assert (wanted is None) == (got is None)
+            if wanted is not None:
+                np.testing.assert_array_equal(got.view(np.uint8), wanted.view(np.uint8), name, strict=True)
+
+
+@pytest.fixture
+def peak(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """[bytes of all buffers that are there now, the most so far]."""
+    seen = [0, 0]
+
+    class Counted(cl.Buffer):
+        def __init__(self, *args: Any, **options: Any) -> None:
+            super().__init__(*args, **options)
+            self.bytes = int(self.size)
+            seen[0] += self.bytes
+            seen[1] = max(seen)
+
+        def __del__(self) -> None:
+            seen[0] -= self.bytes
+
+    monkeypatch.setattr(cl, "Buffer", Counted)
+    return seen
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in SCENES]
+)
+def test_strips_have_the_bits_of_the_whole_frame(name: str, peak: list[int]) -> None:
+    scene, method = scene_of(name), SCENES[name][0]
+    whole = list(clsco.render(scene, method=method))
+    assert {frame.metadata["strips"] for frame in whole} == {1}
+    assert len(np.unique(whole[0].color)) > 100
+    for rows, count in ((BAND, 4), (2 * BAND, 2)):
+        limit, before = memory_for(scene, rows, method=method), peak[0]
+        peak[1] = before
+        tiled = list(clsco.render(scene, method=method, memory=limit))
+        # The plan counts no structs and no statistics: some kB.
+        assert peak[1] - before == pytest.approx(limit, rel=0.05)
+        assert {frame.metadata["strips"] for frame in tiled} == {count}
+        assert_same(whole, tiled)
+
+
+def test_a_plan_that_was_too_small(monkeypatch: pytest.MonkeyPatch, peak: list[int]) -> None:
+    """Radii beyond the prediction: the whole frame again, in strips of the wider plan."""
+    scene, least = scene_of("moving ball"), 2.0
+
+    def short(*args: Any, **options: Any) -> Plan:
+        plan = make_plan(*args, **options)
+        assert plan.largest_blur > 2 * least
+        return replace(plan, largest_blur=least, guard_px=guard_band(scene.psf, least))
+
+    monkeypatch.setattr(sys.modules["clsco.render"], "make_plan", short)
+    whole = list(clsco.render(scene, frames=[0]))
+    limit, before = memory_for(scene, BAND), peak[0]
+    peak[1] = before
+    tiled = list(clsco.render(scene, frames=[0], memory=limit))
+    assert peak[1] - before < 1.01 * limit
+    assert whole[0].metadata["strips"] == 1
+    assert tiled[0].metadata["strips"] > 1
+    assert tiled[0].metadata["guard_px"] > guard_band(scene.psf, least)
+    assert_same(whole, tiled)
+
+
+def test_a_sweep_in_strips() -> None:
+    """Lenses share their rays where there is memory for all of them at a time, and else do not."""
+    base = scene_of("moving ball")
+    cameras = [base.camera.model_copy(update={"aperture_diameter": opening}) for opening in (45.0, 44.0)]
+    scenes = [base.model_copy(update={"camera": camera}) for camera in cameras]
+    whole = [frame for _, frame in render_sweep(scenes, truth=(), frames=[0])]
+    tiled = [frame for _, frame in render_sweep(scenes, truth=(), frames=[0], memory=memory_for(scenes[0], BAND, ()))]
+    assert [frame.metadata["strips"] for frame in whole] == [1, 1]
+    assert min(frame.metadata["strips"] for frame in tiled) > 1
+    assert_same(whole, tiled)
+
+
+@pytest.mark.parametrize(
+    ("sections", "why"),
+    [
+        ({"motion": {"warp": "forward"}}, "the forward warp"),
+        ({"psf": {"occlusion": "layered"}, "object": [CARD, WALL]}, "layered occlusion"),
+    ],
+)
+def test_what_needs_the_whole_frame(sections: dict[str, Any], why: str) -> None:
+    camera = {"resolution": [COLUMNS, ROWS], "pixel_pitch": 0.04, "aperture_diameter": 45.0}
+    scene = parse_scene({"camera": camera, "object": [BALL]} | sections)
+    needed = memory_for(scene, ROWS, ())
+    assert len(planned(scene, (), memory=needed).strips) == 1
+    with pytest.raises(
+        SceneError, match=rf"^memory: must be at least \d+ MiB for this frame, as {why} needs the whole"
+    ):
+        next(clsco.render(scene, truth=(), memory=needed // 2))
+
+
+def test_too_little_memory() -> None:
+    scene = scene_of("card before a floor")
+    with pytest.raises(
+        SceneError, match=r"^memory: must be at least \d+ MiB for this frame, in strips of 64 rows; got"
+    ):
+        next(clsco.render(scene, memory="300 kB"))
+    with pytest.raises(SceneError, match=r"^memory: must be a size greater than 0, like 1.5GiB or 800MB; got lots"):
+        next(clsco.render(scene, memory="lots"))
+
+
+@pytest.mark.parametrize(("rows", "tallest"), [(1, 1), (64, 64), (65, 64), (500, 128), (500, 500)])
+@pytest.mark.parametrize(("guard", "reach"), [(0, 7), (9, 7), (200, 190)])
+def test_strips_cover_the_frame(rows: int, tallest: int, guard: int, reach: int) -> None:
+    strips = cut(rows, tallest, guard, reach)
+    assert [row for strip in strips for row in range(strip.top, strip.top + strip.rows)] == list(range(rows))
+    for strip in strips:
+        first, last = strip.top - strip.above, strip.top + strip.rows + strip.below
+        assert first == max(-guard, strip.top - max(guard, reach))
+        assert last == min(rows + guard, strip.top + strip.rows + max(guard, reach))
+        assert strip.height == last - first

@@ -1,0 +1,166 @@
+"""Sizes and limits of memory, and the strips that fit."""
+
+from __future__ import annotations
+
+import json
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+import clsco
+from clsco import memory
+from clsco.cli import main
+from clsco.errors import SceneError
+from clsco.memory import Limit, free_bytes, limit_of, parse_size, rows_that_fit
+from clsco.strips import BAND, Strip, cut
+
+
+@pytest.mark.parametrize(
+    ("text", "size"),
+    [
+        ("1.5GiB", 3 * 2**29), ("800MB", 800_000_000), ("800 mb", 800_000_000), ("64KiB", 65536), ("2kB", 2000),
+        ("1TiB", 2**40), ("12345", 12345), (12345, 12345), ("7 B", 7), ("0.5kb", 500),
+    ],
+)  # fmt: skip
+def test_sizes(text: str | int, size: int) -> None:
+    assert parse_size(text) == size
+
+
+@pytest.mark.parametrize(
+    "text", ["", "GiB", "-1GiB", "1 PiB", "1e9", "nan", "inf", "1.5.0MB", "٣MB", "0", 0, -5, "0.1B"]
+)
+def test_what_is_no_size(text: str | int) -> None:
+    with pytest.raises(SceneError, match=r"^memory: must be a size greater than 0, like 1.5GiB or 800MB; got "):
+        parse_size(text)
+
+
+def test_the_limit_is_given_or_half_of_what_is_free(monkeypatch: pytest.MonkeyPatch) -> None:
+    free = free_bytes()
+    assert free is not None
+    assert free > 2**20
+    monkeypatch.setattr(memory, "free_bytes", lambda: 1000)
+    assert limit_of(None, 3000, 700, 4) == Limit(500, 700, 4, given=False)
+    assert limit_of(None, 600, 700, 4).total == 300
+    assert limit_of(None, 3000, 700, 4, shared=False).total == 1500
+    assert limit_of("2kB", 600, 700, 4) == Limit(2000, 700, 4, given=True)
+    monkeypatch.setattr(memory, "free_bytes", lambda: None)
+    assert limit_of(None).total > 2**60
+
+
+def test_the_tallest_strips_that_fit() -> None:
+    def sizes(rows: int) -> dict[str, int]:
+        return {"fixed": 1000, "strip": 10 * rows, "truth": 2 * rows}
+
+    def rows(total: int, buffer: int = 2**40, given: bool = True, views: int = 1, whole: str | None = None) -> int:
+        return rows_that_fit(500, Limit(total, buffer, 2, given, views), sizes, whole)
+
+    assert rows(7000) == 500
+    assert rows(6999) == 7 * BAND
+    assert rows(1000 + 12 * 3 * BAND) == 3 * BAND
+    assert rows(1000 + 12 * 3 * BAND - 1) == 2 * BAND
+    assert rows(1000 + 12 * BAND) == BAND
+    assert rows(10**6, buffer=10 * 2 * BAND + 9) == 2 * BAND
+    assert rows(13_000, views=2) == 500  # truth is made for one view after the other
+    assert rows(12_999, views=2) == 7 * BAND
+    with pytest.raises(SceneError, match=r"must be at least 1 MiB for this frame, in strips of 64 rows; got"):
+        rows(1000 + 12 * BAND - 1)
+    assert rows(999, given=False) == BAND
+    assert rows(7000, whole="this") == 500
+    with pytest.raises(SceneError, match=r"must be at least 1 MiB for this frame, as this needs the whole frame; got"):
+        rows(6999, whole="this")
+    assert rows(6999, given=False, whole="this") == 500
+
+
+RNG = np.random.default_rng(5)
+SHAPE = (3 * BAND + 10, 70)
+
+
+@pytest.mark.parametrize(
+    ("method", "radius", "psf", "channels"),
+    [
+        ("gather", 3.0, {}, (3,)),
+        ("gather", 9.0, {"border": "renormalize", "edge": "sampled"}, (1,)),
+        ("gather", 16.0, {}, ()),
+        ("scatter", 9.0, {"model": "gaussian"}, ()),
+        ("convolve", 7.0, {}, (3,)),
+    ],
+)
+def test_an_image_in_strips(
+    method: str, radius: float, psf: dict[str, object], channels: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same bits as the whole image, from as little memory as is possible."""
+    image = RNG.random((*SHAPE, *channels), np.float32)
+    i, j = np.indices(SHAPE)
+    coc = radius * (np.ones(SHAPE) if method == "convolve" else np.sin(i / 23.0) * np.cos(j / 31.0))
+    needed: dict[int, int] = {}
+    used: list[int] = []
+
+    def sizes(*args: Any) -> dict[str, int]:
+        found = memory.defocus_bytes(*args)
+        needed[args[-1]] = sum(found.values())
+        return found
+
+    def strips(*args: Any) -> tuple[Strip, ...]:
+        found = cut(*args)
+        used.append(len(found))
+        return found
+
+    monkeypatch.setattr(import_module("clsco.defocus"), "defocus_bytes", sizes)
+    monkeypatch.setattr(import_module("clsco.defocus"), "cut", strips)
+    whole = clsco.defocus(image, coc, psf, method=method)
+    with pytest.raises(SceneError, match=r"^memory: must be at least \d+ MiB for this frame, in strips of 64 rows"):
+        clsco.defocus(image, coc, psf, method=method, memory=1000)
+    tiled = clsco.defocus(image, coc, psf, method=method, memory=needed[BAND])
+    assert used == [1, 4]
+    assert whole.shape == image.shape
+    np.testing.assert_array_equal(tiled.view(np.uint32), whole.view(np.uint32), strict=True)
+
+
+def test_layers_need_the_whole_image() -> None:
+    image, coc = RNG.random(SHAPE, np.float32), RNG.random(SHAPE) * 3
+    with pytest.raises(SceneError, match=r"MiB for this frame, as layered occlusion needs the whole frame; got 1 MiB"):
+        clsco.defocus(image, coc, {"occlusion": "layered"}, memory="1MiB")
+
+
+PLANE = '[camera]\nresolution = [100, 500]\n[[object]]\nshape = "plane"\ndistance = 300.0\nslope_y = 0.2\n'
+
+
+def clsco_(*words: object) -> Result:
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+def test_commands_take_a_limit(tmp_path: Path) -> None:
+    scene, out = tmp_path / "plane.toml", tmp_path / "out"
+    scene.write_text(PLANE)
+    assert "1, the whole frame" in clsco_("plan", scene).stdout
+    told = clsco_("plan", scene, "--memory", "1.2MiB")
+    assert "3 of up to 192 rows, with up to 12 more on either side" in told.stdout
+    for command in (("plan", scene), ("render", scene, "-o", out)):
+        refused = clsco_(*command, "--memory", "300kB")
+        assert (refused.exit_code, refused.stdout) == (1, "")
+        assert refused.stderr.startswith(
+            f"error: {scene}: memory: must be at least 1 MiB for this frame, in strips of 64"
+        )
+        wrong = clsco_(*command, "--memory", "lots")
+        assert wrong.exit_code == 2
+        assert "'--memory': must be a size greater than 0, like 1.5GiB or 800MB; got lots" in wrong.stderr
+    assert not out.exists()
+    done = clsco_("render", scene, "-o", out, "--memory", "1.2MiB")
+    assert done.exit_code == 0, done.output
+    assert json.loads((out / "frame_0000.json").read_text())["strips"] == 3
+
+
+def test_a_depth_map_needs_the_whole_frame(tmp_path: Path) -> None:
+    image, depth, out = tmp_path / "image.npy", tmp_path / "depth.npy", tmp_path / "out"
+    np.save(image, RNG.random((90, 80), np.float32))
+    np.save(depth, np.full((90, 80), 400.0, np.float32))
+    for target in (out, tmp_path / "out.png"):
+        refused = clsco_("defocus", image, depth, "-o", target, "--memory", "100kB")
+        assert (refused.exit_code, refused.stdout) == (1, "")
+        assert f"error: {image}: memory: must be at least " in refused.stderr
+        assert " MiB for this frame, as the forward warp needs the whole frame; got 0.09537 MiB" in refused.stderr
+        assert not target.exists()
