@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import clsco
 from benchmarks.occlusion import EXAMPLES, MODES, Judged, compare, markdown, near_edges, pinhole_view, scene_of
-from benchmarks.raytracer import trace
+from clsco.bench.raytracer import trace
 from benchmarks.truth import decibels, rms, update
 
 Array = NDArray[np.float64]

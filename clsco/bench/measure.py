@@ -8,7 +8,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from itertools import groupby
@@ -33,8 +33,10 @@ from clsco.bench.cases import (
     picture,
     scene_radii,
 )
+from clsco.bench.lens import Lens
 from clsco.bench.passes import Pass
 from clsco.bench.roofline import Roof, intensity, measure_roof, tap_rate
+from clsco.bench.warp import WarpRow
 from clsco.device import Device, Session
 from clsco.errors import DeviceError, SceneError
 from clsco.layout import Real
@@ -81,7 +83,10 @@ class Row(Case):
 
 @dataclass(frozen=True)
 class Bench:
-    """A whole run: device and versions, ceilings, rows, and cases that were left out, with the reason."""
+    """A whole run: device and versions, ceilings, rows, and cases that were left out, with the reason.
+
+    lens: the same against a traced frame; warp: depth test and filling. Neither where only some sizes or radii are asked.
+    """
 
     device: dict[str, Any]
     versions: dict[str, str]
@@ -90,6 +95,8 @@ class Bench:
     rows: list[Row]
     left_out: list[dict[str, Any]]
     peak_rss_bytes: int | None
+    lens: Lens | None = None
+    warp: list[WarpRow] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -292,7 +299,7 @@ def _described(device: Device) -> dict[str, Any]:
 
 def _versions(tools: Sequence[str]) -> dict[str, str]:
     found = {"clsco": __version__, "python": platform.python_version()}
-    packages = {"numba": ("numba",), "OpenCV": ("opencv-python-headless", "opencv-python")}
+    packages = {"numba": ("numba",), "OpenCV": ("opencv-python-headless", "opencv-python"), "Mitsuba": ("mitsuba", "drjit")}
     for package in ("numpy", "pyopencl", *(name for tool in tools for name in packages[tool])):
         with suppress(PackageNotFoundError):
             found[package] = version(package)
