@@ -32,7 +32,7 @@ ZERO = np.array(0, np.int32)
 
 # Bands of rows that reproject_nearest makes of the image: few, since each looks at all segments, but enough
 # to share out.
-BANDS_PER_CORE, SMALLEST_BAND = 8, 16
+BANDS_PER_CORE, SMALLEST_BAND = 4, 16
 LISTED = (64,)  # local size of kernels with a work-item per source or per entry of a list
 OWNERS = (1,)  # of those with few, large work-items
 LINES = (8,)  # of those with a work-item per row, column, segment, chunk or vector

@@ -15,7 +15,7 @@ from functools import partial
 from importlib.util import find_spec
 from math import log10, sqrt
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,17 +31,15 @@ from clsco.textures import Texture, load_scene_textures
 Array = NDArray[Any]
 Call = Callable[[int], Array]
 
-EXAMPLE, SIZE = "sphere", 512
+EXAMPLE, EXAMPLE_SIZE = "sphere", 512
 NOISE = 2e-4  # RMS, of the traced frame, at most: seconds of work, and it is taken off
-EDGES = ("sampled", "area", "integrated")
+EDGES: tuple[Literal["sampled", "area", "integrated"], ...] = ("sampled", "area", "integrated")
 PSFS = {
     f"{edge}{', tilt' * tilt}{', silhouettes' * (sources > 1)}": Psf(edge=edge, tilt=tilt, silhouette_samples=sources)
     for edge in EDGES
     for sources in (1, 4)
     for tilt in (False, True)
 }
-# Rays per pixel: errors from 0.02 to 0.0005.
-SAMPLES, QUICK_SAMPLES = (1, 4, 16, 64, 256, 1024, 2500), (4, 16, 64, 256)
 ROUNDS = 3  # each setting is timed once in a round
 FRAMES = 5  # of clsco, of which the time of one is the median
 
@@ -104,12 +102,10 @@ def steps(samples: Sequence[int]) -> int:
     return 1 + ROUNDS * (len(PSFS) + len(samples))
 
 
-def run(
-    device: Device, samples: Sequence[int], advance: Callable[[], object], size: int = SIZE, cache: Path | None = None
-) -> Lens:
+def run(device: Device, size: int, samples: Sequence[int], advance: Callable[[], object], cache: Path | None) -> Lens:
     """Measure all PSFs of clsco, and Mitsuba at so many `samples` per pixel, on frames of size x size px.
 
-    cache: folder that keeps the traced frame. Raises DeviceError, KernelError.
+    cache: folder that keeps the traced frame, or None. Raises DeviceError, KernelError.
     """
     from clsco.bench.raytracer import trace_converged
 
@@ -131,7 +127,7 @@ def run(
 
 def sized(size: int) -> Scene:
     """The scene at size x size px, with the field of view and the radii in px that it has at 512."""
-    scene, ratio = example(EXAMPLE), SIZE / size
+    scene, ratio = example(EXAMPLE), EXAMPLE_SIZE / size
     camera = scene.camera
     lens = {"pixel_pitch": camera.pixel_pitch * ratio, "aperture_diameter": camera.aperture_diameter * ratio}
     return scene.model_copy(update={"camera": camera.model_copy(update={"resolution": (size, size), **lens})})

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco import __version__
-from clsco.bench import peers
+from clsco.bench import lens, peers, warp
 from clsco.bench.cases import (
     PSFS,
     Case,
@@ -146,13 +146,31 @@ def run(grid: Grid, device: Device, tools: Sequence[str], advance: Callable[[], 
                 rows += _timed(batch, grid.rounds, roof, device, advance)
                 batch = []
         rows += _timed(batch, grid.rounds, roof, device, advance)
+    makes_frames, makes_warps = _also(grid, tools)
+    whole = (
+        lens.run(device, grid.lens_size, _samples(grid, tools), advance, lens.cache_folder()) if makes_frames else None
+    )
+    warps = warp.run(device, grid.warp_size, advance) if makes_warps else []
     settings = asdict(grid) | {"psfs": {name: psf.model_dump() for name, psf in PSFS.items()}, "compare": list(tools)}
-    return Bench(_described(device), _versions(tools), settings, roof, with_fronts(rows), left_out, _peak_rss())
+    return Bench(
+        _described(device), _versions(tools), settings, roof, with_fronts(rows), left_out, _peak_rss(), whole, warps
+    )
 
 
 def steps(grid: Grid, device: Device, tools: Sequence[str]) -> int:
     """How often `run` calls `advance`."""
-    return len(_cases(grid, device, tools)) * (1 + grid.rounds)
+    makes_frames, makes_warps = _also(grid, tools)
+    others = makes_frames * lens.steps(_samples(grid, tools)) + makes_warps * warp.steps()
+    return len(_cases(grid, device, tools)) * (1 + grid.rounds) + others
+
+
+def _also(grid: Grid, tools: Sequence[str]) -> tuple[bool, bool]:
+    """Whether whole frames are compared with a traced one, and whether forward warps with numba."""
+    return grid.lens_size > 0 and lens.missing() is None, grid.warp_size > 0 and "numba" in tools
+
+
+def _samples(grid: Grid, tools: Sequence[str]) -> tuple[int, ...]:
+    return grid.samples if "Mitsuba" in tools else ()
 
 
 def front(costs: Sequence[float], errors: Sequence[float]) -> list[bool]:
@@ -299,7 +317,11 @@ def _described(device: Device) -> dict[str, Any]:
 
 def _versions(tools: Sequence[str]) -> dict[str, str]:
     found = {"clsco": __version__, "python": platform.python_version()}
-    packages = {"numba": ("numba",), "OpenCV": ("opencv-python-headless", "opencv-python"), "Mitsuba": ("mitsuba", "drjit")}
+    packages = {
+        "numba": ("numba",),
+        "OpenCV": ("opencv-python-headless", "opencv-python"),
+        "Mitsuba": ("mitsuba", "drjit"),
+    }
     for package in ("numpy", "pyopencl", *(name for tool in tools for name in packages[tool])):
         with suppress(PackageNotFoundError):
             found[package] = version(package)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.scene import Camera, Scene
+from clsco.scene import Camera, Scene, Sphere
 
 Array = NDArray[Any]
 
@@ -46,7 +46,7 @@ def in_focus(camera: Camera) -> float:
 
 
 def set_up(scene: Scene, texture: Array) -> Callable[[int, int], Array]:
-    """Prepare a scene of one sphere at rest; the result renders (rows, columns) by (rays per pixel, seed).
+    """Prepare a scene of one sphere at rest (no other shape); the result renders (rows, columns) by (rays per pixel, seed).
 
     texture: linear radiance (rows, columns) of the frame's size.
     Validated against `clsco.bench.raytracer`: the difference falls with the root of the number of rays.
@@ -55,7 +55,8 @@ def set_up(scene: Scene, texture: Array) -> Callable[[int, int], Array]:
 
     mi.set_variant(VARIANT)
     rows, columns = texture.shape
-    camera, (ball,) = scene.camera, scene.objects
+    camera, ball = scene.camera, scene.objects[0]
+    assert isinstance(ball, Sphere)
     width, height = (n * camera.pixel_pitch / camera.normalization_distance for n in (columns, rows))
 
     class Projected(mi.Texture):  # type: ignore[misc]

@@ -5,16 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-SNAP = 4096.0  # steps per px, as kernels/reproject.cl snaps positions
+SNAP = 4096.0  # steps per px, to which kernels/reproject.cl snaps positions
 NO_WINNER = np.iinfo(np.int32).max
 
 
-@njit(parallel=True)
-def nearest(rest, pose, center, step, threads):  # type: ignore[no-untyped-def]
+def _nearest(rest, pose, center, step, threads):  # type: ignore[no-untyped-def]
     """Number of the nearest pixel that comes to each pixel (rows, columns), NO_WINNER for none; of equals the first.
 
     rest: inverse depth (rows, columns) in 1/mm; pose: rotation (9) and shift (3) in mm of an object about its center
-    (3); step: slope of the ray from pixel to pixel. An image per thread, merged at the end; one thread needs no merging.
+    (3); step: slope of the ray from pixel to pixel. An image per thread, merged at the end.
     """
     rows, columns = rest.shape
     winner = np.full((threads, rows, columns), NO_WINNER, np.int32)
@@ -45,8 +44,6 @@ def nearest(rest, pose, center, step, threads):  # type: ignore[no-untyped-def]
                     if near > depth[t, to_i, to_j]:
                         depth[t, to_i, to_j] = near
                         winner[t, to_i, to_j] = i * columns + j
-    if threads == 1:
-        return winner[0]
     for i in prange(rows):
         for t in range(1, threads):
             for j in range(columns):
@@ -56,11 +53,15 @@ def nearest(rest, pose, center, step, threads):  # type: ignore[no-untyped-def]
     return winner[0]
 
 
+nearest_threads = njit(parallel=True)(_nearest)
+nearest_serial = njit(_nearest)  # takes one thread, and then less CPU time: it shares nothing out and merges nothing
+
+
 @njit
 def copy_neighborhoods(missing, value, w, coc, to_value, to_w, to_coc):  # type: ignore[no-untyped-def]
-    """Read the 3 x 3 pixels around each of some `missing` ones (row, column) and write them to other planes.
+    """Read the 3 x 3 pixels around each of some `missing` ones (n, 2) and write them to other planes (rows, columns).
 
-    What a filling moves at least, with nothing computed. Planes (rows, columns); missing ones lie inside.
+    What a filling moves, with nothing found or computed. Missing ones are not on the outermost rows and columns.
     """
     for k in range(len(missing)):
         i, j = missing[k]
