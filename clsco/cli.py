@@ -250,9 +250,7 @@ def bench(
     for tool, why in missing.items():
         click.echo(f"{tool}: left out, as {why}", err=True)
     if grid.lens_size and (absent := lens.missing()):
-        click.echo(
-            f"comparison with a traced lens: left out, as it needs {absent}: pip install 'clsco[bench]'", err=True
-        )
+        click.echo(f"traced frames: left out, as they need {absent}: pip install 'clsco[bench]'", err=True)
     folder, chosen = writable_folder(out), choose(device)
     with _progress(measure.steps(grid, chosen, tools), quiet, "calls") as advance:
         measured = measure.run(grid, chosen, tools, advance)

@@ -85,7 +85,7 @@ class Row(Case):
 class Bench:
     """A whole run: device and versions, ceilings, rows, and cases that were left out, with the reason.
 
-    lens: the same against a traced frame; warp: depth test and filling. Neither where only some sizes or radii are asked.
+    lens: whole frames against a traced one; warp: depth test and filling. Not where only some sizes or radii are asked.
     """
 
     device: dict[str, Any]
@@ -147,14 +147,14 @@ def run(grid: Grid, device: Device, tools: Sequence[str], advance: Callable[[], 
                 batch = []
         rows += _timed(batch, grid.rounds, roof, device, advance)
     makes_frames, makes_warps = _also(grid, tools)
-    whole = (
-        lens.run(device, grid.lens_size, _samples(grid, tools), advance, lens.cache_folder()) if makes_frames else None
-    )
-    warps = warp.run(device, grid.warp_size, advance) if makes_warps else []
+    whole, warps = None, []
+    if makes_frames:
+        whole = lens.run(device, grid.lens_size, _samples(grid, tools), advance, lens.cache_folder())
+    if makes_warps:
+        warps = warp.run(device, grid.warp_size, advance)
     settings = asdict(grid) | {"psfs": {name: psf.model_dump() for name, psf in PSFS.items()}, "compare": list(tools)}
-    return Bench(
-        _described(device), _versions(tools), settings, roof, with_fronts(rows), left_out, _peak_rss(), whole, warps
-    )
+    about, versions = _described(device), _versions(tools)
+    return Bench(about, versions, settings, roof, with_fronts(rows), left_out, _peak_rss(), whole, warps)
 
 
 def steps(grid: Grid, device: Device, tools: Sequence[str]) -> int:
@@ -317,11 +317,8 @@ def _described(device: Device) -> dict[str, Any]:
 
 def _versions(tools: Sequence[str]) -> dict[str, str]:
     found = {"clsco": __version__, "python": platform.python_version()}
-    packages = {
-        "numba": ("numba",),
-        "OpenCV": ("opencv-python-headless", "opencv-python"),
-        "Mitsuba": ("mitsuba", "drjit"),
-    }
+    packages: dict[str, tuple[str, ...]] = {"numba": ("numba",), "Mitsuba": ("mitsuba", "drjit")}
+    packages["OpenCV"] = ("opencv-python-headless", "opencv-python")
     for package in ("numpy", "pyopencl", *(name for tool in tools for name in packages[tool])):
         with suppress(PackageNotFoundError):
             found[package] = version(package)

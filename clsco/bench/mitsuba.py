@@ -46,9 +46,10 @@ def in_focus(camera: Camera) -> float:
 
 
 def set_up(scene: Scene, texture: Array) -> Callable[[int, int], Array]:
-    """Prepare a scene of one sphere at rest (no other shape); the result renders (rows, columns) by (rays per pixel, seed).
+    """Prepare a scene of one sphere at rest; the result renders (rows, columns) by (rays per pixel, seed).
 
-    texture: linear radiance (rows, columns) of the frame's size.
+    scene: examples/sphere.toml, or with another lens, center or radius; texture: linear radiance (rows, columns) of
+    the frame's size.
     Validated against `clsco.bench.raytracer`: the difference falls with the root of the number of rays.
     """
     import mitsuba as mi
@@ -59,7 +60,7 @@ def set_up(scene: Scene, texture: Array) -> Callable[[int, int], Array]:
     assert isinstance(ball, Sphere)
     width, height = (n * camera.pixel_pitch / camera.normalization_distance for n in (columns, rows))
 
-    class Projected(mi.Texture):  # type: ignore[misc]
+    class Projected(mi.Texture):
         """A bitmap at the pinhole projection of the point that is seen."""
 
         def __init__(self, properties: Any) -> None:

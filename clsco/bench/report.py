@@ -92,12 +92,8 @@ def tables(bench: Bench) -> list[RenderableType]:
             "*" if row.on_front else "",
         )  # fmt: skip
     lines = [Text(f"{len(bench.left_out)} cases left out: left_out in bench.json")] if bench.left_out else []
-    return [
-        shown,
-        *lines,
-        *([lens_table(bench.lens)] if bench.lens else []),
-        *([warp_table(bench)] if bench.warp else []),
-    ]
+    frames = [lens_table(bench.lens)] if bench.lens else []
+    return [shown, *lines, *frames, *([warp_table(bench)] if bench.warp else [])]
 
 
 def warp_table(bench: Bench) -> RenderableType:
