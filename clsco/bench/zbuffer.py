@@ -53,11 +53,11 @@ def _nearest(rest, pose, center, step, threads):  # type: ignore[no-untyped-def]
     return winner[0]
 
 
-nearest_threads = njit(parallel=True)(_nearest)
-nearest_serial = njit(_nearest)  # takes one thread, and then less CPU time: it shares nothing out and merges nothing
+nearest_threads = njit(parallel=True, cache=True)(_nearest)
+nearest_serial = njit(cache=True)(_nearest)  # takes one thread, and then less CPU time: it shares nothing out and merges nothing
 
 
-@njit
+@njit(cache=True)
 def copy_neighborhoods(missing, value, w, coc, to_value, to_w, to_coc):  # type: ignore[no-untyped-def]
     """Read the 3 x 3 pixels around each of some `missing` ones (n, 2) and write them to other planes (rows, columns).
 
