@@ -146,7 +146,7 @@ def run(grid: Grid, device: Device, tools: Sequence[str], advance: Callable[[], 
                 rows += _timed(batch, grid.rounds, roof, device, advance)
                 batch = []
         rows += _timed(batch, grid.rounds, roof, device, advance)
-    makes_frames, makes_warps = _also(grid, tools)
+    makes_frames, makes_warps = _also(grid, device, tools)
     whole, warps = None, []
     if makes_frames:
         whole = lens.run(device, grid.lens_size, _samples(grid, tools), advance, lens.cache_folder())
@@ -159,14 +159,15 @@ def run(grid: Grid, device: Device, tools: Sequence[str], advance: Callable[[], 
 
 def steps(grid: Grid, device: Device, tools: Sequence[str]) -> int:
     """How often `run` calls `advance`."""
-    makes_frames, makes_warps = _also(grid, tools)
+    makes_frames, makes_warps = _also(grid, device, tools)
     others = makes_frames * lens.steps(_samples(grid, tools)) + makes_warps * warp.steps()
     return len(_cases(grid, device, tools)) * (1 + grid.rounds) + others
 
 
-def _also(grid: Grid, tools: Sequence[str]) -> tuple[bool, bool]:
-    """Whether whole frames are compared with a traced one, and whether forward warps with numba."""
-    return grid.lens_size > 0 and lens.missing() is None, grid.warp_size > 0 and "numba" in tools
+def _also(grid: Grid, device: Device, tools: Sequence[str]) -> tuple[bool, bool]:
+    """Whether whole frames are compared with a traced one, and whether forward warps with numba, by CPU time."""
+    makes_warps = grid.warp_size > 0 and "numba" in tools and device.kind == "cpu"
+    return grid.lens_size > 0 and lens.missing() is None, makes_warps
 
 
 def _samples(grid: Grid, tools: Sequence[str]) -> tuple[int, ...]:

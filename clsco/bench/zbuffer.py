@@ -54,7 +54,8 @@ def _nearest(rest, pose, center, step, threads):  # type: ignore[no-untyped-def]
 
 
 nearest_threads = njit(parallel=True, cache=True)(_nearest)
-nearest_serial = njit(cache=True)(_nearest)  # takes one thread, and then less CPU time: it shares nothing out and merges nothing
+# With one thread, and then in less CPU time: nothing is shared out or merged.
+nearest_serial = njit(cache=True)(_nearest)
 
 
 @njit(cache=True)
