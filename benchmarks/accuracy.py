@@ -23,8 +23,8 @@ from rich.table import Table
 from scipy import ndimage
 
 import clsco
-from benchmarks.raytracer import pinhole_depth
 from benchmarks.truth import decibels, rms, trace_twice, update
+from clsco.bench.raytracer import pinhole_depth
 from clsco.textures import load_texture
 
 ROOT = Path(__file__).resolve().parent

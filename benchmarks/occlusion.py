@@ -26,8 +26,8 @@ from rich.table import Table
 from scipy import ndimage
 
 import clsco
-from benchmarks.raytracer import pinhole_depth
 from benchmarks.truth import decibels, rms, trace_twice, update
+from clsco.bench.raytracer import pinhole_depth
 from clsco.images import write_png
 from clsco.textures import load_scene_textures
 from clsco.transfer import encode

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.raytracer import Textures, trace_converged
+from clsco.bench.raytracer import Textures, trace_converged
 
 Array = NDArray[np.float64]
 

@@ -236,7 +236,7 @@ def validate(scenes: tuple[Path, ...]) -> None:
 @main.command()
 @click.option("-o", "out", metavar="DIR", required=True, type=PATH, help="Folder for the figures and plots.")
 @click.option("--quick", is_flag=True, help="A small grid: a minute or two on a slow machine.")
-@click.option("--compare", is_flag=True, help="Also measure numba and OpenCV, as far as they are installed.")
+@click.option("--compare", is_flag=True, help="Also measure numba, OpenCV and Mitsuba, as far as they are installed.")
 @click.option("--size", "sizes", metavar="PX", type=int, multiple=True, help="Pixels a side; may be given again.")
 @click.option("--radius", "radii", metavar="PX", type=float, multiple=True, help="Largest radius; may be given again.")
 @device_option
@@ -249,20 +249,24 @@ def bench(
 
     Time is process CPU time, on a graphics card that of its kernels; from radii on the device to the frame on the host.
     Errors are those of a crop, against the NumPy reference. Cases with long calls are left out, and named in the JSON.
+    Whole frames of a sphere are compared with a ray-traced lens, and --compare adds Mitsuba's, and the forward warp
+    beside numba's; not where only some sizes or radii are asked for.
     """
     from clsco.bench.cases import make_grid
     from clsco.bench.peers import require_peers
     from clsco.files import writable_folder
 
     grid = make_grid(quick, sizes, radii)
-    tools, missing = require_peers() if compare else ([], [])
+    tools, missing = require_peers() if compare else ([], {})
     _require_device(device)
-    from clsco.bench import measure, report
+    from clsco.bench import lens, measure, report
     from clsco.device import choose
 
     report.require_matplotlib()
-    for tool in missing:
-        click.echo(f"{tool}: left out, as it is not installed: pip install 'clsco[bench]'", err=True)
+    for tool, why in missing.items():
+        click.echo(f"{tool}: left out, as {why}", err=True)
+    if grid.lens_size and (absent := lens.missing()):
+        click.echo(f"traced frames: left out, as they need {absent}: pip install 'clsco[bench]'", err=True)
     folder, chosen = writable_folder(out), choose(device)
     with _progress(measure.steps(grid, chosen, tools), quiet, "calls") as advance:
         measured = measure.run(grid, chosen, tools, advance)

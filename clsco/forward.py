@@ -32,7 +32,7 @@ ZERO = np.array(0, np.int32)
 
 # Bands of rows that reproject_nearest makes of the image: few, since each looks at all segments, but enough
 # to share out.
-BANDS_PER_CORE, SMALLEST_BAND = 8, 16
+BANDS_PER_CORE, SMALLEST_BAND = 4, 16
 LISTED = (64,)  # local size of kernels with a work-item per source or per entry of a list
 OWNERS = (1,)  # of those with few, large work-items
 LINES = (8,)  # of those with a work-item per row, column, segment, chunk or vector
@@ -280,6 +280,20 @@ class ForwardWarp:
         poses: of every object before the camera, wherever that is itself; surfaces: the objects in their poses, None
         for depth maps; weight: of this moment in the exposure; events: gets what was enqueued.
         """
+        self.nearest(poses, surfaces, events)
+        self.gather(weight, events)
+        planes, plan = self.filler, self.plan
+        counters = planes.fill(self.placed[1], len(self.items), events)
+        if self.maps:
+            out = (planes.value, planes.w, planes.coc, planes.valid)
+            self._per_pixel("extend_border", events, (plan.width, plan.height), self.camera, *out)
+        return Warped(planes.value, planes.w, planes.coc, planes.valid, planes.status, planes.object, counters)
+
+    def nearest(self, poses: Sequence[Pose], surfaces: Surfaces, events: Events) -> None:
+        """Enqueue the depth test: where each pixel at rest moves, and which one is the nearest that comes to a pixel.
+
+        Arguments as for `warp`.
+        """
         # Held until the queue is done with them; the filling waits for that.
         self.placed = upload(self.session, pose_structs(poses, self.real)), self._surfaces(surfaces)
         args = (self.camera, self.rest_surfaces, self.placed[0], self.rest, self.target, self.moved, *self.object)
@@ -287,6 +301,9 @@ class ForwardWarp:
             self._test_in_bands(args, events)
         else:
             self._test_by_atomics(args, events)
+
+    def gather(self, weight: float, events: Events) -> None:
+        """Enqueue what the winners of the depth test bring: the planes of `filler`, with nothing filled. As `warp`."""
         planes, plan = self.filler, self.plan
         if planes.is_far:
             chunks = (-(-plan.width // (SEGMENT if self.owned else 1)), plan.height)
@@ -297,10 +314,6 @@ class ForwardWarp:
         seen = () if planes.object is None else (planes.object,)
         out = (planes.value, planes.w, planes.coc, planes.valid, planes.status, *seen)
         self._per_pixel("reproject_gather", events, (plan.width, plan.height), *head, *several, *out)
-        counters = planes.fill(self.placed[1], len(self.items), events)
-        if self.maps:
-            self._per_pixel("extend_border", events, (plan.width, plan.height), self.camera, *out[:4])
-        return Warped(planes.value, planes.w, planes.coc, planes.valid, planes.status, planes.object, counters)
 
     def truth(
         self, poses: Sequence[Pose], surfaces: Surfaces, wanted: Collection[str], events: Events

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import mmap
 import os
+import sys
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, Literal
 
 import numpy as np
@@ -19,6 +21,7 @@ from clsco.resources import folder
 HEADERS = ("wide.clh", "geometry.clh")
 OCCLUSION_HEADERS = ("occlusion.clh", "sight.clh")  # with the feature OCCLUDED
 HEADERS_OF = {"blur.cl": ("spread.clh", "neighbors.clh")}
+LARGE = 2**22  # bytes, from which a buffer holds at least one page of 2 MiB
 _C_TYPES = {
     "f4": "float", "f8": "double",
     "i1": "char", "i2": "short", "i4": "int", "i8": "long",
@@ -125,10 +128,21 @@ def empty(session: Session, size: int) -> cl.Buffer:
     """A buffer of `size` bytes, not initialized, for kernels to read and write. Raises DeviceError as
     `upload`."""
     _check_size(session, size)
+    flags = cl.mem_flags.READ_WRITE
     try:
-        return cl.Buffer(session.context, cl.mem_flags.READ_WRITE, max(size, 1))  # OpenCL knows no empty buffer
-    except (cl.MemoryError, cl.RuntimeError) as error:
+        if session.device.unified_memory and size >= LARGE and sys.platform == "linux":
+            return cl.Buffer(session.context, flags | cl.mem_flags.USE_HOST_PTR, hostbuf=_in_large_pages(size))
+        return cl.Buffer(session.context, flags, max(size, 1))  # OpenCL knows no empty buffer
+    except (cl.MemoryError, cl.RuntimeError, OSError) as error:
         raise _no_memory(session, size) from error
+
+
+def _in_large_pages(size: int) -> NDArray[np.uint8]:
+    """Bytes on the host, in pages of 2 MiB where the system has them: many places of a large plane are near at once."""
+    memory = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    with suppress(OSError):
+        memory.madvise(mmap.MADV_HUGEPAGE)
+    return np.frombuffer(memory, np.uint8)
 
 
 def download(session: Session, buffer: cl.Buffer, shape: Sequence[int], dtype: DTypeLike) -> NDArray[Any]:

@@ -15,7 +15,18 @@ import pytest
 from click.testing import CliRunner, Result
 
 from clsco.bench import measure, peers, report
-from clsco.bench.cases import PSFS, QUICK, Grid, channels_of, crop_of, grid_cases, make_grid, mean_taps, radius_map
+from clsco.bench.cases import (
+    FULL,
+    PSFS,
+    QUICK,
+    Grid,
+    channels_of,
+    crop_of,
+    grid_cases,
+    make_grid,
+    mean_taps,
+    radius_map,
+)
 from clsco.bench.measure import Bench, front
 from clsco.bench.passes import Pass
 from clsco.bench.roofline import Roof, intensity, multiply_add_rate, tap_rate, triad_rate
@@ -238,14 +249,15 @@ def without(monkeypatch: pytest.MonkeyPatch, *missing: str) -> None:
 
 
 def test_missing_extras_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    without(monkeypatch, "matplotlib", "numba", "cv2")
-    for words, what in (((), "bench: needs matplotlib"), (("--compare",), "--compare: needs numba or OpenCV")):
+    without(monkeypatch, "matplotlib", "numba", "cv2", "mitsuba")
+    lacking = "--compare: needs numba or OpenCV or Mitsuba"
+    for words, what in (((), "bench: needs matplotlib"), (("--compare",), lacking)):
         result = bench_("-o", tmp_path / "out", "--quick", *words)
         message = f"error: {what}: pip install 'clsco[bench]'; got no such module"
         assert (result.exit_code, result.stdout, result.stderr.splitlines()) == (1, "", [message])
     assert not (tmp_path / "out").exists()
-    without(monkeypatch, "cv2")
-    assert peers.require_peers()[1] == ["OpenCV"]
+    without(monkeypatch, "cv2", "mitsuba")
+    assert peers.require_peers() == (["numba"], dict.fromkeys(("OpenCV", "Mitsuba"), peers.NOT_INSTALLED))
 
 
 # Numba compiles each for seconds.
@@ -268,9 +280,11 @@ def test_peers_do_the_same(peer: tuple[str, str, Any, str]) -> None:
 
 
 def test_grids_of_the_options() -> None:
-    assert make_grid(False, [], []) == Grid()
+    assert make_grid(False, [], []) == FULL
     assert make_grid(True, [], []) == QUICK
     asked = make_grid(True, [64, 32, 64], [3.0])
     assert (asked.sizes, asked.radii, asked.rounds) == ((32, 64), (3.0,), QUICK.rounds)
+    assert (asked.lens_size, asked.samples, asked.warp_size) == (0, (), 0)
+    assert 0 not in (QUICK.lens_size, QUICK.warp_size, len(QUICK.samples))
     image = np.zeros((4, 5, 3), np.float32)
     assert (channels_of(image, 1).shape, channels_of(image, 3).shape) == ((4, 5), (4, 5, 3))

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 import clsco
 from benchmarks.occlusion import EXAMPLES, MODES, Judged, compare, markdown, near_edges, pinhole_view, scene_of
-from benchmarks.raytracer import trace
 from benchmarks.truth import decibels, rms, update
+from clsco.bench.raytracer import trace
 
 Array = NDArray[np.float64]
 FOLDER = Path(__file__).resolve().parents[1] / "examples"

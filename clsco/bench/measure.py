@@ -8,7 +8,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from itertools import groupby
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco import __version__
-from clsco.bench import peers
+from clsco.bench import lens, peers, warp
 from clsco.bench.cases import (
     PSFS,
     Case,
@@ -33,8 +33,10 @@ from clsco.bench.cases import (
     picture,
     scene_radii,
 )
+from clsco.bench.lens import Lens
 from clsco.bench.passes import Pass
 from clsco.bench.roofline import Roof, intensity, measure_roof, tap_rate
+from clsco.bench.warp import WarpRow
 from clsco.device import Device, Session
 from clsco.errors import DeviceError, SceneError
 from clsco.layout import Real
@@ -81,7 +83,10 @@ class Row(Case):
 
 @dataclass(frozen=True)
 class Bench:
-    """A whole run: device and versions, ceilings, rows, and cases that were left out, with the reason."""
+    """A whole run: device and versions, ceilings, rows, and cases that were left out, with the reason.
+
+    lens: whole frames against a traced one; warp: depth test and filling. Not where only some sizes or radii are asked.
+    """
 
     device: dict[str, Any]
     versions: dict[str, str]
@@ -90,6 +95,8 @@ class Bench:
     rows: list[Row]
     left_out: list[dict[str, Any]]
     peak_rss_bytes: int | None
+    lens: Lens | None = None
+    warp: list[WarpRow] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -139,13 +146,32 @@ def run(grid: Grid, device: Device, tools: Sequence[str], advance: Callable[[], 
                 rows += _timed(batch, grid.rounds, roof, device, advance)
                 batch = []
         rows += _timed(batch, grid.rounds, roof, device, advance)
+    makes_frames, makes_warps = _also(grid, device, tools)
+    whole, warps = None, []
+    if makes_frames:
+        whole = lens.run(device, grid.lens_size, _samples(grid, tools), advance, lens.cache_folder())
+    if makes_warps:
+        warps = warp.run(device, grid.warp_size, advance)
     settings = asdict(grid) | {"psfs": {name: psf.model_dump() for name, psf in PSFS.items()}, "compare": list(tools)}
-    return Bench(_described(device), _versions(tools), settings, roof, with_fronts(rows), left_out, _peak_rss())
+    about, versions = _described(device), _versions(tools)
+    return Bench(about, versions, settings, roof, with_fronts(rows), left_out, _peak_rss(), whole, warps)
 
 
 def steps(grid: Grid, device: Device, tools: Sequence[str]) -> int:
     """How often `run` calls `advance`."""
-    return len(_cases(grid, device, tools)) * (1 + grid.rounds)
+    makes_frames, makes_warps = _also(grid, device, tools)
+    others = makes_frames * lens.steps(_samples(grid, tools)) + makes_warps * warp.steps()
+    return len(_cases(grid, device, tools)) * (1 + grid.rounds) + others
+
+
+def _also(grid: Grid, device: Device, tools: Sequence[str]) -> tuple[bool, bool]:
+    """Whether whole frames are compared with a traced one, and whether forward warps with numba, by CPU time."""
+    makes_warps = grid.warp_size > 0 and "numba" in tools and device.kind == "cpu"
+    return grid.lens_size > 0 and lens.missing() is None, makes_warps
+
+
+def _samples(grid: Grid, tools: Sequence[str]) -> tuple[int, ...]:
+    return grid.samples if "Mitsuba" in tools else ()
 
 
 def front(costs: Sequence[float], errors: Sequence[float]) -> list[bool]:
@@ -292,7 +318,8 @@ def _described(device: Device) -> dict[str, Any]:
 
 def _versions(tools: Sequence[str]) -> dict[str, str]:
     found = {"clsco": __version__, "python": platform.python_version()}
-    packages = {"numba": ("numba",), "OpenCV": ("opencv-python-headless", "opencv-python")}
+    packages: dict[str, tuple[str, ...]] = {"numba": ("numba",), "Mitsuba": ("mitsuba", "drjit")}
+    packages["OpenCV"] = ("opencv-python-headless", "opencv-python")
     for package in ("numpy", "pyopencl", *(name for tool in tools for name in packages[tool])):
         with suppress(PackageNotFoundError):
             found[package] = version(package)

@@ -1,4 +1,7 @@
-"""What else blurs by a radius map or by one radius: numba's direct scatter and OpenCV; the extra `bench` has both."""
+"""What else blurs by a radius map or by one radius: numba's direct scatter and OpenCV; the extra `bench` has both.
+
+Mitsuba, the other peer, makes whole frames (`clsco.bench.lens`).
+"""
 
 from __future__ import annotations
 
@@ -9,13 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.bench import mitsuba
 from clsco.bench.cases import PSFS, Scene
 from clsco.errors import ClscoError
 from clsco.psf import reach, weights
 
 Array = NDArray[Any]
 
-MODULES = {"numba": "numba", "OpenCV": "cv2"}
+MODULES = {"numba": "numba", "OpenCV": "cv2", "Mitsuba": "mitsuba"}
+NOT_INSTALLED = "it is not installed: pip install 'clsco[bench]'"
 # Tool, method, scene and PSF.
 PEERS: tuple[tuple[str, str, Scene, str], ...] = (
     *(("numba", way, "varying", psf) for psf in ("sampled", "integrated, tilt") for way in ("private", "bands")),
@@ -26,12 +31,14 @@ PEERS: tuple[tuple[str, str, Scene, str], ...] = (
 MOST_STEPS, TABLE_WEIGHTS = 128, 2.0e6
 
 
-def require_peers() -> tuple[list[str], list[str]]:
-    """Tools that are installed, and those that are not. Raises ClscoError where none is."""
-    there = [tool for tool, module in MODULES.items() if find_spec(module) is not None]
-    if not there:
+def require_peers() -> tuple[list[str], dict[str, str]]:
+    """Tools that can be used, and why the others cannot. Raises ClscoError where none is installed."""
+    absent = {tool: NOT_INSTALLED for tool, module in MODULES.items() if find_spec(module) is None}
+    if len(absent) == len(MODULES):
         raise ClscoError(f"--compare: needs {' or '.join(MODULES)}: pip install 'clsco[bench]'; got no such module")
-    return there, [tool for tool in MODULES if tool not in there]
+    if "Mitsuba" not in absent and (why := mitsuba.unusable()):
+        absent["Mitsuba"] = why
+    return [tool for tool in MODULES if tool not in absent], absent
 
 
 def set_up(tool: str, method: str, psf: str, image: Array, radii: Array) -> Callable[[], Array]:

@@ -18,7 +18,10 @@ from rich.table import Table
 from rich.text import Text
 
 from clsco.bench.cases import PSFS
+from clsco.bench.lens import LensRow
+from clsco.bench.lensreport import lens_plot, lens_table
 from clsco.bench.measure import Bench, Row
+from clsco.bench.warp import WarpRow
 from clsco.errors import ClscoError
 from clsco.files import together
 
@@ -36,7 +39,7 @@ def require_matplotlib() -> None:
 
 
 def write(folder: Path, bench: Bench) -> None:
-    """Write bench.json, bench.csv and the plots, all or none.
+    """Write bench.json, bench.csv and the plots, and lens.csv and warp.csv where there are such rows: all or none.
 
     Raises ImageError where the folder cannot be written, ClscoError where all cases were left out.
     """
@@ -45,12 +48,21 @@ def write(folder: Path, bench: Bench) -> None:
     content = _rounded(asdict(bench))
     with together(folder, "bench") as made:
         (made / "bench.json").write_text(json.dumps(content, indent=1) + "\n", "utf-8")
-        with open(made / "bench.csv", "w", newline="", encoding="utf-8") as file:
-            lines = csv.DictWriter(file, COLUMNS, extrasaction="ignore", lineterminator="\n")
-            lines.writeheader()
-            lines.writerows(content["rows"])
+        _write_csv(made / "bench.csv", COLUMNS, content["rows"])
+        if bench.lens is not None:
+            _write_csv(made / "lens.csv", [field.name for field in fields(LensRow)], content["lens"]["rows"])
+            lens_plot(bench.lens).savefig(made / "lens.png", dpi=100)
+        if bench.warp:
+            _write_csv(made / "warp.csv", [field.name for field in fields(WarpRow)], content["warp"])
         for name, plot in PLOTS.items():
             plot(bench).savefig(made / name, dpi=100)
+
+
+def _write_csv(path: Path, columns: Sequence[str], rows: Iterable[dict[str, Any]]) -> None:
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        lines = csv.DictWriter(file, columns, extrasaction="ignore", lineterminator="\n")
+        lines.writeheader()
+        lines.writerows(rows)
 
 
 def _rounded(value: Any) -> Any:
@@ -80,7 +92,19 @@ def tables(bench: Bench) -> list[RenderableType]:
             "*" if row.on_front else "",
         )  # fmt: skip
     lines = [Text(f"{len(bench.left_out)} cases left out: left_out in bench.json")] if bench.left_out else []
-    return [shown, *lines]
+    frames = [lens_table(bench.lens)] if bench.lens else []
+    return [shown, *lines, *frames, *([warp_table(bench)] if bench.warp else [])]
+
+
+def warp_table(bench: Bench) -> RenderableType:
+    """Depth test and filling, with how many times the fastest of the others takes."""
+    shown = Table(title=Text("Forward warp; ns per pixel"), title_justify="left", box=SIMPLE, pad_edge=False)
+    for name in ("plane", "px", "stage", "ns", "peer", "its ns", "times"):
+        shown.add_column(name, justify="left" if name in ("plane", "stage", "peer") else "right")
+    for row in bench.warp:
+        figures = (f"{row.cpu_ns:.1f}", row.peer, f"{row.peer_ns:.1f}", f"{row.times:.2f}")
+        shown.add_row(row.scene, f"{row.size}", row.stage, *figures)
+    return shown
 
 
 def _number(value: float | None, form: str, unit: str, scale: float = 1.0) -> str:

@@ -21,7 +21,7 @@ import hashlib
 import math
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -447,8 +447,9 @@ def trace_converged(
     frame: int = 0,
     most_samples: int = 1 << 17,
     cache: Path | None = None,
+    tell: Callable[[str], object] = print,
 ) -> tuple[Array, float]:
-    """Trace a frame with ever more samples until the RMS noise over it is below `noise`; print what it took.
+    """Trace a frame with ever more samples until the RMS noise over it is below `noise`, and tell what it took.
 
     A pilot with samples of its own, which are then thrown away, fixes each pixel's share of the samples: flat
     and empty pixels get few. The shares do not depend on the samples that are averaged, so the estimate stays
@@ -470,7 +471,7 @@ def trace_converged(
         halves = extend(halves, np.maximum(full * shares, LEAST_SAMPLES).astype(np.int64))
         image, reached = estimate(halves)
     mean, seconds = 2 * halves.counts.mean(), time.perf_counter() - began
-    print(f"traced {rows} x {columns}: {2 * full} samples, mean {mean:.0f}, {reached:.2e} RMS, {seconds:.1f} s")
+    tell(f"traced {rows} x {columns}: {2 * full} samples, mean {mean:.0f}, {reached:.2e} RMS, {seconds:.1f} s")
     if path is not None:
         _write_cache(path, image, reached)
     return _shaped(image, texture), reached
