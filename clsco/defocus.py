@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import lru_cache
 from typing import Any, overload
 
 import numpy as np
@@ -11,7 +10,7 @@ import pyopencl as cl
 import pyopencl.array as cl_array
 from numpy.typing import NDArray
 
-from clsco.device import Device, Session, choose, described
+from clsco.device import Session, choose, session_of, session_on
 from clsco.errors import DeviceError, ImageError, SceneError
 from clsco.layers import Layers
 from clsco.layout import Real, Struct, flat, frame_struct, in_parts, structs
@@ -66,8 +65,8 @@ def defocus(
         if queue is None:
             raise DeviceError("image: a pyopencl array must have a queue; got one without")
         host = [a.get(queue) if isinstance(a, cl_array.Array) else a for a in (image, coc)]
-        return cl_array.to_device(queue, _defocus(_session_of(queue), *_checked(*host), model, method))
-    return _defocus(_session(choose(device)), *_checked(image, coc), model, method)
+        return cl_array.to_device(queue, _defocus(session_of(queue), *_checked(*host), model, method))
+    return _defocus(session_on(choose(device)), *_checked(image, coc), model, method)
 
 
 def _checked(image: Any, coc: Any) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
@@ -89,17 +88,6 @@ def _checked(image: Any, coc: Any) -> tuple[NDArray[np.float32], NDArray[np.floa
     if largest > LARGEST_BLUR:
         raise ImageError(f"coc: radii must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
     return picture.astype(np.float32, copy=False), radii.astype(np.float64)
-
-
-# A context and its built programs, kept because they take longer than a small image does.
-@lru_cache(maxsize=4)
-def _session(device: Device) -> Session:
-    return Session(device)
-
-
-@lru_cache(maxsize=4)
-def _session_of(queue: cl.CommandQueue) -> Session:
-    return Session(described(queue.device), queue=queue)
 
 
 def _choose(psf: Psf, method: str, smallest: float, largest: float) -> Blur:

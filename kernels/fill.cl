@@ -14,7 +14,7 @@
 //   counters ints, see below
 //
 // A sweep writes to missing pixels, which nobody reads before settle_sweep has made them valid: all of it sees what was
-// known before it, in any order. Features besides geometry.clh's: FILL_AIT, FILL_MEAN_MEDIAN, FILL_FAR, DOMAIN_SURFACE.
+// known before it, in any order. Features besides geometry.clh's: FILL_AIT, FILL_MEAN_MEDIAN, HOLES, FILL_FAR, DOMAIN_SURFACE.
 //
 // FILL_FAR: what a moving edge uncovers lies behind it, and is filled from the farther side only. The nearest pair of
 // known pixels on opposite sides of a missing one says how far its surface is: as far as the farther of the two. Known

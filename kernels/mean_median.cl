@@ -1,5 +1,10 @@
 // Missing pixels: mean/median filling (thesis, chapter 5). Built after fill.cl, which has the planes, the lists and what
 // the features mean. Twin: clsco/reference/mean_median.py.
+//
+// With HOLES, for images with a mask, pixels are those in and around holes only, numbered one after another in a single
+// row: first the missing ones, then known ones beside them, and last one that stands for all beyond the border of the
+// image and is never valid. There is no depth then, no FILL_FAR, and
+//   around   int8 per missing pixel: the numbers of its neighbors
 
 #if FILL_MEAN_MEDIAN
 #define LANES 8
@@ -18,7 +23,20 @@ typedef float floats_t __attribute__((ext_vector_type(8), aligned(4)));
 typedef uchar uchars_t __attribute__((ext_vector_type(8), aligned(1)));
 #define FLOATS(p) (*(__global const floats_t *)(p))
 #define UCHARS(p) (*(__global const uchars_t *)(p))
-#define WIDE(v) ((real8)((v).s0, (v).s1, (v).s2, (v).s3, (v).s4, (v).s5, (v).s6, (v).s7))
+#define EACH(v) ((v).s0, (v).s1, (v).s2, (v).s3, (v).s4, (v).s5, (v).s6, (v).s7)
+
+// Whole numbers, exact up to 53 bits at least. Half a unit and more in the last place rounds to the nearest, as rint does.
+#if HAS_FP64
+typedef double8 exact8;
+#define ROUNDER 6755399441055744.0
+#define WHOLE(v) ((exact8)EACH(v) + ROUNDER - ROUNDER)
+#else
+typedef long8 exact8;
+#define WHOLE(v) convert_long8_rte(v)
+#endif
+
+#define SEGMENT 256  // columns of a row that a work-item scores: no more may be summed up in 53 bits
+#define SUMS 8
 
 // Stage 0: sums over all pixels of a row with eight valid neighbors, and all channels, from which the host has the
 // squared errors of mean and median of all 163 subsets of k = 4..8 neighbors. With d the sorted differences of the
@@ -26,66 +44,73 @@ typedef uchar uchars_t __attribute__((ext_vector_type(8), aligned(1)));
 //   of means    (C(6, k-2) (sum d)^2 + C(6, k-1) sum d^2) / k^2,
 //   of medians  for odd k = 2 m + 1  C(i, m) C(7-i, m) times d_i^2, for all i,
 //               for even k = 2 m + 2  C(i, m) C(7-j, m) times ((d_i + d_j) / 2)^2, for all i < j.
-// One work-item per row, LANES pixels at once; the host adds the rows in their order. value and valid must be readable
-// LANES elements beyond their end. Out: sums real (height, 7): (sum d)^2, sum d^2, medians of k = 4..8, those of even k
-// not yet divided by 4.
-__kernel void score_mean_median(const camera_t camera, __global const float *value, __global const uchar *valid,
-                                __global real *sums)
+// Values times `scale` are rounded to whole numbers before, which differ by 2^16 at most, so that sums are exact in any
+// order. One work-item per SEGMENT columns, LANES pixels at once; value and valid must be readable LANES elements beyond
+// their end. Out: sums (height, segments, SUMS): (sum d)^2, sum d^2, medians of k = 4..8, those of even k not yet
+// divided by 4, number of pixels times channels.
+__kernel void score_mean_median(const camera_t camera, const float scale, __global const float *value,
+                                __global const uchar *valid, __global long *sums)
 {
-    const int y = get_global_id(0), pitch = camera.width;
+    const int pitch = camera.width, segments = (pitch + SEGMENT - 1) / SEGMENT;
+    const int segment = get_global_id(0) % segments, y = get_global_id(0) / segments;
     if (y >= camera.height)
         return;
+    const int begin = MAX(segment * SEGMENT, 1), end = MIN((segment + 1) * SEGMENT, pitch - 1);
     const uchar8 lane = (uchar8)(0, 1, 2, 3, 4, 5, 6, 7);
-    real8 sum[7] = {0, 0, 0, 0, 0, 0, 0};
-    for (int x = 1; x < pitch - 1 && y > 0 && y < camera.height - 1; x += LANES) {
+    exact8 sum[SUMS] = {0, 0, 0, 0, 0, 0, 0, 0};
+    for (int x = begin; x < end && y > 0 && y < camera.height - 1; x += LANES) {
         const int at = y * pitch + x;
         uchar8 whole = UCHARS(valid + at);
         for (int k = 0; k < 8; ++k)
             whole &= UCHARS(valid + at + NEIGHBOR_Y[k] * pitch + NEIGHBOR_X[k]);
-        whole &= as_uchar8(lane < (uchar8)(uchar)MIN(LANES, pitch - 1 - x));
-        const real8 use = WIDE(whole);
+        whole &= as_uchar8(lane < (uchar8)(uchar)MIN(LANES, end - x));
+        const exact8 use = (exact8)EACH(whole);
         for (int c = 0; c < CHANNELS; ++c) {
             __global const float *center = value + c * camera.height * pitch + at;
             float8 near[8];
             for (int k = 0; k < 8; ++k)
                 near[k] = FLOATS(center + NEIGHBOR_Y[k] * pitch + NEIGHBOR_X[k]);
             SORT(float8, near)
-            const real8 middle = WIDE(FLOATS(center));
-            real8 d[8], total = 0;
+            const exact8 middle = WHOLE(FLOATS(center) * scale);
+            exact8 d[8], total = 0;
             for (int k = 0; k < 8; ++k) {
-                d[k] = (WIDE(near[k]) - middle) * use;
+                d[k] = (WHOLE(near[k] * scale) - middle) * use;
                 total += d[k];
                 sum[1] += d[k] * d[k];
             }
             sum[0] += total * total;
             for (int i = 1; i < 7; ++i) {
-                const real8 odd = d[i] * d[i];
-                sum[3] += (real)(i * (i - 1) * (7 - i) * (6 - i) / 4) * odd;
-                sum[5] += (real)(i * (i - 1) * (i - 2) * (7 - i) * (6 - i) * (5 - i) / 36) * odd;
+                const exact8 odd = d[i] * d[i];
+                sum[3] += i * (i - 1) * (7 - i) * (6 - i) / 4 * odd;
+                sum[5] += i * (i - 1) * (i - 2) * (7 - i) * (6 - i) * (5 - i) / 36 * odd;
                 for (int j = i + 1; j < 7; ++j) {
-                    const real8 even = (d[i] + d[j]) * (d[i] + d[j]);
-                    sum[2] += (real)(i * (7 - j)) * even;
-                    sum[4] += (real)(i * (i - 1) * (7 - j) * (6 - j) / 4) * even;
+                    const exact8 even = (d[i] + d[j]) * (d[i] + d[j]);
+                    sum[2] += i * (7 - j) * even;
+                    sum[4] += i * (i - 1) * (7 - j) * (6 - j) / 4 * even;
                 }
             }
             sum[6] += (d[3] + d[4]) * (d[3] + d[4]);
+            sum[7] += use;
         }
     }
-    for (int k = 0; k < 7; ++k) {
-        const real8 v = sum[k];
-        sums[7 * y + k] = ((v.s0 + v.s1) + (v.s2 + v.s3)) + ((v.s4 + v.s5) + (v.s6 + v.s7));
+    for (int k = 0; k < SUMS; ++k) {
+        const exact8 v = sum[k];
+        sums[SUMS * get_global_id(0) + k] = (long)(((v.s0 + v.s1) + (v.s2 + v.s3)) + ((v.s4 + v.s5) + (v.s6 + v.s7)));
     }
 }
 
 // LANES pixels of a list, with the neighbors that serve them: bit k of `bits` is neighbor k.
 typedef struct {
-    int at[LANES], bits[LANES];
+    int from[LANES][8], at[LANES], bits[LANES];
     real8 count, lower, upper, by_median;  // neighbors; places of the middle two; whether their mean is wanted
 } around_t;
 
 static around_t look_around(const camera_t camera, __global const uchar *valid, __global const int *list, int entries,
                             int median_wins
-#if FILL_FAR
+#if HOLES
+                            , __global const int8 *neighbors
+#endif
+#if FILL_FAR && !HOLES
                             , __global const wide_t *w, __global const float *far, int minimum
 #endif
 )
@@ -94,20 +119,31 @@ static around_t look_around(const camera_t camera, __global const uchar *valid, 
     for (int lane = 0; lane < LANES; ++lane) {
         // The last pixel fills up the last vector.
         const int at = list[MIN((int)get_global_id(0) * LANES + lane, entries - 1)];
+        int bits = 0, count = 0;
+#if HOLES
+        *(int8 *)around.from[lane] = neighbors[at];
+        UNROLL
+        for (int k = 0; k < 8; ++k) {
+            const int known = valid[around.from[lane][k]];
+            bits |= known << k;
+            count += known;
+        }
+#else
         const int x = at % camera.width, y = at / camera.width;
         const bool inner = x > 0 && y > 0 && x < camera.width - 1 && y < camera.height - 1;
-        int bits = 0, count = 0;
 #if FILL_FAR
         const float bound = minimum ? far[at] : INFINITY;
 #endif
         UNROLL
         for (int k = 0; k < 8; ++k) {
-            const int i = y + NEIGHBOR_Y[k], j = x + NEIGHBOR_X[k];
+            const int i = y + NEIGHBOR_Y[k], j = x + NEIGHBOR_X[k], from = i * camera.width + j;
             const bool inside = inner || (i >= 0 && i < camera.height && j >= 0 && j < camera.width);
-            const int known = inside ? serves(valid, w, i * camera.width + j, bound) : 0;
+            const int known = inside ? serves(valid, w, from, bound) : 0;
             bits |= known << k;
             count += known;
+            around.from[lane][k] = from;
         }
+#endif
         around.at[lane] = at;
         around.bits[lane] = bits;
         ((real *)&around.count)[lane] = count;
@@ -124,7 +160,7 @@ static around_t look_around(const camera_t camera, __global const uchar *valid, 
         const int bits = around.bits[lane]; \
         UNROLL \
         for (int k = 0; k < 8; ++k) { \
-            const int from = around.at[lane] + NEIGHBOR_Y[k] * camera.width + NEIGHBOR_X[k]; \
+            const int from = around.from[lane][k]; \
             ((real *)(values + k))[lane] = bits == 255 || bits >> k & 1 ? (value_at_from) : (real)INFINITY; \
         } \
     }
@@ -145,8 +181,11 @@ static void estimate(const around_t *around, real8 *near, real8 *result)
 
 // Writes the estimates of all planes; of lanes with fewer than `minimum` neighbors nothing.
 static void write_estimates(const camera_t camera, const around_t around, int minimum, __global const float *value_in,
-                            __global const wide_t *w_in, __global float *value_out, __global wide_t *w_out,
-                            __global wide_t *coc)
+                            __global float *value_out
+#if !HOLES
+                            , __global const wide_t *w_in, __global wide_t *w_out, __global wide_t *coc
+#endif
+)
 {
     real8 near[8], result;
     const real *count = (const real *)&around.count, *found = (const real *)&result;
@@ -158,6 +197,7 @@ static void write_estimates(const camera_t camera, const around_t around, int mi
             if (count[lane] >= minimum)
                 value_out[plane + around.at[lane]] = (float)found[lane];
     }
+#if !HOLES
     NEAR(near, narrow(w_in[from]))
     estimate(&around, near, &result);
     for (int lane = 0; lane < LANES; ++lane)
@@ -165,24 +205,36 @@ static void write_estimates(const camera_t camera, const around_t around, int mi
             w_out[around.at[lane]] = widened(found[lane]);
             coc[around.at[lane]] = blur_radius(camera, widened(found[lane]));
         }
+#endif
 }
 
-#if FILL_FAR
-#define BOUNDED_BY(w, far, minimum) , w, far, minimum
+// Further arguments, where there are such planes.
+#if FILL_FAR && !HOLES
+#define SERVED_BY(w, minimum) , w, far, minimum
+#elif HOLES
+#define SERVED_BY(w, minimum) , neighbors
 #else
-#define BOUNDED_BY(w, far, minimum)
+#define SERVED_BY(w, minimum)
+#endif
+#if HOLES
+#define DEPTHS(...)
+#else
+#define DEPTHS(...) , __VA_ARGS__
 #endif
 
 // Stage 1: one sweep, LANES entries per work-item. Bit k of median_wins: of k neighbors the median is the better
 // estimator; a pixel needs `minimum` of them, with FILL_FAR and 0 any single one. The object is that of the first one.
-// In: list of `count`, valid, far. In and out: value, w, coc, status, object.
+// In: list of `count`, neighbors, far, valid. In and out: value, w, coc, status, object.
 __kernel void fill_mean_median(const camera_t camera, __global const int *list, const int count, const int median_wins,
                                const int minimum,
-#if FILL_FAR
+#if HOLES
+                               __global const int8 *neighbors,
+#endif
+#if FILL_FAR && !HOLES
                                __global const float *far,
 #endif
-                               __global const uchar *valid, __global float *value, __global wide_t *w,
-                               __global wide_t *coc, __global uchar *status
+                               __global const uchar *valid, __global float *value
+                               DEPTHS(__global wide_t *w, __global wide_t *coc), __global uchar *status
 #if SEVERAL
                                , __global uchar *object
 #endif
@@ -190,9 +242,9 @@ __kernel void fill_mean_median(const camera_t camera, __global const int *list, 
 {
     if (get_global_id(0) * LANES >= count)
         return;
-    const around_t around = look_around(camera, valid, list, count, median_wins BOUNDED_BY(w, far, minimum));
+    const around_t around = look_around(camera, valid, list, count, median_wins SERVED_BY(w, minimum));
     const int least = MAX(minimum, 1);
-    write_estimates(camera, around, least, value, w, value, w, coc);
+    write_estimates(camera, around, least, value, value DEPTHS(w, w, coc));
     for (int lane = 0; lane < LANES; ++lane) {
         if (((const real *)&around.count)[lane] < least)
             continue;
@@ -201,26 +253,30 @@ __kernel void fill_mean_median(const camera_t camera, __global const int *list, 
         int k = 0;
         while (!(around.bits[lane] >> k & 1))
             ++k;
-        object[around.at[lane]] = object[around.at[lane] + NEIGHBOR_Y[k] * camera.width + NEIGHBOR_X[k]];
+        object[around.at[lane]] = object[around.from[lane][k]];
 #endif
     }
 }
 
 // Stage 2: one round of the 3x3 median without the center over the filled pixels, LANES entries per work-item; a pixel
-// that no neighbor serves stays. In: done, list of `count`; valid, far; value_in, w_in, which hold all pixels. Out: the
-// same of the filled pixels, coc.
+// that no neighbor serves stays. In: done, list of `count`; neighbors, far, valid; value_in, w_in, which hold all pixels.
+// Out: the same of the filled pixels, coc.
 __kernel void smooth_median(const camera_t camera, __global const int *done, const int count,
-#if FILL_FAR
+#if HOLES
+                            __global const int8 *neighbors,
+#endif
+#if FILL_FAR && !HOLES
                             __global const float *far,
 #endif
-                            __global const uchar *valid, __global const float *value_in, __global const wide_t *w_in,
-                            __global float *value_out, __global wide_t *w_out, __global wide_t *coc)
+                            __global const uchar *valid, __global const float *value_in
+                            DEPTHS(__global const wide_t *w_in), __global float *value_out
+                            DEPTHS(__global wide_t *w_out, __global wide_t *coc))
 {
     if (get_global_id(0) * LANES >= count)
         return;
-    const around_t around = look_around(camera, valid, done, count, ~0 BOUNDED_BY(w_in, far, 1));
-    write_estimates(camera, around, 1, value_in, w_in, value_out, w_out, coc);
-#if FILL_FAR
+    const around_t around = look_around(camera, valid, done, count, ~0 SERVED_BY(w_in, 1));
+    write_estimates(camera, around, 1, value_in, value_out DEPTHS(w_in, w_out, coc));
+#if FILL_FAR && !HOLES
     for (int lane = 0; lane < LANES; ++lane) {
         const int at = around.at[lane];
         for (int c = 0; c < CHANNELS && !around.bits[lane]; ++c)
@@ -230,4 +286,69 @@ __kernel void smooth_median(const camera_t camera, __global const int *done, con
     }
 #endif
 }
+
+#if HOLES
+// Ends a sweep over the border of the holes: what it filled becomes valid, and missing pixels beside that come into the
+// list, so that it always holds those which have a valid neighbor. One entry per work-item. In: list of `count`,
+// neighbors, status; missing, their number. In and out: valid; listed, int per missing pixel, 1 once it was in a list.
+// Out: left (as list), LEFT and FILLED.
+__kernel void settle_holes(__global const int *list, const int count, __global const int8 *neighbors, const int missing,
+                           __global const uchar *status, __global uchar *valid, __global int *listed,
+                           __global int *left, __global int *counters)
+{
+    const int id = get_global_id(0);
+    if (id >= count)
+        return;
+    const int at = list[id];
+    int next[8], entries = 0;
+    if (status[at] == 1) {
+        const int8 near = neighbors[at];
+        valid[at] = 1;
+        atomic_inc(counters + FILLED);
+        for (int k = 0; k < 8; ++k) {
+            const int n = ((const int *)&near)[k];
+            if (n < missing && !listed[n] && !atomic_xchg(listed + n, 1))
+                next[entries++] = n;
+        }
+    } else {
+        next[entries++] = at;
+    }
+    if (!entries)
+        return;
+    const int start = atomic_add(counters + LEFT, entries);
+    for (int i = 0; i < entries; ++i)
+        left[start + i] = next[i];
+}
+
+// Sorts the middle one of nine into its place, with the fewest exchanges.
+#define MIDDLE(T, s) \
+    ORDER(T, s[1], s[2]) ORDER(T, s[4], s[5]) ORDER(T, s[7], s[8]) ORDER(T, s[0], s[1]) ORDER(T, s[3], s[4]) \
+    ORDER(T, s[6], s[7]) ORDER(T, s[1], s[2]) ORDER(T, s[4], s[5]) ORDER(T, s[7], s[8]) ORDER(T, s[0], s[3]) \
+    ORDER(T, s[5], s[8]) ORDER(T, s[4], s[7]) ORDER(T, s[3], s[6]) ORDER(T, s[1], s[4]) ORDER(T, s[2], s[5]) \
+    ORDER(T, s[4], s[7]) ORDER(T, s[4], s[2]) ORDER(T, s[6], s[4]) ORDER(T, s[4], s[2])
+
+// Stage 3, of the known pixels around holes: Sobel's gradient and the 3x3 median, LANES pixels per work-item. In: patch
+// (CHANNELS, 9, count), values around each pixel, row by row; count, a multiple of LANES. Out: steepness (count), the
+// largest square of a gradient's magnitude among the channels; blended (CHANNELS, count), the medians.
+__kernel void blend_border(__global const float *patch, const int count, __global float *steepness,
+                           __global float *blended)
+{
+    const int at = get_global_id(0) * LANES;
+    if (at >= count)
+        return;
+    float8 steepest = 0;
+    for (int c = 0; c < CHANNELS; ++c) {
+        float8 p[9];
+        for (int k = 0; k < 9; ++k)
+            p[k] = FLOATS(patch + (c * 9 + k) * count + at);
+        const float8 across = (p[2] + 2 * p[5] + p[8]) - (p[0] + 2 * p[3] + p[6]);
+        const float8 down = (p[6] + 2 * p[7] + p[8]) - (p[0] + 2 * p[1] + p[2]);
+        const float8 square = across * across + down * down;
+        steepest = MAX(steepest, square);
+        MIDDLE(float8, p)
+        *(__global floats_t *)(blended + c * count + at) = p[4];
+    }
+    *(__global floats_t *)(steepness + at) = steepest;
+}
+#endif
 #endif

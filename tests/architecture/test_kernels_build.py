@@ -38,7 +38,7 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     ("accumulate.cl",): GEOMETRY,
     FORWARD: GEOMETRY
     | {"FILTER": (0,), "SAMPLED": (0,)}
-    | dict.fromkeys(("OWNED", "MAPPED", "FILL_AIT", "FILL_MEAN_MEDIAN", "FILL_FAR", "DOMAIN_SURFACE"), ON_OR_OFF),
+    | dict.fromkeys(("OWNED", "MAPPED", "FILL_AIT", "FILL_MEAN_MEDIAN", "HOLES", "FILL_FAR", "DOMAIN_SURFACE"), ON_OR_OFF),
 }
 # What can be in the way of a source: one object, or any other number up to all but one.
 OCCLUSION = ("trace.cl", "blur.cl")

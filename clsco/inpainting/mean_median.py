@@ -1,0 +1,271 @@
+"""Host side of mean/median filling of an image with a mask (thesis, chapter 5).
+
+The device holds what is in and around holes only, so that work and memory of all stages but the scoring follow the
+missing pixels, wherever they are; scoring passes over the image in bands of rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from clsco.device import Program, Session
+from clsco.holes import Histogram, MeanMedian, Score, bits_of, border_histogram, score_of_sums, score_scale
+from clsco.layout import Struct, frame_struct, structs
+from clsco.program import build, download, empty, kernel, launch, upload
+
+Mask = NDArray[np.bool_]
+Floats = NDArray[np.float32]
+Pixels = NDArray[np.int64]
+Progress = Callable[[float], object]
+
+KERNELS = ("fill.cl", "mean_median.cl")
+FEATURES = dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SAMPLED"), 0)
+FEATURES |= {"FILL_AIT": 0, "FILL_MEAN_MEDIAN": 1, "HOLES": 1, "FILL_FAR": 0, "DOMAIN_SURFACE": 0}
+# As in the kernels.
+LANES, COUNTERS, SUMS, SCORED = 8, 5, 8, 256
+LEFT, FILLED = 0, 2
+NEIGHBORS = ((0, -1), (0, 1), (-1, 0), (1, 0), (-1, -1), (1, 1), (-1, 1), (1, -1))
+VECTORS, ENTRIES, OWNERS = (8,), (64,), (1,)  # local sizes of kernels with a work-item per vector, entry, or segment
+ZERO = np.array(0, np.int32)
+
+BAND_VALUES = 2**21  # of the image that are scored at once
+BORDER_PIXELS = 2**15  # that are blended at once
+SHARES = {"score": 0.5, "fill": 0.2, "smooth": 0.2, "blend": 0.1}  # of the whole, for progress
+
+
+@dataclass(eq=False)
+class Stages:
+    """What the stages have made of the missing pixels (M,), and of known ones beside them (B,); K channels.
+
+    pixels, border: numbers in the order of rows; filled, smoothed: (M, K) after stages 1 and 2; gradients: (B,)
+    Sobel's magnitude; blended: (B, K) medians, which those pixels take that have the `histogram`'s threshold; score:
+    None where it was turned off, histogram: None without a border or where it was turned off; sweeps: those that have
+    filled something; seconds: by stage.
+    """
+
+    pixels: Pixels
+    border: Pixels
+    filled: Floats = field(init=False)
+    smoothed: Floats = field(init=False)
+    gradients: NDArray[np.float64] = field(init=False)
+    blended: Floats = field(init=False)
+    score: Score | None = None
+    histogram: Histogram | None = None
+    sweeps: int = 0
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def is_blended(self) -> Mask:
+        """Which of the border pixels (B,) take their median."""
+        if self.histogram is None or self.histogram.threshold is None:
+            return np.zeros(self.border.size, np.bool_)
+        return self.gradients >= self.histogram.threshold
+
+
+def fill_mean_median(
+    session: Session, image: NDArray[Any], missing: Mask, span: float, constants: MeanMedian, progress: Progress
+) -> Stages:
+    """All stages of the thesis' method on an image with missing pixels.
+
+    image: (rows, columns, K), codes or floats, of which those of missing pixels do not matter; missing: (rows,
+    columns), some but not all; span: range of the values; progress: gets the share that is done, from 0 to 1.
+    Takes 100 to 200 bytes per missing pixel and known one beside it, and 4 per pixel of the image.
+    Raises DeviceError. Validated against `clsco.reference.inpaint`, bit by bit.
+    """
+    program = build(session, KERNELS, FEATURES | {"CHANNELS": image.shape[2]}, structs("float"), "float")
+    layout = Layout(missing)
+    stages = Stages(layout.pixels, layout.border)
+    done = 0.0
+
+    @contextmanager
+    def stage(name: str) -> Iterator[Progress]:
+        nonlocal done
+        before = perf_counter()
+        yield lambda share: progress(done + SHARES[name] * share)
+        stages.seconds[name] = perf_counter() - before
+        done += SHARES[name]
+        progress(done)
+
+    wins = np.int32(bits_of(Score((0,) * 9, (0,) * 9, 0, 1.0).median_wins(constants.estimator)))
+    if constants.estimator == "scored":
+        with stage("score") as tell:
+            stages.score = score_image(session, program, image, missing, score_scale(span), tell)
+        wins = np.int32(bits_of(stages.score.median_wins()))
+    holes = Holes(session, program, layout, image)
+    with stage("fill") as tell:
+        stages.sweeps = holes.fill(wins, constants.minimum, tell)
+        stages.filled = holes.values()
+    with stage("smooth") as tell:
+        stages.smoothed = holes.smooth(constants.smoothing_rounds, tell) if constants.smoothing_rounds else stages.filled
+    del holes
+    if layout.border.size and constants.border_share:
+        with stage("blend") as tell:
+            blend_border(session, program, layout, image, stages, tell)
+        stages.histogram = border_histogram(stages.gradients, span / 255, constants.border_share)
+    return stages
+
+
+class Layout:
+    """The numbers of missing pixels (M of them), of known ones beside them (B), and of what is beyond the image.
+
+    missing: (rows, columns). pixels, border: (M,) and (B,) numbers in the image, in the order of rows; number:
+    (rows + 2, columns + 2) int32, of the image and a frame around it: from 0 of missing ones, from M of the border, and
+    M + B of all others.
+    """
+
+    def __init__(self, missing: Mask) -> None:
+        rows, self.columns = missing.shape
+        border = beside(missing)
+        self.pixels, self.border = np.flatnonzero(missing), np.flatnonzero(border)
+        self.nothing = self.pixels.size + self.border.size
+        self.number = np.full((rows + 2, self.columns + 2), self.nothing, np.int32)
+        inner = self.number[1:-1, 1:-1]
+        inner[missing] = np.arange(self.pixels.size, dtype=np.int32)
+        inner[border] = np.arange(self.pixels.size, self.nothing, dtype=np.int32)
+
+    def neighbors(self) -> NDArray[np.int32]:
+        """Numbers (M, 8) of the neighbors of missing pixels, in the order of kernels."""
+        pitch, flat = self.columns + 2, self.number.ravel()
+        at = self.pixels + 2 * (self.pixels // self.columns) + pitch + 1
+        found = np.empty((self.pixels.size, 8), np.int32)
+        for k, (i, j) in enumerate(NEIGHBORS):
+            found[:, k] = flat[at + (i * pitch + j)]
+        return found
+
+
+def beside(missing: Mask) -> Mask:
+    """Known pixels (rows, columns) with a missing one among their eight neighbors."""
+    wide = missing.copy()
+    wide[:, 1:] |= missing[:, :-1]
+    wide[:, :-1] |= missing[:, 1:]
+    high = wide.copy()
+    high[1:] |= wide[:-1]
+    high[:-1] |= wide[1:]
+    high &= ~missing
+    return high
+
+
+def score_image(
+    session: Session, program: Program, image: NDArray[Any], missing: Mask, scale: float, progress: Progress
+) -> Score:
+    """Stage 0, in bands of rows; arguments as of `fill_mean_median`."""
+    rows, columns, channels = image.shape
+    step, segments = max(1, BAND_VALUES // (columns * channels)), -(-columns // SCORED)
+    found = [np.zeros((1, SUMS), np.int64)]
+    for top in range(1, rows - 1, step):
+        bottom = min(top + step, rows - 1)
+        band, count = slice(top - 1, bottom + 1), bottom - top + 2
+        size = count * columns
+        valid, value = np.zeros(size + LANES, np.uint8), np.zeros(channels * size + LANES, np.float32)
+        valid[:size] = ~missing[band].ravel()
+        planes = value[: channels * size].reshape(channels, count, columns)
+        planes[:] = np.moveaxis(image[band], -1, 0)
+        planes[:, missing[band]] = 0  # that may be no number
+        sums = empty(session, 8 * SUMS * count * segments)
+        camera, buffers = frame_struct(count, columns, 0, "float"), (upload(session, value), upload(session, valid))
+        scoring = kernel(program, "score_mean_median")
+        launch(session, scoring, (count * segments,), OWNERS, camera, np.float32(scale), *buffers, sums)
+        found.append(download(session, sums, (count * segments, SUMS), np.int64).sum(axis=0, keepdims=True))
+        progress((bottom - 1) / (rows - 2))
+    return score_of_sums(np.concatenate(found), scale)
+
+
+class Holes:
+    """Owns what the device holds of holes, and fills them."""
+
+    def __init__(self, session: Session, program: Program, layout: Layout, image: NDArray[Any]) -> None:
+        self.session, self.program = session, program
+        self.missing, self.slots, self.channels = layout.pixels.size, layout.nothing + 1, image.shape[2]
+        self.camera: Struct = frame_struct(1, self.slots, 0, "float")
+        around = layout.neighbors()
+        self.first = ((around >= self.missing) & (around < layout.nothing)).any(axis=1)
+        self.neighbors = upload(session, around)
+        values, valid = np.zeros((self.channels, self.slots), np.float32), np.zeros(self.slots, np.uint8)
+        values[:, self.missing : layout.nothing] = image.reshape(-1, self.channels)[layout.border].T
+        valid[self.missing : layout.nothing] = 1
+        self.value, self.valid = self._writable(values), self._writable(valid)
+
+    def fill(self, wins: np.int32, minimum: int, progress: Progress) -> int:
+        """Stage 1; returns the number of sweeps. wins: bit k where the median is taken of k neighbors."""
+        status = self._writable(np.zeros(self.missing, np.uint8))
+        listed, counters = self._writable(self.first.astype(np.int32)), empty(self.session, 4 * COUNTERS)
+        lists = [empty(self.session, 4 * self.missing) for _ in range(2)]
+        entries = np.flatnonzero(self.first).astype(np.int32)
+        cl.enqueue_copy(self.session.queue, lists[0], entries)
+        filled = sweeps = 0
+        count, least = entries.size, minimum
+        while count:
+            head = (self.camera, lists[0], np.int32(count), wins, np.int32(least), self.neighbors)
+            self._launch("fill_mean_median", -(-count // LANES), VECTORS, *head, self.valid, self.value, status)
+            cl.enqueue_fill_buffer(self.session.queue, counters, ZERO, 0, 4 * COUNTERS)
+            tail = (np.int32(self.missing), status, self.valid, listed, lists[1], counters)
+            self._launch("settle_holes", count, ENTRIES, lists[0], np.int32(count), self.neighbors, *tail)
+            found = download(self.session, counters, (COUNTERS,), np.int32)
+            lists.reverse()
+            count, new = int(found[LEFT]), int(found[FILLED])
+            sweeps, filled = sweeps + bool(new), filled + new
+            least = minimum if new else least - 1  # fewer neighbors will do where the filling would stall
+            progress(filled / self.missing)
+        return sweeps
+
+    def smooth(self, rounds: int, progress: Progress) -> Floats:
+        """Stage 2, to and fro between two sets of values; returns those of missing pixels."""
+        here, there = self.value, empty(self.session, self.value.size)
+        cl.enqueue_copy(self.session.queue, there, here)
+        everything = upload(self.session, np.arange(self.missing, dtype=np.int32))
+        for n in range(rounds):
+            head = (self.camera, everything, np.int32(self.missing), self.neighbors, self.valid)
+            self._launch("smooth_median", -(-self.missing // LANES), VECTORS, *head, here, there)
+            here, there = there, here
+            self.session.queue.flush()
+            progress((n + 1) / rounds)
+        self.value = here
+        return self.values()
+
+    def values(self) -> Floats:
+        """What missing pixels have now, (M, K)."""
+        planes: Floats = download(self.session, self.value, (self.channels, self.slots), np.float32)
+        return np.ascontiguousarray(planes[:, : self.missing].T)
+
+    def _writable(self, array: NDArray[Any]) -> cl.Buffer:
+        buffer = empty(self.session, array.nbytes)
+        cl.enqueue_copy(self.session.queue, buffer, array)
+        return buffer
+
+    def _launch(self, name: str, size: int, local: tuple[int, ...], *args: Any) -> None:
+        launch(self.session, kernel(self.program, name), (size,), local, *args)
+
+
+def blend_border(
+    session: Session, program: Program, layout: Layout, image: NDArray[Any], stages: Stages, progress: Progress
+) -> None:
+    """Stage 3 of all border pixels: their gradients and medians, for the threshold to choose among."""
+    rows, columns, channels = image.shape
+    total, values = layout.border.size, image.reshape(-1, channels)
+    stages.gradients, stages.blended = np.empty(total, np.float64), np.empty((total, channels), np.float32)
+    down, right = np.repeat((-1, 0, 1), 3), np.tile((-1, 0, 1), 3)
+    for begin in range(0, total, BORDER_PIXELS):
+        some = slice(begin, min(begin + BORDER_PIXELS, total))
+        count, padded = some.stop - begin, -(-(some.stop - begin) // LANES) * LANES
+        row, column = (at[:, None] for at in divmod(layout.border[some], columns))
+        i, j = np.clip(row + down, 0, rows - 1), np.clip(column + right, 0, columns - 1)  # the edge goes on beyond it
+        near = values[i * columns + j].astype(np.float32)
+        number = layout.number[i + 1, j + 1]
+        hole = number < layout.pixels.size
+        near[hole] = stages.smoothed[number[hole]]
+        patch = np.zeros((channels, 9, padded), np.float32)
+        patch[..., :count] = near.transpose(2, 1, 0)
+        steepness, blended = empty(session, 4 * padded), empty(session, 4 * padded * channels)
+        args = (upload(session, patch), np.int32(padded), steepness, blended)
+        launch(session, kernel(program, "blend_border"), (padded // LANES,), VECTORS, *args)
+        stages.gradients[some] = np.sqrt(download(session, steepness, (count,), np.float32).astype(np.float64))
+        stages.blended[some] = download(session, blended, (channels, padded), np.float32)[:, :count].T
+        progress(some.stop / total)
