@@ -86,17 +86,27 @@ def score_scale(span: float) -> float:
 
 
 def score_of_sums(sums: NDArray[np.int64], scale: float) -> Score:
-    """The score from what the kernel `score_mean_median` has summed up, (any number, 8).
+    """The score from what the kernel `score_mean_median` has summed up, (any number, SUMS).
 
-    Binomial coefficients count the subsets of k neighbors with a certain one, and with a certain two, in them.
+    Binomial coefficients count the subsets of k neighbors with a certain one, and with a certain two, in them; of the
+    sorted ones those whose median is the i-th, or lies between the i-th and the j-th.
     """
     # In two halves, since the whole of a large image may need more than 64 bits.
     high, low = (half.sum(axis=0).tolist() for half in (sums >> 32, sums & 0xFFFFFFFF))
-    squared, squares, *medians, samples = ((a << 32) + b for a, b in zip(high, low, strict=True))
+    whole = [(a << 32) + b for a, b in zip(high, low, strict=True)]
+    squares, squared_sum, products, samples = whole[:8], whole[8], whole[9:12], whole[12]
     mean, median = [0] * 9, [0] * 9
-    for k, summed in zip(COUNTS, medians, strict=True):
-        mean[k] = 4 * (comb(6, k - 2) * squared + comb(6, k - 1) * squares)
-        median[k] = k * k * summed * (4 if k % 2 else 1)
+    for k in COUNTS:
+        mean[k] = 4 * (comb(6, k - 2) * squared_sum + comb(6, k - 1) * sum(squares))
+        below = (k - 1) // 2
+        lower, upper = [comb(i, below) for i in range(8)], [comb(7 - i, below) for i in range(8)]
+        if k % 2:
+            twice_squared = 4 * sum(lower[i] * upper[i] * squares[i] for i in range(8))
+        else:
+            pairs = [(i, j) for j in range(8) for i in range(j)]
+            twice_squared = 2 * products[below - 1]
+            twice_squared += sum(lower[i] * upper[j] * (squares[i] + squares[j]) for i, j in pairs)
+        median[k] = k * k * twice_squared
     return Score(tuple(mean), tuple(median), samples, scale)
 
 

@@ -36,7 +36,7 @@ typedef long8 exact8;
 #endif
 
 #define SEGMENT 256  // columns of a row that a work-item scores: no more may be summed up in 53 bits
-#define SUMS 8
+#define SUMS 13
 
 // Stage 0: sums over all pixels of a row with eight valid neighbors, and all channels, from which the host has the
 // squared errors of mean and median of all 163 subsets of k = 4..8 neighbors. With d the sorted differences of the
@@ -46,8 +46,8 @@ typedef long8 exact8;
 //               for even k = 2 m + 2  C(i, m) C(7-j, m) times ((d_i + d_j) / 2)^2, for all i < j.
 // Values times `scale` are rounded to whole numbers before, which differ by 2^16 at most, so that sums are exact in any
 // order. One work-item per SEGMENT columns, LANES pixels at once; value and valid must be readable LANES elements beyond
-// their end. Out: sums (height, segments, SUMS): (sum d)^2, sum d^2, medians of k = 4..8, those of even k not yet
-// divided by 4, number of pixels times channels.
+// their end. Out: sums (height, segments, SUMS): d_i^2 for i = 0..7; (sum d)^2; C(i, m) C(7-j, m) d_i d_j over i < j for
+// m = 1, 2, 3; number of pixels times channels.
 __kernel void score_mean_median(const camera_t camera, const float scale, __global const float *value,
                                 __global const uchar *valid, __global long *sums)
 {
@@ -57,7 +57,9 @@ __kernel void score_mean_median(const camera_t camera, const float scale, __glob
         return;
     const int begin = MAX(segment * SEGMENT, 1), end = MIN((segment + 1) * SEGMENT, pitch - 1);
     const uchar8 lane = (uchar8)(0, 1, 2, 3, 4, 5, 6, 7);
-    exact8 sum[SUMS] = {0, 0, 0, 0, 0, 0, 0, 0};
+    exact8 sum[SUMS];
+    for (int k = 0; k < SUMS; ++k)
+        sum[k] = 0;
     for (int x = begin; x < end && y > 0 && y < camera.height - 1; x += LANES) {
         const int at = y * pitch + x;
         uchar8 whole = UCHARS(valid + at);
@@ -68,29 +70,32 @@ __kernel void score_mean_median(const camera_t camera, const float scale, __glob
         for (int c = 0; c < CHANNELS; ++c) {
             __global const float *center = value + c * camera.height * pitch + at;
             float8 near[8];
+            UNROLL
             for (int k = 0; k < 8; ++k)
                 near[k] = FLOATS(center + NEIGHBOR_Y[k] * pitch + NEIGHBOR_X[k]);
             SORT(float8, near)
             const exact8 middle = WHOLE(FLOATS(center) * scale);
-            exact8 d[8], total = 0;
+            exact8 d[8], total = 0, above = 0;
+            UNROLL
             for (int k = 0; k < 8; ++k) {
                 d[k] = (WHOLE(near[k] * scale) - middle) * use;
                 total += d[k];
-                sum[1] += d[k] * d[k];
+                sum[k] += d[k] * d[k];
             }
-            sum[0] += total * total;
-            for (int i = 1; i < 7; ++i) {
-                const exact8 odd = d[i] * d[i];
-                sum[3] += i * (i - 1) * (7 - i) * (6 - i) / 4 * odd;
-                sum[5] += i * (i - 1) * (i - 2) * (7 - i) * (6 - i) * (5 - i) / 36 * odd;
-                for (int j = i + 1; j < 7; ++j) {
-                    const exact8 even = (d[i] + d[j]) * (d[i] + d[j]);
-                    sum[2] += i * (7 - j) * even;
-                    sum[4] += i * (i - 1) * (7 - j) * (6 - j) / 4 * even;
-                }
+            sum[8] += total * total;
+            UNROLL
+            for (int i = 5; i > 0; --i) {
+                above += (6 - i) * d[i + 1];
+                sum[9] += i * d[i] * above;
             }
-            sum[6] += (d[3] + d[4]) * (d[3] + d[4]);
-            sum[7] += use;
+            above = 0;
+            UNROLL
+            for (int i = 4; i > 1; --i) {
+                above += (6 - i) * (5 - i) / 2 * d[i + 1];
+                sum[10] += i * (i - 1) / 2 * d[i] * above;
+            }
+            sum[11] += d[3] * d[4];
+            sum[12] += use;
         }
     }
     for (int k = 0; k < SUMS; ++k) {
@@ -99,14 +104,14 @@ __kernel void score_mean_median(const camera_t camera, const float scale, __glob
     }
 }
 
-// LANES pixels of a list, with the neighbors that serve them: bit k of `bits` is neighbor k.
+// LANES pixels of a list from the `first` on, with the neighbors that serve them: bit k of `bits` is neighbor k.
 typedef struct {
     int from[LANES][8], at[LANES], bits[LANES];
     real8 count, lower, upper, by_median;  // neighbors; places of the middle two; whether their mean is wanted
 } around_t;
 
-static around_t look_around(const camera_t camera, __global const uchar *valid, __global const int *list, int entries,
-                            int median_wins
+static around_t look_around(const camera_t camera, __global const uchar *valid, __global const int *list, int first,
+                            int entries, int median_wins
 #if HOLES
                             , __global const int8 *neighbors
 #endif
@@ -118,7 +123,7 @@ static around_t look_around(const camera_t camera, __global const uchar *valid, 
     around_t around;
     for (int lane = 0; lane < LANES; ++lane) {
         // The last pixel fills up the last vector.
-        const int at = list[MIN((int)get_global_id(0) * LANES + lane, entries - 1)];
+        const int at = list[MIN(first + lane, entries - 1)];
         int bits = 0, count = 0;
 #if HOLES
         *(int8 *)around.from[lane] = neighbors[at];
@@ -242,7 +247,8 @@ __kernel void fill_mean_median(const camera_t camera, __global const int *list, 
 {
     if (get_global_id(0) * LANES >= count)
         return;
-    const around_t around = look_around(camera, valid, list, count, median_wins SERVED_BY(w, minimum));
+    const around_t around =
+        look_around(camera, valid, list, get_global_id(0) * LANES, count, median_wins SERVED_BY(w, minimum));
     const int least = MAX(minimum, 1);
     write_estimates(camera, around, least, value, value DEPTHS(w, w, coc));
     for (int lane = 0; lane < LANES; ++lane) {
@@ -274,7 +280,8 @@ __kernel void smooth_median(const camera_t camera, __global const int *done, con
 {
     if (get_global_id(0) * LANES >= count)
         return;
-    const around_t around = look_around(camera, valid, done, count, ~0 SERVED_BY(w_in, 1));
+    const around_t around =
+        look_around(camera, valid, done, get_global_id(0) * LANES, count, ~0 SERVED_BY(w_in, 1));
     write_estimates(camera, around, 1, value_in, value_out DEPTHS(w_in, w_out, coc));
 #if FILL_FAR && !HOLES
     for (int lane = 0; lane < LANES; ++lane) {
@@ -288,36 +295,78 @@ __kernel void smooth_median(const camera_t camera, __global const int *done, con
 }
 
 #if HOLES
-// Ends a sweep over the border of the holes: what it filled becomes valid, and missing pixels beside that come into the
-// list, so that it always holds those which have a valid neighbor. One entry per work-item. In: list of `count`,
-// neighbors, status; missing, their number. In and out: valid; listed, int per missing pixel, 1 once it was in a list.
-// Out: left (as list), LEFT and FILLED.
+// What becomes of an entry of the list after a sweep: if that has filled it, it becomes valid, and missing pixels beside
+// it come into the list of those `left`, which always holds all that have a valid neighbor.
+static void settle_entry(int at, __global const int8 *neighbors, int missing, __global const uchar *status,
+                         __global uchar *valid, __global int *listed, __global int *left, __global int *counters)
+{
+    if (status[at] != 1) {
+        left[atomic_inc(counters + LEFT)] = at;
+        return;
+    }
+    const int8 near = neighbors[at];
+    valid[at] = 1;
+    atomic_inc(counters + FILLED);
+    for (int k = 0; k < 8; ++k) {
+        const int n = ((const int *)&near)[k];
+        if (n < missing && !listed[n] && !atomic_xchg(listed + n, 1))
+            left[atomic_inc(counters + LEFT)] = n;
+    }
+}
+
+// Ends a sweep, one entry per work-item. In: list of `count`, neighbors, status; missing, their number. In and out:
+// valid; listed, int per missing pixel, 1 once it was in a list. Out: left (as list), LEFT and FILLED.
 __kernel void settle_holes(__global const int *list, const int count, __global const int8 *neighbors, const int missing,
                            __global const uchar *status, __global uchar *valid, __global int *listed,
                            __global int *left, __global int *counters)
 {
     const int id = get_global_id(0);
-    if (id >= count)
-        return;
-    const int at = list[id];
-    int next[8], entries = 0;
-    if (status[at] == 1) {
-        const int8 near = neighbors[at];
-        valid[at] = 1;
-        atomic_inc(counters + FILLED);
-        for (int k = 0; k < 8; ++k) {
-            const int n = ((const int *)&near)[k];
-            if (n < missing && !listed[n] && !atomic_xchg(listed + n, 1))
-                next[entries++] = n;
+    if (id < count)
+        settle_entry(list[id], neighbors, missing, status, valid, listed, left, counters);
+}
+
+// Stage 1 sweep by sweep by a single work-group, which takes less than launches while lists are short: until nothing is
+// left, or more than `most`. Sweeps that fill nothing relax the minimum by one, all others take it back to `minimum`.
+// list, other: room for all missing pixels each; the first one holds `count`, at the end LEFT, and there `other` if
+// SWAPPED. Out: SWEEPS that have filled something, and by how many they FILLED. Others as above.
+#define SWEEPS 1
+#define SWAPPED 3
+__kernel void sweep_holes(const camera_t camera, __global int *list, __global int *other, const int count,
+                          const int most, const int median_wins, const int minimum, __global const int8 *neighbors,
+                          const int missing, __global uchar *valid, __global float *value, __global uchar *status,
+                          __global int *listed, __global int *counters)
+{
+    const int item = get_local_id(0), items = get_local_size(0);
+    int entries = count, least = minimum, sweeps = 0, filled = 0, swapped = 0;
+    while (entries && entries <= most) {
+        __global int *from = swapped ? other : list, *to = swapped ? list : other;
+        if (!item)
+            counters[LEFT] = counters[FILLED] = 0;
+        for (int first = item * LANES; first < entries; first += items * LANES) {
+            const around_t around = look_around(camera, valid, from, first, entries, median_wins, neighbors);
+            write_estimates(camera, around, least, value, value);
+            for (int lane = 0; lane < LANES; ++lane)
+                if (((const real *)&around.count)[lane] >= least)
+                    status[around.at[lane]] = 1;
         }
-    } else {
-        next[entries++] = at;
+        barrier(CLK_GLOBAL_MEM_FENCE);
+        for (int i = item; i < entries; i += items)
+            settle_entry(from[i], neighbors, missing, status, valid, listed, to, counters);
+        barrier(CLK_GLOBAL_MEM_FENCE);
+        const int new = counters[FILLED];
+        entries = counters[LEFT];
+        least = new ? minimum : least - 1;
+        sweeps += new > 0;
+        filled += new;
+        swapped = !swapped;
+        barrier(CLK_GLOBAL_MEM_FENCE);
     }
-    if (!entries)
-        return;
-    const int start = atomic_add(counters + LEFT, entries);
-    for (int i = 0; i < entries; ++i)
-        left[start + i] = next[i];
+    if (!item) {
+        counters[LEFT] = entries;
+        counters[SWEEPS] = sweeps;
+        counters[FILLED] = filled;
+        counters[SWAPPED] = swapped;
+    }
 }
 
 // Sorts the middle one of nine into its place, with the fewest exchanges.
@@ -327,28 +376,42 @@ __kernel void settle_holes(__global const int *list, const int count, __global c
     ORDER(T, s[5], s[8]) ORDER(T, s[4], s[7]) ORDER(T, s[3], s[6]) ORDER(T, s[1], s[4]) ORDER(T, s[2], s[5]) \
     ORDER(T, s[4], s[7]) ORDER(T, s[4], s[2]) ORDER(T, s[6], s[4]) ORDER(T, s[4], s[2])
 
-// Stage 3, of the known pixels around holes: Sobel's gradient and the 3x3 median, LANES pixels per work-item. In: patch
-// (CHANNELS, 9, count), values around each pixel, row by row; count, a multiple of LANES. Out: steepness (count), the
-// largest square of a gradient's magnitude among the channels; blended (CHANNELS, count), the medians.
-__kernel void blend_border(__global const float *patch, const int count, __global float *steepness,
-                           __global float *blended)
+// Stage 3, of the known pixels around holes: Sobel's gradient and the 3x3 median, LANES pixels per work-item; beyond the
+// image its edge goes on. In: list of `count` pixels of value (CHANNELS, height, width), all of which are known or filled.
+// Out: steepness (count), the largest square of a gradient's magnitude among the channels; blended (CHANNELS, count), the
+// medians.
+__kernel void blend_border(const camera_t camera, __global const int *list, const int count,
+                           __global const float *value, __global float *steepness, __global float *blended)
 {
-    const int at = get_global_id(0) * LANES;
-    if (at >= count)
+    const int first = get_global_id(0) * LANES;
+    if (first >= count)
         return;
+    int from[9][LANES];
+    for (int lane = 0; lane < LANES; ++lane) {
+        const int at = list[MIN(first + lane, count - 1)], x = at % camera.width, y = at / camera.width;
+        UNROLL
+        for (int k = 0; k < 9; ++k) {
+            const int i = MIN(MAX(y + k / 3 - 1, 0), camera.height - 1), j = MIN(MAX(x + k % 3 - 1, 0), camera.width - 1);
+            from[k][lane] = i * camera.width + j;
+        }
+    }
     float8 steepest = 0;
     for (int c = 0; c < CHANNELS; ++c) {
+        __global const float *plane = value + c * camera.height * camera.width;
         float8 p[9];
         for (int k = 0; k < 9; ++k)
-            p[k] = FLOATS(patch + (c * 9 + k) * count + at);
+            for (int lane = 0; lane < LANES; ++lane)
+                ((float *)(p + k))[lane] = plane[from[k][lane]];
         const float8 across = (p[2] + 2 * p[5] + p[8]) - (p[0] + 2 * p[3] + p[6]);
         const float8 down = (p[6] + 2 * p[7] + p[8]) - (p[0] + 2 * p[1] + p[2]);
         const float8 square = across * across + down * down;
         steepest = MAX(steepest, square);
         MIDDLE(float8, p)
-        *(__global floats_t *)(blended + c * count + at) = p[4];
+        for (int lane = 0; lane < LANES && first + lane < count; ++lane)
+            blended[c * count + first + lane] = ((const float *)(p + 4))[lane];
     }
-    *(__global floats_t *)(steepness + at) = steepest;
+    for (int lane = 0; lane < LANES && first + lane < count; ++lane)
+        steepness[first + lane] = ((const float *)&steepest)[lane];
 }
 #endif
 #endif

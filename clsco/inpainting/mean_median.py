@@ -30,14 +30,15 @@ KERNELS = ("fill.cl", "mean_median.cl")
 FEATURES = dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SAMPLED"), 0)
 FEATURES |= {"FILL_AIT": 0, "FILL_MEAN_MEDIAN": 1, "HOLES": 1, "FILL_FAR": 0, "DOMAIN_SURFACE": 0}
 # As in the kernels.
-LANES, COUNTERS, SUMS, SCORED = 8, 5, 8, 256
-LEFT, FILLED = 0, 2
+LANES, COUNTERS, SUMS, SCORED = 8, 5, 13, 256
+LEFT, SWEEPS, FILLED, SWAPPED = range(4)
 NEIGHBORS = ((0, -1), (0, 1), (-1, 0), (1, 0), (-1, -1), (1, 1), (-1, 1), (1, -1))
 VECTORS, ENTRIES, OWNERS = (8,), (64,), (1,)  # local sizes of kernels with a work-item per vector, entry, or segment
 ZERO = np.array(0, np.int32)
 
-BAND_VALUES = 2**21  # of the image that are scored at once
-BORDER_PIXELS = 2**15  # that are blended at once
+BAND_VALUES = 2**21  # of the image that are scored or blended at once
+MOST_ENTRIES = 4096  # of a list for a single work-group
+GROUP = 128  # its size on a graphics card; a processor has one work-item, which does it in vectors
 SHARES = {"score": 0.5, "fill": 0.2, "smooth": 0.2, "blend": 0.1}  # of the whole, for progress
 
 
@@ -83,6 +84,7 @@ def fill_mean_median(
     program = build(session, KERNELS, FEATURES | {"CHANNELS": image.shape[2]}, structs("float"), "float")
     layout = Layout(missing)
     stages = Stages(layout.pixels, layout.border)
+    stages.gradients, stages.blended = np.empty(0), np.empty((layout.border.size, image.shape[2]), np.float32)
     done = 0.0
 
     @contextmanager
@@ -108,7 +110,7 @@ def fill_mean_median(
     del holes
     if layout.border.size and constants.border_share:
         with stage("blend") as tell:
-            blend_border(session, program, layout, image, stages, tell)
+            blend_border(session, program, layout.border, image, missing, stages, tell)
         stages.histogram = border_histogram(stages.gradients, span / 255, constants.border_share)
     return stages
 
@@ -153,28 +155,59 @@ def beside(missing: Mask) -> Mask:
     return high
 
 
+@dataclass(frozen=True, eq=False)
+class Band:
+    """Rows of an image from `top` to before `bottom`, with those beside them.
+
+    above: the first row that there is; value: float32 (K, count, columns) and LANES more, 0 where pixels are missing.
+    """
+
+    top: int
+    bottom: int
+    above: int
+    value: Floats
+    missing: Mask
+
+    @property
+    def count(self) -> int:
+        """Rows that there are."""
+        return self.missing.shape[0]
+
+
+def bands(image: NDArray[Any], missing: Mask, wanted: Mask) -> Iterator[Band]:
+    """The bands of an image (rows, columns, K) with any wanted row (rows,)."""
+    rows, columns, channels = image.shape
+    step = max(1, BAND_VALUES // (columns * channels))
+    for top in range(0, rows, step):
+        bottom = min(top + step, rows)
+        if not wanted[top:bottom].any():
+            continue
+        part = slice(max(top - 1, 0), min(bottom + 1, rows))
+        size = (part.stop - part.start) * columns
+        value = np.zeros(channels * size + LANES, np.float32)
+        planes = value[: channels * size].reshape(channels, -1, columns)
+        for k in range(channels):
+            planes[k] = image[part, :, k]
+        if image.dtype.kind == "f":
+            planes[:, missing[part]] = 0  # that may be no number
+        yield Band(top, bottom, part.start, value, missing[part])
+
+
 def score_image(
     session: Session, program: Program, image: NDArray[Any], missing: Mask, scale: float, progress: Progress
 ) -> Score:
-    """Stage 0, in bands of rows; arguments as of `fill_mean_median`."""
-    rows, columns, channels = image.shape
-    step, segments = max(1, BAND_VALUES // (columns * channels)), -(-columns // SCORED)
-    found = [np.zeros((1, SUMS), np.int64)]
-    for top in range(1, rows - 1, step):
-        bottom = min(top + step, rows - 1)
-        band, count = slice(top - 1, bottom + 1), bottom - top + 2
-        size = count * columns
-        valid, value = np.zeros(size + LANES, np.uint8), np.zeros(channels * size + LANES, np.float32)
-        valid[:size] = ~missing[band].ravel()
-        planes = value[: channels * size].reshape(channels, count, columns)
-        planes[:] = np.moveaxis(image[band], -1, 0)
-        planes[:, missing[band]] = 0  # that may be no number
-        sums = empty(session, 8 * SUMS * count * segments)
-        camera, buffers = frame_struct(count, columns, 0, "float"), (upload(session, value), upload(session, valid))
-        scoring = kernel(program, "score_mean_median")
-        launch(session, scoring, (count * segments,), OWNERS, camera, np.float32(scale), *buffers, sums)
-        found.append(download(session, sums, (count * segments, SUMS), np.int64).sum(axis=0, keepdims=True))
-        progress((bottom - 1) / (rows - 2))
+    """Stage 0; arguments as of `fill_mean_median`."""
+    rows, columns, _ = image.shape
+    segments, found = -(-columns // SCORED), [np.zeros((1, SUMS), np.int64)]
+    for band in bands(image, missing, np.ones(rows, np.bool_)):
+        valid = np.concatenate([~band.missing.ravel(), np.zeros(LANES, np.bool_)])
+        camera, count = frame_struct(band.count, columns, 0, "float"), band.count * segments
+        sums, buffers = empty(session, 8 * SUMS * count), (upload(session, band.value), upload(session, valid))
+        launch(
+            session, kernel(program, "score_mean_median"), (count,), OWNERS, camera, np.float32(scale), *buffers, sums
+        )
+        found.append(download(session, sums, (count, SUMS), np.int64).sum(axis=0, keepdims=True))
+        progress(band.bottom / rows)
     return score_of_sums(np.concatenate(found), scale)
 
 
@@ -200,21 +233,35 @@ class Holes:
         lists = [empty(self.session, 4 * self.missing) for _ in range(2)]
         entries = np.flatnonzero(self.first).astype(np.int32)
         cl.enqueue_copy(self.session.queue, lists[0], entries)
+        beside, group = (self.neighbors, np.int32(self.missing)), self._group()
         filled = sweeps = 0
         count, least = entries.size, minimum
         while count:
-            head = (self.camera, lists[0], np.int32(count), wins, np.int32(least), self.neighbors)
-            self._launch("fill_mean_median", -(-count // LANES), VECTORS, *head, self.valid, self.value, status)
-            cl.enqueue_fill_buffer(self.session.queue, counters, ZERO, 0, 4 * COUNTERS)
-            tail = (np.int32(self.missing), status, self.valid, listed, lists[1], counters)
-            self._launch("settle_holes", count, ENTRIES, lists[0], np.int32(count), self.neighbors, *tail)
+            if count <= MOST_ENTRIES and least == minimum:
+                rule = (np.int32(count), np.int32(MOST_ENTRIES), wins, np.int32(minimum))
+                state = (self.valid, self.value, status, listed, counters)
+                self._launch("sweep_holes", *group, self.camera, *lists, *rule, *beside, *state)
+            else:
+                head = (self.camera, lists[0], np.int32(count), wins, np.int32(least), self.neighbors)
+                self._launch("fill_mean_median", -(-count // LANES), VECTORS, *head, self.valid, self.value, status)
+                found = np.array([0, 0, 0, 1, 0], np.int32)
+                cl.enqueue_copy(self.session.queue, counters, found)
+                tail = (*beside, status, self.valid, listed, lists[1], counters)
+                self._launch("settle_holes", count, ENTRIES, lists[0], np.int32(count), *tail)
             found = download(self.session, counters, (COUNTERS,), np.int32)
-            lists.reverse()
+            if found[SWAPPED]:
+                lists.reverse()
             count, new = int(found[LEFT]), int(found[FILLED])
-            sweeps, filled = sweeps + bool(new), filled + new
+            sweeps, filled = sweeps + max(int(found[SWEEPS]), bool(new)), filled + new
             least = minimum if new else least - 1  # fewer neighbors will do where the filling would stall
             progress(filled / self.missing)
         return sweeps
+
+    def _group(self) -> tuple[int, tuple[int]]:
+        """Size of the work-group of sweep_holes, twice."""
+        device = self.session.device
+        size = 1 if device.kind == "cpu" else min(GROUP, device.max_work_group)
+        return size, (size,)
 
     def smooth(self, rounds: int, progress: Progress) -> Floats:
         """Stage 2, to and fro between two sets of values; returns those of missing pixels."""
@@ -245,27 +292,26 @@ class Holes:
 
 
 def blend_border(
-    session: Session, program: Program, layout: Layout, image: NDArray[Any], stages: Stages, progress: Progress
-) -> None:
+    session: Session, program: Program, border: Pixels, image: NDArray[Any], missing: Mask, stages: Stages,
+    progress: Progress,
+) -> None:  # fmt: skip
     """Stage 3 of all border pixels: their gradients and medians, for the threshold to choose among."""
     rows, columns, channels = image.shape
-    total, values = layout.border.size, image.reshape(-1, channels)
-    stages.gradients, stages.blended = np.empty(total, np.float64), np.empty((total, channels), np.float32)
-    down, right = np.repeat((-1, 0, 1), 3), np.tile((-1, 0, 1), 3)
-    for begin in range(0, total, BORDER_PIXELS):
-        some = slice(begin, min(begin + BORDER_PIXELS, total))
-        count, padded = some.stop - begin, -(-(some.stop - begin) // LANES) * LANES
-        row, column = (at[:, None] for at in divmod(layout.border[some], columns))
-        i, j = np.clip(row + down, 0, rows - 1), np.clip(column + right, 0, columns - 1)  # the edge goes on beyond it
-        near = values[i * columns + j].astype(np.float32)
-        number = layout.number[i + 1, j + 1]
-        hole = number < layout.pixels.size
-        near[hole] = stages.smoothed[number[hole]]
-        patch = np.zeros((channels, 9, padded), np.float32)
-        patch[..., :count] = near.transpose(2, 1, 0)
-        steepness, blended = empty(session, 4 * padded), empty(session, 4 * padded * channels)
-        args = (upload(session, patch), np.int32(padded), steepness, blended)
-        launch(session, kernel(program, "blend_border"), (padded // LANES,), VECTORS, *args)
+    stages.gradients = np.empty(border.size, np.float64)
+    stages.blended = np.empty((border.size, channels), np.float32)
+    wanted = np.zeros(rows, np.bool_)
+    wanted[border // columns] = True
+    for band in bands(image, missing, wanted):
+        before, size = band.above * columns, band.count * columns
+        planes = band.value[: channels * size].reshape(channels, size)
+        holes = slice(*np.searchsorted(stages.pixels, (before, before + size)))
+        planes[:, stages.pixels[holes] - before] = stages.smoothed[holes].T
+        some = slice(*np.searchsorted(border, (band.top * columns, band.bottom * columns)))
+        entries = (border[some] - before).astype(np.int32)
+        count, camera = entries.size, frame_struct(band.count, columns, 0, "float")
+        steepness, blended = empty(session, 4 * count), empty(session, 4 * count * channels)
+        args = (upload(session, entries), np.int32(count), upload(session, band.value), steepness, blended)
+        launch(session, kernel(program, "blend_border"), (-(-count // LANES),), VECTORS, camera, *args)
         stages.gradients[some] = np.sqrt(download(session, steepness, (count,), np.float32).astype(np.float64))
-        stages.blended[some] = download(session, blended, (channels, padded), np.float32)[:, :count].T
-        progress(some.stop / total)
+        stages.blended[some] = download(session, blended, (channels, count), np.float32).T
+        progress(band.bottom / rows)
