@@ -11,7 +11,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco.device import Program, Session
-from clsco.holes import MeanMedian, bits_of, score_of_sums, score_scale
+from clsco.estimators import MeanMedian, bits_of, score_of_sums, score_scale
 from clsco.layout import WIDE, WIDE_BYTES, Real, Struct, in_parts, pose_structs, structs, surface_structs, together
 from clsco.motion import Pose, rest_center
 from clsco.plan import Plan
@@ -19,7 +19,7 @@ from clsco.program import build, download, empty, kernel, launch, upload
 from clsco.spread import PIXELS, Events
 from clsco.surfaces import PlacedSurface
 
-KERNELS = ("reproject.cl", "fill.cl", "mean_median.cl")
+KERNELS = ("reproject.cl", "fill.cl", "score.cl", "mean_median.cl")
 # As in the kernels.
 SEGMENT = 64  # sources of a row that a work-item moves, with OWNED
 COUNTERS = 5
@@ -77,7 +77,6 @@ def forward_features(plan: Plan, owned: bool) -> dict[str, int]:
         "MAPPED": int(mapped),
         "FILL_AIT": int(fill.method == "ait"),
         "FILL_MEAN_MEDIAN": int(fill.method == "mean_median"),
-        "HOLES": 0,
         "FILL_FAR": int(mapped or len(plan.scene.objects) > 1),
         "DOMAIN_SURFACE": int(fill.domain == "surface" and not mapped),
     }

@@ -14,7 +14,7 @@
 //   counters ints, see below
 //
 // A sweep writes to missing pixels, which nobody reads before settle_sweep has made them valid: all of it sees what was
-// known before it, in any order. Features besides geometry.clh's: FILL_AIT, FILL_MEAN_MEDIAN, HOLES, FILL_FAR, DOMAIN_SURFACE.
+// known before it, in any order. Features besides geometry.clh's: FILL_AIT, FILL_MEAN_MEDIAN, FILL_FAR, DOMAIN_SURFACE.
 //
 // FILL_FAR: what a moving edge uncovers lies behind it, and is filled from the farther side only. The nearest pair of
 // known pixels on opposite sides of a missing one says how far its surface is: as far as the farther of the two. Known
@@ -28,10 +28,6 @@
 #define DONE 4           // filled by all sweeps: entries of done
 #define CHUNK 64         // pixels per work-item where it counts, so that atomics are rare
 #define FAR_SLACK 1.02f  // relative: a surface at 45 degrees changes less over two pixels of 0.5 degrees each
-
-// Neighbors, in the order in which they are asked: W E, N S, NW SE, NE SW; opposite ones are pairs.
-__constant int NEIGHBOR_X[8] = {-1, 1, 0, 0, -1, 1, 1, -1};
-__constant int NEIGHBOR_Y[8] = {0, 0, -1, 1, -1, 1, -1, 1};
 
 static bool in_frame(const camera_t camera, int x, int y)
 {

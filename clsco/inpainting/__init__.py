@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from clsco.device import Session, choose, session_of, session_on
 from clsco.errors import DeviceError, ImageError, SceneError
-from clsco.holes import MeanMedian, value_span
+from clsco.estimators import MeanMedian, value_span
 from clsco.inpainting.methods import METHODS, THESIS, Filled, Task, method_named
 from clsco.inpainting.report import Report
 
@@ -44,12 +44,12 @@ def inpaint(
     image: (rows, columns) or (rows, columns, channels), up to 16 channels, uint8, uint16 or floats; what missing pixels
     hold does not matter. missing: (rows, columns), bool, or uint8 of 0 and 255 = missing. method: "mean-median", the
     thesis' (chapter 5), or "auto". device: part of an OpenCL device's name; progress: is called with the share that
-    is done, from 0 to 1. constants: of mean-median, as `clsco.holes.MeanMedian` names them, such as smoothing_rounds=0.
+    is done, from 0 to 1. constants: of mean-median, as `clsco.estimators.MeanMedian` names them, such as smoothing_rounds=0.
     NumPy arrays, or pyopencl arrays of one queue, which is then worked in.
     Returns an image of the same type and shape, of which known pixels are those that were given (but for those that
     stage 3 of mean-median blends), and the report. An image without missing pixels is copied. Raises ImageError for
     images and masks that cannot be, such as without any known pixel, SceneError, DeviceError.
-    Validated bit by bit against `clsco.reference.inpaint` (tests/test_inpainting.py).
+    Validated bit by bit against `clsco.reference.holes` (tests/test_inpainting.py).
     """
     on_device = [a for a in (image, missing) if isinstance(a, cl_array.Array)]
     if on_device:

@@ -17,7 +17,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco.device import Program, Session
-from clsco.holes import Histogram, MeanMedian, Score, bits_of, border_histogram, score_of_sums, score_scale
+from clsco.estimators import Histogram, MeanMedian, Score, bits_of, border_histogram, score_of_sums, score_scale
 from clsco.layout import Struct, frame_struct, structs
 from clsco.program import build, download, empty, kernel, launch, upload
 
@@ -26,18 +26,16 @@ Floats = NDArray[np.float32]
 Pixels = NDArray[np.int64]
 Progress = Callable[[float], object]
 
-KERNELS = ("fill.cl", "mean_median.cl")
+KERNELS = ("score.cl", "holes.cl")
 FEATURES = dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SAMPLED"), 0)
-FEATURES |= {"FILL_AIT": 0, "FILL_MEAN_MEDIAN": 1, "HOLES": 1, "FILL_FAR": 0, "DOMAIN_SURFACE": 0}
+FEATURES |= {"FILL_MEAN_MEDIAN": 1}
 # As in the kernels.
-LANES, COUNTERS, SUMS, SCORED = 8, 5, 13, 256
-LEFT, SWEEPS, FILLED, SWAPPED = range(4)
+LANES, SUMS, SCORED = 8, 13, 256
 NEIGHBORS = ((0, -1), (0, 1), (-1, 0), (1, 0), (-1, -1), (1, 1), (-1, 1), (1, -1))
 VECTORS, ENTRIES, OWNERS = (8,), (64,), (1,)  # local sizes of kernels with a work-item per vector, entry, or segment
-ZERO = np.array(0, np.int32)
 
 BAND_VALUES = 2**21  # of the image that are scored or blended at once
-MOST_ENTRIES = 4096  # of a list for a single work-group
+MOST_ENTRIES = 4096  # of a sweep for a single work-group
 GROUP = 128  # its size on a graphics card; a processor has one work-item, which does it in vectors
 SHARES = {"score": 0.5, "fill": 0.2, "smooth": 0.2, "blend": 0.1}  # of the whole, for progress
 
@@ -79,7 +77,7 @@ def fill_mean_median(
     image: (rows, columns, K), codes or floats, of which those of missing pixels do not matter; missing: (rows,
     columns), some but not all; span: range of the values; progress: gets the share that is done, from 0 to 1.
     Takes 100 to 200 bytes per missing pixel and known one beside it, and 4 per pixel of the image.
-    Raises DeviceError. Validated against `clsco.reference.inpaint`, bit by bit.
+    Raises DeviceError. Validated against `clsco.reference.holes`, bit by bit.
     """
     program = build(session, KERNELS, FEATURES | {"CHANNELS": image.shape[2]}, structs("float"), "float")
     layout = Layout(missing)
@@ -118,29 +116,28 @@ def fill_mean_median(
 class Layout:
     """The numbers of missing pixels (M of them), of known ones beside them (B), and of what is beyond the image.
 
-    missing: (rows, columns). pixels, border: (M,) and (B,) numbers in the image, in the order of rows; number:
-    (rows + 2, columns + 2) int32, of the image and a frame around it: from 0 of missing ones, from M of the border, and
-    M + B of all others.
+    missing: (rows, columns). pixels, border: (M,) and (B,) numbers in the image, in the order of rows; nothing: M + B.
     """
 
     def __init__(self, missing: Mask) -> None:
-        rows, self.columns = missing.shape
-        border = beside(missing)
-        self.pixels, self.border = np.flatnonzero(missing), np.flatnonzero(border)
+        rows, columns = missing.shape
+        self.columns = columns
+        self.pixels, self.border = np.flatnonzero(missing), np.flatnonzero(beside(missing))
         self.nothing = self.pixels.size + self.border.size
-        self.number = np.full((rows + 2, self.columns + 2), self.nothing, np.int32)
-        inner = self.number[1:-1, 1:-1]
-        inner[missing] = np.arange(self.pixels.size, dtype=np.int32)
-        inner[border] = np.arange(self.pixels.size, self.nothing, dtype=np.int32)
+        # With a frame around the image, so that all neighbors have a place.
+        self.number = np.full((rows + 2) * (columns + 2), self.nothing, np.int32)
+        self.number[self._place(self.pixels)] = np.arange(self.pixels.size)
+        self.number[self._place(self.border)] = np.arange(self.pixels.size, self.nothing)
 
     def neighbors(self) -> NDArray[np.int32]:
         """Numbers (M, 8) of the neighbors of missing pixels, in the order of kernels."""
-        pitch, flat = self.columns + 2, self.number.ravel()
-        at = self.pixels + 2 * (self.pixels // self.columns) + pitch + 1
-        found = np.empty((self.pixels.size, 8), np.int32)
+        at, found = self._place(self.pixels), np.empty((self.pixels.size, 8), np.int32)
         for k, (i, j) in enumerate(NEIGHBORS):
-            found[:, k] = flat[at + (i * pitch + j)]
+            found[:, k] = self.number[at + (i * (self.columns + 2) + j)]
         return found
+
+    def _place(self, pixels: Pixels) -> Pixels:
+        return pixels + 2 * (pixels // self.columns) + (self.columns + 3)
 
 
 def beside(missing: Mask) -> Mask:
@@ -212,50 +209,52 @@ def score_image(
 
 
 class Holes:
-    """Owns what the device holds of holes, and fills them."""
+    """Owns what the device holds of holes, as holes.cl has it, and fills them."""
 
     def __init__(self, session: Session, program: Program, layout: Layout, image: NDArray[Any]) -> None:
-        self.session, self.program = session, program
-        self.missing, self.slots, self.channels = layout.pixels.size, layout.nothing + 1, image.shape[2]
-        self.camera: Struct = frame_struct(1, self.slots, 0, "float")
+        self.session, self.program, channels = session, program, image.shape[2]
+        self.missing, self.slots, self.channels = layout.pixels.size, np.int32(layout.nothing + 1), channels
         around = layout.neighbors()
-        self.first = ((around >= self.missing) & (around < layout.nothing)).any(axis=1)
-        self.neighbors = upload(session, around)
-        values, valid = np.zeros((self.channels, self.slots), np.float32), np.zeros(self.slots, np.uint8)
-        values[:, self.missing : layout.nothing] = image.reshape(-1, self.channels)[layout.border].T
+        self.near = ((around >= self.missing) & (around < layout.nothing)).sum(axis=1, dtype=np.int32)
+        self.neighbors = upload(session, around), np.int32(self.missing)
+        values, valid = np.zeros((channels, layout.nothing + 1), np.float32), np.zeros(layout.nothing + 1, np.uint8)
+        values[:, self.missing : layout.nothing] = image.reshape(-1, channels)[layout.border].T
         valid[self.missing : layout.nothing] = 1
         self.value, self.valid = self._writable(values), self._writable(valid)
 
     def fill(self, wins: np.int32, minimum: int, progress: Progress) -> int:
-        """Stage 1; returns the number of sweeps. wins: bit k where the median is taken of k neighbors."""
-        status = self._writable(np.zeros(self.missing, np.uint8))
-        listed, counters = self._writable(self.first.astype(np.int32)), empty(self.session, 4 * COUNTERS)
-        lists = [empty(self.session, 4 * self.missing) for _ in range(2)]
-        entries = np.flatnonzero(self.first).astype(np.int32)
-        cl.enqueue_copy(self.session.queue, lists[0], entries)
-        beside, group = (self.neighbors, np.int32(self.missing)), self._group()
-        filled = sweeps = 0
-        count, least = entries.size, minimum
-        while count:
-            if count <= MOST_ENTRIES and least == minimum:
-                rule = (np.int32(count), np.int32(MOST_ENTRIES), wins, np.int32(minimum))
-                state = (self.valid, self.value, status, listed, counters)
-                self._launch("sweep_holes", *group, self.camera, *lists, *rule, *beside, *state)
+        """Stage 1; returns the number of sweeps. wins: bit k where the median is taken of k neighbors.
+
+        Short sweeps run one after another on the device, long ones are launched one by one.
+        """
+        queue, level = self.session.queue, np.minimum(self.near, minimum)
+        state = np.zeros((minimum + 1, 2), np.int32)
+        lists = empty(self.session, 4 * self.missing * minimum)
+        for k in range(1, minimum + 1):
+            entries = np.flatnonzero(level == k).astype(np.int32)
+            state[k, 1] = entries.size
+            cl.enqueue_copy(queue, lists, entries, dst_offset=4 * self.missing * (k - 1))
+        near, on_device = self._writable(self.near), self._writable(state)
+        rule, group = (*self.neighbors, np.int32(minimum), self.valid), self._group()
+        while (open_lists := np.flatnonzero(state[1:, 0] < state[1:, 1])).size:
+            k = int(open_lists[-1]) + 1
+            begin, end = state[k].tolist()
+            if end - begin <= MOST_ENTRIES:
+                most, planes = np.int32(MOST_ENTRIES), (self.value, near, lists, on_device)
+                self._launch("sweep_holes", *group, self.slots, most, wins, *rule, *planes)
             else:
-                head = (self.camera, lists[0], np.int32(count), wins, np.int32(least), self.neighbors)
-                self._launch("fill_mean_median", -(-count // LANES), VECTORS, *head, self.valid, self.value, status)
-                found = np.array([0, 0, 0, 1, 0], np.int32)
-                cl.enqueue_copy(self.session.queue, counters, found)
-                tail = (*beside, status, self.valid, listed, lists[1], counters)
-                self._launch("settle_holes", count, ENTRIES, lists[0], np.int32(count), *tail)
-            found = download(self.session, counters, (COUNTERS,), np.int32)
-            if found[SWAPPED]:
-                lists.reverse()
-            count, new = int(found[LEFT]), int(found[FILLED])
-            sweeps, filled = sweeps + max(int(found[SWEEPS]), bool(new)), filled + new
-            least = minimum if new else least - 1  # fewer neighbors will do where the filling would stall
-            progress(filled / self.missing)
-        return sweeps
+                part = [np.int32(self.missing * (k - 1) + n) for n in (begin, end)]
+                planes = (lists, self.neighbors[0], self.valid, self.value)
+                self._launch("fill_holes", -(-(end - begin) // LANES), VECTORS, self.slots, *part, wins, *planes)
+                self._launch("settle_holes", end - begin, ENTRIES, *part, *rule, near, lists, on_device)
+            found = download(self.session, on_device, state.shape, np.int32)
+            if end - begin > MOST_ENTRIES:
+                found[k, 0] = end
+                found[0, 0] += found[0, 1] > state[0, 1]
+                cl.enqueue_copy(queue, on_device, found)
+            state = found
+            progress(state[0, 1] / self.missing)
+        return int(state[0, 0])
 
     def _group(self) -> tuple[int, tuple[int]]:
         """Size of the work-group of sweep_holes, twice."""
@@ -267,10 +266,9 @@ class Holes:
         """Stage 2, to and fro between two sets of values; returns those of missing pixels."""
         here, there = self.value, empty(self.session, self.value.size)
         cl.enqueue_copy(self.session.queue, there, here)
-        everything = upload(self.session, np.arange(self.missing, dtype=np.int32))
         for n in range(rounds):
-            head = (self.camera, everything, np.int32(self.missing), self.neighbors, self.valid)
-            self._launch("smooth_median", -(-self.missing // LANES), VECTORS, *head, here, there)
+            vectors = -(-self.missing // LANES)
+            self._launch("smooth_holes", vectors, VECTORS, self.slots, *self.neighbors, self.valid, here, there)
             here, there = there, here
             self.session.queue.flush()
             progress((n + 1) / rounds)
@@ -279,7 +277,7 @@ class Holes:
 
     def values(self) -> Floats:
         """What missing pixels have now, (M, K)."""
-        planes: Floats = download(self.session, self.value, (self.channels, self.slots), np.float32)
+        planes: Floats = download(self.session, self.value, (self.channels, int(self.slots)), np.float32)
         return np.ascontiguousarray(planes[:, : self.missing].T)
 
     def _writable(self, array: NDArray[Any]) -> cl.Buffer:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clsco.device import Session
 from clsco.errors import SceneError
-from clsco.holes import MeanMedian
+from clsco.estimators import MeanMedian
 from clsco.inpainting.mean_median import Mask, Progress, Stages, fill_mean_median
 
 THESIS = "mean-median"

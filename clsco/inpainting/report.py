@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from clsco.errors import ClscoError
 from clsco.files import together, writable_folder
-from clsco.holes import COUNTS, MeanMedian
+from clsco.estimators import COUNTS, MeanMedian
 from clsco.images import write_json, write_png
 from clsco.transfer import encode
 

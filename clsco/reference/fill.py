@@ -16,10 +16,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.holes import MeanMedian, score_scale
+from clsco.estimators import MeanMedian, score_scale
 from clsco.reference.geometry import Array
-from clsco.reference.mean_median import fill_mean_median, score_mean_median, smooth_median
+from clsco.reference.mean_median import fill_mean_median, smooth_median
 from clsco.reference.neighbors import NEIGHBORS, Bounds, Mask, Pixels, known_neighbors, neighbor_numbers
+from clsco.reference.score import score_mean_median
 
 Method = Literal["ait", "mean_median", "none"]
 CHAPTER5 = MeanMedian()

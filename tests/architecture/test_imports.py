@@ -15,7 +15,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "clsco"
 # A module imports from the layers above its own line only.
 LAYERS = (
     ("errors", "resources", "poclcache", "transfer", "png", "quantities"),
-    ("files", "shapes", "frame", "holes"),
+    ("files", "shapes", "frame", "estimators"),
     ("scene",),
     ("optics", "psf", "motion", "images", "scenefile"),
     ("surfaces", "textures", "depthmaps", "sweep", "framefiles"),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from clsco import forward
 from clsco.device import Session
 from clsco.forward import LANES, SCORED, Filler, ForwardWarp
-from clsco.holes import score_of_sums
+from clsco.estimators import score_of_sums
 from clsco.layout import Real, camera_struct, flat, in_parts, structs, surface_structs
 from clsco.motion import pose_at
 from clsco.optics import blur_radius
@@ -30,7 +30,8 @@ from clsco.reference.fill import (
     settle_sweep,
 )
 from clsco.reference.geometry import pixel_ray, solve_quadric
-from clsco.reference.mean_median import fill_mean_median, score_mean_median, smooth_median
+from clsco.reference.mean_median import fill_mean_median, smooth_median
+from clsco.reference.score import score_mean_median
 from clsco.reference.trace import padded_grid
 from clsco.scene import Camera, Fill, Motion, Object, ObjectMotion, Plane, Scene, Sphere
 from clsco.surfaces import place
@@ -61,9 +62,9 @@ class Planes:
         self.surface = upload(session, surface_structs([BALL], [self.placed], real))
         features = dict.fromkeys(("LINEAR", "NAPPE", "BOUNDED", "FILTER", "SAMPLED"), 0)
         features |= {"CHANNELS": self.channels, "QUADRATIC": 1, "DOMAIN_SURFACE": int(domain == "surface")}
-        features |= {"SEVERAL": int(far), "FILL_FAR": int(far), "HOLES": 0}
+        features |= {"SEVERAL": int(far), "FILL_FAR": int(far)}
         features |= {"FILL_AIT": int(method == "ait"), "FILL_MEAN_MEDIAN": int(method == "mean_median")}
-        self.program = build(session, ["fill.cl", "mean_median.cl"], features, structs(real), real)
+        self.program = build(session, ["fill.cl", "score.cl", "mean_median.cl"], features, structs(real), real)
         self.filler = Filler(session, self.program, self.camera, features, real)
         self.write("value", flat(np.where(known[..., None], values, 0.0)[..., :-1], np.float32))
         self.write("w", in_parts(np.where(known, values[..., -1], 0.0), real))

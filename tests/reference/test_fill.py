@@ -16,7 +16,8 @@ from clsco.reference.fill import (
     fill_objects,
     mark_missing,
 )
-from clsco.reference.mean_median import fill_mean_median, score_mean_median, smooth_median
+from clsco.reference.mean_median import fill_mean_median, smooth_median
+from clsco.reference.score import score_mean_median
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
