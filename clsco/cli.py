@@ -325,9 +325,15 @@ def defocus(
 @main.command()
 @click.argument("image", type=PATH)
 @click.argument("mask", type=PATH)
-@click.option("-o", "out", metavar="OUT", required=True, type=PATH, help="File for the filled image: .png, .tif or .exr.")
-@click.option("--report", "folder", metavar="DIR", type=PATH, help="Folder for figures, plots and images of the stages.")
-@click.option("--method", metavar="METHOD", default="auto", show_default=True, help="mean-median, or auto for the best.")
+@click.option(
+    "-o", "out", metavar="OUT", required=True, type=PATH, help="File for the filled image: .png, .tif or .exr."
+)
+@click.option(
+    "--report", "folder", metavar="DIR", type=PATH, help="Folder for figures, plots and images of the stages."
+)
+@click.option(
+    "--method", metavar="METHOD", default="auto", show_default=True, help="mean-median, or auto for the best."
+)
 @_number("--threshold", "Values of MASK from this one on are missing; without it they must be 0 and white.")
 @click.option("--estimator", metavar="NAME", help="Of mean-median: scored (default), mean or median.")
 @click.option("--minimum", metavar="NUMBER", type=int, help="Of mean-median: known neighbors that a pixel needs, 4.")

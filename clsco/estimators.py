@@ -144,7 +144,7 @@ def border_histogram(gradients: NDArray[Any], step: float, share: float) -> Hist
 
 
 def value_span(image: NDArray[Any], missing: NDArray[np.bool_]) -> float:
-    """Range of the values of an image (rows, columns[, K]): of codes their largest one, of floats that of known ones."""
+    """Range of the values of an image (rows, columns[, K]): of codes the largest, of floats that of known ones."""
     if image.dtype.kind != "f":
         return float(np.iinfo(image.dtype).max)
     known = ~missing if image.ndim == 2 else ~missing[..., None]

@@ -85,15 +85,13 @@ def forward_features(plan: Plan, owned: bool) -> dict[str, int]:
 class Filler:
     """Owns planes with missing pixels on one device, and fills them (4.3.5, chapter 5).
 
-    program: with fill.cl; camera: camera_t, whose padded grid the planes have; features: of the program; real: of the
-    planes. value, w, coc, valid, status and object (None without SEVERAL) are as in fill.cl, for the caller to write
+    program: with fill.cl; camera: camera_t, whose padded grid the planes have; features: of the program. value, w, coc,
+    valid, status and object (None without SEVERAL) are as in fill.cl, for the caller to write
     before `fill`; indices are two buffers of ints per pixel that only `fill` itself needs.
     Raises DeviceError. Validated against `clsco.reference.fill`.
     """
 
-    def __init__(
-        self, session: Session, program: Program, camera: Struct, features: dict[str, int], real: Real
-    ) -> None:
+    def __init__(self, session: Session, program: Program, camera: Struct, features: dict[str, int]) -> None:
         self.session, self.program, self.camera = session, program, camera
         self.interpolates, self.smooths = bool(features["FILL_AIT"]), bool(features["FILL_MEAN_MEDIAN"])
         self.is_far, channels = bool(features["FILL_FAR"]), features["CHANNELS"]
@@ -244,7 +242,7 @@ class ForwardWarp:
         self.owned = session.device.kind == "cpu" if owned is None else owned
         features = forward_features(plan, self.owned)
         self.program = build(session, KERNELS, features, structs(real), real)
-        self.filler = Filler(session, self.program, camera, features, real)
+        self.filler = Filler(session, self.program, camera, features)
         # Once the pixels are in their places, the filling may have these for its lists.
         self.target, self.winner = self.filler.indices
         self.sources = plan.rows * plan.columns

@@ -74,7 +74,7 @@ def prepare_out(out: Path, image: Path, mask: Path, is_float: bool | None = None
 
 
 def write_filled(out: Path, image: NDArray[Any]) -> None:
-    """Write an image (rows, columns[, 3]) as it is, by the extension of the file; raises ImageError where that fails."""
+    """Write an image (rows, columns[, 3]) as it is, by the file's extension; raises ImageError where that fails."""
     suffix = out.suffix.lower()
     if suffix == ".exr":
         gray = image.ndim == 2  # in three channels, so that every reader shows it

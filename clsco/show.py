@@ -116,7 +116,8 @@ def inpaint_tables(report: Report) -> list[RenderableType]:
         rows += [("gradients of border pixels", f"{low:.4g} to {high:.4g}")]
         rows += [("blended", f"{figures['blended_pixels']}, from {figures['threshold']:.4g} on")]
     if "mse" in figures:
-        of = ", ".join(f"{k}: {name}" for k, name in zip(*(figures["mse"][key] for key in ("neighbors", "chosen"))))
+        chosen = zip(figures["mse"]["neighbors"], figures["mse"]["chosen"], strict=True)
+        of = ", ".join(f"{k}: {name}" for k, name in chosen)
         rows += [("estimator, by known neighbors", of)]
     rows += [("seconds", f"{report.seconds:.3g}")]
     size = " x ".join(f"{n}" for n in (report.shape[1], report.shape[0]))

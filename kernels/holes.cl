@@ -1,8 +1,8 @@
 // Holes of images with a mask: mean/median filling and blending of their border (thesis, chapter 5). The device holds
 // what is in and around holes only. Twin: clsco/reference/holes.py.
 //
-// Pixels are numbered one after another: first the missing ones, then known ones beside them, and last one that stands for
-// all beyond the border of the image and is never valid.
+// Pixels are numbered one after another: first the missing ones, then known ones beside them, and last one that stands
+// for all beyond the border of the image and is never valid.
 //   value      float (CHANNELS, slots): of all these pixels
 //   valid      uchar (slots): 1 known or filled, else 0
 //   neighbors  int8 per missing pixel: their numbers
@@ -11,10 +11,10 @@
 //              another; the last one those that had more in the beginning, too
 //   state      int2 (minimum + 1): sweeps and filled pixels; and of each list what has been swept, and where it ends
 //
-// A sweep takes the new entries of the last list that has any: those of the list for k < minimum are there when no missing
-// pixel has more than k valid neighbors. Some may have been filled since, and stay.
+// A sweep takes the new entries of the last list that has any: those of the list for k < minimum are there when no
+// missing pixel has more than k valid neighbors. Some may have been filled since, and stay.
 
-// Tells which neighbors of a missing pixel serve it; the last pixel fills up the last vector.
+// Tells which neighbors of a missing pixel serve it.
 static void look_around(around_t *around, int lane, int at, int median_wins, __global const int8 *neighbors,
                         __global const uchar *valid)
 {
@@ -30,7 +30,7 @@ static void look_around(around_t *around, int lane, int at, int median_wins, __g
     use_neighbors(around, lane, bits, count, median_wins);
 }
 
-// Fills missing pixels of a list, from the `first` on LANES of them that come before `end`.
+// Fills LANES missing pixels of a list from the `first` on, before `end`; the last pixel fills up the last vector.
 static void fill_vector(const int slots, __global const int *list, int first, int end, int median_wins,
                         __global const int8 *neighbors, __global const uchar *valid, __global float *value)
 {
@@ -63,8 +63,8 @@ static void settle_entry(int at, __global const int8 *neighbors, int missing, in
     }
 }
 
-// Stage 1: one sweep over what the lists have from `begin` to before `end`, LANES per work-item. Bit k of median_wins: of k
-// neighbors the median is the better estimator. In: lists, neighbors, valid. In and out: value.
+// Stage 1: one sweep over what the lists have from `begin` to before `end`, LANES per work-item. Bit k of median_wins:
+// of k neighbors the median is the better estimator. In: lists, neighbors, valid. In and out: value.
 __kernel void fill_holes(const int slots, const int begin, const int end, const int median_wins,
                          __global const int *lists, __global const int8 *neighbors, __global const uchar *valid,
                          __global float *value)
@@ -74,7 +74,8 @@ __kernel void fill_holes(const int slots, const int begin, const int end, const 
         fill_vector(slots, lists, first, end, median_wins, neighbors, valid, value);
 }
 
-// Ends such a sweep, one entry per work-item. In: neighbors; missing, their number. In and out: valid, near, lists, state.
+// Ends such a sweep, one entry per work-item. In: neighbors; missing, their number. In and out: valid, near, lists,
+// state.
 __kernel void settle_holes(const int begin, const int end, __global const int8 *neighbors, const int missing,
                            const int minimum, __global uchar *valid, __global int *near, __global int *lists,
                            __global int *state)
@@ -84,8 +85,8 @@ __kernel void settle_holes(const int begin, const int end, __global const int8 *
         settle_entry(lists[id], neighbors, missing, minimum, valid, near, lists, state);
 }
 
-// Stage 1 sweep after sweep by a single work-group, which takes less than launches for few pixels, while no sweep has more
-// than `most` entries. Buffers as above.
+// Stage 1 sweep after sweep by a single work-group, which takes less than launches for few pixels, while no sweep has
+// more than `most` entries. Buffers as above.
 __kernel void sweep_holes(const int slots, const int most, const int median_wins, __global const int8 *neighbors,
                           const int missing, const int minimum, __global uchar *valid, __global float *value,
                           __global int *near, __global int *lists, __global int *state)
@@ -114,8 +115,8 @@ __kernel void sweep_holes(const int slots, const int most, const int median_wins
     }
 }
 
-// Stage 2: one round of the 3x3 median without the center over all missing pixels, which are filled, LANES per work-item.
-// In: neighbors, valid, value_in. Out: value_out of missing pixels.
+// Stage 2: one round of the 3x3 median without the center over all missing pixels, which are filled, LANES per
+// work-item. In: neighbors, valid, value_in. Out: value_out of missing pixels.
 __kernel void smooth_holes(const int slots, __global const int8 *neighbors, const int missing,
                            __global const uchar *valid, __global const float *value_in, __global float *value_out)
 {
@@ -141,7 +142,7 @@ __kernel void smooth_holes(const int slots, __global const int8 *neighbors, cons
                     ((real *)(near + k))[lane] = plane[from[8 * lane + k]];
             SORT(real8, near)
             result = (real)0.5 * (near[3] + near[4]);
-            *(__global floats_t *)(value_out + c * slots + first) = result;
+            *(__global floats_t *)(value_out + c * slots + first) = (float8)EACH(result);
         } else {
             NEAR(near, plane[from])
             estimate(&around, near, &result);
@@ -158,10 +159,10 @@ __kernel void smooth_holes(const int slots, __global const int8 *neighbors, cons
     ORDER(T, s[5], s[8]) ORDER(T, s[4], s[7]) ORDER(T, s[3], s[6]) ORDER(T, s[1], s[4]) ORDER(T, s[2], s[5]) \
     ORDER(T, s[4], s[7]) ORDER(T, s[4], s[2]) ORDER(T, s[6], s[4]) ORDER(T, s[4], s[2])
 
-// Stage 3, of the known pixels around holes: Sobel's gradient and the 3x3 median, LANES pixels per work-item; beyond the
-// image its edge goes on. In: list of `count` pixels of value (CHANNELS, height, width), all of which are known or filled.
-// Out: steepness (count), the largest square of a gradient's magnitude among the channels; blended (CHANNELS, count), the
-// medians.
+// Stage 3, of the known pixels around holes: Sobel's gradient and the 3x3 median, LANES pixels per work-item; beyond
+// the image its edge goes on. In: list of `count` pixels of value (CHANNELS, height, width), all of which are known or
+// filled. Out: steepness (count), the largest square of a gradient's magnitude among the channels; blended (CHANNELS,
+// count), the medians.
 __kernel void blend_border(const camera_t camera, __global const int *list, const int count,
                            __global const float *value, __global float *steepness, __global float *blended)
 {
@@ -173,7 +174,8 @@ __kernel void blend_border(const camera_t camera, __global const int *list, cons
         const int at = list[MIN(first + lane, count - 1)], x = at % camera.width, y = at / camera.width;
         UNROLL
         for (int k = 0; k < 9; ++k) {
-            const int i = MIN(MAX(y + k / 3 - 1, 0), camera.height - 1), j = MIN(MAX(x + k % 3 - 1, 0), camera.width - 1);
+            const int i = MIN(MAX(y + k / 3 - 1, 0), camera.height - 1);
+            const int j = MIN(MAX(x + k % 3 - 1, 0), camera.width - 1);
             from[k][lane] = i * camera.width + j;
         }
     }

@@ -2,7 +2,8 @@
 // clsco/reference/score.py.
 
 #if FILL_MEAN_MEDIAN
-// Whole numbers, exact up to 53 bits at least. Half a unit and more in the last place rounds to the nearest, as rint does.
+// Whole numbers, exact up to 53 bits at least. Half a unit and more in the last place rounds to the nearest, as rint
+// does.
 #if HAS_FP64
 typedef double8 exact8;
 #define ROUNDER 6755399441055744.0
@@ -21,10 +22,10 @@ typedef long8 exact8;
 //   of means    (C(6, k-2) (sum d)^2 + C(6, k-1) sum d^2) / k^2,
 //   of medians  for odd k = 2 m + 1  C(i, m) C(7-i, m) times d_i^2, for all i,
 //               for even k = 2 m + 2  C(i, m) C(7-j, m) times ((d_i + d_j) / 2)^2, for all i < j.
-// Values times `scale` are rounded to whole numbers before, which differ by 2^16 at most, so that sums are exact in any
-// order. One work-item per SEGMENT columns, LANES pixels at once; value and valid must be readable LANES elements beyond
-// their end. Out: sums (height, segments, SUMS): d_i^2 for i = 0..7; (sum d)^2; C(i, m) C(7-j, m) d_i d_j over i < j for
-// m = 1, 2, 3; number of pixels times channels.
+// Values times `scale` are rounded to whole numbers before, which differ by 2^16 at most, so that sums are exact in
+// any order. One work-item per SEGMENT columns, LANES pixels at once; value and valid must be readable LANES elements
+// beyond their end. Out: sums (height, segments, SUMS): d_i^2 for i = 0..7; (sum d)^2; C(i, m) C(7-j, m) d_i d_j over
+// i < j for m = 1, 2, 3; number of pixels times channels.
 __kernel void score_mean_median(const camera_t camera, const float scale, __global const float *value,
                                 __global const uchar *valid, __global long *sums)
 {

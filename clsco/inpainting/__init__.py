@@ -44,7 +44,8 @@ def inpaint(
     image: (rows, columns) or (rows, columns, channels), up to 16 channels, uint8, uint16 or floats; what missing pixels
     hold does not matter. missing: (rows, columns), bool, or uint8 of 0 and 255 = missing. method: "mean-median", the
     thesis' (chapter 5), or "auto". device: part of an OpenCL device's name; progress: is called with the share that
-    is done, from 0 to 1. constants: of mean-median, as `clsco.estimators.MeanMedian` names them, such as smoothing_rounds=0.
+    is done, from 0 to 1. constants: of mean-median, as `clsco.estimators.MeanMedian` names them, such as
+    smoothing_rounds=0.
     NumPy arrays, or pyopencl arrays of one queue, which is then worked in.
     Returns an image of the same type and shape, of which known pixels are those that were given (but for those that
     stage 3 of mean-median blends), and the report. An image without missing pixels is copied. Raises ImageError for
@@ -108,7 +109,7 @@ def _inpaint(
     result, done = image.copy(), Filled(np.empty(0, np.int64), np.empty((0, 1), np.float32))
     if missing.any():
         planes = np.ascontiguousarray(image).reshape(*missing.shape, -1)
-        task = Task(planes, missing, value_span(image, missing), chosen, progress or (lambda share: None))
+        task = Task(planes, missing, value_span(image, missing), chosen, progress or (lambda _: None))
         done = METHODS[name](session, task)
         result.reshape(-1, planes.shape[2])[done.pixels] = as_stored(done.values, image.dtype)
     seconds = perf_counter() - before

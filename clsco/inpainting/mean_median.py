@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from clsco.device import Program, Session
 from clsco.estimators import Histogram, MeanMedian, Score, bits_of, border_histogram, score_of_sums, score_scale
-from clsco.layout import Struct, frame_struct, structs
+from clsco.layout import frame_struct, structs
 from clsco.program import build, download, empty, kernel, launch, upload
 
 Mask = NDArray[np.bool_]
@@ -104,7 +104,9 @@ def fill_mean_median(
         stages.sweeps = holes.fill(wins, constants.minimum, tell)
         stages.filled = holes.values()
     with stage("smooth") as tell:
-        stages.smoothed = holes.smooth(constants.smoothing_rounds, tell) if constants.smoothing_rounds else stages.filled
+        stages.smoothed = (
+            holes.smooth(constants.smoothing_rounds, tell) if constants.smoothing_rounds else stages.filled
+        )
     del holes
     if layout.border.size and constants.border_share:
         with stage("blend") as tell:

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import ClscoError
-from clsco.files import together, writable_folder
 from clsco.estimators import COUNTS, MeanMedian
+from clsco.files import together, writable_folder
 from clsco.images import write_json, write_png
 from clsco.transfer import encode
 

@@ -198,9 +198,9 @@ def fill(
     """Fill what a forward warp left: values (H, W, K), status (H, W) and the report.
 
     values: (H, W, K), radiance and then inverse depth; known: (H, W); allowed: as for `mark_missing`; guard:
-    px of the padded grid that do not count in the report; far, brightest: as for `fill_objects`. Status: 0 known or outside, 1
-    filled, 2 missing but could not be filled. "mean_median" scores on the radiance and fills inverse depth by the same
-    rule.
+    px of the padded grid that do not count in the report; far, brightest: as for `fill_objects`. Status: 0 known or
+    outside, 1 filled, 2 missing but could not be filled. "mean_median" scores on the radiance and fills inverse depth
+    by the same rule.
     Before each sweep missing pixels are those between known or filled ones. Sweeps that fill nothing do not
     count.
     """

@@ -6,6 +6,7 @@ Values are arrays (H, W, K) in float32, in which all is computed, rounded step b
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,40 +14,43 @@ from numpy.typing import NDArray
 from clsco.estimators import Histogram, MeanMedian, Score, border_histogram, score_scale
 from clsco.reference.geometry import Array
 from clsco.reference.mean_median import fill_mean_median, smooth_median
-from clsco.reference.neighbors import NEIGHBORS, Mask, Pixels, known_neighbors
+from clsco.reference.neighbors import NEIGHBORS, Mask
 from clsco.reference.score import score_mean_median
 
 
-def fill_holes(values: Array, known: Mask, wins: Mask, minimum: int) -> tuple[Array, Mask]:
+def fill_holes(values: Array, known: Mask, missing: Mask, wins: Mask, minimum: int) -> tuple[Array, Mask]:
     """Stage 1: one sweep; values (H, W, K) with what could be filled, and which pixels those are (H, W).
 
-    known: (H, W), before the sweep; wins: (9,), where the median is taken; minimum: known neighbors that a pixel needs.
+    known, missing: (H, W), before the sweep; wins: (9,), where the median is taken; minimum: known neighbors that a
+    pixel needs.
     """
-    swept, filled, _ = fill_mean_median(values, known, ~known, wins, minimum)
+    swept, filled, _ = fill_mean_median(values, known, missing, wins, minimum)
     return swept, filled
 
 
-def settle_holes(known: Mask, filled: Mask) -> tuple[Mask, Pixels]:
-    """Known pixels (H, W) after a sweep that has filled some, and how many of their neighbors all have (H, W).
+def settle_holes(known: Mask, missing: Mask, filled: Mask) -> tuple[Mask, Mask, NDArray[np.uint8]]:
+    """Known and missing pixels (H, W) after a sweep that has filled some, and how many known neighbors each has (H, W).
 
-    known: (H, W), before the sweep; filled: (H, W).
+    known, missing: (H, W), before the sweep; filled: (H, W).
     """
-    valid = known | filled
-    row, column = np.nonzero(np.ones_like(valid))
-    _, near = known_neighbors(valid[..., None], valid, row, column)
-    return valid, near.sum(axis=0).reshape(valid.shape)
+    valid, padded, (rows, columns) = known | filled, np.pad(known | filled, 1), known.shape
+    near = np.zeros(known.shape, np.uint8)
+    for i, j in NEIGHBORS:
+        near += padded[1 + i : 1 + i + rows, 1 + j : 1 + j + columns]
+    return valid, missing & ~filled, near
 
 
-def sweep_holes(values: Array, known: Mask, wins: Mask, minimum: int) -> tuple[Array, int]:
+def sweep_holes(values: Array, known: Mask, missing: Mask, wins: Mask, minimum: int) -> tuple[Array, int]:
     """Stage 1: sweeps until nothing is missing; values (H, W, K), and how many have filled something.
 
-    Arguments as of `fill_holes`; some pixel is known. Where a sweep fills nothing, the next one relaxes the minimum by
+    Arguments as of `fill_holes`; from every missing pixel a way through others leads to a known one. Where a sweep fills nothing, the next one relaxes the minimum by
     one, and the first that does takes it back.
     """
     sweeps, least = 0, minimum
-    while not known.all():
-        values, filled = fill_holes(values, known, wins, least)
-        known, _ = settle_holes(known, filled)
+    known, missing, near = settle_holes(known, missing, np.zeros_like(missing))
+    while missing.any():
+        values, filled = fill_holes(values, known, missing & (near >= least), wins, least)
+        known, missing, near = settle_holes(known, missing, filled)
         sweeps, least = (sweeps + 1, minimum) if filled.any() else (sweeps, least - 1)
     return values, sweeps
 
@@ -76,24 +80,25 @@ class Inpainted:
     """Images (H, W, K) after stages 1, 2 and 3, and what they were made by; border: (H, W), known pixels beside holes;
     histogram: None where there are none."""
 
-    filled: NDArray[np.float32]
-    smoothed: NDArray[np.float32]
-    blended: NDArray[np.float32]
+    filled: Array
+    smoothed: Array
+    blended: Array
     score: Score
     sweeps: int
     border: Mask
     histogram: Histogram | None
 
 
-def inpaint(image: NDArray[np.float32], missing: Mask, span: float, constants: MeanMedian) -> Inpainted:
+def inpaint(image: NDArray[Any], missing: Mask, span: float, constants: MeanMedian) -> Inpainted:
     """Fill missing pixels of an image.
 
-    image: (H, W, K), what missing pixels hold does not matter; missing: (H, W), not all of it; span: range of
+    image: (H, W, K) float32, what missing pixels hold does not matter; missing: (H, W), not all of it; span: range of
     the values (`clsco.estimators.value_span`).
     """
     values = np.where(missing[..., None], np.float32(0), image)
     score = score_mean_median(values, ~missing, score_scale(span))
-    filled, sweeps = sweep_holes(values, ~missing, score.median_wins(constants.estimator), constants.minimum)
+    wins = score.median_wins(constants.estimator)
+    filled, sweeps = sweep_holes(values, ~missing, missing, wins, constants.minimum)
     smoothed = filled
     for _ in range(constants.smoothing_rounds):
         smoothed = smooth_holes(smoothed, missing)

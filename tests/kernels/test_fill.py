@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from clsco import forward
 from clsco.device import Session
-from clsco.forward import LANES, SCORED, Filler, ForwardWarp
 from clsco.estimators import score_of_sums
+from clsco.forward import LANES, SCORED, Filler, ForwardWarp
 from clsco.layout import Real, camera_struct, flat, in_parts, structs, surface_structs
 from clsco.motion import pose_at
 from clsco.optics import blur_radius
@@ -65,7 +65,7 @@ class Planes:
         features |= {"SEVERAL": int(far), "FILL_FAR": int(far)}
         features |= {"FILL_AIT": int(method == "ait"), "FILL_MEAN_MEDIAN": int(method == "mean_median")}
         self.program = build(session, ["fill.cl", "score.cl", "mean_median.cl"], features, structs(real), real)
-        self.filler = Filler(session, self.program, self.camera, features, real)
+        self.filler = Filler(session, self.program, self.camera, features)
         self.write("value", flat(np.where(known[..., None], values, 0.0)[..., :-1], np.float32))
         self.write("w", in_parts(np.where(known, values[..., -1], 0.0), real))
         self.write("valid", known.astype(np.uint8))
