@@ -86,15 +86,18 @@ def plain_sweeps(
 
     An image that stalls waits until all do: that changes nothing in it.
     """
-    taken, least = np.zeros((0, images), np.bool_), minimum
-    while missing.any():
-        near = twin.settle_holes(known, missing, np.zeros_like(missing))[2]
-        values, filled = twin.fill_holes(values, known, missing & (near >= least), wins, least)
-        known, missing = known | filled, missing & ~filled
-        least = minimum if filled.any() else least - 1
+    taken, least = [], minimum
+    sheet = [array.reshape(images, -1, *array.shape[1:]).copy() for array in (values, known, missing)]
+    while (left := np.flatnonzero(sheet[2].any(axis=(1, 2)))).size:
+        planes, valid, open_ = (array[left].reshape(-1, *array.shape[2:]) for array in sheet)
+        near = twin.settle_holes(valid, open_, np.zeros_like(open_))[2]
+        planes, filled = twin.fill_holes(planes, valid, open_ & (near >= least), wins, least)
+        for array, new in zip(sheet, (planes, valid | filled, open_ & ~filled), strict=True):
+            array[left] = new.reshape(left.size, *array.shape[1:])
         if filled.any():
-            taken = np.vstack([taken, filled.reshape(images, -1).any(axis=1)])
-    return values, taken
+            taken.append(np.isin(np.arange(images), left[filled.reshape(left.size, -1).any(axis=1)]))
+        least = minimum if filled.any() else least - 1
+    return sheet[0].reshape(values.shape), np.array(taken).reshape(-1, images)
 
 
 def test_every_mask_of_4_x_4_ends(session: Session) -> None:
@@ -103,9 +106,9 @@ def test_every_mask_of_4_x_4_ends(session: Session) -> None:
     assert check_sheet(session, masks, SOME_WIN, 4, 1, rounds=1) <= 4 * (4 + 4)
 
 
-@pytest.mark.parametrize(("wins", "minimum", "channels"), [(NO_WINS, 4, 3), (ALL_WIN, 3, 1), (SOME_WIN, 8, 2)])
+@pytest.mark.parametrize(("wins", "minimum", "channels"), [(NO_WINS, 4, 3), (ALL_WIN, 3, 1), (SOME_WIN, 8, 1)])
 def test_some_masks_of_4_x_4_by_other_constants(session: Session, wins: Mask, minimum: int, channels: int) -> None:
-    masks = np.random.default_rng(7).random((3000, 4, 4)) < 0.8
+    masks = np.random.default_rng(7).random((1000, 4, 4)) < 0.8
     masks[masks.all(axis=(1, 2)), 0, 0] = False
     assert check_sheet(session, masks, wins, minimum, channels) <= 4 * (4 + 4)
 
@@ -125,7 +128,7 @@ def random_masks(seed: int, shapes: int, each: int) -> Iterator[Array]:
 
 
 def test_random_masks_end(session: Session) -> None:
-    for masks in random_masks(11, 6, 30):
+    for masks in random_masks(11, 6, 20):
         assert check_sheet(session, masks, SOME_WIN, 4, 1) <= 4 * (masks.shape[1] + masks.shape[2])
 
 
@@ -156,9 +159,9 @@ def test_holes_at_corners_and_borders(session: Session) -> None:
 def test_sweeps_are_the_same_launched_or_not(session: Session, most: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Long sweeps are launched, short ones are the work of a group of any size."""
     monkeypatch.setattr(mean_median, "MOST_ENTRIES", most)
-    for size in (1, 4, 64):
+    for size in (1, 8):
         monkeypatch.setattr(Holes, "_group", lambda self, size=size: (size, (size,)))
-        for masks in random_masks(17, 2, 5):
+        for masks in random_masks(17, 2, 3):
             check_sheet(session, masks, SOME_WIN, 4, 1)
 
 
