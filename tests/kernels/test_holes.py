@@ -230,7 +230,9 @@ def test_scores_of_images_are_exact(session: Session, dtype: Any, monkeypatch: p
     lesser = replace(session.device, has_fp64=False)
     for shape in [(1, 1), (2, 5), (3, 3), (20, 300), (61, 70)]:
         floats = rng.normal(size=(*shape, 2)) * 3.0
-        image = floats.astype(dtype) if dtype == np.float32 else rng.integers(0, np.iinfo(dtype).max, (*shape, 2), dtype)
+        image = (
+            floats.astype(dtype) if dtype == np.float32 else rng.integers(0, np.iinfo(dtype).max, (*shape, 2), dtype)
+        )
         missing = rng.random(shape) < 0.05
         scale = 2.0**12 if dtype == np.float32 else 1.0 if dtype == np.uint16 else 256.0
         expected = score_mean_median(image.astype(np.float64), ~missing, scale)
