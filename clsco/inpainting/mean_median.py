@@ -158,7 +158,8 @@ def beside(missing: Mask) -> Mask:
 class Band:
     """Rows of an image from `top` to before `bottom`, with those beside them.
 
-    above: the first row that there is; value: float32 (K, count, columns) and LANES more, 0 where pixels are missing.
+    above: the first row that there is; value: float32 (K, count, columns) and LANES more, finite where pixels are
+    missing; overwritten by the next band.
     """
 
     top: int
@@ -177,13 +178,14 @@ def bands(image: NDArray[Any], missing: Mask, wanted: Mask) -> Iterator[Band]:
     """The bands of an image (rows, columns, K) with any wanted row (rows,)."""
     rows, columns, channels = image.shape
     step = max(1, BAND_VALUES // (columns * channels))
+    room = np.zeros(channels * columns * min(step + 2, rows) + LANES, np.float32)
     for top in range(0, rows, step):
         bottom = min(top + step, rows)
         if not wanted[top:bottom].any():
             continue
         part = slice(max(top - 1, 0), min(bottom + 1, rows))
         size = (part.stop - part.start) * columns
-        value = np.zeros(channels * size + LANES, np.float32)
+        value = room[: channels * size + LANES]
         planes = value[: channels * size].reshape(channels, -1, columns)
         for k in range(channels):
             planes[k] = image[part, :, k]

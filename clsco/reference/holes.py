@@ -43,8 +43,8 @@ def settle_holes(known: Mask, missing: Mask, filled: Mask) -> tuple[Mask, Mask, 
 def sweep_holes(values: Array, known: Mask, missing: Mask, wins: Mask, minimum: int) -> tuple[Array, int]:
     """Stage 1: sweeps until nothing is missing; values (H, W, K), and how many have filled something.
 
-    Arguments as of `fill_holes`; from every missing pixel a way through others leads to a known one. Where a sweep fills nothing, the next one relaxes the minimum by
-    one, and the first that does takes it back.
+    Arguments as of `fill_holes`; from every missing pixel a way through others leads to a known one. Where a sweep
+    fills nothing, the next one relaxes the minimum by one, and the first that does takes it back.
     """
     sweeps, least = 0, minimum
     known, missing, near = settle_holes(known, missing, np.zeros_like(missing))

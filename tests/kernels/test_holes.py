@@ -82,12 +82,12 @@ def check_sheet(session: Session, masks: Array, wins: Mask, minimum: int, channe
 def plain_sweeps(
     values: Array, known: Mask, missing: Mask, wins: Mask, minimum: int, images: int
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Values of a sheet after all sweeps, and in which of its images each of them has filled something (sweeps, images).
+    """Values of a sheet after all sweeps, and in which of its images each has filled something (sweeps, images).
 
     An image that stalls waits until all do: that changes nothing in it.
     """
     taken, least = [], minimum
-    sheet = [array.reshape(images, -1, *array.shape[1:]).copy() for array in (values, known, missing)]
+    sheet: list[Array] = [array.reshape(images, -1, *array.shape[1:]).copy() for array in (values, known, missing)]
     while (left := np.flatnonzero(sheet[2].any(axis=(1, 2)))).size:
         planes, valid, open_ = (array[left].reshape(-1, *array.shape[2:]) for array in sheet)
         near = twin.settle_holes(valid, open_, np.zeros_like(open_))[2]
@@ -212,7 +212,7 @@ def test_the_border_is_its_twin(
     built, layout = program(session, channels), Layout(missing)
     stages = Stages(layout.pixels, layout.border)
     stages.smoothed = rng.random((layout.pixels.size, channels)).astype(np.float32)
-    whole = image.copy()
+    whole: Array = image.copy()
     whole[missing] = stages.smoothed
     steepness, blended = twin.blend_border(whole, beside(missing))
     assert (beside(missing) == twin.beside(missing)).all()
