@@ -36,6 +36,11 @@ static void fill_vector(const int slots, __global const int *list, int first, in
 {
     around_t around;
     real8 near[8], result;
+    int open = 0;
+    for (int lane = 0; lane < LANES; ++lane)
+        open |= !valid[list[MIN(first + lane, end - 1)]];
+    if (!open)
+        return;
     for (int lane = 0; lane < LANES; ++lane)
         look_around(&around, lane, list[MIN(first + lane, end - 1)], median_wins, neighbors, valid);
     for (int c = 0; c < CHANNELS; ++c) {
@@ -116,9 +121,11 @@ __kernel void sweep_holes(const int slots, const int most, const int median_wins
 }
 
 // Stage 2: one round of the 3x3 median without the center over all missing pixels, which are filled, LANES per
-// work-item. In: neighbors, valid, value_in. Out: value_out of missing pixels.
+// work-item. In: neighbors; runs, uchar per LANES pixels, bit k where their neighbors k are numbered one after another;
+// valid, value_in. Out: value_out of missing pixels.
 __kernel void smooth_holes(const int slots, __global const int8 *neighbors, const int missing,
-                           __global const uchar *valid, __global const float *value_in, __global float *value_out)
+                           __global const uchar *runs, __global const uchar *valid, __global const float *value_in,
+                           __global float *value_out)
 {
     const int first = get_global_id(0) * LANES;
     if (first >= missing)
@@ -136,10 +143,15 @@ __kernel void smooth_holes(const int slots, __global const int8 *neighbors, cons
         __global const float *plane = value_in + c * slots;
         if (inside) {  // as nearly all are: no need to look which neighbors there are
             __global const int *from = (__global const int *)(neighbors + first);
-            for (int lane = 0; lane < LANES; ++lane)
-                UNROLL
-                for (int k = 0; k < 8; ++k)
-                    ((real *)(near + k))[lane] = plane[from[8 * lane + k]];
+            const int run = runs[get_global_id(0)];
+            UNROLL
+            for (int k = 0; k < 8; ++k)
+                if (run >> k & 1)
+                    near[k] = (real8)EACH(FLOATS(plane + from[k]));
+                else
+                    UNROLL
+                    for (int lane = 0; lane < LANES; ++lane)
+                        ((real *)(near + k))[lane] = plane[from[8 * lane + k]];
             SORT(real8, near)
             result = (real)0.5 * (near[3] + near[4]);
             *(__global floats_t *)(value_out + c * slots + first) = (float8)EACH(result);

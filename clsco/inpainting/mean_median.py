@@ -220,7 +220,7 @@ class Holes:
         self.missing, self.slots, self.channels = layout.pixels.size, np.int32(layout.nothing + 1), channels
         around = layout.neighbors()
         self.near = ((around >= self.missing) & (around < layout.nothing)).sum(axis=1, dtype=np.int32)
-        self.neighbors = upload(session, around), np.int32(self.missing)
+        self.neighbors, self.runs = (upload(session, around), np.int32(self.missing)), upload(session, runs(around))
         values, valid = np.zeros((channels, layout.nothing + 1), np.float32), np.zeros(layout.nothing + 1, np.uint8)
         values[:, self.missing : layout.nothing] = image.reshape(-1, channels)[layout.border].T
         valid[self.missing : layout.nothing] = 1
@@ -272,7 +272,7 @@ class Holes:
         cl.enqueue_copy(self.session.queue, there, here)
         for n in range(rounds):
             vectors = -(-self.missing // LANES)
-            self._launch("smooth_holes", vectors, VECTORS, self.slots, *self.neighbors, self.valid, here, there)
+            self._launch("smooth_holes", vectors, VECTORS, self.slots, *self.neighbors, self.runs, self.valid, here, there)
             here, there = there, here
             self.session.queue.flush()
             progress((n + 1) / rounds)
@@ -291,6 +291,13 @@ class Holes:
 
     def _launch(self, name: str, size: int, local: tuple[int, ...], *args: Any) -> None:
         launch(self.session, kernel(self.program, name), (size,), local, *args)
+
+
+def runs(around: NDArray[np.int32]) -> NDArray[np.uint8]:
+    """Bits for each LANES pixels: bit k where their neighbors (M, 8) k are numbered one after another."""
+    vectors = around[: len(around) // LANES * LANES].reshape(-1, LANES, 8)
+    follows = (vectors[:, 1:] == vectors[:, :-1] + 1).all(axis=1)
+    return np.append(np.packbits(follows, axis=1, bitorder="little"), np.uint8(0))
 
 
 def blend_border(
