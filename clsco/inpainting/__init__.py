@@ -50,7 +50,7 @@ def inpaint(
     Returns an image of the same type and shape, of which known pixels are those that were given (but for those that
     stage 3 of mean-median blends), and the report. An image without missing pixels is copied. Raises ImageError for
     images and masks that cannot be, such as without any known pixel, SceneError, DeviceError.
-    Validated bit by bit against `clsco.reference.holes` (tests/test_inpainting.py).
+    Validated bit by bit against `clsco.reference.holes` (tests/test_inpaint.py).
     """
     on_device = [a for a in (image, missing) if isinstance(a, cl_array.Array)]
     if on_device:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import lru_cache
 from time import perf_counter
 from typing import Any
 
@@ -35,6 +36,7 @@ NEIGHBORS = ((0, -1), (0, 1), (-1, 0), (1, 0), (-1, -1), (1, 1), (-1, 1), (1, -1
 VECTORS, ENTRIES, OWNERS = (8,), (64,), (1,)  # local sizes of kernels with a work-item per vector, entry, or segment
 
 BAND_VALUES = 2**21  # of the image that are scored or blended at once
+ALIGNED = 32  # floats
 MOST_ENTRIES = 4096  # of a sweep for a single work-group
 GROUP = 128  # its size on a graphics card; a processor has one work-item, which does it in vectors
 SHARES = {"score": 0.5, "fill": 0.2, "smooth": 0.2, "blend": 0.1}  # of the whole, for progress
@@ -79,7 +81,7 @@ def fill_mean_median(
     Takes 100 to 200 bytes per missing pixel and known one beside it, and 4 per pixel of the image.
     Raises DeviceError. Validated against `clsco.reference.holes`, bit by bit.
     """
-    program = build(session, KERNELS, FEATURES | {"CHANNELS": image.shape[2]}, structs("float"), "float")
+    program = _program(session, image.shape[2])
     layout = Layout(missing)
     stages = Stages(layout.pixels, layout.border)
     stages.gradients, stages.blended = np.empty(0), np.empty((layout.border.size, image.shape[2]), np.float32)
@@ -113,6 +115,11 @@ def fill_mean_median(
             blend_border(session, program, layout.border, image, missing, stages, tell)
         stages.histogram = border_histogram(stages.gradients, span / 255, constants.border_share)
     return stages
+
+
+@lru_cache(maxsize=8)  # of a small image, to read the files would take a tenth of the time
+def _program(session: Session, channels: int) -> Program:
+    return build(session, KERNELS, FEATURES | {"CHANNELS": channels}, structs("float"), "float")
 
 
 class Layout:
@@ -178,7 +185,8 @@ def bands(image: NDArray[Any], missing: Mask, wanted: Mask) -> Iterator[Band]:
     """The bands of an image (rows, columns, K) with any wanted row (rows,)."""
     rows, columns, channels = image.shape
     step = max(1, BAND_VALUES // (columns * channels))
-    room = np.zeros(channels * columns * min(step + 2, rows) + LANES, np.float32)
+    room = np.zeros(channels * columns * min(step + 2, rows) + LANES + ALIGNED, np.float32)
+    room = room[-room.ctypes.data // 4 % ALIGNED :]  # processors then work in it, without a copy
     for top in range(0, rows, step):
         bottom = min(top + step, rows)
         if not wanted[top:bottom].any():
@@ -272,7 +280,9 @@ class Holes:
         cl.enqueue_copy(self.session.queue, there, here)
         for n in range(rounds):
             vectors = -(-self.missing // LANES)
-            self._launch("smooth_holes", vectors, VECTORS, self.slots, *self.neighbors, self.runs, self.valid, here, there)
+            self._launch(
+                "smooth_holes", vectors, VECTORS, self.slots, *self.neighbors, self.runs, self.valid, here, there
+            )
             here, there = there, here
             self.session.queue.flush()
             progress((n + 1) / rounds)
