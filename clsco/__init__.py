@@ -1,8 +1,8 @@
 """Images of moving objects out of focus, with their ground truth, computed with OpenCL.
 
 `load_scene` and `parse_scene` read a scene, `render` computes its frames, `defocus` blurs one image by its
-radius map, and `reference` renders in NumPy float64 without OpenCL. Each is imported when it is first used:
-without OpenCL everything but `render` and `defocus` works.
+radius map, `inpaint` fills missing pixels of one, and `reference` renders in NumPy float64 without OpenCL. Each is
+imported when it is first used: without OpenCL everything but `render`, `defocus` and `inpaint` works.
 """
 
 from __future__ import annotations
@@ -15,16 +15,18 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from clsco import reference as reference
     from clsco.defocus import defocus as defocus
+    from clsco.inpainting import inpaint as inpaint
     from clsco.render import render as render
     from clsco.scenefile import load_scene as load_scene
     from clsco.scenefile import parse_scene as parse_scene
     from clsco.sweep import load_sweep as load_sweep
 
 __version__ = "0.1.0"
-__all__ = ["__version__", "defocus", "load_scene", "load_sweep", "parse_scene", "reference", "render"]
+__all__ = ["__version__", "defocus", "inpaint", "load_scene", "load_sweep", "parse_scene", "reference", "render"]
 
 _FUNCTIONS = {
     "defocus": "clsco.defocus",
+    "inpaint": "clsco.inpainting",
     "load_scene": "clsco.scenefile",
     "load_sweep": "clsco.sweep",
     "parse_scene": "clsco.scenefile",

@@ -343,6 +343,56 @@ def defocus(
             advance()
 
 
+@main.command()
+@click.argument("image", type=PATH)
+@click.argument("mask", type=PATH)
+@click.option(
+    "-o", "out", metavar="OUT", required=True, type=PATH, help="File for the filled image: .png, .tif or .exr."
+)
+@click.option(
+    "--report", "folder", metavar="DIR", type=PATH, help="Folder for figures, plots and images of the stages."
+)
+@click.option(
+    "--method", metavar="METHOD", default="auto", show_default=True, help="mean-median, or auto for the best."
+)
+@_number("--threshold", "Values of MASK from this one on are missing; without it they must be 0 and white.")
+@click.option("--estimator", metavar="NAME", help="Of mean-median: scored (default), mean or median.")
+@click.option("--minimum", metavar="NUMBER", type=int, help="Of mean-median: known neighbors that a pixel needs, 4.")
+@click.option("--smoothing-rounds", metavar="NUMBER", type=int, help="Of mean-median: 20; 0 turns smoothing off.")
+@_number("--border-share", "Of mean-median: of the border, the share that is blended, 0.4; 0 turns it off.")
+@device_option
+@quiet_option
+def inpaint(
+    image: Path, mask: Path, out: Path, folder: Path | None, method: str, threshold: float | None, device: str | None,
+    quiet: bool, **constants: str | float | None,
+) -> None:  # fmt: skip
+    """Fill the missing pixels of IMAGE: those that are white (255) in MASK, a file of the same size.
+
+    8 and 16 bits, gray and color, and floats, of which missing ones may be no numbers. OUT has the type of IMAGE.
+    """
+    from clsco.inpaint_command import prepare_out, read_pair, write_filled
+
+    prepare_out(out, image, mask)
+    pixels, missing = read_pair(image, mask, threshold)
+    prepare_out(out, image, mask, pixels.dtype.kind == "f")
+    _require_device(device)
+    from clsco import inpaint as fill
+    from clsco.inpainting.report import require_matplotlib, write_report
+    from clsco.show import inpaint_tables
+
+    if folder is not None:
+        require_matplotlib()
+    given = {name: value for name, value in constants.items() if value is not None}
+    with _shares(quiet) as progress:
+        filled, report = fill(pixels, missing, method=method, device=device, progress=progress, **given)
+    write_filled(out, filled)
+    if folder is not None:
+        write_report(folder, report, pixels, missing, filled)
+    _print(*inpaint_tables(report))
+    if not report.missing_pixels:
+        click.echo(f"no pixel is missing: {click.format_filename(out)} is a copy of {click.format_filename(image)}")
+
+
 def _render_to_folders(
     loaded: Sequence[tuple[Path, Sweep | SceneError]], out: Path, files: tuple[str, ...], span: Span,
     device: str | None, precision: str | None, memory: int | None, resume: bool, quiet: bool,
@@ -449,3 +499,18 @@ def _progress(total: int, quiet: bool, what: str = "frames") -> Iterator[Callabl
     with Progress(*columns, console=Console(stderr=True)) as progress:
         task = progress.add_task(what, total=total)
         yield lambda: progress.advance(task)
+
+
+@contextmanager
+def _shares(quiet: bool) -> Iterator[Callable[[float], object]]:
+    """A bar as of `_progress` for work that tells the share that is done, from 0 to 1."""
+    shown = 0
+    with _progress(100, quiet, "percent") as advance:
+
+        def progress(share: float) -> None:
+            nonlocal shown
+            while shown < int(100 * share):
+                advance()
+                shown += 1
+
+        yield progress

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, overload
 
 import numpy as np
@@ -12,7 +11,7 @@ import pyopencl as cl
 import pyopencl.array as cl_array
 from numpy.typing import NDArray
 
-from clsco.device import Device, Session, choose, described
+from clsco.device import Session, choose, session_of, session_on
 from clsco.errors import DeviceError, ImageError, SceneError
 from clsco.layers import Layers
 from clsco.layout import WIDE_BYTES, Real, Struct, flat, frame_struct, in_parts, structs
@@ -72,8 +71,8 @@ def defocus(
         if queue is None:
             raise DeviceError("image: a pyopencl array must have a queue; got one without")
         host = [a.get(queue) if isinstance(a, cl_array.Array) else a for a in (image, coc)]
-        return cl_array.to_device(queue, _defocus(_session_of(queue), _checked(*host), model, method, memory))
-    return _defocus(_session(choose(device)), _checked(image, coc), model, method, memory)
+        return cl_array.to_device(queue, _defocus(session_of(queue), _checked(*host), model, method, memory))
+    return _defocus(session_on(choose(device)), _checked(image, coc), model, method, memory)
 
 
 @dataclass(frozen=True)
@@ -115,17 +114,6 @@ def _checked(image: Any, coc: Any) -> _Given:
         float(np.abs(radii[first : first + BAND].astype(np.float64)).min()) for first in range(0, len(radii), BAND)
     )
     return _Given(picture, radii, smallest, largest, float(np.float32(brightest)))
-
-
-# A context and its built programs, kept because they take longer than a small image does.
-@lru_cache(maxsize=4)
-def _session(device: Device) -> Session:
-    return Session(device)
-
-
-@lru_cache(maxsize=4)
-def _session_of(queue: cl.CommandQueue) -> Session:
-    return Session(described(queue.device), queue=queue)
 
 
 def _choose(psf: Psf, method: str, smallest: float, largest: float) -> Blur:

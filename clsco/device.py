@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
+from functools import lru_cache
 from types import TracebackType
 from typing import Literal, Self, TypeAlias
 
@@ -164,6 +165,19 @@ class Session:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+# A context and its built programs, kept because they take longer than a small image does.
+@lru_cache(maxsize=4)
+def session_on(device: Device) -> Session:
+    """A session on a device, the same one as long as it is among the last four."""
+    return Session(device)
+
+
+@lru_cache(maxsize=4)
+def session_of(queue: cl.CommandQueue) -> Session:
+    """A session that works in a queue, the same one as long as it is among the last four."""
+    return Session(described(queue.device), queue=queue)
 
 
 def _rank(device: Device) -> int:

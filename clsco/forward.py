@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from math import comb
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco.device import Program, Session
+from clsco.estimators import MeanMedian, bits_of, score_of_sums, score_scale
 from clsco.layout import WIDE, WIDE_BYTES, Real, Struct, in_parts, pose_structs, structs, surface_structs, together
 from clsco.motion import Pose, rest_center
 from clsco.plan import Plan
@@ -19,11 +19,11 @@ from clsco.program import build, download, empty, kernel, launch, upload
 from clsco.spread import PIXELS, Events
 from clsco.surfaces import PlacedSurface
 
-KERNELS = ("reproject.cl", "fill.cl", "mean_median.cl")
+KERNELS = ("reproject.cl", "fill.cl", "score.cl", "mean_median.cl")
 # As in the kernels.
 SEGMENT = 64  # sources of a row that a work-item moves, with OWNED
 COUNTERS = 5
-SUMS = 7  # of a row
+SUMS, SCORED = 13, 256  # sums of score_mean_median, and columns per work-item there
 LEFT, LEFT_INSIDE, FILLED, FILLED_INSIDE, DONE = range(COUNTERS)
 CHUNK = 64  # pixels per work-item where it counts
 LANES = 8  # pixels of a vector; score_mean_median may read so many beyond the end
@@ -36,7 +36,7 @@ BANDS_PER_CORE, SMALLEST_BAND = 4, 16
 LISTED = (64,)  # local size of kernels with a work-item per source or per entry of a list
 OWNERS = (1,)  # of those with few, large work-items
 LINES = (8,)  # of those with a work-item per row, column, segment, chunk or vector
-MINIMUM_COUNT, SMOOTHING_ROUNDS = 4, 20  # chapter 5
+CHAPTER5 = MeanMedian()
 
 SHAPE_FEATURES = ("CHANNELS", "SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED")
 
@@ -82,37 +82,20 @@ def forward_features(plan: Plan, owned: bool) -> dict[str, int]:
     }
 
 
-def squared_errors(sums: NDArray[np.floating[Any]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Squared errors (9,) of mean and median of k neighbors, as `score_mean_median` of `clsco.reference.mean_median`.
-
-    sums: (rows, 7) from the kernel of that name, added here in the order of the rows. The binomial coefficients
-    count the subsets of k neighbors with a certain one, and with a certain two, in them.
-    """
-    squared, squares, *medians = sums.astype(np.float64).sum(axis=0).tolist()
-    mean_error, median_error = np.zeros(9), np.zeros(9)
-    for k, median in zip(range(MINIMUM_COUNT, 9), medians, strict=True):
-        mean_error[k] = (comb(6, k - 2) * squared + comb(6, k - 1) * squares) / k**2
-        median_error[k] = median / (1 if k % 2 else 4)
-    return mean_error, median_error
-
-
 class Filler:
     """Owns planes with missing pixels on one device, and fills them (4.3.5, chapter 5).
 
-    program: with fill.cl; camera: camera_t, whose padded grid the planes have; features: of the program; real: of the
-    planes. value, w, coc, valid, status and object (None without SEVERAL) are as in fill.cl, for the caller to write
+    program: with fill.cl; camera: camera_t, whose padded grid the planes have; features: of the program. value, w, coc,
+    valid, status and object (None without SEVERAL) are as in fill.cl, for the caller to write
     before `fill`; indices are two buffers of ints per pixel that only `fill` itself needs.
     Raises DeviceError. Validated against `clsco.reference.fill`.
     """
 
-    def __init__(
-        self, session: Session, program: Program, camera: Struct, features: dict[str, int], real: Real
-    ) -> None:
+    def __init__(self, session: Session, program: Program, camera: Struct, features: dict[str, int]) -> None:
         self.session, self.program, self.camera = session, program, camera
         self.interpolates, self.smooths = bool(features["FILL_AIT"]), bool(features["FILL_MEAN_MEDIAN"])
         self.is_far, channels = bool(features["FILL_FAR"]), features["CHANNELS"]
         self.rows, self.columns = int(camera["height"]), int(camera["width"])
-        self.dtype = _dtype(real)
         self.lines, pixels = self.rows + self.columns, self.rows * self.columns
         self.value, self.w = empty(session, 4 * (channels * pixels + LANES)), empty(session, WIDE_BYTES * pixels)
         self.valid, self.status = empty(session, pixels + LANES), empty(session, pixels)
@@ -126,21 +109,23 @@ class Filler:
         self.object = empty(session, pixels) if features["SEVERAL"] else None
         self.far: tuple[cl.Buffer, ...] = (empty(session, 4 * pixels),) if self.is_far else ()
         if self.smooths:
-            self.done, self.sums = empty(session, 4 * pixels), empty(session, self.dtype.itemsize * SUMS * self.rows)
+            self.scored = self.rows * -(-self.columns // SCORED)
+            self.done, self.sums = empty(session, 4 * pixels), empty(session, 8 * SUMS * self.scored)
             self.other_value, self.other_w = empty(session, self.value.size), empty(session, self.w.size)
 
-    def fill(self, surfaces: cl.Buffer, count: int, events: Events) -> dict[str, int]:
+    def fill(self, surfaces: cl.Buffer, count: int, events: Events, brightest: float = 1.0) -> dict[str, int]:
         """Fill missing pixels sweep by sweep; returns the fields of `clsco.reference.fill.FillReport`.
 
-        surfaces: `count` of surface_t, where pixels may be missing with domain "surface". Waits once per sweep.
+        surfaces: `count` of surface_t, where pixels may be missing with domain "surface"; brightest: what radiance is
+        at most. Waits once per sweep.
         """
         cl.enqueue_fill_buffer(self.session.queue, self.counters, ZERO, 0, self.counters.size)
         source, left = self.indices
         placed = (self.camera, surfaces, np.int32(count), self.valid)
         found = self._mark(placed, source, events)
-        wins = self._score(events) if self.smooths and found[LEFT] else 0
+        wins = self._score(brightest, events) if self.smooths and found[LEFT] else 0
         sweeps = filled = first = 0
-        most, least = MINIMUM_COUNT if self.smooths else 1, 0 if self.is_far else 1
+        most, least = CHAPTER5.minimum if self.smooths else 1, 0 if self.is_far else 1
         minimum = most
         while (self.interpolates or self.smooths) and found[LEFT]:
             self._sweep(source, found[LEFT], np.int32(wins), np.int32(minimum), events)
@@ -201,12 +186,13 @@ class Filler:
         self._launch("mark_grown", events, (self.lines,), LISTED, *grown)
         return self._found()
 
-    def _score(self, events: Events) -> int:
+    def _score(self, brightest: float, events: Events) -> int:
         """For which counts of neighbors the median is the better estimator: bit k for k of them."""
-        args = (self.camera, self.value, self.valid, self.sums)
-        self._launch("score_mean_median", events, (self.rows,), OWNERS, *args)
-        mean, median = squared_errors(download(self.session, self.sums, (self.rows, SUMS), self.dtype))
-        return int(((median < mean) << np.arange(9)).sum())
+        scale = score_scale(brightest)
+        args = (self.camera, np.float32(scale), self.value, self.valid, self.sums)
+        self._launch("score_mean_median", events, (self.scored,), OWNERS, *args)
+        score = score_of_sums(download(self.session, self.sums, (self.scored, SUMS), np.int64), scale)
+        return bits_of(score.median_wins())
 
     def _smooth(self, count: int, events: Events) -> None:
         """Rounds of the median over the filled pixels, to and fro between two sets of planes."""
@@ -214,7 +200,7 @@ class Filler:
         for source, target in zip(here, there, strict=True):
             cl.enqueue_copy(self.session.queue, target, source, byte_count=source.size)
         vectors, head = (-(-count // LANES),), (self.camera, self.done, np.int32(count), *self.far, self.valid)
-        for _ in range(SMOOTHING_ROUNDS):  # an even number: the last one writes to the first set
+        for _ in range(CHAPTER5.smoothing_rounds):  # an even number: the last one writes to the first set
             self._launch("smooth_median", events, vectors, LINES, *head, *here, *there, self.coc)
             here, there = there, here
 
@@ -232,7 +218,7 @@ class ForwardWarp:
     camera: camera_t of the plan; texture: float (textures, CHANNELS, rows, columns). Of every object of the scene:
     surfaces: as the textures show it, None for a depth map; maps: inverse depth (rows, columns) in 1/mm of a depth map,
     0 where nothing is, None for others; textures: number of its texture, by default its own. owned: the depth test
-    without atomics, by default on processors; the same bits either way.
+    without atomics, by default on processors; the same bits either way; brightest: largest radiance of the textures.
     Raises DeviceError, KernelError. Validated against `clsco.reference.reproject` and `clsco.reference.fill`.
     """
 
@@ -247,14 +233,16 @@ class ForwardWarp:
         real: Real,
         owned: bool | None = None,
         textures: Sequence[int] | None = None,
+        brightest: float = 1.0,
     ) -> None:
+        self.brightest = brightest
         self.session, self.plan, self.camera, self.texture, self.real = session, plan, camera, texture, real
         self.items = plan.scene.objects
         self.textures = list(textures or range(len(self.items)))
         self.owned = session.device.kind == "cpu" if owned is None else owned
         features = forward_features(plan, self.owned)
         self.program = build(session, KERNELS, features, structs(real), real)
-        self.filler = Filler(session, self.program, camera, features, real)
+        self.filler = Filler(session, self.program, camera, features)
         # Once the pixels are in their places, the filling may have these for its lists.
         self.target, self.winner = self.filler.indices
         self.sources = plan.rows * plan.columns
@@ -283,7 +271,7 @@ class ForwardWarp:
         self.nearest(poses, surfaces, events)
         self.gather(weight, events)
         planes, plan = self.filler, self.plan
-        counters = planes.fill(self.placed[1], len(self.items), events)
+        counters = planes.fill(self.placed[1], len(self.items), events, self.brightest * weight)
         if self.maps:
             out = (planes.value, planes.w, planes.coc, planes.valid)
             self._per_pixel("extend_border", events, (plan.width, plan.height), self.camera, *out)
@@ -390,7 +378,3 @@ class ForwardWarp:
 
     def _launch(self, name: str, events: Events, size: tuple[int, ...], local: tuple[int, ...], *args: Any) -> None:
         events.append((name, launch(self.session, kernel(self.program, name), size, local, *args)))
-
-
-def _dtype(real: Real) -> np.dtype[Any]:
-    return np.dtype(np.float64 if real == "double" else np.float32)

@@ -66,8 +66,10 @@ class Picture:
         return self.data.dtype.kind == "f"
 
 
-def read_image(path: str | os.PathLike[str]) -> Picture:
+def read_image(path: str | os.PathLike[str], hidden: NDArray[np.bool_] | None = None) -> Picture:
     """Read a grey or RGB image: PNG, JPEG, TIFF, EXR, PFM or NPY.
+
+    hidden: (rows, columns), pixels that do not matter, and may hold any floats; by default none.
 
     8 and 16 bits come as stored; palettes and 1-, 2- and 4-bit greys become 8 bits, float16 and float64
     become float32. A JPEG is turned upright by its EXIF orientation. Opaque alpha is dropped. Of an EXR the
@@ -79,7 +81,7 @@ def read_image(path: str | os.PathLike[str]) -> Picture:
     Validated against files written by Pillow, tifffile, imagecodecs and OpenEXR, and by hand.
     """
     with opened(path) as (file, kind):
-        return Picture(np.ascontiguousarray(_as_stored(file, decoded(file, kind))))
+        return Picture(np.ascontiguousarray(_as_stored(file, decoded(file, kind), hidden)))
 
 
 def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
@@ -165,7 +167,7 @@ def decoded(file: BinaryIO, kind: str) -> NDArray[Any]:
     return data
 
 
-def _as_stored(file: BinaryIO, data: NDArray[Any]) -> NDArray[Any]:
+def _as_stored(file: BinaryIO, data: NDArray[Any], hidden: NDArray[np.bool_] | None) -> NDArray[Any]:
     """Refuse what is no grey or RGB image of 8, 16 or 32 bits, and values that are negative or not finite."""
     if data.ndim not in (2, 3) or (data.ndim == 3 and data.shape[2] != 3):
         refuse(_path(file), "shape must be (rows, columns) or (rows, columns, 3)", data.shape)
@@ -176,6 +178,8 @@ def _as_stored(file: BinaryIO, data: NDArray[Any]) -> NDArray[Any]:
     with np.errstate(over="ignore"):  # what does not fit becomes infinite, and that is refused next
         data = data.astype(np.float32, copy=False)
     wrong = ~((data >= 0) & (data < np.inf))
+    if hidden is not None:
+        wrong[hidden] = False
     if wrong.any():
         first = tuple(int(index) for index in np.unravel_index(int(wrong.argmax()), wrong.shape))
         got = f"{data[first]} at row {first[0]}, column {first[1]} ({int(wrong.sum())} in all)"

@@ -20,7 +20,11 @@ from clsco.resources import folder
 
 HEADERS = ("wide.clh", "geometry.clh")
 OCCLUSION_HEADERS = ("occlusion.clh", "sight.clh")  # with the feature OCCLUDED
-HEADERS_OF = {"blur.cl": ("spread.clh", "neighbors.clh")}
+HEADERS_OF = {
+    "blur.cl": ("spread.clh", "neighbors.clh"),
+    "fill.cl": ("estimate.clh",),
+    "holes.cl": ("estimate.clh",),
+}
 LARGE = 2**22  # bytes, from which a buffer holds at least one page of 2 MiB
 _C_TYPES = {
     "f4": "float", "f8": "double",

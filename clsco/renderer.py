@@ -112,8 +112,9 @@ class Renderer:
         if plan.forward:
             at_rest = self._placed_at(rest_poses(plan.scene))
             self.forward = ForwardWarp(
-                session, plan, self.camera, self.texture, at_rest, maps, self.real, textures=self.texture_of
-            )
+                session, plan, self.camera, self.texture, at_rest, maps, self.real, textures=self.texture_of,
+                brightest=self.brightest,
+            )  # fmt: skip
         self._allocate()
 
     def _truth_names(self) -> list[str]:

@@ -18,6 +18,7 @@ from clsco.plan import Plan
 if TYPE_CHECKING:
     from clsco.check import Checked
     from clsco.device import Check, Device
+    from clsco.inpainting.report import Report
 
 
 def _table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], right: Sequence[str] = ()) -> Table:
@@ -114,6 +115,24 @@ def check_tables(checked: Checked) -> list[RenderableType]:
         f"{checked.pass_seconds:.3f} s; reference: {checked.reference_seconds:.3f} s"
     )
     return [table, Text(times)]
+
+
+def inpaint_tables(report: Report) -> list[RenderableType]:
+    """What filling an image has taken; of the method mean-median the figures of the thesis' table (figure 5.21)."""
+    figures, rows = report.figures(), [("missing pixels", f"{report.missing_pixels}")]
+    if "border_pixels" in figures:
+        rows += [("border pixels", f"{figures['border_pixels']}"), ("sweeps", f"{figures['sweeps']}")]
+    if "gradient_range" in figures:
+        low, high = figures["gradient_range"]
+        rows += [("gradients of border pixels", f"{low:.4g} to {high:.4g}")]
+        rows += [("blended", f"{figures['blended_pixels']}, from {figures['threshold']:.4g} on")]
+    if "mse" in figures:
+        chosen = zip(figures["mse"]["neighbors"], figures["mse"]["chosen"], strict=True)
+        of = ", ".join(f"{k}: {name}" for k, name in chosen)
+        rows += [("estimator, by known neighbors", of)]
+    rows += [("seconds", f"{report.seconds:.3g}")]
+    size = " x ".join(f"{n}" for n in (report.shape[1], report.shape[0]))
+    return [_table(f"Filled by {report.method}: {size} pixels", ("what", "how much"), rows)]
 
 
 def device_tables(

@@ -29,10 +29,6 @@
 #define CHUNK 64         // pixels per work-item where it counts, so that atomics are rare
 #define FAR_SLACK 1.02f  // relative: a surface at 45 degrees changes less over two pixels of 0.5 degrees each
 
-// Neighbors, in the order in which they are asked: W E, N S, NW SE, NE SW; opposite ones are pairs.
-__constant int NEIGHBOR_X[8] = {-1, 1, 0, 0, -1, 1, 1, -1};
-__constant int NEIGHBOR_Y[8] = {0, 0, -1, 1, -1, 1, -1, 1};
-
 static bool in_frame(const camera_t camera, int x, int y)
 {
     const int column = x - camera.guard, row = y - camera.guard;

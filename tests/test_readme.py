@@ -36,6 +36,7 @@ def test_the_python_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capture
     small = ["camera.resolution=[48, 32]", "camera.pixel_pitch=0.1"]
     monkeypatch.setattr(clsco, "load_scene", lambda path: whole(path, small))
     given: dict[str, Any] = {"image": np.ones((9, 12), np.float32), "coc": np.full((9, 12), 2.0, np.float32)}
+    given["missing"] = np.eye(9, 12, dtype=np.bool_)
     first, second = blocks("python")
     exec(first, given)
     assert capsys.readouterr().out.count("(32, 48)") == 3

@@ -16,17 +16,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.estimators import MeanMedian, score_scale
 from clsco.reference.geometry import Array
-from clsco.reference.mean_median import (
-    MINIMUM_COUNT,
-    SMOOTHING_ROUNDS,
-    fill_mean_median,
-    score_mean_median,
-    smooth_median,
-)
+from clsco.reference.mean_median import fill_mean_median, smooth_median
 from clsco.reference.neighbors import NEIGHBORS, Bounds, Mask, Pixels, known_neighbors, neighbor_numbers
+from clsco.reference.score import score_mean_median
 
 Method = Literal["ait", "mean_median", "none"]
+CHAPTER5 = MeanMedian()
 
 FAR_SLACK = np.float32(1.02)  # relative; a surface at 45 degrees changes less over two pixels of 0.5 degrees each
 
@@ -195,30 +192,31 @@ def fill_ait(values: Array, known: Mask, missing: Mask, bounds: Bounds = None) -
 
 
 def fill(
-    values: Array, known: Mask, allowed: Mask | None, method: Method, guard: int, far: bool = False
-) -> tuple[Array, NDArray[np.uint8], FillReport]:
+    values: Array, known: Mask, allowed: Mask | None, method: Method, guard: int, far: bool = False,
+    brightest: float = 1.0,
+) -> tuple[Array, NDArray[np.uint8], FillReport]:  # fmt: skip
     """Fill what a forward warp left: values (H, W, K), status (H, W) and the report.
 
     values: (H, W, K), radiance and then inverse depth; known: (H, W); allowed: as for `mark_missing`; guard:
-    px of the padded grid that do not count in the report; far: as for `fill_objects`. Status: 0 known or outside, 1
-    filled, 2 missing but could not be filled. "mean_median" scores on the radiance and fills inverse depth by the same
-    rule.
+    px of the padded grid that do not count in the report; far, brightest: as for `fill_objects`. Status: 0 known or
+    outside, 1 filled, 2 missing but could not be filled. "mean_median" scores on the radiance and fills inverse depth
+    by the same rule.
     Before each sweep missing pixels are those between known or filled ones. Sweeps that fill nothing do not
     count.
     """
     objects = np.zeros(known.shape, dtype=np.uint8)
-    values, _, status, report = fill_objects(values, objects, known, allowed, method, guard, far)
+    values, _, status, report = fill_objects(values, objects, known, allowed, method, guard, far, brightest)
     return values, status, report
 
 
 def fill_objects(
     values: Array, objects: NDArray[np.uint8], known: Mask, allowed: Mask | None, method: Method, guard: int,
-    far: bool = True,
+    far: bool = True, brightest: float = 1.0,
 ) -> tuple[Array, NDArray[np.uint8], NDArray[np.uint8], FillReport]:  # fmt: skip
     """As `fill`, with the number of the object that is seen (H, W), which follows the first pixel that serves.
 
     far: holes are filled from their farther side (`far_bounds`, when a pixel becomes a missing one). Where that fills
-    nothing more, the nearer ones serve for one sweep as well.
+    nothing more, the nearer ones serve for one sweep as well. brightest: what radiance is at most, for scores.
     """
     left, valid = mark_missing(known, allowed), known
     frame = (slice(guard, known.shape[0] - guard), slice(guard, known.shape[1] - guard))
@@ -226,11 +224,10 @@ def fill_objects(
     sweeps = first = 0
     median_wins = np.zeros(9, dtype=bool)
     if method == "mean_median" and left.any():
-        mean_error, median_error = score_mean_median(values[..., :-1], known)
-        median_wins = median_error < mean_error
+        median_wins = score_mean_median(values[..., :-1], known, score_scale(brightest)).median_wins()
     while method != "none" and left.any():
         # Fewer neighbors will do where the filling would stall, and then (0) nearer ones.
-        for minimum in range(1 if method == "ait" else MINIMUM_COUNT, -1 if far else 0, -1):
+        for minimum in range(1 if method == "ait" else CHAPTER5.minimum, -1 if far else 0, -1):
             within = bounds if minimum or bounds is None else np.full_like(bounds, np.inf)
             if method == "ait":
                 swept, filled, source = fill_ait(values, valid, left, within)
@@ -251,7 +248,7 @@ def fill_objects(
             bounds = np.where(new, far_bounds(values[..., -1], valid, new), bounds)
     done = valid & ~known
     if method == "mean_median" and done.any():
-        for _ in range(SMOOTHING_ROUNDS):
+        for _ in range(CHAPTER5.smoothing_rounds):
             values = smooth_median(values, done, valid, bounds)
     status = np.where(done, FILLED, np.where(left, UNFILLED, KNOWN))
     done_pixels, left_pixels = int(done[frame].sum()), int(left[frame].sum())

@@ -1,19 +1,16 @@
 """Missing pixels: mean/median filling (thesis, chapter 5).
 
-Values are arrays (H, W, K) of any channels, radiance and inverse depth alike.
+Values are arrays (H, W, K) of any channels, radiance and inverse depth alike, in float32 or float64, in which all is
+computed: in float32 every step is rounded as on a device.
 """
 
 from __future__ import annotations
 
-from itertools import combinations
-
 import numpy as np
 
+from clsco.estimators import COUNTS
 from clsco.reference.geometry import Array
-from clsco.reference.neighbors import NEIGHBORS, Bounds, Mask, Pixels, known_neighbors, neighbor_numbers
-
-MINIMUM_COUNT = 4  # known neighbors that a pixel needs (chapter 5), fewer only where the filling would stall
-SMOOTHING_ROUNDS = 20
+from clsco.reference.neighbors import Bounds, Mask, Pixels, known_neighbors, neighbor_numbers
 
 
 def _median_of_known(near: Array, near_known: Mask) -> Array:
@@ -27,33 +24,19 @@ def _median_of_known(near: Array, near_known: Mask) -> Array:
 
 def _mean_of_known(near: Array, near_known: Mask) -> Array:
     """Mean (N, K) over the first axis of values (8, N, K) that are known (8, N). At least one is known."""
-    return np.asarray(np.where(near_known[..., None], near, 0.0).sum(axis=0) / near_known.sum(axis=0)[:, None])
+    total = np.zeros_like(near[0])
+    for value, used in zip(near, near_known, strict=True):  # one after another: sum() may take another order
+        total += np.where(used[:, None], value, 0.0)
+    return np.asarray(total / near_known.sum(axis=0)[:, None].astype(near.dtype))
 
 
-def score_mean_median(values: Array, known: Mask) -> tuple[Array, Array]:
-    """Stage 0: sums of squared errors (9,) of mean and of median, estimating the center from k neighbors.
+def estimate(near: Array, near_known: Mask, median_wins: Mask) -> Array:
+    """Mean or median (N, K) over the first axis of values (8, N, K) that are known (8, N), at least one.
 
-    values: (H, W, K); known: (H, W). Over all known pixels whose 8 neighbors exist and are known, all
-    channels and all 163 subsets of k = 4..8 neighbors; entries below 4 are 0. The median wins a k only where
-    its sum is strictly smaller. Validated against plain enumeration with numpy.mean and numpy.median.
+    median_wins: (9,), per count of known ones; below 4 of them the mean is taken.
     """
-    whole = known.copy()
-    whole[[0, -1], :] = whole[:, [0, -1]] = False
-    for i, j in NEIGHBORS:
-        whole &= np.roll(known, (-i, -j), axis=(0, 1))
-    row, column = np.nonzero(whole)
-    near, _ = known_neighbors(values, known, row, column)
-    # Subsets of the sorted neighbors are the subsets of the neighbors, and their medians need no sorting.
-    near = np.sort(near, axis=0)
-    center = values[row, column]
-    mean_error, median_error = np.zeros(9), np.zeros(9)
-    for k in range(MINIMUM_COUNT, 9):
-        for subset in combinations(range(8), k):
-            mean = near[list(subset)].sum(axis=0) / k
-            median = 0.5 * (near[subset[(k - 1) // 2]] + near[subset[k // 2]])
-            mean_error[k] += float(((mean - center) ** 2).sum())
-            median_error[k] += float(((median - center) ** 2).sum())
-    return mean_error, median_error
+    take_median = (median_wins & (np.arange(9) >= COUNTS.start))[near_known.sum(axis=0)]
+    return np.where(take_median[:, None], _median_of_known(near, near_known), _mean_of_known(near, near_known))
 
 
 def fill_mean_median(
@@ -70,8 +53,7 @@ def fill_mean_median(
     count = near_known.sum(axis=0)
     use = count >= max(minimum, 1)
     row, column, near, near_known, count = row[use], column[use], near[:, use], near_known[:, use], count[use]
-    take_median = (median_wins & (np.arange(9) >= MINIMUM_COUNT))[count]
-    value = np.where(take_median[:, None], _median_of_known(near, near_known), _mean_of_known(near, near_known))
+    value = estimate(near, near_known, median_wins)
     result, filled, source = values.copy(), np.zeros_like(known), np.arange(known.size).reshape(known.shape)
     result[row, column] = value
     filled[row, column] = True

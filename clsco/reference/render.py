@@ -69,8 +69,9 @@ def _warped_sources(
         allowed = trace(view, everything(scene), guard).label > 0
     values = np.concatenate([new.radiance, new.inverse_depth[..., None]], axis=-1)
     far = mapped or len(scene.objects) > 1
+    brightest = max(float(np.abs(texture).max()) for texture in textures)
     values, objects, status, report = fill_objects(
-        values, new.object, new.known, allowed, scene.fill.method, guard, far
+        values, new.object, new.known, allowed, scene.fill.method, guard, far, brightest
     )
     valid = new.known | (status == 1)
     if mapped:

@@ -15,7 +15,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "clsco"
 # A module imports from the layers above its own line only.
 LAYERS = (
     ("errors", "resources", "poclcache", "transfer", "png", "quantities"),
-    ("files", "shapes", "frame", "strips"),
+    ("files", "shapes", "frame", "strips", "estimators"),
     ("scene",),
     ("optics", "psf", "motion", "images", "scenefile"),
     ("surfaces", "textures", "depthmaps", "sweep", "framefiles"),
@@ -28,10 +28,10 @@ LAYERS = (
     ("program",),
     ("spread",),
     ("layers",),
-    ("defocus", "forward"),
+    ("defocus", "forward", "inpainting"),
     ("renderer",),
     ("render",),
-    ("describe", "demo", "defocus_command"),
+    ("describe", "demo", "defocus_command", "inpaint_command"),
     ("batch", "check", "bench"),
     ("show",),
     ("cli",),
@@ -43,7 +43,7 @@ ONLY = {
     "program": {"errors", "resources", "device"},
 }
 IMPORTS_REFERENCE = {"check", "bench"}
-OPENCL = {"device", "program", "spread", "layers", "defocus", "forward", "renderer"}
+OPENCL = {"device", "program", "spread", "layers", "defocus", "forward", "inpainting", "renderer"}
 ON_OPENCL = {"render", "batch", "check", "bench"}
 IMAGES = {"images"}
 OUTSIDE = {
@@ -55,7 +55,7 @@ OUTSIDE = {
     "PIL": IMAGES | {"demo"},
     "click": {"cli"},
     "rich": {"cli", "show", "bench"},
-    "matplotlib": {"bench"},
+    "matplotlib": {"bench", "inpainting"},
     "numba": {"bench"},
     "cv2": {"bench"},
     "pydantic": {"quantities", "shapes", "scene", "scenefile"},

@@ -12,6 +12,8 @@ from clsco.defocus import PLAIN
 from clsco.device import Session
 from clsco.forward import KERNELS as FORWARD
 from clsco.forward import forward_features
+from clsco.inpainting.mean_median import FEATURES
+from clsco.inpainting.mean_median import KERNELS as HOLES
 from clsco.layout import Real, structs
 from clsco.memory import TRUTH_BUFFERS
 from clsco.plan import make_plan
@@ -43,6 +45,7 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | {"FILTER": (0,), "SAMPLED": (0,)}
     | dict.fromkeys(("OWNED", "MAPPED", "FILL_AIT", "FILL_MEAN_MEDIAN", "FILL_FAR", "DOMAIN_SURFACE"), ON_OR_OFF),
 }
+PROGRAMS[HOLES] = dict.fromkeys(FEATURES, (0,)) | {"CHANNELS": (1, 3), "FILL_MEAN_MEDIAN": (1,)}
 # What can be in the way of a source: one object, or any other number up to all but one.
 OCCLUSION = ("trace.cl", "blur.cl")
 PROGRAMS[OCCLUSION] = PROGRAMS["blur.cl",] | PROGRAMS["trace.cl",] | {"OCCLUDED": (1, 2, 63)}

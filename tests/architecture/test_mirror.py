@@ -25,6 +25,7 @@ WITHOUT_TWIN = {
         "add_limit": "a row of _limits, which keeps infinite limits",
         "add_limits": "_limits",
     },
+    "estimate": {"use_neighbors": "counts them, as the reference does where it needs to"},
     "sight": {"look_along": "finds out which vectors of taps need a test at all"},
     "spread": dict.fromkeys(
         ("weights", "pixel_spread", "subpixel_spread", "tap", "see"),
@@ -49,7 +50,7 @@ WITHOUT_TWIN = {
 }
 
 # Headers whose twin is part of another file.
-PART_OF = {"sight": "occlusion", "spread": "blur", "neighbors": "blur"}
+PART_OF = {"estimate": "mean_median", "sight": "occlusion", "spread": "blur", "neighbors": "blur"}
 
 
 def kernel_names(text: str) -> set[str]:

@@ -16,7 +16,8 @@ from clsco.reference.fill import (
     fill_objects,
     mark_missing,
 )
-from clsco.reference.mean_median import fill_mean_median, score_mean_median, smooth_median
+from clsco.reference.mean_median import fill_mean_median, smooth_median
+from clsco.reference.score import score_mean_median
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -195,7 +196,8 @@ def test_guard_does_not_count() -> None:
 def test_scores_are_those_of_every_subset() -> None:
     rng = np.random.default_rng(23)
     values, known = rng.random((8, 9, 3)), rng.random((8, 9)) < 0.93
-    found = score_mean_median(values, known)
+    found = score_mean_median(values, known, 2.0**16)
+    values = np.rint(values * 2**16)
     expected = np.zeros((2, 9))
     count = subsets = 0
     for i in range(1, 7):
@@ -212,20 +214,28 @@ def test_scores_are_those_of_every_subset() -> None:
                         expected[row, k] += ((estimate - values[i, j]) ** 2).sum()
     assert 5 < count < 42
     assert subsets == 163 * count
-    np.testing.assert_allclose(found, expected, rtol=1e-12)  # 1e5 squares summed in another order
+    twice = (2.0 * np.arange(9)) ** 2
+    # 1e5 squares summed in another order
+    np.testing.assert_allclose((found.mean, found.median), expected * twice, rtol=1e-12)
+    assert found.samples == 3 * count
+    for errors, row in zip(found.mean_square_errors(), expected[:, 4:], strict=True):
+        subsets_of = np.array([70, 56, 28, 8, 1])
+        np.testing.assert_allclose(errors, row / subsets_of / (3 * count) / 2.0**32, rtol=1e-12)
 
 
 def test_median_wins_on_steps_and_mean_on_noise() -> None:
     step = np.zeros((12, 12, 1))
     step[:, 6:] = 1.0
-    mean_error, median_error = score_mean_median(step, np.ones((12, 12), dtype=bool))
-    assert (median_error[4:] < mean_error[4:]).any()
+    score = score_mean_median(step, np.ones((12, 12), dtype=bool), 1.0)
+    assert score.median_wins().any()
+    assert (score.median_wins("median") == (np.arange(9) >= 4)).all()
     noise = np.random.default_rng(1).standard_normal((40, 40, 1))
-    mean_error, median_error = score_mean_median(noise, np.ones((40, 40), dtype=bool))
-    assert (mean_error[4:] < median_error[4:]).all()
-    nothing = score_mean_median(noise, np.zeros((40, 40), dtype=bool))
-    assert not nothing[0].any()
-    assert not nothing[1].any()
+    score = score_mean_median(noise, np.ones((40, 40), dtype=bool), 2.0**12)
+    assert not score.median_wins().any()
+    assert all(mean < median for mean, median in zip(*score.mean_square_errors(), strict=True))
+    nothing = score_mean_median(noise, np.zeros((40, 40), dtype=bool), 1.0)
+    assert not any(nothing.mean + nothing.median)
+    assert nothing.mean_square_errors() == ([], [])
 
 
 def test_a_sweep_of_mean_median_by_hand() -> None:
@@ -285,8 +295,7 @@ def test_mean_median_is_its_stages_one_after_another(kind: str) -> None:
     known = rng.random((20, 22)) < 0.9
     known[7:13, 8:14] = False
     result, status, _ = fill(values, known, None, "mean_median", 0)
-    mean_error, median_error = score_mean_median(values[..., :2], known)
-    wins = median_error < mean_error
+    wins = score_mean_median(values[..., :2], known, 2.0**16).median_wins()
     assert wins[4:].any() == (kind == "lines")
     expected, valid = values, known.copy()
     while mark_missing(valid, None).any():

@@ -1,0 +1,59 @@
+"""The methods of inpainting by name, and which one `auto` picks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.device import Session
+from clsco.errors import SceneError
+from clsco.estimators import MeanMedian
+from clsco.inpainting.mean_median import Mask, Progress, Stages, fill_mean_median
+
+THESIS = "mean-median"
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """An image (rows, columns, K) of codes or floats with missing pixels (rows, columns), some but not all.
+
+    span: range of the values; constants: of the thesis' method; progress: to be told the share that is done.
+    """
+
+    image: NDArray[Any]
+    missing: Mask
+    span: float
+    constants: MeanMedian
+    progress: Progress
+
+
+@dataclass(frozen=True, eq=False)
+class Filled:
+    """What a method gives: values (N, K) of pixels by their numbers (N,) in the image, and its stages if any."""
+
+    pixels: NDArray[np.int64]
+    values: NDArray[np.float32]
+    stages: Stages | None = None
+
+
+def _mean_median(session: Session, task: Task) -> Filled:
+    stages = fill_mean_median(session, task.image, task.missing, task.span, task.constants, task.progress)
+    taken = stages.is_blended
+    pixels = np.concatenate([stages.pixels, stages.border[taken]])
+    return Filled(pixels, np.concatenate([stages.smoothed, stages.blended[taken]]), stages)
+
+
+METHODS: dict[str, Callable[[Session, Task], Filled]] = {
+    THESIS: _mean_median,
+}
+
+
+def method_named(name: str) -> str:
+    """The method to take: `name`, or for "auto" the best. Raises SceneError for a name that is none."""
+    if name != "auto" and name not in METHODS:
+        raise SceneError(f"method: must be auto or {' or '.join(METHODS)}; got {name}")
+    return THESIS if name == "auto" else name

@@ -1,0 +1,184 @@
+"""What inpainting tells: figures, plots and images of the stages, as the thesis shows them (chapter 5)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.errors import ClscoError
+from clsco.estimators import COUNTS, MeanMedian
+from clsco.files import together, writable_folder
+from clsco.images import write_json, write_png
+from clsco.transfer import encode
+
+if TYPE_CHECKING:
+    from clsco.inpainting.mean_median import Stages
+
+SHEET_SIDE, GAP = 1024, 8  # px of the images in a sheet, at most, and between them
+MEAN, MEDIAN = "#0072b2", "#d55e00"
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """What filling an image has taken.
+
+    method: that was used; device: its name; shape, dtype: of the image; missing_pixels; seconds: in all; stages: of the
+    method mean-median, None where nothing was missing and of other methods; constants: of that method.
+    """
+
+    method: str
+    device: str
+    shape: tuple[int, ...]
+    dtype: str
+    missing_pixels: int
+    seconds: float
+    stages: Stages | None
+    constants: MeanMedian
+
+    def figures(self) -> dict[str, Any]:
+        """The figures for JSON; those of the table in figure 5.21 are of the method mean-median.
+
+        Gradients are in the image's unit; mse: mean square errors of mean and median by the number of known neighbors,
+        in its square; empty where no pixel has eight known neighbors.
+        """
+        found: dict[str, Any] = {
+            "method": self.method, "device": self.device, "shape": list(self.shape), "dtype": self.dtype,
+            "missing_pixels": self.missing_pixels, "seconds": self.seconds,
+        }  # fmt: skip
+        stages = self.stages
+        if stages is None:
+            return found
+        found |= {"border_pixels": stages.border.size, "sweeps": stages.sweeps, "constants": asdict(self.constants)}
+        if stages.histogram is not None:
+            histogram = stages.histogram
+            found["gradient_range"] = [histogram.least, histogram.most]
+            found |= {"threshold": histogram.threshold, "blended_pixels": int(stages.is_blended.sum())}
+        if stages.score is not None:
+            mean, median = stages.score.mean_square_errors()
+            wins = ["median" if win else "mean" for win in stages.score.median_wins()[COUNTS.start :]]
+            found["mse"] = {"neighbors": list(COUNTS), "mean": mean, "median": median, "chosen": wins}
+        return found | {"seconds_by_stage": stages.seconds}
+
+
+def require_matplotlib() -> None:
+    """Raises ClscoError where plots could not be made."""
+    if find_spec("matplotlib") is None:
+        raise ClscoError("report: needs matplotlib: pip install 'clsco[report]'; got no such module")
+
+
+def write_report(
+    folder: Path, report: Report, image: NDArray[Any], missing: NDArray[np.bool_], filled: NDArray[Any]
+) -> list[str]:
+    """Write report.json, images and plots, all or none; returns the names of the files.
+
+    image, filled: (rows, columns[, K]) before and after; missing: (rows, columns). Always there is
+    before_mask_after.png; of the method mean-median also 1_filled.png, 2_smoothed.png and 3_blended.png, the image
+    after these stages, mse.png (figure 5.3) and gradients.png (figure 5.6), as far as the stages were not turned off.
+    Raises ClscoError without matplotlib, ImageError where the folder cannot be written.
+    """
+    require_matplotlib()
+    look, stages = Look(image, missing), report.stages
+    mask = np.repeat(np.where(missing, 255, 0).astype(np.uint8)[..., None], 3, axis=-1)
+    with together(writable_folder(folder), "report") as made:
+        write_json(made / "report.json", report.figures())
+        sheet = [_small(look.codes(image)), _small(mask), _small(look.codes(filled))]
+        write_png(made / "before_mask_after.png", beside_each_other(sheet))
+        if stages is not None:
+            values = {"1_filled": stages.filled}
+            if report.constants.smoothing_rounds:
+                values["2_smoothed"] = stages.smoothed
+            for name, some in values.items():
+                write_png(made / f"{name}.png", look.codes(_with(image, stages.pixels, some)))
+            if stages.histogram is not None:
+                write_png(made / "3_blended.png", look.codes(filled))
+        for name, figure in plots(report).items():
+            figure.savefig(made / name, dpi=100)
+        return sorted(path.name for path in made.iterdir())
+
+
+class Look:
+    """How an image of any kind is shown in 8 bits: codes as they are, floats as sRGB, relative to white or what is
+    brighter."""
+
+    def __init__(self, image: NDArray[Any], missing: NDArray[np.bool_]) -> None:
+        self.white = 1.0
+        if image.dtype.kind == "f":
+            self.white = max(1.0, float(image[~missing].max()))
+
+    def codes(self, image: NDArray[Any]) -> NDArray[np.uint8]:
+        """(rows, columns[, 3]); of other numbers of channels the first one."""
+        shown = image if image.ndim == 2 or image.shape[2] == 3 else image[..., 0]
+        if image.dtype == np.uint16:
+            return (shown >> 8).astype(np.uint8)
+        if image.dtype.kind == "f":
+            return encode(shown.astype(np.float32) / np.float32(self.white), 8, "srgb").astype(np.uint8)
+        return shown
+
+
+def beside_each_other(images: list[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+    """Images (rows, columns[, 3]) of one size in a row, white between them, in color."""
+    colored = [image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=-1) for image in images]
+    gap = np.full((colored[0].shape[0], GAP, 3), 255, np.uint8)
+    return np.hstack([part for image in colored for part in (gap, image)][1:])
+
+
+def _small(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    step = -(-max(image.shape[:2]) // SHEET_SIDE)
+    return image[::step, ::step]
+
+
+def _with(image: NDArray[Any], pixels: NDArray[np.int64], values: NDArray[np.float32]) -> NDArray[Any]:
+    """An image in which pixels have other values; they are rounded as the result is."""
+    from clsco.inpainting import as_stored
+
+    result = image.copy()
+    result.reshape(image.shape[0] * image.shape[1], -1)[pixels] = as_stored(values, image.dtype)
+    return result
+
+
+def plots(report: Report) -> Mapping[str, Any]:
+    """Figures of matplotlib by file name, of the stages that there were."""
+    found, stages = {}, report.stages
+    if stages is not None and stages.score is not None and stages.score.samples:
+        found["mse.png"] = _mse_plot(*stages.score.mean_square_errors())
+    if stages is not None and stages.histogram is not None:
+        found["gradients.png"] = _gradient_plot(stages, report.constants.border_share)
+    return found
+
+
+def _panel(x: str, y: str) -> tuple[Any, Any]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
+    panel: Any = figure.subplots()
+    panel.set(xlabel=x, ylabel=y)
+    panel.grid(alpha=0.3)
+    return figure, panel
+
+
+def _mse_plot(mean: list[float], median: list[float]) -> Any:
+    figure, panel = _panel("known neighbors", "mean square error")
+    panel.plot(COUNTS, mean, "o-", color=MEAN, label="mean")
+    panel.plot(COUNTS, median, "s-", color=MEDIAN, label="median")
+    panel.set_xticks(COUNTS)
+    panel.set_ylim(bottom=0)
+    panel.legend()
+    return figure
+
+
+def _gradient_plot(stages: Stages, share: float) -> Any:
+    histogram = stages.histogram
+    assert histogram is not None
+    figure, panel = _panel("gradient magnitude of border pixels", "pixels")
+    edges = histogram.step * np.arange(histogram.counts.size + 1)
+    panel.stairs(histogram.counts, edges, fill=True, color=MEAN, alpha=0.7)
+    label = f"threshold {histogram.threshold:.6g}: {100 * share:g} % of {stages.border.size} are above"
+    panel.axvline(histogram.threshold, color=MEDIAN, label=label)
+    panel.legend()
+    return figure

@@ -1,0 +1,247 @@
+"""holes.cl and score.cl against their twins, bit by bit: each kernel, and fillings of every mask."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+import pytest
+from numpy.typing import NDArray
+
+from clsco.device import Program, Session
+from clsco.estimators import bits_of
+from clsco.inpainting import mean_median
+from clsco.inpainting.mean_median import (
+    FEATURES,
+    KERNELS,
+    LANES,
+    VECTORS,
+    Holes,
+    Layout,
+    Stages,
+    beside,
+    blend_border,
+    score_image,
+)
+from clsco.layout import structs
+from clsco.program import build, download, empty, kernel, launch, upload
+from clsco.reference import holes as twin
+from clsco.reference.mean_median import smooth_median
+from clsco.reference.score import score_mean_median
+
+Array = NDArray[Any]
+Mask = NDArray[np.bool_]
+NO_WINS, ALL_WIN, SOME_WIN = (np.arange(9) >= k for k in (9, 4, 6))
+
+
+def program(session: Session, channels: int) -> Program:
+    return build(session, KERNELS, FEATURES | {"CHANNELS": channels}, structs("float"), "float")
+
+
+class Sheet(Layout):
+    """Many images in one, with nothing between them: each is filled as if it were alone."""
+
+    def __init__(self, missing: Mask, inside: Mask) -> None:
+        super().__init__(missing)
+        self.border = np.flatnonzero(beside(missing) & inside)
+        self.nothing = self.pixels.size + self.border.size
+        self.number[:] = self.nothing
+        self.number[self._place(self.pixels)] = np.arange(self.pixels.size)
+        self.number[self._place(self.border)] = np.arange(self.pixels.size, self.nothing)
+
+
+def sheet_of(masks: Array) -> tuple[Mask, Mask]:
+    """Missing pixels of masks (N, H, W), one below another with a row between, and what is inside of any."""
+    count, rows, columns = masks.shape
+    missing, inside = (np.zeros((count, rows + 1, columns), np.bool_) for _ in range(2))
+    missing[:, :-1], inside[:, :-1] = masks, True
+    return missing.reshape(-1, columns), inside.reshape(-1, columns)
+
+
+def check_sheet(session: Session, masks: Array, wins: Mask, minimum: int, channels: int, rounds: int = 2) -> int:
+    """Fill masks on the device and in the reference, which must agree in every bit; most sweeps that one has taken."""
+    missing, inside = sheet_of(masks)
+    image = np.random.default_rng(5).random((*missing.shape, channels)).astype(np.float32)
+    holes = Holes(session, program(session, channels), Sheet(missing, inside), image)
+    sweeps = holes.fill(np.int32(bits_of(wins)), minimum, lambda share: None)
+    values = np.where((inside & ~missing)[..., None], image, np.float32(0))
+    expected, taken = plain_sweeps(values, inside & ~missing, missing, wins, minimum, masks.shape[0])
+    assert expected.dtype == np.float32
+    assert (holes.values() == expected[missing]).all()
+    assert sweeps == taken.shape[0]
+    if rounds:
+        for _ in range(rounds):
+            expected = smooth_median(expected, missing, inside)
+        assert (holes.smooth(rounds, lambda share: None) == expected[missing]).all()
+    return int(taken.sum(axis=0).max(initial=0))
+
+
+def plain_sweeps(
+    values: Array, known: Mask, missing: Mask, wins: Mask, minimum: int, images: int
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Values of a sheet after all sweeps, and in which of its images each has filled something (sweeps, images).
+
+    An image that stalls waits until all do: that changes nothing in it.
+    """
+    taken, least = [], minimum
+    sheet: list[Array] = [array.reshape(images, -1, *array.shape[1:]).copy() for array in (values, known, missing)]
+    while (left := np.flatnonzero(sheet[2].any(axis=(1, 2)))).size:
+        planes, valid, open_ = (array[left].reshape(-1, *array.shape[2:]) for array in sheet)
+        near = twin.settle_holes(valid, open_, np.zeros_like(open_))[2]
+        planes, filled = twin.fill_holes(planes, valid, open_ & (near >= least), wins, least)
+        for array, new in zip(sheet, (planes, valid | filled, open_ & ~filled), strict=True):
+            array[left] = new.reshape(left.size, *array.shape[1:])
+        if filled.any():
+            taken.append(np.isin(np.arange(images), left[filled.reshape(left.size, -1).any(axis=1)]))
+        least = minimum if filled.any() else least - 1
+    return sheet[0].reshape(values.shape), np.array(taken).reshape(-1, images)
+
+
+def test_every_mask_of_4_x_4_ends(session: Session) -> None:
+    """All 65,536 but the one with nothing known."""
+    masks = (np.arange(2**16 - 1)[:, None] >> np.arange(16) & 1).astype(np.bool_).reshape(-1, 4, 4)
+    assert check_sheet(session, masks, SOME_WIN, 4, 1, rounds=1) <= 4 * (4 + 4)
+
+
+@pytest.mark.parametrize(("wins", "minimum", "channels"), [(NO_WINS, 4, 3), (ALL_WIN, 3, 1), (SOME_WIN, 8, 1)])
+def test_some_masks_of_4_x_4_by_other_constants(session: Session, wins: Mask, minimum: int, channels: int) -> None:
+    masks = np.random.default_rng(7).random((1000, 4, 4)) < 0.8
+    masks[masks.all(axis=(1, 2)), 0, 0] = False
+    assert check_sheet(session, masks, wins, minimum, channels) <= 4 * (4 + 4)
+
+
+def random_masks(seed: int, shapes: int, each: int) -> Iterator[Array]:
+    """Masks (each, H, W) of random sizes up to 64 x 64 and densities, blocks and half images among them."""
+    rng = np.random.default_rng(seed)
+    for _ in range(shapes):
+        rows, columns = rng.integers(1, 65, 2)
+        masks = rng.random((each, rows, columns)) < rng.random((each, 1, 1))
+        for mask in masks[::3]:
+            top, left = rng.integers(0, rows), rng.integers(0, columns)
+            mask[top : top + rng.integers(1, 65), left : left + rng.integers(1, 65)] = True
+        at = rng.integers(0, rows, each), rng.integers(0, columns, each)
+        masks[np.arange(each), *at] = False  # something is known
+        yield masks
+
+
+def test_random_masks_end(session: Session) -> None:
+    for masks in random_masks(11, 6, 20):
+        assert check_sheet(session, masks, SOME_WIN, 4, 1) <= 4 * (masks.shape[1] + masks.shape[2])
+
+
+@pytest.mark.slow
+def test_ten_thousand_random_masks_end(session: Session) -> None:
+    for masks in random_masks(13, 100, 100):
+        assert check_sheet(session, masks, SOME_WIN, 4, 1) <= 4 * (masks.shape[1] + masks.shape[2])
+
+
+@pytest.mark.parametrize("shape", [(1, 2), (1, 33), (33, 1), (2, 21), (21, 2), (64, 61)])
+def test_all_but_one_pixel_is_missing(session: Session, shape: tuple[int, int]) -> None:
+    """It is anywhere in the image: in corners, at borders, inside."""
+    every = np.arange(shape[0] * shape[1])
+    some = every if every.size < 100 else every[[0, shape[1] - 1, 30, -1, -shape[1], every.size // 2]]
+    masks = np.ones((some.size, *shape), np.bool_)
+    masks.reshape(some.size, -1)[np.arange(some.size), some] = False
+    assert check_sheet(session, masks, SOME_WIN, 4, 3) <= 4 * sum(shape)
+
+
+def test_holes_at_corners_and_borders(session: Session) -> None:
+    masks = np.zeros((9, 20, 23), np.bool_)
+    for mask, i, j in zip(masks, (0, 0, 0, 7, 7, 7, 14, 14, 14), (0, 8, 16, 0, 8, 16, 0, 8, 16), strict=True):
+        mask[i : i + 6, j : j + 7] = True
+    assert check_sheet(session, masks, SOME_WIN, 4, 3, rounds=20) < 20
+
+
+@pytest.mark.parametrize("most", [0, 7, 10**9])
+def test_sweeps_are_the_same_launched_or_not(session: Session, most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Long sweeps are launched, short ones are the work of a group of any size."""
+    monkeypatch.setattr(mean_median, "MOST_ENTRIES", most)
+    for size in (1, 8):
+        monkeypatch.setattr(Holes, "_group", lambda self, size=size: (size, (size,)))
+        for masks in random_masks(17, 2, 3):
+            check_sheet(session, masks, SOME_WIN, 4, 1)
+
+
+def test_a_sweep_and_its_end_are_their_twins(session: Session) -> None:
+    rng = np.random.default_rng(19)
+    missing = rng.random((40, 37)) < 0.7
+    image = rng.random((40, 37, 2)).astype(np.float32)
+    built, layout = program(session, 2), Layout(missing)
+    holes = Holes(session, built, layout, image)
+    taken = (twin.settle_holes(~missing, missing, np.zeros_like(missing))[2] >= 4) & missing
+    entries = rng.permutation(layout.number.reshape(42, 39)[1:-1, 1:-1][taken]).astype(np.int32)
+    count, size = np.int32(entries.size), layout.pixels.size
+    lists, near = empty(session, 16 * size), upload(session, holes.near)
+    cl.enqueue_copy(session.queue, lists, np.concatenate([np.full(7, -1, np.int32), entries]))
+    state = holes._writable(np.zeros((5, 2), np.int32))
+    part = (np.int32(7), np.int32(7) + count)
+    planes = (lists, holes.neighbors[0], holes.valid, holes.value)
+    args = (holes.slots, *part, np.int32(bits_of(SOME_WIN)), *planes)
+    launch(session, kernel(built, "fill_holes"), (-(-entries.size // LANES),), VECTORS, *args)
+    values = np.where(missing[..., None], np.float32(0), image)
+    expected, filled = twin.fill_holes(values, ~missing, missing, SOME_WIN, 4)
+    assert (filled == taken).all()
+    assert (holes.values() == expected[missing]).all()
+    ending = (*part, *holes.neighbors, np.int32(4), holes.valid, near, lists, state)
+    launch(session, kernel(built, "settle_holes"), (entries.size,), (64,), *ending)
+    known, left, counts = twin.settle_holes(~missing, missing, filled)
+    valid = download(session, holes.valid, (layout.nothing + 1,), np.bool_)
+    assert (valid[: layout.pixels.size] == known[missing]).all()
+    assert valid[layout.pixels.size : -1].all()
+    assert not valid[-1]
+    assert (download(session, near, (size,), np.int32) == counts[missing]).all()
+    ends, listed = download(session, state, (5, 2), np.int32), download(session, lists, (4, size), np.int32)
+    assert ends[0, 1] == filled.sum()
+    before = holes.near
+    for k in range(1, 5):
+        come = (before < k) & (counts[missing] >= k)
+        assert sorted(listed[k - 1, : ends[k, 1]]) == np.flatnonzero(come).tolist()
+    assert (left == (missing & ~filled)).all()
+
+
+@pytest.mark.parametrize(("shape", "channels"), [((1, 1), 1), ((1, 9), 1), ((2, 70), 3), ((50, 43), 3), ((33, 8), 16)])
+def test_the_border_is_its_twin(
+    session: Session, shape: tuple[int, int], channels: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(23)
+    image, missing = rng.random((*shape, channels)).astype(np.float32), rng.random(shape) < 0.3
+    missing[0, 0] = False
+    built, layout = program(session, channels), Layout(missing)
+    stages = Stages(layout.pixels, layout.border)
+    stages.smoothed = rng.random((layout.pixels.size, channels)).astype(np.float32)
+    whole: Array = image.copy()
+    whole[missing] = stages.smoothed
+    steepness, blended = twin.blend_border(whole, beside(missing))
+    assert (beside(missing) == twin.beside(missing)).all()
+    for values in (mean_median.BAND_VALUES, 100):
+        monkeypatch.setattr(mean_median, "BAND_VALUES", values)
+        blend_border(session, built, layout.border, image, missing, stages, lambda share: None)
+        assert (stages.gradients == np.sqrt(steepness.astype(np.float64))).all()
+        assert (stages.blended == blended).all()
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_scores_of_images_are_exact(session: Session, dtype: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In bands of any height, and with whole numbers of 64 bits where the device has no float64."""
+    rng = np.random.default_rng(29)
+    lesser = replace(session.device, has_fp64=False)
+    for shape in [(1, 1), (2, 5), (3, 3), (20, 300), (61, 70)]:
+        floats = rng.normal(size=(*shape, 2)) * 3.0
+        image = (
+            floats.astype(dtype) if dtype == np.float32 else rng.integers(0, np.iinfo(dtype).max, (*shape, 2), dtype)
+        )
+        missing = rng.random(shape) < 0.05
+        scale = 2.0**12 if dtype == np.float32 else 1.0 if dtype == np.uint16 else 256.0
+        expected = score_mean_median(image.astype(np.float64), ~missing, scale)
+        assert expected.samples > 100 or min(shape) < 4
+        if dtype == np.float32:
+            image[missing] = np.nan
+        for values in (10**6, 100):
+            monkeypatch.setattr(mean_median, "BAND_VALUES", values)
+            found = score_image(session, program(session, 2), image, missing, scale, lambda share: None)
+            assert found == expected
+    with Session(lesser) as opened:
+        assert score_image(opened, program(opened, 2), image, missing, scale, lambda share: None) == expected
