@@ -1,4 +1,4 @@
-"""Holes of an image: how deep they are, the image at half its size, and back. What device and reference share."""
+"""Holes of an image: their order, the image at half its size, and back. What device and reference share."""
 
 from __future__ import annotations
 
@@ -9,6 +9,13 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
+
+# Of the biharmonic solver. Gains: what splines of twice the size count more than those before, each having 1/4 of their
+# energy; the first step is larger, since single pixels are no splines. The number of steps hardly changes from 2 to 4
+# times FINER_GAIN.
+FIRST_GAIN, FINER_GAIN = 12.0, 4.0
+TOLERANCE = 1e-4  # of the residual in the preconditioner's norm, of its beginning: 60 dB from the solution
+MOST_STEPS = 500  # 12 to 90 are needed for holes from single pixels to 300 px
 
 
 def block_turns(missing: Mask, block: int) -> NDArray[np.int64]:
@@ -63,3 +70,17 @@ def doubled(coarse: Array, missing: Mask) -> Array:
             x = np.clip(column // 2 + (column % 2 * 2 - 1) * j, 0, ends[1])
             result += (0.25 if i else 0.75) * (0.25 if j else 0.75) * coarse[y, x]
     return result
+
+
+def spline_holes(missing: Mask) -> Mask:
+    """Where quadratic B-splines of twice the size lie in the holes (H, W) as a whole: (ceil(H / 2), ceil(W / 2)).
+
+    A coarse pixel's spline is refined into those of the fine pixels 2 k - 1 to 2 k + 2 along each axis; what is beyond
+    the border does not count.
+    """
+    for _ in range(2):
+        half = (len(missing) + 1) // 2
+        padded = np.pad(missing, ((1, 2), (0, 0)), constant_values=True)
+        parts = [padded[k : k + 2 * half : 2] for k in range(4)]
+        missing = np.logical_and.reduce(parts).T
+    return missing

@@ -15,9 +15,9 @@ BEFORE = (SIDE - BLOCK) // 2  # pixels of the window before the block
 DECAY = 0.65  # by which a pixel counts less per px from the block's center
 STEP = 0.7  # part of a wave's amplitude that is taken out at a time: less than all, as waves are not orthogonal
 WAVES_PER_CONTRAST = 400.0  # waves per standard deviation of the window, the known range being 1
-FEWEST_WAVES, MOST_WAVES = 10, 40
+FEWEST_WAVES, MOST_WAVES = 5, 40
 TRUST = 0.5  # what a filled pixel counts in the windows of later ones
-GUESS = 0.02  # what a pixel counts that is known from the coarser image only
+GUESS = 0.015  # what a pixel counts that is known from the coarser image only
 
 
 class Tables(NamedTuple):

@@ -40,7 +40,7 @@ def fill_texture(session: Session, image: NDArray[np.float32], missing: NDArray[
 
     image: (rows, columns, channels), finite where known, any range; missing: (rows, columns). Values found are kept
     within the range of what is known nearby. The same bits on every run of a device. Memory beside the result: that of
-    one tile (`clsco.inpainting.tiles`), about 60 (channels + 1) bytes per pixel of 1280 x 1280.
+    one tile (`clsco.inpainting.tiles`), about 28 channels + 12 bytes per pixel of 1024 x 1024.
     Raises ImageError where nothing is known, DeviceError. Validated against `clsco.reference.texture`
     (tests/kernels/test_texture.py) and beside OpenCV's FSR (benchmarks/inpainting.py).
     """

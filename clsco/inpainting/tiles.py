@@ -13,8 +13,8 @@ from clsco.errors import ImageError
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-TILE = 1024
-MARGIN = 128  # of what is seen around a tile, px; an image of up to TILE + 2 MARGIN px is one tile
+TILE = 832
+MARGIN = 96  # of what is seen around a tile, px; an image of up to TILE + 2 MARGIN px is one tile
 
 
 def fill_in_tiles(image: Image, missing: Mask, fill: Callable[[Image, Mask], Image]) -> Image:
