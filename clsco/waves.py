@@ -17,7 +17,7 @@ STEP = 0.7  # part of a wave's amplitude that is taken out at a time: less than 
 WAVES_PER_CONTRAST = 400.0  # waves per standard deviation of the window, the known range being 1
 FEWEST_WAVES, MOST_WAVES = 5, 40
 TRUST = 0.5  # what a filled pixel counts in the windows of later ones
-GUESS = 0.015  # what a pixel counts that is known from the coarser image only
+GUESS = 0.01  # what a pixel counts that is known from the coarser image only
 
 
 class Tables(NamedTuple):
