@@ -95,7 +95,9 @@ class _Solver:
         cl.enqueue_fill_buffer(self.session.queue, self.solution, zero, 0, self.solution.size)
         cl.enqueue_fill_buffer(self.session.queue, self.direction, zero, 0, self.direction.size)
         cl.enqueue_fill_buffer(self.session.queue, self.sums, zero, 0, self.sums.size)
-        self._each("start_residual", finest, *finest.size, known, finest.index, finest.list, finest.count, self.residual)
+        self._each(
+            "start_residual", finest, *finest.size, known, finest.index, finest.list, finest.count, self.residual
+        )
         self._precondition()
         self._dot(self.residual, self.better, now)
         # All sums but this one being 0, the first direction is the preconditioned residual itself.

@@ -36,6 +36,8 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | dict.fromkeys(("SAMPLED", "TILT", "GATHER", "SPANS", "SCATTER", "CONVOLVE", "RENORMALIZE", "PREPARE"), ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "POWERS": (1, 4), "BAND": (1, BAND)},
     ("accumulate.cl",): GEOMETRY,
+    ("texture.cl",): GEOMETRY,
+    ("biharmonic.cl",): GEOMETRY,
     FORWARD: GEOMETRY
     | {"FILTER": (0,), "SAMPLED": (0,)}
     | dict.fromkeys(("OWNED", "MAPPED", "FILL_AIT", "FILL_MEAN_MEDIAN", "FILL_FAR", "DOMAIN_SURFACE"), ON_OR_OFF),
