@@ -4,8 +4,8 @@ PSNR and SSIM in the holes, and process CPU time (median of three where it takes
 of scikit-image with five kinds of holes. Ours (auto, texture, biharmonic) on the OpenCL device, kernels compiled
 before; the thesis' mean/median with 20 rounds of smoothing
 as the NumPy reference has it; OpenCV's Telea and NS (radius 3), xphoto's FSR and SHIFTMAP; scikit-image's biharmonic.
-FSR best takes 50 times as long as FSR fast, SHIFTMAP 10 times: they fill the cases of --slow only. Figures go to the terminal and to
-benchmarks/results/NAME.json and NAME.md. --images takes any picture of skimage.data by name.
+FSR best takes 50 times as long as FSR fast, SHIFTMAP 10 times: they fill the cases of --slow only. Figures go to the
+terminal and to benchmarks/results/NAME.json and NAME.md. --images takes any picture of skimage.data by name.
 """
 
 from __future__ import annotations

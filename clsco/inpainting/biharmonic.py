@@ -2,9 +2,9 @@
 
 In the holes the Laplacian of the Laplacian is 0, which goes on with values and slopes at their rims (Damelin and Hoang
 2018, doi:10.1155/2018/3950312; scikit-image's `inpaint_biharmonic` solves the same equations directly). Here they are
-solved by conjugate gradients, preconditioned by quadratic B-splines of every size that lie in the holes (Bramble, Pasciak
-and Xu 1990, doi:10.2307/2008789; Oswald 1992): the number of steps does not grow with the size of holes, and memory is a
-fixed number of bytes per missing pixel.
+solved by conjugate gradients, preconditioned by quadratic B-splines of every size that lie in the holes (Bramble,
+Pasciak and Xu 1990, doi:10.2307/2008789; Oswald 1992): the number of steps hardly grows with the size of holes, and
+memory is a fixed number of bytes per missing pixel.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from clsco.device import Program, Session
 from clsco.holes import FINER_GAIN, FIRST_GAIN, MOST_STEPS, TOLERANCE, spline_holes
-from clsco.inpainting.tiles import fill_in_tiles
+from clsco.inpainting.tiles import Progress, fill_in_tiles, no_progress
 from clsco.layout import Real, structs
 from clsco.program import build, download, empty, kernel, launch, upload
 
@@ -28,12 +28,15 @@ SEGMENT = 256  # as in kernels/biharmonic.cl
 CHECK_EVERY = 10  # steps between two looks at the residual, which wait for the device
 
 
-def fill_biharmonic(session: Session, image: NDArray[np.float32], missing: NDArray[np.bool_]) -> NDArray[np.float32]:
+def fill_biharmonic(
+    session: Session, image: NDArray[np.float32], missing: NDArray[np.bool_], progress: Progress = no_progress
+) -> NDArray[np.float32]:
     """The image with its holes filled; known pixels keep their bits.
 
-    image: (rows, columns, channels), finite where known, any range; missing: (rows, columns). Values found are kept
-    within the range of what is known nearby. The same bits on every run of a device. Memory beside the result: per
-    pixel of a tile (`clsco.inpainting.tiles`) 12 channels + 6 bytes, per missing one of it 43 channels + 5.
+    image: (rows, columns, channels), finite where known, any range; missing: (rows, columns); progress: told after each
+    tile which part is done, 0 to 1. Values found are kept within the range of what is known nearby. The same bits on
+    every run of a device. Memory beside the result: per pixel of a tile (`clsco.inpainting.tiles`) 12 channels + 6
+    bytes, per missing one of it 43 channels + 5.
     Raises ImageError where nothing is known, DeviceError. Validated against `clsco.reference.biharmonic`
     (tests/kernels/test_biharmonic.py) and scikit-image's direct solution (benchmarks/inpainting.py).
     """
@@ -42,7 +45,7 @@ def fill_biharmonic(session: Session, image: NDArray[np.float32], missing: NDArr
     real: Real = "double" if session.device.has_fp64 else "float"
     features = {"CHANNELS": image.shape[2], "SAMPLED": 0}
     program = build(session, ["biharmonic.cl"], features, structs(real), real)
-    return fill_in_tiles(image, missing, partial(_fill, session, program, real))
+    return fill_in_tiles(image, missing, partial(_fill, session, program, real), progress)
 
 
 @dataclass(frozen=True)

@@ -26,10 +26,10 @@ def choose_method(
     """The method with the smaller square error where known pixels are taken for missing.
 
     image: (rows, columns, channels); missing: (rows, columns). In at most MOST_WINDOWS windows, evenly taken from those
-    that have holes, the holes are moved by SHIFT, out at one side and in at the other, and filled together with the true
-    ones by each method; the windows lie below each other in one image, so that few launches do. Where nothing can be
-    tried it is `texture`. The same answer on every run of a device; the cost does not grow with the image. What it gains
-    and loses: benchmarks/inpainting.py.
+    that have holes, the holes are moved by SHIFT, out at one side and in at the other, and filled together with the
+    true ones by each method; the windows lie below each other in one image, so that few launches do. Where nothing can
+    be tried it is `texture`. The same answer on every run of a device; the cost does not grow with the image. What it
+    gains and loses: benchmarks/inpainting.py.
     """
     windows = _windows(missing)
     if not windows:

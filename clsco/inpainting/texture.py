@@ -11,6 +11,7 @@ counts a little in every window, so that wide holes are neither flat nor dominat
 from __future__ import annotations
 
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 import pyopencl as cl
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from clsco.device import Program, Session
 from clsco.holes import block_turns, doubled, halved
-from clsco.inpainting.tiles import fill_in_tiles
+from clsco.inpainting.tiles import Progress, fill_in_tiles, no_progress
 from clsco.layout import structs
 from clsco.program import build, download, empty, kernel, launch, upload
 from clsco.waves import (
@@ -35,12 +36,15 @@ from clsco.waves import (
 LOCAL = (1,)  # a work-item is long, and its arrays are large
 
 
-def fill_texture(session: Session, image: NDArray[np.float32], missing: NDArray[np.bool_]) -> NDArray[np.float32]:
+def fill_texture(
+    session: Session, image: NDArray[np.float32], missing: NDArray[np.bool_], progress: Progress = no_progress
+) -> NDArray[np.float32]:
     """The image with its holes filled; known pixels keep their bits.
 
-    image: (rows, columns, channels), finite where known, any range; missing: (rows, columns). Values found are kept
-    within the range of what is known nearby. The same bits on every run of a device. Memory beside the result: that of
-    one tile (`clsco.inpainting.tiles`), about 28 channels + 12 bytes per pixel of 1024 x 1024.
+    image: (rows, columns, channels), finite where known, any range; missing: (rows, columns); progress: told after each
+    tile which part is done, 0 to 1. Values found are kept within the range of what is known nearby. The same bits on
+    every run of a device. Memory beside the result: that of one tile (`clsco.inpainting.tiles`), about 28 channels + 12
+    bytes per pixel of 1024 x 1024.
     Raises ImageError where nothing is known, DeviceError. Validated against `clsco.reference.texture`
     (tests/kernels/test_texture.py) and beside OpenCV's FSR (benchmarks/inpainting.py).
     """
@@ -49,7 +53,7 @@ def fill_texture(session: Session, image: NDArray[np.float32], missing: NDArray[
     features = {"CHANNELS": image.shape[2], "SAMPLED": 0}
     program = build(session, ["texture.cl"], features, structs("float"), "float")
     constants = [upload(session, table) for table in tables()]
-    result = fill_in_tiles(image, missing, partial(_fill, session, program, constants))
+    result = fill_in_tiles(image, missing, partial(_fill, session, program, constants), progress)
     session.queue.finish()
     return result
 
@@ -77,7 +81,7 @@ def _fill(
     ends = np.searchsorted(turns.ravel()[order], np.arange(turns.max() + 2))
     settings = (np.float32(STEP), np.float32(WAVES_PER_CONTRAST), np.int32(FEWEST_WAVES), np.int32(MOST_WAVES))
     held = []  # until the queue is done with them
-    for first, end in zip(ends[:-1], ends[1:], strict=True):
+    for first, end in pairwise(ends):
         count = int(end - first)
         listed = upload(session, blocks[first:end])
         filled = empty(session, 4 * BLOCK**2 * image.shape[2] * count)

@@ -12,22 +12,31 @@ from clsco.errors import ImageError
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+Progress = Callable[[float], None]
 
 TILE = 832
 MARGIN = 96  # of what is seen around a tile, px; an image of up to TILE + 2 MARGIN px is one tile
 
 
-def fill_in_tiles(image: Image, missing: Mask, fill: Callable[[Image, Mask], Image]) -> Image:
+def no_progress(done: float) -> None:
+    """For those who do not ask."""
+
+
+def fill_in_tiles(
+    image: Image, missing: Mask, fill: Callable[[Image, Mask], Image], progress: Progress = no_progress
+) -> Image:
     """The image (H, W, K) with its holes (H, W) filled; known pixels keep their bits, the arguments theirs.
 
     fill: takes a part of the image, scaled so that what is known in it runs from 0 to 1 in each channel, and its
-    holes; what it returns is kept within that range. Tiles go row by row, each with MARGIN px around it, in which what
-    former tiles have filled is known; those that see nothing known wait. Raises ImageError where nothing is known.
+    holes; what it returns is kept within that range. progress: told after each tile which part is done. Tiles go row by
+    row, each with MARGIN px around it, in which what former tiles have filled is known; those that see nothing known
+    wait. Raises ImageError where nothing is known.
     """
     result, left = image.copy(), missing.copy()
     tiles = [tile for tile in _tiles(missing.shape) if missing[tile[0]].any()]
     if missing.all():
         raise ImageError(f"missing: must leave a pixel known; got all {missing.size} missing")
+    total, done = len(tiles), 0
     while tiles:
         waiting = []
         for tile, around in tiles:
@@ -38,6 +47,8 @@ def fill_in_tiles(image: Image, missing: Mask, fill: Callable[[Image, Mask], Ima
             inner = tuple(slice(t.start - a.start, t.stop - a.start) for t, a in zip(tile, around, strict=True))
             result[tile][holes] = _filled(result[around], left[around], fill)[inner][holes]
             holes[...] = False
+            done += 1
+            progress(done / total)
         tiles = waiting
     return result
 

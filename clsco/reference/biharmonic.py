@@ -13,7 +13,7 @@ from clsco.reference.neighbors import Mask
 
 
 def fill_biharmonic(image: Array, missing: Mask) -> Array:
-    """An image (H, W, K) with its holes (H, W) filled so that the Laplacian of the Laplacian is 0 in them, unclipped."""
+    """An image (H, W, K) with the Laplacian of the Laplacian 0 in its holes (H, W), unclipped."""
     if not missing.any():
         return image
     holes = [missing]

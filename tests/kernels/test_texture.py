@@ -20,10 +20,7 @@ def picture(rows: int, columns: int, channels: int) -> Array:
     rng = np.random.default_rng(11)
     i, j = np.mgrid[0:rows, 0:columns]
     planes = [
-        0.5
-        + 0.2 * np.sin(0.9 * i + 0.3 * j + k)
-        + 0.15 * np.sin(0.2 * i - 1.1 * j)
-        + 0.05 * rng.random((rows, columns))
+        0.5 + 0.2 * np.sin(0.9 * i + 0.3 * j + k) + 0.15 * np.sin(0.2 * i - 1.1 * j) + 0.05 * rng.random(i.shape)
         for k in range(channels)
     ]
     return np.stack(planes, axis=-1).astype(np.float32)
