@@ -177,7 +177,8 @@ def markdown(report: Mapping[str, Any]) -> str:
         "# Missing pixels filled, beside what others offer",
         "",
         "PSNR in the holes in dB / SSIM in the holes / seconds of process CPU time. `python -m benchmarks.inpainting`;",
-        f"device: {report['device']}; OpenCV {report['opencv']}. The slowest in some cases only.",
+        f"images: {report['images']}; device: {report['device']}; OpenCV {report['opencv']}.",
+        "The slowest methods in some cases only.",
         "",
         f"| case | missing | {' | '.join(names)} |",
         f"|---|---|{'---|' * len(names)}",
@@ -204,6 +205,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--images", nargs="+", default=IMAGES)
     parser.add_argument("--masks", nargs="+", default=MASKS, choices=MASKS)
+    parser.add_argument("--size", type=int, metavar="N", help="take the middle N x N px only, for a quick look")
     parser.add_argument("--methods", nargs="+", metavar="NAME", help="some of the methods only")
     parser.add_argument("--slow", nargs="*", default=["camera/wide", "brick/wide"], metavar="IMAGE/MASK")
     parser.add_argument("--jobs", type=int, default=1, help="cases at a time, each in its own process")
@@ -213,11 +215,18 @@ def main() -> None:
     rows = []
     judging = partial(judge_methods, wanted=options.methods or (), slow=options.slow)
     with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
-        for row in pool.map(judging, cases(options.images, options.masks)):
+        for row in pool.map(judging, cases(options.images, options.masks, options.size)):
             rows.append(row)
             shown = ", ".join(f"{name} {found['psnr']:.2f}" for name, found in row["methods"].items())
             console.print(f"{row['image']}, {row['mask']}: {shown}")
-    report = {"device": str(choose()), "opencv": cv2.__version__, "cases": rows, "summary": summary(rows)}
+    size = options.size and f"{options.size} x {options.size} from the middle"
+    report = {
+        "images": size or "whole",
+        "device": str(choose()),
+        "opencv": cv2.__version__,
+        "cases": rows,
+        "summary": summary(rows),
+    }
     text = markdown(report)
     console.print(text.rpartition("| **mean**")[2], soft_wrap=True)
     RESULTS.mkdir(exist_ok=True)

@@ -31,10 +31,16 @@ class Case(NamedTuple):
     missing: NDArray[np.bool_]
 
 
-def cases(images: Iterable[str] = IMAGES, masks: Iterable[str] = MASKS) -> Iterator[Case]:
-    """Every image with every mask; the masks of an image hang on its place in the list only."""
+def cases(images: Iterable[str] = IMAGES, masks: Iterable[str] = MASKS, size: int | None = None) -> Iterator[Case]:
+    """Every image with every mask; the masks of an image hang on its place in the list only.
+
+    size: take the middle of the images only, so many px wide and high.
+    """
     for seed, name in enumerate(images):
         image = np.asarray(getattr(data, name)())
+        if size is not None:
+            top, left = (max(length - size, 0) // 2 for length in image.shape[:2])
+            image = np.ascontiguousarray(image[top : top + size, left : left + size])
         for mask in masks:
             yield Case(name, mask, image, make_mask(mask, (image.shape[0], image.shape[1]), seed))
 
@@ -45,7 +51,7 @@ def make_mask(name: str, shape: tuple[int, int], seed: int) -> NDArray[np.bool_]
     rows, columns = shape
     drawn: NDArray[Any] = np.zeros(shape, np.uint8)
     if name == "scratches":
-        for _ in range(28):
+        for _ in range(max(rows * columns // 9000, 1)):  # 29 on 512 x 512
             _scratch(drawn, rng)
     elif name == "text":
         for line in range(rows // 44 + 1):
