@@ -52,7 +52,7 @@ def halved(image: Array, missing: Mask) -> tuple[Array, Mask]:
     corners = [np.s_[i::2, j::2] for i in (0, 1) for j in (0, 1)]
     count = sum(known[corner].astype(image.dtype) for corner in corners)
     total = sum(values[corner] for corner in corners)
-    return np.asarray(total / np.maximum(count, 1)[..., None]), count == 0
+    return np.asarray(total / np.maximum(count, 1)[..., None]), np.asarray(count == 0)
 
 
 def doubled(coarse: Array, missing: Mask) -> Array:
