@@ -353,7 +353,11 @@ def defocus(
     "--report", "folder", metavar="DIR", type=PATH, help="Folder for figures, plots and images of the stages."
 )
 @click.option(
-    "--method", metavar="METHOD", default="auto", show_default=True, help="mean-median, or auto for the best."
+    "--method",
+    metavar="METHOD",
+    default="auto",
+    show_default=True,
+    help="mean-median, biharmonic, texture, or auto for the better of these two.",
 )
 @_number("--threshold", "Values of MASK from this one on are missing; without it they must be 0 and white.")
 @click.option("--estimator", metavar="NAME", help="Of mean-median: scored (default), mean or median.")

@@ -319,7 +319,7 @@ def _described(device: Device) -> dict[str, Any]:
 def _versions(tools: Sequence[str]) -> dict[str, str]:
     found = {"clsco": __version__, "python": platform.python_version()}
     packages: dict[str, tuple[str, ...]] = {"numba": ("numba",), "Mitsuba": ("mitsuba", "drjit")}
-    packages["OpenCV"] = ("opencv-python-headless", "opencv-python")
+    packages["OpenCV"] = ("opencv-contrib-python-headless", "opencv-python-headless", "opencv-python")
     for package in ("numpy", "pyopencl", *(name for tool in tools for name in packages[tool])):
         with suppress(PackageNotFoundError):
             found[package] = version(package)

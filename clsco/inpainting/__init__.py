@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from clsco.device import Session, choose, session_of, session_on
 from clsco.errors import DeviceError, ImageError, SceneError
 from clsco.estimators import MeanMedian, value_span
-from clsco.inpainting.methods import METHODS, THESIS, Filled, Task, method_named
+from clsco.inpainting.methods import METHODS, THESIS, Filled, Task, check_method, method_for
 from clsco.inpainting.report import Report
 
 MOST_CHANNELS = 16
@@ -43,7 +43,8 @@ def inpaint(
 
     image: (rows, columns) or (rows, columns, channels), up to 16 channels, uint8, uint16 or floats; what missing pixels
     hold does not matter. missing: (rows, columns), bool, or uint8 of 0 and 255 = missing. method: "mean-median", the
-    thesis' (chapter 5), or "auto". device: part of an OpenCL device's name; progress: is called with the share that
+    thesis' (chapter 5), "biharmonic" (`clsco.inpainting.biharmonic`), "texture" (`clsco.inpainting.texture`), or "auto",
+    the better one of these two (`clsco.inpainting.choice`). device: part of an OpenCL device's name; progress: is called with the share that
     is done, from 0 to 1. constants: of mean-median, as `clsco.estimators.MeanMedian` names them, such as
     smoothing_rounds=0.
     NumPy arrays, or pyopencl arrays of one queue, which is then worked in.
@@ -98,7 +99,7 @@ def _inpaint(
     session: Session, image: NDArray[Any], missing: NDArray[np.bool_], method: str,
     progress: Callable[[float], object] | None, constants: dict[str, Any],
 ) -> tuple[NDArray[Any], Report]:  # fmt: skip
-    name = method_named(method)
+    check_method(method)
     if constants and method != THESIS:
         raise SceneError(f"{next(iter(constants))}: belongs to method {THESIS}; got {method}")
     unknown = constants.keys() - MeanMedian.__dataclass_fields__.keys()
@@ -106,10 +107,11 @@ def _inpaint(
         wanted = ", ".join(MeanMedian.__dataclass_fields__)
         raise SceneError(f"constants: must be some of {wanted}; got {min(unknown)}")
     chosen, before = MeanMedian(**constants), perf_counter()
-    result, done = image.copy(), Filled(np.empty(0, np.int64), np.empty((0, 1), np.float32))
+    result, done, name = image.copy(), Filled(np.empty(0, np.int64), np.empty((0, 1), np.float32)), method
     if missing.any():
         planes = np.ascontiguousarray(image).reshape(*missing.shape, -1)
         task = Task(planes, missing, value_span(image, missing), chosen, progress or (lambda _: None))
+        name = method_for(session, task, method)
         done = METHODS[name](session, task)
         result.reshape(-1, planes.shape[2])[done.pixels] = as_stored(done.values, image.dtype)
     seconds = perf_counter() - before

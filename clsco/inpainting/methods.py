@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 from clsco.device import Session
 from clsco.errors import SceneError
 from clsco.estimators import MeanMedian
+from clsco.inpainting.biharmonic import fill_biharmonic
+from clsco.inpainting.choice import choose_method
 from clsco.inpainting.mean_median import Mask, Progress, Stages, fill_mean_median
+from clsco.inpainting.texture import fill_texture
 
 THESIS = "mean-median"
 
@@ -47,13 +50,30 @@ def _mean_median(session: Session, task: Task) -> Filled:
     return Filled(pixels, np.concatenate([stages.smoothed, stages.blended[taken]]), stages)
 
 
+def _solver(fill: Callable[..., NDArray[np.float32]]) -> Callable[[Session, Task], Filled]:
+    """A method that takes an image of floats and gives one back."""
+
+    def method(session: Session, task: Task) -> Filled:
+        result = fill(session, task.image.astype(np.float32), task.missing, task.progress)
+        pixels = np.flatnonzero(task.missing)
+        return Filled(pixels, result.reshape(-1, result.shape[2])[pixels])
+
+    return method
+
+
 METHODS: dict[str, Callable[[Session, Task], Filled]] = {
     THESIS: _mean_median,
+    "biharmonic": _solver(fill_biharmonic),
+    "texture": _solver(fill_texture),
 }
 
 
-def method_named(name: str) -> str:
-    """The method to take: `name`, or for "auto" the best. Raises SceneError for a name that is none."""
+def check_method(name: str) -> None:
+    """Raises SceneError for a name that is no method's."""
     if name != "auto" and name not in METHODS:
-        raise SceneError(f"method: must be auto or {' or '.join(METHODS)}; got {name}")
-    return THESIS if name == "auto" else name
+        raise SceneError(f"method: must be one of auto, {', '.join(METHODS)}; got {name}")
+
+
+def method_for(session: Session, task: Task, name: str) -> str:
+    """The method to take: `name`, or for "auto" the one that does best on known pixels."""
+    return choose_method(session, task.image.astype(np.float32), task.missing) if name == "auto" else name

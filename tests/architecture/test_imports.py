@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "clsco"
 
 # A module imports from the layers above its own line only.
 LAYERS = (
-    ("errors", "resources", "poclcache", "transfer", "png", "quantities"),
+    ("errors", "resources", "poclcache", "transfer", "png", "quantities", "holes", "waves"),
     ("files", "shapes", "frame", "strips", "estimators"),
     ("scene",),
     ("optics", "psf", "motion", "images", "scenefile"),
@@ -26,9 +26,10 @@ LAYERS = (
     ("reference",),
     ("device",),
     ("program",),
+    ("inpainting",),
     ("spread",),
     ("layers",),
-    ("defocus", "forward", "inpainting"),
+    ("defocus", "forward"),
     ("renderer",),
     ("render",),
     ("describe", "demo", "defocus_command", "inpaint_command"),
@@ -43,7 +44,7 @@ ONLY = {
     "program": {"errors", "resources", "device"},
 }
 IMPORTS_REFERENCE = {"check", "bench"}
-OPENCL = {"device", "program", "spread", "layers", "defocus", "forward", "inpainting", "renderer"}
+OPENCL = {"device", "program", "inpainting", "spread", "layers", "defocus", "forward", "renderer"}
 ON_OPENCL = {"render", "batch", "check", "bench"}
 IMAGES = {"images"}
 OUTSIDE = {

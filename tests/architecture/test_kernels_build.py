@@ -41,6 +41,8 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     )
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (1, BAND)},
     ("accumulate.cl",): GEOMETRY,
+    ("texture.cl",): GEOMETRY,
+    ("biharmonic.cl",): GEOMETRY,
     FORWARD: GEOMETRY
     | {"FILTER": (0,), "SAMPLED": (0,)}
     | dict.fromkeys(("OWNED", "MAPPED", "FILL_AIT", "FILL_MEAN_MEDIAN", "FILL_FAR", "DOMAIN_SURFACE"), ON_OR_OFF),

@@ -1,0 +1,161 @@
+"""Smooth surfaces across holes, on the device: the biharmonic equation.
+
+In the holes the Laplacian of the Laplacian is 0, which goes on with values and slopes at their rims (Damelin and Hoang
+2018, doi:10.1155/2018/3950312; scikit-image's `inpaint_biharmonic` solves the same equations directly). Here they are
+solved by conjugate gradients, preconditioned by quadratic B-splines of every size that lie in the holes (Bramble,
+Pasciak and Xu 1990, doi:10.2307/2008789; Oswald 1992): the number of steps hardly grows with the size of holes, and
+memory is a fixed number of bytes per missing pixel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from clsco.device import Program, Session
+from clsco.holes import FINER_GAIN, FIRST_GAIN, MOST_STEPS, TOLERANCE, spline_holes
+from clsco.inpainting.tiles import Progress, fill_in_tiles, no_progress
+from clsco.layout import Real, structs
+from clsco.program import build, download, empty, kernel, launch, upload
+
+LOCAL = (64,)
+SEGMENT = 256  # as in kernels/biharmonic.cl
+CHECK_EVERY = 10  # steps between two looks at the residual, which wait for the device
+
+
+def fill_biharmonic(
+    session: Session, image: NDArray[np.float32], missing: NDArray[np.bool_], progress: Progress = no_progress
+) -> NDArray[np.float32]:
+    """The image with its holes filled; known pixels keep their bits.
+
+    image: (rows, columns, channels), finite where known, any range; missing: (rows, columns); progress: told after each
+    tile which part is done, 0 to 1. Values found are kept within the range of what is known nearby. The same bits on
+    every run of a device. Memory beside the result: per pixel of a tile (`clsco.inpainting.tiles`) 12 channels + 6
+    bytes, per missing one of it 43 channels + 5.
+    Raises ImageError where nothing is known, DeviceError. Validated against `clsco.reference.biharmonic`
+    (tests/kernels/test_biharmonic.py) and scikit-image's direct solution (benchmarks/inpainting.py).
+    """
+    if not missing.any():
+        return image.copy()
+    real: Real = "double" if session.device.has_fp64 else "float"
+    features = {"CHANNELS": image.shape[2], "SAMPLED": 0}
+    program = build(session, ["biharmonic.cl"], features, structs(real), real)
+    return fill_in_tiles(image, missing, partial(_fill, session, program, real), progress)
+
+
+@dataclass(frozen=True)
+class _Level:
+    """Unknowns of one size: pixels of the image at that size, and the vector that the preconditioner keeps there."""
+
+    rows: np.int32
+    columns: np.int32
+    count: np.int32
+    list: cl.Buffer
+    index: cl.Buffer
+    vector: cl.Buffer
+
+    @property
+    def size(self) -> tuple[np.int32, np.int32]:
+        return self.rows, self.columns
+
+
+def _fill(
+    session: Session, program: Program, real: Real, image: NDArray[np.float32], missing: NDArray[np.bool_]
+) -> NDArray[np.float32]:
+    solver = _Solver(session, program, real, image.shape[2], missing)
+    result = image.copy()
+    result[missing] = solver.solve(image)
+    return result
+
+
+class _Solver:
+    """Conjugate gradients in the holes of one image; its buffers live as long as it does."""
+
+    def __init__(
+        self, session: Session, program: Program, real: Real, channels: int, missing: NDArray[np.bool_]
+    ) -> None:
+        self.session, self.program, self.channels = session, program, channels
+        self.real = np.float64 if real == "double" else np.float32
+        holes = [missing]
+        while (coarse := spline_holes(holes[-1])).any() and coarse.size < holes[-1].size:
+            holes.append(coarse)
+        self.levels = [self._level(inside) for inside in holes]
+        unknowns = int(self.levels[0].count)
+        self.residual = self.levels[0].vector
+        self.solution, self.direction, self.applied, self.better = (self._vector(unknowns) for _ in range(4))
+        self.partial, self.sums = self._vector(-(-unknowns // SEGMENT)), self._vector(3)
+
+    def solve(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The solution (N, K) at the N missing pixels, row by row, of an image (H, W, K)."""
+        finest, now = self.levels[0], 0
+        known = upload(self.session, image)
+        zero = np.zeros(1, np.uint32)
+        cl.enqueue_fill_buffer(self.session.queue, self.solution, zero, 0, self.solution.size)
+        cl.enqueue_fill_buffer(self.session.queue, self.direction, zero, 0, self.direction.size)
+        cl.enqueue_fill_buffer(self.session.queue, self.sums, zero, 0, self.sums.size)
+        self._each(
+            "start_residual", finest, *finest.size, known, finest.index, finest.list, finest.count, self.residual
+        )
+        self._precondition()
+        self._dot(self.residual, self.better, now)
+        # All sums but this one being 0, the first direction is the preconditioned residual itself.
+        self._each("turn_direction", finest, self.sums, np.int32(1), self.better, finest.count, self.direction)
+        first = self._sum(now)
+        for step in range(MOST_STEPS):
+            if step % CHECK_EVERY == 0 and not (self._sum(now) > TOLERANCE**2 * first).any():
+                break
+            inputs = (*finest.size, self.direction, finest.index, finest.list, finest.count, self.applied)
+            self._each("apply_biharmonic", finest, *inputs)
+            self._dot(self.direction, self.applied, 2)
+            vectors = (self.direction, self.applied, finest.count, self.solution, self.residual)
+            self._each("take_step", finest, self.sums, np.int32(now), *vectors)
+            self._precondition()
+            self._dot(self.residual, self.better, 1 - now)
+            self._each("turn_direction", finest, self.sums, np.int32(now), self.better, finest.count, self.direction)
+            now = 1 - now
+        found = download(self.session, self.solution, (int(finest.count), self.channels), self.real)
+        return found.astype(np.float32)
+
+    def _precondition(self) -> None:
+        """Residual -> better, through all sizes."""
+        pairs = list(zip(self.levels, self.levels[1:], strict=False))
+        for fine, coarse in pairs:
+            gain = self.real(FIRST_GAIN if fine is self.levels[0] else FINER_GAIN)
+            inputs = (*fine.size, fine.vector, fine.index, coarse.list, coarse.count, gain, coarse.vector)
+            self._each("coarser", coarse, *inputs)
+        for fine, coarse in reversed(pairs):
+            target = self.better if fine is self.levels[0] else fine.vector
+            inputs = (*fine.size, fine.vector, fine.list, fine.count, coarse.vector, coarse.index, target)
+            self._each("finer", fine, *inputs)
+        if not pairs:
+            cl.enqueue_copy(self.session.queue, self.better, self.residual, byte_count=self.residual.size)
+
+    def _dot(self, a: cl.Buffer, b: cl.Buffer, slot: int) -> None:
+        count = self.levels[0].count
+        segments = -(-int(count) // SEGMENT)
+        self._launch("add_products", segments, a, b, count, self.partial)
+        self._launch("add_partials", self.channels, self.partial, np.int32(segments), np.int32(slot), self.sums)
+
+    def _sum(self, slot: int) -> NDArray[Any]:
+        return download(self.session, self.sums, (3, self.channels), self.real)[slot]
+
+    def _each(self, name: str, level: _Level, *args: Any) -> None:
+        self._launch(name, int(level.count), *args)
+
+    def _launch(self, name: str, size: int, *args: Any) -> None:
+        launch(self.session, kernel(self.program, name), (size,), LOCAL, *args)
+
+    def _level(self, inside: NDArray[np.bool_]) -> _Level:
+        at = np.flatnonzero(inside).astype(np.int32)
+        index = np.full(inside.size, -1, np.int32)
+        index[at] = np.arange(at.size, dtype=np.int32)
+        sizes = (np.int32(inside.shape[0]), np.int32(inside.shape[1]), np.int32(at.size))
+        return _Level(*sizes, upload(self.session, at), upload(self.session, index), self._vector(at.size))
+
+    def _vector(self, entries: int) -> cl.Buffer:
+        return empty(self.session, entries * self.channels * np.dtype(self.real).itemsize)

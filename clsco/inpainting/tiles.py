@@ -1,0 +1,71 @@
+"""Holes of any image filled tile by tile, so that memory beyond the image does not depend on its size."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.errors import ImageError
+
+Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+Progress = Callable[[float], None]
+
+TILE = 832
+MARGIN = 96  # of what is seen around a tile, px; an image of up to TILE + 2 MARGIN px is one tile
+
+
+def no_progress(done: float) -> None:
+    """For those who do not ask."""
+
+
+def fill_in_tiles(
+    image: Image, missing: Mask, fill: Callable[[Image, Mask], Image], progress: Progress = no_progress
+) -> Image:
+    """The image (H, W, K) with its holes (H, W) filled; known pixels keep their bits, the arguments theirs.
+
+    fill: takes a part of the image, scaled so that what is known in it runs from 0 to 1 in each channel, and its
+    holes; what it returns is kept within that range. progress: told after each tile which part is done. Tiles go row by
+    row, each with MARGIN px around it, in which what former tiles have filled is known; those that see nothing known
+    wait. Raises ImageError where nothing is known.
+    """
+    result, left = image.copy(), missing.copy()
+    tiles = [tile for tile in _tiles(missing.shape) if missing[tile[0]].any()]
+    if missing.all():
+        raise ImageError(f"missing: must leave a pixel known; got all {missing.size} missing")
+    total, done = len(tiles), 0
+    while tiles:
+        waiting = []
+        for tile, around in tiles:
+            if left[around].all():
+                waiting.append((tile, around))
+                continue
+            holes = left[tile]
+            inner = tuple(slice(t.start - a.start, t.stop - a.start) for t, a in zip(tile, around, strict=True))
+            result[tile][holes] = _filled(result[around], left[around], fill)[inner][holes]
+            holes[...] = False
+            done += 1
+            progress(done / total)
+        tiles = waiting
+    return result
+
+
+def _tiles(shape: tuple[int, ...]) -> list[tuple[tuple[slice, ...], tuple[slice, ...]]]:
+    """Rows and columns of the tiles and of what is seen around each."""
+    axes: list[list[tuple[slice, slice]]] = []
+    for size in shape:
+        step = TILE if size > TILE + 2 * MARGIN else size
+        starts = range(0, size, step)
+        ends = [(start, min(start + step, size)) for start in starts]
+        axes.append([(slice(a, b), slice(max(a - MARGIN, 0), min(b + MARGIN, size))) for a, b in ends])
+    return [((rows[0], columns[0]), (rows[1], columns[1])) for rows in axes[0] for columns in axes[1]]
+
+
+def _filled(image: Image, missing: Mask, fill: Callable[[Image, Mask], Image]) -> Image:
+    known: Any = image[~missing]
+    low, high = known.min(axis=0), known.max(axis=0)
+    scale = np.where(high > low, high - low, np.float32(1))
+    return np.clip(fill((image - low) / scale, missing) * scale + low, low, high)

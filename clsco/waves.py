@@ -1,0 +1,45 @@
+"""Frequency-selective extrapolation: its settings and tables, for the device and the reference alike."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+SIDE = 32  # of the window, px; the kernel's
+BLOCK = 2  # of what is filled from it, px; the kernel's
+BEFORE = (SIDE - BLOCK) // 2  # pixels of the window before the block
+# The following were chosen on the cases of benchmarks/inpainting.py: each is flat within 0.1 dB around its value.
+DECAY = 0.65  # by which a pixel counts less per px from the block's center
+STEP = 0.7  # part of a wave's amplitude that is taken out at a time: less than all, as waves are not orthogonal
+WAVES_PER_CONTRAST = 400.0  # waves per standard deviation of the window, the known range being 1
+FEWEST_WAVES, MOST_WAVES = 5, 40
+TRUST = 0.5  # what a filled pixel counts in the windows of later ones
+GUESS = 0.01  # what a pixel counts that is known from the coarser image only
+
+
+class Tables(NamedTuple):
+    """Float32 tables of the kernel `extrapolate_blocks`, by the names of its arguments."""
+
+    window: NDArray[np.float32]
+    preference: NDArray[np.float32]
+    cosines: NDArray[np.float32]
+    sines: NDArray[np.float32]
+
+
+@cache
+def tables() -> Tables:
+    """window (SIDE, SIDE): DECAY to the distance from the block's center. preference (SIDE, SIDE / 2): squares of 1 -
+    |frequency| / the highest (Genser et al. 2018), 0 for the mirrors in the first column and beyond the highest.
+    cosines, sines: (SIDE, SIDE / 2), of 2 pi a v / SIDE."""
+    place = np.arange(SIDE)
+    distance = place + 0.5 - SIDE / 2
+    window = DECAY ** np.hypot(distance[:, None], distance)
+    frequency = np.minimum(place, SIDE - place) / (SIDE / 2)
+    size = np.hypot(frequency[:, None], frequency[: SIDE // 2]) / np.sqrt(2)
+    preference = (1 - size) ** 2
+    preference[SIDE // 2 + 1 :, 0] = 0
+    angle = 2 * np.pi / SIDE * (place[:, None] * place[: SIDE // 2] % SIDE)
+    return Tables(*(np.asarray(t, np.float32) for t in (window, preference, np.cos(angle), np.sin(angle))))
