@@ -166,7 +166,7 @@ GRAY, NOTHING = np.zeros((4, 5), np.float32), np.zeros((4, 5), np.bool_)
         (np.full((4, 5), np.nan), NOTHING, {}, "image: known pixels must be finite, and at most 2^60 in size; got 20"),
         (np.full((4, 5), np.inf, np.float16), NOTHING, {}, "image: known pixels must be finite"),
         (np.full((4, 5, 3), -2e18), NOTHING, {}, "image: known pixels must be finite, and at most 2^60 in size"),
-        (GRAY, NOTHING, {"method": "best"}, "method: must be auto or mean-median"),
+        (GRAY, NOTHING, {"method": "best"}, "method: must be one of auto, mean-median, biharmonic, texture; got best"),
         (GRAY, NOTHING, {"minimum": 3}, "minimum: belongs to method mean-median; got auto"),
         (GRAY, NOTHING, THESIS | {"rounds": 3}, "constants: must be some of estimator, minimum, smoothing_rounds"),
         (GRAY, NOTHING, THESIS | {"minimum": 9}, "minimum: must be a whole number from 1 to 8; got 9"),

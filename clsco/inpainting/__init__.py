@@ -43,10 +43,10 @@ def inpaint(
 
     image: (rows, columns) or (rows, columns, channels), up to 16 channels, uint8, uint16 or floats; what missing pixels
     hold does not matter. missing: (rows, columns), bool, or uint8 of 0 and 255 = missing. method: "mean-median", the
-    thesis' (chapter 5), "biharmonic" (`clsco.inpainting.biharmonic`), "texture" (`clsco.inpainting.texture`), or "auto",
-    the better one of these two (`clsco.inpainting.choice`). device: part of an OpenCL device's name; progress: is called with the share that
-    is done, from 0 to 1. constants: of mean-median, as `clsco.estimators.MeanMedian` names them, such as
-    smoothing_rounds=0.
+    thesis' (chapter 5), "biharmonic" (`clsco.inpainting.biharmonic`), "texture" (`clsco.inpainting.texture`), or
+    "auto", the better of these two (`clsco.inpainting.choice`). device: part of an OpenCL device's name; progress: is
+    called with the share that is done, from 0 to 1. constants: of mean-median, as `clsco.estimators.MeanMedian` names
+    them, such as smoothing_rounds=0.
     NumPy arrays, or pyopencl arrays of one queue, which is then worked in.
     Returns an image of the same type and shape, of which known pixels are those that were given (but for those that
     stage 3 of mean-median blends), and the report. An image without missing pixels is copied. Raises ImageError for
