@@ -357,7 +357,6 @@ def defocus(
     metavar="METHOD",
     default="auto",
     show_default=True,
-    "--method", metavar="METHOD", default="auto", show_default=True,
     help="mean-median, biharmonic, texture, or auto for the better of the last two.",
 )
 @_number("--threshold", "Values of MASK from this one on are missing; without it they must be 0 and white.")
