@@ -100,6 +100,12 @@ def has_spans(psf: Psf, largest: float) -> bool:
     return psf.model == "pillbox" and reach(psf, largest) >= SPANNED[psf.edge]
 
 
+def margin(columns: int, guard: int, far: int) -> tuple[int, int]:
+    """Scratch columns on both sides of a row of the blurred frame, and the length of the row, in whole vectors."""
+    pad = ceil((guard + far + LANES) / LANES) * LANES
+    return pad, ceil(columns / LANES) * LANES + 2 * pad
+
+
 def spread_bytes(
     psf: Psf, method: Blur, channels: int, rows: int, columns: int, guard: int, far: int, spans: bool, cores: int
 ) -> dict[str, int]:
@@ -107,7 +113,7 @@ def spread_bytes(
 
     rows: of the tallest strip; far: largest half-width in the tables, px; the others as for the Spreader.
     """
-    pitch = ceil((columns + 2 * (guard + far + LANES)) / LANES) * LANES
+    _, pitch = margin(columns, guard, far)
     sizes = {"total": 4 * channels * rows * pitch}
     bands = 4 * channels * bands_at_a_time(rows, cores) * BAND * pitch
     if method == "gather" and (2 * far + 1) ** 2 > MOST_IN_ONE_SUM:

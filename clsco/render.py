@@ -112,10 +112,9 @@ def _render_group(
             fitting = [fitted(plan, limit) for plan in of_eyes]
             renderers = [Renderer(session, plan, textures, maps[k], limit, precision) for plan in fitting]
             for index in wanted:
-                for renderer in renderers:
-                    yield k, _together([renderer], index)[0]
+                for number in range(len(renderers)):
+                    yield k, _together(renderers[number : number + 1], index)[0]
             renderers.clear()  # before those of the next scene take memory
-            del renderer
         return
     together = []
     for of_lenses in lockstep:

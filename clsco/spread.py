@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clsco.device import Program, Session
 from clsco.layout import Real, Struct, psf_struct
-from clsco.memory import MOST_IN_ONE_SUM, bands_at_a_time, has_spans, spread_bytes
+from clsco.memory import MOST_IN_ONE_SUM, bands_at_a_time, has_spans, margin, spread_bytes
 from clsco.occlusion import lens_cells
 from clsco.plan import Blur
 from clsco.program import empty, kernel, launch, mapped, upload
@@ -85,9 +85,8 @@ class Spreader:
         self.tables = [(upload(session, t.intervals), upload(session, t.coefficients)) for t in tables]
         self.lens = upload(session, lens_cells(psf).astype(np.float32))
         rows, columns = int(camera["rows"]), int(camera["columns"])
-        self.pad = int(camera["guard"]) + int(self.struct["reach"]) + LANES
-        self.pitch = -(-(columns + 2 * self.pad) // LANES) * LANES
         far, cores = int(self.struct["reach"]), session.device.compute_units
+        self.pad, self.pitch = margin(columns, int(camera["guard"]), far)
         sizes = spread_bytes(psf, method, channels, rows, columns, int(camera["guard"]), far, spans, cores)
         self.total = empty(session, sizes["total"])
         row_taps = 2 * far + 1
