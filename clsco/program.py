@@ -17,7 +17,7 @@ from clsco.resources import folder
 
 HEADERS = ("wide.clh", "geometry.clh")
 OCCLUSION_HEADERS = ("occlusion.clh", "sight.clh")  # with the feature OCCLUDED
-HEADERS_OF = {"blur.cl": ("spread.clh", "spans.clh")}
+HEADERS_OF = {"blur.cl": ("spread.clh", "spans.clh"), "coarse.cl": ("spread.clh",)}
 _C_TYPES = {
     "f4": "float", "f8": "double",
     "i1": "char", "i2": "short", "i4": "int", "i8": "long",

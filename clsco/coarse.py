@@ -1,0 +1,260 @@
+"""An approximation: sources of wide blur are blurred on grids of half, a quarter, ... of the resolution.
+
+A wide PSF has no fine detail, so its light can be added up on a coarse grid and interpolated: at s px between nodes it
+takes a number of taps that is s^4 times less. The error is that of the PSF's edge, which the grid rounds off; how far is
+set by the smallest radius that a grid may hold, in its own pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import exp, nan, pi, sqrt
+from statistics import NormalDist
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from clsco.device import Program, Session
+from clsco.layout import Real, Struct, frame_struct, structs
+from clsco.program import build, download, empty, kernel, launch, upload
+from clsco.psf import LANES
+from clsco.scene import Psf
+from clsco.spread import PIXELS, Events, Sources, Spreader, blur_features
+
+EDGE, EDGE_ROWS = 8, 8  # as in coarse.cl
+BLOCKS = (8, 1)  # local size of kernels that make LANES numbers at a time
+MOST_LEVELS = 5
+FADE = 1.25  # from the smallest radius that moves to where all light does
+STEEPEST = 1.0  # px to neighbors 2 px away: with more the radii of what shares a node would be too different
+SHARING = 0.75  # px^2 per axis: what bilinear sharing among nodes adds to a PSF's second moment, and taking back again
+# Of the coarse frame before it is enlarged: for discs as much as gives back what sharing adds, so that less of their edge is
+# lost; a Gaussian has nothing to lose, and is nearest without.
+SHARPENING = {"pillbox": 3 / 16, "gaussian": 0.0}
+PIXEL_MOMENT = {"sampled": 0.0, "area": 1 / 12, "integrated": 1 / 6}  # px^2 per axis: what `edge` adds to it
+
+
+def second_moment(psf: Psf) -> float:
+    """Second moment per axis of a PSF of R = 1 px, without what `edge` adds; px^2."""
+    if psf.model == "pillbox":
+        return 0.25
+    cut = psf.truncation
+    if psf.edge == "sampled":  # cut off at a circle
+        lost = exp(-0.5 * cut * cut)
+        return psf.sigma_ratio**2 * (1.0 - 0.5 * cut * cut * lost / (1.0 - lost))
+    inside = 2.0 * NormalDist().cdf(cut) - 1.0  # at a square
+    return psf.sigma_ratio**2 * (1.0 - 2.0 * cut * exp(-0.5 * cut * cut) / sqrt(2.0 * pi) / inside)
+
+
+def coarse_psf(psf: Psf) -> Psf:
+    """The PSF on coarser grids: over a node's own area, which rounds off least; a cut Gaussian keeps its circle."""
+    return psf if psf.model == "gaussian" and psf.edge == "sampled" else psf.model_copy(update={"edge": "area"})
+
+
+def loss(psf: Psf, finest: bool) -> float:
+    """What of R^2 in px^2 the way to the next coarser grid and back does by itself; finest: from the frame's own."""
+    own = PIXEL_MOMENT[psf.edge if finest else coarse_psf(psf).edge]
+    added = 2 * SHARING - 8 * SHARPENING[psf.model] + 4 * PIXEL_MOMENT[coarse_psf(psf).edge]
+    return (added - own) / second_moment(psf)
+
+
+def coarse_radius(psf: Psf, radius: float, finest: bool) -> float:
+    """Radius in px of the next grid of a source of `radius` px, so that second moments are the same; 0 for none."""
+    return 0.5 * sqrt(max(radius * radius - loss(psf, finest), 0.0))
+
+
+def coarse_radii(psf: Psf, largest: float, least: float) -> tuple[float, ...]:
+    """Largest radius on each coarser grid that is used, px of that grid; least: see `Coarse`."""
+    found: list[float] = []
+    while len(found) < MOST_LEVELS and (radius := coarse_radius(psf, largest, not found)) >= least:
+        found.append(radius)
+        largest = radius
+    return tuple(found)
+
+
+def coarse_frame(rows: int, columns: int, guard: int) -> tuple[int, int, int]:
+    """Rows, columns and guard band of the next coarser grid: the nodes that pixels of the frame need."""
+    first = (guard + 1) // 2
+    return (guard + rows) // 2 + 4 - first, (guard + columns) // 2 + 4 - first, first
+
+
+@dataclass(frozen=True)
+class _Level:
+    """A grid, what is on it, and its spreader; value and source of the finest one are those of a moment."""
+
+    spreader: Spreader
+    pitch: int
+    radius: cl.Buffer
+    tilt: cl.Buffer
+    moved: cl.Buffer
+    light: cl.Buffer
+    kept: cl.Buffer
+    value: cl.Buffer | None = None
+    source: cl.Buffer | None = None
+
+    @property
+    def camera(self) -> Struct:
+        return self.spreader.camera
+
+    @property
+    def size(self) -> tuple[int, int]:
+        return int(self.camera["width"]), int(self.camera["height"])
+
+
+class Coarse(Spreader):
+    """A `gather` Spreader that moves sources of wide blur to coarser grids.
+
+    least: a source moves on to the next coarser grid while its radius is at least that many px there, as long as its
+    radius changes by STEEPEST px at most from it to its neighbors; sub-pixel sources and those with something in their
+    way stay. features: those of the frame's own program; places: (rows, columns) of pixels at which `missed` tells what
+    that changes. Other arguments and what is raised as for `Spreader`, with method "gather" and border "lose".
+    Validated against `clsco.reference.coarse`, and by its error against the exact way (tests/test_coarse.py).
+    """
+
+    def __init__(
+        self, session: Session, program: Program, psf: Psf, camera: Struct, channels: int, smallest: float,
+        largest: float, subpixels: int, real: Real, brightest: float, features: Mapping[str, int], least: float,
+        places: NDArray[np.int32] | None = None,
+    ) -> None:  # fmt: skip
+        super().__init__(
+            session, program, psf, "gather", camera, channels, smallest, largest, subpixels, real, brightest,
+            bool(features["SPANS"]),
+        )  # fmt: skip
+        self.least, self.places, self.tilt = least, places, bool(features["TILT"])
+        radii = coarse_radii(psf, largest, least)
+        self.levels = [self._level(self)] if radii else []
+        if not radii:
+            return
+        coarse = coarse_psf(psf)
+        plain = {**features, "SUBPIXELS": 0, "OCCLUDED": 0, "SAMPLED": int(coarse.edge == "sampled")}
+        self.tools = build(session, ["coarse.cl"], plain, structs(real), real)
+        for radius in radii:
+            plain |= {"POWERS": 4} | blur_features("gather", coarse, radius, real, prepare=False)
+            inner = build(session, ["blur.cl"], plain, structs(real), real)
+            above = self.levels[-1].camera
+            shape = coarse_frame(*(int(above[name]) for name in ("rows", "columns", "guard")))
+            spreader = Spreader(
+                session, inner, coarse, "gather", frame_struct(*shape, real), channels, least, radius, 0, real,
+                brightest, bool(plain["SPANS"]),
+            )  # fmt: skip
+            self.levels.append(self._level(spreader))
+        if places is not None:
+            self.pixels = upload(session, places)
+            self.misses = empty(session, 4 * channels * len(places))
+
+    def _level(self, spreader: Spreader) -> _Level:
+        width, height = int(spreader.camera["width"]), int(spreader.camera["height"])
+        pitch = -(-(width + 4 * EDGE) // LANES) * LANES
+        plane = 4 * pitch * (height + 2 * EDGE_ROWS)
+        planes = [_filled(self.session, plane, nan)]
+        planes += [_filled(self.session, plane * count, 0.0) for count in (2 * self.tilt, 1, self.channels)]
+        value = empty(self.session, 4 * self.channels * width * height)
+        if spreader is self:
+            return _Level(spreader, pitch, *planes, value)
+        return _Level(spreader, pitch, *planes, value, value, empty(self.session, 16 * width * height))
+
+    def clear(self) -> None:
+        """Begin a frame."""
+        super().clear()
+        for level in self.levels[1:]:
+            level.spreader.clear()
+        if self.places is not None and self.levels:
+            cl.enqueue_fill_buffer(self.session.queue, self.misses, np.zeros(1, np.float32), 0, self.misses.size)
+
+    def add(self, sources: Sources, radius: float, events: Events) -> None:
+        """Add the light of one moment; marks the records of those sources that move."""
+        if self.levels:
+            self._move(sources, events)
+            sources = replace(sources, value=self.levels[0].kept)
+        super().add(sources, radius, events)
+        for level in self.levels[1:]:
+            assert level.value is not None
+            level.spreader.add(Sources(level.source, level.value), 0.0, events)
+
+    def _move(self, sources: Sources, events: Events) -> None:
+        finest = replace(self.levels[0], value=sources.value, source=sources.source)
+        args = (self.camera, self.struct, finest.source, np.int32(self.psf.edge == "sampled"), np.int32(finest.pitch))
+        self._run("measure_radii", _blocks(*finest.size), BLOCKS, events, *args, finest.radius, finest.tilt)
+        for fine, coarse in pairwise([finest, *self.levels[1:]]):
+            lost = loss(self.psf, fine is finest)
+            least = sqrt(4.0 * self.least**2 + lost)
+            limits = (np.float32(least), np.float32(FADE * least), np.float32(STEEPEST), np.int32(fine.pitch))
+            planes = (fine.moved, fine.light)
+            args = (fine.camera, fine.radius, fine.value, *limits, fine.source, fine.kept, *planes)
+            self._run("pick", _blocks(*fine.size), BLOCKS, events, *args)
+            pitches = (np.int32(fine.pitch), np.int32(coarse.pitch))
+            made = (coarse.value, coarse.radius, coarse.tilt)
+            args = (fine.camera, coarse.camera, *planes, fine.tilt, np.float32(lost), *pitches, *made)
+            self._run("halve", _blocks(*coarse.size), BLOCKS, events, *args)
+            blunt = np.float32(PIXEL_MOMENT[coarse.spreader.psf.edge] / second_moment(self.psf))
+            args = (*made[1:], blunt, np.int32(coarse.pitch), coarse.source)
+            self._run("aim_nodes", coarse.size, PIXELS, events, coarse.camera, coarse.spreader.struct, *args)
+        if self.places is not None:
+            head = (self.camera, self.struct, finest.source, finest.light, np.int32(finest.pitch), *self.tables[0])
+            args = (*head, np.int32(len(self.places)), self.pixels, self.misses)
+            self._run("probe", (len(self.places),), (8,), events, *args)
+
+    def image(self, events: Events) -> NDArray[np.float32]:
+        """The frame (rows, columns[, channels]); waits for the device. Of a frame once."""
+        if self.levels:
+            self._look_up(-1.0, events)
+        sharp = np.float32(SHARPENING[self.psf.model])
+        for coarse, fine in pairwise(reversed(self.levels)):
+            layouts = [
+                argument
+                for one in (coarse.spreader, fine.spreader)
+                for argument in (one.camera, np.int32(one.pitch), np.int32(one.pad), one.total)
+            ]
+            rows, columns = int(fine.camera["rows"]), int(fine.camera["columns"])
+            self._run("enlarge", _blocks(columns + 1, rows), BLOCKS, events, *layouts, sharp)
+        if self.levels:
+            self._look_up(1.0, events)
+        return super().image(events)
+
+    def missed(self) -> NDArray[np.float32]:
+        """Error (places, channels) at `places` of the frame that `image` returned last, 0 where nothing could move."""
+        count = 0 if self.places is None else len(self.places)
+        if not self.levels:
+            return np.zeros((count, self.channels), np.float32)
+        return download(self.session, self.misses, (count, self.channels), np.float32)
+
+    def _look_up(self, sign: float, events: Events) -> None:
+        if self.places is not None:
+            layout = (self.total, np.int32(self.pitch), np.int32(self.pad), np.float32(sign))
+            args = (self.camera, *layout, np.int32(len(self.places)), self.pixels, self.misses)
+            self._run("look_up", (len(self.places),), (8,), events, *args)
+
+    def _run(self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: object) -> None:
+        events.append((name, launch(self.session, kernel(self.tools, name), size, local, *args)))  # type: ignore[arg-type]
+
+
+def _blocks(width: int, height: int) -> tuple[int, int]:
+    """Work-items where each makes LANES numbers of a row."""
+    return -(-width // LANES), height
+
+
+def _filled(session: Session, size: int, value: float) -> cl.Buffer:
+    """A buffer of so many bytes, all floats of one value."""
+    buffer = empty(session, size)
+    cl.enqueue_fill_buffer(session.queue, buffer, np.array([value], np.float32), 0, size)
+    return buffer
+
+
+def sample_places(rows: int, columns: int, count: int) -> NDArray[np.int32]:
+    """Rows and columns (count, 2) of pixels spread evenly over a frame: the same ones each time.
+
+    The additive recurrence R2 (M. Roberts 2018), whose points keep away from each other.
+    """
+    ratio = 1.32471795724474602596  # the root of x^3 = x + 1
+    step = np.arange(1, count + 1)[:, None] * np.array([1 / ratio, 1 / ratio**2]) % 1.0
+    return np.floor(step * [rows, columns]).astype(np.int32)
+
+
+def estimate(missed: NDArray[np.float32]) -> tuple[float, float]:
+    """RMS error from errors at sampled pixels (pixels, channels), and two standard errors more of its square."""
+    square = np.mean(missed.astype(np.float64) ** 2, axis=1)
+    mean = float(square.mean())
+    spread = float(square.std(ddof=1)) / sqrt(len(square)) if len(square) > 1 else 0.0
+    return sqrt(mean), sqrt(mean + 2.0 * spread)
