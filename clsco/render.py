@@ -26,20 +26,24 @@ def render(
     device: str | None = None,
     precision: str | None = None,
     method: str = "auto",
+    tolerance: float | None = None,
     frames: Iterable[int] | None = None,
 ) -> Iterator[Frame]:
     """Render frames of a scene.
 
     truth: names of the outputs besides color (`clsco.frame`), none of which costs anything when it is
     left out; device: part of the name of an OpenCL device; precision: "double" or "single" for geometry, by default
-    double where the device has it; method: of the blur, see `clsco.plan.make_plan`; frames: numbers of the frames
+    double where the device has it; method: of the blur, see `clsco.plan.make_plan`; tolerance: RMS error of white
+    up to which an approximation may be taken where it is faster, None for the exact blur; its name and the error measured
+    are in `Frame.metadata["approximation"]` (`clsco.coarsening.Told`); frames: numbers of the frames
     wanted, by default all.
     Yields frames in order, of a stereo pair the left and then the right one. Raises SceneError, ImageError,
     DeviceError, KernelError.
     Validated against `clsco.reference.render` on every scene in examples/ and a ray tracer (benchmarks/accuracy.py).
     """
-    wanted = {"truth": truth, "device": device, "precision": precision, "method": method, "frames": frames}
-    for _, frame in render_sweep((scene,), **wanted):  # type: ignore[arg-type]
+    for _, frame in render_sweep(
+        (scene,), truth=truth, device=device, precision=precision, method=method, tolerance=tolerance, frames=frames
+    ):
         yield frame
 
 
@@ -50,6 +54,7 @@ def render_sweep(
     device: str | None = None,
     precision: str | None = None,
     method: str = "auto",
+    tolerance: float | None = None,
     frames: Iterable[int] | None = None,
 ) -> Iterator[tuple[int, Frame]]:
     """Render frames of several scenes, such as those of `clsco.load_sweep`.
@@ -63,7 +68,7 @@ def render_sweep(
     with Session(choose(device), profiling=True) as session:
         for group in _groups(scenes):
             members = [scenes[k] for k in group]
-            for k, frame in _render_group(session, members, tuple(truth), precision, method, chosen):
+            for k, frame in _render_group(session, members, tuple(truth), precision, (method, tolerance), chosen):
                 yield group[k], frame
 
 
@@ -83,9 +88,10 @@ def _without_lens(scene: Scene) -> Scene:
 
 
 def _render_group(
-    session: Session, scenes: Sequence[Scene], truth: tuple[str, ...], precision: str | None, method: str,
-    frames: Sequence[int] | None,
+    session: Session, scenes: Sequence[Scene], truth: tuple[str, ...], precision: str | None,
+    method: tuple[str, float | None], frames: Sequence[int] | None,
 ) -> Iterator[tuple[int, Frame]]:  # fmt: skip
+    """method: with the tolerance."""
     first, textures = load_scene_textures(scenes[0])
     channels = max(texture.radiance.shape[2] if texture.radiance.ndim == 3 else 1 for texture in textures)
     eyes: tuple[Eye, ...] = ("left",) if first.stereo is None else ("left", "right")
@@ -95,7 +101,7 @@ def _render_group(
         camera = scene.camera.model_copy(update={"resolution": first.camera.resolution})
         sized = scene.model_copy(update={"camera": camera})
         maps.append(load_scene_depths(sized))
-        plans.append(tuple(make_plan(sized, channels, truth, method, eye, maps[-1]) for eye in eyes))
+        plans.append(tuple(make_plan(sized, channels, truth, method[0], eye, maps[-1], method[1]) for eye in eyes))
     wanted = range(first.sequence.frames) if frames is None else frames
     if len(scenes) == 1 or not all(_shares_rays(one, other) for one, other in pairwise(plans)):
         for k, of_eyes in enumerate(plans):

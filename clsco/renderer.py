@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco import __version__
+from clsco.coarse import Coarse
+from clsco.coarsening import METHODS, Told, estimate, sample_places
 from clsco.device import Session
 from clsco.errors import DeviceError
 from clsco.forward import ForwardWarp
@@ -100,6 +103,8 @@ class Renderer:
         self.session, self.plan, self.hits = session, plan, hits
         self.items = plan.scene.objects
         self.bits = max(texture.bits for texture in textures)
+        self.approximations = plan.approximations  # that are left to try
+        self.tried: tuple[tuple[str, float], ...] = ()
         self.smallest, self.largest, self.slots = plan.smallest_blur, plan.largest_blur, plan.slots
         self.brightest = max(float(np.abs(texture.radiance).max(initial=0.0)) for texture in textures)
         stack = list(dict.fromkeys(textures))  # those that several objects have in common once
@@ -133,10 +138,7 @@ class Renderer:
         """Buffers whose size depends on the range of radii and on the number of silhouette pixels."""
         plan, session = self.plan, self.session
         area = plan.width * plan.height
-        self.spreader = Spreader(
-            session, self.program, plan.scene.psf, plan.blur, self.camera, plan.channels, self.smallest, self.largest,
-            plan.silhouettes, self.real, self.brightest, bool(self.blur_features["SPANS"]),
-        )  # fmt: skip
+        self.spreader = self._spreader()
         self.source = empty(session, 16 * area)
         self.value = empty(session, 4 * plan.channels * area)
         self.statistics = empty(session, EMPTY_STATISTICS.nbytes)
@@ -152,6 +154,17 @@ class Renderer:
             features = plan.features() | self.blur_features
             self.slabs = Layers(session, self.spreader, features, self.largest, self.real, self.brightest)
             self.coc, self.valid = empty(session, WIDE_BYTES * area), empty(session, area)
+
+    def _spreader(self) -> Spreader:
+        """Of the first approximation that is left, or the exact one."""
+        plan = self.plan
+        head = (self.session, self.program, plan.scene.psf)
+        frame = (self.camera, plan.channels, self.smallest, self.largest, plan.silhouettes, self.real, self.brightest)
+        if not self.approximations:
+            return Spreader(*head, plan.blur, *frame, bool(self.blur_features["SPANS"]))
+        features = plan.features() | self.blur_features
+        places = sample_places(plan.rows, plan.columns)
+        return Coarse(*head, *frame, features, METHODS[self.approximations[0]], places)
 
     def _poses(self, time: float) -> tuple[Pose, ...]:
         return poses_at(self.plan.scene, time, self.plan.eye)
@@ -186,7 +199,7 @@ class Renderer:
     def finish(self, index: int) -> Frame:
         """The frame of this number, of the moments added: again with larger buffers where the plan was too small."""
         color = self.spreader.image(self.events)
-        while self._outgrown():
+        while self._outgrown() or self._too_far_off():
             self.begin()
             for time, weight in zip(*(values.tolist() for values in exposure(self.plan, index)), strict=True):
                 self.add_moment(time, weight)
@@ -195,6 +208,9 @@ class Renderer:
         self.held.clear()
         eye = self.plan.eye if self.plan.scene.stereo else ""
         about = self._metadata(index, self.moments, self.events)
+        if self.tried:  # the next frame is what it would be by itself
+            self.approximations, self.tried = self.plan.approximations, ()
+            self._allocate()
         return Frame(index=index, color=color, metadata=about, eye=eye, **truth)
 
     def _moment(self, time: float, weight: float, events: Events) -> dict[str, Any]:
@@ -292,6 +308,24 @@ class Renderer:
         self._allocate()
         return True
 
+    def _too_far_off(self) -> bool:
+        """Whether the frame's error passes the tolerance; if so, takes the next better approximation."""
+        told = self._told()
+        if told is None or told.tolerance is None or told.at_most <= told.tolerance:
+            return False
+        self.tried += ((told.method, told.at_most),)
+        self.approximations = self.approximations[1:]
+        self._allocate()
+        return True
+
+    def _told(self) -> Told | None:
+        """What is told of the frame's approximation, None where none was asked for."""
+        tolerance = self.plan.tolerance
+        if isinstance(self.spreader, Coarse):
+            missed = self.spreader.missed()
+            return Told(self.approximations[0], tolerance, *estimate(missed), len(missed), self.tried)
+        return None if tolerance is None else Told("exact", tolerance, 0.0, 0.0, 0, self.tried)
+
     def _ground_truth(self, index: int, events: Events) -> dict[str, NDArray[Any]]:
         plan = self.plan
         if not plan.truth:
@@ -353,13 +387,14 @@ class Renderer:
         for name, event in events:
             spent = 1e-9 * (event.profile.end - event.profile.start)
             seconds[name] = seconds.get(name, 0.0) + spent
-        device = self.session.device
+        device, told = self.session.device, self._told()
         return {
             "frame": index,
             "intermediate": moments,
             "samples": len(moments),
             "guard_px": self.plan.guard_px,
             "blur_method": self.plan.blur,
+            "approximation": None if told is None else asdict(told),
             "bits": self.bits,
             "device": str(device),
             "precision": "double" if self.real == "double" else "single",

@@ -18,7 +18,7 @@ LAYERS = (
     ("files", "shapes", "frame"),
     ("scene",),
     ("optics", "psf", "motion", "images", "scenefile"),
-    ("surfaces", "textures", "depthmaps", "sweep", "framefiles"),
+    ("surfaces", "textures", "depthmaps", "sweep", "framefiles", "coarsening"),
     ("occlusion", "maptruth"),
     ("layout",),
     ("plan",),
@@ -26,6 +26,7 @@ LAYERS = (
     ("device",),
     ("program",),
     ("spread",),
+    ("coarse",),
     ("layers",),
     ("defocus", "forward"),
     ("renderer",),
@@ -42,7 +43,7 @@ ONLY = {
     "program": {"errors", "resources", "device"},
 }
 IMPORTS_REFERENCE = {"check", "bench"}
-OPENCL = {"device", "program", "spread", "layers", "defocus", "forward", "renderer"}
+OPENCL = {"device", "program", "spread", "coarse", "layers", "defocus", "forward", "renderer"}
 ON_OPENCL = {"render", "batch", "check", "bench"}
 IMAGES = {"images"}
 OUTSIDE = {
