@@ -29,6 +29,7 @@ from clsco.coarsening import (
 )
 from clsco.device import Program, Session
 from clsco.layout import Real, Struct, frame_struct, structs
+from clsco.plan import Blur
 from clsco.program import build, download, empty, kernel, launch, upload
 from clsco.psf import LANES
 from clsco.scene import Psf
@@ -39,7 +40,7 @@ BLOCKS = (8, 1)  # local size of kernels that make LANES numbers at a time
 
 
 @dataclass(frozen=True)
-class _Level:
+class Level:
     """A grid, what is on it, and its spreader; value and source of the finest one are those of a moment."""
 
     spreader: Spreader
@@ -102,7 +103,7 @@ class Coarse(Spreader):
             self.pixels = upload(session, places)
             self.misses = empty(session, 4 * channels * len(places))
 
-    def _level(self, spreader: Spreader) -> _Level:
+    def _level(self, spreader: Spreader) -> Level:
         width, height = int(spreader.camera["width"]), int(spreader.camera["height"])
         pitch = -(-(width + 4 * EDGE) // LANES) * LANES
         plane = 4 * pitch * (height + 2 * EDGE_ROWS)
@@ -110,8 +111,8 @@ class Coarse(Spreader):
         planes += [_filled(self.session, plane * count, 0.0) for count in (2 * self.tilt, 1, self.channels)]
         value = empty(self.session, 4 * self.channels * width * height)
         if spreader is self:
-            return _Level(spreader, pitch, *planes, value)
-        return _Level(spreader, pitch, *planes, value, value, empty(self.session, 16 * width * height))
+            return Level(spreader, pitch, *planes, value)
+        return Level(spreader, pitch, *planes, value, value, empty(self.session, 16 * width * height))
 
     def clear(self) -> None:
         """Begin a frame."""
@@ -186,6 +187,22 @@ class Coarse(Spreader):
 
     def _run(self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: object) -> None:
         events.append((name, launch(self.session, kernel(self.tools, name), size, local, *args)))  # type: ignore[arg-type]
+
+
+def make_spreader(
+    session: Session, program: Program, psf: Psf, method: Blur, camera: Struct, channels: int, smallest: float,
+    largest: float, subpixels: int, real: Real, brightest: float, features: Mapping[str, int], least: float | None,
+    places: NDArray[np.int32] | None = None,
+) -> Spreader:  # fmt: skip
+    """An approximating Spreader with `least` and `places` as for `Coarse`, or the exact one for least = None."""
+    if least is None:
+        return Spreader(
+            session, program, psf, method, camera, channels, smallest, largest, subpixels, real, brightest,
+            bool(features["SPANS"]),
+        )  # fmt: skip
+    return Coarse(
+        session, program, psf, camera, channels, smallest, largest, subpixels, real, brightest, features, least, places
+    )
 
 
 def _blocks(width: int, height: int) -> tuple[int, int]:

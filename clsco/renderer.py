@@ -11,7 +11,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco import __version__
-from clsco.coarse import Coarse
+from clsco.coarse import Coarse, make_spreader
 from clsco.coarsening import METHODS, Told, estimate, sample_places
 from clsco.device import Session
 from clsco.errors import DeviceError
@@ -36,7 +36,7 @@ from clsco.optics import blur_radius
 from clsco.plan import Maps, Plan, exposure, widened
 from clsco.program import build, download, empty, kernel, launch, upload
 from clsco.scene import DepthMap
-from clsco.spread import PIXELS, Events, Sources, Spreader, blur_features
+from clsco.spread import PIXELS, Events, Sources, blur_features
 from clsco.surfaces import PlacedSurface, place
 from clsco.textures import Texture
 
@@ -138,7 +138,12 @@ class Renderer:
         """Buffers whose size depends on the range of radii and on the number of silhouette pixels."""
         plan, session = self.plan, self.session
         area = plan.width * plan.height
-        self.spreader = self._spreader()
+        least = METHODS[self.approximations[0]] if self.approximations else None
+        self.spreader = make_spreader(
+            session, self.program, plan.scene.psf, plan.blur, self.camera, plan.channels, self.smallest, self.largest,
+            plan.silhouettes, self.real, self.brightest, plan.features() | self.blur_features, least,
+            sample_places(plan.rows, plan.columns),
+        )  # fmt: skip
         self.source = empty(session, 16 * area)
         self.value = empty(session, 4 * plan.channels * area)
         self.statistics = empty(session, EMPTY_STATISTICS.nbytes)
@@ -154,17 +159,6 @@ class Renderer:
             features = plan.features() | self.blur_features
             self.slabs = Layers(session, self.spreader, features, self.largest, self.real, self.brightest)
             self.coc, self.valid = empty(session, WIDE_BYTES * area), empty(session, area)
-
-    def _spreader(self) -> Spreader:
-        """Of the first approximation that is left, or the exact one."""
-        plan = self.plan
-        head = (self.session, self.program, plan.scene.psf)
-        frame = (self.camera, plan.channels, self.smallest, self.largest, plan.silhouettes, self.real, self.brightest)
-        if not self.approximations:
-            return Spreader(*head, plan.blur, *frame, bool(self.blur_features["SPANS"]))
-        features = plan.features() | self.blur_features
-        places = sample_places(plan.rows, plan.columns)
-        return Coarse(*head, *frame, features, METHODS[self.approximations[0]], places)
 
     def _poses(self, time: float) -> tuple[Pose, ...]:
         return poses_at(self.plan.scene, time, self.plan.eye)
