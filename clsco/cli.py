@@ -23,6 +23,7 @@ from clsco.frame import STEREO_NAMES, TRUTH_NAMES
 
 if TYPE_CHECKING:
     from clsco.batch import Span
+    from clsco.frame import Frame
     from clsco.plan import Plan
     from clsco.sweep import Sweep
 
@@ -82,6 +83,14 @@ precision_option = click.option(
     "--precision", type=click.Choice(["single", "double"]),
     help="Of the geometry. Default: double where the device has it.",
 )  # fmt: skip
+method_option = click.option(
+    "--method", metavar="NAME", default="auto",
+    help="Of the blur: auto (default), which is exact, or an approximation: coarse2 (the fastest) to coarse16.",
+)  # fmt: skip
+tolerance_option = click.option(
+    "--tolerance", metavar="E", type=click.FloatRange(min=0.0, min_open=True),
+    help="Take the fastest method whose RMS error is at most E of white, measured at some of the pixels.",
+)  # fmt: skip
 quiet_option = click.option("--quiet", is_flag=True, help="Show no progress.")
 
 
@@ -99,18 +108,21 @@ def main() -> None:
 @set_option
 @device_option
 @precision_option
+@method_option
+@tolerance_option
 @click.option("--resume", is_flag=True, help="Leave out frames that are in DIR already, whole and of this scene.")
 @quiet_option
 def render(
     scenes: tuple[Path, ...], out: Path, files: tuple[str, ...], span: Span, overrides: tuple[str, ...],
-    device: str | None, precision: str | None, resume: bool, quiet: bool,
+    device: str | None, precision: str | None, method: str, tolerance: float | None, resume: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Render the frames of scenes to files.
 
     A frame is frame_0000.png, and frame_0000.json with everything that made it. Of several scenes, each has a
     folder of its name in DIR. Where keys of a scene have several values, each has a folder like f_number_4 there.
     """
-    _render_to_folders(_loaded(scenes, overrides), out, files, span, device, precision, resume, quiet)
+    blur = _blur(method, tolerance)
+    _render_to_folders(_loaded(scenes, overrides), out, files, span, device, precision, blur, resume, quiet)
 
 
 @main.command()
@@ -290,10 +302,12 @@ def _number(name: str, text: str) -> Callable[[Callable[..., None]], Callable[..
 @set_option
 @device_option
 @precision_option
+@method_option
+@tolerance_option
 @quiet_option
 def defocus(
     image: Path, depth: Path, out: Path, files: tuple[str, ...], overrides: tuple[str, ...], device: str | None,
-    precision: str | None, quiet: bool, **options: str | float | None,
+    precision: str | None, method: str, tolerance: float | None, quiet: bool, **options: str | float | None,
 ) -> None:  # fmt: skip
     """Defocus IMAGE by its depth map DEPTH, a file of the same size.
 
@@ -302,34 +316,55 @@ def defocus(
     """
     from clsco.defocus_command import depth_report, is_image_file, prepare_image, scenes_from_files, write_image
 
-    alone = is_image_file(out)
+    alone, blur = is_image_file(out), _blur(method, tolerance)
     if alone and files:
         raise click.UsageError(f"--truth: OUT must be a folder; got {click.format_filename(out)}")
     sweep = scenes_from_files(image, depth, options, overrides)
     for line in depth_report(sweep.scenes[0]):
         click.echo(line, err=True)
     if not alone:
-        _render_to_folders([(image, sweep)], out, files, (None, None), device, precision, False, quiet)
+        _render_to_folders([(image, sweep)], out, files, (None, None), device, precision, blur, False, quiet)
         return
-    scenes = [plan.scene for _, _, plans in _planned([(image, sweep)]) for plan in plans]
+    scenes = [plan.scene for _, _, plans in _planned([(image, sweep)], (), method) for plan in plans]
     prepare_image(scenes, out)
     _require_device(device)
     from clsco.render import render as render_frames
 
     with _progress(1, quiet) as advance:
-        for frame in render_frames(scenes[0], truth=(), device=device, precision=precision):
+        for frame in render_frames(scenes[0], truth=(), device=device, precision=precision, **blur):
             write_image(out, frame, frame.metadata["bits"], scenes[0].image.transfer)
+            _tell_approximation(out, frame)
             advance()
+
+
+def _blur(method: str, tolerance: float | None) -> dict[str, Any]:
+    """What is asked of the blur."""
+    from clsco.coarsening import METHODS
+
+    if method not in ("auto", *METHODS):
+        raise click.UsageError(f"--method: must be one of auto, {', '.join(METHODS)}; got {method}")
+    if tolerance is not None and method != "auto":
+        raise click.UsageError(f"--tolerance: chooses the method, which must then be auto; got --method {method}")
+    return {"method": method, "tolerance": tolerance}
+
+
+def _tell_approximation(where: Path, frame: Frame) -> None:
+    """On stderr, of a frame whose blur was or could have been approximated."""
+    from clsco.coarsening import Told
+
+    if told := frame.metadata["approximation"]:
+        view = f" ({frame.eye})" if frame.eye else ""
+        click.echo(f"{click.format_filename(where)}: frame {frame.index}{view}: {Told(**told).line()}", err=True)
 
 
 def _render_to_folders(
     loaded: Sequence[tuple[Path, Sweep | SceneError]], out: Path, files: tuple[str, ...], span: Span,
-    device: str | None, precision: str | None, resume: bool, quiet: bool,
+    device: str | None, precision: str | None, blur: dict[str, Any], resume: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Plan scenes, and render those of each file into its folder."""
     if "exr" in files and find_spec("OpenEXR") is None:
         raise ImageError("--truth exr: needs OpenEXR: pip install 'clsco[exr]'; got no such module")
-    planned = _planned(loaded, files)
+    planned = _planned(loaded, files, blur["method"])
     _require_device(device)
     from clsco import batch
     from clsco.describe import file_digests
@@ -340,9 +375,11 @@ def _render_to_folders(
         for label, plan in zip(labels, plans, strict=True)
     ]
     digests = file_digests(scene for scene, _, _ in wanted)
-    jobs = [batch.prepare(*what, files, precision, resume, digests) for what in wanted]
+    jobs = [batch.prepare(*what, files, precision, resume, digests, **blur) for what in wanted]
     with _progress(sum(len(job.frames) for job in jobs), quiet) as advance:
-        for _ in batch.run(jobs, device, precision):
+        for job, frames in batch.run(jobs, device, precision):
+            for frame in frames:
+                _tell_approximation(job.folder, frame)
             advance()
 
 
@@ -360,9 +397,10 @@ def _loaded(paths: Sequence[Path], overrides: tuple[str, ...] = ()) -> list[tupl
 
 
 def _planned(
-    loaded: Sequence[tuple[Path, Sweep | SceneError]], files: tuple[str, ...] = ()
+    loaded: Sequence[tuple[Path, Sweep | SceneError]], files: tuple[str, ...] = (), method: str = "auto"
 ) -> list[tuple[Path, tuple[str, ...], tuple[Plan, ...]]]:
     """Read textures and depths of scenes and plan them: file, labels and plans; raises SceneError for all of them."""
+    from clsco.coarsening import check_border
     from clsco.describe import planned_sweep
     from clsco.scenefile import at_most
 
@@ -373,7 +411,10 @@ def _planned(
             messages.extend(sweep.messages)
             continue
         try:
-            found.append((path, sweep.labels, planned_sweep(sweep, (*TRUTH_NAMES, *STEREO_NAMES) if files else ())))
+            planned = planned_sweep(sweep, (*TRUTH_NAMES, *STEREO_NAMES) if files else ())
+            for plan in planned:
+                check_border(plan.scene.psf, method)
+            found.append((path, sweep.labels, planned))
         except SceneError as error:
             messages.extend(at_most(str(path), error.messages))
     if messages:

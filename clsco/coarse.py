@@ -1,7 +1,7 @@
 """An approximation: sources of wide blur are blurred on grids of half, a quarter, ... of the resolution.
 
-A wide PSF has no fine detail, so its light can be added up on a coarse grid and interpolated: at s px between nodes it
-takes a number of taps that is s^4 times less. The error is that of the PSF's edge, which the grid rounds off; how far is
+A wide PSF has no fine detail, so its light can be added up on a coarse grid and interpolated: at s px between nodes
+that takes s^4 times fewer taps. The error is that of the PSF's edge, which the grid rounds off; how far is
 set by the smallest radius that a grid may hold, in its own pixels.
 """
 
@@ -107,12 +107,12 @@ class Coarse(Spreader):
         width, height = int(spreader.camera["width"]), int(spreader.camera["height"])
         pitch = -(-(width + 4 * EDGE) // LANES) * LANES
         plane = 4 * pitch * (height + 2 * EDGE_ROWS)
-        planes = [_filled(self.session, plane, nan)]
-        planes += [_filled(self.session, plane * count, 0.0) for count in (2 * self.tilt, 1, self.channels)]
-        value = empty(self.session, 4 * self.channels * width * height)
-        if spreader is self:
-            return Level(spreader, pitch, *planes, value)
-        return Level(spreader, pitch, *planes, value, value, empty(self.session, 16 * width * height))
+        radius = _filled(self.session, plane, nan)
+        tilt, moved, light = (_filled(self.session, plane * count, 0.0) for count in (2 * self.tilt, 1, self.channels))
+        kept = empty(self.session, 4 * self.channels * width * height)
+        own = spreader is self  # whose value and source are those of a moment
+        source = None if own else empty(self.session, 16 * width * height)
+        return Level(spreader, pitch, radius, tilt, moved, light, kept, None if own else kept, source)
 
     def clear(self) -> None:
         """Begin a frame."""
@@ -134,26 +134,36 @@ class Coarse(Spreader):
 
     def _move(self, sources: Sources, events: Events) -> None:
         finest = replace(self.levels[0], value=sources.value, source=sources.source)
-        args = (self.camera, self.struct, finest.source, np.int32(self.psf.edge == "sampled"), np.int32(finest.pitch))
-        self._run("measure_radii", _blocks(*finest.size), BLOCKS, events, *args, finest.radius, finest.tilt)
+        sampled, pitch = np.int32(self.psf.edge == "sampled"), np.int32(finest.pitch)
+        self._run(
+            "measure_radii", _blocks(*finest.size), BLOCKS, events,
+            self.camera, self.struct, finest.source, sampled, pitch, finest.radius, finest.tilt,
+        )  # fmt: skip
         for fine, coarse in pairwise([finest, *self.levels[1:]]):
             lost = loss(self.psf, fine is finest)
             least = sqrt(4.0 * self.least**2 + lost)
             limits = (np.float32(least), np.float32(FADE * least), np.float32(STEEPEST), np.int32(fine.pitch))
             planes = (fine.moved, fine.light)
-            args = (fine.camera, fine.radius, fine.value, *limits, fine.source, fine.kept, *planes)
-            self._run("pick", _blocks(*fine.size), BLOCKS, events, *args)
+            self._run(
+                "pick", _blocks(*fine.size), BLOCKS, events,
+                fine.camera, fine.radius, fine.value, *limits, fine.source, fine.kept, *planes,
+            )  # fmt: skip
             pitches = (np.int32(fine.pitch), np.int32(coarse.pitch))
-            made = (coarse.value, coarse.radius, coarse.tilt)
-            args = (fine.camera, coarse.camera, *planes, fine.tilt, np.float32(lost), *pitches, *made)
-            self._run("halve", _blocks(*coarse.size), BLOCKS, events, *args)
+            self._run(
+                "halve", _blocks(*coarse.size), BLOCKS, events, fine.camera, coarse.camera, *planes, fine.tilt,
+                np.float32(lost), *pitches, coarse.value, coarse.radius, coarse.tilt,
+            )  # fmt: skip
             blunt = np.float32(PIXEL_MOMENT[coarse.spreader.psf.edge] / second_moment(self.psf))
-            args = (*made[1:], blunt, np.int32(coarse.pitch), coarse.source)
-            self._run("aim_nodes", coarse.size, PIXELS, events, coarse.camera, coarse.spreader.struct, *args)
+            self._run(
+                "aim_nodes", coarse.size, PIXELS, events,
+                coarse.camera, coarse.spreader.struct, coarse.radius, coarse.tilt, blunt, pitches[1], coarse.source,
+            )  # fmt: skip
         if self.places is not None:
-            head = (self.camera, self.struct, finest.source, finest.light, np.int32(finest.pitch), *self.tables[0])
-            args = (*head, np.int32(len(self.places)), self.pixels, self.misses)
-            self._run("probe", (len(self.places),), (8,), events, *args)
+            count = len(self.places)
+            self._run(
+                "probe", (count,), (8,), events, self.camera, self.struct, finest.source, finest.light, pitch,
+                *self.tables[0], np.int32(count), self.pixels, self.misses,
+            )  # fmt: skip
 
     def image(self, events: Events) -> NDArray[np.float32]:
         """The frame (rows, columns[, channels]); waits for the device. Of a frame once."""
@@ -175,7 +185,7 @@ class Coarse(Spreader):
     def missed(self) -> NDArray[np.float32]:
         """Error (places, channels) at `places` of the frame that `image` returned last, 0 where nothing could move."""
         count = 0 if self.places is None else len(self.places)
-        if not self.levels:
+        if not (self.levels and count):
             return np.zeros((count, self.channels), np.float32)
         return download(self.session, self.misses, (count, self.channels), np.float32)
 

@@ -5,9 +5,11 @@ Host and kernels: clsco/coarse.py, kernels/coarse.cl.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import exp, isfinite, pi, sqrt
 from statistics import NormalDist
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +26,11 @@ MOST_LEVELS = 5
 FADE = 1.25  # from the smallest radius that moves to where all light does
 STEEPEST = 1.0  # px to neighbors 2 px away: with more the radii of what shares a node would be too different
 SHARING = 0.75  # px^2 per axis: what bilinear sharing among nodes adds to a PSF's second moment, and taking back again
-# Of the coarse frame before it is enlarged: for discs as much as gives back what sharing adds, so that less of their edge is
-# lost; a Gaussian has nothing to lose, and is nearest without.
+# Of the coarse frame before it is enlarged: for discs as much as gives back what sharing adds, so that less of their
+# edge is lost; a Gaussian has nothing to lose, and is nearest without.
 SHARPENING = {"pillbox": 3 / 16, "gaussian": 0.0}
 PIXEL_MOMENT = {"sampled": 0.0, "area": 1 / 12, "integrated": 1 / 6}  # px^2 per axis: what `edge` adds to it
-MOVING_TAPS = 60.0  # per pixel, that the way to coarser grids and back costs as much as
+MOVING_TAPS = 200.0  # per pixel, that the way to coarser grids and back costs as much as
 PIXELS_PER_PLACE, FEWEST_PLACES, MOST_PLACES = 1024, 64, 512  # where errors are sampled
 
 
@@ -100,6 +102,13 @@ class Told:
         return f"{self.method}: RMS error {self.rms_error:.2g} of white, measured at {self.pixels} pixels"
 
 
+def asked_alike(told: Mapping[str, Any] | None, method: str, tolerance: float | None) -> bool:
+    """Whether a frame of which `told` (`Told` as a mapping, or None) is written was asked for in the same way."""
+    if told is None:
+        return tolerance is None and method not in METHODS
+    return told.get("tolerance") == tolerance and (tolerance is not None or told.get("method") == method)
+
+
 def checked_tolerance(tolerance: float, method: str) -> float:
     """The tolerance; raises SceneError where it is no number above 0, or a method is named besides."""
     if not (isfinite(tolerance) and tolerance > 0.0):
@@ -118,7 +127,7 @@ def check_border(psf: Psf, method: str) -> None:
 def candidates(psf: Psf, radii: Array) -> tuple[str, ...]:
     """Names in METHODS that are faster than the exact way for |blur radii| in px (any shape), the fastest first.
 
-    By the number of taps: per pixel they must be fewer by MOVING_TAPS at least (measured: benchmarks/optimisation_log.md).
+    By the number of taps: per pixel they must be fewer by MOVING_TAPS at least (benchmarks/optimisation_log.md).
     """
     if psf.border != "lose" or radii.size == 0:
         return ()

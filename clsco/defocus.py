@@ -56,9 +56,9 @@ def defocus(
     columns), positive behind the focal surface; psf: keys of the scene file's [psf]; device: part of an OpenCL
     device's name; method: "auto", "gather", "scatter", "convolve" (one radius) or an approximation
     (`clsco.coarsening.METHODS`); tolerance: RMS error of white up to which an approximation may be taken where it is
-    faster, None for the exact blur; told: gets an entry of which it was and its measured error. NumPy arrays, or pyopencl
-    arrays of one queue, which is then worked in. With occlusion = "layered" smaller signed radii, which are nearer, hide larger
-    ones where the map jumps (`clsco.layers.Layers`); with any other nothing hides anything.
+    faster, None for the exact blur; told: gets an entry of which it was and its measured error. NumPy arrays, or
+    pyopencl arrays of one queue, which is then worked in. With occlusion = "layered" smaller signed radii, which are
+    nearer, hide larger ones where the map jumps (`clsco.layers.Layers`); with any other nothing hides anything.
     Returns float32 of the image's shape, as NumPy or pyopencl array as given. Nothing is known outside of the image,
     so with border = "lose" it darkens where light leaves it; sources have their pixel's center, and the gradient for
     `tilt` comes from differences of `coc`. Raises ImageError, SceneError, DeviceError.

@@ -46,8 +46,8 @@ class Plan:
     range of |R| in px over the whole sequence, with a margin; blur: how light is spread; silhouettes: sub-pixel
     sources per axis, 0 none; tilt, forward, moves: whether these passes are taken; eye: of a stereo pair; occlusion: as
     it is done; layers: what is spread one after the other; truth: outputs besides color; passes, left_out: (name, what
-    or why); memory_bytes: buffers on the device; taps: predicted weights per frame; approximations: what is taken instead
-    of the exact blur (`clsco.coarsening.METHODS`), in this order until the error is within the tolerance, if there is one.
+    or why); memory_bytes: buffers on the device; taps: predicted weights per frame; approximations: what is taken
+    instead of the exact blur (`clsco.coarsening.METHODS`), in this order until the error is within the tolerance.
     """
 
     scene: Scene
@@ -311,10 +311,10 @@ def make_plan(
 
     scene: with a resolution (`clsco.textures.load_scene_textures`); channels: of its textures; truth: names of the
     outputs that are wanted besides color; method: "auto", or one of "gather", "scatter", "convolve" where it can
-    do the scene, or an approximation (`clsco.coarsening.METHODS`); tolerance: RMS error of white up to which an
-    approximation is taken, None for none; eye: of a stereo pair; maps: inverse depth (rows, columns) in 1/mm of every object that is a depth
-    map, 0 where nothing is, None for others (`clsco.depthmaps.load_scene_depths`). Raises SceneError where the blur
-    radius passes LARGEST_BLUR or the method cannot do it.
+    do the scene, or an approximation (`clsco.coarsening.METHODS`); eye: of a stereo pair; maps: inverse depth (rows,
+    columns) in 1/mm of every object that is a depth map, 0 where nothing is, None for others
+    (`clsco.depthmaps.load_scene_depths`); tolerance: RMS error of white up to which an approximation is taken, None for
+    none. Raises SceneError where the blur radius passes LARGEST_BLUR or the method cannot do it.
     """
     if scene.stereo is None:
         truth = tuple(name for name in truth if name not in STEREO_NAMES)
@@ -336,7 +336,7 @@ def make_plan(
     sharp = is_sharp(psf, largest) and not silhouettes
     check_border(psf, method)
     blur = _choose_blur(method, sharp, constant)
-    approximations = (method,) if method in METHODS and blur == "gather" else ()
+    approximations: tuple[str, ...] = (method,) if method in METHODS and blur == "gather" else ()
     seen = np.abs(blur_radius(scene.camera, w[w > 0]))
     if tolerance is not None and checked_tolerance(tolerance, method) and blur != "none":
         approximations = candidates(psf, seen)

@@ -33,10 +33,10 @@ def render(
 
     truth: names of the outputs besides color (`clsco.frame`), none of which costs anything when it is
     left out; device: part of the name of an OpenCL device; precision: "double" or "single" for geometry, by default
-    double where the device has it; method: of the blur, see `clsco.plan.make_plan`; tolerance: RMS error of white
-    up to which an approximation may be taken where it is faster, None for the exact blur; its name and the error measured
-    are in `Frame.metadata["approximation"]` (`clsco.coarsening.Told`); frames: numbers of the frames
-    wanted, by default all.
+    double where the device has it; method: of the blur, see `clsco.plan.make_plan`; tolerance: RMS error of white up to
+    which an approximation may be taken where it is faster, None for the exact blur (its name and the error measured are
+    in `Frame.metadata["approximation"]`, see `clsco.coarsening.Told`); frames: numbers of the frames wanted, by default
+    all.
     Yields frames in order, of a stereo pair the left and then the right one. Raises SceneError, ImageError,
     DeviceError, KernelError.
     Validated against `clsco.reference.render` on every scene in examples/ and a ray tracer (benchmarks/accuracy.py).

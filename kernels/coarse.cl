@@ -1,11 +1,12 @@
-// Sources of wide blur on coarser grids: what moves there, its light and radii at half the resolution, and the way back.
+// Sources of wide blur on coarser grids: what moves there, its light and radii at half the resolution, the way back.
 // Built with spread.clh. Twin: clsco/reference/coarse.py; host and choice of what moves: clsco/coarse.py.
 //
 //   grid    of a level: (height, width) as camera has it, px of that level. Node (i, j) of the next one stands at
 //           (2 i - 3.5, 2 j - 3.5), in the middle of four pixels.
-//   plane   float (height + 2 EDGE_ROWS, pitch) of a grid, with EDGE columns on the left and at least as many on the
-//           right: radii, light of moved sources, ...; 0 all around.
-//   source, value, total: see blur.cl. A source that has moved keeps its coordinate u as -2 - u, which gather leaves out.
+//   plane   float (height + 2 EDGE_ROWS, pitch) of a grid, with EDGE columns on the left and at least as many on
+//           the right: radii, light of moved sources, ...; 0 all around.
+//   source, value, total: see blur.cl. A source that has moved keeps its coordinate u as -2 - u, for which
+//           gather leaves it out.
 // Features: CHANNELS, TILT, POWERS (of the finest table), SAMPLED (of the coarser tables).
 
 #define EDGE 8
@@ -30,8 +31,8 @@ static inline float8 radius_of(const psf_t psf, float8 u, int sampled)
     return (as_float8((127 + octave) << 23) * (1 + (position - convert_float8(octave))) - 1) / (float)psf.octaves_from;
 }
 
-// Radii of the sources that may move: whole ones, with nothing in their way. In: source of the finest grid. Out: radius, a
-// plane that is NaN around the grid; tilt, with TILT: planes of R dR/dx and R dR/dy. LANES pixels at a time.
+// Radii of the sources that may move: whole ones, with nothing in their way. In: source of the finest grid. Out:
+// radius, a plane that is NaN around the grid; tilt, with TILT: planes of R dR/dx and R dR/dy. LANES pixels at a time.
 __kernel void measure_radii(const camera_t camera, const psf_t psf, __global const float4 *source, const int sampled,
                             const int pitch, __global float *radius, __global float *tilt)
 {
@@ -64,13 +65,13 @@ __kernel void measure_radii(const camera_t camera, const psf_t psf, __global con
 #define LOWER(a, b) ((b) < (a) ? (b) : (a))
 #define HIGHER(a, b) ((b) > (a) ? (b) : (a))
 
-// Moves the sources of |R| >= from px whose neighbors within 2 px may move too and differ by at most `steepest` px: no node
-// gets light from both sides of a jump. From `from` to `to` px the share that moves rises from 0 to 1, since a PSF's error
-// shows most where its light ends. In: radius; value and, maybe the same, kept: all light, and what stays. In and out:
-// source. Out: moved, radii of those; light, a plane for each channel. LANES pixels at a time.
-__kernel void pick(const camera_t camera, __global const float *radius, __global const float *value, const float from,
-                   const float to, const float steepest, const int pitch, __global float4 *source, __global float *kept,
-                   __global float *moved, __global float *light)
+// Moves the sources of |R| >= from px whose neighbors within 2 px may move too and differ by at most `steepest` px: no
+// node gets light from both sides of a jump. From `from` to `to` px the share that moves rises from 0 to 1, since a
+// PSF's error shows most where its light ends. In: radius; value and, maybe the same, kept: all light, and what stays.
+// In and out: source. Out: moved, radii of those; light, a plane for each channel. LANES pixels at a time.
+__kernel void pick(const camera_t camera, __global const float *radius, __global const float *value,
+                   const float from, const float to, const float steepest, const int pitch,
+                   __global float4 *source, __global float *kept, __global float *moved, __global float *light)
 {
     const int x = get_global_id(0) * LANES, y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
@@ -88,10 +89,13 @@ __kernel void pick(const camera_t camera, __global const float *radius, __global
             high[j] = HIGHER(high[j], n);
         }
     }
-    const float8 lowest = LOWER(LOWER(LOWER(low[0], low[1]), LOWER(FROM_1(low[0], low[1]), FROM_2(low[0], low[1]))),
-                                FROM_3(low[0], low[1]));
-    const float8 highest = HIGHER(HIGHER(HIGHER(high[0], high[1]), HIGHER(FROM_1(high[0], high[1]), FROM_2(high[0], high[1]))),
-                                  FROM_3(high[0], high[1]));
+    float8 lowest = LOWER(low[0], low[1]), highest = HIGHER(high[0], high[1]);
+    lowest = LOWER(lowest, FROM_1(low[0], low[1]));
+    lowest = LOWER(lowest, FROM_2(low[0], low[1]));
+    lowest = LOWER(lowest, FROM_3(low[0], low[1]));
+    highest = HIGHER(highest, FROM_1(high[0], high[1]));
+    highest = HIGHER(highest, FROM_2(high[0], high[1]));
+    highest = HIGHER(highest, FROM_3(high[0], high[1]));
     float8 t = (r - from) / (to - from);
     t = t > 0 ? t : none;
     t = t < 1 ? t : one;
@@ -121,13 +125,13 @@ static inline float8 along(pairs_t left, pairs_t right)
     return (left.even + right.odd) + 3 * (left.odd + right.even);
 }
 
-// Light and radii of the next level's nodes: each source is shared among the four around it as bilinear interpolation would
-// take it back, so that its light stays where it is. loss: what of R^2 the way there and back does by itself, px^2.
-// In: moved, light; tilt, with TILT. Out: value of the next grid; radius, its plane, NOTHING where no light is; next_tilt,
-// its planes. LANES nodes at a time.
-__kernel void halve(const camera_t camera, const camera_t next, __global const float *moved, __global const float *light,
-                    __global const float *tilt, const float loss, const int pitch, const int next_pitch,
-                    __global float *value, __global float *radius, __global float *next_tilt)
+// Light and radii of the next level's nodes: each source is shared among the four around it as bilinear interpolation
+// would take it back, so that its light stays where it is. loss: what of R^2 the way there and back does by itself,
+// px^2. In: moved, light; tilt, with TILT. Out: value of the next grid; radius, its plane, NOTHING where no light is;
+// next_tilt, its planes. LANES nodes at a time.
+__kernel void halve(const camera_t camera, const camera_t next, __global const float *moved,
+                    __global const float *light, __global const float *tilt, const float loss, const int pitch,
+                    const int next_pitch, __global float *value, __global float *radius, __global float *next_tilt)
 {
     const int x = get_global_id(0) * LANES, y = get_global_id(1);
     if (x >= next.width || y >= next.height)
@@ -176,10 +180,10 @@ __kernel void halve(const camera_t camera, const camera_t next, __global const f
     }
 }
 
-// Records of a coarser level's sources. blunt: second moment of a pixel over that of a PSF of 1 px. In: radius; tilt, with
-// TILT. Out: source.
-__kernel void aim_nodes(const camera_t camera, const psf_t psf, __global const float *radius, __global const float *tilt,
-                        const float blunt, const int pitch, __global float4 *source)
+// Records of a coarser level's sources. blunt: second moment of a pixel over that of a PSF of 1 px. In: radius; tilt,
+// with TILT. Out: source.
+__kernel void aim_nodes(const camera_t camera, const psf_t psf, __global const float *radius,
+                        __global const float *tilt, const float blunt, const int pitch, __global float4 *source)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
@@ -198,8 +202,8 @@ __kernel void aim_nodes(const camera_t camera, const psf_t psf, __global const f
     source[y * camera.width + x] = record;
 }
 
-// Adds a coarser frame to the next finer one: bilinear interpolation of what a filter (-sharp, 1 + 2 sharp, -sharp) along rows
-// and columns makes of it. LANES pixels at a time.
+// Adds a coarser frame to the next finer one: bilinear interpolation of what a filter (-sharp, 1 + 2 sharp, -sharp)
+// along rows and columns makes of it. LANES pixels at a time.
 __kernel void enlarge(const camera_t coarse, const int coarse_pitch, const int coarse_pad,
                       __global const float *coarse_total, const camera_t camera, const int pitch, const int pad,
                       __global float *total, const float sharp)

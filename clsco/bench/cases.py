@@ -86,7 +86,7 @@ def make_grid(quick: bool, sizes: Sequence[int], radii: Sequence[float]) -> Grid
 
 
 def methods(scene: Scene) -> tuple[str, ...]:
-    """Exact methods of the defocus pass that are measured on a scene: those for one radius have a scene of their own."""
+    """Exact methods that are measured on a scene: those for one radius have a scene of their own."""
     known = [name for name in get_args(Blur) if name != "none"]
     return tuple(name for name in known if (name == "convolve") == (scene == "constant"))
 

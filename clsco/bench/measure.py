@@ -56,9 +56,9 @@ class Row(Case):
 
     cost_ns: cpu_ns, but device_ns on a device that is no processor; cpu_ns: process CPU time; device_ns, kernels_ns:
     between the events of the kernels; first_call_s: with programs and tables, on the crop; rms_error, largest_error: of
-    white, on the crop of crop_px a side, of approximations at pixels of the whole frame; psnr_db: of white, None without error; taps: per pixel, mean; gflop_per_s: two
-    per tap, by device_ns; of_peak: of the measured multiply-adds; on_front: no other row of the same task is as
-    fast and as close, and better in one of them.
+    white, on the crop of crop_px a side, of approximations at pixels of the frame; psnr_db: of white, None without
+    error; taps: per pixel, mean; gflop_per_s: two per tap, by device_ns; of_peak: of the measured multiply-adds;
+    on_front: no other row of the same task is as fast and as close, and better in one of them.
     """
 
     cost_ns: float

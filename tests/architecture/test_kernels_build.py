@@ -35,6 +35,8 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     ("blur.cl",): dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(("SAMPLED", "TILT", "GATHER", "SPANS", "SCATTER", "CONVOLVE", "RENORMALIZE", "PREPARE"), ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "POWERS": (1, 4), "BAND": (1, BAND)},
+    ("coarse.cl",): dict.fromkeys(PLAIN, (0,))
+    | {"CHANNELS": (1, 3), "TILT": ON_OR_OFF, "POWERS": (1, 4), "SAMPLED": ON_OR_OFF},
     ("accumulate.cl",): GEOMETRY,
     FORWARD: GEOMETRY
     | {"FILTER": (0,), "SAMPLED": (0,)}
