@@ -1,10 +1,10 @@
 """Approximations of the blur that clsco does not offer, beside one that it does: `python -m benchmarks.approximations`.
 
 Layered convolution: an image split by radius into levels, each blurred by one PSF, linear in between. Stacked
-pillboxes: a Gaussian as discs of equal light. Rao transform: the blur as moments of its PSFs up to the second and the fourth order
-(Subbarao), here of the light on its way from its source: g = sum of (-1)^n / n! d^n (m_n f). Errors are RMS of white
-against `gather`, without the borders; times process CPU time of whole passes, ns per pixel. The Rao transform is NumPy,
-to see its error.
+pillboxes: a Gaussian as discs of equal light. Rao transform: the blur as moments of its PSFs up to the second and the
+fourth order (Subbarao), here of the light on its way from its source: g = sum of (-1)^n / n! d^n (m_n f). Errors are
+RMS of white against `gather`, without the borders; times process CPU time of whole passes, ns per pixel. The Rao
+transform is NumPy, to see its error.
 """
 
 from __future__ import annotations
@@ -98,6 +98,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--radius", type=float, nargs="+", default=[0.5, 1.0, 2.0, 6.0, 20.0])
     parser.add_argument("--size", type=int, default=512)
+    parser.add_argument("--offered", action="store_true", help="only what clsco offers")
     parser.add_argument("--device", default=None)
     asked = parser.parse_args()
     image = picture(asked.size)[..., 0].astype(np.float64)
@@ -109,10 +110,12 @@ def main() -> None:
                 exact, cost = blurred(session, image, radii, psf, "gather")
                 inside = slice(int(radius) + 6, -int(radius) - 6)
                 print(f"{name}, R to {radius:g} px: gather {cost:.1f} ns")
-                rows = [(f"layered convolution, {n}", *layered(session, image, radii, psf, n)) for n in LEVELS]
-                if psf.model == "gaussian":
+                rows: list[tuple[str, Array, float]] = []
+                if not asked.offered:
+                    rows += [(f"layered convolution, {n}", *layered(session, image, radii, psf, n)) for n in LEVELS]
+                if psf.model == "gaussian" and not asked.offered:
                     rows += [(f"stacked pillboxes, {n}", *stacked(session, image, radii, psf, n)) for n in DISCS]
-                if radius <= LARGEST_EXPANDED:
+                if radius <= LARGEST_EXPANDED and not asked.offered:
                     rows += [(f"Rao transform, order {n}", rao(image, radii, psf, n), np.nan) for n in (2, 4)]
                 rows += [
                     (method, *blurred(session, image, radii, psf, method))

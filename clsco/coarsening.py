@@ -30,7 +30,7 @@ SHARING = 0.75  # px^2 per axis: what bilinear sharing among nodes adds to a PSF
 # edge is lost; a Gaussian has nothing to lose, and is nearest without.
 SHARPENING = {"pillbox": 3 / 16, "gaussian": 0.0}
 PIXEL_MOMENT = {"sampled": 0.0, "area": 1 / 12, "integrated": 1 / 6}  # px^2 per axis: what `edge` adds to it
-MOVING_TAPS = 200.0  # per pixel, that the way to coarser grids and back costs as much as
+MOVING_TAPS = 500.0  # per pixel, that the way to coarser grids and back costs as much as
 PIXELS_PER_PLACE, FEWEST_PLACES, MOST_PLACES = 1024, 256, 512  # where errors are sampled
 
 

@@ -404,7 +404,7 @@ def _choose_blur(method: str, sharp: bool, constant: bool) -> Blur:
     if method in ("gather", "scatter"):
         return "gather" if method == "gather" else "scatter"
     if method not in ("auto", "convolve"):
-        raise SceneError(f"method: must be auto, gather, scatter, convolve, {', '.join(METHODS)}; got {method}")
+        raise SceneError(f"method: must be one of auto, gather, scatter, convolve, {', '.join(METHODS)}; got {method}")
     if sharp:
         return "none"
     return "convolve" if constant else "gather"
