@@ -40,6 +40,9 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
         ("SAMPLED", "TILT", "GATHER", "SPANS", "SCATTER", "CONVOLVE", "RENORMALIZE", "PREPARE", "DISC"), ON_OR_OFF
     )
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (1, BAND)},
+    ("coarse.cl",): dict.fromkeys(PLAIN, (0,))
+    | dict.fromkeys(("TILT", "DISC", "SAMPLED"), ON_OR_OFF)
+    | {"CHANNELS": (1, 3)},
     ("accumulate.cl",): GEOMETRY,
     ("texture.cl",): GEOMETRY,
     ("biharmonic.cl",): GEOMETRY,
