@@ -98,12 +98,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--radius", type=float, nargs="+", default=[0.5, 1.0, 2.0, 6.0, 20.0])
     parser.add_argument("--size", type=int, default=512)
+    parser.add_argument("--psf", choices=PSFS, nargs="+", default=["integrated, tilt", "gaussian"])
     parser.add_argument("--offered", action="store_true", help="only what clsco offers")
     parser.add_argument("--device", default=None)
     asked = parser.parse_args()
     image = picture(asked.size)[..., 0].astype(np.float64)
     with Session(choose(asked.device)) as session:
-        for name in ("integrated, tilt", "gaussian"):
+        for name in asked.psf:
             psf = PSFS[name]
             for radius in asked.radius:
                 radii = radius_map(asked.size, radius)

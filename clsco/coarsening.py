@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import SceneError
-from clsco.psf import LANES, psf_extent
+from clsco.psf import LANES, is_disc, psf_extent
 from clsco.scene import Psf
 
 Array = NDArray[np.float64]
@@ -31,7 +31,8 @@ SHARING = 0.75  # px^2 per axis: what bilinear sharing among nodes adds to a PSF
 SHARPENING = {"pillbox": 3 / 16, "gaussian": 0.0}
 EDGE, EDGE_ROWS = 8, 8  # around planes, as in coarse.cl
 PIXEL_MOMENT = {"sampled": 0.0, "area": 1 / 12, "integrated": 1 / 6}  # px^2 per axis: what `edge` adds to it
-MOVING_TAPS = 500.0  # per pixel, that the way to coarser grids and back costs as much as
+# Taps per pixel that the way to coarser grids and back costs as much as; the more, the faster the exact way is at them.
+DISC_TAPS, MOVING_TAPS = 450.0, {"pillbox": 300.0, "gaussian": 100.0}
 PIXELS_PER_PLACE, FEWEST_PLACES, MOST_PLACES = 1024, 256, 512  # where errors are sampled
 
 
@@ -133,13 +134,14 @@ def check_border(psf: Psf, method: str) -> None:
 def candidates(psf: Psf, radii: Array) -> tuple[str, ...]:
     """Names in METHODS that are faster than the exact way for |blur radii| in px (any shape), the fastest first.
 
-    By the number of taps: per pixel they must be fewer by MOVING_TAPS at least (benchmarks/optimisation_log.md).
+    By the number of taps: per pixel they must be fewer by at least DISC_TAPS for sampled discs, MOVING_TAPS for others
+    (measured: benchmarks/optimisation_log.md).
     """
     if psf.border != "lose" or radii.size == 0:
         return ()
-    exact = _taps(psf, radii)
+    exact, least_saved = _taps(psf, radii), DISC_TAPS if is_disc(psf) else MOVING_TAPS[psf.model]
     return tuple(
-        name for name, least in METHODS.items() if (exact - _coarse_taps(psf, radii, least)).mean() >= MOVING_TAPS
+        name for name, least in METHODS.items() if (exact - _coarse_taps(psf, radii, least)).mean() >= least_saved
     )
 
 
