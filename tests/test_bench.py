@@ -103,7 +103,8 @@ def test_bytes_on_the_device_are_those_of_its_buffers(session: Session) -> None:
     one = Pass(session, np.zeros((16, 16), np.float32), radii, Psf(edge="sampled"), "gather", "double")
     spreader = one.spreader
     margins = 4 * 16 * spreader.pitch
-    tables = sum(buffer.size for table in spreader.tables for buffer in table) + spreader.lens.size
+    held = [buffer for table in (*spreader.tables, spreader.alike) for buffer in table]
+    tables = sum(buffer.size for buffer in held) + spreader.lens.size
     assert one.bytes == 256 * (16 + 1 + 4 + 8) + margins + tables
 
 

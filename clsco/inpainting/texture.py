@@ -83,6 +83,8 @@ def _fill(
     held = []  # until the queue is done with them
     for first, end in pairwise(ends):
         count = int(end - first)
+        if not count:
+            continue
         listed = upload(session, blocks[first:end])
         filled = empty(session, 4 * BLOCK**2 * image.shape[2] * count)
         inputs = (*size, value, weight, *constants, listed, np.int32(count), *settings, filled)
