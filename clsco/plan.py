@@ -150,10 +150,15 @@ def exposure(plan: Plan, frame: int) -> tuple[Array, Array]:
 
 
 def guard_band(psf: Psf, largest: float) -> int:
-    """Width in px of the band around the frame whose surface can light it, and 2 px to see silhouettes in."""
+    """Width in px of the band around the frame whose surface can light it, and 2 px to see silhouettes in.
+
+    A multiple of LANES, so that vectors of sources begin in the same columns of the frame with every lens: lenses that
+    share a band have the bits that each has by itself.
+    """
     if psf.border == "renormalize":
         return 0
-    return max(reach(psf, largest), reach(psf, largest, True)) + 2
+    needed = max(reach(psf, largest), reach(psf, largest, True)) + 2
+    return -(-needed // LANES) * LANES
 
 
 def widened(plan: Plan, largest: float) -> Plan:

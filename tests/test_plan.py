@@ -246,7 +246,8 @@ def test_guard_band_holds_every_source_that_lights_the_frame(model: Any, edge: A
     held = given.guard_px
     assert held == guard_band(psf, given.largest_blur)
     assert held >= max(reach(psf, given.largest_blur), reach(psf, given.largest_blur, True))
-    assert held <= reach(psf, given.largest_blur, True) + 3  # 2 px to see silhouettes in
+    assert held % LANES == 0
+    assert held < reach(psf, given.largest_blur, True) + 3 + LANES  # 2 px to see silhouettes in
     assert (given.width, given.height) == (64 + 2 * held, 48 + 2 * held)
     assert guard_band(psf.model_copy(update={"border": "renormalize"}), 5.0) == 0
     flat = plan(STILL, psf=psf)
