@@ -23,7 +23,7 @@ from clsco.spread import blur_features
 from clsco.strips import BAND
 
 KERNELS = Path(__file__).resolve().parents[2] / "kernels"
-ON_OR_OFF = (0, 1)
+ON_OR_OFF: tuple[int, ...] = (0, 1)
 GEOMETRY: dict[str, tuple[int, ...]] = {
     **dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "SAMPLED"), ON_OR_OFF),
     "CHANNELS": (1, 3),
