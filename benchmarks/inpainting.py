@@ -29,10 +29,12 @@ from skimage.restoration import inpaint_biharmonic
 
 from benchmarks.inpainting_cases import IMAGES, MASKS, Case, cases
 from clsco.device import Session, choose
+from clsco.estimators import MeanMedian, score_scale
 from clsco.inpainting.biharmonic import fill_biharmonic
 from clsco.inpainting.choice import choose_method
 from clsco.inpainting.texture import fill_texture
-from clsco.reference.mean_median import SMOOTHING_ROUNDS, fill_mean_median, score_mean_median, smooth_median
+from clsco.reference.mean_median import fill_mean_median, smooth_median
+from clsco.reference.score import score_mean_median
 
 Image = NDArray[Any]
 Mask = NDArray[np.bool_]
@@ -54,13 +56,14 @@ def on_device(session: Session, method: str, image: Image, missing: Mask) -> Ima
 def thesis(image: Image, missing: Mask) -> Image:
     """Chapter 5: sweeps of mean or median, fewer than four neighbors only where they stall, and smoothing."""
     values = image.reshape(*missing.shape, -1).astype(np.float64)
-    mean_error, median_error = score_mean_median(values, ~missing)
-    left, minimum = missing.copy(), 4
+    constants = MeanMedian()
+    median_wins = score_mean_median(values, ~missing, score_scale(255.0)).median_wins()
+    left, minimum = missing.copy(), constants.minimum
     while left.any():
-        values, filled, _ = fill_mean_median(values, ~left, left, median_error < mean_error, minimum)
-        minimum = 4 if filled.any() else minimum - 1
+        values, filled, _ = fill_mean_median(values, ~left, left, median_wins, minimum)
+        minimum = constants.minimum if filled.any() else minimum - 1
         left &= ~filled
-    for _ in range(SMOOTHING_ROUNDS):
+    for _ in range(constants.smoothing_rounds):
         values = smooth_median(values, missing, np.ones_like(missing))
     return quantized(values).reshape(image.shape)
 
@@ -96,7 +99,7 @@ def quantized(values: Image) -> Image:
 
 def methods(session: Session) -> dict[str, Fill]:
     """All of them by name, ours first."""
-    ours = {name: partial(on_device, session, name) for name in ("auto", *OURS)}
+    ours: dict[str, Fill] = {name: partial(on_device, session, name) for name in ("auto", *OURS)}
     return ours | {
         "thesis": thesis,
         "Telea": partial(opencv, cv2.INPAINT_TELEA),

@@ -9,7 +9,8 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from clsco.describe import record
+from clsco.coarsening import asked_alike
+from clsco.describe import PlannedFile, file_digests, record
 from clsco.errors import ImageError, SceneError
 from clsco.files import remove_stale, writable_folder
 from clsco.frame import STEREO_NAMES, TRUTH_NAMES, Frame
@@ -25,7 +26,8 @@ TOGETHER, PIXELS_TOGETHER = 16, 2**24  # scenes of a sweep that are on the devic
 class Job:
     """One scene to render: what its frames' JSON files say of it, the folder, and the frames still to do.
 
-    files: of "npz" and "exr", what is written besides PNG and JSON.
+    files: of "npz" and "exr", what is written besides PNG and JSON; method, tolerance: of the blur, as of
+    `clsco.render`.
     """
 
     scene: Scene
@@ -33,6 +35,8 @@ class Job:
     folder: Path
     frames: tuple[int, ...]
     files: tuple[str, ...]
+    method: str = "auto"
+    tolerance: float | None = None
 
 
 def folders(scenes: Sequence[Path], out: Path) -> list[Path]:
@@ -74,12 +78,14 @@ def prepare(
     precision: str | None,
     resume: bool,
     digests: Mapping[str, str] | None = None,
+    method: str = "auto",
+    tolerance: float | None = None,
 ) -> Job:
     """Make the folder, and with `resume` take out the frames that are in it, whole and of this scene.
 
     scene: with its resolution. digests: of its files, as `clsco.describe.file_digests` gives them, where they are
-    known. A frame is whole where its JSON file, written last, names the scene's hash, this version, all files asked
-    for, and each file's SHA-256.
+    known. method, tolerance: see `Job`. A frame is whole where its JSON file, written last, names the scene's hash,
+    this version, an approximation that was asked for alike, all files asked for, and each file's SHA-256.
     Raises ImageError where a texture or depth cannot be read or the folder written.
     """
     about = record(scene, digests)
@@ -98,10 +104,25 @@ def prepare(
         same = all(content.get(key) == about[key] for key in ("version", "scene_sha256"))
         whole = frame_files(index, scene.stereo is not None, files) <= set(content["files"])
         told = content["views"].values() if scene.stereo is not None else [content]
-        return same and whole and all(precision in (None, view.get("precision")) for view in told)
+        alike = all(asked_alike(view.get("approximation"), method, tolerance) for view in told)
+        return same and whole and alike and all(precision in (None, view.get("precision")) for view in told)
 
     left = tuple(index for index in frames if not (resume and is_there(index)))
-    return Job(scene, about, folder, left, files)
+    return Job(scene, about, folder, left, files, method, tolerance)
+
+
+def prepare_all(
+    planned: Sequence[PlannedFile], out: Path, files: tuple[str, ...], span: Span, precision: str | None, resume: bool,
+    method: str, tolerance: float | None,
+) -> list[Job]:  # fmt: skip
+    """`prepare` for every scene of files, each file with its folder of `folders`. Raises as these and `wanted`."""
+    chosen = [
+        (plan.scene, folder / label, wanted(plan.scene, span, str(path)))
+        for (path, labels, plans), folder in zip(planned, folders([path for path, *_ in planned], out), strict=True)
+        for label, plan in zip(labels, plans, strict=True)
+    ]
+    digests = file_digests(scene for scene, _, _ in chosen)
+    return [prepare(*what, files, precision, resume, digests, method, tolerance) for what in chosen]
 
 
 def run(
@@ -113,7 +134,9 @@ def run(
     other, and up to `TOGETHER` of them share their rays where they can. Truth is computed only where a file asks for
     it. Raises as `clsco.render` and `clsco.framefiles.write_frame`.
     """
-    for _, alike in groupby((job for job in jobs if job.frames), key=lambda job: (job.frames, job.files)):
+    for _, alike in groupby(
+        (job for job in jobs if job.frames), key=lambda job: (job.frames, job.files, job.method, job.tolerance)
+    ):
         members = list(alike)
         largest = max(math.prod(job.scene.camera.resolution or ()) for job in members)
         count = max(1, min(TOGETHER, PIXELS_TOGETHER // largest))
@@ -128,8 +151,9 @@ def _run_together(
     truth = (*TRUTH_NAMES, *STEREO_NAMES) if jobs[0].files else ()  # nothing that no file asks for
     scenes, wanted = [job.scene for job in jobs], jobs[0].frames
     left: Frame | None = None
-    options = {"truth": truth, "device": device, "precision": precision, "frames": wanted, "memory": memory}
-    for number, frame in render_sweep(scenes, **options):  # type: ignore[arg-type]
+    options: dict[str, Any] = {"method": jobs[0].method, "tolerance": jobs[0].tolerance, "memory": memory}
+    options |= {"truth": truth, "device": device, "precision": precision, "frames": wanted}
+    for number, frame in render_sweep(scenes, **options):
         if frame.eye == "left":
             left = frame
             continue

@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,6 +21,7 @@ from clsco.frame import STEREO_NAMES, TRUTH_NAMES
 
 if TYPE_CHECKING:
     from clsco.batch import Span
+    from clsco.frame import Frame
     from clsco.plan import Plan
     from clsco.sweep import Sweep
 
@@ -96,6 +95,14 @@ memory_option = click.option(
     help="Most that buffers on the device may take, like 1.5GiB or 800MB; frames that need more are made in strips. "
     "Default: half of what is free.",
 )  # fmt: skip
+method_option = click.option(
+    "--method", metavar="NAME", default="auto",
+    help="Of the blur: auto (default), which is exact, or an approximation: coarse2 (the fastest) to coarse16.",
+)  # fmt: skip
+tolerance_option = click.option(
+    "--tolerance", metavar="E", type=click.FloatRange(min=0.0, min_open=True),
+    help="Take the fastest method whose RMS error is at most E of white, measured at some of the pixels.",
+)  # fmt: skip
 quiet_option = click.option("--quiet", is_flag=True, help="Show no progress.")
 
 
@@ -114,18 +121,25 @@ def main() -> None:
 @device_option
 @precision_option
 @memory_option
+@method_option
+@tolerance_option
 @click.option("--resume", is_flag=True, help="Leave out frames that are in DIR already, whole and of this scene.")
 @quiet_option
 def render(
     scenes: tuple[Path, ...], out: Path, files: tuple[str, ...], span: Span, overrides: tuple[str, ...],
-    device: str | None, precision: str | None, memory: int | None, resume: bool, quiet: bool,
+    device: str | None, precision: str | None, memory: int | None, method: str, tolerance: float | None, resume: bool,
+    quiet: bool,
 ) -> None:  # fmt: skip
     """Render the frames of scenes to files.
 
     A frame is frame_0000.png, and frame_0000.json with everything that made it. Of several scenes, each has a
     folder of its name in DIR. Where keys of a scene have several values, each has a folder like f_number_4 there.
     """
-    _render_to_folders(_loaded(scenes, overrides), out, files, span, device, precision, memory, resume, quiet)
+    from clsco.sweep import load_sweeps
+
+    blur = _blur(method, tolerance)
+    loaded = load_sweeps(scenes, overrides)
+    _render_to_folders(loaded, out, files, span, device, precision, blur, memory, resume, quiet)
 
 
 @main.command()
@@ -138,6 +152,7 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
     from clsco import batch
     from clsco.demo import EXAMPLES, example, write_contact_sheet
     from clsco.describe import planned
+    from clsco.show import progress
 
     scenes = {name: planned(example(name), ()).scene for name in EXAMPLES}
     jobs = {
@@ -145,7 +160,7 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
         for name, scene in scenes.items()
     }
     shown = {}
-    with _progress(sum(len(job.frames) for job in jobs.values()), quiet) as advance:
+    with progress(sum(len(job.frames) for job in jobs.values()), quiet) as advance:
         for job, frames in batch.run(list(jobs.values()), device, None):
             shown[job.folder.name] = frames  # the last one of a sequence
             advance()
@@ -165,10 +180,10 @@ def plan(scene: Path, overrides: tuple[str, ...], files: tuple[str, ...], memory
     """Tell what rendering a scene takes; runs nothing, and needs no OpenCL."""
     first = _first(scene, overrides, files, memory)
     from clsco.describe import planned
-    from clsco.show import plan_tables
+    from clsco.show import plan_tables, print_tables
 
     right = [] if first.scene.stereo is None else [planned(first.scene, first.truth, "right", memory)]
-    _print(*plan_tables([first, *right]))
+    print_tables(*plan_tables([first, *right]))
 
 
 @main.command()
@@ -184,10 +199,10 @@ def check(scene: Path, overrides: tuple[str, ...], device: str | None, precision
     planned = _first(scene, overrides)
     _require_device(device)
     from clsco.check import compare_frames
-    from clsco.show import check_tables
+    from clsco.show import check_tables, print_tables
 
     for checked in compare_frames(planned.scene, device, precision):
-        _print(*check_tables(checked))
+        print_tables(*check_tables(checked))
         color = checked.differences[0]
         if color.count:
             view = f" ({checked.eye})" if checked.eye else ""
@@ -202,12 +217,12 @@ def devices(device: str | None, tested: bool) -> None:
     """List OpenCL devices, what each can do, and which one is used and why."""
     _require_opencl()
     from clsco.device import list_devices, self_test
-    from clsco.show import device_tables
+    from clsco.show import device_tables, print_tables
 
     found, choice = list_devices(device)
     checks = {item: self_test(item) for item in found} if tested else {}
     if found:
-        _print(*device_tables(found, choice.device, checks))
+        print_tables(*device_tables(found, choice.device, checks))
     if choice.device is None:
         raise DeviceError(choice.reason)
     click.echo(f"used: {choice.device} ({choice.reason})")
@@ -228,7 +243,10 @@ def schema() -> None:
 @scenes_wanted
 def validate(scenes: tuple[Path, ...]) -> None:
     """Check scene files and their textures without rendering; tells all faults of all files."""
-    for path, labels, _ in _planned(_loaded(scenes)):
+    from clsco.describe import planned_files
+    from clsco.sweep import load_sweeps
+
+    for path, labels, _ in planned_files(load_sweeps(scenes)):
         count = f", {len(labels)} scenes" if labels != ("",) else ""
         click.echo(f"{click.format_filename(path)}: valid{count}")
 
@@ -261,6 +279,7 @@ def bench(
     _require_device(device)
     from clsco.bench import lens, measure, report
     from clsco.device import choose
+    from clsco.show import print_tables, progress
 
     report.require_matplotlib()
     for tool, why in missing.items():
@@ -268,10 +287,10 @@ def bench(
     if grid.lens_size and (absent := lens.missing()):
         click.echo(f"traced frames: left out, as they need {absent}: pip install 'clsco[bench]'", err=True)
     folder, chosen = writable_folder(out), choose(device)
-    with _progress(measure.steps(grid, chosen, tools), quiet, "calls") as advance:
+    with progress(measure.steps(grid, chosen, tools), quiet, "calls") as advance:
         measured = measure.run(grid, chosen, tools, advance)
     report.write(folder, measured)
-    _print(*report.tables(measured))
+    print_tables(*report.tables(measured))
 
 
 def _ratio(text: str) -> float:
@@ -311,10 +330,13 @@ def _number(name: str, text: str) -> Callable[[Callable[..., None]], Callable[..
 @device_option
 @precision_option
 @memory_option
+@method_option
+@tolerance_option
 @quiet_option
 def defocus(
     image: Path, depth: Path, out: Path, files: tuple[str, ...], overrides: tuple[str, ...], device: str | None,
-    precision: str | None, memory: int | None, quiet: bool, **options: str | float | None,
+    precision: str | None, memory: int | None, method: str, tolerance: float | None, quiet: bool,
+    **options: str | float | None,
 ) -> None:  # fmt: skip
     """Defocus IMAGE by its depth map DEPTH, a file of the same size.
 
@@ -322,24 +344,27 @@ def defocus(
     --set reaches. Where --set gives a key of the camera several values, each has a folder in OUT.
     """
     from clsco.defocus_command import depth_report, is_image_file, prepare_image, scenes_from_files, write_image
+    from clsco.describe import planned_files
 
-    alone = is_image_file(out)
+    alone, blur = is_image_file(out), _blur(method, tolerance)
     if alone and files:
         raise click.UsageError(f"--truth: OUT must be a folder; got {click.format_filename(out)}")
     sweep = scenes_from_files(image, depth, options, overrides)
     for line in depth_report(sweep.scenes[0]):
         click.echo(line, err=True)
     if not alone:
-        _render_to_folders([(image, sweep)], out, files, (None, None), device, precision, memory, False, quiet)
+        _render_to_folders([(image, sweep)], out, files, (None, None), device, precision, blur, memory, False, quiet)
         return
-    scenes = [plan.scene for _, _, plans in _planned([(image, sweep)], (), memory) for plan in plans]
+    scenes = [plan.scene for _, _, plans in planned_files([(image, sweep)], (), memory, **blur) for plan in plans]
     prepare_image(scenes, out)
     _require_device(device)
     from clsco.render import render as render_frames
+    from clsco.show import progress
 
-    with _progress(1, quiet) as advance:
-        for frame in render_frames(scenes[0], truth=(), device=device, precision=precision, memory=memory):
+    with progress(1, quiet) as advance:
+        for frame in render_frames(scenes[0], truth=(), device=device, precision=precision, memory=memory, **blur):
             write_image(out, frame, frame.metadata["bits"], scenes[0].image.transfer)
+            _tell_approximation(out, frame)
             advance()
 
 
@@ -382,88 +407,78 @@ def inpaint(
     _require_device(device)
     from clsco import inpaint as fill
     from clsco.inpainting.report import require_matplotlib, write_report
-    from clsco.show import inpaint_tables
+    from clsco.show import inpaint_tables, print_tables, shares
 
     if folder is not None:
         require_matplotlib()
     given = {name: value for name, value in constants.items() if value is not None}
-    with _shares(quiet) as progress:
+    with shares(quiet) as progress:
         filled, report = fill(pixels, missing, method=method, device=device, progress=progress, **given)
     write_filled(out, filled)
     if folder is not None:
         write_report(folder, report, pixels, missing, filled)
-    _print(*inpaint_tables(report))
+    print_tables(*inpaint_tables(report))
     if not report.missing_pixels:
         click.echo(f"no pixel is missing: {click.format_filename(out)} is a copy of {click.format_filename(image)}")
 
 
+def _truth(files: tuple[str, ...]) -> tuple[str, ...]:
+    """The outputs that files of ground truth hold: all, or none without such files."""
+    return (*TRUTH_NAMES, *STEREO_NAMES) if files else ()
+
+
+def _blur(method: str, tolerance: float | None) -> dict[str, Any]:
+    """What is asked of the blur."""
+    from clsco.coarsening import METHODS
+
+    if method not in ("auto", *METHODS):
+        raise click.UsageError(f"--method: must be one of auto, {', '.join(METHODS)}; got {method}")
+    if tolerance is not None and method != "auto":
+        raise click.UsageError(f"--tolerance: chooses the method, which must then be auto; got --method {method}")
+    return {"method": method, "tolerance": tolerance}
+
+
+def _tell_approximation(where: Path, frame: Frame) -> None:
+    """On stderr, of a frame whose blur was or could have been approximated."""
+    from clsco.coarsening import Told
+
+    if told := frame.metadata["approximation"]:
+        view = f" ({frame.eye})" if frame.eye else ""
+        click.echo(f"{click.format_filename(where)}: frame {frame.index}{view}: {Told(**told).line()}", err=True)
+
+
 def _render_to_folders(
     loaded: Sequence[tuple[Path, Sweep | SceneError]], out: Path, files: tuple[str, ...], span: Span,
-    device: str | None, precision: str | None, memory: int | None, resume: bool, quiet: bool,
+    device: str | None, precision: str | None, blur: dict[str, Any], memory: int | None, resume: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Plan scenes, and render those of each file into its folder."""
     if "exr" in files and find_spec("OpenEXR") is None:
         raise ImageError("--truth exr: needs OpenEXR: pip install 'clsco[exr]'; got no such module")
-    planned = _planned(loaded, files, memory)
+    from clsco.describe import planned_files
+    from clsco.show import progress
+
+    planned = planned_files(loaded, _truth(files), memory, **blur)
     _require_device(device)
     from clsco import batch
-    from clsco.describe import file_digests
 
-    wanted = [
-        (plan.scene, folder / label, batch.wanted(plan.scene, span, str(path)))
-        for (path, labels, plans), folder in zip(planned, batch.folders([path for path, _ in loaded], out), strict=True)
-        for label, plan in zip(labels, plans, strict=True)
-    ]
-    digests = file_digests(scene for scene, _, _ in wanted)
-    jobs = [batch.prepare(*what, files, precision, resume, digests) for what in wanted]
-    with _progress(sum(len(job.frames) for job in jobs), quiet) as advance:
-        for _ in batch.run(jobs, device, precision, memory):
+    jobs = batch.prepare_all(planned, out, files, span, precision, resume, **blur)
+    with progress(sum(len(job.frames) for job in jobs), quiet) as advance:
+        for job, frames in batch.run(jobs, device, precision, memory):
+            for frame in frames:
+                _tell_approximation(job.folder, frame)
             advance()
-
-
-def _loaded(paths: Sequence[Path], overrides: tuple[str, ...] = ()) -> list[tuple[Path, Sweep | SceneError]]:
-    """The scenes of files, or what is wrong with them."""
-    from clsco.sweep import load_sweep
-
-    loaded: list[tuple[Path, Sweep | SceneError]] = []
-    for path in paths:
-        try:
-            loaded.append((path, load_sweep(path, overrides)))
-        except SceneError as error:
-            loaded.append((path, error))
-    return loaded
-
-
-def _planned(
-    loaded: Sequence[tuple[Path, Sweep | SceneError]], files: tuple[str, ...] = (), memory: int | None = None
-) -> list[tuple[Path, tuple[str, ...], tuple[Plan, ...]]]:
-    """Read textures and depths of scenes and plan them: file, labels and plans; raises SceneError for all of them."""
-    truth = (*TRUTH_NAMES, *STEREO_NAMES) if files else ()
-    from clsco.describe import planned_sweep
-    from clsco.scenefile import at_most
-
-    found: list[tuple[Path, tuple[str, ...], tuple[Plan, ...]]] = []
-    messages: list[str] = []
-    for path, sweep in loaded:
-        if isinstance(sweep, SceneError):
-            messages.extend(sweep.messages)
-            continue
-        try:
-            found.append((path, sweep.labels, planned_sweep(sweep, truth, memory=memory)))
-        except SceneError as error:
-            messages.extend(at_most(str(path), error.messages))
-    if messages:
-        raise SceneError(messages)
-    return found
 
 
 def _first(path: Path, overrides: tuple[str, ...], files: tuple[str, ...] = (), memory: int | None = None) -> Plan:
     """The plan of a file's only scene; of several the first one, which is told."""
-    ((path, sweep),) = _loaded([path], overrides)
+    from clsco.describe import planned_files
+    from clsco.sweep import load_sweeps
+
+    ((path, sweep),) = load_sweeps([path], overrides)
     if isinstance(sweep, SceneError):
         raise sweep
     alone = replace(sweep, labels=sweep.labels[:1], scenes=sweep.scenes[:1])
-    ((_, (label,), (planned,)),) = _planned([(path, alone)], files, memory)
+    ((_, (label,), (planned,)),) = planned_files([(path, alone)], _truth(files), memory)
     if label:
         click.echo(f"the first of {len(sweep.labels)} scenes, {label}:")
     return planned
@@ -480,41 +495,3 @@ def _require_device(name: str | None) -> None:
     from clsco.device import choose
 
     choose(name)
-
-
-def _print(*things: Any) -> None:
-    """Print tables and lines to stdout, as wide as the terminal; without one, as wide as they are."""
-    from rich.console import Console
-
-    width = None if sys.stdout.isatty() else 160
-    Console(width=width, markup=False, highlight=False, emoji=False).print(*things, sep="\n")
-
-
-@contextmanager
-def _progress(total: int, quiet: bool, what: str = "frames") -> Iterator[Callable[[], object]]:
-    """Show a bar on a terminal, nothing in a pipe; gives what is to be called after each frame, or what it is."""
-    if quiet or not sys.stderr.isatty() or not total:
-        yield lambda: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True)) as progress:
-        task = progress.add_task(what, total=total)
-        yield lambda: progress.advance(task)
-
-
-@contextmanager
-def _shares(quiet: bool) -> Iterator[Callable[[float], object]]:
-    """A bar as of `_progress` for work that tells the share that is done, from 0 to 1."""
-    shown = 0
-    with _progress(100, quiet, "percent") as advance:
-
-        def progress(share: float) -> None:
-            nonlocal shown
-            while shown < int(100 * share):
-                advance()
-                shown += 1
-
-        yield progress

@@ -11,18 +11,20 @@ import pyopencl as cl
 import pyopencl.array as cl_array
 from numpy.typing import NDArray
 
+from clsco.coarse import Coarse, make_spreader
+from clsco.coarsening import METHODS, Told, candidates, check_border, checked_tolerance, estimate, sample_places
 from clsco.device import Session, choose, session_of, session_on
 from clsco.errors import DeviceError, ImageError, SceneError
 from clsco.layers import Layers
 from clsco.layout import WIDE_BYTES, Real, Struct, flat, frame_struct, in_parts, structs
-from clsco.memory import defocus_bytes, limit_of, rows_that_fit
+from clsco.memory import Limit, defocus_bytes, limit_of, rows_that_fit
 from clsco.optics import LARGEST_BLUR
 from clsco.plan import Blur, is_sharp
 from clsco.program import build, empty, kernel, launch
 from clsco.psf import LANES, is_disc, reach, table_reach
 from clsco.scene import Psf
 from clsco.scenefile import parse_psf
-from clsco.spread import PIXELS, Sources, Spreader, blur_features
+from clsco.spread import PIXELS, Sources, blur_features
 from clsco.strips import BAND, Strip, cut
 
 MOST_CHANNELS = 16
@@ -33,12 +35,14 @@ PLAIN = dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FI
 @overload
 def defocus(
     image: NDArray[Any], coc: NDArray[Any], psf: Psf | Mapping[str, Any] | None = None,
-    *, device: str | None = None, method: str = "auto", memory: str | int | None = None,
+    *, device: str | None = None, method: str = "auto", tolerance: float | None = None, told: list[Told] | None = None,
+    memory: str | int | None = None,
 ) -> NDArray[np.float32]: ...  # fmt: skip
 @overload
 def defocus(
     image: cl_array.Array, coc: cl_array.Array, psf: Psf | Mapping[str, Any] | None = None,
-    *, device: str | None = None, method: str = "auto", memory: str | int | None = None,
+    *, device: str | None = None, method: str = "auto", tolerance: float | None = None, told: list[Told] | None = None,
+    memory: str | int | None = None,
 ) -> cl_array.Array: ...  # fmt: skip
 def defocus(
     image: NDArray[Any] | cl_array.Array,
@@ -47,17 +51,22 @@ def defocus(
     *,
     device: str | None = None,
     method: str = "auto",
+    tolerance: float | None = None,
+    told: list[Told] | None = None,
     memory: str | int | None = None,
 ) -> NDArray[np.float32] | cl_array.Array:
     """Blur an image by a map of signed blur radii, each pixel by its own PSF.
 
     image: linear light, (rows, columns) or (rows, columns, channels), up to 16 channels; coc: signed R in px, (rows,
     columns), positive behind the focal surface; psf: keys of the scene file's [psf]; device: part of an OpenCL
-    device's name; method: "auto", "gather", "scatter" or "convolve" (one radius). NumPy arrays, or pyopencl arrays of
-    one queue, which is then worked in; memory: most that buffers on the device may take, bytes or a size like "1.5GiB",
-    by default half of what is free: an image that needs more is done in horizontal strips, with the same bits. With
-    occlusion = "layered" smaller signed radii, which are nearer, hide larger ones where the map jumps
-    (`clsco.layers.Layers`), which needs the whole image; with any other nothing hides anything.
+    device's name; method: "auto", "gather", "scatter", "convolve" (one radius) or an approximation
+    (`clsco.coarsening.METHODS`); tolerance: RMS error of white up to which an approximation may be taken where it is
+    faster, None for the exact blur; told: gets an entry of which it was and its measured error. NumPy arrays, or
+    pyopencl arrays of one queue, which is then worked in; memory: most that buffers on the device may take, bytes or a
+    size like "1.5GiB", by default half of what is free: an image that needs more is done in horizontal strips, with the
+    same bits, but for an approximation, which needs the whole image. With occlusion = "layered" smaller signed radii,
+    which are nearer, hide larger ones where the map jumps (`clsco.layers.Layers`), which needs the whole image as well;
+    with any other nothing hides anything.
     Returns float32 of the image's shape, as NumPy or pyopencl array as given. Nothing is known outside of the image,
     so with border = "lose" it darkens where light leaves it; sources have their pixel's center, and the gradient for
     `tilt` comes from differences of `coc`. Raises ImageError, SceneError, DeviceError.
@@ -71,8 +80,9 @@ def defocus(
         if queue is None:
             raise DeviceError("image: a pyopencl array must have a queue; got one without")
         host = [a.get(queue) if isinstance(a, cl_array.Array) else a for a in (image, coc)]
-        return cl_array.to_device(queue, _defocus(session_of(queue), _checked(*host), model, method, memory))
-    return _defocus(session_on(choose(device)), _checked(image, coc), model, method, memory)
+        session, given = session_of(queue), _checked(*host)
+        return cl_array.to_device(queue, _defocus(session, given, model, (method, tolerance), memory, told))
+    return _defocus(session_on(choose(device)), _checked(image, coc), model, (method, tolerance), memory, told)
 
 
 @dataclass(frozen=True)
@@ -117,47 +127,77 @@ def _checked(image: Any, coc: Any) -> _Given:
 
 
 def _choose(psf: Psf, method: str, smallest: float, largest: float) -> Blur:
-    if method not in ("auto", "gather", "scatter", "convolve"):
-        raise SceneError(f"method: must be auto, gather, scatter or convolve; got {method}")
+    known = ("auto", "gather", "scatter", "convolve", *METHODS)
+    if method not in known:
+        raise SceneError(f"method: must be one of {', '.join(known)}; got {method}")
     constant = smallest == largest and psf.border == "lose"
     if method == "convolve" and not constant:
         raise SceneError('method: convolve needs one radius for all pixels and border = "lose"; got many radii')
+    check_border(psf, method)
+    if is_sharp(psf, largest) and (method == "auto" or method in METHODS):
+        return "none"
     if method == "auto":
-        if is_sharp(psf, largest):
-            return "none"
         return "convolve" if constant else "gather"
-    return "gather" if method == "gather" else "scatter" if method == "scatter" else "convolve"
+    return "scatter" if method == "scatter" else "convolve" if method == "convolve" else "gather"
 
 
-def _defocus(session: Session, given: _Given, psf: Psf, method: str, memory: str | int | None) -> NDArray[np.float32]:
+def _defocus(
+    session: Session, given: _Given, psf: Psf, method: tuple[str, float | None], memory: str | int | None,
+    told: list[Told] | None,
+) -> NDArray[np.float32]:  # fmt: skip
+    """By the method, or the first one that is within the tolerance."""
     device = session.device
-    shape, channels = given.image.shape, given.channels
-    rows, columns = shape[:2]
-    ends = given.smallest, given.largest
     limit = limit_of(memory, device.global_mem, device.max_alloc, device.compute_units, device.unified_memory)
-    blur = _choose(psf, method, *ends)
+    name, tolerance = method
+    ends = given.smallest, given.largest
+    tried: tuple[tuple[str, float], ...] = ()
+    names = [name]
+    if tolerance is not None and checked_tolerance(tolerance, name):
+        names = [*(() if _choose(psf, name, *ends) == "none" else candidates(psf, np.abs(given.coc))), name]
+    for each in names:
+        measured = each in METHODS and (told is not None or tolerance is not None)
+        places = sample_places(*given.coc.shape) if measured else None
+        result, missed = _blurred(session, given, psf, _choose(psf, each, *ends), METHODS.get(each), places, limit)
+        rms, at_most = (0.0, 0.0) if missed is None else estimate(missed)
+        if each not in METHODS or tolerance is None or at_most <= tolerance:
+            break
+        tried += ((each, at_most),)
+    if told is not None and (each in METHODS or tolerance is not None):
+        label, count = (each, 0 if missed is None else len(missed)) if each in METHODS else ("exact", 0)
+        told.append(Told(label, tolerance, rms, at_most, count, tried))
+    return result
+
+
+def _blurred(
+    session: Session, given: _Given, psf: Psf, blur: Blur, least: float | None, places: NDArray[np.int32] | None,
+    limit: Limit,
+) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:  # fmt: skip
+    """The image, and its error at places; least: of an approximation, None for the exact way."""
     if blur == "none":
-        return given.image.astype(np.float32)
+        return given.image.astype(np.float32), None
+    shape, channels, ends = given.image.shape, given.channels, (given.smallest, given.largest)
+    rows, columns = shape[:2]
     guard = reach(psf, given.largest) + 2 * LANES if blur == "convolve" else 0
     layered = psf.occlusion == "layered" and blur != "convolve"
     tallest = rows_that_fit(
-        rows, limit, lambda n: defocus_bytes(psf, blur, channels, (rows, columns), guard, ends, limit.cores, n),
-        "layered occlusion" if layered else None,
+        rows, limit, lambda n: defocus_bytes(psf, blur, channels, (rows, columns), guard, ends, least, limit.cores, n),
+        "layered occlusion" if layered else None if least is None else "an approximation",
     )  # fmt: skip
     strips = cut(rows, tallest, guard, table_reach(psf, given.largest) + 2)
-    engine = _Engine(session, given, psf, blur, guard, strips)
+    engine = _Engine(session, given, psf, blur, guard, strips, least, places)
     out = np.empty(shape, np.float32)
     for strip in strips:
         engine.defocus(strip, out[strip.inside] if channels > 1 or len(shape) == 2 else out[strip.inside, :, 0])
-    return out
+    return out, engine.missed()
 
 
 class _Engine:
-    """Owns the buffers and the program for the strips of one image."""
+    """Owns the buffers and the program for the strips of one image; least, places: as for `make_spreader`."""
 
     def __init__(
-        self, session: Session, given: _Given, psf: Psf, blur: Blur, guard: int, strips: Sequence[Strip]
-    ) -> None:
+        self, session: Session, given: _Given, psf: Psf, blur: Blur, guard: int, strips: Sequence[Strip],
+        least: float | None, places: NDArray[np.int32] | None,
+    ) -> None:  # fmt: skip
         self.session, self.given, self.psf, self.blur, self.guard = session, given, psf, blur, guard
         self.real: Real = "double" if session.device.has_fp64 else "float"
         channels, columns = given.channels, given.coc.shape[1]
@@ -169,9 +209,9 @@ class _Engine:
             "DISC": int(is_disc(psf)),
         }
         self.program = build(session, ["blur.cl"], features, structs(self.real), self.real)
-        self.spreader = Spreader(
+        self.spreader = make_spreader(
             session, self.program, psf, blur, self._camera(strips[0]), channels, given.smallest, given.largest, 0,
-            self.real, given.brightest, bool(features["SPANS"]),
+            self.real, given.brightest, features, least, places,
         )  # fmt: skip
         area = max(strip.height for strip in strips) * (columns + 2 * guard)
         self.value = empty(session, 4 * channels * area)
@@ -204,6 +244,12 @@ class _Engine:
             launch(self.session, kernel(self.program, "prepare_sources"), size, PIXELS, *args)
             spreader.add(Sources(self.source, self.value), 0.0, [])
         spreader.image([], out)
+
+    def missed(self) -> NDArray[np.float32] | None:
+        """Error at the places, where it was asked for."""
+        if isinstance(self.spreader, Coarse) and self.spreader.places is not None:
+            return self.spreader.missed()
+        return None
 
     def _send(self, strip: Strip) -> None:
         """What of image and radii lights a strip to the device: with zeros around where the image ends."""

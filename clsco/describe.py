@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
@@ -21,10 +21,11 @@ from clsco.memory import fitted, limit_of
 from clsco.motion import Eye
 from clsco.plan import Maps, Plan, make_plan
 from clsco.scene import BUILT_IN_TEXTURES, DepthMap, Scene, Within
-from clsco.scenefile import dump
+from clsco.scenefile import at_most, dump
 from clsco.sweep import Sweep
 from clsco.textures import texture_size
 
+PlannedFile = tuple[Path, tuple[str, ...], tuple[Plan, ...]]  # with the labels of its scenes
 # What parameters derived from a scene, and the metadata of a frame, are measured in, where the name does not say it.
 DERIVED_UNITS = {"derived.aperture_diameter": "mm", "derived.sensor_distance": "mm"}
 FRAME_UNITS = {"intermediate[].time": "s", "seconds": "s, by pass on the device"}
@@ -44,9 +45,13 @@ def planned(scene: Scene, truth: tuple[str, ...], eye: Eye = "left", memory: int
 
 
 def planned_sweep(
-    sweep: Sweep, truth: tuple[str, ...], eye: Eye = "left", memory: int | None = None
-) -> tuple[Plan, ...]:
-    """The plans of all scenes of a sweep, as `planned`; each file is read once. Raises SceneError for all of them."""
+    sweep: Sweep, truth: tuple[str, ...], eye: Eye = "left", memory: int | None = None, method: str = "auto",
+    tolerance: float | None = None,
+) -> tuple[Plan, ...]:  # fmt: skip
+    """The plans of all scenes of a sweep, as `planned`; each file is read once. Raises SceneError for all of them.
+
+    method, tolerance: as for `clsco.render`.
+    """
     files = _read_files(sweep.scenes[0])  # the same for all: no key of theirs can have several values
     plans, faults = [], dict[str, None]()
     for label, scene in zip(sweep.labels, sweep.scenes, strict=True):
@@ -56,7 +61,9 @@ def planned_sweep(
         sized = scene.model_copy(update={"camera": camera})
         try:
             maps = _inverse_depths(sized, files.depths)
-            views = {view: make_plan(sized, files.channels, truth, eye=view, maps=maps) for view in _views(scene)}
+            views = {
+                view: make_plan(sized, files.channels, truth, method, view, maps, tolerance) for view in _views(scene)
+            }
             limit = replace(limit_of(memory), views=len(views))
             plans.append({view: fitted(plan, limit) for view, plan in views.items()}[eye])
         except SceneError as error:
@@ -64,6 +71,27 @@ def planned_sweep(
     if faults:
         raise SceneError(list(faults))
     return tuple(plans)
+
+
+def planned_files(
+    loaded: Sequence[tuple[Path, Sweep | SceneError]], truth: tuple[str, ...] = (), memory: int | None = None,
+    method: str = "auto", tolerance: float | None = None,
+) -> list[PlannedFile]:  # fmt: skip
+    """The plans of files that `clsco.sweep.load_sweeps` gives; raises SceneError for all of them."""
+    found: list[PlannedFile] = []
+    messages: list[str] = []
+    for path, sweep in loaded:
+        if isinstance(sweep, SceneError):
+            messages.extend(sweep.messages)
+            continue
+        try:
+            plans = planned_sweep(sweep, truth, memory=memory, method=method, tolerance=tolerance)
+            found.append((path, sweep.labels, plans))
+        except SceneError as error:
+            messages.extend(at_most(str(path), error.messages))
+    if messages:
+        raise SceneError(messages)
+    return found
 
 
 def _views(scene: Scene) -> tuple[Eye, ...]:

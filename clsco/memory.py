@@ -10,6 +10,7 @@ from math import ceil
 
 import numpy as np
 
+from clsco.coarsening import METHODS, coarse_frame, coarse_psf, coarse_radii, place_count, plane_shape
 from clsco.errors import SceneError
 from clsco.layout import WIDE_BYTES
 from clsco.plan import Blur, Plan
@@ -136,6 +137,28 @@ def _spreader(
     return {"tables": tables} | spread_bytes(psf, method, channels, rows, columns, guard, far, spans, cores)
 
 
+def grid_bytes(channels: int, width: int, height: int, tilt: bool, finest: bool) -> dict[str, int]:
+    """Buffers of a grid of `clsco.coarse.Coarse` besides those of its Spreader."""
+    plane, area = 4 * int(np.prod(plane_shape(width, height))), width * height
+    sizes = {"radius": plane, "tilt": 2 * plane * tilt, "moved": plane, "light": channels * plane}
+    return sizes | {"kept": 4 * channels * area} | ({} if finest else {"source": 16 * area})
+
+
+def _coarse(
+    psf: Psf, channels: int, rows: int, columns: int, guard: int, largest: float, least: float, tilt: bool, cores: int
+) -> dict[str, int]:
+    """Buffers of `clsco.coarse.Coarse` besides those of a Spreader: all its grids, and where its error is measured."""
+    radii, count, found = coarse_radii(psf, largest, least), place_count(rows, columns), dict[str, int]()
+    for level, radius in enumerate((largest, *radii) if radii else ()):
+        sizes: dict[str, int] = {}
+        if level:
+            rows, columns, guard = coarse_frame(rows, columns, guard)
+            sizes = _spreader(coarse_psf(psf), "gather", channels, rows, columns, guard, (least, radius), 0, cores)
+        sizes |= grid_bytes(channels, columns + 2 * guard, rows + 2 * guard, tilt, level == 0)
+        found |= {f"grid {level} {name}": size for name, size in sizes.items()}
+    return found | {"places": (8 + 4 * channels) * count * bool(radii)}
+
+
 def _layers(
     psf: Psf, method: Blur, channels: int, rows: int, columns: int, guard: int, largest: float, cores: int
 ) -> dict[str, int]:
@@ -162,6 +185,10 @@ def buffer_bytes(plan: Plan, cores: int) -> dict[str, int]:
     sizes |= {"sub_value": 4 * channels * each * plan.slots}
     blur = (psf, plan.blur, channels, rows, plan.columns, plan.guard_px)
     sizes |= _spreader(*blur, ends, plan.silhouettes, cores)
+    if plan.approximations:  # the first one has the most grids
+        least = METHODS[plan.approximations[0]]
+        frame = (psf, channels, plan.rows, plan.columns, plan.guard_px)
+        sizes |= _coarse(*frame, plan.largest_blur, least, plan.tilt, cores)
     if plan.occlusion == "layered":
         sizes |= {"coc": WIDE_BYTES * area, "valid": area} | _layers(*blur, plan.largest_blur, cores)
     if plan.forward:
@@ -186,10 +213,13 @@ def _warp(plan: Plan, area: int) -> dict[str, int]:
 
 
 def defocus_bytes(
-    psf: Psf, method: Blur, channels: int, shape: tuple[int, int], guard: int, ends: tuple[float, float], cores: int,
-    strip_rows: int,
+    psf: Psf, method: Blur, channels: int, shape: tuple[int, int], guard: int, ends: tuple[float, float],
+    least: float | None, cores: int, strip_rows: int,
 ) -> dict[str, int]:  # fmt: skip
-    """Buffers of `clsco.defocus` for an image of this shape with radii between two ends, in strips of so many rows."""
+    """Buffers of `clsco.defocus` for an image of this shape with radii between two ends, in strips of so many rows.
+
+    least: of an approximation, as for `clsco.coarse.Coarse`, None for the exact blur.
+    """
     strips = cut(shape[0], strip_rows, guard, table_reach(psf, ends[1]) + 2)
     area = (shape[1] + 2 * guard) * max(strip.height for strip in strips)
     sizes = {"value": 4 * channels * area}
@@ -197,6 +227,8 @@ def defocus_bytes(
         sizes |= {"source": 16 * area, "coc": WIDE_BYTES * area, "valid": area}
     blur = (psf, method, channels, strips[0].rows, shape[1], guard)
     sizes |= _spreader(*blur, ends, 0, cores)
+    if least is not None:
+        sizes |= _coarse(psf, channels, *shape, guard, ends[1], least, psf.tilt, cores)
     layered = psf.occlusion == "layered" and method != "convolve"
     return sizes | (_layers(*blur, ends[1], cores) if layered else {})
 
@@ -218,9 +250,12 @@ def _sum(sizes: Mapping[str, int], views: int) -> int:
 
 def fitted(plan: Plan, limit: Limit) -> Plan:
     """The plan with as few strips as fit the limit: the whole frame where it does. Raises as `rows_that_fit`."""
-    why = None
-    if plan.forward or plan.occlusion == "layered":
-        why = "the forward warp" if plan.forward else "layered occlusion"
+    needs_whole = {
+        "the forward warp": plan.forward,
+        "layered occlusion": plan.occlusion == "layered",
+        "an approximation": bool(plan.approximations),
+    }
+    why = next((what for what, needed in needs_whole.items() if needed), None)
 
     def sizes(rows: int) -> Mapping[str, int]:
         return buffer_bytes(replace(plan, strip_rows=rows), limit.cores)

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.coarsening import METHODS, candidates, check_border, checked_tolerance
 from clsco.errors import SceneError
 from clsco.frame import STEREO_NAMES, TRUTH_NAMES
 from clsco.motion import Eye, Pose, poses_at, rest_center, sample_times
@@ -46,7 +47,9 @@ class Plan:
     range of |R| in px over the whole sequence, with a margin; blur: how light is spread; silhouettes: sub-pixel
     sources per axis, 0 none; tilt, forward, moves: whether these passes are taken; eye: of a stereo pair; occlusion: as
     it is done; layers: what is spread one after the other; truth: outputs besides color; passes, left_out: (name, what
-    or why); taps: predicted weights per frame; strip_rows: of the frame that are worked on at a time, 0 for all.
+    or why); taps: predicted weights per frame; strip_rows: of the frame that are worked on at a time, 0 for all;
+    tolerance: that was asked for; approximations: what is taken instead of the exact blur (`clsco.coarsening.METHODS`),
+    in this order until the error is within the tolerance.
     """
 
     scene: Scene
@@ -70,6 +73,8 @@ class Plan:
     left_out: tuple[tuple[str, str], ...]
     taps: float
     strip_rows: int = 0
+    tolerance: float | None = None
+    approximations: tuple[str, ...] = ()
 
     @property
     def width(self) -> int:
@@ -323,14 +328,16 @@ def make_plan(
     method: str = "auto",
     eye: Eye = "left",
     maps: Maps | None = None,
+    tolerance: float | None = None,
 ) -> Plan:
     """The passes that a scene needs.
 
     scene: with a resolution (`clsco.textures.load_scene_textures`); channels: of its textures; truth: names of the
     outputs that are wanted besides color; method: "auto", or one of "gather", "scatter", "convolve" where it can
-    do the scene; eye: of a stereo pair; maps: inverse depth (rows, columns) in 1/mm of every object that is a depth
-    map, 0 where nothing is, None for others (`clsco.depthmaps.load_scene_depths`). Raises SceneError where the blur
-    radius passes LARGEST_BLUR or the method cannot do it.
+    do the scene, or an approximation (`clsco.coarsening.METHODS`); eye: of a stereo pair; maps: inverse depth (rows,
+    columns) in 1/mm of every object that is a depth map, 0 where nothing is, None for others
+    (`clsco.depthmaps.load_scene_depths`); tolerance: RMS error of white up to which an approximation is taken, None for
+    none. Raises SceneError where the blur radius passes LARGEST_BLUR or the method cannot do it.
     """
     if scene.stereo is None:
         truth = tuple(name for name in truth if name not in STEREO_NAMES)
@@ -350,7 +357,13 @@ def make_plan(
         silhouettes = 0
     constant = _constant_blur(scene) and not silhouettes and psf.border == "lose"
     sharp = is_sharp(psf, largest) and not silhouettes
+    check_border(psf, method)
     blur = _choose_blur(method, sharp, constant)
+    approximations: tuple[str, ...] = (method,) if method in METHODS and blur == "gather" else ()
+    seen = np.abs(blur_radius(scene.camera, w[w > 0]))
+    if tolerance is not None and checked_tolerance(tolerance, method) and blur != "none":
+        approximations = candidates(psf, seen)
+        blur = "gather" if approximations else blur
     if blur == "convolve":
         guard += 2 * LANES
     occlusion, found = _occlusion(scene, forward, sharp, moments, each)
@@ -361,12 +374,11 @@ def make_plan(
     if blur in ("gather", "scatter"):
         _check_tables(psf, smallest, largest, silhouettes)
     area = (rows + 2 * guard) * (columns + 2 * guard)
-    seen = np.abs(blur_radius(scene.camera, w[w > 0]))
     lit = np.pi * (psf_extent(psf, seen) + 0.7) ** 2
     taps = float((w > 0).mean() * area * samples * (lit.mean() if lit.size else 0.0)) if blur != "none" else 0.0
     return Plan(
         scene, channels, rows, columns, samples, guard, smallest, largest, blur, silhouettes, tilt, forward,
-        moves, eye, occlusion, found, truth, passes, left_out, taps,
+        moves, eye, occlusion, found, truth, passes, left_out, taps, 0, tolerance, approximations,
     )  # fmt: skip
 
 
@@ -382,12 +394,14 @@ def _check_tables(psf: Psf, smallest: float, largest: float, silhouettes: int) -
 
 
 def _choose_blur(method: str, sharp: bool, constant: bool) -> Blur:
+    if method in METHODS:
+        return "none" if sharp else "gather"
     if method == "convolve" and not constant:
         raise SceneError("method: convolve needs one blur radius for the whole frame; got a scene with many")
     if method in ("gather", "scatter"):
         return "gather" if method == "gather" else "scatter"
     if method not in ("auto", "convolve"):
-        raise SceneError(f"method: must be auto, gather, scatter or convolve; got {method}")
+        raise SceneError(f"method: must be one of auto, gather, scatter, convolve, {', '.join(METHODS)}; got {method}")
     if sharp:
         return "none"
     return "convolve" if constant else "gather"

@@ -22,6 +22,7 @@ HEADERS = ("wide.clh", "geometry.clh")
 OCCLUSION_HEADERS = ("occlusion.clh", "sight.clh")  # with the feature OCCLUDED
 HEADERS_OF = {
     "blur.cl": ("spread.clh", "neighbors.clh"),
+    "coarse.cl": ("spread.clh",),
     "fill.cl": ("estimate.clh",),
     "holes.cl": ("estimate.clh",),
 }

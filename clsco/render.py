@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 from clsco.depthmaps import load_scene_depths
 from clsco.device import Session, choose
@@ -27,6 +28,7 @@ def render(
     device: str | None = None,
     precision: str | None = None,
     method: str = "auto",
+    tolerance: float | None = None,
     frames: Iterable[int] | None = None,
     memory: str | int | None = None,
 ) -> Iterator[Frame]:
@@ -34,15 +36,18 @@ def render(
 
     truth: names of the outputs besides color (`clsco.frame`), none of which costs anything when it is
     left out; device: part of the name of an OpenCL device; precision: "double" or "single" for geometry, by default
-    double where the device has it; method: of the blur, see `clsco.plan.make_plan`; frames: numbers of the frames
-    wanted, by default all; memory: most that the buffers on the device may take, bytes or a size like "1.5GiB", by
-    default half of what is free: a frame that needs more is made in horizontal strips, with the same bits.
+    double where the device has it; method: of the blur, see `clsco.plan.make_plan`; tolerance: RMS error of white up to
+    which an approximation may be taken where it is faster, None for the exact blur (its name and the error measured are
+    in `Frame.metadata["approximation"]`, see `clsco.coarsening.Told`); frames: numbers of the frames wanted, by default
+    all; memory: most that the buffers on the device may take, bytes or a size like "1.5GiB", by default half of what is
+    free: a frame that needs more is made in horizontal strips, with the same bits, but for an approximation, which
+    needs the whole frame.
     Yields frames in order, of a stereo pair the left and then the right one. Raises SceneError, ImageError,
     DeviceError, KernelError.
     Validated against `clsco.reference.render` on every scene in examples/ and a ray tracer (benchmarks/accuracy.py).
     """
-    options = {"truth": truth, "device": device, "precision": precision, "method": method, "frames": frames}
-    for _, frame in render_sweep((scene,), **options, memory=memory):  # type: ignore[arg-type]
+    options: dict[str, Any] = {"truth": truth, "device": device, "precision": precision, "method": method}
+    for _, frame in render_sweep((scene,), **options, tolerance=tolerance, frames=frames, memory=memory):
         yield frame
 
 
@@ -53,6 +58,7 @@ def render_sweep(
     device: str | None = None,
     precision: str | None = None,
     method: str = "auto",
+    tolerance: float | None = None,
     frames: Iterable[int] | None = None,
     memory: str | int | None = None,
 ) -> Iterator[tuple[int, Frame]]:
@@ -69,7 +75,8 @@ def render_sweep(
     with Session(choose(device), profiling=True) as session:
         for group in _groups(scenes):
             members = [scenes[k] for k in group]
-            for k, frame in _render_group(session, members, tuple(truth), precision, method, chosen, memory):
+            options = (tuple(truth), precision, (method, tolerance), chosen, memory)
+            for k, frame in _render_group(session, members, *options):
                 yield group[k], frame
 
 
@@ -89,9 +96,10 @@ def _without_lens(scene: Scene) -> Scene:
 
 
 def _render_group(
-    session: Session, scenes: Sequence[Scene], truth: tuple[str, ...], precision: str | None, method: str,
-    frames: Sequence[int] | None, memory: str | int | None,
+    session: Session, scenes: Sequence[Scene], truth: tuple[str, ...], precision: str | None,
+    method: tuple[str, float | None], frames: Sequence[int] | None, memory: str | int | None,
 ) -> Iterator[tuple[int, Frame]]:  # fmt: skip
+    """method: with the tolerance."""
     first, textures = load_scene_textures(scenes[0])
     channels = max(texture.radiance.shape[2] if texture.radiance.ndim == 3 else 1 for texture in textures)
     eyes: tuple[Eye, ...] = ("left",) if first.stereo is None else ("left", "right")
@@ -101,7 +109,7 @@ def _render_group(
         camera = scene.camera.model_copy(update={"resolution": first.camera.resolution})
         sized = scene.model_copy(update={"camera": camera})
         maps.append(load_scene_depths(sized))
-        plans.append(tuple(make_plan(sized, channels, truth, method, eye, maps[-1]) for eye in eyes))
+        plans.append(tuple(make_plan(sized, channels, truth, method[0], eye, maps[-1], method[1]) for eye in eyes))
     wanted = range(first.sequence.frames) if frames is None else frames
     device = session.device
     whole = limit_of(memory, device.global_mem, device.max_alloc, device.compute_units, device.unified_memory)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco import __version__
+from clsco.coarse import Coarse, make_spreader
+from clsco.coarsening import METHODS, Told, estimate, sample_places
 from clsco.device import Session
 from clsco.errors import DeviceError
 from clsco.forward import ForwardWarp
@@ -33,7 +36,7 @@ from clsco.optics import blur_radius
 from clsco.plan import Maps, Plan, exposure, widened
 from clsco.program import build, download, download_into, empty, kernel, launch, upload
 from clsco.scene import DepthMap
-from clsco.spread import PIXELS, Events, Sources, Spreader, blur_features
+from clsco.spread import PIXELS, Events, Sources, blur_features
 from clsco.strips import Strip
 from clsco.surfaces import PlacedSurface, place
 from clsco.textures import Texture
@@ -91,6 +94,8 @@ class Renderer:
         self.session, self.plan, self.limit, self.hits = session, plan, limit, hits
         self.items = plan.scene.objects
         self.bits = max(texture.bits for texture in textures)
+        self.approximations = plan.approximations  # that are left to try
+        self.tried: tuple[tuple[str, float], ...] = ()
         self.smallest, self.largest, self.slots = plan.smallest_blur, plan.largest_blur, plan.slots
         self.brightest = max(float(texture.radiance.max(initial=0.0)) for texture in textures)  # none is below 0
         stack = list(dict.fromkeys(textures))  # those that several objects have in common once
@@ -129,9 +134,11 @@ class Renderer:
         self.strips = plan.strips
         self.camera = self._camera(self.strips[0])
         area = plan.width * plan.tallest
-        self.spreader = Spreader(
+        least = METHODS[self.approximations[0]] if self.approximations else None
+        self.spreader = make_spreader(
             session, self.program, plan.scene.psf, plan.blur, self.camera, plan.channels, self.smallest, self.largest,
-            plan.silhouettes, self.real, self.brightest, bool(self.blur_features["SPANS"]),
+            plan.silhouettes, self.real, self.brightest, plan.features() | self.blur_features, least,
+            sample_places(plan.rows, plan.columns),
         )  # fmt: skip
         self.source = empty(session, 16 * area)
         self.value = empty(session, 4 * plan.channels * area)
@@ -194,12 +201,15 @@ class Renderer:
 
     def finish(self, index: int) -> Frame:
         """The frame of this number, of the strips added: again with larger buffers where the plan was too small."""
-        while self._outgrown():
+        while self._outgrown() or self._too_far_off():
             expose([self], index)
         truth = self._ground_truth(index, self.events)
         self.held.clear()
         eye = self.plan.eye if self.plan.scene.stereo else ""
         about = self._metadata(index, self.moments, self.events)
+        if self.tried:  # the next frame is what it would be by itself
+            self.approximations, self.tried = self.plan.approximations, ()
+            self._allocate()
         return Frame(index=index, color=self.color, metadata=about, eye=eye, **truth)
 
     def _moment(self, time: float, weight: float, events: Events) -> dict[str, Any]:
@@ -297,6 +307,24 @@ class Renderer:
         self._allocate()
         return True
 
+    def _too_far_off(self) -> bool:
+        """Whether the frame's error passes the tolerance; if so, takes the next better approximation."""
+        told = self._told()
+        if told is None or told.tolerance is None or told.at_most <= told.tolerance:
+            return False
+        self.tried += ((told.method, told.at_most),)
+        self.approximations = self.approximations[1:]
+        self._allocate()
+        return True
+
+    def _told(self) -> Told | None:
+        """What is told of the frame's approximation, None where none was asked for."""
+        tolerance = self.plan.tolerance
+        if isinstance(self.spreader, Coarse):
+            missed = self.spreader.missed()
+            return Told(self.approximations[0], tolerance, *estimate(missed), len(missed), self.tried)
+        return None if tolerance is None else Told("exact", tolerance, 0.0, 0.0, 0, self.tried)
+
     def _ground_truth(self, index: int, events: Events) -> dict[str, NDArray[Any]]:
         plan = self.plan
         if not plan.truth:
@@ -360,7 +388,7 @@ class Renderer:
         for name, event in events:
             spent = 1e-9 * (event.profile.end - event.profile.start)
             seconds[name] = seconds.get(name, 0.0) + spent
-        device = self.session.device
+        device, told = self.session.device, self._told()
         return {
             "frame": index,
             "intermediate": moments,
@@ -368,6 +396,7 @@ class Renderer:
             "guard_px": self.plan.guard_px,
             "strips": len(self.strips),
             "blur_method": self.plan.blur,
+            "approximation": None if told is None else asdict(told),
             "bits": self.bits,
             "device": str(device),
             "precision": "double" if self.real == "double" else "single",

@@ -1,13 +1,16 @@
-"""Plans, comparisons and devices as tables for the terminal."""
+"""Plans, comparisons and devices as tables for the terminal, and how far work has come."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from rich.box import SIMPLE
-from rich.console import RenderableType
+from rich.console import Console, RenderableType
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -167,3 +170,36 @@ def device_tables(
         answers = [(check.name, "passed" if check.passed else "failed", check.detail) for check in results]
         tables.append(_table(f"Self-test of {device}", ("check", "result", "detail"), answers))
     return tables
+
+
+def print_tables(*things: RenderableType) -> None:
+    """Print to stdout, as wide as the terminal; without one, as wide as they are."""
+    width = None if sys.stdout.isatty() else 160
+    Console(width=width, markup=False, highlight=False, emoji=False).print(*things, sep="\n")
+
+
+@contextmanager
+def progress(total: int, quiet: bool, what: str = "frames") -> Iterator[Callable[[], object]]:
+    """Show a bar on a terminal, nothing in a pipe; gives what is to be called after each frame, or what it is."""
+    if quiet or not sys.stderr.isatty() or not total:
+        yield lambda: None
+        return
+    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(what, total=total)
+        yield lambda: bar.advance(task)
+
+
+@contextmanager
+def shares(quiet: bool) -> Iterator[Callable[[float], object]]:
+    """A bar as of `progress` for work that tells the share that is done, from 0 to 1."""
+    shown = 0
+    with progress(100, quiet, "percent") as advance:
+
+        def reached(share: float) -> None:
+            nonlocal shown
+            while shown < int(100 * share):
+                advance()
+                shown += 1
+
+        yield reached

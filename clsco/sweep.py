@@ -87,6 +87,17 @@ def load_sweep(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
     return replace(sweep, scenes=tuple(absolute(scene, folder) for scene in sweep.scenes))
 
 
+def load_sweeps(paths: Sequence[Path], overrides: Sequence[str] = ()) -> list[tuple[Path, Sweep | SceneError]]:
+    """The sweeps of files, as of `load_sweep`, or what is wrong with them."""
+    loaded: list[tuple[Path, Sweep | SceneError]] = []
+    for path in paths:
+        try:
+            loaded.append((path, load_sweep(path, overrides)))
+        except SceneError as error:
+            loaded.append((path, error))
+    return loaded
+
+
 def parse_sweep(mapping: Mapping[str, Any], where: str = "scene") -> Sweep:
     """Validate all scenes of nested mappings and lists with the keys of a scene file; see `load_sweep`.
 

@@ -194,7 +194,7 @@ def test_a_report_needs_matplotlib_before_anything_is_done(
 
 
 def test_progress_is_shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    from clsco import cli
+    from clsco import show
 
     class Terminal(io.StringIO):
         def isatty(self) -> bool:
@@ -202,7 +202,7 @@ def test_progress_is_shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> Non
 
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
-    with cli._shares(False) as progress:
+    with show.shares(False) as progress:
         for share in (0.0, 0.005, 0.3, 0.3, 0.999):
             progress(share)
     assert "99/100" in terminal.getvalue()

@@ -120,6 +120,13 @@ def test_an_image_in_strips(
     np.testing.assert_array_equal(tiled.view(np.uint32), whole.view(np.uint32), strict=True)
 
 
+@pytest.mark.parametrize("how", [{"method": "coarse2"}, {"tolerance": 0.1}])
+def test_approximations_need_the_whole_image(how: dict[str, Any]) -> None:
+    image, coc = RNG.random(SHAPE, np.float32), np.full(SHAPE, 50.0) + RNG.random(SHAPE)
+    with pytest.raises(SceneError, match=r"MiB for this frame, as an approximation needs the whole frame; got 1 MiB"):
+        clsco.defocus(image, coc, memory="1MiB", **how)
+
+
 def test_layers_need_the_whole_image() -> None:
     image, coc = RNG.random(SHAPE, np.float32), RNG.random(SHAPE) * 3
     with pytest.raises(SceneError, match=r"MiB for this frame, as layered occlusion needs the whole frame; got 1 MiB"):
@@ -148,6 +155,10 @@ def test_commands_take_a_limit(tmp_path: Path) -> None:
         wrong = clsco_(*command, "--memory", "lots")
         assert wrong.exit_code == 2
         assert "'--memory': must be a size greater than 0, like 1.5GiB or 800MB; got lots" in wrong.stderr
+    wide = ("--set", "camera.aperture_diameter=60")
+    refused = clsco_("render", scene, "-o", out, *wide, "--memory", "3MiB", "--method", "coarse2")
+    assert refused.exit_code == 1
+    assert " MiB for this frame, as an approximation needs the whole frame; got 3 MiB" in refused.stderr
     assert not out.exists()
     done = clsco_("render", scene, "-o", out, "--memory", "1.2MiB")
     assert done.exit_code == 0, done.output

@@ -320,7 +320,9 @@ def test_convolve_is_refused_where_it_cannot_be(item: Any, sections: dict[str, A
 
 @pytest.mark.parametrize("method", ["fast", "", "none", "Gather"])
 def test_unknown_methods_are_refused(method: str) -> None:
-    with pytest.raises(SceneError, match=rf"^method: must be auto, gather, scatter or convolve; got {method}$"):
+    with pytest.raises(
+        SceneError, match=rf"^method: must be one of auto, gather, scatter, convolve, coarse2, .*; got {method}$"
+    ):
         plan(STILL, method=method)
 
 

@@ -10,6 +10,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.coarsening import METHODS, coarse_radii
 from clsco.errors import ClscoError
 from clsco.plan import Blur
 from clsco.psf import psf_extent, reach, weights
@@ -100,9 +101,14 @@ def make_grid(quick: bool, sizes: Sequence[int], radii: Sequence[float]) -> Grid
 
 
 def methods(scene: Scene) -> tuple[str, ...]:
-    """Methods of the defocus pass that are measured on a scene: those for one radius have a scene of their own."""
+    """Exact methods that are measured on a scene: those for one radius have a scene of their own."""
     known = [name for name in get_args(Blur) if name != "none"]
     return tuple(name for name in known if (name == "convolve") == (scene == "constant"))
+
+
+def approximations(psf: Psf, largest: float) -> tuple[str, ...]:
+    """Approximations that do anything to radii up to `largest` px."""
+    return tuple(name for name, least in METHODS.items() if coarse_radii(psf, largest, least))
 
 
 def grid_cases(grid: Grid, has_fp64: bool, peers: Sequence[tuple[str, str, Scene, str]] = ()) -> list[Case]:
@@ -121,6 +127,11 @@ def grid_cases(grid: Grid, has_fp64: bool, peers: Sequence[tuple[str, str, Scene
                         for channels in grid.channels
                         for precision in precisions
                         for method in methods(scene)
+                    ]
+                    found += [
+                        Case(size, radius, scene, psf, channels, precisions[0], "clsco", method)
+                        for channels in grid.channels
+                        for method in approximations(PSFS[psf], radius)
                     ]
                     found += [
                         Case(size, radius, scene, psf, 1, "single", tool, method)

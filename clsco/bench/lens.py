@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 from clsco.bench import mitsuba
 from clsco.demo import example
 from clsco.device import Device, Session
-from clsco.plan import exposure, make_plan
-from clsco.renderer import Renderer
+from clsco.memory import fitted, limit_of
+from clsco.plan import make_plan
+from clsco.renderer import Renderer, expose
 from clsco.scene import Psf, Scene
 from clsco.textures import Texture, load_scene_textures
 
@@ -172,11 +173,12 @@ def time_for(error: float, curve: Sequence[tuple[float, float]]) -> tuple[float,
 def _renderer(session: Session, scene: Scene, texture: Texture, psf: Psf) -> Call:
     """Rendering of a frame from its scene to linear light on the host; warm, with programs and tables made."""
     plan = make_plan(scene.model_copy(update={"psf": psf}), 1, ())
-    renderer, (times, weights) = Renderer(session, plan, (texture,), (None,)), exposure(plan, 0)
+    device = session.device
+    limit = limit_of(None, device.global_mem, device.max_alloc, device.compute_units, device.unified_memory)
+    renderer = Renderer(session, fitted(plan, limit), (texture,), (None,), limit)
 
     def frame(_: int) -> Array:
-        renderer.begin()
-        renderer.add_moment(float(times[0]), float(weights[0]))
+        expose([renderer], 0)
         return renderer.finish(0).color
 
     frame(0)

@@ -14,7 +14,7 @@ from importlib.metadata import PackageNotFoundError, version
 from itertools import groupby
 from math import log10
 from operator import attrgetter
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,10 +37,10 @@ from clsco.bench.lens import Lens
 from clsco.bench.passes import Pass
 from clsco.bench.roofline import Roof, intensity, measure_roof, tap_rate
 from clsco.bench.warp import WarpRow
+from clsco.coarsening import METHODS, estimate, sample_places
 from clsco.device import Device, Session
 from clsco.errors import DeviceError, SceneError
 from clsco.layout import Real
-from clsco.plan import Blur
 from clsco.psf import constant_table, psf_table
 from clsco.reference.blur import prepare_sources, scatter
 from clsco.reference.trace import Sources as Light
@@ -58,9 +58,9 @@ class Row(Case):
 
     cost_ns: cpu_ns, but device_ns on a device that is no processor; cpu_ns: process CPU time; device_ns, kernels_ns:
     between the events of the kernels; first_call_s: with programs and tables, on the crop; rms_error, largest_error: of
-    white, on the crop of crop_px a side; psnr_db: of white, None without error; taps: per pixel, mean; gflop_per_s: two
-    per tap, by device_ns; of_peak: of the measured multiply-adds; on_front: no other row of the same task is as
-    fast and as close, and better in one of them.
+    white, on the crop of crop_px a side, of approximations at pixels of the frame; psnr_db: of white, None without
+    error; taps: per pixel, mean; gflop_per_s: two per tap, by device_ns; of_peak: of the measured multiply-adds;
+    on_front: no other row of the same task is as fast and as close, and better in one of them.
     """
 
     cost_ns: float
@@ -201,8 +201,7 @@ def _cases(grid: Grid, device: Device, tools: Sequence[str]) -> list[Case]:
 
 def _set_up(case: Case, image: Array, radii: Array, session: Session) -> Callable[[Events], Array]:
     if case.tool == "clsco":
-        method = cast(Blur, case.method)
-        return Pass(session, image, radii, PSFS[case.psf], method, REALS[case.precision])
+        return Pass(session, image, radii, PSFS[case.psf], case.method, REALS[case.precision])
     call = peers.set_up(case.tool, case.method, case.psf, image, radii)
     return lambda _: call()
 
@@ -252,9 +251,23 @@ def _ready(case: Case, session: Session, longest_s: float) -> _Ready | str:
         call = _set_up(case, image, scene_radii(case.size, case.radius, case.scene), session)
         if _seconds(call) > longest_s and (warm := _seconds(call)) > longest_s:  # the first one may compile
             return f"a call must take {longest_s:g} s at most; got {warm:.2g} s"
+        if case.method in METHODS:
+            first = replace(first, **_sampled(case, image, session))
     except (DeviceError, SceneError) as error:
         return str(error)
     return _Ready(case, first, call, call.bytes if isinstance(call, Pass) else None, [], [], [])
+
+
+def _sampled(case: Case, image: Array, session: Session) -> dict[str, Any]:
+    """Errors of an approximation in full size against the exact way, at pixels spread over the frame.
+
+    A crop is all borders to PSFs as wide as those that it is for; what the exact way is off by is less by far.
+    """
+    radii, places = scene_radii(case.size, case.radius, case.scene), sample_places(case.size, case.size)
+    call = Pass(session, image, radii, PSFS[case.psf], case.method, REALS[case.precision], places)
+    call([])
+    missed = call.missed()
+    return {"crop_px": case.size, "rms": estimate(missed)[0], "largest": float(np.abs(missed).max())}
 
 
 def _seconds(call: Callable[[Events], Array]) -> float:

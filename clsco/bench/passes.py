@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
+from clsco.coarse import Coarse, Level, make_spreader
+from clsco.coarsening import METHODS
 from clsco.defocus import PLAIN
 from clsco.device import Session
 from clsco.layout import Real, flat, frame_struct, in_parts, structs
@@ -16,34 +18,52 @@ from clsco.plan import Blur
 from clsco.program import build, empty, kernel, launch, upload
 from clsco.psf import LANES, is_disc, reach
 from clsco.scene import Psf
-from clsco.spread import PIXELS, Events, Sources, Spreader, blur_features
+from clsco.spread import PIXELS, Events, Sources, blur_features
 
 Array = NDArray[Any]
 
 
 class Pass:
-    """The defocus pass of one image on the device, from its radii to the frame; warm after its first call."""
+    """The defocus pass of one image on the device, from its radii to the frame; warm after its first call.
 
-    def __init__(self, session: Session, image: Array, radii: Array, psf: Psf, method: Blur, real: Real) -> None:
+    places: see `clsco.coarse.Coarse`, of an approximation.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        image: Array,
+        radii: Array,
+        psf: Psf,
+        method: str,
+        real: Real,
+        places: NDArray[np.int32] | None = None,
+    ) -> None:
         rows, columns = radii.shape
         channels = image.shape[2] if image.ndim == 3 else 1
         size = np.abs(radii)
         smallest, self.largest = float(size.min()), float(size.max())
-        constant = method == "convolve"
+        constant, least = method == "convolve", METHODS.get(method)
+        blur = cast(Blur, "gather" if least else method)
         guard = reach(psf, self.largest) + 2 * LANES if constant else 0
-        features = PLAIN | blur_features(method, psf, self.largest, real, prepare=True)
+        features = PLAIN | blur_features(blur, psf, self.largest, real, prepare=True)
         features |= {"CHANNELS": channels, "TILT": int(psf.tilt and not constant)}
         features |= {"SAMPLED": int(psf.edge == "sampled"), "DISC": int(is_disc(psf))}
         self.session, self.camera = session, frame_struct(rows, columns, guard, real)
         self.program = build(session, ["blur.cl"], features, structs(real), real)
-        self.spreader = Spreader(
-            session, self.program, psf, method, self.camera, channels, smallest, self.largest, 0, real,
-            float(np.abs(image).max()), bool(features["SPANS"]),
+        self.spreader = make_spreader(
+            session, self.program, psf, blur, self.camera, channels, smallest, self.largest, 0, real,
+            float(np.abs(image).max()), features, least, places,
         )  # fmt: skip
         padded = np.pad(flat(image, np.float32), ((0, 0), (guard, guard), (guard, guard)))
         self.sources = Sources(None if constant else empty(session, 16 * rows * columns), upload(session, padded))
         valid = np.ones(radii.shape, np.uint8)
         self.radii = () if constant else (upload(session, in_parts(radii, real)), upload(session, valid))
+
+    def missed(self) -> NDArray[np.float32]:
+        """Error at the places, after a call."""
+        assert isinstance(self.spreader, Coarse)
+        return self.spreader.missed()
 
     def prepare(self, events: Events) -> None:
         """Enqueue the prepass: radii to records of sources."""
@@ -75,5 +95,7 @@ def _buffers(things: Sequence[object]) -> Iterator[cl.Buffer]:
     for thing in things:
         if isinstance(thing, cl.Buffer):
             yield thing
+        elif isinstance(thing, Level):
+            yield from _buffers([*vars(thing).values(), *(vars(thing.spreader).values() if thing.source else ())])
         elif isinstance(thing, list | tuple):
             yield from _buffers(thing)

@@ -130,8 +130,8 @@ class _Solver:
             self._each("coarser", coarse, *inputs)
         for fine, coarse in reversed(pairs):
             target = self.better if fine is self.levels[0] else fine.vector
-            inputs = (*fine.size, fine.vector, fine.list, fine.count, coarse.vector, coarse.index, target)
-            self._each("finer", fine, *inputs)
+            outputs = (*fine.size, fine.vector, fine.list, fine.count, coarse.vector, coarse.index, target)
+            self._each("finer", fine, *outputs)
         if not pairs:
             cl.enqueue_copy(self.session.queue, self.better, self.residual, byte_count=self.residual.size)
 

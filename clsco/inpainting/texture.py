@@ -87,8 +87,8 @@ def _fill(
             continue
         listed = upload(session, blocks[first:end])
         filled = empty(session, 4 * BLOCK**2 * image.shape[2] * count)
-        inputs = (*size, value, weight, *constants, listed, np.int32(count), *settings, filled)
-        launch(session, kernel(program, "extrapolate_blocks"), (count,), LOCAL, *inputs)
+        todo = (listed, np.int32(count), *settings, filled)
+        launch(session, kernel(program, "extrapolate_blocks"), (count,), LOCAL, *size, value, weight, *constants, *todo)
         settled = (*size, filled, listed, np.int32(count), np.float32(TRUST), value, weight)
         launch(session, kernel(program, "settle_blocks"), (count,), LOCAL, *settled)
         held += [listed, filled]

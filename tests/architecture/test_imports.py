@@ -18,7 +18,7 @@ LAYERS = (
     ("files", "shapes", "frame", "strips", "estimators"),
     ("scene",),
     ("optics", "psf", "motion", "images", "scenefile"),
-    ("surfaces", "textures", "depthmaps", "sweep", "framefiles"),
+    ("surfaces", "textures", "depthmaps", "sweep", "framefiles", "coarsening"),
     ("occlusion", "maptruth"),
     ("layout",),
     ("plan",),
@@ -28,6 +28,7 @@ LAYERS = (
     ("program",),
     ("inpainting",),
     ("spread",),
+    ("coarse",),
     ("layers",),
     ("defocus", "forward"),
     ("renderer",),
@@ -44,7 +45,7 @@ ONLY = {
     "program": {"errors", "resources", "device"},
 }
 IMPORTS_REFERENCE = {"check", "bench"}
-OPENCL = {"device", "program", "inpainting", "spread", "layers", "defocus", "forward", "renderer"}
+OPENCL = {"device", "program", "inpainting", "spread", "coarse", "layers", "defocus", "forward", "renderer"}
 ON_OPENCL = {"render", "batch", "check", "bench"}
 IMAGES = {"images"}
 OUTSIDE = {

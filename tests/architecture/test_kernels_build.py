@@ -23,7 +23,7 @@ from clsco.spread import blur_features
 from clsco.strips import BAND
 
 KERNELS = Path(__file__).resolve().parents[2] / "kernels"
-ON_OR_OFF = (0, 1)
+ON_OR_OFF: tuple[int, ...] = (0, 1)
 GEOMETRY: dict[str, tuple[int, ...]] = {
     **dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "SAMPLED"), ON_OR_OFF),
     "CHANNELS": (1, 3),
@@ -40,6 +40,9 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
         ("SAMPLED", "TILT", "GATHER", "SPANS", "SCATTER", "CONVOLVE", "RENORMALIZE", "PREPARE", "DISC"), ON_OR_OFF
     )
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (1, BAND)},
+    ("coarse.cl",): dict.fromkeys(PLAIN, (0,))
+    | dict.fromkeys(("TILT", "DISC", "SAMPLED"), ON_OR_OFF)
+    | {"CHANNELS": (1, 3)},
     ("accumulate.cl",): GEOMETRY,
     ("texture.cl",): GEOMETRY,
     ("biharmonic.cl",): GEOMETRY,

@@ -147,21 +147,27 @@ def test_a_sweep_in_strips() -> None:
 
 
 @pytest.mark.parametrize(
-    ("sections", "why"),
+    ("sections", "method", "why"),
     [
-        ({"motion": {"warp": "forward"}}, "the forward warp"),
-        ({"psf": {"occlusion": "layered"}, "object": [CARD, WALL]}, "layered occlusion"),
+        ({"motion": {"warp": "forward"}}, "auto", "the forward warp"),
+        ({"psf": {"occlusion": "layered"}, "object": [CARD, WALL]}, "auto", "layered occlusion"),
+        ({}, "coarse2", "an approximation"),
+        ({"psf": {"edge": "sampled", "tilt": False}, "object": [FLOOR]}, "coarse4", "an approximation"),
+        ({"psf": {"model": "gaussian"}, "object": [FLOOR]}, "coarse2", "an approximation"),
     ],
 )
-def test_what_needs_the_whole_frame(sections: dict[str, Any], why: str) -> None:
+def test_what_needs_the_whole_frame(sections: dict[str, Any], method: str, why: str, peak: list[int]) -> None:
     camera = {"resolution": [COLUMNS, ROWS], "pixel_pitch": 0.04, "aperture_diameter": 45.0}
     scene = parse_scene({"camera": camera, "object": [BALL]} | sections)
-    needed = memory_for(scene, ROWS, ())
-    assert len(planned(scene, (), memory=needed).strips) == 1
+    needed, before = memory_for(scene, ROWS, (), method), peak[0]
     with pytest.raises(
         SceneError, match=rf"^memory: must be at least \d+ MiB for this frame, as {why} needs the whole"
     ):
-        next(clsco.render(scene, truth=(), memory=needed // 2))
+        next(clsco.render(scene, truth=(), method=method, memory=needed // 2))
+    peak[1] = before
+    frame = next(clsco.render(scene, truth=(), method=method, memory=needed))
+    assert frame.metadata["strips"] == 1
+    assert peak[1] - before == pytest.approx(needed, rel=0.05)
 
 
 def test_too_little_memory() -> None:

@@ -1,0 +1,121 @@
+"""coarse.cl by way of its host against the twin: every PSF, with and without guard band, empty pixels and jumps."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from clsco.coarse import Coarse
+from clsco.coarsening import coarse_radii, sample_places
+from clsco.defocus import PLAIN
+from clsco.device import Session
+from clsco.layout import Real, flat, frame_struct, in_parts, structs
+from clsco.program import build, empty, kernel, launch, upload
+from clsco.psf import is_disc
+from clsco.reference import coarse as twin
+from clsco.reference.blur import prepare_sources, scatter
+from clsco.reference.trace import Sources as Light
+from clsco.scene import Psf
+from clsco.spread import PIXELS, Sources, blur_features
+
+Array = NDArray[Any]
+# Tables of the coarser grids, with edge = "area", are off by up to 1e-4 in sum, to both sides (tests/test_psf.py); in
+# the square all sources have one radius and so the same errors, of which nothing averages out but their signs.
+FIGURE = 3e-5
+PSFS = [Psf(edge="sampled"), Psf(), Psf(model="gaussian", edge="sampled"), Psf(model="gaussian")]
+SHAPE = (28, 36)
+
+
+def light_of(shape: tuple[int, int], largest: float, channels: int) -> Light:
+    """Noise before radii that rise to the right, with a square of other ones, another sign, and an empty corner."""
+    rng = np.random.default_rng(7)
+    i, j = np.mgrid[0 : shape[0], 0 : shape[1]]
+    radius = largest * (0.45 + 0.55 * j / (shape[1] - 1.0)) - 0.02 * i
+    radius[6:20, 6:18] = -0.5 * largest
+    there = np.ones(shape, bool)
+    there[-7:, :5] = False
+    radiance = np.where(there[..., None], rng.random((*shape, channels)), 0.0)
+    radius = np.where(there, radius, 0.0)
+    return Light(radiance, np.ones(shape), there.astype(np.uint8), radius, prepare_sources(radius, there), there)
+
+
+def approximate(
+    session: Session, psf: Psf, light: Light, guard: int, least: float, places: Array | None, real: Real = "double"
+) -> tuple[Array, Array]:
+    """Frame (m, n, C) on the device, and its error at places."""
+    height, width, channels = light.radiance.shape
+    camera = frame_struct(height - 2 * guard, width - 2 * guard, guard, real)
+    size = np.abs(light.radius[light.lit])
+    smallest, largest = float(size.min()), float(size.max())
+    features = PLAIN | blur_features("gather", psf, largest, real, prepare=True)
+    features |= {"CHANNELS": channels, "TILT": int(psf.tilt), "SAMPLED": int(psf.edge == "sampled")}
+    features |= {"DISC": int(is_disc(psf))}
+    program = build(session, ["blur.cl"], features, structs(real), real)
+    spreader = Coarse(
+        session, program, psf, camera, channels, smallest, largest, 0, real, 1.0, features, least, places
+    )  # fmt: skip
+    value = upload(session, flat(light.radiance, np.float32))
+    radii, valid = upload(session, in_parts(light.radius, real)), upload(session, light.lit.astype(np.uint8))
+    source = empty(session, 16 * height * width)
+    args = (camera, spreader.struct, radii, valid, source)
+    launch(session, kernel(program, "prepare_sources"), (width, height), PIXELS, *args)
+    spreader.clear()
+    spreader.add(Sources(source, value), 0.0, [])
+    frame = spreader.image([])
+    return (frame if channels > 1 else frame[..., None]).astype(np.float64), spreader.missed()
+
+
+def assert_close(got: Array, expected: Array, figure: float) -> None:
+    difference = np.abs(got - expected)
+    at = np.unravel_index(difference.argmax(), difference.shape)
+    assert difference.max() <= figure, (
+        f"{got[at]} instead of {expected[at]} at {at}, {(difference > figure).sum()} more"
+    )
+
+
+@pytest.mark.parametrize(
+    ("psf", "guard"), [*((psf, 3) for psf in PSFS), (Psf(), 8)],
+    ids=lambda value: f"{value.model}-{value.edge}" if isinstance(value, Psf) else str(value),
+)  # fmt: skip
+def test_the_device_does_what_the_twin_does(session: Session, psf: Psf, guard: int) -> None:
+    channels = 3 if guard == 3 else 1
+    light = light_of((SHAPE[0] + 2 * guard, SHAPE[1] + 2 * guard), 11.0, channels)
+    assert len(coarse_radii(psf, 11.0, 2.0)) == 2  # two coarser grids
+    expected, wide = twin.coarse(psf, light, None, SHAPE, guard, 2.0)
+    assert wide.mean() > 0.1  # of 0.5: much of the light takes that way
+    places = sample_places(*SHAPE)
+    found, missed = approximate(session, psf, light, guard, 2.0, places)
+    assert_close(found, expected, FIGURE)
+    exact = scatter(psf, light, None, SHAPE, guard)
+    off = twin.look_up(found - exact, places)
+    assert np.abs(off).max() > 10 * FIGURE  # there is an error to be measured
+    assert_close(missed.astype(np.float64), off, FIGURE)
+    share = twin.shares(psf, twin.measure_radii(light, None)[0], 2.0, 0)
+    moved = twin.probe(psf, light, share, SHAPE, guard, places)
+    assert_close(twin.look_up(wide, places) - moved, off, FIGURE)
+
+
+def test_without_tilt_and_in_single_precision(session: Session) -> None:
+    psf, light = Psf(tilt=False), light_of(SHAPE, 11.0, 1)
+    expected, _ = twin.coarse(psf, light, None, SHAPE, 0, 2.0)
+    for real in ("double", "float"):
+        found, missed = approximate(session, psf, light, 0, 2.0, None, real)
+        assert missed.shape == (0, 1)
+        assert_close(found, expected, FIGURE)
+
+
+def test_radii_too_small_for_a_coarser_grid_are_left_alone(session: Session) -> None:
+    light, places = light_of(SHAPE, 6.0, 1), sample_places(*SHAPE)
+    found, missed = approximate(session, Psf(), light, 0, 4.0, places)
+    assert_close(found, scatter(Psf(), light, None, SHAPE, 0), FIGURE)
+    assert not missed.any()
+
+
+def test_the_same_bits_each_time(session: Session) -> None:
+    light, places = light_of(SHAPE, 11.0, 3), sample_places(*SHAPE)
+    (one, missed), (other, again) = (approximate(session, Psf(), light, 0, 2.0, places) for _ in range(2))
+    assert np.array_equal(one, other)
+    assert np.array_equal(missed, again)
