@@ -66,35 +66,6 @@ INLINE void add_seen_rows(spread_t s, const sight_t *sight, int up, int down, __
 }
 #endif
 
-// The same as add_rows where all rows lie in the band and no weight can turn negative: a row of weights serves two of the frame.
-INLINE void add_mirrored_rows(spread_t s, float v, float4 source, __global float *out, int pitch)
-{
-    const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
-    for (int b = 0; b < s.lanes; b += LANES) {
-        __global float *below = out + b, *above = out + b;
-#if TILT
-        const float8 level = (lane + (b - s.half_width)) * (v * source.y) + v;
-#else
-        const float8 level = v;
-#endif
-        ADD_TAPS(below, weights(s, 0, b) * level);
-        for (int dy = 1; dy <= s.half_width; ++dy) {
-            below += pitch;
-            above -= pitch;
-            const float8 w = weights(s, dy, b);
-#if TILT
-            const float8 change = w * (dy * v * source.z);
-            ADD_TAPS(below, w * level + change);
-            ADD_TAPS(above, w * level - change);
-#else
-            const float8 light = w * level;
-            ADD_TAPS(below, light);
-            ADD_TAPS(above, light);
-#endif
-        }
-    }
-}
-
 // Moves what has come to rows first..last from part, `apart` between its planes and `shift` from a row's place in total.
 static void settle(int first, int last, int apart, int shift, int plane, int pitch, __global float *part,
                    __global float *total)
@@ -134,7 +105,6 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
     const int shift = group ? (own * BAND - first) * pitch : 0;  // from a row of the frame to that of part
     const int from = MAX(first - psf.reach, -camera.above), to = MIN(end + psf.reach, camera.height - camera.above);
     for (int y = from; y < to; ++y) {
-    const bool whole = y - psf.reach >= first && y + psf.reach < end;
     const int line = (y + camera.above) * camera.width, place = shift + y * pitch - camera.guard + pad;
     for (int block = 0; block < camera.width; block += LANES) {
     int single = (1 << MIN(LANES, camera.width - block)) - 1;
@@ -196,16 +166,9 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
             continue;
         }
 #endif
-        const bool simple = (whole || (y - half_width >= first && y + half_width < end)) &&
-                            (ABS(s.y) + ABS(s.z)) * half_width <= 1;
-        for (int k = 0; k < CHANNELS; ++k) {
-            const float v = value[k * plane + at];
-            if (simple)
-                add_mirrored_rows(spread, v, s, out + k * apart - half_width, pitch);
-            else
-                add_rows(spread, MIN(half_width, y - first), MIN(half_width, end - 1 - y), v, s,
-                         out + k * apart - half_width, pitch);
-        }
+        for (int k = 0; k < CHANNELS; ++k)
+            add_rows(spread, MIN(half_width, y - first), MIN(half_width, end - 1 - y), value[k * plane + at], s,
+                     out + k * apart - half_width, pitch);
     }
     }
     if (group && ((y + 1 - from) % group == 0 || y + 1 == to))

@@ -98,6 +98,7 @@ def test_the_device_does_what_the_twin_does(session: Session, psf: Psf, guard: i
     assert_close(twin.look_up(wide, places) - moved, off, FIGURE)
 
 
+@pytest.mark.slow
 def test_without_tilt_and_in_single_precision(session: Session) -> None:
     psf, light = Psf(tilt=False), light_of(SHAPE, 11.0, 1)
     expected, _ = twin.coarse(psf, light, None, SHAPE, 0, 2.0)
