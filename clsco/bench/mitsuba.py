@@ -60,7 +60,7 @@ def set_up(scene: Scene, texture: Array) -> Callable[[int, int], Array]:
     assert isinstance(ball, Sphere)
     width, height = (n * camera.pixel_pitch / camera.normalization_distance for n in (columns, rows))
 
-    class Projected(mi.Texture):  # type: ignore[misc]
+    class Projected(mi.Texture):
         """A bitmap at the pinhole projection of the point that is seen."""
 
         def __init__(self, properties: Any) -> None:
