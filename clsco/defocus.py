@@ -11,10 +11,11 @@ import pyopencl as cl
 import pyopencl.array as cl_array
 from numpy.typing import NDArray
 
+from clsco.arrays import check_image, on_host
 from clsco.coarse import Coarse, make_spreader
 from clsco.coarsening import METHODS, Told, candidates, check_border, checked_tolerance, estimate, sample_places
-from clsco.device import Session, choose, session_of, session_on
-from clsco.errors import DeviceError, ImageError, SceneError
+from clsco.device import Session
+from clsco.errors import ImageError, SceneError
 from clsco.layers import Layers
 from clsco.layout import WIDE_BYTES, Real, Struct, flat, frame_struct, in_parts, structs
 from clsco.memory import Limit, defocus_bytes, limit_of, rows_that_fit
@@ -27,7 +28,6 @@ from clsco.scenefile import parse_psf
 from clsco.spread import PIXELS, Sources, blur_features
 from clsco.strips import BAND, Strip, cut
 
-MOST_CHANNELS = 16
 # Features that only surfaces need.
 PLAIN = dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SUBPIXELS", "OCCLUDED"), 0)
 
@@ -74,15 +74,8 @@ def defocus(
     (tests/test_defocus.py). Equation 2.40.
     """
     model = psf if isinstance(psf, Psf) else parse_psf(psf or {})
-    on_device = [a for a in (image, coc) if isinstance(a, cl_array.Array)]
-    if on_device:
-        queue = on_device[0].queue
-        if queue is None:
-            raise DeviceError("image: a pyopencl array must have a queue; got one without")
-        host = [a.get(queue) if isinstance(a, cl_array.Array) else a for a in (image, coc)]
-        session, given = session_of(queue), _checked(*host)
-        return cl_array.to_device(queue, _defocus(session, given, model, (method, tolerance), memory, told))
-    return _defocus(session_on(choose(device)), _checked(image, coc), model, (method, tolerance), memory, told)
+    session, host, as_given = on_host(device, image, coc)
+    return as_given(_defocus(session, _checked(*host), model, (method, tolerance), memory, told))
 
 
 @dataclass(frozen=True)
@@ -100,12 +93,8 @@ class _Given:
         return int(self.image.shape[2]) if self.image.ndim == 3 else 1
 
 
-def _checked(image: Any, coc: Any) -> _Given:
-    picture, radii = np.asarray(image), np.asarray(coc)
-    if picture.ndim not in (2, 3) or 0 in picture.shape or (picture.ndim == 3 and picture.shape[2] > MOST_CHANNELS):
-        raise ImageError(
-            f"image: must have the shape (rows, columns) or (rows, columns, 1 to {MOST_CHANNELS}); got {picture.shape}"
-        )
+def _checked(picture: NDArray[Any], radii: NDArray[Any]) -> _Given:
+    check_image(picture)
     if radii.shape != picture.shape[:2]:
         raise ImageError(f"coc: must have the rows and columns of the image, {picture.shape[:2]}; got {radii.shape}")
     ends = []
@@ -191,6 +180,16 @@ def _blurred(
     return out, engine.missed()
 
 
+def image_features(blur: Blur, psf: Psf, largest: float, channels: int, real: Real) -> dict[str, int]:
+    """Features of blur.cl for an image with radii up to `largest` px."""
+    return PLAIN | blur_features(blur, psf, largest, real, prepare=True) | {
+        "CHANNELS": channels,
+        "TILT": int(psf.tilt and blur != "convolve"),
+        "SAMPLED": int(psf.edge == "sampled"),
+        "DISC": int(is_disc(psf)),
+    }  # fmt: skip
+
+
 class _Engine:
     """Owns the buffers and the program for the strips of one image; least, places: as for `make_spreader`."""
 
@@ -201,13 +200,7 @@ class _Engine:
         self.session, self.given, self.psf, self.blur, self.guard = session, given, psf, blur, guard
         self.real: Real = "double" if session.device.has_fp64 else "float"
         channels, columns = given.channels, given.coc.shape[1]
-        features = PLAIN | blur_features(blur, psf, given.largest, self.real, prepare=True)
-        features |= {
-            "CHANNELS": channels,
-            "TILT": int(psf.tilt and blur != "convolve"),
-            "SAMPLED": int(psf.edge == "sampled"),
-            "DISC": int(is_disc(psf)),
-        }
+        features = image_features(blur, psf, given.largest, channels, self.real)
         self.program = build(session, ["blur.cl"], features, structs(self.real), self.real)
         self.spreader = make_spreader(
             session, self.program, psf, blur, self._camera(strips[0]), channels, given.smallest, given.largest, 0,

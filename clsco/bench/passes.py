@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from clsco.coarse import Coarse, Level, make_spreader
 from clsco.coarsening import METHODS
-from clsco.defocus import PLAIN
+from clsco.defocus import image_features
 from clsco.device import Session
 from clsco.layout import Real, flat, frame_struct, in_parts, structs
 from clsco.plan import Blur
 from clsco.program import build, empty, kernel, launch, upload
-from clsco.psf import LANES, is_disc, reach
+from clsco.psf import LANES, reach
 from clsco.scene import Psf
-from clsco.spread import PIXELS, Events, Sources, blur_features
+from clsco.spread import PIXELS, Events, Sources
 
 Array = NDArray[Any]
 
@@ -46,9 +46,7 @@ class Pass:
         constant, least = method == "convolve", METHODS.get(method)
         blur = cast(Blur, "gather" if least else method)
         guard = reach(psf, self.largest) + 2 * LANES if constant else 0
-        features = PLAIN | blur_features(blur, psf, self.largest, real, prepare=True)
-        features |= {"CHANNELS": channels, "TILT": int(psf.tilt and not constant)}
-        features |= {"SAMPLED": int(psf.edge == "sampled"), "DISC": int(is_disc(psf))}
+        features = image_features(blur, psf, self.largest, channels, real)
         self.session, self.camera = session, frame_struct(rows, columns, guard, real)
         self.program = build(session, ["blur.cl"], features, structs(real), real)
         self.spreader = make_spreader(

@@ -10,13 +10,13 @@ import numpy as np
 import pyopencl.array as cl_array
 from numpy.typing import NDArray
 
-from clsco.device import Session, choose, session_of, session_on
-from clsco.errors import DeviceError, ImageError, SceneError
+from clsco.arrays import check_image, on_host
+from clsco.device import Session
+from clsco.errors import ImageError, SceneError
 from clsco.estimators import MeanMedian, value_span
 from clsco.inpainting.methods import METHODS, THESIS, Filled, Task, check_method, method_for
 from clsco.inpainting.report import Report
 
-MOST_CHANNELS = 16
 LARGEST = 2.0**60  # in size: squares of differences are then finite in float32
 
 
@@ -53,24 +53,13 @@ def inpaint(
     images and masks that cannot be, such as without any known pixel, SceneError, DeviceError.
     Validated bit by bit against `clsco.reference.holes` (tests/test_inpaint.py).
     """
-    on_device = [a for a in (image, missing) if isinstance(a, cl_array.Array)]
-    if on_device:
-        queue = on_device[0].queue
-        if queue is None:
-            raise DeviceError("image: a pyopencl array must have a queue; got one without")
-        host = [a.get(queue) if isinstance(a, cl_array.Array) else a for a in (image, missing)]
-        filled, report = _inpaint(session_of(queue), *_checked(*host), method, progress, constants)
-        return cl_array.to_device(queue, filled), report
-    checked = _checked(image, missing)
-    return _inpaint(session_on(choose(device)), *checked, method, progress, constants)
+    session, host, as_given = on_host(device, image, missing)
+    filled, report = _inpaint(session, *_checked(*host), method, progress, constants)
+    return as_given(filled), report
 
 
-def _checked(image: Any, missing: Any) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    picture, holes = np.asarray(image), np.asarray(missing)
-    if picture.ndim not in (2, 3) or 0 in picture.shape or (picture.ndim == 3 and picture.shape[2] > MOST_CHANNELS):
-        raise ImageError(
-            f"image: must have the shape (rows, columns) or (rows, columns, 1 to {MOST_CHANNELS}); got {picture.shape}"
-        )
+def _checked(picture: NDArray[Any], holes: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    check_image(picture)
     if picture.dtype not in (np.uint8, np.uint16, np.float16, np.float32, np.float64):
         raise ImageError(f"image: must be uint8, uint16, float16, float32 or float64; got {picture.dtype}")
     if holes.shape != picture.shape[:2]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,15 +21,15 @@ MARGIN = 1.25
 
 
 def choose_method(
-    session: Session, image: NDArray[np.float32], missing: NDArray[np.bool_]
+    session: Session, image: NDArray[Any], missing: NDArray[np.bool_]
 ) -> Literal["biharmonic", "texture"]:
     """The method with the smaller square error where known pixels are taken for missing.
 
-    image: (rows, columns, channels); missing: (rows, columns). In at most MOST_WINDOWS windows, evenly taken from those
-    that have holes, the holes are moved by SHIFT, out at one side and in at the other, and filled together with the
-    true ones by each method; the windows lie below each other in one image, so that few launches do. Where nothing can
-    be tried it is `texture`. The same answer on every run of a device; the cost does not grow with the image. What it
-    gains and loses: benchmarks/inpainting.py.
+    image: (rows, columns, channels), of any type; missing: (rows, columns). In at most MOST_WINDOWS windows, evenly
+    taken from those that have holes, the holes are moved by SHIFT, out at one side and in at the other, and filled
+    together with the true ones by each method; the windows lie below each other in one image, so that few launches do.
+    Where nothing can be tried it is `texture`. The same answer on every run of a device; the cost does not grow with
+    the image. What it gains and loses: benchmarks/inpainting.py.
     """
     windows = _windows(missing)
     if not windows:
@@ -39,7 +39,7 @@ def choose_method(
     holes = np.concatenate([missing[window] for window in windows]) | apart
     if holes.all() or not apart.any():
         return "texture"
-    parts = np.concatenate([image[window] for window in windows])
+    parts = np.concatenate([image[window] for window in windows]).astype(np.float32)
     errors = [
         np.square(fill(session, parts, holes)[apart] - parts[apart], dtype=np.float64).sum()
         for fill in (fill_texture, fill_biharmonic)

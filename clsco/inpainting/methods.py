@@ -76,4 +76,4 @@ def check_method(name: str) -> None:
 
 def method_for(session: Session, task: Task, name: str) -> str:
     """The method to take: `name`, or for "auto" the one that does best on known pixels."""
-    return choose_method(session, task.image.astype(np.float32), task.missing) if name == "auto" else name
+    return choose_method(session, task.image, task.missing) if name == "auto" else name

@@ -25,7 +25,7 @@ LAYERS = (
     ("memory",),
     ("reference",),
     ("device",),
-    ("program",),
+    ("program", "arrays"),
     ("inpainting",),
     ("spread",),
     ("coarse",),
@@ -45,7 +45,7 @@ ONLY = {
     "program": {"errors", "resources", "device"},
 }
 IMPORTS_REFERENCE = {"check", "bench"}
-OPENCL = {"device", "program", "inpainting", "spread", "coarse", "layers", "defocus", "forward", "renderer"}
+OPENCL = {"device", "arrays", "program", "inpainting", "spread", "coarse", "layers", "defocus", "forward", "renderer"}
 ON_OPENCL = {"render", "batch", "check", "bench"}
 IMAGES = {"images"}
 OUTSIDE = {
