@@ -8,11 +8,12 @@ BIN := .venv/bin
 demo: .venv/pocl.stamp
 	$(BIN)/clsco demo -o demo
 
+# The tests of a file use the same kernels: one worker compiles them.
 test: .venv/dev.stamp
-	$(BIN)/python -m pytest -q -n auto
+	$(BIN)/python -m pytest -q -n auto --dist loadfile
 
 test-slow: .venv/dev.stamp
-	$(BIN)/python -m pytest -q -n auto -m slow
+	$(BIN)/python -m pytest -q -n auto --dist loadfile -m slow
 
 lint: .venv/dev.stamp
 	$(BIN)/ruff check .

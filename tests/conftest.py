@@ -19,7 +19,7 @@ if not os.environ.get("POCL_CACHE_DIR"):
     atexit.register(shutil.rmtree, os.environ["POCL_CACHE_DIR"], ignore_errors=True)
 if "PYTEST_XDIST_WORKER" in os.environ:
     own = Path(os.environ["POCL_CACHE_DIR"]) / os.environ["PYTEST_XDIST_WORKER"]
-    own.mkdir(exist_ok=True)
+    own.mkdir(parents=True, exist_ok=True)
     os.environ["POCL_CACHE_DIR"] = str(own)
 
 from clsco.device import Session, choose
