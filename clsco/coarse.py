@@ -35,9 +35,7 @@ from clsco.plan import Blur
 from clsco.program import build, download, empty, kernel, launch, upload
 from clsco.psf import LANES, is_disc
 from clsco.scene import Psf
-from clsco.spread import PIXELS, Events, Sources, Spreader, blur_features
-
-BLOCKS = (8, 1)  # local size of kernels that make LANES numbers at a time
+from clsco.spread import BLOCKS, PIXELS, Events, Sources, Spreader, blur_features
 
 
 @dataclass(frozen=True)
@@ -83,6 +81,7 @@ class Coarse(Spreader):
             bool(features["SPANS"]),
         )  # fmt: skip
         self.least, self.places, self.tilt = least, places, bool(features["TILT"])
+        self.marked = np.int32(bool(features["SUBPIXELS"] or features["OCCLUDED"]))
         radii = coarse_radii(psf, largest, least)
         self.levels = [self._level(self)] if radii else []
         if not radii:
@@ -138,7 +137,7 @@ class Coarse(Spreader):
         sampled, pitch = np.int32(self.psf.edge == "sampled"), np.int32(finest.pitch)
         self._run(
             "measure_radii", _blocks(*finest.size), BLOCKS, events,
-            self.camera, self.struct, finest.source, sampled, pitch, finest.radius, finest.tilt,
+            self.camera, self.struct, finest.source, self.marked, sampled, pitch, finest.radius, finest.tilt,
         )  # fmt: skip
         for fine, coarse in pairwise([finest, *self.levels[1:]]):
             lost = loss(self.psf, fine is finest)

@@ -18,14 +18,14 @@ from clsco.device import Session
 from clsco.errors import ImageError, SceneError
 from clsco.layers import Layers
 from clsco.layout import WIDE_BYTES, Real, Struct, flat, frame_struct, in_parts, structs
-from clsco.memory import Limit, defocus_bytes, limit_of, rows_that_fit
+from clsco.memory import Limit, defocus_bytes, limit_of, rows_that_fit, source_bytes
 from clsco.optics import LARGEST_BLUR
 from clsco.plan import Blur, is_sharp
-from clsco.program import build, empty, kernel, launch
+from clsco.program import build, empty
 from clsco.psf import LANES, is_disc, reach, table_reach
 from clsco.scene import Psf
 from clsco.scenefile import parse_psf
-from clsco.spread import PIXELS, Sources, blur_features
+from clsco.spread import Sources, blur_features, prepare_sources
 from clsco.strips import BAND, Strip, cut
 
 # Features that only surfaces need.
@@ -210,7 +210,8 @@ class _Engine:
         self.value = empty(session, 4 * channels * area)
         if blur == "convolve":
             return
-        self.source, self.coc = empty(session, 16 * area), empty(session, WIDE_BYTES * area)
+        self.source = empty(session, source_bytes(area, psf.tilt))
+        self.coc = empty(session, WIDE_BYTES * area)
         self.valid = empty(session, area)
         cl.enqueue_fill_buffer(session.queue, self.valid, np.ones(1, np.uint8), 0, area)
         self.layers: Layers | None = None
@@ -232,9 +233,8 @@ class _Engine:
         elif self.layers is not None:
             self.layers.add(self.value, self.coc, self.valid, [])
         else:
-            args = (camera, spreader.struct, self.coc, self.valid, self.source)
-            size = (int(camera["width"]), int(camera["height"]))
-            launch(self.session, kernel(self.program, "prepare_sources"), size, PIXELS, *args)
+            maps = (self.coc, self.valid, self.source)
+            prepare_sources(self.session, self.program, camera, spreader.struct, *maps, [])
             spreader.add(Sources(self.source, self.value), 0.0, [])
         spreader.image([], out)
 

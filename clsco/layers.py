@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from clsco.device import Session
 from clsco.layout import WIDE_BYTES, Real, structs
+from clsco.memory import source_bytes
 from clsco.program import build, download, empty, kernel, launch, upload
 from clsco.psf import psf_extent, reach
 from clsco.scene import Psf
-from clsco.spread import PIXELS, Events, Sources, Spreader
+from clsco.spread import PIXELS, Events, Sources, Spreader, prepare_sources
 
 # As in layer.cl.
 JUMP, BIN, CLASSES, RUN = 1.0, 0.25, 10, 64  # px, px
@@ -81,7 +82,8 @@ class Layers:
         self.levels = _levels(self.height, self.width, self.channels + 2)
         pixels = self.height * self.width
         self.latest = empty(session, 4 * (CLASSES * self.bins + 1))
-        self.source, self.offset = empty(session, 16 * pixels), empty(session, 4 * pixels)
+        self.source = empty(session, source_bytes(pixels, bool(chosen["TILT"])))
+        self.offset = empty(session, 4 * pixels)
         self.slab, self.seed, self.hidden, self.edge = (empty(session, pixels) for _ in range(4))
         last = self.levels[-1]
         self.pyramid = empty(session, 4 * (last[2] + (self.channels + 2) * last[0] * last[1]))
@@ -104,8 +106,8 @@ class Layers:
             for which in range(1, len(bounds) + 2):
                 self._extend(which, value, coc, events)
                 self._blur(events)
-        args = (self.camera, self.spreader.struct, coc, valid, self.source)
-        self._launch("prepare_sources", self._padded(), PIXELS, events, *args)
+        struct = self.spreader.struct
+        prepare_sources(self.session, self.program, self.camera, struct, coc, valid, self.source, events)
         if bounds:
             self._keep(near_edges=False, events=events)
         # Last, since border = "renormalize" writes to value.
@@ -164,8 +166,8 @@ class Layers:
     def _blur(self, events: Events) -> None:
         """Blur the slab and put it behind those before."""
         inner, outer = self.inner, self.spreader
-        args = (self.camera, inner.struct, self.coc, self.valid, self.source)
-        self._launch("prepare_sources", self._padded(), PIXELS, events, *args)
+        maps = (self.coc, self.valid, self.source)
+        prepare_sources(self.session, self.program, self.camera, inner.struct, *maps, events)
         self._keep(near_edges=True, events=events)
         inner.clear()
         inner.add(Sources(self.source, self.value), 0.0, events)

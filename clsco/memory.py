@@ -14,10 +14,11 @@ from clsco.coarsening import METHODS, coarse_frame, coarse_psf, coarse_radii, pl
 from clsco.errors import SceneError
 from clsco.layout import WIDE_BYTES
 from clsco.plan import Blur, Plan
-from clsco.psf import LANES, SPANNED, reach, table_bytes, table_reach
+from clsco.psf import LANES, SPANNED, is_disc, reach, table_bytes, table_reach
 from clsco.scene import Psf
 from clsco.strips import BAND, cut
 
+DISC_COLUMNS = 256  # that `gather` makes at a time of sampled discs, as in kernels/discs.clh
 BANDS_PER_CORE = 4  # of `gather` at a time, where they need memory of their own
 MOST_IN_ONE_SUM = 256  # taps of `gather` that a float adds up before it goes into another sum
 # Outputs that ground_truth writes, with what one pixel of each takes: dtype and components (0: the channels).
@@ -101,10 +102,21 @@ def has_spans(psf: Psf, largest: float) -> bool:
     return psf.model == "pillbox" and reach(psf, largest) >= SPANNED[psf.edge]
 
 
+def source_bytes(sources: int, tilt: bool, marked: bool = False) -> int:
+    """Planes of kernels/sources.clh for so many sources; marked: with sub-pixel sources, or something in their way."""
+    return 4 * (1 + 2 * tilt + marked) * sources
+
+
 def margin(columns: int, guard: int, far: int) -> tuple[int, int]:
     """Scratch columns on both sides of a row of the blurred frame, and the length of the row, in whole vectors."""
     pad = ceil((guard + far + LANES) / LANES) * LANES
     return pad, ceil(columns / LANES) * LANES + 2 * pad
+
+
+def disc_bytes(channels: int, far: int, tilt: bool) -> int:
+    """Scratch of a work-item of `gather` for sampled discs, see kernels/discs.clh; a whole number of doubles."""
+    planes, width = (3 if tilt else 1) * channels, DISC_COLUMNS + 2 * (far // LANES + 3) * LANES
+    return 8 * (channels * BAND * DISC_COLUMNS + (3 * planes + 1) * width // 2)
 
 
 def spread_bytes(
@@ -120,7 +132,8 @@ def spread_bytes(
     if method == "gather" and (2 * far + 1) ** 2 > MOST_IN_ONE_SUM:
         sizes["part"] = bands
     if method == "gather" and spans:
-        sizes["spans"] = (4 if psf.tilt else 2) * bands
+        scratch = disc_bytes(channels, far, psf.tilt) * bands_at_a_time(rows, cores)
+        sizes["spans"] = scratch if is_disc(psf) else (4 if psf.tilt else 2) * bands
     if method == "scatter":
         sizes["sums"] = 8 * channels * rows * columns
     return sizes
@@ -141,7 +154,7 @@ def grid_bytes(channels: int, width: int, height: int, tilt: bool, finest: bool)
     """Buffers of a grid of `clsco.coarse.Coarse` besides those of its Spreader."""
     plane, area = 4 * int(np.prod(plane_shape(width, height))), width * height
     sizes = {"radius": plane, "tilt": 2 * plane * tilt, "moved": plane, "light": channels * plane}
-    return sizes | {"kept": 4 * channels * area} | ({} if finest else {"source": 16 * area})
+    return sizes | {"kept": 4 * channels * area} | ({} if finest else {"source": source_bytes(area, tilt)})
 
 
 def _coarse(
@@ -164,8 +177,9 @@ def _layers(
 ) -> dict[str, int]:
     """Buffers of `clsco.layers.Layers`: planes of a slab and of where it is, its pyramid, and its own blur."""
     area, values = (rows + 2 * guard) * (columns + 2 * guard), channels + 1  # with coverage
-    planes = 16 + 4 + 4 + 4 * values + WIDE_BYTES + 1
-    sizes = {"planes": planes * area, "pyramid": 4 * (values + 1) * area * 4 // 3, "covered": 4 * rows * columns}
+    planes = 4 + 4 + 4 * values + WIDE_BYTES + 1
+    sizes = {"source": source_bytes(area, psf.tilt), "planes": planes * area, "covered": 4 * rows * columns}
+    sizes["pyramid"] = 4 * (values + 1) * area * 4 // 3
     sizes |= _spreader(psf, method, values, rows, columns, guard, (0.0, largest), 0, cores)
     return {f"slab {name}": size for name, size in sizes.items()}
 
@@ -177,10 +191,13 @@ def buffer_bytes(plan: Plan, cores: int) -> dict[str, int]:
     """
     psf, channels, each = plan.scene.psf, plan.channels, plan.silhouettes**2
     rows, area, ends = plan.strips[0].rows, plan.width * plan.tallest, (plan.smallest_blur, plan.largest_blur)
-    wide = WIDE_BYTES * bool(plan.features()["OCCLUDED"])
+    features = plan.features()
+    wide = WIDE_BYTES * bool(features["OCCLUDED"])
     textures = len({item.texture for item in plan.scene.objects})
     sizes = {"texture": 4 * channels * textures * plan.rows * plan.columns}
-    sizes |= {"source": 16 * area, "value": 4 * channels * area, "depth": wide * area, "label": area * bool(each)}
+    marked = bool(each or features["OCCLUDED"])
+    sizes |= {"source": source_bytes(area, bool(features["TILT"]), marked), "value": 4 * channels * area}
+    sizes |= {"depth": wide * area, "label": area * bool(each)}
     sizes |= {"pixels": 4 * plan.slots, "sub_source": 16 * each * plan.slots, "sub_depth": wide * each * plan.slots}
     sizes |= {"sub_value": 4 * channels * each * plan.slots}
     blur = (psf, plan.blur, channels, rows, plan.columns, plan.guard_px)
@@ -224,7 +241,7 @@ def defocus_bytes(
     area = (shape[1] + 2 * guard) * max(strip.height for strip in strips)
     sizes = {"value": 4 * channels * area}
     if method != "convolve":
-        sizes |= {"source": 16 * area, "coc": WIDE_BYTES * area, "valid": area}
+        sizes |= {"source": source_bytes(area, psf.tilt), "coc": WIDE_BYTES * area, "valid": area}
     blur = (psf, method, channels, strips[0].rows, shape[1], guard)
     sizes |= _spreader(*blur, ends, 0, cores)
     if least is not None:

@@ -21,8 +21,10 @@ from clsco.resources import folder
 HEADERS = ("wide.clh", "geometry.clh")
 OCCLUSION_HEADERS = ("occlusion.clh", "sight.clh")  # with the feature OCCLUDED
 HEADERS_OF = {
-    "blur.cl": ("spread.clh", "neighbors.clh"),
-    "coarse.cl": ("spread.clh",),
+    "trace.cl": ("sources.clh",),
+    "blur.cl": ("sources.clh", "spread.clh", "neighbors.clh", "discs.clh"),
+    "coarse.cl": ("sources.clh", "spread.clh"),
+    "layer.cl": ("sources.clh",),
     "fill.cl": ("estimate.clh",),
     "holes.cl": ("estimate.clh",),
 }
@@ -56,7 +58,7 @@ def build(
     if real == "double" and not device.has_fp64:
         raise DeviceError(f"precision: double needs a device with fp64, use single; got {device}")
     headers = [*(OCCLUSION_HEADERS if features.get("OCCLUDED") else ())]
-    headers += [header for source in sources for header in HEADERS_OF.get(source, ())]
+    headers += dict.fromkeys(header for source in sources for header in HEADERS_OF.get(source, ()))
     text = program_text([*headers, *sources], structs, real, device.has_fp64, device.has_int64_atomics)
     options = [f"-D{name}={int(value)}" for name, value in sorted(features.items())]
     options.append("-cl-std=CL1.2")

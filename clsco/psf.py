@@ -30,7 +30,7 @@ NODES = 0.5 - 0.5 * np.cos((2 * np.arange(4) + 1) * np.pi / 8)
 POWERS = len(NODES)  # coefficients of a weight
 TO_POWERS = np.linalg.inv(np.vander(NODES, 4, increasing=True))
 # Of discs this wide, to both sides in px, rows that have one weight over so many px are kept as their two ends.
-SPANNED = {"sampled": 2, "area": 12, "integrated": 12}
+SPANNED = {"sampled": 0, "area": 12, "integrated": 12}
 SMALLEST_SPAN = 4
 MINIMUM_BLUR = 0.5  # px; sampled PSFs leave smaller radii alone (thesis, 2.2)
 

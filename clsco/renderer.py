@@ -29,14 +29,14 @@ from clsco.layout import (
     surface_structs,
 )
 from clsco.maptruth import map_flow, map_normal, map_stereo
-from clsco.memory import TRUTH_BUFFERS, Limit, device_bytes, fitted
+from clsco.memory import TRUTH_BUFFERS, Limit, device_bytes, fitted, source_bytes
 from clsco.motion import Pose, middle_time, poses_at, rest_poses
 from clsco.occlusion import Layer
 from clsco.optics import blur_radius
 from clsco.plan import Maps, Plan, exposure, widened
 from clsco.program import build, download, download_into, empty, kernel, launch, upload
 from clsco.scene import DepthMap
-from clsco.spread import PIXELS, Events, Sources, blur_features
+from clsco.spread import PIXELS, Events, Sources, blur_features, prepare_sources
 from clsco.strips import Strip
 from clsco.surfaces import PlacedSurface, place
 from clsco.textures import Texture
@@ -133,27 +133,28 @@ class Renderer:
             vars(self).pop(name, None)  # before the larger ones take memory
         self.strips = plan.strips
         self.camera = self._camera(self.strips[0])
-        area = plan.width * plan.tallest
+        area, features = plan.width * plan.tallest, plan.features()
         least = METHODS[self.approximations[0]] if self.approximations else None
         self.spreader = make_spreader(
             session, self.program, plan.scene.psf, plan.blur, self.camera, plan.channels, self.smallest, self.largest,
-            plan.silhouettes, self.real, self.brightest, plan.features() | self.blur_features, least,
+            plan.silhouettes, self.real, self.brightest, features | self.blur_features, least,
             sample_places(plan.rows, plan.columns),
         )  # fmt: skip
-        self.source = empty(session, 16 * area)
+        marked = bool(features["SUBPIXELS"] or features["OCCLUDED"])
+        self.source = empty(session, source_bytes(area, bool(features["TILT"]), marked))
         self.value = empty(session, 4 * plan.channels * area)
         self.statistics = empty(session, EMPTY_STATISTICS.nbytes)
         each = plan.silhouettes**2
         self.label = empty(session, area if each else 0)
         self.pixels = empty(session, 4 * self.slots)
         self.sub_source = empty(session, 16 * self.slots * each)
-        occluded = WIDE_BYTES * bool(plan.features()["OCCLUDED"])
+        occluded = WIDE_BYTES * bool(features["OCCLUDED"])
         self.depth, self.sub_depth = empty(session, occluded * area), empty(session, occluded * self.slots * each)
         self.sub_value = empty(session, 4 * plan.channels * self.slots * each)
         self.slabs: Layers | None = None
         if plan.occlusion == "layered":
-            features = plan.features() | self.blur_features
-            self.slabs = Layers(session, self.spreader, features, self.largest, self.real, self.brightest)
+            chosen = features | self.blur_features
+            self.slabs = Layers(session, self.spreader, chosen, self.largest, self.real, self.brightest)
             self.coc, self.valid = empty(session, WIDE_BYTES * area), empty(session, area)
 
     def _poses(self, time: float) -> tuple[Pose, ...]:
@@ -235,7 +236,8 @@ class Renderer:
         if self.slabs is not None:
             return {"slabs": self.slabs.add(value, coc, valid, events)}
         if self.plan.blur in ("gather", "scatter"):
-            self._per_pixel("prepare_sources", events, self.camera, self.spreader.struct, coc, valid, self.source)
+            maps = (coc, valid, self.source)
+            prepare_sources(self.session, self.program, self.camera, self.spreader.struct, *maps, events)
         self.spreader.add(Sources(self.source, value), self._central_radius(time), events)
         return {}
 

@@ -20,6 +20,7 @@ from clsco.scene import Psf
 from clsco.strips import BAND
 
 PIXELS = (64, 1)  # local size of kernels with a work-item per pixel
+BLOCKS = (8, 1)  # of kernels with one per LANES pixels of a row
 # A pixel gets at most 2.6 + 2 ln R times the brightest source from pillboxes; the tilt at most doubles it.
 GAIN, GAIN_PER_LOG, TILT_GAIN = 2.6, 2.0, 2.0
 
@@ -48,9 +49,9 @@ def blur_features(method: Blur, psf: Psf, largest: float, real: Real, prepare: b
 class Sources:
     """Light sources of one moment on the device, in the layout of trace.cl.
 
-    source: float4 per pixel of frame and guard band, None for `convolve` and `none`; value: radiance times weight;
-    sub_source, sub_value: of `capacity` pixels near silhouettes, None without them. surfaces, layer, depth, sub_depth:
-    what stands in the way, and of what; None where nothing does.
+    source: planes of frame and guard band (kernels/sources.clh), None for `convolve` and `none`; value: radiance times
+    weight; sub_source, sub_value: of `capacity` pixels near silhouettes, None without them. surfaces, layer, depth,
+    sub_depth: what stands in the way, and of what; None where nothing does.
     """
 
     source: cl.Buffer | None
@@ -62,6 +63,16 @@ class Sources:
     layer: Struct | None = None
     depth: cl.Buffer | None = None
     sub_depth: cl.Buffer | None = None
+
+
+def prepare_sources(
+    session: Session, program: Program, camera: Struct, psf: Struct, coc: cl.Buffer, valid: cl.Buffer,
+    source: cl.Buffer, events: Events,
+) -> None:  # fmt: skip
+    """Enqueue what makes sources of a map of signed radii; psf: struct of the Spreader that adds them."""
+    size = -(-int(camera["width"]) // LANES), int(camera["height"])
+    args = (camera, psf, coc, valid, source)
+    events.append(("prepare_sources", launch(session, kernel(program, "prepare_sources"), size, BLOCKS, *args)))
 
 
 class Spreader:
@@ -93,7 +104,7 @@ class Spreader:
         # Rows of sources after which sums go on to the frame, 0 where they are short. Of discs most light is in spans.
         many = max(MOST_IN_ONE_SUM // row_taps, row_taps // 4 if spans else 1)
         self.group = many if "part" in sizes else 0
-        self.part, self.spans = self.total, tuple[cl.Buffer, ...]()
+        self.part, self.spans = self.total, tuple[object, ...]()
         self.alike = tuple(upload(session, array) for array in (self.main.quadrants, self.main.outlines))
         self.bands = -(-rows // BAND)
         if {"part", "spans"} & sizes.keys():
@@ -102,7 +113,7 @@ class Spreader:
             if "part" in sizes:
                 self.part = _zeros(session, sizes["part"])
             if "spans" in sizes:
-                self.spans = (_zeros(session, sizes["spans"]),)
+                self.spans = (_zeros(session, sizes["spans"]), np.int32(sizes["spans"] // 8 // self.bands))
         # Tables of `convolve` that queued launches still read: the host runs ahead of the device.
         self.held: list[tuple[cl.Buffer, ...]] = []
         self.scale = 1.0
@@ -131,7 +142,7 @@ class Spreader:
             buffers = tuple(upload(self.session, array) for array in arrays)
             self.held.append(buffers)
             blocks = (-(-frame[0] // (2 * LANES)), -(-frame[1] // 4))
-            self._launch("convolve", blocks, (8, 1), events, camera, value, *buffers, *layout)
+            self._launch("convolve", blocks, BLOCKS, events, camera, value, *buffers, *layout)
             return
         head = (camera, self.struct, sources.source, value, *self.tables[0])
         tail: tuple[object, ...] = ()

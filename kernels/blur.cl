@@ -1,6 +1,6 @@
 // Spreads every source over the pixels that its point spread function lights. Twin: clsco/reference/blur.py.
 //
-//   source, value, sub_source, sub_value: see trace.cl
+//   source: see sources.clh; value, sub_source, sub_value: see trace.cl
 //   intervals, coefficients: tables of weights, see PsfTable in clsco/psf.py
 //   total   float (CHANNELS, rows, pitch): the frame, or a strip of it, so far; moments of the exposure add up here. The
 //           `pad` columns on both sides of a row are scratch, so that a vector of taps may hang over.
@@ -80,12 +80,12 @@ static void settle(int first, int last, int apart, int shift, int plane, int pit
 // Each work-item adds to BAND rows of `total`, the first one's band being `start`, all the light that reaches them, row by
 // row of sources. part: BAND rows for each work-item, of which every `group` rows of sources the sum goes on to total; with
 // group 0 it is total. spans: twice the same of doubles (with TILT), zeros as well.
-__kernel void gather(const camera_t camera, const psf_t psf, __global const float4 *source,
+__kernel void gather(const camera_t camera, const psf_t psf, __global const float *source,
                      __global const float *value, __global const int4 *intervals,
                      __global const float *coefficients,
                      __global const float *quadrants, __global const int *outlines,
 #if SPANS
-                     __global double *spans,
+                     __global double *spans, const int span_size,
 #endif
                      const int start, const int group, __global float *part, const int pitch, const int pad,
                      __global float *total
@@ -104,11 +104,20 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
     const int spans_apart = (int)get_global_size(0) * BAND * pitch, apart = group ? spans_apart : total_plane;
     const int shift = group ? (own * BAND - first) * pitch : 0;  // from a row of the frame to that of part
     const int from = MAX(first - psf.reach, -camera.above), to = MIN(end + psf.reach, camera.height - camera.above);
+#if DISC && SPANS
+    if (!add_discs(camera, psf, source, value, quadrants, outlines, first, end, spans + own * span_size, pitch, pad, total))
+        return;
+#endif
     for (int y = from; y < to; ++y) {
     const int line = (y + camera.above) * camera.width, place = shift + y * pitch - camera.guard + pad;
     for (int block = 0; block < camera.width; block += LANES) {
     int single = (1 << MIN(LANES, camera.width - block)) - 1;
-#if SPANS || !DISC
+#if DISC && SPANS
+    float8 right, down;
+    int8 others;
+    disc_keys(psf, source, plane, line, block, camera.width, outlines, &right, &down, &others);
+    single = bits_of(others);
+#elif !DISC
     if (camera.width - block >= LANES) {
 #if SPANS
         __global double *span = spans + own * BAND * pitch + (y - first) * pitch - camera.guard + pad + block;
@@ -124,7 +133,7 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
         const int x = block + __builtin_ctz(single);
         single &= single - 1;
         const int at = line + x;
-        const float4 s = source[at];
+        const float4 s = get_source(source, plane, at);
         __global float *out = part + place + x;
 #if SUBPIXELS
         const int slot = as_int(s.w);
@@ -175,7 +184,7 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
         settle(MAX(first, y + 1 - group - psf.reach), MIN(end - 1, y + psf.reach), apart, shift, total_plane, pitch, part,
                total);
     }
-#if SPANS
+#if SPANS && !DISC
     for (int k = 0; k < CHANNELS; ++k)
         for (int row = first; row < end; ++row)
             add_spans(spans + k * spans_apart + (own * BAND + row - first) * pitch, CHANNELS * spans_apart, pitch,
@@ -271,7 +280,7 @@ static void scatter_source(const camera_t camera, spread_t spread, float4 source
 }
 
 // One work-item per source. In and out: sums fixed_t (CHANNELS, rows, columns), in units of 1 / scale.
-__kernel void scatter(const camera_t camera, const psf_t psf, __global const float4 *source,
+__kernel void scatter(const camera_t camera, const psf_t psf, __global const float *source,
                       __global const float *value, __global const int4 *intervals,
                       __global const float *coefficients, const float scale, __global fixed_t *sums
 #if SUBPIXELS
@@ -286,7 +295,7 @@ __kernel void scatter(const camera_t camera, const psf_t psf, __global const flo
         return;
     const int at = y * camera.width + x, row = y - camera.above, column = x - camera.guard;
     const int plane = camera.width * camera.height, sums_plane = camera.rows * camera.columns;
-    const float4 s = source[at];
+    const float4 s = get_source(source, plane, at);
 #if SUBPIXELS
     const int slot = as_int(s.w);
     if (slot >= 0) {
@@ -350,7 +359,7 @@ static float share_inside(const camera_t camera, spread_t spread, float4 source,
 
 // border = "renormalize": no light is lost over the border of the frame; there is no guard band then.
 // In and out: value, sub_value.
-__kernel void renormalize(const camera_t camera, const psf_t psf, __global const float4 *source,
+__kernel void renormalize(const camera_t camera, const psf_t psf, __global const float *source,
                           __global float *value, __global const int4 *intervals,
                           __global const float *coefficients
 #if SUBPIXELS
@@ -363,7 +372,7 @@ __kernel void renormalize(const camera_t camera, const psf_t psf, __global const
     if (column >= camera.columns || y >= camera.height)
         return;
     const int at = y * camera.columns + column, plane = camera.height * camera.columns;
-    const float4 s = source[at];
+    const float4 s = get_source(source, plane, at);
 #if SUBPIXELS
     const int slot = as_int(s.w);
     if (slot >= 0) {
@@ -401,31 +410,63 @@ static real difference(__global const wide_t *coc, __global const uchar *valid, 
     return before ? narrow(wide_sub(coc[at], coc[at - step])) : 0;
 }
 
-// Sources from a map of signed radii, px, instead of from a surface. In: coc wide_t, valid uchar, both (height, width).
-// Out: source.
-__kernel void prepare_sources(const camera_t camera, const psf_t psf, __global const wide_t *coc,
-                              __global const uchar *valid, __global float4 *source)
+// One source from a map of signed radii.
+static float4 record_of(const camera_t camera, const psf_t psf, __global const wide_t *coc, __global const uchar *valid,
+                        int x, int y)
 {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= camera.width || y >= camera.height)
-        return;
     const int at = y * camera.width + x;
-    float4 record = (float4)(-1, 0, 0, as_float(-1));
+    float4 record = (float4)(-1, 0, 0, as_float(WHOLE));
     if (valid[at]) {
         record.x = table_coordinate(psf, coc[at], 0);
 #if TILT
         const int w = camera.width;
-        const bool within = x > 0 && x + 1 < w && y > 0 && y + 1 < camera.height;
-        real2 gradient;
-        if (within && (valid[at - 1] & valid[at + 1] & valid[at - w] & valid[at + w]))
-            gradient = (real)0.5 * (real2)(narrow(wide_sub(coc[at + 1], coc[at - 1])),
-                                           narrow(wide_sub(coc[at + w], coc[at - w])));
-        else
-            gradient = (real2)(difference(coc, valid, at, 1, x > 0, x + 1 < w),
-                               difference(coc, valid, at, w, y > 0, y + 1 < camera.height));
+        const real2 gradient = (real2)(difference(coc, valid, at, 1, x > 0, x + 1 < w),
+                                       difference(coc, valid, at, w, y > 0, y + 1 < camera.height));
         record.yz = tilt_slope(gradient, narrow(coc[at]));
 #endif
     }
-    source[at] = record;
+    return record;
+}
+
+typedef ulong eight_t __attribute__((aligned(1)));
+#define ALL_VALID(p) (*(__global const eight_t *)(p) == 0x0101010101010101ul)
+
+// Sources from a map of signed radii, px, instead of from a surface. In: coc wide_t, valid uchar (0 or 1), both (height,
+// width). Out: source. LANES at a time; where all of them and their neighbors are there, in loops that are made vectors.
+__kernel void prepare_sources(const camera_t camera, const psf_t psf, __global const wide_t *restrict coc,
+                              __global const uchar *restrict valid, __global float *restrict source)
+{
+    const int x = get_global_id(0) * LANES, y = get_global_id(1);
+    if (x >= camera.width || y >= camera.height)
+        return;
+    const int w = camera.width, at = y * w + x, plane = w * camera.height;
+    bool whole = x + LANES <= w && ALL_VALID(valid + at);
+#if TILT
+    whole &= x > 0 && x + LANES < w && y > 0 && y + 1 < camera.height;
+    whole = whole && ALL_VALID(valid + at - 1) && ALL_VALID(valid + at + 1) && ALL_VALID(valid + at - w) &&
+            ALL_VALID(valid + at + w);
+#endif
+    if (!whole) {
+        for (int i = 0; i < MIN(LANES, w - x); ++i)
+            put_source(source, plane, at + i, record_of(camera, psf, coc, valid, x + i, y));
+        return;
+    }
+    #pragma unroll
+    for (int i = 0; i < LANES; ++i)
+        source[at + i] = table_coordinate(psf, coc[at + i], 0);
+#if TILT
+    #pragma unroll
+    for (int i = 0; i < LANES; ++i) {
+        const real right = (real)0.5 * narrow(wide_sub(coc[at + i + 1], coc[at + i - 1]));
+        const real down = (real)0.5 * narrow(wide_sub(coc[at + i + w], coc[at + i - w]));
+        const float2 slope = tilt_slope((real2)(right, down), narrow(coc[at + i]));
+        source[plane + at + i] = slope.x;
+        source[2 * plane + at + i] = slope.y;
+    }
+#endif
+#if SUBPIXELS || OCCLUDED
+    for (int i = 0; i < LANES; ++i)
+        MARKS(source, plane)[at + i] = as_float(WHOLE);
+#endif
 }
 #endif

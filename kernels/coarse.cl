@@ -5,7 +5,7 @@
 //           (2 i - 3.5, 2 j - 3.5), in the middle of four pixels.
 //   plane   float (height + 2 EDGE_ROWS, pitch) of a grid, with EDGE columns on the left and at least as many on
 //           the right: radii, light of moved sources, ...; 0 all around.
-//   source, value, total: see blur.cl. A source that has moved keeps its coordinate u as -2 - u, for which
+//   source: see sources.clh; value, total: see blur.cl. A source that has moved keeps its coordinate u as -2 - u, for which
 //           gather leaves it out.
 // Features: CHANNELS, TILT, DISC (of the finest table), SAMPLED (of the coarser tables).
 
@@ -31,19 +31,22 @@ static inline float8 radius_of(const psf_t psf, float8 u, int sampled)
     return (as_float8((127 + octave) << 23) * (1 + (position - convert_float8(octave))) - 1) / (float)psf.octaves_from;
 }
 
-// Radii of the sources that may move: whole ones, with nothing in their way. In: source of the finest grid. Out:
+// Radii of the sources that may move: whole ones, with nothing in their way. In: source of the finest grid, marked: with
+// a plane of marks. Out:
 // radius, a plane that is NaN around the grid; tilt, with TILT: planes of R dR/dx and R dR/dy. LANES pixels at a time.
-__kernel void measure_radii(const camera_t camera, const psf_t psf, __global const float4 *source, const int sampled,
-                            const int pitch, __global float *radius, __global float *tilt)
+__kernel void measure_radii(const camera_t camera, const psf_t psf, __global const float *source, const int marked,
+                            const int sampled, const int pitch, __global float *radius, __global float *tilt)
 {
     const int x = get_global_id(0) * LANES, y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
         return;
     const int count = MIN(LANES, camera.width - x), plane = (camera.height + 2 * EDGE_ROWS) * pitch;
+    const int all = camera.width * camera.height;
     float8 u, right = 0, down = 0;
     for (int i = 0; i < LANES; ++i) {
-        const float4 s = source[y * camera.width + x + MIN(i, count - 1)];
-        ((float *)&u)[i] = as_int(s.w) == -1 ? s.x : -1;
+        const int at = y * camera.width + x + MIN(i, count - 1);
+        const float4 s = get_source(source, all, at);
+        ((float *)&u)[i] = !marked || as_int(MARKS(source, all)[at]) == WHOLE ? s.x : -1;
         ((float *)&right)[i] = s.y;
         ((float *)&down)[i] = s.z;
     }
@@ -71,7 +74,7 @@ __kernel void measure_radii(const camera_t camera, const psf_t psf, __global con
 // In and out: source. Out: moved, radii of those; light, a plane for each channel. LANES pixels at a time.
 __kernel void pick(const camera_t camera, __global const float *radius, __global const float *value,
                    const float from, const float to, const float steepest, const int pitch,
-                   __global float4 *source, __global float *kept, __global float *moved, __global float *light)
+                   __global float *source, __global float *kept, __global float *moved, __global float *light)
 {
     const int x = get_global_id(0) * LANES, y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
@@ -116,7 +119,7 @@ __kernel void pick(const camera_t camera, __global const float *radius, __global
     }
     for (int i = 0; i < count; ++i)
         if (((const float *)&share)[i] == 1)
-            source[at + i].x = MOVED(source[at + i].x);
+            source[at + i] = MOVED(source[at + i]);
 }
 
 // Of LANES nodes, the first of which begins at p: sums (1, 3, 3, 1) along a row.
@@ -183,14 +186,14 @@ __kernel void halve(const camera_t camera, const camera_t next, __global const f
 // Records of a coarser level's sources. blunt: second moment of a pixel over that of a PSF of 1 px. In: radius; tilt,
 // with TILT. Out: source.
 __kernel void aim_nodes(const camera_t camera, const psf_t psf, __global const float *radius,
-                        __global const float *tilt, const float blunt, const int pitch, __global float4 *source)
+                        __global const float *tilt, const float blunt, const int pitch, __global float *source)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
         return;
     const int place = AT(x, y), plane = (camera.height + 2 * EDGE_ROWS) * pitch;
     const float r = radius[place];
-    float4 record = (float4)(-1, 0, 0, as_float(-1));
+    float4 record = (float4)(-1, 0, 0, as_float(WHOLE));
     if (r >= 0) {
         record.x = table_coordinate(psf, widened(r), 0);
 #if TILT
@@ -199,7 +202,7 @@ __kernel void aim_nodes(const camera_t camera, const psf_t psf, __global const f
         record.z = tilt[plane + place] / (r * r + blunt);
 #endif
     }
-    source[y * camera.width + x] = record;
+    put_source(source, camera.width * camera.height, y * camera.width + x, record);
 }
 
 // Adds a coarser frame to the next finer one: bilinear interpolation of what a filter (-sharp, 1 + 2 sharp, -sharp)
@@ -235,7 +238,7 @@ __kernel void enlarge(const camera_t coarse, const int coarse_pitch, const int c
 
 // Takes from `missed` what light that has left the finest grid would have sent to some pixels by the exact way. place:
 // (count) row and column in the frame. In: light, planes. In and out: missed float (count, CHANNELS).
-__kernel void probe(const camera_t camera, const psf_t psf, __global const float4 *source, __global const float *light,
+__kernel void probe(const camera_t camera, const psf_t psf, __global const float *source, __global const float *light,
                     const int pitch, __global const int4 *intervals, __global const float *coefficients,
                     const int count, __global const int2 *place, __global float *missed)
 {
@@ -252,7 +255,7 @@ __kernel void probe(const camera_t camera, const psf_t psf, __global const float
         for (int k = 0; k < CHANNELS; ++k)
             part[k] = 0;
         for (int x = MAX(column - psf.reach, 0); x <= MIN(column + psf.reach, camera.width - 1); ++x) {
-            const float4 s = source[y * camera.width + x];
+            const float4 s = get_source(source, camera.width * camera.height, y * camera.width + x);
             if (s.x > -2 && s.x < 0)
                 continue;
             const spread_t spread = pixel_spread(psf, intervals, coefficients, s.x < 0 ? MOVED(s.x) : s.x);

@@ -269,14 +269,14 @@ __kernel void take_slab(const camera_t camera, const int which, const int rows, 
 
 // Leaves only the sources near edges, or only the others. In: edge. In and out: source.
 __kernel void keep_sources(const camera_t camera, const int near_edges, __global const uchar *edge,
-                           __global float4 *source)
+                           __global float *source)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
         return;
     const int at = y * camera.width + x;
     if (edge[at] != near_edges)
-        source[at].x = -1;
+        source[at] = -1;
 }
 
 // Adds a blurred slab behind those before. It gets the room that they have left, all of it: at a cut through a

@@ -2,8 +2,7 @@
 // Twin: clsco/reference/trace.py.
 //
 // Sources live on the frame, or a strip of its rows, and what around it may light it: (height, width), row-major.
-//   source  float4: coordinate in the PSF table (< 0: no light), tilt right, tilt down, and as an int the slot of the
-//           pixel's sub-pixel sources, WHOLE or BLOCKED
+//   source  planes, see sources.clh
 //   value   float (CHANNELS, height, width): radiance times the weight of this moment in the exposure
 //   label   uchar (height, width): 0 no surface, else which root of which object was met, and on which side of others
 //   depth   wide_t (height, width): inverse depth, with OCCLUDED
@@ -16,8 +15,6 @@
 #define SMALLEST_RADIUS 1
 #define SLOTS 2       // taken at this moment
 #define MOST_SLOTS 3  // taken at any moment
-
-#define WHOLE -1  // besides a slot, and BLOCKED of occlusion.clh
 
 // Keeps the range of radii that were met; the plain look first makes the atomic rare.
 static void note_radius(__global volatile int *statistics, real radius)
@@ -99,7 +96,7 @@ static void take_radiance(const camera_t camera, __constant surface_t *surfaces,
 // One source per pixel of frame and guard band, on the nearest of the layer's objects. Out: source, value, label,
 // statistics, depth.
 __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
-                    const float weight, __global const float *texture, __global float4 *source, __global float *value,
+                    const float weight, __global const float *texture, __global float *source, __global float *value,
                     __global uchar *label, __global int *statistics
 #if OCCLUDED
                     , __global wide_t *depth
@@ -116,7 +113,8 @@ __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const
     const wide_t w = nearest_surface(surfaces, layer, ray, &root, &object);
     take_radiance(camera, surfaces, ray, w, root, row, column, weight, texture, value + at,
                   camera.height * camera.width);
-    source[at] = source_record(camera, surfaces, layer, psf, ray, w, 0, &root, statistics);
+    put_source(source, camera.height * camera.width, at,
+               source_record(camera, surfaces, layer, psf, ray, w, 0, &root, statistics));
 #if OCCLUDED
     depth[at] = w;
 #endif
@@ -146,7 +144,7 @@ __kernel void cast(const camera_t camera, __constant surface_t *surfaces, const 
 
 // The rest of it, for one lens. In: depth, hit. Out: source, label, statistics.
 __kernel void aim(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
-                  __global const wide_t *depth, __global const uchar *hit, __global float4 *source,
+                  __global const wide_t *depth, __global const uchar *hit, __global float *source,
                   __global uchar *label, __global int *statistics)
 {
     const int x = get_global_id(0), y = get_global_id(1);
@@ -155,7 +153,8 @@ __kernel void aim(const camera_t camera, __constant surface_t *surfaces, const l
     const int at = y * camera.width + x;
     const wide3_t ray = pixel_ray(camera, widened(FRAME_ROW(camera, y)), widened(x - camera.guard));
     uchar root = hit[at];
-    source[at] = source_record(camera, surfaces, layer, psf, ray, depth[at], 0, &root, statistics);
+    put_source(source, camera.height * camera.width, at,
+               source_record(camera, surfaces, layer, psf, ray, depth[at], 0, &root, statistics));
 #if SUBPIXELS
     label[at] = root;
 #endif
@@ -166,9 +165,9 @@ __kernel void aim(const camera_t camera, __constant surface_t *surfaces, const l
 typedef uint four_labels_t __attribute__((aligned(1)));
 
 // Gives a slot to every pixel within 2 px of a change of label. Slots come in any order; what is in them does
-// not. In: label. Out: source.w, pixels (slots): index of the pixel, statistics.
+// not. In: label. Out: marks of source, pixels (slots): index of the pixel, statistics.
 __kernel void mark_silhouettes(const camera_t camera, __global const uchar *label, const int capacity,
-                               __global float4 *source, __global int *pixels, __global int *statistics)
+                               __global float *source, __global int *pixels, __global int *statistics)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
@@ -193,7 +192,7 @@ __kernel void mark_silhouettes(const camera_t camera, __global const uchar *labe
     if (slot >= capacity)
         return;
     pixels[slot] = at;
-    source[at].w = as_float(slot);
+    MARKS(source, camera.height * camera.width)[at] = as_float(slot);
 }
 
 // SUBPIXELS x SUBPIXELS point sources of every marked pixel. Out, per slot and sub-pixel in row-major order: sub_source

@@ -14,11 +14,12 @@ from clsco.coarsening import METHODS
 from clsco.defocus import image_features
 from clsco.device import Session
 from clsco.layout import Real, flat, frame_struct, in_parts, structs
+from clsco.memory import source_bytes
 from clsco.plan import Blur
-from clsco.program import build, empty, kernel, launch, upload
+from clsco.program import build, empty, upload
 from clsco.psf import LANES, reach
 from clsco.scene import Psf
-from clsco.spread import PIXELS, Events, Sources
+from clsco.spread import Events, Sources, prepare_sources
 
 Array = NDArray[Any]
 
@@ -54,7 +55,8 @@ class Pass:
             float(np.abs(image).max()), features, least, places,
         )  # fmt: skip
         padded = np.pad(flat(image, np.float32), ((0, 0), (guard, guard), (guard, guard)))
-        self.sources = Sources(None if constant else empty(session, 16 * rows * columns), upload(session, padded))
+        source = None if constant else empty(session, source_bytes(rows * columns, psf.tilt))
+        self.sources = Sources(source, upload(session, padded))
         valid = np.ones(radii.shape, np.uint8)
         self.radii = () if constant else (upload(session, in_parts(radii, real)), upload(session, valid))
 
@@ -66,10 +68,8 @@ class Pass:
     def prepare(self, events: Events) -> None:
         """Enqueue the prepass: radii to records of sources."""
         if self.sources.source is not None:
-            columns, rows = int(self.camera["columns"]), int(self.camera["rows"])
-            args = (self.camera, self.spreader.struct, *self.radii, self.sources.source)
-            prepass = kernel(self.program, "prepare_sources")
-            events.append(("prepare_sources", launch(self.session, prepass, (columns, rows), PIXELS, *args)))
+            maps = (*self.radii, self.sources.source)
+            prepare_sources(self.session, self.program, self.camera, self.spreader.struct, *maps, events)
 
     def spread(self, events: Events) -> None:
         """Enqueue the blur of all sources into an empty frame."""

@@ -26,31 +26,28 @@ WITHOUT_TWIN = {
         "add_limits": "_limits",
     },
     "estimate": {"use_neighbors": "counts them, as the reference does where it needs to"},
+    "sources": dict.fromkeys(("get_source", "put_source"), "where the planes of a record are"),
     "sight": {"look_along": "finds out which vectors of taps need a test at all"},
     "spread": dict.fromkeys(
         ("weights", "pixel_spread", "subpixel_spread", "tap", "see"),
         "reads tables, in whose place the reference has the closed forms",
-    ),
+    )
+    | dict.fromkeys(("sums_of", "bits_of"), "lanes of a vector"),
     "neighbors": dict.fromkeys(
-        [
-            "add_left_ends",
-            "add_right_ends",
-            "sums_of",
-            "add_spans",
-            "add_neighbors",
-            "weight_of",
-            "add_column",
-            "add_columns",
-            "lowest",
-            "bits_of",
-            "add_alike",
-        ],
+        ["add_left_ends", "add_right_ends", "add_spans", "weight_of", "add_column", "add_columns", "add_neighbors"]
+        + ["lowest", "add_alike"],
         "taps of many sources at once, which scatter adds up",
+    ),
+    "discs": dict.fromkeys(
+        ["disc_row", "lowest_lane", "some_taps", "disc_keys", "take_row", "note_keys", "add_ends", "add_segment"]
+        + ["add_discs"],
+        "rows of discs at once, which scatter adds up tap by tap",
     ),
 }
 
 # Headers whose twin is part of another file.
-PART_OF = {"estimate": "mean_median", "sight": "occlusion", "spread": "blur", "neighbors": "blur"}
+PART_OF = {"estimate": "mean_median", "sight": "occlusion", "sources": "trace"}
+PART_OF |= dict.fromkeys(("spread", "neighbors", "discs"), "blur")
 
 
 def kernel_names(text: str) -> set[str]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
@@ -39,6 +40,21 @@ from clsco.surfaces import PlacedSurface, place
 from tests.kernels.wide_numbers import whole
 
 Array = NDArray[Any]
+
+
+def source_planes(records: Array, tilt: bool, marked: bool) -> Array:
+    """Records (rows, columns, 4) as kernels/sources.clh has them."""
+    return np.ascontiguousarray(np.moveaxis(records[..., [True, tilt, tilt, marked]], -1, 0))
+
+
+def download_sources(session: Session, source: cl.Buffer, shape: tuple[int, ...], tilt: bool, marked: bool) -> Array:
+    """The reverse: records (rows, columns, 4), slopes 0 and marks -1 where there are none."""
+    wanted = [True, tilt, tilt, marked]
+    records = np.zeros((*shape, 4), np.float32)
+    records[..., 3].view(np.int32)[...] = -1
+    records[..., wanted] = np.moveaxis(download(session, source, (sum(wanted), *shape), np.float32), 0, -1)
+    return records
+
 
 PLAIN = {"SEVERAL": 0, "QUADRATIC": 1, "LINEAR": 0, "NAPPE": 0, "BOUNDED": 0, "FILTER": 0, "CHANNELS": 1, "SAMPLED": 0}
 

@@ -13,13 +13,15 @@ from clsco.coarsening import coarse_radii, sample_places
 from clsco.defocus import PLAIN
 from clsco.device import Session
 from clsco.layout import Real, flat, frame_struct, in_parts, structs
-from clsco.program import build, empty, kernel, launch, upload
+from clsco.memory import source_bytes
+from clsco.program import build, empty, upload
 from clsco.psf import is_disc
 from clsco.reference import coarse as twin
 from clsco.reference.blur import prepare_sources, scatter
 from clsco.reference.trace import Sources as Light
 from clsco.scene import Psf
-from clsco.spread import PIXELS, Sources, blur_features
+from clsco.spread import Sources, blur_features
+from clsco.spread import prepare_sources as make_sources
 
 Array = NDArray[Any]
 # Tables of the coarser grids, with edge = "area", are off by up to 1e-4 in sum, to both sides (tests/test_psf.py); in
@@ -59,9 +61,8 @@ def approximate(
     )  # fmt: skip
     value = upload(session, flat(light.radiance, np.float32))
     radii, valid = upload(session, in_parts(light.radius, real)), upload(session, light.lit.astype(np.uint8))
-    source = empty(session, 16 * height * width)
-    args = (camera, spreader.struct, radii, valid, source)
-    launch(session, kernel(program, "prepare_sources"), (width, height), PIXELS, *args)
+    source = empty(session, source_bytes(height * width, psf.tilt))
+    make_sources(session, program, camera, spreader.struct, radii, valid, source, [])
     spreader.clear()
     spreader.add(Sources(source, value), 0.0, [])
     frame = spreader.image([])

@@ -22,7 +22,7 @@ from clsco.layout import (
     structs,
     surface_structs,
 )
-from clsco.memory import TRUTH_BUFFERS
+from clsco.memory import TRUTH_BUFFERS, source_bytes
 from clsco.motion import Eye, Pose, middle_time, poses_at, rest_poses
 from clsco.occlusion import Layer
 from clsco.plan import Plan, make_plan
@@ -47,6 +47,7 @@ from clsco.scene import (
     Stereo,
 )
 from clsco.surfaces import place
+from tests.kernels.conftest import download_sources
 
 Array = NDArray[Any]
 SINGLE = 2.0**-24  # largest relative error of a rounding to float32
@@ -197,8 +198,9 @@ def traced(
     surfaces = on_device(session, plan, time, real)
     texture = stack(session, plan)
     shown = layer_struct(layer or plan.layers[0], len(wanted.objects))
+    marked = bool(each or plan.features()["OCCLUDED"])
     sizes = (
-        16 * area,
+        source_bytes(area, plan.tilt, marked),
         4 * plan.channels * area,
         area,
         4 * capacity,
@@ -223,7 +225,7 @@ def traced(
     found = Traced(
         plan,
         download(session, label, shape, np.uint8) if each else np.zeros(shape, np.uint8),
-        download(session, source, (*shape, 4), np.float32),
+        download_sources(session, source, shape, plan.tilt, marked),
         download(session, value, (plan.channels, *shape), np.float32),
         download(session, statistics, (4,), np.int32),
     )
