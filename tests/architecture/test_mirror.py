@@ -34,13 +34,11 @@ WITHOUT_TWIN = {
     )
     | dict.fromkeys(("sums_of", "bits_of"), "lanes of a vector"),
     "neighbors": dict.fromkeys(
-        ["add_left_ends", "add_right_ends", "add_spans", "weight_of", "add_column", "add_columns", "add_neighbors"]
-        + ["lowest", "add_alike"],
+        "add_left_ends add_right_ends add_spans weight_of add_column add_columns add_neighbors lowest add_alike".split(),
         "taps of many sources at once, which scatter adds up",
     ),
     "discs": dict.fromkeys(
-        ["disc_row", "lowest_lane", "some_taps", "disc_keys", "take_row", "note_keys", "add_ends", "add_segment"]
-        + ["add_discs"],
+        "disc_row lowest_lane some_taps disc_keys take_row note_keys add_ends add_segment add_discs".split(),
         "rows of discs at once, which scatter adds up tap by tap",
     ),
 }
