@@ -22,7 +22,7 @@ from clsco.memory import Limit, defocus_bytes, limit_of, rows_that_fit, source_b
 from clsco.optics import LARGEST_BLUR
 from clsco.plan import Blur, is_sharp
 from clsco.program import build, empty
-from clsco.psf import LANES, is_disc, reach, table_reach
+from clsco.psf import LANES, psf_features, reach, table_reach
 from clsco.scene import Psf
 from clsco.scenefile import parse_psf
 from clsco.spread import Sources, blur_features, prepare_sources
@@ -182,11 +182,9 @@ def _blurred(
 
 def image_features(blur: Blur, psf: Psf, largest: float, channels: int, real: Real) -> dict[str, int]:
     """Features of blur.cl for an image with radii up to `largest` px."""
-    return PLAIN | blur_features(blur, psf, largest, real, prepare=True) | {
+    return PLAIN | psf_features(psf) | blur_features(blur, psf, largest, real, prepare=True) | {
         "CHANNELS": channels,
         "TILT": int(psf.tilt and blur != "convolve"),
-        "SAMPLED": int(psf.edge == "sampled"),
-        "DISC": int(is_disc(psf)),
     }  # fmt: skip
 
 

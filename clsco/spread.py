@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import log
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from clsco.device import Program, Session
 from clsco.layout import Real, Struct, psf_struct
-from clsco.memory import MOST_IN_ONE_SUM, bands_at_a_time, has_spans, margin, spread_bytes
+from clsco.memory import MOST_IN_ONE_SUM, bands_at_a_time, has_rows, has_spans, margin, spread_bytes
 from clsco.occlusion import lens_cells
 from clsco.plan import Blur
 from clsco.program import empty, kernel, launch, mapped, upload
@@ -27,16 +28,12 @@ GAIN, GAIN_PER_LOG, TILT_GAIN = 2.6, 2.0, 2.0
 Events = list[tuple[str, cl.Event]]
 
 
-def spans_rows(psf: Psf, largest: float, real: Real) -> bool:
-    """Whether `gather` keeps rows that have one weight as their two ends: wide discs on devices with fp64."""
-    return real == "double" and has_spans(psf, largest)
-
-
 def blur_features(method: Blur, psf: Psf, largest: float, real: Real, prepare: bool) -> dict[str, int]:
     """Which kernels of blur.cl are compiled, and for what; largest: |R| in px."""
     return {
         "GATHER": int(method == "gather"),
-        "SPANS": int(method == "gather" and spans_rows(psf, largest, real)),
+        "ROWS": int(method == "gather" and real == "double" and has_rows(psf)),
+        "SPANS": int(method == "gather" and real == "double" and has_spans(psf, largest)),
         "SCATTER": int(method == "scatter"),
         "CONVOLVE": int(method == "convolve"),
         "RENORMALIZE": int(psf.border == "renormalize" and method != "none"),
@@ -80,13 +77,14 @@ class Spreader:
 
     camera: of the frame, or of the strip that it begins with, which is the tallest; another one can be set. Holds for
     |R| in [smallest, largest] px; other radii are clamped to it (`convolve` makes the PSF of its radius).
-    brightest: largest |radiance|, which sets the fixed point of `scatter`; spans: the program has the feature SPANS.
+    brightest: largest |radiance|, which sets the fixed point of `scatter`; features: those of the program.
     """
 
     def __init__(
         self, session: Session, program: Program, psf: Psf, method: Blur, camera: Struct, channels: int,
-        smallest: float, largest: float, subpixels: int, real: Real, brightest: float, spans: bool,
+        smallest: float, largest: float, subpixels: int, real: Real, brightest: float, features: Mapping[str, int],
     ) -> None:  # fmt: skip
+        spans = bool(features["ROWS"] or features["SPANS"])
         self.session, self.program, self.psf, self.method = session, program, psf, method
         self.camera, self.channels = camera, channels
         self.main = psf_table(psf, smallest, largest)

@@ -10,8 +10,8 @@
 // gather gives every work-item a band of output rows, which it alone writes, and walks the sources that reach it
 // in a fixed order, whole vectors of taps at a time: no atomics, same bits, for CPUs. scatter adds taps one by one in
 // fixed point: any device, any order, same bits; the oracle of the other two. convolve is for one radius only.
-// Features: CHANNELS, TILT, SUBPIXELS, DISC (sampled, one weight), BAND (rows of a band), OCCLUDED (after occlusion.clh),
-// SPANS (of gather: discs by the ends of their rows), GATHER, SCATTER, CONVOLVE, RENORMALIZE, PREPARE: which kernels are wanted.
+// Features: CHANNELS, TILT, SUBPIXELS, DISC (sampled, one weight), SEPARABLE (weights are products of two), BAND (rows of a
+// band), OCCLUDED (after occlusion.clh), of gather ROWS (whole rows of sources) or SPANS (discs by the ends of rows); GATHER, SCATTER, CONVOLVE, RENORMALIZE, PREPARE: which kernels are wanted.
 
 #if GATHER
 // Adds rows -up..down of one source to `out`, the place of its first tap in its own row.
@@ -84,8 +84,8 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
                      __global const float *value, __global const int4 *intervals,
                      __global const float *coefficients,
                      __global const float *quadrants, __global const int *outlines,
-#if SPANS
-                     __global double *spans, const int span_size,
+#if SPANS || ROWS
+                     __global double *spans, const int span_size,  // doubles of a work-item
 #endif
                      const int start, const int group, __global float *part, const int pitch, const int pad,
                      __global float *total
@@ -104,20 +104,18 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
     const int spans_apart = (int)get_global_size(0) * BAND * pitch, apart = group ? spans_apart : total_plane;
     const int shift = group ? (own * BAND - first) * pitch : 0;  // from a row of the frame to that of part
     const int from = MAX(first - psf.reach, -camera.above), to = MIN(end + psf.reach, camera.height - camera.above);
-#if DISC && SPANS
-    if (!add_discs(camera, psf, source, value, quadrants, outlines, first, end, spans + own * span_size, pitch, pad, total))
+#if ROWS
+    if (!add_whole_rows(camera, psf, source, value, intervals, quadrants, outlines, first, end, spans + own * span_size, pitch,
+                        pad, total))
         return;
 #endif
     for (int y = from; y < to; ++y) {
     const int line = (y + camera.above) * camera.width, place = shift + y * pitch - camera.guard + pad;
     for (int block = 0; block < camera.width; block += LANES) {
     int single = (1 << MIN(LANES, camera.width - block)) - 1;
-#if DISC && SPANS
-    float8 right, down;
-    int8 others;
-    disc_keys(psf, source, plane, line, block, camera.width, outlines, &right, &down, &others);
-    single = bits_of(others);
-#elif !DISC
+#if ROWS
+    single = bits_of(take_sources(psf, source, plane, line, block, camera.width, intervals, outlines).others);
+#elif !DISC && !SEPARABLE
     if (camera.width - block >= LANES) {
 #if SPANS
         __global double *span = spans + own * BAND * pitch + (y - first) * pitch - camera.guard + pad + block;
@@ -184,7 +182,7 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
         settle(MAX(first, y + 1 - group - psf.reach), MIN(end - 1, y + psf.reach), apart, shift, total_plane, pitch, part,
                total);
     }
-#if SPANS && !DISC
+#if SPANS
     for (int k = 0; k < CHANNELS; ++k)
         for (int row = first; row < end; ++row)
             add_spans(spans + k * spans_apart + (own * BAND + row - first) * pitch, CHANNELS * spans_apart, pitch,

@@ -18,6 +18,7 @@ from clsco.layout import Real, structs
 from clsco.memory import TRUTH_BUFFERS
 from clsco.plan import make_plan
 from clsco.program import HEADERS, HEADERS_OF, OCCLUSION_HEADERS, build
+from clsco.psf import psf_features
 from clsco.scene import Camera, Psf, Scene, Sphere
 from clsco.spread import blur_features
 from clsco.strips import BAND
@@ -29,6 +30,10 @@ GEOMETRY: dict[str, tuple[int, ...]] = {
     "CHANNELS": (1, 3),
     "FILTER": (0, 2, 1),
 }
+BLUR = (
+    *("SAMPLED", "TILT", "GATHER", "ROWS", "SPANS", "SCATTER", "CONVOLVE", "RENORMALIZE", "PREPARE"),
+    *("DISC", "SEPARABLE"),
+)
 TRUTH = [f"TRUTH_{name.upper()}" for name in TRUTH_BUFFERS]
 # Files that are built together: feature -> value when off, when on, and others. Structure is all that is compiled in.
 PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
@@ -36,12 +41,10 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | dict.fromkeys(("MOVED", "TILT", "TRUTH", *TRUTH, "PINHOLE", "LENSES"), ON_OR_OFF)
     | {"SUBPIXELS": (0, 4, 2, 3), "OCCLUDED": (0,)},
     ("blur.cl",): dict.fromkeys(PLAIN, (0,))
-    | dict.fromkeys(
-        ("SAMPLED", "TILT", "GATHER", "SPANS", "SCATTER", "CONVOLVE", "RENORMALIZE", "PREPARE", "DISC"), ON_OR_OFF
-    )
+    | dict.fromkeys(BLUR, ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (1, BAND)},
     ("coarse.cl",): dict.fromkeys(PLAIN, (0,))
-    | dict.fromkeys(("TILT", "DISC", "SAMPLED"), ON_OR_OFF)
+    | dict.fromkeys(("TILT", "DISC", "SAMPLED", "SEPARABLE"), ON_OR_OFF)
     | {"CHANNELS": (1, 3)},
     ("accumulate.cl",): GEOMETRY,
     ("texture.cl",): GEOMETRY,
@@ -57,6 +60,7 @@ PROGRAMS[OCCLUSION] = PROGRAMS["blur.cl",] | PROGRAMS["trace.cl",] | {"OCCLUDED"
 # Features that have to do with it; of the others there is one value, the program being a long one.
 TOLD = {"OCCLUDED", "SEVERAL", "QUADRATIC", "NAPPE", "BOUNDED", "CHANNELS", "SUBPIXELS", "TILT", "GATHER", "SCATTER"}
 PROGRAMS[OCCLUSION] |= {name: values[1:2] for name, values in PROGRAMS[OCCLUSION].items() if name not in TOLD}
+PROGRAMS[OCCLUSION] |= dict.fromkeys(("ROWS", "DISC", "SEPARABLE"), (0,))
 PROGRAMS["blur.cl", "layer.cl"] = PROGRAMS["blur.cl",] | {"CHANNELS": (2, 4), "SUBPIXELS": (0,)}
 GIVEN_BY_THE_BUILD = {"REAL_IS_DOUBLE", "HAS_INT64_ATOMICS", "HAS_FP64", "defined", "__FMA__", "__SSE4_1__", "__AVX__"}
 
@@ -102,7 +106,7 @@ def test_what_the_host_asks_for_is_what_the_files_know() -> None:
     spreading = blur_features("gather", Psf(), 1.0, "double", prepare=True).keys()
     rendering = plan.features().keys() | spreading | {"TRUTH", *TRUTH, "PINHOLE", "LENSES"}
     assert PROGRAMS["trace.cl",].keys() | PROGRAMS["blur.cl",].keys() == rendering
-    assert asked_for(("blur.cl",)) <= PLAIN.keys() | spreading | {"CHANNELS", "TILT", "SAMPLED", "DISC"}
+    assert asked_for(("blur.cl",)) <= PLAIN.keys() | spreading | {"CHANNELS", "TILT", *psf_features(Psf())}
     assert forward_features(plan, owned=True).keys() == PROGRAMS[FORWARD].keys()
 
 
@@ -110,8 +114,8 @@ def test_what_the_host_asks_for_is_what_the_files_know() -> None:
 @pytest.mark.parametrize("files", PROGRAMS, ids="+".join)
 def test_with_all_features_none_and_all_but_one(session: Session, files: tuple[str, ...], real: Real) -> None:
     chosen = variants(PROGRAMS[files])
-    if real == "float":  # `real` is a type: what a feature compiles does not hang on it; SPANS are doubles
-        chosen = [one | {"SPANS": 0} for one in chosen[:2]]
+    if real == "float":  # `real` is a type: what a feature compiles does not hang on it; ROWS and SPANS are doubles
+        chosen = [one | {"ROWS": 0, "SPANS": 0} for one in chosen[:2]]
     kernels = [set(build(session, files, features, structs(real), real)) for features in chosen]
     defined = {
         name for file in files for name in re.findall(r"__kernel void (\w+)\(", (KERNELS / file).read_text("utf-8"))

@@ -17,7 +17,7 @@ from clsco.layout import Struct, flat, frame_struct, psf_struct, structs
 from clsco.memory import source_bytes
 from clsco.plan import Blur
 from clsco.program import build, download, empty, kernel, launch, upload
-from clsco.psf import is_disc, psf_table
+from clsco.psf import psf_features, psf_table
 from clsco.reference import blur as twin
 from clsco.reference.geometry import table_coordinate, tilt_slope
 from clsco.reference.trace import Sources, SubpixelSources
@@ -152,22 +152,22 @@ def copied(session: Session, array: Array) -> Any:
     return buffer
 
 
-def features(psf: Psf, channels: int, samples: int, spans: bool = False) -> dict[str, int]:
+def features(psf: Psf, channels: int, samples: int, largest: float = 0.0) -> dict[str, int]:
     """All kernels in one program, so that few have to be compiled; tests/architecture builds them one by one."""
-    kernels = dict.fromkeys(("GATHER", "SCATTER", "CONVOLVE", "RENORMALIZE", "PREPARE"), 1) | {"SPANS": int(spans)}
-    chosen = {"CHANNELS": channels, "SUBPIXELS": samples, "DISC": int(is_disc(psf)), "BAND": strips.BAND}
-    return SHAPES | kernels | chosen | {"TILT": int(psf.tilt), "SAMPLED": int(psf.edge == "sampled")}
+    kernels = spread.blur_features("gather", psf, largest, "double", prepare=True)
+    kernels |= dict.fromkeys(("GATHER", "SCATTER", "CONVOLVE", "RENORMALIZE", "PREPARE"), 1)
+    chosen = {"CHANNELS": channels, "SUBPIXELS": samples, "TILT": int(psf.tilt), "BAND": strips.BAND}
+    return SHAPES | kernels | chosen | psf_features(psf)
 
 
 def spreader(session: Session, given: Light, method: Blur) -> Spreader:
     psf = given.psf
     file = "accumulate.cl" if method == "none" else "blur.cl"
-    spans = spread.spans_rows(psf, given.largest, "double")
-    chosen = features(psf, given.channels, given.samples, spans)
+    chosen = features(psf, given.channels, given.samples, given.largest)
     program = build(session, [file], chosen, STRUCTS, "double")
     ends = (given.smallest, given.largest)
     return Spreader(
-        session, program, psf, method, given.camera(), given.channels, *ends, given.samples, "double", 1.0, spans
+        session, program, psf, method, given.camera(), given.channels, *ends, given.samples, "double", 1.0, chosen
     )  # fmt: skip
 
 
@@ -214,7 +214,7 @@ def test_wide_discs_by_the_ends_of_their_rows(session: Session, psf: Psf, channe
     shape = (3 * strips.BAND // 2, 61)
     largest = 44.0 if psf.edge == "sampled" else 26.0
     given = light(psf, shape=shape, guard=3, largest=largest, steepest=0.2, channels=channels, samples=2)
-    assert spread.spans_rows(psf, given.largest, "double")
+    assert features(psf, channels, 2, largest)["ROWS" if psf.edge == "sampled" else "SPANS"]
     rows, columns = np.indices(given.sources.lit.shape)
     alone = (columns > 40) | (RNG(45).random(rows.shape) < 0.02)
     radius = np.where(alone, given.sources.radius, 0.55 * largest + 0.11 * rows + 0.02 * columns)
