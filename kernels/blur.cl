@@ -11,7 +11,8 @@
 // in a fixed order, whole vectors of taps at a time: no atomics, same bits, for CPUs. scatter adds taps one by one in
 // fixed point: any device, any order, same bits; the oracle of the other two. convolve is for one radius only.
 // Features: CHANNELS, TILT, SUBPIXELS, DISC (sampled, one weight), SEPARABLE (weights are products of two), BAND (rows of a
-// band), OCCLUDED (after occlusion.clh), of gather ROWS (whole rows of sources) or SPANS (discs by the ends of rows); GATHER, SCATTER, CONVOLVE, RENORMALIZE, PREPARE: which kernels are wanted.
+// band), OCCLUDED (after occlusion.clh), of gather ROWS (whole rows of sources) or SPANS (discs by the ends of rows); GATHER,
+// SCATTER, CONVOLVE, RENORMALIZE, PREPARE: which kernels are wanted.
 
 #if GATHER
 // Adds rows -up..down of one source to `out`, the place of its first tap in its own row.
@@ -182,7 +183,7 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
         settle(MAX(first, y + 1 - group - psf.reach), MIN(end - 1, y + psf.reach), apart, shift, total_plane, pitch, part,
                total);
     }
-#if SPANS
+#if SPANS && !DISC && !SEPARABLE
     for (int k = 0; k < CHANNELS; ++k)
         for (int row = first; row < end; ++row)
             add_spans(spans + k * spans_apart + (own * BAND + row - first) * pitch, CHANNELS * spans_apart, pitch,
