@@ -356,7 +356,8 @@ def _disc_table(psf: Psf, span: range) -> PsfTable:
 
 def _separable_table(psf: Psf, span: range) -> PsfTable:
     """Table of a Gaussian by one of its axes."""
-    intervals, rows, sides, start = [], [], [], 0
+    intervals, rows, start = [], [], 0
+    sides: list[NDArray[np.float32]] = []
     for index in span:
         radii, half_width = _table_radius(psf, index + NODES, False), _half_width(psf, index, False)
         block = np.zeros((POWERS, _lanes(half_width)), dtype=np.float32)

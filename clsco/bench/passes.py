@@ -68,8 +68,8 @@ class Pass:
     def prepare(self, events: Events) -> None:
         """Enqueue the prepass: radii to records of sources."""
         if self.sources.source is not None:
-            maps = (*self.radii, self.sources.source)
-            prepare_sources(self.session, self.program, self.camera, self.spreader.struct, *maps, events)
+            coc, valid, source = *self.radii, self.sources.source
+            prepare_sources(self.session, self.program, self.camera, self.spreader.struct, coc, valid, source, events)
 
     def spread(self, events: Events) -> None:
         """Enqueue the blur of all sources into an empty frame."""
