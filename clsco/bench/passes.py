@@ -48,7 +48,7 @@ class Pass:
         guard = reach(psf, self.largest) + 2 * LANES if constant else 0
         features = image_features(blur, psf, self.largest, channels, real)
         self.session, self.camera = session, frame_struct(rows, columns, guard, real)
-        self.program = build(session, ["blur.cl"], features, structs(real), real)
+        self.program = {} if constant else build(session, ["blur.cl"], features, structs(real), real)
         self.spreader = make_spreader(
             session, self.program, psf, blur, self.camera, channels, smallest, self.largest, 0, real,
             float(np.abs(image).max()), features, least, places,

@@ -37,13 +37,14 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | {"SUBPIXELS": (0, 4, 2, 3), "OCCLUDED": (0,)},
     ("blur.cl",): dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(
-        ("SAMPLED", "TILT", "GATHER", "SPANS", "SCATTER", "CONVOLVE", "RENORMALIZE", "PREPARE", "DISC"), ON_OR_OFF
+        ("SAMPLED", "TILT", "GATHER", "SPANS", "SCATTER", "RENORMALIZE", "PREPARE", "DISC"), ON_OR_OFF
     )
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (1, BAND)},
     ("coarse.cl",): dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(("TILT", "DISC", "SAMPLED"), ON_OR_OFF)
     | {"CHANNELS": (1, 3)},
     ("accumulate.cl",): GEOMETRY,
+    ("convolve.cl",): GEOMETRY | {"WIDE_SUMS": ON_OR_OFF},
     ("texture.cl",): GEOMETRY,
     ("biharmonic.cl",): GEOMETRY,
     FORWARD: GEOMETRY
