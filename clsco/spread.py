@@ -73,8 +73,8 @@ class Spreader:
     """Adds the blurred light of moments to a frame, or a strip of it; owns its buffers and the PSF tables.
 
     camera: of the frame, or of the strip that it begins with, which is the tallest; another one can be set. Holds for
-    |R| in [smallest, largest] px; other radii are clamped to it (`convolve` makes the PSF of its radius, by a program of
-    its own).
+    |R| in [smallest, largest] px; other radii are clamped to it (`convolve` makes the PSF of its radius, and has a
+    program of its own).
     brightest: largest |radiance|, which sets the fixed point of `scatter`; spans: the program has the feature SPANS.
     """
 
@@ -120,6 +120,9 @@ class Spreader:
 
     def clear(self) -> None:
         """Begin a frame, or a strip of it."""
+        if self.method == "convolve":
+            self.convolution.fresh = True
+            return
         buffer = self.sums if self.method == "scatter" else self.total
         cl.enqueue_fill_buffer(self.session.queue, buffer, np.zeros(1, np.uint32), 0, buffer.size)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from math import sqrt
 
 import numpy as np
@@ -36,15 +37,21 @@ class Stencil:
     share: float = 0.0
 
     @property
+    def reach(self) -> tuple[int, int]:
+        """Largest |dx| and |dy| of a run."""
+        dx, dy, count, _ = self.runs.T
+        return int(dx.max(initial=0)), int((dy + count - 1).max(initial=0))
+
+    @property
     def area(self) -> int:
         """Pixels in the union of the rectangles."""
         below = [-1, *(b for _, b in self.rectangles)]
-        bands = (2 * b + 1 - max(2 * inner + 1, 0) for inner, b in zip(below, below[1:], strict=False))
+        bands = (2 * b + 1 - max(2 * inner + 1, 0) for inner, b in pairwise(below))
         return sum((2 * a + 1) * rows for (a, _), rows in zip(self.rectangles, bands, strict=True))
 
     @property
     def pairs(self) -> NDArray[np.int32]:
-        """The union in sums over all that is above and to the left: int32 (count, 4), (dy, dx) of +1, (dy, dx) of -1."""
+        """The union by sums over all that is above and to the left: int32 (count, 4), (dy, dx) of +1 and of -1."""
         found, inner = list[tuple[int, int, int, int]](), -1
         for a, b in self.rectangles:
             found += [(b, a, b, -a - 1), (-b - 1, -a - 1, -b - 1, a)]
@@ -70,24 +77,24 @@ def stencils(psf: Psf, radius: float) -> tuple[Stencil, ...]:
     far = reach(psf, radius)
     offset = np.arange(far + 1.0)
     if is_product(psf):
-        line = weights(psf, offset, np.zeros(1), np.asarray(radius))
-        line = (line / sqrt(float(line[0]))).astype(np.float32)
+        along = weights(psf, offset, np.zeros(1), np.asarray(radius))
+        line = (along / sqrt(float(along[0]))).astype(np.float32)
         return Stencil(*_runs(line[None, :])), Stencil(*_runs(line[:, None]))
     quadrant = weights(psf, offset[None, :], offset[:, None], np.asarray(radius)).astype(np.float32)
     share = quadrant[0, 0]
     rectangles = _rectangles(quadrant == share, quadrant >= share / 2) if is_summed(psf, far) else ()
-    inside = np.zeros(quadrant.shape, np.bool_)
+    inside = np.zeros_like(quadrant)
     for a, b in rectangles:
-        inside[: b + 1, : a + 1] = True
-    rest = quadrant - inside * share  # without rounding, as these weights are at least half of the share
-    return (Stencil(*_runs(rest), rectangles, float(share)),)
+        inside[: b + 1, : a + 1] = share
+    # Without rounding, as these weights are at least half of the share.
+    return (Stencil(*_runs(quadrant - inside), rectangles, float(share)),)
 
 
 def _rectangles(same: NDArray[np.bool_], half: NDArray[np.bool_]) -> tuple[Rectangle, ...]:
     """Rectangles for a quadrant of a disc whose middle has one weight: those with which it takes least time.
 
-    same: where that weight is; half: where at least half of it is, so that rectangles may go that far: what they add too
-    much has to be taken away by weights that have to be there anyway. Shortest path over the rows where one ends.
+    same: where that weight is; half: where at least half of it is. Rectangles may go that far, as the weights that take
+    away what is too much have to be there anyway. The shortest path over the rows where one ends.
     """
     filled, allowed = same.sum(axis=1), half.sum(axis=1)
     count = int((allowed > 0).sum())

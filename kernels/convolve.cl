@@ -1,91 +1,98 @@
 // Blur with one radius for all sources and no tilt: a plain convolution. Twin: clsco/reference/convolve.py.
 //
 // A PSF is the sum of two parts, which clsco/stencil.py finds. What is the same everywhere inside of a disc is a union of
-// rectangles, taken from sums over rectangles (sum_down, sum_across): whole numbers, so that what is added and taken away
+// rectangles, taken from sums over rectangles (sum_across, sum_down): whole numbers, so that what is added and taken away
 // again is gone to the last bit, and no sum depends on where a strip begins. All other weights are runs, one below the
-// other, which columns -dx and dx of the PSF have in common. A run keeps its weights and BLOCK rows of the result in
-// registers while it goes down the image. Gaussians that are products are two such PSFs, one after the other.
+// other, which columns -dx and dx of the PSF have in common. A run keeps its weights in registers, and the sources that they
+// meet, while it goes down the image. Gaussians that are products are two such PSFs, one after the other.
 // Feature: WIDE_SUMS (sums of 64 bits instead of 32).
 
 #define LANES 16        // floats in a vector
-#define TILE_ROWS 32    // rows for each work-item, and
-#define TILE_VECTORS 4  // vectors in each of them, as in clsco/convolution.py
+#define TILE_ROWS 32    // of a work-item, as in clsco/convolution.py, and
+#define TILE_VECTORS 4  // vectors in each row
+#define TILES 8         // so many are made side by side before those below, so that what they read is still in the cache
 #define LONGEST_RUN 8   // weights, as in clsco/stencil.py
 #define RUNS_IN_ONE_SUM 32  // runs that a float adds up before it goes into another sum
+
+// Sums of up to 64 bits, of which the lower ones may be left out; unsigned, as they run over. Differences do not.
 #if WIDE_SUMS
-typedef long sum_t;
-typedef long sums_t __attribute__((ext_vector_type(16), aligned(8)));
+#define LOWER_BITS 0
+typedef ulong sum_t;
+typedef ulong sums_t __attribute__((ext_vector_type(16), aligned(8)));
+#define SIGNED(v) as_long16(v)
 #else
-typedef int sum_t;
-typedef int sums_t __attribute__((ext_vector_type(16), aligned(4)));
+#define LOWER_BITS 26  // as in clsco/convolution.py
+typedef uint sum_t;
+typedef uint sums_t __attribute__((ext_vector_type(16), aligned(4)));
+#define SIGNED(v) as_int16(v)
 #endif
 // vload16 and vstore16 are calls on PoCL; through such types they are unaligned moves.
 typedef float floats_t __attribute__((ext_vector_type(16), aligned(4)));
-#define FLOATS(p) (*(__global floats_t *)(p))
+#define FLOATS(p) (*(__global const floats_t *)(p))
 #define SUMS(p) (*(__global sums_t *)(p))
 #define INLINE static inline __attribute__((always_inline))
 
 // Contraction changes no bit from run to run.
 #pragma OPENCL FP_CONTRACT ON
 
-// Light in whole units of 1 / scale: below 2^22 of them, but with WIDE_SUMS.
-INLINE sums_t units_of(float16 light, float scale)
+// Sums along each row: of a pixel's light and all that is to the left of it, in units of 1 / scale. Those of 32 bits are the
+// upper bits: it is not pixels that are rounded, but sums, so that no error adds up along a row.
+// In: value float (height, width) from `start` on; out: sums (height, width).
+__kernel void sum_across(const int height, const int width, __global const float *value, const int start,
+                         const float scale, __global sum_t *sums)
 {
-#if WIDE_SUMS
-    return __builtin_convertvector(light * scale, sums_t);
-#else
-    const float whole = 12582912;  // 1.5 * 2^23: what is added to it is rounded to a whole number
-    return as_int16(light * scale + whole) - as_int(whole);
-#endif
+    const int y = get_global_id(0);
+    if (y >= height)
+        return;
+    __global const float *line = value + start + y * width;
+    const long16 zero = 0;
+    long before = 0;
+    int x = 0;
+    for (; x + LANES <= width; x += LANES) {
+        long16 sum = __builtin_convertvector(FLOATS(line + x) * scale, long16);
+        sum += __builtin_shufflevector(zero, sum, 0, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30);
+        sum += __builtin_shufflevector(zero, sum, 0, 0, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29);
+        sum += __builtin_shufflevector(zero, sum, 0, 0, 0, 0, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27);
+        sum += __builtin_shufflevector(zero, sum, 0, 0, 0, 0, 0, 0, 0, 0, 16, 17, 18, 19, 20, 21, 22, 23);
+        sum += before;
+        before = sum.sf;
+        SUMS(sums + y * width + x) = __builtin_convertvector(sum >> LOWER_BITS, sums_t);
+    }
+    for (; x < width; ++x) {
+        before += (long)(line[x] * scale);
+        sums[y * width + x] = (sum_t)(before >> LOWER_BITS);
+    }
 }
 
-// Sums down each column of light. In: value float (height, width) from `start` on; out: sums (height, width).
-__kernel void sum_down(const int height, const int width, __global float *value, const int start, const float scale,
-                       __global sum_t *sums)
+// Sums of these down each column: of all that is to the left of a pixel or above, itself included.
+__kernel void sum_down(const int height, const int width, __global sum_t *sums)
 {
-    const int first = get_global_id(0) * TILE_VECTORS * LANES;
-    if (first >= width)
+    const int x = get_global_id(0) * TILE_VECTORS * LANES;
+    if (x >= width)
         return;
+    const int vectors = MIN(TILE_VECTORS, (width - x) / LANES);
     sums_t sum[TILE_VECTORS];
     #pragma unroll
     for (int v = 0; v < TILE_VECTORS; ++v)
         sum[v] = 0;
     for (int y = 0; y < height; ++y) {
         #pragma unroll
-        for (int v = 0; v < TILE_VECTORS; ++v) {
-            const int at = y * width + MIN(first + v * LANES, width - LANES);  // the last ones overlap, and are alike
-            sum[v] += units_of(FLOATS(value + start + at), scale);
-            SUMS(sums + at) = sum[v];
-        }
+        for (int v = 0; v < TILE_VECTORS; ++v)
+            if (v < vectors) {
+                sum[v] += SUMS(sums + y * width + x + v * LANES);
+                SUMS(sums + y * width + x + v * LANES) = sum[v];
+            }
     }
-}
-
-// Sums of these along each row: of all that is above and to the left of a pixel, itself included.
-__kernel void sum_across(const int height, const int width, __global sum_t *sums)
-{
-    const int y = get_global_id(0);
-    if (y >= height)
+    if (vectors == TILE_VECTORS)
         return;
-    __global sum_t *row = sums + y * width;
-    const sums_t zero = 0;
-    sum_t before = 0;
-    int x = 0;
-    for (; x + LANES <= width; x += LANES) {
-        sums_t sum = SUMS(row + x);
-        sum += __builtin_shufflevector(zero, sum, 0, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30);
-        sum += __builtin_shufflevector(zero, sum, 0, 0, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29);
-        sum += __builtin_shufflevector(zero, sum, 0, 0, 0, 0, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27);
-        sum += __builtin_shufflevector(zero, sum, 0, 0, 0, 0, 0, 0, 0, 0, 16, 17, 18, 19, 20, 21, 22, 23);
-        SUMS(row + x) = sum + before;
-        before += sum.sf;
-    }
-    for (; x < width; ++x)
-        row[x] = before += row[x];
+    for (int y = 1; y < height; ++y)  // columns that fill no vector
+        for (int column = x + vectors * LANES; column < width; ++column)
+            sums[y * width + column] += sums[(y - 1) * width + column];
 }
 
-// Adds a run of `count` weights, a constant, to rows. left, right: the row that the first weight meets first, dx columns to
-// either side.
-INLINE void add_run(const int count, __global const float *weights, __global float *left, __global float *right,
+// Adds a run of `count` weights, a constant, to a vector in each of some rows. left, right: what the first weight meets in
+// the first row, dx columns to either side. Loops end at a constant, or the compiler would keep the arrays in memory.
+INLINE void add_run(const int count, __global const float *weights, __global const float *left, __global const float *right,
                     const int pitch, int rows, float16 *part)
 {
     float weight[LONGEST_RUN];
@@ -132,25 +139,41 @@ INLINE void add_rectangles(__global const int4 *pairs, int count, __global sum_t
     }
     #pragma unroll
     for (int v = 0; v < TILE_VECTORS; ++v)
-        row[v * TILE_ROWS] = __builtin_convertvector(inside[v], float16) * share;
+        row[v * TILE_ROWS] = __builtin_convertvector(SIGNED(inside[v]), float16) * share;
+}
+
+// Asks for what the next tile to the right is the first to read: otherwise it would wait for memory, line by line.
+INLINE void ask_for(__global const float *value, __global const sum_t *sums, bool summed, int pitch, int rows, int vectors)
+{
+    for (int y = 0; y < rows; ++y)
+        for (int v = 0; v < vectors; ++v) {
+            *(volatile __global const float *)(value + y * pitch + v * LANES);
+            if (summed)
+                *(volatile __global const sum_t *)(sums + y * pitch + v * LANES);
+        }
 }
 
 // Each work-item makes TILE_ROWS rows of TILE_VECTORS vectors of a frame (rows, columns).
 //   value   float, rows of `pitch`, pixel (0, 0) at start + origin. What is within reach of the PSF is there, too, and LANES
 //           more columns
 //   runs    (dx, first dy, number of weights, where in `weights` they are)
-//   sums    of sum_across, pixel (0, 0) at origin; pairs: see add_rectangles; share: light of one unit
+//   sums    of sum_down, pixel (0, 0) at origin; pairs: see add_rectangles; share: light of one unit
 //   target  pixel (0, 0) at target_start, rows of target_pitch. fresh: what is there does not count
-__kernel void convolve(const int rows, const int columns, __global float *value, const int start, const int origin,
+__kernel void convolve(const int rows, const int columns, __global const float *value, const int start, const int origin,
                        const int pitch, __global const int4 *runs, const int run_count,
                        __global const float *weights, __global sum_t *sums, __global const int4 *pairs,
-                       const int pair_count, const float share, __global float *target, const int target_start,
-                       const int target_pitch, const int fresh)
+                       const int pair_count, const float share, const int half_width, const int half_height,
+                       __global float *target, const int target_start, const int target_pitch, const int fresh)
 {
-    const int first = get_global_id(0) * TILE_ROWS, x0 = get_global_id(1) * TILE_VECTORS * LANES;
-    if (first >= rows || x0 >= columns)
+    const int first = get_global_id(1) * TILE_ROWS, tile = get_global_id(2) * TILES + get_global_id(0);
+    const int x0 = tile * TILE_VECTORS * LANES;
+    if (get_global_id(0) >= TILES || first >= rows || x0 >= columns)
         return;
     const int end = MIN(rows, first + TILE_ROWS);
+    const int kept = fresh ? 0 : -1;
+    const int next = x0 + TILE_VECTORS * LANES, ahead = origin + (first + half_height) * pitch + next + half_width;
+    ask_for(value + start + ahead, sums + ahead, pair_count > 0, pitch, end - first,
+            MIN(TILE_VECTORS, (columns - next) / LANES));
     float16 sum[TILE_VECTORS * TILE_ROWS];
     for (int y = first; y < end; ++y)
         add_rectangles(pairs, pair_count, sums + origin + y * pitch + x0, pitch, share, sum + (y - first));
@@ -164,8 +187,8 @@ __kernel void convolve(const int rows, const int columns, __global float *value,
             for (int i = from; i < MIN(from + RUNS_IN_ONE_SUM, run_count); ++i) {
                 const int4 run = runs[i];
                 __global const float *w = weights + run.w;
-                __global float *left = value + start + origin + (first + run.y) * pitch + x - run.x;
-                __global float *right = left + 2 * run.x;
+                __global const float *left = value + start + origin + (first + run.y) * pitch + x - run.x;
+                __global const float *right = left + 2 * run.x;
                 switch (run.z) {
                 case 1: add_run(1, w, left, right, pitch, end - first, part); break;
                 case 2: add_run(2, w, left, right, pitch, end - first, part); break;
@@ -182,7 +205,7 @@ __kernel void convolve(const int rows, const int columns, __global float *value,
         }
         for (int y = first; y < end; ++y) {
             __global float *out = target + target_start + y * target_pitch + x;
-            FLOATS(out) = fresh ? own[y - first] : FLOATS(out) + own[y - first];
+            *(__global floats_t *)out = as_float16(as_int16(FLOATS(out)) & kept) + own[y - first];
         }
     }
 }

@@ -47,7 +47,10 @@ ONLY = {
     "program": {"errors", "resources", "device"},
 }
 IMPORTS_REFERENCE = {"check", "bench"}
-OPENCL = {"device", "arrays", "program", "inpainting", "convolution", "spread", "coarse", "layers", "defocus", "forward", "renderer"}
+OPENCL = {
+    "device", "arrays", "program", "inpainting", "convolution", "spread", "coarse", "layers", "defocus", "forward",
+    "renderer",
+}  # fmt: skip
 ON_OPENCL = {"render", "batch", "check", "bench"}
 IMAGES = {"images"}
 OUTSIDE = {

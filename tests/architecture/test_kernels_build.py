@@ -36,9 +36,7 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | dict.fromkeys(("MOVED", "TILT", "TRUTH", *TRUTH, "PINHOLE", "LENSES"), ON_OR_OFF)
     | {"SUBPIXELS": (0, 4, 2, 3), "OCCLUDED": (0,)},
     ("blur.cl",): dict.fromkeys(PLAIN, (0,))
-    | dict.fromkeys(
-        ("SAMPLED", "TILT", "GATHER", "SPANS", "SCATTER", "RENORMALIZE", "PREPARE", "DISC"), ON_OR_OFF
-    )
+    | dict.fromkeys(("SAMPLED", "TILT", "GATHER", "SPANS", "SCATTER", "RENORMALIZE", "PREPARE", "DISC"), ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (1, BAND)},
     ("coarse.cl",): dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(("TILT", "DISC", "SAMPLED"), ON_OR_OFF)
