@@ -1,16 +1,16 @@
 // Blur with one radius for all sources and no tilt: a plain convolution. Twin: clsco/reference/convolve.py.
 //
-// A PSF is the sum of two parts, which clsco/stencil.py finds. What is the same everywhere inside of a disc is a union of
-// rectangles, taken from sums over rectangles (sum_across, sum_down): whole numbers, so that what is added and taken away
-// again is gone to the last bit, and no sum depends on where a strip begins. All other weights are runs, one below the
-// other, which columns -dx and dx of the PSF have in common. A run keeps its weights in registers, and the sources that they
-// meet, while it goes down the image. Gaussians that are products are two such PSFs, one after the other.
+// A PSF is the sum of two parts, which clsco/stencil.py finds. What is the same everywhere inside of a disc is a union
+// of rectangles, taken from sums over rectangles (sum_across, sum_down): whole numbers, so that what is added and taken
+// away again is gone to the last bit, and no sum depends on where a strip begins. All other weights are runs, one below
+// the other, which columns -dx and dx of the PSF have in common. A run keeps its weights in registers, and the sources
+// that they meet, while it goes down the image. Gaussians that are products are two such PSFs, one after the other.
 // Feature: WIDE_SUMS (sums of 64 bits instead of 32).
 
 #define LANES 16        // floats in a vector
 #define TILE_ROWS 32    // of a work-item, as in clsco/convolution.py, and
 #define TILE_VECTORS 4  // vectors in each row
-#define TILES 8         // so many are made side by side before those below, so that what they read is still in the cache
+#define TILES 8         // side by side before those below, so that what they read is still in the cache
 #define LONGEST_RUN 8   // weights, as in clsco/stencil.py
 #define RUNS_IN_ONE_SUM 32  // runs that a float adds up before it goes into another sum
 
@@ -35,8 +35,8 @@ typedef float floats_t __attribute__((ext_vector_type(16), aligned(4)));
 // Contraction changes no bit from run to run.
 #pragma OPENCL FP_CONTRACT ON
 
-// Sums along each row: of a pixel's light and all that is to the left of it, in units of 1 / scale. Those of 32 bits are the
-// upper bits: it is not pixels that are rounded, but sums, so that no error adds up along a row.
+// Sums along each row: of a pixel's light and all that is to the left of it, in units of 1 / scale. Those of 32 bits are
+// the upper bits: it is not pixels that are rounded, but sums, so that no error adds up along a row.
 // In: value float (height, width) from `start` on; out: sums (height, width).
 __kernel void sum_across(const int height, const int width, __global const float *value, const int start,
                          const float scale, __global sum_t *sums)
@@ -90,10 +90,10 @@ __kernel void sum_down(const int height, const int width, __global sum_t *sums)
             sums[y * width + column] += sums[(y - 1) * width + column];
 }
 
-// Adds a run of `count` weights, a constant, to a vector in each of some rows. left, right: what the first weight meets in
-// the first row, dx columns to either side. Loops end at a constant, or the compiler would keep the arrays in memory.
-INLINE void add_run(const int count, __global const float *weights, __global const float *left, __global const float *right,
-                    const int pitch, int rows, float16 *part)
+// Adds a run of `count` weights, a constant, to a vector in each of some rows. left, right: what the first weight meets
+// in the first row, dx columns to either side. Loops end at a constant, or the compiler keeps the arrays in memory.
+INLINE void add_run(const int count, __global const float *weights, __global const float *left,
+                    __global const float *right, const int pitch, int rows, float16 *part)
 {
     float weight[LONGEST_RUN];
     float16 both[LONGEST_RUN];
@@ -143,7 +143,8 @@ INLINE void add_rectangles(__global const int4 *pairs, int count, __global sum_t
 }
 
 // Asks for what the next tile to the right is the first to read: otherwise it would wait for memory, line by line.
-INLINE void ask_for(__global const float *value, __global const sum_t *sums, bool summed, int pitch, int rows, int vectors)
+INLINE void ask_for(__global const float *value, __global const sum_t *sums, bool summed, int pitch, int rows,
+                    int vectors)
 {
     for (int y = 0; y < rows; ++y)
         for (int v = 0; v < vectors; ++v) {
@@ -154,13 +155,14 @@ INLINE void ask_for(__global const float *value, __global const sum_t *sums, boo
 }
 
 // Each work-item makes TILE_ROWS rows of TILE_VECTORS vectors of a frame (rows, columns).
-//   value   float, rows of `pitch`, pixel (0, 0) at start + origin. What is within reach of the PSF is there, too, and LANES
-//           more columns
+//   value   float, rows of `pitch`, pixel (0, 0) at start + origin. What is within reach of the PSF is there, too, and
+//           LANES more columns
 //   runs    (dx, first dy, number of weights, where in `weights` they are)
 //   sums    of sum_down, pixel (0, 0) at origin; pairs: see add_rectangles; share: light of one unit
 //   target  pixel (0, 0) at target_start, rows of target_pitch. fresh: what is there does not count
-__kernel void convolve(const int rows, const int columns, __global const float *value, const int start, const int origin,
-                       const int pitch, __global const int4 *runs, const int run_count,
+//   half_width, half_height: of what the runs reach
+__kernel void convolve(const int rows, const int columns, __global const float *value, const int start,
+                       const int origin, const int pitch, __global const int4 *runs, const int run_count,
                        __global const float *weights, __global sum_t *sums, __global const int4 *pairs,
                        const int pair_count, const float share, const int half_width, const int half_height,
                        __global float *target, const int target_start, const int target_pitch, const int fresh)

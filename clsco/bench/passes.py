@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from clsco.coarse import Coarse, Level, make_spreader
 from clsco.coarsening import METHODS
+from clsco.convolution import Convolution
 from clsco.defocus import image_features
 from clsco.device import Session
 from clsco.layout import Real, flat, frame_struct, in_parts, structs
@@ -93,6 +94,8 @@ def _buffers(things: Sequence[object]) -> Iterator[cl.Buffer]:
     for thing in things:
         if isinstance(thing, cl.Buffer):
             yield thing
+        elif isinstance(thing, Convolution):
+            yield from _buffers([*vars(thing).values()])
         elif isinstance(thing, Level):
             yield from _buffers([*vars(thing).values(), *(vars(thing.spreader).values() if thing.source else ())])
         elif isinstance(thing, list | tuple):
