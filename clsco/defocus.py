@@ -199,14 +199,15 @@ class _Engine:
         self.real: Real = "double" if session.device.has_fp64 else "float"
         channels, columns = given.channels, given.coc.shape[1]
         features = image_features(blur, psf, given.largest, channels, self.real)
-        self.program = build(session, ["blur.cl"], features, structs(self.real), self.real)
+        constant = blur == "convolve"
+        self.program = {} if constant else build(session, ["blur.cl"], features, structs(self.real), self.real)
         self.spreader = make_spreader(
             session, self.program, psf, blur, self._camera(strips[0]), channels, given.smallest, given.largest, 0,
             self.real, given.brightest, features, least, places,
         )  # fmt: skip
         area = max(strip.height for strip in strips) * (columns + 2 * guard)
         self.value = empty(session, 4 * channels * area)
-        if blur == "convolve":
+        if constant:
             return
         self.source = empty(session, source_bytes(area, psf.tilt))
         self.coc = empty(session, WIDE_BYTES * area)

@@ -16,6 +16,7 @@ from clsco.layout import WIDE_BYTES
 from clsco.plan import Blur, Plan
 from clsco.psf import LANES, SPANNED, is_disc, is_separable, reach, table_bytes, table_reach
 from clsco.scene import Psf
+from clsco.stencil import is_product, is_summed
 from clsco.strips import BAND, cut
 
 TILE = 256  # columns that `gather` makes at a time, as in kernels/rows.clh
@@ -129,7 +130,7 @@ def row_bytes(psf: Psf, channels: int, far: int) -> int:
 def spread_bytes(
     psf: Psf, method: Blur, channels: int, rows: int, columns: int, guard: int, far: int, spans: bool, cores: int
 ) -> dict[str, int]:
-    """Buffers of `clsco.spread.Spreader` besides its tables: total, and part, spans and sums where there are any.
+    """Buffers of `clsco.spread.Spreader` besides its tables: total, and part, spans, sums, across where there are any.
 
     rows: of the tallest strip; far: largest half-width in the tables, px; the others as for the Spreader.
     """
@@ -143,6 +144,10 @@ def spread_bytes(
         sizes["spans"] = scratch if has_rows(psf) else (4 if psf.tilt else 2) * bands
     if method == "scatter":
         sizes["sums"] = 8 * channels * rows * columns
+    if method == "convolve" and is_summed(psf, far):  # and what a vector reads beyond the last row
+        sizes["sums"] = 8 * ((rows + 2 * guard) * (columns + 2 * guard) + 64)
+    if method == "convolve" and is_product(psf):
+        sizes["across"] = 4 * (rows + 2 * guard) * ceil(columns / 64) * 64
     return sizes
 
 

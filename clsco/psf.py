@@ -375,23 +375,6 @@ def _separable_table(psf: Psf, span: range) -> PsfTable:
     )  # fmt: skip
 
 
-@lru_cache(maxsize=64)
-def constant_table(psf: Psf, radius: float) -> PsfTable:
-    """Table of the exact weights of one |blur radius| in px: coordinate 0, one power, and a last row of 0.
-
-    outlines: the largest |dx| with any light of each row |dy| = 0..half-width + 1, -1 for none.
-    """
-    half_width = reach(psf, radius)
-    rows = _main_rows(psf, np.array([radius]), half_width)[0]
-    lanes = _lanes(half_width)
-    block = np.zeros((half_width + 2, lanes), dtype=np.float32)
-    block[:-1, : 2 * half_width + 1] = rows
-    table = np.array([[0, half_width, 0, 0]], dtype=np.int32)
-    lit = block[:, half_width : 2 * half_width + 1] != 0
-    last = np.where(lit.any(axis=1), half_width - lit[:, ::-1].argmax(axis=1), -1)
-    return PsfTable(0, table, block.ravel(), half_width, np.zeros(0, np.float32), last.astype(np.int32))
-
-
 def _outline(block: NDArray[np.float32], spanned: bool) -> NDArray[np.int32]:
     """Where the weights of an interval are, and where they are all the same: int32 (3 (half-width + 1),).
 

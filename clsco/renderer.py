@@ -36,7 +36,7 @@ from clsco.optics import blur_radius
 from clsco.plan import Maps, Plan, exposure, widened
 from clsco.program import build, download, download_into, empty, kernel, launch, upload
 from clsco.scene import DepthMap
-from clsco.spread import PIXELS, Events, Sources, blur_features, prepare_sources
+from clsco.spread import FILE_OF, PIXELS, Events, Sources, blur_features, prepare_sources
 from clsco.strips import Strip
 from clsco.surfaces import PlacedSurface, place
 from clsco.textures import Texture
@@ -111,7 +111,7 @@ class Renderer:
         features["PINHOLE"] = int(plan.occlusion == "layered" and not plan.forward)
         features |= {f"TRUTH_{name.upper()}": int(name in self._truth_names()) for name in TRUTH_BUFFERS}
         declared = structs(self.real)
-        sources = ["trace.cl"] + (["accumulate.cl"] if plan.blur == "none" else ["blur.cl"])
+        sources = [name for name in ("trace.cl", FILE_OF[plan.blur]) if name]
         self.program = build(session, sources, features, declared, self.real)
         self.forward = None
         if plan.forward:

@@ -9,10 +9,10 @@
 //
 // gather gives every work-item a band of output rows, which it alone writes, and walks the sources that reach it
 // in a fixed order, whole vectors of taps at a time: no atomics, same bits, for CPUs. scatter adds taps one by one in
-// fixed point: any device, any order, same bits; the oracle of the other two. convolve is for one radius only.
+// fixed point: any device, any order, same bits; the oracle of gather. For one radius only there is convolve.cl.
 // Features: CHANNELS, TILT, SUBPIXELS, DISC (sampled, one weight), SEPARABLE (weights are products of two), BAND (rows of a
 // band), OCCLUDED (after occlusion.clh), of gather ROWS (whole rows of sources) or SPANS (discs by the ends of rows); GATHER,
-// SCATTER, CONVOLVE, RENORMALIZE, PREPARE: which kernels are wanted.
+// SCATTER, RENORMALIZE, PREPARE: which kernels are wanted.
 
 #if GATHER
 // Adds rows -up..down of one source to `out`, the place of its first tap in its own row.
@@ -189,52 +189,6 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
             add_spans(spans + k * spans_apart + (own * BAND + row - first) * pitch, CHANNELS * spans_apart, pitch,
                       total + k * total_plane + row * pitch);
 #endif
-}
-#endif
-
-#if CONVOLVE
-// One radius for all sources and no tilt: a plain convolution with the only interval of a constant table, whose row of
-// half_width + 1 is 0. Each work-item makes 2 LANES columns of 4 rows, as many as there are registers for. In: value, whose
-// guard band is at least reach + 2 LANES wide. Out: added to total.
-__kernel void convolve(const camera_t camera, __global const float *value, __global const int4 *intervals,
-                       __global const float *coefficients, __global const int *outlines, const int pitch, const int pad,
-                       __global float *total)
-{
-    const int x = get_global_id(0) * 2 * LANES, y = get_global_id(1) * 4;
-    if (x >= camera.columns || y >= camera.rows)
-        return;
-    const int half_width = intervals[0].y, lanes = (2 * half_width / LANES + 1) * LANES, rows = MIN(4, camera.rows - y);
-    for (int k = 0; k < CHANNELS; ++k) {
-        __global const float *plane = value + (k * camera.height + y + camera.above) * camera.width + x + camera.guard;
-        float8 sum[8] = {0, 0, 0, 0, 0, 0, 0, 0};
-        for (int i = -half_width; i < rows + half_width; ++i) {
-            __global const float *line = plane + i * camera.width, *c[4];
-            int last = 0;
-            #pragma unroll
-            for (int r = 0; r < 4; ++r) {
-                const int dy = MIN(ABS(i - r), half_width + 1);
-                c[r] = coefficients + dy * lanes + half_width;
-                last = MAX(last, outlines[dy]);
-            }
-            float8 part[8] = {0, 0, 0, 0, 0, 0, 0, 0};  // of one row, as in gather
-            for (int dx = -last; dx <= last; ++dx) {
-                const float8 left = TAPS(line - dx), right = TAPS(line - dx + LANES);
-                #pragma unroll
-                for (int r = 0; r < 4; ++r) {
-                    part[2 * r] += left * c[r][dx];
-                    part[2 * r + 1] += right * c[r][dx];
-                }
-            }
-            #pragma unroll
-            for (int r = 0; r < 8; ++r)
-                sum[r] += part[r];
-        }
-        __global float *out = total + (k * camera.rows + y) * pitch + x + pad;
-        for (int r = 0; r < rows; ++r) {
-            ADD_TAPS(out + r * pitch, sum[2 * r]);
-            ADD_TAPS(out + r * pitch + LANES, sum[2 * r + 1]);
-        }
-    }
 }
 #endif
 

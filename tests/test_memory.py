@@ -87,6 +87,8 @@ SHAPE = (3 * BAND + 10, 70)
         ("gather", 16.0, {}, ()),
         ("scatter", 9.0, {"model": "gaussian"}, ()),
         ("convolve", 7.0, {}, (3,)),
+        ("convolve", 17.0, {}, ()),
+        ("convolve", 3.0, {"model": "gaussian"}, ()),
     ],
 )
 def test_an_image_in_strips(

@@ -15,7 +15,6 @@ from clsco.psf import (
     POWERS,
     PsfTable,
     _table_radius,
-    constant_table,
     disc_coverage,
     is_disc,
     is_separable,
@@ -413,16 +412,6 @@ def test_subpixel_table_holds_the_weights_of_every_position(model: str, samples:
                 # Point sources have the kinks of `area` in intervals 128 / 48 times as wide: 2.7^1.5 times 3e-5.
                 assert np.abs(found - exact).sum() < 1.3e-4
                 assert abs(found.sum() - 1.0) < 1e-7
-
-
-@pytest.mark.parametrize("psf", PSFS, ids=name_of)
-def test_constant_table_is_exact(psf: Psf) -> None:
-    for radius in (0.0, 0.4, 1.0, 2.7, 9.3):
-        table = constant_table(psf, radius)
-        assert table.reach == reach(psf, radius)
-        # Rounded to float32 once, and mirrored from one octant: weights to 1e-16 R^2, as in the first test.
-        expected = square(psf, radius, table.reach)
-        np.testing.assert_allclose(pixel_table(table, 0.0, powers=1), expected, rtol=2.0**-24 + 1e-12, atol=1e-14)
 
 
 @pytest.mark.parametrize("subpixel", [False, True])

@@ -31,7 +31,7 @@ GEOMETRY: dict[str, tuple[int, ...]] = {
     "FILTER": (0, 2, 1),
 }
 BLUR = (
-    *("SAMPLED", "TILT", "GATHER", "ROWS", "SPANS", "SCATTER", "CONVOLVE", "RENORMALIZE", "PREPARE"),
+    *("SAMPLED", "TILT", "GATHER", "ROWS", "SPANS", "SCATTER", "RENORMALIZE", "PREPARE"),
     *("DISC", "SEPARABLE"),
 )
 TRUTH = [f"TRUTH_{name.upper()}" for name in TRUTH_BUFFERS]
@@ -47,6 +47,7 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | dict.fromkeys(("TILT", "DISC", "SAMPLED", "SEPARABLE"), ON_OR_OFF)
     | {"CHANNELS": (1, 3)},
     ("accumulate.cl",): GEOMETRY,
+    ("convolve.cl",): GEOMETRY | {"WIDE_SUMS": ON_OR_OFF},
     ("texture.cl",): GEOMETRY,
     ("biharmonic.cl",): GEOMETRY,
     FORWARD: GEOMETRY

@@ -25,6 +25,7 @@ WITHOUT_TWIN = {
         "add_limit": "a row of _limits, which keeps infinite limits",
         "add_limits": "_limits",
     },
+    "convolve": dict.fromkeys(("sum_down", "sum_across"), "sums over rectangles, of which the reference has no need"),
     "estimate": {"use_neighbors": "counts them, as the reference does where it needs to"},
     "sources": dict.fromkeys(("get_source", "put_source"), "where the planes of a record are"),
     "sight": {"look_along": "finds out which vectors of taps need a test at all"},
