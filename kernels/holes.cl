@@ -21,13 +21,33 @@
 #endif
 
 #define UNKNOWN(v) ((v) == (real)INFINITY)
-// Values of the neighbors of `lane` in the plane of a channel; row: its own number in the middle, those above and below.
+// Values of the neighbors of all lanes in the plane of a channel; row: their own numbers in the middle, those above and
+// below. What is in a row comes in one move.
 #define GATHER_NEAR(plane) \
-    for (int lane = 0; lane < LANES; ++lane) { \
+    { \
+        float8 in_row[3][3]; \
+        for (int k = 0; k < 3; ++k) \
+            gather_row(in_row[k], row, k, plane); \
         UNROLL \
         for (int k = 0; k < 8; ++k) \
-            ((real *)(near + k))[lane] = (plane)[row[lane][1 + NEIGHBOR_Y[k]] + NEIGHBOR_X[k]]; \
+            near[k] = (real8)EACH(in_row[1 + NEIGHBOR_Y[k]][1 + NEIGHBOR_X[k]]); \
     }
+
+typedef float four_t __attribute__((ext_vector_type(4), aligned(4)));
+#define FOUR(lane) (*(__global const four_t *)(plane + row[lane][k] - 1))
+#define EIGHT(lane) __builtin_shufflevector(FOUR(lane), FOUR(lane + 4), 0, 1, 2, 3, 4, 5, 6, 7)
+#define PAIRS(a, b) __builtin_shufflevector(a, b, 0, 8, 1, 9, 4, 12, 5, 13)
+#define LAST_PAIRS(a, b) __builtin_shufflevector(a, b, 2, 10, 3, 11, 6, 14, 7, 15)
+
+// Values left of the numbers in row k, there, and right of them.
+static void gather_row(float8 *out, int row[LANES][3], int k, __global const float *plane)
+{
+    const float8 a = EIGHT(0), b = EIGHT(1), c = EIGHT(2), d = EIGHT(3);
+    const float8 ab = PAIRS(a, b), cd = PAIRS(c, d);
+    out[0] = __builtin_shufflevector(ab, cd, 0, 1, 8, 9, 4, 5, 12, 13);
+    out[1] = __builtin_shufflevector(ab, cd, 2, 3, 10, 11, 6, 7, 14, 15);
+    out[2] = __builtin_shufflevector(LAST_PAIRS(a, b), LAST_PAIRS(c, d), 0, 1, 8, 9, 4, 5, 12, 13);
+}
 
 static void rows_of(int row[3], int at, __global const int2 *beside)
 {
@@ -157,14 +177,11 @@ static real8 median_of(real8 *near)
     return (real)0.5 * (near[3] + near[4]);
 }
 
-// Stage 2: one round of the 3x3 median without the center over missing pixels, all of which are filled. Work-items
-// before `runs` take one of `run`: the number of its first pixel, and how many follow one another, up to LANES; the
-// others LANES of `single`, numbers of `singles` pixels. In: beside, value. Out: found.
-__kernel void smooth_holes(const int slots, __global const int2 *run, const int runs, __global const int *single,
-                           const int singles, __global const int2 *beside, __global const float *value,
-                           __global float *found)
+// One of `runs` missing pixels that follow one another, or LANES of the others: see smooth_holes.
+static void smooth_vector(const int slots, int id, __global const int2 *run, int runs, __global const int *single,
+                          int singles, __global const int2 *beside, __global const float *value,
+                          __global float *found)
 {
-    const int id = get_global_id(0);
     real8 near[8];
     if (id < runs) {
         const int count = run[id].y;
@@ -196,6 +213,20 @@ __kernel void smooth_holes(const int slots, __global const int2 *run, const int 
         for (int lane = 0; lane < LANES; ++lane)
             found[c * slots + row[lane][1]] = ((const real *)&result)[lane];
     }
+}
+
+// Stage 2: rounds of the 3x3 median without the center over missing pixels, all of which are filled; one round, or any
+// number by a single work-item. Of work-items those before `runs` take one of `run`: the number of its first pixel, and
+// how many follow one another, up to LANES; the others LANES of `single`, numbers of `singles` pixels. In: beside. In
+// and out: value, found, to and fro; the first round writes `found`.
+__kernel void smooth_holes(const int slots, const int rounds, __global const int2 *run, const int runs,
+                           __global const int *single, const int singles, __global const int2 *beside,
+                           __global float *value, __global float *found)
+{
+    const int items = runs + (singles + LANES - 1) / LANES;
+    for (int n = 0; n < rounds; ++n)
+        for (int id = get_global_id(0); id < items; id += get_global_size(0))
+            smooth_vector(slots, id, run, runs, single, singles, beside, n % 2 ? found : value, n % 2 ? value : found);
 }
 
 // Sorts the middle one of nine into its place, with the fewest exchanges.

@@ -28,9 +28,13 @@ typedef uchar elements_t __attribute__((ext_vector_type(16), aligned(1)));
 typedef elements_t whole_t;
 #define WHOLE(v) __builtin_convertvector(v, parts_t)
 #define STEPS ((long)(scale * scale))  // in a product of codes
+#ifdef __AVX2__
+#define PRODUCTS(a, b) __builtin_ia32_pmaddwd256(a, b)  // in one instruction, which the compiler does not find
+#else
 #define PRODUCTS(a, b) \
     (__builtin_convertvector((a).even, sums_t) * __builtin_convertvector((b).even, sums_t) \
      + __builtin_convertvector((a).odd, sums_t) * __builtin_convertvector((b).odd, sums_t))
+#endif
 #else
 #define WIDTH 8
 typedef float element_t;

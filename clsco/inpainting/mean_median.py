@@ -20,7 +20,7 @@ from numpy.typing import DTypeLike, NDArray
 from clsco.device import Program, Session
 from clsco.estimators import Histogram, MeanMedian, Score, bits_of, border_histogram, score_of_sums, score_scale
 from clsco.layout import frame_struct, structs
-from clsco.program import build, download, empty, kernel, launch, upload
+from clsco.program import build, download, download_into, empty, kernel, launch, upload
 
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float32]
@@ -38,9 +38,10 @@ ENTRIES = 64  # and, at most, of those with one per entry
 
 BAND_VALUES = 2**21  # of the image that are scored or blended at once
 ALIGNED = 128  # bytes
-MOST_ENTRIES = 4096  # of a sweep for a single work-group
+MOST_ENTRIES = 2**14  # of a sweep for a single work-group
+MOST_VECTORS = 2**13  # of a round, all channels, for a single work-item of a processor to smooth without launches
 GROUP = 128  # its size on a graphics card; a processor has one work-item, which does it in vectors
-FEWEST = 3  # pixels that follow one another, to be smoothed as a run
+FEWEST = 4  # pixels that follow one another, to be smoothed as a run
 SHARES = {"score": 0.5, "fill": 0.2, "smooth": 0.2, "blend": 0.1}  # of the whole, for progress
 
 
@@ -145,12 +146,13 @@ class Layout:
         self.slots = places.size
         self._number = np.empty(around.size, np.int32)
         self._number[places] = np.arange(self.slots, dtype=np.int32)
-        self.at = self.numbers(self.pixels)
-        self.beside = np.stack([self.numbers(self.pixels, rows) for rows in (-1, 1)], axis=1)
+        self._framed_pixels = self._framed(self.pixels)
+        above, self.at, below = (self._number.take(self._framed_pixels + n * self.shape[1]) for n in (-1, 0, 1))
+        self.beside = np.stack([above, below], axis=1)
 
-    def numbers(self, pixels: Pixels, rows: int = 0) -> NDArray[np.int32]:
-        """Numbers (N,) of pixels by their places (N,) in the image, or of those so many rows further down."""
-        return self._number[self._framed(pixels) + rows * self.shape[1]]
+    def on_border(self) -> NDArray[np.int64]:
+        """The numbers (B,) of the known pixels."""
+        return self._number.take(self._framed(self.border)).astype(np.int64)
 
     def near(self) -> NDArray[np.int32]:
         """How many known neighbors missing pixels have (M,)."""
@@ -159,7 +161,7 @@ class Layout:
         for axis in (0, 1):
             line = np.moveaxis(known, axis, 0)
             line[1:-1] = line[:-2] + line[1:-1] + line[2:]
-        return known.ravel()[self._framed(self.pixels)].astype(np.int32)
+        return known.ravel().take(self._framed_pixels).astype(np.int32)
 
     def _framed(self, pixels: Pixels) -> Pixels:
         """Places in the image with its frame."""
@@ -240,14 +242,15 @@ class Holes:
 
     def __init__(self, session: Session, program: Program, layout: Layout, image: NDArray[Any]) -> None:
         self.session, self.program, self.channels = session, program, image.shape[2]
-        self.at, self.slots, self.missing = layout.at, np.int32(layout.slots + LANES), np.int32(layout.at.size)
+        self.at, self.index = layout.at, layout.at.astype(np.int64)  # NumPy is faster by its own type
+        self.slots, self.missing = np.int32(layout.slots + LANES), np.int32(layout.at.size)
         self.level = layout.near()
         near, beside = np.full(layout.slots, MANY, np.int32), np.zeros((layout.slots, 2), np.int32)
-        near[self.at], beside[self.at] = self.level, layout.beside
+        near[self.index], beside[self.index] = self.level, layout.beside
         values = np.full((self.channels, self.slots), np.inf, np.float32)
-        border = layout.numbers(layout.border)
-        for plane, known in zip(values, image.reshape(-1, self.channels)[layout.border].T, strict=True):
-            plane[border] = known
+        border, known = layout.on_border(), image.reshape(-1, self.channels).take(layout.border, axis=0)
+        for k in range(self.channels):
+            values[k, border] = known[:, k]
         self.near, self.beside = self._writable(near), upload(session, beside)
         self.value, self.found = self._writable(values), self._writable(values)
 
@@ -257,13 +260,12 @@ class Holes:
         Short sweeps run one after another on the device, long ones are launched one by one.
         """
         queue, level, count = self.session.queue, np.minimum(self.level, minimum), int(self.missing)
-        state = np.zeros((minimum + 1, 2), np.int32)
-        lists = empty(self.session, 4 * count * minimum)
+        state, listed = np.zeros((minimum + 1, 2), np.int32), np.empty((minimum, count), np.int32)
         for k in range(1, minimum + 1):
             entries = self.at[level == k]
             state[k, 1] = entries.size
-            cl.enqueue_copy(queue, lists, entries, dst_offset=4 * count * (k - 1))
-        on_device, group = self._writable(state), group_size(self.session)
+            listed[k - 1, : entries.size] = entries
+        lists, on_device, group = self._writable(listed), self._writable(state), group_size(self.session)
         rule = (self.beside, self.missing, np.int32(minimum), self.found, self.value, self.near, lists, on_device)
         while (open_lists := np.flatnonzero(state[1:, 0] < state[1:, 1])).size:
             k = int(open_lists[-1]) + 1
@@ -288,23 +290,27 @@ class Holes:
     def smooth(self, rounds: int, progress: Progress) -> Floats:
         """Stage 2, to and fro between two sets of values; returns those of missing pixels."""
         run, single, alone = parts(self.at, self.level == 8)
-        counts = (np.int32(len(run)), np.int32(single.size))
-        buffers = (upload(self.session, run), counts[0], upload(self.session, single))
-        for n in range(rounds):
+        counts, buffers = (len(run), single.size), (upload(self.session, run), upload(self.session, single))
+        items = len(run) + -(-single.size // LANES)
+        # A single work-item needs no barrier between rounds, and takes less than launches where there is little to do.
+        by_one = group_size(self.session) == 1 and items * self.channels <= MOST_VECTORS
+        at_once = rounds if by_one else 1
+        for n in range(0, rounds, at_once):
             # What has known neighbors only is the same in both sets after two rounds.
-            singles = counts[1] - np.int32(alone if n > 1 else 0)
-            items, planes = int(counts[0]) + -(-int(singles) // LANES), (self.beside, self.value, self.found)
-            self._launch("smooth_holes", items, VECTORS, self.slots, *buffers, singles, *planes)
-            self.value, self.found = self.found, self.value
+            given = (buffers[0], np.int32(counts[0]), buffers[1], np.int32(counts[1] - (alone if n > 1 else 0)))
+            size, planes = ((1, OWNERS) if by_one else (items, VECTORS)), (self.beside, self.value, self.found)
+            self._launch("smooth_holes", *size, self.slots, np.int32(at_once), *given, *planes)
+            if at_once % 2:
+                self.value, self.found = self.found, self.value
             self.session.queue.flush()
-            progress((n + 1) / rounds)
+            progress((n + at_once) / rounds)
         return self.values()
 
     def values(self) -> Floats:
         """What missing pixels have now, (M, K)."""
         shape = (self.channels, int(self.slots))
         planes: Floats = download(self.session, self.value, shape, np.float32)
-        return np.stack([plane[self.at] for plane in planes], axis=1)
+        return np.stack([plane.take(self.index) for plane in planes], axis=1)
 
     def _writable(self, array: NDArray[Any]) -> cl.Buffer:
         buffer = empty(self.session, array.nbytes)
@@ -350,5 +356,5 @@ def blend_border(
         args = (upload(session, entries), np.int32(count), upload(session, band.value), steepness, blended)
         launch(session, kernel(program, "blend_border"), (-(-count // LANES),), VECTORS, camera, *args)
         stages.gradients[some] = np.sqrt(download(session, steepness, (count,), np.float32).astype(np.float64))
-        stages.blended[some] = download(session, blended, (count, channels), np.float32)
+        download_into(session, blended, stages.blended[some])
         progress(band.bottom / rows)

@@ -45,9 +45,9 @@ class Filled:
 
 def _mean_median(session: Session, task: Task) -> Filled:
     stages = fill_mean_median(session, task.image, task.missing, task.span, task.constants, task.progress)
-    taken = stages.is_blended
+    taken = np.flatnonzero(stages.is_blended)
     pixels = np.concatenate([stages.pixels, stages.border[taken]])
-    return Filled(pixels, np.concatenate([stages.smoothed, stages.blended[taken]]), stages)
+    return Filled(pixels, np.concatenate([stages.smoothed, stages.blended.take(taken, axis=0)]), stages)
 
 
 def _solver(fill: Callable[..., NDArray[np.float32]]) -> Callable[[Session, Task], Filled]:

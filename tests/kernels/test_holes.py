@@ -22,13 +22,13 @@ from clsco.inpainting.mean_median import (
     Holes,
     Layout,
     Stages,
+    blend_border,
     dilated,
     group_size,
-    blend_border,
     score_image,
 )
 from clsco.layout import structs
-from clsco.program import build, download, empty, kernel, launch, upload
+from clsco.program import build, download, empty, kernel, launch
 from clsco.reference import holes as twin
 from clsco.reference.mean_median import smooth_median
 from clsco.reference.score import score_mean_median
@@ -224,7 +224,7 @@ def test_the_border_is_its_twin(
 def test_scores_of_images_are_exact(session: Session, dtype: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """In bands of any height, and with whole numbers of 64 bits where the device has no float64."""
     rng = np.random.default_rng(29)
-    lesser = replace(session.device, has_fp64=False)
+    lesser, codes = replace(session.device, has_fp64=False), dtype == np.uint8
     for shape in [(1, 1), (2, 5), (3, 3), (20, 300), (61, 70)]:
         floats = rng.normal(size=(*shape, 2)) * 3.0
         image = (
@@ -238,7 +238,7 @@ def test_scores_of_images_are_exact(session: Session, dtype: Any, monkeypatch: p
             image[missing] = np.nan
         for values in (10**6, 100):
             monkeypatch.setattr(mean_median, "BAND_VALUES", values)
-            found = score_image(session, program(session, 2, dtype == np.uint8), image, missing, scale, lambda share: None)
+            found = score_image(session, program(session, 2, codes), image, missing, scale, lambda share: None)
             assert found == expected
     with Session(lesser) as opened:
-        assert score_image(opened, program(opened, 2, dtype == np.uint8), image, missing, scale, lambda share: None) == expected
+        assert score_image(opened, program(opened, 2, codes), image, missing, scale, lambda share: None) == expected
