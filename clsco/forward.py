@@ -73,6 +73,8 @@ def forward_features(plan: Plan, owned: bool) -> dict[str, int]:
     return shape | {
         "FILTER": 0,
         "SAMPLED": 0,
+        "IMAGE": 0,
+        "CODES": 0,
         "OWNED": int(owned),
         "MAPPED": int(mapped),
         "FILL_AIT": int(fill.method == "ait"),

@@ -61,7 +61,7 @@ static void count_near(around_t *around, const real8 *near, int median_wins)
 {
     int8 count = 0;
     for (int k = 0; k < 8; ++k)
-        count -= near[k] < (real)INFINITY;
+        count -= __builtin_convertvector(near[k] < (real)INFINITY, int8);
     const int8 lower = (count - 1) / 2, upper = count / 2, by_median = (int8)median_wins >> count & 1;
     around->count = (real8)EACH(count);
     around->lower = (real8)EACH(lower);
