@@ -50,7 +50,8 @@ def on_device(session: Session, method: str, image: Image, missing: Mask) -> Ima
     """One of ours, 8 bits in and out."""
     values = image.reshape(*missing.shape, -1).astype(np.float32) / np.float32(255)
     chosen = choose_method(session, values, missing) if method == "auto" else method
-    return quantized(255 * OURS[chosen](session, values, missing)).reshape(image.shape)
+    values[missing] = OURS[chosen](session, values, missing)
+    return quantized(255 * values).reshape(image.shape)
 
 
 def thesis(image: Image, missing: Mask) -> Image:

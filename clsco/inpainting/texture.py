@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from functools import partial
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
@@ -37,19 +38,17 @@ LOCAL = (1,)  # a work-item is long, and its arrays are large
 
 
 def fill_texture(
-    session: Session, image: NDArray[np.float32], missing: NDArray[np.bool_], progress: Progress = no_progress
+    session: Session, image: NDArray[Any], missing: NDArray[np.bool_], progress: Progress = no_progress
 ) -> NDArray[np.float32]:
-    """The image with its holes filled; known pixels keep their bits.
+    """Values (N, channels) of the N missing pixels of an image, row by row.
 
-    image: (rows, columns, channels), finite where known, any range; missing: (rows, columns); progress: told after each
-    tile which part is done, 0 to 1. Values found are kept within the range of what is known nearby. The same bits on
-    every run of a device. Memory beside the result: that of one tile (`clsco.inpainting.tiles`), about 28 channels + 12
-    bytes per pixel of 1024 x 1024.
+    image: (rows, columns, channels), codes or floats, finite where known; missing: (rows, columns); progress: is told
+    after each tile which part is done, 0 to 1. Values found are kept within the range of what is known nearby. The same
+    bits on every run of a device. Memory beside the image: a byte per pixel, per missing one 8 and the result; and that
+    of one tile (`clsco.inpainting.tiles`), about 28 channels + 12 bytes per pixel of 1024 x 1024.
     Raises ImageError where nothing is known, DeviceError. Validated against `clsco.reference.texture`
     (tests/kernels/test_texture.py) and beside OpenCV's FSR (benchmarks/inpainting.py).
     """
-    if not missing.any():
-        return image.copy()
     features = {"CHANNELS": image.shape[2], "SAMPLED": 0}
     program = build(session, ["texture.cl"], features, structs("float"), "float")
     constants = [upload(session, table) for table in tables()]
