@@ -81,7 +81,7 @@ def fill_mean_median(
 
     image: (rows, columns, K), codes or floats, of which those of missing pixels do not matter; missing: (rows,
     columns), some but not all; span: range of the values; progress: gets the share that is done, from 0 to 1.
-    Takes 100 to 200 bytes per missing pixel and known one beside it, and 4 per pixel of the image.
+    Takes 100 to 200 bytes per missing pixel and known one beside it, and up to 8 per pixel of the image.
     Raises DeviceError. Validated against `clsco.reference.holes`, bit by bit.
     """
     program = _program(session, image.shape[2], image.dtype == np.uint8)
@@ -259,13 +259,9 @@ class Holes:
 
         Short sweeps run one after another on the device, long ones are launched one by one.
         """
-        queue, level, count = self.session.queue, np.minimum(self.level, minimum), int(self.missing)
-        state, listed = np.zeros((minimum + 1, 2), np.int32), np.empty((minimum, count), np.int32)
-        for k in range(1, minimum + 1):
-            entries = self.at[level == k]
-            state[k, 1] = entries.size
-            listed[k - 1, : entries.size] = entries
-        lists, on_device, group = self._writable(listed), self._writable(state), group_size(self.session)
+        queue, count, group = self.session.queue, int(self.missing), group_size(self.session)
+        lists, state = self._lists(minimum)
+        on_device = self._writable(state)
         rule = (self.beside, self.missing, np.int32(minimum), self.found, self.value, self.near, lists, on_device)
         while (open_lists := np.flatnonzero(state[1:, 0] < state[1:, 1])).size:
             k = int(open_lists[-1]) + 1
@@ -287,19 +283,29 @@ class Holes:
             progress(state[0, 1] / count)
         return int(state[0, 0])
 
+    def _lists(self, minimum: int) -> tuple[cl.Buffer, NDArray[np.int32]]:
+        """The lists and the state before the first sweep."""
+        level, state = np.minimum(self.level, minimum), np.zeros((minimum + 1, 2), np.int32)
+        lists = np.empty((minimum, self.at.size), np.int32)
+        for k in range(1, minimum + 1):
+            entries = self.at[level == k]
+            state[k, 1] = entries.size
+            lists[k - 1, : entries.size] = entries
+        return self._writable(lists), state
+
     def smooth(self, rounds: int, progress: Progress) -> Floats:
         """Stage 2, to and fro between two sets of values; returns those of missing pixels."""
         run, single, alone = parts(self.at, self.level == 8)
-        counts, buffers = (len(run), single.size), (upload(self.session, run), upload(self.session, single))
+        buffers = (upload(self.session, run), np.int32(len(run)), upload(self.session, single))
         items = len(run) + -(-single.size // LANES)
         # A single work-item needs no barrier between rounds, and takes less than launches where there is little to do.
         by_one = group_size(self.session) == 1 and items * self.channels <= MOST_VECTORS
         at_once = rounds if by_one else 1
         for n in range(0, rounds, at_once):
             # What has known neighbors only is the same in both sets after two rounds.
-            given = (buffers[0], np.int32(counts[0]), buffers[1], np.int32(counts[1] - (alone if n > 1 else 0)))
+            singles = np.int32(single.size - (alone if n > 1 else 0))
             size, planes = ((1, OWNERS) if by_one else (items, VECTORS)), (self.beside, self.value, self.found)
-            self._launch("smooth_holes", *size, self.slots, np.int32(at_once), *given, *planes)
+            self._launch("smooth_holes", *size, self.slots, np.int32(at_once), *buffers, singles, *planes)
             if at_once % 2:
                 self.value, self.found = self.found, self.value
             self.session.queue.flush()
