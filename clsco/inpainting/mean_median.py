@@ -20,7 +20,7 @@ from numpy.typing import DTypeLike, NDArray
 from clsco.device import Program, Session
 from clsco.estimators import Histogram, MeanMedian, Score, bits_of, border_histogram, score_of_sums, score_scale
 from clsco.layout import frame_struct, structs
-from clsco.program import build, download, download_into, empty, kernel, launch, upload
+from clsco.program import build, copied, download, download_into, empty, kernel, launch, upload
 
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float32]
@@ -251,8 +251,8 @@ class Holes:
         border, known = layout.on_border(), image.reshape(-1, self.channels).take(layout.border, axis=0)
         for k in range(self.channels):
             values[k, border] = known[:, k]
-        self.near, self.beside = self._writable(near), upload(session, beside)
-        self.value, self.found = self._writable(values), self._writable(values)
+        self.near, self.beside = copied(self.session, near), upload(session, beside)
+        self.value, self.found = copied(self.session, values), copied(self.session, values)
 
     def fill(self, wins: np.int32, minimum: int, progress: Progress) -> int:
         """Stage 1; returns the number of sweeps. wins: bit k where the median is taken of k neighbors.
@@ -261,7 +261,7 @@ class Holes:
         """
         queue, count, group = self.session.queue, int(self.missing), group_size(self.session)
         lists, state = self._lists(minimum)
-        on_device = self._writable(state)
+        on_device = copied(self.session, state)
         rule = (self.beside, self.missing, np.int32(minimum), self.found, self.value, self.near, lists, on_device)
         while (open_lists := np.flatnonzero(state[1:, 0] < state[1:, 1])).size:
             k = int(open_lists[-1]) + 1
@@ -291,7 +291,7 @@ class Holes:
             entries = self.at[level == k]
             state[k, 1] = entries.size
             lists[k - 1, : entries.size] = entries
-        return self._writable(lists), state
+        return copied(self.session, lists), state
 
     def smooth(self, rounds: int, progress: Progress) -> Floats:
         """Stage 2, to and fro between two sets of values; returns those of missing pixels."""
@@ -317,11 +317,6 @@ class Holes:
         shape = (self.channels, int(self.slots))
         planes: Floats = download(self.session, self.value, shape, np.float32)
         return np.stack([plane.take(self.index) for plane in planes], axis=1)
-
-    def _writable(self, array: NDArray[Any]) -> cl.Buffer:
-        buffer = empty(self.session, array.nbytes)
-        cl.enqueue_copy(self.session.queue, buffer, array)
-        return buffer
 
     def _launch(self, name: str, size: int, local: tuple[int, ...], *args: Any) -> None:
         launch(self.session, kernel(self.program, name), (size,), local, *args)

@@ -22,7 +22,7 @@ from clsco.device import Program, Session
 from clsco.holes import block_turns, doubled, halved
 from clsco.inpainting.tiles import Progress, fill_in_tiles, no_progress
 from clsco.layout import structs
-from clsco.program import build, download, empty, kernel, launch, upload
+from clsco.program import build, copied, download, empty, kernel, launch, upload
 from clsco.waves import (
     BLOCK,
     FEWEST_WAVES,
@@ -73,7 +73,7 @@ def _fill(
         coarse = _fill(session, program, constants, *halved(start, missing))
         start[missing] = doubled(coarse, missing)
         weights[missing] = GUESS
-    value, weight = (_writable(session, array) for array in (start, weights))
+    value, weight = (copied(session, array) for array in (start, weights))
     size = (np.int32(missing.shape[0]), np.int32(missing.shape[1]))
     order = np.argsort(turns, axis=None, kind="stable")
     blocks = (np.stack(np.unravel_index(order, turns.shape), axis=1) * BLOCK).astype(np.int32)
@@ -92,9 +92,3 @@ def _fill(
         launch(session, kernel(program, "settle_blocks"), (count,), LOCAL, *settled)
         held += [listed, filled]
     return download(session, value, image.shape, np.float32)
-
-
-def _writable(session: Session, array: NDArray[np.float32]) -> cl.Buffer:
-    buffer = empty(session, array.nbytes)
-    cl.enqueue_copy(session.queue, buffer, np.ascontiguousarray(array))
-    return buffer

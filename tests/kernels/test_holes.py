@@ -28,7 +28,7 @@ from clsco.inpainting.mean_median import (
     score_image,
 )
 from clsco.layout import structs
-from clsco.program import build, download, empty, kernel, launch
+from clsco.program import build, copied, download, empty, kernel, launch
 from clsco.reference import holes as twin
 from clsco.reference.mean_median import smooth_median
 from clsco.reference.score import score_mean_median
@@ -175,7 +175,7 @@ def test_a_sweep_and_its_end_are_their_twins(session: Session) -> None:
     size, slots = layout.pixels.size, layout.slots
     lists = empty(session, 16 * size)
     cl.enqueue_copy(session.queue, lists, np.concatenate([np.full(7, -1, np.int32), entries]))
-    state = holes._writable(np.zeros((5, 2), np.int32))
+    state = copied(session, np.zeros((5, 2), np.int32))
     part = (holes.slots, np.int32(7), np.int32(7 + entries.size))
     args = (*part, np.int32(bits_of(SOME_WIN)), lists, holes.beside, holes.value, holes.found)
     launch(session, kernel(built, "fill_holes"), (-(-entries.size // LANES),), VECTORS, *args)
