@@ -131,6 +131,21 @@ def upload(session: Session, array: NDArray[Any]) -> cl.Buffer:
         raise _no_memory(session, packed.nbytes) from error
 
 
+def copied(session: Session, array: NDArray[Any]) -> cl.Buffer:
+    """A buffer with a copy of `array`, in C order, for kernels to read and write. Raises DeviceError as `upload`."""
+    packed = np.ascontiguousarray(array)
+    if not 0 < packed.nbytes < LARGE:
+        buffer = empty(session, packed.nbytes)
+        if packed.nbytes:
+            cl.enqueue_copy(session.queue, buffer, packed)
+        return buffer
+    flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR  # sooner than by a command in the queue
+    try:
+        return cl.Buffer(session.context, flags, hostbuf=packed)
+    except (cl.MemoryError, cl.RuntimeError) as error:
+        raise _no_memory(session, packed.nbytes) from error
+
+
 def empty(session: Session, size: int) -> cl.Buffer:
     """A buffer of `size` bytes, not initialized, for kernels to read and write. Raises DeviceError as
     `upload`."""

@@ -51,10 +51,11 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     ("texture.cl",): GEOMETRY,
     ("biharmonic.cl",): GEOMETRY,
     FORWARD: GEOMETRY
-    | {"FILTER": (0,), "SAMPLED": (0,)}
+    | dict.fromkeys(("FILTER", "SAMPLED", "IMAGE", "CODES"), (0,))
     | dict.fromkeys(("OWNED", "MAPPED", "FILL_AIT", "FILL_MEAN_MEDIAN", "FILL_FAR", "DOMAIN_SURFACE"), ON_OR_OFF),
 }
-PROGRAMS[HOLES] = dict.fromkeys(FEATURES, (0,)) | {"CHANNELS": (1, 3), "FILL_MEAN_MEDIAN": (1,)}
+PROGRAMS[HOLES] = dict.fromkeys(FEATURES, (0,)) | {"CHANNELS": (1, 3), "CODES": ON_OR_OFF, "ALONE": ON_OR_OFF}
+PROGRAMS[HOLES] |= {"FILL_MEAN_MEDIAN": (1,), "IMAGE": (1,)}
 # What can be in the way of a source: one object, or any other number up to all but one.
 OCCLUSION = ("trace.cl", "blur.cl")
 PROGRAMS[OCCLUSION] = PROGRAMS["blur.cl",] | PROGRAMS["trace.cl",] | {"OCCLUDED": (1, 2, 63)}
