@@ -2,7 +2,7 @@
 
 White noise, one gray channel, whole passes with the copy of the result. Process CPU time, medians of interleaved
 repetitions, ns per pixel. OpenCV's filter2D has the same weights, and takes a DFT for more than a few; its GaussianBlur
-has samples of the Gaussian for weights. Errors: RMS and largest of white, against filter2D in float64, on another image.
+has samples of the Gaussian for weights. Errors: RMS and largest of white, against filter2D in float64 (another image).
 """
 
 from __future__ import annotations

@@ -35,8 +35,8 @@ typedef float floats_t __attribute__((ext_vector_type(16), aligned(4)));
 // Contraction changes no bit from run to run.
 #pragma OPENCL FP_CONTRACT ON
 
-// Sums along each row: of a pixel's light and all that is to the left of it, in units of 1 / scale. Those of 32 bits are
-// the upper bits: it is not pixels that are rounded, but sums, so that no error adds up along a row.
+// Sums along each row: of a pixel's light and all that is to the left of it, in units of 1 / scale. Those of 32 bits
+// are the upper bits: it is not pixels that are rounded, but sums, so that no error adds up along a row.
 // In: value float (height, width) from `start` on; out: sums (height, width).
 __kernel void sum_across(const int height, const int width, __global const float *value, const int start,
                          const float scale, __global sum_t *sums)
