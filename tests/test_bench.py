@@ -99,7 +99,7 @@ def test_figures_of_a_row_belong_together(measured: Bench) -> None:
 
 
 def test_bytes_on_the_device_are_those_of_its_buffers(session: Session) -> None:
-    """In focus nothing hangs over: a record, a validity, a color, the radius, the frame with its margins, and scratch."""
+    """In focus nothing hangs over: record, validity, color, radius, the frame with its margins, and scratch."""
     radii = np.zeros((16, 16))
     psf = Psf(edge="sampled")
     one = Pass(session, np.zeros((16, 16), np.float32), radii, psf, "gather", "double")
