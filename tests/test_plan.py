@@ -321,7 +321,7 @@ def test_convolve_is_refused_where_it_cannot_be(item: Any, sections: dict[str, A
 @pytest.mark.parametrize("method", ["fast", "", "none", "Gather"])
 def test_unknown_methods_are_refused(method: str) -> None:
     with pytest.raises(
-        SceneError, match=rf"^method: must be one of auto, gather, scatter, convolve, coarse2, .*; got {method}$"
+        SceneError, match=rf"^method: must be one of auto, gather, scatter, tiles, convolve, coarse2, .*; got {method}$"
     ):
         plan(STILL, method=method)
 
