@@ -10,7 +10,7 @@
 
 #define TILE_COLUMNS 16  // as TILE in clsco/spread.py
 #define TILE_ROWS 8
-#define CHUNK (TILE_COLUMNS * TILE_ROWS)  // sources, one for each work-item: so many terms go into one sum on its way to total
+#define CHUNK (TILE_COLUMNS * TILE_ROWS)  // sources, one for each work-item; as many taps are added up one by one
 #define WORD 32
 
 // Sources of a chunk: a bit for each that reaches the tile, and of those the place on the grid, the record (get_source), where
@@ -132,7 +132,7 @@ __kernel void gather_tiles(const camera_t camera, const psf_t psf, __global cons
     const tile_t tile = {left, left + TILE_COLUMNS - 1, top, top + TILE_ROWS - 1};
     const int first_x = MAX(tile.left - psf.reach, 0), across = MIN(tile.right + psf.reach + 1, camera.width) - first_x;
     const int first_y = MAX(tile.top - psf.reach, 0), down = MIN(tile.bottom + psf.reach + 1, camera.height) - first_y;
-    float sum[CHANNELS] = {0};
+    float sum[CHANNELS] = {0}, over[CHANNELS] = {0};
     // Those beyond the frame's end help to look up sources as well.
     for (int start = 0; start < across * down; start += CHUNK) {
         barrier(CLK_LOCAL_MEM_FENCE);  // all are done with the chunk before
@@ -150,8 +150,11 @@ __kernel void gather_tiles(const camera_t camera, const psf_t psf, __global cons
                 const int lowest = WORD - 1 - (int)clz(left_over & -left_over);
                 add_source(psf, x, y, word * WORD + lowest, &chunk, part SUBPIXEL_VALUES);
             }
-        for (int k = 0; k < CHANNELS; ++k)
-            sum[k] += part[k];
+        for (int k = 0; k < CHANNELS; ++k) {  // by Kahan: around wide PSFs there are thousands of chunks
+            const float more = part[k] - over[k], next = sum[k] + more;
+            over[k] = (next - sum[k]) - more;
+            sum[k] = next;
+        }
     }
     if (column < camera.columns && row < camera.rows)
         for (int k = 0; k < CHANNELS; ++k)
