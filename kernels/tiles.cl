@@ -132,7 +132,9 @@ __kernel void gather_tiles(const camera_t camera, const psf_t psf, __global cons
     const tile_t tile = {left, left + TILE_COLUMNS - 1, top, top + TILE_ROWS - 1};
     const int first_x = MAX(tile.left - psf.reach, 0), across = MIN(tile.right + psf.reach + 1, camera.width) - first_x;
     const int first_y = MAX(tile.top - psf.reach, 0), down = MIN(tile.bottom + psf.reach + 1, camera.height) - first_y;
-    float sum[CHANNELS] = {0}, over[CHANNELS] = {0};
+    float sum[CHANNELS], over[CHANNELS];
+    for (int k = 0; k < CHANNELS; ++k)
+        sum[k] = over[k] = 0;  // not as {0}, of which PoCL 3.0 makes garbage where there are two channels
     // Those beyond the frame's end help to look up sources as well.
     for (int start = 0; start < across * down; start += CHUNK) {
         barrier(CLK_LOCAL_MEM_FENCE);  // all are done with the chunk before
@@ -144,7 +146,9 @@ __kernel void gather_tiles(const camera_t camera, const psf_t psf, __global cons
             note_source(camera, psf, source, value, intervals, coefficients, tile, first_x + n % across,
                         first_y + n / across, item, &chunk SUBPIXEL_VALUES);
         barrier(CLK_LOCAL_MEM_FENCE);
-        float part[CHANNELS] = {0};
+        float part[CHANNELS];
+        for (int k = 0; k < CHANNELS; ++k)
+            part[k] = 0;
         for (int word = 0; word < CHUNK / WORD; ++word)
             for (uint left_over = chunk.reaching[word]; left_over; left_over &= left_over - 1) {
                 const int lowest = WORD - 1 - (int)clz(left_over & -left_over);

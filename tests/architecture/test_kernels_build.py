@@ -43,6 +43,9 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     ("coarse.cl",): dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(("TILT", "DISC", "SAMPLED"), ON_OR_OFF)
     | {"CHANNELS": (1, 3)},
+    ("tiles.cl",): dict.fromkeys(PLAIN, (0,))
+    | dict.fromkeys(("SAMPLED", "TILT", "DISC"), ON_OR_OFF)
+    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 3)},
     ("accumulate.cl",): GEOMETRY,
     ("texture.cl",): GEOMETRY,
     ("biharmonic.cl",): GEOMETRY,

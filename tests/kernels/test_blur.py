@@ -161,10 +161,11 @@ def features(psf: Psf, channels: int, samples: int, spans: bool = False) -> dict
 
 def spreader(session: Session, given: Light, method: Blur) -> Spreader:
     psf = given.psf
-    file = "accumulate.cl" if method == "none" else "blur.cl"
-    spans = spread.spans_rows(psf, given.largest, "double")
+    spans = method != "tiles" and spread.spans_rows(psf, given.largest, "double")
     chosen = features(psf, given.channels, given.samples, spans)
-    program = build(session, [file], chosen, STRUCTS, "double")
+    if method == "tiles":  # in a file of its own
+        chosen |= dict.fromkeys(("GATHER", "SCATTER", "CONVOLVE", "PREPARE"), 0)
+    program = build(session, spread.FILES_OF[method], chosen, STRUCTS, "double")
     ends = (given.smallest, given.largest)
     return Spreader(
         session, program, psf, method, given.camera(), given.channels, *ends, given.samples, "double", 1.0, spans
