@@ -21,7 +21,7 @@ from clsco.strips import BAND
 
 PIXELS = (64, 1)  # local size of kernels with a work-item per pixel
 BLOCKS = (8, 1)  # of kernels with one per LANES pixels of a row
-TILE = (16, 8)  # of gather_tiles, as in kernels/tiles.cl
+TILE = (16, 8)  # pixels of a group of `tiles`, as in kernels/tiles.cl
 # The kernel files of each method.
 FILES_OF: dict[Blur, tuple[str, ...]] = {
     "gather": ("blur.cl",), "scatter": ("blur.cl",), "tiles": ("blur.cl", "tiles.cl"), "convolve": ("blur.cl",),
@@ -165,7 +165,7 @@ class Spreader:
                 args = (*head, *self.alike, *self.spans, np.int32(start), *parts, *layout, *tail)
                 self._launch("gather", (self.bands,), (1,), events, *args)
         elif self.method == "tiles":
-            self._launch("gather_tiles", frame, TILE, events, *head, *layout, *tail)
+            self._launch("tiles", frame, TILE, events, *head, *layout, *tail)
         else:
             padded = (int(camera["width"]), int(camera["height"]))
             self._launch("scatter", padded, PIXELS, events, *head, np.float32(self.scale), self.sums, *tail)

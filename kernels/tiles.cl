@@ -1,11 +1,11 @@
-// Spreads every source over the pixels that it lights, as blur.cl does, for devices with many small cores: a work-item for
-// each output pixel, and a group for each tile of them. Twin: clsco/reference/blur.py.
+// Spreads every source over the pixels that it lights, as blur.cl does, for devices with many small cores: a work-item
+// for each output pixel, and a group for each tile of them. Twin: clsco/reference/blur.py.
 //
 //   source, value, sub_source, sub_value, intervals, coefficients, total: as in blur.cl
 //
 // The group walks the sources around its tile row by row, a chunk of them at a time. Each of its work-items looks up one
-// source, and keeps it in local memory if it reaches the tile; then each adds, in the order of the sources, those that reach
-// its own pixel: no light by atomics, same bits. Nothing stands in the way of a source here.
+// source, and keeps it in local memory if it reaches the tile; then each adds, in the order of the sources, those that
+// reach its own pixel: no light by atomics, same bits. Nothing stands in the way of a source here.
 // Features: CHANNELS, TILT, SUBPIXELS, DISC.
 
 #define TILE_COLUMNS 16  // as TILE in clsco/spread.py
@@ -13,8 +13,8 @@
 #define CHUNK (TILE_COLUMNS * TILE_ROWS)  // sources, one for each work-item; as many taps are added up one by one
 #define WORD 32
 
-// Sources of a chunk: a bit for each that reaches the tile, and of those the place on the grid, the record (get_source), where
-// the weights are, and the light.
+// Sources of a chunk: a bit for each that reaches the tile, and of those the place on the grid, where the weights are,
+// what else of the record is needed (sources.clh), and the light.
 typedef struct {
     uint reaching[CHUNK / WORD];
     int x[CHUNK], y[CHUNK];
@@ -45,9 +45,10 @@ typedef struct {
 #endif
 
 // Notes source (x, y) of the grid as the i-th of a chunk, if it reaches the tile.
-static void note_source(const camera_t camera, const psf_t psf, __global const float *source, __global const float *value,
-                        __global const int4 *intervals, __global const float *coefficients, tile_t tile, int x, int y,
-                        int i, __local chunk_t *chunk SUBPIXEL_ARGUMENTS)
+static void note_source(const camera_t camera, const psf_t psf, __global const float *source,
+                        __global const float *value, __global const int4 *intervals,
+                        __global const float *coefficients, tile_t tile, int x, int y, int i,
+                        __local chunk_t *chunk SUBPIXEL_ARGUMENTS)
 {
     const int at = y * camera.width + x, plane = camera.width * camera.height;
     const float4 s = get_source(source, plane, at);
@@ -90,7 +91,8 @@ static void add_tap(spread_t spread, int dx, int dy, float4 source, const float 
 }
 
 // Adds the light of the i-th source of a chunk in pixel (x, y) of the grid.
-static void add_source(const psf_t psf, int x, int y, int i, __local const chunk_t *chunk, float *sum SUBPIXEL_ARGUMENTS)
+static void add_source(const psf_t psf, int x, int y, int i, __local const chunk_t *chunk,
+                       float *sum SUBPIXEL_ARGUMENTS)
 {
     const int dx = x - chunk->x[i], dy = y - chunk->y[i];
     float light[CHANNELS];
@@ -119,10 +121,9 @@ static void add_source(const psf_t psf, int x, int y, int i, __local const chunk
 
 // One work-item per pixel, in groups of a tile. Out: added to total.
 __attribute__((reqd_work_group_size(TILE_COLUMNS, TILE_ROWS, 1)))
-__kernel void gather_tiles(const camera_t camera, const psf_t psf, __global const float *source,
-                           __global const float *value, __global const int4 *intervals,
-                           __global const float *coefficients, const int pitch, const int pad, __global float *total
-                           SUBPIXEL_ARGUMENTS)
+__kernel void tiles(const camera_t camera, const psf_t psf, __global const float *source, __global const float *value,
+                    __global const int4 *intervals, __global const float *coefficients, const int pitch, const int pad,
+                    __global float *total SUBPIXEL_ARGUMENTS)
 {
     __local chunk_t chunk;
     const int column = get_global_id(0), row = get_global_id(1);

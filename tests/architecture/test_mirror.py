@@ -37,7 +37,7 @@ WITHOUT_TWIN = {
         "add_left_ends add_right_ends add_spans weight_of add_column add_columns add_neighbors lowest add_alike".split(),
         "taps of many sources at once, which scatter adds up",
     ),
-    "tiles": {"gather_tiles": "the sum of scatter, which each tile forms for its pixels"},
+    "tiles": {"tiles": "the sum of scatter, which each tile forms for its pixels"},
     "discs": dict.fromkeys(
         "disc_row lowest_lane some_taps disc_keys take_row note_keys add_ends add_segment add_discs".split(),
         "rows of discs at once, which scatter adds up tap by tap",
