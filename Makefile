@@ -22,6 +22,7 @@ lint: .venv/dev.stamp
 
 bench: .venv/bench.stamp
 	$(BIN)/python -m benchmarks.defocus_speed
+	$(BIN)/python -m benchmarks.convolve_speed
 	$(BIN)/python -m benchmarks.accuracy
 	$(BIN)/python -m benchmarks.occlusion
 	$(BIN)/clsco bench --quick --compare -o benchmarks/results/bench

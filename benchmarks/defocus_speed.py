@@ -2,7 +2,8 @@
 
 512 x 512, one gray channel, a sphere before a tilted plane with blur radii up to --radius px. Process CPU time, medians
 of interleaved repetitions, ns per pixel. Two PSFs: the thesis' (sampled, no tilt) and today's default (integrated,
-tilt), where numba does per tap what the thesis does and what the closed form costs respectively. Numba's scatter in
+tilt), where numba does per tap what the thesis does and what the closed form costs respectively; and the Gaussian
+without tilt, where numba multiplies the weights of two axes, in bands only. Numba's scatter in
 the two usual ways: a private image per thread, added up at the end; and bands of rows, each thread taking what falls
 into its own.
 """
@@ -23,13 +24,24 @@ from rich.console import Console
 from rich.table import Table
 
 from clsco.bench.cases import radius_map
-from clsco.bench.direct import THREADS, dense_table, exact_bands, exact_private, sampled_bands, sampled_private
+from clsco.bench.direct import (
+    THREADS,
+    axis_table,
+    dense_table,
+    exact_bands,
+    exact_private,
+    gaussian_bands,
+    sampled_bands,
+    sampled_private,
+)
 from clsco.bench.passes import Pass
 from clsco.device import Session, choose
+from clsco.psf import psf_extent
 from clsco.scene import Psf
 from clsco.spread import Events
 
 Array = NDArray[Any]
+LARGEST_GAUSSIAN = 20.0  # px; numba takes minutes beyond
 RESULTS = Path(__file__).parent / "results"
 
 
@@ -84,6 +96,11 @@ def main() -> None:
                 ),
                 "integrated, tilt": (Psf(), partial(exact_private, *exact), partial(exact_bands, *exact)),
             }
+            if largest <= LARGEST_GAUSSIAN:
+                psf = Psf(model="gaussian", tilt=False)
+                axis = axis_table(psf, largest, 128)
+                direct = partial(gaussian_bands, image, single, axis, 128.0, float(psf_extent(psf, 1.0)), THREADS)
+                cases["gaussian"] = psf, direct, direct
             for name, (psf, private, bands) in cases.items():
                 device_pass = Pass(session, image, radius, psf, "gather", "double")
                 passes: dict[str, Callable[[], object]] = {

@@ -1,9 +1,9 @@
 """Filling of missing pixels beside what others offer, in one run: python -m benchmarks.inpainting
 
 PSNR and SSIM in the holes, and process CPU time (median of three where it takes less than a second), on 8-bit images
-of scikit-image with five kinds of holes. Ours (auto, texture, biharmonic) on the OpenCL device, kernels compiled
-before; the thesis' mean/median with 20 rounds of smoothing
-as the NumPy reference has it; OpenCV's Telea and NS (radius 3), xphoto's FSR and SHIFTMAP; scikit-image's biharmonic.
+of scikit-image with five kinds of holes. Ours (auto, texture, biharmonic, and the thesis' mean/median with all its
+stages) on the OpenCL device, kernels compiled before; OpenCV's Telea and NS (radius 3), xphoto's FSR and SHIFTMAP;
+scikit-image's biharmonic. python -m benchmarks.inpainting_speed times the thesis' method and NS in turns.
 FSR best takes 50 times as long as FSR fast, SHIFTMAP 10 times: they fill the cases of --slow only. Figures go to the
 terminal and to benchmarks/results/NAME.json and NAME.md. --images takes any picture of skimage.data by name.
 """
@@ -27,14 +27,12 @@ from rich.console import Console
 from skimage.metrics import structural_similarity
 from skimage.restoration import inpaint_biharmonic
 
+import clsco
 from benchmarks.inpainting_cases import IMAGES, MASKS, Case, cases
 from clsco.device import Session, choose
-from clsco.estimators import MeanMedian, score_scale
 from clsco.inpainting.biharmonic import fill_biharmonic
 from clsco.inpainting.choice import choose_method
 from clsco.inpainting.texture import fill_texture
-from clsco.reference.mean_median import fill_mean_median, smooth_median
-from clsco.reference.score import score_mean_median
 
 Image = NDArray[Any]
 Mask = NDArray[np.bool_]
@@ -50,22 +48,13 @@ def on_device(session: Session, method: str, image: Image, missing: Mask) -> Ima
     """One of ours, 8 bits in and out."""
     values = image.reshape(*missing.shape, -1).astype(np.float32) / np.float32(255)
     chosen = choose_method(session, values, missing) if method == "auto" else method
-    return quantized(255 * OURS[chosen](session, values, missing)).reshape(image.shape)
+    values[missing] = OURS[chosen](session, values, missing)
+    return quantized(255 * values).reshape(image.shape)
 
 
 def thesis(image: Image, missing: Mask) -> Image:
-    """Chapter 5: sweeps of mean or median, fewer than four neighbors only where they stall, and smoothing."""
-    values = image.reshape(*missing.shape, -1).astype(np.float64)
-    constants = MeanMedian()
-    median_wins = score_mean_median(values, ~missing, score_scale(255.0)).median_wins()
-    left, minimum = missing.copy(), constants.minimum
-    while left.any():
-        values, filled, _ = fill_mean_median(values, ~left, left, median_wins, minimum)
-        minimum = constants.minimum if filled.any() else minimum - 1
-        left &= ~filled
-    for _ in range(constants.smoothing_rounds):
-        values = smooth_median(values, missing, np.ones_like(missing))
-    return quantized(values).reshape(image.shape)
+    """Chapter 5, with all stages."""
+    return np.asarray(clsco.inpaint(image, missing, method="mean-median")[0])
 
 
 def opencv(flag: int, image: Image, missing: Mask) -> Image:
@@ -141,7 +130,7 @@ def judge_methods(case: Case, wanted: Collection[str], slow: Collection[str]) ->
     for name, fill in table().items():
         if (wanted and name not in wanted) or (name in SLOW and f"{case.image_name}/{case.mask_name}" not in slow):
             continue
-        if name in ("auto", *OURS):
+        if name in ("auto", "thesis", *OURS):
             fill(case.image, case.missing)  # each kind of launch is compiled when it first comes
         row[name] = judge(case, fill)
     entry = {"image": case.image_name, "mask": case.mask_name, "missing": float(case.missing.mean())}

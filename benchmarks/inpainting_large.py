@@ -1,7 +1,8 @@
 """Time and memory of filling 1 % of a large color image: python -m benchmarks.inpainting_large [--size 8192].
 
-The image is noise on shades, as hard to compress as a photograph; the holes are single pixels, or scratches from one
-border to the other. `clsco inpaint` runs in a process of its own, whose peak of memory is told.
+The image is noise on shades, as hard to compress as a photograph; the holes are single pixels, scratches from one
+border to the other, or blocks of 16 x 16 px. `clsco inpaint` runs with each method in a process of its own, whose peak
+of memory is told.
 """
 
 from __future__ import annotations
@@ -49,27 +50,49 @@ def scratches(size: int) -> NDArray[np.bool_]:
     return missing
 
 
-MASKS: dict[str, Callable[[int], NDArray[np.bool_]]] = {"single pixels": single_pixels, "scratches": scratches}
+def blocks(size: int) -> NDArray[np.bool_]:
+    """Missing blocks, (size, size)."""
+    side = size // 16
+    chosen = np.zeros(side * side, np.bool_)
+    chosen[np.random.default_rng(4).permutation(side * side)[: round(SHARE * side * side)]] = True
+    return np.kron(chosen.reshape(side, side), np.ones((16, 16), np.bool_))
+
+
+MASKS: dict[str, Callable[[int], NDArray[np.bool_]]] = {
+    "pixels": single_pixels,
+    "scratches": scratches,
+    "blocks": blocks,
+}
+
+
+def run(words: list[str]) -> tuple[float, float, float]:
+    """Seconds by the clock and of the processor, and the peak of memory in GiB, of `clsco` with some words."""
+    before = time.perf_counter()
+    child = os.spawnv(os.P_NOWAIT, sys.executable, [sys.executable, "-c", RUN, *words])
+    _, status, usage = os.wait4(child, 0)
+    assert status == 0
+    return time.perf_counter() - before, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 2**20
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    """Make the files, run, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", type=int, default=8192)
-    parser.add_argument("--method", default="mean-median")
+    parser.add_argument("--methods", nargs="+", default=["mean-median", "biharmonic", "texture", "auto"])
+    parser.add_argument("--masks", nargs="+", default=list(MASKS), choices=MASKS)
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         image, mask, out = (Path(folder) / name for name in ("image.png", "mask.png", "out.png"))
         write_png(image, picture(chosen.size))
-        for name, make in MASKS.items():
-            write_png(mask, np.where(make(chosen.size), 255, 0).astype(np.uint8))
-            words = ["inpaint", str(image), str(mask), "-o", str(out), "--method", chosen.method]
-            before = time.perf_counter()
-            child = os.spawnv(os.P_NOWAIT, sys.executable, [sys.executable, "-c", RUN, *words])
-            _, status, usage = os.wait4(child, 0)
-            seconds, processor = time.perf_counter() - before, usage.ru_utime + usage.ru_stime
-            assert status == 0
-            peak = usage.ru_maxrss / 2**20
-            print(f"{name}: {seconds:.0f} s with files, {processor:.0f} s of the processor, peak {peak:.2f} GiB")
+        for name in chosen.masks:
+            write_png(mask, np.where(MASKS[name](chosen.size), 255, 0).astype(np.uint8))
+            for method in chosen.methods:
+                words = ["inpaint", str(image), str(mask), "-o", str(out), "--quiet", "--method", method]
+                clock, processor, peak = run(words)
+                print(
+                    f"{method}, {name}: {clock:.0f} s with files, {processor:.0f} s of the processor, {peak:.2f} GiB",
+                    flush=True,
+                )
 
 
 if __name__ == "__main__":

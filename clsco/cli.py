@@ -407,11 +407,13 @@ def inpaint(
     prepare_out(out, image, mask, pixels.dtype.kind == "f")
     _require_device(device)
     from clsco import inpaint as fill
+    from clsco.files import writable_folder
     from clsco.inpainting.report import require_matplotlib, write_report
     from clsco.show import inpaint_tables, print_tables, shares
 
     if folder is not None:
         require_matplotlib()
+        writable_folder(folder)
     given = {name: value for name, value in constants.items() if value is not None}
     with shares(quiet) as progress:
         filled, report = fill(pixels, missing, method=method, device=device, progress=progress, **given)

@@ -33,7 +33,7 @@ from clsco.layout import Real, Struct, frame_struct, structs
 from clsco.memory import grid_bytes
 from clsco.plan import Blur
 from clsco.program import build, download, empty, kernel, launch, upload
-from clsco.psf import LANES, is_disc
+from clsco.psf import LANES, psf_features
 from clsco.scene import Psf
 from clsco.spread import BLOCKS, FILES_OF, PIXELS, Events, Sources, Spreader, blur_features
 
@@ -78,8 +78,7 @@ class Coarse(Spreader):
         least: float, places: NDArray[np.int32] | None = None,
     ) -> None:  # fmt: skip
         super().__init__(
-            session, program, psf, method, camera, channels, smallest, largest, subpixels, real, brightest,
-            bool(features["SPANS"]),
+            session, program, psf, method, camera, channels, smallest, largest, subpixels, real, brightest, features,
         )  # fmt: skip
         self.least, self.places, self.tilt = least, places, bool(features["TILT"])
         self.marked = np.int32(bool(features["SUBPIXELS"] or features["OCCLUDED"]))
@@ -91,13 +90,13 @@ class Coarse(Spreader):
         plain = {**features, "SUBPIXELS": 0, "OCCLUDED": 0, "SAMPLED": int(coarse.edge == "sampled")}
         self.tools = build(session, ["coarse.cl"], plain, structs(real), real)
         for radius in radii:
-            plain |= {"DISC": int(is_disc(coarse))} | blur_features(method, coarse, radius, real, prepare=False)
+            plain |= psf_features(coarse) | blur_features(method, coarse, radius, real, prepare=False)
             inner = build(session, FILES_OF[method], plain, structs(real), real)
             above = self.levels[-1].camera
             shape = coarse_frame(*(int(above[name]) for name in ("rows", "columns", "guard")))
             spreader = Spreader(
                 session, inner, coarse, method, frame_struct(*shape, real), channels, least, radius, 0, real,
-                brightest, bool(plain["SPANS"]),
+                brightest, plain,
             )  # fmt: skip
             self.levels.append(self._level(spreader))
         if places is not None:
@@ -209,7 +208,7 @@ def make_spreader(
     if least is None:
         return Spreader(
             session, program, psf, method, camera, channels, smallest, largest, subpixels, real, brightest,
-            bool(features["SPANS"]),
+            features,
         )  # fmt: skip
     return Coarse(
         session, program, psf, method, camera, channels, smallest, largest, subpixels, real, brightest, features, least,

@@ -22,7 +22,7 @@ from clsco.memory import Limit, defocus_bytes, limit_of, rows_that_fit, source_b
 from clsco.optics import LARGEST_BLUR
 from clsco.plan import MANY_RADII, Blur, is_sharp, many_radii
 from clsco.program import build, empty
-from clsco.psf import LANES, is_disc, reach, table_reach
+from clsco.psf import LANES, psf_features, reach, table_reach
 from clsco.scene import Psf
 from clsco.scenefile import parse_psf
 from clsco.spread import FILES_OF, Sources, blur_features, prepare_sources
@@ -182,11 +182,9 @@ def _blurred(
 
 def image_features(blur: Blur, psf: Psf, largest: float, channels: int, real: Real) -> dict[str, int]:
     """Features of blur.cl for an image with radii up to `largest` px."""
-    return PLAIN | blur_features(blur, psf, largest, real, prepare=True) | {
+    return PLAIN | psf_features(psf) | blur_features(blur, psf, largest, real, prepare=True) | {
         "CHANNELS": channels,
         "TILT": int(psf.tilt and blur != "convolve"),
-        "SAMPLED": int(psf.edge == "sampled"),
-        "DISC": int(is_disc(psf)),
     }  # fmt: skip
 
 
@@ -201,14 +199,15 @@ class _Engine:
         self.real: Real = "double" if session.device.has_fp64 else "float"
         channels, columns = given.channels, given.coc.shape[1]
         features = image_features(blur, psf, given.largest, channels, self.real)
-        self.program = build(session, FILES_OF[blur], features, structs(self.real), self.real)
+        constant = blur == "convolve"
+        self.program = {} if constant else build(session, FILES_OF[blur], features, structs(self.real), self.real)
         self.spreader = make_spreader(
             session, self.program, psf, blur, self._camera(strips[0]), channels, given.smallest, given.largest, 0,
             self.real, given.brightest, features, least, places,
         )  # fmt: skip
         area = max(strip.height for strip in strips) * (columns + 2 * guard)
         self.value = empty(session, 4 * channels * area)
-        if blur == "convolve":
+        if constant:
             return
         self.source = empty(session, source_bytes(area, psf.tilt))
         self.coc = empty(session, WIDE_BYTES * area)

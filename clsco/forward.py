@@ -23,7 +23,7 @@ KERNELS = ("reproject.cl", "fill.cl", "score.cl", "mean_median.cl")
 # As in the kernels.
 SEGMENT = 64  # sources of a row that a work-item moves, with OWNED
 COUNTERS = 5
-SUMS, SCORED = 13, 256  # sums of score_mean_median, and columns per work-item there
+SUMS, SCORED = 13, 128  # sums of score_mean_median, and columns per work-item there
 LEFT, LEFT_INSIDE, FILLED, FILLED_INSIDE, DONE = range(COUNTERS)
 CHUNK = 64  # pixels per work-item where it counts
 LANES = 8  # pixels of a vector; score_mean_median may read so many beyond the end
@@ -73,6 +73,8 @@ def forward_features(plan: Plan, owned: bool) -> dict[str, int]:
     return shape | {
         "FILTER": 0,
         "SAMPLED": 0,
+        "IMAGE": 0,
+        "CODES": 0,
         "OWNED": int(owned),
         "MAPPED": int(mapped),
         "FILL_AIT": int(fill.method == "ait"),

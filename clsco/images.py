@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from clsco.errors import ImageError
 from clsco.files import refuse, whole_file
-from clsco.png import GREY, GREY_ALPHA, PALETTE, RGB_ALPHA, SIGNATURE, checked_png, png_bytes, png_size
+from clsco.png import GREY, GREY_ALPHA, PALETTE, RGB_ALPHA, SIGNATURE, checked_png, png_parts, png_size
 
 MAX_PIXELS = 2**27
 MAX_SIDE = 65536
@@ -356,7 +356,7 @@ def write_png(path: str | os.PathLike[str], data: NDArray[np.uint8] | NDArray[np
     Raises ImageError where the file cannot be written.
     """
     with whole_file(Path(path)) as file:
-        file.write(png_bytes(data))
+        file.writelines(png_parts(data))
 
 
 def write_tiff(path: str | os.PathLike[str], data: NDArray[Any]) -> None:

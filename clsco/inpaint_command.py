@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,10 @@ def read_pair(image: Path, mask: Path, threshold: float | None = None) -> tuple[
     Missing is where the mask is white: 255, 65535, or 1.0 in floats; where it is 0 all is known. threshold: what is
     missing from there on, in the mask's values; then any others may occur as well. What missing pixels of a float image
     hold may also be no number. Raises ImageError where the files cannot be read or differ in size, where the mask has
-    colors or other values, and where it leaves nothing known.
+    colors or other values, where it leaves nothing known, and for a threshold that is no number.
     """
+    if threshold is not None and not math.isfinite(threshold):
+        raise ImageError(f"--threshold: must be a finite number; got {threshold}")
     size, wanted = image_size(mask), image_size(image)
     if size != wanted:
         sizes = [f"{columns} x {rows}" for columns, rows in (wanted, size)]

@@ -72,7 +72,7 @@ class Layers:
         self.program = build(session, [*FILES_OF[spreader.method], "layer.cl"], chosen, structs(real), real)
         self.inner = Spreader(
             session, self.program, psf, spreader.method, self.camera, self.channels + 1, 0.0, largest, 0, real,
-            max(brightest, 1.0), bool(chosen["SPANS"]),
+            max(brightest, 1.0), chosen,
         )  # fmt: skip
         half = int(np.ceil(largest / BIN)) + 1
         self.low, self.bins = -half * BIN, 2 * half

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Any, Literal, cast
 
 import numpy as np
@@ -31,7 +32,8 @@ LOW = "_low"  # ends the name of a low part
 EVERYWHERE = ((-np.inf, np.inf),) * 3  # bounds of an object that has none, beside one that has
 
 
-def structs(real: Real) -> dict[str, np.dtype[Any]]:
+@cache
+def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     """C name -> dtype of every struct, in the order in which they are declared.
 
     In single precision every real number has a low part, what rounding to float left of it (kernels/wide.clh): a

@@ -6,7 +6,7 @@ import os
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from math import ceil
+from math import ceil, inf
 
 import numpy as np
 
@@ -14,11 +14,12 @@ from clsco.coarsening import METHODS, coarse_frame, coarse_psf, coarse_radii, pl
 from clsco.errors import SceneError
 from clsco.layout import WIDE_BYTES
 from clsco.plan import Blur, Plan
-from clsco.psf import LANES, SPANNED, is_disc, reach, table_bytes, table_reach
+from clsco.psf import LANES, SPANNED, is_disc, is_separable, reach, table_bytes, table_reach
 from clsco.scene import Psf
+from clsco.stencil import is_product, is_summed
 from clsco.strips import BAND, cut
 
-DISC_COLUMNS = 256  # that `gather` makes at a time of sampled discs, as in kernels/discs.clh
+TILE = 256  # columns that `gather` makes at a time, as in kernels/rows.clh
 BANDS_PER_CORE = 4  # of `gather` at a time, where they need memory of their own
 MOST_IN_ONE_SUM = 256  # taps of `gather` that a float adds up before it goes into another sum
 # Outputs that ground_truth writes, with what one pixel of each takes: dtype and components (0: the channels).
@@ -99,7 +100,12 @@ def bands_at_a_time(rows: int, cores: int) -> int:
 
 def has_spans(psf: Psf, largest: float) -> bool:
     """Whether discs up to `largest` px are so wide that `gather` keeps rows that have one weight as their two ends."""
-    return psf.model == "pillbox" and reach(psf, largest) >= SPANNED[psf.edge]
+    return psf.model == "pillbox" and reach(psf, largest) >= SPANNED.get(psf.edge, inf)
+
+
+def has_rows(psf: Psf) -> bool:
+    """Whether `gather` takes whole rows of sources at a time, on devices with fp64."""
+    return is_disc(psf) or is_separable(psf)
 
 
 def source_bytes(sources: int, tilt: bool, marked: bool = False) -> int:
@@ -113,16 +119,18 @@ def margin(columns: int, guard: int, far: int) -> tuple[int, int]:
     return pad, ceil(columns / LANES) * LANES + 2 * pad
 
 
-def disc_bytes(channels: int, far: int, tilt: bool) -> int:
-    """Scratch of a work-item of `gather` for sampled discs, see kernels/discs.clh; a whole number of doubles."""
-    planes, width = (3 if tilt else 1) * channels, DISC_COLUMNS + 2 * (far // LANES + 3) * LANES
-    return 8 * (channels * BAND * DISC_COLUMNS + (3 * planes + 1) * width // 2)
+def row_bytes(psf: Psf, channels: int, far: int) -> int:
+    """Scratch of a work-item of `gather` where it `has_rows`, see kernels/rows.clh; a whole number of doubles."""
+    margin = (far // LANES + 3) * LANES
+    planes, width = (3 if psf.tilt else 1) * channels, TILE + 2 * margin
+    own = 2 * planes if is_disc(psf) else margin + 1 + (2 if psf.tilt else 1) * channels
+    return 8 * channels * BAND * TILE + 4 * width * (1 + planes + own)
 
 
 def spread_bytes(
     psf: Psf, method: Blur, channels: int, rows: int, columns: int, guard: int, far: int, spans: bool, cores: int
 ) -> dict[str, int]:
-    """Buffers of `clsco.spread.Spreader` besides its tables: total, and part, spans and sums where there are any.
+    """Buffers of `clsco.spread.Spreader` besides its tables: total, and part, spans, sums, across where there are any.
 
     rows: of the tallest strip; far: largest half-width in the tables, px; the others as for the Spreader.
     """
@@ -132,10 +140,14 @@ def spread_bytes(
     if method == "gather" and (2 * far + 1) ** 2 > MOST_IN_ONE_SUM:
         sizes["part"] = bands
     if method == "gather" and spans:
-        scratch = disc_bytes(channels, far, psf.tilt) * bands_at_a_time(rows, cores)
-        sizes["spans"] = scratch if is_disc(psf) else (4 if psf.tilt else 2) * bands
+        scratch = row_bytes(psf, channels, far) * bands_at_a_time(rows, cores)
+        sizes["spans"] = scratch if has_rows(psf) else (4 if psf.tilt else 2) * bands
     if method == "scatter":
         sizes["sums"] = 8 * channels * rows * columns
+    if method == "convolve" and is_summed(psf, far):  # and what a vector reads beyond the last row
+        sizes["sums"] = 8 * ((rows + 2 * guard) * (columns + 2 * guard) + 64)
+    if method == "convolve" and is_product(psf):
+        sizes["across"] = 4 * (rows + 2 * guard) * ceil(columns / 64) * 64
     return sizes
 
 
@@ -145,7 +157,7 @@ def _spreader(
 ) -> dict[str, int]:  # fmt: skip
     """All buffers of a Spreader for radii between two ends, on a device with fp64."""
     far = max(table_reach(psf, ends[1]), table_reach(psf, ends[1], True) if silhouettes else 0)
-    spans = method == "gather" and has_spans(psf, ends[1])
+    spans = method == "gather" and (has_spans(psf, ends[1]) or has_rows(psf))
     tables = table_bytes(psf, *ends) + (table_bytes(psf, *ends, silhouettes) if silhouettes else 0)
     return {"tables": tables} | spread_bytes(psf, method, channels, rows, columns, guard, far, spans, cores)
 

@@ -19,7 +19,7 @@ from clsco.frame import STEREO_NAMES, TRUTH_NAMES
 from clsco.motion import Eye, Pose, poses_at, rest_center, sample_times
 from clsco.occlusion import Layer, extent, is_hollow, layers
 from clsco.optics import LARGEST_BLUR, blur_radius, ray_step
-from clsco.psf import LANES, MINIMUM_BLUR, is_disc, psf_extent, reach, table_bytes, table_reach
+from clsco.psf import LANES, MINIMUM_BLUR, psf_extent, psf_features, reach, table_bytes, table_reach
 from clsco.scene import Object, Plane, Psf, Scene
 from clsco.strips import Strip, cut
 from clsco.surfaces import canonical, place, predict_inverse_depth
@@ -131,9 +131,7 @@ class Plan:
             "FILTER": FILTERS[scene.motion.texture_filter],
             "TILT": int(self.tilt),
             "SUBPIXELS": self.silhouettes,
-            "SAMPLED": int(scene.psf.edge == "sampled"),
-            "DISC": int(is_disc(scene.psf)),
-        }
+        } | psf_features(scene.psf)
 
 
 def is_forward(scene: Scene, eye: Eye) -> bool:

@@ -22,7 +22,7 @@ HEADERS = ("wide.clh", "geometry.clh")
 OCCLUSION_HEADERS = ("occlusion.clh", "sight.clh")  # with the feature OCCLUDED
 HEADERS_OF = {
     "trace.cl": ("sources.clh",),
-    "blur.cl": ("sources.clh", "spread.clh", "neighbors.clh", "discs.clh"),
+    "blur.cl": ("sources.clh", "spread.clh", "neighbors.clh", "rows.clh", "discs.clh", "gaussians.clh"),
     "coarse.cl": ("sources.clh", "spread.clh"),
     "tiles.cl": ("sources.clh", "spread.clh"),
     "layer.cl": ("sources.clh",),
@@ -128,6 +128,21 @@ def upload(session: Session, array: NDArray[Any]) -> cl.Buffer:
     flags = cl.mem_flags.USE_HOST_PTR if in_place else cl.mem_flags.COPY_HOST_PTR
     try:
         return cl.Buffer(session.context, cl.mem_flags.READ_ONLY | flags, hostbuf=packed)
+    except (cl.MemoryError, cl.RuntimeError) as error:
+        raise _no_memory(session, packed.nbytes) from error
+
+
+def copied(session: Session, array: NDArray[Any]) -> cl.Buffer:
+    """A buffer with a copy of `array`, in C order, for kernels to read and write. Raises DeviceError as `upload`."""
+    packed = np.ascontiguousarray(array)
+    if not 0 < packed.nbytes < LARGE:
+        buffer = empty(session, packed.nbytes)
+        if packed.nbytes:
+            cl.enqueue_copy(session.queue, buffer, packed)
+        return buffer
+    flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR  # sooner than by a command in the queue
+    try:
+        return cl.Buffer(session.context, flags, hostbuf=packed)
     except (cl.MemoryError, cl.RuntimeError) as error:
         raise _no_memory(session, packed.nbytes) from error
 

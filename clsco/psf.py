@@ -30,7 +30,7 @@ NODES = 0.5 - 0.5 * np.cos((2 * np.arange(4) + 1) * np.pi / 8)
 POWERS = len(NODES)  # coefficients of a weight
 TO_POWERS = np.linalg.inv(np.vander(NODES, 4, increasing=True))
 # Of discs this wide, to both sides in px, rows that have one weight over so many px are kept as their two ends.
-SPANNED = {"sampled": 0, "area": 12, "integrated": 12}
+SPANNED = {"area": 12, "integrated": 12}
 SMALLEST_SPAN = 4
 MINIMUM_BLUR = 0.5  # px; sampled PSFs leave smaller radii alone (thesis, 2.2)
 
@@ -149,9 +149,15 @@ def weights(psf: Psf, dx: Array, dy: Array, radius: Array) -> Array:
     if psf.model == "pillbox":
         share = disc_coverage(dx, dy, safe, tent) / (np.pi * safe * safe)
     else:
-        sigma = psf.sigma_ratio * safe
-        share = _gaussian_axis(dx, sigma, psf.truncation, tent) * _gaussian_axis(dy, sigma, psf.truncation, tent)
+        share = axis_weights(psf, dx, safe) * axis_weights(psf, dy, safe)
     return np.where(tiny, center, share)
+
+
+def axis_weights(psf: Psf, offset: Array, radius: Array) -> Array:
+    """Weights of a Gaussian along one axis, whose products are those of `weights`: for what `is_separable`."""
+    tiny = np.asarray(radius) < 1e-9
+    sigma = psf.sigma_ratio * np.where(tiny, 1.0, radius)
+    return np.where(tiny, offset == 0.0, _gaussian_axis(offset, sigma, psf.truncation, psf.edge == "integrated"))
 
 
 def _sampled_weights(psf: Psf, dx: Array, dy: Array, r: Array) -> Array:
@@ -274,6 +280,16 @@ def is_disc(psf: Psf) -> bool:
     return psf.edge == "sampled" and psf.model == "pillbox"
 
 
+def is_separable(psf: Psf) -> bool:
+    """Whether every weight is the product of one along each axis: the Gaussians whose cut is a square."""
+    return psf.model == "gaussian" and psf.edge != "sampled"
+
+
+def psf_features(psf: Psf) -> dict[str, int]:
+    """What the kernels are told of a PSF's kind."""
+    return {"SAMPLED": int(psf.edge == "sampled"), "DISC": int(is_disc(psf)), "SEPARABLE": int(is_separable(psf))}
+
+
 def table_reach(psf: Psf, largest: float, subpixel: bool = False) -> int:
     """Largest half-width in px of the rows of `psf_table` for radii up to `largest` px."""
     return _half_width(psf, _span(psf, largest, largest, subpixel)[-1], subpixel)
@@ -282,10 +298,13 @@ def table_reach(psf: Psf, largest: float, subpixel: bool = False) -> int:
 def table_bytes(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> int:
     """Size of `psf_table` of the same arguments."""
     total = 0
+    span = _span(psf, smallest, largest, subpixel > 0)
     if is_disc(psf) and not subpixel:
-        span = _span(psf, smallest, largest, False)
         return 24 * len(span) + 4 * span.stop
-    for index in _span(psf, smallest, largest, subpixel > 0):
+    if is_separable(psf) and not subpixel:
+        widths = [_half_width(psf, index, False) for index in span]
+        return sum(16 + 4 * POWERS * (_lanes(n) + n + 1) for n in widths) + 4 * POWERS * (widths[-1] + 1)
+    for index in span:
         half_width = _half_width(psf, index, subpixel > 0)
         rows = (2 * half_width + 1) * subpixel * ((subpixel + 1) // 2) if subpixel else half_width + 1
         total += 16 + 4 * POWERS * rows * _lanes(half_width)
@@ -301,6 +320,8 @@ def psf_table(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> P
     span = _span(psf, smallest, largest, fine)
     if is_disc(psf) and not fine:
         return _disc_table(psf, span)
+    if is_separable(psf) and not fine:
+        return _separable_table(psf, span)
     intervals, blocks, start = [], [], 0
     quadrants, outlines = [np.zeros(0, dtype=np.float32)], [np.zeros(0, dtype=np.int32)]
     for index in span:
@@ -333,21 +354,25 @@ def _disc_table(psf: Psf, span: range) -> PsfTable:
     return PsfTable(span.start, intervals, each, int(half_width[-1]), each, roots)
 
 
-@lru_cache(maxsize=64)
-def constant_table(psf: Psf, radius: float) -> PsfTable:
-    """Table of the exact weights of one |blur radius| in px: coordinate 0, one power, and a last row of 0.
-
-    outlines: the largest |dx| with any light of each row |dy| = 0..half-width + 1, -1 for none.
-    """
-    half_width = reach(psf, radius)
-    rows = _main_rows(psf, np.array([radius]), half_width)[0]
-    lanes = _lanes(half_width)
-    block = np.zeros((half_width + 2, lanes), dtype=np.float32)
-    block[:-1, : 2 * half_width + 1] = rows
-    table = np.array([[0, half_width, 0, 0]], dtype=np.int32)
-    lit = block[:, half_width : 2 * half_width + 1] != 0
-    last = np.where(lit.any(axis=1), half_width - lit[:, ::-1].argmax(axis=1), -1)
-    return PsfTable(0, table, block.ravel(), half_width, np.zeros(0, np.float32), last.astype(np.int32))
+def _separable_table(psf: Psf, span: range) -> PsfTable:
+    """Table of a Gaussian by one of its axes."""
+    intervals, rows, start = [], [], 0
+    sides: list[NDArray[np.float32]] = []
+    for index in span:
+        radii, half_width = _table_radius(psf, index + NODES, False), _half_width(psf, index, False)
+        block = np.zeros((POWERS, _lanes(half_width)), dtype=np.float32)
+        offsets = np.arange(-half_width, half_width + 1.0)
+        block[:, : len(offsets)] = TO_POWERS @ axis_weights(psf, offsets, radii[:, None])
+        intervals.append((start, half_width, sum(map(len, sides)), 0))
+        rows.append(block.ravel())
+        sides.append(block[:, half_width : 2 * half_width + 1].T.ravel())
+        start += block.size
+    # Weights of sources side by side are read up to the half-width of the widest.
+    sides.append(np.zeros(POWERS * (intervals[-1][1] + 1), np.float32))
+    table, none = np.array(intervals, dtype=np.int32), np.zeros(0, dtype=np.int32)
+    return PsfTable(
+        span.start, table, np.concatenate(rows), int(table[-1, 1]), np.concatenate(sides), none
+    )  # fmt: skip
 
 
 def _outline(block: NDArray[np.float32], spanned: bool) -> NDArray[np.int32]:

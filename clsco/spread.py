@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import log
 
@@ -9,42 +10,39 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
+from clsco.convolution import Convolution
 from clsco.device import Program, Session
 from clsco.layout import Real, Struct, psf_struct
-from clsco.memory import MOST_IN_ONE_SUM, bands_at_a_time, has_spans, margin, spread_bytes
+from clsco.memory import MOST_IN_ONE_SUM, bands_at_a_time, has_rows, has_spans, margin, spread_bytes
 from clsco.occlusion import lens_cells
 from clsco.plan import MANY_RADII, Blur
 from clsco.program import empty, kernel, launch, mapped, upload
-from clsco.psf import LANES, PsfTable, constant_table, psf_table
+from clsco.psf import LANES, PsfTable, psf_table
 from clsco.scene import Psf
 from clsco.strips import BAND
 
 PIXELS = (64, 1)  # local size of kernels with a work-item per pixel
 BLOCKS = (8, 1)  # of kernels with one per LANES pixels of a row
 TILE = (16, 8)  # pixels of a group of `tiles`, as in kernels/tiles.cl
-# The kernel files of each method.
-FILES_OF: dict[Blur, tuple[str, ...]] = {
-    "gather": ("blur.cl",), "scatter": ("blur.cl",), "tiles": ("blur.cl", "tiles.cl"), "convolve": ("blur.cl",),
-    "none": ("accumulate.cl",),
-}  # fmt: skip
 # A pixel gets at most 2.6 + 2 ln R times the brightest source from pillboxes; the tilt at most doubles it.
 GAIN, GAIN_PER_LOG, TILT_GAIN = 2.6, 2.0, 2.0
 
+# The kernel files of each method in the program that its caller builds; `convolve` builds its own.
+FILES_OF: dict[Blur, tuple[str, ...]] = {
+    "gather": ("blur.cl",), "scatter": ("blur.cl",), "tiles": ("blur.cl", "tiles.cl"), "convolve": (),
+    "none": ("accumulate.cl",),
+}  # fmt: skip
+
 Events = list[tuple[str, cl.Event]]
-
-
-def spans_rows(psf: Psf, largest: float, real: Real) -> bool:
-    """Whether `gather` keeps rows that have one weight as their two ends: wide discs on devices with fp64."""
-    return real == "double" and has_spans(psf, largest)
 
 
 def blur_features(method: Blur, psf: Psf, largest: float, real: Real, prepare: bool) -> dict[str, int]:
     """Which kernels of blur.cl are compiled, and for what; largest: |R| in px."""
     return {
         "GATHER": int(method == "gather"),
-        "SPANS": int(method == "gather" and spans_rows(psf, largest, real)),
+        "ROWS": int(method == "gather" and real == "double" and has_rows(psf)),
+        "SPANS": int(method == "gather" and real == "double" and has_spans(psf, largest)),
         "SCATTER": int(method == "scatter"),
-        "CONVOLVE": int(method == "convolve"),
         "RENORMALIZE": int(psf.border == "renormalize" and method != "none"),
         "PREPARE": int(prepare and method in MANY_RADII),
         "BAND": BAND,
@@ -85,14 +83,16 @@ class Spreader:
     """Adds the blurred light of moments to a frame, or a strip of it; owns its buffers and the PSF tables.
 
     camera: of the frame, or of the strip that it begins with, which is the tallest; another one can be set. Holds for
-    |R| in [smallest, largest] px; other radii are clamped to it (`convolve` makes the PSF of its radius).
-    brightest: largest |radiance|, which sets the fixed point of `scatter`; spans: the program has the feature SPANS.
+    |R| in [smallest, largest] px; other radii are clamped to it (`convolve` makes the PSF of its radius, and has a
+    program of its own).
+    brightest: largest |radiance|, which sets the fixed point of `scatter`; features: those of the program.
     """
 
     def __init__(
         self, session: Session, program: Program, psf: Psf, method: Blur, camera: Struct, channels: int,
-        smallest: float, largest: float, subpixels: int, real: Real, brightest: float, spans: bool,
+        smallest: float, largest: float, subpixels: int, real: Real, brightest: float, features: Mapping[str, int],
     ) -> None:  # fmt: skip
+        spans = bool(features["ROWS"] or features["SPANS"])
         self.session, self.program, self.psf, self.method = session, program, psf, method
         self.camera, self.channels = camera, channels
         self.main = psf_table(psf, smallest, largest)
@@ -120,8 +120,8 @@ class Spreader:
                 self.part = _zeros(session, sizes["part"])
             if "spans" in sizes:
                 self.spans = (_zeros(session, sizes["spans"]), np.int32(sizes["spans"] // 8 // self.bands))
-        # Tables of `convolve` that queued launches still read: the host runs ahead of the device.
-        self.held: list[tuple[cl.Buffer, ...]] = []
+        if method == "convolve":
+            self.convolution = Convolution(session, psf, channels, brightest, sizes)
         self.scale = 1.0
         if method == "scatter":
             wide = session.device.has_int64_atomics
@@ -131,6 +131,9 @@ class Spreader:
 
     def clear(self) -> None:
         """Begin a frame, or a strip of it."""
+        if self.method == "convolve":
+            self.convolution.fresh = True
+            return
         buffer = self.sums if self.method == "scatter" else self.total
         cl.enqueue_fill_buffer(self.session.queue, buffer, np.zeros(1, np.uint32), 0, buffer.size)
 
@@ -143,12 +146,7 @@ class Spreader:
             self._launch("accumulate", frame, PIXELS, events, camera, value, *layout)
             return
         if self.method == "convolve":
-            table = constant_table(self.psf, radius)
-            arrays = (table.intervals, table.coefficients, table.outlines)
-            buffers = tuple(upload(self.session, array) for array in arrays)
-            self.held.append(buffers)
-            blocks = (-(-frame[0] // (2 * LANES)), -(-frame[1] // 4))
-            self._launch("convolve", blocks, BLOCKS, events, camera, value, *buffers, *layout)
+            self.convolution.add(camera, value, radius, self.total, self.pitch, self.pad, events)
             return
         head = (camera, self.struct, sources.source, value, *self.tables[0])
         tail: tuple[object, ...] = ()
@@ -181,7 +179,8 @@ class Spreader:
         with mapped(self.session, self.total, (self.channels, rows, self.pitch)) as total:
             planes = total[:, :, self.pad : self.pad + columns]
             out[...] = planes[0] if self.channels == 1 else np.moveaxis(planes, 0, -1)
-        self.held.clear()
+        if self.method == "convolve":
+            self.convolution.held.clear()
         return out
 
     def _launch(self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: object) -> None:

@@ -9,9 +9,10 @@
 //
 // gather gives every work-item a band of output rows, which it alone writes, and walks the sources that reach it
 // in a fixed order, whole vectors of taps at a time: no atomics, same bits, for CPUs. scatter adds taps one by one in
-// fixed point: any device, any order, same bits; the oracle of the other two. convolve is for one radius only.
-// Features: CHANNELS, TILT, SUBPIXELS, DISC (sampled, one weight), BAND (rows of a band), OCCLUDED (after occlusion.clh),
-// SPANS (of gather: discs by the ends of their rows), GATHER, SCATTER, CONVOLVE, RENORMALIZE, PREPARE: which kernels are wanted.
+// fixed point: any device, any order, same bits; the oracle of gather. For one radius only there is convolve.cl.
+// Features: CHANNELS, TILT, SUBPIXELS, DISC (sampled, one weight), SEPARABLE (weights are products of two), BAND (rows of a
+// band), OCCLUDED (after occlusion.clh), of gather ROWS (whole rows of sources) or SPANS (discs by the ends of rows); GATHER,
+// SCATTER, RENORMALIZE, PREPARE: which kernels are wanted.
 
 #if GATHER
 // Adds rows -up..down of one source to `out`, the place of its first tap in its own row.
@@ -84,8 +85,8 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
                      __global const float *value, __global const int4 *intervals,
                      __global const float *coefficients,
                      __global const float *quadrants, __global const int *outlines,
-#if SPANS
-                     __global double *spans, const int span_size,
+#if SPANS || ROWS
+                     __global double *spans, const int span_size,  // doubles of a work-item
 #endif
                      const int start, const int group, __global float *part, const int pitch, const int pad,
                      __global float *total
@@ -104,20 +105,18 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
     const int spans_apart = (int)get_global_size(0) * BAND * pitch, apart = group ? spans_apart : total_plane;
     const int shift = group ? (own * BAND - first) * pitch : 0;  // from a row of the frame to that of part
     const int from = MAX(first - psf.reach, -camera.above), to = MIN(end + psf.reach, camera.height - camera.above);
-#if DISC && SPANS
-    if (!add_discs(camera, psf, source, value, quadrants, outlines, first, end, spans + own * span_size, pitch, pad, total))
+#if ROWS
+    if (!add_whole_rows(camera, psf, source, value, intervals, quadrants, outlines, first, end, spans + own * span_size, pitch,
+                        pad, total))
         return;
 #endif
     for (int y = from; y < to; ++y) {
     const int line = (y + camera.above) * camera.width, place = shift + y * pitch - camera.guard + pad;
     for (int block = 0; block < camera.width; block += LANES) {
     int single = (1 << MIN(LANES, camera.width - block)) - 1;
-#if DISC && SPANS
-    float8 right, down;
-    int8 others;
-    disc_keys(psf, source, plane, line, block, camera.width, outlines, &right, &down, &others);
-    single = bits_of(others);
-#elif !DISC
+#if ROWS
+    single = bits_of(take_sources(psf, source, plane, line, block, camera.width, intervals, outlines).others);
+#elif !DISC && !SEPARABLE
     if (camera.width - block >= LANES) {
 #if SPANS
         __global double *span = spans + own * BAND * pitch + (y - first) * pitch - camera.guard + pad + block;
@@ -184,58 +183,12 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
         settle(MAX(first, y + 1 - group - psf.reach), MIN(end - 1, y + psf.reach), apart, shift, total_plane, pitch, part,
                total);
     }
-#if SPANS && !DISC
+#if SPANS && !DISC && !SEPARABLE
     for (int k = 0; k < CHANNELS; ++k)
         for (int row = first; row < end; ++row)
             add_spans(spans + k * spans_apart + (own * BAND + row - first) * pitch, CHANNELS * spans_apart, pitch,
                       total + k * total_plane + row * pitch);
 #endif
-}
-#endif
-
-#if CONVOLVE
-// One radius for all sources and no tilt: a plain convolution with the only interval of a constant table, whose row of
-// half_width + 1 is 0. Each work-item makes 2 LANES columns of 4 rows, as many as there are registers for. In: value, whose
-// guard band is at least reach + 2 LANES wide. Out: added to total.
-__kernel void convolve(const camera_t camera, __global const float *value, __global const int4 *intervals,
-                       __global const float *coefficients, __global const int *outlines, const int pitch, const int pad,
-                       __global float *total)
-{
-    const int x = get_global_id(0) * 2 * LANES, y = get_global_id(1) * 4;
-    if (x >= camera.columns || y >= camera.rows)
-        return;
-    const int half_width = intervals[0].y, lanes = (2 * half_width / LANES + 1) * LANES, rows = MIN(4, camera.rows - y);
-    for (int k = 0; k < CHANNELS; ++k) {
-        __global const float *plane = value + (k * camera.height + y + camera.above) * camera.width + x + camera.guard;
-        float8 sum[8] = {0, 0, 0, 0, 0, 0, 0, 0};
-        for (int i = -half_width; i < rows + half_width; ++i) {
-            __global const float *line = plane + i * camera.width, *c[4];
-            int last = 0;
-            #pragma unroll
-            for (int r = 0; r < 4; ++r) {
-                const int dy = MIN(ABS(i - r), half_width + 1);
-                c[r] = coefficients + dy * lanes + half_width;
-                last = MAX(last, outlines[dy]);
-            }
-            float8 part[8] = {0, 0, 0, 0, 0, 0, 0, 0};  // of one row, as in gather
-            for (int dx = -last; dx <= last; ++dx) {
-                const float8 left = TAPS(line - dx), right = TAPS(line - dx + LANES);
-                #pragma unroll
-                for (int r = 0; r < 4; ++r) {
-                    part[2 * r] += left * c[r][dx];
-                    part[2 * r + 1] += right * c[r][dx];
-                }
-            }
-            #pragma unroll
-            for (int r = 0; r < 8; ++r)
-                sum[r] += part[r];
-        }
-        __global float *out = total + (k * camera.rows + y) * pitch + x + pad;
-        for (int r = 0; r < rows; ++r) {
-            ADD_TAPS(out + r * pitch, sum[2 * r]);
-            ADD_TAPS(out + r * pitch + LANES, sum[2 * r + 1]);
-        }
-    }
 }
 #endif
 

@@ -6,7 +6,7 @@
 // The group walks the sources around its tile row by row, a chunk of them at a time. Each of its work-items looks up one
 // source, and keeps it in local memory if it reaches the tile; then each adds, in the order of the sources, those that
 // reach its own pixel: no light by atomics, same bits. Nothing stands in the way of a source here.
-// Features: CHANNELS, TILT, SUBPIXELS, DISC.
+// Features: CHANNELS, TILT, SUBPIXELS, DISC, SEPARABLE.
 
 #define TILE_COLUMNS 16  // as TILE in clsco/spread.py
 #define TILE_ROWS 8

@@ -33,6 +33,7 @@ from clsco.bench.roofline import Roof, intensity, multiply_add_rate, tap_rate, t
 from clsco.cli import main
 from clsco.device import Session
 from clsco.errors import ClscoError, ImageError
+from clsco.memory import row_bytes
 from clsco.plan import Blur
 from clsco.scene import Psf
 
@@ -98,14 +99,15 @@ def test_figures_of_a_row_belong_together(measured: Bench) -> None:
 
 
 def test_bytes_on_the_device_are_those_of_its_buffers(session: Session) -> None:
-    """In focus nothing hangs over: a record, a validity, a color, the radius, and the frame with its margins."""
+    """In focus nothing hangs over: record, validity, color, radius, the frame with its margins, and scratch."""
     radii = np.zeros((16, 16))
-    one = Pass(session, np.zeros((16, 16), np.float32), radii, Psf(edge="sampled"), "gather", "double")
+    psf = Psf(edge="sampled")
+    one = Pass(session, np.zeros((16, 16), np.float32), radii, psf, "gather", "double")
     spreader = one.spreader
     margins = 4 * 16 * spreader.pitch
     held = [buffer for table in (*spreader.tables, spreader.alike) for buffer in table]
     tables = sum(buffer.size for buffer in held) + spreader.lens.size
-    assert one.bytes == 256 * (16 + 1 + 4 + 8) + margins + tables
+    assert one.bytes == 256 * (12 + 1 + 4 + 8) + margins + tables + row_bytes(psf, 1, 0)
 
 
 def test_long_cases_are_left_out_with_the_reason(session: Session, tmp_path: Path) -> None:

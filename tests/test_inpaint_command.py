@@ -193,6 +193,19 @@ def test_a_report_needs_matplotlib_before_anything_is_done(
     assert not out.exists()
 
 
+def test_a_threshold_and_a_folder_that_cannot_be_are_refused_before_anything_is_written(
+    save: Save, tmp_path: Path
+) -> None:
+    image, mask, out = save("image.png", CODES), save("mask.png", MASK), tmp_path / "out.png"
+    for words, message in (
+        (("--threshold", "nan"), "error: --threshold: must be a finite number; got nan\n"),
+        (("--report", mask), f"error: {mask}: must be a folder that can be written; got File exists\n"),
+    ):
+        result = run(image, mask, "-o", out, *words)
+        assert (result.exit_code, result.stderr) == (1, message)
+        assert not out.exists()
+
+
 def test_progress_is_shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     from clsco import show
 

@@ -18,6 +18,13 @@ from clsco.inpainting.texture import fill_texture
 Array = NDArray[Any]
 
 
+def filled(session: Session, fill: Any, image: Array, missing: Array) -> Array:
+    """The image with the values that a method finds."""
+    result = image.copy()
+    result[missing] = fill(session, image, missing)
+    return result
+
+
 def smooth(rows: int, columns: int) -> Array:
     i, j = np.mgrid[0:rows, 0:columns]
     return (0.5 + 0.4 * np.sin(0.03 * i) * np.cos(0.02 * j))[..., None].astype(np.float32)
@@ -46,7 +53,7 @@ def test_each_image_has_its_method(session: Session) -> None:
         assert choose_method(session, image, missing) == method
         other = {"texture": fill_biharmonic, "biharmonic": fill_texture}[method]
         chosen = {"texture": fill_texture, "biharmonic": fill_biharmonic}[method]
-        errors = [np.square(fill(session, image, missing) - image).sum() for fill in (chosen, other)]
+        errors = [np.square(filled(session, fill, image, missing) - image).sum() for fill in (chosen, other)]
         assert errors[0] < errors[1]
 
 
@@ -61,14 +68,26 @@ def test_where_nothing_can_be_tried(session: Session) -> None:
 @pytest.mark.parametrize("fill", [fill_texture, fill_biharmonic])
 def test_tiles_go_on_with_each_other(session: Session, fill: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     image, missing = smooth(150, 140), blocks(150, 140)
-    whole = fill(session, image, missing)
+    whole = filled(session, fill, image, missing)
     monkeypatch.setattr(tiles, "TILE", 40)
     monkeypatch.setattr(tiles, "MARGIN", 16)
-    found = fill(session, image, missing)
+    found = filled(session, fill, image, missing)
     assert np.array_equal(found[~missing], image[~missing])
     assert not np.array_equal(found, whole)
     # Another scale of what is known nearby, and holes that tiles cut; the image itself varies by 0.8.
     assert np.abs(found - whole).max() < 0.02
+
+
+@pytest.mark.parametrize("fill", [fill_texture, fill_biharmonic])
+def test_codes_are_filled_as_floats_are(session: Session, fill: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only parts of an image become floats, whatever type it has."""
+    monkeypatch.setattr(tiles, "TILE", 40)
+    monkeypatch.setattr(tiles, "MARGIN", 16)
+    missing = blocks(150, 140)
+    codes = np.rint(255 * smooth(150, 140)).astype(np.uint8)
+    found = fill(session, codes, missing)
+    assert found.shape == (missing.sum(), 1)
+    assert np.array_equal(found, fill(session, codes.astype(np.float32), missing))
 
 
 def test_tiles_that_see_nothing_known_wait(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -76,7 +95,7 @@ def test_tiles_that_see_nothing_known_wait(session: Session, monkeypatch: pytest
     monkeypatch.setattr(tiles, "MARGIN", 5)
     image, missing = smooth(60, 70), np.ones((60, 70), bool)
     missing[-3:, -40:] = False
-    found = fill_texture(session, np.where(missing[..., None], np.float32(np.nan), image), missing)
+    found = filled(session, fill_texture, np.where(missing[..., None], np.float32(np.nan), image), missing)
     assert np.isfinite(found).all()
     assert found.min() >= image[~missing].min()
     assert found.max() <= image[~missing].max()

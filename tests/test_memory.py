@@ -88,6 +88,8 @@ SHAPE = (3 * BAND + 10, 70)
         ("scatter", 9.0, {"model": "gaussian"}, ()),
         ("tiles", 4.0, {}, ()),
         ("convolve", 7.0, {}, (3,)),
+        ("convolve", 17.0, {}, ()),
+        ("convolve", 3.0, {"model": "gaussian"}, ()),
     ],
 )
 def test_an_image_in_strips(

@@ -31,6 +31,7 @@ from clsco.scene import (
     Stereo,
 )
 from clsco.surfaces import Extent, place
+from tests.slow import mostly_slow
 
 CAMERA = Camera(resolution=(40, 30), pixel_pitch=0.15, aperture_diameter=20.0, focus_distance=250.0)
 STILL = Pose(np.eye(3), np.zeros(3))
@@ -234,7 +235,7 @@ def blocked(plan: Plan, near: int, far: int, time: float) -> bool:
     return any(bool((tap_share(sight, cells, x * sight.radius, y * sight.radius) < 0.5).any()) for x, y in turns)
 
 
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", mostly_slow(range(24), range(12)))
 def test_no_pair_is_missed(seed: int) -> None:
     """Whatever hides light of an object, at any moment, is among the blockers of its layer."""
     rng = np.random.default_rng([7, seed])

@@ -41,11 +41,12 @@ from clsco.coarsening import METHODS, estimate, sample_places
 from clsco.device import Device, Session
 from clsco.errors import DeviceError, SceneError
 from clsco.layout import Real
-from clsco.psf import constant_table, psf_table
+from clsco.psf import psf_table
 from clsco.reference.blur import prepare_sources, scatter
 from clsco.reference.trace import Sources as Light
 from clsco.scene import Psf
 from clsco.spread import Events
+from clsco.stencil import stencils
 
 Array = NDArray[Any]
 REALS: dict[str, Real] = {"double": "double", "single": "float"}
@@ -212,7 +213,7 @@ def _first(case: Case, device: Device) -> _First:
     image = channels_of(picture(case.size)[crop], case.channels)
     radii = np.ascontiguousarray(scene_radii(case.size, case.radius, case.scene)[crop])
     psf_table.cache_clear()
-    constant_table.cache_clear()
+    stencils.cache_clear()
     start = time.perf_counter()
     with Session(device) as session:
         call = _set_up(case, image, radii, session)

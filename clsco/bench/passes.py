@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from clsco.coarse import Coarse, Level, make_spreader
 from clsco.coarsening import METHODS
+from clsco.convolution import Convolution
 from clsco.defocus import image_features
 from clsco.device import Session
 from clsco.layout import Real, flat, frame_struct, in_parts, structs
@@ -49,7 +50,7 @@ class Pass:
         guard = reach(psf, self.largest) + 2 * LANES if constant else 0
         features = image_features(blur, psf, self.largest, channels, real)
         self.session, self.camera = session, frame_struct(rows, columns, guard, real)
-        self.program = build(session, FILES_OF[blur], features, structs(real), real)
+        self.program = {} if constant else build(session, FILES_OF[blur], features, structs(real), real)
         self.spreader = make_spreader(
             session, self.program, psf, blur, self.camera, channels, smallest, self.largest, 0, real,
             float(np.abs(image).max()), features, least, places,
@@ -58,7 +59,9 @@ class Pass:
         source = None if constant else empty(session, source_bytes(rows * columns, psf.tilt))
         self.sources = Sources(source, upload(session, padded))
         valid = np.ones(radii.shape, np.uint8)
-        self.radii = () if constant else (upload(session, in_parts(radii, real)), upload(session, valid))
+        self.radii: tuple[cl.Buffer, ...] = (
+            () if constant else (upload(session, in_parts(radii, real)), upload(session, valid))
+        )
 
     def missed(self) -> NDArray[np.float32]:
         """Error at the places, after a call."""
@@ -68,8 +71,8 @@ class Pass:
     def prepare(self, events: Events) -> None:
         """Enqueue the prepass: radii to records of sources."""
         if self.sources.source is not None:
-            maps = (*self.radii, self.sources.source)
-            prepare_sources(self.session, self.program, self.camera, self.spreader.struct, *maps, events)
+            source, (coc, valid) = self.sources.source, self.radii
+            prepare_sources(self.session, self.program, self.camera, self.spreader.struct, coc, valid, source, events)
 
     def spread(self, events: Events) -> None:
         """Enqueue the blur of all sources into an empty frame."""
@@ -93,6 +96,8 @@ def _buffers(things: Sequence[object]) -> Iterator[cl.Buffer]:
     for thing in things:
         if isinstance(thing, cl.Buffer):
             yield thing
+        elif isinstance(thing, Convolution):
+            yield from _buffers([*vars(thing).values()])
         elif isinstance(thing, Level):
             yield from _buffers([*vars(thing).values(), *(vars(thing.spreader).values() if thing.source else ())])
         elif isinstance(thing, list | tuple):

@@ -16,6 +16,7 @@ from clsco.bench import mitsuba
 from clsco.bench.cases import PSFS, Scene
 from clsco.errors import ClscoError
 from clsco.psf import reach, weights
+from clsco.scene import Psf
 
 Array = NDArray[Any]
 
@@ -43,7 +44,9 @@ def require_peers() -> tuple[list[str], dict[str, str]]:
 
 def set_up(tool: str, method: str, psf: str, image: Array, radii: Array) -> Callable[[], Array]:
     """A peer's pass over linear light (rows, columns), float32, by radii in px of the same shape; makes its tables."""
-    return _numba(method, psf, image, radii) if tool == "numba" else _opencv(method, psf, image, float(radii[0, 0]))
+    if tool == "numba":
+        return _numba(method, psf, image, radii)
+    return opencv(method, PSFS[psf], image, float(radii[0, 0]))
 
 
 def _numba(way: str, psf: str, image: Array, radii: Array) -> Callable[[], Array]:
@@ -61,10 +64,10 @@ def _numba(way: str, psf: str, image: Array, radii: Array) -> Callable[[], Array
     return lambda: exact(image, single, gx, gy, table, float(steps), direct.THREADS)
 
 
-def _opencv(method: str, name: str, image: Array, radius: float) -> Callable[[], Array]:
+def opencv(method: str, psf: Psf, image: Array, radius: float) -> Callable[[], Array]:
+    """filter2D with the weights of one radius, or GaussianBlur with its sigma, of linear light (rows, columns)."""
     import cv2
 
-    psf = PSFS[name]
     far = reach(psf, radius)
     if method == "GaussianBlur":
         size, sigma = (2 * far + 1, 2 * far + 1), psf.sigma_ratio * radius

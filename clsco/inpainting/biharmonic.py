@@ -29,19 +29,17 @@ CHECK_EVERY = 10  # steps between two looks at the residual, which wait for the 
 
 
 def fill_biharmonic(
-    session: Session, image: NDArray[np.float32], missing: NDArray[np.bool_], progress: Progress = no_progress
+    session: Session, image: NDArray[Any], missing: NDArray[np.bool_], progress: Progress = no_progress
 ) -> NDArray[np.float32]:
-    """The image with its holes filled; known pixels keep their bits.
+    """Values (N, channels) of the N missing pixels of an image, row by row.
 
-    image: (rows, columns, channels), finite where known, any range; missing: (rows, columns); progress: told after each
-    tile which part is done, 0 to 1. Values found are kept within the range of what is known nearby. The same bits on
-    every run of a device. Memory beside the result: per pixel of a tile (`clsco.inpainting.tiles`) 12 channels + 6
-    bytes, per missing one of it 43 channels + 5.
+    image: (rows, columns, channels), codes or floats, finite where known; missing: (rows, columns); progress: is told
+    after each tile which part is done, 0 to 1. Values found are kept within the range of what is known nearby. The same
+    bits on every run of a device. Memory beside the image: a byte per pixel, per missing one 8 and the result; per
+    pixel of a tile (`clsco.inpainting.tiles`) 12 channels + 6 bytes, per missing one of it 43 channels + 5.
     Raises ImageError where nothing is known, DeviceError. Validated against `clsco.reference.biharmonic`
     (tests/kernels/test_biharmonic.py) and scikit-image's direct solution (benchmarks/inpainting.py).
     """
-    if not missing.any():
-        return image.copy()
     real: Real = "double" if session.device.has_fp64 else "float"
     features = {"CHANNELS": image.shape[2], "SAMPLED": 0}
     program = build(session, ["biharmonic.cl"], features, structs(real), real)

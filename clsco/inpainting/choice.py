@@ -41,7 +41,7 @@ def choose_method(
         return "texture"
     parts = np.concatenate([image[window] for window in windows]).astype(np.float32)
     errors = [
-        np.square(fill(session, parts, holes)[apart] - parts[apart], dtype=np.float64).sum()
+        np.square((fill(session, parts, holes) - parts[holes])[apart[holes]], dtype=np.float64).sum()
         for fill in (fill_texture, fill_biharmonic)
     ]
     return "biharmonic" if errors[1] * MARGIN < errors[0] else "texture"

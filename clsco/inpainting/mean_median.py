@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 import pyopencl as cl
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from clsco.device import Program, Session
 from clsco.estimators import Histogram, MeanMedian, Score, bits_of, border_histogram, score_of_sums, score_scale
 from clsco.layout import frame_struct, structs
-from clsco.program import build, download, empty, kernel, launch, upload
+from clsco.program import build, copied, download, download_into, empty, kernel, launch, upload
 
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float32]
@@ -29,16 +29,19 @@ Progress = Callable[[float], object]
 
 KERNELS = ("score.cl", "holes.cl")
 FEATURES = dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SAMPLED"), 0)
-FEATURES |= {"FILL_MEAN_MEDIAN": 1}
+FEATURES |= {"FILL_MEAN_MEDIAN": 1, "IMAGE": 1}
 # As in the kernels.
-LANES, SUMS, SCORED = 8, 13, 256
-NEIGHBORS = ((0, -1), (0, 1), (-1, 0), (1, 0), (-1, -1), (1, 1), (-1, 1), (1, -1))
-VECTORS, ENTRIES, OWNERS = (8,), (64,), (1,)  # local sizes of kernels with a work-item per vector, entry, or segment
+LANES, MOST_LANES, SUMS, SCORED = 8, 16, 13, 128
+MANY = 9  # neighbors: more than there are, of pixels that are not missing
+VECTORS, OWNERS = (8,), (1,)  # local sizes of kernels with a work-item per vector, or per segment
+ENTRIES = 64  # and, at most, of those with one per entry
 
 BAND_VALUES = 2**21  # of the image that are scored or blended at once
-ALIGNED = 32  # floats
-MOST_ENTRIES = 4096  # of a sweep for a single work-group
+ALIGNED = 128  # bytes
+MOST_ENTRIES = 2**14  # of a sweep for a single work-group
+MOST_VECTORS = 2**13  # of a round, all channels, for a single work-item of a processor to smooth without launches
 GROUP = 128  # its size on a graphics card; a processor has one work-item, which does it in vectors
+FEWEST = 4  # pixels that follow one another, to be smoothed as a run
 SHARES = {"score": 0.5, "fill": 0.2, "smooth": 0.2, "blend": 0.1}  # of the whole, for progress
 
 
@@ -78,10 +81,10 @@ def fill_mean_median(
 
     image: (rows, columns, K), codes or floats, of which those of missing pixels do not matter; missing: (rows,
     columns), some but not all; span: range of the values; progress: gets the share that is done, from 0 to 1.
-    Takes 100 to 200 bytes per missing pixel and known one beside it, and 4 per pixel of the image.
+    Takes 100 to 200 bytes per missing pixel and known one beside it, and up to 8 per pixel of the image.
     Raises DeviceError. Validated against `clsco.reference.holes`, bit by bit.
     """
-    program = _program(session, image.shape[2])
+    program = _program(session, image.shape[2], image.dtype == np.uint8)
     layout = Layout(missing)
     stages = Stages(layout.pixels, layout.border)
     stages.gradients, stages.blended = np.empty(0), np.empty((layout.border.size, image.shape[2]), np.float32)
@@ -118,46 +121,62 @@ def fill_mean_median(
 
 
 @lru_cache(maxsize=8)  # of a small image, to read the files would take a tenth of the time
-def _program(session: Session, channels: int) -> Program:
-    return build(session, KERNELS, FEATURES | {"CHANNELS": channels}, structs("float"), "float")
+def _program(session: Session, channels: int, codes: bool) -> Program:
+    features = FEATURES | {"CHANNELS": channels, "CODES": codes, "ALONE": group_size(session) == 1}
+    return build(session, KERNELS, features, structs("float"), "float")
+
+
+def group_size(session: Session) -> int:
+    """Work-items of the group of sweep_holes."""
+    return 1 if session.device.kind == "cpu" else min(GROUP, session.device.max_work_group)
 
 
 class Layout:
-    """The numbers of missing pixels (M of them), of known ones beside them (B), and of what is beyond the image.
+    """The numbers of missing pixels (M of them), of known ones beside them (B), and of the frame around the image.
 
-    missing: (rows, columns). pixels, border: (M,) and (B,) numbers in the image, in the order of rows; nothing: M + B.
+    missing: (rows, columns). pixels, border: (M,) and (B,) places in the image, in the order of rows; slots: how many
+    numbers there are; at, beside: (M,) and (M, 2), numbers of missing pixels and of those above and below.
     """
 
     def __init__(self, missing: Mask) -> None:
-        rows, columns = missing.shape
-        self.columns = columns
-        self.pixels, self.border = np.flatnonzero(missing), np.flatnonzero(beside(missing))
-        self.nothing = self.pixels.size + self.border.size
-        # With a frame around the image, so that all neighbors have a place.
-        self.number = np.full((rows + 2) * (columns + 2), self.nothing, np.int32)
-        self.number[self._place(self.pixels)] = np.arange(self.pixels.size)
-        self.number[self._place(self.border)] = np.arange(self.pixels.size, self.nothing)
+        self.pixels = np.flatnonzero(missing)
+        around = dilated(np.pad(missing, 1))
+        self.border = np.flatnonzero(around[1:-1, 1:-1] & ~missing)
+        self.shape, places = around.shape, np.flatnonzero(around)
+        self.slots = places.size
+        self._number = np.empty(around.size, np.int32)
+        self._number[places] = np.arange(self.slots, dtype=np.int32)
+        self._framed_pixels = self._framed(self.pixels)
+        above, self.at, below = (self._number.take(self._framed_pixels + n * self.shape[1]) for n in (-1, 0, 1))
+        self.beside = np.stack([above, below], axis=1)
 
-    def neighbors(self) -> NDArray[np.int32]:
-        """Numbers (M, 8) of the neighbors of missing pixels, in the order of kernels."""
-        at, found = self._place(self.pixels), np.empty((self.pixels.size, 8), np.int32)
-        for k, (i, j) in enumerate(NEIGHBORS):
-            found[:, k] = self.number[at + (i * (self.columns + 2) + j)]
-        return found
+    def on_border(self) -> NDArray[np.int64]:
+        """The numbers (B,) of the known pixels."""
+        return self._number.take(self._framed(self.border)).astype(np.int64)
 
-    def _place(self, pixels: Pixels) -> Pixels:
-        return pixels + 2 * (pixels // self.columns) + (self.columns + 3)
+    def near(self) -> NDArray[np.int32]:
+        """How many known neighbors missing pixels have (M,)."""
+        known = np.zeros(self.shape, np.uint8)
+        known.ravel()[self._framed(self.border)] = 1
+        for axis in (0, 1):
+            line = np.moveaxis(known, axis, 0)
+            line[1:-1] = line[:-2] + line[1:-1] + line[2:]
+        return known.ravel().take(self._framed_pixels).astype(np.int32)
+
+    def _framed(self, pixels: Pixels) -> Pixels:
+        """Places in the image with its frame."""
+        columns = self.shape[1] - 2
+        return pixels + 2 * (pixels // columns) + (columns + 3)
 
 
-def beside(missing: Mask) -> Mask:
-    """Known pixels (rows, columns) with a missing one among their eight neighbors."""
+def dilated(missing: Mask) -> Mask:
+    """Pixels (rows, columns) that are missing, or any of their eight neighbors is."""
     wide = missing.copy()
     wide[:, 1:] |= missing[:, :-1]
     wide[:, :-1] |= missing[:, 1:]
     high = wide.copy()
     high[1:] |= wide[:-1]
     high[:-1] |= wide[1:]
-    high &= ~missing
     return high
 
 
@@ -165,14 +184,14 @@ def beside(missing: Mask) -> Mask:
 class Band:
     """Rows of an image from `top` to before `bottom`, with those beside them.
 
-    above: the first row that there is; value: float32 (K, count, columns) and LANES more, finite where pixels are
+    above: the first row that there is; value: (count, columns, K) and MOST_LANES pixels more, finite where pixels are
     missing; overwritten by the next band.
     """
 
     top: int
     bottom: int
     above: int
-    value: Floats
+    value: NDArray[Any]
     missing: Mask
 
     @property
@@ -181,25 +200,23 @@ class Band:
         return self.missing.shape[0]
 
 
-def bands(image: NDArray[Any], missing: Mask, wanted: Mask) -> Iterator[Band]:
-    """The bands of an image (rows, columns, K) with any wanted row (rows,)."""
+def bands(image: NDArray[Any], missing: Mask, wanted: Mask, dtype: DTypeLike) -> Iterator[Band]:
+    """The bands of an image (rows, columns, K) with any wanted row (rows,), as numbers of a type."""
     rows, columns, channels = image.shape
-    step = max(1, BAND_VALUES // (columns * channels))
-    room = np.zeros(channels * columns * min(step + 2, rows) + LANES + ALIGNED, np.float32)
-    room = room[-room.ctypes.data // 4 % ALIGNED :]  # processors then work in it, without a copy
+    step, most = max(1, BAND_VALUES // (columns * channels)), MOST_LANES * channels
+    room = np.zeros(channels * columns * min(step + 2, rows) + most + ALIGNED, dtype)
+    room = room[-room.ctypes.data % ALIGNED // room.itemsize :]  # processors then work in it, without a copy
     for top in range(0, rows, step):
         bottom = min(top + step, rows)
         if not wanted[top:bottom].any():
             continue
         part = slice(max(top - 1, 0), min(bottom + 1, rows))
-        size = (part.stop - part.start) * columns
-        value = room[: channels * size + LANES]
-        planes = value[: channels * size].reshape(channels, -1, columns)
-        for k in range(channels):
-            planes[k] = image[part, :, k]
+        size = (part.stop - part.start) * columns * channels
+        pixels = room[:size].reshape(-1, columns, channels)
+        pixels[...] = image[part]
         if image.dtype.kind == "f":
-            planes[:, missing[part]] = 0  # that may be no number
-        yield Band(top, bottom, part.start, value, missing[part])
+            pixels[missing[part]] = 0  # that may be no number
+        yield Band(top, bottom, part.start, room[: size + most], missing[part])
 
 
 def score_image(
@@ -208,8 +225,8 @@ def score_image(
     """Stage 0; arguments as of `fill_mean_median`."""
     rows, columns, _ = image.shape
     segments, found = -(-columns // SCORED), [np.zeros((1, SUMS), np.int64)]
-    for band in bands(image, missing, np.ones(rows, np.bool_)):
-        valid = np.concatenate([~band.missing.ravel(), np.zeros(LANES, np.bool_)])
+    for band in bands(image, missing, np.ones(rows, np.bool_), np.uint8 if image.dtype == np.uint8 else np.float32):
+        valid = np.concatenate([~band.missing.ravel(), np.zeros(MOST_LANES, np.bool_)])
         camera, count = frame_struct(band.count, columns, 0, "float"), band.count * segments
         sums, buffers = empty(session, 8 * SUMS * count), (upload(session, band.value), upload(session, valid))
         launch(
@@ -224,90 +241,98 @@ class Holes:
     """Owns what the device holds of holes, as holes.cl has it, and fills them."""
 
     def __init__(self, session: Session, program: Program, layout: Layout, image: NDArray[Any]) -> None:
-        self.session, self.program, channels = session, program, image.shape[2]
-        self.missing, self.slots, self.channels = layout.pixels.size, np.int32(layout.nothing + 1), channels
-        around = layout.neighbors()
-        self.near = ((around >= self.missing) & (around < layout.nothing)).sum(axis=1, dtype=np.int32)
-        self.neighbors, self.runs = (upload(session, around), np.int32(self.missing)), upload(session, runs(around))
-        values, valid = np.zeros((channels, layout.nothing + 1), np.float32), np.zeros(layout.nothing + 1, np.uint8)
-        values[:, self.missing : layout.nothing] = image.reshape(-1, channels)[layout.border].T
-        valid[self.missing : layout.nothing] = 1
-        self.value, self.valid = self._writable(values), self._writable(valid)
+        self.session, self.program, self.channels = session, program, image.shape[2]
+        self.at, self.index = layout.at, layout.at.astype(np.int64)  # NumPy is faster by its own type
+        self.slots, self.missing = np.int32(layout.slots + LANES), np.int32(layout.at.size)
+        self.level = layout.near()
+        near, beside = np.full(layout.slots, MANY, np.int32), np.zeros((layout.slots, 2), np.int32)
+        near[self.index], beside[self.index] = self.level, layout.beside
+        values = np.full((self.channels, self.slots), np.inf, np.float32)
+        border, known = layout.on_border(), image.reshape(-1, self.channels).take(layout.border, axis=0)
+        for k in range(self.channels):
+            values[k, border] = known[:, k]
+        self.near, self.beside = copied(self.session, near), upload(session, beside)
+        self.value, self.found = copied(self.session, values), copied(self.session, values)
 
     def fill(self, wins: np.int32, minimum: int, progress: Progress) -> int:
         """Stage 1; returns the number of sweeps. wins: bit k where the median is taken of k neighbors.
 
         Short sweeps run one after another on the device, long ones are launched one by one.
         """
-        queue, level = self.session.queue, np.minimum(self.near, minimum)
-        state = np.zeros((minimum + 1, 2), np.int32)
-        lists = empty(self.session, 4 * self.missing * minimum)
-        for k in range(1, minimum + 1):
-            entries = np.flatnonzero(level == k).astype(np.int32)
-            state[k, 1] = entries.size
-            cl.enqueue_copy(queue, lists, entries, dst_offset=4 * self.missing * (k - 1))
-        near, on_device = self._writable(self.near), self._writable(state)
-        rule, group = (*self.neighbors, np.int32(minimum), self.valid), self._group()
+        queue, count, group = self.session.queue, int(self.missing), group_size(self.session)
+        lists, state = self._lists(minimum)
+        on_device = copied(self.session, state)
+        rule = (self.beside, self.missing, np.int32(minimum), self.found, self.value, self.near, lists, on_device)
         while (open_lists := np.flatnonzero(state[1:, 0] < state[1:, 1])).size:
             k = int(open_lists[-1]) + 1
             begin, end = state[k].tolist()
             if end - begin <= MOST_ENTRIES:
-                most, planes = np.int32(MOST_ENTRIES), (self.value, near, lists, on_device)
-                self._launch("sweep_holes", *group, self.slots, most, wins, *rule, *planes)
+                self._launch("sweep_holes", group, (group,), self.slots, np.int32(MOST_ENTRIES), wins, *rule)
             else:
-                part = [np.int32(self.missing * (k - 1) + n) for n in (begin, end)]
-                planes = (lists, self.neighbors[0], self.valid, self.value)
-                self._launch("fill_holes", -(-(end - begin) // LANES), VECTORS, self.slots, *part, wins, *planes)
-                self._launch("settle_holes", end - begin, ENTRIES, *part, *rule, near, lists, on_device)
+                part = (self.slots, *(np.int32(count * (k - 1) + n) for n in (begin, end)))
+                planes = (lists, self.beside, self.value, self.found)
+                self._launch("fill_holes", -(-(end - begin) // LANES), VECTORS, *part, wins, *planes)
+                items = end - begin if group > 1 else 1
+                self._launch("settle_holes", items, (min(group, ENTRIES),), *part, *rule)
             found = download(self.session, on_device, state.shape, np.int32)
             if end - begin > MOST_ENTRIES:
                 found[k, 0] = end
                 found[0, 0] += found[0, 1] > state[0, 1]
                 cl.enqueue_copy(queue, on_device, found)
             state = found
-            progress(state[0, 1] / self.missing)
+            progress(state[0, 1] / count)
         return int(state[0, 0])
 
-    def _group(self) -> tuple[int, tuple[int]]:
-        """Size of the work-group of sweep_holes, twice."""
-        device = self.session.device
-        size = 1 if device.kind == "cpu" else min(GROUP, device.max_work_group)
-        return size, (size,)
+    def _lists(self, minimum: int) -> tuple[cl.Buffer, NDArray[np.int32]]:
+        """The lists and the state before the first sweep."""
+        level, state = np.minimum(self.level, minimum), np.zeros((minimum + 1, 2), np.int32)
+        lists = np.empty((minimum, self.at.size), np.int32)
+        for k in range(1, minimum + 1):
+            entries = self.at[level == k]
+            state[k, 1] = entries.size
+            lists[k - 1, : entries.size] = entries
+        return copied(self.session, lists), state
 
     def smooth(self, rounds: int, progress: Progress) -> Floats:
         """Stage 2, to and fro between two sets of values; returns those of missing pixels."""
-        here, there = self.value, empty(self.session, self.value.size)
-        cl.enqueue_copy(self.session.queue, there, here)
-        for n in range(rounds):
-            vectors = -(-self.missing // LANES)
-            self._launch(
-                "smooth_holes", vectors, VECTORS, self.slots, *self.neighbors, self.runs, self.valid, here, there
-            )
-            here, there = there, here
+        run, single, alone = parts(self.at, self.level == 8)
+        buffers = (upload(self.session, run), np.int32(len(run)), upload(self.session, single))
+        items = len(run) + -(-single.size // LANES)
+        # A single work-item needs no barrier between rounds, and takes less than launches where there is little to do.
+        by_one = group_size(self.session) == 1 and items * self.channels <= MOST_VECTORS
+        at_once = rounds if by_one else 1
+        for n in range(0, rounds, at_once):
+            # What has known neighbors only is the same in both sets after two rounds.
+            singles = np.int32(single.size - (alone if n > 1 else 0))
+            size, planes = ((1, OWNERS) if by_one else (items, VECTORS)), (self.beside, self.value, self.found)
+            self._launch("smooth_holes", *size, self.slots, np.int32(at_once), *buffers, singles, *planes)
+            if at_once % 2:
+                self.value, self.found = self.found, self.value
             self.session.queue.flush()
-            progress((n + 1) / rounds)
-        self.value = here
+            progress((n + at_once) / rounds)
         return self.values()
 
     def values(self) -> Floats:
         """What missing pixels have now, (M, K)."""
-        planes: Floats = download(self.session, self.value, (self.channels, int(self.slots)), np.float32)
-        return np.ascontiguousarray(planes[:, : self.missing].T)
-
-    def _writable(self, array: NDArray[Any]) -> cl.Buffer:
-        buffer = empty(self.session, array.nbytes)
-        cl.enqueue_copy(self.session.queue, buffer, array)
-        return buffer
+        shape = (self.channels, int(self.slots))
+        planes: Floats = download(self.session, self.value, shape, np.float32)
+        return np.stack([plane.take(self.index) for plane in planes], axis=1)
 
     def _launch(self, name: str, size: int, local: tuple[int, ...], *args: Any) -> None:
         launch(self.session, kernel(self.program, name), (size,), local, *args)
 
 
-def runs(around: NDArray[np.int32]) -> NDArray[np.uint8]:
-    """Bits for each LANES pixels: bit k where their neighbors (M, 8) k are numbered one after another."""
-    vectors = around[: len(around) // LANES * LANES].reshape(-1, LANES, 8)
-    follows = (vectors[:, 1:] == vectors[:, :-1] + 1).all(axis=1)
-    return np.append(np.packbits(follows, axis=1, bitorder="little"), np.uint8(0))
+def parts(at: NDArray[np.int32], alone: Mask) -> tuple[NDArray[np.int32], NDArray[np.int32], int]:
+    """Missing pixels by their numbers (M,) for smooth_holes: runs (R, 2), single ones (S,), and how many of these
+    are `alone` (M,); they come last."""
+    starts = np.flatnonzero(np.diff(at, prepend=-2) != 1)
+    within = np.arange(at.size) - np.repeat(starts, np.diff(starts, append=at.size))
+    first = np.flatnonzero(within % LANES == 0)
+    counts = np.diff(first, append=at.size)
+    runs = counts >= FEWEST
+    single = np.repeat(~runs, counts)
+    some = [at[single & ~alone], at[single & alone]]
+    return np.stack([at[first[runs]], counts[runs].astype(np.int32)], axis=1), np.concatenate(some), some[1].size
 
 
 def blend_border(
@@ -320,11 +345,11 @@ def blend_border(
     stages.blended = np.empty((border.size, channels), np.float32)
     wanted = np.zeros(rows, np.bool_)
     wanted[border // columns] = True
-    for band in bands(image, missing, wanted):
+    for band in bands(image, missing, wanted, np.float32):
         before, size = band.above * columns, band.count * columns
-        planes = band.value[: channels * size].reshape(channels, size)
+        planes = band.value[: channels * size].reshape(size, channels)
         holes = slice(*np.searchsorted(stages.pixels, (before, before + size)))
-        planes[:, stages.pixels[holes] - before] = stages.smoothed[holes].T
+        planes[stages.pixels[holes] - before] = stages.smoothed[holes]
         some = slice(*np.searchsorted(border, (band.top * columns, band.bottom * columns)))
         entries = (border[some] - before).astype(np.int32)
         count, camera = entries.size, frame_struct(band.count, columns, 0, "float")
@@ -332,5 +357,5 @@ def blend_border(
         args = (upload(session, entries), np.int32(count), upload(session, band.value), steepness, blended)
         launch(session, kernel(program, "blend_border"), (-(-count // LANES),), VECTORS, camera, *args)
         stages.gradients[some] = np.sqrt(download(session, steepness, (count,), np.float32).astype(np.float64))
-        stages.blended[some] = download(session, blended, (channels, count), np.float32).T
+        download_into(session, blended, stages.blended[some])
         progress(band.bottom / rows)

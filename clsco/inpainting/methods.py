@@ -45,18 +45,16 @@ class Filled:
 
 def _mean_median(session: Session, task: Task) -> Filled:
     stages = fill_mean_median(session, task.image, task.missing, task.span, task.constants, task.progress)
-    taken = stages.is_blended
+    taken = np.flatnonzero(stages.is_blended)
     pixels = np.concatenate([stages.pixels, stages.border[taken]])
-    return Filled(pixels, np.concatenate([stages.smoothed, stages.blended[taken]]), stages)
+    return Filled(pixels, np.concatenate([stages.smoothed, stages.blended.take(taken, axis=0)]), stages)
 
 
 def _solver(fill: Callable[..., NDArray[np.float32]]) -> Callable[[Session, Task], Filled]:
-    """A method that takes an image of floats and gives one back."""
+    """A method that knows nothing but the image."""
 
     def method(session: Session, task: Task) -> Filled:
-        result = fill(session, task.image.astype(np.float32), task.missing, task.progress)
-        pixels = np.flatnonzero(task.missing)
-        return Filled(pixels, result.reshape(-1, result.shape[2])[pixels])
+        return Filled(np.flatnonzero(task.missing), fill(session, task.image, task.missing, task.progress))
 
     return method
 

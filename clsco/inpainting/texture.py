@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from functools import partial
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
@@ -21,7 +22,7 @@ from clsco.device import Program, Session
 from clsco.holes import block_turns, doubled, halved
 from clsco.inpainting.tiles import Progress, fill_in_tiles, no_progress
 from clsco.layout import structs
-from clsco.program import build, download, empty, kernel, launch, upload
+from clsco.program import build, copied, download, empty, kernel, launch, upload
 from clsco.waves import (
     BLOCK,
     FEWEST_WAVES,
@@ -37,19 +38,17 @@ LOCAL = (1,)  # a work-item is long, and its arrays are large
 
 
 def fill_texture(
-    session: Session, image: NDArray[np.float32], missing: NDArray[np.bool_], progress: Progress = no_progress
+    session: Session, image: NDArray[Any], missing: NDArray[np.bool_], progress: Progress = no_progress
 ) -> NDArray[np.float32]:
-    """The image with its holes filled; known pixels keep their bits.
+    """Values (N, channels) of the N missing pixels of an image, row by row.
 
-    image: (rows, columns, channels), finite where known, any range; missing: (rows, columns); progress: told after each
-    tile which part is done, 0 to 1. Values found are kept within the range of what is known nearby. The same bits on
-    every run of a device. Memory beside the result: that of one tile (`clsco.inpainting.tiles`), about 28 channels + 12
-    bytes per pixel of 1024 x 1024.
+    image: (rows, columns, channels), codes or floats, finite where known; missing: (rows, columns); progress: is told
+    after each tile which part is done, 0 to 1. Values found are kept within the range of what is known nearby. The same
+    bits on every run of a device. Memory beside the image: a byte per pixel, per missing one 8 and the result; and that
+    of one tile (`clsco.inpainting.tiles`), about 28 channels + 12 bytes per pixel of 1024 x 1024.
     Raises ImageError where nothing is known, DeviceError. Validated against `clsco.reference.texture`
     (tests/kernels/test_texture.py) and beside OpenCV's FSR (benchmarks/inpainting.py).
     """
-    if not missing.any():
-        return image.copy()
     features = {"CHANNELS": image.shape[2], "SAMPLED": 0}
     program = build(session, ["texture.cl"], features, structs("float"), "float")
     constants = [upload(session, table) for table in tables()]
@@ -74,7 +73,7 @@ def _fill(
         coarse = _fill(session, program, constants, *halved(start, missing))
         start[missing] = doubled(coarse, missing)
         weights[missing] = GUESS
-    value, weight = (_writable(session, array) for array in (start, weights))
+    value, weight = (copied(session, array) for array in (start, weights))
     size = (np.int32(missing.shape[0]), np.int32(missing.shape[1]))
     order = np.argsort(turns, axis=None, kind="stable")
     blocks = (np.stack(np.unravel_index(order, turns.shape), axis=1) * BLOCK).astype(np.int32)
@@ -93,9 +92,3 @@ def _fill(
         launch(session, kernel(program, "settle_blocks"), (count,), LOCAL, *settled)
         held += [listed, filled]
     return download(session, value, image.shape, np.float32)
-
-
-def _writable(session: Session, array: NDArray[np.float32]) -> cl.Buffer:
-    buffer = empty(session, array.nbytes)
-    cl.enqueue_copy(session.queue, buffer, np.ascontiguousarray(array))
-    return buffer

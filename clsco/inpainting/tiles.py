@@ -23,19 +23,20 @@ def no_progress(done: float) -> None:
 
 
 def fill_in_tiles(
-    image: Image, missing: Mask, fill: Callable[[Image, Mask], Image], progress: Progress = no_progress
+    image: NDArray[Any], missing: Mask, fill: Callable[[Image, Mask], Image], progress: Progress = no_progress
 ) -> Image:
-    """The image (H, W, K) with its holes (H, W) filled; known pixels keep their bits, the arguments theirs.
+    """Values (N, K) of the N missing pixels (H, W) of an image (H, W, K) of any type, row by row.
 
     fill: takes a part of the image, scaled so that what is known in it runs from 0 to 1 in each channel, and its
     holes; what it returns is kept within that range. progress: told after each tile which part is done. Tiles go row by
     row, each with MARGIN px around it, in which what former tiles have filled is known; those that see nothing known
-    wait. Raises ImageError where nothing is known.
+    wait. Only one tile at a time is made floats. Raises ImageError where nothing is known.
     """
-    result, left = image.copy(), missing.copy()
-    tiles = [tile for tile in _tiles(missing.shape) if missing[tile[0]].any()]
     if missing.all():
         raise ImageError(f"missing: must leave a pixel known; got all {missing.size} missing")
+    left, pixels = missing.copy(), np.flatnonzero(missing)
+    values = np.zeros((pixels.size, image.shape[2]), np.float32)
+    tiles = [tile for tile in _tiles(missing.shape) if missing[tile[0]].any()]
     total, done = len(tiles), 0
     while tiles:
         waiting = []
@@ -43,14 +44,29 @@ def fill_in_tiles(
             if left[around].all():
                 waiting.append((tile, around))
                 continue
-            holes = left[tile]
-            inner = tuple(slice(t.start - a.start, t.stop - a.start) for t, a in zip(tile, around, strict=True))
-            result[tile][holes] = _filled(result[around], left[around], fill)[inner][holes]
-            holes[...] = False
+            part = image[around].astype(np.float32)
+            among, row, column = _within(around, pixels, missing.shape[1])
+            part[row, column] = values[among]
+            part = _filled(part, left[around], fill)
+            inner = [(a.start + k >= t.start) & (a.start + k < t.stop)
+                     for t, a, k in zip(tile, around, (row, column), strict=True)]  # fmt: skip
+            own = inner[0] & inner[1]
+            values[among[own]] = part[row[own], column[own]]
+            left[tile] = False
             done += 1
             progress(done / total)
         tiles = waiting
-    return result
+    return values
+
+
+def _within(
+    part: tuple[slice, ...], pixels: NDArray[np.int64], columns: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Of pixels (N,), numbers in an image of so many columns, those in a part: which they are, row and column there."""
+    first, end = np.searchsorted(pixels, (part[0].start * columns, part[0].stop * columns))
+    row, column = np.divmod(pixels[first:end], columns)
+    inside = np.flatnonzero((column >= part[1].start) & (column < part[1].stop))
+    return first + inside, row[inside] - part[0].start, column[inside] - part[1].start
 
 
 def _tiles(shape: tuple[int, ...]) -> list[tuple[tuple[slice, ...], tuple[slice, ...]]]:

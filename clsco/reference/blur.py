@@ -216,21 +216,3 @@ def resolve(sums: NDArray[np.int64], scale: float) -> Array:
 def gather(psf: Psf, sources: Sources, sub: SubpixelSources | None, shape: Shape, guard: int) -> Array:
     """The same sum as `scatter`, which a kernel forms target by target; arguments and result as there."""
     return scatter(psf, sources, sub, shape, guard)
-
-
-def convolve(psf: Psf, radiance: Array, radius: float, guard: int) -> Array:
-    """Defocused image (m, n, C) of a surface of one blur radius: shifted sums with one table of weights.
-
-    radiance: (m + 2 guard, n + 2 guard, C), 0 where no surface is; radius: px. border = "lose" and no tilt,
-    which a constant radius does not have. The same as `scatter`.
-    """
-    far = psf_weights.reach(psf, abs(radius))
-    m, n = radiance.shape[0] - 2 * guard, radiance.shape[1] - 2 * guard
-    offset = np.arange(-far, far + 1, dtype=np.float64)
-    table = psf_weights.weights(psf, offset[None, :], offset[:, None], np.asarray(abs(radius)))
-    color = np.zeros((m, n, radiance.shape[2]))
-    for dy in range(-far, far + 1):
-        for dx in range(-far, far + 1):
-            (to_rows, rows), (to_columns, columns) = _overlap(dy, m, guard), _overlap(dx, n, guard)
-            color[to_rows, to_columns] += table[dy + far, dx + far] * radiance[rows, columns]
-    return color

@@ -18,6 +18,7 @@ LAYERS = (
     ("files", "shapes", "frame", "strips", "estimators"),
     ("scene",),
     ("optics", "psf", "motion", "images", "scenefile"),
+    ("stencil",),
     ("surfaces", "textures", "depthmaps", "sweep", "framefiles", "coarsening"),
     ("occlusion", "maptruth"),
     ("layout",),
@@ -27,6 +28,7 @@ LAYERS = (
     ("device",),
     ("program", "arrays"),
     ("inpainting",),
+    ("convolution",),
     ("spread",),
     ("coarse",),
     ("layers",),
@@ -45,7 +47,10 @@ ONLY = {
     "program": {"errors", "resources", "device"},
 }
 IMPORTS_REFERENCE = {"check", "bench"}
-OPENCL = {"device", "arrays", "program", "inpainting", "spread", "coarse", "layers", "defocus", "forward", "renderer"}
+OPENCL = {
+    "device", "arrays", "program", "inpainting", "convolution", "spread", "coarse", "layers", "defocus", "forward",
+    "renderer",
+}  # fmt: skip
 ON_OPENCL = {"render", "batch", "check", "bench"}
 IMAGES = {"images"}
 OUTSIDE = {

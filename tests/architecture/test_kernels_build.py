@@ -18,6 +18,7 @@ from clsco.layout import Real, structs
 from clsco.memory import TRUTH_BUFFERS
 from clsco.plan import make_plan
 from clsco.program import HEADERS, HEADERS_OF, OCCLUSION_HEADERS, build
+from clsco.psf import psf_features
 from clsco.scene import Camera, Psf, Scene, Sphere
 from clsco.spread import blur_features
 from clsco.strips import BAND
@@ -29,6 +30,10 @@ GEOMETRY: dict[str, tuple[int, ...]] = {
     "CHANNELS": (1, 3),
     "FILTER": (0, 2, 1),
 }
+BLUR = (
+    *("SAMPLED", "TILT", "GATHER", "ROWS", "SPANS", "SCATTER", "RENORMALIZE", "PREPARE"),
+    *("DISC", "SEPARABLE"),
+)
 TRUTH = [f"TRUTH_{name.upper()}" for name in TRUTH_BUFFERS]
 # Files that are built together: feature -> value when off, when on, and others. Structure is all that is compiled in.
 PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
@@ -36,30 +41,31 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | dict.fromkeys(("MOVED", "TILT", "TRUTH", *TRUTH, "PINHOLE", "LENSES"), ON_OR_OFF)
     | {"SUBPIXELS": (0, 4, 2, 3), "OCCLUDED": (0,)},
     ("blur.cl",): dict.fromkeys(PLAIN, (0,))
-    | dict.fromkeys(
-        ("SAMPLED", "TILT", "GATHER", "SPANS", "SCATTER", "CONVOLVE", "RENORMALIZE", "PREPARE", "DISC"), ON_OR_OFF
-    )
+    | dict.fromkeys(BLUR, ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (1, BAND)},
     ("coarse.cl",): dict.fromkeys(PLAIN, (0,))
-    | dict.fromkeys(("TILT", "DISC", "SAMPLED"), ON_OR_OFF)
+    | dict.fromkeys(("TILT", "DISC", "SAMPLED", "SEPARABLE"), ON_OR_OFF)
     | {"CHANNELS": (1, 3)},
     ("tiles.cl",): dict.fromkeys(PLAIN, (0,))
-    | dict.fromkeys(("SAMPLED", "TILT", "DISC"), ON_OR_OFF)
+    | dict.fromkeys(("SAMPLED", "TILT", "DISC", "SEPARABLE"), ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 3)},
     ("accumulate.cl",): GEOMETRY,
+    ("convolve.cl",): GEOMETRY | {"WIDE_SUMS": ON_OR_OFF},
     ("texture.cl",): GEOMETRY,
     ("biharmonic.cl",): GEOMETRY,
     FORWARD: GEOMETRY
-    | {"FILTER": (0,), "SAMPLED": (0,)}
+    | dict.fromkeys(("FILTER", "SAMPLED", "IMAGE", "CODES"), (0,))
     | dict.fromkeys(("OWNED", "MAPPED", "FILL_AIT", "FILL_MEAN_MEDIAN", "FILL_FAR", "DOMAIN_SURFACE"), ON_OR_OFF),
 }
-PROGRAMS[HOLES] = dict.fromkeys(FEATURES, (0,)) | {"CHANNELS": (1, 3), "FILL_MEAN_MEDIAN": (1,)}
+PROGRAMS[HOLES] = dict.fromkeys(FEATURES, (0,)) | {"CHANNELS": (1, 3), "CODES": ON_OR_OFF, "ALONE": ON_OR_OFF}
+PROGRAMS[HOLES] |= {"FILL_MEAN_MEDIAN": (1,), "IMAGE": (1,)}
 # What can be in the way of a source: one object, or any other number up to all but one.
 OCCLUSION = ("trace.cl", "blur.cl")
 PROGRAMS[OCCLUSION] = PROGRAMS["blur.cl",] | PROGRAMS["trace.cl",] | {"OCCLUDED": (1, 2, 63)}
 # Features that have to do with it; of the others there is one value, the program being a long one.
 TOLD = {"OCCLUDED", "SEVERAL", "QUADRATIC", "NAPPE", "BOUNDED", "CHANNELS", "SUBPIXELS", "TILT", "GATHER", "SCATTER"}
 PROGRAMS[OCCLUSION] |= {name: values[1:2] for name, values in PROGRAMS[OCCLUSION].items() if name not in TOLD}
+PROGRAMS[OCCLUSION] |= dict.fromkeys(("ROWS", "DISC", "SEPARABLE"), (0,))
 PROGRAMS["blur.cl", "layer.cl"] = PROGRAMS["blur.cl",] | {"CHANNELS": (2, 4), "SUBPIXELS": (0,)}
 GIVEN_BY_THE_BUILD = {"REAL_IS_DOUBLE", "HAS_INT64_ATOMICS", "HAS_FP64", "defined", "__FMA__", "__SSE4_1__", "__AVX__"}
 
@@ -105,7 +111,7 @@ def test_what_the_host_asks_for_is_what_the_files_know() -> None:
     spreading = blur_features("gather", Psf(), 1.0, "double", prepare=True).keys()
     rendering = plan.features().keys() | spreading | {"TRUTH", *TRUTH, "PINHOLE", "LENSES"}
     assert PROGRAMS["trace.cl",].keys() | PROGRAMS["blur.cl",].keys() == rendering
-    assert asked_for(("blur.cl",)) <= PLAIN.keys() | spreading | {"CHANNELS", "TILT", "SAMPLED", "DISC"}
+    assert asked_for(("blur.cl",)) <= PLAIN.keys() | spreading | {"CHANNELS", "TILT", *psf_features(Psf())}
     assert forward_features(plan, owned=True).keys() == PROGRAMS[FORWARD].keys()
 
 
@@ -113,8 +119,8 @@ def test_what_the_host_asks_for_is_what_the_files_know() -> None:
 @pytest.mark.parametrize("files", PROGRAMS, ids="+".join)
 def test_with_all_features_none_and_all_but_one(session: Session, files: tuple[str, ...], real: Real) -> None:
     chosen = variants(PROGRAMS[files])
-    if real == "float":  # `real` is a type: what a feature compiles does not hang on it; SPANS are doubles
-        chosen = [one | {"SPANS": 0} for one in chosen[:2]]
+    if real == "float":  # `real` is a type: what a feature compiles does not hang on it; ROWS and SPANS are doubles
+        chosen = [one | {"ROWS": 0, "SPANS": 0} for one in chosen[:2]]
     kernels = [set(build(session, files, features, structs(real), real)) for features in chosen]
     defined = {
         name for file in files for name in re.findall(r"__kernel void (\w+)\(", (KERNELS / file).read_text("utf-8"))
@@ -132,4 +138,4 @@ def test_a_device_with_less(session: Session) -> None:
     lesser = replace(session.device, has_fp64=False, has_int64_atomics=False, correctly_rounded=False)
     with Session(lesser) as opened:
         for files, features in PROGRAMS.items():
-            assert build(opened, files, variants(features)[1] | {"SPANS": 0}, structs("float"), "float")
+            assert build(opened, files, variants(features)[1] | {"ROWS": 0, "SPANS": 0}, structs("float"), "float")

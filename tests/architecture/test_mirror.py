@@ -25,6 +25,7 @@ WITHOUT_TWIN = {
         "add_limit": "a row of _limits, which keeps infinite limits",
         "add_limits": "_limits",
     },
+    "convolve": dict.fromkeys(("sum_down", "sum_across"), "sums over rectangles, of which the reference has no need"),
     "estimate": {"use_neighbors": "counts them, as the reference does where it needs to"},
     "sources": dict.fromkeys(("get_source", "put_source"), "where the planes of a record are"),
     "sight": {"look_along": "finds out which vectors of taps need a test at all"},
@@ -32,21 +33,45 @@ WITHOUT_TWIN = {
         ("weights", "pixel_spread", "subpixel_spread", "tap", "see"),
         "reads tables, in whose place the reference has the closed forms",
     )
-    | dict.fromkeys(("sums_of", "bits_of"), "lanes of a vector"),
+    | dict.fromkeys(("sums_of", "bits_of", "weight_of"), "lanes of a vector"),
     "neighbors": dict.fromkeys(
-        "add_left_ends add_right_ends add_spans weight_of add_column add_columns add_neighbors lowest add_alike".split(),
+        [
+            "add_left_ends",
+            "add_right_ends",
+            "add_spans",
+            "add_column",
+            "add_columns",
+            "add_neighbors",
+            "lowest",
+            "add_alike",
+        ],
         "taps of many sources at once, which scatter adds up",
     ),
     "tiles": {"tiles": "the sum of scatter, which each tile forms for its pixels"},
-    "discs": dict.fromkeys(
-        "disc_row lowest_lane some_taps disc_keys take_row note_keys add_ends add_segment add_discs".split(),
-        "rows of discs at once, which scatter adds up tap by tap",
+    "rows": dict.fromkeys(
+        [
+            "tile_row",
+            "lowest_lane",
+            "some_taps",
+            "take_sources",
+            "take_row",
+            "note_keys",
+            "bounds_of",
+            "half_width_of",
+            "add_whole_rows",
+            "ends_of",
+            "finish_row",
+            "add_segment",
+        ],
+        "rows of sources at once, which scatter adds up tap by tap",
     ),
+    "discs": dict.fromkeys(["ends_of", "finish_row", "add_ends", "add_segment"], "sums instead of single taps"),
+    "gaussians": dict.fromkeys(["ends_of", "finish_row", "add_segment"], "one axis after the other"),
 }
 
 # Files whose twin is part of another file.
 PART_OF = {"estimate": "mean_median", "sight": "occlusion", "sources": "trace", "tiles": "blur"}
-PART_OF |= dict.fromkeys(("spread", "neighbors", "discs"), "blur")
+PART_OF |= dict.fromkeys(("spread", "neighbors", "rows", "discs", "gaussians"), "blur")
 
 
 def kernel_names(text: str) -> set[str]:

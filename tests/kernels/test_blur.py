@@ -17,7 +17,7 @@ from clsco.layout import Struct, flat, frame_struct, psf_struct, structs
 from clsco.memory import source_bytes
 from clsco.plan import Blur
 from clsco.program import build, download, empty, kernel, launch, upload
-from clsco.psf import is_disc, psf_table
+from clsco.psf import psf_features, psf_table
 from clsco.reference import blur as twin
 from clsco.reference.geometry import table_coordinate, tilt_slope
 from clsco.reference.trace import Sources, SubpixelSources
@@ -152,23 +152,23 @@ def copied(session: Session, array: Array) -> Any:
     return buffer
 
 
-def features(psf: Psf, channels: int, samples: int, spans: bool = False) -> dict[str, int]:
+def features(psf: Psf, channels: int, samples: int, largest: float = 0.0) -> dict[str, int]:
     """All kernels in one program, so that few have to be compiled; tests/architecture builds them one by one."""
-    kernels = dict.fromkeys(("GATHER", "SCATTER", "CONVOLVE", "RENORMALIZE", "PREPARE"), 1) | {"SPANS": int(spans)}
-    chosen = {"CHANNELS": channels, "SUBPIXELS": samples, "DISC": int(is_disc(psf)), "BAND": strips.BAND}
-    return SHAPES | kernels | chosen | {"TILT": int(psf.tilt), "SAMPLED": int(psf.edge == "sampled")}
+    kernels = spread.blur_features("gather", psf, largest, "double", prepare=True)
+    kernels |= dict.fromkeys(("GATHER", "SCATTER", "RENORMALIZE", "PREPARE"), 1)
+    chosen = {"CHANNELS": channels, "SUBPIXELS": samples, "TILT": int(psf.tilt), "BAND": strips.BAND}
+    return SHAPES | kernels | chosen | psf_features(psf)
 
 
 def spreader(session: Session, given: Light, method: Blur) -> Spreader:
     psf = given.psf
-    spans = method != "tiles" and spread.spans_rows(psf, given.largest, "double")
-    chosen = features(psf, given.channels, given.samples, spans)
+    chosen = features(psf, given.channels, given.samples, given.largest)
     if method == "tiles":  # in a file of its own
-        chosen |= dict.fromkeys(("GATHER", "SCATTER", "CONVOLVE", "PREPARE"), 0)
+        chosen |= spread.blur_features(method, psf, given.largest, "double", prepare=False) | {"RENORMALIZE": 1}
     program = build(session, spread.FILES_OF[method], chosen, STRUCTS, "double")
     ends = (given.smallest, given.largest)
     return Spreader(
-        session, program, psf, method, given.camera(), given.channels, *ends, given.samples, "double", 1.0, spans
+        session, program, psf, method, given.camera(), given.channels, *ends, given.samples, "double", 1.0, chosen
     )  # fmt: skip
 
 
@@ -215,7 +215,7 @@ def test_wide_discs_by_the_ends_of_their_rows(session: Session, psf: Psf, channe
     shape = (3 * strips.BAND // 2, 61)
     largest = 44.0 if psf.edge == "sampled" else 26.0
     given = light(psf, shape=shape, guard=3, largest=largest, steepest=0.2, channels=channels, samples=2)
-    assert spread.spans_rows(psf, given.largest, "double")
+    assert features(psf, channels, 2, largest)["ROWS" if psf.edge == "sampled" else "SPANS"]
     rows, columns = np.indices(given.sources.lit.shape)
     alone = (columns > 40) | (RNG(45).random(rows.shape) < 0.02)
     radius = np.where(alone, given.sources.radius, 0.55 * largest + 0.11 * rows + 0.02 * columns)
@@ -277,14 +277,10 @@ def test_gather_is_scatter(session: Session, channels: int, samples: int) -> Non
 
 @pytest.mark.parametrize("radius", [0.0, 0.4, 1.0, -2.7, 6.3])
 @pytest.mark.parametrize("psf", PSFS, ids=name_of)
-def test_convolve_is_gather_and_scatter_of_one_radius(session: Session, psf: Psf, radius: float) -> None:
-    guard = psf_weights.reach(psf, abs(radius)) + psf_weights.LANES
+def test_one_radius(session: Session, psf: Psf, radius: float) -> None:
+    guard = psf_weights.reach(psf, abs(radius))
     given = light(psf.model_copy(update={"tilt": False}), guard=guard, channels=3).constant(radius)
     expected = given.expected()
-    convolved = blurred(session, given, "convolve")
-    assert_close(convolved, expected, ROUNDING)  # exact weights, rounded to float32
-    twin_too = twin.convolve(psf, given.sources.radiance, radius, guard)
-    np.testing.assert_allclose(twin_too, expected, rtol=0, atol=1e-13)  # sums of a hundred terms in another order
     for method in ("gather", "scatter"):
         assert_close(blurred(session, given, method), expected, FIGURE[psf.edge])
 
@@ -295,8 +291,6 @@ def test_small_and_odd_frames(session: Session, shape: tuple[int, int]) -> None:
     given = light(Psf(), shape=shape, guard=9, largest=6.5, channels=3)
     for method in ("gather", "scatter"):
         assert_close(blurred(session, given, method), given.expected(), FIGURE["integrated"])
-    still = light(Psf(tilt=False), shape=shape, guard=15, channels=3).constant(5.5)
-    assert_close(blurred(session, still, "convolve"), still.expected(), ROUNDING)
 
 
 @pytest.mark.parametrize("method", ["gather", "scatter"])
@@ -335,7 +329,7 @@ def test_renormalize_divides_by_what_stays(session: Session) -> None:
     assert (value[:, kept] == flat(given.sources.radiance, np.float32)[:, kept]).all()  # others are not touched
 
 
-@pytest.mark.parametrize("method", ["gather", "scatter", "convolve"])
+@pytest.mark.parametrize("method", ["gather", "scatter"])
 def test_moments_add_up(session: Session, method: Blur) -> None:
     given = light(Psf(tilt=False), guard=14).constant(3.3)
     # Three thirds: three times as many roundings.
@@ -350,11 +344,9 @@ def test_accumulate(session: Session) -> None:
     np.testing.assert_allclose(blurred(session, given, "none", 3), frame, rtol=4 * 2.0**-24)  # 3 divisions, 2 sums
 
 
-@pytest.mark.parametrize("method", ["gather", "scatter", "convolve"])
+@pytest.mark.parametrize("method", ["gather", "scatter"])
 def test_same_bits_again_and_in_other_groups(session: Session, method: Blur, monkeypatch: pytest.MonkeyPatch) -> None:
-    given = light(Psf(), shape=(130, 61), guard=14, channels=3, samples=0 if method == "convolve" else 2)
-    if method == "convolve":
-        given = replace(given, psf=Psf(tilt=False)).constant(3.3)
+    given = light(Psf(), shape=(130, 61), guard=14, channels=3, samples=2)
     first = blurred(session, given, method).tobytes()
     assert blurred(session, given, method).tobytes() == first
     for local in ((1, 1), (3, 5), (16, 4)):
@@ -422,19 +414,3 @@ def test_prepare_sources(session: Session, psf: Psf, tilt: bool) -> None:
     np.testing.assert_allclose(found[..., 0], expected[..., 0], rtol=2.0**-23)  # rounded to the other side at most
     # Two conversions to float32, a quotient and a product.
     np.testing.assert_allclose(found[..., 1:3], expected[..., 1:3] if tilt else 0.0 * expected[..., 1:3], rtol=2.5e-7)
-
-
-def test_tables_outlive_their_launches(session: Session) -> None:
-    """The host runs ahead of the device: 150 tables are made and dropped before the first one is read."""
-    given = light(Psf(tilt=False), shape=(300, 400), guard=16).constant(5.0)
-    owner, sources = spreader(session, given, "convolve"), on_device(session, given, 1.0)
-
-    def total(wait: bool) -> Array:
-        owner.clear()
-        for radius in np.linspace(3.0, 5.0, 150).tolist():
-            owner.add(sources, radius, [])
-            if wait:
-                session.queue.finish()
-        return owner.image([])
-
-    assert (total(False) == total(True)).all()

@@ -15,7 +15,7 @@ from clsco.device import Session
 from clsco.layout import Real, flat, frame_struct, in_parts, structs
 from clsco.memory import source_bytes
 from clsco.program import build, empty, upload
-from clsco.psf import is_disc
+from clsco.psf import psf_features
 from clsco.reference import coarse as twin
 from clsco.reference.blur import prepare_sources, scatter
 from clsco.reference.trace import Sources as Light
@@ -53,8 +53,7 @@ def approximate(
     size = np.abs(light.radius[light.lit])
     smallest, largest = float(size.min()), float(size.max())
     features = PLAIN | blur_features("gather", psf, largest, real, prepare=True)
-    features |= {"CHANNELS": channels, "TILT": int(psf.tilt), "SAMPLED": int(psf.edge == "sampled")}
-    features |= {"DISC": int(is_disc(psf))}
+    features |= {"CHANNELS": channels, "TILT": int(psf.tilt)} | psf_features(psf)
     program = build(session, ["blur.cl"], features, structs(real), real)
     spreader = Coarse(
         session, program, psf, "gather", camera, channels, smallest, largest, 0, real, 1.0, features, least, places

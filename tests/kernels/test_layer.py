@@ -16,7 +16,7 @@ from clsco.layers import Layers
 from clsco.layout import Real, flat, frame_struct, in_parts, structs
 from clsco.plan import Blur
 from clsco.program import build, download, empty, upload
-from clsco.psf import reach
+from clsco.psf import psf_features, reach
 from clsco.reference import layer as twin
 from clsco.reference.blur import prepare_sources, scatter
 from clsco.reference.trace import Sources
@@ -74,12 +74,12 @@ class Device:
     def __init__(self, session: Session, view: View, method: Blur = "gather", real: Real = "double") -> None:
         psf, channels = view.psf, view.radiance.shape[2]
         features = PLAIN | blur_features(method, psf, view.largest, real, prepare=True)
-        features |= {"CHANNELS": channels, "TILT": int(psf.tilt), "SAMPLED": 0, "DISC": 0}
+        features |= {"CHANNELS": channels, "TILT": int(psf.tilt)} | psf_features(psf)
         program = build(session, ["blur.cl"], features, structs(real), real)
         camera = frame_struct(*view.shape, view.guard, real)
         self.session, self.view = session, view
         self.spreader = Spreader(
-            session, program, psf, method, camera, channels, 0.0, view.largest, 0, real, 1.0, bool(features["SPANS"])
+            session, program, psf, method, camera, channels, 0.0, view.largest, 0, real, 1.0, features
         )  # fmt: skip
         self.layers = Layers(session, self.spreader, features, view.largest, real, 1.0)
         self.coc, self.valid = upload(session, in_parts(view.coc, real)), upload(session, view.valid.astype(np.uint8))

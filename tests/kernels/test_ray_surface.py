@@ -267,7 +267,7 @@ FAMILIES: dict[str, tuple[Callable[[int, int], Case], dict[str, int]]] = {
 
 @cache
 def family_case(family: str) -> tuple[Array, Array, Array, Exact]:
-    surfaces, x, y = FAMILIES[family][0](400, 250)
+    surfaces, x, y = FAMILIES[family][0](200, 150)
     return surfaces, x, y, exactly(surfaces, x, y)
 
 

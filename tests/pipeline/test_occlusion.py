@@ -18,6 +18,7 @@ from clsco.images import write_png
 from clsco.plan import make_plan
 from clsco.scene import Scene
 from clsco.scenefile import parse_scene
+from tests.slow import mostly_slow
 
 CAMERA = {"resolution": [60, 44], "pixel_pitch": 0.08, "aperture_diameter": 24.0, "focus_distance": 250.0}
 BALL = {"shape": "sphere", "center": [-9.0, 4.0, 190.0], "radius": 12.0, "texture": "bricks"}
@@ -46,7 +47,7 @@ SCENES: dict[str, dict[str, Any]] = {
 VARIANTS = [(name, "visibility") for name in SCENES]
 VARIANTS += [(name, "layered") for name in ("card, gaussian", "moving", "renormalize")]
 VARIANTS += [(name, "none") for name in ("row", "camera")]
-SOME = (("row", "visibility"), ("tube", "visibility"), ("moving", "layered"), ("camera", "none"))  # others: slow
+SOME = [*((name, "visibility") for name in ("row", "row, sampled", "card, gaussian")), ("moving", "layered")]
 
 
 def scene(sections: dict[str, Any], **psf: Any) -> Scene:
@@ -59,9 +60,7 @@ def image(wanted: Scene, **options: Any) -> Frame:
     return frame
 
 
-@pytest.mark.parametrize(
-    ("name", "occlusion"), [pytest.param(*case, marks=[pytest.mark.slow] * (case not in SOME)) for case in VARIANTS]
-)
+@pytest.mark.parametrize(("name", "occlusion"), mostly_slow(VARIANTS, SOME))
 def test_device_against_reference(name: str, occlusion: str) -> None:
     """Every pixel of every output; gather and scatter are two ways to the same sum."""
     wanted = scene(SCENES[name], occlusion=occlusion)
@@ -98,7 +97,7 @@ def test_occlusion_is_seen() -> None:
     assert error["layered"] < 0.7 * error["none"]
 
 
-@pytest.mark.parametrize("method", ["gather", "scatter"])
+@pytest.mark.parametrize("method", mostly_slow(["gather", "scatter"], ["gather"]))
 @pytest.mark.parametrize(
     "name", ["row", *(pytest.param(n, marks=pytest.mark.slow) for n in ("card in a ball, area", "tube"))]
 )
@@ -127,7 +126,7 @@ def test_what_is_hidden_from_all_of_the_lens_adds_nothing(occlusion: str) -> Non
     assert np.abs(image(scene({"object": [near, beside, WALL]}, occlusion=occlusion)).color - without).max() > 0.05
 
 
-@pytest.mark.parametrize("method", ["gather", "scatter"])
+@pytest.mark.parametrize("method", mostly_slow(["gather", "scatter"], ["gather"]))
 def test_nothing_more_is_done_where_nothing_overlaps(method: str) -> None:
     """Two balls side by side: one layer, nothing is tested, and the bits are those of occlusion = "none"."""
     left, right = BALL | {"center": [-20.0, 0.0, 230.0]}, BALL | {"center": [20.0, 0.0, 260.0]}
@@ -229,7 +228,7 @@ def test_nothing_has_no_object() -> None:
     np.testing.assert_array_equal(frame.object_id == -1, ~frame.mask)
 
 
-@pytest.mark.parametrize("warp", ["inverse", "forward"])
+@pytest.mark.parametrize("warp", mostly_slow(["inverse", "forward"], ["forward"]))
 def test_each_object_flows_by_itself(warp: str) -> None:
     """The ball goes 10 mm to the right before the wall stands still: by 10 s0 / (p Z) px each pixel of it."""
     going = {"motion": {"velocity": [10.0, 0.0, 0.0]}}

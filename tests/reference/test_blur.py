@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from clsco import psf as psf_weights
 from clsco.occlusion import Layer
 from clsco.reference.accumulate import accumulate
-from clsco.reference.blur import convolve, gather, prepare_sources, renormalize, resolve, scatter, tilt_factor
+from clsco.reference.blur import gather, prepare_sources, renormalize, resolve, scatter, tilt_factor
+from clsco.reference.convolve import convolve
 from clsco.reference.trace import Sources, SubpixelSources, mark_silhouettes, trace, trace_subpixels, view_at
 from clsco.scene import Plane, Psf, Scene, Sphere
 

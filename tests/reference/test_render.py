@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.frame import TRUTH_NAMES, Frame
-from clsco.reference.blur import convolve
+from clsco.reference.convolve import convolve
 from clsco.reference.fill import Method
 from clsco.reference.render import render
 from clsco.scene import Cylinder, Fill, Motion, ObjectMotion, Plane, Psf, Quadric, Scene, Sequence, Sphere

@@ -1,0 +1,183 @@
+"""convolve.cl against its twin: every PSF, narrow and wide, and light that is far above white."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+import pytest
+from numpy.typing import NDArray
+
+from clsco import convolution
+from clsco.device import Session
+from clsco.layout import flat, frame_struct
+from clsco.program import empty, launch
+from clsco.psf import LANES, reach
+from clsco.reference.convolve import convolve
+from clsco.scene import Psf
+from clsco.spread import Sources, Spreader, blur_features
+from clsco.stencil import SUMMED
+
+Array = NDArray[Any]
+RNG = np.random.default_rng
+PSFS = [Psf(model=model, edge=edge) for model in ("pillbox", "gaussian") for edge in ("sampled", "area", "integrated")]
+# A float adds up 64 runs of up to 8 weights in two steps: some 1e-7 RMS of the brightest light.
+RMS, LARGEST = 2e-7, 1e-6
+
+
+def name_of(psf: Psf) -> str:
+    return f"{psf.model}-{psf.edge}"
+
+
+def guard_of(psf: Psf, radius: float) -> int:
+    return reach(psf, abs(radius)) + 2 * LANES
+
+
+def lit(psf: Psf, radius: float, shape: tuple[int, ...]) -> Array:
+    """Light (rows, columns, channels) in a guard band, a tenth of it dark."""
+    guard, rng = guard_of(psf, radius), RNG(51)
+    size = (shape[0] + 2 * guard, shape[1] + 2 * guard, shape[2])
+    return rng.random(size) * (rng.random(size) < 0.9)
+
+
+class Convolver:
+    """A Spreader for one image and PSF."""
+
+    def __init__(self, session: Session, psf: Psf, light: Array, radius: float, brightest: float = 1.0) -> None:
+        guard, size = guard_of(psf, radius), abs(radius)
+        camera = frame_struct(light.shape[0] - 2 * guard, light.shape[1] - 2 * guard, guard, "double")
+        self.spreader = Spreader(
+            session,
+            {},
+            psf,
+            "convolve",
+            camera,
+            light.shape[2],
+            size,
+            size,
+            0,
+            "double",
+            brightest,
+            blur_features("convolve", psf, size, "double", prepare=False),
+        )
+        self.session, self.radius, self.value = session, size, empty(session, 4 * light.size)
+        cl.enqueue_copy(session.queue, self.value, flat(light, np.float32))
+
+    def __call__(self, moments: int = 1) -> Array:
+        self.spreader.clear()
+        for _ in range(moments):
+            self.spreader.add(Sources(None, self.value), self.radius, [])
+        image = self.spreader.image([])
+        return image if image.ndim == 3 else image[..., None]
+
+
+def assert_exact(session: Session, psf: Psf, radius: float, shape: tuple[int, ...]) -> None:
+    light = lit(psf, radius, shape)
+    expected = convolve(psf, light.astype(np.float32).astype(np.float64), radius, guard_of(psf, radius))
+    error = Convolver(session, psf, light, radius)() - expected
+    assert np.sqrt(np.mean(error**2)) < RMS
+    assert np.abs(error).max() < LARGEST
+
+
+@pytest.mark.parametrize("psf", PSFS, ids=name_of)
+@pytest.mark.parametrize("radius", [0.0, 1e-7, 0.4, 1.0, -2.7, 6.3, 10.99, 14.2, 20.0])
+def test_every_psf(session: Session, psf: Psf, radius: float) -> None:
+    assert_exact(session, psf, radius, (37, 45, 3))
+
+
+@pytest.mark.parametrize("psf", [*PSFS[:3], PSFS[5]], ids=name_of)
+def test_wide_psfs(session: Session, psf: Psf) -> None:
+    assert_exact(session, psf, 60.0 if psf.model == "pillbox" else 25.3, (34, 66, 1))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 150), (150, 1), (2, 3), (33, 65), (32, 64), (63, 31), (64, 129)])
+def test_small_and_odd_frames(session: Session, shape: tuple[int, int]) -> None:
+    for radius in (5.5, 12.5):
+        assert_exact(session, Psf(), radius, (*shape, 1))
+    assert_exact(session, Psf(model="gaussian"), 3.0, (*shape, 1))
+
+
+@pytest.mark.parametrize("channels", [1, 2, 16])
+@pytest.mark.parametrize("psf", [Psf(), Psf(model="gaussian")], ids=name_of)
+def test_channels(session: Session, psf: Psf, channels: int) -> None:
+    assert_exact(session, psf, 12.5 if psf.model == "pillbox" else 2.5, (20, 40, channels))
+
+
+@pytest.mark.parametrize("radius", [4.3, 17.7])
+@pytest.mark.parametrize("psf", PSFS, ids=name_of)
+def test_a_lamp_lights_its_disc_only(session: Session, psf: Psf, radius: float) -> None:
+    """Light of 1e4 white: nothing of it where the PSF has no weight, and no error there; never less than nothing."""
+    light, guard, far = lit(psf, radius, (90, 130, 1)), guard_of(psf, radius), reach(psf, radius)
+    lamp = np.zeros_like(light)
+    lamp[guard + 40, guard + 60] = 1e4
+    at_most = 1e4 * np.abs(convolve(psf, lamp / 1e4, radius, guard))
+    rows, columns = np.indices((90, 130))
+    away = np.maximum(abs(rows - 40), abs(columns - 60)) > far
+    assert away.any()
+    alone = Convolver(session, psf, lamp, radius, 1e4)()
+    assert (alone[away] == 0).all()
+    assert (alone >= 0).all()
+    np.testing.assert_allclose(alone, at_most, rtol=1e-6, atol=1e-12)
+    both = Convolver(session, psf, light + lamp, radius, 1e4)()
+    expected = convolve(psf, light, radius, guard)
+    np.testing.assert_allclose(both[away], expected[away], atol=LARGEST)
+
+
+def test_sums_of_either_width(session: Session) -> None:
+    """Both find the same, but for what rounding of each pixel to a part of the brightest light leaves."""
+    psf, radius = Psf(), 23.4
+    light = lit(psf, radius, (50, 70, 1))
+    expected = convolve(psf, light.astype(np.float32).astype(np.float64), radius, guard_of(psf, radius))
+    for brightest in (convolution.BRIGHTEST, 1e3 * convolution.BRIGHTEST):
+        found = Convolver(session, psf, light, radius, brightest)
+        assert found.spreader.convolution.wide == (brightest > convolution.BRIGHTEST)
+        error = np.abs(found() - expected)
+        assert error.max() < 1e-7 * (4.0 if brightest == convolution.BRIGHTEST else 2.0)
+    assert reach(psf, radius) > SUMMED
+
+
+@pytest.mark.parametrize("psf", [Psf(), Psf(model="gaussian")], ids=name_of)
+def test_dark_images(session: Session, psf: Psf) -> None:
+    """What is brightest in an image is what its error is counted in, if it is not black."""
+    for brightest in (1e-9, 0.0):
+        light = brightest * lit(psf, 13.3, (30, 40, 1))
+        expected = convolve(psf, light, 13.3, guard_of(psf, 13.3))
+        found = Convolver(session, psf, light, 13.3, brightest)()
+        np.testing.assert_allclose(found, expected, rtol=0, atol=LARGEST * brightest)
+
+
+@pytest.mark.parametrize("radius", [3.3, 15.1])
+def test_moments_add_up(session: Session, radius: float) -> None:
+    light = lit(Psf(), radius, (37, 45, 2))
+    once = Convolver(session, Psf(), light, radius)()
+    # Three roundings of three times as much.
+    np.testing.assert_allclose(Convolver(session, Psf(), light / 3, radius)(3), once, rtol=0, atol=LARGEST)
+
+
+@pytest.mark.parametrize("psf", [Psf(), Psf(model="gaussian")], ids=name_of)
+def test_same_bits_again_and_in_other_groups(session: Session, psf: Psf, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = Convolver(session, psf, lit(psf, 13.3, (70, 161, 2)), 13.3)
+    first = found().tobytes()
+    assert found().tobytes() == first
+
+    def other(session: Any, kernel: Any, size: Any, usual: Any, *args: Any) -> Any:
+        return launch(session, kernel, size, (3, 2, 1)[: len(usual)], *args)
+
+    monkeypatch.setattr(convolution, "launch", other)
+    assert found().tobytes() == first
+
+
+def test_tables_outlive_their_launches(session: Session) -> None:
+    """The host runs ahead of the device: 60 tables are made and dropped before the first one is read."""
+    found = Convolver(session, Psf(), lit(Psf(), 15.0, (200, 300, 1)), 15.0)
+
+    def total(wait: bool) -> Array:
+        found.spreader.clear()
+        for radius in np.linspace(9.0, 15.0, 60).tolist():
+            found.spreader.add(Sources(None, found.value), radius, [])
+            if wait:
+                session.queue.finish()
+        return found.spreader.image([])
+
+    assert (total(False) == total(True)).all()
