@@ -176,13 +176,14 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
 @set_option
 @truth_option
 @memory_option
-def plan(scene: Path, overrides: tuple[str, ...], files: tuple[str, ...], memory: int | None) -> None:
+@click.option("--gpu", is_flag=True, help="On a graphics card instead of a processor.")
+def plan(scene: Path, overrides: tuple[str, ...], files: tuple[str, ...], memory: int | None, gpu: bool) -> None:
     """Tell what rendering a scene takes; runs nothing, and needs no OpenCL."""
-    first = _first(scene, overrides, files, memory)
+    first = _first(scene, overrides, files, memory=memory, gpu=gpu)
     from clsco.describe import planned
     from clsco.show import plan_tables, print_tables
 
-    right = [] if first.scene.stereo is None else [planned(first.scene, first.truth, "right", memory)]
+    right = [] if first.scene.stereo is None else [planned(first.scene, first.truth, "right", memory, gpu)]
     print_tables(*plan_tables([first, *right]))
 
 
@@ -471,7 +472,7 @@ def _render_to_folders(
             advance()
 
 
-def _first(path: Path, overrides: tuple[str, ...], files: tuple[str, ...] = (), memory: int | None = None) -> Plan:
+def _first(path: Path, overrides: tuple[str, ...], files: tuple[str, ...] = (), **options: Any) -> Plan:
     """The plan of a file's only scene; of several the first one, which is told."""
     from clsco.describe import planned_files
     from clsco.sweep import load_sweeps
@@ -480,7 +481,7 @@ def _first(path: Path, overrides: tuple[str, ...], files: tuple[str, ...] = (), 
     if isinstance(sweep, SceneError):
         raise sweep
     alone = replace(sweep, labels=sweep.labels[:1], scenes=sweep.scenes[:1])
-    ((_, (label,), (planned,)),) = planned_files([(path, alone)], _truth(files), memory)
+    ((_, (label,), (planned,)),) = planned_files([(path, alone)], _truth(files), **options)
     if label:
         click.echo(f"the first of {len(sweep.labels)} scenes, {label}:")
     return planned

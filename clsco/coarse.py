@@ -35,7 +35,7 @@ from clsco.plan import Blur
 from clsco.program import build, download, empty, kernel, launch, upload
 from clsco.psf import LANES, psf_features
 from clsco.scene import Psf
-from clsco.spread import BLOCKS, PIXELS, Events, Sources, Spreader, blur_features
+from clsco.spread import BLOCKS, FILES_OF, PIXELS, Events, Sources, Spreader, blur_features
 
 
 @dataclass(frozen=True)
@@ -62,22 +62,23 @@ class Level:
 
 
 class Coarse(Spreader):
-    """A `gather` Spreader that moves sources of wide blur to coarser grids.
+    """A Spreader that moves sources of wide blur to coarser grids.
 
     least: a source moves on to the next coarser grid while its radius is at least that many px there, as long as its
     radius changes by STEEPEST px at most from it to its neighbors; sub-pixel sources and those with something in their
     way stay. features: those of the frame's own program; places: (rows, columns) of pixels at which `missed` tells what
-    that changes. Other arguments and what is raised as for `Spreader`, with method "gather" and border "lose".
+    that changes. Other arguments and what is raised as for `Spreader`, with method "gather" or "tiles", and border
+    "lose".
     Validated against `clsco.reference.coarse`, and by its error against the exact way (tests/test_coarse.py).
     """
 
     def __init__(
-        self, session: Session, program: Program, psf: Psf, camera: Struct, channels: int, smallest: float,
-        largest: float, subpixels: int, real: Real, brightest: float, features: Mapping[str, int], least: float,
-        places: NDArray[np.int32] | None = None,
+        self, session: Session, program: Program, psf: Psf, method: Blur, camera: Struct, channels: int,
+        smallest: float, largest: float, subpixels: int, real: Real, brightest: float, features: Mapping[str, int],
+        least: float, places: NDArray[np.int32] | None = None,
     ) -> None:  # fmt: skip
         super().__init__(
-            session, program, psf, "gather", camera, channels, smallest, largest, subpixels, real, brightest, features,
+            session, program, psf, method, camera, channels, smallest, largest, subpixels, real, brightest, features,
         )  # fmt: skip
         self.least, self.places, self.tilt = least, places, bool(features["TILT"])
         self.marked = np.int32(bool(features["SUBPIXELS"] or features["OCCLUDED"]))
@@ -89,12 +90,12 @@ class Coarse(Spreader):
         plain = {**features, "SUBPIXELS": 0, "OCCLUDED": 0, "SAMPLED": int(coarse.edge == "sampled")}
         self.tools = build(session, ["coarse.cl"], plain, structs(real), real)
         for radius in radii:
-            plain |= psf_features(coarse) | blur_features("gather", coarse, radius, real, prepare=False)
-            inner = build(session, ["blur.cl"], plain, structs(real), real)
+            plain |= psf_features(coarse) | blur_features(method, coarse, radius, real, prepare=False)
+            inner = build(session, FILES_OF[method], plain, structs(real), real)
             above = self.levels[-1].camera
             shape = coarse_frame(*(int(above[name]) for name in ("rows", "columns", "guard")))
             spreader = Spreader(
-                session, inner, coarse, "gather", frame_struct(*shape, real), channels, least, radius, 0, real,
+                session, inner, coarse, method, frame_struct(*shape, real), channels, least, radius, 0, real,
                 brightest, plain,
             )  # fmt: skip
             self.levels.append(self._level(spreader))
@@ -210,8 +211,9 @@ def make_spreader(
             features,
         )  # fmt: skip
     return Coarse(
-        session, program, psf, camera, channels, smallest, largest, subpixels, real, brightest, features, least, places
-    )
+        session, program, psf, method, camera, channels, smallest, largest, subpixels, real, brightest, features, least,
+        places,
+    )  # fmt: skip
 
 
 def _blocks(width: int, height: int) -> tuple[int, int]:

@@ -20,12 +20,12 @@ from clsco.layers import Layers
 from clsco.layout import WIDE_BYTES, Real, Struct, flat, frame_struct, in_parts, structs
 from clsco.memory import Limit, defocus_bytes, limit_of, rows_that_fit, source_bytes
 from clsco.optics import LARGEST_BLUR
-from clsco.plan import Blur, is_sharp
+from clsco.plan import MANY_RADII, Blur, is_sharp, many_radii
 from clsco.program import build, empty
 from clsco.psf import LANES, psf_features, reach, table_reach
 from clsco.scene import Psf
 from clsco.scenefile import parse_psf
-from clsco.spread import Sources, blur_features, prepare_sources
+from clsco.spread import FILES_OF, Sources, blur_features, prepare_sources
 from clsco.strips import BAND, Strip, cut
 
 # Features that only surfaces need.
@@ -59,7 +59,7 @@ def defocus(
 
     image: linear light, (rows, columns) or (rows, columns, channels), up to 16 channels; coc: signed R in px, (rows,
     columns), positive behind the focal surface; psf: keys of the scene file's [psf]; device: part of an OpenCL
-    device's name; method: "auto", "gather", "scatter", "convolve" (one radius) or an approximation
+    device's name; method: "auto", "gather", "scatter", "tiles", "convolve" (one radius) or an approximation
     (`clsco.coarsening.METHODS`); tolerance: RMS error of white up to which an approximation may be taken where it is
     faster, None for the exact blur; told: gets an entry of which it was and its measured error. NumPy arrays, or
     pyopencl arrays of one queue, which is then worked in; memory: most that buffers on the device may take, bytes or a
@@ -115,8 +115,8 @@ def _checked(picture: NDArray[Any], radii: NDArray[Any]) -> _Given:
     return _Given(picture, radii, smallest, largest, float(np.float32(brightest)))
 
 
-def _choose(psf: Psf, method: str, smallest: float, largest: float) -> Blur:
-    known = ("auto", "gather", "scatter", "convolve", *METHODS)
+def _choose(psf: Psf, method: str, smallest: float, largest: float, gpu: bool) -> Blur:
+    known = ("auto", *MANY_RADII, "convolve", *METHODS)
     if method not in known:
         raise SceneError(f"method: must be one of {', '.join(known)}; got {method}")
     constant = smallest == largest and psf.border == "lose"
@@ -125,9 +125,9 @@ def _choose(psf: Psf, method: str, smallest: float, largest: float) -> Blur:
     check_border(psf, method)
     if is_sharp(psf, largest) and (method == "auto" or method in METHODS):
         return "none"
-    if method == "auto":
-        return "convolve" if constant else "gather"
-    return "scatter" if method == "scatter" else "convolve" if method == "convolve" else "gather"
+    if method == "convolve" or (method == "auto" and constant):
+        return "convolve"
+    return next((name for name in MANY_RADII if name == method), many_radii(gpu))
 
 
 def _defocus(
@@ -138,15 +138,15 @@ def _defocus(
     device = session.device
     limit = limit_of(memory, device.global_mem, device.max_alloc, device.compute_units, device.unified_memory)
     name, tolerance = method
-    ends = given.smallest, given.largest
+    which = given.smallest, given.largest, device.kind == "gpu"
     tried: tuple[tuple[str, float], ...] = ()
     names = [name]
     if tolerance is not None and checked_tolerance(tolerance, name):
-        names = [*(() if _choose(psf, name, *ends) == "none" else candidates(psf, np.abs(given.coc))), name]
+        names = [*(() if _choose(psf, name, *which) == "none" else candidates(psf, np.abs(given.coc))), name]
     for each in names:
         measured = each in METHODS and (told is not None or tolerance is not None)
         places = sample_places(*given.coc.shape) if measured else None
-        result, missed = _blurred(session, given, psf, _choose(psf, each, *ends), METHODS.get(each), places, limit)
+        result, missed = _blurred(session, given, psf, _choose(psf, each, *which), METHODS.get(each), places, limit)
         rms, at_most = (0.0, 0.0) if missed is None else estimate(missed)
         if each not in METHODS or tolerance is None or at_most <= tolerance:
             break
@@ -200,7 +200,7 @@ class _Engine:
         channels, columns = given.channels, given.coc.shape[1]
         features = image_features(blur, psf, given.largest, channels, self.real)
         constant = blur == "convolve"
-        self.program = {} if constant else build(session, ["blur.cl"], features, structs(self.real), self.real)
+        self.program = {} if constant else build(session, FILES_OF[blur], features, structs(self.real), self.real)
         self.spreader = make_spreader(
             session, self.program, psf, blur, self._camera(strips[0]), channels, given.smallest, given.largest, 0,
             self.real, given.brightest, features, least, places,

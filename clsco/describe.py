@@ -31,26 +31,29 @@ DERIVED_UNITS = {"derived.aperture_diameter": "mm", "derived.sensor_distance": "
 FRAME_UNITS = {"intermediate[].time": "s", "seconds": "s, by pass on the device"}
 
 
-def planned(scene: Scene, truth: tuple[str, ...], eye: Eye = "left", memory: int | None = None) -> Plan:
+def planned(
+    scene: Scene, truth: tuple[str, ...], eye: Eye = "left", memory: int | None = None, gpu: bool = False
+) -> Plan:
     """The plan of a scene for the outputs `truth` besides color; reads its textures and depths, computes nothing.
 
-    eye: of a stereo pair; memory: as for `clsco.render`, on a device like this machine's processor.
+    eye: of a stereo pair; memory: as for `clsco.render`, on a device like this machine's processor; gpu: as for
+    `clsco.plan.make_plan`.
 
     The plan's scene has its resolution, which the first texture gives where the scene does not, and three channels
     where any texture has color. Raises SceneError, all textures' and depths' faults at once, and what
     `clsco.plan.make_plan` raises.
     """
-    (plan,) = planned_sweep(Sweep(("",), (scene,)), truth, eye, memory)
+    (plan,) = planned_sweep(Sweep(("",), (scene,)), truth, eye, memory, gpu=gpu)
     return plan
 
 
 def planned_sweep(
     sweep: Sweep, truth: tuple[str, ...], eye: Eye = "left", memory: int | None = None, method: str = "auto",
-    tolerance: float | None = None,
+    tolerance: float | None = None, gpu: bool = False,
 ) -> tuple[Plan, ...]:  # fmt: skip
     """The plans of all scenes of a sweep, as `planned`; each file is read once. Raises SceneError for all of them.
 
-    method, tolerance: as for `clsco.render`.
+    method, tolerance: as for `clsco.render`; gpu: as for `planned`.
     """
     files = _read_files(sweep.scenes[0])  # the same for all: no key of theirs can have several values
     plans, faults = [], dict[str, None]()
@@ -62,7 +65,8 @@ def planned_sweep(
         try:
             maps = _inverse_depths(sized, files.depths)
             views = {
-                view: make_plan(sized, files.channels, truth, method, view, maps, tolerance) for view in _views(scene)
+                view: make_plan(sized, files.channels, truth, method, view, maps, tolerance, gpu)
+                for view in _views(scene)
             }
             limit = replace(limit_of(memory), views=len(views))
             plans.append({view: fitted(plan, limit) for view, plan in views.items()}[eye])
@@ -75,7 +79,7 @@ def planned_sweep(
 
 def planned_files(
     loaded: Sequence[tuple[Path, Sweep | SceneError]], truth: tuple[str, ...] = (), memory: int | None = None,
-    method: str = "auto", tolerance: float | None = None,
+    method: str = "auto", tolerance: float | None = None, gpu: bool = False,
 ) -> list[PlannedFile]:  # fmt: skip
     """The plans of files that `clsco.sweep.load_sweeps` gives; raises SceneError for all of them."""
     found: list[PlannedFile] = []
@@ -85,7 +89,7 @@ def planned_files(
             messages.extend(sweep.messages)
             continue
         try:
-            plans = planned_sweep(sweep, truth, memory=memory, method=method, tolerance=tolerance)
+            plans = planned_sweep(sweep, truth, memory=memory, method=method, tolerance=tolerance, gpu=gpu)
             found.append((path, sweep.labels, plans))
         except SceneError as error:
             messages.extend(at_most(str(path), error.messages))

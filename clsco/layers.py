@@ -15,7 +15,7 @@ from clsco.memory import source_bytes
 from clsco.program import build, download, empty, kernel, launch, upload
 from clsco.psf import psf_extent, reach
 from clsco.scene import Psf
-from clsco.spread import PIXELS, Events, Sources, Spreader, prepare_sources
+from clsco.spread import FILES_OF, PIXELS, Events, Sources, Spreader, prepare_sources
 
 # As in layer.cl.
 JUMP, BIN, CLASSES, RUN = 1.0, 0.25, 10, 64  # px, px
@@ -46,8 +46,8 @@ def slab_bounds(latest: NDArray[np.int32]) -> list[int]:
 class Layers:
     """Adds moments to a frame with occlusion from what the pinhole sees: psf.occlusion = "layered".
 
-    spreader: of the frame, whose method is "gather" or "scatter" and which has no sub-pixel sources; `add` takes the
-    place of `Spreader.add`. features: those that the spreader's program was built with; largest: px, no |R| is larger;
+    spreader: of the frame, whose method is one of MANY_RADII and which has no sub-pixel sources; `add` takes the place
+    of `Spreader.add`. features: those that the spreader's program was built with; largest: px, no |R| is larger;
     brightest: largest |radiance|.
 
     Pixels are put into slabs of the signed blur radius so that the two sides of every jump between neighbors, beyond
@@ -69,7 +69,7 @@ class Layers:
         self.channels = spreader.channels
         psf: Psf = spreader.psf
         chosen = {**features, "CHANNELS": self.channels + 1, "SUBPIXELS": 0, "PREPARE": 1, "OCCLUDED": 0}
-        self.program = build(session, ["blur.cl", "layer.cl"], chosen, structs(real), real)
+        self.program = build(session, [*FILES_OF[spreader.method], "layer.cl"], chosen, structs(real), real)
         self.inner = Spreader(
             session, self.program, psf, spreader.method, self.camera, self.channels + 1, 0.0, largest, 0, real,
             max(brightest, 1.0), chosen,

@@ -170,15 +170,16 @@ def grid_bytes(channels: int, width: int, height: int, tilt: bool, finest: bool)
 
 
 def _coarse(
-    psf: Psf, channels: int, rows: int, columns: int, guard: int, largest: float, least: float, tilt: bool, cores: int
-) -> dict[str, int]:
+    psf: Psf, method: Blur, channels: int, rows: int, columns: int, guard: int, largest: float, least: float,
+    tilt: bool, cores: int,
+) -> dict[str, int]:  # fmt: skip
     """Buffers of `clsco.coarse.Coarse` besides those of a Spreader: all its grids, and where its error is measured."""
     radii, count, found = coarse_radii(psf, largest, least), place_count(rows, columns), dict[str, int]()
     for level, radius in enumerate((largest, *radii) if radii else ()):
         sizes: dict[str, int] = {}
         if level:
             rows, columns, guard = coarse_frame(rows, columns, guard)
-            sizes = _spreader(coarse_psf(psf), "gather", channels, rows, columns, guard, (least, radius), 0, cores)
+            sizes = _spreader(coarse_psf(psf), method, channels, rows, columns, guard, (least, radius), 0, cores)
         sizes |= grid_bytes(channels, columns + 2 * guard, rows + 2 * guard, tilt, level == 0)
         found |= {f"grid {level} {name}": size for name, size in sizes.items()}
     return found | {"places": (8 + 4 * channels) * count * bool(radii)}
@@ -216,7 +217,7 @@ def buffer_bytes(plan: Plan, cores: int) -> dict[str, int]:
     sizes |= _spreader(*blur, ends, plan.silhouettes, cores)
     if plan.approximations:  # the first one has the most grids
         least = METHODS[plan.approximations[0]]
-        frame = (psf, channels, plan.rows, plan.columns, plan.guard_px)
+        frame = (psf, plan.blur, channels, plan.rows, plan.columns, plan.guard_px)
         sizes |= _coarse(*frame, plan.largest_blur, least, plan.tilt, cores)
     if plan.occlusion == "layered":
         sizes |= {"coc": WIDE_BYTES * area, "valid": area} | _layers(*blur, plan.largest_blur, cores)
@@ -257,7 +258,7 @@ def defocus_bytes(
     blur = (psf, method, channels, strips[0].rows, shape[1], guard)
     sizes |= _spreader(*blur, ends, 0, cores)
     if least is not None:
-        sizes |= _coarse(psf, channels, *shape, guard, ends[1], least, psf.tilt, cores)
+        sizes |= _coarse(psf, method, channels, *shape, guard, ends[1], least, psf.tilt, cores)
     layered = psf.occlusion == "layered" and method != "convolve"
     return sizes | (_layers(*blur, ends[1], cores) if layered else {})
 

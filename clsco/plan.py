@@ -25,10 +25,11 @@ from clsco.strips import Strip, cut
 from clsco.surfaces import canonical, place, predict_inverse_depth
 
 Array = NDArray[np.float64]
-Blur = Literal["gather", "scatter", "convolve", "none"]
+Blur = Literal["gather", "scatter", "tiles", "convolve", "none"]
 Maps = Sequence[Array | None]
 Occlusion = Literal["visibility", "layered", "none"]
 
+MANY_RADII: tuple[Blur, ...] = ("gather", "scatter", "tiles")  # methods for sources of any radius each
 GRID = 65  # rays per axis that predict the range of the blur radius
 PREDICTED_MOMENTS = 33  # of the whole sequence at most
 LARGEST_TABLES = 2**30  # bytes of PSF tables
@@ -327,15 +328,17 @@ def make_plan(
     eye: Eye = "left",
     maps: Maps | None = None,
     tolerance: float | None = None,
+    gpu: bool = False,
 ) -> Plan:
     """The passes that a scene needs.
 
     scene: with a resolution (`clsco.textures.load_scene_textures`); channels: of its textures; truth: names of the
-    outputs that are wanted besides color; method: "auto", or one of "gather", "scatter", "convolve" where it can
-    do the scene, or an approximation (`clsco.coarsening.METHODS`); eye: of a stereo pair; maps: inverse depth (rows,
-    columns) in 1/mm of every object that is a depth map, 0 where nothing is, None for others
+    outputs that are wanted besides color; method: "auto", or one of "gather", "scatter", "tiles", "convolve" where it
+    can do the scene, or an approximation (`clsco.coarsening.METHODS`); eye: of a stereo pair; maps: inverse depth
+    (rows, columns) in 1/mm of every object that is a depth map, 0 where nothing is, None for others
     (`clsco.depthmaps.load_scene_depths`); tolerance: RMS error of white up to which an approximation is taken, None for
-    none. Raises SceneError where the blur radius passes LARGEST_BLUR or the method cannot do it.
+    none; gpu: it is to run on a GPU, see `many_radii`. Raises SceneError where the blur radius passes LARGEST_BLUR or
+    the method cannot do it.
     """
     if scene.stereo is None:
         truth = tuple(name for name in truth if name not in STEREO_NAMES)
@@ -356,20 +359,21 @@ def make_plan(
     constant = _constant_blur(scene) and not silhouettes and psf.border == "lose"
     sharp = is_sharp(psf, largest) and not silhouettes
     check_border(psf, method)
-    blur = _choose_blur(method, sharp, constant)
-    approximations: tuple[str, ...] = (method,) if method in METHODS and blur == "gather" else ()
+    occlusion, found = _occlusion(scene, forward, sharp, moments, each)
+    occluded = any(layer.blockers for layer in found)
+    blur = _choose_blur(method, sharp, constant, gpu, occluded)
+    approximations: tuple[str, ...] = (method,) if method in METHODS and blur != "none" else ()
     seen = np.abs(blur_radius(scene.camera, w[w > 0]))
     if tolerance is not None and checked_tolerance(tolerance, method) and blur != "none":
         approximations = candidates(psf, seen)
-        blur = "gather" if approximations else blur
+        blur = many_radii(gpu, occluded, approximate=True) if approximations else blur
     if blur == "convolve":
         guard += 2 * LANES
-    occlusion, found = _occlusion(scene, forward, sharp, moments, each)
     tilt = psf.tilt and not _constant_blur(scene) and blur not in ("convolve", "none")
     passes, left_out = _passes(
-        scene, eye, forward, samples, largest, blur, silhouettes, tilt, truth, channels, occlusion, len(found)
+        scene, eye, forward, samples, largest, blur, silhouettes, tilt, truth, channels, occlusion, len(found), gpu
     )
-    if blur in ("gather", "scatter"):
+    if blur in MANY_RADII:
         _check_tables(psf, smallest, largest, silhouettes)
     area = (rows + 2 * guard) * (columns + 2 * guard)
     lit = np.pi * (psf_extent(psf, seen) + 0.7) ** 2
@@ -391,23 +395,38 @@ def _check_tables(psf: Psf, smallest: float, largest: float, silhouettes: int) -
         )
 
 
-def _choose_blur(method: str, sharp: bool, constant: bool) -> Blur:
+def many_radii(gpu: bool, occluded: bool = False, approximate: bool = False) -> Blur:
+    """The method for many radii that suits a device.
+
+    gpu: the device is a GPU; occluded: something may stand in the way of a source, which `tiles` does not test;
+    approximate: on coarser grids, which take no frame in fixed point.
+    """
+    if gpu and not occluded:
+        return "tiles"
+    return "scatter" if gpu and not approximate else "gather"
+
+
+def _choose_blur(method: str, sharp: bool, constant: bool, gpu: bool, occluded: bool) -> Blur:
     if method in METHODS:
-        return "none" if sharp else "gather"
+        return "none" if sharp else many_radii(gpu, occluded, approximate=True)
     if method == "convolve" and not constant:
         raise SceneError("method: convolve needs one blur radius for the whole frame; got a scene with many")
-    if method in ("gather", "scatter"):
-        return "gather" if method == "gather" else "scatter"
+    if method == "tiles" and occluded:
+        raise SceneError("method: tiles needs sources with nothing in their way; got objects that hide each other")
+    for known in MANY_RADII:
+        if method == known:
+            return known
     if method not in ("auto", "convolve"):
-        raise SceneError(f"method: must be one of auto, gather, scatter, convolve, {', '.join(METHODS)}; got {method}")
+        known_names = ", ".join(("auto", *MANY_RADII, "convolve", *METHODS))
+        raise SceneError(f"method: must be one of {known_names}; got {method}")
     if sharp:
         return "none"
-    return "convolve" if constant else "gather"
+    return "convolve" if constant else many_radii(gpu, occluded)
 
 
 def _passes(
     scene: Scene, eye: Eye, forward: bool, samples: int, largest: float, blur: Blur, silhouettes: int, tilt: bool,
-    truth: tuple[str, ...], channels: int, occlusion: Occlusion, layers: int,
+    truth: tuple[str, ...], channels: int, occlusion: Occlusion, layers: int, gpu: bool,
 ) -> tuple[tuple[tuple[str, str], ...], tuple[tuple[str, str], ...]]:  # fmt: skip
     """What is done, and what is left out with the reason."""
     psf, moves = scene.psf, scene.moves
@@ -437,6 +456,9 @@ def _passes(
     why = "tilt = false" if not psf.tilt else "one radius for all pixels, or none"
     either(tilt, "tilt", "weights by the gradient of the blur radius", why)
     how = {"gather": "many radii", "scatter": "atomic, fixed point", "convolve": "one PSF for the whole frame"}
+    how["tiles"] = "many radii, a work-item per pixel"
+    if gpu and occlusion == "visibility":
+        how["scatter"] += ", as tiles do not test what is in the way"
     either(
         blur != "none", "blur", f"{psf.model}, {psf.edge}, R up to {largest:.3g} px, {blur}: {how.get(blur, '')}",
         f"in focus: R up to {largest:.3g} px stays within its pixel",

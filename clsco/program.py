@@ -24,6 +24,7 @@ HEADERS_OF = {
     "trace.cl": ("sources.clh",),
     "blur.cl": ("sources.clh", "spread.clh", "neighbors.clh", "rows.clh", "discs.clh", "gaussians.clh"),
     "coarse.cl": ("sources.clh", "spread.clh"),
+    "tiles.cl": ("sources.clh", "spread.clh"),
     "layer.cl": ("sources.clh",),
     "fill.cl": ("estimate.clh",),
     "holes.cl": ("estimate.clh",),

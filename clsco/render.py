@@ -109,7 +109,8 @@ def _render_group(
         camera = scene.camera.model_copy(update={"resolution": first.camera.resolution})
         sized = scene.model_copy(update={"camera": camera})
         maps.append(load_scene_depths(sized))
-        plans.append(tuple(make_plan(sized, channels, truth, method[0], eye, maps[-1], method[1]) for eye in eyes))
+        how = (maps[-1], method[1], session.device.kind == "gpu")
+        plans.append(tuple(make_plan(sized, channels, truth, method[0], eye, *how) for eye in eyes))
     wanted = range(first.sequence.frames) if frames is None else frames
     device = session.device
     whole = limit_of(memory, device.global_mem, device.max_alloc, device.compute_units, device.unified_memory)
@@ -154,7 +155,7 @@ def _in_lockstep(plans: Sequence[tuple[Plan, ...]], limit: Limit) -> list[list[P
 def _shares_rays(one: tuple[Plan, ...], other: tuple[Plan, ...]) -> bool:
     """Whether what rays hit for one lens serves another one."""
     return all(
-        a.blur == b.blur == "gather"
+        a.blur == b.blur in ("gather", "tiles")
         and not (a.forward or b.forward)
         and "layered" not in (a.occlusion, b.occlusion)
         and (a.layers, a.silhouettes, a.samples) == (b.layers, b.silhouettes, b.samples)

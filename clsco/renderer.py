@@ -33,10 +33,10 @@ from clsco.memory import TRUTH_BUFFERS, Limit, device_bytes, fitted, source_byte
 from clsco.motion import Pose, middle_time, poses_at, rest_poses
 from clsco.occlusion import Layer
 from clsco.optics import blur_radius
-from clsco.plan import Maps, Plan, exposure, widened
+from clsco.plan import MANY_RADII, Maps, Plan, exposure, widened
 from clsco.program import build, download, download_into, empty, kernel, launch, upload
 from clsco.scene import DepthMap
-from clsco.spread import FILE_OF, PIXELS, Events, Sources, blur_features, prepare_sources
+from clsco.spread import FILES_OF, PIXELS, Events, Sources, blur_features, prepare_sources
 from clsco.strips import Strip
 from clsco.surfaces import PlacedSurface, place
 from clsco.textures import Texture
@@ -111,8 +111,7 @@ class Renderer:
         features["PINHOLE"] = int(plan.occlusion == "layered" and not plan.forward)
         features |= {f"TRUTH_{name.upper()}": int(name in self._truth_names()) for name in TRUTH_BUFFERS}
         declared = structs(self.real)
-        sources = [name for name in ("trace.cl", FILE_OF[plan.blur]) if name]
-        self.program = build(session, sources, features, declared, self.real)
+        self.program = build(session, ["trace.cl", *FILES_OF[plan.blur]], features, declared, self.real)
         self.forward = None
         if plan.forward:
             at_rest = self._placed_at(rest_poses(plan.scene))
@@ -235,7 +234,7 @@ class Renderer:
         value, coc, valid = planes
         if self.slabs is not None:
             return {"slabs": self.slabs.add(value, coc, valid, events)}
-        if self.plan.blur in ("gather", "scatter"):
+        if self.plan.blur in MANY_RADII:
             maps = (coc, valid, self.source)
             prepare_sources(self.session, self.program, self.camera, self.spreader.struct, *maps, events)
         self.spreader.add(Sources(self.source, value), self._central_radius(time), events)

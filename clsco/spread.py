@@ -1,4 +1,4 @@
-"""Host side of the blur: PSF tables on the device, launches of blur.cl, and the frame that they add up to."""
+"""Host side of the blur: PSF tables on the device, launches of its kernels, and the frame that they add up to."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from clsco.device import Program, Session
 from clsco.layout import Real, Struct, psf_struct
 from clsco.memory import MOST_IN_ONE_SUM, bands_at_a_time, has_rows, has_spans, margin, spread_bytes
 from clsco.occlusion import lens_cells
-from clsco.plan import Blur
+from clsco.plan import MANY_RADII, Blur
 from clsco.program import empty, kernel, launch, mapped, upload
 from clsco.psf import LANES, PsfTable, psf_table
 from clsco.scene import Psf
@@ -23,12 +23,14 @@ from clsco.strips import BAND
 
 PIXELS = (64, 1)  # local size of kernels with a work-item per pixel
 BLOCKS = (8, 1)  # of kernels with one per LANES pixels of a row
+TILE = (16, 8)  # pixels of a group of `tiles`, as in kernels/tiles.cl
 # A pixel gets at most 2.6 + 2 ln R times the brightest source from pillboxes; the tilt at most doubles it.
 GAIN, GAIN_PER_LOG, TILT_GAIN = 2.6, 2.0, 2.0
 
-# The kernel file of each method in the program that its caller builds; `convolve` builds its own.
-FILE_OF: dict[Blur, str | None] = {
-    "gather": "blur.cl", "scatter": "blur.cl", "convolve": None, "none": "accumulate.cl",
+# The kernel files of each method in the program that its caller builds; `convolve` builds its own.
+FILES_OF: dict[Blur, tuple[str, ...]] = {
+    "gather": ("blur.cl",), "scatter": ("blur.cl",), "tiles": ("blur.cl", "tiles.cl"), "convolve": (),
+    "none": ("accumulate.cl",),
 }  # fmt: skip
 
 Events = list[tuple[str, cl.Event]]
@@ -42,7 +44,7 @@ def blur_features(method: Blur, psf: Psf, largest: float, real: Real, prepare: b
         "SPANS": int(method == "gather" and real == "double" and has_spans(psf, largest)),
         "SCATTER": int(method == "scatter"),
         "RENORMALIZE": int(psf.border == "renormalize" and method != "none"),
-        "PREPARE": int(prepare and method in ("gather", "scatter")),
+        "PREPARE": int(prepare and method in MANY_RADII),
         "BAND": BAND,
     }
 
@@ -160,6 +162,8 @@ class Spreader:
             for start in range(0, -(-frame[1] // BAND), self.bands):
                 args = (*head, *self.alike, *self.spans, np.int32(start), *parts, *layout, *tail)
                 self._launch("gather", (self.bands,), (1,), events, *args)
+        elif self.method == "tiles":
+            self._launch("tiles", frame, TILE, events, *head, *layout, *tail)
         else:
             padded = (int(camera["width"]), int(camera["height"]))
             self._launch("scatter", padded, PIXELS, events, *head, np.float32(self.scale), self.sums, *tail)

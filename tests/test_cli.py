@@ -308,6 +308,8 @@ def test_plan(ball: Path) -> None:
     assert "MiB" in text
     assert "weights per frame" in text
     assert "nobody asked for it" not in clsco_("plan", ball, "--truth", "npz").output
+    for words, method in (((), "gather"), (("--gpu",), "tiles")):
+        assert f"blur method {method}" in " ".join(clsco_("plan", ball, *words).output.split())
 
 
 def test_check_agrees(ball: Path) -> None:

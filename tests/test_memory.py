@@ -86,6 +86,7 @@ SHAPE = (3 * BAND + 10, 70)
         ("gather", 9.0, {"border": "renormalize", "edge": "sampled"}, (1,)),
         ("gather", 16.0, {}, ()),
         ("scatter", 9.0, {"model": "gaussian"}, ()),
+        ("tiles", 4.0, {}, ()),
         ("convolve", 7.0, {}, (3,)),
         ("convolve", 17.0, {}, ()),
         ("convolve", 3.0, {"model": "gaussian"}, ()),

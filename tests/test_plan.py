@@ -298,7 +298,7 @@ def test_method_by_itself() -> None:
     assert plan(STILL, camera={"focus_distance": 280.0}, psf=Psf(edge="sampled")).blur == "none"
 
 
-@pytest.mark.parametrize("method", ["gather", "scatter"])
+@pytest.mark.parametrize("method", ["gather", "scatter", "tiles"])
 def test_method_as_asked(method: str) -> None:
     for item in (STILL, TILTED, BALL):
         assert plan(item, method=method).blur == method
@@ -318,10 +318,41 @@ def test_convolve_is_refused_where_it_cannot_be(item: Any, sections: dict[str, A
         plan(item, method="convolve", **sections)
 
 
+CARD = Plane(distance=230.0, bounds=((-2.0, 2.0), (-2.0, 2.0), (-1.0, 1.0)))
+
+
+def cards(occlusion: Any, method: str = "auto", tolerance: float | None = None, gpu: bool = True) -> Plan:
+    """Of a card before a plane."""
+    pair = scene(CARD, psf=Psf(occlusion=occlusion)).model_copy(update={"objects": (CARD, TILTED)})
+    return make_plan(pair, 1, (), method, tolerance=tolerance, gpu=gpu)
+
+
+def test_tiles_are_for_gpus() -> None:
+    for item, gpu, expected in ((TILTED, False, "gather"), (TILTED, True, "tiles"), (STILL, True, "convolve")):
+        assert make_plan(scene(item), 1, (), gpu=gpu).blur == expected
+    assert make_plan(scene(TILTED), 1, (), "coarse2", gpu=True).blur == "tiles"
+    assert (
+        make_plan(scene(STILL, camera={"focus_distance": 280.0}, psf=Psf(edge="sampled")), 1, (), gpu=True).blur
+        == "none"
+    )
+
+
+def test_what_is_in_the_way_is_tested_by_scatter_on_a_gpu() -> None:
+    assert cards("visibility").layers[1].blockers
+    told = dict(cards("visibility").passes)["blur"]
+    assert told.endswith("scatter: atomic, fixed point, as tiles do not test what is in the way")
+    assert [cards(way, gpu=False).blur for way in ("visibility", "layered", "none")] == ["gather"] * 3
+    assert [cards(way).blur for way in ("layered", "none")] == ["tiles"] * 2
+    assert cards("visibility", "coarse2").blur == "gather"  # whose grids add up in floats
+    assert dict(cards("none").passes)["blur"].endswith("tiles: many radii, a work-item per pixel")
+    with pytest.raises(SceneError, match=r"^method: tiles needs sources with nothing in their way; got objects that"):
+        cards("visibility", "tiles")
+
+
 @pytest.mark.parametrize("method", ["fast", "", "none", "Gather"])
 def test_unknown_methods_are_refused(method: str) -> None:
     with pytest.raises(
-        SceneError, match=rf"^method: must be one of auto, gather, scatter, convolve, coarse2, .*; got {method}$"
+        SceneError, match=rf"^method: must be one of auto, gather, scatter, tiles, convolve, coarse2, .*; got {method}$"
     ):
         plan(STILL, method=method)
 

@@ -16,11 +16,11 @@ from clsco.defocus import image_features
 from clsco.device import Session
 from clsco.layout import Real, flat, frame_struct, in_parts, structs
 from clsco.memory import source_bytes
-from clsco.plan import Blur
+from clsco.plan import Blur, many_radii
 from clsco.program import build, empty, upload
 from clsco.psf import LANES, reach
 from clsco.scene import Psf
-from clsco.spread import Events, Sources, prepare_sources
+from clsco.spread import FILES_OF, Events, Sources, prepare_sources
 
 Array = NDArray[Any]
 
@@ -46,11 +46,11 @@ class Pass:
         size = np.abs(radii)
         smallest, self.largest = float(size.min()), float(size.max())
         constant, least = method == "convolve", METHODS.get(method)
-        blur = cast(Blur, "gather" if least else method)
+        blur = many_radii(session.device.kind == "gpu", approximate=True) if least else cast(Blur, method)
         guard = reach(psf, self.largest) + 2 * LANES if constant else 0
         features = image_features(blur, psf, self.largest, channels, real)
         self.session, self.camera = session, frame_struct(rows, columns, guard, real)
-        self.program = {} if constant else build(session, ["blur.cl"], features, structs(real), real)
+        self.program = {} if constant else build(session, FILES_OF[blur], features, structs(real), real)
         self.spreader = make_spreader(
             session, self.program, psf, blur, self.camera, channels, smallest, self.largest, 0, real,
             float(np.abs(image).max()), features, least, places,

@@ -46,6 +46,9 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     ("coarse.cl",): dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(("TILT", "DISC", "SAMPLED", "SEPARABLE"), ON_OR_OFF)
     | {"CHANNELS": (1, 3)},
+    ("tiles.cl",): dict.fromkeys(PLAIN, (0,))
+    | dict.fromkeys(("SAMPLED", "TILT", "DISC", "SEPARABLE"), ON_OR_OFF)
+    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 3)},
     ("accumulate.cl",): GEOMETRY,
     ("convolve.cl",): GEOMETRY | {"WIDE_SUMS": ON_OR_OFF},
     ("texture.cl",): GEOMETRY,

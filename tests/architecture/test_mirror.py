@@ -47,6 +47,7 @@ WITHOUT_TWIN = {
         ],
         "taps of many sources at once, which scatter adds up",
     ),
+    "tiles": {"tiles": "the sum of scatter, which each tile forms for its pixels"},
     "rows": dict.fromkeys(
         [
             "tile_row",
@@ -68,8 +69,8 @@ WITHOUT_TWIN = {
     "gaussians": dict.fromkeys(["ends_of", "finish_row", "add_segment"], "one axis after the other"),
 }
 
-# Headers whose twin is part of another file.
-PART_OF = {"estimate": "mean_median", "sight": "occlusion", "sources": "trace"}
+# Files whose twin is part of another file.
+PART_OF = {"estimate": "mean_median", "sight": "occlusion", "sources": "trace", "tiles": "blur"}
 PART_OF |= dict.fromkeys(("spread", "neighbors", "rows", "discs", "gaussians"), "blur")
 
 
@@ -100,7 +101,7 @@ def test_there_are_kernels() -> None:
 def test_each_kernel_has_its_twin(path: Path) -> None:
     names = kernel_names(path.read_text("utf-8"))
     assert names
-    assert names - twins(path.stem) == WITHOUT_TWIN.get(path.stem, {}).keys()
+    assert names - twins(PART_OF.get(path.stem, path.stem)) == WITHOUT_TWIN.get(path.stem, {}).keys()
 
 
 @pytest.mark.parametrize("path", HEADERS, ids=lambda path: path.name)

@@ -162,9 +162,10 @@ def features(psf: Psf, channels: int, samples: int, largest: float = 0.0) -> dic
 
 def spreader(session: Session, given: Light, method: Blur) -> Spreader:
     psf = given.psf
-    file = "accumulate.cl" if method == "none" else "blur.cl"
     chosen = features(psf, given.channels, given.samples, given.largest)
-    program = build(session, [file], chosen, STRUCTS, "double")
+    if method == "tiles":  # in a file of its own
+        chosen |= spread.blur_features(method, psf, given.largest, "double", prepare=False) | {"RENORMALIZE": 1}
+    program = build(session, spread.FILES_OF[method], chosen, STRUCTS, "double")
     ends = (given.smallest, given.largest)
     return Spreader(
         session, program, psf, method, given.camera(), given.channels, *ends, given.samples, "double", 1.0, chosen

@@ -56,7 +56,7 @@ def approximate(
     features |= {"CHANNELS": channels, "TILT": int(psf.tilt)} | psf_features(psf)
     program = build(session, ["blur.cl"], features, structs(real), real)
     spreader = Coarse(
-        session, program, psf, camera, channels, smallest, largest, 0, real, 1.0, features, least, places
+        session, program, psf, "gather", camera, channels, smallest, largest, 0, real, 1.0, features, least, places
     )  # fmt: skip
     value = upload(session, flat(light.radiance, np.float32))
     radii, valid = upload(session, in_parts(light.radius, real)), upload(session, light.lit.astype(np.uint8))

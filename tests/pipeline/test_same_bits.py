@@ -58,6 +58,7 @@ def outcome(name: str, warp: str, method: str) -> str:
 CASES = [
     ("sphere", "inverse", "gather"),
     ("sphere", "inverse", "scatter"),
+    ("sphere", "inverse", "tiles"),
     ("sphere", "forward", "gather"),
     ("plane", "inverse", "convolve"),
     ("sphere card wall", "inverse", "gather"),

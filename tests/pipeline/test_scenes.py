@@ -264,7 +264,7 @@ def test_passes_that_a_scene_has_no_use_for_are_not_run() -> None:
 def test_wrong_calls(tmp_path: Path) -> None:
     ball = scene(BALL)
     for options, error, rule in (
-        ({"method": "fft"}, SceneError, "method: must be one of auto, gather, scatter, convolve, "),
+        ({"method": "fft"}, SceneError, "method: must be one of auto, gather, scatter, tiles, convolve, "),
         ({"method": "convolve"}, SceneError, "method: convolve needs one blur radius"),
         ({"precision": "half"}, DeviceError, "precision: must be single or double; got half"),
         ({"device": "abacus"}, DeviceError, '--device: must be a part of .*; got "abacus"'),

@@ -40,11 +40,12 @@ SCENES: dict[str, tuple[str, dict[str, Any]]] = {
     "pair": ("gather", {"object": [BALL, FLOOR], "stereo": {"baseline": 6.0}, "psf": {"occlusion": "none"}}),
     "fixed point": ("scatter", {"object": [BALL], "psf": {"edge": "area"}}),
     "fixed point, card": ("scatter", {"object": [CARD, FLOOR]}),
+    "tiles": ("tiles", {"object": [BALL]}),
     "light given back": ("gather", {"object": [BALL], "psf": {"border": "renormalize", "edge": "sampled"}}),
     "one radius": ("convolve", {"object": [WALL]}),
     "in focus": ("auto", {"object": [WALL], "camera": {"focus_distance": 330.0}}),
 }
-SLOW = ("fixed point, card",)
+SLOW = ("fixed point, card", "tiles")
 
 
 def scene_of(name: str) -> Scene:

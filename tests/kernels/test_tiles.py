@@ -1,0 +1,137 @@
+"""tiles.cl against its twin and against scatter: every PSF and kind of source, in small frames; chosen on a GPU."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clsco
+from clsco import reference
+from clsco.check import compare
+from clsco.device import Session
+from clsco.reference.layer import layered
+from clsco.scene import Psf
+from clsco.scenefile import parse_scene
+from clsco.spread import TILE
+from tests.kernels.test_blur import FIGURE, PSFS, ROUNDING, assert_close, blurred, light
+from tests.slow import combined
+from tests.test_defocus import reference as blurred_by_reference
+
+KEPT = [*((psf, True) for psf in PSFS), (PSFS[0], False), (PSFS[2], False)]
+
+
+@pytest.mark.parametrize(("psf", "tilt"), combined(PSFS, (True, False), kept=KEPT))
+def test_every_psf(session: Session, psf: Psf, tilt: bool) -> None:
+    given = light(psf.model_copy(update={"tilt": tilt}), shape=(19, 35))
+    assert_close(blurred(session, given, "tiles"), given.expected(), FIGURE[psf.edge])
+
+
+@pytest.mark.parametrize("guard", [0, 9])
+def test_subpixel_sources(session: Session, guard: int) -> None:
+    given = light(Psf(), shape=(11, 21), guard=guard, samples=3, channels=3)
+    expected = given.expected()
+    assert np.abs(expected - replace(given, sub=None).expected()).max() > 0.1
+    assert_close(blurred(session, given, "tiles"), expected, FIGURE["area"])
+
+
+def test_tiles_are_scatter(session: Session) -> None:
+    """The same weights, in several chunks for each of several tiles; the same bits every time."""
+    given = light(Psf(), shape=(43, 50), guard=3, largest=9.0, channels=3, samples=3)
+    found = blurred(session, given, "tiles")
+    assert_close(found, blurred(session, given, "scatter"), ROUNDING)
+    assert blurred(session, given, "tiles").tobytes() == found.tobytes()
+    assert_close(blurred(session, given, "tiles", moments=2), found, ROUNDING)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 30), (29, 1), TILE, TILE[::-1], (9, 17), (7, 15)])
+def test_small_and_odd_frames(session: Session, shape: tuple[int, int]) -> None:
+    """Also those that are smaller than the PSF, or than a tile."""
+    given = light(Psf(), shape=shape, guard=9, largest=6.5, channels=3, samples=3)
+    assert_close(blurred(session, given, "tiles"), given.expected(), FIGURE["area"])
+
+
+def test_renormalized_borders(session: Session) -> None:
+    given = light(Psf(border="renormalize"), shape=(13, 31), guard=0, channels=3, samples=3)
+    assert_close(blurred(session, given, "tiles"), given.expected(), 4 * FIGURE["area"])  # as in test_blur.py
+
+
+def test_what_is_not_there_adds_nothing(session: Session) -> None:
+    given = light(Psf(), shape=(11, 21), samples=3, channels=3)
+    assert given.sub is not None
+    gone = replace(given.sources, lit=np.zeros_like(given.sources.lit))
+    nothing = replace(given, sources=gone, sub=replace(given.sub, hit=np.zeros_like(given.sub.hit)))
+    assert not blurred(session, nothing, "tiles").any()
+
+
+@pytest.mark.parametrize("edge", ["sampled", "integrated"])
+def test_a_wide_blur_leaves_a_uniform_image_as_it_is(session: Session, edge: Any) -> None:
+    """Five thousand equal taps: a chunk's 128 round by 2^-19 of their sum at worst, and chunks lose nothing more."""
+    given = light(Psf(edge=edge, tilt=False), shape=(9, 17), guard=42, largest=40.3).constant(40.3)
+    ones = np.ones(given.sources.lit.shape)
+    uniform = replace(given.sources, lit=ones > 0, radius=40.3 * ones, radiance=ones[..., None])
+    assert np.abs(blurred(session, replace(given, sources=uniform), "tiles") - 1.0).max() < 2.0**-19
+
+
+BALL = {
+    "camera": {"resolution": [45, 30], "pixel_pitch": 0.1, "aperture_diameter": 30.0},
+    "psf": {"silhouette_samples": 2},
+    "object": [{"shape": "sphere", "center": [0.0, 0.0, 280.0], "radius": 30.0}],
+}
+
+
+@pytest.fixture
+def on_a_gpu(session: Session, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """PoCL taken for a graphics card; gives the names of the kernels of the blur that are launched."""
+    for module in ("clsco.render", "clsco.arrays"):
+        monkeypatch.setattr(import_module(module), "choose", lambda name: replace(session.device, kind="gpu"))
+    names: list[str] = []
+    spread = import_module("clsco.spread")
+    launch = spread.launch
+
+    def noted(session: Session, kernel: Any, *args: Any) -> Any:
+        names.append(kernel.function_name)
+        return launch(session, kernel, *args)
+
+    monkeypatch.setattr(spread, "launch", noted)
+    return names
+
+
+def test_a_scene_agrees_with_the_reference(on_a_gpu: list[str]) -> None:
+    """By name, and chosen for a GPU."""
+    scene = parse_scene(BALL)
+    (exact,) = reference.render(scene)
+    assert np.ptp(exact.color) > 0.1
+    (frame,), (chosen,) = clsco.render(scene, method="tiles", device="pocl"), clsco.render(scene)
+    for each in (frame, chosen):
+        assert each.metadata["blur_method"] == "tiles"
+        assert [difference for difference in compare(each, exact) if difference.count] == []
+    assert set(on_a_gpu) == {"tiles"}
+    assert chosen.color.tobytes() == frame.color.tobytes()
+
+
+@pytest.mark.parametrize("occlusion", ["none", "layered"])
+def test_an_image_on_a_gpu(occlusion: Any, on_a_gpu: list[str]) -> None:
+    """A near square before a slope: one jump, so a slab for each; coverage makes it two channels."""
+    image, (rows, columns) = np.random.default_rng(6).random((24, 40), np.float32), np.indices((24, 40))
+    near = (abs(rows - 12) < 6) & (abs(columns - 20) < 8)
+    coc, psf = np.where(near, -3.0, 2.0 + 0.05 * columns), Psf(occlusion=occlusion)
+    expected = blurred_by_reference(image, coc, psf)
+    if occlusion == "layered":
+        values = (image[..., None].astype(np.float64), coc, np.ones(coc.shape, bool), coc.shape, 0, 4.0)
+        expected = layered(psf, *values)[0][..., 0]
+        assert np.abs(expected - blurred_by_reference(image, coc, psf)).max() > 0.1
+    assert_close(clsco.defocus(image, coc, psf), expected, 1e-5)  # as in test_defocus.py
+    assert set(on_a_gpu) == {"tiles", "prepare_sources"}
+
+
+def test_an_approximation_on_a_gpu(on_a_gpu: list[str]) -> None:
+    image = np.random.default_rng(7).random((32, 48), np.float32)
+    coc = np.full(image.shape, 9.0) + 0.02 * np.arange(48)
+    found = clsco.defocus(image, coc, method="coarse2")
+    assert on_a_gpu.count("tiles") > 1  # of the frame and of a coarser grid
+    assert "gather" not in on_a_gpu
+    assert 1e-4 < np.sqrt(np.mean((found - clsco.defocus(image, coc, method="tiles")) ** 2)) < 1e-2
