@@ -17,6 +17,7 @@ from clsco.cli import main
 from clsco.frame import STEREO_NAMES, TRUTH_NAMES
 from clsco.framefiles import read_complete
 from clsco.render import render_sweep
+from tests.slow import mostly_slow
 
 PAIR = """
 title = "Pair"
@@ -163,7 +164,7 @@ def test_every_view_is_checked(scene: Path) -> None:
     assert result.output.count("disparity ") == result.output.count("occluded ") == 2
 
 
-@pytest.mark.parametrize("warp", ["inverse", "forward"])
+@pytest.mark.parametrize("warp", mostly_slow(["inverse", "forward"], ["inverse"]))
 def test_views_turned_inwards_agree_with_the_reference(scene: Path, warp: str) -> None:
     words = ["stereo.toe_in=1.5", "sequence.frames=1", f"motion.warp={warp}"]
     views = list(compare_frames(clsco.load_scene(scene, words), None, "double"))

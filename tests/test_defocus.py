@@ -16,6 +16,7 @@ from clsco.reference.blur import prepare_sources, scatter
 from clsco.reference.layer import layered
 from clsco.reference.trace import Sources
 from clsco.scene import Psf
+from tests.slow import mostly_slow
 
 Array = NDArray[Any]
 # Float32 weights and sums over some hundred taps leave about 1e-6 of white, interpolation in the tables as much.
@@ -46,7 +47,7 @@ PSFS = [
 ]
 
 
-@pytest.mark.parametrize("method", ["gather", "scatter"])
+@pytest.mark.parametrize("method", mostly_slow(["gather", "scatter"], ["gather"]))
 @pytest.mark.parametrize("psf", PSFS, ids=lambda p: f"{p.model}-{p.edge}-{p.tilt}")
 def test_every_psf_agrees_with_the_reference(psf: Psf, method: str) -> None:
     image, coc = picture(70, 90)
@@ -55,7 +56,7 @@ def test_every_psf_agrees_with_the_reference(psf: Psf, method: str) -> None:
     assert error.max() < FIGURE, f"{error.max():.2e} at {worst}, {(error > FIGURE).sum()} pixels"
 
 
-@pytest.mark.parametrize("channels", [2, 3, 4])
+@pytest.mark.parametrize("channels", mostly_slow([2, 3, 4], [3]))
 def test_channels_are_blurred_alike(channels: int) -> None:
     image, coc = picture(40, 50, channels)
     result = defocus(image, coc)
@@ -63,7 +64,7 @@ def test_channels_are_blurred_alike(channels: int) -> None:
         assert np.array_equal(result[..., k], defocus(np.ascontiguousarray(image[..., k]), coc))
 
 
-@pytest.mark.parametrize("psf", PSFS[::2], ids=lambda p: f"{p.model}-{p.edge}")
+@pytest.mark.parametrize("psf", mostly_slow(PSFS[::2], PSFS[:12:4]), ids=lambda p: f"{p.model}-{p.edge}")
 @pytest.mark.parametrize("radius", [0.3, -2.7, 9.4])
 def test_one_radius_is_a_convolution(psf: Psf, radius: float) -> None:
     image, _ = picture(45, 61)
@@ -74,8 +75,8 @@ def test_one_radius_is_a_convolution(psf: Psf, radius: float) -> None:
             assert np.abs(defocus(image, coc, psf, method=method) - expected).max() < FIGURE, method
 
 
-@pytest.mark.parametrize("method", ["gather", "scatter"])
-@pytest.mark.parametrize("psf", PSFS[::2], ids=lambda p: f"{p.model}-{p.edge}")
+@pytest.mark.parametrize("method", mostly_slow(["gather", "scatter"], ["gather"]))
+@pytest.mark.parametrize("psf", mostly_slow(PSFS[::2], PSFS[:12:4]), ids=lambda p: f"{p.model}-{p.edge}")
 def test_what_is_nearer_hides_what_is_farther(psf: Psf, method: str) -> None:
     """A disc of -4 px before the waves, with layers; a map without jumps is as without them."""
     image, coc = picture(60, 80, channels=3)

@@ -115,8 +115,14 @@ def test_what_the_host_asks_for_is_what_the_files_know() -> None:
     assert forward_features(plan, owned=True).keys() == PROGRAMS[FORWARD].keys()
 
 
+# Files that are built by themselves as well.
+TOGETHER = (OCCLUSION, ("blur.cl", "layer.cl"))
+
+
 @pytest.mark.parametrize("real", ["double", "float"])
-@pytest.mark.parametrize("files", PROGRAMS, ids="+".join)
+@pytest.mark.parametrize(
+    "files", [pytest.param(f, marks=[pytest.mark.slow] * (f in TOGETHER), id="+".join(f)) for f in PROGRAMS]
+)
 def test_with_all_features_none_and_all_but_one(session: Session, files: tuple[str, ...], real: Real) -> None:
     chosen = variants(PROGRAMS[files])
     if real == "float":  # `real` is a type: what a feature compiles does not hang on it; ROWS and SPANS are doubles

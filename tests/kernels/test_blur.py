@@ -24,6 +24,7 @@ from clsco.reference.trace import Sources, SubpixelSources
 from clsco.scene import Psf
 from clsco.spread import PIXELS, Spreader
 from tests.kernels.conftest import download_sources, source_planes
+from tests.slow import mostly_slow
 
 Array = NDArray[Any]
 RNG = np.random.default_rng
@@ -192,7 +193,7 @@ def assert_close(found: Array, expected: Array, limit: float) -> None:
 
 
 @pytest.mark.parametrize("method", ["gather", "scatter"])
-@pytest.mark.parametrize("tilt", [True, False])
+@pytest.mark.parametrize("tilt", mostly_slow([True, False], [True]))
 @pytest.mark.parametrize("psf", PSFS, ids=name_of)
 def test_every_psf(session: Session, psf: Psf, tilt: bool, method: Blur) -> None:
     given = light(psf.model_copy(update={"tilt": tilt}))

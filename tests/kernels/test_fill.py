@@ -36,6 +36,7 @@ from clsco.reference.trace import padded_grid
 from clsco.scene import Camera, Fill, Motion, Object, ObjectMotion, Plane, Scene, Sphere
 from clsco.surfaces import place
 from tests.kernels.wide_numbers import whole
+from tests.slow import mostly_slow
 
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
@@ -294,7 +295,10 @@ def test_a_round_of_smoothing_is_its_twin(session: Session, channels: int, far: 
 
 
 @pytest.mark.parametrize("method", ["ait", "mean_median", "none"])
-@pytest.mark.parametrize(("channels", "guard", "far"), [(1, 0, False), (3, 2, False), (1, 0, True), (3, 2, True)])
+@pytest.mark.parametrize(
+    ("channels", "guard", "far"),
+    mostly_slow([(1, 0, False), (3, 2, False), (1, 0, True), (3, 2, True)], [(1, 0, False), (3, 2, True)]),
+)
 def test_whole_fillings_are_their_twins(session: Session, method: Method, channels: int, guard: int, far: bool) -> None:
     filled, most_sweeps = 0, 0
     for values, known in cases(120 if method == "ait" else 50, 22, channels):

@@ -30,6 +30,7 @@ from clsco.scene import (
     ObjectMotion,
     Plane,
 )
+from tests.slow import mostly_slow
 
 Array = NDArray[Any]
 NONE = np.iinfo(np.int32).max
@@ -153,7 +154,7 @@ def test_each_kernel_is_its_twin(session: Session, any_warp: Warp, make_case: Ma
         assert (winner == expected_winner).all()
 
 
-@pytest.mark.parametrize("owned", [True, False])
+@pytest.mark.parametrize("owned", mostly_slow([True, False], [True]))
 @pytest.mark.parametrize("depth_mm", [170.0, 110.0, 70.0])
 def test_what_shows_through_a_grown_surface_is_left_out(
     session: Session, make_case: Maker, owned: bool, depth_mm: float

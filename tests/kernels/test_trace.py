@@ -48,6 +48,7 @@ from clsco.scene import (
 )
 from clsco.surfaces import place
 from tests.kernels.conftest import download_sources
+from tests.slow import mostly_slow
 
 Array = NDArray[Any]
 SINGLE = 2.0**-24  # largest relative error of a rounding to float32
@@ -77,6 +78,7 @@ ROW = (
     Cylinder(center=(8.0, 0.0, 260.0), radius=14.0, axis=(0.3, 1.0, 0.2)),
     WALL,
 )
+
 CARD = Plane(distance=240.0, slope_x=-0.8, bounds=BOX, motion=MOTION)
 TUBE = Cylinder(center=(2.0, 1.0, 230.0), radius=24.0, axis=(0.2, 0.1, 1.0), bounds=((-60, 60), (-60, 60), (-50, 50)))
 
@@ -261,7 +263,7 @@ def assert_records(plan: Plan, found: Array, radius: Array, gradient: Array, the
     ).all()
 
 
-@pytest.mark.parametrize("time", [0.0, 0.55])
+@pytest.mark.parametrize("time", mostly_slow([0.0, 0.55], [0.55]))
 @pytest.mark.parametrize("name", SCENES)
 def test_sources(session: Session, name: str, time: float) -> None:
     wanted, channels = SCENES[name]
@@ -455,7 +457,7 @@ def assert_truth(session: Session, plan: Plan, names: tuple[str, ...], frame: in
         assert (np.abs(found[output][seen] - exact[seen]) <= limit).all(), output
 
 
-@pytest.mark.parametrize("frame", [0, 1])
+@pytest.mark.parametrize("frame", mostly_slow([0, 1], [1]))
 @pytest.mark.parametrize("name", SCENES)
 def test_ground_truth(session: Session, name: str, frame: int) -> None:
     assert_truth(session, planned(*SCENES[name]), MONO, frame)

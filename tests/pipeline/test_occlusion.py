@@ -47,7 +47,7 @@ SCENES: dict[str, dict[str, Any]] = {
 VARIANTS = [(name, "visibility") for name in SCENES]
 VARIANTS += [(name, "layered") for name in ("card, gaussian", "moving", "renormalize")]
 VARIANTS += [(name, "none") for name in ("row", "camera")]
-SOME = [*((name, "visibility") for name in ("row", "row, sampled", "card, gaussian")), ("moving", "layered")]
+SOME = [*((name, "visibility") for name in ("row, sampled", "card, gaussian")), ("moving", "layered")]
 
 
 def scene(sections: dict[str, Any], **psf: Any) -> Scene:
