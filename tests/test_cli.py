@@ -27,6 +27,7 @@ from clsco.framefiles import read_complete
 from clsco.images import read_image
 from clsco.scene import Scene
 from clsco.scenefile import parse_scene
+from tests.slow import mostly_slow
 
 ROOT = Path(__file__).resolve().parents[1]
 BALL = """
@@ -388,6 +389,7 @@ def test_help_and_version() -> None:
     assert clsco_("paint").exit_code == 2
 
 
+@pytest.mark.slow
 def test_demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = demo.example
 
@@ -437,7 +439,7 @@ def test_too_little_memory(ball: Path, tmp_path: Path, monkeypatch: pytest.Monke
     assert line.startswith("error: memory: ")
 
 
-@pytest.mark.parametrize("kill", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("kill", mostly_slow([signal.SIGINT, signal.SIGKILL], [signal.SIGKILL]))
 def test_a_killed_run_leaves_whole_frames_and_is_resumed(kill: signal.Signals, ball: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     code = "import sys; from clsco.cli import main; main(sys.argv[1:])"

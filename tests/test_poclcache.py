@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from clsco import program
 from clsco.device import Session, choose
+from tests.slow import mostly_slow
 program.folder = lambda name: Path(sys.argv[1])
 with Session(choose("pocl")) as session:
     built = program.build(session, ["work.cl"], {}, {}, "float")
@@ -87,7 +88,7 @@ def flip(path: Path) -> None:
 
 
 @pytest.mark.parametrize("pattern", ["program.bc", "second.so"])
-@pytest.mark.parametrize("damage", [overwrite, cut, flip, Path.unlink])
+@pytest.mark.parametrize("damage", mostly_slow([overwrite, cut, flip, Path.unlink], [overwrite, cut]))
 def test_a_damaged_cache_is_noticed_and_rebuilt(
     start: Start, warm: Path, tmp_path: Path, pattern: str, damage: Callable[[Path], None]
 ) -> None:

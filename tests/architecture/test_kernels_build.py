@@ -115,23 +115,30 @@ def test_what_the_host_asks_for_is_what_the_files_know() -> None:
     assert forward_features(plan, owned=True).keys() == PROGRAMS[FORWARD].keys()
 
 
-# Files that are built by themselves as well.
-TOGETHER = (OCCLUSION, ("blur.cl", "layer.cl"))
+# What takes seconds: programs with most kernels, and files that are built by themselves as well.
+LONG = (OCCLUSION, FORWARD, ("trace.cl",), ("blur.cl", "layer.cl"))
 
 
 @pytest.mark.parametrize("real", ["double", "float"])
-@pytest.mark.parametrize(
-    "files", [pytest.param(f, marks=[pytest.mark.slow] * (f in TOGETHER), id="+".join(f)) for f in PROGRAMS]
-)
-def test_with_all_features_none_and_all_but_one(session: Session, files: tuple[str, ...], real: Real) -> None:
-    chosen = variants(PROGRAMS[files])
-    if real == "float":  # `real` is a type: what a feature compiles does not hang on it; ROWS and SPANS are doubles
-        chosen = [one | {"ROWS": 0, "SPANS": 0} for one in chosen[:2]]
+@pytest.mark.parametrize("files", PROGRAMS, ids="+".join)
+def test_with_all_features_and_none(session: Session, files: tuple[str, ...], real: Real) -> None:
+    chosen = variants(PROGRAMS[files])[:2]
+    if real == "float":  # ROWS and SPANS are doubles
+        chosen = [one | {"ROWS": 0, "SPANS": 0} for one in chosen]
     kernels = [set(build(session, files, features, structs(real), real)) for features in chosen]
     defined = {
         name for file in files for name in re.findall(r"__kernel void (\w+)\(", (KERNELS / file).read_text("utf-8"))
     }
     assert set().union(*kernels) == defined
+
+
+@pytest.mark.parametrize(
+    "files", [pytest.param(f, marks=[pytest.mark.slow] * (f in LONG), id="+".join(f)) for f in PROGRAMS]
+)
+def test_with_all_features_but_one(session: Session, files: tuple[str, ...]) -> None:
+    """In double precision: `real` is a type, and what a feature compiles does not hang on it."""
+    for features in variants(PROGRAMS[files])[2:]:
+        assert build(session, files, features, structs("double"), "double")
 
 
 def test_trace_and_blur_are_built_together(session: Session) -> None:

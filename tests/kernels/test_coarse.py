@@ -22,6 +22,7 @@ from clsco.reference.trace import Sources as Light
 from clsco.scene import Psf
 from clsco.spread import Sources, blur_features
 from clsco.spread import prepare_sources as make_sources
+from tests.slow import mostly_slow
 
 Array = NDArray[Any]
 # Tables of the coarser grids, with edge = "area", are off by up to 1e-4 in sum, to both sides (tests/test_psf.py); in
@@ -77,7 +78,7 @@ def assert_close(got: Array, expected: Array, figure: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("psf", "guard"), [*((psf, 3) for psf in PSFS), (Psf(), 8)],
+    ("psf", "guard"), mostly_slow([*((psf, 3) for psf in PSFS), (Psf(), 8)], [(PSFS[0], 3), (PSFS[-1], 3)]),
     ids=lambda value: f"{value.model}-{value.edge}" if isinstance(value, Psf) else str(value),
 )  # fmt: skip
 def test_the_device_does_what_the_twin_does(session: Session, psf: Psf, guard: int) -> None:

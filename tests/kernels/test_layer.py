@@ -193,6 +193,7 @@ def test_scatter_is_gather(session: Session, channels: int) -> None:
     assert_close(second, first, 4e-6)
 
 
+@pytest.mark.slow
 def test_single_precision(session: Session) -> None:
     # Radii of 4 px rounded by 2e-7, in a table whose weights change by all of themselves over 1 px at the rim.
     view = VIEWS["four"]

@@ -18,7 +18,7 @@ from clsco.scene import Psf
 from clsco.scenefile import parse_scene
 from clsco.spread import TILE
 from tests.kernels.test_blur import FIGURE, PSFS, ROUNDING, assert_close, blurred, light
-from tests.slow import combined
+from tests.slow import combined, mostly_slow
 from tests.test_defocus import reference as blurred_by_reference
 
 KEPT = [*((psf, True) for psf in PSFS), (PSFS[0], False), (PSFS[2], False)]
@@ -67,7 +67,7 @@ def test_what_is_not_there_adds_nothing(session: Session) -> None:
     assert not blurred(session, nothing, "tiles").any()
 
 
-@pytest.mark.parametrize("edge", ["sampled", "integrated"])
+@pytest.mark.parametrize("edge", mostly_slow(["sampled", "integrated"], ["integrated"]))
 def test_a_wide_blur_leaves_a_uniform_image_as_it_is(session: Session, edge: Any) -> None:
     """Five thousand equal taps: a chunk's 128 round by 2^-19 of their sum at worst, and chunks lose nothing more."""
     given = light(Psf(edge=edge, tilt=False), shape=(9, 17), guard=42, largest=40.3).constant(40.3)
@@ -113,7 +113,7 @@ def test_a_scene_agrees_with_the_reference(on_a_gpu: list[str]) -> None:
     assert chosen.color.tobytes() == frame.color.tobytes()
 
 
-@pytest.mark.parametrize("occlusion", ["none", "layered"])
+@pytest.mark.parametrize("occlusion", mostly_slow(["none", "layered"], ["layered"]))
 def test_an_image_on_a_gpu(occlusion: Any, on_a_gpu: list[str]) -> None:
     """A near square before a slope: one jump, so a slab for each; coverage makes it two channels."""
     image, (rows, columns) = np.random.default_rng(6).random((24, 40), np.float32), np.indices((24, 40))

@@ -32,7 +32,17 @@ LONG = {
     f"occlusion_{stem}"
     for stem in ("passing", "tube", "sharp_near", "sharp_far", "interpenetrating", "three", "wire", "ground", "card")
 }
-LONG |= {"bowl", "tube", "focal_stack", "camera_motion", "stereo", "cone_turning", "sphere_turning", "cylinder_turning"}
+LONG |= {
+    "bowl",
+    "tube",
+    "focal_stack",
+    "camera_motion",
+    "stereo",
+    "depth_map",
+    "cone_turning",
+    "sphere_turning",
+    "cylinder_turning",
+}
 # Figures of the thesis that vary others by their numbers alone.
 LONG |= {
     f"fig_{number}" for number in ("3_04_left", "3_05_left", "3_08_left", "3_12_left", "3_15_left", "4_02", "4_14")

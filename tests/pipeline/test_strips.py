@@ -135,6 +135,7 @@ def test_a_plan_that_was_too_small(monkeypatch: pytest.MonkeyPatch, peak: list[i
     assert_same(whole, tiled)
 
 
+@pytest.mark.slow
 def test_a_sweep_in_strips() -> None:
     """Lenses share their rays where there is memory for all of them at a time, and else do not."""
     base = scene_of("moving ball")
@@ -153,8 +154,13 @@ def test_a_sweep_in_strips() -> None:
         ({"motion": {"warp": "forward"}}, "auto", "the forward warp"),
         ({"psf": {"occlusion": "layered"}, "object": [CARD, WALL]}, "auto", "layered occlusion"),
         ({}, "coarse2", "an approximation"),
-        ({"psf": {"edge": "sampled", "tilt": False}, "object": [FLOOR]}, "coarse4", "an approximation"),
-        ({"psf": {"model": "gaussian"}, "object": [FLOOR]}, "coarse2", "an approximation"),
+        *(
+            pytest.param(psf | {"object": [FLOOR]}, method, "an approximation", marks=pytest.mark.slow)
+            for psf, method in (
+                ({"psf": {"edge": "sampled", "tilt": False}}, "coarse4"),
+                ({"psf": {"model": "gaussian"}}, "coarse2"),
+            )
+        ),
     ],
 )
 def test_what_needs_the_whole_frame(sections: dict[str, Any], method: str, why: str, peak: list[int]) -> None:
