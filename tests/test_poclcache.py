@@ -20,6 +20,7 @@ import numpy as np
 from clsco import program
 from clsco.device import Session, choose
 from tests.slow import mostly_slow
+from tests.slow import mostly_slow
 program.folder = lambda name: Path(sys.argv[1])
 with Session(choose("pocl")) as session:
     built = program.build(session, ["work.cl"], {}, {}, "float")
