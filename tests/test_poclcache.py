@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from clsco import poclcache
+from tests.slow import mostly_slow
 
 RENDER = """\
 import sys
@@ -19,8 +20,6 @@ from pathlib import Path
 import numpy as np
 from clsco import program
 from clsco.device import Session, choose
-from tests.slow import mostly_slow
-from tests.slow import mostly_slow
 program.folder = lambda name: Path(sys.argv[1])
 with Session(choose("pocl")) as session:
     built = program.build(session, ["work.cl"], {}, {}, "float")
