@@ -77,8 +77,8 @@ class Grid:
 # Of Mitsuba's rays per pixel the errors are 0.04 to 0.0005.
 FULL = Grid(lens_size=512, samples=(1, 4, 16, 64, 256, 1024, 2500), warp_size=2048)
 QUICK = Grid(
-    sizes=(256, 512), radii=(2.0, 6.0, 20.0), channels=(1,), longest_s=0.5, lens_size=512, samples=(4, 16, 64, 324),
-    warp_size=2048,
+    sizes=(256, 512), radii=(2.0, 6.0, 20.0), channels=(1,), precisions=("double",), longest_s=0.2, lens_size=512,
+    samples=(4, 16, 64, 324), warp_size=2048,
 )  # fmt: skip
 
 
