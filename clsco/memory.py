@@ -16,7 +16,7 @@ from clsco.layout import WIDE_BYTES
 from clsco.plan import Blur, Plan
 from clsco.psf import LANES, SPANNED, is_disc, is_separable, reach, table_bytes, table_reach
 from clsco.scene import Psf
-from clsco.stencil import is_product, is_summed
+from clsco.stencil import is_summed
 from clsco.strips import BAND, cut
 
 TILE = 256  # columns that `gather` makes at a time, as in kernels/rows.clh
@@ -121,9 +121,9 @@ def margin(columns: int, guard: int, far: int) -> tuple[int, int]:
 
 def row_bytes(psf: Psf, channels: int, far: int) -> int:
     """Scratch of a work-item of `gather` where it `has_rows`, see kernels/rows.clh; a whole number of doubles."""
-    margin = (far // LANES + 3) * LANES
-    planes, width = (3 if psf.tilt else 1) * channels, TILE + 2 * margin
-    own = 2 * planes if is_disc(psf) else margin + 1 + (2 if psf.tilt else 1) * channels
+    beside = (far // LANES + 3) * LANES
+    planes, width = (3 if psf.tilt else 1) * channels, TILE + 2 * beside
+    own = 2 * planes if is_disc(psf) else beside + 1 + (2 if psf.tilt else 1) * channels
     return 8 * channels * BAND * TILE + 4 * width * (1 + planes + own)
 
 
@@ -146,7 +146,7 @@ def spread_bytes(
         sizes["sums"] = 8 * channels * rows * columns
     if method == "convolve" and is_summed(psf, far):  # and what a vector reads beyond the last row
         sizes["sums"] = 8 * ((rows + 2 * guard) * (columns + 2 * guard) + 64)
-    if method == "convolve" and is_product(psf):
+    if method == "convolve" and is_separable(psf):
         sizes["across"] = 4 * (rows + 2 * guard) * ceil(columns / 64) * 64
     return sizes
 

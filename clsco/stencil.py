@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
-from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.psf import reach, weights
+from clsco.psf import axis_weights, is_separable, reach, weights
 from clsco.scene import Psf
 
 LONGEST_RUN = 8  # weights that a kernel keeps in registers
@@ -66,19 +65,13 @@ def is_summed(psf: Psf, half_width: int) -> bool:
     return psf.model == "pillbox" and half_width >= SUMMED
 
 
-def is_product(psf: Psf) -> bool:
-    """Whether the PSF is a product of one along rows and one along columns: Gaussians that are cut to a square."""
-    return psf.model == "gaussian" and psf.edge != "sampled"
-
-
 @lru_cache(maxsize=64)
 def stencils(psf: Psf, radius: float) -> tuple[Stencil, ...]:
-    """What makes the PSF of one |blur radius| in px: one stencil, or of products those along rows and along columns."""
+    """What makes the PSF of one |blur radius| in px: one stencil; two, along rows and columns, where it `is_separable`."""
     far = reach(psf, radius)
     offset = np.arange(far + 1.0)
-    if is_product(psf):
-        along = weights(psf, offset, np.zeros(1), np.asarray(radius))
-        line = (along / sqrt(float(along[0]))).astype(np.float32)
+    if is_separable(psf):
+        line = axis_weights(psf, offset, np.asarray(radius)).astype(np.float32)
         return Stencil(*_runs(line[None, :])), Stencil(*_runs(line[:, None]))
     quadrant = weights(psf, offset[None, :], offset[:, None], np.asarray(radius)).astype(np.float32)
     share = quadrant[0, 0]
