@@ -67,7 +67,7 @@ def is_summed(psf: Psf, half_width: int) -> bool:
 
 @lru_cache(maxsize=64)
 def stencils(psf: Psf, radius: float) -> tuple[Stencil, ...]:
-    """What makes the PSF of one |blur radius| in px: one stencil; two, along rows and columns, where it `is_separable`."""
+    """What makes the PSF of one |blur radius| in px: one stencil, or of products one for each axis."""
     far = reach(psf, radius)
     offset = np.arange(far + 1.0)
     if is_separable(psf):
