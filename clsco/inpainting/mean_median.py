@@ -18,7 +18,16 @@ import pyopencl as cl
 from numpy.typing import DTypeLike, NDArray
 
 from clsco.device import Program, Session
-from clsco.estimators import Histogram, MeanMedian, Score, bits_of, border_histogram, score_of_sums, score_scale
+from clsco.estimators import (
+    Histogram,
+    MeanMedian,
+    Score,
+    bits_of,
+    border_histogram,
+    most_sweeps,
+    score_of_sums,
+    score_scale,
+)
 from clsco.layout import frame_struct, structs
 from clsco.program import build, copied, download, download_into, empty, kernel, launch, upload
 
@@ -39,6 +48,7 @@ ENTRIES = 64  # and, at most, of those with one per entry
 BAND_VALUES = 2**21  # of the image that are scored or blended at once
 ALIGNED = 128  # bytes
 MOST_ENTRIES = 2**14  # of a sweep for a single work-group
+NEVER = 2**31 - 1  # of sweeps
 MOST_VECTORS = 2**13  # of a round, all channels, for a single work-item of a processor to smooth without launches
 GROUP = 128  # its size on a graphics card; a processor has one work-item, which does it in vectors
 FEWEST = 4  # pixels that follow one another, to be smoothed as a run
@@ -106,7 +116,7 @@ def fill_mean_median(
         wins = np.int32(bits_of(stages.score.median_wins()))
     holes = Holes(session, program, layout, image)
     with stage("fill") as tell:
-        stages.sweeps = holes.fill(wins, constants.minimum, tell)
+        stages.sweeps = holes.fill(wins, constants.minimum, most_sweeps(*missing.shape), tell)
         stages.filled = holes.values()
     with stage("smooth") as tell:
         stages.smoothed = (
@@ -254,20 +264,38 @@ class Holes:
         self.near, self.beside = copied(self.session, near), upload(session, beside)
         self.value, self.found = copied(self.session, values), copied(self.session, values)
 
-    def fill(self, wins: np.int32, minimum: int, progress: Progress) -> int:
+    def fill(self, wins: np.int32, minimum: int, limit: int, progress: Progress) -> int:
         """Stage 1; returns the number of sweeps. wins: bit k where the median is taken of k neighbors.
 
-        Short sweeps run one after another on the device, long ones are launched one by one.
+        limit: sweeps after which a single neighbor is enough.
+        """
+        state = self._sweep(wins, minimum, limit, self.level, np.zeros(2, np.int32), progress)
+        if state[1] < self.missing:
+            near = download(self.session, self.near, (int(self.slots) - LANES,), np.int32)[self.index]
+            left = np.where(np.isinf(self.values()[:, 0]), near, 0)
+            state = self._sweep(wins, 1, NEVER, left, state, progress)
+        return int(state[0])
+
+    def _sweep(
+        self, wins: np.int32, minimum: int, limit: int, level: NDArray[np.int32], before: NDArray[np.int32],
+        progress: Progress,
+    ) -> NDArray[np.int32]:  # fmt: skip
+        """Sweeps until nothing is missing or there have been `limit`; numbers of sweeps and of pixels filled so far.
+
+        level: valid neighbors of missing pixels (M,), 0 where one is filled; before: such numbers. Short sweeps run one
+        after another on the device, long ones are launched one by one.
         """
         queue, count, group = self.session.queue, int(self.missing), group_size(self.session)
-        lists, state = self._lists(minimum)
+        lists, state = self._lists(np.minimum(level, minimum), minimum)
+        state[0] = before
         on_device = copied(self.session, state)
         rule = (self.beside, self.missing, np.int32(minimum), self.found, self.value, self.near, lists, on_device)
-        while (open_lists := np.flatnonzero(state[1:, 0] < state[1:, 1])).size:
+        while state[0, 0] < limit and (open_lists := np.flatnonzero(state[1:, 0] < state[1:, 1])).size:
             k = int(open_lists[-1]) + 1
             begin, end = state[k].tolist()
             if end - begin <= MOST_ENTRIES:
-                self._launch("sweep_holes", group, (group,), self.slots, np.int32(MOST_ENTRIES), wins, *rule)
+                limits = np.int32(MOST_ENTRIES), np.int32(limit)
+                self._launch("sweep_holes", group, (group,), self.slots, *limits, wins, *rule)
             else:
                 part = (self.slots, *(np.int32(count * (k - 1) + n) for n in (begin, end)))
                 planes = (lists, self.beside, self.value, self.found)
@@ -281,11 +309,11 @@ class Holes:
                 cl.enqueue_copy(queue, on_device, found)
             state = found
             progress(state[0, 1] / count)
-        return int(state[0, 0])
+        return state[0]
 
-    def _lists(self, minimum: int) -> tuple[cl.Buffer, NDArray[np.int32]]:
-        """The lists and the state before the first sweep."""
-        level, state = np.minimum(self.level, minimum), np.zeros((minimum + 1, 2), np.int32)
+    def _lists(self, level: NDArray[np.int32], minimum: int) -> tuple[cl.Buffer, NDArray[np.int32]]:
+        """The lists and the state before the first of some sweeps; level: (M,), 0 to minimum."""
+        state = np.zeros((minimum + 1, 2), np.int32)
         lists = np.empty((minimum, self.at.size), np.int32)
         for k in range(1, minimum + 1):
             entries = self.at[level == k]

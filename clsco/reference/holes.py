@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.estimators import Histogram, MeanMedian, Score, border_histogram, score_scale
+from clsco.estimators import Histogram, MeanMedian, Score, border_histogram, most_sweeps, score_scale
 from clsco.reference.geometry import Array
 from clsco.reference.mean_median import fill_mean_median, smooth_median
 from clsco.reference.neighbors import NEIGHBORS, Mask
@@ -44,14 +44,16 @@ def sweep_holes(values: Array, known: Mask, missing: Mask, wins: Mask, minimum: 
     """Stage 1: sweeps until nothing is missing; values (H, W, K), and how many have filled something.
 
     Arguments as of `fill_holes`; from every missing pixel a way through others leads to a known one. Where a sweep
-    fills nothing, the next one relaxes the minimum by one, and the first that does takes it back.
+    fills nothing, the next one relaxes the minimum by one, and the first that does takes it back; after `most_sweeps`
+    it is one.
     """
-    sweeps, least = 0, minimum
+    sweeps, least, limit = 0, minimum, most_sweeps(*missing.shape)
     known, missing, near = settle_holes(known, missing, np.zeros_like(missing))
     while missing.any():
         values, filled = fill_holes(values, known, missing & (near >= least), wins, least)
         known, missing, near = settle_holes(known, missing, filled)
         sweeps, least = (sweeps + 1, minimum) if filled.any() else (sweeps, least - 1)
+        least = least if sweeps < limit else 1
     return values, sweeps
 
 

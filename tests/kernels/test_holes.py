@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,13 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.device import Program, Session
-from clsco.estimators import bits_of
+from clsco.estimators import bits_of, most_sweeps
 from clsco.inpainting import mean_median
 from clsco.inpainting.mean_median import (
     FEATURES,
     KERNELS,
     LANES,
+    NEVER,
     VECTORS,
     Holes,
     Layout,
@@ -59,12 +61,15 @@ def sheet_of(masks: Array) -> tuple[Mask, Mask]:
     return missing.reshape(-1, columns), inside.reshape(-1, columns)
 
 
-def check_sheet(session: Session, masks: Array, wins: Mask, minimum: int, channels: int, rounds: int = 2) -> int:
-    """Fill masks on the device and in the reference, which must agree in every bit; most sweeps that one has taken."""
+def check_sheet(
+    session: Session, masks: Array, wins: Mask, minimum: int, channels: int, rounds: int = 2
+) -> NDArray[np.int64]:
+    """Fill masks on the device and in the reference, which must agree in every bit; sweeps that each has taken, without
+    a limit."""
     missing, inside = sheet_of(masks)
     image = np.random.default_rng(5).random((*missing.shape, channels)).astype(np.float32)
     holes = Holes(session, program(session, channels), Sheet(missing, inside), image)
-    sweeps = holes.fill(np.int32(bits_of(wins)), minimum, lambda share: None)
+    sweeps = holes.fill(np.int32(bits_of(wins)), minimum, NEVER, lambda share: None)
     values = np.where((inside & ~missing)[..., None], image, np.float32(0))
     expected, taken = plain_sweeps(values, inside & ~missing, missing, wins, minimum, masks.shape[0])
     assert expected.dtype == np.float32
@@ -74,7 +79,19 @@ def check_sheet(session: Session, masks: Array, wins: Mask, minimum: int, channe
         for _ in range(rounds):
             expected = smooth_median(expected, missing, inside)
         assert (holes.smooth(rounds, lambda share: None) == expected[missing]).all()
-    return int(taken.sum(axis=0).max(initial=0))
+    return taken.sum(axis=0)
+
+
+def check_alone(session: Session, mask: Mask) -> int:
+    """The same of one mask with the limit, and the sweeps that it has taken."""
+    image = np.random.default_rng(5).random((*mask.shape, 1)).astype(np.float32)
+    holes, limit = Holes(session, program(session, 1), Layout(mask), image), most_sweeps(*mask.shape)
+    sweeps = holes.fill(np.int32(bits_of(SOME_WIN)), 4, limit, lambda share: None)
+    values = np.where(mask[..., None], np.float32(0), image)
+    expected, taken = twin.sweep_holes(values, ~mask, mask, SOME_WIN, 4)
+    assert (holes.values() == expected[mask]).all()
+    assert sweeps == taken
+    return sweeps
 
 
 def plain_sweeps(
@@ -101,14 +118,14 @@ def plain_sweeps(
 def test_every_mask_of_4_x_4_ends(session: Session) -> None:
     """All 65,536 but the one with nothing known."""
     masks = (np.arange(2**16 - 1)[:, None] >> np.arange(16) & 1).astype(np.bool_).reshape(-1, 4, 4)
-    assert check_sheet(session, masks, SOME_WIN, 4, 1, rounds=1) <= 4 * (4 + 4)
+    assert check_sheet(session, masks, SOME_WIN, 4, 1, rounds=1).max() <= most_sweeps(4, 4)
 
 
 @pytest.mark.parametrize(("wins", "minimum", "channels"), [(NO_WINS, 4, 3), (ALL_WIN, 3, 1), (SOME_WIN, 8, 1)])
 def test_some_masks_of_4_x_4_by_other_constants(session: Session, wins: Mask, minimum: int, channels: int) -> None:
     masks = np.random.default_rng(7).random((1000, 4, 4)) < 0.8
     masks[masks.all(axis=(1, 2)), 0, 0] = False
-    assert check_sheet(session, masks, wins, minimum, channels) <= 4 * (4 + 4)
+    assert check_sheet(session, masks, wins, minimum, channels).max() <= most_sweeps(4, 4)
 
 
 def random_masks(seed: int, shapes: int, each: int) -> Iterator[Array]:
@@ -127,14 +144,30 @@ def random_masks(seed: int, shapes: int, each: int) -> Iterator[Array]:
 
 def test_random_masks_end(session: Session) -> None:
     for masks in random_masks(11, 6, 20):
-        assert check_sheet(session, masks, SOME_WIN, 4, 1) <= 4 * (masks.shape[1] + masks.shape[2])
+        assert check_sheet(session, masks, SOME_WIN, 4, 1).max() <= most_sweeps(*masks.shape[1:])
 
 
 @pytest.mark.slow
 def test_ten_thousand_random_masks_end(session: Session) -> None:
-    """One mask of 61 x 51 with 55 known pixels takes 4.09 (H + W) sweeps, all others less than 4 (H + W)."""
+    limited = 0
     for masks in random_masks(13, 100, 100):
-        assert check_sheet(session, masks, SOME_WIN, 4, 1) <= 4.1 * (masks.shape[1] + masks.shape[2])
+        rows, columns = masks.shape[1:]
+        for mask in masks[check_sheet(session, masks, SOME_WIN, 4, 1) > most_sweeps(rows, columns)]:
+            assert check_alone(session, mask) <= 4 * (rows + columns)
+            limited += 1
+    assert limited > 30
+
+
+@pytest.mark.parametrize("most", [0, mean_median.MOST_ENTRIES])
+def test_no_mask_takes_more_than_four_sweeps_per_row_and_column(
+    session: Session, most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """This one would take 4.09 of them; launched sweep by sweep or not."""
+    monkeypatch.setattr(mean_median, "MOST_ENTRIES", most)
+    mask = next(islice(random_masks(13, 100, 100), 83, None))[31]
+    assert mask.shape == (61, 51)
+    assert check_sheet(session, mask[None], SOME_WIN, 4, 1) > 4 * (61 + 51)
+    assert most_sweeps(61, 51) < check_alone(session, mask) <= 4 * (61 + 51)
 
 
 @pytest.mark.parametrize("shape", [(1, 2), (1, 33), (33, 1), (2, 21), (21, 2), (64, 61)])
@@ -144,14 +177,14 @@ def test_all_but_one_pixel_is_missing(session: Session, shape: tuple[int, int]) 
     some = every if every.size < 100 else every[[0, shape[1] - 1, 30, -1, -shape[1], every.size // 2]]
     masks = np.ones((some.size, *shape), np.bool_)
     masks.reshape(some.size, -1)[np.arange(some.size), some] = False
-    assert check_sheet(session, masks, SOME_WIN, 4, 3) <= 4 * sum(shape)
+    assert check_sheet(session, masks, SOME_WIN, 4, 3).max() <= most_sweeps(*shape)
 
 
 def test_holes_at_corners_and_borders(session: Session) -> None:
     masks = np.zeros((9, 20, 23), np.bool_)
     for mask, i, j in zip(masks, (0, 0, 0, 7, 7, 7, 14, 14, 14), (0, 8, 16, 0, 8, 16, 0, 8, 16), strict=True):
         mask[i : i + 6, j : j + 7] = True
-    assert check_sheet(session, masks, SOME_WIN, 4, 3, rounds=20) < 20
+    assert check_sheet(session, masks, SOME_WIN, 4, 3, rounds=20).max() < 20
 
 
 @pytest.mark.parametrize("most", [0, 7, 10**9])
