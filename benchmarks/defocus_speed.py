@@ -1,11 +1,11 @@
 """Speed of the defocus pass against a direct scatter in numba, in one run: python -m benchmarks.defocus_speed
 
-512 x 512, one gray channel, a sphere before a tilted plane with blur radii up to --radius px. Process CPU time, medians
+512 x 512, gray and color, a sphere before a tilted plane with blur radii up to --radius px. Process CPU time, medians
 of interleaved repetitions, ns per pixel. Two PSFs: the thesis' (sampled, no tilt) and today's default (integrated,
-tilt), where numba does per tap what the thesis does and what the closed form costs respectively; and the Gaussian
-without tilt, where numba multiplies the weights of two axes, in bands only. Numba's scatter in
+tilt), where numba does per tap what the thesis does and what the closed form costs respectively; and of one channel the
+Gaussian without tilt, where numba multiplies the weights of two axes, in bands only. Numba's scatter in the better of
 the two usual ways: a private image per thread, added up at the end; and bands of rows, each thread taking what falls
-into its own.
+into its own. Channels share the weights of taps.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import json
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +29,8 @@ from clsco.bench.direct import (
     THREADS,
     axis_table,
     dense_table,
-    exact_bands,
-    exact_private,
     gaussian_bands,
-    sampled_bands,
-    sampled_private,
+    scatter,
 )
 from clsco.bench.passes import Pass
 from clsco.device import Session, choose
@@ -64,62 +62,58 @@ def measured(passes: Mapping[str, Callable[[], object]], repetitions: int) -> di
     return {name: float(np.median(times)) for name, times in spent.items()}
 
 
+def cases_of(image: Array, radius: Array) -> dict[str, tuple[Psf, list[Callable[[], Array]]]]:
+    """PSFs by name, and numba's ways for an image (rows, columns, channels): private images, and bands where there is
+    a second way."""
+    largest, single, ways = float(radius.max()), radius.astype(np.float32), scatter(image.shape[2])
+    gy, gx = (g.astype(np.float32) for g in np.gradient(radius))
+    exact = (image, single, gx, gy, dense_table(largest, 128), 128.0, THREADS)
+    sampled = [partial(way, image, single, THREADS) for way in (ways.sampled_private, ways.sampled_bands)]
+    found: dict[str, tuple[Psf, list[Callable[[], Array]]]] = {
+        "sampled": (Psf(edge="sampled", tilt=False), [*sampled]),
+        "integrated, tilt": (Psf(), [partial(way, *exact) for way in (ways.exact_private, ways.exact_bands)]),
+    }
+    if largest <= LARGEST_GAUSSIAN and image.shape[2] == 1:
+        psf = Psf(model="gaussian", tilt=False)
+        axis, cut = axis_table(psf, largest, 128), float(psf_extent(psf, 1.0))
+        found["gaussian"] = psf, [partial(gaussian_bands, image[..., 0], single, axis, 128.0, cut, THREADS)]
+    return found
+
+
 def main() -> None:
     """Measure, print a table, write benchmarks/results/defocus_speed.json."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--radius", type=float, nargs="*", default=[2.0, 6.0, 20.0])
+    parser.add_argument("--channels", type=int, nargs="*", default=[1, 3])
     parser.add_argument("--side", type=int, default=512)
     parser.add_argument("--repetitions", type=int, default=9)
     options = parser.parse_args()
-    console, table = (
-        Console(),
-        Table(title=f"{options.side} x {options.side}, process CPU time, ns per pixel"),
-    )
-    headings = ("largest R", "PSF", "numba, private", "numba, bands", "clsco pass", "+ prepass")
+    console, table = Console(), Table(title=f"{options.side} x {options.side}, process CPU time, ns per pixel")
+    headings = ("largest R", "PSF", "channels", "numba", "clsco pass", "+ prepass")
     for heading in (*headings, "times faster", "with prepass", "difference"):
         table.add_column(heading, justify="right")
     rows = []
-    image = np.random.default_rng(0).random((options.side, options.side), dtype=np.float32)
-    pixels = image.size
     with Session(choose()) as session:
-        for largest in options.radius:
-            radius = radius_map(options.side, largest)
-            single = radius.astype(np.float32)
-            gy, gx = (g.astype(np.float32) for g in np.gradient(radius))
-            dense = dense_table(largest, 128)
-            exact = (image, single, gx, gy, dense, 128.0, THREADS)
-            cases: dict[str, tuple[Psf, Callable[[], Array], Callable[[], Array]]] = {
-                "sampled": (
-                    Psf(edge="sampled", tilt=False),
-                    partial(sampled_private, image, single, THREADS),
-                    partial(sampled_bands, image, single, THREADS),
-                ),
-                "integrated, tilt": (Psf(), partial(exact_private, *exact), partial(exact_bands, *exact)),
-            }
-            if largest <= LARGEST_GAUSSIAN:
-                psf = Psf(model="gaussian", tilt=False)
-                axis = axis_table(psf, largest, 128)
-                direct = partial(gaussian_bands, image, single, axis, 128.0, float(psf_extent(psf, 1.0)), THREADS)
-                cases["gaussian"] = psf, direct, direct
-            for name, (psf, private, bands) in cases.items():
+        for largest, channels in product(options.radius, options.channels):
+            shape = (options.side, options.side, channels)
+            image, radius = np.random.default_rng(0).random(shape, np.float32), radius_map(options.side, largest)
+            for name, (psf, ways) in cases_of(image, radius).items():
                 device_pass = Pass(session, image, radius, psf, "gather", "double")
                 passes: dict[str, Callable[[], object]] = {
-                    "private": private,
-                    "bands": bands,
+                    **{f"numba {n}": way for n, way in enumerate(ways)},
                     "prepass": partial(finished, session, device_pass.prepare),
                     "pass": partial(finished, session, device_pass.spread),
                 }
                 spent = measured(passes, options.repetitions)
-                ns = {key: 1e9 * value / pixels for key, value in spent.items()}
-                best = min(ns["private"], ns["bands"])
+                ns = {key: 1e9 * value / radius.size for key, value in spent.items()}
+                best = min(ns.pop(f"numba {n}") for n in range(len(ways)))
                 ratios = {"ratio": best / ns["pass"], "ratio_with_prepass": best / (ns["pass"] + ns["prepass"])}
                 inner = slice(int(largest) + 2, -int(largest) - 2)
-                error = float(np.abs(device_pass([]) - bands())[inner, inner].max())
-                rows.append({"largest_radius_px": largest, "psf": name, **ns, **ratios, "difference": error})
-                shown = [f"{ns[k]:.1f}" for k in ("private", "bands", "pass", "prepass")]
-                table.add_row(
-                    f"{largest:g}", name, *shown, *(f"{ratio:.1f}" for ratio in ratios.values()), f"{error:.1e}"
-                )
+                error = float(np.abs(device_pass([]).reshape(shape) - ways[-1]().reshape(shape))[inner, inner].max())
+                row = {"largest_radius_px": largest, "psf": name, "channels": channels, "numba": best}
+                rows.append({**row, **ns, **ratios, "difference": error})
+                shown = [f"{value:.1f}" for value in (best, ns["pass"], ns["prepass"], *ratios.values())]
+                table.add_row(f"{largest:g}", name, str(channels), *shown, f"{error:.1e}")
         device = str(session.device)
     console.print(table)
     RESULTS.mkdir(exist_ok=True)

@@ -114,7 +114,7 @@ def approximations(psf: Psf, largest: float) -> tuple[str, ...]:
 def grid_cases(grid: Grid, has_fp64: bool, peers: Sequence[tuple[str, str, Scene, str]] = ()) -> list[Case]:
     """The cases of a grid, those with the same scene side by side.
 
-    peers: (tool, method, scene, name of the PSF) of what else there is; those take one channel of floats.
+    peers: (tool, method, scene, name of the PSF) of what else there is; those take floats.
     """
     precisions = [precision for precision in grid.precisions if precision == "single" or has_fp64]
     found: list[Case] = []
@@ -134,7 +134,8 @@ def grid_cases(grid: Grid, has_fp64: bool, peers: Sequence[tuple[str, str, Scene
                         for method in approximations(PSFS[psf], radius)
                     ]
                     found += [
-                        Case(size, radius, scene, psf, 1, "single", tool, method)
+                        Case(size, radius, scene, psf, channels, "single", tool, method)
+                        for channels in grid.channels
                         for tool, method, on_scene, of_psf in peers
                         if (on_scene, of_psf) == (scene, psf)
                     ]

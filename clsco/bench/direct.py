@@ -6,8 +6,9 @@ A private image per thread, added up at the end; and bands of rows, each thread 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 # Idle threads must not spin while something else is timed.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -36,46 +37,6 @@ def _disc_taps(r):  # type: ignore[no-untyped-def]
     return count
 
 
-@njit(parallel=True)
-def sampled_private(image, radius, threads):  # type: ignore[no-untyped-def]
-    """Direct scatter of the thesis' disc, an image per thread."""
-    rows, columns = image.shape
-    parts = np.zeros((threads, rows, columns), np.float32)
-    for t in prange(threads):
-        for i in range(t * rows // threads, (t + 1) * rows // threads):
-            for j in range(columns):
-                r = radius[i, j]
-                if r < 0.5:
-                    parts[t, i, j] += image[i, j]
-                    continue
-                k, v = int(r), image[i, j] / _disc_taps(r)
-                for a in range(max(-k, -i), min(k, rows - 1 - i) + 1):
-                    for b in range(max(-k, -j), min(k, columns - 1 - j) + 1):
-                        if a * a + b * b <= r * r:
-                            parts[t, i + a, j + b] += v
-    return parts.sum(axis=0)
-
-
-@njit(parallel=True)
-def sampled_bands(image, radius, threads):  # type: ignore[no-untyped-def]
-    """Direct scatter of the thesis' disc, each thread into its own rows."""
-    rows, columns = image.shape
-    out = np.zeros((rows, columns), np.float32)
-    reach = int(radius.max()) + 1
-    for t in prange(threads):
-        low, high = t * rows // threads, (t + 1) * rows // threads
-        for i in range(max(0, low - reach), min(rows, high + reach)):
-            for j in range(columns):
-                r = radius[i, j]
-                k = 0 if r < 0.5 else int(r)
-                v = image[i, j] / (_disc_taps(r) if k else 1)
-                for a in range(max(-k, low - i), min(k, high - 1 - i) + 1):
-                    for b in range(max(-k, -j), min(k, columns - 1 - j) + 1):
-                        if a * a + b * b <= r * r or k == 0:
-                            out[i + a, j + b] += v
-    return out
-
-
 @njit(inline="always")
 def _tabulated(table, u, dx, dy):  # type: ignore[no-untyped-def]
     """Weight at (dx, dy), linear between the two nearest radii of a dense table."""
@@ -85,42 +46,99 @@ def _tabulated(table, u, dx, dy):  # type: ignore[no-untyped-def]
     return table[k, a, b] + t * (table[k + 1, a, b] - table[k, a, b])
 
 
-@njit(parallel=True)
-def exact_private(image, radius, gx, gy, table, steps, threads):  # type: ignore[no-untyped-def]
-    """Direct scatter of the integrated disc with tilt from a table (radii, |dx|, |dy|), an image per thread."""
-    rows, columns = image.shape
-    parts = np.zeros((threads, rows, columns), np.float32)
-    for t in prange(threads):
-        for i in range(t * rows // threads, (t + 1) * rows // threads):
-            for j in range(columns):
-                r = radius[i, j]
-                k, v, u, s = int(np.ceil(r + 1.0)) - 1, image[i, j], r * steps, max(r, 1.0)
-                x, y = gx[i, j] / s, gy[i, j] / s
-                for a in range(max(-k, -i), min(k, rows - 1 - i) + 1):
-                    for b in range(max(-k, -j), min(k, columns - 1 - j) + 1):
-                        tilt = max(0.0, 1.0 + b * x + a * y)
-                        parts[t, i + a, j + b] += v * tilt * _tabulated(table, u, b, a)
-    return parts.sum(axis=0)
+class Scatter(NamedTuple):
+    """Direct scatter of discs for images (rows, columns, channels): the thesis' disc by (image, radius, threads), and
+    the integrated one with tilt, by (image, radius, gx, gy, table, steps, threads); see `dense_table`."""
+
+    sampled_private: Callable[..., Array]
+    sampled_bands: Callable[..., Array]
+    exact_private: Callable[..., Array]
+    exact_bands: Callable[..., Array]
 
 
-@njit(parallel=True)
-def exact_bands(image, radius, gx, gy, table, steps, threads):  # type: ignore[no-untyped-def]
-    """Direct scatter of the integrated disc with tilt from a table, each thread into its own rows."""
-    rows, columns = image.shape
-    out = np.zeros((rows, columns), np.float32)
-    reach = int(radius.max()) + 2
-    for t in prange(threads):
-        low, high = t * rows // threads, (t + 1) * rows // threads
-        for i in range(max(0, low - reach), min(rows, high + reach)):
-            for j in range(columns):
-                r = radius[i, j]
-                k, v, u, s = int(np.ceil(r + 1.0)) - 1, image[i, j], r * steps, max(r, 1.0)
-                x, y = gx[i, j] / s, gy[i, j] / s
-                for a in range(max(-k, low - i), min(k, high - 1 - i) + 1):
-                    for b in range(max(-k, -j), min(k, columns - 1 - j) + 1):
-                        tilt = max(0.0, 1.0 + b * x + a * y)
-                        out[i + a, j + b] += v * tilt * _tabulated(table, u, b, a)
-    return out
+@lru_cache(maxsize=2)
+def scatter(channels: int) -> Scatter:
+    """Compiled for a number of channels, which share each tap's weight."""
+
+    @njit(parallel=True)
+    def sampled_private(image, radius, threads):  # type: ignore[no-untyped-def]
+        rows, columns = radius.shape
+        parts = np.zeros((threads, rows, columns, channels), np.float32)
+        for t in prange(threads):
+            v = np.empty(channels, np.float32)
+            for i in range(t * rows // threads, (t + 1) * rows // threads):
+                for j in range(columns):
+                    r = radius[i, j]
+                    k = 0 if r < 0.5 else int(r)
+                    count = _disc_taps(r) if k else 1
+                    for c in range(channels):
+                        v[c] = image[i, j, c] / count
+                    for a in range(max(-k, -i), min(k, rows - 1 - i) + 1):
+                        for b in range(max(-k, -j), min(k, columns - 1 - j) + 1):
+                            if a * a + b * b <= r * r or k == 0:
+                                for c in range(channels):
+                                    parts[t, i + a, j + b, c] += v[c]
+        return parts.sum(axis=0)
+
+    @njit(parallel=True)
+    def sampled_bands(image, radius, threads):  # type: ignore[no-untyped-def]
+        rows, columns = radius.shape
+        out = np.zeros((rows, columns, channels), np.float32)
+        reach = int(radius.max()) + 1
+        for t in prange(threads):
+            low, high = t * rows // threads, (t + 1) * rows // threads
+            v = np.empty(channels, np.float32)
+            for i in range(max(0, low - reach), min(rows, high + reach)):
+                for j in range(columns):
+                    r = radius[i, j]
+                    k = 0 if r < 0.5 else int(r)
+                    count = _disc_taps(r) if k else 1
+                    for c in range(channels):
+                        v[c] = image[i, j, c] / count
+                    for a in range(max(-k, low - i), min(k, high - 1 - i) + 1):
+                        for b in range(max(-k, -j), min(k, columns - 1 - j) + 1):
+                            if a * a + b * b <= r * r or k == 0:
+                                for c in range(channels):
+                                    out[i + a, j + b, c] += v[c]
+        return out
+
+    @njit(parallel=True)
+    def exact_private(image, radius, gx, gy, table, steps, threads):  # type: ignore[no-untyped-def]
+        rows, columns = radius.shape
+        parts = np.zeros((threads, rows, columns, channels), np.float32)
+        for t in prange(threads):
+            for i in range(t * rows // threads, (t + 1) * rows // threads):
+                for j in range(columns):
+                    r = radius[i, j]
+                    k, u, s = int(np.ceil(r + 1.0)) - 1, r * steps, max(r, 1.0)
+                    x, y = gx[i, j] / s, gy[i, j] / s
+                    for a in range(max(-k, -i), min(k, rows - 1 - i) + 1):
+                        for b in range(max(-k, -j), min(k, columns - 1 - j) + 1):
+                            w = max(0.0, 1.0 + b * x + a * y) * _tabulated(table, u, b, a)
+                            for c in range(channels):
+                                parts[t, i + a, j + b, c] += w * image[i, j, c]
+        return parts.sum(axis=0)
+
+    @njit(parallel=True)
+    def exact_bands(image, radius, gx, gy, table, steps, threads):  # type: ignore[no-untyped-def]
+        rows, columns = radius.shape
+        out = np.zeros((rows, columns, channels), np.float32)
+        reach = int(radius.max()) + 2
+        for t in prange(threads):
+            low, high = t * rows // threads, (t + 1) * rows // threads
+            for i in range(max(0, low - reach), min(rows, high + reach)):
+                for j in range(columns):
+                    r = radius[i, j]
+                    k, u, s = int(np.ceil(r + 1.0)) - 1, r * steps, max(r, 1.0)
+                    x, y = gx[i, j] / s, gy[i, j] / s
+                    for a in range(max(-k, low - i), min(k, high - 1 - i) + 1):
+                        for b in range(max(-k, -j), min(k, columns - 1 - j) + 1):
+                            w = max(0.0, 1.0 + b * x + a * y) * _tabulated(table, u, b, a)
+                            for c in range(channels):
+                                out[i + a, j + b, c] += w * image[i, j, c]
+        return out
+
+    return Scatter(sampled_private, sampled_bands, exact_private, exact_bands)
 
 
 @njit(parallel=True)

@@ -43,29 +43,32 @@ def require_peers() -> tuple[list[str], dict[str, str]]:
 
 
 def set_up(tool: str, method: str, psf: str, image: Array, radii: Array) -> Callable[[], Array]:
-    """A peer's pass over linear light (rows, columns), float32, by radii in px of the same shape; makes its tables."""
+    """A peer's pass over linear light (rows, columns[, channels]), float32, by radii in px (rows, columns); makes its
+    tables."""
     if tool == "numba":
-        return _numba(method, psf, image, radii)
+        light = image.reshape(*radii.shape, -1)
+        call = _numba(method, psf, light, radii)
+        return lambda: call().reshape(image.shape)
     return opencv(method, PSFS[psf], image, float(radii[0, 0]))
 
 
 def _numba(way: str, psf: str, image: Array, radii: Array) -> Callable[[], Array]:
-    from clsco.bench import direct
+    from clsco.bench.direct import THREADS, dense_table, scatter
 
-    single = radii.astype(np.float32)
+    single, ways = radii.astype(np.float32), scatter(image.shape[2])
     if psf == "sampled":
-        sampled = direct.sampled_private if way == "private" else direct.sampled_bands
-        return lambda: sampled(image, single, direct.THREADS)
-    exact = direct.exact_private if way == "private" else direct.exact_bands
+        sampled = ways.sampled_private if way == "private" else ways.sampled_bands
+        return lambda: sampled(image, single, THREADS)
+    exact = ways.exact_private if way == "private" else ways.exact_bands
     gy, gx = (gradient.astype(np.float32) for gradient in np.gradient(radii))
     largest = float(radii.max())
     steps = int(min(MOST_STEPS, TABLE_WEIGHTS / (largest + 2.0) ** 3 + 1.0))
-    table = direct.dense_table(largest, steps)
-    return lambda: exact(image, single, gx, gy, table, float(steps), direct.THREADS)
+    table = dense_table(largest, steps)
+    return lambda: exact(image, single, gx, gy, table, float(steps), THREADS)
 
 
 def opencv(method: str, psf: Psf, image: Array, radius: float) -> Callable[[], Array]:
-    """filter2D with the weights of one radius, or GaussianBlur with its sigma, of linear light (rows, columns)."""
+    """filter2D with a radius' weights, or GaussianBlur with its sigma; linear light (rows, columns[, channels])."""
     import cv2
 
     far = reach(psf, radius)
