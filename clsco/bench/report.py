@@ -29,7 +29,10 @@ RING: dict[str, Any] = {"markersize": 11, "markerfacecolor": "none", "linewidth"
 NO_ERROR = 1e-9  # where plots show rows without error, which a logarithm cannot
 COLUMNS = tuple(field.name for field in fields(Row) if field.name != "kernels_ns")
 MARKERS = "osD^vP*X<>"
-COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#8c564b", "#7f7f7f")
+COLORS = (
+    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#8c564b", "#7f7f7f", "#882255",
+    "#999933", "#332288",
+)  # fmt: skip
 
 
 def require_matplotlib() -> None:
