@@ -10,10 +10,12 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import clsco
 from clsco.frame import TRUTH_NAMES, Frame
+from clsco.reference.render import render as reference
 from clsco.scenefile import parse_scene
 from tests.slow import mostly_slow
 
@@ -99,3 +101,34 @@ def test_with_other_threads(threads: str, known: dict[tuple[str, str, str], str]
     command = [sys.executable, "-c", code]
     printed = subprocess.run(command, env=environ, check=True, capture_output=True, text=True, timeout=300).stdout
     assert printed.split() == list(known.values())
+
+
+@pytest.mark.parametrize(
+    ("motion", "sequence"),
+    [
+        ({}, {"frames": 1}),
+        ({"texture_filter": "nearest"}, {"frames": 2, "samples": 4, "shutter": 1.0}),
+        ({"warp": "forward"}, {"frames": 2, "samples": 4, "shutter": 1.0, "sampling": "endpoint"}),
+    ],
+    ids=["still", "inverse", "forward"],
+)
+def test_where_arithmetic_is_exact_the_reference_has_the_same_bits(
+    motion: dict[str, Any], sequence: dict[str, Any], tmp_path: Path
+) -> None:
+    """A plane in focus with light in steps of a 256th, and means of four moments."""
+    np.save(tmp_path / "light.npy", (np.arange(48 * 80).reshape(48, 80) * 37 % 256 / 256).astype(np.float32))
+    moving = {"velocity": [2.0, 1.0, 0.0]} if motion else {}
+    scene = parse_scene(
+        {
+            "camera": {"resolution": [80, 48], "focus_distance": 250.0},
+            "image": {"transfer": "linear"},
+            "psf": {"edge": "sampled"},
+            "sequence": sequence,
+            "motion": motion,
+            "object": [{"shape": "plane", "distance": 250.0, "texture": str(tmp_path / "light.npy"), "motion": moving}],
+        }
+    )
+    for found, expected in zip(clsco.render(scene), reference(scene), strict=True):
+        for name in ("color", "sharp", "depth", "mask", "object_id", "normal", "filled", "hidden"):
+            array = getattr(found, name)
+            assert array.tobytes() == np.asarray(getattr(expected, name)).astype(array.dtype).tobytes(), name
