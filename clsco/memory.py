@@ -108,6 +108,11 @@ def has_rows(psf: Psf) -> bool:
     return is_disc(psf) or is_separable(psf)
 
 
+def is_near(psf, largest):
+    import os
+    return not is_separable(psf) and table_reach(psf, largest) <= int(os.environ.get("NEAR", 7))
+
+
 def source_bytes(sources: int, tilt: bool, marked: bool = False) -> int:
     """Planes of kernels/sources.clh for so many sources; marked: with sub-pixel sources, or something in their way."""
     return 4 * (1 + 2 * tilt + marked) * sources

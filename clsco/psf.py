@@ -428,3 +428,12 @@ def _subpixel_rows(psf: Psf, radii: Array, half_width: int, samples: int) -> Arr
         for k, i in enumerate(columns)
     ]
     return np.concatenate(rows, axis=1)
+
+
+def octants(table):
+    out = np.zeros((len(table.intervals), (table.reach + 1) * (table.reach + 2) // 2, POWERS), np.float32)
+    for own, (_, half_width, start, _) in zip(out, table.intervals, strict=True):
+        n = half_width + 1
+        a, b = np.tril_indices(n)
+        own[: a.size] = table.quadrants[start : start + POWERS * n * n].reshape(n, n, POWERS)[a, b]
+    return out.ravel()

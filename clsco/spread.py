@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from clsco.convolution import Convolution
 from clsco.device import Program, Session
 from clsco.layout import Real, Struct, psf_struct
-from clsco.memory import MOST_IN_ONE_SUM, bands_at_a_time, has_rows, has_spans, margin, spread_bytes
+from clsco.memory import MOST_IN_ONE_SUM, bands_at_a_time, has_rows, has_spans, is_near, margin, spread_bytes
 from clsco.occlusion import lens_cells
 from clsco.plan import MANY_RADII, Blur
 from clsco.program import empty, kernel, launch, mapped, upload
-from clsco.psf import LANES, PsfTable, psf_table
+from clsco.psf import LANES, PsfTable, is_disc, octants, psf_table
 from clsco.scene import Psf
 from clsco.strips import BAND
 
@@ -40,7 +40,8 @@ def blur_features(method: Blur, psf: Psf, largest: float, real: Real, prepare: b
     """Which kernels of blur.cl are compiled, and for what; largest: |R| in px."""
     return {
         "GATHER": int(method == "gather"),
-        "ROWS": int(method == "gather" and real == "double" and has_rows(psf)),
+        "ROWS": int(method == "gather" and real == "double" and (has_rows(psf) or is_near(psf, largest))),
+        "NEAR": int(method == "gather" and real == "double" and is_near(psf, largest)),
         "SPANS": int(method == "gather" and real == "double" and has_spans(psf, largest)),
         "SCATTER": int(method == "scatter"),
         "RENORMALIZE": int(psf.border == "renormalize" and method != "none"),
@@ -111,7 +112,7 @@ class Spreader:
         many = max(MOST_IN_ONE_SUM // row_taps, row_taps // 4 if spans else 1)
         self.group = many if "part" in sizes else 0
         self.part, self.spans = self.total, tuple[object, ...]()
-        self.alike = tuple(upload(session, array) for array in (self.main.quadrants, self.main.outlines))
+        self.alike = tuple(upload(session, array) for array in (octants(self.main) if features["NEAR"] and not is_disc(psf) else self.main.quadrants, self.main.outlines))
         self.bands = -(-rows // BAND)
         if {"part", "spans"} & sizes.keys():
             # Some bands at a time, so that a large frame does not take several times its size.
@@ -119,6 +120,7 @@ class Spreader:
             if "part" in sizes:
                 self.part = _zeros(session, sizes["part"])
             if "spans" in sizes:
+                sizes["spans"]+= 200000 * self.bands
                 self.spans = (_zeros(session, sizes["spans"]), np.int32(sizes["spans"] // 8 // self.bands))
         if method == "convolve":
             self.convolution = Convolution(session, psf, channels, brightest, sizes)

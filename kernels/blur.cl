@@ -105,7 +105,11 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
     const int spans_apart = (int)get_global_size(0) * BAND * pitch, apart = group ? spans_apart : total_plane;
     const int shift = group ? (own * BAND - first) * pitch : 0;  // from a row of the frame to that of part
     const int from = MAX(first - psf.reach, -camera.above), to = MIN(end + psf.reach, camera.height - camera.above);
-#if ROWS
+#if NEAR
+    if (!add_near_rows(camera, psf, source, value, intervals, quadrants, outlines, first, end,
+                       (__global float *)(spans + own * span_size), pitch, pad, total))
+        return;
+#elif ROWS
     if (!add_whole_rows(camera, psf, source, value, intervals, quadrants, outlines, first, end, spans + own * span_size, pitch,
                         pad, total))
         return;
