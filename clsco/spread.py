@@ -120,7 +120,7 @@ class Spreader:
             if "part" in sizes:
                 self.part = _zeros(session, sizes["part"])
             if "spans" in sizes:
-                sizes["spans"]+= 200000 * self.bands
+                sizes["spans"]+= 800000 * self.bands
                 self.spans = (_zeros(session, sizes["spans"]), np.int32(sizes["spans"] // 8 // self.bands))
         if method == "convolve":
             self.convolution = Convolution(session, psf, channels, brightest, sizes)
