@@ -408,18 +408,21 @@ __kernel void prepare_sources(const camera_t camera, const psf_t psf, __global c
             put_source(source, plane, at + i, record_of(camera, psf, coc, valid, x + i, y));
         return;
     }
+    // Pointers, and one slope after the other, are what the compiler makes whole vectors of.
+    __global const wide_t *restrict here = coc + at;
+    __global float *restrict coordinate = source + at;
     #pragma unroll
     for (int i = 0; i < LANES; ++i)
-        source[at + i] = table_coordinate(psf, coc[at + i], 0);
+        coordinate[i] = table_coordinate(psf, here[i], 0);
 #if TILT
+    __global const wide_t *restrict above = here - w, *restrict below = here + w;
+    __global float *restrict right = coordinate + plane, *restrict down = right + plane;
     #pragma unroll
-    for (int i = 0; i < LANES; ++i) {
-        const real right = (real)0.5 * narrow(wide_sub(coc[at + i + 1], coc[at + i - 1]));
-        const real down = (real)0.5 * narrow(wide_sub(coc[at + i + w], coc[at + i - w]));
-        const float2 slope = tilt_slope((real2)(right, down), narrow(coc[at + i]));
-        source[plane + at + i] = slope.x;
-        source[2 * plane + at + i] = slope.y;
-    }
+    for (int i = 0; i < LANES; ++i)
+        right[i] = tilt_slope((real2)((real)0.5 * narrow(wide_sub(here[i + 1], here[i - 1])), 0), narrow(here[i])).x;
+    #pragma unroll
+    for (int i = 0; i < LANES; ++i)
+        down[i] = tilt_slope((real2)(0, (real)0.5 * narrow(wide_sub(below[i], above[i]))), narrow(here[i])).y;
 #endif
 #if SUBPIXELS || OCCLUDED
     for (int i = 0; i < LANES; ++i)
