@@ -86,7 +86,7 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
                      __global const float *coefficients,
                      __global const float *quadrants, __global const int *outlines,
 #if SPANS || ROWS
-                     __global double *spans, const int span_size,  // doubles of a work-item
+                     __global scratch_t *spans, const int span_size,  // of a work-item
 #endif
                      const int start, const int group, __global float *part, const int pitch, const int pad,
                      __global float *total
@@ -105,11 +105,7 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
     const int spans_apart = (int)get_global_size(0) * BAND * pitch, apart = group ? spans_apart : total_plane;
     const int shift = group ? (own * BAND - first) * pitch : 0;  // from a row of the frame to that of part
     const int from = MAX(first - psf.reach, -camera.above), to = MIN(end + psf.reach, camera.height - camera.above);
-#if NEAR
-    if (!add_near_rows(camera, psf, source, value, intervals, quadrants, outlines, first, end,
-                       (__global float *)(spans + own * span_size), pitch, pad, total))
-        return;
-#elif ROWS
+#if ROWS
     if (!add_whole_rows(camera, psf, source, value, intervals, quadrants, outlines, first, end, spans + own * span_size, pitch,
                         pad, total))
         return;
