@@ -78,6 +78,8 @@ static void settle(int first, int last, int apart, int shift, int plane, int pit
         }
 }
 
+#define BLOCK (ROWS ? MANY : LANES)  // sources of a row that are looked at together
+
 // Each work-item adds to BAND rows of `total`, the first one's band being `start`, all the light that reaches them, row by
 // row of sources. part: BAND rows for each work-item, of which every `group` rows of sources the sum goes on to total; with
 // group 0 it is total. spans: twice the same of doubles (with TILT), zeros as well.
@@ -112,10 +114,11 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
 #endif
     for (int y = from; y < to; ++y) {
     const int line = (y + camera.above) * camera.width, place = shift + y * pitch - camera.guard + pad;
-    for (int block = 0; block < camera.width; block += LANES) {
-    int single = (1 << MIN(LANES, camera.width - block)) - 1;
+    for (int block = 0; block < camera.width; block += BLOCK) {
+    int single = (1 << MIN(BLOCK, camera.width - block)) - 1;
 #if ROWS
-    single = bits_of(take_sources(psf, source, plane, line, block, camera.width, intervals, outlines).others);
+    const int16 others = take_sources(psf, source, plane, line, block, camera.width, intervals, outlines).others;
+    single = bits_of(others.lo) | bits_of(others.hi) << LANES;
 #elif !DISC && !SEPARABLE
     if (camera.width - block >= LANES) {
 #if SPANS
