@@ -334,7 +334,7 @@ def psf_table(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> P
         return _separable_table(psf, span)
     intervals, blocks, start = [], [], 0
     near = is_near(psf, largest) and not fine
-    octants = np.zeros((len(span), _octant_taps(table_reach(psf, largest)), POWERS) if near else 0, np.float32)
+    octants = np.zeros((len(span) * near, _octant_taps(table_reach(psf, largest)), POWERS), np.float32)
     quadrants, outlines = [octants.ravel()], [np.zeros(0, dtype=np.int32)]
     for index in span:
         radii, half_width = _table_radius(psf, index + NODES, fine), _half_width(psf, index, fine)
@@ -342,7 +342,8 @@ def psf_table(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> P
         lanes = _lanes(half_width)
         block = np.zeros((values.shape[1], POWERS, lanes), dtype=np.float32)
         block[:, :, : 2 * half_width + 1] = np.moveaxis(np.tensordot(TO_POWERS, values, axes=1), 0, 1)
-        intervals.append((start, half_width, sum(map(len, quadrants)), sum(map(len, outlines))))
+        own = len(intervals) * octants[0].size if near else sum(map(len, quadrants))
+        intervals.append((start, half_width, own, sum(map(len, outlines))))
         blocks.append(block.ravel())
         if near:
             a, b = np.tril_indices(half_width + 1)

@@ -11,7 +11,8 @@
 // in a fixed order, whole vectors of taps at a time: no atomics, same bits, for CPUs. scatter adds taps one by one in
 // fixed point: any device, any order, same bits; the oracle of gather. For one radius only there is convolve.cl.
 // Features: CHANNELS, TILT, SUBPIXELS, DISC (sampled, one weight), SEPARABLE (weights are products of two), BAND (rows of a
-// band), OCCLUDED (after occlusion.clh), of gather ROWS (whole rows of sources) or SPANS (discs by the ends of rows); GATHER,
+// band), OCCLUDED (after occlusion.clh), of gather ROWS (whole rows of sources), with NEAR (so many px at most) tap by tap, or
+// SPANS (discs by the ends of rows); GATHER,
 // SCATTER, RENORMALIZE, PREPARE: which kernels are wanted.
 
 #if GATHER
