@@ -166,7 +166,8 @@ def _spreader(
     """All buffers of a Spreader for radii between two ends, on a device with fp64."""
     far = max(table_reach(psf, ends[1]), table_reach(psf, ends[1], True) if silhouettes else 0)
     tables = table_bytes(psf, *ends) + (table_bytes(psf, *ends, silhouettes) if silhouettes else 0)
-    return {"tables": tables} | spread_bytes(psf, method, channels, rows, columns, guard, far, band_scratch(psf, ends[1], True), cores)
+    kept = band_scratch(psf, ends[1], True)
+    return {"tables": tables} | spread_bytes(psf, method, channels, rows, columns, guard, far, kept, cores)
 
 
 def grid_bytes(channels: int, width: int, height: int, tilt: bool, finest: bool) -> dict[str, int]:

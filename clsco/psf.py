@@ -32,7 +32,7 @@ TO_POWERS = np.linalg.inv(np.vander(NODES, 4, increasing=True))
 # Of discs this wide, to both sides in px, rows that have one weight over so many px are kept as their two ends.
 SPANNED = {"area": 12, "integrated": 12}
 SMALLEST_SPAN = 4
-# PSFs that reach at most so far, in px to both sides, are added up tap by tap for rows of sources; see kernels/near.clh.
+# PSFs that reach at most so far, in px to both sides, are added up tap by tap: kernels/near.clh.
 NEAR = 7
 MINIMUM_BLUR = 0.5  # px; sampled PSFs leave smaller radii alone (thesis, 2.2)
 
@@ -332,7 +332,7 @@ def psf_table(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> P
         return _disc_table(psf, span)
     if is_separable(psf) and not fine:
         return _separable_table(psf, span)
-    intervals, blocks, start = [], [], 0
+    intervals, blocks, start = list[tuple[int, ...]](), [], 0
     near = is_near(psf, largest) and not fine
     octants = np.zeros((len(span) * near, _octant_taps(table_reach(psf, largest)), POWERS), np.float32)
     quadrants, outlines = [octants.ravel()], [np.zeros(0, dtype=np.int32)]
@@ -372,7 +372,7 @@ def _disc_table(psf: Psf, span: range) -> PsfTable:
 
 def _separable_table(psf: Psf, span: range) -> PsfTable:
     """Table of a Gaussian by one of its axes."""
-    intervals, rows, start = [], [], 0
+    intervals, rows, start = list[tuple[int, ...]](), [], 0
     reach = _half_width(psf, span[-1], False)
     sides = np.zeros((len(span), reach + 1, POWERS), np.float32)
     for index in span:

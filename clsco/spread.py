@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from clsco.convolution import Convolution
 from clsco.device import Program, Session
 from clsco.layout import Real, Struct, psf_struct
-from clsco.memory import MOST_IN_ONE_SUM, band_scratch, bands_at_a_time, margin, spread_bytes
+from clsco.memory import MOST_IN_ONE_SUM, Scratch, band_scratch, bands_at_a_time, margin, spread_bytes
 from clsco.occlusion import lens_cells
 from clsco.plan import MANY_RADII, Blur
 from clsco.program import empty, kernel, launch, mapped, upload
@@ -100,7 +100,8 @@ class Spreader:
         self.sub: PsfTable | None = psf_table(psf, smallest, largest, subpixels) if subpixels else None
         self.struct = psf_struct(psf, self.main, self.sub, real)
         tables = [self.main] if self.sub is None else [self.main, self.sub]
-        kept = band_scratch(psf, largest, real == "double")
+        kept: Scratch = "near" if features["NEAR"] else "rows" if features["ROWS"] else "none"
+        kept = "spans" if features["SPANS"] else kept
         self.tables = [(upload(session, t.intervals), upload(session, t.coefficients)) for t in tables]
         self.lens = upload(session, lens_cells(psf).astype(np.float32))
         rows, columns = int(camera["rows"]), int(camera["columns"])
@@ -121,7 +122,8 @@ class Spreader:
             if "part" in sizes:
                 self.part = _zeros(session, sizes["part"])
             if "spans" in sizes:
-                self.spans = (_zeros(session, sizes["spans"]), np.int32(sizes["spans"] // (4 if kept == "near" else 8) // self.bands))
+                number = sizes["spans"] // (4 if kept == "near" else 8)  # of floats, or doubles
+                self.spans = (_zeros(session, sizes["spans"]), np.int32(number // self.bands))
         if method == "convolve":
             self.convolution = Convolution(session, psf, channels, brightest, sizes)
         self.scale = 1.0

@@ -66,9 +66,9 @@ WITHOUT_TWIN = {
         ],
         "rows of sources at once, which scatter adds up tap by tap",
     ),
-    "discs": dict.fromkeys(["ends_of", "finish_row", "add_ends", "add_row", "add_segment"], "sums instead of single taps"),
+    "discs": dict.fromkeys(("ends_of", "finish_row", "add_ends", "add_row", "add_segment"), "sums instead of taps"),
     "gaussians": dict.fromkeys(["finish_row", "add_rows_of", "add_segment"], "one axis after the other"),
-    "near": dict.fromkeys(["add_taps", "finish_sums", "add_whole_rows"], "the sum of scatter, a row of sources at a time"),
+    "near": dict.fromkeys(["add_taps", "finish_sums", "add_whole_rows"], "the sum of scatter, row by row"),
 }
 
 # Files whose twin is part of another file.
