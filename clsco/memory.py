@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import ceil, inf
+from typing import Literal
 
 import numpy as np
 
@@ -14,12 +15,13 @@ from clsco.coarsening import METHODS, coarse_frame, coarse_psf, coarse_radii, pl
 from clsco.errors import SceneError
 from clsco.layout import WIDE_BYTES
 from clsco.plan import Blur, Plan
-from clsco.psf import LANES, SPANNED, is_disc, is_separable, reach, table_bytes, table_reach
+from clsco.psf import LANES, SPANNED, is_disc, is_near, is_separable, reach, table_bytes, table_reach
 from clsco.scene import Psf
 from clsco.stencil import is_summed
 from clsco.strips import BAND, cut
 
-TILE = 256  # columns that `gather` makes at a time, as in kernels/rows.clh
+Scratch = Literal["none", "spans", "rows", "near"]
+TILE, WINDOW = 256, 16  # columns that `gather` makes at a time, and rows of small reach, as in kernels/rows.clh
 BANDS_PER_CORE = 4  # of `gather` at a time, where they need memory of their own
 MOST_IN_ONE_SUM = 256  # taps of `gather` that a float adds up before it goes into another sum
 # Outputs that ground_truth writes, with what one pixel of each takes: dtype and components (0: the channels).
@@ -98,14 +100,15 @@ def bands_at_a_time(rows: int, cores: int) -> int:
     return min(ceil(rows / BAND), BANDS_PER_CORE * cores)
 
 
-def has_spans(psf: Psf, largest: float) -> bool:
-    """Whether discs up to `largest` px are so wide that `gather` keeps rows that have one weight as their two ends."""
-    return psf.model == "pillbox" and reach(psf, largest) >= SPANNED.get(psf.edge, inf)
-
-
-def has_rows(psf: Psf) -> bool:
-    """Whether `gather` takes whole rows of sources at a time, on devices with fp64."""
-    return is_disc(psf) or is_separable(psf)
+def band_scratch(psf: Psf, largest: float, fp64: bool) -> Scratch:
+    """What `gather` keeps for each band of a frame with radii up to `largest` px: whole rows of sources, of small reach
+    ("near") or of discs and Gaussians that are products ("rows"), or of wide discs the ends of rows with one weight."""
+    if is_near(psf, largest):
+        return "near"
+    if fp64 and (is_disc(psf) or is_separable(psf)):
+        return "rows"
+    wide = psf.model == "pillbox" and reach(psf, largest) >= SPANNED.get(psf.edge, inf)
+    return "spans" if fp64 and wide else "none"
 
 
 def source_bytes(sources: int, tilt: bool, marked: bool = False) -> int:
@@ -119,29 +122,34 @@ def margin(columns: int, guard: int, far: int) -> tuple[int, int]:
     return pad, ceil(columns / LANES) * LANES + 2 * pad
 
 
-def row_bytes(psf: Psf, channels: int, far: int) -> int:
-    """Scratch of a work-item of `gather` where it `has_rows`, see kernels/rows.clh; a whole number of doubles."""
+def row_bytes(psf: Psf, channels: int, far: int, near: bool) -> int:
+    """Scratch of a work-item of `gather` for whole rows of sources, see kernels/rows.clh; a whole number of doubles."""
     beside = (far // LANES + 3) * LANES
     planes, width = (3 if psf.tilt else 1) * channels, TILE + 2 * beside
-    own = 2 * planes if is_disc(psf) else beside + 1 + (2 if psf.tilt else 1) * channels
+    if near:
+        octant = 0 if is_disc(psf) else (far + 1) * (far + 2) // 2
+        return 4 * (channels * WINDOW * TILE + width * (1 + planes + octant))
+    own = 2 * planes if is_disc(psf) else beside
     return 8 * channels * BAND * TILE + 4 * width * (1 + planes + own)
 
 
 def spread_bytes(
-    psf: Psf, method: Blur, channels: int, rows: int, columns: int, guard: int, far: int, spans: bool, cores: int
+    psf: Psf, method: Blur, channels: int, rows: int, columns: int, guard: int, far: int, kept: Scratch, cores: int
 ) -> dict[str, int]:
     """Buffers of `clsco.spread.Spreader` besides its tables: total, and part, spans, sums, across where there are any.
 
-    rows: of the tallest strip; far: largest half-width in the tables, px; the others as for the Spreader.
+    rows: of the tallest strip; far: largest half-width in the tables, px; kept: see `band_scratch`; the others as for
+    the Spreader.
     """
     _, pitch = margin(columns, guard, far)
     sizes = {"total": 4 * channels * rows * pitch}
     bands = 4 * channels * bands_at_a_time(rows, cores) * BAND * pitch
     if method == "gather" and (2 * far + 1) ** 2 > MOST_IN_ONE_SUM:
         sizes["part"] = bands
-    if method == "gather" and spans:
-        scratch = row_bytes(psf, channels, far) * bands_at_a_time(rows, cores)
-        sizes["spans"] = scratch if has_rows(psf) else (4 if psf.tilt else 2) * bands
+    if method == "gather" and kept == "spans":
+        sizes["spans"] = (4 if psf.tilt else 2) * bands
+    elif method == "gather" and kept != "none":
+        sizes["spans"] = row_bytes(psf, channels, far, kept == "near") * bands_at_a_time(rows, cores)
     if method == "scatter":
         sizes["sums"] = 8 * channels * rows * columns
     if method == "convolve" and is_summed(psf, far):  # and what a vector reads beyond the last row
@@ -157,9 +165,9 @@ def _spreader(
 ) -> dict[str, int]:  # fmt: skip
     """All buffers of a Spreader for radii between two ends, on a device with fp64."""
     far = max(table_reach(psf, ends[1]), table_reach(psf, ends[1], True) if silhouettes else 0)
-    spans = method == "gather" and (has_spans(psf, ends[1]) or has_rows(psf))
     tables = table_bytes(psf, *ends) + (table_bytes(psf, *ends, silhouettes) if silhouettes else 0)
-    return {"tables": tables} | spread_bytes(psf, method, channels, rows, columns, guard, far, spans, cores)
+    kept = band_scratch(psf, ends[1], True)
+    return {"tables": tables} | spread_bytes(psf, method, channels, rows, columns, guard, far, kept, cores)
 
 
 def grid_bytes(channels: int, width: int, height: int, tilt: bool, finest: bool) -> dict[str, int]:

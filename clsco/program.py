@@ -22,7 +22,7 @@ HEADERS = ("wide.clh", "geometry.clh")
 OCCLUSION_HEADERS = ("occlusion.clh", "sight.clh")  # with the feature OCCLUDED
 HEADERS_OF = {
     "trace.cl": ("sources.clh",),
-    "blur.cl": ("sources.clh", "spread.clh", "neighbors.clh", "rows.clh", "discs.clh", "gaussians.clh"),
+    "blur.cl": ("sources.clh", "spread.clh", "neighbors.clh", "rows.clh", "near.clh", "discs.clh", "gaussians.clh"),
     "coarse.cl": ("sources.clh", "spread.clh"),
     "tiles.cl": ("sources.clh", "spread.clh"),
     "layer.cl": ("sources.clh",),

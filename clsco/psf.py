@@ -32,6 +32,8 @@ TO_POWERS = np.linalg.inv(np.vander(NODES, 4, increasing=True))
 # Of discs this wide, to both sides in px, rows that have one weight over so many px are kept as their two ends.
 SPANNED = {"area": 12, "integrated": 12}
 SMALLEST_SPAN = 4
+# PSFs that reach at most so far, in px to both sides, are added up tap by tap: kernels/near.clh.
+NEAR = 7
 MINIMUM_BLUR = 0.5  # px; sampled PSFs leave smaller radii alone (thesis, 2.2)
 
 
@@ -208,7 +210,9 @@ class PsfTable:
     coefficients: float32, per interval rows of (POWERS, lanes): row |dy| = 0..half-width (a main table), or
     rows -half-width..half-width for each of the S/2 x S offsets of a sub-pixel source. first: the interval that
     `intervals` begins with. reach: largest half-width. quadrants, outlines: of a main table, else empty: the weights
-    of |dx|, |dy| = 0..half-width again, their POWERS side by side, and int32, see `_outline`. Of a sampled disc
+    of |dx|, |dy| = 0..half-width again, their POWERS side by side, and int32, see `_outline`. Where they reach at most
+    NEAR px (`is_near`), quadrants have the taps a >= b >= 0 of one octant, number a (a + 1) / 2 + b, as many for every
+    interval; of what `is_separable`, those along an axis, as many for every interval as well. Of a sampled disc
     (`is_disc`) coefficients and quadrants have the one weight of each interval, and outlines the square roots of 0, 1,
     ... up to the last interval's number, rounded down.
     """
@@ -285,6 +289,11 @@ def is_separable(psf: Psf) -> bool:
     return psf.model == "gaussian" and psf.edge != "sampled"
 
 
+def is_near(psf: Psf, largest: float) -> bool:
+    """Whether radii up to `largest` px reach so little that each tap of a row of sources is added by itself."""
+    return not is_separable(psf) and table_reach(psf, largest) <= NEAR
+
+
 def psf_features(psf: Psf) -> dict[str, int]:
     """What the kernels are told of a PSF's kind."""
     return {"SAMPLED": int(psf.edge == "sampled"), "DISC": int(is_disc(psf)), "SEPARABLE": int(is_separable(psf))}
@@ -303,14 +312,15 @@ def table_bytes(psf: Psf, smallest: float, largest: float, subpixel: int = 0) ->
         return 24 * len(span) + 4 * span.stop
     if is_separable(psf) and not subpixel:
         widths = [_half_width(psf, index, False) for index in span]
-        return sum(16 + 4 * POWERS * (_lanes(n) + n + 1) for n in widths) + 4 * POWERS * (widths[-1] + 1)
+        return sum(16 + 4 * POWERS * (_lanes(n) + widths[-1] + 1) for n in widths)
+    near, half_width = is_near(psf, largest) and not subpixel, 0
     for index in span:
         half_width = _half_width(psf, index, subpixel > 0)
         rows = (2 * half_width + 1) * subpixel * ((subpixel + 1) // 2) if subpixel else half_width + 1
         total += 16 + 4 * POWERS * rows * _lanes(half_width)
-        if not subpixel:
+        if not subpixel and not near:
             total += 4 * POWERS * (half_width + 1) ** 2 + 12 * (half_width + 1)
-    return total
+    return total + near * 4 * POWERS * len(span) * _octant_taps(half_width)
 
 
 @lru_cache(maxsize=8)
@@ -322,17 +332,23 @@ def psf_table(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> P
         return _disc_table(psf, span)
     if is_separable(psf) and not fine:
         return _separable_table(psf, span)
-    intervals, blocks, start = [], [], 0
-    quadrants, outlines = [np.zeros(0, dtype=np.float32)], [np.zeros(0, dtype=np.int32)]
+    intervals, blocks, start = list[tuple[int, ...]](), [], 0
+    near = is_near(psf, largest) and not fine
+    octants = np.zeros((len(span) * near, _octant_taps(table_reach(psf, largest)), POWERS), np.float32)
+    quadrants, outlines = [octants.ravel()], [np.zeros(0, dtype=np.int32)]
     for index in span:
         radii, half_width = _table_radius(psf, index + NODES, fine), _half_width(psf, index, fine)
         values = _subpixel_rows(psf, radii, half_width, subpixel) if fine else _main_rows(psf, radii, half_width)
         lanes = _lanes(half_width)
         block = np.zeros((values.shape[1], POWERS, lanes), dtype=np.float32)
         block[:, :, : 2 * half_width + 1] = np.moveaxis(np.tensordot(TO_POWERS, values, axes=1), 0, 1)
-        intervals.append((start, half_width, sum(map(len, quadrants)), sum(map(len, outlines))))
+        own = len(intervals) * octants[0].size if near else sum(map(len, quadrants))
+        intervals.append((start, half_width, own, sum(map(len, outlines))))
         blocks.append(block.ravel())
-        if not fine:
+        if near:
+            a, b = np.tril_indices(half_width + 1)
+            octants[len(intervals) - 1, : len(a)] = block[b, :, half_width + a]
+        elif not fine:
             spanned = psf.model == "pillbox" and half_width >= SPANNED[psf.edge]
             quadrant = block[:, :, half_width : 2 * half_width + 1]
             quadrants.append(np.moveaxis(quadrant, 1, 2).ravel())
@@ -356,23 +372,20 @@ def _disc_table(psf: Psf, span: range) -> PsfTable:
 
 def _separable_table(psf: Psf, span: range) -> PsfTable:
     """Table of a Gaussian by one of its axes."""
-    intervals, rows, start = [], [], 0
-    sides: list[NDArray[np.float32]] = []
+    intervals, rows, start = list[tuple[int, ...]](), [], 0
+    reach = _half_width(psf, span[-1], False)
+    sides = np.zeros((len(span), reach + 1, POWERS), np.float32)
     for index in span:
         radii, half_width = _table_radius(psf, index + NODES, False), _half_width(psf, index, False)
         block = np.zeros((POWERS, _lanes(half_width)), dtype=np.float32)
         offsets = np.arange(-half_width, half_width + 1.0)
         block[:, : len(offsets)] = TO_POWERS @ axis_weights(psf, offsets, radii[:, None])
-        intervals.append((start, half_width, sum(map(len, sides)), 0))
+        sides[len(intervals), : half_width + 1] = block[:, half_width : 2 * half_width + 1].T
+        intervals.append((start, half_width, sides[0].size * len(intervals), 0))
         rows.append(block.ravel())
-        sides.append(block[:, half_width : 2 * half_width + 1].T.ravel())
         start += block.size
-    # Weights of sources side by side are read up to the half-width of the widest.
-    sides.append(np.zeros(POWERS * (intervals[-1][1] + 1), np.float32))
     table, none = np.array(intervals, dtype=np.int32), np.zeros(0, dtype=np.int32)
-    return PsfTable(
-        span.start, table, np.concatenate(rows), int(table[-1, 1]), np.concatenate(sides), none
-    )  # fmt: skip
+    return PsfTable(span.start, table, np.concatenate(rows), reach, sides.ravel(), none)
 
 
 def _outline(block: NDArray[np.float32], spanned: bool) -> NDArray[np.int32]:
@@ -392,6 +405,11 @@ def _outline(block: NDArray[np.float32], spanned: bool) -> NDArray[np.int32]:
     last = len(width) - 1 - lit[::-1].argmax(axis=0)
     last = np.where(lit.any(axis=0), last, -1)
     return np.stack([width, first, last], axis=1).astype(np.int32).ravel()
+
+
+def _octant_taps(reach: int) -> int:
+    """Taps a >= b >= 0 up to `reach` px along the axes."""
+    return (reach + 1) * (reach + 2) // 2
 
 
 def _lanes(half_width: int) -> int:

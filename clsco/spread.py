@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from clsco.convolution import Convolution
 from clsco.device import Program, Session
 from clsco.layout import Real, Struct, psf_struct
-from clsco.memory import MOST_IN_ONE_SUM, bands_at_a_time, has_rows, has_spans, margin, spread_bytes
+from clsco.memory import MOST_IN_ONE_SUM, Scratch, band_scratch, bands_at_a_time, margin, spread_bytes
 from clsco.occlusion import lens_cells
 from clsco.plan import MANY_RADII, Blur
 from clsco.program import empty, kernel, launch, mapped, upload
-from clsco.psf import LANES, PsfTable, psf_table
+from clsco.psf import LANES, NEAR, PsfTable, psf_table
 from clsco.scene import Psf
 from clsco.strips import BAND
 
@@ -38,10 +38,12 @@ Events = list[tuple[str, cl.Event]]
 
 def blur_features(method: Blur, psf: Psf, largest: float, real: Real, prepare: bool) -> dict[str, int]:
     """Which kernels of blur.cl are compiled, and for what; largest: |R| in px."""
+    kept = band_scratch(psf, largest, real == "double") if method == "gather" else "none"
     return {
         "GATHER": int(method == "gather"),
-        "ROWS": int(method == "gather" and real == "double" and has_rows(psf)),
-        "SPANS": int(method == "gather" and real == "double" and has_spans(psf, largest)),
+        "ROWS": int(kept in ("rows", "near")),
+        "NEAR": NEAR * (kept == "near"),
+        "SPANS": int(kept == "spans"),
         "SCATTER": int(method == "scatter"),
         "RENORMALIZE": int(psf.border == "renormalize" and method != "none"),
         "PREPARE": int(prepare and method in MANY_RADII),
@@ -92,23 +94,24 @@ class Spreader:
         self, session: Session, program: Program, psf: Psf, method: Blur, camera: Struct, channels: int,
         smallest: float, largest: float, subpixels: int, real: Real, brightest: float, features: Mapping[str, int],
     ) -> None:  # fmt: skip
-        spans = bool(features["ROWS"] or features["SPANS"])
         self.session, self.program, self.psf, self.method = session, program, psf, method
         self.camera, self.channels = camera, channels
         self.main = psf_table(psf, smallest, largest)
         self.sub: PsfTable | None = psf_table(psf, smallest, largest, subpixels) if subpixels else None
         self.struct = psf_struct(psf, self.main, self.sub, real)
         tables = [self.main] if self.sub is None else [self.main, self.sub]
+        kept: Scratch = "near" if features["NEAR"] else "rows" if features["ROWS"] else "none"
+        kept = "spans" if features["SPANS"] else kept
         self.tables = [(upload(session, t.intervals), upload(session, t.coefficients)) for t in tables]
         self.lens = upload(session, lens_cells(psf).astype(np.float32))
         rows, columns = int(camera["rows"]), int(camera["columns"])
         far, cores = int(self.struct["reach"]), session.device.compute_units
         self.pad, self.pitch = margin(columns, int(camera["guard"]), far)
-        sizes = spread_bytes(psf, method, channels, rows, columns, int(camera["guard"]), far, spans, cores)
+        sizes = spread_bytes(psf, method, channels, rows, columns, int(camera["guard"]), far, kept, cores)
         self.total = empty(session, sizes["total"])
         row_taps = 2 * far + 1
         # Rows of sources after which sums go on to the frame, 0 where they are short. Of discs most light is in spans.
-        many = max(MOST_IN_ONE_SUM // row_taps, row_taps // 4 if spans else 1)
+        many = max(MOST_IN_ONE_SUM // row_taps, row_taps // 4 if kept == "spans" else 1)
         self.group = many if "part" in sizes else 0
         self.part, self.spans = self.total, tuple[object, ...]()
         self.alike = tuple(upload(session, array) for array in (self.main.quadrants, self.main.outlines))
@@ -119,7 +122,8 @@ class Spreader:
             if "part" in sizes:
                 self.part = _zeros(session, sizes["part"])
             if "spans" in sizes:
-                self.spans = (_zeros(session, sizes["spans"]), np.int32(sizes["spans"] // 8 // self.bands))
+                number = sizes["spans"] // (4 if kept == "near" else 8)  # of floats, or doubles
+                self.spans = (_zeros(session, sizes["spans"]), np.int32(number // self.bands))
         if method == "convolve":
             self.convolution = Convolution(session, psf, channels, brightest, sizes)
         self.scale = 1.0

@@ -11,7 +11,8 @@
 // in a fixed order, whole vectors of taps at a time: no atomics, same bits, for CPUs. scatter adds taps one by one in
 // fixed point: any device, any order, same bits; the oracle of gather. For one radius only there is convolve.cl.
 // Features: CHANNELS, TILT, SUBPIXELS, DISC (sampled, one weight), SEPARABLE (weights are products of two), BAND (rows of a
-// band), OCCLUDED (after occlusion.clh), of gather ROWS (whole rows of sources) or SPANS (discs by the ends of rows); GATHER,
+// band), OCCLUDED (after occlusion.clh), of gather ROWS (whole rows of sources), with NEAR (so many px at most) tap by tap, or
+// SPANS (discs by the ends of rows); GATHER,
 // SCATTER, RENORMALIZE, PREPARE: which kernels are wanted.
 
 #if GATHER
@@ -78,6 +79,8 @@ static void settle(int first, int last, int apart, int shift, int plane, int pit
         }
 }
 
+#define BLOCK (ROWS ? MANY : LANES)  // sources of a row that are looked at together
+
 // Each work-item adds to BAND rows of `total`, the first one's band being `start`, all the light that reaches them, row by
 // row of sources. part: BAND rows for each work-item, of which every `group` rows of sources the sum goes on to total; with
 // group 0 it is total. spans: twice the same of doubles (with TILT), zeros as well.
@@ -86,7 +89,7 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
                      __global const float *coefficients,
                      __global const float *quadrants, __global const int *outlines,
 #if SPANS || ROWS
-                     __global double *spans, const int span_size,  // doubles of a work-item
+                     __global scratch_t *spans, const int span_size,  // of a work-item
 #endif
                      const int start, const int group, __global float *part, const int pitch, const int pad,
                      __global float *total
@@ -112,10 +115,11 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
 #endif
     for (int y = from; y < to; ++y) {
     const int line = (y + camera.above) * camera.width, place = shift + y * pitch - camera.guard + pad;
-    for (int block = 0; block < camera.width; block += LANES) {
-    int single = (1 << MIN(LANES, camera.width - block)) - 1;
+    for (int block = 0; block < camera.width; block += BLOCK) {
+    int single = (1 << MIN(BLOCK, camera.width - block)) - 1;
 #if ROWS
-    single = bits_of(take_sources(psf, source, plane, line, block, camera.width, intervals, outlines).others);
+    const int16 others = take_sources(psf, source, plane, line, block, camera.width, intervals, outlines).others;
+    single = bits_of(others.lo) | bits_of(others.hi) << LANES;
 #elif !DISC && !SEPARABLE
     if (camera.width - block >= LANES) {
 #if SPANS
@@ -404,18 +408,21 @@ __kernel void prepare_sources(const camera_t camera, const psf_t psf, __global c
             put_source(source, plane, at + i, record_of(camera, psf, coc, valid, x + i, y));
         return;
     }
+    // Pointers, and one slope after the other, are what the compiler makes whole vectors of.
+    __global const wide_t *restrict here = coc + at;
+    __global float *restrict coordinate = source + at;
     #pragma unroll
     for (int i = 0; i < LANES; ++i)
-        source[at + i] = table_coordinate(psf, coc[at + i], 0);
+        coordinate[i] = table_coordinate(psf, here[i], 0);
 #if TILT
+    __global const wide_t *restrict above = here - w, *restrict below = here + w;
+    __global float *restrict right = coordinate + plane, *restrict down = right + plane;
     #pragma unroll
-    for (int i = 0; i < LANES; ++i) {
-        const real right = (real)0.5 * narrow(wide_sub(coc[at + i + 1], coc[at + i - 1]));
-        const real down = (real)0.5 * narrow(wide_sub(coc[at + i + w], coc[at + i - w]));
-        const float2 slope = tilt_slope((real2)(right, down), narrow(coc[at + i]));
-        source[plane + at + i] = slope.x;
-        source[2 * plane + at + i] = slope.y;
-    }
+    for (int i = 0; i < LANES; ++i)
+        right[i] = tilt_slope((real2)((real)0.5 * narrow(wide_sub(here[i + 1], here[i - 1])), 0), narrow(here[i])).x;
+    #pragma unroll
+    for (int i = 0; i < LANES; ++i)
+        down[i] = tilt_slope((real2)(0, (real)0.5 * narrow(wide_sub(below[i], above[i]))), narrow(here[i])).y;
 #endif
 #if SUBPIXELS || OCCLUDED
     for (int i = 0; i < LANES; ++i)

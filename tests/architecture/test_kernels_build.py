@@ -18,7 +18,7 @@ from clsco.layout import Real, structs
 from clsco.memory import TRUTH_BUFFERS
 from clsco.plan import make_plan
 from clsco.program import HEADERS, HEADERS_OF, OCCLUSION_HEADERS, build
-from clsco.psf import psf_features
+from clsco.psf import NEAR, psf_features
 from clsco.scene import Camera, Psf, Scene, Sphere
 from clsco.spread import blur_features
 from clsco.strips import BAND
@@ -42,7 +42,7 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | {"SUBPIXELS": (0, 4, 2, 3), "OCCLUDED": (0,)},
     ("blur.cl",): dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
-    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (1, BAND)},
+    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (1, BAND), "NEAR": (0, NEAR)},
     ("coarse.cl",): dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(("TILT", "DISC", "SAMPLED", "SEPARABLE"), ON_OR_OFF)
     | {"CHANNELS": (1, 3)},
@@ -65,7 +65,7 @@ PROGRAMS[OCCLUSION] = PROGRAMS["blur.cl",] | PROGRAMS["trace.cl",] | {"OCCLUDED"
 # Features that have to do with it; of the others there is one value, the program being a long one.
 TOLD = {"OCCLUDED", "SEVERAL", "QUADRATIC", "NAPPE", "BOUNDED", "CHANNELS", "SUBPIXELS", "TILT", "GATHER", "SCATTER"}
 PROGRAMS[OCCLUSION] |= {name: values[1:2] for name, values in PROGRAMS[OCCLUSION].items() if name not in TOLD}
-PROGRAMS[OCCLUSION] |= dict.fromkeys(("ROWS", "DISC", "SEPARABLE"), (0,))
+PROGRAMS[OCCLUSION] |= dict.fromkeys(("ROWS", "NEAR", "DISC", "SEPARABLE"), (0,))
 PROGRAMS["blur.cl", "layer.cl"] = PROGRAMS["blur.cl",] | {"CHANNELS": (2, 4), "SUBPIXELS": (0,)}
 GIVEN_BY_THE_BUILD = {"REAL_IS_DOUBLE", "HAS_INT64_ATOMICS", "HAS_FP64", "defined", "__FMA__", "__SSE4_1__", "__AVX__"}
 

@@ -52,26 +52,28 @@ WITHOUT_TWIN = {
         [
             "tile_row",
             "lowest_lane",
+            "any_of",
             "some_taps",
             "take_sources",
             "take_row",
             "note_keys",
             "bounds_of",
             "half_width_of",
+            "weigh_row",
             "add_whole_rows",
-            "ends_of",
             "finish_row",
             "add_segment",
         ],
         "rows of sources at once, which scatter adds up tap by tap",
     ),
-    "discs": dict.fromkeys(["ends_of", "finish_row", "add_ends", "add_segment"], "sums instead of single taps"),
-    "gaussians": dict.fromkeys(["ends_of", "finish_row", "add_segment"], "one axis after the other"),
+    "discs": dict.fromkeys(("ends_of", "finish_row", "add_ends", "add_row", "add_segment"), "sums instead of taps"),
+    "gaussians": dict.fromkeys(["finish_row", "add_rows_of", "add_segment"], "one axis after the other"),
+    "near": dict.fromkeys(["add_taps", "finish_sums", "add_whole_rows"], "the sum of scatter, row by row"),
 }
 
 # Files whose twin is part of another file.
 PART_OF = {"estimate": "mean_median", "sight": "occlusion", "sources": "trace", "tiles": "blur"}
-PART_OF |= dict.fromkeys(("spread", "neighbors", "rows", "discs", "gaussians"), "blur")
+PART_OF |= dict.fromkeys(("spread", "neighbors", "rows", "near", "discs", "gaussians"), "blur")
 
 
 def kernel_names(text: str) -> set[str]:
