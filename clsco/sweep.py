@@ -186,7 +186,12 @@ def _values(name: str, given: Any, faults: list[str]) -> tuple[Any, ...]:
         return ()
     first: dict[str, int] = {}
     for index, value in enumerate(given):
-        if (other := first.setdefault(_word(value, exact=True), index)) != index:
+        try:
+            other = first.setdefault(_word(value, exact=True), index)
+        except RecursionError:
+            faults.append(f"{name}[{index}]: nested too deeply; got {shown(value)}")
+            return ()
+        if other != index:
             faults.append(f"{name}[{index}]: values must differ; {name}[{other}] is the same; got {shown(value)}")
     return tuple(given)
 

@@ -1,0 +1,126 @@
+"""Random bad scenes, a million of them on request: python -m tests.hostile.fuzz --cases 1000000
+
+Each case is an example with a few changes (`mutate.py`), validated in this process; it has to give a scene or a
+SceneError whose messages have the form that all messages have and name what was changed, within 5 s, with nothing
+written. One in PLANNED of the scenes that are valid is planned as well, as `clsco validate` does. A case that does not
+is told with its seed and number, which repeat it: --seed S --first N --cases 1. Work is shared by processes, whose
+signals are noticed, too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+from pathlib import Path
+
+from clsco.describe import planned_sweep
+from clsco.errors import ClscoError, SceneError
+from clsco.scenefile import key_name
+from clsco.sweep import Sweep, load_sweep, parse_sweep
+from tests.hostile.mutate import Case, make_case
+from tests.hostile.watch import faults_of, keys_of, start_watching, watched
+
+PLANNED = 4
+MOST_PIXELS = 2**22  # of scenes that are planned here: the work of a plan grows with the frame
+TALLY = ("cases", "refused", "valid", "planned")
+
+
+def main() -> int:
+    """Run cases, tell of those that fail; 1 where there are any."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cases", type=int, default=1_000_000)
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after so many")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--first", type=int, default=0, help="number of the first case")
+    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--worker", type=int, help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.worker is not None:
+        return work(range(given.first + given.worker, given.first + given.cases, given.processes), given)
+    start = time.monotonic()
+    command = [sys.executable, "-W", "error", "-X", "faulthandler", "-m", "tests.hostile.fuzz", *sys.argv[1:], "--worker"]
+    workers = [
+        subprocess.Popen([*command, str(k), "--processes", str(given.processes)], stdout=subprocess.PIPE, text=True)
+        for k in range(given.processes)
+    ]
+    outputs = [worker.communicate()[0].splitlines() for worker in workers]
+    tallies = [json.loads(line) for lines in outputs for line in lines if line.startswith("{")]
+    total = {name: sum(tally[name] for tally in tallies) for name in TALLY}
+    failed = [line for lines in outputs for line in lines if not line.startswith("{")]
+    ended = [worker.returncode for worker in workers]
+    failed += [f"a process ended with the status {status}" for status in ended if status not in (0, 1)]
+    print(*failed, sep="\n", end="\n" if failed else "")
+    told = ", ".join(f"{count} {name}" for name, count in total.items())
+    print(f"seed {given.seed}: {told}, {len(failed)} failures in {time.monotonic() - start:.0f} s")
+    return int(bool(failed) or any(ended))
+
+
+def work(numbers: range, given: argparse.Namespace) -> int:
+    """Run the cases of one process; prints a line for each failure, and last the tally."""
+    start_watching()
+    tally = dict.fromkeys(TALLY, 0)
+    failures = 0
+    with tempfile.TemporaryDirectory(prefix="clsco-fuzz-") as folder:
+        end = time.monotonic() + given.seconds
+        for number in numbers:
+            if time.monotonic() > end:
+                break
+            for line in outcome(make_case(given.seed, number), Path(folder), number, tally):
+                failures += 1
+                print(f"seed {given.seed}, case {number}: {line}", flush=True)
+    print(json.dumps(tally), flush=True)
+    return int(failures > 0)
+
+
+def outcome(case: Case, folder: Path, number: int, tally: dict[str, int]) -> list[str]:
+    """What is wrong with what comes of a case; counts it."""
+    where, path = "scene", folder / f"case{case.suffix}"
+    if case.text is not None:
+        path.write_bytes(case.text)
+        where = str(path)
+    faults: list[str] = []
+    planned = False
+    with watched() as written:
+        try:
+            sweep = load_sweep(path) if case.text is not None else parse_sweep(case.mapping or {})
+            if number % PLANNED == 0 and (planned := _is_small(sweep)):
+                where = ""
+                planned_sweep(Sweep(sweep.labels[:2], sweep.scenes[:2]), ())
+            tally["valid"] += 1
+        except SceneError as error:
+            tally["refused"] += 1
+            if not planned:
+                faults += faults_of(error, where) + _unnamed(error, where, case)
+        except ClscoError as error:
+            faults.append(f"{type(error).__name__}, which only files and devices give: {error}")
+        except BaseException as error:
+            last = traceback.extract_tb(error.__traceback__)[-1]
+            faults.append(f"{case.base}: {type(error).__name__}: {ascii(str(error))[:200]} at {last.filename}:{last.lineno}")
+    tally["cases"] += 1
+    tally["planned"] += planned
+    return faults + [f"written: {what}" for what in written]
+
+
+def _is_small(sweep: Sweep) -> bool:
+    columns, rows = sweep.scenes[0].camera.resolution or (512, 512)
+    return columns * rows <= MOST_PIXELS
+
+
+def _unnamed(error: SceneError, where: str, case: Case) -> list[str]:
+    """Whether no message of a single change names its key, one of the same table, or one that depends on that table."""
+    if not case.changed:
+        return []
+    table, told = key_name(case.changed[:-1] or case.changed), keys_of(error, where)
+    dependent = {"motion": ("fill", "psf"), "object": ("psf",), "camera": ("psf",)}.get(str(case.changed[0]), ())
+    near = any(key.startswith((table, *dependent)) or table.startswith(key) or table in key for key in told)
+    return [] if near else [f"changed {key_name(case.changed)}, but the messages name {told[:5]}"]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
