@@ -19,13 +19,20 @@ class SceneError(ClscoError):
         self.messages = tuple(map(_one_line, (messages,) if isinstance(messages, str) else messages))
         Exception.__init__(self, "\n".join(self.messages))
 
+    def __reduce__(self) -> tuple[type[SceneError], tuple[tuple[str, ...]]]:
+        return type(self), (self.messages,)  # from process to process
+
 
 class ImageError(ClscoError):
     """An image or ground-truth file cannot be read or written."""
 
 
 class DeviceError(ClscoError):
-    """No usable OpenCL device, or the device cannot do what was asked."""
+    """No usable OpenCL device, or the device cannot do what was asked; `short_of_memory`: with less it might."""
+
+    def __init__(self, message: str, short_of_memory: bool = False) -> None:
+        self.short_of_memory = short_of_memory
+        super().__init__(message)
 
 
 class KernelError(ClscoError):

@@ -269,9 +269,7 @@ def test_stale_temporary_files_are_removed(tmp_path: Path) -> None:
     folder.mkdir()
     (folder / "frame_0000.png").touch()
     remove_stale(tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
-        [alive.name, parent.name, foreign.name, "a.part"]
-    )
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([alive.name, parent.name, foreign.name, "a.part"])
 
 
 KILLED = """

@@ -82,6 +82,8 @@ def make_case(seed: int, number: int) -> Case:
     changed = copy.deepcopy(mapping)
     times = rng.choice((1, 1, 1, 2, 3))
     for _ in range(times):
+        if not changed:
+            break
         location = rng.choice(VALUE_CHANGES)(rng, changed)
     return Case(name, mapping=changed, changed=location if times == 1 else ())
 

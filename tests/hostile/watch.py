@@ -13,7 +13,7 @@ from typing import Any
 
 from clsco.errors import ClscoError, SceneError
 
-LONGEST_S = 5.0
+LONGEST_S, LONGEST_WAIT_S = 5.0, 30.0  # of the processor's time, and of time in which others may have the processor
 WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 CHANGES = {f"os.{name}" for name in ("mkdir", "rename", "remove", "rmdir", "symlink", "link", "truncate", "chmod", "mkfifo")}
 # Of a file as a whole, without a key: `where: rule`.
@@ -24,7 +24,7 @@ OF_THE_FILE = re.compile(
 )
 # A bare key, one in quotes, or a position, as often as there are; several keys of a sweep are listed.
 PART = r"(?:[A-Za-z0-9_-]{1,64}|\"(?:[^\"\\]|\\.)*\"|\[-?\d+\])"
-KEY = re.compile(rf"({PART}(?:\.?{PART})*(?:, {PART}(?:\.?{PART})*)*): (.+); got (.+)", re.DOTALL)
+KEY = re.compile(rf"({PART}(?:\.?{PART})*(?:, {PART}(?:\.?{PART})*)*(?: and \d+ more)?): (.+); got (.+)", re.DOTALL)
 MOST_CHARACTERS = 2000
 
 _watching: list[str] | None = None
@@ -48,6 +48,7 @@ def start_watching() -> None:
     def interrupt(number: int, frame: FrameType | None) -> None:
         raise TooLongError(f"more than {LONGEST_S:g} s")
 
+    signal.signal(signal.SIGPROF, interrupt)
     signal.signal(signal.SIGALRM, interrupt)
 
 
@@ -56,10 +57,12 @@ def watched() -> Iterator[list[str]]:
     """A list of what is written in the block, which is interrupted when it takes too long."""
     global _watching
     _watching = written = []
-    signal.setitimer(signal.ITIMER_REAL, LONGEST_S)
+    signal.setitimer(signal.ITIMER_PROF, LONGEST_S)
+    signal.setitimer(signal.ITIMER_REAL, LONGEST_WAIT_S)
     try:
         yield written
     finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
         signal.setitimer(signal.ITIMER_REAL, 0)
         _watching = None
 
