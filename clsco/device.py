@@ -156,8 +156,16 @@ class Session:
         return self._queue
 
     def compiling(self) -> AbstractContextManager[None]:
-        """To be held while the driver may compile: no other process then writes to its cache."""
-        return poclcache.exclusive() if self.device.is_pocl else nullcontext()
+        """To be held while the driver may compile: no other process then writes to its cache.
+
+        Raises DeviceError where the disk is so full that PoCL would abort.
+        """
+        if not self.device.is_pocl:
+            return nullcontext()
+        if not poclcache.has_room():
+            rule = f"the folder {os.environ[poclcache.VARIABLE]} must have {poclcache.ROOM >> 20} MiB for kernels"
+            raise DeviceError(f"device {self.device}: {rule}; got a full disk")
+        return poclcache.exclusive()
 
     def close(self) -> None:
         """Wait for the queue and let go of the programs; the context goes when its last buffer does."""
@@ -258,7 +266,10 @@ def _by_pyopencl(specification: str) -> cl.Device:
 
 def _devices() -> tuple[Device, ...]:
     _not_forked()
-    poclcache.prepare()  # PoCL reads the variable when its platform is first asked for
+    try:
+        poclcache.prepare()  # PoCL reads the variable when its platform is first asked for
+    except OSError as error:
+        raise DeviceError(f"device: PoCL must have a folder for compiled kernels; got {error}") from error
     try:
         platforms = cl.get_platforms()
     except cl.LogicError:  # the loader's word for no driver at all

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import json
+import logging
 import os
 import stat
 import struct
@@ -24,6 +25,8 @@ from clsco.png import GREY, GREY_ALPHA, PALETTE, RGB_ALPHA, SIGNATURE, checked_p
 
 MAX_PIXELS = 2**27
 MAX_SIDE = 65536
+LARGEST_EXR = 2**29  # values in all channels, which are decoded together
+logging.getLogger("tifffile").addHandler(logging.NullHandler())  # what it finds is told as an error, and once
 
 IMAGE_FORMATS = {
     ".png": "PNG",
@@ -272,12 +275,17 @@ def _decode_tiff(file: BinaryIO) -> NDArray[Any]:
 
 
 def _exr_size(file: BinaryIO) -> tuple[int, int]:
-    header = codec(_path(file), "OpenEXR", "exr").File(str(file.name), header_only=True).header()
+    parts = codec(_path(file), "OpenEXR", "exr").File(str(file.name), header_only=True).parts
+    header, count = parts[0].header, sum(len(part.header["channels"]) for part in parts)
     window, display = ([corner.tolist() for corner in header[name]] for name in ("dataWindow", "displayWindow"))
     if window != display:
         refuse(_path(file), f"the data window must be the display window, {display}", window)
     (left, top), (right, bottom) = window
-    return right - left + 1, bottom - top + 1
+    columns, rows = right - left + 1, bottom - top + 1
+    if count * columns * rows > LARGEST_EXR and columns * rows <= MAX_PIXELS:  # else its size is told
+        got = f"{count} channels of {columns} x {rows}"
+        refuse(_path(file), f"an EXR must hold at most {LARGEST_EXR} values", got)
+    return columns, rows
 
 
 def _decode_exr(file: BinaryIO) -> NDArray[Any]:

@@ -4,7 +4,7 @@ Each case is an example with a few changes (`mutate.py`), validated in this proc
 SceneError whose messages have the form that all messages have and name what was changed, within 5 s, with nothing
 written. One in PLANNED of the scenes that are valid is planned as well, as `clsco validate` does. A case that does not
 is told with its seed and number, which repeat it: --seed S --first N --cases 1. Work is shared by processes, whose
-signals are noticed, too.
+signals are noticed, too. --what pictures: small images of every format, damaged, read as images and as depths.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import resource
 import subprocess
 import sys
 import tempfile
@@ -19,15 +20,19 @@ import time
 import traceback
 from pathlib import Path
 
+from clsco.depthmaps import read_depth
 from clsco.describe import planned_sweep
-from clsco.errors import ClscoError, SceneError
+from clsco.errors import ClscoError, ImageError, SceneError
+from clsco.images import read_image
 from clsco.scenefile import key_name
 from clsco.sweep import Sweep, load_sweep, parse_sweep
 from tests.hostile.mutate import Case, make_case
+from tests.hostile.pictures import damaged
 from tests.hostile.watch import faults_of, keys_of, start_watching, watched
 
 PLANNED = 4
 MOST_PIXELS = 2**22  # of scenes that are planned here: the work of a plan grows with the frame
+MOST_KIB = 200 * 1024  # that reading a small image may take
 TALLY = ("cases", "refused", "valid", "planned")
 
 
@@ -39,12 +44,14 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--first", type=int, default=0, help="number of the first case")
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--what", choices=("scenes", "pictures"), default="scenes")
     parser.add_argument("--worker", type=int, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.worker is not None:
         return work(range(given.first + given.worker, given.first + given.cases, given.processes), given)
     start = time.monotonic()
-    command = [sys.executable, "-W", "error", "-X", "faulthandler", "-m", "tests.hostile.fuzz", *sys.argv[1:], "--worker"]
+    python = [sys.executable, "-W", "error", "-X", "faulthandler"]
+    command = [*python, "-m", "tests.hostile.fuzz", *sys.argv[1:], "--worker"]
     workers = [
         subprocess.Popen([*command, str(k), "--processes", str(given.processes)], stdout=subprocess.PIPE, text=True)
         for k in range(given.processes)
@@ -71,7 +78,11 @@ def work(numbers: range, given: argparse.Namespace) -> int:
         for number in numbers:
             if time.monotonic() > end:
                 break
-            for line in outcome(make_case(given.seed, number), Path(folder), number, tally):
+            if given.what == "scenes":
+                found = outcome(make_case(given.seed, number), Path(folder), number, tally)
+            else:
+                found = picture_outcome(damaged(given.seed, number), Path(folder), tally)
+            for line in found:
                 failures += 1
                 print(f"seed {given.seed}, case {number}: {line}", flush=True)
     print(json.dumps(tally), flush=True)
@@ -101,10 +112,35 @@ def outcome(case: Case, folder: Path, number: int, tally: dict[str, int]) -> lis
             faults.append(f"{type(error).__name__}, which only files and devices give: {error}")
         except BaseException as error:
             last = traceback.extract_tb(error.__traceback__)[-1]
-            faults.append(f"{case.base}: {type(error).__name__}: {ascii(str(error))[:200]} at {last.filename}:{last.lineno}")
+            what = f"{type(error).__name__}: {ascii(str(error))[:200]}"
+            faults.append(f"{case.base}: {what} at {last.filename}:{last.lineno}")
     tally["cases"] += 1
     tally["planned"] += planned
     return faults + [f"written: {what}" for what in written]
+
+
+def picture_outcome(picture: tuple[str, str, bytes], folder: Path, tally: dict[str, int]) -> list[str]:
+    """What is wrong with what comes of a damaged image, read as an image and as depths; counts it."""
+    name, suffix, content = picture
+    path = folder / f"picture{suffix}"
+    path.write_bytes(content)
+    faults: list[str] = []
+    for read in {".jpg": (read_image,), ".npz": (read_depth,)}.get(suffix, (read_image, read_depth)):
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        with watched() as written:
+            try:
+                read(path)
+                tally["valid"] += 1
+            except ImageError as error:
+                tally["refused"] += 1
+                faults += faults_of(error, str(path))
+            except BaseException as error:
+                faults.append(f"{name}: {type(error).__name__}: {ascii(str(error))[:200]}")
+        grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+        faults += [f"{name}: {grown >> 10} MiB more"] if grown > MOST_KIB else []
+        faults += [f"{name}: written: {what}" for what in written]
+        tally["cases"] += 1
+    return faults
 
 
 def _is_small(sweep: Sweep) -> bool:

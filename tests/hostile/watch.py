@@ -11,20 +11,21 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-from clsco.errors import ClscoError, SceneError
+from clsco.errors import ClscoError, ImageError, SceneError
 
 LONGEST_S, LONGEST_WAIT_S = 5.0, 30.0  # of the processor's time, and of time in which others may have the processor
 WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
-CHANGES = {f"os.{name}" for name in ("mkdir", "rename", "remove", "rmdir", "symlink", "link", "truncate", "chmod", "mkfifo")}
+CHANGES = {f"os.{name}" for name in ("mkdir", "rename", "remove", "rmdir", "symlink", "link", "truncate", "chmod")}
 # Of a file as a whole, without a key: `where: rule`.
 OF_THE_FILE = re.compile(
     r"must be UTF-8 text; got byte 0x[0-9a-f]{2}|nested too deeply|not valid (TOML|JSON): .+|cannot be read: .+"
-    r"|a (line|scene file) must .+|must be a table; got .+|and \d+ more faults|.+: key given twice|must be a file; got .+",
+    r"|a (line|scene file) must .+|must be a (table|file); got .+|and \d+ more faults|.+: key given twice",
     re.DOTALL,
 )
 # A bare key, one in quotes, or a position, as often as there are; several keys of a sweep are listed.
 PART = r"(?:[A-Za-z0-9_-]{1,64}|\"(?:[^\"\\]|\\.)*\"|\[-?\d+\])"
 KEY = re.compile(rf"({PART}(?:\.?{PART})*(?:, {PART}(?:\.?{PART})*)*(?: and \d+ more)?): (.+); got (.+)", re.DOTALL)
+OF_AN_IMAGE = re.compile(r".+; got .+")
 MOST_CHARACTERS = 2000
 
 _watching: list[str] | None = None
@@ -77,7 +78,8 @@ def faults_of(error: ClscoError, where: str) -> list[str]:
         if len(message) > MOST_CHARACTERS:
             found.append(f"{len(message)} characters: {ascii(message)[:300]}")
         rest = message.removeprefix(f"{where}: ")
-        if rest == message or not (KEY.fullmatch(rest) or OF_THE_FILE.fullmatch(rest)):
+        form = OF_AN_IMAGE if isinstance(error, ImageError) else KEY
+        if rest == message or not (form.fullmatch(rest) or OF_THE_FILE.fullmatch(rest)):
             found.append(f"no `where: key: rule; got value`: {ascii(message)[:300]}")
     return found
 
