@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import faulthandler
 import json
 import os
 import random
@@ -104,6 +105,7 @@ def run(base: Path, out: Path, naive: bool, rng: random.Random | None = None) ->
     log.write_bytes(b"")
     child = os.fork()
     if child == 0:
+        faulthandler.enable()
         os._exit(render(base / "scene.toml", out, log, naive))
     end = time.monotonic() + STUCK_S
     if rng is not None:
@@ -117,10 +119,10 @@ def run(base: Path, out: Path, naive: bool, rng: random.Random | None = None) ->
         if time.monotonic() > end:
             os.kill(child, signal.SIGKILL)
             raise TimeoutError(f"a batch took more than {STUCK_S:g} s")
-    killed = os.WIFSIGNALED(ended[1])
-    if not killed and ended[1] != 0 and not naive:
-        raise RuntimeError(f"a batch ended with the exit status {os.waitstatus_to_exitcode(ended[1])}")
-    return killed, {int(word) for word in log.read_text().split()}
+    status = os.waitstatus_to_exitcode(ended[1])
+    if status not in (0, -signal.SIGKILL) and not naive:
+        raise RuntimeError(f"a batch ended with the exit status {status}")
+    return status == -signal.SIGKILL, {int(word) for word in log.read_text().split()}
 
 
 def _runs(child: int) -> bool:

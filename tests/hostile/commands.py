@@ -117,8 +117,10 @@ def bomb() -> bytes:
     def chunk(kind: bytes, body: bytes) -> bytes:
         return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
 
-    packer = zlib.compressobj(9)
-    body = b"".join(packer.compress(bytes(13_001)) for _ in range(13_000)) + packer.flush()
+    packer = zlib.compressobj(9, wbits=-15)
+    rows = packer.compress(bytes(1000 * 13_001)) + packer.flush(zlib.Z_FULL_FLUSH)  # which may be repeated
+    checksum = 13_000 * 13_001 % 65_521 << 16 | 1
+    body = b"\x78\xda" + 13 * rows + b"\3\0" + struct.pack(">I", checksum)
     head = struct.pack(">IIBBBBB", 13_000, 13_000, 8, 0, 0, 0, 0)
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", body) + chunk(b"IEND", b"")
 

@@ -33,7 +33,7 @@ from tests.hostile.watch import faults_of, keys_of, start_watching, watched
 PLANNED = 4
 MOST_PIXELS = 2**22  # of scenes that are planned here: the work of a plan grows with the frame
 MOST_KIB = 200 * 1024  # that reading a small image may take
-TALLY = ("cases", "refused", "valid", "planned")
+TALLY = ("cases", "refused", "valid", "planned", "failures")
 
 
 def main() -> int:
@@ -46,33 +46,32 @@ def main() -> int:
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--what", choices=("scenes", "pictures"), default="scenes")
     parser.add_argument("--worker", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--tally", type=Path, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.worker is not None:
         return work(range(given.first + given.worker, given.first + given.cases, given.processes), given)
     start = time.monotonic()
     python = [sys.executable, "-W", "error", "-X", "faulthandler"]
-    command = [*python, "-m", "tests.hostile.fuzz", *sys.argv[1:], "--worker"]
-    workers = [
-        subprocess.Popen([*command, str(k), "--processes", str(given.processes)], stdout=subprocess.PIPE, text=True)
-        for k in range(given.processes)
-    ]
-    outputs = [worker.communicate()[0].splitlines() for worker in workers]
-    tallies = [json.loads(line) for lines in outputs for line in lines if line.startswith("{")]
-    total = {name: sum(tally[name] for tally in tallies) for name in TALLY}
-    failed = [line for lines in outputs for line in lines if not line.startswith("{")]
-    ended = [worker.returncode for worker in workers]
-    failed += [f"a process ended with the status {status}" for status in ended if status not in (0, 1)]
-    print(*failed, sep="\n", end="\n" if failed else "")
+    command = [*python, "-m", "tests.hostile.fuzz", *sys.argv[1:], "--processes", str(given.processes)]
+    with tempfile.TemporaryDirectory(prefix="clsco-fuzz-") as folder:
+        tallies = [Path(folder, f"{k}.json") for k in range(given.processes)]
+        workers = [
+            subprocess.Popen([*command, "--worker", str(k), "--tally", str(path)]) for k, path in enumerate(tallies)
+        ]
+        ended = [worker.wait() for worker in workers]
+        read = [json.loads(path.read_text()) for path in tallies]
+    total = {name: sum(tally[name] for tally in read) for name in TALLY}
+    crashed = [f"a process ended with the status {status}" for status in ended if status not in (0, 1)]
+    print(*crashed, sep="\n", end="\n" if crashed else "")
     told = ", ".join(f"{count} {name}" for name, count in total.items())
-    print(f"seed {given.seed}: {told}, {len(failed)} failures in {time.monotonic() - start:.0f} s")
-    return int(bool(failed) or any(ended))
+    print(f"seed {given.seed}: {told} in {time.monotonic() - start:.0f} s")
+    return int(any(ended) or bool(total["failures"]))
 
 
 def work(numbers: range, given: argparse.Namespace) -> int:
-    """Run the cases of one process; prints a line for each failure, and last the tally."""
+    """Run the cases of one process; prints a line for each failure, and writes the tally now and then."""
     start_watching()
     tally = dict.fromkeys(TALLY, 0)
-    failures = 0
     with tempfile.TemporaryDirectory(prefix="clsco-fuzz-") as folder:
         end = time.monotonic() + given.seconds
         for number in numbers:
@@ -83,10 +82,12 @@ def work(numbers: range, given: argparse.Namespace) -> int:
             else:
                 found = picture_outcome(damaged(given.seed, number), Path(folder), tally)
             for line in found:
-                failures += 1
+                tally["failures"] += 1
                 print(f"seed {given.seed}, case {number}: {line}", flush=True)
-    print(json.dumps(tally), flush=True)
-    return int(failures > 0)
+            if tally["cases"] % 1000 == 0:
+                given.tally.write_text(json.dumps(tally))
+    given.tally.write_text(json.dumps(tally))
+    return int(tally["failures"] > 0)
 
 
 def outcome(case: Case, folder: Path, number: int, tally: dict[str, int]) -> list[str]:
