@@ -34,8 +34,8 @@ resolution = [96, 64]
 frames = {FRAMES}
 samples = 2
 [[object]]
-shape = "sphere"
-radius = 15.0
+shape = "plane"
+distance = 250.0
 motion.velocity = [3.0, 0.0, 0.0]
 """
 START_S, WRITING_S = 1.0, 0.3  # until a kill, from the start, or in two of three from the first frame written
@@ -49,10 +49,11 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=float("inf"), help="begin no other batch after so many")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--naive", action="store_true")
+    parser.add_argument("--cache", help="folder of compiled kernels that are used; by default an empty one")
     given = parser.parse_args()
     start = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="clsco-kills-") as name:
-        os.environ.pop("POCL_CACHE_DIR", None)
+        os.environ["POCL_CACHE_DIR"] = given.cache or ""
         os.environ["XDG_CACHE_HOME"] = f"{name}/cache"
         found, problems = soak(Path(name), given)
     told = ", ".join(f"{count} {what}" for what, count in sorted(found.items()))
@@ -133,8 +134,9 @@ def render(scene: Path, out: Path, log: Path, naive: bool) -> int:
     """What the child does: the command, with a note of each frame that is written."""
     from clsco import batch
     from clsco.cli import main as command
+    from clsco.framefiles import write_frame
 
-    write_frame, notes = batch.write_frame, os.open(log, os.O_WRONLY | os.O_APPEND)
+    notes = os.open(log, os.O_WRONLY | os.O_APPEND)
 
     def noted(folder: Any, views: Any, *args: Any, **options: Any) -> Any:
         os.write(notes, b"%d " % views[0].index)
@@ -153,11 +155,12 @@ def render(scene: Path, out: Path, log: Path, naive: bool) -> int:
 def make_naive() -> None:
     """Write files in place, and take those that are there for whole."""
     from clsco import batch, framefiles, images
+    from clsco.describe import record
 
     @contextlib.contextmanager
     def in_place(path: Path) -> Iterator[BinaryIO]:
         with open(path, "wb", buffering=0) as file:
-            yield file  # type: ignore[misc]
+            yield file
 
     @contextlib.contextmanager
     def in_folder(folder: Path, name: str) -> Iterator[Path]:
@@ -170,7 +173,6 @@ def make_naive() -> None:
         return batch_record | {"files": {f"{path.name}.png": "", f"{path.name}.npz": ""}}
 
     batch_record: dict[str, Any] = {}
-    record = batch.record
 
     def remembered(*args: Any) -> dict[str, Any]:
         batch_record.update(record(*args))

@@ -55,7 +55,8 @@ def failing(counter: Counter) -> Iterator[Counter]:
         for name in CALLS:
             original = getattr(cl, name)
             if isinstance(original, type):
-                patch.setattr(cl, name, type(name, (original,), {"__init__": counted(name, original.__init__)}))
+                made = counted(name, original.__init__)  # type: ignore[misc]
+                patch.setattr(cl, name, type(name, (original,), {"__init__": made}))
             else:
                 patch.setattr(cl, name, counted(name, original))
         patch.setattr(cl.Program, "build", counted("build", cl.Program.build))

@@ -14,7 +14,7 @@ import pytest
 import clsco
 from clsco.device import Session, choose
 from clsco.errors import DeviceError, SceneError
-from clsco.program import empty
+from clsco.program import download, empty
 
 IMAGE = np.ones((8, 8), np.float32)
 
@@ -25,7 +25,7 @@ def test_a_fork_is_told(session: Session, what: str) -> None:
         "choose": lambda: choose("pocl"),
         "session": lambda: Session(session.device),
         "defocus": lambda: clsco.defocus(IMAGE, IMAGE),
-        "old session": lambda: (empty(session, 8), session.queue.finish()),
+        "old session": lambda: download(session, empty(session, 8), (2,), np.float32),
     }
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of threads, which Python has seen

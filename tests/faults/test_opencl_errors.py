@@ -12,8 +12,8 @@ import pytest
 from click.testing import CliRunner
 
 import clsco
-from clsco.arrays import session_on
 from clsco.cli import main
+from clsco.device import session_on
 from clsco.errors import DeviceError, KernelError
 from clsco.files import sha256
 from clsco.framefiles import read_complete

@@ -181,9 +181,8 @@ def _rename(rng: random.Random, mapping: dict[str, Any]) -> Location:
 
 def _add(rng: random.Random, mapping: dict[str, Any]) -> Location:
     """Give a table a key of another table, or an unknown one."""
-    holders = [(mapping, ())] + [
-        (holder[key], location) for holder, key, location in _places(mapping) if isinstance(holder[key], dict)
-    ]
+    holders: list[tuple[Any, Location]] = [(mapping, ())]
+    holders += [(holder[key], location) for holder, key, location in _places(mapping) if isinstance(holder[key], dict)]
     table, location = rng.choice(holders)
     _, others = rng.choice(list(bases().values()))
     other, key, _ = rng.choice([place for place in _places(others) if isinstance(place[1], str)])

@@ -57,7 +57,8 @@ def start_watching() -> None:
 def watched() -> Iterator[list[str]]:
     """A list of what is written in the block, which is interrupted when it takes too long."""
     global _watching
-    _watching = written = []
+    written: list[str] = []
+    _watching = written
     signal.setitimer(signal.ITIMER_PROF, LONGEST_S)
     signal.setitimer(signal.ITIMER_REAL, LONGEST_WAIT_S)
     try:

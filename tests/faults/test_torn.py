@@ -1,4 +1,4 @@
-"""A disk that fails at every write, sync, rename and folder: one line, whole frames or none, and nothing left over."""
+"""A disk that fails at every call, and processes that are killed: whole frames or none, and nothing left over."""
 
 from __future__ import annotations
 
@@ -27,10 +27,12 @@ SCENE = """
 resolution = [12, 9]
 [sequence]
 frames = 2
+samples = 2
 [[object]]
 shape = "plane"
 distance = 250.0
-"""
+motion.velocity = [3.0, 0.0, 0.0]
+"""  # the kernels are those of tests/faults/kills.py
 REASONS = (errno.ENOSPC, errno.EACCES, errno.EIO, errno.EROFS, errno.EDQUOT)
 
 
@@ -88,7 +90,7 @@ def failing(disk: Disk) -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(files, "open", opened, raising=False)
-        patch.setattr(files.os, "fsync", counted("fsync", os.fsync))
+        patch.setattr(os, "fsync", counted("fsync", os.fsync))
         for name in ("replace", "mkdir", "touch"):
             patch.setattr(Path, name, counted(name, getattr(Path, name)))
         yield
@@ -135,6 +137,14 @@ def test_the_disk_fails_at_every_call(tmp_path: Path, truth: tuple[str, str]) ->
         assert check_folder(out) < 2
         assert render(out, Disk()).exit_code == 0  # there is room again
         assert check_folder(out) == 2
+
+
+def test_two_kills_and_a_resume() -> None:
+    command = [sys.executable, "-W", "error", "-m", "tests.faults.kills", "--kills", "2"]
+    root, cache = Path(__file__).parents[2], os.environ["POCL_CACHE_DIR"]
+    done = subprocess.run([*command, "--cache", cache], cwd=root, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "2 kills" in done.stdout
 
 
 @pytest.mark.soak
