@@ -158,6 +158,7 @@ def _unnamed(error: SceneError, where: str, case: Case) -> list[str]:
     table, told = key_name(case.changed[:-1] or case.changed), keys_of(error, where)
     dependent = {"motion": ("fill", "psf"), "object": ("psf",), "camera": ("psf",)}.get(str(case.changed[0]), ())
     near = any(key.startswith((table, *dependent)) or table.startswith(key) or table in key for key in told)
+    near |= case.changed[-1] == "name" and any(key.endswith(".name") for key in told)  # which must differ
     return [] if near else [f"changed {key_name(case.changed)}, but the messages name {told[:5]}"]
 
 
