@@ -410,7 +410,26 @@ def write_exr(path: str | os.PathLike[str], *views: Mapping[str, NDArray[Any]], 
         (planes,) = pixels
         content = exr.File(header, planes)
     with whole_file(Path(path)) as file:
-        content.write(file)
+        told = _Told(file)
+        content.write(told)
+        if told.error is not None:
+            raise told.error
+
+
+class _Told:
+    """A file that keeps the error of a write: OpenEXR drops that of its last one, of the table of lines."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self.file = file
+        self.error: OSError | None = None
+        self.seek, self.tell = file.seek, file.tell
+
+    def write(self, part: bytes) -> int:
+        try:
+            return self.file.write(part)
+        except OSError as error:
+            self.error = error
+            raise
 
 
 def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None:

@@ -13,14 +13,16 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from clsco import files, poclcache
 from clsco.cli import main
 from clsco.device import choose, session_on
-from clsco.errors import DeviceError
+from clsco.errors import DeviceError, ImageError
 from clsco.framefiles import read_complete
+from clsco.images import write_exr
 
 SCENE = """
 [camera]
@@ -137,6 +139,19 @@ def test_the_disk_fails_at_every_call(tmp_path: Path, truth: tuple[str, str]) ->
         assert check_folder(out) < 2
         assert render(out, Disk()).exit_code == 0  # there is room again
         assert check_folder(out) == 2
+
+
+def test_the_last_write_of_an_exr_fails(tmp_path: Path) -> None:
+    """OpenEXR writes the table of lines when it closes a file, and drops the error of that."""
+    plane = {"Y": np.ones((9, 12), np.float32)}
+    count = Disk()
+    with failing(count):
+        write_exr(tmp_path / "a.exr", plane)
+    last = len(count.names) - 1 - count.names[::-1].index("write")
+    for number in range(count.names.index("write"), last + 1):
+        with failing(Disk(number)), pytest.raises(ImageError, match="the file must be writable; got "):
+            write_exr(tmp_path / "b.exr", plane)
+        assert [path.name for path in tmp_path.iterdir()] == ["a.exr"]
 
 
 def test_two_kills_and_a_resume() -> None:

@@ -155,7 +155,10 @@ def _unnamed(error: SceneError, where: str, case: Case) -> list[str]:
     """Whether no message of a single change names its key, one of the same table, or one that depends on that table."""
     if not case.changed:
         return []
-    table, told = key_name(case.changed[:-1] or case.changed), keys_of(error, where)
+    path = list(case.changed)
+    while len(path) > 1 and isinstance(path[-1], int):  # a component is of its key
+        path.pop()
+    table, told = key_name(path[:-1] or path), keys_of(error, where)
     dependent = {"motion": ("fill", "psf"), "object": ("psf",), "camera": ("psf",)}.get(str(case.changed[0]), ())
     near = any(key.startswith((table, *dependent)) or table.startswith(key) or table in key for key in told)
     near |= case.changed[-1] == "name" and any(key.endswith(".name") for key in told)  # which must differ
