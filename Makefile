@@ -3,7 +3,7 @@ PYTHON ?= $(shell for python in python3 python3.14 python3.13 python3.12 python3
 	"$$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo "$$python" && break; done)
 BIN := .venv/bin
 
-.PHONY: demo test test-slow lint bench clean
+.PHONY: demo test test-slow fuzz soak lint bench clean
 
 demo: .venv/pocl.stamp
 	$(BIN)/clsco demo -o demo
@@ -14,6 +14,19 @@ test: .venv/dev.stamp
 
 test-slow: .venv/dev.stamp
 	$(BIN)/python -m pytest -q -n auto --dist loadfile -m slow
+
+# Random bad scenes and damaged images, CASES of the former; and faults at every place, with KILLS of a batch.
+CASES ?= 1000000
+KILLS ?= 1000
+
+fuzz: .venv/dev.stamp
+	$(BIN)/python -m tests.hostile.fuzz --cases $(CASES)
+	$(BIN)/python -m tests.hostile.fuzz --what pictures --cases $$(( $(CASES) / 20 ))
+
+soak: .venv/dev.stamp
+	$(BIN)/python -m pytest -q -n auto --dist loadfile -m soak
+	$(BIN)/python -m tests.faults.kills --kills $(KILLS)
+	$(BIN)/python -m tests.faults.kills --kills 100 --naive
 
 lint: .venv/dev.stamp
 	$(BIN)/ruff check .

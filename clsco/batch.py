@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -12,7 +13,7 @@ from typing import Any
 from clsco.coarsening import asked_alike
 from clsco.describe import PlannedFile, file_digests, record
 from clsco.errors import ImageError, SceneError
-from clsco.files import remove_stale, writable_folder
+from clsco.files import remove_stale, same_place, writable_folder
 from clsco.frame import STEREO_NAMES, TRUTH_NAMES, Frame
 from clsco.framefiles import frame_files, read_complete, write_frame
 from clsco.render import render_sweep
@@ -49,13 +50,18 @@ def folders(scenes: Sequence[Path], out: Path) -> list[Path]:
     found: dict[Path, Path] = {}
     for scene in scenes:
         folder = out / scene.stem
-        if folder.resolve().parent != out.resolve():
-            raise SceneError(f"{scene}: frames must stay inside {out}; got {folder}")
+        _require_inside(folder, out, scene)
         if folder in found:
             rule = f"scenes that are rendered together must have different names; got another {scene.name}"
             raise SceneError(f"{scene}: {rule}, {found[folder]}")
         found[folder] = scene
     return list(found)
+
+
+def _require_inside(folder: Path, out: Path, where: Path) -> None:
+    """Raise SceneError where a folder of frames would not lie in `out`, by its name or as a symbolic link."""
+    if not same_place(Path(os.path.realpath(folder)).parent, out):
+        raise SceneError(f"{where}: frames must stay inside {out}; got {folder}")
 
 
 def wanted(scene: Scene, span: Span, where: str) -> range:
@@ -94,18 +100,19 @@ def prepare(
     for item in scene.objects:
         for what, name in (("texture", item.texture), ("depth", item.depth if isinstance(item, DepthMap) else "")):
             path = Path(name)
-            if path.stem.startswith("frame_") and path.parent.resolve() == folder.resolve():
+            if path.stem.startswith("frame_") and same_place(path.parent, folder):
                 raise ImageError(f"{path}: a {what} must not lie where frames are written; got {folder}")
 
     def is_there(index: int) -> bool:
         content = read_complete(folder, index)
         if content is None:
             return False
-        same = all(content.get(key) == about[key] for key in ("version", "scene_sha256"))
+        if any(content.get(key) != about[key] for key in ("version", "scene_sha256")):
+            return False
         whole = frame_files(index, scene.stereo is not None, files) <= set(content["files"])
         told = content["views"].values() if scene.stereo is not None else [content]
         alike = all(asked_alike(view.get("approximation"), method, tolerance) for view in told)
-        return same and whole and alike and all(precision in (None, view.get("precision")) for view in told)
+        return whole and alike and all(precision in (None, view.get("precision")) for view in told)
 
     left = tuple(index for index in frames if not (resume and is_there(index)))
     return Job(scene, about, folder, left, files, method, tolerance)
@@ -116,9 +123,15 @@ def prepare_all(
     method: str, tolerance: float | None,
 ) -> list[Job]:  # fmt: skip
     """`prepare` for every scene of files, each file with its folder of `folders`. Raises as these and `wanted`."""
+    places = list(zip(planned, folders([path for path, *_ in planned], out), strict=True))
+    for (path, labels, _), folder in places:
+        if path.stem.startswith("frame_") and same_place(path.parent, folder):
+            raise SceneError(f"{path}: a scene file must not lie where frames are written; got {folder}")
+        for label in filter(None, labels):
+            _require_inside(folder / label, folder, path)
     chosen = [
         (plan.scene, folder / label, wanted(plan.scene, span, str(path)))
-        for (path, labels, plans), folder in zip(planned, folders([path for path, *_ in planned], out), strict=True)
+        for (path, labels, plans), folder in places
         for label, plan in zip(labels, plans, strict=True)
     ]
     digests = file_digests(scene for scene, _, _ in chosen)

@@ -41,6 +41,11 @@ class Commands(click.Group):
         except MemoryError:
             click.echo("error: memory: must hold the arrays of the scene; got too little of it", err=True)
             ctx.exit(USER_ERROR)
+        except BrokenPipeError:
+            raise  # who reads the output has had enough, which click takes for an end
+        except OSError as error:
+            click.echo(f"error: {error.filename or 'output'}: must be writable; got {error.strerror}", err=True)
+            ctx.exit(USER_ERROR)
         except ClscoError as error:
             for message in error.messages if isinstance(error, SceneError) else (str(error),):
                 click.echo(f"error: {message}", err=True)
@@ -79,8 +84,7 @@ set_option = click.option(
     help="Set a key of the scene, such as camera.f_number=4 or object.0.radius=30; may be given again.",
 )  # fmt: skip
 truth_option = click.option(
-    "--truth", "files", metavar="npz,exr", type=_truth_files,
-    default="",
+    "--truth", "files", metavar="npz,exr", type=_truth_files, default="",
     help="Also compute the ground truth, and write it in one or both of these formats.",
 )  # fmt: skip
 device_option = click.option(
@@ -137,9 +141,8 @@ def render(
     """
     from clsco.sweep import load_sweeps
 
-    blur = _blur(method, tolerance)
-    loaded = load_sweeps(scenes, overrides)
-    _render_to_folders(loaded, out, files, span, device, precision, blur, memory, resume, quiet)
+    how = (files, span, device, precision, _blur(method, tolerance), memory, resume, quiet)
+    _render_to_folders(load_sweeps(scenes, overrides), out, *how)
 
 
 @main.command()
@@ -379,12 +382,9 @@ def defocus(
     "--report", "folder", metavar="DIR", type=PATH, help="Folder for figures, plots and images of the stages."
 )
 @click.option(
-    "--method",
-    metavar="METHOD",
-    default="auto",
-    show_default=True,
+    "--method", metavar="METHOD", default="auto", show_default=True,
     help="mean-median, biharmonic, texture, or auto for the better of the last two.",
-)
+)  # fmt: skip
 @_number("--threshold", "Values of MASK from this one on are missing; without it they must be 0 and white.")
 @click.option("--estimator", metavar="NAME", help="Of mean-median: scored (default), mean or median.")
 @click.option("--minimum", metavar="NUMBER", type=int, help="Of mean-median: known neighbors that a pixel needs, 4.")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, overload
 
 import numpy as np
@@ -15,7 +15,7 @@ from clsco.arrays import check_image, on_host
 from clsco.coarse import Coarse, make_spreader
 from clsco.coarsening import METHODS, Told, candidates, check_border, checked_tolerance, estimate, sample_places
 from clsco.device import Session
-from clsco.errors import ImageError, SceneError
+from clsco.errors import DeviceError, ImageError, SceneError
 from clsco.layers import Layers
 from clsco.layout import WIDE_BYTES, Real, Struct, flat, frame_struct, in_parts, structs
 from clsco.memory import Limit, defocus_bytes, limit_of, rows_that_fit, source_bytes
@@ -75,7 +75,8 @@ def defocus(
     """
     model = psf if isinstance(psf, Psf) else parse_psf(psf or {})
     session, host, as_given = on_host(device, image, coc)
-    return as_given(_defocus(session, _checked(*host), model, (method, tolerance), memory, told))
+    with session.telling():
+        return as_given(_defocus(session, _checked(*host), model, (method, tolerance), memory, told))
 
 
 @dataclass(frozen=True)
@@ -168,16 +169,30 @@ def _blurred(
     rows, columns = shape[:2]
     guard = reach(psf, given.largest) + 2 * LANES if blur == "convolve" else 0
     layered = psf.occlusion == "layered" and blur != "convolve"
-    tallest = rows_that_fit(
-        rows, limit, lambda n: defocus_bytes(psf, blur, channels, (rows, columns), guard, ends, least, limit.cores, n),
-        "layered occlusion" if layered else None if least is None else "an approximation",
-    )  # fmt: skip
-    strips = cut(rows, tallest, guard, table_reach(psf, given.largest) + 2)
-    engine = _Engine(session, given, psf, blur, guard, strips, least, places)
-    out = np.empty(shape, np.float32)
-    for strip in strips:
-        engine.defocus(strip, out[strip.inside] if channels > 1 or len(shape) == 2 else out[strip.inside, :, 0])
-    return out, engine.missed()
+    whole = "layered occlusion" if layered else None if least is None else "an approximation"
+
+    def sizes(tall: int) -> dict[str, int]:
+        return defocus_bytes(psf, blur, channels, (rows, columns), guard, ends, least, limit.cores, tall)
+
+    def in_strips(tall: int) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+        strips = cut(rows, tall, guard, table_reach(psf, given.largest) + 2)
+        engine = _Engine(session, given, psf, blur, guard, strips, least, places)
+        out = np.empty(shape, np.float32)
+        for strip in strips:
+            engine.defocus(strip, out[strip.inside] if channels > 1 or len(shape) == 2 else out[strip.inside, :, 0])
+        return out, engine.missed()
+
+    tallest = rows_that_fit(rows, limit, sizes, whole)
+    while True:
+        try:
+            with session.telling():
+                return in_strips(tallest)
+        except DeviceError as error:  # in smaller strips where the device has less memory than it told
+            half = replace(limit, total=sum(sizes(tallest).values()) // 2, given=False)
+            less = rows_that_fit(rows, half, sizes, whole)
+            if not error.short_of_memory or less == tallest:
+                raise
+            tallest = less
 
 
 def image_features(blur: Blur, psf: Psf, largest: float, channels: int, real: Real) -> dict[str, int]:

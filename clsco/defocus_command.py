@@ -8,7 +8,7 @@ from typing import Any
 
 from clsco.depthmaps import check_sizes, inverse_depth, read_depth
 from clsco.errors import ImageError, SceneError
-from clsco.files import refuse, writable_folder
+from clsco.files import refuse, same_place, writable_folder
 from clsco.frame import Frame
 from clsco.images import codec, image_size, write_exr, write_png, write_tiff
 from clsco.scene import DepthMap, Scene
@@ -85,7 +85,7 @@ def prepare_image(scenes: Sequence[Scene], out: Path) -> None:
         raise SceneError(f"{out}: a file takes one image, a folder takes more; got {count}")
     for item in scenes[0].objects:
         for path in (item.texture, item.depth if isinstance(item, DepthMap) else item.texture):
-            if out.resolve() == Path(path).resolve():
+            if same_place(out, path):
                 raise ImageError(f"{out}: must not be the image or the depth that it is made of; got {path}")
     if out.suffix.lower() == ".exr":
         codec(out, "OpenEXR", "exr")

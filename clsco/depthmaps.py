@@ -24,7 +24,6 @@ Array = NDArray[np.float64]
 
 UNITS = ("mm", "m", "inverse_mm", "inverse_m", "disparity", "coc")
 FARTHEST = 1e-12  # inverse depth in 1/mm of what is infinitely far: 0 means that nothing is there
-LARGEST_EXR = 2**29  # values in all channels, which are decoded together
 MOST_ARRAYS = 256  # in an NPZ
 ONE_SURFACE = 1.1  # how many times as far as one end of a gap the other one may be, for a surface to reach across it
 ROUNDING = 1e-6  # of the radius at infinity: float32 files reach it, and pass it by a few times 2^-24
@@ -301,8 +300,6 @@ def _decode_exr(file: BinaryIO) -> NDArray[Any]:
     exr = codec(path, "OpenEXR", "exr")
     parts = exr.File(str(path), header_only=True).parts
     count = sum(len(part.header["channels"]) for part in parts)
-    if count * columns * rows > LARGEST_EXR:
-        refuse(path, f"an EXR must hold at most {LARGEST_EXR} values", f"{count} channels of {columns} x {rows}")
     pages = exr.File(str(path), separate_channels=True).parts
     if len(pages) != len(parts):  # a part that cannot be decoded is left out by the library
         raise ValueError(f"{len(pages)} readable parts of {len(parts)}")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from types import TracebackType
@@ -23,6 +23,7 @@ NO_DEVICE = (
     'install PoCL for the processor with `pip install "clsco[pocl]"`, or your GPU vendor\'s OpenCL driver'
 )
 _POCL = "Portable Computing Language"
+_SHORT_OF_MEMORY = ("ALLOCATION_FAILURE", "OUT_OF_RESOURCES", "OUT_OF_HOST_MEMORY", "INVALID_BUFFER_SIZE")
 _REASONS = (
     "the first GPU",
     "PoCL, as there is no GPU",
@@ -120,12 +121,13 @@ class Session:
     """A context and an in-order queue on one device, with the programs built in it; released by `close` or
     `with`.
 
-    Not to be carried over a fork: PoCL then waits for ever, even with a new session. Start processes by
-    spawning. Safe to share between threads. `queue`: work in this queue and its context, for arrays that live
-    there. Raises DeviceError when the device refuses a context.
+    Not to be carried over a fork: PoCL would wait for ever, even with a new session, so that DeviceError is raised.
+    Start processes by spawning. Safe to share between threads. `queue`: work in this queue and its context, for arrays
+    that live there. Raises DeviceError when the device refuses a context.
     """
 
     def __init__(self, device: Device, profiling: bool = False, queue: cl.CommandQueue | None = None) -> None:
+        _not_forked()
         self.device = device
         self.lock = threading.RLock()
         self.programs: dict[str, Program] = {}
@@ -136,20 +138,34 @@ class Session:
             poclcache.check()
         try:
             if queue is not None:
-                self.context, self.queue = queue.context, queue
+                self.context, self._queue = queue.context, queue
                 return
             self.context = cl.Context([device.handle])
             if profiling:
                 timed = cl.command_queue_properties.PROFILING_ENABLE
-                self.queue = cl.CommandQueue(self.context, properties=timed)
+                self._queue = cl.CommandQueue(self.context, properties=timed)
             else:
-                self.queue = cl.CommandQueue(self.context)
+                self._queue = cl.CommandQueue(self.context)
         except cl.Error as error:
-            raise DeviceError(f"device {device}: must open a context and a queue; got {error}") from error
+            raise failure(device, "open a context and a queue", error) from error
+
+    @property
+    def queue(self) -> cl.CommandQueue:
+        """The queue; raises DeviceError in a fork of the process that has opened it."""
+        _not_forked()
+        return self._queue
 
     def compiling(self) -> AbstractContextManager[None]:
-        """To be held while the driver may compile: no other process then writes to its cache."""
-        return poclcache.exclusive() if self.device.is_pocl else nullcontext()
+        """To be held while the driver may compile: no other process then writes to its cache.
+
+        Raises DeviceError where the disk is so full that PoCL would abort.
+        """
+        if not self.device.is_pocl:
+            return nullcontext()
+        if not poclcache.has_room():
+            rule = f"the folder {os.environ[poclcache.VARIABLE]} must have {poclcache.ROOM >> 20} MiB for kernels"
+            raise DeviceError(f"device {self.device}: {rule}; got a full disk")
+        return poclcache.exclusive()
 
     def close(self) -> None:
         """Wait for the queue and let go of the programs; the context goes when its last buffer does."""
@@ -164,7 +180,30 @@ class Session:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
+        if error is None:
+            with self.telling():
+                self.close()
+            return
+        with suppress(cl.Error, DeviceError):  # what came first is told
+            self.close()
+        if isinstance(error, cl.Error):
+            raise failure(self.device, "go on", error) from error
+
+    @contextmanager
+    def telling(self) -> Iterator[None]:
+        """Have what OpenCL raises in the block told as a DeviceError, when nothing runs any more that reads arrays."""
+        try:
+            yield
+        except BaseException as error:
+            self.settle()
+            if isinstance(error, cl.Error):
+                raise failure(self.device, "go on", error) from error
+            raise
+
+    def settle(self) -> None:
+        """Wait for the queue, whatever has come of it: arrays and buffers may go then."""
+        with suppress(cl.Error, DeviceError):
+            self.queue.finish()
 
 
 # A context and its built programs, kept because they take longer than a small image does.
@@ -178,6 +217,24 @@ def session_on(device: Device) -> Session:
 def session_of(queue: cl.CommandQueue) -> Session:
     """A session that works in a queue, the same one as long as it is among the last four."""
     return Session(described(queue.device), queue=queue)
+
+
+def failure(device: Device, what: str, error: cl.Error | OSError) -> DeviceError:
+    """The error to raise where a device fails: `what` it must do, and what OpenCL raised."""
+    short = isinstance(error, cl.MemoryError | OSError) or any(word in str(error) for word in _SHORT_OF_MEMORY)
+    return DeviceError(f"device {device}: must {what}; got {error}", short_of_memory=short)
+
+
+_process: int | None = None  # the one in which OpenCL was asked for the first time
+
+
+def _not_forked() -> None:
+    """Raise DeviceError in a fork of a process that has asked OpenCL for anything: PoCL would wait for ever."""
+    global _process
+    _process = _process or os.getpid()
+    if _process != os.getpid():
+        rule = "OpenCL must be used in the process that began to, or in others that are started by spawning"
+        raise DeviceError(f"device: {rule}; got a fork of process {_process}")
 
 
 def _rank(device: Device) -> int:
@@ -208,7 +265,11 @@ def _by_pyopencl(specification: str) -> cl.Device:
 
 
 def _devices() -> tuple[Device, ...]:
-    poclcache.prepare()  # PoCL reads the variable when its platform is first asked for
+    _not_forked()
+    try:
+        poclcache.prepare()  # PoCL reads the variable when its platform is first asked for
+    except OSError as error:
+        raise DeviceError(f"device: PoCL must have a folder for compiled kernels; got {error}") from error
     try:
         platforms = cl.get_platforms()
     except cl.LogicError:  # the loader's word for no driver at all

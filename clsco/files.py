@@ -13,6 +13,8 @@ from typing import BinaryIO, NoReturn
 
 from clsco.errors import ImageError
 
+_RUN = secrets.token_hex(4)  # tells this process from an earlier one of the same number: in a container it is always 1
+
 
 def refuse(path: Path, rule: str, got: object, cause: Exception | None = None) -> NoReturn:
     """Raise ImageError with the one line `path: rule; got value`; an error as the value gives its reason."""
@@ -89,16 +91,26 @@ def writable_folder(path: str | os.PathLike[str]) -> Path:
 def remove_stale(folder: str | os.PathLike[str]) -> None:
     """Remove temporary files and folders of processes that no longer run on this machine: killed while they wrote."""
     for path in Path(folder).glob(".*.part"):
-        process = path.name.split(".")[-2].split("-")[0]
         try:
-            os.kill(int(process), 0)
+            process, run = path.name.split(".")[-2].split("-")[:2]
+            if int(process) != os.getpid():
+                os.kill(int(process), 0)
+                continue  # alive
+            if run == _RUN:
+                continue  # of another thread
         except ProcessLookupError:
-            if path.is_dir() and not path.is_symlink():
-                shutil.rmtree(path, ignore_errors=True)
-            else:
-                remove(path)
+            pass
         except (OSError, ValueError, OverflowError):
             continue  # alive and somebody else's, or no file of ours
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            remove(path)
+
+
+def same_place(path: str | os.PathLike[str], other: str | os.PathLike[str]) -> bool:
+    """Whether two paths, which need not exist, are one after all symbolic links; a link to itself is only itself."""
+    return os.path.realpath(path) == os.path.realpath(other)
 
 
 def sha256(path: Path) -> str:
@@ -109,4 +121,4 @@ def sha256(path: Path) -> str:
 
 def _temporary(path: Path) -> Path:
     """Name a hidden file that nobody else uses, in the same folder: only there is replacing atomic."""
-    return path.parent / f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.part"
+    return path.parent / f".{path.name}.{os.getpid()}-{_RUN}-{secrets.token_hex(4)}.part"

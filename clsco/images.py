@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import json
+import logging
 import os
 import stat
 import struct
@@ -24,6 +25,8 @@ from clsco.png import GREY, GREY_ALPHA, PALETTE, RGB_ALPHA, SIGNATURE, checked_p
 
 MAX_PIXELS = 2**27
 MAX_SIDE = 65536
+LARGEST_EXR = 2**29  # values in all channels, which are decoded together
+logging.getLogger("tifffile").addHandler(logging.NullHandler())  # what it finds is told as an error, and once
 
 IMAGE_FORMATS = {
     ".png": "PNG",
@@ -272,12 +275,17 @@ def _decode_tiff(file: BinaryIO) -> NDArray[Any]:
 
 
 def _exr_size(file: BinaryIO) -> tuple[int, int]:
-    header = codec(_path(file), "OpenEXR", "exr").File(str(file.name), header_only=True).header()
+    parts = codec(_path(file), "OpenEXR", "exr").File(str(file.name), header_only=True).parts
+    header, count = parts[0].header, sum(len(part.header["channels"]) for part in parts)
     window, display = ([corner.tolist() for corner in header[name]] for name in ("dataWindow", "displayWindow"))
     if window != display:
         refuse(_path(file), f"the data window must be the display window, {display}", window)
     (left, top), (right, bottom) = window
-    return right - left + 1, bottom - top + 1
+    columns, rows = right - left + 1, bottom - top + 1
+    if count * columns * rows > LARGEST_EXR and columns * rows <= MAX_PIXELS:  # else its size is told
+        got = f"{count} channels of {columns} x {rows}"
+        refuse(_path(file), f"an EXR must hold at most {LARGEST_EXR} values", got)
+    return columns, rows
 
 
 def _decode_exr(file: BinaryIO) -> NDArray[Any]:
@@ -402,7 +410,26 @@ def write_exr(path: str | os.PathLike[str], *views: Mapping[str, NDArray[Any]], 
         (planes,) = pixels
         content = exr.File(header, planes)
     with whole_file(Path(path)) as file:
-        content.write(file)
+        told = _Told(file)
+        content.write(told)
+        if told.error is not None:
+            raise told.error
+
+
+class _Told:
+    """A file that keeps the error of a write: OpenEXR drops that of its last one, of the table of lines."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self.file = file
+        self.error: OSError | None = None
+        self.seek, self.tell = file.seek, file.tell
+
+    def write(self, part: bytes) -> int:
+        try:
+            return self.file.write(part)
+        except OSError as error:
+            self.error = error
+            raise
 
 
 def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import ImageError
-from clsco.files import refuse, writable_folder
+from clsco.files import refuse, same_place, writable_folder
 from clsco.images import codec, image_size, read_image, write_exr, write_png, write_tiff
 
 SUFFIXES = (".png", ".tif", ".tiff", ".exr")
@@ -63,7 +63,7 @@ def prepare_out(out: Path, image: Path, mask: Path, is_float: bool | None = None
     if suffix not in SUFFIXES or out.is_dir():
         refuse(out, f"must be a file that ends in one of {' '.join(SUFFIXES)}", repr(out.suffix))
     for path in (image, mask):
-        if out.resolve() == path.resolve():
+        if same_place(out, path):
             raise ImageError(f"{out}: must not be the image or the mask that it is made of; got {path}")
     if is_float and suffix == ".png":
         refuse(out, "a PNG holds codes; for floats it must end in .tif, .tiff or .exr", f"the floats of {image}")

@@ -28,6 +28,7 @@ except ImportError:  # Windows, where PoCL is not shipped
 VARIABLE = "POCL_CACHE_DIR"
 LOCK = "clsco.lock"
 LIST = "clsco.json"
+ROOM = 16 * 2**20  # bytes; the largest program takes some 2 MB
 _LARGEST = 64 * 2**20
 """Bytes; a larger cache is emptied, since PoCL never removes what older versions of the kernels left."""
 
@@ -44,11 +45,23 @@ def prepare(environ: MutableMapping[str, str] = os.environ) -> None:
         return
     try:
         root = Path(environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        environ[VARIABLE] = str(_made(root / "clsco" / f"pocl-{_versions()}"))
+        folder = _made(root / "clsco" / f"pocl-{_versions()}")
+        if has_room(folder):
+            environ[VARIABLE] = str(folder)
+            return
     except (OSError, RuntimeError):  # read-only, full, or a user without a home
-        root = Path(tempfile.mkdtemp(prefix="clsco-"))
-        atexit.register(shutil.rmtree, root, ignore_errors=True)
-        environ[VARIABLE] = str(_made(root / "clsco" / "pocl"))
+        pass
+    root = Path(tempfile.mkdtemp(prefix="clsco-"))
+    atexit.register(shutil.rmtree, root, ignore_errors=True)
+    environ[VARIABLE] = str(_made(root / "clsco" / "pocl"))
+
+
+def has_room(folder: Path | None = None) -> bool:
+    """Whether programs can be compiled into a folder, by default PoCL's, which ends the process on a full disk."""
+    try:
+        return shutil.disk_usage(folder or _folder()).free >= ROOM
+    except OSError:  # a folder of the user's that is not there yet
+        return True
 
 
 def check() -> int:
@@ -63,7 +76,7 @@ def check() -> int:
         recorded = _recorded(folder)
         found = {}
         for name in _names(folder):
-            with suppress(FileNotFoundError):  # PoCL moves its temporary files without our lock
+            with suppress(OSError):  # PoCL moves its temporary files without our lock; what cannot be read is removed
                 found[name] = [(folder / name).stat().st_size, _sum(folder / name)]
         programs = {_program(name) for name in found}
         bad = {
@@ -158,6 +171,8 @@ def _program(name: str) -> str:
 
 
 def _sum(path: Path) -> int:
+    if not path.is_file():  # to open a pipe would block for ever
+        raise FileNotFoundError(path)
     return zlib.crc32(path.read_bytes())
 
 
@@ -173,17 +188,19 @@ def _record(folder: Path) -> None:
     recorded = _recorded(folder)
     sums: _Sums = {}
     for name in _names(folder):
-        with suppress(FileNotFoundError):
+        with suppress(OSError):
             status = (folder / name).stat()
             key = [status.st_size, status.st_mtime_ns]
             known = recorded.get(name)
             sums[name] = known if known is not None and known[:2] == key else [*key, _sum(folder / name)]
     if sums != recorded:
         temporary = folder / f"{LIST}.new"
-        temporary.write_text(json.dumps(sums), "utf-8")
-        temporary.replace(folder / LIST)
+        with suppress(OSError):  # a full disk: what is not recorded is compiled anew
+            temporary.write_text(json.dumps(sums), "utf-8")
+            temporary.replace(folder / LIST)
     for left in folder.glob("tempfile_*"):
-        left.unlink(missing_ok=True)
+        with suppress(OSError):
+            left.unlink()
 
 
 def _wipe(folder: Path) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import DTypeLike, NDArray
 
-from clsco.device import Program, Session
+from clsco.device import Program, Session, failure
 from clsco.errors import DeviceError, KernelError
 from clsco.resources import folder
 
@@ -108,8 +108,8 @@ def launch(
                 session.queue.finish()  # the compiler runs in the queue, not in the call
             session.compiled.add(shape)
             return event
-    except (cl.MemoryError, cl.RuntimeError) as error:
-        raise DeviceError(f"device {session.device}: must run {kernel.function_name}; got {error}") from error
+    except cl.Error as error:
+        raise failure(session.device, f"run {kernel.function_name}", error) from error
 
 
 def upload(session: Session, array: NDArray[Any]) -> cl.Buffer:
@@ -128,8 +128,8 @@ def upload(session: Session, array: NDArray[Any]) -> cl.Buffer:
     flags = cl.mem_flags.USE_HOST_PTR if in_place else cl.mem_flags.COPY_HOST_PTR
     try:
         return cl.Buffer(session.context, cl.mem_flags.READ_ONLY | flags, hostbuf=packed)
-    except (cl.MemoryError, cl.RuntimeError) as error:
-        raise _no_memory(session, packed.nbytes) from error
+    except cl.Error as error:
+        raise failure(session.device, f"have memory for a buffer of {packed.nbytes} bytes", error) from error
 
 
 def copied(session: Session, array: NDArray[Any]) -> cl.Buffer:
@@ -143,8 +143,8 @@ def copied(session: Session, array: NDArray[Any]) -> cl.Buffer:
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR  # sooner than by a command in the queue
     try:
         return cl.Buffer(session.context, flags, hostbuf=packed)
-    except (cl.MemoryError, cl.RuntimeError) as error:
-        raise _no_memory(session, packed.nbytes) from error
+    except cl.Error as error:
+        raise failure(session.device, f"have memory for a buffer of {packed.nbytes} bytes", error) from error
 
 
 def empty(session: Session, size: int) -> cl.Buffer:
@@ -156,8 +156,8 @@ def empty(session: Session, size: int) -> cl.Buffer:
         if session.device.unified_memory and size >= LARGE and sys.platform == "linux":
             return cl.Buffer(session.context, flags | cl.mem_flags.USE_HOST_PTR, hostbuf=_in_large_pages(size))
         return cl.Buffer(session.context, flags, max(size, 1))  # OpenCL knows no empty buffer
-    except (cl.MemoryError, cl.RuntimeError, OSError) as error:
-        raise _no_memory(session, size) from error
+    except (cl.Error, OSError) as error:
+        raise failure(session.device, f"have memory for a buffer of {size} bytes", error) from error
 
 
 def _in_large_pages(size: int) -> NDArray[np.uint8]:
@@ -183,8 +183,8 @@ def download_into(session: Session, buffer: cl.Buffer, array: NDArray[Any]) -> N
     if array.nbytes:
         try:
             cl.enqueue_copy(session.queue, array, buffer, is_blocking=True)
-        except (cl.MemoryError, cl.RuntimeError) as error:
-            raise DeviceError(f"device {session.device}: must give results back; got {error}") from error
+        except cl.Error as error:
+            raise failure(session.device, "give results back", error) from error
 
 
 @contextmanager
@@ -198,8 +198,8 @@ def mapped(session: Session, buffer: cl.Buffer, shape: Sequence[int]) -> Iterato
         array, _ = cl.enqueue_map_buffer(
             session.queue, buffer, flags, 0, tuple(shape), np.dtype(np.float32), is_blocking=True
         )
-    except (cl.MemoryError, cl.RuntimeError) as error:
-        raise DeviceError(f"device {session.device}: must give results back; got {error}") from error
+    except cl.Error as error:
+        raise failure(session.device, "give results back", error) from error
     try:
         yield array
     finally:
@@ -262,7 +262,7 @@ def _built(session: Session, where: str, text: str, options: list[str]) -> Progr
         try:
             built = cl.Program(session.context, text).build(options)
             return {kernel.function_name: kernel for kernel in built.all_kernels()}
-        except (cl.RuntimeError, cl.MemoryError, cl.LogicError) as error:
+        except cl.Error as error:
             raise KernelError(f"{where}: must build on {session.device}; got\n{error}") from error
 
 
@@ -271,7 +271,3 @@ def _check_size(session: Session, size: int) -> None:
         raise DeviceError(
             f"device {session.device}: a buffer must be at most {session.device.max_alloc} bytes; got {size}"
         )
-
-
-def _no_memory(session: Session, size: int) -> DeviceError:
-    return DeviceError(f"device {session.device}: must have memory for a buffer; got none for {size} bytes")

@@ -9,13 +9,14 @@ from typing import Any
 
 from clsco.depthmaps import load_scene_depths
 from clsco.device import Session, choose
+from clsco.errors import DeviceError
 from clsco.frame import STEREO_NAMES, TRUTH_NAMES, Frame
 from clsco.memory import Limit, device_bytes, fitted, hit_bytes, limit_of, parse_size
 from clsco.motion import Eye
-from clsco.plan import Plan, make_plan
+from clsco.plan import Maps, Plan, make_plan
 from clsco.renderer import Hits, Renderer, expose
 from clsco.scene import Scene
-from clsco.textures import load_scene_textures
+from clsco.textures import Texture, load_scene_textures
 
 # Keys of the camera that change what a lens makes of a hit, and not what a ray hits.
 LENS_KEYS = ("f_number", "aperture_diameter", "focus_distance", "sensor_distance")
@@ -115,26 +116,58 @@ def _render_group(
     device = session.device
     whole = limit_of(memory, device.global_mem, device.max_alloc, device.compute_units, device.unified_memory)
     limit = replace(whole, views=len(eyes))
-    lockstep = _in_lockstep(plans, limit)
-    if not lockstep:
-        for k, of_eyes in enumerate(plans):
-            fitting = [fitted(plan, limit) for plan in of_eyes]
-            renderers = [Renderer(session, plan, textures, maps[k], limit, precision) for plan in fitting]
-            for index in wanted:
-                for number in range(len(renderers)):
-                    yield k, _together(renderers[number : number + 1], index)[0]
-            renderers.clear()  # before those of the next scene take memory
-        return
+    numbers, done = list(wanted), 0
+    try:
+        with session.telling():
+            for found in _in_turns(session, _in_lockstep(plans, limit), textures, maps, limit, precision, numbers):
+                done += 1
+                yield from found
+    except DeviceError as error:
+        if not error.short_of_memory:
+            raise
+    left = numbers[done:]
+    for k, of_eyes in enumerate(plans if left else ()):
+        for views in _in_strips(session, of_eyes, textures, maps[k], limit, precision, left):
+            yield from ((k, frame) for frame in views)
+
+
+def _in_turns(
+    session: Session, lockstep: Sequence[Sequence[Plan]], textures: Sequence[Texture], maps: Sequence[Maps],
+    limit: Limit, precision: str | None, wanted: Sequence[int],
+) -> Iterator[list[tuple[int, Frame]]]:  # fmt: skip
+    """Of plans per eye and lens that share their rays, all frames of each number; of no plans none."""
     together = []
     for of_lenses in lockstep:
         hits = Hits(session)
         pairs = zip(of_lenses, maps, strict=True)
         together.append([Renderer(session, plan, textures, m, limit, precision, hits) for plan, m in pairs])
-    for index in wanted:
+    for index in wanted if together else ():
         rendered = [_together(renderers, index) for renderers in together]
-        for k, pair in enumerate(zip(*rendered, strict=True)):
-            for frame in pair:
-                yield k, frame
+        yield [(k, frame) for k, views in enumerate(zip(*rendered, strict=True)) for frame in views]
+
+
+def _in_strips(
+    session: Session, of_eyes: Sequence[Plan], textures: Sequence[Texture], maps: Maps, limit: Limit,
+    precision: str | None, wanted: Sequence[int],
+) -> Iterator[list[Frame]]:  # fmt: skip
+    """The views of each frame of one scene; in smaller strips where the device has less memory than it told."""
+    renderers: list[Renderer] = []
+    fitting = [fitted(plan, limit) for plan in of_eyes]
+    for index in wanted:
+        views: list[Frame] = []
+        while not views:
+            try:
+                with session.telling():
+                    renderers = renderers or [Renderer(session, p, textures, maps, limit, precision) for p in fitting]
+                    views = [_together([renderer], index)[0] for renderer in renderers]
+            except DeviceError as error:
+                renderers = []  # before those for smaller strips take memory
+                taken = device_bytes(fitting[0], limit.cores, limit.views)
+                limit = replace(limit, total=min(limit.total, taken) // 2, given=False)
+                before, fitting = fitting, [fitted(plan, limit) for plan in of_eyes]
+                if not error.short_of_memory or fitting == before:
+                    raise
+        yield views
 
 
 def _in_lockstep(plans: Sequence[tuple[Plan, ...]], limit: Limit) -> list[list[Plan]]:

@@ -7,6 +7,7 @@ import json
 import os
 import re
 import reprlib
+import stat
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -281,6 +282,9 @@ def _read(where: str) -> dict[str, Any]:
     if kind not in (".toml", ".json"):
         raise SceneError(f"{where}: a scene file must end in .toml or .json")
     try:
+        mode = Path(where).stat().st_mode
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # to open a pipe would block for ever
+            raise SceneError(f"{where}: must be a file; got a device or a pipe")
         with open(where, "rb") as file:
             content = file.read(MAX_FILE_BYTES + 1)
     except (OSError, ValueError) as error:
@@ -324,7 +328,7 @@ def override(data: dict[str, Any], overrides: Sequence[str], where: str) -> None
         parsed = _value(value.strip())
         _displace(data, ".".join(parts), parsed)
         if (fault := _put(data, parts, parsed)) is not None:
-            messages.append(f"{where}: override {text}: {fault}")
+            messages.append(f"{where}: override {_brief(text)}: {fault}")
     if messages:
         raise SceneError(messages)
 
@@ -344,15 +348,16 @@ def _put(data: dict[str, Any], parts: list[str], value: Any) -> str | None:
     for position, part in enumerate(parts):
         last = position == len(parts) - 1
         if isinstance(node, list):
-            if not (part.isdecimal() and int(part) < len(node)):
-                return f"{'.'.join(parts[:position])} has {len(node)} entries, counted from 0; got {part}"
+            if not (part.isdecimal() and len(part) < 10 and int(part) < len(node)):
+                place = _brief(".".join(parts[:position]))
+                return f"{place} has {len(node)} entries, counted from 0; got {_brief(part)}"
             key: Any = int(part)
         elif isinstance(node, dict):
             key = part
             if not last:
                 node.setdefault(key, {})
         else:
-            return f"{'.'.join(parts[:position])} must be a table; got {shown(node)}"
+            return f"{_brief('.'.join(parts[:position]))} must be a table; got {shown(node)}"
         if last:
             node[key] = value
         else:
@@ -441,7 +446,7 @@ def key_name(loc: Sequence[Any]) -> str:
 def shown(value: Any) -> str:
     """A value on one short line, as a scene file would write it where that is possible."""
     if isinstance(value, str):
-        return json.dumps(value if len(value) <= 60 else value[:57] + "...", ensure_ascii=not value.isprintable())
+        return json.dumps(_brief(value), ensure_ascii=not value.isprintable())
     if value is None or isinstance(value, bool):
         return json.dumps(value)
     if isinstance(value, int) and value.bit_length() > 128:
@@ -453,3 +458,7 @@ def shown(value: Any) -> str:
     if isinstance(value, list | tuple):
         return f"a list of {len(value)} entries"
     return " ".join(_SHORT.repr(value).split())
+
+
+def _brief(text: str) -> str:
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -173,7 +173,9 @@ def device_tables(
 
 
 def print_tables(*things: RenderableType) -> None:
-    """Print to stdout, as wide as the terminal; without one, as wide as they are."""
+    """Print to stdout, as wide as the terminal; without one, as wide as they are; nothing where stdout is closed."""
+    if sys.stdout is None:
+        return
     width = None if sys.stdout.isatty() else 160
     Console(width=width, markup=False, highlight=False, emoji=False).print(*things, sep="\n")
 
@@ -181,7 +183,7 @@ def print_tables(*things: RenderableType) -> None:
 @contextmanager
 def progress(total: int, quiet: bool, what: str = "frames") -> Iterator[Callable[[], object]]:
     """Show a bar on a terminal, nothing in a pipe; gives what is to be called after each frame, or what it is."""
-    if quiet or not sys.stderr.isatty() or not total:
+    if quiet or sys.stderr is None or not sys.stderr.isatty() or not total:
         yield lambda: None
         return
     columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())

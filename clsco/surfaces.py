@@ -183,14 +183,14 @@ def predict_inverse_depth(
     body = np.tensordot(surface.body_turn, rays, axes=1)
     best = np.zeros_like(a)
     for sign in (1.0, -1.0):
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"):  # what is no number is not kept
             w = (-b + sign * root) / c if c != 0 else -a / (2 * b)
-        keep = np.isfinite(w) & (w > 0) & (b * b >= a * c)
-        if surface.canonical.nappe:
-            keep &= surface.canonical.nappe * (surface.offset[2] * w + d[2]) >= 0
-        if item.bounds is not None:
-            for axis, (low, high) in enumerate(item.bounds):
-                along = surface.body_offset[axis] * w + body[axis]
-                keep &= (along >= low * w) & (along <= high * w)
+            keep = np.isfinite(w) & (w > 0) & (b * b >= a * c)
+            if surface.canonical.nappe:
+                keep &= surface.canonical.nappe * (surface.offset[2] * w + d[2]) >= 0
+            if item.bounds is not None:
+                for axis, (low, high) in enumerate(item.bounds):
+                    along = surface.body_offset[axis] * w + body[axis]
+                    keep &= (along >= low * w) & (along <= high * w)
         best = np.where(keep & (w > best), w, best)
     return best

@@ -109,7 +109,7 @@ def parse_sweep(mapping: Mapping[str, Any], where: str = "scene") -> Sweep:
     axes = [_Axis(location, _values(key_name(location), value, faults)) for location, value in given]
     count = math.prod(max(1, len(axis.values)) for axis in axes)
     if count > MAX_OUTPUTS:
-        names = ", ".join(axis.name for axis in axes)
+        names = ", ".join(axis.name for axis in axes[:4]) + (f" and {len(axes) - 4} more" if len(axes) > 4 else "")
         faults.append(f"{names}: must give at most {MAX_OUTPUTS} scenes in all; got {count}")
     if faults:  # the rest of the file has its faults told, with the first value of every key that has one
         faults += _faults(mapping, axes, [(0,) * len(axes)])[1]
@@ -186,7 +186,12 @@ def _values(name: str, given: Any, faults: list[str]) -> tuple[Any, ...]:
         return ()
     first: dict[str, int] = {}
     for index, value in enumerate(given):
-        if (other := first.setdefault(_word(value, exact=True), index)) != index:
+        try:
+            other = first.setdefault(_word(value, exact=True), index)
+        except RecursionError:
+            faults.append(f"{name}[{index}]: nested too deeply; got {shown(value)}")
+            return ()
+        if other != index:
             faults.append(f"{name}[{index}]: values must differ; {name}[{other}] is the same; got {shown(value)}")
     return tuple(given)
 

@@ -17,6 +17,7 @@ import numpy as np
 import OpenEXR
 import pytest
 
+from clsco import files
 from clsco.errors import ImageError
 from clsco.files import remove_stale, writable_folder
 from clsco.frame import STEREO_NAMES, TRUTH_NAMES, Frame
@@ -257,15 +258,18 @@ def test_unwritable_places(tmp_path: Path) -> None:
 def test_stale_temporary_files_are_removed(tmp_path: Path) -> None:
     with subprocess.Popen([sys.executable, "-c", ""]) as process:
         process.wait()
-    stale, alive = tmp_path / f".a.png.{process.pid}-0.part", tmp_path / f".a.png.{os.getpid()}-0.part"
+    alive = tmp_path / f".a.png.{os.getpid()}-{files._RUN}-0.part"
+    parent = tmp_path / f".a.png.{os.getppid()}-0-0.part"
+    stale = tmp_path / f".a.png.{process.pid}-0-0.part"
+    earlier = tmp_path / f".a.png.{os.getpid()}-0-0.part"  # of a process that had this one's number
     foreign = tmp_path / ".foreign.part"
-    for path in (stale, alive, foreign, tmp_path / "a.part"):
+    for path in (alive, parent, stale, earlier, foreign, tmp_path / "a.part"):
         path.touch()
-    folder = tmp_path / f".frame_0000.{process.pid}-1.part"
+    folder = tmp_path / f".frame_0000.{process.pid}-1-0.part"
     folder.mkdir()
     (folder / "frame_0000.png").touch()
     remove_stale(tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([alive.name, foreign.name, "a.part"])
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([alive.name, parent.name, foreign.name, "a.part"])
 
 
 KILLED = """

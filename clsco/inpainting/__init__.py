@@ -54,8 +54,9 @@ def inpaint(
     Validated bit by bit against `clsco.reference.holes` (tests/test_inpaint.py).
     """
     session, host, as_given = on_host(device, image, missing)
-    filled, report = _inpaint(session, *_checked(*host), method, progress, constants)
-    return as_given(filled), report
+    with session.telling():
+        filled, report = _inpaint(session, *_checked(*host), method, progress, constants)
+        return as_given(filled), report
 
 
 def _checked(picture: NDArray[Any], holes: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:

@@ -1,0 +1,143 @@
+"""An error of OpenCL at every call: the same bits from smaller strips, or one error told, and no torn file."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter as Tally
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import clsco
+from clsco.cli import main
+from clsco.device import session_on
+from clsco.errors import DeviceError, KernelError
+from clsco.files import sha256
+from clsco.framefiles import read_complete
+from tests.faults.opencl import ERRORS, Counter, failing
+
+CAMERA = "[camera]\nresolution = [20, 150]\n"
+SPHERE = '[[object]]\nshape = "sphere"\nradius = 30.0\n'
+SCENES = {
+    "sphere": CAMERA + "f_number = 4\n" + SPHERE,
+    "two frames": CAMERA + "[sequence]\nframes = 2\nsamples = 2\n" + SPHERE + "motion.velocity = [9, 0, 0]\n",
+    "stereo": CAMERA + "[stereo]\nbaseline = 9\n" + SPHERE,
+    "lenses": CAMERA + "f_number = [3, 4]\n" + SPHERE,
+    "forward": CAMERA + '[motion]\nwarp = "forward"\n' + SPHERE + "motion.velocity = [9, 0, 0]\n",
+    "layered": CAMERA + '[psf]\nocclusion = "layered"\n' + SPHERE + '[[object]]\nshape = "plane"\ndistance = 400\n',
+}
+
+
+@pytest.fixture
+def scene(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENES[request.param])
+    return path
+
+
+def rendered(scene: Path, out: Path, counter: Counter) -> tuple[int, dict[str, str]]:
+    """Exit status of `clsco render` with that failing call, and the SHA-256 of its images; checks all else."""
+    words = ["render", str(scene), "-o", str(out), "--truth", "npz", "--quiet"]
+    with failing(counter):
+        result = CliRunner().invoke(main, words)
+    assert result.exception is None or isinstance(result.exception, SystemExit), repr(result.exception)
+    assert result.exit_code in (0, 1, 3)
+    assert bool(result.stderr) == (result.exit_code != 0)
+    if result.exit_code == 3:  # else a kernel does not build, and the compiler's log is told
+        assert len(result.stderr.splitlines()) == 1
+        assert result.stderr.startswith("error: device ")
+        assert "; got " in result.stderr
+    files = [path for path in sorted(out.rglob("*")) if path.is_file()]
+    for path in files:
+        if path.suffix == ".json":
+            assert read_complete(path.parent, int(path.stem[-4:])) is not None
+    described = [path for path in files if path.suffix == ".json"]
+    whole = {path.parent / name for path in described for name in json.loads(path.read_text())["files"]}
+    assert whole == {path for path in files if path.suffix != ".json"}  # no file besides those of whole frames
+    return result.exit_code, {str(path.relative_to(out)): sha256(path) for path in sorted(whole)}
+
+
+def check_every(scene: Path, folder: Path, step: int, after: bool) -> Tally[int]:
+    """Let every `step`-th call fail, in turn with every error; the exit statuses."""
+    count = Counter()
+    assert rendered(scene, folder / "whole", count)[0] == 0
+    status, wanted = rendered(scene, folder / "again", Counter())
+    assert status == 0
+    assert wanted
+    assert {"Buffer", "build", "launch", "finish", "enqueue_copy"} <= set(count.names)
+    statuses: Tally[int] = Tally()
+    for number in range(0, len(count.names), step):
+        error = list(ERRORS)[number // step % len(ERRORS)]
+        for kind in ERRORS if step == 1 else [error]:
+            counter = Counter(number, kind, after)
+            status, files = rendered(scene, folder / f"{number} {kind}", counter)
+            assert counter.has_failed
+            assert files.items() <= wanted.items(), (number, count.names[number], kind)
+            assert status != 0 or files == wanted, (number, count.names[number], kind)
+            assert not (after and status == 0)
+            statuses[status] += 1
+    return statuses
+
+
+@pytest.mark.parametrize("scene", ["sphere"], indirect=True)
+def test_an_error_at_some_calls(scene: Path, tmp_path: Path) -> None:
+    statuses = check_every(scene, tmp_path, 19, after=False)
+    assert statuses[0] > 0
+    assert statuses[3] > 0
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("after", [False, True])
+@pytest.mark.parametrize("scene", SCENES, indirect=True)
+def test_an_error_at_every_call(scene: Path, tmp_path: Path, after: bool) -> None:
+    statuses = check_every(scene, tmp_path, 1, after)
+    print(statuses)
+    assert statuses[3] > 0
+    assert after or statuses[0] > 0 or 'warp = "forward"' in scene.read_text() or "layered" in scene.read_text()
+
+
+RNG = np.random.default_rng(3)
+IMAGE, COC = RNG.random((150, 20), np.float32), RNG.random((150, 20)) * 3
+HOLES = RNG.random((150, 20)) < 0.1
+CALLS: dict[str, Any] = {
+    "defocus": lambda: clsco.defocus(IMAGE, COC),
+    "layered": lambda: clsco.defocus(IMAGE, COC, {"occlusion": "layered"}),
+    "convolve": lambda: clsco.defocus(IMAGE, np.full_like(COC, 3)),
+    "mean-median": lambda: clsco.inpaint(IMAGE, HOLES, method="mean-median")[0],
+    "biharmonic": lambda: clsco.inpaint(IMAGE, HOLES, method="biharmonic")[0],
+    "texture": lambda: clsco.inpaint(IMAGE, HOLES, method="texture")[0],
+}
+
+
+def check_calls(call: Any, step: int) -> None:
+    session_on.cache_clear()
+    wanted = call()
+    count = Counter()
+    with failing(count):
+        np.testing.assert_array_equal(call(), wanted)
+    assert count.names
+    for number in range(0, len(count.names), step):
+        short, told = True, ""
+        kind = list(ERRORS)[number // step % len(ERRORS)]
+        with failing(Counter(number, kind)):
+            try:
+                np.testing.assert_array_equal(call(), wanted)
+            except (DeviceError, KernelError) as error:
+                short = getattr(error, "short_of_memory", True)
+                told = f"{number} {count.names[number]} {kind}: {error}"
+        assert short or kind in ("gone", "invalid"), told
+        np.testing.assert_array_equal(call(), wanted)  # the session is as good as before
+
+
+@pytest.mark.parametrize("name", ["defocus", "mean-median"])
+def test_an_error_at_some_calls_of_an_engine(name: str) -> None:
+    check_calls(CALLS[name], 17)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("name", CALLS)
+def test_an_error_at_every_call_of_an_engine(name: str) -> None:
+    check_calls(CALLS[name], 1)

@@ -1,0 +1,169 @@
+"""Random bad scenes, a million of them on request: python -m tests.hostile.fuzz --cases 1000000
+
+Each case is an example with a few changes (`mutate.py`), validated in this process; it has to give a scene or a
+SceneError whose messages have the form that all messages have and name what was changed, within 5 s, with nothing
+written. One in PLANNED of the scenes that are valid is planned as well, as `clsco validate` does. A case that does not
+is told with its seed and number, which repeat it: --seed S --first N --cases 1. Work is shared by processes, whose
+signals are noticed, too. --what pictures: small images of every format, damaged, read as images and as depths.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+
+from clsco.depthmaps import read_depth
+from clsco.describe import planned_sweep
+from clsco.errors import ClscoError, ImageError, SceneError
+from clsco.images import read_image
+from clsco.scenefile import key_name
+from clsco.sweep import Sweep, load_sweep, parse_sweep
+from tests.hostile.mutate import Case, make_case
+from tests.hostile.pictures import damaged
+from tests.hostile.watch import faults_of, keys_of, start_watching, watched
+
+PLANNED = 4
+MOST_PIXELS = 2**22  # of scenes that are planned here: the work of a plan grows with the frame
+MOST_KIB = 200 * 1024  # that reading a small image may take
+TALLY = ("cases", "refused", "valid", "planned", "failures")
+
+
+def main() -> int:
+    """Run cases, tell of those that fail; 1 where there are any."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cases", type=int, default=1_000_000)
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after so many")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--first", type=int, default=0, help="number of the first case")
+    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--what", choices=("scenes", "pictures"), default="scenes")
+    parser.add_argument("--worker", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--tally", type=Path, help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.worker is not None:
+        return work(range(given.first + given.worker, given.first + given.cases, given.processes), given)
+    start = time.monotonic()
+    python = [sys.executable, "-W", "error", "-X", "faulthandler"]
+    command = [*python, "-m", "tests.hostile.fuzz", *sys.argv[1:], "--processes", str(given.processes)]
+    with tempfile.TemporaryDirectory(prefix="clsco-fuzz-") as folder:
+        tallies = [Path(folder, f"{k}.json") for k in range(given.processes)]
+        workers = [
+            subprocess.Popen([*command, "--worker", str(k), "--tally", str(path)]) for k, path in enumerate(tallies)
+        ]
+        ended = [worker.wait() for worker in workers]
+        read = [json.loads(path.read_text()) for path in tallies]
+    total = {name: sum(tally[name] for tally in read) for name in TALLY}
+    crashed = [f"a process ended with the status {status}" for status in ended if status not in (0, 1)]
+    print(*crashed, sep="\n", end="\n" if crashed else "")
+    told = ", ".join(f"{count} {name}" for name, count in total.items())
+    print(f"seed {given.seed}: {told} in {time.monotonic() - start:.0f} s")
+    return int(any(ended) or bool(total["failures"]))
+
+
+def work(numbers: range, given: argparse.Namespace) -> int:
+    """Run the cases of one process; prints a line for each failure, and writes the tally now and then."""
+    start_watching()
+    tally = dict.fromkeys(TALLY, 0)
+    with tempfile.TemporaryDirectory(prefix="clsco-fuzz-") as folder:
+        end = time.monotonic() + given.seconds
+        for number in numbers:
+            if time.monotonic() > end:
+                break
+            if given.what == "scenes":
+                found = outcome(make_case(given.seed, number), Path(folder), number, tally)
+            else:
+                found = picture_outcome(damaged(given.seed, number), Path(folder), tally)
+            for line in found:
+                tally["failures"] += 1
+                print(f"seed {given.seed}, case {number}: {line}", flush=True)
+            if tally["cases"] % 1000 == 0:
+                given.tally.write_text(json.dumps(tally))
+    given.tally.write_text(json.dumps(tally))
+    return int(tally["failures"] > 0)
+
+
+def outcome(case: Case, folder: Path, number: int, tally: dict[str, int]) -> list[str]:
+    """What is wrong with what comes of a case; counts it."""
+    where, path = "scene", folder / f"case{case.suffix}"
+    if case.text is not None:
+        path.write_bytes(case.text)
+        where = str(path)
+    faults: list[str] = []
+    planned = False
+    with watched() as written:
+        try:
+            sweep = load_sweep(path) if case.text is not None else parse_sweep(case.mapping or {})
+            if number // 64 % PLANNED == 0 and (planned := _is_small(sweep)):
+                where = ""
+                planned_sweep(Sweep(sweep.labels[:2], sweep.scenes[:2]), ())
+            tally["valid"] += 1
+        except SceneError as error:
+            tally["refused"] += 1
+            if not planned:
+                faults += faults_of(error, where) + _unnamed(error, where, case)
+        except ClscoError as error:
+            faults.append(f"{type(error).__name__}, which only files and devices give: {error}")
+        except BaseException as error:
+            last = traceback.extract_tb(error.__traceback__)[-1]
+            what = f"{type(error).__name__}: {ascii(str(error))[:200]}"
+            faults.append(f"{case.base}: {what} at {last.filename}:{last.lineno}")
+    tally["cases"] += 1
+    tally["planned"] += planned
+    return faults + [f"written: {what}" for what in written]
+
+
+def picture_outcome(picture: tuple[str, str, bytes], folder: Path, tally: dict[str, int]) -> list[str]:
+    """What is wrong with what comes of a damaged image, read as an image and as depths; counts it."""
+    name, suffix, content = picture
+    path = folder / f"picture{suffix}"
+    path.write_bytes(content)
+    faults: list[str] = []
+    readers: list[Callable[[Path], object]] = [read_image, read_depth]
+    for read in {".jpg": readers[:1], ".npz": readers[1:]}.get(suffix, readers):
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        with watched() as written:
+            try:
+                read(path)
+                tally["valid"] += 1
+            except ImageError as error:
+                tally["refused"] += 1
+                faults += faults_of(error, str(path))
+            except BaseException as error:
+                faults.append(f"{name}: {type(error).__name__}: {ascii(str(error))[:200]}")
+        grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+        faults += [f"{name}: {grown >> 10} MiB more"] if grown > MOST_KIB else []
+        faults += [f"{name}: written: {what}" for what in written]
+        tally["cases"] += 1
+    return faults
+
+
+def _is_small(sweep: Sweep) -> bool:
+    columns, rows = sweep.scenes[0].camera.resolution or (512, 512)
+    return columns * rows <= MOST_PIXELS
+
+
+def _unnamed(error: SceneError, where: str, case: Case) -> list[str]:
+    """Whether no message of a single change names its key, one of the same table, or one that depends on that table."""
+    if not case.changed:
+        return []
+    path = list(case.changed)
+    while len(path) > 1 and isinstance(path[-1], int):  # a component is of its key
+        path.pop()
+    table, told = key_name(path[:-1] or path), keys_of(error, where)
+    dependent = {"motion": ("fill", "psf"), "object": ("psf",), "camera": ("psf",)}.get(str(case.changed[0]), ())
+    near = any(key.startswith((table, *dependent)) or table.startswith(key) or table in key for key in told)
+    near |= case.changed[-1] == "name" and any(key.endswith(".name") for key in told)  # which must differ
+    return [] if near else [f"changed {key_name(case.changed)}, but the messages name {told[:5]}"]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,134 @@
+"""Small valid images of every format that is read, and their damaged copies, by a seed and a number."""
+
+from __future__ import annotations
+
+import io
+import random
+import struct
+import zipfile
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import imagecodecs
+import numpy as np
+import OpenEXR
+import tifffile
+from numpy.typing import NDArray
+from PIL import Image
+
+Array = NDArray[Any]
+
+
+def encoded(save: Callable[..., object], *arguments: Any, **options: Any) -> bytes:
+    """What `save` writes into a file that it is given first or last."""
+    stream = io.BytesIO()
+    save(stream, *arguments, **options)
+    return stream.getvalue()
+
+
+def exr(compression: int = OpenEXR.ZIP_COMPRESSION, **channels: Array) -> bytes:
+    """An EXR of these channels."""
+    header = {"type": OpenEXR.scanlineimage, "compression": compression}
+    return encoded(OpenEXR.File(header, channels).write)
+
+
+def tiff(data: Array, **options: Any) -> bytes:
+    """A TIFF of gray or RGB."""
+    kind = "rgb" if data.ndim == 3 else "minisblack"
+    return encoded(tifffile.imwrite, data, **{"photometric": kind, "metadata": None, **options})
+
+
+def pfm(data: Array) -> bytes:
+    """A PFM of gray or RGB."""
+    kind = "PF" if data.ndim == 3 else "Pf"
+    return f"{kind}\n{data.shape[1]} {data.shape[0]}\n-1.0\n".encode() + data[::-1].astype("<f4").tobytes()
+
+
+@cache
+def samples() -> dict[str, tuple[str, bytes]]:
+    """Name -> suffix and content: valid images of 12 x 9 pixels."""
+    rng = np.random.default_rng(1)
+    gray, color = rng.integers(0, 256, (9, 12), "u1"), rng.integers(0, 256, (9, 12, 3), "u1")
+    wide, light = rng.integers(0, 65536, (9, 12, 3), "u2"), rng.random((9, 12, 3), np.float32)
+    planes = {name: np.ascontiguousarray(light[..., k]) for k, name in enumerate("RGB")}
+    archive = io.BytesIO()
+    np.savez_compressed(archive, depth=light[..., 0])
+    found = {
+        "gray png": (".png", bytes(imagecodecs.png_encode(gray))),
+        "color png": (".png", encoded(Image.fromarray(color).save, "PNG")),
+        "16-bit png": (".png", bytes(imagecodecs.png_encode(wide))),
+        "palette png": (".png", encoded(Image.fromarray(color).quantize(7).save, "PNG")),
+        "jpeg": (".jpg", encoded(Image.fromarray(color).save, "JPEG")),
+        "progressive jpeg": (".jpg", encoded(Image.fromarray(color).save, "JPEG", progressive=True)),
+        "tiff": (".tif", tiff(gray)),
+        "zlib tiff": (".tif", tiff(wide, compression="zlib", predictor=True)),
+        "lzw tiff": (".tif", tiff(wide, compression="lzw")),
+        "float tiff": (".tif", tiff(light, compression="zstd")),
+        "tiled tiff": (".tif", tiff(color, tile=(16, 16), compression="packbits")),
+        "zip exr": (".exr", exr(OpenEXR.ZIP_COMPRESSION, **planes)),
+        "rle exr": (".exr", exr(OpenEXR.RLE_COMPRESSION, **planes)),
+        "piz exr": (".exr", exr(OpenEXR.PIZ_COMPRESSION, **planes)),
+        "pxr24 exr": (".exr", exr(OpenEXR.PXR24_COMPRESSION, **planes)),
+        "dwaa exr": (".exr", exr(OpenEXR.DWAA_COMPRESSION, **planes)),
+        "half exr": (".exr", exr(OpenEXR.B44_COMPRESSION, **{k: v.astype("f2") for k, v in planes.items()})),
+        "pfm": (".pfm", pfm(light)),
+        "npy": (".npy", encoded(np.save, light)),
+        "npz": (".npz", archive.getvalue()),
+    }
+    return {name: (suffix, bytes(content)) for name, (suffix, content) in found.items()}
+
+
+def damaged(seed: int, number: int) -> tuple[str, str, bytes]:
+    """The damaged copy of this number: name of the sample, suffix, content."""
+    rng = random.Random(f"{seed}:{number}")
+    name = rng.choice(list(samples()))
+    suffix, content = samples()[name]
+    for _ in range(rng.choice((1, 1, 2, 5))):
+        content = rng.choice(DAMAGES)(rng, content)
+    return name, suffix, content
+
+
+def _flip(rng: random.Random, content: bytes) -> bytes:
+    changed = bytearray(content)
+    for _ in range(rng.choice((1, 1, 4)) if changed else 0):
+        changed[rng.randrange(len(changed))] ^= 1 << rng.randrange(8)
+    return bytes(changed)
+
+
+def _in_the_head(rng: random.Random, content: bytes) -> bytes:
+    """Another byte, or a number of 2 or 4 bytes, among the first ones, where sizes and kinds are."""
+    changed = bytearray(content)
+    start = rng.randrange(min(len(changed), 400) or 1)
+    new = rng.choice((
+        rng.randbytes(1), b"\0", b"\xff", struct.pack("<I", rng.choice((0, 1, 2**16, 2**27, 2**31 - 1, 2**32 - 1))),
+        struct.pack(">H", rng.choice((0, 1, 12, 300, 65535))), struct.pack("<Q", rng.choice((0, 2**32, 2**63))),
+    ))  # fmt: skip
+    changed[start : start + len(new)] = new
+    return bytes(changed)
+
+
+def _cut(rng: random.Random, content: bytes) -> bytes:
+    return content[: rng.randrange(len(content) + 1)]
+
+
+def _leave_out(rng: random.Random, content: bytes) -> bytes:
+    start = rng.randrange(len(content) + 1)
+    return content[:start] + content[start + rng.choice((1, 4, 30)) :]
+
+
+def _repeat(rng: random.Random, content: bytes) -> bytes:
+    start = rng.randrange(len(content) + 1)
+    part = content[start : start + rng.choice((1, 12, 200))]
+    return content[:start] + part * rng.choice((2, 50)) + content[start:]
+
+
+DAMAGES: tuple[Callable[[random.Random, bytes], bytes], ...] = (
+    _flip,
+    _in_the_head,
+    _in_the_head,
+    _cut,
+    _leave_out,
+    _repeat,
+)
+assert zipfile.ZIP_DEFLATED  # `numpy.savez_compressed` writes with it
