@@ -40,11 +40,12 @@ class Surface:
 
 @dataclass(frozen=True, eq=False)
 class Depths:
-    """Answers for rays (...): whether they meet the surface, inverse depth in 1/mm, and discriminant and leading
-    coefficient, whose signs decide."""
+    """Answers for rays (...): whether they meet the surface, inverse depth in 1/mm, whether that is the larger root in
+    size, and discriminant and leading coefficient, whose signs decide."""
 
     hit: NDArray[np.bool_]
     w: Wide
+    larger: NDArray[np.bool_]
     discriminant: Wide
     leading: Wide
 
@@ -117,12 +118,13 @@ def solve(of: Surface, x: Wide, y: Wide) -> Depths:
         t = (root - b).where(negative, -root - b)
         along = c[10] * x + c[11] * y + c[12]
         found, w = np.zeros(a.high.shape, bool), wide(np.zeros(a.high.shape))
-        for candidate in (t / c[9] if of.k != 0 else wide(np.zeros(a.high.shape)), a / t):
+        larger = t / c[9] if of.k != 0 else w
+        for candidate in (larger, a / t):
             counts = (discriminant.high >= 0.0) & (candidate.high > 0.0) & (candidate.high < NEAREST)
             counts &= of.nappe * (c[13] * candidate + along).high >= 0.0
             nearer = counts & ((candidate - w).high > 0.0)
             found, w = found | nearer, candidate.where(nearer, w)
-    return Depths(found, w, discriminant, a)
+    return Depths(found, w, found & (w.high == larger.high), discriminant, a)
 
 
 def exactly(high: float, low: float) -> Any:

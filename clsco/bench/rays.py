@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import log, sqrt
 
@@ -15,9 +15,10 @@ from clsco.device import Session
 from clsco.layout import WIDE, WIDE_BYTES, Real, frame_struct, layer_struct, structs, surface_structs, together
 from clsco.motion import pose_at, rest_center
 from clsco.occlusion import Layer
+from clsco.optics import blur_scale, focus_power
 from clsco.program import build, download, empty, kernel, launch, upload
 from clsco.psf import psf_features
-from clsco.scene import Cone, Cylinder, Ellipsoid, Object, ObjectMotion, Plane, Psf, Quadric, Sphere
+from clsco.scene import Camera, Cone, Cylinder, Ellipsoid, Object, ObjectMotion, Plane, Psf, Quadric, Sphere
 from clsco.spread import PIXELS
 from clsco.surfaces import PlacedSurface, place
 
@@ -26,11 +27,12 @@ SIDE = 64  # rays a side of a window
 BAND = 2.0**-20  # of the terms of discriminant and leading coefficient, within which hit or miss may differ
 FARTHEST_RATIO = 1e6  # of distance and size
 REALS: tuple[Real, Real] = ("double", "float")
+ROUNDING = 2.0**-47  # of an operation in single precision (kernels/wide.clh)
 NEARER, MOST_ZOOMS = 32, 3  # each time at an outline, rays are so many times closer together
 FARTHEST_PIXEL = 2**23  # from the axis; frames have up to 2^16 px a side
 # Every shape by one program: what a shape has no use for is 0.
 FEATURES = {"SEVERAL": 0, "QUADRATIC": 1, "LINEAR": 1, "NAPPE": 1, "BOUNDED": 1, "OCCLUDED": 0, "MOVED": 0, "TILT": 0}
-FEATURES |= {"FILTER": 0, "CHANNELS": 1, "SUBPIXELS": 0, "TRUTH": 0, "PINHOLE": 0, "LENSES": 1} | psf_features(Psf())
+FEATURES |= {"FILTER": 0, "CHANNELS": 1, "SUBPIXELS": 0, "TRUTH": 0, "PINHOLE": 1, "LENSES": 1} | psf_features(Psf())
 
 
 @dataclass(frozen=True)
@@ -63,27 +65,43 @@ class Target:
 
 
 class Caster:
-    """Casts windows of rays by the kernel `cast` of kernels/trace.cl, in one precision."""
+    """Casts windows of rays of up to `side` by kernels of kernels/trace.cl, in one precision."""
 
-    def __init__(self, session: Session, real: Real) -> None:
+    def __init__(
+        self, session: Session, real: Real, side: int = SIDE, features: Mapping[str, int] = FEATURES
+    ) -> None:  # fmt: skip
         self.session, self.real = session, real
-        self.kernel = kernel(build(session, ["trace.cl"], FEATURES, structs(real), real), "cast")
-        self.texture, area = upload(session, np.ones((1, 1), np.float32)), SIDE * SIDE
-        self.value, self.w, self.hit = (empty(session, size * area) for size in (4, WIDE_BYTES, 1))
+        self.program = build(session, ["trace.cl"], features, structs(real), real)
+        self.texture, area = upload(session, np.ones((1, 1), np.float32)), side * side
+        self.value, self.wide, self.class_ = (empty(session, size * area) for size in (4, WIDE_BYTES, 1))
+        self.statistics = empty(session, 16)
 
     def __call__(self, target: Target) -> tuple[NDArray[np.bool_], Array]:
         """Whether rays hit (side, side), and inverse depth in 1/mm, all its digits."""
+        self.launch("cast", target)
+        return self._found(target.window.side)
+
+    def blur(self, target: Target, camera: Camera) -> tuple[NDArray[np.bool_], Array]:
+        """Whether rays hit (side, side), and the signed blur radius there in px."""
+        self.launch("pinhole", target, blur_scale=blur_scale(camera), focus_power=focus_power(camera))
+        return self._found(target.window.side)
+
+    def launch(self, name: str, target: Target, **optics: float) -> None:
+        """Run a kernel over the window and wait for it."""
         window = target.window
-        camera = frame_struct(1, 1, 0, self.real, step=window.step)
+        camera = frame_struct(1, 1, 0, self.real, step=window.step, **optics)
         # A frame of one pixel on the axis, with sources on a grid anywhere around it.
         camera["guard"], camera["top"] = -window.column, window.row
         camera["above"], camera["width"], camera["height"] = 0, window.side, window.side
         surfaces = upload(self.session, surface_structs([target.item], [target.placed()], self.real))
-        head = (camera, surfaces, layer_struct(Layer(1, 0), 1), np.float32(1.0), self.texture)
-        shape = (window.side, window.side)
-        launch(self.session, self.kernel, shape, PIXELS, *head, self.value, self.w, self.hit)
-        w = together(download(self.session, self.w, shape, WIDE[self.real]), self.real)
-        return download(self.session, self.hit, shape, np.uint8) > 0, w
+        args = (camera, surfaces, layer_struct(Layer(1, 0), 1), np.float32(1.0), self.texture, self.value, self.wide)
+        last = (self.class_, *((self.statistics,) if name == "pinhole" else ()))
+        launch(self.session, kernel(self.program, name), (window.side,) * 2, PIXELS, *args, *last)
+        self.session.queue.finish()
+
+    def _found(self, side: int) -> tuple[NDArray[np.bool_], Array]:
+        values = together(download(self.session, self.wide, (side, side), WIDE[self.real]), self.real)
+        return download(self.session, self.class_, (side, side), np.uint8) > 0, values
 
 
 def single_depth(hit: NDArray[np.bool_], w: Array) -> NDArray[np.float32]:
@@ -98,28 +116,32 @@ def ulps(found: NDArray[np.float32], exact_w: Wide) -> Array:
     return np.abs(off) / np.spacing(np.abs(exact.high).astype(np.float32)).astype(np.float64)
 
 
-def certain(surface: PlacedSurface, of: oracle.Surface, window: Window, exact: oracle.Depths) -> NDArray[np.bool_]:
-    """Where neither discriminant nor leading coefficient is within BAND of 0, relative to their own terms.
+def certain(target: Target, of: oracle.Surface, exact: oracle.Depths, band: float) -> NDArray[np.bool_]:
+    """Where neither discriminant nor leading coefficient is within `band` of 0, relative to their own terms.
 
     Those of the discriminant are what Lagrange's identity leaves of B^2 - A C: its sign is no rounding there, even
     where both products are 1e12 times their difference.
     """
-    x, y = window.slopes()
+    surface, (x, y) = target.placed(), target.window.slopes()
     d = np.tensordot(np.stack([x.high, y.high, np.ones(x.high.shape)], axis=-1), surface.turn, axes=(-1, 1))
     q, l, o = (np.abs(v) for v in (surface.canonical.q, surface.canonical.l, surface.offset))  # noqa: E741
     m = np.abs(np.cross(np.broadcast_to(surface.offset, d.shape), d))
     d = np.abs(d)
+    # Of a ray through an apex nothing is left but its own rounding.
+    m += ROUNDING * np.linalg.norm(o) * np.linalg.norm(d, axis=-1, keepdims=True)
     a, ld = d**2 @ q, d @ l
     # The oracle's equation is the same up to a factor.
     own, others = (q, of.q) if q.any() else (l, of.l)
     scale = float(np.linalg.norm(own)) / sqrt(sum(float(v) ** 2 for v in others.flat))
     discriminant = np.abs(exact.discriminant.high) * scale**2
     if not q.any():  # a plane: D = (l.d)^2, and the sign is that of l.d
-        return np.asarray(np.sqrt(discriminant) > BAND * ld)
+        return np.asarray(np.sqrt(discriminant) > band * ld)
     i, j = [1, 2, 0], [2, 0, 1]
     mixed = 2.0 * (q * d * (l[i] * m[..., j] + l[j] * m[..., i])).sum(axis=-1)
     terms = abs(surface.canonical.k) * a + m**2 @ (q[i] * q[j]) + ld**2 + mixed
-    return np.asarray((discriminant > BAND * terms) & (np.abs(exact.leading.high) * scale > BAND * a))
+    # Where the leading coefficient vanishes so does the smaller root, whatever its sign; the larger one stays.
+    safe = exact.larger | (np.abs(exact.leading.high) * scale > band * a)
+    return np.asarray((discriminant > band * terms) & safe)
 
 
 # Random targets

@@ -9,7 +9,7 @@ import numpy as np
 
 from clsco.bench import oracle
 from clsco.bench.doubledouble import Wide
-from clsco.bench.rays import FAMILIES, MOST_ZOOMS, REALS, SIDE, Caster, Target, certain, closer, random_target
+from clsco.bench.rays import BAND, FAMILIES, MOST_ZOOMS, REALS, SIDE, Caster, Target, certain, closer, random_target
 from clsco.bench.rays import single_depth, ulps
 from clsco.device import Session
 from clsco.layout import Real
@@ -79,7 +79,7 @@ def _window(
     of = oracle.surface(target.item, target.motion)
     x, y = target.window.slopes()
     exact = oracle.solve(of, x, y)
-    sure = certain(target.placed(), of, target.window, exact)
+    sure = certain(target, of, exact, BAND)
     bits = min(_bits(of, x, y, exact.w, at) for at in rng.integers(SIDE, size=(CHECKED_RAYS, 2)).tolist())
     counted = []
     for row, cast in zip(rows, casters, strict=True):
