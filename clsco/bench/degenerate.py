@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from clsco.bench import oracle
 from clsco.bench.rays import REALS, Caster, Target, Window, certain
-from clsco.device import Session
+from clsco.bench.stability import SINGLE_OR_DOUBLE
+from clsco.device import Device, Session
 from clsco.errors import ClscoError
 from clsco.frame import Frame
 from clsco.layout import Real
@@ -34,7 +35,7 @@ from clsco.scene import (
 
 STEP = 1.0 / 64.0  # slope between rays, so that pixels fall exactly on what cases are about
 ACROSS = 33  # rays a side; the one in the middle is the axis
-# In single precision a pixel may fall on either side of an outline that passes through it up to the rounding of 48 bits.
+# In single precision a ray may fall on either side of an outline that it meets up to the rounding of 48 bits.
 EDGE: dict[Real, float] = {"double": 0.0, "float": 2.0**-40}
 SIDES = {"left": (-1.0, 0.0), "right": (1.0, 0.0), "top": (0.0, 1.0), "bottom": (0.0, -1.0)}
 TURNS = {"": (0.0, 0.0, 0.0), ", turned by 90 deg": (90.0, 0.0, 0.0), ", turned by 180 deg": (0.0, 180.0, 0.0)}
@@ -85,10 +86,11 @@ def _spheres() -> Iterator[tuple[str, Object]]:
 
 def _ellipsoids() -> Iterator[tuple[str, Object]]:
     for axis, thickness in product(range(3), (1e-6, 1e-3, 1e3, 1e6)):
-        semi_axes = tuple(thickness if k == axis else 32.0 for k in range(3))
+        a, b, c = (thickness if k == axis else 32.0 for k in range(3))
         distance = 256.0 + (thickness if axis == 2 else 0.0)
-        yield f"ellipsoid {thickness:g} mm thick along {'xyz'[axis]}", Ellipsoid(
-            semi_axes=semi_axes, center=(0.0, 0.0, distance)
+        yield (
+            f"ellipsoid {thickness:g} mm thick along {'xyz'[axis]}",
+            Ellipsoid(semi_axes=(a, b, c), center=(0.0, 0.0, distance)),
         )
     for side, (x, y) in SIDES.items():
         center = (32.0 * x, 8.0 * y, 256.0)
@@ -100,8 +102,9 @@ def _ellipsoids() -> Iterator[tuple[str, Object]]:
 def _cylinders() -> Iterator[tuple[str, Object]]:
     directions = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "the axis": (0.0, 0.0, 1.0), "x = y = z": (1.0, 1.0, 1.0)}
     for (along, axis), radius in product(directions.items(), (1e-6, 1e-3, 32.0, 1e6)):
-        yield f"cylinder of {radius:g} mm along {along}", Cylinder(
-            radius=radius, axis=axis, center=(0.0, 0.0, 256.0 + 2.0 * radius)
+        yield (
+            f"cylinder of {radius:g} mm along {along}",
+            Cylinder(radius=radius, axis=axis, center=(0.0, 0.0, 256.0 + 2.0 * radius)),
         )
     forward = (0.0, 0.0, 1.0)
     yield "cylinder along the axis with the lens on it", Cylinder(radius=32.0, axis=forward, center=(32.0, 0.0, 256.0))
@@ -131,8 +134,9 @@ def _cones() -> Iterator[tuple[str, Object]]:
     for (angle, half_angle), (where, apex) in product(angles.items(), apexes.items()):
         yield f"cone, {angle}, open away, {where}", Cone(half_angle=half_angle, apex=apex, nappe="away")
         if apex[2] > 0.0:
-            yield f"cone, {angle}, open towards the lens, {where}", Cone(
-                half_angle=half_angle, apex=apex, nappe="towards"
+            yield (
+                f"cone, {angle}, open towards the lens, {where}",
+                Cone(half_angle=half_angle, apex=apex, nappe="towards"),
             )
 
 
@@ -223,22 +227,30 @@ def _wrong(target: Target, hit: NDArray[np.bool_], real: Real) -> tuple[int, int
 
 def scene_of(target: Target) -> Scene:
     """A frame of the rays of a target, one second after rest."""
-    camera = Camera(resolution=(ACROSS, ACROSS), pixel_pitch=20.0 * STEP, f_number=2000.0, focus_distance=250.0)
+    # Nearly a pinhole, so that what is 1e-5 mm away can be shown, too.
+    camera = Camera(resolution=(ACROSS, ACROSS), pixel_pitch=20.0 * STEP, f_number=1e6, focus_distance=250.0)
     item = target.item.model_copy(update={"motion": target.motion})
     sequence = Sequence(interval=2.0, samples=1)  # in the middle of the shutter
     return Scene(camera=camera, objects=(item,), sequence=sequence)
 
 
-def rendered(targets: Mapping[str, Target], device: str | None) -> list[Outcome]:
+def distinct(targets: Mapping[str, Target]) -> dict[str, Target]:
+    """Those that are neither turned nor multiples of others."""
+    return {name: target for name, target in targets.items() if ", turned by" not in name and ", times" not in name}
+
+
+def rendered(targets: Mapping[str, Target], device: Device) -> list[Outcome]:
     """The same by `clsco.render_sweep`, all outputs: a case may be refused, for what its blur would be."""
     found = []
-    for real, precision in (("double", "double"), ("float", "single")):
+    for real in REALS:
+        if real == "double" and not device.has_fp64:
+            continue
         names = list(targets)
         while names:
             scenes = [scene_of(targets[name]) for name in names]
             done = 0
             try:
-                for k, frame in render_sweep(scenes, device=device, precision=precision, frames=(0,)):
+                for k, frame in render_sweep(scenes, device=device.name, precision=SINGLE_OR_DOUBLE[real], frames=(0,)):
                     found.append(_outcome(names[k], targets[names[k]], frame, real))
                     done = k + 1
             except ClscoError as error:

@@ -1,4 +1,4 @@
-"""Depth along rays in 106 bits, from the numbers of a scene by the textbook's formula: what geometry is measured against.
+"""Depth along rays in 106 bits from the numbers of a scene, by the textbook's formula: what geometry is measured by.
 
 Nothing of the package's geometry is used. A surface is one polynomial of second degree in the camera frame, with
 coefficients from mpmath; where B^2 - A C cancels, 106 bits are enough. Validated against mpmath ray by ray
@@ -81,10 +81,10 @@ def _in_own_frame(item: Object) -> tuple[Array, Array, Any, Array, int]:
     assert item.shape != "depth_map"
     center = _vector(item.center)
     if item.shape == "sphere":
-        return still, zero, -mpf(item.radius) ** 2, center, 0
+        return still, zero, -(mpf(item.radius) ** 2), center, 0
     if item.shape == "cylinder":
         axis = _vector(item.axis)
-        return still - np.outer(axis, axis) / (axis @ axis), zero, -mpf(item.radius) ** 2, center, 0
+        return still - np.outer(axis, axis) / (axis @ axis), zero, -(mpf(item.radius) ** 2), center, 0
     if item.shape == "ellipsoid":
         return np.diag(1 / _vector(item.semi_axes) ** 2), zero, mpf(-1), center, 0
     xx, yy, zz, xy, yz, zx, *linear, constant = _vector(item.coefficients)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import log, sqrt
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from clsco.occlusion import Layer
 from clsco.optics import blur_scale, focus_power
 from clsco.program import build, download, empty, kernel, launch, upload
 from clsco.psf import psf_features
+from clsco.quantities import Vector
 from clsco.scene import Camera, Cone, Cylinder, Ellipsoid, Object, ObjectMotion, Plane, Psf, Quadric, Sphere
 from clsco.spread import PIXELS
 from clsco.surfaces import PlacedSurface, place
@@ -83,13 +85,13 @@ class Caster:
 
     def blur(self, target: Target, camera: Camera) -> tuple[NDArray[np.bool_], Array]:
         """Whether rays hit (side, side), and the signed blur radius there in px."""
-        self.launch("pinhole", target, blur_scale=blur_scale(camera), focus_power=focus_power(camera))
+        self.launch("pinhole", target, blur_scale(camera), focus_power(camera))
         return self._found(target.window.side)
 
-    def launch(self, name: str, target: Target, **optics: float) -> None:
-        """Run a kernel over the window and wait for it."""
+    def launch(self, name: str, target: Target, blur_scale: float = 0.0, focus_power: float = 0.0) -> None:
+        """Run a kernel over the window and wait for it; blur_scale in px mm, focus_power in 1/mm of the camera."""
         window = target.window
-        camera = frame_struct(1, 1, 0, self.real, step=window.step, **optics)
+        camera = frame_struct(1, 1, 0, self.real, step=window.step, blur_scale=blur_scale, focus_power=focus_power)
         # A frame of one pixel on the axis, with sources on a grid anywhere around it.
         camera["guard"], camera["top"] = -window.column, window.row
         camera["above"], camera["width"], camera["height"] = 0, window.side, window.side
@@ -147,14 +149,14 @@ def certain(target: Target, of: oracle.Surface, exact: oracle.Depths, band: floa
 # Random targets
 
 
-def _size_and_place(rng: np.random.Generator, ratio: float) -> tuple[float, tuple[float, ...], float]:
+def _size_and_place(rng: np.random.Generator, ratio: float) -> tuple[float, Vector, float]:
     """Size in mm, center at `ratio` sizes, and half the width of a window that shows it, as a slope."""
     size, half = float(np.exp(rng.uniform(-4.0, 6.0))), float(rng.uniform(0.8, 1.6)) / ratio
     # Pixels are numbered from the axis, so what is to be looked at from close by cannot be far off it.
     off_axis = min(0.7, 2.0 * half / SIDE * FARTHEST_PIXEL / NEARER ** float(rng.uniform(0.0, MOST_ZOOMS)))
     towards = np.array([*rng.uniform(-off_axis, off_axis, 2), 1.0])
-    center = towards * (size * ratio / np.linalg.norm(towards))
-    return size, tuple(center.tolist()), half
+    x, y, z = (towards * (size * ratio / np.linalg.norm(towards))).tolist()
+    return size, (x, y, z), half
 
 
 def _any_turn(rng: np.random.Generator) -> ObjectMotion:
@@ -184,7 +186,7 @@ def _plane(rng: np.random.Generator, ratio: float) -> tuple[Object, float]:
 
 def _cone(rng: np.random.Generator, ratio: float) -> tuple[Object, float]:
     _, apex, _ = _size_and_place(rng, ratio)
-    nappe = "away" if rng.random() < 0.5 else "towards"
+    nappe: Literal["away", "towards"] = "away" if rng.random() < 0.5 else "towards"
     return Cone(half_angle=float(rng.uniform(3.0, 85.0)), apex=apex, nappe=nappe), float(rng.uniform(0.05, 0.8))
 
 

@@ -9,8 +9,20 @@ import numpy as np
 
 from clsco.bench import oracle
 from clsco.bench.doubledouble import Wide
-from clsco.bench.rays import BAND, FAMILIES, MOST_ZOOMS, REALS, SIDE, Caster, Target, certain, closer, random_target
-from clsco.bench.rays import single_depth, ulps
+from clsco.bench.rays import (
+    BAND,
+    FAMILIES,
+    MOST_ZOOMS,
+    REALS,
+    SIDE,
+    Caster,
+    Target,
+    certain,
+    closer,
+    random_target,
+    single_depth,
+    ulps,
+)
 from clsco.device import Session
 from clsco.layout import Real
 
@@ -58,9 +70,7 @@ def run(session: Session, rays: int, advance: Callable[[], object], seed: int = 
     casters = [Caster(session, real) for real in REALS if real == "float" or session.device.has_fp64]
     for family in FAMILIES:
         rng = np.random.default_rng(seed)
-        rows = [
-            Found(family, c.real, 0, 0, 0, 0.0, FIGURES[c.real, family in DEFINITE], 0, 0, 106.0) for c in casters
-        ]
+        rows = [Found(family, c.real, 0, 0, 0, 0.0, FIGURES[c.real, family in DEFINITE], 0, 0, 106.0) for c in casters]
         while rows[0].rays < rays / len(FAMILIES):
             target: Target | None = random_target(family, rng)
             for _ in range(1 + int(rng.integers(MOST_ZOOMS + 1))):
