@@ -3,7 +3,7 @@ PYTHON ?= $(shell for python in python3 python3.14 python3.13 python3.12 python3
 	"$$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo "$$python" && break; done)
 BIN := .venv/bin
 
-.PHONY: demo test test-slow lint bench clean
+.PHONY: demo test test-slow laws stability lint bench clean
 
 demo: .venv/pocl.stamp
 	$(BIN)/clsco demo -o demo
@@ -14,6 +14,14 @@ test: .venv/dev.stamp
 
 test-slow: .venv/dev.stamp
 	$(BIN)/python -m pytest -q -n auto --dist loadfile -m slow
+
+# Each law 500 times.
+laws: .venv/dev.stamp
+	$(BIN)/python -m pytest -q -n auto tests/laws --hypothesis-profile=laws -m "slow or not slow"
+
+# Fails where an error is beyond its bound.
+stability: .venv/bench.stamp
+	$(BIN)/clsco bench --stability -o benchmarks/results/stability
 
 lint: .venv/dev.stamp
 	$(BIN)/ruff check .

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from fractions import Fraction
 
+import mpmath
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-
-mpmath = pytest.importorskip("mpmath")
 
 from clsco.bench import oracle
 from clsco.bench.doubledouble import Wide, rounded, wide

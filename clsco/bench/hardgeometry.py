@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from math import nan
 
 import mpmath
 import numpy as np
@@ -113,7 +114,8 @@ def _compared(hit: NDArray[np.bool_], z: Single, exact: oracle.Depths, sure: NDA
     wrong = (sure & (hit != exact.hit)) | other
     same = both & ~other
     at = Wide(exact.w.high[same], exact.w.low[same])
-    return Compared(float(ulps(z[same], at).max(initial=0.0)), int(wrong.sum()), hit.size)
+    worst = float(ulps(z[same], at).max()) if same.any() else nan
+    return Compared(worst, int(wrong.sum()), hit.size)
 
 
 def _around(half: float, side: int = 64) -> Window:

@@ -363,7 +363,7 @@ def large_angles(session: Session) -> HardCase:
     del session
     found = []
     for exponent in range(1, 10):
-        turn = min(1.2345678 * 10.0**exponent, 1e9)
+        turn = min(1.2345679 * 10.0**exponent, 1e9)
         with mpmath.workdps(DIGITS):
             exact = float(mpmath.sin(mpmath.radians(mpmath.mpf(turn))))
         pose = pose_at(ObjectMotion(angular_velocity=(0.0, 0.0, turn)), 1.0, "euler")

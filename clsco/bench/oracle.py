@@ -20,6 +20,7 @@ from clsco.scene import Object, ObjectMotion
 
 Array = NDArray[Any]
 DIGITS = 80
+LOST = 2.0**-98  # of B^2, below which 106 bits cannot tell B^2 - A C from 0
 NEAREST = 1e6  # 1/mm: nearer than 1e-6 mm is nothing
 
 
@@ -111,7 +112,10 @@ def solve(of: Surface, x: Wide, y: Wide) -> Depths:
     c = [Wide(high, low) for high, low in zip(parts.high, parts.low, strict=True)]
     a = (c[0] * x + c[1] * y + c[3]) * x + (c[2] * y + c[4]) * y + c[5]
     b = c[6] * x + c[7] * y + c[8]
-    discriminant = b * b - a * c[9]
+    square = b * b
+    discriminant = square - a * c[9]
+    nothing = np.abs(discriminant.high) < LOST * square.high  # as of a ray through an apex
+    discriminant = wide(np.zeros(a.high.shape)).where(nothing, discriminant)
     root = discriminant.sqrt()
     with np.errstate(all="ignore"):
         negative = b.high < 0.0

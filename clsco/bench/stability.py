@@ -59,7 +59,8 @@ class HardCase:
 
 @dataclass(frozen=True)
 class Compared:
-    """How one form did at some values: the largest error, how many are of another class, and how many there were."""
+    """How one form did at some values: the largest error (nan: all are of another class), how many are of another class,
+    and how many there were."""
 
     error: float
     wrong: int

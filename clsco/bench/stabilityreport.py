@@ -25,7 +25,7 @@ from clsco.files import together
 
 COLORS = {"naive": "#d55e00", "single": "#0072b2", "double": "#000000"}
 LABELS = {"naive": "textbook, float32", "single": "clsco, single", "double": "clsco, double"}
-NO_ERROR = 1e-18  # where the plot shows what a logarithm cannot
+LEAST = 1e-18  # errors below are none
 ACROSS = 5  # panels
 
 
@@ -172,28 +172,39 @@ def plot(cases: Sequence[HardCase]) -> Any:
     from matplotlib.lines import Line2D
 
     down = -(-len(cases) // ACROSS)
-    figure = Figure(figsize=(3.2 * ACROSS, 2.6 * down + 0.8), layout="constrained")
+    figure = Figure(figsize=(3.2 * ACROSS, 2.7 * down + 0.8), layout="constrained")
     panels = figure.subplots(down, ACROSS, squeeze=False).ravel()
     for case, panel in zip(cases, panels, strict=False):
-        for form in FORMS:
-            points = sorted((point.condition, getattr(point, form)) for point in case.points)
-            shown = [(x, max(y, NO_ERROR)) for x, y in points if not math.isnan(y) and math.isfinite(y)]
-            if shown:
-                style = {"markersize": 3 if form == "double" else 4.5, "linewidth": 0.8}
-                line = "" if len(shown) > 50 else "-"
-                panel.plot(*zip(*shown, strict=True), "o" + line, color=COLORS[form], **style)
-        for bound, form in zip(case.bounds, FORMS[1:], strict=True):
-            if bound:
-                panel.axhline(bound, color=COLORS[form], linewidth=0.6, linestyle="--")
-        wide = max(point.condition for point in case.points) > 20 * min(abs(point.condition) for point in case.points)
-        panel.set_xscale("log" if wide and min(point.condition for point in case.points) > 0 else "linear")
-        panel.set(yscale="log", xlabel=case.condition, ylabel=case.unit)
-        panel.set_title(case.name, fontsize=9)
-        panel.tick_params(labelsize=7)
-        panel.grid(alpha=0.3)
+        _panel(panel, case)
     for panel in panels[len(cases) :]:
         panel.set_axis_off()
     handles = [Line2D([], [], color=COLORS[form], marker="o", linewidth=0.8, label=LABELS[form]) for form in FORMS]
+    handles.append(Line2D([], [], color="0.3", marker="v", linestyle="none", label="no error at all"))
     handles.append(Line2D([], [], color="0.3", linestyle="--", linewidth=0.6, label="bound"))
-    figure.legend(handles=handles, loc="outside upper center", ncols=4, fontsize=9)
+    figure.legend(handles=handles, loc="outside upper center", ncols=5, fontsize=9)
     return figure
+
+
+def _panel(panel: Any, case: HardCase) -> None:
+    """One case; errors of 0, which a logarithm cannot show, as triangles at the bottom."""
+    shown = {form: sorted((p.condition, getattr(p, form)) for p in case.points) for form in FORMS}
+    shown = {form: [(x, y) for x, y in points if math.isfinite(y)] for form, points in shown.items()}
+    positive = [y for points in shown.values() for _, y in points if y > LEAST]
+    floor = 0.2 * min(positive, default=1.0)
+    for form, points in shown.items():
+        style = {"color": COLORS[form], "markersize": 3 if form == "double" else 4.5, "linewidth": 0.8}
+        some, none = [p for p in points if p[1] > LEAST], [(x, floor) for x, y in points if y <= LEAST]
+        in_order = len({x for x, _ in some}) == len(some) <= 50
+        for marker, group in (("o-" if in_order else "o", some), ("v", none)):
+            if group:
+                panel.plot(*zip(*group, strict=True), marker, **style)
+    for bound, form in zip(case.bounds, FORMS[1:], strict=True):
+        if bound:
+            panel.axhline(bound, color=COLORS[form], linewidth=0.6, linestyle="--")
+    ends = [point.condition for point in case.points]
+    panel.set_xscale("log" if min(ends) > 0.0 and max(ends) > 20.0 * min(ends) else "linear")
+    panel.set(yscale="log", xlabel=case.condition, ylabel=case.unit)
+    share = f"\ntextbook: {case.wrong[0] / case.values:.1%} of another class" if case.wrong else ""
+    panel.set_title(case.name + share, fontsize=9)
+    panel.tick_params(labelsize=7)
+    panel.grid(alpha=0.3)
