@@ -1,4 +1,4 @@
-"""The oracle: its arithmetic against fractions, its depths against mpmath, and whether it would notice a bad solution."""
+"""The oracle: its arithmetic against fractions, its depths against mpmath, and whether it notices a bad solution."""
 
 from __future__ import annotations
 

@@ -59,8 +59,7 @@ class HardCase:
 
 @dataclass(frozen=True)
 class Compared:
-    """How one form did at some values: the largest error (nan: all are of another class), how many are of another class,
-    and how many there were."""
+    """How one form did: its largest error, nan where all values are of another class, how many are, and of how many."""
 
     error: float
     wrong: int

@@ -27,7 +27,9 @@ def radii(seed: int) -> Array:
     rng = np.random.default_rng(seed)
     i, j = np.mgrid[-1 : 1 : ROWS * 1j, -1 : 1 : COLUMNS * 1j]
     slanted = rng.uniform(-1, 1) * i + rng.uniform(-1, 1) * j + rng.uniform(-2, 2)
-    return np.where(np.hypot(i - rng.uniform(-1, 1), j) < 0.6, rng.uniform(-LARGEST, LARGEST), slanted)
+    found = np.where(np.hypot(i - rng.uniform(-1, 1), j) < 0.6, rng.uniform(-LARGEST, LARGEST), slanted)
+    found[0, :2] = 0, LARGEST  # the same tables for all
+    return found
 
 
 def blurred(image: Array, coc: Array) -> Array:
@@ -70,7 +72,7 @@ def test_no_light_is_lost_or_made(seed: int, radius: float) -> None:
     image, margin = drawn(seed), LARGEST + 1
     image[:margin], image[-margin:], image[:, :margin], image[:, -margin:] = 0, 0, 0, 0
     found = blurred(image, np.full(image.shape, radius))
-    assert found.min() > -1e-12
+    assert found.min() > -1e-6  # tables are cubic in R
     assert abs(found.sum(dtype=float) / image.sum(dtype=float) - 1) < 1e-6
 
 
@@ -108,12 +110,12 @@ def test_front_and_back_blur_alike(seed: int) -> None:
 
 
 @law
-@given(seeds, st.integers(2, 4))
-def test_strips_change_no_bit(seed: int, bands: int) -> None:
-    rows = 64 * bands + 7
+@given(seeds, st.integers(200, 250))
+def test_strips_change_no_bit(seed: int, kib: int) -> None:
+    """Five strips of 64 rows, or three of 128; in one the frame takes more than 250 KiB."""
+    rows = 4 * 64 + 7
     image, coc = drawn(seed, rows, 16), np.resize(radii(seed), (rows, 16))
-    whole = clsco.defocus(image, coc, device="pocl", method=METHOD)
-    cut = clsco.defocus(image, coc, device="pocl", method=METHOD, memory="1MiB")
+    whole, cut = (clsco.defocus(image, coc, device="pocl", method=METHOD, memory=size) for size in (None, kib << 10))
     assert same_bits(whole, cut)
 
 
