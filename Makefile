@@ -3,7 +3,7 @@ PYTHON ?= $(shell for python in python3 python3.14 python3.13 python3.12 python3
 	"$$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo "$$python" && break; done)
 BIN := .venv/bin
 
-.PHONY: demo test test-slow fuzz soak lint bench clean
+.PHONY: demo test test-slow laws fuzz soak stability lint bench clean
 
 demo: .venv/pocl.stamp
 	$(BIN)/clsco demo -o demo
@@ -27,6 +27,14 @@ soak: .venv/dev.stamp
 	$(BIN)/python -m pytest -q -n auto --dist loadfile -m soak
 	$(BIN)/python -m tests.faults.kills --kills $(KILLS)
 	$(BIN)/python -m tests.faults.kills --kills 100 --naive
+
+# Each law 500 times.
+laws: .venv/dev.stamp
+	$(BIN)/python -m pytest -q -n auto tests/laws --hypothesis-profile=laws -m "slow or not slow"
+
+# Fails where an error is beyond its bound.
+stability: .venv/bench.stamp
+	$(BIN)/clsco bench --stability -o benchmarks/results/stability
 
 lint: .venv/dev.stamp
 	$(BIN)/ruff check .

@@ -261,11 +261,12 @@ def validate(scenes: tuple[Path, ...]) -> None:
 @click.option("--compare", is_flag=True, help="Also measure numba, OpenCV and Mitsuba, as far as they are installed.")
 @click.option("--size", "sizes", metavar="PX", type=int, multiple=True, help="Pixels a side; may be given again.")
 @click.option("--radius", "radii", metavar="PX", type=float, multiple=True, help="Largest radius; may be given again.")
+@click.option("--stability", is_flag=True, help="Measure errors of hard cases of numerics instead.")
 @device_option
 @quiet_option
 def bench(
-    out: Path, quick: bool, compare: bool, sizes: tuple[int, ...], radii: tuple[float, ...], device: str | None,
-    quiet: bool,
+    out: Path, quick: bool, compare: bool, sizes: tuple[int, ...], radii: tuple[float, ...], stability: bool,
+    device: str | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Measure speed against error of the defocus pass: bench.json, bench.csv and plots in DIR.
 
@@ -273,28 +274,24 @@ def bench(
     Errors are those of a crop, against the NumPy reference. Cases with long calls are left out, and named in the JSON.
     Whole frames of a sphere are compared with a ray-traced lens, and --compare adds Mitsuba's, and the forward warp
     beside numba's; not where only some sizes or radii are asked for.
+    With --stability errors against an oracle of 106 bits: stability.json, CSV files and a plot.
     """
-    from clsco.bench.cases import make_grid
-    from clsco.bench.peers import require_peers
+    from clsco.bench.command import make_task
     from clsco.files import writable_folder
 
-    grid = make_grid(quick, sizes, radii)
-    tools, missing = require_peers() if compare else ([], {})
+    task = make_task(stability, quick, compare, sizes, radii)
     _require_device(device)
-    from clsco.bench import lens, measure, report
     from clsco.device import choose
     from clsco.show import print_tables, progress
 
-    report.require_matplotlib()
-    for tool, why in missing.items():
-        click.echo(f"{tool}: left out, as {why}", err=True)
-    if grid.lens_size and (absent := lens.missing()):
-        click.echo(f"traced frames: left out, as they need {absent}: pip install 'clsco[bench]'", err=True)
+    for notice in task.notices():
+        click.echo(notice, err=True)
     folder, chosen = writable_folder(out), choose(device)
-    with progress(measure.steps(grid, chosen, tools), quiet, "calls") as advance:
-        measured = measure.run(grid, chosen, tools, advance)
-    report.write(folder, measured)
-    print_tables(*report.tables(measured))
+    with progress(task.steps(chosen), quiet, "calls") as advance:
+        tables, short = task.run(chosen, folder, advance)
+    print_tables(*tables)
+    if short:
+        raise ClscoError(short)
 
 
 def _ratio(text: str) -> float:

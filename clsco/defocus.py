@@ -269,5 +269,5 @@ class _Engine:
             planes = np.pad(planes, widths)
         cl.enqueue_copy(self.session.queue, self.value, planes)
         if self.blur != "convolve":
-            radii = self.given.coc[top:end].astype(np.float64)
+            radii = self.given.coc[top:end].astype(np.float64, order="C")  # that of a transposed array is not
             cl.enqueue_copy(self.session.queue, self.coc, in_parts(radii, self.real))

@@ -39,8 +39,9 @@ def rotation_matrix(angles: NDArray[np.float64], rotation: str) -> NDArray[np.fl
             return np.eye(3)
         x, y, z = -angles / angle
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)
-    (sx, sy, sz), (cx, cy, cz) = np.sin(angles), np.cos(angles)
+        sine, cosine = _sine_cosine(np.asarray(angle))
+        return np.eye(3) + sine * cross + (1.0 - cosine) * (cross @ cross)
+    (sx, sy, sz), (cx, cy, cz) = _sine_cosine(angles)
     return np.array(
         [
             [cy * cz, sx * sy * cz + cx * sz, -cx * sy * cz + sx * sz],
@@ -48,6 +49,13 @@ def rotation_matrix(angles: NDArray[np.float64], rotation: str) -> NDArray[np.fl
             [sy, -sx * cy, cx * cy],
         ]
     )
+
+
+def _sine_cosine(angles: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Sines and cosines, exact for quarter turns: pi/2 in float64 is not quite one, and a plane would tilt."""
+    sines, cosines = np.sin(angles), np.cos(angles)
+    least = np.finfo(np.float64).eps
+    return np.where(np.abs(sines) < least, 0.0, sines), np.where(np.abs(cosines) < least, 0.0, cosines)
 
 
 def pose_at(motion: ObjectMotion, time: float, rotation: str) -> Pose:

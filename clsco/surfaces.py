@@ -120,8 +120,11 @@ def canonical(item: Object) -> Canonical:
         largest = float(axes_mm.max())
         return Canonical((largest / axes_mm) ** 2, zero, largest**2, still, zero)
     assert isinstance(item, Quadric)
-    farthest = FARTHEST_CENTER * float(np.linalg.norm(item.center))
-    return _canonical_quadric(tuple(float(c) for c in item.coefficients), farthest)
+    distance = float(np.linalg.norm(item.center))
+    # Any multiple means the same; this one keeps products of coefficients within float32, and changes no digit.
+    second, first = np.abs(item.coefficients[:6]).max(), np.abs(item.coefficients[6:9]).max()
+    factor = 2.0 ** -int(np.frexp(max(second, first / max(distance, 1.0)))[1])
+    return _canonical_quadric(tuple(factor * c for c in item.coefficients), FARTHEST_CENTER * distance)
 
 
 def place(item: Object, pose: Pose) -> PlacedSurface:

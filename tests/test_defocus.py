@@ -144,6 +144,14 @@ def test_the_same_bits_every_time() -> None:
         assert len({defocus(image, coc, method=method).tobytes() for _ in range(3)}) == 1
 
 
+def test_arrays_may_lie_in_memory_in_any_order() -> None:
+    image, coc = picture(9, 14)
+    expected = defocus(image, coc)
+    turned = defocus(np.asfortranarray(image), np.asfortranarray(coc))
+    np.testing.assert_array_equal(turned, expected)
+    np.testing.assert_array_equal(defocus(image[::-1][::-1], np.repeat(coc, 2, axis=1)[:, ::2]), expected)
+
+
 ONES = np.ones((4, 5), np.float32)
 
 

@@ -118,8 +118,20 @@ def test_random_quadrics_keep_their_equation() -> None:
             parts = terms(item, points)
             # A dropped eigenvalue is some eps of the largest one; the center lies up to |linear| / min |q| = 150 away.
             limit = 64 * EPS * (np.abs(parts).sum(axis=0).max() + 2.0 * (60 + 300) ** 2)
-            found = value(shape, (points - shape.origin) @ shape.axes.T)
-            np.testing.assert_allclose(found, parts.sum(axis=0), rtol=0, atol=limit)
+            found, expected = value(shape, (points - shape.origin) @ shape.axes.T), parts.sum(axis=0)
+            scale = float(np.exp2(np.rint(np.log2(found @ expected / (expected @ expected)))))
+            np.testing.assert_allclose(found / scale, expected, rtol=0, atol=limit)
+
+
+def test_a_multiple_of_a_quadric_is_the_same_surface() -> None:
+    """Squares of 1e20 would leave the range of float32."""
+    coefficients = (0.3, -2.0, 0.7, 0.1, 0.2, -0.4, 3.0, -5.0, 1.0, -90.0)
+    plain = canonical(Quadric(coefficients=coefficients))
+    assert 0.2 < np.abs(plain.q).max() < 4.0
+    for exponent in (-80, -7, 1, 66):
+        scaled = canonical(Quadric(coefficients=tuple(2.0**exponent * c for c in coefficients)))
+        for field in ("q", "l", "k", "axes", "origin"):
+            np.testing.assert_array_equal(getattr(scaled, field), getattr(plain, field))
 
 
 @pytest.mark.parametrize("name", SHAPES)

@@ -154,8 +154,8 @@ def run(grid: Grid, device: Device, tools: Sequence[str], advance: Callable[[], 
     if makes_warps:
         warps = warp.run(device, grid.warp_size, advance)
     settings = asdict(grid) | {"psfs": {name: psf.model_dump() for name, psf in PSFS.items()}, "compare": list(tools)}
-    about, versions = _described(device), _versions(tools)
-    return Bench(about, versions, settings, roof, with_fronts(rows), left_out, _peak_rss(), whole, warps)
+    about = described(device)
+    return Bench(about, versions(tools), settings, roof, with_fronts(rows), left_out, _peak_rss(), whole, warps)
 
 
 def steps(grid: Grid, device: Device, tools: Sequence[str]) -> int:
@@ -325,12 +325,14 @@ def _row(ready: _Ready, roof: Roof, device: Device) -> Row:
     )
 
 
-def _described(device: Device) -> dict[str, Any]:
+def described(device: Device) -> dict[str, Any]:
+    """What reports tell of a device."""
     names = ("name", "platform", "platform_version", "driver", "kind", "compute_units", "global_mem", "has_fp64")
     return {name: getattr(device, name) for name in names}
 
 
-def _versions(tools: Sequence[str]) -> dict[str, str]:
+def versions(tools: Sequence[str]) -> dict[str, str]:
+    """Versions of what a benchmark used, beside Python also those of `tools` of peers."""
     found = {"clsco": __version__, "python": platform.python_version()}
     packages: dict[str, tuple[str, ...]] = {"numba": ("numba",), "Mitsuba": ("mitsuba", "drjit")}
     packages["OpenCV"] = ("opencv-contrib-python-headless", "opencv-python-headless", "opencv-python")

@@ -48,33 +48,34 @@ def write(folder: Path, bench: Bench) -> None:
     """
     if not bench.rows:
         raise ClscoError(f"bench: some case must be short enough; got none, {bench.left_out[0]['why']}")
-    content = _rounded(asdict(bench))
+    content = rounded(asdict(bench))
     with together(folder, "bench") as made:
         (made / "bench.json").write_text(json.dumps(content, indent=1) + "\n", "utf-8")
-        _write_csv(made / "bench.csv", COLUMNS, content["rows"])
+        write_csv(made / "bench.csv", COLUMNS, content["rows"])
         if bench.lens is not None:
-            _write_csv(made / "lens.csv", [field.name for field in fields(LensRow)], content["lens"]["rows"])
+            write_csv(made / "lens.csv", [field.name for field in fields(LensRow)], content["lens"]["rows"])
             lens_plot(bench.lens).savefig(made / "lens.png", dpi=100)
         if bench.warp:
-            _write_csv(made / "warp.csv", [field.name for field in fields(WarpRow)], content["warp"])
+            write_csv(made / "warp.csv", [field.name for field in fields(WarpRow)], content["warp"])
         for name, plot in PLOTS.items():
             plot(bench).savefig(made / name, dpi=100)
 
 
-def _write_csv(path: Path, columns: Sequence[str], rows: Iterable[dict[str, Any]]) -> None:
+def write_csv(path: Path, columns: Sequence[str], rows: Iterable[dict[str, Any]]) -> None:
+    """Write the columns of rows to a CSV file."""
     with open(path, "w", newline="", encoding="utf-8") as file:
         lines = csv.DictWriter(file, columns, extrasaction="ignore", lineterminator="\n")
         lines.writeheader()
         lines.writerows(rows)
 
 
-def _rounded(value: Any) -> Any:
+def rounded(value: Any) -> Any:
     """A tree of JSON values with six digits of each number, more than were measured."""
     if isinstance(value, float):
         return float(f"{value:.6g}")
     if isinstance(value, dict):
-        return {key: _rounded(item) for key, item in value.items()}
-    return [_rounded(item) for item in value] if isinstance(value, list | tuple) else value
+        return {key: rounded(item) for key, item in value.items()}
+    return [rounded(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def tables(bench: Bench) -> list[RenderableType]:

@@ -51,11 +51,11 @@ class WarpRow:
 
 
 class Stages:
-    """The stages of the forward warp of one scene on the device; in float64 where that has it."""
+    """The stages of the forward warp of one scene on the device; real: by default double where that has it."""
 
-    def __init__(self, session: Session, scene: Scene, texture: Array) -> None:
+    def __init__(self, session: Session, scene: Scene, texture: Array, real: Real | None = None) -> None:
         plan = make_plan(scene, 1, ())
-        real: Real = "double" if session.device.has_fp64 else "float"
+        real = real or ("double" if session.device.has_fp64 else "float")
         self.session, self.scene = session, scene
         self.poses = poses_at(scene, scene.sequence.shutter, "left")
         self.surfaces = [place(item, pose) for item, pose in zip(scene.objects, self.poses, strict=True)]

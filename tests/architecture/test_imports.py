@@ -65,6 +65,7 @@ OUTSIDE = {
     "matplotlib": {"bench", "inpainting"},
     "numba": {"bench"},
     "cv2": {"bench"},
+    "mpmath": {"bench"},
     "pydantic": {"quantities", "shapes", "scene", "scenefile"},
 }
 
