@@ -4,8 +4,8 @@ PSNR and SSIM in the holes, and process CPU time (median of three where it takes
 of scikit-image with five kinds of holes. Ours (auto, texture, biharmonic, and the thesis' mean/median with all its
 stages) on the OpenCL device, kernels compiled before; OpenCV's Telea and NS (radius 3), xphoto's FSR and SHIFTMAP;
 scikit-image's biharmonic. python -m benchmarks.inpainting_speed times the thesis' method and NS in turns.
-FSR best takes 20 to 50 times as long as FSR fast, SHIFTMAP 2 to 10 times: they fill the cases of --slow only, with
---slow all every one, which takes more than an hour. Figures go to the terminal and to benchmarks/results/NAME.json and
+FSR best takes 10 to 40 times as long as FSR fast, SHIFTMAP up to 15 times: they fill the cases of --slow only, with
+--slow all every one, which takes most of an hour. Figures go to the terminal and to benchmarks/results/NAME.json and
 NAME.md. --images takes any picture of skimage.data by name.
 """
 
