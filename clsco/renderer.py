@@ -103,15 +103,8 @@ class Renderer:
         self.texture = upload(session, texture_planes([texture.radiance for texture in stack], plan.channels))
         self.held: list[cl.Buffer] = []  # what queued launches still read: the host runs ahead of the device
         self.camera = self._camera(plan.strips[0])
-        psf, prepare = plan.scene.psf, plan.forward or plan.occlusion == "layered"
-        # As the programs are built: that stays when the range of radii turns out to be larger than predicted.
-        self.blur_features = blur_features(plan.blur, psf, plan.largest_blur, self.real, prepare)
-        features = plan.features() | self.blur_features | {"TRUTH": int(bool(plan.truth))}
-        features["LENSES"] = int(hits is not None)
-        features["PINHOLE"] = int(plan.occlusion == "layered" and not plan.forward)
-        features |= {f"TRUTH_{name.upper()}": int(name in self._truth_names()) for name in TRUTH_BUFFERS}
-        declared = structs(self.real)
-        self.program = build(session, ["trace.cl", *FILES_OF[plan.blur]], features, declared, self.real)
+        self.lenses = int(hits is not None)
+        self.built: dict[str, int] = {}
         self.forward = None
         if plan.forward:
             at_rest = self._placed_at(rest_poses(plan.scene))
@@ -125,6 +118,20 @@ class Renderer:
         """Outputs of ground_truth; a forward warp makes its own focused image."""
         return [n for n in TRUTH_BUFFERS if n in self.plan.truth and not (n == "sharp" and self.plan.forward)]
 
+    def _build(self) -> dict[str, int]:
+        """The program for the range of radii, again where a larger one needs other kernels; what it is built with."""
+        plan = self.plan
+        prepare = plan.forward or plan.occlusion == "layered"
+        features = plan.features() | blur_features(plan.blur, plan.scene.psf, self.largest, self.real, prepare)
+        features |= {"TRUTH": int(bool(plan.truth)), "LENSES": self.lenses}
+        features["PINHOLE"] = int(plan.occlusion == "layered" and not plan.forward)
+        features |= {f"TRUTH_{name.upper()}": int(name in self._truth_names()) for name in TRUTH_BUFFERS}
+        if features != self.built:
+            files = ["trace.cl", *FILES_OF[plan.blur]]
+            self.program = build(self.session, files, features, structs(self.real), self.real)
+            self.built = features
+        return features
+
     def _allocate(self) -> None:
         """Buffers whose size depends on the range of radii and on the number of silhouette pixels."""
         plan, session = self.plan, self.session
@@ -132,11 +139,11 @@ class Renderer:
             vars(self).pop(name, None)  # before the larger ones take memory
         self.strips = plan.strips
         self.camera = self._camera(self.strips[0])
-        area, features = plan.width * plan.tallest, plan.features()
+        area, features = plan.width * plan.tallest, self._build()
         least = METHODS[self.approximations[0]] if self.approximations else None
         self.spreader = make_spreader(
             session, self.program, plan.scene.psf, plan.blur, self.camera, plan.channels, self.smallest, self.largest,
-            plan.silhouettes, self.real, self.brightest, features | self.blur_features, least,
+            plan.silhouettes, self.real, self.brightest, features, least,
             sample_places(plan.rows, plan.columns),
         )  # fmt: skip
         marked = bool(features["SUBPIXELS"] or features["OCCLUDED"])
@@ -152,8 +159,7 @@ class Renderer:
         self.sub_value = empty(session, 4 * plan.channels * self.slots * each)
         self.slabs: Layers | None = None
         if plan.occlusion == "layered":
-            chosen = features | self.blur_features
-            self.slabs = Layers(session, self.spreader, chosen, self.largest, self.real, self.brightest)
+            self.slabs = Layers(session, self.spreader, features, self.largest, self.real, self.brightest)
             self.coc, self.valid = empty(session, WIDE_BYTES * area), empty(session, area)
 
     def _poses(self, time: float) -> tuple[Pose, ...]:

@@ -283,7 +283,7 @@ def test_wrong_calls(tmp_path: Path) -> None:
 
 
 def test_radii_beyond_the_prediction_are_rendered_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The programs are those of the narrow blur that was predicted; buffers and tables grow."""
+    """Kernels are built anew where a wider blur needs others; buffers and tables grow."""
     rendering = import_module("clsco.render")
     predict = rendering.make_plan
 
