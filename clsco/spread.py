@@ -130,7 +130,8 @@ class Spreader:
         if method == "scatter":
             wide = session.device.has_int64_atomics
             gain = TILT_GAIN * (GAIN + GAIN_PER_LOG * log(max(largest, 1.0)))
-            self.scale = 2.0 ** (40 if wide else 31) / (max(brightest, 1e-30) * (1.0 if wide else gain))
+            most = 2.0 ** (40 if wide else 31) / (max(brightest, 1e-30) * (1.0 if wide else gain))
+            self.scale = min(most, 2.0**126)  # a float32, also where there is no light at all
             self.sums = empty(session, sizes["sums"])
 
     def clear(self) -> None:

@@ -136,9 +136,10 @@ def test_a_case_needs_a_finite_error_within_its_bound(error: float, reached: boo
 
 
 def test_a_shortfall_ends_the_command(measured: Stability, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("matplotlib")
+    figure = pytest.importorskip("matplotlib.figure")
     worse = replace(measured, cases=[replace(measured.cases[0], bounds=(0.1, 0.1))])
     monkeypatch.setattr(stabilityreport, "run", lambda *given: worse)
+    monkeypatch.setattr(stabilityreport, "plot", lambda cases: figure.Figure())
     words = ["bench", "-o", str(tmp_path / "out"), "--stability", "--quick", "--device", "pocl"]
     result = CliRunner().invoke(main, words)
     assert result.exit_code == 1

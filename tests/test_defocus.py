@@ -144,6 +144,15 @@ def test_the_same_bits_every_time() -> None:
         assert len({defocus(image, coc, method=method).tobytes() for _ in range(3)}) == 1
 
 
+@pytest.mark.parametrize("method", ["gather", "scatter", "tiles", "convolve"])
+@pytest.mark.parametrize("brightest", [0.0, 1e-36])
+def test_hardly_any_light_is_hardly_any_light(method: str, brightest: float) -> None:
+    image, coc = picture(12, 9)
+    radii = np.full_like(coc, 1.5) if method == "convolve" else coc
+    found = defocus(image * np.float32(brightest), radii, method=method)
+    assert np.abs(found).max() <= 1.001 * brightest * image.max()
+
+
 def test_arrays_may_lie_in_memory_in_any_order() -> None:
     image, coc = picture(9, 14)
     expected = defocus(image, coc)
