@@ -32,6 +32,7 @@ from tests.mutation.mutants import Mutant, mutants
 ROOT = Path(__file__).resolve().parents[2]
 REASONS = Path(__file__).with_name("survivors.toml")
 COPIED = ("clsco", "kernels", "tests", "examples", "benchmarks", "docs", "pyproject.toml", "README.md", "Makefile")
+NONE_SELECTED = 5  # pytest's status
 NOT_BUILT = ("must build on", "SyntaxError")  # what says that a mutant is no program
 TESTS = {
     "clsco/optics.py": "test_optics test_plan reference/test_geometry",
@@ -52,7 +53,7 @@ TESTS = {
     "mean_median.cl": "kernels/test_fill kernels/test_forward",
     "neighbors.clh": "kernels/test_blur test_defocus kernels/test_layer",
     "occlusion.clh": "kernels/test_occlusion pipeline/test_occlusion",
-    "reproject.cl": "kernels/test_reproject kernels/test_forward",
+    "reproject.cl": "kernels/test_reproject kernels/test_forward pipeline/test_scenes",
     "rows.clh": "kernels/test_blur test_defocus",
     "score.cl": "kernels/test_holes kernels/test_fill",
     "sight.clh": "kernels/test_occlusion kernels/test_blur pipeline/test_occlusion",
@@ -95,16 +96,16 @@ class Copy:
             "PYTHONPATH": str(self.tree), "PYTHONDONTWRITEBYTECODE": "1", "POCL_CACHE_DIR": str(self.cache),
         }  # fmt: skip
 
-    def tested(self, names: list[str], timeout: float) -> tuple[int | None, str]:
-        """Exit status of tests, None past the time, and the end of what they print."""
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "--tb=short", "-n", "0", "-p", "no:cacheprovider", *names]
+    def tested(self, names: list[str], timeout: float, marked: str) -> tuple[int | None, str]:
+        """Exit status of tests, 0 also where none is marked so, None past the time, and what they print."""
+        command = [sys.executable, "-m", "pytest", "-x", "-q", "--tb=short", "-n", "0", "-p", "no:cacheprovider"]
         done = subprocess.Popen(
-            command, cwd=self.tree, env=self.environ, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+            [*command, "-m", marked, *names], cwd=self.tree, env=self.environ, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
             start_new_session=True,
         )  # fmt: skip
         try:
             out, _ = done.communicate(timeout=timeout)
-            return done.returncode, out
+            return (0 if done.returncode == NONE_SELECTED else done.returncode), out
         except subprocess.TimeoutExpired:
             return None, ""
         finally:
@@ -112,13 +113,16 @@ class Copy:
                 os.killpg(done.pid, signal.SIGKILL)
                 done.wait()
 
-    def tried(self, mutant: Mutant, timeout: float) -> tuple[str, float]:
+    def tried(self, mutant: Mutant, timeout: float, marks: tuple[str, ...]) -> tuple[str, float]:
         """What came of a mutant, and the seconds that it took."""
         path, begun = self.tree / mutant.file, time.monotonic()
         text, known = path.read_text("utf-8"), set(self.cache.glob("*/*"))
         path.write_text(mutant.of(text), "utf-8")
         try:
-            status, out = self.tested(tests_of(mutant.file), timeout)
+            for marked in marks:
+                status, out = self.tested(tests_of(mutant.file), timeout, marked)
+                if status != 0:
+                    break
         finally:
             path.write_text(text, "utf-8")
             for entry in set(self.cache.glob("*/*")) - known:  # no other mutant has these kernels
@@ -153,12 +157,14 @@ def main() -> int:
     parser.add_argument("--share", type=int, default=1, metavar="N", help="one of N mutants")
     parser.add_argument("--seed", type=int, default=1, help="which ones")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--timeout", type=float, default=300.0, metavar="SECONDS", help="of a mutant")
+    parser.add_argument("--timeout", type=float, default=300.0, metavar="SECONDS", help="of a mutant, at least")
+    parser.add_argument("--slow", action="store_true", help="survivors against what is marked slow as well")
     parser.add_argument("--until", type=float, default=float("inf"), metavar="MINUTES", help="begin no mutant later")
     parser.add_argument("-o", "--output", type=Path, default=Path("mutation.json"))
     options = parser.parse_args()
     reasons = {entry["mutant"]: entry["reason"] for entry in tomllib.loads(REASONS.read_text("utf-8"))["survivor"]}
     selected, end = chosen(options.files, options.share, options.seed), time.monotonic() + 60 * options.until
+    marks = ("not slow", "slow") if options.slow else ("not slow",)
     results: list[dict[str, object]] = []
     seconds: dict[str, float] = {}
     checking = threading.Lock()
@@ -169,7 +175,7 @@ def main() -> int:
             with checking:
                 for name in (name for name in names if name not in seconds):
                     begun = time.monotonic()
-                    status, out = copy.tested([name], 10 * options.timeout)
+                    status, out = copy.tested([name], 10 * options.timeout, " or ".join(marks))
                     if status != 0:
                         raise RuntimeError(f"{name} must pass without a change; got {status}\n{out[-2000:]}")
                     seconds[name] = round(time.monotonic() - begun, 1)
@@ -181,7 +187,8 @@ def main() -> int:
             copy = free.get()
             try:
                 check(copy, tests_of(mutant.file))
-                outcome, spent = copy.tried(mutant, options.timeout)
+                usual = sum(seconds[name] for name in tests_of(mutant.file))
+                outcome, spent = copy.tried(mutant, max(options.timeout, 4 * usual), marks)
             finally:
                 free.put(copy)
             return {

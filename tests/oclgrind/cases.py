@@ -1,0 +1,256 @@
+"""What is run on Oclgrind: small scenes and images that ask for every pair of features, in many shapes.
+
+A scene is drawn from CHOICES; its features are those that clsco itself compiles its kernels for. All features together
+would be too many (over 10^6); of drawn scenes those are taken that add pairs of features until no drawn one adds any.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.coarsening import METHODS
+from clsco.defocus import defocus, image_features
+from clsco.errors import SceneError
+from clsco.forward import forward_features
+from clsco.frame import STEREO_NAMES, TRUTH_NAMES
+from clsco.inpainting import inpaint
+from clsco.plan import Plan, make_plan
+from clsco.render import render_sweep
+from clsco.scene import (
+    Camera, Cone, Cylinder, DepthMap, Fill, Motion, Object, ObjectMotion, Plane, Psf, Quadric, Scene, Sequence as Frames,
+    Sphere, Stereo,
+)  # fmt: skip
+from clsco.spread import blur_features
+from clsco.textures import Texture
+
+Array = NDArray[Any]
+# Rows and columns: single pixels and lines, odd and even, less than a vector of 8 or 16, whole ones, and one more.
+SHAPES = (
+    (1, 1), (1, 2), (2, 1), (1, 7), (7, 1), (1, 16), (17, 1), (2, 2), (3, 3), (2, 9), (5, 4), (4, 8), (8, 5), (7, 7), (6, 9),
+    (8, 8), (3, 15), (9, 6), (2, 17), (5, 11), (1, 31), (3, 23), (10, 3), (32, 1),
+)  # fmt: skip
+DRAWN, SEED = 500, 1
+SLOW = ObjectMotion(velocity=(0.3, -0.2, 3.0), angular_velocity=(3.0, -2.0, 5.0))
+FAR = Plane(distance=300.0, slope_x=0.2, name="far")
+BALL = Sphere(center=(0.5, 0.3, 230.0), radius=2.0)
+OBJECTS: dict[str, tuple[Object, ...]] = {
+    "card": (Plane(distance=280.0),),
+    "plane": (FAR,),
+    "bounded plane": (FAR.model_copy(update={"bounds": ((-2.0, 2.5), (-1.5, 2.0), (-9.0, 9.0))}),),
+    "ball": (BALL,),
+    "cylinder": (Cylinder(center=(0.0, 0.1, 270.0), radius=2.0, axis=(1.0, 0.2, 0.3)),),
+    "cone": (Cone(apex=(0.0, 0.0, 240.0), half_angle=20.0),),
+    "paraboloid": (Quadric(center=(0.0, 0.0, 260.0), coefficients=(1, 2, 0, 0.3, 0, 0, 0, 0, -20, 0)),),
+    "ball before plane": (BALL, FAR),
+    "three": (BALL, FAR, Cone(apex=(1.0, 0.0, 150.0), half_angle=5.0, bounds=((-9.0, 9.0), (-9.0, 9.0), (-9.0, 9.0)))),
+    "map": (DepthMap(depth="map.npy", center=(0.1, 0.0, 260.0)),),
+    "map before plane": (DepthMap(depth="map.npy", center=(0.1, 0.0, 260.0)), FAR),
+}
+CHOICES: dict[str, Sequence[Any]] = {
+    "objects": list(OBJECTS),
+    "shape": SHAPES,
+    "model": ("pillbox", "gaussian"),
+    "edge": ("integrated", "area", "sampled"),
+    "tilt": (True, False),
+    "silhouette_samples": (1, 2, 3, 4),
+    "occlusion": (None, "layered", "none"),
+    "border": ("lose", "lose", "renormalize"),
+    "motion": (None, None, "bicubic", "bilinear", "nearest", "forward", "forward"),
+    "fill": ("ait", "mean_median", "none"),
+    "domain": ("surface", "span"),
+    "stereo": (False, False, True),
+    "channels": (1, 3),
+    "method": ("auto", "auto", "gather", "scatter", "tiles", "coarse2"),
+    "truth": ("none", "all", "one", "some"),
+    "lenses": (1, 1, 2),
+    "precision": ("double", "double", "single"),
+    "aperture": (0.0001, 0.6, 1.2),  # mm: in focus, and |R| of about 1 and 2 px
+    "device": ({}, {}, {"kind": "gpu"}, {"has_int64_atomics": False}, {"compute_units": 3}),
+    "seed": range(1000),
+}
+Drawn = dict[str, Any]
+Pair = tuple[tuple[str, Any], tuple[str, Any]]
+
+
+@dataclass(frozen=True)
+class Case:
+    """Something to run on a device like `device`; about: what it was drawn as."""
+
+    name: str
+    device: dict[str, Any]
+    run: Callable[[], list[Array]]
+    about: str = ""
+
+
+def scenes_of(drawn: Drawn) -> list[Scene]:
+    """The scene, once for each lens. Raises ValueError where these choices do not go together."""
+    psf = {key: drawn[key] for key in ("model", "edge", "tilt", "silhouette_samples", "border")}
+    psf |= {"occlusion": drawn["occlusion"]} if drawn["occlusion"] else {}
+    sections: dict[str, Any] = {"psf": Psf(**psf)}
+    items = OBJECTS[drawn["objects"]]
+    if drawn["motion"] is not None:
+        items = tuple(item.model_copy(update={"motion": SLOW}) for item in items)
+        forward = drawn["motion"] == "forward"
+        sections["motion"] = Motion(warp="forward") if forward else Motion(texture_filter=drawn["motion"])
+        sections["sequence"] = Frames(samples=1 + drawn["seed"] % 2)
+        if forward:
+            sections["fill"] = Fill(method=drawn["fill"], domain=drawn["domain"])
+    if drawn["stereo"]:
+        sections["stereo"] = Stereo(baseline=5.0, toe_in=0.5 * (drawn["seed"] % 2))
+    rows, columns = drawn["shape"]
+    found = []
+    for lens in range(drawn["lenses"]):
+        camera = Camera(resolution=(columns, rows), pixel_pitch=0.05, aperture_diameter=drawn["aperture"] * 0.8**lens)
+        found.append(Scene(camera=camera, objects=items, **sections))
+    return found
+
+
+def truth_of(drawn: Drawn) -> tuple[str, ...]:
+    names = (*TRUTH_NAMES, *STEREO_NAMES)
+    few = {"one": 1, "some": 4}.get(drawn["truth"], 0)
+    return names if drawn["truth"] == "all" else tuple(random.Random(drawn["seed"]).sample(names, few))
+
+
+def plans_of(drawn: Drawn) -> list[Plan]:
+    """Plans of the eyes of the first lens. Raises SceneError where a method cannot do the scene."""
+    scene, gpu = scenes_of(drawn)[0], drawn["device"].get("kind") == "gpu"
+    eyes = ("left", "right") if scene.stereo else ("left",)
+    depths = [depth_of(drawn) if item.shape == "depth_map" else None for item in scene.objects]
+    how = (drawn["channels"], truth_of(drawn), drawn["method"])
+    return [make_plan(scene, *how, eye, depths, None, gpu) for eye in eyes]  # type: ignore[arg-type]
+
+
+def features_of(drawn: Drawn) -> dict[str, Any]:
+    """What decides what of the kernels is compiled and run, of all eyes."""
+    found: dict[str, Any] = {"precision": drawn["precision"], "lenses": drawn["lenses"], "device": str(drawn["device"])}
+    for plan in plans_of(drawn):
+        real = "double" if drawn["precision"] == "double" else "float"
+        prepare = plan.forward or plan.occlusion == "layered"
+        found |= plan.features() | blur_features(plan.blur, plan.scene.psf, plan.largest_blur, real, prepare)  # type: ignore[arg-type]
+        found |= {"OCCLUDED": min(found["OCCLUDED"], 2), "blur": plan.blur, "occlusion": plan.occlusion}
+        found |= {f"TRUTH_{name}": name in plan.truth for name in (*TRUTH_NAMES, *STEREO_NAMES)}
+        found["coarse"] = bool(plan.approximations)
+        if plan.forward:
+            found |= forward_features(plan, drawn["device"].get("kind") != "gpu") | {"samples": plan.samples}
+    return found
+
+
+def depth_of(drawn: Drawn) -> Array:
+    """Inverse depth of a card, uneven and with nothing on its left."""
+    rows, columns = drawn["shape"]
+    w = np.random.default_rng(43).uniform(1 / 262.0, 1 / 258.0, (rows, columns))
+    w[:, : columns // 4] = 0.0
+    return w
+
+
+def rendered(drawn: Drawn) -> list[Array]:
+    """All images of the scenes; where textures and depth maps are read is patched by the caller."""
+    options: Any = {"precision": drawn["precision"], "method": drawn["method"], "truth": truth_of(drawn)}
+    found: list[Array] = []
+    for _, frame in render_sweep(scenes_of(drawn), device="oclgrind", **options):
+        found += [value for value in vars(frame).values() if isinstance(value, np.ndarray)]
+    return found
+
+
+def textures_of(scene: Scene, channels: int) -> tuple[Scene, tuple[Texture, ...]]:
+    assert scene.camera.resolution is not None
+    columns, rows = scene.camera.resolution
+    shape = (rows, columns) if channels == 1 else (rows, columns, channels)
+    rng = np.random.default_rng(41)
+    return scene, tuple(Texture(rng.random(shape).astype(np.float32), 8, str(k)) for k in range(len(scene.objects)))
+
+
+def pairs_of(features: dict[str, Any]) -> set[Pair]:
+    return set(combinations(sorted(features.items(), key=lambda item: item[0]), 2))
+
+
+def drawn_scenes() -> tuple[list[Drawn], int, int]:
+    """The scenes, of how many that can be, and how many pairs of features they have."""
+    rng, known = random.Random(SEED), []
+    while len(known) < DRAWN:
+        drawn = {key: rng.choice(values) for key, values in CHOICES.items()}
+        try:
+            known.append((drawn, pairs_of(features_of(drawn))))
+        except (SceneError, ValueError):
+            continue
+    wanted: set[Pair] = set().union(*(pairs for _, pairs in known))
+    count, taken = len(wanted), []
+    while wanted:
+        best = max(known, key=lambda one: len(one[1] & wanted))
+        taken.append(best[0])
+        wanted -= best[1]
+    return taken, len(known), count
+
+
+def image_cases() -> Iterator[Case]:
+    """`defocus` of images: each method with each PSF, 1 to 4 channels."""
+    methods: tuple[str, ...] = ("gather", "scatter", "tiles", "convolve", list(METHODS)[0])
+    number = 0
+    for method in methods:
+        for model in ("pillbox", "gaussian"):
+            for edge in ("integrated", "area", "sampled"):
+                for occlusion in ("none", "layered"):
+                    if occlusion == "layered" and (method == "convolve" or edge == "area"):
+                        continue
+                    number += 1
+                    psf = Psf(model=model, edge=edge, occlusion=occlusion, tilt=number % 3 > 0)  # type: ignore[arg-type]
+                    yield _image_case(number, method, psf)
+    for method in ("gather", "scatter", "tiles"):
+        number += 1
+        yield _image_case(number, method, Psf(border="renormalize", tilt=number % 2 > 0))
+
+
+def _image_case(number: int, method: str, psf: Psf) -> Case:
+    rows, columns = SHAPES[number % len(SHAPES)]
+    channels = number % 4 + 1
+    rng = np.random.default_rng(number)
+    image = rng.random((rows, columns, channels)).astype(np.float32) * (10.0 if number % 5 == 0 else 1.0)
+    largest = 1.8 if method in ("tiles", "scatter") else 3.2
+    coc = rng.choice([-1.0, 1.0], (rows, columns)) * rng.uniform(0.6, largest, (rows, columns))
+    if method == "convolve":
+        coc[:] = 1.9
+    if method in METHODS:
+        coc *= 2.0
+    changes = ({}, {"kind": "gpu"}, {"has_fp64": False}, {"has_int64_atomics": False})[number % 4]
+    about = f"{method} {psf.model} {psf.edge} tilt={psf.tilt} {psf.occlusion} {psf.border} {rows}x{columns}x{channels} {changes}"
+    return Case(f"image {number}", changes, lambda: [defocus(image, coc, psf, device="oclgrind", method=method)], about)
+
+
+def inpainting_cases() -> Iterator[Case]:
+    number = 0
+    for method in ("mean-median", "biharmonic", "texture"):
+        for shape in ((1, 2), (2, 9), (5, 4), (9, 17), (12, 13), (1, 31)):
+            for codes in (True, False):
+                number += 1
+                yield _inpainting_case(number, method, shape, codes)
+
+
+def _inpainting_case(number: int, method: str, shape: tuple[int, int], codes: bool) -> Case:
+    channels = number % 4 + 1
+    rng = np.random.default_rng(number)
+    image = (255 * rng.random((*shape, channels))).astype(np.uint8 if codes else np.float32)
+    missing = rng.random(shape) < 0.3
+    missing.flat[0], missing.flat[-1] = True, False
+    changes: dict[str, Any] = {"kind": "gpu"} if number % 3 == 0 else {}
+    about = f"{method} {shape} codes={codes} channels={channels} {changes}"
+    return Case(f"inpainting {number}", changes, lambda: [inpaint(image, missing, method=method, device="oclgrind")[0]], about)
+
+
+def all_cases() -> tuple[list[Case], str]:
+    """The cases, and what scenes were drawn, in words."""
+    taken, drawn, pairs = drawn_scenes()
+    found = [
+        Case(f"scene {k}", one["device"], lambda one=one: rendered(one), str(one))  # type: ignore[misc]
+        for k, one in enumerate(taken)
+    ]
+    return [*found, *image_cases(), *inpainting_cases()], f"{len(taken)} of {drawn} scenes have all {pairs} pairs"
+
+
+__all__ = ["Case", "all_cases", "depth_of", "image_features", "replace", "textures_of"]

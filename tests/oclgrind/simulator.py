@@ -1,0 +1,87 @@
+"""Oclgrind, which interprets kernels and sees what they read and write: how to start it, and what it has to be spared."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+import pyopencl as cl
+
+from clsco import program
+from clsco.device import Device, choose
+
+LIBRARIES = sorted(Path("/usr/lib").glob("**/oclgrind/liboclgrind-rt.so"))
+INSTALL = "oclgrind: must be installed (Debian and Ubuntu: apt-get install oclgrind); got no liboclgrind-rt.so in /usr/lib"
+INSTEAD = Path(__file__).with_name("simulator.clh")
+MOST_REPORTS = 40  # in a log
+
+
+def environ(log: Path) -> dict[str, str]:
+    """Variables of a process in which Oclgrind is one of the platforms."""
+    if not LIBRARIES:
+        raise FileNotFoundError(INSTALL)
+    return os.environ | {
+        "LD_PRELOAD": str(LIBRARIES[0]),
+        "OCLGRIND_DATA_RACES": "1",
+        "OCLGRIND_UNIFORM_WRITES": "1",
+        "OCLGRIND_UNINITIALIZED": "1",
+        "OCLGRIND_LOG": str(log),
+        "OCLGRIND_MAX_ERRORS": str(MOST_REPORTS),
+        "OCLGRIND_NUM_THREADS": "1",
+        # Its optimizer makes intrinsics that its interpreter does not know, such as llvm.abs.
+        "OCLGRIND_BUILD_OPTIONS": "-cl-opt-disable",
+        "PYOPENCL_NO_CACHE": "1",
+    }
+
+
+def without_intrinsics() -> None:
+    """The inliner of its compiler marks restrict pointers by an intrinsic that its interpreter does not know."""
+    options = (b"oclgrind", b"-use-noalias-intrinsic-during-inlining=0")
+    ctypes.CDLL(None).LLVMParseCommandLineOptions(len(options), (ctypes.c_char_p * len(options))(*options), None)
+
+
+def in_single_lanes(text: str) -> str:
+    """A text in which no statement writes some lanes of a vector: it takes the others for uninitialized then."""
+
+    def two(match: re.Match[str]) -> str:
+        indent, vector, first, second, value = match.groups()
+        return f"{indent}{{ const float2 lanes_ = {value}; {vector}.{first} = lanes_.x; {vector}.{second} = lanes_.y; }}"
+
+    def every_other(match: re.Match[str]) -> str:
+        indent, vector, which, value = match.groups()
+        lanes = " ".join(f"{vector}[{2 * k + (which == 'odd')}] = lanes_[{k}];" for k in range(4))
+        return f"{indent}{{ const float4 lanes_ = {value}; {lanes} }}"
+
+    text = re.sub(r"^( *)([\w>.-]+)\.([xyzw])([xyzw]) = (.+);$", two, text, flags=re.MULTILINE)
+    return re.sub(r"^( *)(\w+)\.(even|odd) = (.+);$", every_other, text, flags=re.MULTILINE)
+
+
+def _text(*given: Any) -> str:
+    return INSTEAD.read_text("utf-8") + in_single_lanes(_program_text(*given))
+
+
+_program_text = program.program_text
+
+
+def _fill(queue: cl.CommandQueue, buffer: cl.Buffer, pattern: Any, offset: int, size: int) -> None:
+    """It takes what clEnqueueFillBuffer writes for uninitialized, and not what is copied."""
+    if size:
+        repeated = np.resize(np.frombuffer(np.asarray(pattern).tobytes(), np.uint8), size)
+        cl.enqueue_copy(queue, buffer, repeated, dst_offset=offset)
+
+
+@contextmanager
+def device(**changes: Any) -> Iterator[Device]:
+    """Oclgrind's device; changes: what it is to be taken for, such as kind = "gpu"."""
+    # What a kernel reads of the host's own memory it takes for uninitialized, hence no unified memory.
+    given: Mapping[str, Any] = {"unified_memory": False, **changes}
+    with patch.object(program, "program_text", _text), patch.object(cl, "enqueue_fill_buffer", _fill):
+        yield replace(choose("oclgrind"), **given)
