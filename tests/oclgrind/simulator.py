@@ -22,20 +22,24 @@ LIBRARIES = sorted(Path("/usr/lib").glob("**/oclgrind/liboclgrind-rt.so"))
 INSTALL = "oclgrind: must be installed (Debian and Ubuntu: apt-get install oclgrind); got no liboclgrind-rt.so in /usr/lib"
 INSTEAD = Path(__file__).with_name("simulator.clh")
 MOST_REPORTS = 40  # in a log
+CHECKS = {
+    "races": {"OCLGRIND_DATA_RACES": "1", "OCLGRIND_UNIFORM_WRITES": "1"},
+    "uninitialized": {"OCLGRIND_UNINITIALIZED": "1"},
+}
+"""One at a time: with both it tells of no race."""
 
 
-def environ(log: Path) -> dict[str, str]:
-    """Variables of a process in which Oclgrind is one of the platforms."""
+def environ(log: Path, check: str) -> dict[str, str]:
+    """Variables of a process in which Oclgrind is one of the platforms; check: what it looks for besides bounds."""
     if not LIBRARIES:
         raise FileNotFoundError(INSTALL)
     return os.environ | {
         "LD_PRELOAD": str(LIBRARIES[0]),
-        "OCLGRIND_DATA_RACES": "1",
-        "OCLGRIND_UNIFORM_WRITES": "1",
-        "OCLGRIND_UNINITIALIZED": "1",
+        **CHECKS[check],
         "OCLGRIND_LOG": str(log),
         "OCLGRIND_MAX_ERRORS": str(MOST_REPORTS),
         "OCLGRIND_NUM_THREADS": "1",
+        "OCLGRIND_GLOBAL_MEM_SIZE": str(2**31),
         # Its optimizer makes intrinsics that its interpreter does not know, such as llvm.abs.
         "OCLGRIND_BUILD_OPTIONS": "-cl-opt-disable",
         "PYOPENCL_NO_CACHE": "1",
@@ -78,10 +82,24 @@ def _fill(queue: cl.CommandQueue, buffer: cl.Buffer, pattern: Any, offset: int, 
         cl.enqueue_copy(queue, buffer, repeated, dst_offset=offset)
 
 
+_held: list[cl.Buffer] = []
+_Buffer = cl.Buffer
+
+
+def _buffer(*args: Any, **options: Any) -> cl.Buffer:
+    """It takes for uninitialized what is written where another buffer has been, so none is let go of."""
+    _held.append(_Buffer(*args, **options))
+    return _held[-1]
+
+
 @contextmanager
 def device(**changes: Any) -> Iterator[Device]:
     """Oclgrind's device; changes: what it is to be taken for, such as kind = "gpu"."""
     # What a kernel reads of the host's own memory it takes for uninitialized, hence no unified memory.
     given: Mapping[str, Any] = {"unified_memory": False, **changes}
-    with patch.object(program, "program_text", _text), patch.object(cl, "enqueue_fill_buffer", _fill):
+    with (
+        patch.object(program, "program_text", _text),
+        patch.object(cl, "enqueue_fill_buffer", _fill),
+        patch.object(cl, "Buffer", _buffer),
+    ):
         yield replace(choose("oclgrind"), **given)

@@ -1,86 +1,91 @@
-"""A process on Oclgrind: runs some of the cases, tells of each what was launched and what was reported.
+"""A process on Oclgrind: runs cases, or faults, and prints of each a line of JSON: what was launched and reported.
 
-    python -m tests.oclgrind.worker FIRST STEP [NAME ...]
-
-Prints a line of JSON for each case. Names: those of the cases, by default all.
+    python -m tests.oclgrind.worker cases FIRST STEP
+    python -m tests.oclgrind.worker faults CHECK
 """
 
 from __future__ import annotations
 
-import ast
 import importlib
 import json
 import os
 import sys
+import tempfile
 import time
+from collections.abc import Iterator
 from contextlib import ExitStack
+from itertools import islice
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 from clsco import program
-from clsco.device import Device
+from clsco.resources import folder
 from tests.oclgrind import simulator
-from tests.oclgrind.cases import Case, all_cases, depth_of, textures_of
+from tests.oclgrind.cases import Case, all_cases, depths_of, fault_cases, textures_of
+from tests.oclgrind.faults import FAULTS, Fault
 
-LAUNCHING = ("spread", "convolution", "coarse", "forward", "layers", "renderer")
-CHOOSING = ("render", "arrays")
-
-
-def reported(log: Path, before: int) -> str:
-    """What has come into a log since it had so many characters."""
-    return log.read_text("utf-8", "replace")[before:] if log.exists() else ""
+CHOOSING = ("render", "arrays")  # modules of clsco that choose a device
 
 
 def run(case: Case, log: Path) -> dict[str, Any]:
-    """A case by itself; launched: names of kernels."""
-    before, begun = len(reported(log, 0)), time.process_time()
+    """A case by itself: kernels launched, processor time in s, and what has come into the log."""
+    before, begun = len(_read(log)), time.process_time()
     launched: set[str] = set()
-    enqueue = program.cl.Kernel.__call__
+    launch = program.cl.Kernel.__call__
 
     def noted(kernel: Any, *args: Any, **options: Any) -> Any:
         launched.add(kernel.function_name)
-        return enqueue(kernel, *args, **options)
+        return launch(kernel, *args, **options)
 
+    report = ""
     with ExitStack() as stack:
-        device: Device = stack.enter_context(simulator.device(**case.device))
+        device = stack.enter_context(simulator.device(**case.device))
         stack.enter_context(patch.object(program.cl.Kernel, "__call__", noted))
         for name in CHOOSING:
             stack.enter_context(patch.object(importlib.import_module(f"clsco.{name}"), "choose", lambda _: device))
-        if case.name.startswith("scene"):
-            drawn = ast.literal_eval(case.about.replace("range", ""))
-            rendering = importlib.import_module("clsco.render")
-            stack.enter_context(
-                patch.object(rendering, "load_scene_textures", lambda scene: textures_of(scene, drawn["channels"]))
-            )
-            stack.enter_context(
-                patch.object(
-                    rendering,
-                    "load_scene_depths",
-                    lambda scene: tuple(depth_of(drawn) if i.shape == "depth_map" else None for i in scene.objects),
-                )
-            )
-        case.run()
-    return {
-        "case": case.name,
-        "about": case.about,
-        "launched": sorted(launched),
-        "seconds": round(time.process_time() - begun, 2),
-        "report": reported(log, before),
-    }
+        render = importlib.import_module("clsco.render")
+        stack.enter_context(patch.object(render, "load_scene_textures", lambda scene: textures_of(scene, case.channels)))
+        stack.enter_context(patch.object(render, "load_scene_depths", depths_of))
+        try:
+            case.run()
+        except Exception as error:
+            report = f"{type(error).__name__}: {error}\n"
+    seconds = round(time.process_time() - begun, 2)
+    report += _read(log)[before:]
+    return {"name": case.name, "about": case.about, "launched": sorted(launched), "seconds": seconds, "report": report}
 
 
-def main(first: int, step: int, names: list[str]) -> None:
+def run_fault(fault: Fault, log: Path) -> dict[str, Any]:
+    """The case of a fault, with a copy of the kernels that has it."""
+    case = next(one for one in fault_cases() if one.name == fault.case)
+    with tempfile.TemporaryDirectory(prefix="clsco-fault-") as place:
+        for entry in folder("kernels").iterdir():
+            if entry.name.endswith((".cl", ".clh")):
+                (Path(place) / entry.name).write_text(entry.read_text("utf-8"), "utf-8")
+        text = (Path(place) / fault.file).read_text("utf-8")
+        if fault.old not in text:
+            raise ValueError(f"fault {fault.name}: {fault.file} must hold its text; got none of\n{fault.old}")
+        (Path(place) / fault.file).write_text(text.replace(fault.old, fault.new, 1), "utf-8")
+        with patch.object(program, "folder", lambda _: Path(place)):
+            return run(case, log) | {"name": fault.name}
+
+
+def _read(log: Path) -> str:
+    return log.read_text("utf-8", "replace") if log.exists() else ""
+
+
+def main(what: str, *given: str) -> None:
     simulator.without_intrinsics()
     log = Path(os.environ["OCLGRIND_LOG"])
-    chosen = [case for case in all_cases()[0] if not names or case.name in names]
-    for case in chosen[first::step]:
-        try:
-            result = run(case, log)
-        except Exception as error:
-            result = {"case": case.name, "about": case.about, "launched": [], "seconds": 0.0, "report": f"{type(error).__name__}: {error}"[:3000]}
+    results: Iterator[dict[str, Any]]
+    if what == "faults":
+        results = (run_fault(fault, log) for fault in FAULTS if fault.check == given[0])
+    else:
+        results = (run(case, log) for case in islice(all_cases(), int(given[0]), None, int(given[1])))
+    for result in results:
         print(json.dumps(result), flush=True)
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3:])
+    main(*sys.argv[1:])
