@@ -23,9 +23,10 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from queue import SimpleQueue
+from typing import Any
 
 from tests.mutation.mutants import Mutant, mutants
 
@@ -83,6 +84,7 @@ class Copy:
 
     def __init__(self, folder: Path) -> None:
         self.tree, self.cache = folder / "tree", folder / "cache"
+        self.running: subprocess.Popen[str] | None = None
         for name in COPIED:
             source, target = ROOT / name, self.tree / name
             if source.is_dir():
@@ -99,19 +101,24 @@ class Copy:
     def tested(self, names: list[str], timeout: float, marked: str) -> tuple[int | None, str]:
         """Exit status of tests, 0 also where none is marked so, None past the time, and what they print."""
         command = [sys.executable, "-m", "pytest", "-x", "-q", "--tb=short", "-n", "0", "-p", "no:cacheprovider"]
-        done = subprocess.Popen(
-            [*command, "-m", marked, *names], cwd=self.tree, env=self.environ, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-            start_new_session=True,
-        )  # fmt: skip
+        piped: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+        done = self.running = subprocess.Popen(
+            [*command, "-m", marked, *names], cwd=self.tree, env=self.environ, start_new_session=True, **piped
+        )
         try:
             out, _ = done.communicate(timeout=timeout)
             return (0 if done.returncode == NONE_SELECTED else done.returncode), out
         except subprocess.TimeoutExpired:
             return None, ""
         finally:
-            if done.poll() is None:
-                os.killpg(done.pid, signal.SIGKILL)
-                done.wait()
+            self.stop()
+
+    def stop(self) -> None:
+        """End the tests that run, with all that they have started."""
+        if self.running is not None and self.running.poll() is None:
+            with suppress(ProcessLookupError):
+                os.killpg(self.running.pid, signal.SIGKILL)
+            self.running.wait()
 
     def tried(self, mutant: Mutant, timeout: float, marks: tuple[str, ...]) -> tuple[str, float]:
         """What came of a mutant, and the seconds that it took."""
@@ -141,14 +148,11 @@ def chosen(names: list[str], share: int, seed: int) -> list[Mutant]:
 
 
 @contextmanager
-def copies(count: int) -> Iterator[SimpleQueue[Copy]]:
+def copies(count: int) -> Iterator[list[Copy]]:
     """Copies of the tree, removed at the end, by Ctrl-C and SIGTERM as well."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     with tempfile.TemporaryDirectory(prefix="clsco-mutation-", ignore_cleanup_errors=True) as folder:
-        free: SimpleQueue[Copy] = SimpleQueue()
-        for k in range(count):
-            free.put(Copy(Path(folder) / str(k)))
-        yield free
+        yield [Copy(Path(folder) / str(k)) for k in range(count)]
 
 
 def main() -> int:
@@ -167,8 +171,11 @@ def main() -> int:
     marks = ("not slow", "slow") if options.slow else ("not slow",)
     results: list[dict[str, object]] = []
     seconds: dict[str, float] = {}
-    checking = threading.Lock()
-    with copies(options.jobs) as free, ThreadPoolExecutor(options.jobs) as pool:
+    checking, stopped = threading.Lock(), threading.Event()
+    with copies(options.jobs) as made, ThreadPoolExecutor(options.jobs) as pool:
+        free: SimpleQueue[Copy] = SimpleQueue()
+        for each in made:
+            free.put(each)
 
         def check(copy: Copy, names: list[str]) -> None:
             """That tests pass without a change, once each; kernels are compiled then."""
@@ -182,7 +189,7 @@ def main() -> int:
                     print(f"without a change {seconds[name]:6} s  {name}", flush=True)
 
         def run(mutant: Mutant) -> dict[str, object] | None:
-            if time.monotonic() > end:
+            if stopped.is_set() or time.monotonic() > end:
                 return None
             copy = free.get()
             try:
@@ -204,8 +211,10 @@ def main() -> int:
                 print(f"{result['outcome']:9} {result['seconds']:6} s  {result['mutant']}", flush=True)
                 _write(options, seconds, results)
         except BaseException:
-            end = 0.0
+            stopped.set()
             pool.shutdown(wait=False, cancel_futures=True)
+            for each in made:
+                each.stop()
             raise
     _write(options, seconds, results)
     survivors = [result for result in results if result["outcome"] == "survived"]

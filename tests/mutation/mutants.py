@@ -23,8 +23,6 @@ NAMES = {
     "minimum": "maximum", "maximum": "minimum", "argmin": "argmax", "argmax": "argmin", "sqrt": "abs", "any": "all",
     "all": "any", "and": "or", "or": "and",
 }  # fmt: skip
-# After these an operator has one operand: a sign, an address, what a pointer points to, arguments that are unpacked.
-BEFORE_UNARY = set("([{,;=?:<>!~&|^+-*/%") | set(OPERATORS) | {"return", "case", "else", "", ">=", "<=", "->", "#", ")("}
 C_TYPE = re.compile(r"(?:(?:u?char|u?short|u?int|u?long|float|double|real|bool|size_t|void)\d*|\w+_t|const|restrict)$")
 C_TOKEN = re.compile(
     r"//[^\n]*|/\*.*?\*/|\"(?:\\.|[^\"\n])*\"|'(?:\\.|[^'\n])*'"
@@ -85,8 +83,8 @@ def _number(text: str) -> str:
     return f"(2 * {text})" if re.search(r"[1-9a-fA-F]", mantissa) else f"({text} + 1)"
 
 
-def _changed(kind: str, old: str, before: str, closes: bool) -> str | None:
-    """What takes the place of a token; before: the one before it; closes: that may end an operand."""
+def _changed(kind: str, old: str, closes: bool) -> str | None:
+    """What takes the place of a token; closes: the one before it ends an operand."""
     if kind == "number":
         return _number(old)
     if kind == "name":
@@ -99,9 +97,7 @@ def _changed(kind: str, old: str, before: str, closes: bool) -> str | None:
 def _opencl(text: str) -> Iterator[tuple[int, str, str]]:
     skipped: list[range] = []
     for match in re.finditer(r"^.*(?:\\\n.*)*$", text, re.MULTILINE):
-        if NOT_TEXT.match(match[0]):
-            skipped.append(range(match.start(), match.end()))
-        elif "__attribute__" in match[0] or "typedef" in match[0]:
+        if NOT_TEXT.match(match[0]) or "__attribute__" in match[0] or "typedef" in match[0]:
             skipped.append(range(match.start(), match.end()))
         elif head := DEFINED.match(match[0]):
             skipped.append(range(match.start(), match.start() + head.end()))
@@ -117,7 +113,7 @@ def _opencl(text: str) -> Iterator[tuple[int, str, str]]:
             closes = False
         pointed = old == "*" and (C_TYPE.match(before) or before == ",")
         field = kind == "name" and before in (".", "->")
-        new = None if inside or pointed or field else _changed(kind, old, before, closes)
+        new = None if inside or pointed or field else _changed(kind, old, closes)
         if new is not None:
             yield match.start(), old, new
         before = "" if inside and match.end() in {one.stop for one in skipped} else old
@@ -141,7 +137,7 @@ def _python(text: str) -> Iterator[tuple[int, str, str]]:
         closes = before in (")", "]", "}") or (bool(re.match(r"[\w.]", before)) and not keyword.iskeyword(before))
         kind = {tokenize.NUMBER: "number", tokenize.NAME: "name"}.get(token.type, "operator")
         annotation = old == "|" and re.search(r"\bNone\b|:\s*\w+ \||->", token.line) is not None
-        new = None if annotation else _changed(kind, old, before, closes)
+        new = None if annotation else _changed(kind, old, closes)
         if new is not None:
             yield at, old, new
         before = old

@@ -25,17 +25,32 @@ from clsco.inpainting import inpaint
 from clsco.plan import Plan, make_plan
 from clsco.render import render_sweep
 from clsco.scene import (
-    Camera, Cone, Cylinder, DepthMap, Fill, Motion, Object, ObjectMotion, Plane, Psf, Quadric, Scene, Sequence as Frames,
-    Sphere, Stereo,
+    Camera,
+    Cone,
+    Cylinder,
+    DepthMap,
+    Fill,
+    Motion,
+    Object,
+    ObjectMotion,
+    Plane,
+    Psf,
+    Quadric,
+    Scene,
+    Sphere,
+    Stereo,
 )  # fmt: skip
+from clsco.scene import (
+    Sequence as Frames,
+)
 from clsco.spread import blur_features
 from clsco.textures import Texture
 
 Array = NDArray[Any]
 # Rows and columns: single pixels and lines, odd and even, less than a vector of 8 or 16, whole ones, and one more.
 SHAPES = (
-    (1, 1), (1, 2), (2, 1), (1, 7), (7, 1), (1, 16), (17, 1), (2, 2), (3, 3), (2, 9), (5, 4), (4, 8), (8, 5), (7, 7), (6, 9),
-    (8, 8), (3, 15), (9, 6), (2, 17), (5, 11), (1, 31), (3, 23), (10, 3), (32, 1),
+    (1, 1), (1, 2), (2, 1), (1, 7), (7, 1), (1, 16), (17, 1), (2, 2), (3, 3), (2, 9), (5, 4), (4, 8), (8, 5), (7, 7),
+    (6, 9), (8, 8), (3, 15), (9, 6), (2, 17), (5, 11), (1, 31), (3, 23), (10, 3), (32, 1),
 )  # fmt: skip
 DRAWN, SEED = 200, 1
 SLOW = ObjectMotion(velocity=(0.3, -0.2, 3.0), angular_velocity=(3.0, -2.0, 5.0))
@@ -193,7 +208,7 @@ def drawn_scenes() -> tuple[list[Drawn], int, int]:
 
 def image_cases() -> Iterator[Case]:
     """`defocus` of images: each method with each PSF, 1 to 4 channels."""
-    methods: tuple[str, ...] = ("gather", "scatter", "tiles", "convolve", list(METHODS)[0])
+    methods: tuple[str, ...] = ("gather", "scatter", "tiles", "convolve", next(iter(METHODS)))
     number = 0
     for method in methods:
         for model in ("pillbox", "gaussian"):
@@ -221,14 +236,14 @@ def _image_case(number: int, method: str, psf: Psf) -> Case:
     if method in METHODS:
         coc *= 2.0
     changes = ({}, {"kind": "gpu"}, {"has_fp64": False}, {"has_int64_atomics": False})[number % 4]
-    about = f"{method} {psf.model} {psf.edge} tilt={psf.tilt} {psf.occlusion} {psf.border} {rows}x{columns}x{channels} {changes}"
+    about = f"{method}, {psf!r}, {rows} x {columns} x {channels}, {changes}"
     return Case(f"image {number}", changes, lambda: [defocus(image, coc, psf, device="oclgrind", method=method)], about)
 
 
 def inpainting_cases() -> Iterator[Case]:
     number = 0
     for method in ("mean-median", "biharmonic", "texture"):
-        for shape in ((1, 2), (2, 9), (5, 4), (9, 17), (12, 13), (1, 31)):
+        for shape in ((1, 2), (2, 9), (5, 4), (6, 7), (17, 1)):
             for codes in (True, False):
                 number += 1
                 yield _inpainting_case(number, method, shape, codes)
@@ -242,7 +257,9 @@ def _inpainting_case(number: int, method: str, shape: tuple[int, int], codes: bo
     missing.flat[0], missing.flat[-1] = True, False
     changes: dict[str, Any] = {"kind": "gpu"} if number % 3 == 0 else {}
     about = f"{method} {shape} codes={codes} channels={channels} {changes}"
-    return Case(f"inpainting {number}", changes, lambda: [inpaint(image, missing, method=method, device="oclgrind")[0]], about)
+    return Case(
+        f"inpainting {number}", changes, lambda: [inpaint(image, missing, method=method, device="oclgrind")[0]], about
+    )
 
 
 def scene_cases() -> Iterator[Case]:

@@ -83,7 +83,14 @@ FAULTS = (
         "ninitialized",
         "uninitialized",
     ),
-    Fault("no barrier after the chunk", "tiles.cl", LAST_BARRIER, LAST_BARRIER[: LAST_BARRIER.rindex("        b")], "tiles", "data race"),
+    Fault(
+        "no barrier after the chunk",
+        "tiles.cl",
+        LAST_BARRIER,
+        LAST_BARRIER[: LAST_BARRIER.rindex("        b")],
+        "tiles",
+        "data race",
+    ),
     Fault(
         "a barrier that not all reach",
         "tiles.cl",

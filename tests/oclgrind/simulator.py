@@ -1,4 +1,4 @@
-"""Oclgrind, which interprets kernels and sees what they read and write: how to start it, and what it has to be spared."""
+"""Oclgrind, which interprets kernels and sees what they read and write: how to start it, and what to spare it."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import lru_cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -16,10 +18,12 @@ import numpy as np
 import pyopencl as cl
 
 from clsco import program
-from clsco.device import Device, choose
+from clsco.device import Session, choose
 
 LIBRARIES = sorted(Path("/usr/lib").glob("**/oclgrind/liboclgrind-rt.so"))
-INSTALL = "oclgrind: must be installed (Debian and Ubuntu: apt-get install oclgrind); got no liboclgrind-rt.so in /usr/lib"
+INSTALL = (
+    "oclgrind: must be installed (Debian and Ubuntu: apt-get install oclgrind); got no liboclgrind-rt.so in /usr/lib"
+)
 INSTEAD = Path(__file__).with_name("simulator.clh")
 MOST_REPORTS = 40  # in a log
 CHECKS = {
@@ -53,17 +57,26 @@ def without_intrinsics() -> None:
 
 
 def in_single_lanes(text: str) -> str:
-    """A text in which no statement writes some lanes of a vector: it takes the others for uninitialized then."""
+    """A text in which nothing writes some lanes of a vector, or makes one of shorter ones.
+
+    It takes the other lanes for uninitialized then, or ends by a signal.
+    """
 
     def two(match: re.Match[str]) -> str:
         indent, vector, first, second, value = match.groups()
-        return f"{indent}{{ const float2 lanes_ = {value}; {vector}.{first} = lanes_.x; {vector}.{second} = lanes_.y; }}"
+        return (
+            f"{indent}{{ const float2 lanes_ = {value}; {vector}.{first} = lanes_.x; {vector}.{second} = lanes_.y; }}"
+        )
 
     def every_other(match: re.Match[str]) -> str:
         indent, vector, which, value = match.groups()
         lanes = " ".join(f"{vector}[{2 * k + (which == 'odd')}] = lanes_[{k}];" for k in range(4))
         return f"{indent}{{ const float4 lanes_ = {value}; {lanes} }}"
 
+    def one_by_one(line: re.Match[str]) -> str:
+        return re.sub(r"(\(\w\))\.s([\da-f]{2,})\b", lambda m: ", ".join(f"{m[1]}.s{k}" for k in m[2]), line[0])
+
+    text = re.sub(r"^.*\(float8\)\(\(a\).*$", one_by_one, text, flags=re.MULTILINE)
     text = re.sub(r"^( *)([\w>.-]+)\.([xyzw])([xyzw]) = (.+);$", two, text, flags=re.MULTILINE)
     return re.sub(r"^( *)(\w+)\.(even|odd) = (.+);$", every_other, text, flags=re.MULTILINE)
 
@@ -92,14 +105,29 @@ def _buffer(*args: Any, **options: Any) -> cl.Buffer:
     return _held[-1]
 
 
+@lru_cache(maxsize=1)
+def _queue() -> cl.CommandQueue:
+    """Of all cases: in a second context it takes for uninitialized what the first one had at the same address."""
+    context = cl.Context([choose("oclgrind").handle])
+    return cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
+
+
 @contextmanager
-def device(**changes: Any) -> Iterator[Device]:
-    """Oclgrind's device; changes: what it is to be taken for, such as kind = "gpu"."""
+def sessions(**changes: Any) -> Iterator[None]:
+    """Has clsco work on Oclgrind; changes: what its device is to be taken for, such as kind = "gpu"."""
     # What a kernel reads of the host's own memory it takes for uninitialized, hence no unified memory.
     given: Mapping[str, Any] = {"unified_memory": False, **changes}
+    device = replace(choose("oclgrind"), **given)
+    render, arrays = import_module("clsco.render"), import_module("clsco.arrays")
+
+    def session(*_: Any, **__: Any) -> Session:
+        return Session(device, queue=_queue())
+
     with (
         patch.object(program, "program_text", _text),
         patch.object(cl, "enqueue_fill_buffer", _fill),
         patch.object(cl, "Buffer", _buffer),
+        patch.object(render, "Session", session),
+        patch.object(arrays, "session_on", session),
     ):
-        yield replace(choose("oclgrind"), **given)
+        yield

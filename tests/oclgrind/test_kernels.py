@@ -49,7 +49,9 @@ def cases(tmp_path_factory: pytest.TempPathFactory) -> Results:
 
 
 def test_nothing_is_reported(cases: Results) -> None:
-    faulty = [f"{one['check']}: {one['name']}, {one['about']}\n{one['report'][:2000]}" for one in cases if one["report"]]
+    faulty = [
+        f"{one['check']}: {one['name']}, {one['about']}\n{one['report'][:2000]}" for one in cases if one["report"]
+    ]
     assert not faulty, f"{len(faulty)} of {len(cases)}\n" + "\n".join(faulty[:5])
 
 

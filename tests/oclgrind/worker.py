@@ -1,12 +1,11 @@
 """A process on Oclgrind: runs cases, or faults, and prints of each a line of JSON: what was launched and reported.
 
-    python -m tests.oclgrind.worker cases FIRST STEP
-    python -m tests.oclgrind.worker faults CHECK
+python -m tests.oclgrind.worker cases FIRST STEP
+python -m tests.oclgrind.worker faults CHECK
 """
 
 from __future__ import annotations
 
-import importlib
 import json
 import os
 import sys
@@ -14,6 +13,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
+from importlib import import_module
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -24,8 +24,6 @@ from clsco.resources import folder
 from tests.oclgrind import simulator
 from tests.oclgrind.cases import Case, all_cases, depths_of, fault_cases, textures_of
 from tests.oclgrind.faults import FAULTS, Fault
-
-CHOOSING = ("render", "arrays")  # modules of clsco that choose a device
 
 
 def run(case: Case, log: Path) -> dict[str, Any]:
@@ -40,12 +38,12 @@ def run(case: Case, log: Path) -> dict[str, Any]:
 
     report = ""
     with ExitStack() as stack:
-        device = stack.enter_context(simulator.device(**case.device))
+        stack.enter_context(simulator.sessions(**case.device))
         stack.enter_context(patch.object(program.cl.Kernel, "__call__", noted))
-        for name in CHOOSING:
-            stack.enter_context(patch.object(importlib.import_module(f"clsco.{name}"), "choose", lambda _: device))
-        render = importlib.import_module("clsco.render")
-        stack.enter_context(patch.object(render, "load_scene_textures", lambda scene: textures_of(scene, case.channels)))
+        render = import_module("clsco.render")
+        stack.enter_context(
+            patch.object(render, "load_scene_textures", lambda scene: textures_of(scene, case.channels))
+        )
         stack.enter_context(patch.object(render, "load_scene_depths", depths_of))
         try:
             case.run()
