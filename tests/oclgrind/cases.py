@@ -104,6 +104,7 @@ class Case:
     run: Callable[[], list[Array]]
     about: str = ""
     channels: int = 1
+    forward: bool = False
 
 
 def scenes_of(drawn: Drawn) -> list[Scene]:
@@ -264,7 +265,8 @@ def _inpainting_case(number: int, method: str, shape: tuple[int, int], codes: bo
 
 def scene_cases() -> Iterator[Case]:
     for number, drawn in enumerate(drawn_scenes()[0]):
-        yield Case(f"scene {number}", drawn["device"], partial(rendered, drawn), str(drawn), drawn["channels"])
+        forward = any(plan.forward for plan in plans_of(drawn))
+        yield Case(f"scene {number}", drawn["device"], partial(rendered, drawn), str(drawn), drawn["channels"], forward)
 
 
 def fault_cases() -> Iterator[Case]:

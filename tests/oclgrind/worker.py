@@ -50,7 +50,8 @@ def run(case: Case, log: Path) -> dict[str, Any]:
         except Exception as error:
             report = f"{type(error).__name__}: {error}\n"
     seconds = round(time.process_time() - begun, 2)
-    report += _read(log)[before:]
+    now = _read(log)
+    report += now[before:] if len(now) >= before else now
     return {"name": case.name, "about": case.about, "launched": sorted(launched), "seconds": seconds, "report": report}
 
 
@@ -80,7 +81,8 @@ def main(what: str, *given: str) -> None:
     if what == "faults":
         results = (run_fault(fault, log) for fault in FAULTS if fault.check == given[0])
     else:
-        results = (run(case, log) for case in islice(all_cases(), int(given[0]), None, int(given[1])))
+        chosen = (case for case in all_cases() if given[0] != "uninitialized" or not case.forward)
+        results = (run(case, log) for case in islice(chosen, int(given[1]), None, int(given[2])))
     for result in results:
         print(json.dumps(result), flush=True)
 
