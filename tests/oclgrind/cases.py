@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,7 @@ from clsco.scene import (
     Sequence as Frames,
 )
 from clsco.spread import blur_features
+from clsco.stencil import SUMMED
 from clsco.textures import Texture
 
 Array = NDArray[Any]
@@ -53,7 +55,7 @@ SHAPES = (
     (6, 9), (8, 8), (3, 15), (9, 6), (2, 17), (5, 11), (1, 31), (3, 23), (10, 3), (32, 1),
 )  # fmt: skip
 DRAWN, SEED = 200, 1
-SLOW = ObjectMotion(velocity=(0.3, -0.2, 3.0), angular_velocity=(3.0, -2.0, 5.0))
+MOTION = ObjectMotion(velocity=(0.9, -0.4, -90.0), angular_velocity=(3.0, -2.0, 5.0))
 FAR = Plane(distance=300.0, slope_x=0.2, name="far")
 BALL = Sphere(center=(0.5, 0.3, 230.0), radius=2.0)
 OBJECTS: dict[str, tuple[Object, ...]] = {
@@ -97,14 +99,14 @@ Pair = tuple[tuple[str, Any], tuple[str, Any]]
 
 @dataclass(frozen=True)
 class Case:
-    """Something to run on a device like `device`; about: what it was drawn as."""
+    """Something to run on a device like `device`; about: what it was drawn as; checks: of simulator.CHECKS."""
 
     name: str
     device: dict[str, Any]
     run: Callable[[], list[Array]]
     about: str = ""
     channels: int = 1
-    forward: bool = False
+    checks: tuple[str, ...] = ("races", "uninitialized")
 
 
 def scenes_of(drawn: Drawn) -> list[Scene]:
@@ -114,7 +116,7 @@ def scenes_of(drawn: Drawn) -> list[Scene]:
     sections: dict[str, Any] = {"psf": Psf(**psf)}
     items = OBJECTS[drawn["objects"]]
     if drawn["motion"] is not None:
-        items = tuple(item.model_copy(update={"motion": SLOW}) for item in items)
+        items = tuple(item.model_copy(update={"motion": MOTION}) for item in items)
         forward = drawn["motion"] == "forward"
         sections["motion"] = Motion(warp="forward") if forward else Motion(texture_filter=drawn["motion"])
         sections["sequence"] = Frames(samples=1 + (drawn["seed"] % 4 == 0))
@@ -265,8 +267,36 @@ def _inpainting_case(number: int, method: str, shape: tuple[int, int], codes: bo
 
 def scene_cases() -> Iterator[Case]:
     for number, drawn in enumerate(drawn_scenes()[0]):
-        forward = any(plan.forward for plan in plans_of(drawn))
-        yield Case(f"scene {number}", drawn["device"], partial(rendered, drawn), str(drawn), drawn["channels"], forward)
+        checks = ("races",) if any(plan.forward for plan in plans_of(drawn)) else ("races", "uninitialized")
+        yield Case(f"scene {number}", drawn["device"], partial(rendered, drawn), str(drawn), drawn["channels"], checks)
+
+
+def long_cases() -> Iterator[Case]:
+    """What small images have no need of: sums of wide discs, coarser grids, many missing pixels."""
+    rng = np.random.default_rng(11)
+    image, coc = rng.random((5, 4)).astype(np.float32), np.full((5, 4), SUMMED + 2.0)
+    holes = rng.random((10, 11, 1)).astype(np.float32)
+    missing = np.zeros((10, 11), np.bool_)
+    missing[2:8, 2:9] = True
+
+    def summed(light: float) -> list[Array]:
+        return [defocus(light * image, coc, Psf(), device="oclgrind", method="convolve")]
+
+    def coarse(tilt: bool) -> list[Array]:
+        options: Any = {"device": "oclgrind", "method": "coarse2", "told": []}
+        return [defocus(image, coc, Psf(edge="sampled", tilt=tilt), **options)]
+
+    def filled(method: str) -> list[Array]:
+        with patch("clsco.inpainting.mean_median.MOST_ENTRIES", 4):  # of a sweep that one work-group does
+            return [inpaint(holes, missing, method=method, device="oclgrind")[0]]
+
+    for light in (1.0, 10.0):
+        yield Case(f"sums, light {light}", {}, partial(summed, light), checks=("races",))
+    for tilt in (True, False):
+        yield Case(f"measured approximation, tilt {tilt}", {}, partial(coarse, tilt))
+    for method in ("mean-median", "biharmonic"):
+        yield Case(f"many missing, {method}", {}, partial(filled, method))
+    yield Case("many missing, as on a GPU", {"kind": "gpu"}, partial(filled, "mean-median"))
 
 
 def fault_cases() -> Iterator[Case]:
@@ -287,5 +317,5 @@ def fault_cases() -> Iterator[Case]:
 
 
 def all_cases() -> Iterator[Case]:
-    for cases in (image_cases, inpainting_cases, fault_cases, scene_cases):
+    for cases in (long_cases, image_cases, inpainting_cases, fault_cases, scene_cases):
         yield from cases()

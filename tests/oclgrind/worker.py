@@ -81,7 +81,7 @@ def main(what: str, *given: str) -> None:
     if what == "faults":
         results = (run_fault(fault, log) for fault in FAULTS if fault.check == given[0])
     else:
-        chosen = (case for case in all_cases() if given[0] != "uninitialized" or not case.forward)
+        chosen = (case for case in all_cases() if given[0] in case.checks)
         results = (run(case, log) for case in islice(chosen, int(given[1]), None, int(given[2])))
     for result in results:
         print(json.dumps(result), flush=True)
