@@ -3,7 +3,7 @@ PYTHON ?= $(shell for python in python3 python3.14 python3.13 python3.12 python3
 	"$$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo "$$python" && break; done)
 BIN := .venv/bin
 
-.PHONY: demo test test-slow laws fuzz soak stability lint bench clean
+.PHONY: demo test test-slow laws fuzz soak oclgrind mutation stability lint bench clean
 
 demo: .venv/pocl.stamp
 	$(BIN)/clsco demo -o demo
@@ -35,6 +35,17 @@ laws: .venv/dev.stamp
 # Fails where an error is beyond its bound.
 stability: .venv/bench.stamp
 	$(BIN)/clsco bench --stability -o benchmarks/results/stability
+
+# Every kernel on a simulator that sees what it reads and writes; Debian and Ubuntu have it.
+oclgrind: .venv/dev.stamp
+	@test -n "$$(find /usr/lib -name liboclgrind-rt.so)" || \
+		{ echo "oclgrind: must be installed, on Debian and Ubuntu by apt-get install oclgrind" >&2; exit 1; }
+	$(BIN)/python -m pytest -q -n 0 -m oclgrind tests/oclgrind
+
+# Small faults in kernels and in the host's arithmetic, which the tests have to notice: one of SHARE of them.
+SHARE ?= 100
+mutation: .venv/dev.stamp
+	$(BIN)/python -m tests.mutation --share $(SHARE)
 
 lint: .venv/dev.stamp
 	$(BIN)/ruff check .

@@ -10,6 +10,7 @@ import pyopencl as cl
 
 from clsco.device import Session
 from clsco.layout import Struct, structs
+from clsco.memory import SUMS_BEYOND
 from clsco.program import build, empty, kernel, launch, upload
 from clsco.scene import Psf
 from clsco.stencil import Stencil, stencils
@@ -35,6 +36,10 @@ class Convolution:
         self.wide, self.brightest = brightest > BRIGHTEST, max(brightest, 1e-20)
         self.program = build(session, ["convolve.cl"], FEATURES | {"WIDE_SUMS": self.wide}, structs("float"), "float")
         self.sums, self.across = (empty(session, sizes.get(name, 0)) for name in ("sums", "across"))
+        if "sums" in sizes:
+            unit = 8 if self.wide else 4
+            end = unit * (sizes["sums"] // 8 - SUMS_BEYOND)
+            cl.enqueue_fill_buffer(session.queue, self.sums, np.zeros(1, np.uint32), end, unit * SUMS_BEYOND)
         self.fresh = True  # nothing has been added to the frame yet: what is there does not count
         # Tables that queued launches still read: the host runs ahead of the device.
         self.held: list[tuple[cl.Buffer, ...]] = []

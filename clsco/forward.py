@@ -250,6 +250,9 @@ class ForwardWarp:
         self.sources = plan.rows * plan.columns
         self.rest = empty(session, WIDE_BYTES * self.sources)
         self.moved = empty(session, WIDE_BYTES * self.sources)
+        if features["SEVERAL"]:  # objects take turns, and leave what is another one's as it is
+            for buffer in (self.target, self.moved):
+                cl.enqueue_fill_buffer(session.queue, buffer, ZERO, 0, buffer.size)
         self.object = (empty(session, self.sources),) if features["SEVERAL"] else ()
         self.rest_surfaces = self._surfaces(surfaces)
         members = np.uint64(sum(1 << k for k, surface in enumerate(surfaces) if surface is not None))

@@ -23,6 +23,7 @@ from clsco.strips import BAND, cut
 Scratch = Literal["none", "spans", "rows", "near"]
 TILE, WINDOW = 256, 16  # columns that `gather` makes at a time, and rows of small reach, as in kernels/rows.clh
 BANDS_PER_CORE = 4  # of `gather` at a time, where they need memory of their own
+SUMS_BEYOND = 64  # sums of `convolve` beyond the last row that a vector there reads, and that are used for nothing
 MOST_IN_ONE_SUM = 256  # taps of `gather` that a float adds up before it goes into another sum
 # Outputs that ground_truth writes, with what one pixel of each takes: dtype and components (0: the channels).
 TRUTH_BUFFERS: dict[str, tuple[type[np.generic], int]] = {
@@ -153,8 +154,8 @@ def spread_bytes(
         sizes["spans"] = row_bytes(psf, channels, far, kept == "near") * bands_at_a_time(rows, cores)
     if method == "scatter":
         sizes["sums"] = 8 * channels * rows * columns
-    if method == "convolve" and is_summed(psf, far):  # and what a vector reads beyond the last row
-        sizes["sums"] = 8 * ((rows + 2 * guard) * (columns + 2 * guard) + 64)
+    if method == "convolve" and is_summed(psf, far):
+        sizes["sums"] = 8 * ((rows + 2 * guard) * (columns + 2 * guard) + SUMS_BEYOND)
     if method == "convolve" and is_separable(psf):
         sizes["across"] = 4 * (rows + 2 * guard) * ceil(columns / 64) * 64
     return sizes

@@ -172,7 +172,6 @@ __kernel void convolve(const int rows, const int columns, __global const float *
     if (get_global_id(0) >= TILES || first >= rows || x0 >= columns)
         return;
     const int end = MIN(rows, first + TILE_ROWS);
-    const int kept = fresh ? 0 : -1;
     const int next = x0 + TILE_VECTORS * LANES, ahead = origin + (first + half_height) * pitch + next + half_width;
     ask_for(value + start + ahead, sums + ahead, pair_count > 0, pitch, end - first,
             MIN(TILE_VECTORS, (columns - next) / LANES));
@@ -207,7 +206,10 @@ __kernel void convolve(const int rows, const int columns, __global const float *
         }
         for (int y = first; y < end; ++y) {
             __global float *out = target + target_start + y * target_pitch + x;
-            *(__global floats_t *)out = as_float16(as_int16(FLOATS(out)) & kept) + own[y - first];
+            float16 before = 0;
+            if (!fresh)
+                before = FLOATS(out);
+            *(__global floats_t *)out = before + own[y - first];
         }
     }
 }

@@ -16,13 +16,13 @@
 #define SLOTS 2       // taken at this moment
 #define MOST_SLOTS 3  // taken at any moment
 
-// Keeps the range of radii that were met; the plain look first makes the atomic rare.
+// Keeps the range of radii that were met; the look first makes the atomic rare.
 static void note_radius(__global volatile int *statistics, real radius)
 {
     const int bits = as_int((float)ABS(radius));
-    if (bits > statistics[LARGEST_RADIUS])
+    if (bits > LOOK(statistics + LARGEST_RADIUS))
         atomic_max(statistics + LARGEST_RADIUS, bits);
-    if (bits < statistics[SMALLEST_RADIUS])
+    if (bits < LOOK(statistics + SMALLEST_RADIUS))
         atomic_min(statistics + SMALLEST_RADIUS, bits);
 }
 

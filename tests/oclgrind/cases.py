@@ -1,0 +1,321 @@
+"""What is run on Oclgrind: small scenes and images that ask for every pair of features, in many shapes.
+
+A scene is drawn from CHOICES; its features are those that clsco itself compiles its kernels for. All features together
+would be too many (over 10^6); of drawn scenes those are taken that add pairs of features until no drawn one adds any.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import combinations
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.coarsening import METHODS
+from clsco.defocus import defocus
+from clsco.errors import SceneError
+from clsco.forward import forward_features
+from clsco.frame import STEREO_NAMES, TRUTH_NAMES
+from clsco.inpainting import inpaint
+from clsco.plan import Plan, make_plan
+from clsco.render import render_sweep
+from clsco.scene import (
+    Camera,
+    Cone,
+    Cylinder,
+    DepthMap,
+    Fill,
+    Motion,
+    Object,
+    ObjectMotion,
+    Plane,
+    Psf,
+    Quadric,
+    Scene,
+    Sphere,
+    Stereo,
+)  # fmt: skip
+from clsco.scene import (
+    Sequence as Frames,
+)
+from clsco.spread import blur_features
+from clsco.stencil import SUMMED
+from clsco.textures import Texture
+
+Array = NDArray[Any]
+# Rows and columns: single pixels and lines, odd and even, less than a vector of 8 or 16, whole ones, and one more.
+SHAPES = (
+    (1, 1), (1, 2), (2, 1), (1, 7), (7, 1), (1, 16), (17, 1), (2, 2), (3, 3), (2, 9), (5, 4), (4, 8), (8, 5), (7, 7),
+    (6, 9), (8, 8), (3, 15), (9, 6), (2, 17), (5, 11), (1, 31), (3, 23), (10, 3), (32, 1),
+)  # fmt: skip
+DRAWN, SEED = 200, 1
+MOTION = ObjectMotion(velocity=(0.9, -0.4, -90.0), angular_velocity=(3.0, -2.0, 5.0))
+FAR = Plane(distance=300.0, slope_x=0.2, name="far")
+BALL = Sphere(center=(0.5, 0.3, 230.0), radius=2.0)
+OBJECTS: dict[str, tuple[Object, ...]] = {
+    "card": (Plane(distance=280.0),),
+    "plane": (FAR,),
+    "bounded plane": (FAR.model_copy(update={"bounds": ((-2.0, 2.5), (-1.5, 2.0), (-9.0, 9.0))}),),
+    "ball": (BALL,),
+    "cylinder": (Cylinder(center=(0.0, 0.1, 270.0), radius=2.0, axis=(1.0, 0.2, 0.3)),),
+    "cone": (Cone(apex=(0.0, 0.0, 240.0), half_angle=20.0),),
+    "paraboloid": (Quadric(center=(0.0, 0.0, 260.0), coefficients=(1, 2, 0, 0.3, 0, 0, 0, 0, -20, 0)),),
+    "ball before plane": (BALL, FAR),
+    "three": (BALL, FAR, Cone(apex=(1.0, 0.0, 150.0), half_angle=5.0, bounds=((-9.0, 9.0), (-9.0, 9.0), (-9.0, 9.0)))),
+    "map": (DepthMap(depth="map.npy", center=(0.1, 0.0, 260.0)),),
+    "map before plane": (DepthMap(depth="map.npy", center=(0.1, 0.0, 260.0)), FAR),
+}
+CHOICES: dict[str, Sequence[Any]] = {
+    "objects": list(OBJECTS),
+    "shape": [(rows, columns) for rows, columns in SHAPES if rows * columns <= 20],  # with a guard band of 8 px or more
+    "model": ("pillbox", "gaussian"),
+    "edge": ("integrated", "area", "sampled"),
+    "tilt": (True, False),
+    "silhouette_samples": (1, 2, 3),
+    "occlusion": (None, "layered", "none"),
+    "border": ("lose", "lose", "renormalize"),
+    "motion": (None, None, "bicubic", "bilinear", "nearest", "forward", "forward"),
+    "fill": ("ait", "mean_median", "none"),
+    "domain": ("surface", "span"),
+    "stereo": (False, False, False, True),
+    "channels": (1, 3),
+    "method": ("auto", "auto", "gather", "scatter", "tiles", "coarse2"),
+    "truth": ("none", "all", "one", "some"),
+    "lenses": (1, 1, 1, 2),
+    "precision": ("double", "double", "single"),
+    "aperture": (0.0001, 0.6, 1.2),  # mm: in focus, and |R| of about 1 and 2 px
+    "device": ({}, {}, {"kind": "gpu"}, {"has_int64_atomics": False}, {"compute_units": 3}),
+    "seed": range(1000),
+}
+Drawn = dict[str, Any]
+Pair = tuple[tuple[str, Any], tuple[str, Any]]
+
+
+@dataclass(frozen=True)
+class Case:
+    """Something to run on a device like `device`; about: what it was drawn as; checks: of simulator.CHECKS."""
+
+    name: str
+    device: dict[str, Any]
+    run: Callable[[], list[Array]]
+    about: str = ""
+    channels: int = 1
+    checks: tuple[str, ...] = ("races", "uninitialized")
+
+
+def scenes_of(drawn: Drawn) -> list[Scene]:
+    """The scene, once for each lens. Raises ValueError where these choices do not go together."""
+    psf = {key: drawn[key] for key in ("model", "edge", "tilt", "silhouette_samples", "border")}
+    psf |= {"occlusion": drawn["occlusion"]} if drawn["occlusion"] else {}
+    sections: dict[str, Any] = {"psf": Psf(**psf)}
+    items = OBJECTS[drawn["objects"]]
+    if drawn["motion"] is not None:
+        items = tuple(item.model_copy(update={"motion": MOTION}) for item in items)
+        forward = drawn["motion"] == "forward"
+        sections["motion"] = Motion(warp="forward") if forward else Motion(texture_filter=drawn["motion"])
+        sections["sequence"] = Frames(samples=1 + (drawn["seed"] % 4 == 0))
+        if forward:
+            sections["fill"] = Fill(method=drawn["fill"], domain=drawn["domain"])
+    if drawn["stereo"]:
+        sections["stereo"] = Stereo(baseline=5.0, toe_in=0.5 * (drawn["seed"] % 2))
+    rows, columns = drawn["shape"]
+    found = []
+    for lens in range(drawn["lenses"]):
+        camera = Camera(resolution=(columns, rows), pixel_pitch=0.05, aperture_diameter=drawn["aperture"] * 0.8**lens)
+        found.append(Scene(camera=camera, objects=items, **sections))
+    return found
+
+
+def truth_of(drawn: Drawn) -> tuple[str, ...]:
+    names = (*TRUTH_NAMES, *STEREO_NAMES)
+    few = {"one": 1, "some": 4}.get(drawn["truth"], 0)
+    return names if drawn["truth"] == "all" else tuple(random.Random(drawn["seed"]).sample(names, few))
+
+
+def plans_of(drawn: Drawn) -> list[Plan]:
+    """Plans of the eyes of the first lens. Raises SceneError where a method cannot do the scene."""
+    scene, gpu = scenes_of(drawn)[0], drawn["device"].get("kind") == "gpu"
+    eyes = ("left", "right") if scene.stereo else ("left",)
+    how = (drawn["channels"], truth_of(drawn), drawn["method"])
+    return [make_plan(scene, *how, eye, depths_of(scene), None, gpu) for eye in eyes]  # type: ignore[arg-type]
+
+
+def features_of(drawn: Drawn) -> dict[str, Any]:
+    """What decides what of the kernels is compiled and run, of all eyes."""
+    found: dict[str, Any] = {"precision": drawn["precision"], "lenses": drawn["lenses"], "device": str(drawn["device"])}
+    for plan in plans_of(drawn):
+        real = "double" if drawn["precision"] == "double" else "float"
+        prepare = plan.forward or plan.occlusion == "layered"
+        found |= plan.features() | blur_features(plan.blur, plan.scene.psf, plan.largest_blur, real, prepare)  # type: ignore[arg-type]
+        found |= {"OCCLUDED": min(found["OCCLUDED"], 2), "blur": plan.blur, "occlusion": plan.occlusion}
+        found["truth"] = drawn["truth"]
+        found["coarse"] = bool(plan.approximations)
+        if plan.forward:
+            found |= forward_features(plan, drawn["device"].get("kind") != "gpu") | {"samples": plan.samples}
+    return found
+
+
+def depths_of(scene: Scene) -> tuple[Array | None, ...]:
+    """Inverse depth of a card, uneven and with nothing on its left, for every depth map."""
+    assert scene.camera.resolution is not None
+    columns, rows = scene.camera.resolution
+    w = np.random.default_rng(43).uniform(1 / 262.0, 1 / 258.0, (rows, columns))
+    w[:, : columns // 4] = 0.0
+    return tuple(w if item.shape == "depth_map" else None for item in scene.objects)
+
+
+def rendered(drawn: Drawn) -> list[Array]:
+    """All images of the scenes; where textures and depth maps are read is patched by the caller."""
+    options: Any = {"precision": drawn["precision"], "method": drawn["method"], "truth": truth_of(drawn)}
+    found: list[Array] = []
+    for _, frame in render_sweep(scenes_of(drawn), device="oclgrind", **options):
+        found += [value for value in vars(frame).values() if isinstance(value, np.ndarray)]
+    return found
+
+
+def textures_of(scene: Scene, channels: int) -> tuple[Scene, tuple[Texture, ...]]:
+    assert scene.camera.resolution is not None
+    columns, rows = scene.camera.resolution
+    shape = (rows, columns) if channels == 1 else (rows, columns, channels)
+    rng = np.random.default_rng(41)
+    return scene, tuple(Texture(rng.random(shape).astype(np.float32), 8, str(k)) for k in range(len(scene.objects)))
+
+
+def pairs_of(features: dict[str, Any]) -> set[Pair]:
+    return set(combinations(sorted(features.items(), key=lambda item: item[0]), 2))
+
+
+def drawn_scenes() -> tuple[list[Drawn], int, int]:
+    """The scenes, of how many that can be, and how many pairs of features they have."""
+    rng, known = random.Random(SEED), []
+    while len(known) < DRAWN:
+        drawn = {key: rng.choice(values) for key, values in CHOICES.items()}
+        try:
+            known.append((drawn, pairs_of(features_of(drawn))))
+        except (SceneError, ValueError):
+            continue
+    wanted: set[Pair] = set().union(*(pairs for _, pairs in known))
+    count, taken = len(wanted), []
+    while wanted:
+        best = max(known, key=lambda one: len(one[1] & wanted))
+        taken.append(best[0])
+        wanted -= best[1]
+    return taken, len(known), count
+
+
+def image_cases() -> Iterator[Case]:
+    """`defocus` of images: each method with each PSF, 1 to 4 channels."""
+    methods: tuple[str, ...] = ("gather", "scatter", "tiles", "convolve", next(iter(METHODS)))
+    number = 0
+    for method in methods:
+        for model in ("pillbox", "gaussian"):
+            for edge in ("integrated", "area", "sampled"):
+                for occlusion in ("none", "layered"):
+                    if occlusion == "layered" and (method == "convolve" or edge == "area"):
+                        continue
+                    number += 1
+                    psf = Psf(model=model, edge=edge, occlusion=occlusion, tilt=number % 3 > 0)  # type: ignore[arg-type]
+                    yield _image_case(number, method, psf)
+    for method in ("gather", "scatter", "tiles"):
+        number += 1
+        yield _image_case(number, method, Psf(border="renormalize", tilt=number % 2 > 0))
+
+
+def _image_case(number: int, method: str, psf: Psf) -> Case:
+    rows, columns = SHAPES[number % len(SHAPES)]
+    channels = number % 4 + 1
+    rng = np.random.default_rng(number)
+    image = rng.random((rows, columns, channels)).astype(np.float32) * (10.0 if number % 5 == 0 else 1.0)
+    largest = 1.8 if method in ("tiles", "scatter") else 3.2
+    coc = rng.choice([-1.0, 1.0], (rows, columns)) * rng.uniform(0.6, largest, (rows, columns))
+    if method == "convolve":
+        coc[:] = 1.9
+    if method in METHODS:
+        coc *= 2.0
+    changes = ({}, {"kind": "gpu"}, {"has_fp64": False}, {"has_int64_atomics": False})[number % 4]
+    about = f"{method}, {psf!r}, {rows} x {columns} x {channels}, {changes}"
+    return Case(f"image {number}", changes, lambda: [defocus(image, coc, psf, device="oclgrind", method=method)], about)
+
+
+def inpainting_cases() -> Iterator[Case]:
+    number = 0
+    for method in ("mean-median", "biharmonic", "texture"):
+        for shape in ((1, 2), (2, 9), (5, 4), (6, 7), (17, 1)):
+            for codes in (True, False):
+                number += 1
+                yield _inpainting_case(number, method, shape, codes)
+
+
+def _inpainting_case(number: int, method: str, shape: tuple[int, int], codes: bool) -> Case:
+    channels = number % 4 + 1
+    rng = np.random.default_rng(number)
+    image = (255 * rng.random((*shape, channels))).astype(np.uint8 if codes else np.float32)
+    missing = rng.random(shape) < 0.3
+    missing.flat[0], missing.flat[-1] = True, False
+    changes: dict[str, Any] = {"kind": "gpu"} if number % 3 == 0 else {}
+    about = f"{method} {shape} codes={codes} channels={channels} {changes}"
+    return Case(
+        f"inpainting {number}", changes, lambda: [inpaint(image, missing, method=method, device="oclgrind")[0]], about
+    )
+
+
+def scene_cases() -> Iterator[Case]:
+    for number, drawn in enumerate(drawn_scenes()[0]):
+        checks = ("races",) if any(plan.forward for plan in plans_of(drawn)) else ("races", "uninitialized")
+        yield Case(f"scene {number}", drawn["device"], partial(rendered, drawn), str(drawn), drawn["channels"], checks)
+
+
+def long_cases() -> Iterator[Case]:
+    """What small images have no need of: sums of wide discs, coarser grids, many missing pixels."""
+    rng = np.random.default_rng(11)
+    image, coc = rng.random((5, 4)).astype(np.float32), np.full((5, 4), SUMMED + 2.0)
+    holes = rng.random((10, 11, 1)).astype(np.float32)
+    missing = np.zeros((10, 11), np.bool_)
+    missing[2:8, 2:9] = True
+
+    def summed(light: float) -> list[Array]:
+        return [defocus(light * image, coc, Psf(), device="oclgrind", method="convolve")]
+
+    def coarse(tilt: bool) -> list[Array]:
+        options: Any = {"device": "oclgrind", "method": "coarse2", "told": []}
+        return [defocus(image, coc, Psf(edge="sampled", tilt=tilt), **options)]
+
+    def filled(method: str) -> list[Array]:
+        with patch("clsco.inpainting.mean_median.MOST_ENTRIES", 4):  # of a sweep that one work-group does
+            return [inpaint(holes, missing, method=method, device="oclgrind")[0]]
+
+    for light in (1.0, 10.0):
+        yield Case(f"sums, light {light}", {}, partial(summed, light), checks=("races",))
+    for tilt in (True, False):
+        yield Case(f"measured approximation, tilt {tilt}", {}, partial(coarse, tilt))
+    for method in ("mean-median", "biharmonic"):
+        yield Case(f"many missing, {method}", {}, partial(filled, method))
+    yield Case("many missing, as on a GPU", {"kind": "gpu"}, partial(filled, "mean-median"))
+
+
+def fault_cases() -> Iterator[Case]:
+    """What faults are planted in: few work-items, of which some have nothing to do."""
+    rng = np.random.default_rng(7)
+    image, codes = rng.random((3, 6, 2)).astype(np.float32), rng.random((6, 7, 1)).astype(np.float32)
+    coc, jump = rng.uniform(0.9, 1.4, (3, 6)), np.where(np.arange(6) < 2, -2.0, 1.5) * np.ones((3, 1))
+    missing = np.zeros((6, 7), np.bool_)
+    missing[2:4, 2:5] = True
+
+    def blurred(method: str, radii: Array, psf: Psf) -> Callable[[], list[Array]]:
+        return lambda: [defocus(image, radii, psf, device="oclgrind", method=method)]
+
+    yield Case("solver", {}, lambda: [inpaint(codes, missing, method="biharmonic", device="oclgrind")[0]])
+    yield Case("tiles", {}, blurred("tiles", coc, Psf()))
+    yield Case("scatter", {}, blurred("scatter", coc, Psf()))
+    yield Case("slabs", {}, blurred("scatter", jump, Psf(occlusion="layered")))
+
+
+def all_cases() -> Iterator[Case]:
+    for cases in (long_cases, image_cases, inpainting_cases, fault_cases, scene_cases):
+        yield from cases()

@@ -1,0 +1,142 @@
+"""Faults in copies of kernels, each of which the check has to find: where, what is there, what is put in its place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Fault:
+    """file: of kernels/; old, new: text there; case: that runs into it (tests/oclgrind/cases.py); told: of the report;
+    check: of `tests.oclgrind.simulator.CHECKS`.
+    """
+
+    name: str
+    file: str
+    old: str
+    new: str
+    case: str
+    told: str
+    check: str = "races"
+
+
+LAST_BARRIER = """                        first_y + n / across, item, &chunk SUBPIXEL_VALUES);
+        barrier(CLK_LOCAL_MEM_FENCE);
+"""
+FAULTS = (
+    Fault(
+        "a work-item too many",
+        "biharmonic.cl",
+        "    if (entry >= count)\n        return;\n    real result[CHANNELS];\n    biharmonic(rows, columns, image,",
+        "    if (entry > count)\n        return;\n    real result[CHANNELS];\n    biharmonic(rows, columns, image,",
+        "solver",
+        "Invalid read",
+    ),
+    Fault(
+        "a write beyond the end",
+        "biharmonic.cl",
+        "    sums[slot * CHANNELS + c] = sum;",
+        "    sums[(slot + 3) * CHANNELS + c] = sum;",
+        "solver",
+        "Invalid write",
+    ),
+    Fault(
+        "one place for all work-items",
+        "biharmonic.cl",
+        "        applied[entry * CHANNELS + c] = result[c];",
+        "        applied[c] = result[c] + entry;",
+        "solver",
+        "Write-write data race",
+    ),
+    Fault(
+        "the same value written by all",
+        "biharmonic.cl",
+        "    residual[entry * CHANNELS + c] = -result[c];",
+        "    { residual[entry * CHANNELS + c] = -result[c]; residual[0] = 0; }",
+        "solver",
+        "data race",
+    ),
+    Fault(
+        "a private array not set",
+        "biharmonic.cl",
+        "    for (int c = 0; c < CHANNELS; ++c)\n        result[c] = 0;\n",
+        "",
+        "solver",
+        "ninitialized",
+        "uninitialized",
+    ),
+    Fault(
+        "a local array not set",
+        "tiles.cl",
+        "        if (item < CHUNK / WORD)\n            chunk.reaching[item] = 0;\n",
+        "",
+        "tiles",
+        "ninitialized",
+        "uninitialized",
+    ),
+    Fault(
+        "a plane not written",
+        "sources.clh",
+        "    source[2 * plane + at] = record.z;\n",
+        "",
+        "tiles",
+        "ninitialized",
+        "uninitialized",
+    ),
+    Fault(
+        "no barrier after the chunk",
+        "tiles.cl",
+        LAST_BARRIER,
+        LAST_BARRIER[: LAST_BARRIER.rindex("        b")],
+        "tiles",
+        "data race",
+    ),
+    Fault(
+        "a barrier that not all reach",
+        "tiles.cl",
+        "            chunk.reaching[item] = 0;\n        barrier(CLK_LOCAL_MEM_FENCE);",
+        "        { chunk.reaching[item] = 0; barrier(CLK_LOCAL_MEM_FENCE); }",
+        "tiles",
+        "divergence",
+    ),
+    Fault(
+        "a source too many",
+        "tiles.cl",
+        "        if (n < across * down)\n",
+        "        if (n <= across * down)\n",
+        "tiles",
+        "Invalid read",
+    ),
+    Fault(
+        "beyond a local array",
+        "tiles.cl",
+        "        if (item < CHUNK / WORD)\n",
+        "        if (item < 64 * CHUNK)\n",
+        "tiles",
+        "Invalid write",
+    ),
+    Fault(
+        "a plain look beside an atomic",
+        "layer.cl",
+        "if (LOOK(latest + CLASSES * bins) < sum)",
+        "if (latest[CLASSES * bins] < sum)",
+        "slabs",
+        "Read-write data race",
+    ),
+    Fault(
+        "a row too many",
+        "layer.cl",
+        "    if (line >= camera.height + camera.width)\n",
+        "    if (line > camera.height + camera.width)\n",
+        "slabs",
+        "Invalid read",
+    ),
+    Fault(
+        "a sum without an atomic",
+        "blur.cl",
+        "#define ADD_FIXED(p, v) atom_add(p, v)",
+        "#define ADD_FIXED(p, v) (*(p) += (v))",
+        "scatter",
+        "data race",
+    ),
+)

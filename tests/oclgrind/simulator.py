@@ -1,0 +1,137 @@
+"""Oclgrind, which interprets kernels and sees what they read and write: how to start it, and what to spare it."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import lru_cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+import pyopencl as cl
+
+from clsco import program
+from clsco.device import Session, choose
+
+LIBRARIES = sorted(Path("/usr/lib").glob("**/oclgrind/liboclgrind-rt.so"))
+INSTALL = (
+    "oclgrind: must be installed (Debian and Ubuntu: apt-get install oclgrind); got no liboclgrind-rt.so in /usr/lib"
+)
+INSTEAD = Path(__file__).with_name("simulator.clh")
+MOST_REPORTS = 40  # in a log
+CHECKS = {
+    "races": {"OCLGRIND_DATA_RACES": "1", "OCLGRIND_UNIFORM_WRITES": "1"},
+    "uninitialized": {"OCLGRIND_UNINITIALIZED": "1"},
+}
+"""One at a time: with both it tells of no race."""
+
+
+def environ(log: Path, check: str) -> dict[str, str]:
+    """Variables of a process in which Oclgrind is one of the platforms; check: what it looks for besides bounds."""
+    if not LIBRARIES:
+        raise FileNotFoundError(INSTALL)
+    return os.environ | {
+        "LD_PRELOAD": str(LIBRARIES[0]),
+        **CHECKS[check],
+        "OCLGRIND_LOG": str(log),
+        "OCLGRIND_MAX_ERRORS": str(MOST_REPORTS),
+        "OCLGRIND_NUM_THREADS": "1",
+        "OCLGRIND_GLOBAL_MEM_SIZE": str(2**31),
+        # Its optimizer makes intrinsics that its interpreter does not know, such as llvm.abs.
+        "OCLGRIND_BUILD_OPTIONS": "-cl-opt-disable",
+        "PYOPENCL_NO_CACHE": "1",
+    }
+
+
+def without_intrinsics() -> None:
+    """The inliner of its compiler marks restrict pointers by an intrinsic that its interpreter does not know."""
+    options = (b"oclgrind", b"-use-noalias-intrinsic-during-inlining=0")
+    ctypes.CDLL(None).LLVMParseCommandLineOptions(len(options), (ctypes.c_char_p * len(options))(*options), None)
+
+
+def in_single_lanes(text: str) -> str:
+    """A text in which nothing writes some lanes of a vector, or makes one of shorter ones.
+
+    It takes the other lanes for uninitialized then, or ends by a signal.
+    """
+
+    def two(match: re.Match[str]) -> str:
+        indent, vector, first, second, value = match.groups()
+        return (
+            f"{indent}{{ const float2 lanes_ = {value}; {vector}.{first} = lanes_.x; {vector}.{second} = lanes_.y; }}"
+        )
+
+    def every_other(match: re.Match[str]) -> str:
+        indent, vector, which, value = match.groups()
+        lanes = " ".join(f"{vector}[{2 * k + (which == 'odd')}] = lanes_[{k}];" for k in range(4))
+        return f"{indent}{{ const float4 lanes_ = {value}; {lanes} }}"
+
+    def one_by_one(line: re.Match[str]) -> str:
+        return re.sub(r"(\(\w\))\.s([\da-f]{2,})\b", lambda m: ", ".join(f"{m[1]}.s{k}" for k in m[2]), line[0])
+
+    def odd(match: re.Match[str]) -> str:  # a shuffle with element 11, see simulator.clh
+        return "(float8)(" + ", ".join(f"{match[1]}.s{k}" for k in "13579bdf") + ")"
+
+    text = re.sub(r"\b(\w+)\.odd\b(?! =)", odd, text)
+    text = re.sub(r"^.*\(float8\)\(\(a\).*$", one_by_one, text, flags=re.MULTILINE)
+    text = re.sub(r"^( *)([\w>.-]+)\.([xyzw])([xyzw]) = (.+);$", two, text, flags=re.MULTILINE)
+    return re.sub(r"^( *)(\w+)\.(even|odd) = (.+);$", every_other, text, flags=re.MULTILINE)
+
+
+def _text(*given: Any) -> str:
+    return INSTEAD.read_text("utf-8") + in_single_lanes(_program_text(*given))
+
+
+_program_text = program.program_text
+
+
+def _fill(queue: cl.CommandQueue, buffer: cl.Buffer, pattern: Any, offset: int, size: int) -> None:
+    """It takes what clEnqueueFillBuffer writes for uninitialized, and not what is copied."""
+    if size:
+        repeated = np.resize(np.frombuffer(np.asarray(pattern).tobytes(), np.uint8), size)
+        cl.enqueue_copy(queue, buffer, repeated, dst_offset=offset)
+
+
+_held: list[cl.Buffer] = []
+_Buffer = cl.Buffer
+
+
+def _buffer(*args: Any, **options: Any) -> cl.Buffer:
+    """It takes for uninitialized what is written where another buffer has been, so none is let go of."""
+    _held.append(_Buffer(*args, **options))
+    return _held[-1]
+
+
+@lru_cache(maxsize=1)
+def _queue() -> cl.CommandQueue:
+    """Of all cases: in a second context it takes for uninitialized what the first one had at the same address."""
+    context = cl.Context([choose("oclgrind").handle])
+    return cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
+
+
+@contextmanager
+def sessions(**changes: Any) -> Iterator[None]:
+    """Has clsco work on Oclgrind; changes: what its device is to be taken for, such as kind = "gpu"."""
+    # What a kernel reads of the host's own memory it takes for uninitialized, hence no unified memory.
+    given: Mapping[str, Any] = {"unified_memory": False, **changes}
+    device = replace(choose("oclgrind"), **given)
+    render, arrays = import_module("clsco.render"), import_module("clsco.arrays")
+
+    def session(*_: Any, **__: Any) -> Session:
+        return Session(device, queue=_queue())
+
+    with (
+        patch.object(program, "program_text", _text),
+        patch.object(cl, "enqueue_fill_buffer", _fill),
+        patch.object(cl, "Buffer", _buffer),
+        patch.object(render, "Session", session),
+        patch.object(arrays, "session_on", session),
+    ):
+        yield

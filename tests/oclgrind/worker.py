@@ -1,0 +1,91 @@
+"""A process on Oclgrind: runs cases, or faults, and prints of each a line of JSON: what was launched and reported.
+
+python -m tests.oclgrind.worker cases FIRST STEP
+python -m tests.oclgrind.worker faults CHECK
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from importlib import import_module
+from itertools import islice
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+from clsco import program
+from clsco.resources import folder
+from tests.oclgrind import simulator
+from tests.oclgrind.cases import Case, all_cases, depths_of, fault_cases, textures_of
+from tests.oclgrind.faults import FAULTS, Fault
+
+
+def run(case: Case, log: Path) -> dict[str, Any]:
+    """A case by itself: kernels launched, processor time in s, and what has come into the log."""
+    before, begun = len(_read(log)), time.process_time()
+    launched: set[str] = set()
+    launch = program.cl.Kernel.__call__
+
+    def noted(kernel: Any, *args: Any, **options: Any) -> Any:
+        launched.add(kernel.function_name)
+        return launch(kernel, *args, **options)
+
+    report = ""
+    with ExitStack() as stack:
+        stack.enter_context(simulator.sessions(**case.device))
+        stack.enter_context(patch.object(program.cl.Kernel, "__call__", noted))
+        render = import_module("clsco.render")
+        stack.enter_context(
+            patch.object(render, "load_scene_textures", lambda scene: textures_of(scene, case.channels))
+        )
+        stack.enter_context(patch.object(render, "load_scene_depths", depths_of))
+        try:
+            case.run()
+        except Exception as error:
+            report = f"{type(error).__name__}: {error}\n"
+    seconds = round(time.process_time() - begun, 2)
+    now = _read(log)
+    report += now[before:] if len(now) >= before else now
+    return {"name": case.name, "about": case.about, "launched": sorted(launched), "seconds": seconds, "report": report}
+
+
+def run_fault(fault: Fault, log: Path) -> dict[str, Any]:
+    """The case of a fault, with a copy of the kernels that has it."""
+    case = next(one for one in fault_cases() if one.name == fault.case)
+    with tempfile.TemporaryDirectory(prefix="clsco-fault-") as place:
+        for entry in folder("kernels").iterdir():
+            if entry.name.endswith((".cl", ".clh")):
+                (Path(place) / entry.name).write_text(entry.read_text("utf-8"), "utf-8")
+        text = (Path(place) / fault.file).read_text("utf-8")
+        if fault.old not in text:
+            raise ValueError(f"fault {fault.name}: {fault.file} must hold its text; got none of\n{fault.old}")
+        (Path(place) / fault.file).write_text(text.replace(fault.old, fault.new, 1), "utf-8")
+        with patch.object(program, "folder", lambda _: Path(place)):
+            return run(case, log) | {"name": fault.name}
+
+
+def _read(log: Path) -> str:
+    return log.read_text("utf-8", "replace") if log.exists() else ""
+
+
+def main(what: str, *given: str) -> None:
+    simulator.without_intrinsics()
+    log = Path(os.environ["OCLGRIND_LOG"])
+    results: Iterator[dict[str, Any]]
+    if what == "faults":
+        results = (run_fault(fault, log) for fault in FAULTS if fault.check == given[0])
+    else:
+        chosen = (case for case in all_cases() if given[0] in case.checks)
+        results = (run(case, log) for case in islice(chosen, int(given[1]), None, int(given[2])))
+    for result in results:
+        print(json.dumps(result), flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
