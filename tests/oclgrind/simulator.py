@@ -76,10 +76,8 @@ def in_single_lanes(text: str) -> str:
     def one_by_one(line: re.Match[str]) -> str:
         return re.sub(r"(\(\w\))\.s([\da-f]{2,})\b", lambda m: ", ".join(f"{m[1]}.s{k}" for k in m[2]), line[0])
 
-    def odd(match: re.Match[str]) -> str:  # a shuffle with element 11, see simulator.clh
-        return "(float8)(" + ", ".join(f"{match[1]}.s{k}" for k in "13579bdf") + ")"
-
-    text = re.sub(r"\b(\w+)\.odd\b(?! =)", odd, text)
+    # Of sixteen; a shuffle with element 11, see simulator.clh.
+    text = re.sub(r"(\(\w\)|\b\w+)\.odd\b(?! =)", r"__builtin_shufflevector(\1, \1, 1, 3, 5, 7, 9, 11, 13, 15)", text)
     text = re.sub(r"^.*\(float8\)\(\(a\).*$", one_by_one, text, flags=re.MULTILINE)
     text = re.sub(r"^( *)([\w>.-]+)\.([xyzw])([xyzw]) = (.+);$", two, text, flags=re.MULTILINE)
     return re.sub(r"^( *)(\w+)\.(even|odd) = (.+);$", every_other, text, flags=re.MULTILINE)
