@@ -76,10 +76,8 @@ def in_single_lanes(text: str) -> str:
     def one_by_one(line: re.Match[str]) -> str:
         return re.sub(r"(\(\w\))\.s([\da-f]{2,})\b", lambda m: ", ".join(f"{m[1]}.s{k}" for k in m[2]), line[0])
 
-    def odd(match: re.Match[str]) -> str:  # a shuffle with element 11, see simulator.clh
-        return "(float8)(" + ", ".join(f"{match[1]}.s{k}" for k in "13579bdf") + ")"
-
-    text = re.sub(r"\b(\w+)\.odd\b(?! =)", odd, text)
+    # Of sixteen; a shuffle with element 11, see simulator.clh.
+    text = re.sub(r"(\(\w\)|\b\w+)\.odd\b(?! =)", r"__builtin_shufflevector(\1, \1, 1, 3, 5, 7, 9, 11, 13, 15)", text)
     text = re.sub(r"^.*\(float8\)\(\(a\).*$", one_by_one, text, flags=re.MULTILINE)
     text = re.sub(r"^( *)([\w>.-]+)\.([xyzw])([xyzw]) = (.+);$", two, text, flags=re.MULTILINE)
     return re.sub(r"^( *)(\w+)\.(even|odd) = (.+);$", every_other, text, flags=re.MULTILINE)
@@ -92,11 +90,31 @@ def _text(*given: Any) -> str:
 _program_text = program.program_text
 
 
+PUT = """__kernel void put(__global uchar *to, const int at, __global const uchar *from)
+{ to[at + get_global_id(0)] = from[get_global_id(0)]; }"""
+_enqueue_copy = cl.enqueue_copy
+
+
+def _copy(queue: cl.CommandQueue, to: Any, source: Any, **options: Any) -> Any:
+    """What the host writes of a part of a buffer leaves the rest uninitialized for it, so that is done by a kernel."""
+    if not isinstance(to, _Buffer) or isinstance(source, _Buffer) or source.nbytes == to.size:
+        return _enqueue_copy(queue, to, source, **options)
+    data = np.frombuffer(source.tobytes(), np.uint8)
+    given = _buffer(queue.context, cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR, hostbuf=data)
+    put = cl.Kernel(_put_program(queue.context), "put")
+    return put(queue, (data.size,), None, to, np.int32(options.get("dst_offset", 0)), given)
+
+
+@lru_cache(maxsize=1)
+def _put_program(context: cl.Context) -> cl.Program:
+    return cl.Program(context, PUT).build()
+
+
 def _fill(queue: cl.CommandQueue, buffer: cl.Buffer, pattern: Any, offset: int, size: int) -> None:
     """It takes what clEnqueueFillBuffer writes for uninitialized, and not what is copied."""
     if size:
         repeated = np.resize(np.frombuffer(np.asarray(pattern).tobytes(), np.uint8), size)
-        cl.enqueue_copy(queue, buffer, repeated, dst_offset=offset)
+        _copy(queue, buffer, repeated, dst_offset=offset)
 
 
 _held: list[cl.Buffer] = []
@@ -130,6 +148,7 @@ def sessions(**changes: Any) -> Iterator[None]:
     with (
         patch.object(program, "program_text", _text),
         patch.object(cl, "enqueue_fill_buffer", _fill),
+        patch.object(cl, "enqueue_copy", _copy),
         patch.object(cl, "Buffer", _buffer),
         patch.object(render, "Session", session),
         patch.object(arrays, "session_on", session),
