@@ -220,7 +220,7 @@ def image_cases() -> Iterator[Case]:
                     if occlusion == "layered" and (method == "convolve" or edge == "area"):
                         continue
                     number += 1
-                    psf = Psf(model=model, edge=edge, occlusion=occlusion, tilt=number % 3 > 0)  # type: ignore[arg-type]
+                    psf = Psf(model=model, edge=edge, occlusion=occlusion, tilt=number % 3 > 0)
                     yield _image_case(number, method, psf)
     for method in ("gather", "scatter", "tiles"):
         number += 1
