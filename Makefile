@@ -36,11 +36,12 @@ laws: .venv/dev.stamp
 stability: .venv/bench.stamp
 	$(BIN)/clsco bench --stability -o benchmarks/results/stability
 
-# Every kernel on a simulator that sees what it reads and writes; Debian and Ubuntu have it.
+# Every kernel on a simulator that sees what it reads and writes, one of EVERY scenes; Debian and Ubuntu have it.
+EVERY ?= 1
 oclgrind: .venv/dev.stamp
 	@test -n "$$(find /usr/lib -name liboclgrind-rt.so)" || \
 		{ echo "oclgrind: must be installed, on Debian and Ubuntu by apt-get install oclgrind" >&2; exit 1; }
-	$(BIN)/python -m pytest -q -n 0 -m oclgrind tests/oclgrind
+	CLSCO_EVERY=$(EVERY) $(BIN)/python -m pytest -q -n 0 -m oclgrind tests/oclgrind
 
 # Small faults in kernels and in the host's arithmetic, which the tests have to notice: one of SHARE of them.
 SHARE ?= 100

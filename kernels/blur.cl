@@ -119,7 +119,7 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
     int single = (1 << MIN(BLOCK, camera.width - block)) - 1;
 #if ROWS
     const int16 others = take_sources(psf, source, plane, line, block, camera.width, intervals, outlines).others;
-    single = bits_of(others.lo) | bits_of(others.hi) << LANES;
+    single = bits_of(others.lo) | bits_of(UPPER(others)) << LANES;
 #elif !DISC && !SEPARABLE
     if (camera.width - block >= LANES) {
 #if SPANS

@@ -6,11 +6,12 @@ would be too many (over 10^6); of drawn scenes those are taken that add pairs of
 
 from __future__ import annotations
 
+import os
 import random
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import combinations
+from itertools import combinations, islice
 from typing import Any
 from unittest.mock import patch
 
@@ -55,6 +56,7 @@ SHAPES = (
     (6, 9), (8, 8), (3, 15), (9, 6), (2, 17), (5, 11), (1, 31), (3, 23), (10, 3), (32, 1),
 )  # fmt: skip
 DRAWN, SEED = 200, 1
+EVERY = int(os.environ.get("CLSCO_EVERY", "1"))  # of the scenes one of so many is run, for a quick look
 MOTION = ObjectMotion(velocity=(0.9, -0.4, -90.0), angular_velocity=(3.0, -2.0, 5.0))
 FAR = Plane(distance=300.0, slope_x=0.2, name="far")
 BALL = Sphere(center=(0.5, 0.3, 230.0), radius=2.0)
@@ -266,7 +268,7 @@ def _inpainting_case(number: int, method: str, shape: tuple[int, int], codes: bo
 
 
 def scene_cases() -> Iterator[Case]:
-    for number, drawn in enumerate(drawn_scenes()[0]):
+    for number, drawn in islice(enumerate(drawn_scenes()[0]), 0, None, EVERY):
         yield Case(f"scene {number}", drawn["device"], partial(rendered, drawn), str(drawn), drawn["channels"])
 
 
