@@ -30,7 +30,7 @@ soak: .venv/dev.stamp
 
 # Each law 500 times.
 laws: .venv/dev.stamp
-	$(BIN)/python -m pytest -q -n auto tests/laws --hypothesis-profile=laws -m "slow or not slow"
+	$(BIN)/python -m pytest -q -n auto tests/laws --hypothesis-profile=laws -m laws
 
 # Fails where an error is beyond its bound.
 stability: .venv/bench.stamp

@@ -17,7 +17,7 @@ from clsco.scene import Sequence as Exposure
 
 COLUMNS, ROWS = 24, 20
 LIGHT = (-4, 1, 3)  # powers of two by which textures are brighter
-SOME, MANY = 4, 500  # examples of each law in `make test`, and in `make laws`
+SOME, MANY = 4, 500  # examples of each law for a quick look, and in `make laws`
 NAMES = ("depth", "coc", "mask", "object_id", "normal", "flow")
 # Radii stay below 1 px: tables for larger ones, made anew for each scene, take longer than all the rest.
 CAMERA = {

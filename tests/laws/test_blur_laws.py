@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 import clsco
 from tests.laws.scenes import COLUMNS, METHOD, ROWS, eighths, law, same_bits
 
+pytestmark = pytest.mark.laws
 Array = NDArray[Any]
 ROUNDING = 4e-6  # of the brightest light: sums of some hundred weights of float32
 LARGEST = 4  # px

@@ -33,6 +33,8 @@ from tests.laws.scenes import (
 
 ROUNDING = 4e-6  # of white: sums of some hundred weights of float32 in another order
 
+pytestmark = pytest.mark.laws
+
 
 def changed(item: Object, **update: object) -> Object:
     """An object with other values."""
@@ -120,7 +122,6 @@ def test_a_multiple_of_an_equation_is_the_same_surface(
     assert same_bits(seen[0].depth, seen[1].depth)
 
 
-@pytest.mark.slow  # of all laws only this one has objects at rest, which takes another program
 @law
 @given(pairs, st.integers(2, 9))
 def test_what_does_not_move_is_still(light: Path, objects: tuple[Object, ...], samples: int) -> None:
