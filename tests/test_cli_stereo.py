@@ -86,6 +86,7 @@ def test_both_views_are_written_as_they_are_rendered(scene: Path, tmp_path: Path
         assert (told["units"][f"views.{view}.intermediate[].time"], told["units"]["stereo.baseline"]) == ("s", "mm")
 
 
+@pytest.mark.slow
 def test_a_pair_is_resumed_as_one(scene: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
 
@@ -128,6 +129,7 @@ def test_scenes_that_share_rays_are_those_rendered_alone(scene: Path, tmp_path: 
                 ).read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limit", ["TOGETHER", "PIXELS_TOGETHER"])
 def test_long_sweeps_are_rendered_in_parts(
     scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str

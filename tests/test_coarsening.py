@@ -199,6 +199,7 @@ texture = "bricks"
 """
 
 
+@pytest.mark.slow
 def test_the_commands_tell_what_was_taken(tmp_path: Path) -> None:
     path, out = tmp_path / "scene.toml", tmp_path / "out"
     path.write_text(SCENE, "utf-8")

@@ -316,6 +316,7 @@ print(complete, damaged)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("writer", ["whole", "naive"])
 def test_killed_at_any_moment(tmp_path: Path, writer: str) -> None:
     command = [sys.executable, "-W", "ignore", "-c", KILLED, str(tmp_path), writer]

@@ -205,7 +205,7 @@ def test_every_psf(session: Session, psf: Psf, tilt: bool, method: Blur) -> None
 @pytest.mark.parametrize(
     ("psf", "channels"),
     [
-        (Psf(), 3),
+        pytest.param(Psf(), 3, marks=pytest.mark.slow),
         (Psf(edge="sampled", tilt=False), 1),
         *(pytest.param(*case, marks=pytest.mark.slow) for case in ((Psf(), 1), (Psf(edge="area"), 1))),
     ],
@@ -263,6 +263,7 @@ def test_subpixel_sources(session: Session, method: Blur, samples: int) -> None:
     assert_close(blurred(session, given, method), expected, FIGURE["area"])
 
 
+@pytest.mark.slow
 def test_subpixel_sources_of_a_sampled_psf_and_without_tilt(session: Session) -> None:
     for psf in (Psf(edge="sampled"), Psf(model="gaussian", tilt=False)):
         given = light(psf, samples=2)

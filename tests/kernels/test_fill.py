@@ -334,7 +334,7 @@ def test_what_cannot_be_filled_is_left(session: Session, method: Method) -> None
     ("method", "real", "far"),
     [
         ("ait", "float", False),
-        ("mean_median", "double", True),
+        pytest.param("mean_median", "double", True, marks=pytest.mark.slow),
         pytest.param("ait", "double", True, marks=pytest.mark.slow),
         pytest.param("mean_median", "float", False, marks=pytest.mark.slow),
         pytest.param("mean_median", "double", False, marks=pytest.mark.slow),

@@ -20,6 +20,7 @@ from clsco.optics import blur_radius
 from clsco.scene import Camera
 from clsco.scenefile import parse_scene
 from clsco.transfer import encode
+from tests.slow import mostly_slow
 
 
 def clsco_(*words: object) -> Result:
@@ -128,7 +129,7 @@ def depth_files(folder: Path) -> dict[str, tuple[Path, tuple[object, ...], str]]
     }
 
 
-@pytest.mark.parametrize("kind", ["blender", "middlebury", "kitti"])
+@pytest.mark.parametrize("kind", mostly_slow(["blender", "middlebury", "kitti"], ["blender"]))
 def test_files_of_other_programs(tmp_path: Path, kind: str) -> None:
     image = np.random.default_rng(5).integers(0, 256, (24, 32, 3), "u1")
     (tmp_path / "photo.png").write_bytes(imagecodecs.png_encode(image))

@@ -30,13 +30,25 @@ SMALL_SEVERAL = (*SMALL[:2], "camera.aperture_diameter=20.0")
 # What takes the reference many seconds, and is looked at in parts by tests/pipeline/test_occlusion.py.
 LONG = {
     f"occlusion_{stem}"
-    for stem in ("passing", "tube", "sharp_near", "sharp_far", "interpenetrating", "three", "wire", "ground", "card")
+    for stem in (
+        "passing",
+        "tube",
+        "sharp_near",
+        "sharp_far",
+        "interpenetrating",
+        "three",
+        "wire",
+        "ground",
+        "card",
+        "near_sphere",
+    )
 }
 LONG |= {
     "bowl",
     "tube",
     "focal_stack",
     "camera_motion",
+    "sphere_moving",
     "stereo",
     "depth_map",
     "cone_turning",

@@ -59,7 +59,7 @@ def picture(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize(
     ("warp", "method"),
-    combined(("inverse", "forward"), ("gather", "scatter"), kept=[("inverse", "gather"), ("forward", "scatter")]),
+    combined(("inverse", "forward"), ("gather", "scatter"), kept=[("inverse", "gather")]),
 )
 def test_color_is_three_gray_scenes(method: str, warp: str, picture: Path) -> None:
     item = {**BALL, "texture": str(picture), "motion": GOING}
@@ -123,7 +123,7 @@ def test_light_above_white_is_kept(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("shape", "method"),
-    combined(("plane", "sphere"), ("gather", "scatter"), kept=[("plane", "scatter"), ("sphere", "gather")]),
+    combined(("plane", "sphere"), ("gather", "scatter"), kept=[("plane", "scatter")]),
 )
 def test_renormalizing_gives_all_light_back(shape: str, method: str, tmp_path: Path) -> None:
     item = {"shape": "plane", "slope_x": 1.0} if shape == "plane" else BALL
@@ -156,7 +156,7 @@ def test_a_silhouette_at_the_border_renormalized() -> None:
         (1, 3),
         kept=[
             *(("pillbox", "integrated", 1), ("pillbox", "area", 3), ("pillbox", "sampled", 3)),
-            *(("gaussian", "integrated", 3), ("gaussian", "sampled", 1)),
+            ("gaussian", "sampled", 1),
         ],
     ),
 )
