@@ -266,7 +266,7 @@ def test_missing_extras_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 # Numba compiles each for seconds.
 @pytest.mark.parametrize(
     "peer",
-    [pytest.param(peer, marks=pytest.mark.slow if peer in peers.PEERS[:3] else ()) for peer in peers.PEERS],
+    [pytest.param(peer, marks=pytest.mark.slow if peer in peers.PEERS[:4] else ()) for peer in peers.PEERS],
     ids=lambda peer: "-".join(peer),
 )
 def test_peers_do_the_same(peer: tuple[str, str, Any, str]) -> None:

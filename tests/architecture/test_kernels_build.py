@@ -116,7 +116,7 @@ def test_what_the_host_asks_for_is_what_the_files_know() -> None:
 
 
 # What takes seconds: programs with most kernels, and files that are built by themselves as well.
-LONG = (OCCLUSION, FORWARD, ("trace.cl",), ("blur.cl", "layer.cl"))
+LONG = (OCCLUSION, FORWARD, ("trace.cl",), ("blur.cl",), ("blur.cl", "layer.cl"))
 
 
 @pytest.mark.parametrize("real", ["double", "float"])

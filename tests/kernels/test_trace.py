@@ -374,7 +374,13 @@ def test_range_of_radii_is_noted(session: Session) -> None:
     assert nothing.tolist() == EMPTY_STATISTICS.tolist()
 
 
-@pytest.mark.parametrize("name", ["sphere moved, 2 x 2", "bounded paraboloid", "card, nearest", "three in a row"])
+@pytest.mark.parametrize(
+    "name",
+    mostly_slow(
+        ["sphere moved, 2 x 2", "bounded paraboloid", "card, nearest", "three in a row"],
+        ["sphere moved, 2 x 2", "three in a row"],
+    ),
+)
 def test_same_bits_again_and_in_other_groups(session: Session, name: str) -> None:
     plan = planned(*SCENES[name])
 
