@@ -44,13 +44,12 @@ def prepare_sources(coc: Array, valid: NDArray[np.bool_]) -> Array:
     return np.stack([along(coc, valid), along(coc.T, valid.T).T], axis=-1)
 
 
-def tilt_factor(dx: ArrayLike, dy: ArrayLike, gx: ArrayLike, gy: ArrayLike, radius: ArrayLike) -> Array:
+def tilt_factor(dx: ArrayLike, dy: ArrayLike, slope: Array) -> Array:
     """Weight 1 + l . grad R of the light that a tilted surface sends through lens point l = (dx, dy) / R.
 
-    dx, dy: px, right and down; gx, gy: gradient of the signed radius, px per px, the same way; radius:
-    signed, px. They broadcast. The factor is never below 0. See `tilt_slope` for radii below 1 px.
+    dx, dy: px, right and down; slope: grad R / R (..., 2) in 1/px, the same way, of `tilt_slope`. They
+    broadcast. The factor is never below 0.
     """
-    slope = tilt_slope(np.stack(np.broadcast_arrays(gx, gy), axis=-1), radius)
     return np.maximum(0.0, 1.0 + (np.asarray(dx) * slope[..., 0] + np.asarray(dy) * slope[..., 1]))
 
 
@@ -72,36 +71,39 @@ def _alike(sight: Sight) -> list[tuple[NDArray[np.int64], Sight, Array]]:
     return [(part, group, look_through(group)) for part in parts for group in [sight.of(part)]]
 
 
-def _shares(psf: Psf, sources: Sources, there: NDArray[np.bool_]) -> Iterator[tuple[int, int, Array]]:
-    """Every offset (dx, dy) with the share (H, W) of each source's light that goes there."""
-    radius = np.where(there, sources.radius, 0.0)
+def _shares(
+    psf: Psf, sources: Sources, there: NDArray[np.bool_], shape: Shape, guard: int
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Array]]:
+    """For every offset: source numbers, frame pixel numbers, and the share of each source's light that goes there.
+
+    Targets outside of the frame are left out.
+    """
+    size, slope = np.abs(sources.radius).ravel(), tilt_slope(sources.gradient, sources.radius).reshape(-1, 2)
+    row, column = (axis.ravel() - guard for axis in np.indices(there.shape))
     at = np.flatnonzero(there)
-    size = np.abs(radius.ravel()[at])
-    gx, gy = sources.gradient[..., 0], sources.gradient[..., 1]
+    at = at[np.argsort(size[at], kind="stable")]  # a block's sources have nearly the same taps
+    blocks = [at[start : start + BLOCK] for start in range(0, at.size, BLOCK)]
+    reaches = [psf_weights.reach(psf, float(size[block[-1]])) for block in blocks]
     groups = [] if sources.sight is None else _alike(sources.sight)
-    for a, b, offsets in _octant(psf_weights.reach(psf, float(size.max(initial=0.0)))):
-        weight = np.zeros(there.shape)
-        for start in range(0, at.size, BLOCK):
-            block = slice(start, start + BLOCK)
-            weight.ravel()[at[block]] = psf_weights.weights(
-                psf, np.asarray(float(b)), np.asarray(float(a)), size[block]
-            )
-        if not weight.any():
-            continue
+    for a, b, offsets in _octant(max(reaches, default=-1)):
+        weight = np.zeros(there.size)
+        for block, far in zip(blocks, reaches, strict=True):
+            if far >= b:
+                weight[block] = psf_weights.weights(psf, np.asarray(float(b)), np.asarray(float(a)), size[block])
+        lit = np.flatnonzero(weight)
         for dx, dy in sorted(offsets):
-            share = weight * tilt_factor(dx, dy, gx, gy, radius) if psf.tilt else weight.copy()
+            y, x = row[lit] + dy, column[lit] + dx
+            inside = (y >= 0) & (y < shape[0]) & (x >= 0) & (x < shape[1])
+            source, target = lit[inside], (y * shape[1] + x)[inside]
+            if not source.size:
+                continue
+            share = weight[source] * tilt_factor(dx, dy, slope[source]) if psf.tilt else weight[source]
             for hidden, sight, cells in groups:
-                light = share.ravel()[hidden]
-                if light.any():
-                    share.ravel()[hidden] = light * tap_share(sight, cells, dx, dy)
-            yield dx, dy, share
-
-
-def _overlap(shift: int, frame: int, guard: int) -> tuple[slice, slice]:
-    """Targets in the frame and their sources on the padded grid, along one axis."""
-    low, high = max(0, shift - guard), min(frame, frame + guard + shift)
-    high = max(low, high)
-    return slice(low, high), slice(low + guard - shift, high + guard - shift)
+                place = np.minimum(np.searchsorted(source, hidden), source.size - 1)
+                found = source[place] == hidden
+                if found.any():
+                    share[place[found]] *= tap_share(sight, cells, dx, dy)[found]
+            yield source, target, share
 
 
 def _subpixel_shares(
@@ -121,7 +123,7 @@ def _subpixel_shares(
         block = order[start : start + size]
         p, y, x = pixel[block], offset[i[block]], offset[j[block]]
         radius = sub.radius[sub.hit][block]
-        gx, gy = sub.gradient[sub.hit][block].T
+        slope = tilt_slope(sub.gradient[sub.hit][block], radius)
         far = psf_weights.reach(psf, float(np.abs(radius).max()), subpixel=True)
         sight = None if sub.sight is None else sub.sight.of(block)
         cells = np.empty(0) if sight is None else look_through(sight)
@@ -131,8 +133,7 @@ def _subpixel_shares(
                 inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
                 share = psf_weights.subpixel_weights(psf, dx - x[inside], dy - y[inside], radius[inside])
                 if psf.tilt:
-                    tilt = tilt_factor(dx - x, dy - y, gx, gy, radius)[inside]
-                    share = share * tilt
+                    share = share * tilt_factor(dx - x, dy - y, slope)[inside]
                 if sight is not None:
                     seen = np.ones(p.size)
                     seen[sight.row >= 0] = tap_share(sight, cells, dx, dy)
@@ -163,10 +164,10 @@ def renormalize(
     inside = np.zeros(sources.label.shape, dtype=bool)
     inside[guard : guard + m, guard : guard + n] = True
     there = _own_sources(sources, sub) & inside
-    kept = np.zeros(there.shape)
-    for dx, dy, share in _shares(psf, replace(sources, sight=None), there):
-        (_, rows), (_, columns) = _overlap(dy, m, guard), _overlap(dx, n, guard)
-        kept[rows, columns] += share[rows, columns]
+    kept: Array = np.zeros(there.size)
+    for source, _, share in _shares(psf, replace(sources, sight=None), there, shape, guard):
+        kept[source] += share
+    kept = kept.reshape(there.shape)
     scale = np.where(kept > 0.0, 1.0 / np.where(kept > 0.0, kept, 1.0), 0.0)
     sources = replace(sources, lit=sources.lit & inside, radiance=sources.radiance * scale[..., None])
     if sub is None:
@@ -193,16 +194,15 @@ def scatter(psf: Psf, sources: Sources, sub: SubpixelSources | None, shape: Shap
     m, n = shape
     if psf.border == "renormalize":
         sources, sub = renormalize(psf, sources, sub, shape, guard)
-    color = np.zeros((m, n, sources.radiance.shape[2]))
-    for dx, dy, share in _shares(psf, sources, _own_sources(sources, sub)):
-        (to_rows, rows), (to_columns, columns) = _overlap(dy, m, guard), _overlap(dx, n, guard)
-        color[to_rows, to_columns] += share[rows, columns, None] * sources.radiance[rows, columns]
+    color = np.zeros((m * n, sources.radiance.shape[2]))
+    radiance = sources.radiance.reshape(-1, color.shape[1])
+    for source, target, share in _shares(psf, sources, _own_sources(sources, sub), shape, guard):
+        color[target] += share[:, None] * radiance[source]  # of one offset, so no target is met twice
     if sub is not None:
         radiance = sub.radiance[sub.hit]
-        flat = color.reshape(m * n, -1)
         for source, target, share in _subpixel_shares(psf, sub, shape, guard):
-            np.add.at(flat, target, share[:, None] * radiance[source])
-    return color
+            np.add.at(color, target, share[:, None] * radiance[source])
+    return color.reshape(m, n, -1)
 
 
 def resolve(sums: NDArray[np.int64], scale: float) -> Array:

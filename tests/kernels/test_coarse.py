@@ -32,11 +32,12 @@ PSFS = [Psf(edge="sampled"), Psf(), Psf(model="gaussian", edge="sampled"), Psf(m
 SHAPE = (28, 36)
 
 
-def light_of(shape: tuple[int, int], largest: float, channels: int) -> Light:
-    """Noise before radii that rise to the right, with a square of other ones, another sign, and an empty corner."""
+def light_of(shape: tuple[int, int], largest: float, channels: int, falls: bool = False) -> Light:
+    """Noise before radii that rise, or fall, to the right, with a square of another sign and an empty corner."""
     rng = np.random.default_rng(7)
     i, j = np.mgrid[0 : shape[0], 0 : shape[1]]
-    radius = largest * (0.45 + 0.55 * j / (shape[1] - 1.0)) - 0.02 * i
+    across = j[:, ::-1] if falls else j
+    radius = largest * (0.45 + 0.55 * across / (shape[1] - 1.0)) - 0.02 * i
     radius[6:20, 6:18] = -0.5 * largest
     there = np.ones(shape, bool)
     there[-7:, :5] = False
@@ -97,6 +98,18 @@ def test_the_device_does_what_the_twin_does(session: Session, psf: Psf, guard: i
     share = twin.shares(psf, twin.measure_radii(light, None)[0], 2.0, 0)
     moved = twin.probe(psf, light, share, SHAPE, guard, places)
     assert_close(twin.look_up(wide, places) - moved, off, FIGURE)
+
+
+def test_shares_in_what_is_left_of_a_row(session: Session) -> None:
+    """Where radii begin to move, a row that is no multiple of a vector ends."""
+    psf, guard, channels = PSFS[0], 3, 3
+    light = light_of((SHAPE[0] + 2 * guard, SHAPE[1] + 2 * guard), 11.0, channels, falls=True)
+    share = twin.shares(psf, twin.measure_radii(light, None)[0], 2.0, 0)
+    last = share[:, share.shape[1] // 8 * 8 :]
+    assert ((last > 0.1) & (last < 0.9)).mean() > 0.3
+    expected, _ = twin.coarse(psf, light, None, SHAPE, guard, 2.0)
+    found, _ = approximate(session, psf, light, guard, 2.0, None)
+    assert_close(found, expected, FIGURE)
 
 
 @pytest.mark.slow

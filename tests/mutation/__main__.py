@@ -12,6 +12,7 @@ import argparse
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -34,6 +35,7 @@ ROOT = Path(__file__).resolve().parents[2]
 REASONS = Path(__file__).with_name("survivors.toml")
 COPIED = ("clsco", "kernels", "tests", "examples", "benchmarks", "docs", "pyproject.toml", "README.md", "Makefile")
 NONE_SELECTED = 5  # pytest's status
+MOST_FIRST = 4  # tests that noticed most other mutants of a file go before the others
 NOT_BUILT = ("must build on", "SyntaxError")  # what says that a mutant is no program
 TESTS = {
     "clsco/optics.py": "test_optics test_plan reference/test_geometry",
@@ -52,6 +54,7 @@ TESTS = {
     "holes.cl": "kernels/test_holes test_inpainting",
     "layer.cl": "kernels/test_layer test_defocus",
     "mean_median.cl": "kernels/test_fill kernels/test_forward",
+    "near.clh": "kernels/test_blur test_defocus",
     "neighbors.clh": "kernels/test_blur test_defocus kernels/test_layer",
     "occlusion.clh": "kernels/test_occlusion pipeline/test_occlusion",
     "reproject.cl": "kernels/test_reproject kernels/test_forward pipeline/test_scenes",
@@ -100,7 +103,8 @@ class Copy:
 
     def tested(self, names: list[str], timeout: float, marked: str) -> tuple[int | None, str]:
         """Exit status of tests, 0 also where none is marked so, None past the time, and what they print."""
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "--tb=short", "-n", "0", "-p", "no:cacheprovider"]
+        options = ["-x", "-q", "--tb=short", "-rf", "-n", "0", "-p", "no:cacheprovider"]
+        command = [sys.executable, "-m", "pytest", *options]
         piped: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
         done = self.running = subprocess.Popen(
             [*command, "-m", marked, *names], cwd=self.tree, env=self.environ, start_new_session=True, **piped
@@ -120,14 +124,14 @@ class Copy:
                 os.killpg(self.running.pid, signal.SIGKILL)
             self.running.wait()
 
-    def tried(self, mutant: Mutant, timeout: float, marks: tuple[str, ...]) -> tuple[str, float]:
-        """What came of a mutant, and the seconds that it took."""
+    def tried(self, mutant: Mutant, first: list[str], timeout: float, marks: tuple[str, ...]) -> tuple[str, float, str]:
+        """What came of a mutant, the seconds that it took, and the test that failed; first: tests to begin with."""
         path, begun = self.tree / mutant.file, time.monotonic()
         text, known = path.read_text("utf-8"), set(self.cache.glob("*/*"))
         path.write_text(mutant.of(text), "utf-8")
         try:
             for marked in marks:
-                status, out = self.tested(tests_of(mutant.file), timeout, marked)
+                status, out = self.tested([*first, *tests_of(mutant.file)], timeout, marked)
                 if status != 0:
                     break
         finally:
@@ -137,7 +141,9 @@ class Copy:
         outcome = "survived" if status == 0 else "timeout" if status is None else "killed"
         if outcome == "killed" and any(words in out for words in NOT_BUILT):
             outcome = "not built"
-        return outcome, time.monotonic() - begun
+        assert "ERROR: not found:" not in out, out[-2000:]
+        failed = re.search(r"^FAILED (tests/.+?::.+?)(?: - .*)?$", out, re.MULTILINE)
+        return outcome, time.monotonic() - begun, failed[1] if failed else ""
 
 
 def chosen(names: list[str], share: int, seed: int) -> list[Mutant]:
@@ -161,7 +167,7 @@ def main() -> int:
     parser.add_argument("--share", type=int, default=1, metavar="N", help="one of N mutants")
     parser.add_argument("--seed", type=int, default=1, help="which ones")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--timeout", type=float, default=300.0, metavar="SECONDS", help="of a mutant, at least")
+    parser.add_argument("--timeout", type=float, default=60.0, metavar="SECONDS", help="of a mutant, at least")
     parser.add_argument("--slow", action="store_true", help="survivors against what is marked slow as well")
     parser.add_argument("--until", type=float, default=float("inf"), metavar="MINUTES", help="begin no mutant later")
     parser.add_argument("-o", "--output", type=Path, default=Path("mutation.json"))
@@ -171,6 +177,7 @@ def main() -> int:
     marks = ("not slow", "slow") if options.slow else ("not slow",)
     results: list[dict[str, object]] = []
     seconds: dict[str, float] = {}
+    noticed: dict[str, Counter[str]] = {name: Counter() for name in options.files}  # by which tests
     checking, stopped = threading.Lock(), threading.Event()
     with copies(options.jobs) as made, ThreadPoolExecutor(options.jobs) as pool:
         free: SimpleQueue[Copy] = SimpleQueue()
@@ -195,12 +202,15 @@ def main() -> int:
             try:
                 check(copy, tests_of(mutant.file))
                 usual = sum(seconds[name] for name in tests_of(mutant.file))
-                outcome, spent = copy.tried(mutant, max(options.timeout, 4 * usual), marks)
+                often = [test for test, _ in noticed[mutant.file].most_common(MOST_FIRST)]
+                outcome, spent, test = copy.tried(mutant, often, max(options.timeout, 4 * usual), marks)
             finally:
                 free.put(copy)
+            if test:
+                noticed[mutant.file][test] += 1
             return {
                 "mutant": mutant.name, "row": mutant.row, "outcome": outcome, "seconds": round(spent, 1),
-                "reason": reasons.get(mutant.name) if outcome == "survived" else None,
+                "by": test, "reason": reasons.get(mutant.name) if outcome == "survived" else None,
             }  # fmt: skip
 
         try:

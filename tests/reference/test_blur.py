@@ -15,6 +15,7 @@ from clsco.occlusion import Layer
 from clsco.reference.accumulate import accumulate
 from clsco.reference.blur import gather, prepare_sources, renormalize, resolve, scatter, tilt_factor
 from clsco.reference.convolve import convolve
+from clsco.reference.geometry import tilt_slope
 from clsco.reference.trace import Sources, SubpixelSources, mark_silhouettes, trace, trace_subpixels, view_at
 from clsco.scene import Plane, Psf, Scene, Sphere
 
@@ -90,11 +91,11 @@ def plain_scatter(psf: Psf, sources: Sources, sub: SubpixelSources | None, shape
     for i, j in np.ndindex(sources.lit.shape):
         if not sources.lit[i, j] or (sub is not None and ((sub.row == i) & (sub.column == j)).any()):
             continue
-        radius, (gx, gy) = sources.radius[i, j], sources.gradient[i, j]
+        radius = sources.radius[i, j]
         dx, dy = (column - j).astype(float), (row - i).astype(float)
         share = psf_weights.weights(psf, dx, dy, radius)
         if psf.tilt:
-            share = share * tilt_factor(dx, dy, gx, gy, radius)
+            share = share * tilt_factor(dx, dy, tilt_slope(sources.gradient[i, j], radius))
         add(i, j, sources.radiance[i, j], share, 1.0)
     if sub is not None:
         samples = sub.hit.shape[1]
@@ -102,10 +103,10 @@ def plain_scatter(psf: Psf, sources: Sources, sub: SubpixelSources | None, shape
             i, j = int(sub.row[k]), int(sub.column[k])
             dx = column - (j + (v + 0.5) / samples - 0.5)
             dy = row - (i + (u + 0.5) / samples - 0.5)
-            radius, (gx, gy) = sub.radius[k, u, v], sub.gradient[k, u, v]
+            radius = sub.radius[k, u, v]
             share = psf_weights.subpixel_weights(psf, dx, dy, radius)
             if psf.tilt:
-                share = share * tilt_factor(dx, dy, gx, gy, radius)
+                share = share * tilt_factor(dx, dy, tilt_slope(sub.gradient[k, u, v], radius))
             add(i, j, sub.radiance[k, u, v], share, 1.0 / samples**2)
     return color
 
@@ -230,13 +231,13 @@ def test_tilt_weights_by_the_lens_offset_and_is_never_negative() -> None:
     dx, dy = np.meshgrid(np.arange(-4.0, 5), np.arange(-4.0, 5))
     for gx, gy in ((0.3, -0.2), (3.0, 1.0), (0.0, 0.0)):
         for radius in (2.5, -2.5, 1e-9, -1e-9, 0.0):
-            factor = tilt_factor(dx, dy, gx, gy, radius)
+            factor = tilt_factor(dx, dy, tilt_slope(np.array([gx, gy]), radius))
             assert factor.min() >= 0.0
             assert factor[4, 4] == 1.0
-    assert tilt_factor(1.0, 0.0, 0.4, 0.0, 2.0) == 1.2
-    assert tilt_factor(1.0, 0.0, 0.4, 0.0, -2.0) == 0.8
-    assert tilt_factor(0.0, 1.0, 0.4, -0.4, 2.0) == 0.8
-    assert tilt_factor(1.0, 0.0, 0.4, 0.0, 0.25) == 1.4
+    assert tilt_factor(1.0, 0.0, tilt_slope(np.array([0.4, 0.0]), 2.0)) == 1.2
+    assert tilt_factor(1.0, 0.0, tilt_slope(np.array([0.4, 0.0]), -2.0)) == 0.8
+    assert tilt_factor(0.0, 1.0, tilt_slope(np.array([0.4, -0.4]), 2.0)) == 0.8
+    assert tilt_factor(1.0, 0.0, tilt_slope(np.array([0.4, 0.0]), 0.25)) == 1.4
 
 
 def test_prepared_gradient_of_a_ramp_is_its_slope() -> None:
