@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from clsco.optics import blur_radius, blur_scale, focus_distance, focus_power, ray_step
+from clsco.optics import blur_radius, blur_scale, focus_distance, focus_power, lens_radius, ray_step
 from clsco.scene import Camera
 
 EPS = np.finfo(np.float64).eps
@@ -103,3 +103,7 @@ def test_ray_step_is_the_pixel_seen_from_the_lens() -> None:
     assert ray_step(Camera(normalization_distance=21.739)) == 0.01 / 21.739
     # 10 mm at 250 mm: 80 px (thesis, 4.3.3).
     assert 10.0 / 250.0 / ray_step(Camera()) == pytest.approx(80.0, rel=4 * EPS)
+
+
+def test_half_the_aperture_is_the_lens_radius() -> None:
+    assert lens_radius(Camera(aperture_diameter=10.0)) == 5.0

@@ -12,31 +12,20 @@ import argparse
 import json
 import os
 import random
-import re
-import shutil
-import signal
-import subprocess
 import sys
-import tempfile
 import threading
 import time
 import tomllib
 from collections import Counter
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import contextmanager, suppress
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any
 
+from tests.mutation.copies import ROOT, Copy, copies
 from tests.mutation.mutants import Mutant, mutants
 
-ROOT = Path(__file__).resolve().parents[2]
 REASONS = Path(__file__).with_name("survivors.toml")
-COPIED = ("clsco", "kernels", "tests", "examples", "benchmarks", "docs", "pyproject.toml", "README.md", "Makefile")
-NONE_SELECTED = 5  # pytest's status
 MOST_FIRST = 4  # tests that noticed most other mutants of a file go before the others
-NOT_BUILT = ("must build on", "SyntaxError")  # what says that a mutant is no program
 TESTS = {
     "clsco/optics.py": "test_optics test_plan reference/test_geometry",
     "clsco/motion.py": "test_motion test_surfaces test_plan reference/test_geometry",
@@ -82,83 +71,11 @@ def tests_of(file: str) -> list[str]:
     return [f"tests/{name}.py" for name in TESTS[file.removeprefix("kernels/")].split()]
 
 
-class Copy:
-    """A copy of the tree in which one mutant at a time is tried."""
-
-    def __init__(self, folder: Path) -> None:
-        self.tree, self.cache = folder / "tree", folder / "cache"
-        self.running: subprocess.Popen[str] | None = None
-        for name in COPIED:
-            source, target = ROOT / name, self.tree / name
-            if source.is_dir():
-                shutil.copytree(source, target, ignore=shutil.ignore_patterns("__pycache__", "results"))
-            else:
-                target.parent.mkdir(parents=True, exist_ok=True)
-                shutil.copy2(source, target)
-        self.cache.mkdir()
-        self.environ = {
-            **os.environ,
-            "PYTHONPATH": str(self.tree), "PYTHONDONTWRITEBYTECODE": "1", "POCL_CACHE_DIR": str(self.cache),
-        }  # fmt: skip
-
-    def tested(self, names: list[str], timeout: float, marked: str) -> tuple[int | None, str]:
-        """Exit status of tests, 0 also where none is marked so, None past the time, and what they print."""
-        options = ["-x", "-q", "--tb=short", "-rf", "-n", "0", "-p", "no:cacheprovider"]
-        command = [sys.executable, "-m", "pytest", *options]
-        piped: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
-        done = self.running = subprocess.Popen(
-            [*command, "-m", marked, *names], cwd=self.tree, env=self.environ, start_new_session=True, **piped
-        )
-        try:
-            out, _ = done.communicate(timeout=timeout)
-            return (0 if done.returncode == NONE_SELECTED else done.returncode), out
-        except subprocess.TimeoutExpired:
-            return None, ""
-        finally:
-            self.stop()
-
-    def stop(self) -> None:
-        """End the tests that run, with all that they have started."""
-        if self.running is not None and self.running.poll() is None:
-            with suppress(ProcessLookupError):
-                os.killpg(self.running.pid, signal.SIGKILL)
-            self.running.wait()
-
-    def tried(self, mutant: Mutant, first: list[str], timeout: float, marks: tuple[str, ...]) -> tuple[str, float, str]:
-        """What came of a mutant, the seconds that it took, and the test that failed; first: tests to begin with."""
-        path, begun = self.tree / mutant.file, time.monotonic()
-        text, known = path.read_text("utf-8"), set(self.cache.glob("*/*"))
-        path.write_text(mutant.of(text), "utf-8")
-        try:
-            for marked in marks:
-                status, out = self.tested([*first, *tests_of(mutant.file)], timeout, marked)
-                if status != 0:
-                    break
-        finally:
-            path.write_text(text, "utf-8")
-            for entry in set(self.cache.glob("*/*")) - known:  # no other mutant has these kernels
-                shutil.rmtree(entry, ignore_errors=True)
-        outcome = "survived" if status == 0 else "timeout" if status is None else "killed"
-        if outcome == "killed" and any(words in out for words in NOT_BUILT):
-            outcome = "not built"
-        assert "ERROR: not found:" not in out, out[-2000:]
-        failed = re.search(r"^FAILED (tests/.+?::.+?)(?: - .*)?$", out, re.MULTILINE)
-        return outcome, time.monotonic() - begun, failed[1] if failed else ""
-
-
 def chosen(names: list[str], share: int, seed: int) -> list[Mutant]:
     """Every share-th mutant of the files, from all over them."""
     all_of_them = [mutant for name in names for mutant in mutants(ROOT, name)]
     count = -(-len(all_of_them) // share)
     return random.Random(seed).sample(all_of_them, count)
-
-
-@contextmanager
-def copies(count: int) -> Iterator[list[Copy]]:
-    """Copies of the tree, removed at the end, by Ctrl-C and SIGTERM as well."""
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
-    with tempfile.TemporaryDirectory(prefix="clsco-mutation-", ignore_cleanup_errors=True) as folder:
-        yield [Copy(Path(folder) / str(k)) for k in range(count)]
 
 
 def main() -> int:
@@ -172,6 +89,8 @@ def main() -> int:
     parser.add_argument("--until", type=float, default=float("inf"), metavar="MINUTES", help="begin no mutant later")
     parser.add_argument("-o", "--output", type=Path, default=Path("mutation.json"))
     options = parser.parse_args()
+    # Kernels of a few pixels take longer to optimize than to run.
+    os.environ["PYOPENCL_BUILD_OPTIONS"] = "-cl-opt-disable"
     reasons = {entry["mutant"]: entry["reason"] for entry in tomllib.loads(REASONS.read_text("utf-8"))["survivor"]}
     selected, end = chosen(options.files, options.share, options.seed), time.monotonic() + 60 * options.until
     marks = ("not slow", "slow") if options.slow else ("not slow",)
@@ -191,7 +110,7 @@ def main() -> int:
                     begun = time.monotonic()
                     status, out = copy.tested([name], 10 * options.timeout, " or ".join(marks))
                     if status != 0:
-                        raise RuntimeError(f"{name} must pass without a change; got {status}\n{out[-2000:]}")
+                        raise RuntimeError(f"{name} must pass without a change; got {status}\n{out[-3000:]}")
                     seconds[name] = round(time.monotonic() - begun, 1)
                     print(f"without a change {seconds[name]:6} s  {name}", flush=True)
 
@@ -203,7 +122,9 @@ def main() -> int:
                 check(copy, tests_of(mutant.file))
                 usual = sum(seconds[name] for name in tests_of(mutant.file))
                 often = [test for test, _ in noticed[mutant.file].most_common(MOST_FIRST)]
-                outcome, spent, test = copy.tried(mutant, often, max(options.timeout, 4 * usual), marks)
+                outcome, spent, test = copy.tried(
+                    mutant, [*often, *tests_of(mutant.file)], max(options.timeout, 4 * usual), marks
+                )
             finally:
                 free.put(copy)
             if test:
