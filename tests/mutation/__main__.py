@@ -71,18 +71,18 @@ def tests_of(file: str) -> list[str]:
     return [f"tests/{name}.py" for name in TESTS[file.removeprefix("kernels/")].split()]
 
 
-def chosen(names: list[str], share: int, seed: int) -> list[Mutant]:
-    """Every share-th mutant of the files, from all over them."""
+def chosen(names: list[str], share: int, part: int) -> list[Mutant]:
+    """Every share-th mutant of the files, from all over them; parts 0 to share - 1 are all of them, each once."""
     all_of_them = [mutant for name in names for mutant in mutants(ROOT, name)]
-    count = -(-len(all_of_them) // share)
-    return random.Random(seed).sample(all_of_them, count)
+    random.Random(1).shuffle(all_of_them)
+    return all_of_them[part::share]
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--files", nargs="+", default=files(), metavar="FILE", help="by default all of them")
     parser.add_argument("--share", type=int, default=1, metavar="N", help="one of N mutants")
-    parser.add_argument("--seed", type=int, default=1, help="which ones")
+    parser.add_argument("--part", type=int, default=0, metavar="K", help="which ones: 0 to N - 1")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--timeout", type=float, default=60.0, metavar="SECONDS", help="of a mutant, at least")
     parser.add_argument("--slow", action="store_true", help="survivors against what is marked slow as well")
@@ -92,7 +92,7 @@ def main() -> int:
     # Kernels of a few pixels take longer to optimize than to run.
     os.environ["PYOPENCL_BUILD_OPTIONS"] = "-cl-opt-disable"
     reasons = {entry["mutant"]: entry["reason"] for entry in tomllib.loads(REASONS.read_text("utf-8"))["survivor"]}
-    selected, end = chosen(options.files, options.share, options.seed), time.monotonic() + 60 * options.until
+    selected, end = chosen(options.files, options.share, options.part), time.monotonic() + 60 * options.until
     marks = ("not slow", "slow") if options.slow else ("not slow",)
     results: list[dict[str, object]] = []
     seconds: dict[str, float] = {}
@@ -162,7 +162,7 @@ def _write(options: argparse.Namespace, seconds: dict[str, float], results: list
         by_file.setdefault(str(result["mutant"]).split(":")[0], Counter())[str(result["outcome"])] += 1
     found = {
         "share": options.share,
-        "seed": options.seed,
+        "part": options.part,
         "mutants": {name: len(mutants(ROOT, name)) for name in options.files},
         "seconds_without_a_change": seconds,
         "files": by_file,
