@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 from clsco.errors import SceneError
 from clsco.frame import TRUTH_NAMES
 from clsco.memory import device_bytes
-from clsco.optics import LARGEST_BLUR, blur_radius
+from clsco.optics import LARGEST_BLUR, blur_radius, ray_step
 from clsco.plan import Plan, exposure, guard_band, image_displacement, is_sharp, make_plan, widened
 from clsco.psf import LANES, reach
-from clsco.scene import Camera, Cone, Fill, Motion, ObjectMotion, Plane, Psf, Quadric, Scene, Sequence, Sphere
+from clsco.scene import Camera, Cone, DepthMap, Fill, Motion, ObjectMotion, Plane, Psf, Quadric, Scene, Sequence, Sphere
 
 STILL = Plane(distance=280.0)
 TILTED = Plane(distance=280.0, slope_x=0.5)
@@ -238,6 +239,28 @@ def test_radii_of_a_constant_plane_are_exact_and_others_have_a_margin() -> None:
     assert 0.0 <= ball.smallest_blur < nearest < ball.largest_blur
 
 
+@pytest.mark.parametrize(("axis", "side"), [("slope_x", 1), ("slope_x", -1), ("slope_y", 1), ("slope_y", -1)])
+def test_radii_are_predicted_up_to_the_edges_of_the_frame(axis: str, side: int) -> None:
+    """A plane that is sharp on one side and less and less towards the other."""
+    given = plan(Plane(distance=280.0, **{axis: 1.5 * side}), size=(640, 640))
+    camera = given.scene.camera
+    inverse_depth = (1.0 - 1.5 * 319.5 * ray_step(camera)) / 280.0
+    assert given.largest_blur > abs(float(blur_radius(camera, inverse_depth)))
+
+
+@pytest.mark.parametrize("depth", [200.0, 500.0])
+def test_no_depth_of_a_map_is_missed(depth: float) -> None:
+    """A single pixel that is nearer, or farther, than all others, and not one of those that are looked at; and no
+    depth of pixels that show nothing is made up."""
+    inverse_depth = np.full((300, 300), 1.0 / 280.0)
+    inverse_depth[200:] = 0.0
+    inverse_depth[13, 27] = 1.0 / depth
+    item = DepthMap(depth="map.npy", center=(0.0, 0.0, 280.0))
+    given = make_plan(scene(item, size=(300, 300)), 1, maps=(inverse_depth,))
+    radius = abs(float(blur_radius(given.scene.camera, 1.0 / depth)))
+    assert radius < given.largest_blur <= 1.1 * radius + 1.0
+
+
 @pytest.mark.parametrize("edge", ["sampled", "area", "integrated"])
 @pytest.mark.parametrize("model", ["pillbox", "gaussian"])
 def test_guard_band_holds_every_source_that_lights_the_frame(model: Any, edge: Any) -> None:
@@ -266,12 +289,12 @@ def test_widened() -> None:
 
 
 def test_too_large_a_blur_is_refused_with_its_number() -> None:
-    item = Plane(distance=1.0)
+    item = Plane(distance=0.5)
     with pytest.raises(SceneError) as caught:
         plan(item)
-    radius = abs(float(blur_radius(Camera(), 1.0)))
+    radius = abs(float(blur_radius(Camera(), 2.0)))
     assert radius > LARGEST_BLUR
-    assert f"must be at most 512 px; got {radius:.4g} px (the surface comes as near as 1 mm;" in str(caught.value)
+    assert f"must be at most 512 px; got {radius:.4g} px (the surface comes as near as 0.5 mm;" in str(caught.value)
 
 
 def test_too_large_tables_are_refused_with_their_size() -> None:
