@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from math import ceil, erf, floor, sqrt
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from clsco.scene import Psf
 
 Array = NDArray[np.float64]
+Widths = TypeVar("Widths", int, NDArray[np.int64])
 
 LANES = 8  # a row of weights fills whole vectors of this many floats
 # Intervals of the tables: STEPS per octave of R + OFFSET, so that they grow with the radius. A point source's weight
@@ -266,11 +268,17 @@ def subpixel_offsets(samples: int) -> Array:
     return (np.arange(samples) + 0.5) / samples - 0.5
 
 
+def _half_widths(psf: Psf, span: range, subpixel: bool) -> NDArray[np.int64]:
+    """Half-widths in px of the rows of intervals, of which a sampled PSF has as many as R^2."""
+    if psf.edge == "sampled" and not subpixel:
+        return np.floor(np.sqrt(_sampled_reach(psf, np.array(span)))).astype(np.int64)
+    radii = _table_radius(psf, np.array(span) + 1.0, subpixel)
+    return np.array([reach(psf, radius, subpixel) for radius in radii.tolist()], np.int64)
+
+
 def _half_width(psf: Psf, index: int, subpixel: bool) -> int:
     """Half-width in px of the rows of an interval."""
-    if psf.edge == "sampled" and not subpixel:
-        return floor(sqrt(float(_sampled_reach(psf, np.array(index)))))
-    return reach(psf, float(_table_radius(psf, np.array(index + 1.0), subpixel)), subpixel)
+    return int(_half_widths(psf, range(index, index + 1), subpixel)[0])
 
 
 def _span(psf: Psf, smallest: float, largest: float, subpixel: bool) -> range:
@@ -306,21 +314,19 @@ def table_reach(psf: Psf, largest: float, subpixel: bool = False) -> int:
 
 def table_bytes(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> int:
     """Size of `psf_table` of the same arguments."""
-    total = 0
     span = _span(psf, smallest, largest, subpixel > 0)
     if is_disc(psf) and not subpixel:
         return 24 * len(span) + 4 * span.stop
+    widths = _half_widths(psf, span, subpixel > 0)
+    widest = int(widths[-1])
     if is_separable(psf) and not subpixel:
-        widths = [_half_width(psf, index, False) for index in span]
-        return sum(16 + 4 * POWERS * (_lanes(n) + widths[-1] + 1) for n in widths)
-    near, half_width = is_near(psf, largest) and not subpixel, 0
-    for index in span:
-        half_width = _half_width(psf, index, subpixel > 0)
-        rows = (2 * half_width + 1) * subpixel * ((subpixel + 1) // 2) if subpixel else half_width + 1
-        total += 16 + 4 * POWERS * rows * _lanes(half_width)
-        if not subpixel and not near:
-            total += 4 * POWERS * (half_width + 1) ** 2 + 12 * (half_width + 1)
-    return total + near * 4 * POWERS * len(span) * _octant_taps(half_width)
+        return int((16 + 4 * POWERS * (_lanes(widths) + widest + 1)).sum())
+    near = is_near(psf, largest) and not subpixel
+    rows = (2 * widths + 1) * subpixel * ((subpixel + 1) // 2) if subpixel else widths + 1
+    sizes = 16 + 4 * POWERS * rows * _lanes(widths)
+    if not subpixel and not near:
+        sizes += 4 * POWERS * (widths + 1) ** 2 + 12 * (widths + 1)
+    return int(sizes.sum()) + near * 4 * POWERS * len(span) * _octant_taps(widest)
 
 
 @lru_cache(maxsize=8)
@@ -412,7 +418,7 @@ def _octant_taps(reach: int) -> int:
     return (reach + 1) * (reach + 2) // 2
 
 
-def _lanes(half_width: int) -> int:
+def _lanes(half_width: Widths) -> Widths:
     """Floats of a row of weights: whole vectors."""
     return -(-(2 * half_width + 1) // LANES) * LANES
 

@@ -242,7 +242,7 @@ def test_radii_of_a_constant_plane_are_exact_and_others_have_a_margin() -> None:
 @pytest.mark.parametrize(("axis", "side"), [("slope_x", 1), ("slope_x", -1), ("slope_y", 1), ("slope_y", -1)])
 def test_radii_are_predicted_up_to_the_edges_of_the_frame(axis: str, side: int) -> None:
     """A plane that is sharp on one side and less and less towards the other."""
-    given = plan(Plane(distance=280.0, **{axis: 1.5 * side}), size=(640, 640))
+    given = plan(STILL.model_copy(update={axis: 1.5 * side}), size=(640, 640))
     camera = given.scene.camera
     inverse_depth = (1.0 - 1.5 * 319.5 * ray_step(camera)) / 280.0
     assert given.largest_blur > abs(float(blur_radius(camera, inverse_depth)))

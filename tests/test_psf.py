@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from itertools import pairwise
 from math import exp, pi, sqrt
 
@@ -452,3 +453,10 @@ def test_a_sampled_interval_has_one_set_of_lit_pixels(psf: Psf) -> None:
         lit = square(psf, r, 12) > 0.0
         assert (seen.setdefault(number, lit) == lit).all(), r
     assert len(seen) > 40
+
+
+def test_tables_too_large_to_make_are_counted_at_once() -> None:
+    """A sampled PSF has R^2 intervals, which a plan counts before it refuses them."""
+    begun = time.process_time()
+    assert table_bytes(Psf(model="gaussian", edge="sampled"), 0.0, 500.0) > 2**40
+    assert time.process_time() - begun < 2.0
