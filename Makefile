@@ -36,7 +36,7 @@ laws: .venv/dev.stamp
 stability: .venv/bench.stamp
 	$(BIN)/clsco bench --stability -o benchmarks/results/stability
 
-# Every kernel on a simulator that sees what it reads and writes, one of EVERY scenes; Debian and Ubuntu have it.
+# Every kernel on a simulator that sees what it reads and writes, one of EVERY scenes and images; Debian and Ubuntu have it.
 EVERY ?= 1
 oclgrind: .venv/dev.stamp
 	@test -n "$$(find /usr/lib -name liboclgrind-rt.so)" || \

@@ -58,7 +58,7 @@ SHAPES = (
 DRAWN, SEED = 200, 1
 MOST = 4000.0  # px: of a scene, see `cost`
 BUILD, HIDDEN = 200.0, 5.0  # px: to compile a scene's kernels; of each object that may be in the way of a pixel
-EVERY = int(os.environ.get("CLSCO_EVERY", "1"))  # of the scenes one of so many is run, for a quick look
+EVERY = int(os.environ.get("CLSCO_EVERY", "1"))  # of scenes and images one of so many is run, for a quick look
 MOTION = ObjectMotion(velocity=(0.9, -0.4, -90.0), angular_velocity=(3.0, -2.0, 5.0))
 FAR = Plane(distance=300.0, slope_x=0.2, name="far")
 BALL = Sphere(center=(0.5, 0.3, 230.0), radius=2.0)
@@ -278,7 +278,7 @@ def _inpainting_case(number: int, method: str, shape: tuple[int, int], codes: bo
 
 
 def scene_cases() -> Iterator[Case]:
-    for number, drawn in islice(enumerate(drawn_scenes()[0]), 0, None, EVERY):
+    for number, drawn in enumerate(drawn_scenes()[0]):
         yield Case(f"scene {number}", drawn["device"], partial(rendered, drawn), str(drawn), drawn["channels"])
 
 
@@ -328,5 +328,7 @@ def fault_cases() -> Iterator[Case]:
 
 
 def all_cases() -> Iterator[Case]:
-    for cases in (long_cases, image_cases, inpainting_cases, fault_cases, scene_cases):
-        yield from cases()
+    yield from long_cases()
+    yield from fault_cases()
+    for cases in (image_cases, inpainting_cases, scene_cases):
+        yield from islice(cases(), 0, None, EVERY)

@@ -61,7 +61,7 @@ def test_every_kernel_is_run(cases: Results, check: str) -> None:
     kernels = set(re.findall(r"^__kernel void (\w+)\(", text, re.MULTILINE))
     assert len(kernels) > 50
     launched = {name for one in cases if one["check"] == check for name in one["launched"]}
-    assert launched == kernels if EVERY == 1 else len(launched) > 50
+    assert launched == kernels if EVERY == 1 else len(launched) > 40
 
 
 def test_what_is_run() -> None:
