@@ -113,7 +113,7 @@ FAULTS = (
         "        if (item < CHUNK / WORD)\n",
         "        if (item < 64 * CHUNK)\n",
         "tiles",
-        "Invalid write",
+        "exceeds static array size",
     ),
     Fault(
         "a plain look beside an atomic",
