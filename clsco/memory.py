@@ -24,6 +24,7 @@ Scratch = Literal["none", "spans", "rows", "near"]
 TILE, WINDOW = 256, 16  # columns that `gather` makes at a time, and rows of small reach, as in kernels/rows.clh
 BANDS_PER_CORE = 4  # of `gather` at a time, where they need memory of their own
 SUMS_BEYOND = 64  # sums of `convolve` beyond the last row that a vector there reads, and that are used for nothing
+PAGE, BESIDE_PAGE = 64, 5  # vectors of 8 doubles in 4 KiB, and how far from a multiple of it rows should be long
 MOST_IN_ONE_SUM = 256  # taps of `gather` that a float adds up before it goes into another sum
 # Outputs that ground_truth writes, with what one pixel of each takes: dtype and components (0: the channels).
 TRUTH_BUFFERS: dict[str, tuple[type[np.generic], int]] = {
@@ -119,9 +120,16 @@ def source_bytes(sources: int, tilt: bool, marked: bool = False) -> int:
 
 
 def margin(columns: int, guard: int, far: int) -> tuple[int, int]:
-    """Scratch columns on both sides of a row of the blurred frame, and the length of the row, in whole vectors."""
+    """Scratch columns on both sides of a row of the blurred frame, and the length of the row, in whole vectors.
+
+    Not near a multiple of PAGE of them, and not an even number: what lies below each other in a few rows would have the
+    same place in a processor's cache, and take up to four times as long.
+    """
     pad = ceil((guard + far + LANES) / LANES) * LANES
-    return pad, ceil(columns / LANES) * LANES + 2 * pad
+    vectors = ceil(columns / LANES) + 2 * pad // LANES | 1
+    while not BESIDE_PAGE <= vectors % PAGE <= PAGE - BESIDE_PAGE:
+        vectors += 2
+    return pad, vectors * LANES
 
 
 def row_bytes(psf: Psf, channels: int, far: int, near: bool) -> int:
