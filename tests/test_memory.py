@@ -15,7 +15,8 @@ import clsco
 from clsco import memory
 from clsco.cli import main
 from clsco.errors import SceneError
-from clsco.memory import Limit, free_bytes, limit_of, parse_size, rows_that_fit
+from clsco.memory import Limit, free_bytes, limit_of, margin, parse_size, rows_that_fit
+from clsco.psf import LANES
 from clsco.strips import BAND, Strip, cut
 
 
@@ -49,6 +50,21 @@ def test_the_limit_is_given_or_half_of_what_is_free(monkeypatch: pytest.MonkeyPa
     assert limit_of("2kB", 600, 700, 4) == Limit(2000, 700, 4, given=True)
     monkeypatch.setattr(memory, "free_bytes", lambda: None)
     assert limit_of(None).total > 2**60
+
+
+@pytest.mark.parametrize("guard", [0, 3, 24])
+@pytest.mark.parametrize("far", [0, 7, 22, 60])
+def test_rows_of_the_frame_do_not_lie_below_each_other_in_the_cache(guard: int, far: int) -> None:
+    """Vectors hang over by up to `far` and LANES more; 45 rows of 8 doubles a vector share no place in 4 KiB."""
+    for columns in range(1, 2200, LANES):
+        pad, pitch = margin(columns, guard, far)
+        assert pad % LANES == pitch % LANES == 0
+        assert pad >= guard + far + LANES
+        assert columns + 2 * pad <= pitch <= columns + 2 * pad + 12 * LANES
+        places = np.arange(45) * pitch * 8 % 4096
+        assert len(set(places.tolist())) == 45
+        step = pitch * 8 % 4096
+        assert min(step, 4096 - step) >= 256
 
 
 def test_the_tallest_strips_that_fit() -> None:
