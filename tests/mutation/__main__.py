@@ -108,7 +108,7 @@ def main() -> int:
             with checking:
                 for name in (name for name in names if name not in seconds):
                     begun = time.monotonic()
-                    status, out = copy.tested([name], 10 * options.timeout, " or ".join(marks))
+                    status, out = copy.tested([name], [], 10 * options.timeout, " or ".join(marks), True)
                     if status != 0:
                         raise RuntimeError(f"{name} must pass without a change; got {status}\n{out[-3000:]}")
                     seconds[name] = round(time.monotonic() - begun, 1)
@@ -123,7 +123,7 @@ def main() -> int:
                 usual = sum(seconds[name] for name in tests_of(mutant.file))
                 often = [test for test, _ in noticed[mutant.file].most_common(MOST_FIRST)]
                 outcome, spent, test = copy.tried(
-                    mutant, [*often, *tests_of(mutant.file)], max(options.timeout, 4 * usual), marks
+                    mutant, tests_of(mutant.file), often, max(options.timeout, 4 * usual), marks
                 )
             finally:
                 free.put(copy)
