@@ -123,7 +123,7 @@ def margin(columns: int, guard: int, far: int) -> tuple[int, int]:
     """Scratch columns on both sides of a row of the blurred frame, and the length of the row, in whole vectors.
 
     Not near a multiple of PAGE of them, and not an even number: what lies below each other in a few rows would have the
-    same place in a processor's cache, and take up to four times as long.
+    same place in a processor's cache, and take up to four times as long (benchmarks/optimisation_log.md).
     """
     pad = ceil((guard + far + LANES) / LANES) * LANES
     vectors = ceil(columns / LANES) + 2 * pad // LANES | 1

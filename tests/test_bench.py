@@ -212,18 +212,17 @@ def test_nothing_is_left_when_a_plot_fails(
 
 def test_the_command_writes_and_shows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("matplotlib")
-    small = replace(QUICK, precisions=("double",), rounds=1, longest_s=100.0)  # with kernels that were compiled before
+    small = replace(QUICK, channels=(3,), precisions=("double",), rounds=1, longest_s=100.0)
     monkeypatch.setattr("clsco.bench.cases.QUICK", small)
     result = bench_("-o", tmp_path / "new", "--quick", "--size", 20, "--radius", 0, "--radius", 1.5, "--device", "pocl")
     assert (result.exit_code, result.stderr) == (0, "")
     assert sorted(path.name for path in (tmp_path / "new").iterdir()) == FILES
     rows = json.loads((tmp_path / "new/bench.json").read_text())["rows"]
-    assert {(row["size"], row["radius"], row["channels"]) for row in rows} == {(20, 0.0, 1), (20, 1.5, 1)}
+    assert {(row["size"], row["radius"], row["channels"]) for row in rows} == {(20, 0.0, 3), (20, 1.5, 3)}
     assert max(row["largest_error"] for row in rows) < FIGURE
     assert result.stdout.count(" gather ") == sum(row["method"] == "gather" for row in rows) == 2 * len(PSFS)
     sharp = {row["psnr_db"] for row in rows if row["radius"] == 0.0}
-    assert None in sharp  # no error, hence no ratio
-    assert all(ratio is None or ratio > 150 for ratio in sharp)
+    assert sharp == {None}  # no error, hence no ratio
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,8 @@ class Forks:
 
     def pytest_runtestloop(self, session: pytest.Session) -> None:
         """Fork for each list of tests that go first; in the fork, go on with pytest's own loop."""
-        while (first := self.asked.recv()) is not None:
+        while True:
+            first = self.asked.recv()
             self.told.seek(0)
             self.told.truncate()
             with warnings.catch_warnings():
@@ -51,7 +52,6 @@ class Forks:
                 return
             self.asked.send(child)
             self.asked.send(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
-        os._exit(0)
 
 
 def collect(tree: Path, cache: Path, told: Path, arguments: list[str], asked: Connection) -> None:
