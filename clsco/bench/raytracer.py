@@ -1,18 +1,17 @@
 """A thin-lens ray tracer in float64: the judge that every picture of the package is measured against.
 
-It shares no code with the package. A scene is read by attribute names only (`scene.camera.focal_length`,
-...), every shape becomes ten coefficients in its own frame, and a ray meets it by the textbook formula.
+It shares no code with the package. A scene is read by attribute names only (`scene.camera.focal_length`, ...), every
+shape becomes ten coefficients in its own frame, and a ray meets it by the textbook formula.
 
-The ray. The detector position x' (mm, in the plane of the normalization distance s0) sees through the lens
-point l (unit disc) the surface point whose pinhole projection is x = x' - R(Z) l, with the blur radius R(Z) =
-(s0 D/2) (K - 1/Z), K = 1/f - 1/s (2.33). Hence X(Z) = x Z / s0 = (x'/s0 - (D/2) K l) Z + (D/2) l: a straight
-line from the point (D/2) l of the lens through the point in focus, Z = 1/K, X = x' / (s0 K). The ray's
-parameter is the depth Z itself.
+The ray. The detector position x' (mm, in the plane of the normalization distance s0) sees through the lens point l
+(unit disc) the surface point whose pinhole projection is x = x' - R(Z) l, with the blur radius R(Z) = (s0 D/2) (K -
+1/Z), K = 1/f - 1/s (2.33). Hence X(Z) = x Z / s0 = (x'/s0 - (D/2) K l) Z + (D/2) l: a straight line from the point
+(D/2) l of the lens through the point in focus, Z = 1/K, X = x' / (s0 K). The ray's parameter is the depth Z itself.
 
-The samples. Two independent Owen-scrambled Sobol sets (pixel x, pixel y, lens, lens, time) give two images:
-their mean is the result, the root mean square of half their difference its noise. Each pixel shifts the set
-over its own box (modulo one) and turns it about the lens axis by random amounts. Both keep the distribution
-uniform, so the estimate is unbiased.
+The samples. Two independent Owen-scrambled Sobol sets (pixel x, pixel y, lens, lens, time) give two images: their
+mean is the result, the root mean square of half their difference its noise. Each pixel shifts the set over its own
+box (modulo one) and turns it about the lens axis by random amounts. Both keep the distribution uniform, so the
+estimate is unbiased.
 """
 
 from __future__ import annotations
@@ -290,12 +289,16 @@ def _accumulate(  # type: ignore[no-untyped-def]
     flat = textures.reshape(-1, channels)
     for position in prange(rows):
         row = order[position]
-        rays = np.empty((len(poses), 16, BLOCK))
+        rays = np.empty((len(poses), 16 * BLOCK))
         hits = np.empty(2 * BLOCK)
         for block in range(first[row].min(), last[row].max(), BLOCK):
             stop = min(block + BLOCK, points.shape[1])
-            rays[:, :4, : stop - block] = points[:, block:stop]
-            rays[:, 4:, : stop - block] = poses[:, :, block:stop] if poses.shape[2] > 1 else poses
+            for n in range(len(poses)):  # loops instead of slices: the compiler takes a quarter of the time
+                for s in range(block, stop):
+                    for k in range(4):
+                        rays[n, s - block + k * BLOCK] = points[k, s]
+                    for k in range(12):
+                        rays[n, s - block + (4 + k) * BLOCK] = poses[n, k, s if poses.shape[2] > 1 else 0]
             for column in range(columns):
                 begin, end = max(first[row, column], block), min(last[row, column], stop)
                 if begin >= end:
@@ -304,11 +307,12 @@ def _accumulate(  # type: ignore[no-untyped-def]
                 angle = 2 * math.pi * _uniform(state + STEP + STEP)
                 turn = lens_radius * math.cos(angle), lens_radius * math.sin(angle)
                 corner = column - 0.5 * columns, 0.5 * rows - row, _uniform(state), _uniform(state + STEP)
-                hits[:BLOCK], hits[BLOCK:] = np.inf, -1.0
+                for s in range(BLOCK):
+                    hits[s], hits[s + BLOCK] = np.inf, -1.0
                 for n in range(len(poses)):
                     surface = coefficients[n], bounds[n], centers[n]
                     texture = float(n * rows * columns), float(rows), float(columns)
-                    _cast(hits, rays[n].reshape(-1), end - block, turn, corner, optics, surface, texture)
+                    _cast(hits, rays[n], end - block, turn, corner, optics, surface, texture)
                 square = 0.0
                 for s in range(begin - block, end - block):
                     texel = int(hits[s + BLOCK])
