@@ -35,7 +35,7 @@ from clsco.plan import Blur
 from clsco.program import build, download, empty, kernel, launch, upload
 from clsco.psf import LANES, psf_features
 from clsco.scene import Psf
-from clsco.spread import BLOCKS, FILES_OF, PIXELS, Events, Sources, Spreader, blur_features
+from clsco.spread import BLOCKS, FILES_OF, PIXELS, PLAIN, Events, Sources, Spreader, image_features
 
 
 @dataclass(frozen=True)
@@ -87,10 +87,11 @@ class Coarse(Spreader):
         if not radii:
             return
         coarse = coarse_psf(psf)
-        plain = {**features, "SUBPIXELS": 0, "OCCLUDED": 0, "SAMPLED": int(coarse.edge == "sampled")}
-        self.tools = build(session, ["coarse.cl"], plain, structs(real), real)
+        tools = PLAIN | psf_features(psf) | {"CHANNELS": channels, "TILT": int(self.tilt)}
+        tools["SAMPLED"] = int(coarse.edge == "sampled")
+        self.tools = build(session, ["coarse.cl"], tools, structs(real), real)
         for radius in radii:
-            plain |= psf_features(coarse) | blur_features(method, coarse, radius, real, prepare=False)
+            plain = image_features(method, coarse, radius, channels, self.tilt, real)
             inner = build(session, FILES_OF[method], plain, structs(real), real)
             above = self.levels[-1].camera
             shape = coarse_frame(*(int(above[name]) for name in ("rows", "columns", "guard")))

@@ -22,14 +22,11 @@ from clsco.memory import Limit, defocus_bytes, limit_of, rows_that_fit, source_b
 from clsco.optics import LARGEST_BLUR
 from clsco.plan import MANY_RADII, Blur, is_sharp, many_radii
 from clsco.program import build, empty
-from clsco.psf import LANES, psf_features, reach, table_reach
+from clsco.psf import LANES, reach, table_reach
 from clsco.scene import Psf
 from clsco.scenefile import parse_psf
-from clsco.spread import FILES_OF, Sources, blur_features, prepare_sources
+from clsco.spread import FILES_OF, Sources, image_features, prepare_sources
 from clsco.strips import BAND, Strip, cut
-
-# Features that only surfaces need.
-PLAIN = dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SUBPIXELS", "OCCLUDED"), 0)
 
 
 @overload
@@ -195,14 +192,6 @@ def _blurred(
             tallest = less
 
 
-def image_features(blur: Blur, psf: Psf, largest: float, channels: int, real: Real) -> dict[str, int]:
-    """Features of blur.cl for an image with radii up to `largest` px."""
-    return PLAIN | psf_features(psf) | blur_features(blur, psf, largest, real, prepare=True) | {
-        "CHANNELS": channels,
-        "TILT": int(psf.tilt and blur != "convolve"),
-    }  # fmt: skip
-
-
 class _Engine:
     """Owns the buffers and the program for the strips of one image; least, places: as for `make_spreader`."""
 
@@ -213,7 +202,7 @@ class _Engine:
         self.session, self.given, self.psf, self.blur, self.guard = session, given, psf, blur, guard
         self.real: Real = "double" if session.device.has_fp64 else "float"
         channels, columns = given.channels, given.coc.shape[1]
-        features = image_features(blur, psf, given.largest, channels, self.real)
+        features = image_features(blur, psf, given.largest, channels, psf.tilt, self.real)
         constant = blur == "convolve"
         self.program = {} if constant else build(session, FILES_OF[blur], features, structs(self.real), self.real)
         self.spreader = make_spreader(
@@ -230,7 +219,7 @@ class _Engine:
         cl.enqueue_fill_buffer(session.queue, self.valid, np.ones(1, np.uint8), 0, area)
         self.layers: Layers | None = None
         if psf.occlusion == "layered":
-            self.layers = Layers(session, self.spreader, features, given.largest, self.real, given.brightest)
+            self.layers = Layers(session, self.spreader, psf.tilt, given.largest, self.real, given.brightest)
 
     def _camera(self, strip: Strip) -> Struct:
         rows, columns = self.given.coc.shape

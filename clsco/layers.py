@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from math import ceil
 
 import numpy as np
@@ -14,8 +13,7 @@ from clsco.layout import WIDE_BYTES, Real, structs
 from clsco.memory import source_bytes
 from clsco.program import build, download, empty, kernel, launch, upload
 from clsco.psf import psf_extent, reach
-from clsco.scene import Psf
-from clsco.spread import FILES_OF, PIXELS, Events, Sources, Spreader, prepare_sources
+from clsco.spread import FILES_OF, PIXELS, PLAIN, Events, Sources, Spreader, image_features, prepare_sources
 
 # As in layer.cl.
 JUMP, BIN, CLASSES, RUN = 1.0, 0.25, 10, 64  # px, px
@@ -47,8 +45,8 @@ class Layers:
     """Adds moments to a frame with occlusion from what the pinhole sees: psf.occlusion = "layered".
 
     spreader: of the frame, whose method is one of MANY_RADII and which has no sub-pixel sources; `add` takes the place
-    of `Spreader.add`. features: those that the spreader's program was built with; largest: px, no |R| is larger;
-    brightest: largest |radiance|.
+    of `Spreader.add`. tilt: whether the spreader's sources have one; largest: px, no |R| is larger; brightest: largest
+    |radiance|.
 
     Pixels are put into slabs of the signed blur radius so that the two sides of every jump between neighbors, beyond
     JUMP px, fall into different ones; at most MOST_SLABS. A slab takes its surface to go on behind the pixels in front
@@ -62,18 +60,19 @@ class Layers:
     """
 
     def __init__(
-        self, session: Session, spreader: Spreader, features: Mapping[str, int], largest: float, real: Real,
-        brightest: float,
+        self, session: Session, spreader: Spreader, tilt: bool, largest: float, real: Real, brightest: float,
     ) -> None:  # fmt: skip
         self.session, self.spreader, self.camera, self.real = session, spreader, spreader.camera, real
         self.channels = spreader.channels
-        psf: Psf = spreader.psf
-        chosen = {**features, "CHANNELS": self.channels + 1, "SUBPIXELS": 0, "PREPARE": 1, "OCCLUDED": 0}
-        self.program = build(session, [*FILES_OF[spreader.method], "layer.cl"], chosen, structs(real), real)
+        psf, method, planes = spreader.psf, spreader.method, self.channels + 1
+        chosen = image_features(method, psf, largest, planes, tilt, real)
+        blur = build(session, FILES_OF[method], chosen, structs(real), real)
+        # By itself, since nothing else changes its seventeen kernels.
+        layer = PLAIN | {"SAMPLED": 0, "CHANNELS": planes, "SCATTER": chosen["SCATTER"]}
+        self.program = blur | build(session, ["layer.cl"], layer, structs(real), real)
         self.inner = Spreader(
-            session, self.program, psf, spreader.method, self.camera, self.channels + 1, 0.0, largest, 0, real,
-            max(brightest, 1.0), chosen,
-        )  # fmt: skip
+            session, blur, psf, method, self.camera, planes, 0.0, largest, 0, real, max(brightest, 1.0), chosen
+        )
         half = int(np.ceil(largest / BIN)) + 1
         self.low, self.bins = -half * BIN, 2 * half
         self.reach = reach(psf, largest)
@@ -82,7 +81,7 @@ class Layers:
         self.levels = _levels(self.height, self.width, self.channels + 2)
         pixels = self.height * self.width
         self.latest = empty(session, 4 * (CLASSES * self.bins + 1))
-        self.source = empty(session, source_bytes(pixels, bool(chosen["TILT"])))
+        self.source = empty(session, source_bytes(pixels, tilt))
         self.offset = empty(session, 4 * pixels)
         self.slab, self.seed, self.hidden, self.edge = (empty(session, pixels) for _ in range(4))
         last = self.levels[-1]

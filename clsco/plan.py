@@ -304,14 +304,18 @@ def _blur_range(scene: Scene, moments: list[tuple[Pose, ...]], maps: Maps) -> tu
     return smallest, largest, w, guard
 
 
+def _hides_nothing(scene: Scene) -> bool:
+    """Whether the lens sees all that the pinhole sees: a single surface, without an inside and not of a map."""
+    return len(scene.objects) == 1 and scene.objects[0].shape != "depth_map" and not is_hollow(scene.objects[0])
+
+
 def _occlusion(
     scene: Scene, forward: bool, sharp: bool, moments: list[tuple[Pose, ...]], w: Array
 ) -> tuple[Occlusion, tuple[Layer, ...]]:
     """How what hides what is dealt with, and the layers of objects that follow."""
     together = (Layer((1 << len(scene.objects)) - 1, 0),)
     wanted = scene.psf.occlusion
-    mapped = any(item.shape == "depth_map" for item in scene.objects)
-    if wanted == "none" or sharp or (len(scene.objects) == 1 and not mapped and not is_hollow(scene.objects[0])):
+    if wanted == "none" or sharp or _hides_nothing(scene):
         return "none", together
     if wanted == "layered" or forward:
         return "layered", together
@@ -352,7 +356,7 @@ def make_plan(
     moments = _moments(scene, eye)
     smallest, largest, each, guard = _blur_range(scene, moments, maps)
     w = each.max(axis=0)
-    slabs = psf.occlusion == "layered" and len(scene.objects) > 1
+    slabs = psf.occlusion == "layered" and not _hides_nothing(scene)
     silhouettes = psf.silhouette_samples if psf.silhouette_samples > 1 and not forward and not slabs else 0
     if silhouettes and _fills_view(scene, w):
         silhouettes = 0

@@ -25,7 +25,6 @@ HEADERS_OF = {
     "blur.cl": ("sources.clh", "spread.clh", "neighbors.clh", "rows.clh", "near.clh", "discs.clh", "gaussians.clh"),
     "coarse.cl": ("sources.clh", "spread.clh"),
     "tiles.cl": ("sources.clh", "spread.clh"),
-    "layer.cl": ("sources.clh",),
     "fill.cl": ("estimate.clh",),
     "holes.cl": ("estimate.clh",),
 }

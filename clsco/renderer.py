@@ -159,7 +159,7 @@ class Renderer:
         self.sub_value = empty(session, 4 * plan.channels * self.slots * each)
         self.slabs: Layers | None = None
         if plan.occlusion == "layered":
-            self.slabs = Layers(session, self.spreader, features, self.largest, self.real, self.brightest)
+            self.slabs = Layers(session, self.spreader, plan.tilt, self.largest, self.real, self.brightest)
             self.coc, self.valid = empty(session, WIDE_BYTES * area), empty(session, area)
 
     def _poses(self, time: float) -> tuple[Pose, ...]:

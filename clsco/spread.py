@@ -17,7 +17,7 @@ from clsco.memory import MOST_IN_ONE_SUM, Scratch, band_scratch, bands_at_a_time
 from clsco.occlusion import lens_cells
 from clsco.plan import MANY_RADII, Blur
 from clsco.program import empty, kernel, launch, mapped, upload
-from clsco.psf import LANES, NEAR, PsfTable, psf_table
+from clsco.psf import LANES, NEAR, PsfTable, psf_features, psf_table
 from clsco.scene import Psf
 from clsco.strips import BAND
 
@@ -32,6 +32,9 @@ FILES_OF: dict[Blur, tuple[str, ...]] = {
     "gather": ("blur.cl",), "scatter": ("blur.cl",), "tiles": ("blur.cl", "tiles.cl"), "convolve": (),
     "none": ("accumulate.cl",),
 }  # fmt: skip
+
+# Features that only surfaces need.
+PLAIN = dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SUBPIXELS", "OCCLUDED"), 0)
 
 Events = list[tuple[str, cl.Event]]
 
@@ -49,6 +52,13 @@ def blur_features(method: Blur, psf: Psf, largest: float, real: Real, prepare: b
         "PREPARE": int(prepare and method in MANY_RADII),
         "BAND": BAND,
     }
+
+
+def image_features(blur: Blur, psf: Psf, largest: float, channels: int, tilt: bool, real: Real) -> dict[str, int]:
+    """Features of a program that spreads an image with radii up to `largest` px, whatever surfaces it shows: the same
+    one for all scenes that agree in these."""
+    found = PLAIN | psf_features(psf) | blur_features(blur, psf, largest, real, prepare=True)
+    return found | {"CHANNELS": channels, "TILT": int(tilt and blur != "convolve")}
 
 
 @dataclass(frozen=True)

@@ -198,10 +198,8 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
 
 #if SCATTER
 #if HAS_INT64_ATOMICS
-typedef long fixed_t;
 #define ADD_FIXED(p, v) atom_add(p, v)
 #else
-typedef int fixed_t;
 #define ADD_FIXED(p, v) atomic_add(p, v)
 #endif
 

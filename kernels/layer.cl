@@ -1,6 +1,6 @@
 // Occlusion from what the pinhole alone sees: slabs of blur radius, each blurred together with its coverage by the
-// kernels of blur.cl, after which this file is built with CHANNELS = channels of the image + 1. Twin:
-// clsco/reference/layer.py.
+// kernels of blur.cl. Twin: clsco/reference/layer.py. Features: CHANNELS, of the image and 1; SCATTER, whether the blur
+// adds in fixed point.
 //
 // On the padded grid (height, width), row-major; a smaller signed radius is nearer:
 //   value    float (CHANNELS - 1, height, width): radiance times the weight of the moment
@@ -16,6 +16,8 @@
 //            radius, and how far they are known, 0 to 1
 //   slab_value float (CHANNELS, height, width): radiance and coverage; slab_coc, slab_valid: as coc and valid
 // All is whole numbers, or sums in a fixed order: the same bits every time.
+
+#pragma OPENCL FP_CONTRACT ON  // as where light is summed in blur.cl
 
 #define JUMP ((real)1)     // px, as in the twin
 #define BIN ((real)0.25)   // px

@@ -7,6 +7,7 @@ import importlib.util
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any, get_args
 
@@ -20,6 +21,7 @@ from clsco.bench.cases import (
     PSFS,
     QUICK,
     Grid,
+    Precision,
     channels_of,
     crop_of,
     grid_cases,
@@ -40,11 +42,19 @@ from clsco.scene import Psf
 FIGURE = 1e-5  # of white, as in tests/test_defocus.py
 METHODS = set(get_args(Blur)) - {"none"}
 FILES = ["bench.csv", "bench.json", "radius.png", "roofline.png", "size.png", "speed_error.png"]
-SMALL = Grid(sizes=(24, 40), radii=(2.5,), channels=(1,), rounds=2, longest_s=100.0)
+SMALL = Grid(sizes=(24, 40), radii=(2.5,), channels=(3,), precisions=("double",), rounds=2, longest_s=100.0)
 
 
 def bench_(*words: object) -> Result:
     return CliRunner().invoke(main, ["bench", *map(str, words)])
+
+
+def test_a_grid_has_all_combinations_that_the_device_can_do() -> None:
+    both = replace(SMALL, precisions=get_args(Precision), channels=(1, 3))
+    cases, single = grid_cases(both, has_fp64=True), grid_cases(both, has_fp64=False)
+    assert len(set(cases)) == len(cases) == 2 * len(single) == 4 * len(grid_cases(SMALL, has_fp64=True))
+    assert {(case.precision, case.channels) for case in cases} == set(product(both.precisions, both.channels))
+    assert {case.precision for case in single} == {"single"}
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +67,15 @@ def measured(session: Session, steps: list[int]) -> Bench:
     return measure.run(SMALL, session.device, [], lambda: steps.append(1))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("precision", get_args(Precision))
+def test_gray_images_as_well(session: Session, precision: Precision) -> None:
+    found = measure.run(replace(SMALL, channels=(1,), precisions=(precision,)), session.device, [], lambda: None)
+    assert len(found.rows) == len(grid_cases(SMALL, has_fp64=True))
+    test_every_method_is_close_to_the_reference(found)
+    test_figures_of_a_row_belong_together(found)
+
+
 def test_every_case_has_a_row(measured: Bench, steps: list[int], session: Session) -> None:
     cases = grid_cases(SMALL, has_fp64=True)
     names = ("size", "radius", "scene", "psf", "channels", "precision", "tool", "method")
@@ -65,7 +84,7 @@ def test_every_case_has_a_row(measured: Bench, steps: list[int], session: Sessio
         return sorted(tuple(getattr(thing, name) for name in names) for thing in things)
 
     assert keys(measured.rows) == keys(cases)
-    assert len(set(cases)) == len(cases) == 2 * len(PSFS) * 2 * len(METHODS)
+    assert len(set(cases)) == len(cases) == 2 * len(PSFS) * len(METHODS)
     assert {case.method for case in cases} == METHODS
     assert measured.left_out == []
     assert len(steps) == measure.steps(SMALL, session.device, []) == 3 * len(cases)
@@ -111,7 +130,7 @@ def test_bytes_on_the_device_are_those_of_its_buffers(session: Session) -> None:
 
 
 def test_long_cases_are_left_out_with_the_reason(session: Session, tmp_path: Path) -> None:
-    grid = replace(SMALL, sizes=(24,), precisions=("single",), longest_s=0.0)
+    grid = replace(SMALL, sizes=(24,), longest_s=0.0)
     calls: list[int] = []
     found = measure.run(grid, session.device, [], lambda: calls.append(1))
     assert found.rows == []

@@ -47,8 +47,11 @@ PSFS = [
 ]
 
 
+KEPT = [PSFS[k] for k in (0, 5, 8, 11)]  # each model with and without tilt, each edge
+
+
 @pytest.mark.parametrize("method", mostly_slow(["gather", "scatter"], ["gather"]))
-@pytest.mark.parametrize("psf", PSFS, ids=lambda p: f"{p.model}-{p.edge}-{p.tilt}")
+@pytest.mark.parametrize("psf", mostly_slow(PSFS, KEPT), ids=lambda p: f"{p.model}-{p.edge}-{p.tilt}")
 def test_every_psf_agrees_with_the_reference(psf: Psf, method: str) -> None:
     image, coc = picture(70, 90)
     error = np.abs(defocus(image, coc, psf, method=method) - reference(image, coc, psf))
@@ -76,7 +79,7 @@ def test_one_radius_is_a_convolution(psf: Psf, radius: float) -> None:
 
 
 @pytest.mark.parametrize("method", mostly_slow(["gather", "scatter"], ["gather"]))
-@pytest.mark.parametrize("psf", mostly_slow(PSFS[::2], PSFS[:8:4]), ids=lambda p: f"{p.model}-{p.edge}")
+@pytest.mark.parametrize("psf", mostly_slow(PSFS[::2], [PSFS[4]]), ids=lambda p: f"{p.model}-{p.edge}")
 def test_what_is_nearer_hides_what_is_farther(psf: Psf, method: str) -> None:
     """A disc of -4 px before the waves, with layers; a map without jumps is as without them."""
     image, coc = picture(60, 80, channels=3)

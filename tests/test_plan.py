@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from clsco.errors import SceneError
 from clsco.frame import TRUTH_NAMES
 from clsco.memory import device_bytes
 from clsco.optics import LARGEST_BLUR, blur_radius, ray_step
-from clsco.plan import Plan, exposure, guard_band, image_displacement, is_sharp, make_plan, widened
+from clsco.plan import MANY_RADII, Plan, exposure, guard_band, image_displacement, is_sharp, make_plan, widened
 from clsco.psf import LANES, reach
 from clsco.scene import Camera, Cone, DepthMap, Fill, Motion, ObjectMotion, Plane, Psf, Quadric, Scene, Sequence, Sphere
 
@@ -410,3 +411,22 @@ def test_memory_and_work_grow_with_what_is_done() -> None:
     # Pixels of frame and guard band, each spread over its disc of about pi (R + 0.7)^2 px.
     flat = plan(STILL)
     assert flat.taps == pytest.approx(flat.width * flat.height * 3.14159 * (flat.largest_blur + 0.7) ** 2, rel=1e-3)
+
+
+def test_what_is_left_out_is_not_needed_elsewhere() -> None:
+    """Slabs are of whole pixels, whatever else a scene asks for: sub-pixel sources have no place in them."""
+    box = ((-60.0, 60.0), (-60.0, 60.0), (-5.0, 60.0))
+    cut = [item.model_copy(update={"bounds": box}) for item in (BALL, Cone(), TILTED)]
+    seen = set()
+    for items in ((BALL,), *((item,) for item in cut), (cut[0], STILL), (moving(cut[0], TURN),)):
+        warps = [("visibility", "inverse"), *product(("layered", "none"), ("inverse", "forward"))]
+        for (occlusion, warp), samples, border in product(warps, (1, 4), ("lose", "renormalize")):
+            psf = Psf(occlusion=occlusion, silhouette_samples=samples, border=border)
+            whole = scene(items[0], psf=psf, motion=Motion(warp=warp)).model_copy(update={"objects": items})
+            found = make_plan(whole, 1, ())
+            seen.add((found.occlusion, bool(found.silhouettes)))
+            if found.occlusion == "layered":
+                assert found.silhouettes == 0
+                assert found.blur in MANY_RADII
+            assert found.occlusion in (occlusion, "none")
+    assert seen == {("visibility", True), ("visibility", False), ("layered", False), ("none", True), ("none", False)}

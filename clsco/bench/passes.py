@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from clsco.coarse import Coarse, Level, make_spreader
 from clsco.coarsening import METHODS
 from clsco.convolution import Convolution
-from clsco.defocus import image_features
 from clsco.device import Session
 from clsco.layout import Real, flat, frame_struct, in_parts, structs
 from clsco.memory import source_bytes
@@ -20,7 +19,7 @@ from clsco.plan import Blur, many_radii
 from clsco.program import build, empty, upload
 from clsco.psf import LANES, reach
 from clsco.scene import Psf
-from clsco.spread import FILES_OF, Events, Sources, prepare_sources
+from clsco.spread import FILES_OF, Events, Sources, image_features, prepare_sources
 
 Array = NDArray[Any]
 
@@ -48,7 +47,7 @@ class Pass:
         constant, least = method == "convolve", METHODS.get(method)
         blur = many_radii(session.device.kind == "gpu", approximate=True) if least else cast(Blur, method)
         guard = reach(psf, self.largest) + 2 * LANES if constant else 0
-        features = image_features(blur, psf, self.largest, channels, real)
+        features = image_features(blur, psf, self.largest, channels, psf.tilt, real)
         self.session, self.camera = session, frame_struct(rows, columns, guard, real)
         self.program = {} if constant else build(session, FILES_OF[blur], features, structs(real), real)
         self.spreader = make_spreader(

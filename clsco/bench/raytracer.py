@@ -34,11 +34,9 @@ from scipy.stats import qmc
 Array = NDArray[np.float64]
 Textures = NDArray[Any] | Sequence[NDArray[Any]]
 
-# Part of the key of cached images; a change of what is computed must change it.
-CACHE_FORMAT = 1
+CACHE_FORMAT = 1  # part of the key of cached images; a change of what is computed must change it
 LEAST_SAMPLES = 64
-# Samples that stay in the fastest cache while all pixels of a row use them.
-BLOCK = 128
+BLOCK = 128  # samples that stay in the fastest cache while all pixels of a row use them
 STEP = np.uint64(0x9E3779B97F4A7C15)
 
 
@@ -328,8 +326,7 @@ def _accumulate(  # type: ignore[no-untyped-def]
 class Halves:
     """Two independent running sums: `sums` (2, rows, columns, channels) and `squares` (2, rows, columns).
 
-    `counts` (rows, columns): samples in each half so far; `points`: their Sobol points, (n, 5) per half.
-    """
+    `counts` (rows, columns): samples in each half so far; `points`: their Sobol points, (n, 5) per half."""
 
     problem: Problem
     engines: tuple[Any, ...]

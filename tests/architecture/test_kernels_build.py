@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from clsco.defocus import PLAIN
 from clsco.device import Session
 from clsco.forward import KERNELS as FORWARD
 from clsco.forward import forward_features
@@ -20,8 +19,9 @@ from clsco.plan import make_plan
 from clsco.program import HEADERS, HEADERS_OF, OCCLUSION_HEADERS, build
 from clsco.psf import NEAR, psf_features
 from clsco.scene import Camera, Psf, Scene, Sphere
-from clsco.spread import blur_features
+from clsco.spread import PLAIN, blur_features
 from clsco.strips import BAND
+from tests.slow import mostly_slow
 
 KERNELS = Path(__file__).resolve().parents[2] / "kernels"
 ON_OR_OFF: tuple[int, ...] = (0, 1)
@@ -66,7 +66,7 @@ PROGRAMS[OCCLUSION] = PROGRAMS["blur.cl",] | PROGRAMS["trace.cl",] | {"OCCLUDED"
 TOLD = {"OCCLUDED", "SEVERAL", "QUADRATIC", "NAPPE", "BOUNDED", "CHANNELS", "SUBPIXELS", "TILT", "GATHER", "SCATTER"}
 PROGRAMS[OCCLUSION] |= {name: values[1:2] for name, values in PROGRAMS[OCCLUSION].items() if name not in TOLD}
 PROGRAMS[OCCLUSION] |= dict.fromkeys(("ROWS", "NEAR", "DISC", "SEPARABLE"), (0,))
-PROGRAMS["blur.cl", "layer.cl"] = PROGRAMS["blur.cl",] | {"CHANNELS": (2, 4), "SUBPIXELS": (0,)}
+PROGRAMS["layer.cl",] = dict.fromkeys((*PLAIN, "SAMPLED"), (0,)) | {"CHANNELS": (2, 4), "SCATTER": ON_OR_OFF}
 GIVEN_BY_THE_BUILD = {"REAL_IS_DOUBLE", "HAS_INT64_ATOMICS", "HAS_FP64", "defined", "__FMA__", "__SSE4_1__", "__AVX__"}
 
 
@@ -116,10 +116,13 @@ def test_what_the_host_asks_for_is_what_the_files_know() -> None:
 
 
 # What takes seconds: programs with most kernels, and files that are built by themselves as well.
-LONG = (OCCLUSION, FORWARD, ("trace.cl",), ("blur.cl",), ("blur.cl", "layer.cl"))
+LONG = (OCCLUSION, FORWARD, ("trace.cl",), ("blur.cl",))
+# What hardly any feature of the geometry changes.
+PLAIN_FILES = (("accumulate.cl",), ("convolve.cl",), ("texture.cl",), ("biharmonic.cl",))
 
 
-@pytest.mark.parametrize("real", ["double", "float"])
+# In single precision all features are built for a device with less, too.
+@pytest.mark.parametrize("real", mostly_slow(["double", "float"], ["double"]))
 @pytest.mark.parametrize("files", PROGRAMS, ids="+".join)
 def test_with_all_features_and_none(session: Session, files: tuple[str, ...], real: Real) -> None:
     chosen = variants(PROGRAMS[files])[:2]
@@ -133,7 +136,8 @@ def test_with_all_features_and_none(session: Session, files: tuple[str, ...], re
 
 
 @pytest.mark.parametrize(
-    "files", [pytest.param(f, marks=[pytest.mark.slow] * (f in LONG), id="+".join(f)) for f in PROGRAMS]
+    "files",
+    [pytest.param(f, marks=[pytest.mark.slow] * (f in (*LONG, *PLAIN_FILES)), id="+".join(f)) for f in PROGRAMS],
 )
 def test_with_all_features_but_one(session: Session, files: tuple[str, ...]) -> None:
     """In double precision: `real` is a type, and what a feature compiles does not hang on it."""

@@ -10,17 +10,15 @@ from numpy.typing import NDArray
 
 from clsco.coarse import Coarse
 from clsco.coarsening import coarse_radii, sample_places
-from clsco.defocus import PLAIN
 from clsco.device import Session
 from clsco.layout import Real, flat, frame_struct, in_parts, structs
 from clsco.memory import source_bytes
 from clsco.program import build, empty, upload
-from clsco.psf import psf_features
 from clsco.reference import coarse as twin
 from clsco.reference.blur import prepare_sources, scatter
 from clsco.reference.trace import Sources as Light
 from clsco.scene import Psf
-from clsco.spread import Sources, blur_features
+from clsco.spread import Sources, image_features
 from clsco.spread import prepare_sources as make_sources
 from tests.slow import mostly_slow
 
@@ -54,8 +52,7 @@ def approximate(
     camera = frame_struct(height - 2 * guard, width - 2 * guard, guard, real)
     size = np.abs(light.radius[light.lit])
     smallest, largest = float(size.min()), float(size.max())
-    features = PLAIN | blur_features("gather", psf, largest, real, prepare=True)
-    features |= {"CHANNELS": channels, "TILT": int(psf.tilt)} | psf_features(psf)
+    features = image_features("gather", psf, largest, channels, psf.tilt, real)
     program = build(session, ["blur.cl"], features, structs(real), real)
     spreader = Coarse(
         session, program, psf, "gather", camera, channels, smallest, largest, 0, real, 1.0, features, least, places

@@ -36,7 +36,7 @@ from clsco.reference.trace import padded_grid
 from clsco.scene import Camera, Fill, Motion, Object, ObjectMotion, Plane, Scene, Sphere
 from clsco.surfaces import place
 from tests.kernels.wide_numbers import whole
-from tests.slow import mostly_slow
+from tests.slow import combined, mostly_slow
 
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
@@ -162,7 +162,7 @@ def test_missing_pixels_are_listed(session: Session, domain: str) -> None:
     assert marked > 500
 
 
-@pytest.mark.parametrize(("channels", "far"), [(1, None), (3, None), (1, 1), (3, 0)])
+@pytest.mark.parametrize(("channels", "far"), mostly_slow([(1, None), (3, None), (1, 1), (3, 0)], [(1, 1), (3, None)]))
 def test_a_sweep_of_ait_is_its_twin(session: Session, channels: int, far: int | None) -> None:
     """far: whether neighbors are bounded (1), or would be but for a stalled sweep (0)."""
     swept = 0
@@ -188,8 +188,10 @@ def test_a_sweep_of_ait_is_its_twin(session: Session, channels: int, far: int | 
     assert swept > 1000
 
 
-@pytest.mark.parametrize("method", ["ait", "mean_median"])
-@pytest.mark.parametrize("domain", ["span", "surface"])
+@pytest.mark.parametrize(
+    ("domain", "method"),
+    combined(("span", "surface"), ("ait", "mean_median"), kept=[("span", "mean_median"), ("surface", "ait")]),
+)
 def test_settling_a_sweep_lists_what_is_missing_then(session: Session, method: str, domain: str) -> None:
     grown = 0
     rng = np.random.default_rng(3)
@@ -241,7 +243,7 @@ def test_scores_are_those_of_its_twin(session: Session, channels: int) -> None:
         assert found.samples or min(shape) < 4
 
 
-@pytest.mark.parametrize(("channels", "far"), [(1, False), (3, False), (1, True)])
+@pytest.mark.parametrize(("channels", "far"), mostly_slow([(1, False), (3, False), (1, True)], [(3, False), (1, True)]))
 def test_a_sweep_of_mean_median_is_its_twin(session: Session, channels: int, far: bool) -> None:
     rng = np.random.default_rng(61)
     swept = 0
@@ -297,7 +299,7 @@ def test_a_round_of_smoothing_is_its_twin(session: Session, channels: int, far: 
 @pytest.mark.parametrize("method", ["ait", "mean_median", "none"])
 @pytest.mark.parametrize(
     ("channels", "guard", "far"),
-    mostly_slow([(1, 0, False), (3, 2, False), (1, 0, True), (3, 2, True)], [(1, 0, False), (3, 2, True)]),
+    mostly_slow([(1, 0, False), (3, 2, False), (1, 0, True), (3, 2, True)], [(3, 2, True)]),
 )
 def test_whole_fillings_are_their_twins(session: Session, method: Method, channels: int, guard: int, far: bool) -> None:
     filled, most_sweeps = 0, 0
@@ -317,7 +319,7 @@ def test_whole_fillings_are_their_twins(session: Session, method: Method, channe
     assert (filled > 1000 and most_sweeps > 5) or method == "none"
 
 
-@pytest.mark.parametrize("method", ["ait", "mean_median"])
+@pytest.mark.parametrize("method", mostly_slow(["ait", "mean_median"], ["ait"]))
 def test_what_cannot_be_filled_is_left(session: Session, method: Method) -> None:
     """The ball is allowed to have missing pixels, and is nowhere near a known one."""
     known = np.zeros((150, 150), dtype=bool)

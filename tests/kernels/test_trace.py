@@ -122,6 +122,11 @@ SCENES: dict[str, tuple[Scene, int]] = {
 }
 
 
+# What the tests of all scenes look at; of the others in `make test` whole frames only.
+SOME = ["plane at rest", "card, nearest", "sphere moved, 2 x 2", "cap, 3 x 3, sampled", "cone, axis"]
+SOME += ["bounded paraboloid", "one pixel", "nothing in sight", "ball in a tube"]
+
+
 @dataclass
 class Traced:
     """What trace.cl wrote: arrays as they lie on the device."""
@@ -264,7 +269,7 @@ def assert_records(plan: Plan, found: Array, radius: Array, gradient: Array, the
 
 
 @pytest.mark.parametrize("time", mostly_slow([0.0, 0.55], [0.55]))
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", mostly_slow(SCENES, SOME))
 def test_sources(session: Session, name: str, time: float) -> None:
     wanted, channels = SCENES[name]
     plan = planned(wanted, channels)
@@ -306,7 +311,10 @@ def test_scenes_have_sources_of_every_kind() -> None:
     assert found.min() > 100, found
 
 
-@pytest.mark.parametrize("name", [name for name, (wanted, n) in SCENES.items() if planned(wanted, n).silhouettes])
+WITH_SILHOUETTES = [name for name, (wanted, n) in SCENES.items() if planned(wanted, n).silhouettes]
+
+
+@pytest.mark.parametrize("name", mostly_slow(WITH_SILHOUETTES, set(WITH_SILHOUETTES) & set(SOME)))
 def test_silhouettes_get_slots(session: Session, name: str) -> None:
     wanted, channels = SCENES[name]
     found = traced(session, planned(wanted, channels), 0.55)
@@ -332,18 +340,11 @@ def test_more_silhouettes_than_slots(session: Session) -> None:
     assert (found.source[found.slot >= 0][:, 0] >= -1).all()
 
 
-@pytest.mark.parametrize(
-    ("name", "samples"),
-    [
-        ("sphere moved, 2 x 2", 2),
-        ("sphere moved, 2 x 2", 4),
-        ("cap, 3 x 3, sampled", 3),
-        ("cylinder, bilinear", 2),
-        ("sphere at rest", 3),
-        ("three in a row", 2),
-        ("ball in a tube", 3),
-    ],
-)
+SUBPIXELS = [("sphere moved, 2 x 2", 2), ("cap, 3 x 3, sampled", 3), ("ball in a tube", 3), ("cylinder, bilinear", 2)]
+SUBPIXELS += [("sphere moved, 2 x 2", 4), ("sphere at rest", 3), ("three in a row", 2)]
+
+
+@pytest.mark.parametrize(("name", "samples"), mostly_slow(SUBPIXELS, SUBPIXELS[:3]))
 def test_subpixel_sources(session: Session, name: str, samples: int) -> None:
     wanted, channels = SCENES[name]
     wanted = wanted.model_copy(update={"psf": wanted.psf.model_copy(update={"silhouette_samples": samples})})
@@ -374,13 +375,7 @@ def test_range_of_radii_is_noted(session: Session) -> None:
     assert nothing.tolist() == EMPTY_STATISTICS.tolist()
 
 
-@pytest.mark.parametrize(
-    "name",
-    mostly_slow(
-        ["sphere moved, 2 x 2", "bounded paraboloid", "card, nearest", "three in a row"],
-        ["sphere moved, 2 x 2", "three in a row"],
-    ),
-)
+@pytest.mark.parametrize("name", mostly_slow([*SOME[1:3], "bounded paraboloid", "three in a row"], SOME[2:3]))
 def test_same_bits_again_and_in_other_groups(session: Session, name: str) -> None:
     plan = planned(*SCENES[name])
 
@@ -399,7 +394,9 @@ def test_same_bits_again_and_in_other_groups(session: Session, name: str) -> Non
         assert contents(traced(session, plan, 0.55, local=local)) == first, local
 
 
-@pytest.mark.parametrize("name", ["sphere moved, 2 x 2", "plane moved, no tilt", "cone, axis"])
+@pytest.mark.parametrize(
+    "name", mostly_slow(["sphere moved, 2 x 2", "plane moved, no tilt", "cone, axis"], ["cone, axis"])
+)
 def test_single_precision(session: Session, name: str) -> None:
     plan = planned(*SCENES[name])
     double, single = (traced(session, plan, 0.55, real=real) for real in ("double", "float"))
@@ -464,7 +461,7 @@ def assert_truth(session: Session, plan: Plan, names: tuple[str, ...], frame: in
 
 
 @pytest.mark.parametrize("frame", mostly_slow([0, 1], [1]))
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", mostly_slow(SCENES, SOME))
 def test_ground_truth(session: Session, name: str, frame: int) -> None:
     assert_truth(session, planned(*SCENES[name]), MONO, frame)
 
@@ -488,7 +485,7 @@ def test_hidden_points_are_there_and_seen_ones_too(session: Session) -> None:
     assert hidden[2] == 0.0
 
 
-@pytest.mark.parametrize("output", MONO)
+@pytest.mark.parametrize("output", mostly_slow(MONO, ["depth", "normal", "hidden"]))
 def test_each_output_alone_is_the_same(session: Session, output: str) -> None:
     plan = planned(*SCENES["sphere moved, 2 x 2"])
     alone = truth_on_device(session, plan, (output,), 1)

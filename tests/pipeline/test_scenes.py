@@ -28,6 +28,8 @@ CAMERA = {"resolution": [56, 40], "pixel_pitch": 0.08, "aperture_diameter": 30.0
 BALL = {"shape": "sphere", "center": [0.0, 0.0, 280.0], "radius": 30.0}
 GOING = {"velocity": [4.0, 2.0, -3.0], "angular_velocity": [5.0, 20.0, 10.0]}
 ODD: Any = np.random.default_rng(5)
+# Where something else than the PSF is looked at: compiled in a third of the time.
+PLAIN = {"edge": "sampled", "tilt": False, "silhouette_samples": 1}
 
 
 def scene(item: dict[str, Any], **sections: Any) -> Scene:
@@ -63,7 +65,7 @@ def picture(tmp_path: Path) -> Path:
 )
 def test_color_is_three_gray_scenes(method: str, warp: str, picture: Path) -> None:
     item = {**BALL, "texture": str(picture), "motion": GOING}
-    color = scene(item, motion={"warp": warp}, sequence={"samples": 3})
+    color = scene(item, motion={"warp": warp}, sequence={"samples": 3}, psf=PLAIN)
     (frame,) = assert_agrees(color, method=method)
     assert frame.color.shape == (40, 56, 3)
     assert frame.color[..., 0].mean() > 1.5 * frame.color[..., 1].mean()
@@ -112,7 +114,7 @@ def test_a_sharp_picture_comes_out_as_it_went_in(
 
 def test_light_above_white_is_kept(tmp_path: Path) -> None:
     np.save(tmp_path / "sun.npy", np.where(ODD.random((40, 56)) > 0.99, 500.0, 0.2).astype(np.float32))
-    bright = scene({**BALL, "texture": str(tmp_path / "sun.npy")})
+    bright = scene({**BALL, "texture": str(tmp_path / "sun.npy")}, psf=PLAIN)
     exact = next(reference.render(bright)).color
     assert exact.max() > 5
     for method in ("gather", "scatter"):
@@ -154,23 +156,26 @@ def test_a_silhouette_at_the_border_renormalized() -> None:
         ("pillbox", "gaussian"),
         ("integrated", "area", "sampled"),
         (1, 3),
-        kept=[
-            *(("pillbox", "integrated", 1), ("pillbox", "area", 3), ("pillbox", "sampled", 3)),
-            ("gaussian", "sampled", 1),
-        ],
+        kept=[("pillbox", "area", 3), ("gaussian", "sampled", 1)],
     ),
 )
 def test_point_spread_functions(model: str, edge: str, samples: int) -> None:
     assert_agrees(scene(BALL, psf={"model": model, "edge": edge, "silhouette_samples": samples}))
 
 
-@pytest.mark.parametrize("warp", ["inverse", "forward"])
-@pytest.mark.parametrize("rotation", ["euler", "axis"])
-@pytest.mark.parametrize("sampling", ["midpoint", "endpoint"])
+@pytest.mark.parametrize(
+    ("sampling", "rotation", "warp"),
+    combined(
+        ("midpoint", "endpoint"),
+        ("euler", "axis"),
+        ("inverse", "forward"),
+        kept=[("midpoint", "euler", "inverse"), ("endpoint", "axis", "inverse"), ("endpoint", "euler", "forward")],
+    ),
+)
 def test_motion(warp: str, rotation: str, sampling: str) -> None:
     sequence = {"frames": 2, "interval": 0.8, "shutter": 0.5, "samples": 4, "sampling": sampling}
     motion = {"warp": warp, "rotation": rotation}
-    first, second = assert_agrees(scene({**BALL, "motion": GOING}, sequence=sequence, motion=motion))
+    first, second = assert_agrees(scene({**BALL, "motion": GOING}, sequence=sequence, motion=motion, psf=PLAIN))
     assert not np.array_equal(first.color, second.color)
     start = [0.0, 0.8] if sampling == "endpoint" else [-0.0625, 0.7375]
     for frame, open_ in zip((first, second), start, strict=True):
@@ -180,7 +185,7 @@ def test_motion(warp: str, rotation: str, sampling: str) -> None:
 
 @pytest.mark.parametrize("texture_filter", mostly_slow(["bicubic", "bilinear", "nearest"], ["bicubic", "nearest"]))
 def test_texture_filters(texture_filter: str) -> None:
-    assert_agrees(scene({**BALL, "motion": GOING}, motion={"texture_filter": texture_filter}))
+    assert_agrees(scene({**BALL, "motion": GOING}, motion={"texture_filter": texture_filter}, psf=PLAIN))
 
 
 @pytest.mark.parametrize(
@@ -194,7 +199,7 @@ def test_texture_filters(texture_filter: str) -> None:
 def test_filling(method: str, domain: str) -> None:
     item = {**BALL, "motion": {"velocity": [0.0, 0.0, -40.0], "angular_velocity": [0.0, 0.0, 30.0]}}
     fill, motion = {"method": method, "domain": domain}, {"warp": "forward"}
-    (frame,) = assert_agrees(scene(item, motion=motion, fill=fill, sequence={"samples": 3}))
+    (frame,) = assert_agrees(scene(item, motion=motion, fill=fill, sequence={"samples": 3}, psf=PLAIN))
     missing = [moment["missing_pixels"] for moment in frame.metadata["intermediate"]]
     filled = [moment["filled_pixels"] for moment in frame.metadata["intermediate"]]
     assert max(missing) > 20
@@ -213,7 +218,7 @@ def same(one: Frame, other: Frame, names: Sequence[str] = ("color", *TRUTH_NAMES
 
 @pytest.mark.parametrize("warp", ["inverse", "forward"])
 def test_frames_by_themselves_are_those_of_the_sequence(warp: str) -> None:
-    moving = scene({**BALL, "motion": GOING}, sequence=SEQUENCE, motion={"warp": warp})
+    moving = scene({**BALL, "motion": GOING}, sequence=SEQUENCE, motion={"warp": warp}, psf=PLAIN)
     whole = rendered(moving)
     some = rendered(moving, frames=[3, 1])
     assert [frame.index for frame in some] == [3, 1]
@@ -237,12 +242,12 @@ def test_nothing_moves_by_no_velocity() -> None:
     combined(
         ("", "depth", "mask object_id", "sharp flow", "filled hidden"),
         ("inverse", "forward"),
-        kept=[("", "inverse"), ("sharp flow", "inverse"), ("mask object_id", "forward"), ("filled hidden", "forward")],
+        kept=[("", "inverse"), ("sharp flow", "inverse"), ("filled hidden", "forward")],
     ),
 )
 def test_outputs_that_nobody_asked_for_are_not_computed(wanted: str, warp: str) -> None:
     truth = tuple(wanted.split())
-    moving = scene({**BALL, "motion": GOING}, motion={"warp": warp}, sequence={"samples": 2})
+    moving = scene({**BALL, "motion": GOING}, motion={"warp": warp}, sequence={"samples": 2}, psf=PLAIN)
     (whole,) = rendered(moving)
     (frame,) = rendered(moving, truth=truth)
     same(frame, whole, ("color", *truth))

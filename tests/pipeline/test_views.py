@@ -21,6 +21,8 @@ CAMERA = {"resolution": [SIZE, SIZE], "pixel_pitch": 0.05, "focus_distance": 250
 BALL = {"shape": "sphere", "center": [-5.0, 4.0, 190.0], "radius": 14.0}
 WALL = {"shape": "plane", "distance": 380.0, "slope_x": 0.2}
 CARD = {"shape": "plane", "distance": 300.0, "bounds": [[2.0, 30.0], [-30.0, 1.0], [-1.0, 1.0]], "name": "card"}
+# Nothing looks at the blurred image.
+TRUTH_ONLY = {"occlusion": "none", "silhouette_samples": 1, "tilt": False, "edge": "sampled"}
 # The texture's steepest second derivative, per px^2: 0.25 (2 pi / 24)^2.
 BEND = 0.25 * (2 * np.pi / 24) ** 2
 
@@ -65,7 +67,7 @@ def test_flow_carries_a_frame_to_the_next(waves: str) -> None:
     moving = {"velocity": [6.0, -3.0, 4.0], "angular_velocity": [0.0, 8.0, 5.0]}
     wanted = scene(
         waves, BALL | {"motion": moving}, CARD | {"motion": {"velocity": [-5.0, 2.0, 0.0]}}, WALL,
-        sequence={"frames": 2, "samples": 1}, camera={"motion": {"velocity": [1.0, 0.0, 2.0]}},
+        sequence={"frames": 2, "samples": 1}, camera={"motion": {"velocity": [1.0, 0.0, 2.0]}}, psf=TRUTH_ONLY,
     )  # fmt: skip
     now, then = clsco.render(wanted)
     assert now.flow is not None
@@ -90,7 +92,7 @@ def test_flow_carries_a_frame_to_the_next(waves: str) -> None:
 
 @pytest.mark.parametrize("toe_in", [0.0, pytest.param(0.5, marks=pytest.mark.slow)])
 def test_stereo_views_agree_outside_of_occlusions(waves: str, toe_in: float) -> None:
-    pair = scene(waves, BALL, CARD, WALL, stereo={"baseline": 6.0, "toe_in": toe_in})
+    pair = scene(waves, BALL, CARD, WALL, stereo={"baseline": 6.0, "toe_in": toe_in}, psf=TRUTH_ONLY)
     left, right = clsco.render(pair)
     assert (left.eye, right.eye) == ("left", "right")
     for one, other, sign in ((left, right, -1.0), (right, left, 1.0)):
@@ -119,7 +121,7 @@ def test_stereo_views_agree_outside_of_occlusions(waves: str, toe_in: float) -> 
 
 
 def test_what_is_hidden_from_the_other_view_is_nearer_there(waves: str) -> None:
-    left, right = clsco.render(scene(waves, BALL, WALL, stereo={"baseline": 6.0}))
+    left, right = clsco.render(scene(waves, BALL, WALL, stereo={"baseline": 6.0}, psf=TRUTH_ONLY))
     assert left.occluded is not None
     assert left.object_id is not None
     assert left.disparity is not None
