@@ -8,12 +8,14 @@ BIN := .venv/bin
 demo: .venv/pocl.stamp
 	$(BIN)/clsco demo -o demo
 
-# The tests of a file use the same kernels: one worker compiles them.
+# The tests of a file use the same kernels: one worker compiles them. Files with few tests, which are long ones, not last.
+PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
+
 test: .venv/dev.stamp
-	$(BIN)/python -m pytest -q -n auto --dist loadfile
+	$(BIN)/python -m pytest -q $(PARALLEL)
 
 test-slow: .venv/dev.stamp
-	$(BIN)/python -m pytest -q -n auto --dist loadfile -m slow
+	$(BIN)/python -m pytest -q $(PARALLEL) -m slow
 
 # Random bad scenes and damaged images, CASES of the former; and faults at every place, with KILLS of a batch.
 CASES ?= 1000000
@@ -24,7 +26,7 @@ fuzz: .venv/dev.stamp
 	$(BIN)/python -m tests.hostile.fuzz --what pictures --cases $$(( $(CASES) / 20 ))
 
 soak: .venv/dev.stamp
-	$(BIN)/python -m pytest -q -n auto --dist loadfile -m soak
+	$(BIN)/python -m pytest -q $(PARALLEL) -m soak
 	$(BIN)/python -m tests.faults.kills --kills $(KILLS)
 	$(BIN)/python -m tests.faults.kills --kills 100 --naive
 

@@ -21,6 +21,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     own = Path(os.environ["POCL_CACHE_DIR"]) / os.environ["PYTEST_XDIST_WORKER"]
     own.mkdir(parents=True, exist_ok=True)
     os.environ["POCL_CACHE_DIR"] = str(own)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # those of several workers would wait for each other
 
 from clsco.device import Session, choose
 

@@ -421,8 +421,8 @@ def test_what_is_left_out_is_not_needed_elsewhere() -> None:
     for items in ((BALL,), *((item,) for item in cut), (cut[0], STILL), (moving(cut[0], TURN),)):
         warps = [("visibility", "inverse"), *product(("layered", "none"), ("inverse", "forward"))]
         for (occlusion, warp), samples, border in product(warps, (1, 4), ("lose", "renormalize")):
-            psf = Psf(occlusion=occlusion, silhouette_samples=samples, border=border)
-            whole = scene(items[0], psf=psf, motion=Motion(warp=warp)).model_copy(update={"objects": items})
+            psf = {"occlusion": occlusion, "silhouette_samples": samples, "border": border}
+            whole = scene(items[0], psf=psf, motion={"warp": warp}).model_copy(update={"objects": items})
             found = make_plan(whole, 1, ())
             seen.add((found.occlusion, bool(found.silhouettes)))
             if found.occlusion == "layered":

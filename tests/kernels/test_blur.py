@@ -194,7 +194,7 @@ def assert_close(found: Array, expected: Array, limit: float) -> None:
 
 @pytest.mark.parametrize("method", ["gather", "scatter"])
 @pytest.mark.parametrize("tilt", mostly_slow([True, False], [True]))
-@pytest.mark.parametrize("psf", mostly_slow(PSFS, [PSFS[0], PSFS[2], PSFS[4], PSFS[5]]), ids=name_of)
+@pytest.mark.parametrize("psf", mostly_slow(PSFS, [PSFS[0], PSFS[2], PSFS[5]]), ids=name_of)
 def test_every_psf(session: Session, psf: Psf, tilt: bool, method: Blur) -> None:
     given = light(psf.model_copy(update={"tilt": tilt}))
     expected = given.expected()
@@ -278,7 +278,7 @@ def test_subpixel_sources_of_a_sampled_psf_and_without_tilt(session: Session) ->
             assert_close(blurred(session, given, method), given.expected(), FIGURE["area"])
 
 
-@pytest.mark.parametrize(("channels", "samples"), combined((1, 3), (0, 2), kept=[(1, 0), (3, 2)]))
+@pytest.mark.parametrize(("channels", "samples"), combined((1, 3), (0, 2), kept=[(3, 2)]))
 def test_gather_is_scatter(session: Session, channels: int, samples: int) -> None:
     """The same weights from the same tables, in another order and in fixed point: only float32 rounding is left."""
     given = light(Psf(), shape=(150, 70), largest=7.0, channels=channels, samples=samples)

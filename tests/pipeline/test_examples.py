@@ -56,7 +56,7 @@ LONG |= {
     "sphere_turning",
     "cylinder_turning",
 }
-# Shapes that single precision, the scatter method and the stability report look at, and the figures of some.
+# Shapes and PSFs that the scatter method, tests of kernels and the stability report look at, and figures with them.
 LONG |= {
     "cylinder",
     "cone",
@@ -70,12 +70,13 @@ LONG |= {
     "fig_3_08_right",
 }
 LONG |= {"fig_3_15_right", "fig_4_17", "fig_4_19"}
+LONG |= {"card"}  # see tests/pipeline/test_occlusion.py
 # Figures of the thesis that vary others by their numbers alone.
 LONG |= {
     f"fig_{number}" for number in ("3_04_left", "3_05_left", "3_08_left", "3_12_left", "3_15_left", "4_02", "4_14")
 }
 LONG |= {f"fig_{number}" for number in ("3_09_a", "3_09_b", "3_13_a", "3_13_b", "4_13", "4_15", "3_17_left")}
-SINGLE = ("cylinder_turning", "quadric", "thesis_pipeline")
+SINGLE = ("quadric", "thesis_pipeline")
 SEVERAL = ("cone_turning", "cylinder_turning", "plane_gaussian", "quadric", "road", "fig_3_12_right")
 
 

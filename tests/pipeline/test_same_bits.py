@@ -61,11 +61,14 @@ def outcome(name: str, warp: str, method: str) -> str:
 CASES = [
     ("sphere", "inverse", "gather"),
     ("sphere", "inverse", "scatter"),
-    ("sphere", "inverse", "tiles"),
     ("plane", "inverse", "convolve"),
     ("sphere card wall", "forward", "gather"),
 ]
-OTHERS = [("sphere", "forward", "gather"), ("sphere card wall", "inverse", "gather")]
+OTHERS = [
+    ("sphere", "inverse", "tiles"),
+    ("sphere", "forward", "gather"),
+    ("sphere card wall", "inverse", "gather"),
+]
 Known = dict[tuple[str, str, str], str]
 
 
