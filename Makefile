@@ -17,13 +17,14 @@ test: .venv/dev.stamp
 test-slow: .venv/dev.stamp
 	$(BIN)/python -m pytest -q $(PARALLEL) -m slow
 
-# Random bad scenes and damaged images, CASES of the former; and faults at every place, with KILLS of a batch.
+# Random bad scenes, damaged images and frames of random scenes, CASES of the first; and faults at every place, with KILLS of a batch.
 CASES ?= 1000000
 KILLS ?= 1000
 
 fuzz: .venv/dev.stamp
 	$(BIN)/python -m tests.hostile.fuzz --cases $(CASES)
 	$(BIN)/python -m tests.hostile.fuzz --what pictures --cases $$(( $(CASES) / 20 ))
+	$(BIN)/python -m tests.hostile.frames --cases $$(( $(CASES) / 1000 ))
 
 soak: .venv/dev.stamp
 	$(BIN)/python -m pytest -q $(PARALLEL) -m soak

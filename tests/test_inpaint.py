@@ -20,6 +20,7 @@ from clsco.inpainting import as_stored
 from clsco.inpainting.report import write_report
 from clsco.reference.holes import Inpainted
 from clsco.reference.holes import inpaint as reference
+from tests.slow import combined
 
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
@@ -73,8 +74,12 @@ def check(image: Array, missing: Mask, **constants: Any) -> Any:
     return report
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float16, np.float32, np.float64])
-@pytest.mark.parametrize("shape", [(40, 51), (33, 30, 3)])
+DTYPES, FORMS = (np.uint8, np.uint16, np.float16, np.float32, np.float64), ((40, 51), (33, 30, 3))
+
+
+@pytest.mark.parametrize(
+    ("shape", "dtype"), combined(FORMS, DTYPES, kept=[*((FORMS[1], dtype) for dtype in DTYPES), (FORMS[0], np.uint8)])
+)
 def test_images_of_every_kind_are_those_of_the_reference(shape: tuple[int, ...], dtype: Any) -> None:
     image, missing = picture(shape, dtype), damage(shape)
     report = check(image, missing)

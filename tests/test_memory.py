@@ -98,11 +98,11 @@ SHAPE = (3 * BAND + 10, 70)
 @pytest.mark.parametrize(
     ("method", "radius", "psf", "channels"),
     [
-        ("gather", 3.0, {}, (3,)),
+        pytest.param("gather", 3.0, {}, (3,), marks=pytest.mark.slow),
         ("gather", 9.0, {"border": "renormalize", "edge": "sampled"}, (1,)),
         ("gather", 16.0, {}, ()),
         ("scatter", 9.0, {"model": "gaussian"}, ()),
-        ("tiles", 4.0, {}, ()),
+        pytest.param("tiles", 4.0, {}, (), marks=pytest.mark.slow),
         ("convolve", 7.0, {}, (3,)),
         ("convolve", 17.0, {}, ()),
         ("convolve", 3.0, {"model": "gaussian"}, ()),

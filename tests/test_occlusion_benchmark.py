@@ -15,6 +15,7 @@ import clsco
 from benchmarks.occlusion import EXAMPLES, MODES, Judged, compare, markdown, near_edges, pinhole_view, scene_of
 from benchmarks.truth import decibels, rms, update
 from clsco.bench.raytracer import trace
+from tests.slow import mostly_slow
 
 Array = NDArray[np.float64]
 FOLDER = Path(__file__).resolve().parents[1] / "examples"
@@ -78,7 +79,10 @@ def _brute_force(scene: Any, textures: list[Array], seed: int) -> tuple[Array, A
     return mean, deviation
 
 
-@pytest.mark.parametrize("example", [stem for stem in EXAMPLES.values() if stem != "sphere"])
+OCCLUDED = [stem for stem in EXAMPLES.values() if stem != "sphere"]
+
+
+@pytest.mark.parametrize("example", mostly_slow(OCCLUDED, OCCLUDED[::3]))
 def test_the_judge_sees_the_nearest_of_all_objects_with_its_own_texture(example: str) -> None:
     scene = clsco.load_scene(FOLDER / f"{example}.toml", SMALL)
     random = np.random.default_rng(11)

@@ -34,6 +34,7 @@ from clsco.program import build, copied, download, empty, kernel, launch
 from clsco.reference import holes as twin
 from clsco.reference.mean_median import smooth_median
 from clsco.reference.score import score_mean_median
+from tests.slow import mostly_slow
 
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
@@ -187,7 +188,7 @@ def test_holes_at_corners_and_borders(session: Session) -> None:
     assert check_sheet(session, masks, SOME_WIN, 4, 3, rounds=20).max() < 20
 
 
-@pytest.mark.parametrize("most", [0, 7, 10**9])
+@pytest.mark.parametrize("most", mostly_slow([0, 7, 10**9], [7]))
 def test_sweeps_are_the_same_launched_or_not(session: Session, most: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Long sweeps are launched, short ones are the work of a group of any size."""
     monkeypatch.setattr(mean_median, "MOST_ENTRIES", most)
@@ -254,7 +255,7 @@ def test_the_border_is_its_twin(
         assert (stages.blended == blended).all()
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+@pytest.mark.parametrize("dtype", mostly_slow([np.uint8, np.uint16, np.float32], [np.uint16, np.float32]))
 def test_scores_of_images_are_exact(session: Session, dtype: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """In bands of any height, and with whole numbers of 64 bits where the device has no float64."""
     rng = np.random.default_rng(29)

@@ -22,7 +22,6 @@ from clsco.reference.trace import Sources
 from clsco.scene import Psf
 from clsco.spread import Events, Spreader, image_features
 from clsco.spread import Sources as Light
-from tests.slow import mostly_slow
 
 Array = NDArray[Any]
 RNG = np.random.default_rng
@@ -183,7 +182,8 @@ def test_bounds_of_the_host_are_those_of_the_twin() -> None:
     assert max(counts) < twin.MOST_SLABS
 
 
-@pytest.mark.parametrize("channels", mostly_slow([1, 3], [3]))
+@pytest.mark.slow
+@pytest.mark.parametrize("channels", [1, 3])
 def test_scatter_is_gather(session: Session, channels: int) -> None:
     """In fixed point, in another order, from the same tables."""
     view = View((-3.5, 1.0, 4.2), channels=channels)

@@ -70,7 +70,7 @@ LONG |= {
     "fig_3_08_right",
 }
 LONG |= {"fig_3_15_right", "fig_4_17", "fig_4_19"}
-LONG |= {"card"}  # see tests/pipeline/test_occlusion.py
+LONG |= {"card", "ellipsoid"}  # see tests/pipeline/test_occlusion.py
 # Figures of the thesis that vary others by their numbers alone.
 LONG |= {
     f"fig_{number}" for number in ("3_04_left", "3_05_left", "3_08_left", "3_12_left", "3_15_left", "4_02", "4_14")

@@ -300,5 +300,5 @@ def test_radii_beyond_the_prediction_are_rendered_all_the_same(monkeypatch: pyte
     monkeypatch.setattr(rendering, "make_plan", too_little)
     wide = CAMERA | {"aperture_diameter": 80.0}
     plane = {"shape": "plane", "distance": 380.0, "slope_x": 0.4, "texture": "slanted_edge"}
-    (frame,) = assert_agrees(scene(plane, camera=wide))
+    (frame,) = assert_agrees(scene(plane, camera=wide, psf=PLAIN))
     assert frame.metadata["guard_px"] > 13
