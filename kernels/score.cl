@@ -2,7 +2,7 @@
 // clsco/reference/score.py.
 
 #if FILL_MEAN_MEDIAN
-#define SEGMENT 128  // columns of a row that a work-item scores: no more may be summed up in 31 bits
+#define SCORED 128  // columns of a row that a work-item scores: no more may be summed up in 31 bits
 #define SUMS 13
 
 // The value of WIDTH pixels, or with IMAGE as many values of pixels whose channels are side by side.
@@ -66,18 +66,18 @@ typedef parts_t sums_t;
 //   of medians  for odd k = 2 m + 1  C(i, m) C(7-i, m) times d_i^2, for all i,
 //               for even k = 2 m + 2  C(i, m) C(7-j, m) times ((d_i + d_j) / 2)^2, for all i < j.
 // Values times `scale` are rounded to whole numbers before, which differ by 2^16 at most, so that sums are exact in
-// any order; CODES are so already. One work-item per SEGMENT columns, WIDTH values at once. In: value (CHANNELS, height,
+// any order; CODES are so already. One work-item per SCORED columns, WIDTH values at once. In: value (CHANNELS, height,
 // width), with IMAGE (height, width, CHANNELS); valid (height, width); both must be readable WIDTH pixels beyond their
 // end. Out: sums (height, segments, SUMS): d_i^2 for i = 0..7; (sum d)^2; C(i, m) C(7-j, m) d_i d_j
 // over i < j for m = 1, 2, 3; number of pixels times channels.
 __kernel void score_mean_median(const camera_t camera, const float scale, __global const element_t *value,
                                 __global const uchar *valid, __global long *sums)
 {
-    const int width = camera.width, segments = (width + SEGMENT - 1) / SEGMENT;
+    const int width = camera.width, segments = (width + SCORED - 1) / SCORED;
     const int segment = get_global_id(0) % segments, y = get_global_id(0) / segments;
     if (y >= camera.height)
         return;
-    const int begin = MAX(segment * SEGMENT, 1), end = MIN((segment + 1) * SEGMENT, width - 1);
+    const int begin = MAX(segment * SCORED, 1), end = MIN((segment + 1) * SCORED, width - 1);
     sums_t sum[SUMS];
     for (int k = 0; k < SUMS; ++k)
         sum[k] = 0;

@@ -124,7 +124,9 @@ PLAIN_FILES = (("accumulate.cl",), ("convolve.cl",), ("texture.cl",), ("biharmon
 # In single precision all features are built for a device with less, too.
 @pytest.mark.parametrize("real", mostly_slow(["double", "float"], ["double"]))
 @pytest.mark.parametrize("files", PROGRAMS, ids="+".join)
-def test_with_all_features_and_none(session: Session, files: tuple[str, ...], real: Real) -> None:
+def test_with_all_features_and_none(
+    session: Session, files: tuple[str, ...], real: Real, capfd: pytest.CaptureFixture[str]
+) -> None:
     chosen = variants(PROGRAMS[files])[:2]
     if real == "float":  # ROWS and SPANS are doubles
         chosen = [one | {"ROWS": 0, "SPANS": 0} for one in chosen]
@@ -133,6 +135,7 @@ def test_with_all_features_and_none(session: Session, files: tuple[str, ...], re
         name for file in files for name in re.findall(r"__kernel void (\w+)\(", (KERNELS / file).read_text("utf-8"))
     }
     assert set().union(*kernels) == defined
+    assert capfd.readouterr() == ("", "")  # of no warning that the compiler counts
 
 
 @pytest.mark.parametrize(
