@@ -67,7 +67,7 @@ class Layers:
         psf, method, planes = spreader.psf, spreader.method, self.channels + 1
         chosen = image_features(method, psf, largest, planes, tilt, real)
         blur = build(session, FILES_OF[method], chosen, structs(real), real)
-        # By itself, since nothing else changes its seventeen kernels.
+        # By itself, since nothing else changes its eleven kernels.
         layer = PLAIN | {"SAMPLED": 0, "CHANNELS": planes, "SCATTER": chosen["SCATTER"]}
         self.program = blur | build(session, ["layer.cl"], layer, structs(real), real)
         self.inner = Spreader(
