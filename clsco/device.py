@@ -15,7 +15,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clsco import poclcache
+from clsco import poclcache, poclcpu
 from clsco.errors import DeviceError
 
 NO_DEVICE = (
@@ -118,15 +118,15 @@ def pick(
 
 
 class Session:
-    """A context and an in-order queue on one device, with the programs built in it; released by `close` or
-    `with`.
+    """A context and an in-order queue that times its commands, on one device, with the programs built in it;
+    released by `close` or `with`.
 
     Not to be carried over a fork: PoCL would wait for ever, even with a new session, so that DeviceError is raised.
     Start processes by spawning. Safe to share between threads. `queue`: work in this queue and its context, for arrays
     that live there. Raises DeviceError when the device refuses a context.
     """
 
-    def __init__(self, device: Device, profiling: bool = False, queue: cl.CommandQueue | None = None) -> None:
+    def __init__(self, device: Device, queue: cl.CommandQueue | None = None) -> None:
         _not_forked()
         self.device = device
         self.lock = threading.RLock()
@@ -136,16 +136,14 @@ class Session:
         """Kernels and launch shapes that the driver has compiled already, kept by `program.launch`."""
         if device.is_pocl:
             poclcache.check()
+            poclcpu.ensure_known(device.handle.version, device.handle.int_ptr)
         try:
             if queue is not None:
                 self.context, self._queue = queue.context, queue
                 return
             self.context = cl.Context([device.handle])
-            if profiling:
-                timed = cl.command_queue_properties.PROFILING_ENABLE
-                self._queue = cl.CommandQueue(self.context, properties=timed)
-            else:
-                self._queue = cl.CommandQueue(self.context)
+            timed = cl.command_queue_properties.PROFILING_ENABLE
+            self._queue = cl.CommandQueue(self.context, properties=timed)
         except cl.Error as error:
             raise failure(device, "open a context and a queue", error) from error
 
@@ -191,13 +189,19 @@ class Session:
 
     @contextmanager
     def telling(self) -> Iterator[None]:
-        """Have what OpenCL raises in the block told as a DeviceError, when nothing runs any more that reads arrays."""
+        """Have what OpenCL raises in the block told as a DeviceError, when nothing runs any more that reads arrays.
+
+        After an error other than a want of memory the context may be lost, so that `session_on` opens another one.
+        """
         try:
             yield
         except BaseException as error:
             self.settle()
-            if isinstance(error, cl.Error):
-                raise failure(self.device, "go on", error) from error
+            told = failure(self.device, "go on", error) if isinstance(error, cl.Error) else error
+            if isinstance(told, DeviceError) and not told.short_of_memory:
+                session_on.cache_clear()
+            if told is not error:
+                raise told from error
             raise
 
     def settle(self) -> None:
@@ -206,7 +210,8 @@ class Session:
             self.queue.finish()
 
 
-# A context and its built programs, kept because they take longer than a small image does.
+# A context and its built programs, kept because they take longer than a small image does, and because PoCL does not
+# give back the memory of a program that is released (2 MiB each).
 @lru_cache(maxsize=4)
 def session_on(device: Device) -> Session:
     """A session on a device, the same one as long as it is among the last four."""

@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import Any
 
 from clsco.depthmaps import load_scene_depths
-from clsco.device import Session, choose
+from clsco.device import Session, choose, session_on
 from clsco.errors import DeviceError
 from clsco.frame import STEREO_NAMES, TRUTH_NAMES, Frame
 from clsco.memory import Limit, device_bytes, fitted, hit_bytes, limit_of, parse_size
@@ -73,7 +73,8 @@ def render_sweep(
     chosen = None if frames is None else list(frames)
     if memory is not None:
         parse_size(memory)
-    with Session(choose(device), profiling=True) as session:
+    session = session_on(choose(device))
+    with session.telling():
         for group in _groups(scenes):
             members = [scenes[k] for k in group]
             options = (tuple(truth), precision, (method, tolerance), chosen, memory)

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any, cast
 
+import numpy as np
 import pyopencl as cl
 import pytest
 
+import clsco
 from clsco import device as device_module
-from clsco.device import NO_DEVICE, Choice, Device, Session, choose, list_devices, pick, self_test
+from clsco.device import NO_DEVICE, Choice, Device, Session, choose, list_devices, pick, self_test, session_on
 from clsco.errors import DeviceError
+from clsco.frame import Frame
 
 
 def fake(name: str, platform: str, kind: str, version: str = "OpenCL 3.0") -> Device:
@@ -138,6 +142,41 @@ def test_self_test_reports_a_wrong_answer_and_a_failing_compiler(
     assert [check.passed for check in checks] == [True, False, False]
     assert checks[1].detail == "work-item 3: must be 4; got -5"
     assert "BUILD_PROGRAM_FAILURE" in checks[2].detail
+
+
+def frames(side: int) -> list[Frame]:
+    camera = {"resolution": [side, side], "f_number": 4}
+    scene = {"camera": camera, "sequence": {"frames": 3}, "object": [{"shape": "sphere", "radius": 30.0}]}
+    return list(clsco.render(clsco.parse_scene(scene)))
+
+
+def test_renders_share_a_session_and_its_programs() -> None:
+    frames(16)
+    session = session_on(choose())
+    programs = dict(session.programs)
+    assert programs
+    frames(20)
+    assert session_on(choose()) is session
+    assert session.programs == programs  # PoCL would keep the memory of each one that is built anew
+
+
+@pytest.mark.parametrize(("error", "kept"), [("OUT_OF_RESOURCES", True), ("DEVICE_NOT_AVAILABLE", False)])
+def test_a_session_whose_device_fails_is_not_used_again(error: str, kept: bool) -> None:
+    session = session_on(choose())
+    with pytest.raises(DeviceError, match=error), session.telling():
+        raise cl.RuntimeError(f"clFinish failed: {error}")
+    assert (session_on(choose()) is session) == kept
+
+
+def test_threads_render_side_by_side() -> None:
+    sides = [24, 40, 33, 24, 40, 33]
+    alone = [frames(side) for side in sides]
+    with ThreadPoolExecutor(len(sides)) as pool:
+        together = list(pool.map(frames, sides))
+    for one, other in zip(alone, together, strict=True):
+        for frame, again in zip(one, other, strict=True):
+            np.testing.assert_array_equal(frame.color, again.color)
+            np.testing.assert_array_equal(frame.depth, again.depth)
 
 
 def test_a_closed_session_can_be_followed_by_another(session: Session) -> None:

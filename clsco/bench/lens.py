@@ -113,7 +113,7 @@ def run(device: Device, size: int, samples: Sequence[int], advance: Callable[[],
     scene, (texture,) = load_scene_textures(sized(size))
     truth, noise = trace_converged(scene, texture.radiance, size, size, NOISE, cache=cache, tell=lambda _: None)
     advance()
-    with Session(device, profiling=True) as session:
+    with Session(device) as session:
         ways = [_Timed("clsco", name, _renderer(session, scene, texture, psf), FRAMES) for name, psf in PSFS.items()]
         if samples:
             render = mitsuba.set_up(scene, texture.radiance)

@@ -132,7 +132,7 @@ def run(grid: Grid, device: Device, tools: Sequence[str], advance: Callable[[], 
     rows: list[Row] = []
     left_out: list[dict[str, Any]] = []
     batch: list[_Ready] = []
-    with Session(device, profiling=True) as session:
+    with Session(device) as session:
         roof = measure_roof(session)
         for case in _cases(grid, device, tools):
             ready = _ready(case, session, grid.longest_s)

@@ -72,7 +72,7 @@ def intensity(taps: float) -> float:
 
 
 def measure_roof(session: Session) -> Roof:
-    """Run both kernels on a device, whose session must have profiling."""
+    """Run both kernels on a device."""
     device = session.device
     with session.compiling():
         program = cl.Program(session.context, SOURCE).build()

@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "clsco"
 
 # A module imports from the layers above its own line only.
 LAYERS = (
-    ("errors", "resources", "poclcache", "transfer", "png", "quantities", "holes", "waves"),
+    ("errors", "resources", "poclcache", "poclcpu", "transfer", "png", "quantities", "holes", "waves"),
     ("files", "shapes", "frame", "strips", "estimators"),
     ("scene",),
     ("optics", "psf", "motion", "images", "scenefile"),
@@ -43,7 +43,8 @@ LAYERS = (
 # What knows OpenCL knows nothing of scenes.
 ONLY = {
     "poclcache": set[str](),
-    "device": {"errors", "poclcache"},
+    "poclcpu": set[str](),
+    "device": {"errors", "poclcache", "poclcpu"},
     "program": {"errors", "resources", "device"},
 }
 IMPORTS_REFERENCE = {"check", "bench"}

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 from collections import Counter as Tally
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pytest
@@ -41,6 +44,7 @@ def scene(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
 def rendered(scene: Path, out: Path, counter: Counter) -> tuple[int, dict[str, str]]:
     """Exit status of `clsco render` with that failing call, and the SHA-256 of its images; checks all else."""
     words = ["render", str(scene), "-o", str(out), "--truth", "npz", "--quiet"]
+    session_on.cache_clear()  # contexts, queues and builds are to fail, too
     with failing(counter):
         result = CliRunner().invoke(main, words)
     assert result.exception is None or isinstance(result.exception, SystemExit), repr(result.exception)
@@ -60,31 +64,49 @@ def rendered(scene: Path, out: Path, counter: Counter) -> tuple[int, dict[str, s
     return result.exit_code, {str(path.relative_to(out)): sha256(path) for path in sorted(whole)}
 
 
-def check_every(scene: Path, folder: Path, step: int, after: bool) -> Tally[int]:
-    """Let every `step`-th call fail, in turn with every error; the exit statuses."""
+Attempt: TypeAlias = tuple[Path, Path, Counter]  # scene, folder, which call fails
+
+
+def attempted(attempt: Attempt) -> tuple[int, dict[str, str], Counter]:
+    """What `rendered` gives, and the calls."""
+    return *rendered(*attempt), attempt[-1]
+
+
+def in_other_processes(function: Callable[[Attempt], Any], attempts: Iterable[Attempt]) -> Iterator[Any]:
+    """`map` in processes that end now and then: each attempt builds programs, whose memory PoCL keeps."""
+    spawning = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=spawning, max_tasks_per_child=100) as pool:
+        yield from pool.map(function, attempts)
+
+
+def check_every(scene: Path, folder: Path, step: int, after: bool, run: Callable[..., Iterator[Any]]) -> Tally[int]:
+    """Let every `step`-th call fail, in turn with every error, and `run` the attempts; the exit statuses."""
     count = Counter()
     assert rendered(scene, folder / "whole", count)[0] == 0
     status, wanted = rendered(scene, folder / "again", Counter())
     assert status == 0
     assert wanted
     assert {"Buffer", "build", "launch", "finish", "enqueue_copy"} <= set(count.names)
-    statuses: Tally[int] = Tally()
+    attempts = []
     for number in range(0, len(count.names), step):
         error = list(ERRORS)[number // step % len(ERRORS)]
         for kind in ERRORS if step == 1 else [error]:
-            counter = Counter(number, kind, after)
-            status, files = rendered(scene, folder / f"{number} {kind}", counter)
-            assert counter.has_failed
-            assert files.items() <= wanted.items(), (number, count.names[number], kind)
-            assert status != 0 or files == wanted, (number, count.names[number], kind)
-            assert not (after and status == 0)
-            statuses[status] += 1
+            attempts.append((scene, folder / f"{number} {kind}", Counter(number, kind, after)))
+    statuses: Tally[int] = Tally()
+    for status, files, counter in run(attempted, attempts):
+        which = (counter.fails_at, count.names[counter.fails_at], counter.error)
+        assert counter.has_failed, which
+        assert files.items() <= wanted.items(), which
+        assert status != 0 or files == wanted, which
+        assert not (after and status == 0), which
+        statuses[status] += 1
+    assert statuses.total() == len(attempts)
     return statuses
 
 
 @pytest.mark.parametrize("scene", ["sphere"], indirect=True)
 def test_an_error_at_some_calls(scene: Path, tmp_path: Path) -> None:
-    statuses = check_every(scene, tmp_path, 19, after=False)
+    statuses = check_every(scene, tmp_path, 19, after=False, run=map)
     assert statuses[0] > 0
     assert statuses[3] > 0
 
@@ -93,7 +115,7 @@ def test_an_error_at_some_calls(scene: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("after", [False, True])
 @pytest.mark.parametrize("scene", SCENES, indirect=True)
 def test_an_error_at_every_call(scene: Path, tmp_path: Path, after: bool) -> None:
-    statuses = check_every(scene, tmp_path, 1, after)
+    statuses = check_every(scene, tmp_path, 1, after, in_other_processes)
     print(statuses)
     assert statuses[3] > 0
     assert after or statuses[0] > 0 or 'warp = "forward"' in scene.read_text() or "layered" in scene.read_text()

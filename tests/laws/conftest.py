@@ -1,27 +1,14 @@
-"""One session for all laws, textures of their own, and the profile of `make laws`."""
+"""Textures of the laws' own, and the profile of `make laws`."""
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Iterator
-from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import settings
 
-from clsco.device import Session, choose
-
 settings.register_profile("laws")  # scenes.py asks for it
-
-
-@pytest.fixture(scope="module", autouse=True)
-def one_session() -> Iterator[None]:
-    """`clsco.render` opens a session for each call, in which programs are built anew: a hundred frames' time."""
-    with pytest.MonkeyPatch.context() as patched, Session(choose("pocl"), profiling=True) as opened:
-        patched.setattr(importlib.import_module("clsco.render"), "Session", lambda *given, **how: nullcontext(opened))
-        yield
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,75 @@
+"""A name for processors that are newer than PoCL, which could not build a kernel for them.
+
+PoCL takes the processor's name from the LLVM that it was built with. For one that this LLVM does not know, as a Zen 5
+in PoCL 3.0, the name is "generic", and Clang ends every build with "unknown target CPU 'generic'" (issues 512 and 1049
+of pocl/pocl). No option and no variable sets the name: options come before it on Clang's command line. So it is
+replaced where PoCL keeps it, in the device's structure, before the first build.
+
+The name must have the features of the library of built-in functions, which PoCL chooses by what the processor itself
+tells: vectors of 64 bytes are passed otherwise than their caller expects, and the process ends, where they differ.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+from pathlib import Path
+
+_UNKNOWN = b"generic"
+_WORDS = 160  # of a device's structure; in PoCL 3.0 the name is word 80
+_BY_FLAGS = (
+    ({"avx512f", "avx512cd", "avx512dq", "avx512bw", "avx512vl"}, b"skylake-avx512"),
+    ({"avx2", "fma", "bmi2"}, b"haswell"),
+)
+"""What the processor must have, and the name in LLVM that PoCL's library for it was compiled for."""
+
+
+def ensure_known(version: str, address: int) -> None:
+    """Give a device of PoCL that LLVM has no name for one that it knows; all others stay as they are.
+
+    version: what the device tells of itself; address: of its structure, a cl_device_id.
+    Changes nothing, so that the first build raises, where no name fits or PoCL's structure is not as expected.
+    Found to be needed, and to work, on a Zen 5 with the wheel of PoCL 3.0, where it is what all tests run with.
+    """
+    if not version.endswith(_UNKNOWN.decode()):
+        return
+    name = known_name(_flags())
+    place = name_in(address)
+    if name is not None and place is not None:
+        # A copy of malloc's, as PoCL's own is, which it frees where it is asked to clean up.
+        duplicate = ctypes.CDLL(None).strdup
+        duplicate.restype, duplicate.argtypes = ctypes.c_void_p, [ctypes.c_char_p]
+        ctypes.c_void_p.from_address(place).value = duplicate(name)
+
+
+def known_name(flags: set[str]) -> bytes | None:
+    """LLVM's name of the best processor that PoCL has a library for, of one with these flags of /proc/cpuinfo."""
+    return next((name for needed, name in _BY_FLAGS if needed <= flags), None)
+
+
+def name_in(address: int) -> int | None:
+    """Address of the one pointer to "generic" in the device's structure at an address, None if there is none."""
+    size = struct.calcsize("P")
+    words = struct.unpack(f"{_WORDS}P", _read(address, _WORDS * size).ljust(_WORDS * size, b"\0"))
+    text = _UNKNOWN + b"\0"
+    found = [k for k, word in enumerate(words) if word and _read(word, len(text)) == text]
+    return address + size * found[0] if len(found) == 1 else None
+
+
+def _read(address: int, count: int) -> bytes:
+    """Up to `count` bytes of this process; fewer, or none, where there is no memory."""
+    try:
+        # By the file, since a word that is no pointer must not end the process.
+        with open("/proc/self/mem", "rb", buffering=0) as memory:
+            memory.seek(address)
+            return memory.read(count)
+    except (OSError, OverflowError, ValueError):
+        return b""
+
+
+def _flags() -> set[str]:
+    try:
+        text = Path("/proc/cpuinfo").read_text("utf-8")
+    except OSError:
+        return set()
+    return next((set(line.split()[2:]) for line in text.splitlines() if line.startswith("flags")), set())
