@@ -79,7 +79,7 @@ static void settle(int first, int last, int apart, int shift, int plane, int pit
         }
 }
 
-#define BLOCK (ROWS ? MANY : LANES)  // sources of a row that are looked at together
+#define BLOCK MANY  // sources of a row that are looked at together
 
 // Each work-item adds to BAND rows of `total`, the first one's band being `start`, all the light that reaches them, row by
 // row of sources. part: BAND rows for each work-item, of which every `group` rows of sources the sum goes on to total; with
@@ -121,15 +121,16 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
     const int16 others = take_sources(psf, source, plane, line, block, camera.width, intervals, outlines).others;
     single = bits_of(others.lo) | bits_of(UPPER(others)) << LANES;
 #elif !DISC && !SEPARABLE
-    if (camera.width - block >= LANES) {
+    if (camera.width >= MANY) {
+        const int left = MIN(block, camera.width - MANY);
 #if SPANS
-        __global double *span = spans + own * BAND * pitch + (y - first) * pitch - camera.guard + pad + block;
+        __global double *span = spans + own * BAND * pitch + (y - first) * pitch - camera.guard + pad + left;
 #else
         __global double *span = 0;
 #endif
-        const band_t band = {y - first, end - 1 - y, pitch, apart, spans_apart, CHANNELS * spans_apart, part + place + block,
+        const band_t band = {y - first, end - 1 - y, pitch, apart, spans_apart, CHANNELS * spans_apart, part + place + left,
                              span};
-        single = add_alike(psf, line + block, plane, source, value, intervals, quadrants, outlines, band);
+        single = add_alike(psf, line + left, block - left, plane, source, value, intervals, quadrants, outlines, band);
     }
 #endif
     while (single) {

@@ -33,7 +33,7 @@ WITHOUT_TWIN = {
         ("weights", "pixel_spread", "subpixel_spread", "tap", "see"),
         "reads tables, in whose place the reference has the closed forms",
     )
-    | dict.fromkeys(("sums_of", "bits_of", "weight_of"), "lanes of a vector"),
+    | dict.fromkeys(("sums_of", "bits_of", "any_of", "weight_of"), "lanes of a vector"),
     "neighbors": dict.fromkeys(
         [
             "add_left_ends",
@@ -42,6 +42,7 @@ WITHOUT_TWIN = {
             "add_column",
             "add_columns",
             "add_neighbors",
+            "tap_of",
             "lowest",
             "add_alike",
         ],
@@ -52,7 +53,6 @@ WITHOUT_TWIN = {
         [
             "tile_row",
             "lowest_lane",
-            "any_of",
             "some_taps",
             "take_sources",
             "take_row",
