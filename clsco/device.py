@@ -54,6 +54,8 @@ class Device:
     max_alloc: int
     global_mem: int
     compute_units: int
+    vector_width: int
+    """Floats in the widest vector that it computes at once."""
     max_work_group: int
     handle: cl.Device = field(repr=False)
 
@@ -306,6 +308,7 @@ def described(handle: cl.Device) -> Device:
         max_alloc=handle.max_mem_alloc_size,
         global_mem=handle.global_mem_size,
         compute_units=handle.max_compute_units,
+        vector_width=handle.native_vector_width_float,
         max_work_group=handle.max_work_group_size,
         handle=handle,
     )

@@ -51,8 +51,8 @@ def build(
     to `real16` mean.
 
     Defined for the kernels: real, real2, real3, real4, real8, real16, REAL_IS_DOUBLE, HAS_FP64,
-    HAS_INT64_ATOMICS. Raises KernelError with the compiler's log, DeviceError where `real` is double and the
-    device has none.
+    HAS_INT64_ATOMICS, VECTOR_WIDTH (floats of the device's widest vector, which may change the time and no result).
+    Raises KernelError with the compiler's log, DeviceError where `real` is double and the device has none.
     """
     device = session.device
     if real == "double" and not device.has_fp64:
@@ -64,6 +64,7 @@ def build(
     options.append("-cl-std=CL1.2")
     if real == "float":  # else 0.5 is a double, and so is the arithmetic around it
         options.append("-cl-single-precision-constant")
+    options.append(f"-DVECTOR_WIDTH={device.vector_width}")
     if device.correctly_rounded:
         options.append("-cl-fp32-correctly-rounded-divide-sqrt")
     key = "\n".join([*options, text])

@@ -33,6 +33,7 @@ def fake(name: str, platform: str, kind: str, version: str = "OpenCL 3.0") -> De
         max_alloc=2**30,
         global_mem=2**32,
         compute_units=2,
+        vector_width=8,
         max_work_group=1024,
         handle=cast(cl.Device, None),
     )

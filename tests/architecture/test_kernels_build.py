@@ -67,7 +67,8 @@ TOLD = {"OCCLUDED", "SEVERAL", "QUADRATIC", "NAPPE", "BOUNDED", "CHANNELS", "SUB
 PROGRAMS[OCCLUSION] |= {name: values[1:2] for name, values in PROGRAMS[OCCLUSION].items() if name not in TOLD}
 PROGRAMS[OCCLUSION] |= dict.fromkeys(("ROWS", "NEAR", "DISC", "SEPARABLE"), (0,))
 PROGRAMS["layer.cl",] = dict.fromkeys((*PLAIN, "SAMPLED"), (0,)) | {"CHANNELS": (2, 4), "SCATTER": ON_OR_OFF}
-GIVEN_BY_THE_BUILD = {"REAL_IS_DOUBLE", "HAS_INT64_ATOMICS", "HAS_FP64", "defined", "__FMA__", "__SSE4_1__", "__AVX__"}
+GIVEN_BY_THE_BUILD = {"REAL_IS_DOUBLE", "HAS_INT64_ATOMICS", "HAS_FP64", "VECTOR_WIDTH", "defined"}
+GIVEN_BY_THE_BUILD |= {"__FMA__", "__SSE4_1__", "__AVX__"}
 
 
 def headers(files: tuple[str, ...]) -> tuple[str, ...]:
