@@ -6,7 +6,6 @@ import json
 import multiprocessing
 from collections import Counter as Tally
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -74,9 +73,8 @@ def attempted(attempt: Attempt) -> tuple[int, dict[str, str], Counter]:
 
 def in_other_processes(function: Callable[[Attempt], Any], attempts: Iterable[Attempt]) -> Iterator[Any]:
     """`map` in processes that end now and then: each attempt builds programs, whose memory PoCL keeps."""
-    spawning = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=spawning, max_tasks_per_child=100) as pool:
-        yield from pool.map(function, attempts)
+    with multiprocessing.get_context("spawn").Pool(1, maxtasksperchild=100) as pool:
+        yield from pool.imap(function, attempts)
 
 
 def check_every(scene: Path, folder: Path, step: int, after: bool, run: Callable[..., Iterator[Any]]) -> Tally[int]:
