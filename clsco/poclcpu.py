@@ -16,7 +16,7 @@ import struct
 from pathlib import Path
 
 _UNKNOWN = b"generic"
-_WORDS = 160  # of a device's structure; in PoCL 3.0 the name is word 80
+_WORDS = 128  # of a device's structure; in PoCL 3.0 the name is word 80
 _BY_FLAGS = (
     ({"avx512f", "avx512cd", "avx512dq", "avx512bw", "avx512vl"}, b"skylake-avx512"),
     ({"avx2", "fma", "bmi2"}, b"haswell"),
@@ -48,12 +48,16 @@ def known_name(flags: set[str]) -> bytes | None:
 
 
 def name_in(address: int) -> int | None:
-    """Address of the one pointer to "generic" in the device's structure at an address, None if there is none."""
+    """Address of the first pointer to "generic" in the device's structure at an address, None if there is none.
+
+    The first, since what lies behind the structure may hold others.
+    """
     size = struct.calcsize("P")
     words = struct.unpack(f"{_WORDS}P", _read(address, _WORDS * size).ljust(_WORDS * size, b"\0"))
     text = _UNKNOWN + b"\0"
-    found = [k for k, word in enumerate(words) if word and _read(word, len(text)) == text]
-    return address + size * found[0] if len(found) == 1 else None
+    found = (k for k, word in enumerate(words) if word and _read(word, len(text)) == text)
+    place = next(found, None)
+    return None if place is None else address + size * place
 
 
 def _read(address: int, count: int) -> bytes:
