@@ -15,7 +15,7 @@ import ctypes
 import struct
 from pathlib import Path
 
-_UNKNOWN = b"generic"
+_UNKNOWN, _BEFORE = b"generic\0", b"x86_64-"  # the name, and how the text begins that the word before it points to
 _WORDS = 128  # of a device's structure; in PoCL 3.0 the name is word 80
 _BY_FLAGS = (
     ({"avx512f", "avx512cd", "avx512dq", "avx512bw", "avx512vl"}, b"skylake-avx512"),
@@ -31,7 +31,7 @@ def ensure_known(version: str, address: int) -> None:
     Changes nothing, so that the first build raises, where no name fits or PoCL's structure is not as expected.
     Found to be needed, and to work, on a Zen 5 with the wheel of PoCL 3.0, where it is what all tests run with.
     """
-    if not version.endswith(_UNKNOWN.decode()):
+    if not version.endswith(_UNKNOWN.rstrip(b"\0").decode()):
         return
     name = known_name(_flags())
     place = name_in(address)
@@ -48,16 +48,17 @@ def known_name(flags: set[str]) -> bytes | None:
 
 
 def name_in(address: int) -> int | None:
-    """Address of the first pointer to "generic" in the device's structure at an address, None if there is none.
+    """Address of the pointer to "generic" in the device's structure at an address, None if there is none.
 
-    The first, since what lies behind the structure may hold others.
+    It follows a pointer to the kind of machine: there may be others behind the structure, which are not to be written to.
     """
     size = struct.calcsize("P")
     words = struct.unpack(f"{_WORDS}P", _read(address, _WORDS * size).ljust(_WORDS * size, b"\0"))
-    text = _UNKNOWN + b"\0"
-    found = (k for k, word in enumerate(words) if word and _read(word, len(text)) == text)
-    place = next(found, None)
-    return None if place is None else address + size * place
+    for place in range(1, _WORDS):
+        texts = (_BEFORE, words[place - 1]), (_UNKNOWN, words[place])
+        if all(word and _read(word, len(text)) == text for text, word in texts):
+            return address + size * place
+    return None
 
 
 def _read(address: int, count: int) -> bytes:

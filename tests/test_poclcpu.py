@@ -46,12 +46,12 @@ def test_the_name_has_what_the_processor_has(flags: set[str], name: bytes | None
     assert poclcpu.known_name(flags) == name
 
 
-def test_the_first_unknown_name_is_found() -> None:
-    structure = Structure(b"x86_64-unknown-linux-gnu", b"generic", b"generic")
-    assert poclcpu.name_in(structure.address) == structure.address + 8 * 81
+def test_the_unknown_name_behind_the_machine_is_found() -> None:
+    structure = Structure(b"generic", b"x86_64-unknown-linux-gnu", b"generic", b"generic")
+    assert poclcpu.name_in(structure.address) == structure.address + 8 * 82
 
 
-@pytest.mark.parametrize("texts", [(), (b"znver3",), (b"generic-gpu",)])
+@pytest.mark.parametrize("texts", [(), (b"x86_64-", b"znver3"), (b"x86_64-", b"generic-gpu"), (b"generic", b"generic")])
 def test_what_is_not_as_expected_is_left(texts: tuple[bytes, ...]) -> None:
     assert poclcpu.name_in(Structure(*texts).address) is None
 
@@ -61,16 +61,16 @@ UNKNOWN, KNOWN = (f"OpenCL 3.0 PoCL HSTR: pthread-x86_64-unknown-linux-gnu-{name
 
 def test_an_unknown_processor_gets_a_name(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(poclcpu, "_flags", lambda: AVX2)
-    structure = Structure(b"x86_64", b"generic")
-    for _ in range(2):  # a second session finds it done
+    structure = Structure(b"x86_64-unknown-linux-gnu", b"generic", b"generic")
+    for _ in range(2):  # a second session finds it done, and leaves what is not the device's
         poclcpu.ensure_known(UNKNOWN, structure.address)
-        assert structure.text(81) == b"haswell"
+        assert [structure.text(place) for place in (81, 82)] == [b"haswell", b"generic"]
 
 
 @pytest.mark.parametrize(("version", "flags"), [(KNOWN, AVX2), (UNKNOWN, set())])
 def test_all_else_stays(monkeypatch: pytest.MonkeyPatch, version: str, flags: set[str]) -> None:
     monkeypatch.setattr(poclcpu, "_flags", lambda: flags)
-    structure = Structure(b"x86_64", b"generic")
+    structure = Structure(b"x86_64-unknown-linux-gnu", b"generic")
     poclcpu.ensure_known(version, structure.address)
     assert structure.text(81) == b"generic"
 
