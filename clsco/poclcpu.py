@@ -50,7 +50,7 @@ def known_name(flags: set[str]) -> bytes | None:
 def name_in(address: int) -> int | None:
     """Address of the pointer to "generic" in the device's structure at an address, None if there is none.
 
-    It follows a pointer to the kind of machine: there may be others behind the structure, which are not to be written to.
+    It follows one to the kind of machine: others, behind the structure, are not to be written to.
     """
     size = struct.calcsize("P")
     words = struct.unpack(f"{_WORDS}P", _read(address, _WORDS * size).ljust(_WORDS * size, b"\0"))
