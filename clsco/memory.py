@@ -6,7 +6,7 @@ import os
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from math import ceil, inf
+from math import ceil
 from typing import Literal
 
 import numpy as np
@@ -15,16 +15,17 @@ from clsco.coarsening import METHODS, coarse_frame, coarse_psf, coarse_radii, pl
 from clsco.errors import SceneError
 from clsco.layout import WIDE_BYTES
 from clsco.plan import Blur, Plan
-from clsco.psf import LANES, SPANNED, is_disc, is_near, is_separable, reach, table_bytes, table_reach
+from clsco.psf import LANES, MANY, is_disc, is_near, is_separable, table_bytes, table_reach
 from clsco.scene import Psf
 from clsco.stencil import is_summed
 from clsco.strips import BAND, cut
 
-Scratch = Literal["none", "spans", "rows", "near"]
+Scratch = Literal["none", "columns", "rows", "near"]
 TILE, WINDOW = 256, 16  # columns that `gather` makes at a time, and rows of small reach, as in kernels/rows.clh
 BANDS_PER_CORE = 4  # of `gather` at a time, where they need memory of their own
 SUMS_BEYOND = 64  # sums of `convolve` beyond the last row that a vector there reads, and that are used for nothing
 PAGE, BESIDE_PAGE = 64, 5  # vectors of 8 doubles in 4 KiB, and how far from a multiple of it rows should be long
+ITEMS, ITEMS_BYTES, ITEM_BYTES, SIDE = 256, 2**18, 20, 5  # of columns, as in kernels/many.clh and kernels/gaussians.clh
 MOST_IN_ONE_SUM = 256  # taps of `gather` that a float adds up before it goes into another sum
 # Outputs that ground_truth writes, with what one pixel of each takes: dtype and components (0: the channels).
 TRUTH_BUFFERS: dict[str, tuple[type[np.generic], int]] = {
@@ -105,13 +106,12 @@ def bands_at_a_time(rows: int, cores: int) -> int:
 
 def band_scratch(psf: Psf, largest: float, fp64: bool) -> Scratch:
     """What `gather` keeps for each band of a frame with radii up to `largest` px: whole rows of sources, of small reach
-    ("near") or of discs and Gaussians that are products ("rows"), or of wide discs the ends of rows with one weight."""
+    ("near") or of discs ("rows"), or of others columns of them."""
     if is_near(psf, largest):
         return "near"
-    if fp64 and (is_disc(psf) or is_separable(psf)):
-        return "rows"
-    wide = psf.model == "pillbox" and reach(psf, largest) >= SPANNED.get(psf.edge, inf)
-    return "spans" if fp64 and wide else "none"
+    if is_disc(psf):
+        return "rows" if fp64 else "none"
+    return "columns"
 
 
 def source_bytes(sources: int, tilt: bool, marked: bool = False) -> int:
@@ -139,14 +139,25 @@ def row_bytes(psf: Psf, channels: int, far: int, near: bool) -> int:
     if near:
         octant = 0 if is_disc(psf) else (far + 1) * (far + 2) // 2
         return 4 * (channels * WINDOW * TILE + width * (1 + planes + octant))
-    own = 2 * planes if is_disc(psf) else beside
-    return 8 * channels * BAND * TILE + 4 * width * (1 + planes + own)
+    return 8 * channels * BAND * TILE + 4 * width * (1 + 3 * planes)
+
+
+def column_bytes(psf: Psf, channels: int, far: int) -> int:
+    """The same for columns of sources, see kernels/columns.clh."""
+    tiles, slopes = 8 * channels * BAND * (far // MANY + 2 | 1) * MANY, 2 * psf.tilt
+    if is_separable(psf):
+        item = 4 * MANY * (slopes + channels + far + 1 + MANY)
+        sums = 4 * MANY * SIDE * BAND * (1 + psf.tilt)
+        return sums + tiles + min(max(ITEMS_BYTES // item, 2 * MANY), ITEMS) * (item + 8)
+    ends, sums = (1 + slopes) * channels, (1 + psf.tilt) * channels
+    items = ITEMS * (4 * MANY * (2 + slopes + 2 * channels) + ITEM_BYTES)
+    return 8 * MANY * ends * (BAND + 1) + 4 * MANY * sums * (BAND + 2 * far) + tiles + items
 
 
 def spread_bytes(
     psf: Psf, method: Blur, channels: int, rows: int, columns: int, guard: int, far: int, kept: Scratch, cores: int
 ) -> dict[str, int]:
-    """Buffers of `clsco.spread.Spreader` besides its tables: total, and part, spans, sums, across where there are any.
+    """Buffers of `clsco.spread.Spreader` besides its tables: total, and part, scratch, sums, across where they are.
 
     rows: of the tallest strip; far: largest half-width in the tables, px; kept: see `band_scratch`; the others as for
     the Spreader.
@@ -156,10 +167,9 @@ def spread_bytes(
     bands = 4 * channels * bands_at_a_time(rows, cores) * BAND * pitch
     if method == "gather" and (2 * far + 1) ** 2 > MOST_IN_ONE_SUM:
         sizes["part"] = bands
-    if method == "gather" and kept == "spans":
-        sizes["spans"] = (4 if psf.tilt else 2) * bands
-    elif method == "gather" and kept != "none":
-        sizes["spans"] = row_bytes(psf, channels, far, kept == "near") * bands_at_a_time(rows, cores)
+    if method == "gather" and kept != "none":
+        each = column_bytes(psf, channels, far) if kept == "columns" else row_bytes(psf, channels, far, kept == "near")
+        sizes["scratch"] = each * bands_at_a_time(rows, cores)
     if method == "scatter":
         sizes["sums"] = 8 * channels * rows * columns
     if method == "convolve" and is_summed(psf, far):

@@ -20,9 +20,10 @@ from clsco.resources import folder
 
 HEADERS = ("wide.clh", "geometry.clh")
 OCCLUSION_HEADERS = ("occlusion.clh", "sight.clh")  # with the feature OCCLUDED
+MANY_SOURCES = ("many", "rows", "near", "discs", "quadrants", "gaussians", "columns")  # together: ways of `gather`
 HEADERS_OF = {
     "trace.cl": ("sources.clh",),
-    "blur.cl": ("sources.clh", "spread.clh", "neighbors.clh", "rows.clh", "near.clh", "discs.clh", "gaussians.clh"),
+    "blur.cl": ("sources.clh", "spread.clh", *(f"{name}.clh" for name in MANY_SOURCES)),
     "coarse.cl": ("sources.clh", "spread.clh"),
     "tiles.cl": ("sources.clh", "spread.clh"),
     "fill.cl": ("estimate.clh",),

@@ -31,9 +31,7 @@ FINE_STEPS, FINE_UNTIL = 16, 16
 NODES = 0.5 - 0.5 * np.cos((2 * np.arange(4) + 1) * np.pi / 8)
 POWERS = len(NODES)  # coefficients of a weight
 TO_POWERS = np.linalg.inv(np.vander(NODES, 4, increasing=True))
-# Of discs this wide, to both sides in px, rows that have one weight over so many px are kept as their two ends.
-SPANNED = {"area": 12, "integrated": 12}
-SMALLEST_SPAN = 4
+MANY = 16  # intervals of which a kernel reads the coefficients of a tap together, from every LANES-th one on
 # PSFs that reach at most so far, in px to both sides, are added up tap by tap: kernels/near.clh.
 NEAR = 7
 MINIMUM_BLUR = 0.5  # px; sampled PSFs leave smaller radii alone (thesis, 2.2)
@@ -208,22 +206,23 @@ class PsfTable:
 
     A source of radius R has the coordinate u (see `table_coordinate`), interval floor(u) and position
     t = u - floor(u); its weight at (dx, dy) is c0 + t (c1 + t (c2 + t c3)).
-    intervals: int32 (count, 4): start in `coefficients`, half-width in px, start in `quadrants`, start in `outlines`.
+    intervals: int32 (count, 2): start in `coefficients`, half-width in px.
     coefficients: float32, per interval rows of (POWERS, lanes): row |dy| = 0..half-width (a main table), or
     rows -half-width..half-width for each of the S/2 x S offsets of a sub-pixel source. first: the interval that
-    `intervals` begins with. reach: largest half-width. quadrants, outlines: of a main table, else empty: the weights
-    of |dx|, |dy| = 0..half-width again, their POWERS side by side, and int32, see `_outline`. Where they reach at most
-    NEAR px (`is_near`), quadrants have the taps a >= b >= 0 of one octant, number a (a + 1) / 2 + b, as many for every
-    interval; of what `is_separable`, those along an axis, as many for every interval as well. Of a sampled disc
-    (`is_disc`) coefficients and quadrants have the one weight of each interval, and outlines the square roots of 0, 1,
-    ... up to the last interval's number, rounded down.
+    `intervals` begins with. reach: largest half-width. taps, outlines: of a main table, else empty. taps: the same
+    weights once more, float32 (taps, count / LANES, POWERS, MANY): of the octant's taps a >= b >= 0 in the order of
+    a (a + 1) / 2 + b or, of what `is_separable`, of those along an axis, the coefficients of MANY intervals from every
+    LANES-th one on; zeros beyond the reach of an interval, and after the last one. outlines: int32, (count, reach + 1,
+    2), see `_outline`, of what is neither `is_near` nor separable. Of a sampled disc (`is_disc`) coefficients and taps
+    have the one weight of each interval, and outlines the square roots of 0, 1, ... up to the last interval's number,
+    rounded down.
     """
 
     first: int
     intervals: NDArray[np.int32]
     coefficients: NDArray[np.float32]
     reach: int
-    quadrants: NDArray[np.float32]
+    taps: NDArray[np.float32]
     outlines: NDArray[np.int32]
 
 
@@ -316,17 +315,16 @@ def table_bytes(psf: Psf, smallest: float, largest: float, subpixel: int = 0) ->
     """Size of `psf_table` of the same arguments."""
     span = _span(psf, smallest, largest, subpixel > 0)
     if is_disc(psf) and not subpixel:
-        return 24 * len(span) + 4 * span.stop
+        return 16 * len(span) + 4 * span.stop
     widths = _half_widths(psf, span, subpixel > 0)
-    widest = int(widths[-1])
-    if is_separable(psf) and not subpixel:
-        return int((16 + 4 * POWERS * (_lanes(widths) + widest + 1)).sum())
-    near = is_near(psf, largest) and not subpixel
-    rows = (2 * widths + 1) * subpixel * ((subpixel + 1) // 2) if subpixel else widths + 1
-    sizes = 16 + 4 * POWERS * rows * _lanes(widths)
-    if not subpixel and not near:
-        sizes += 4 * POWERS * (widths + 1) ** 2 + 12 * (widths + 1)
-    return int(sizes.sum()) + near * 4 * POWERS * len(span) * _octant_taps(widest)
+    widest, each = int(widths[-1]), 4 * POWERS * _lanes(widths)
+    of_taps = 4 * POWERS * MANY * -(-len(span) // LANES)
+    if subpixel:
+        return int((8 + each * (2 * widths + 1) * subpixel * ((subpixel + 1) // 2)).sum())
+    if is_separable(psf):
+        return int((8 + each).sum()) + of_taps * (widest + 1)
+    outlines = 0 if is_near(psf, largest) else 8 * len(span) * (widest + 1)
+    return int((8 + each * (widths + 1)).sum()) + of_taps * _octant_taps(widest) + outlines
 
 
 @lru_cache(maxsize=8)
@@ -338,38 +336,34 @@ def psf_table(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> P
         return _disc_table(psf, span)
     if is_separable(psf) and not fine:
         return _separable_table(psf, span)
-    intervals, blocks, start = list[tuple[int, ...]](), [], 0
-    near = is_near(psf, largest) and not fine
-    octants = np.zeros((len(span) * near, _octant_taps(table_reach(psf, largest)), POWERS), np.float32)
-    quadrants, outlines = [octants.ravel()], [np.zeros(0, dtype=np.int32)]
-    for index in span:
+    intervals, blocks, start = list[tuple[int, int]](), [], 0
+    reach = _half_width(psf, span[-1], fine)
+    outlined = not fine and not is_near(psf, largest)
+    taps = np.zeros((0 if fine else _octant_taps(reach), POWERS, len(span)), np.float32)
+    outlines = np.zeros((len(span) * outlined, reach + 1, 2), np.int32)
+    for number, index in enumerate(span):
         radii, half_width = _table_radius(psf, index + NODES, fine), _half_width(psf, index, fine)
         values = _subpixel_rows(psf, radii, half_width, subpixel) if fine else _main_rows(psf, radii, half_width)
         lanes = _lanes(half_width)
         block = np.zeros((values.shape[1], POWERS, lanes), dtype=np.float32)
         block[:, :, : 2 * half_width + 1] = np.moveaxis(np.tensordot(TO_POWERS, values, axes=1), 0, 1)
-        own = len(intervals) * octants[0].size if near else sum(map(len, quadrants))
-        intervals.append((start, half_width, own, sum(map(len, outlines))))
-        blocks.append(block.ravel())
-        if near:
+        if not fine:
             a, b = np.tril_indices(half_width + 1)
-            octants[len(intervals) - 1, : len(a)] = block[b, :, half_width + a]
-        elif not fine:
-            spanned = psf.model == "pillbox" and half_width >= SPANNED[psf.edge]
-            quadrant = block[:, :, half_width : 2 * half_width + 1]
-            quadrants.append(np.moveaxis(quadrant, 1, 2).ravel())
-            outlines.append(_outline(quadrant, spanned))
+            taps[: len(a), :, number] = block[b, :, half_width + a]
+        if outlined:
+            outlines[number, :, 1] = -1
+            outlines[number, : half_width + 1] = _outline(block[:, :, half_width : 2 * half_width + 1])
+        intervals.append((start, half_width))
+        blocks.append(block.ravel())
         start += block.size
     table = np.array(intervals, dtype=np.int32)
-    main = np.concatenate(quadrants), np.concatenate(outlines)
-    return PsfTable(span.start, table, np.concatenate(blocks), int(table[:, 1].max()), *main)
+    return PsfTable(span.start, table, np.concatenate(blocks), reach, _windows(taps), outlines)
 
 
 def _disc_table(psf: Psf, span: range) -> PsfTable:
     """Table of a sampled disc: an interval for every whole number n that R^2 exceeds."""
     half_width = np.floor(np.sqrt(span)).astype(np.int32)
-    number = np.arange(len(span))
-    intervals = np.stack([number, half_width, number, np.zeros(len(span))], axis=1).astype(np.int32)
+    intervals = np.stack([np.arange(len(span)), half_width], axis=1).astype(np.int32)
     center = np.zeros(1)
     each = weights(psf, center, center, _table_radius(psf, np.array(span) + 0.5, False)).astype(np.float32)
     roots = np.floor(np.sqrt(np.arange(span.stop))).astype(np.int32)
@@ -378,39 +372,41 @@ def _disc_table(psf: Psf, span: range) -> PsfTable:
 
 def _separable_table(psf: Psf, span: range) -> PsfTable:
     """Table of a Gaussian by one of its axes."""
-    intervals, rows, start = list[tuple[int, ...]](), [], 0
+    intervals, rows, start = list[tuple[int, int]](), [], 0
     reach = _half_width(psf, span[-1], False)
-    sides = np.zeros((len(span), reach + 1, POWERS), np.float32)
-    for index in span:
+    sides = np.zeros((reach + 1, POWERS, len(span)), np.float32)
+    for number, index in enumerate(span):
         radii, half_width = _table_radius(psf, index + NODES, False), _half_width(psf, index, False)
         block = np.zeros((POWERS, _lanes(half_width)), dtype=np.float32)
         offsets = np.arange(-half_width, half_width + 1.0)
         block[:, : len(offsets)] = TO_POWERS @ axis_weights(psf, offsets, radii[:, None])
-        sides[len(intervals), : half_width + 1] = block[:, half_width : 2 * half_width + 1].T
-        intervals.append((start, half_width, sides[0].size * len(intervals), 0))
+        sides[: half_width + 1, :, number] = block[:, half_width : 2 * half_width + 1].T
+        intervals.append((start, half_width))
         rows.append(block.ravel())
         start += block.size
     table, none = np.array(intervals, dtype=np.int32), np.zeros(0, dtype=np.int32)
-    return PsfTable(span.start, table, np.concatenate(rows), reach, sides.ravel(), none)
+    return PsfTable(span.start, table, np.concatenate(rows), reach, _windows(sides), none)
 
 
-def _outline(block: NDArray[np.float32], spanned: bool) -> NDArray[np.int32]:
-    """Where the weights of an interval are, and where they are all the same: int32 (3 (half-width + 1),).
+def _windows(taps: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Coefficients (taps, powers, intervals) in windows of MANY, LANES apart: (taps, windows, powers, MANY)."""
+    padded = np.pad(taps, ((0, 0), (0, 0), (0, -taps.shape[2] % LANES + MANY - LANES)))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, MANY, axis=2)[:, :, ::LANES]
+    return np.ascontiguousarray(windows.swapaxes(1, 2))
 
-    block: coefficients (|dy|, powers, |dx|). Three numbers for each n = 0..half-width. Of the row |dy| = n: the |dx| up
-    to which every weight equals the middle one, -1 for none. Of the column |dx| = n: the |dy| where it leaves these
-    rows, and the last one with any light. spanned: rows with one weight
-    count.
+
+def _outline(block: NDArray[np.float32]) -> NDArray[np.int32]:
+    """Where the weights of an interval are, and where they are all the same: int32 (half-width + 1, 2).
+
+    block: coefficients (|dy|, powers, |dx|). Of the column |dx| = n: the first |dy| whose weight is not the one in the
+    middle, where those of all columns nearer the middle are, too, and the last |dy| with any light.
     """
     same = (block == block[:1, :, :1]).all(axis=1)
-    width = np.where(same.all(axis=1), same.shape[1], same.argmin(axis=1)) - 1
-    width = np.where((width >= SMALLEST_SPAN) & spanned, width, -1)
-    width = np.minimum.accumulate(width)
+    first = np.where(same.all(axis=0), len(same), same.argmin(axis=0))
     lit = (block != 0).any(axis=1)
-    first = (width[:, None] >= np.arange(len(width))).sum(axis=0)
-    last = len(width) - 1 - lit[::-1].argmax(axis=0)
+    last = len(lit) - 1 - lit[::-1].argmax(axis=0)
     last = np.where(lit.any(axis=0), last, -1)
-    return np.stack([width, first, last], axis=1).astype(np.int32).ravel()
+    return np.stack([np.minimum.accumulate(first), last], axis=1).astype(np.int32)
 
 
 def _octant_taps(reach: int) -> int:

@@ -46,7 +46,7 @@ def blur_features(method: Blur, psf: Psf, largest: float, real: Real, prepare: b
         "GATHER": int(method == "gather"),
         "ROWS": int(kept in ("rows", "near")),
         "NEAR": NEAR * (kept == "near"),
-        "SPANS": int(kept == "spans"),
+        "COLUMNS": int(kept == "columns"),
         "SCATTER": int(method == "scatter"),
         "RENORMALIZE": int(psf.border == "renormalize" and method != "none"),
         "PREPARE": int(prepare and method in MANY_RADII),
@@ -111,7 +111,7 @@ class Spreader:
         self.struct = psf_struct(psf, self.main, self.sub, real)
         tables = [self.main] if self.sub is None else [self.main, self.sub]
         kept: Scratch = "near" if features["NEAR"] else "rows" if features["ROWS"] else "none"
-        kept = "spans" if features["SPANS"] else kept
+        kept = "columns" if features["COLUMNS"] else kept
         self.tables = [(upload(session, t.intervals), upload(session, t.coefficients)) for t in tables]
         self.lens = upload(session, lens_cells(psf).astype(np.float32))
         rows, columns = int(camera["rows"]), int(camera["columns"])
@@ -120,20 +120,19 @@ class Spreader:
         sizes = spread_bytes(psf, method, channels, rows, columns, int(camera["guard"]), far, kept, cores)
         self.total = empty(session, sizes["total"])
         row_taps = 2 * far + 1
-        # Rows of sources after which sums go on to the frame, 0 where they are short. Of discs most light is in spans.
-        many = max(MOST_IN_ONE_SUM // row_taps, row_taps // 4 if kept == "spans" else 1)
-        self.group = many if "part" in sizes else 0
-        self.part, self.spans = self.total, tuple[object, ...]()
-        self.alike = tuple(upload(session, array) for array in (self.main.quadrants, self.main.outlines))
+        # Rows of sources after which sums go on to the frame, 0 where they are short.
+        self.group = max(MOST_IN_ONE_SUM // row_taps, 1) if "part" in sizes else 0
+        self.part, self.scratch = self.total, tuple[object, ...]()
+        self.alike = tuple(upload(session, array) for array in (self.main.taps, self.main.outlines))
         self.bands = -(-rows // BAND)
-        if {"part", "spans"} & sizes.keys():
+        if {"part", "scratch"} & sizes.keys():
             # Some bands at a time, so that a large frame does not take several times its size.
             self.bands = bands_at_a_time(rows, cores)
             if "part" in sizes:
                 self.part = _zeros(session, sizes["part"])
-            if "spans" in sizes:
-                number = sizes["spans"] // (4 if kept == "near" else 8)  # of floats, or doubles
-                self.spans = (_zeros(session, sizes["spans"]), np.int32(number // self.bands))
+            if "scratch" in sizes:
+                number = sizes["scratch"] // (4 if kept == "near" else 8)  # of floats, or doubles
+                self.scratch = (_zeros(session, sizes["scratch"]), np.int32(number // self.bands))
         if method == "convolve":
             self.convolution = Convolution(session, psf, channels, brightest, sizes)
         self.scale = 1.0
@@ -175,7 +174,7 @@ class Spreader:
         if self.method == "gather":
             parts = np.int32(self.group), self.part
             for start in range(0, -(-frame[1] // BAND), self.bands):
-                args = (*head, *self.alike, *self.spans, np.int32(start), *parts, *layout, *tail)
+                args = (*head, *self.alike, *self.scratch, np.int32(start), *parts, *layout, *tail)
                 self._launch("gather", (self.bands,), (1,), events, *args)
         elif self.method == "tiles":
             self._launch("tiles", frame, TILE, events, *head, *layout, *tail)

@@ -1,7 +1,7 @@
 // Spreads every source over the pixels that its point spread function lights. Twin: clsco/reference/blur.py.
 //
 //   source: see sources.clh; value, sub_source, sub_value: see trace.cl
-//   intervals, coefficients: tables of weights, see PsfTable in clsco/psf.py
+//   intervals, coefficients, taps, outlines: tables of weights, see PsfTable in clsco/psf.py
 //   total   float (CHANNELS, rows, pitch): the frame, or a strip of it, so far; moments of the exposure add up here. The
 //           `pad` columns on both sides of a row are scratch, so that a vector of taps may hang over.
 //   part    the same, zeros: what some rows of sources add, on its way to total. Of thousands of equal small taps added
@@ -12,8 +12,7 @@
 // fixed point: any device, any order, same bits; the oracle of gather. For one radius only there is convolve.cl.
 // Features: CHANNELS, TILT, SUBPIXELS, DISC (sampled, one weight), SEPARABLE (weights are products of two), BAND (rows of a
 // band), OCCLUDED (after occlusion.clh), of gather ROWS (whole rows of sources), with NEAR (so many px at most) tap by tap, or
-// SPANS (discs by the ends of rows); GATHER,
-// SCATTER, RENORMALIZE, PREPARE: which kernels are wanted.
+// COLUMNS of them; GATHER, SCATTER, RENORMALIZE, PREPARE: which kernels are wanted.
 
 #if GATHER
 // Adds rows -up..down of one source to `out`, the place of its first tap in its own row.
@@ -83,19 +82,19 @@ static void settle(int first, int last, int apart, int shift, int plane, int pit
 
 // Each work-item adds to BAND rows of `total`, the first one's band being `start`, all the light that reaches them, row by
 // row of sources. part: BAND rows for each work-item, of which every `group` rows of sources the sum goes on to total; with
-// group 0 it is total. spans: twice the same of doubles (with TILT), zeros as well.
+// group 0 it is total. scratch: see rows.clh, near.clh and columns.clh, zeros as well.
 __kernel void gather(const camera_t camera, const psf_t psf, __global const float *source,
-                     __global const float *value, __global const int4 *intervals,
+                     __global const float *value, __global const int2 *intervals,
                      __global const float *coefficients,
-                     __global const float *quadrants, __global const int *outlines,
-#if SPANS || ROWS
-                     __global scratch_t *spans, const int span_size,  // of a work-item
+                     __global const float *taps, __global const outline_t *outlines,
+#if ROWS || COLUMNS
+                     __global scratch_t *scratch, const int scratch_size,  // of a work-item
 #endif
                      const int start, const int group, __global float *part, const int pitch, const int pad,
                      __global float *total
 #if SUBPIXELS
                      , __global const float4 *sub_source, __global const float *sub_value, const int capacity,
-                     __global const int4 *sub_intervals, __global const float *sub_coefficients
+                     __global const int2 *sub_intervals, __global const float *sub_coefficients
 #endif
                      OCCLUSION_ARGUMENTS
 )
@@ -105,34 +104,24 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
         return;
     const int end = MIN(camera.rows, first + BAND);
     const int plane = camera.width * camera.height, total_plane = camera.rows * pitch;
-    const int spans_apart = (int)get_global_size(0) * BAND * pitch, apart = group ? spans_apart : total_plane;
+    const int apart = group ? (int)get_global_size(0) * BAND * pitch : total_plane;
     const int shift = group ? (own * BAND - first) * pitch : 0;  // from a row of the frame to that of part
     const int from = MAX(first - psf.reach, -camera.above), to = MIN(end + psf.reach, camera.height - camera.above);
-#if ROWS
-    if (!add_whole_rows(camera, psf, source, value, intervals, quadrants, outlines, first, end, spans + own * span_size, pitch,
-                        pad, total))
+#if ROWS || COLUMNS
+    if (!add_whole(camera, psf, source, value, intervals, taps, outlines, first, end, scratch + own * scratch_size, pitch, pad,
+                   total))
         return;
 #endif
+    bool added = false;  // anything to `part` since it was settled
     for (int y = from; y < to; ++y) {
     const int line = (y + camera.above) * camera.width, place = shift + y * pitch - camera.guard + pad;
     for (int block = 0; block < camera.width; block += BLOCK) {
     int single = (1 << MIN(BLOCK, camera.width - block)) - 1;
-#if ROWS
+#if ROWS || COLUMNS
     const int16 others = take_sources(psf, source, plane, line, block, camera.width, intervals, outlines).others;
     single = bits_of(others.lo) | bits_of(UPPER(others)) << LANES;
-#elif !DISC && !SEPARABLE
-    if (camera.width >= MANY) {
-        const int left = MIN(block, camera.width - MANY);
-#if SPANS
-        __global double *span = spans + own * BAND * pitch + (y - first) * pitch - camera.guard + pad + left;
-#else
-        __global double *span = 0;
 #endif
-        const band_t band = {y - first, end - 1 - y, pitch, apart, spans_apart, CHANNELS * spans_apart, part + place + left,
-                             span};
-        single = add_alike(psf, line + left, block - left, plane, source, value, intervals, quadrants, outlines, band);
-    }
-#endif
+    added |= single != 0;
     while (single) {
         const int x = block + __builtin_ctz(single);
         single &= single - 1;
@@ -184,16 +173,12 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
                      out + k * apart - half_width, pitch);
     }
     }
-    if (group && ((y + 1 - from) % group == 0 || y + 1 == to))
+    if (group && added && ((y + 1 - from) % group == 0 || y + 1 == to)) {
         settle(MAX(first, y + 1 - group - psf.reach), MIN(end - 1, y + psf.reach), apart, shift, total_plane, pitch, part,
                total);
+        added = false;
     }
-#if SPANS && !DISC && !SEPARABLE
-    for (int k = 0; k < CHANNELS; ++k)
-        for (int row = first; row < end; ++row)
-            add_spans(spans + k * spans_apart + (own * BAND + row - first) * pitch, CHANNELS * spans_apart, pitch,
-                      total + k * total_plane + row * pitch);
-#endif
+    }
 }
 #endif
 
@@ -237,11 +222,11 @@ static void scatter_source(const camera_t camera, spread_t spread, float4 source
 
 // One work-item per source. In and out: sums fixed_t (CHANNELS, rows, columns), in units of 1 / scale.
 __kernel void scatter(const camera_t camera, const psf_t psf, __global const float *source,
-                      __global const float *value, __global const int4 *intervals,
+                      __global const float *value, __global const int2 *intervals,
                       __global const float *coefficients, const float scale, __global fixed_t *sums
 #if SUBPIXELS
                       , __global const float4 *sub_source, __global const float *sub_value, const int capacity,
-                      __global const int4 *sub_intervals, __global const float *sub_coefficients
+                      __global const int2 *sub_intervals, __global const float *sub_coefficients
 #endif
                       OCCLUSION_ARGUMENTS
 )
@@ -316,11 +301,11 @@ static float share_inside(const camera_t camera, spread_t spread, float4 source,
 // border = "renormalize": no light is lost over the border of the frame; there is no guard band then.
 // In and out: value, sub_value.
 __kernel void renormalize(const camera_t camera, const psf_t psf, __global const float *source,
-                          __global float *value, __global const int4 *intervals,
+                          __global float *value, __global const int2 *intervals,
                           __global const float *coefficients
 #if SUBPIXELS
                           , __global const float4 *sub_source, __global float *sub_value, const int capacity,
-                          __global const int4 *sub_intervals, __global const float *sub_coefficients
+                          __global const int2 *sub_intervals, __global const float *sub_coefficients
 #endif
 )
 {

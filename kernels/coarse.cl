@@ -239,7 +239,7 @@ __kernel void enlarge(const camera_t coarse, const int coarse_pitch, const int c
 // Takes from `missed` what light that has left the finest grid would have sent to some pixels by the exact way. place:
 // (count) row and column in the frame. In: light, planes. In and out: missed float (count, CHANNELS).
 __kernel void probe(const camera_t camera, const psf_t psf, __global const float *source, __global const float *light,
-                    const int pitch, __global const int4 *intervals, __global const float *coefficients,
+                    const int pitch, __global const int2 *intervals, __global const float *coefficients,
                     const int count, __global const int2 *place, __global float *missed)
 {
     const int n = get_global_id(0);

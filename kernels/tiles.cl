@@ -37,7 +37,7 @@ typedef struct {
 #define EACH (SUBPIXELS * SUBPIXELS)
 #define SUBPIXEL_ARGUMENTS \
     , __global const float4 *sub_source, __global const float *sub_value, const int capacity, \
-    __global const int4 *sub_intervals, __global const float *sub_coefficients
+    __global const int2 *sub_intervals, __global const float *sub_coefficients
 #define SUBPIXEL_VALUES , sub_source, sub_value, capacity, sub_intervals, sub_coefficients
 #else
 #define SUBPIXEL_ARGUMENTS
@@ -46,7 +46,7 @@ typedef struct {
 
 // Notes source (x, y) of the grid as the i-th of a chunk, if it reaches the tile.
 static void note_source(const camera_t camera, const psf_t psf, __global const float *source,
-                        __global const float *value, __global const int4 *intervals,
+                        __global const float *value, __global const int2 *intervals,
                         __global const float *coefficients, tile_t tile, int x, int y, int i,
                         __local chunk_t *chunk SUBPIXEL_ARGUMENTS)
 {
@@ -122,7 +122,7 @@ static void add_source(const psf_t psf, int x, int y, int i, __local const chunk
 // One work-item per pixel, in groups of a tile. Out: added to total.
 __attribute__((reqd_work_group_size(TILE_COLUMNS, TILE_ROWS, 1)))
 __kernel void tiles(const camera_t camera, const psf_t psf, __global const float *source, __global const float *value,
-                    __global const int4 *intervals, __global const float *coefficients, const int pitch, const int pad,
+                    __global const int2 *intervals, __global const float *coefficients, const int pitch, const int pad,
                     __global float *total SUBPIXEL_ARGUMENTS)
 {
     __local chunk_t chunk;

@@ -163,7 +163,7 @@ def test_commands_take_a_limit(tmp_path: Path) -> None:
     scene, out = tmp_path / "plane.toml", tmp_path / "out"
     scene.write_text(PLANE)
     assert "1, the whole frame" in clsco_("plan", scene).stdout
-    told = clsco_("plan", scene, "--memory", "1.3MiB")
+    told = clsco_("plan", scene, "--memory", "2MiB")
     assert "3 of up to 192 rows, with up to 12 more on either side" in told.stdout
     for command in (("plan", scene), ("render", scene, "-o", out)):
         refused = clsco_(*command, "--memory", "300kB")
@@ -179,7 +179,7 @@ def test_commands_take_a_limit(tmp_path: Path) -> None:
     assert refused.exit_code == 1
     assert " MiB for this frame, as an approximation needs the whole frame; got 3 MiB" in refused.stderr
     assert not out.exists()
-    done = clsco_("render", scene, "-o", out, "--memory", "1.3MiB")
+    done = clsco_("render", scene, "-o", out, "--memory", "2MiB")
     assert done.exit_code == 0, done.output
     assert json.loads((out / "frame_0000.json").read_text())["strips"] == 3
 

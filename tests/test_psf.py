@@ -13,6 +13,7 @@ from scipy.integrate import quad
 
 from clsco.psf import (
     LANES,
+    MANY,
     POWERS,
     PsfTable,
     _table_radius,
@@ -306,33 +307,46 @@ def pixel_table(table: PsfTable, coordinate: float, powers: int = POWERS) -> Arr
 
 def disc_table(table: PsfTable, coordinate: float) -> Array:
     """The same of a sampled disc: in each row as many pixels as a square root says, all with one weight."""
-    start, half_width, same, _ = (int(v) for v in table.intervals[int(coordinate) - table.first])
-    assert table.coefficients[start] == table.quadrants[same]
+    number = int(coordinate) - table.first
+    start, half_width = (int(v) for v in table.intervals[number])
+    assert table.coefficients[start] == table.taps[number]
     span = np.abs(np.arange(-half_width, half_width + 1))
     ends = [int(table.outlines[int(coordinate) - dy * dy]) for dy in span]
     return np.stack([(span <= end) * float(table.coefficients[start]) for end in ends])
 
 
+def stored_taps(table: PsfTable, coordinate: float) -> Array:
+    """Weights of all taps as many neighbors read them: from both windows that have the interval, which agree."""
+    number = int(coordinate) - table.first
+    windows = table.taps.shape[1]
+    assert windows == -(-len(table.intervals) // LANES)
+    powers = (coordinate - int(coordinate)) ** np.arange(POWERS)
+    found = [
+        (table.taps[:, window, :, number - LANES * window].astype(np.float64) * powers).sum(axis=-1)
+        for window in range(number // LANES, max(number - MANY, -1) // LANES, -1)
+    ]
+    assert len(found) == min(MANY // LANES, number // LANES + 1)
+    for other in found[1:]:
+        np.testing.assert_array_equal(found[0], other)
+    return np.asarray(found[0])
+
+
 def separable_table(table: PsfTable, coordinate: float) -> Array:
     """The same of a Gaussian whose weights are products of those of one row."""
     axis = read(table, coordinate, 0)
-    half_width, start = (int(v) for v in table.intervals[int(coordinate) - table.first, 1:3])
-    side = table.quadrants[start : start + POWERS * (half_width + 1)].reshape(-1, POWERS).astype(np.float64)
-    powers = (coordinate - int(coordinate)) ** np.arange(POWERS)
-    np.testing.assert_array_equal((side * powers).sum(axis=1), axis[half_width:])
-    assert not table.quadrants[start + side.size : start + POWERS * (table.reach + 1)].any()  # read as well
-    assert start == POWERS * (table.reach + 1) * (int(coordinate) - table.first)
+    half_width = int(table.intervals[int(coordinate) - table.first, 1])
+    side = stored_taps(table, coordinate)
+    np.testing.assert_array_equal(side[: half_width + 1], axis[half_width:])
+    assert len(side) == table.reach + 1
+    assert not side[half_width + 1 :].any()  # read as well
     return np.asarray(axis[:, None] * axis)
 
 
 def stored_octant(table: PsfTable, coordinate: float) -> Array:
-    """Weights (half-width + 1, half-width + 1) of |dx|, |dy| as rows of sources of small reach read them."""
-    interval = int(coordinate) - table.first
-    half_width, start = (int(v) for v in table.intervals[interval, 1:3])
-    taps = table.quadrants.reshape(len(table.intervals), -1, POWERS)
-    assert taps.shape[1] == (table.reach + 1) * (table.reach + 2) // 2
-    assert start == interval * taps[0].size
-    weights = (taps[interval].astype(np.float64) * (coordinate - int(coordinate)) ** np.arange(POWERS)).sum(axis=-1)
+    """Weights (half-width + 1, half-width + 1) of |dx|, |dy| as neighbors read them."""
+    half_width = int(table.intervals[int(coordinate) - table.first, 1])
+    weights = stored_taps(table, coordinate)
+    assert len(weights) == (table.reach + 1) * (table.reach + 2) // 2
     a, b = np.indices((half_width + 1, half_width + 1))
     low, high = np.minimum(a, b), np.maximum(a, b)
     number = high * (high + 1) // 2 + low
@@ -340,18 +354,15 @@ def stored_octant(table: PsfTable, coordinate: float) -> Array:
     return np.asarray(weights[number])
 
 
-def quadrant(table: PsfTable, coordinate: float) -> Array:
-    """Weights (half-width + 1, half-width + 1) of |dx|, |dy| as groups of neighbors read them."""
-    _, half_width, start, outline = (int(v) for v in table.intervals[int(coordinate) - table.first])
-    found = table.quadrants[start : start + POWERS * (half_width + 1) ** 2].reshape(half_width + 1, -1, POWERS)
-    weights = (found.astype(np.float64) * (coordinate - int(coordinate)) ** np.arange(POWERS)).sum(axis=-1)
-    width, first, last = table.outlines[outline : outline + 3 * (half_width + 1)].reshape(-1, 3).T
-    n = np.arange(half_width + 1)
-    spanned = n[None, :] <= width[:, None]  # (|dy|, |dx|), of one weight
-    assert (weights[spanned] == weights[0, 0]).all()
-    assert (~spanned).argmax(axis=0)[~spanned.all(axis=0)].tolist() == first[~spanned.all(axis=0)].tolist()
-    assert not weights[n[None, :] > last[:, None]].any()
-    return np.asarray(weights)
+def check_outline(table: PsfTable, coordinate: float, weights: Array) -> None:
+    """Of columns of a quadrant (|dy|, |dx|): how many taps have the weight in the middle, and where the last one is."""
+    first, last = table.outlines[int(coordinate) - table.first].T
+    n = np.arange(len(weights))
+    for dx in range(len(weights)):
+        assert (weights[n < first[dx], : dx + 1] == weights[0, 0]).all()
+        assert not weights[n > last[dx], dx].any()
+    assert (first[len(weights) :] == 0).all()
+    assert (last[len(weights) :] == -1).all()
 
 
 def subpixel_table(table: PsfTable, coordinate: float, samples: int, i: int, j: int) -> Array:
@@ -400,8 +411,10 @@ def test_table_holds_the_weights(psf: Psf) -> None:
             found = read_all(table, coordinate)
             half = len(found) // 2
             if read_all is pixel_table:
-                stored = stored_octant if is_near(psf, high) else quadrant
-                np.testing.assert_array_equal(stored(table, coordinate), found[half:, half:])
+                stored = stored_octant(table, coordinate)
+                np.testing.assert_array_equal(stored, found[half:, half:])
+                if not is_near(psf, high):
+                    check_outline(table, coordinate, stored)
             assert reach(psf, radius) <= half <= table.reach
             error = max(error, float(np.abs(found - square(psf, radius, half)).sum()))
             energy = max(energy, abs(found.sum() - 1.0))

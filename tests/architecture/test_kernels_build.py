@@ -31,7 +31,7 @@ GEOMETRY: dict[str, tuple[int, ...]] = {
     "FILTER": (0, 2, 1),
 }
 BLUR = (
-    *("SAMPLED", "TILT", "GATHER", "ROWS", "SPANS", "SCATTER", "RENORMALIZE", "PREPARE"),
+    *("SAMPLED", "TILT", "GATHER", "ROWS", "SCATTER", "RENORMALIZE", "PREPARE"),
     *("DISC", "SEPARABLE"),
 )
 TRUTH = [f"TRUTH_{name.upper()}" for name in TRUTH_BUFFERS]
@@ -42,7 +42,7 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | {"SUBPIXELS": (0, 4, 2, 3), "OCCLUDED": (0,)},
     ("blur.cl",): dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
-    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (1, BAND), "NEAR": (0, NEAR)},
+    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (1, BAND), "NEAR": (0, NEAR), "COLUMNS": (0, 0, 1)},
     ("coarse.cl",): dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(("TILT", "DISC", "SAMPLED", "SEPARABLE"), ON_OR_OFF)
     | {"CHANNELS": (1, 3)},
@@ -65,10 +65,12 @@ PROGRAMS[OCCLUSION] = PROGRAMS["blur.cl",] | PROGRAMS["trace.cl",] | {"OCCLUDED"
 # Features that have to do with it; of the others there is one value, the program being a long one.
 TOLD = {"OCCLUDED", "SEVERAL", "QUADRATIC", "NAPPE", "BOUNDED", "CHANNELS", "SUBPIXELS", "TILT", "GATHER", "SCATTER"}
 PROGRAMS[OCCLUSION] |= {name: values[1:2] for name, values in PROGRAMS[OCCLUSION].items() if name not in TOLD}
-PROGRAMS[OCCLUSION] |= dict.fromkeys(("ROWS", "NEAR", "DISC", "SEPARABLE"), (0,))
+# What goes by columns goes neither by rows nor tap by tap, and is of another kind.
+NOT_BY_COLUMNS = ("ROWS", "NEAR", "DISC", "SEPARABLE")
+PROGRAMS[OCCLUSION] |= dict.fromkeys(NOT_BY_COLUMNS, (0,)) | {"COLUMNS": ON_OR_OFF}
 PROGRAMS["layer.cl",] = dict.fromkeys((*PLAIN, "SAMPLED"), (0,)) | {"CHANNELS": (2, 4), "SCATTER": ON_OR_OFF}
 GIVEN_BY_THE_BUILD = {"REAL_IS_DOUBLE", "HAS_INT64_ATOMICS", "HAS_FP64", "VECTOR_WIDTH", "defined"}
-GIVEN_BY_THE_BUILD |= {"__FMA__", "__SSE4_1__", "__AVX__"}
+GIVEN_BY_THE_BUILD |= {"__FMA__", "__SSE4_1__", "__AVX__", "__AVX2__", "__AVX512F__"}
 
 
 def headers(files: tuple[str, ...]) -> tuple[str, ...]:
@@ -91,7 +93,8 @@ def variants(features: dict[str, tuple[int, ...]]) -> list[dict[str, int]]:
     off = {name: values[0] for name, values in features.items()}
     on = {name: values[min(1, len(values) - 1)] for name, values in features.items()}
     others = [on | {name: value} for name, values in features.items() for value in values if value != on[name]]
-    return [off, on, *others]
+    none = dict.fromkeys(NOT_BY_COLUMNS, 0)
+    return [one | none if one.get("COLUMNS") else one for one in (off, on, *others)]
 
 
 def test_every_file_is_built() -> None:
@@ -129,8 +132,8 @@ def test_with_all_features_and_none(
     session: Session, files: tuple[str, ...], real: Real, capfd: pytest.CaptureFixture[str]
 ) -> None:
     chosen = variants(PROGRAMS[files])[:2]
-    if real == "float":  # ROWS and SPANS are doubles
-        chosen = [one | {"ROWS": 0, "SPANS": 0} for one in chosen]
+    if real == "float":  # ROWS are doubles
+        chosen = [one | {"ROWS": 0} for one in chosen]
     kernels = [set(build(session, files, features, structs(real), real)) for features in chosen]
     defined = {
         name for file in files for name in re.findall(r"__kernel void (\w+)\(", (KERNELS / file).read_text("utf-8"))
@@ -159,4 +162,4 @@ def test_a_device_with_less(session: Session) -> None:
     lesser = replace(session.device, has_fp64=False, has_int64_atomics=False, correctly_rounded=False)
     with Session(lesser) as opened:
         for files, features in PROGRAMS.items():
-            assert build(opened, files, variants(features)[1] | {"ROWS": 0, "SPANS": 0}, structs("float"), "float")
+            assert build(opened, files, variants(features)[1] | {"ROWS": 0}, structs("float"), "float")

@@ -33,47 +33,32 @@ WITHOUT_TWIN = {
         ("weights", "pixel_spread", "subpixel_spread", "tap", "see"),
         "reads tables, in whose place the reference has the closed forms",
     )
-    | dict.fromkeys(("sums_of", "bits_of", "any_of", "weight_of"), "lanes of a vector"),
-    "neighbors": dict.fromkeys(
-        [
-            "add_left_ends",
-            "add_right_ends",
-            "add_spans",
-            "add_column",
-            "add_columns",
-            "add_neighbors",
-            "tap_of",
-            "lowest",
-            "add_alike",
-        ],
-        "taps of many sources at once, which scatter adds up",
-    ),
+    | dict.fromkeys(("sums_of", "bits_of", "any_of", "look_up", "tap_weight"), "lanes of a vector"),
     "tiles": {"tiles": "the sum of scatter, which each tile forms for its pixels"},
-    "rows": dict.fromkeys(
-        [
-            "tile_row",
-            "lowest_lane",
-            "some_taps",
-            "take_sources",
-            "take_row",
-            "note_keys",
-            "bounds_of",
-            "half_width_of",
-            "weigh_row",
-            "add_whole_rows",
-            "finish_row",
-            "add_segment",
-        ],
-        "rows of sources at once, which scatter adds up tap by tap",
+    "many": dict.fromkeys(
+        ["lowest_lane", "lowest", "some_taps", "take_sources", "rest_of", "take_together", "weigh"],
+        "which sources of a row go together, and their weights",
     ),
-    "discs": dict.fromkeys(("ends_of", "finish_row", "add_ends", "add_row", "add_segment"), "sums instead of taps"),
-    "gaussians": dict.fromkeys(["finish_row", "add_rows_of", "add_segment"], "one axis after the other"),
-    "near": dict.fromkeys(["add_taps", "finish_sums", "add_whole_rows"], "the sum of scatter, row by row"),
+    "rows": dict.fromkeys(
+        ["tile_row", "take_row", "half_width_of", "weigh_row"],
+        "rows of sources at once, where scatter takes taps",
+    ),
+    "discs": dict.fromkeys(
+        ["note_keys", "bounds_of", "finish_row", "ends_of", "add_ends", "add_row", "add_segment", "add_whole"],
+        "sums instead of taps",
+    ),
+    "near": dict.fromkeys(["add_taps", "finish_sums", "add_whole"], "the sum of scatter, row by row"),
+    "quadrants": dict.fromkeys(
+        ["column_of", "add_rim", "add_ends", "finish_sums", "clear_rows", "spread_items", "put_items"],
+        "the sum of scatter, column by column",
+    ),
+    "gaussians": dict.fromkeys(["column_of", "add_block", "spread_items", "put_items"], "one axis after the other"),
+    "columns": dict.fromkeys(["finish_tile", "add_whole"], "the sum of scatter, column by column"),
 }
 
 # Files whose twin is part of another file.
 PART_OF = {"estimate": "mean_median", "sight": "occlusion", "sources": "trace", "tiles": "blur"}
-PART_OF |= dict.fromkeys(("spread", "neighbors", "rows", "near", "discs", "gaussians"), "blur")
+PART_OF |= dict.fromkeys(("spread", "many", "rows", "near", "discs", "quadrants", "gaussians", "columns"), "blur")
 
 
 def kernel_names(text: str) -> set[str]:
