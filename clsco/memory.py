@@ -105,8 +105,8 @@ def bands_at_a_time(rows: int, cores: int) -> int:
 
 
 def band_scratch(psf: Psf, largest: float, fp64: bool) -> Scratch:
-    """What `gather` keeps for each band of a frame with radii up to `largest` px: whole rows of sources, of small reach
-    ("near") or of discs ("rows"), or of others columns of them."""
+    """What `gather` keeps for each band of a frame with radii up to `largest` px: of sampled discs whole rows of them,
+    of small reach ("near") or any ("rows"), and of others columns of them."""
     if is_near(psf, largest):
         return "near"
     if is_disc(psf):
@@ -137,8 +137,7 @@ def row_bytes(psf: Psf, channels: int, far: int, near: bool) -> int:
     beside = (far // LANES + 3) * LANES
     planes, width = (3 if psf.tilt else 1) * channels, TILE + 2 * beside
     if near:
-        octant = 0 if is_disc(psf) else (far + 1) * (far + 2) // 2
-        return 4 * (channels * WINDOW * TILE + width * (1 + planes + octant))
+        return 4 * (channels * WINDOW * TILE + width * (1 + planes))
     return 8 * channels * BAND * TILE + 4 * width * (1 + 3 * planes)
 
 

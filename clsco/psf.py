@@ -32,7 +32,7 @@ NODES = 0.5 - 0.5 * np.cos((2 * np.arange(4) + 1) * np.pi / 8)
 POWERS = len(NODES)  # coefficients of a weight
 TO_POWERS = np.linalg.inv(np.vander(NODES, 4, increasing=True))
 MANY = 16  # intervals of which a kernel reads the coefficients of a tap together, from every LANES-th one on
-# PSFs that reach at most so far, in px to both sides, are added up tap by tap: kernels/near.clh.
+# Sampled discs that reach at most so far, in px to both sides, are added up tap by tap: kernels/near.clh.
 NEAR = 7
 MINIMUM_BLUR = 0.5  # px; sampled PSFs leave smaller radii alone (thesis, 2.2)
 
@@ -213,7 +213,7 @@ class PsfTable:
     weights once more, float32 (taps, count / LANES, POWERS, MANY): of the octant's taps a >= b >= 0 in the order of
     a (a + 1) / 2 + b or, of what `is_separable`, of those along an axis, the coefficients of MANY intervals from every
     LANES-th one on; zeros beyond the reach of an interval, and after the last one. outlines: int32, (count, reach + 1,
-    2), see `_outline`, of what is neither `is_near` nor separable. Of a sampled disc (`is_disc`) coefficients and taps
+    2), see `_outline`, but for what is separable. Of a sampled disc (`is_disc`) coefficients and taps
     have the one weight of each interval, and outlines the square roots of 0, 1, ... up to the last interval's number,
     rounded down.
     """
@@ -297,8 +297,8 @@ def is_separable(psf: Psf) -> bool:
 
 
 def is_near(psf: Psf, largest: float) -> bool:
-    """Whether radii up to `largest` px reach so little that each tap of a row of sources is added by itself."""
-    return not is_separable(psf) and table_reach(psf, largest) <= NEAR
+    """Whether sampled discs up to `largest` px reach so little that each tap of a row of sources is added by itself."""
+    return is_disc(psf) and table_reach(psf, largest) <= NEAR
 
 
 def psf_features(psf: Psf) -> dict[str, int]:
@@ -323,7 +323,7 @@ def table_bytes(psf: Psf, smallest: float, largest: float, subpixel: int = 0) ->
         return int((8 + each * (2 * widths + 1) * subpixel * ((subpixel + 1) // 2)).sum())
     if is_separable(psf):
         return int((8 + each).sum()) + of_taps * (widest + 1)
-    outlines = 0 if is_near(psf, largest) else 8 * len(span) * (widest + 1)
+    outlines = 8 * len(span) * (widest + 1)
     return int((8 + each * (widths + 1)).sum()) + of_taps * _octant_taps(widest) + outlines
 
 
@@ -338,9 +338,8 @@ def psf_table(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> P
         return _separable_table(psf, span)
     intervals, blocks, start = list[tuple[int, int]](), [], 0
     reach = _half_width(psf, span[-1], fine)
-    outlined = not fine and not is_near(psf, largest)
     taps = np.zeros((0 if fine else _octant_taps(reach), POWERS, len(span)), np.float32)
-    outlines = np.zeros((len(span) * outlined, reach + 1, 2), np.int32)
+    outlines = np.zeros((0 if fine else len(span), reach + 1, 2), np.int32)
     for number, index in enumerate(span):
         radii, half_width = _table_radius(psf, index + NODES, fine), _half_width(psf, index, fine)
         values = _subpixel_rows(psf, radii, half_width, subpixel) if fine else _main_rows(psf, radii, half_width)
@@ -350,7 +349,6 @@ def psf_table(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> P
         if not fine:
             a, b = np.tril_indices(half_width + 1)
             taps[: len(a), :, number] = block[b, :, half_width + a]
-        if outlined:
             outlines[number, :, 1] = -1
             outlines[number, : half_width + 1] = _outline(block[:, :, half_width : 2 * half_width + 1])
         intervals.append((start, half_width))

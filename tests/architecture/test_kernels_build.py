@@ -65,9 +65,9 @@ PROGRAMS[OCCLUSION] = PROGRAMS["blur.cl",] | PROGRAMS["trace.cl",] | {"OCCLUDED"
 # Features that have to do with it; of the others there is one value, the program being a long one.
 TOLD = {"OCCLUDED", "SEVERAL", "QUADRATIC", "NAPPE", "BOUNDED", "CHANNELS", "SUBPIXELS", "TILT", "GATHER", "SCATTER"}
 PROGRAMS[OCCLUSION] |= {name: values[1:2] for name, values in PROGRAMS[OCCLUSION].items() if name not in TOLD}
-# What goes by columns goes neither by rows nor tap by tap, and is of another kind.
-NOT_BY_COLUMNS = ("ROWS", "NEAR", "DISC", "SEPARABLE")
-PROGRAMS[OCCLUSION] |= dict.fromkeys(NOT_BY_COLUMNS, (0,)) | {"COLUMNS": ON_OR_OFF}
+# What goes by columns goes neither by rows nor tap by tap, as sampled discs do.
+NOT_BY_COLUMNS = ("ROWS", "NEAR", "DISC")
+PROGRAMS[OCCLUSION] |= dict.fromkeys((*NOT_BY_COLUMNS, "SEPARABLE"), (0,)) | {"COLUMNS": ON_OR_OFF}
 PROGRAMS["layer.cl",] = dict.fromkeys((*PLAIN, "SAMPLED"), (0,)) | {"CHANNELS": (2, 4), "SCATTER": ON_OR_OFF}
 GIVEN_BY_THE_BUILD = {"REAL_IS_DOUBLE", "HAS_INT64_ATOMICS", "HAS_FP64", "VECTOR_WIDTH", "defined"}
 GIVEN_BY_THE_BUILD |= {"__FMA__", "__SSE4_1__", "__AVX__", "__AVX2__", "__AVX512F__"}
@@ -94,7 +94,7 @@ def variants(features: dict[str, tuple[int, ...]]) -> list[dict[str, int]]:
     on = {name: values[min(1, len(values) - 1)] for name, values in features.items()}
     others = [on | {name: value} for name, values in features.items() for value in values if value != on[name]]
     none = dict.fromkeys(NOT_BY_COLUMNS, 0)
-    return [one | none if one.get("COLUMNS") else one for one in (off, on, *others)]
+    return [one | none if one.get("COLUMNS") or one.get("DISC") == 0 else one for one in (off, on, *others)]
 
 
 def test_every_file_is_built() -> None:

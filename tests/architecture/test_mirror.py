@@ -36,11 +36,11 @@ WITHOUT_TWIN = {
     | dict.fromkeys(("sums_of", "bits_of", "any_of", "look_up", "tap_weight"), "lanes of a vector"),
     "tiles": {"tiles": "the sum of scatter, which each tile forms for its pixels"},
     "many": dict.fromkeys(
-        ["lowest_lane", "lowest", "some_taps", "take_sources", "rest_of", "take_together", "weigh"],
-        "which sources of a row go together, and their weights",
+        ["lowest_lane", "lowest", "some_taps", "take_sources", "rest_of", "take_together"],
+        "which sources of a row go together",
     ),
     "rows": dict.fromkeys(
-        ["tile_row", "take_row", "half_width_of", "weigh_row"],
+        ["tile_row", "take_row", "half_width_of"],
         "rows of sources at once, where scatter takes taps",
     ),
     "discs": dict.fromkeys(
@@ -49,10 +49,12 @@ WITHOUT_TWIN = {
     ),
     "near": dict.fromkeys(["add_taps", "finish_sums", "add_whole"], "the sum of scatter, row by row"),
     "quadrants": dict.fromkeys(
-        ["column_of", "add_rim", "add_ends", "finish_sums", "clear_rows", "spread_items", "put_items"],
+        ["column_of", "add_tap", "add_rim", "add_ends", "finish_sums", "clear_rows", "spread_items", "put_items"],
         "the sum of scatter, column by column",
     ),
-    "gaussians": dict.fromkeys(["column_of", "add_block", "spread_items", "put_items"], "one axis after the other"),
+    "gaussians": dict.fromkeys(
+        ["column_of", "add_block", "spread_items", "weigh", "put_items"], "one axis after the other"
+    ),
     "columns": dict.fromkeys(["finish_tile", "add_whole"], "the sum of scatter, column by column"),
 }
 
