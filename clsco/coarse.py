@@ -91,7 +91,7 @@ class Coarse(Spreader):
         tools["SAMPLED"] = int(coarse.edge == "sampled")
         self.tools = build(session, ["coarse.cl"], tools, structs(real), real)
         for radius in radii:
-            plain = image_features(method, coarse, radius, channels, self.tilt, real)
+            plain = image_features(method, coarse, radius, channels, self.tilt, session.device.has_fp64)
             inner = build(session, FILES_OF[method], plain, structs(real), real)
             above = self.levels[-1].camera
             shape = coarse_frame(*(int(above[name]) for name in ("rows", "columns", "guard")))

@@ -200,9 +200,10 @@ class _Engine:
         least: float | None, places: NDArray[np.int32] | None,
     ) -> None:  # fmt: skip
         self.session, self.given, self.psf, self.blur, self.guard = session, given, psf, blur, guard
-        self.real: Real = "double" if session.device.has_fp64 else "float"
+        fp64 = session.device.has_fp64
+        self.real: Real = "double" if fp64 else "float"
         channels, columns = given.channels, given.coc.shape[1]
-        features = image_features(blur, psf, given.largest, channels, psf.tilt, self.real)
+        features = image_features(blur, psf, given.largest, channels, psf.tilt, fp64)
         constant = blur == "convolve"
         self.program = {} if constant else build(session, FILES_OF[blur], features, structs(self.real), self.real)
         self.spreader = make_spreader(

@@ -65,7 +65,7 @@ class Layers:
         self.session, self.spreader, self.camera, self.real = session, spreader, spreader.camera, real
         self.channels = spreader.channels
         psf, method, planes = spreader.psf, spreader.method, self.channels + 1
-        chosen = image_features(method, psf, largest, planes, tilt, real)
+        chosen = image_features(method, psf, largest, planes, tilt, session.device.has_fp64)
         blur = build(session, FILES_OF[method], chosen, structs(real), real)
         # By itself, since nothing else changes its eleven kernels.
         layer = PLAIN | {"SAMPLED": 0, "CHANNELS": planes, "SCATTER": chosen["SCATTER"]}

@@ -122,7 +122,8 @@ class Renderer:
         """The program for the range of radii, again where a larger one needs other kernels; what it is built with."""
         plan = self.plan
         prepare = plan.forward or plan.occlusion == "layered"
-        features = plan.features() | blur_features(plan.blur, plan.scene.psf, self.largest, self.real, prepare)
+        fp64 = self.session.device.has_fp64
+        features = plan.features() | blur_features(plan.blur, plan.scene.psf, self.largest, fp64, prepare)
         features |= {"TRUTH": int(bool(plan.truth)), "LENSES": self.lenses}
         features["PINHOLE"] = int(plan.occlusion == "layered" and not plan.forward)
         features |= {f"TRUTH_{name.upper()}": int(name in self._truth_names()) for name in TRUTH_BUFFERS}

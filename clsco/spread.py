@@ -39,9 +39,9 @@ PLAIN = dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FI
 Events = list[tuple[str, cl.Event]]
 
 
-def blur_features(method: Blur, psf: Psf, largest: float, real: Real, prepare: bool) -> dict[str, int]:
-    """Which kernels of blur.cl are compiled, and for what; largest: |R| in px."""
-    kept = band_scratch(psf, largest, real == "double") if method == "gather" else "none"
+def blur_features(method: Blur, psf: Psf, largest: float, fp64: bool, prepare: bool) -> dict[str, int]:
+    """Which kernels of blur.cl are compiled, and for what; largest: |R| in px; fp64: the device has doubles."""
+    kept = band_scratch(psf, largest, fp64) if method == "gather" else "none"
     return {
         "GATHER": int(method == "gather"),
         "ROWS": int(kept in ("rows", "near")),
@@ -54,10 +54,10 @@ def blur_features(method: Blur, psf: Psf, largest: float, real: Real, prepare: b
     }
 
 
-def image_features(blur: Blur, psf: Psf, largest: float, channels: int, tilt: bool, real: Real) -> dict[str, int]:
+def image_features(blur: Blur, psf: Psf, largest: float, channels: int, tilt: bool, fp64: bool) -> dict[str, int]:
     """Features of a program that spreads an image with radii up to `largest` px, whatever surfaces it shows: the same
     one for all scenes that agree in these."""
-    found = PLAIN | psf_features(psf) | blur_features(blur, psf, largest, real, prepare=True)
+    found = PLAIN | psf_features(psf) | blur_features(blur, psf, largest, fp64, prepare=True)
     return found | {"CHANNELS": channels, "TILT": int(tilt and blur != "convolve")}
 
 

@@ -47,7 +47,7 @@ class Pass:
         constant, least = method == "convolve", METHODS.get(method)
         blur = many_radii(session.device.kind == "gpu", approximate=True) if least else cast(Blur, method)
         guard = reach(psf, self.largest) + 2 * LANES if constant else 0
-        features = image_features(blur, psf, self.largest, channels, psf.tilt, real)
+        features = image_features(blur, psf, self.largest, channels, psf.tilt, session.device.has_fp64)
         self.session, self.camera = session, frame_struct(rows, columns, guard, real)
         self.program = {} if constant else build(session, FILES_OF[blur], features, structs(real), real)
         self.spreader = make_spreader(

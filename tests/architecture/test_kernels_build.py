@@ -112,7 +112,7 @@ def test_every_feature_is_known(files: tuple[str, ...]) -> None:
 def test_what_the_host_asks_for_is_what_the_files_know() -> None:
     scene = Scene(camera=Camera(resolution=(64, 48)), objects=(Sphere(),))
     plan = make_plan(scene, 1, ())
-    spreading = blur_features("gather", Psf(), 1.0, "double", prepare=True).keys()
+    spreading = blur_features("gather", Psf(), 1.0, True, prepare=True).keys()
     rendering = plan.features().keys() | spreading | {"TRUTH", *TRUTH, "PINHOLE", "LENSES"}
     assert PROGRAMS["trace.cl",].keys() | PROGRAMS["blur.cl",].keys() == rendering
     assert asked_for(("blur.cl",)) <= PLAIN.keys() | spreading | {"CHANNELS", "TILT", *psf_features(Psf())}

@@ -155,7 +155,7 @@ def copied(session: Session, array: Array) -> Any:
 
 def features(psf: Psf, channels: int, samples: int, largest: float = 0.0) -> dict[str, int]:
     """All kernels in one program, so that few have to be compiled; tests/architecture builds them one by one."""
-    kernels = spread.blur_features("gather", psf, largest, "double", prepare=True)
+    kernels = spread.blur_features("gather", psf, largest, True, prepare=True)
     kernels |= dict.fromkeys(("GATHER", "SCATTER", "RENORMALIZE", "PREPARE"), 1)
     chosen = {"CHANNELS": channels, "SUBPIXELS": samples, "TILT": int(psf.tilt), "BAND": strips.BAND}
     return SHAPES | kernels | chosen | psf_features(psf)
@@ -165,7 +165,7 @@ def spreader(session: Session, given: Light, method: Blur) -> Spreader:
     psf = given.psf
     chosen = features(psf, given.channels, given.samples, given.largest)
     if method == "tiles":  # in a file of its own
-        chosen |= spread.blur_features(method, psf, given.largest, "double", prepare=False) | {"RENORMALIZE": 1}
+        chosen |= spread.blur_features(method, psf, given.largest, True, prepare=False) | {"RENORMALIZE": 1}
     program = build(session, spread.FILES_OF[method], chosen, STRUCTS, "double")
     ends = (given.smallest, given.largest)
     return Spreader(

@@ -52,7 +52,7 @@ def approximate(
     camera = frame_struct(height - 2 * guard, width - 2 * guard, guard, real)
     size = np.abs(light.radius[light.lit])
     smallest, largest = float(size.min()), float(size.max())
-    features = image_features("gather", psf, largest, channels, psf.tilt, real)
+    features = image_features("gather", psf, largest, channels, psf.tilt, session.device.has_fp64)
     program = build(session, ["blur.cl"], features, structs(real), real)
     spreader = Coarse(
         session, program, psf, "gather", camera, channels, smallest, largest, 0, real, 1.0, features, least, places

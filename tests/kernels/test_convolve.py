@@ -59,7 +59,7 @@ class Convolver:
             0,
             "double",
             brightest,
-            blur_features("convolve", psf, size, "double", prepare=False),
+            blur_features("convolve", psf, size, True, prepare=False),
         )
         self.session, self.radius, self.value = session, size, empty(session, 4 * light.size)
         cl.enqueue_copy(session.queue, self.value, flat(light, np.float32))

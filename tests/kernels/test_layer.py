@@ -72,7 +72,7 @@ class Device:
 
     def __init__(self, session: Session, view: View, method: Blur = "gather", real: Real = "double") -> None:
         psf, channels = view.psf, view.radiance.shape[2]
-        features = image_features(method, psf, view.largest, channels, psf.tilt, real)
+        features = image_features(method, psf, view.largest, channels, psf.tilt, session.device.has_fp64)
         program = build(session, ["blur.cl"], features, structs(real), real)
         camera = frame_struct(*view.shape, view.guard, real)
         self.session, self.view = session, view

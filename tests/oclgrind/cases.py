@@ -153,9 +153,9 @@ def features_of(drawn: Drawn) -> dict[str, Any]:
     """What decides what of the kernels is compiled and run, of all eyes."""
     found: dict[str, Any] = {"precision": drawn["precision"], "lenses": drawn["lenses"], "device": str(drawn["device"])}
     for plan in plans_of(drawn):
-        real = "double" if drawn["precision"] == "double" else "float"
+        fp64 = drawn["device"].get("has_fp64", True)
         prepare = plan.forward or plan.occlusion == "layered"
-        found |= plan.features() | blur_features(plan.blur, plan.scene.psf, plan.largest_blur, real, prepare)  # type: ignore[arg-type]
+        found |= plan.features() | blur_features(plan.blur, plan.scene.psf, plan.largest_blur, fp64, prepare)
         found |= {"OCCLUDED": min(found["OCCLUDED"], 2), "blur": plan.blur, "occlusion": plan.occlusion}
         found["truth"] = drawn["truth"]
         found["coarse"] = bool(plan.approximations)
