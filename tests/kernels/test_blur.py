@@ -247,8 +247,8 @@ SMOOTH = Psf(model="gaussian", sigma_ratio=0.3)
 @pytest.mark.parametrize(
     ("psf", "tilt", "channels"),
     mostly_slow(
-        [(psf, *each) for psf in (PSFS[0], SMOOTH) for each in ((False, 1), (False, 3), (True, 2))],
-        [(PSFS[0], False, 1), (PSFS[0], True, 2), (SMOOTH, True, 2)],
+        [(psf, *each) for psf in (PSFS[0], SMOOTH, Psf()) for each in ((False, 1), (False, 3), (True, 2))],
+        [(PSFS[0], False, 1), (PSFS[0], True, 2), (SMOOTH, True, 2), (Psf(), True, 2)],
     ),
 )
 def test_rows_of_several_tiles(session: Session, psf: Psf, tilt: bool, channels: int) -> None:
