@@ -33,11 +33,11 @@ WITHOUT_TWIN = {
         ("weights", "pixel_spread", "subpixel_spread", "tap", "see"),
         "reads tables, in whose place the reference has the closed forms",
     )
-    | dict.fromkeys(("sums_of", "bits_of", "any_of", "look_up", "tap_weight"), "lanes of a vector"),
+    | dict.fromkeys(("sums_of", "bits_of", "any_of"), "lanes of a vector"),
     "tiles": {"tiles": "the sum of scatter, which each tile forms for its pixels"},
     "many": dict.fromkeys(
-        ["lowest_lane", "lowest", "some_taps", "take_sources", "rest_of", "take_together"],
-        "which sources of a row go together",
+        ["lowest_lane", "lowest", "some_taps", "values_at", "tap_weight", "take_sources", "rest_of", "take_together"],
+        "which sources of a row go together, and their weights",
     ),
     "rows": dict.fromkeys(
         ["tile_row", "take_row", "half_width_of"],
