@@ -49,7 +49,7 @@ WITHOUT_TWIN = {
     ),
     "near": dict.fromkeys(["add_taps", "finish_sums", "add_whole"], "the sum of scatter, row by row"),
     "quadrants": dict.fromkeys(
-        ["column_of", "add_tap", "add_rim", "add_ends", "finish_sums", "clear_rows", "spread_items", "put_items"],
+        ["column_of", "add_tap", "add_rim", "add_ends", "finish_sums", "spread_items", "put_items"],
         "the sum of scatter, column by column",
     ),
     "gaussians": dict.fromkeys(

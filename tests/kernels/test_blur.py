@@ -14,10 +14,10 @@ from clsco import psf as psf_weights
 from clsco import spread, strips
 from clsco.device import Session
 from clsco.layout import Struct, flat, frame_struct, psf_struct, structs
-from clsco.memory import TILE, source_bytes
+from clsco.memory import ITEMS_BYTES, TILE, source_bytes
 from clsco.plan import Blur
 from clsco.program import build, download, empty, kernel, launch, upload
-from clsco.psf import psf_features, psf_table
+from clsco.psf import MANY, psf_features, psf_table, reach
 from clsco.reference import blur as twin
 from clsco.reference.geometry import table_coordinate, tilt_slope
 from clsco.reference.trace import Sources, SubpixelSources
@@ -242,6 +242,19 @@ def test_rows_of_any_length(session: Session) -> None:
 
 
 SMOOTH = Psf(model="gaussian", sigma_ratio=0.3)
+
+
+@pytest.mark.parametrize("tilt", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_more_rows_of_wide_gaussians_than_are_kept_at_a_time(session: Session, tilt: bool) -> None:
+    """Of rows that reach a band items take at most ITEMS_BYTES, and its rows come in several parts."""
+    psf, shape, guard = SMOOTH.model_copy(update={"tilt": tilt}), (strips.BAND + 30, 20), 3
+    given = light(psf, shape=shape, guard=guard, largest=60.0, steepest=0.01)
+    rows, columns = np.indices(given.sources.lit.shape)
+    radius = np.where(given.sources.lit, 55.0 + 0.05 * rows - 0.1 * columns, 0.0)
+    given = replace(given, sources=replace(given.sources, radius=radius))
+    item = 4 * MANY * reach(psf, 55.0)
+    assert item * min(strips.BAND + reach(psf, 55.0), shape[0] + 2 * guard) > ITEMS_BYTES
+    assert_close(blurred(session, given, "gather"), blurred(session, given, "scatter"), ROUNDING)
 
 
 @pytest.mark.parametrize(
