@@ -32,7 +32,7 @@ SHARPENING = {"pillbox": 3 / 16, "gaussian": 0.0}
 EDGE, EDGE_ROWS = 8, 8  # around planes, as in coarse.cl
 PIXEL_MOMENT = {"sampled": 0.0, "area": 1 / 12, "integrated": 1 / 6}  # px^2 per axis: what `edge` adds to it
 # Taps per pixel that the way to coarser grids and back costs as much as; the more, the faster the exact way is at them.
-DISC_TAPS, MOVING_TAPS = 1200.0, {"pillbox": 300.0, "gaussian": 250.0}
+DISC_TAPS, MOVING_TAPS = 1200.0, {"pillbox": 450.0, "gaussian": 400.0}
 PIXELS_PER_PLACE, FEWEST_PLACES, MOST_PLACES = 1024, 256, 512  # where errors are sampled
 
 

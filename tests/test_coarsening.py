@@ -141,8 +141,9 @@ def test_places_are_spread_over_the_frame() -> None:
 def test_what_is_too_narrow_is_not_approximated() -> None:
     assert candidates(Psf(), np.array([2.0, 6.0])) == ()
     assert candidates(Psf(), np.array([60.0])) == tuple(METHODS)
-    assert candidates(Psf(), np.array([11.0])) == ("coarse2", "coarse4")
-    assert candidates(Psf(edge="sampled"), np.array([11.0])) == ()  # the exact way is faster there
+    assert candidates(Psf(), np.array([12.0])) == ("coarse2", "coarse4")
+    assert candidates(Psf(), np.array([11.0])) == ()  # the exact way is faster there
+    assert candidates(Psf(edge="sampled"), np.array([12.0])) == ()
     assert candidates(Psf(model="gaussian"), np.array([12.0])) == ("coarse2", "coarse4")
     assert candidates(Psf(border="renormalize"), np.array([60.0])) == ()
     told: list[Told] = []
