@@ -31,8 +31,9 @@ C_TOKEN = re.compile(
     r"|(?P<space>\\\n|\s)",
     re.DOTALL,
 )
-# Of the preprocessor: which text there is at all. A `#define` is what stands in its place.
-NOT_TEXT = re.compile(r"\s*#\s*(?:if|ifdef|ifndef|elif|else|endif|include|pragma|undef)\b")
+# Of the preprocessor: which text there is at all. A `#define` is what stands in its place. What is asked for ahead
+# (SOON) changes the time alone.
+NOT_TEXT = re.compile(r"\s*(?:#\s*(?:if|ifdef|ifndef|elif|else|endif|include|pragma|undef)|SOON)\b")
 DEFINED = re.compile(r"\s*#\s*define\s+\w+(?:\([^)]*\))?")
 
 
