@@ -294,9 +294,12 @@ def _runs(psf: Psf, span: range, subpixel: bool) -> Iterator[tuple[int, int, int
 
 
 def _span(psf: Psf, smallest: float, largest: float, subpixel: bool) -> range:
-    """Intervals that hold the |blur radii| from smallest to largest px."""
+    """Intervals that hold the |blur radii| from smallest to largest px, and those before them in their LANES.
+
+    So windows of intervals begin at the same ones whatever the smallest radius is, on which the order of sums hangs.
+    """
     first, last = (floor(float(table_coordinate(psf, np.array(r), subpixel))) for r in (smallest, largest))
-    return range(first, last + 1)
+    return range(first // LANES * LANES, last + 1)
 
 
 def is_disc(psf: Psf) -> bool:
