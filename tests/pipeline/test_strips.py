@@ -135,7 +135,6 @@ def test_a_plan_that_was_too_small(monkeypatch: pytest.MonkeyPatch, peak: list[i
     assert_same(whole, tiled)
 
 
-@pytest.mark.slow
 def test_a_sweep_in_strips() -> None:
     """Lenses share their rays where there is memory for all of them at a time, and else do not."""
     base = scene_of("moving ball")
