@@ -17,6 +17,7 @@ pytestmark = pytest.mark.laws
 Array = NDArray[Any]
 ROUNDING = 4e-6  # of the brightest light: sums of some hundred weights of float32
 LARGEST = 4  # px
+IN_STRIPS = {"scatter": (325, 414), "gather": (475, 866)}  # KiB, from what 64 rows take to less than 192 rows do
 
 
 def drawn(seed: int, *shape: int) -> Array:
@@ -112,9 +113,9 @@ def test_front_and_back_blur_alike(seed: int) -> None:
 
 
 @law
-@given(seeds, st.integers(325, 414))
+@given(seeds, st.integers(*IN_STRIPS[METHOD]))
 def test_strips_change_no_bit(seed: int, kib: int) -> None:
-    """Five strips of 64 rows, or three of 128; in one the frame takes more than 460 KiB."""
+    """Five strips of 64 rows, or three of 128."""
     rows = 4 * 64 + 7
     image, coc = drawn(seed, rows, 16), np.resize(radii(seed), (rows, 16))
     coc[0, :2] = 0.0, LARGEST  # so that tables are always of one size
