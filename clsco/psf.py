@@ -36,7 +36,7 @@ TO_POWERS = np.linalg.inv(np.vander(NODES, 4, increasing=True))
 MANY = 16  # intervals of which a kernel reads the coefficients of a tap together, from every LANES-th one on
 # Sampled discs that reach at most so far, in px to both sides, are added up tap by tap: kernels/near.clh.
 NEAR = 7
-RUN = 16  # intervals whose weights are computed at once: a quarter of the time of one after the other
+RUN = 16  # intervals whose weights are computed at once, of one half-width
 MINIMUM_BLUR = 0.5  # px; sampled PSFs leave smaller radii alone (thesis, 2.2)
 
 
