@@ -18,15 +18,16 @@ from clsco.device import Session
 from clsco.errors import DeviceError, ImageError, SceneError
 from clsco.layers import Layers
 from clsco.layout import WIDE_BYTES, Real, Struct, flat, frame_struct, in_parts, structs
-from clsco.memory import Limit, defocus_bytes, limit_of, rows_that_fit, source_bytes
+from clsco.memory import Limit, defocus_bytes, defocus_strips, is_layered, limit_of, rows_that_fit, source_bytes
 from clsco.optics import LARGEST_BLUR
 from clsco.plan import MANY_RADII, Blur, is_sharp, many_radii
 from clsco.program import build, empty
-from clsco.psf import LANES, reach, table_reach
+from clsco.psf import LANES, reach
 from clsco.scene import Psf
 from clsco.scenefile import parse_psf
+from clsco.slabs import Slabs
 from clsco.spread import FILES_OF, Sources, image_features, prepare_sources
-from clsco.strips import BAND, Strip, cut
+from clsco.strips import BAND, Strip
 
 
 @overload
@@ -62,8 +63,8 @@ def defocus(
     pyopencl arrays of one queue, which is then worked in; memory: most that buffers on the device may take, bytes or a
     size like "1.5GiB", by default half of what is free: an image that needs more is done in horizontal strips, with the
     same bits, but for an approximation, which needs the whole image. With occlusion = "layered" smaller signed radii,
-    which are nearer, hide larger ones where the map jumps (`clsco.layers.Layers`), which needs the whole image as well;
-    with any other nothing hides anything.
+    which are nearer, hide larger ones where the map jumps (`clsco.layers.Layers`); with any other nothing hides
+    anything.
     Returns float32 of the image's shape, as NumPy or pyopencl array as given. Nothing is known outside of the image,
     so with border = "lose" it darkens where light leaves it; sources have their pixel's center, and the gradient for
     `tilt` comes from differences of `coc`. Raises ImageError, SceneError, DeviceError.
@@ -165,14 +166,13 @@ def _blurred(
     shape, channels, ends = given.image.shape, given.channels, (given.smallest, given.largest)
     rows, columns = shape[:2]
     guard = reach(psf, given.largest) + 2 * LANES if blur == "convolve" else 0
-    layered = psf.occlusion == "layered" and blur != "convolve"
-    whole = "layered occlusion" if layered else None if least is None else "an approximation"
+    whole = None if least is None else "an approximation"
 
     def sizes(tall: int) -> dict[str, int]:
         return defocus_bytes(psf, blur, channels, (rows, columns), guard, ends, least, limit.cores, tall)
 
     def in_strips(tall: int) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-        strips = cut(rows, tall, guard, table_reach(psf, given.largest) + 2)
+        strips = defocus_strips(psf, blur, rows, guard, given.largest, tall)
         engine = _Engine(session, given, psf, blur, guard, strips, least, places)
         out = np.empty(shape, np.float32)
         for strip in strips:
@@ -210,7 +210,8 @@ class _Engine:
             session, self.program, psf, blur, self._camera(strips[0]), channels, given.smallest, given.largest, 0,
             self.real, given.brightest, features, least, places,
         )  # fmt: skip
-        area = max(strip.height for strip in strips) * (columns + 2 * guard)
+        tallest = max(strip.height for strip in strips)
+        area = tallest * (columns + 2 * guard)
         self.value = empty(session, 4 * channels * area)
         if constant:
             return
@@ -219,12 +220,22 @@ class _Engine:
         self.valid = empty(session, area)
         cl.enqueue_fill_buffer(session.queue, self.valid, np.ones(1, np.uint8), 0, area)
         self.layers: Layers | None = None
-        if psf.occlusion == "layered":
-            self.layers = Layers(session, self.spreader, psf.tilt, given.largest, self.real, given.brightest)
+        if is_layered(psf, blur):
+            how = (psf.tilt, given.largest, self.real, given.brightest, tallest)
+            self.layers = Layers(session, self.spreader, *how)
+            self.slabs = self._slabs(self.layers, strips)
 
     def _camera(self, strip: Strip) -> Struct:
         rows, columns = self.given.coc.shape
         return frame_struct(rows, columns, self.guard, self.real, strip)
+
+    def _slabs(self, layers: Layers, strips: Sequence[Strip]) -> Slabs:
+        """Slabs of the image, from all strips."""
+        for strip in strips:
+            self.spreader.camera = self._camera(strip)
+            self._send_radii(strip)
+            layers.look(self.coc, self.valid, [])
+        return layers.slabs()
 
     def defocus(self, strip: Strip, out: NDArray[np.float32]) -> None:
         """Blur one strip into out, (rows, columns[, channels])."""
@@ -235,7 +246,7 @@ class _Engine:
         if self.blur == "convolve":
             spreader.add(Sources(None, self.value), self.given.largest, [])
         elif self.layers is not None:
-            self.layers.add(self.value, self.coc, self.valid, [])
+            self.layers.add(self.value, self.coc, self.valid, [], self.slabs)
         else:
             maps = (self.coc, self.valid, self.source)
             prepare_sources(self.session, self.program, camera, spreader.struct, *maps, [])
@@ -259,5 +270,10 @@ class _Engine:
             planes = np.pad(planes, widths)
         cl.enqueue_copy(self.session.queue, self.value, planes)
         if self.blur != "convolve":
-            radii = self.given.coc[top:end].astype(np.float64, order="C")  # that of a transposed array is not
-            cl.enqueue_copy(self.session.queue, self.coc, in_parts(radii, self.real))
+            self._send_radii(strip)
+
+    def _send_radii(self, strip: Strip) -> None:
+        """The radii around a strip to the device."""
+        near = slice(max(strip.top - strip.above, 0), strip.top + strip.rows + strip.below)
+        radii = self.given.coc[near].astype(np.float64, order="C")  # that of a transposed array is not
+        cl.enqueue_copy(self.session.queue, self.coc, in_parts(radii, self.real))

@@ -17,8 +17,9 @@ from clsco.layout import WIDE_BYTES
 from clsco.plan import Blur, Plan
 from clsco.psf import LANES, MANY, is_disc, is_near, is_separable, table_bytes, table_reach
 from clsco.scene import Psf
+from clsco.slabs import levels_of, margin_of_slabs, most_deep
 from clsco.stencil import is_summed
-from clsco.strips import BAND, cut
+from clsco.strips import BAND, Strip, cut
 
 Scratch = Literal["none", "columns", "rows", "near"]
 TILE, WINDOW = 256, 16  # columns that `gather` makes at a time, and rows of small reach, as in kernels/rows.clh
@@ -213,15 +214,25 @@ def _coarse(
 
 
 def _layers(
-    psf: Psf, method: Blur, channels: int, rows: int, columns: int, guard: int, largest: float, cores: int
+    psf: Psf, method: Blur, channels: int, rows: int, columns: int, guard: int, height: int, largest: float, cores: int
 ) -> dict[str, int]:
-    """Buffers of `clsco.layers.Layers`: planes of a slab and of where it is, its pyramid, and its own blur."""
-    area, values = (rows + 2 * guard) * (columns + 2 * guard), channels + 1  # with coverage
-    planes = 4 + 4 + 4 * values + WIDE_BYTES + 1
+    """Buffers of `clsco.layers.Layers`: planes of a slab and of where it is, its pyramid, and its own blur.
+
+    rows: of the tallest strip; height: of the tallest grid of one.
+    """
+    width, values = columns + 2 * guard, channels + 1  # with coverage
+    area, planes = height * width, 4 + 4 + 4 * values + WIDE_BYTES + 1
     sizes = {"source": source_bytes(area, psf.tilt), "planes": planes * area, "covered": 4 * rows * columns}
-    sizes["pyramid"] = 4 * (values + 1) * area * 4 // 3
+    sizes["pyramid"] = pyramid_bytes(psf, channels, width, height, largest)
     sizes |= _spreader(psf, method, values, rows, columns, guard, (0.0, largest), 0, cores)
     return {f"slab {name}": size for name, size in sizes.items()}
+
+
+def pyramid_bytes(psf: Psf, channels: int, width: int, height: int, largest: float) -> int:
+    """Pyramid of `clsco.layers.Layers` over a grid, for radii up to `largest` px."""
+    planes = channels + 2  # radius, and how far it is known
+    rows, columns, start = levels_of(height, width, most_deep(psf, largest), planes)[-1]
+    return 4 * (start + planes * rows * columns)
 
 
 def buffer_bytes(plan: Plan, cores: int) -> dict[str, int]:
@@ -247,7 +258,7 @@ def buffer_bytes(plan: Plan, cores: int) -> dict[str, int]:
         frame = (psf, plan.blur, channels, plan.rows, plan.columns, plan.guard_px)
         sizes |= _coarse(*frame, plan.largest_blur, least, plan.tilt, cores)
     if plan.occlusion == "layered":
-        sizes |= {"coc": WIDE_BYTES * area, "valid": area} | _layers(*blur, plan.largest_blur, cores)
+        sizes |= {"coc": WIDE_BYTES * area, "valid": area} | _layers(*blur, plan.tallest, plan.largest_blur, cores)
     if plan.forward:
         sizes |= _warp(plan, area)
     maps = any(item.shape == "depth_map" for item in plan.scene.objects)
@@ -269,6 +280,17 @@ def _warp(plan: Plan, area: int) -> dict[str, int]:
     return {"warp": planes * area, "warp at rest": (2 * WIDE_BYTES + several + WIDE_BYTES * maps) * pixels}
 
 
+def is_layered(psf: Psf, method: Blur) -> bool:
+    """Whether `clsco.defocus` puts its image into slabs."""
+    return psf.occlusion == "layered" and method != "convolve"
+
+
+def defocus_strips(psf: Psf, method: Blur, rows: int, guard: int, largest: float, tallest: int) -> tuple[Strip, ...]:
+    """Strips of `clsco.defocus` of an image of so many rows with radii up to `largest` px."""
+    reach, step = margin_of_slabs(psf, largest) if is_layered(psf, method) else (table_reach(psf, largest) + 2, 1)
+    return cut(rows, tallest, guard, reach, step)
+
+
 def defocus_bytes(
     psf: Psf, method: Blur, channels: int, shape: tuple[int, int], guard: int, ends: tuple[float, float],
     least: float | None, cores: int, strip_rows: int,
@@ -277,8 +299,9 @@ def defocus_bytes(
 
     least: of an approximation, as for `clsco.coarse.Coarse`, None for the exact blur.
     """
-    strips = cut(shape[0], strip_rows, guard, table_reach(psf, ends[1]) + 2)
-    area = (shape[1] + 2 * guard) * max(strip.height for strip in strips)
+    strips = defocus_strips(psf, method, shape[0], guard, ends[1], strip_rows)
+    height = max(strip.height for strip in strips)
+    area = (shape[1] + 2 * guard) * height
     sizes = {"value": 4 * channels * area}
     if method != "convolve":
         sizes |= {"source": source_bytes(area, psf.tilt), "coc": WIDE_BYTES * area, "valid": area}
@@ -286,8 +309,7 @@ def defocus_bytes(
     sizes |= _spreader(*blur, ends, 0, cores)
     if least is not None:
         sizes |= _coarse(psf, method, channels, *shape, guard, ends[1], least, psf.tilt, cores)
-    layered = psf.occlusion == "layered" and method != "convolve"
-    return sizes | (_layers(*blur, ends[1], cores) if layered else {})
+    return sizes | (_layers(*blur, height, ends[1], cores) if is_layered(psf, method) else {})
 
 
 def hit_bytes(plan: Plan) -> int:
@@ -309,7 +331,6 @@ def fitted(plan: Plan, limit: Limit) -> Plan:
     """The plan with as few strips as fit the limit: the whole frame where it does. Raises as `rows_that_fit`."""
     needs_whole = {
         "the forward warp": plan.forward,
-        "layered occlusion": plan.occlusion == "layered",
         "an approximation": bool(plan.approximations),
     }
     why = next((what for what, needed in needs_whole.items() if needed), None)

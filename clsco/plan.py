@@ -21,6 +21,7 @@ from clsco.occlusion import Layer, extent, is_hollow, layers
 from clsco.optics import LARGEST_BLUR, blur_radius, ray_step
 from clsco.psf import LANES, MINIMUM_BLUR, psf_extent, psf_features, reach, table_bytes, table_reach
 from clsco.scene import Object, Plane, Psf, Scene
+from clsco.slabs import margin_of_slabs
 from clsco.strips import Strip, cut
 from clsco.surfaces import canonical, place, predict_inverse_depth
 
@@ -96,7 +97,9 @@ class Plan:
     @property
     def strips(self) -> tuple[Strip, ...]:
         """The strips that the frame is made in, one after the other; the first one is the tallest."""
-        return cut(self.rows, self.strip_rows or self.rows, self.guard_px, self.reach_px)
+        layered = self.occlusion == "layered"
+        reach, step = margin_of_slabs(self.scene.psf, self.largest_blur) if layered else (self.reach_px, 1)
+        return cut(self.rows, self.strip_rows or self.rows, self.guard_px, reach, step)
 
     @property
     def tallest(self) -> int:

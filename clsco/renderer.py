@@ -36,6 +36,7 @@ from clsco.optics import blur_radius
 from clsco.plan import MANY_RADII, Maps, Plan, exposure, widened
 from clsco.program import build, download, download_into, empty, kernel, launch, upload
 from clsco.scene import DepthMap
+from clsco.slabs import Slabs
 from clsco.spread import FILES_OF, PIXELS, Events, Sources, blur_features, prepare_sources
 from clsco.strips import Strip
 from clsco.surfaces import PlacedSurface, place
@@ -160,7 +161,8 @@ class Renderer:
         self.sub_value = empty(session, 4 * plan.channels * self.slots * each)
         self.slabs: Layers | None = None
         if plan.occlusion == "layered":
-            self.slabs = Layers(session, self.spreader, plan.tilt, self.largest, self.real, self.brightest)
+            how = (plan.tilt, self.largest, self.real, self.brightest, plan.tallest)
+            self.slabs = Layers(session, self.spreader, *how)
             self.coc, self.valid = empty(session, WIDE_BYTES * area), empty(session, area)
 
     def _poses(self, time: float) -> tuple[Pose, ...]:
@@ -185,12 +187,23 @@ class Renderer:
     def _camera(self, strip: Strip) -> Struct:
         return camera_struct(self.plan.scene.camera, self.plan.guard_px, self.real, strip)
 
-    def begin(self) -> None:
-        """Begin a frame: no light yet."""
+    def begin(self, times: Sequence[float]) -> None:
+        """Begin a frame of these moments: no light yet."""
         self.events: Events = []
         shape = (self.plan.rows, self.plan.columns)
         self.color = np.empty(shape if self.plan.channels == 1 else (*shape, self.plan.channels), np.float32)
         cl.enqueue_copy(self.session.queue, self.statistics, EMPTY_STATISTICS)
+        self.slabs_at = {time: self._slabs_at(time) for time in times if len(self.strips) > 1 and self.slabs}
+
+    def _slabs_at(self, time: float) -> Slabs:
+        """Slabs of a moment, from all strips."""
+        assert self.slabs is not None
+        surfaces = self._placed(self._surfaces(time))
+        for strip in self.strips:
+            self.camera = self.spreader.camera = self._camera(strip)
+            _, coc, valid = self._look(surfaces, 0.0, self.events)
+            self.slabs.look(coc, valid, self.events)
+        return self.slabs.slabs()
 
     def begin_strip(self, strip: Strip) -> None:
         """Begin one of the strips of the frame."""
@@ -240,7 +253,7 @@ class Renderer:
         """Light of an image with its blur radii; how many slabs it took where occlusion is layered."""
         value, coc, valid = planes
         if self.slabs is not None:
-            return {"slabs": self.slabs.add(value, coc, valid, events)}
+            return {"slabs": self.slabs.add(value, coc, valid, events, self.slabs_at.get(time))}
         if self.plan.blur in MANY_RADII:
             maps = (coc, valid, self.source)
             prepare_sources(self.session, self.program, self.camera, self.spreader.struct, *maps, events)
@@ -424,7 +437,7 @@ def expose(renderers: Sequence[Renderer], index: int) -> None:
     """Light of the frame of this number, strip by strip and moment by moment, for renderers with the same of both."""
     times, weights = exposure(renderers[0].plan, index)
     for renderer in renderers:
-        renderer.begin()
+        renderer.begin(times.tolist())
     for strip in renderers[0].strips:
         for renderer in renderers:
             renderer.begin_strip(strip)

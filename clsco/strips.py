@@ -29,15 +29,15 @@ class Strip:
         return slice(self.top, self.top + self.rows)
 
 
-def cut(rows: int, tallest: int, guard: int, reach: int) -> tuple[Strip, ...]:
+def cut(rows: int, tallest: int, guard: int, reach: int, step: int = 1) -> tuple[Strip, ...]:
     """Strips of at most `tallest` rows of a frame of `rows`; the first one is the tallest.
 
     tallest: a multiple of BAND, or all rows. guard: rows of sources before the first and after the last row of the
-    frame; reach: so many rows away a source may matter.
+    frame; reach: so many rows away a source may matter; step: grids begin so many rows apart, or a multiple of it.
     """
     found = []
     for top in range(0, rows, tallest):
         end = min(top + tallest, rows)
         above, below = (min(max(guard, reach), left + guard) for left in (top, rows - end))
-        found.append(Strip(top, end - top, above, below))
+        found.append(Strip(top, end - top, above + (top + guard - above) % step, below))
     return tuple(found)

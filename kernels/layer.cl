@@ -12,8 +12,8 @@
 //   hidden   uchar: the slab that is taken to go on behind the pixel, else 0
 //   edge     uchar: whether an edge is so near that coverage counts; light from elsewhere simply adds up
 // and of the slab that is being blurred
-//   pyramid  float, level by level from the finest to a single pixel, each (CHANNELS + 1, rows, columns): radiance,
-//            radius, and how far they are known, 0 to 1
+//   pyramid  float, level by level from the finest on, each (CHANNELS + 1, rows, columns): radiance, radius, and how far
+//            they are known, 0 to 1
 //   slab_value float (CHANNELS, height, width): radiance and coverage; slab_coc, slab_valid: as coc and valid
 // All is whole numbers, or sums in a fixed order: the same bits every time.
 
@@ -193,9 +193,10 @@ __kernel void open_slab(const camera_t camera, const int which, __global const f
 }
 
 // One pixel of the coarser level (rows, columns) per work-item: means of what is known, under a tent of 4 x 4 pixels of
-// the finer one (fine_rows, fine_columns). fine, coarse: where the levels are in the pyramid.
+// the finer one (fine_rows, fine_columns). fine, coarse: where the levels are in the pyramid; last: there is no coarser one
+// to ask, so what is known in part is taken as it is.
 __kernel void push(const int fine_rows, const int fine_columns, const int rows, const int columns, const int fine,
-                   const int coarse, __global float *pyramid)
+                   const int coarse, const int last, __global float *pyramid)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= columns || y >= rows)
@@ -219,21 +220,39 @@ __kernel void push(const int fine_rows, const int fine_columns, const int rows, 
     __global float *to = pyramid + coarse + y * columns + x;
     for (int c = 0; c < CHANNELS; ++c)
         to[c * rows * columns] = total > 0 ? sum[c] / total : 0;
-    to[KNOWN * rows * columns] = MIN(GROWTH * total, 1.0f);
+    to[KNOWN * rows * columns] = last ? total > 0 : MIN(GROWTH * total, 1.0f);
 }
 
-// Pixel (y, x) of the finer level between those of a coarser one (rows, columns).
-static float between(__global const float *plane, int rows, int columns, int y, int x)
+// Places of the four pixels of a coarser level around one of the finer level, and the shares of those that are known: of
+// the nearest and the others along a row, and the same in the other row.
+typedef struct {
+    int4 place;
+    float4 share;
+    float sum;
+} around_t;
+
+// known: plane of the coarser level (rows, columns), of 0 and 1. Pixel (y, x) of the finer one.
+static around_t around(__global const float *known, int rows, int columns, int y, int x)
 {
     const int row = y / 2, other_row = y % 2 ? MIN(row + 1, rows - 1) : MAX(row - 1, 0);
     const int column = x / 2, other_column = x % 2 ? MIN(column + 1, columns - 1) : MAX(column - 1, 0);
-    __global const float *line = plane + row * columns, *other = plane + other_row * columns;
-    return 0.75f * (0.75f * line[column] + 0.25f * other[column]) +
-           0.25f * (0.75f * line[other_column] + 0.25f * other[other_column]);
+    around_t near;
+    near.place = (int4)(row, row, other_row, other_row) * columns + (int4)(column, other_column, column, other_column);
+    near.share = (float4)(0.5625f, 0.1875f, 0.1875f, 0.0625f) *
+                 (float4)(known[near.place.x], known[near.place.y], known[near.place.z], known[near.place.w]);
+    near.sum = near.share.x + near.share.y + near.share.z + near.share.w;
+    return near;
+}
+
+// Mean of what is known there; 0 where nothing is.
+static float between(__global const float *plane, around_t near)
+{
+    const float4 light = {plane[near.place.x], plane[near.place.y], plane[near.place.z], plane[near.place.w]};
+    return near.sum > 0 ? dot(near.share, light) / near.sum : 0;
 }
 
 // One pixel of the finer level per work-item: what it does not know, in part or whole, comes from the coarser one.
-// Arguments as for push; coarse is pulled already.
+// Arguments as for push; coarse is pulled already, or the last one.
 __kernel void pull(const int fine_rows, const int fine_columns, const int rows, const int columns, const int fine,
                    const int coarse, __global float *pyramid)
 {
@@ -243,9 +262,12 @@ __kernel void pull(const int fine_rows, const int fine_columns, const int rows, 
     const int plane = fine_rows * fine_columns;
     __global float *to = pyramid + fine + y * fine_columns + x;
     const float known = to[KNOWN * plane];
-    for (int c = 0; c < CHANNELS && known < 1; ++c)
-        to[c * plane] = known * to[c * plane] +
-                        (1 - known) * between(pyramid + coarse + c * rows * columns, rows, columns, y, x);
+    if (known == 1)
+        return;
+    const around_t near = around(pyramid + coarse + KNOWN * rows * columns, rows, columns, y, x);
+    for (int c = 0; c < CHANNELS && near.sum > 0; ++c)
+        to[c * plane] = known * to[c * plane] + (1 - known) * between(pyramid + coarse + c * rows * columns, near);
+    to[KNOWN * plane] = known > 0 || near.sum > 0;
 }
 
 // Slab `which` with its hidden part, which comes from the second level (rows, columns) of the pyramid, at `coarse`.
@@ -260,11 +282,12 @@ __kernel void take_slab(const camera_t camera, const int which, const int rows, 
     const int at = y * camera.width + x;
     const bool own = slab[at] == which, there = own || hidden[at] == which;
     __global const float *behind = pyramid + coarse;
+    const around_t near = around(behind + KNOWN * rows * columns, rows, columns, y, x);
     for (int c = 0; c < CHANNELS - 1; ++c)
         slab_value[c * plane + at] = own ? value[c * plane + at]
-                                   : there ? between(behind + c * rows * columns, rows, columns, y, x) : 0;
+                                   : there ? between(behind + c * rows * columns, near) : 0;
     slab_value[(CHANNELS - 1) * plane + at] = there;
-    const float radius = there && !own ? between(behind + RADIUS * rows * columns, rows, columns, y, x) : 0;
+    const float radius = there && !own ? between(behind + RADIUS * rows * columns, near) : 0;
     slab_coc[at] = own ? coc[at] : widened(radius);
     slab_valid[at] = there;
 }

@@ -17,7 +17,7 @@ from clsco.cli import main
 from clsco.errors import SceneError
 from clsco.memory import Limit, free_bytes, limit_of, margin, parse_size, rows_that_fit
 from clsco.psf import LANES
-from clsco.strips import BAND, Strip, cut
+from clsco.strips import BAND, Strip
 
 
 @pytest.mark.parametrize(
@@ -115,6 +115,33 @@ def test_an_image_in_strips(
     image = RNG.random((*SHAPE, *channels), np.float32)
     i, j = np.indices(SHAPE)
     coc = radius * (np.ones(SHAPE) if method == "convolve" else np.sin(i / 23.0) * np.cos(j / 31.0))
+    assert_strips(image, coc, psf, method, monkeypatch)
+
+
+@pytest.mark.parametrize(
+    ("method", "psf", "channels"),
+    [
+        ("gather", {}, (3,)),
+        pytest.param("scatter", {"border": "renormalize"}, (), marks=pytest.mark.slow),
+        pytest.param("tiles", {"model": "gaussian", "edge": "area"}, (), marks=pytest.mark.slow),
+    ],
+)
+def test_layers_in_strips(
+    method: str, psf: dict[str, object], channels: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The farthest surfaces of the image are in its first rows, the nearest in its last ones."""
+    image = RNG.random((*SHAPE, *channels), np.float32)
+    i, j = np.indices(SHAPE)
+    coc = np.where(np.sin(i / 9.0) * np.cos(j / 11.0) > 0.2, -0.4, 1.5) - i / SHAPE[0]
+    assert_strips(image, coc, {"occlusion": "layered"} | psf, method, monkeypatch)
+    plain = clsco.defocus(image, coc, {"occlusion": "none"} | psf, method=method)
+    assert np.abs(clsco.defocus(image, coc, {"occlusion": "layered"} | psf, method=method) - plain).max() > 0.1
+
+
+def assert_strips(
+    image: np.ndarray[Any, Any], coc: np.ndarray[Any, Any], psf: dict[str, object], method: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
     needed: dict[int, int] = {}
     used: list[int] = []
 
@@ -124,12 +151,12 @@ def test_an_image_in_strips(
         return found
 
     def strips(*args: Any) -> tuple[Strip, ...]:
-        found = cut(*args)
+        found = memory.defocus_strips(*args)
         used.append(len(found))
         return found
 
     monkeypatch.setattr(import_module("clsco.defocus"), "defocus_bytes", sizes)
-    monkeypatch.setattr(import_module("clsco.defocus"), "cut", strips)
+    monkeypatch.setattr(import_module("clsco.defocus"), "defocus_strips", strips)
     whole = clsco.defocus(image, coc, psf, method=method)
     with pytest.raises(SceneError, match=r"^memory: must be at least \d+ MiB for this frame, in strips of 64 rows"):
         clsco.defocus(image, coc, psf, method=method, memory=1000)
@@ -144,12 +171,6 @@ def test_approximations_need_the_whole_image(how: dict[str, Any]) -> None:
     image, coc = RNG.random(SHAPE, np.float32), np.full(SHAPE, 50.0) + RNG.random(SHAPE)
     with pytest.raises(SceneError, match=r"MiB for this frame, as an approximation needs the whole frame; got 1 MiB"):
         clsco.defocus(image, coc, memory="1MiB", **how)
-
-
-def test_layers_need_the_whole_image() -> None:
-    image, coc = RNG.random(SHAPE, np.float32), RNG.random(SHAPE) * 3
-    with pytest.raises(SceneError, match=r"MiB for this frame, as layered occlusion needs the whole frame; got 1 MiB"):
-        clsco.defocus(image, coc, {"occlusion": "layered"}, memory="1MiB")
 
 
 PLANE = '[camera]\nresolution = [100, 500]\n[[object]]\nshape = "plane"\ndistance = 300.0\nslope_y = 0.2\n'

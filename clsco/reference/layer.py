@@ -7,7 +7,7 @@ All that is known is what the pinhole sees: the radiance and the signed blur rad
 from __future__ import annotations
 
 from dataclasses import replace
-from math import ceil
+from math import ceil, log2
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,8 +134,11 @@ def open_slab(radiance: Array, coc: Array, slab: Labels, which: int) -> Array:
     return np.concatenate([radiance, coc[..., None], known[..., None]], axis=-1) * known[..., None]
 
 
-def push(fine: Array) -> Array:
-    """The next coarser level (ceil(H / 2), ceil(W / 2), C + 2): means of what is known, under a tent of 4 x 4."""
+def push(fine: Array, last: bool = False) -> Array:
+    """The next coarser level (ceil(H / 2), ceil(W / 2), C + 2): means of what is known, under a tent of 4 x 4.
+
+    last: there is no coarser one to ask, so what is known in part is taken as it is.
+    """
     rows, columns = -(-fine.shape[0] // 2), -(-fine.shape[1] // 2)
     known = fine[..., -1:]
     sums = np.concatenate([fine[..., :-1] * known, known], axis=-1)
@@ -146,7 +149,7 @@ def push(fine: Array) -> Array:
     return np.concatenate(
         [
             np.where(total > 0, sums[..., :-1] / np.where(total > 0, total, 1.0), 0.0),
-            np.minimum(GROWTH * total, 1.0),
+            np.where(total > 0, 1.0, 0.0) if last else np.minimum(GROWTH * total, 1.0),
         ],
         axis=-1,
     )
@@ -160,12 +163,20 @@ def _between(coarse: Array, count: int, axis: int) -> Array:
     return np.asarray(0.75 * np.take(coarse, near, axis) + 0.25 * np.take(coarse, other, axis))
 
 
+def _around(coarse: Array, shape: tuple[int, ...]) -> tuple[Array, Mask]:
+    """Means (H, W, C + 1) of what a pulled level knows around each pixel of the finer one, and whether it knows any."""
+    known = coarse[..., -1:]
+    sums = _between(_between(np.concatenate([coarse[..., :-1] * known, known], axis=-1), shape[0], 0), shape[1], 1)
+    share = sums[..., -1:]
+    return np.where(share > 0, sums[..., :-1] / np.where(share > 0, share, 1.0), 0.0), share > 0
+
+
 def pull(fine: Array, coarse: Array) -> Array:
     """A level (H, W, C + 2) with what it does not know, in part or whole, from the next coarser one."""
     known = fine[..., -1:]
-    rows, columns = fine.shape[:2]
-    known_else = _between(_between(coarse, rows, 0), columns, 1)
-    return np.concatenate([known * fine[..., :-1] + (1.0 - known) * known_else[..., :-1], known], axis=-1)
+    other, found = _around(coarse, fine.shape)
+    values = np.where(found, known * fine[..., :-1] + (1.0 - known) * other, fine[..., :-1])
+    return np.concatenate([values, np.where((known > 0) | found, 1.0, 0.0)], axis=-1)
 
 
 def take_slab(
@@ -175,13 +186,12 @@ def take_slab(
 
     coarse: the pulled second level of the slab's pyramid, from which the hidden part comes.
     """
-    rows, columns = slab.shape
-    behind = _between(_between(coarse, rows, 0), columns, 1)
+    behind, _ = _around(coarse, slab.shape)
     own, extended = slab == which, hidden == which
     there = own | extended
-    light = np.where(own[..., None], radiance, behind[..., :-2])
-    value = np.concatenate([light, np.ones((rows, columns, 1))], axis=-1) * there[..., None]
-    return value, np.where(own, coc, np.where(extended, behind[..., -2], 0.0)), there
+    light = np.where(own[..., None], radiance, behind[..., :-1])
+    value = np.concatenate([light, np.ones((*slab.shape, 1))], axis=-1) * there[..., None]
+    return value, np.where(own, coc, np.where(extended, behind[..., -1], 0.0)), there
 
 
 def keep_sources(sources: Sources, edge: Mask, near_edges: bool) -> Sources:
@@ -201,15 +211,26 @@ def composite(total: Array, covered: Array, blurred: Array) -> tuple[Array, Arra
     return total + share[..., None] * blurred[..., :-1], covered + seen
 
 
-def extend_slab(radiance: Array, coc: Array, slab: Labels, hidden: Labels, which: int) -> tuple[Array, Array, Mask]:
-    """One slab with its hidden part; result as of `take_slab`. Push-pull over a pyramid (Gortler et al. 1996)."""
-    levels = [open_slab(radiance, coc, slab, which)]
-    while max(levels[-1].shape[:2]) > 1:
-        levels.append(push(levels[-1]))
+def extend_slab(
+    radiance: Array, coc: Array, slab: Labels, hidden: Labels, which: int, deep: int
+) -> tuple[Array, Array, Mask]:
+    """One slab with its hidden part; result as of `take_slab`. Push-pull over a pyramid (Gortler et al. 1996).
+
+    It has as few levels as show each pixel what is deep + 1 px away: hidden pixels are no farther from their slab. So
+    strips of a frame need no more than what is near by.
+    """
+    levels, count = [open_slab(radiance, coc, slab, which)], level_count(deep)
+    for level in range(1, count + 1):
+        levels.append(push(levels[-1], last=level == count))
     coarse = levels[-1]
     for fine in levels[-2:0:-1]:
         coarse = pull(fine, coarse)
     return take_slab(radiance, coc, slab, hidden, coarse, which)
+
+
+def level_count(deep: int) -> int:
+    """Levels above the finest one of a pyramid."""
+    return ceil(log2(deep + 2))
 
 
 def depth_of_hidden(psf: Psf, largest_sum: int) -> int:
@@ -247,6 +268,6 @@ def spread_slabs(
     hidden, edge = reach_hidden(slab, seed, column_seeds(seed), deep)
     total, covered = light(radiance, coc, slab > 0, near_edges=False), np.zeros(shape)
     for which in range(1, count + 1):
-        blurred = light(*extend_slab(radiance, coc, slab, hidden, which), near_edges=True)
+        blurred = light(*extend_slab(radiance, coc, slab, hidden, which, deep), near_edges=True)
         total, covered = composite(total, covered, blurred)
     return total, count

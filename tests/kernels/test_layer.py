@@ -9,7 +9,7 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
-from clsco import layers
+from clsco import slabs
 from clsco.device import Session
 from clsco.layers import Layers
 from clsco.layout import Real, flat, frame_struct, in_parts, structs
@@ -137,6 +137,7 @@ def test_labels_are_those_of_the_twin(session: Session) -> None:
     low, bins = twin.bins_of(view.largest)
     assert (device.layers.low, device.layers.bins) == (low, bins)
     latest, largest_sum = twin.find_jumps(view.coc, view.valid, low, bins, 2 * reach(view.psf, view.largest) + 1)
+    device.layers.look(device.coc, device.valid, [])
     found = download(session, device.layers.latest, (latest.size + 1,), np.int32)
     np.testing.assert_array_equal(found, [*latest.ravel(), largest_sum])
     slab = twin.label_slabs(view.coc, view.valid, low, bins, twin.slab_bounds(latest))
@@ -158,7 +159,10 @@ def test_the_last_slab_is_extended_as_by_the_twin(session: Session) -> None:
     device = Device(session, view)
     device.image()
     slab, hidden = device.read("slab", np.uint8), device.read("hidden", np.uint8)
-    value, radius, there = twin.extend_slab(view.radiance, view.coc, slab, hidden, int(slab.max()))
+    _, largest_sum = twin.find_jumps(view.coc, view.valid, *twin.bins_of(4.5), 2 * reach(view.psf, view.largest) + 1)
+    deep = twin.depth_of_hidden(view.psf, largest_sum)
+    value, radius, there = twin.extend_slab(view.radiance, view.coc, slab, hidden, int(slab.max()), deep)
+    assert [twin.level_count(n) for n in range(1, 99)] == [slabs.level_count(n) for n in range(1, 99)]
     size = view.coc.shape
     found = np.moveaxis(download(session, device.layers.value, (4, *size), np.float32), 0, -1)
     # A mean of means, each of 16 terms: a few roundings of 2^-24 of values up to 4.
@@ -169,13 +173,14 @@ def test_the_last_slab_is_extended_as_by_the_twin(session: Session) -> None:
 
 def test_bounds_of_the_host_are_those_of_the_twin() -> None:
     rng = RNG(12)
-    assert (layers.MOST_SLABS, layers.JUMP, layers.BIN) == (twin.MOST_SLABS, twin.JUMP, twin.BIN)
+    assert (slabs.MOST_SLABS, slabs.JUMP, slabs.BIN) == (twin.MOST_SLABS, twin.JUMP, twin.BIN)
     low, bins = twin.bins_of(30.0)
+    assert slabs.bins_of(30.0) == (low, bins)
     counts = set()
     for surfaces in (1, 2, 3, 6, 12, 40):
         coc = rng.uniform(-30, 30, surfaces)[rng.integers(0, surfaces, (20, 20))]
         latest, _ = twin.find_jumps(coc, rng.random((20, 20)) < 0.9, low, bins, 5)
-        bounds = layers.slab_bounds(latest.astype(np.int32))
+        bounds = slabs.slab_bounds(latest.astype(np.int32))
         assert bounds == twin.slab_bounds(latest)
         counts.add(len(bounds))
     assert {0, 1} < counts

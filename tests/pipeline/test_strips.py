@@ -114,6 +114,37 @@ def test_strips_have_the_bits_of_the_whole_frame(name: str, peak: list[int]) -> 
         assert_same(whole, tiled)
 
 
+TALL = 17 * BAND + 23
+CARDS = [CARD | {"bounds": [[-5.0, 4.0], [-75.0 + k, 75.0], [-1.0, 1.0]], "distance": 230.0 + 9 * k} for k in (0, 7)]
+
+
+@pytest.mark.parametrize(
+    ("method", "sections"),
+    [
+        ("gather", {"object": [*CARDS, FLOOR]}),
+        pytest.param("gather", {"object": [BALL, WALL], "sequence": {"samples": 2}}, marks=pytest.mark.slow),
+        pytest.param("scatter", {"object": [*CARDS, FLOOR], "psf": {"model": "gaussian"}}, marks=pytest.mark.slow),
+        pytest.param("gather", {"object": [*CARDS, WALL], "psf": {"border": "renormalize"}}, marks=pytest.mark.slow),
+    ],
+)
+def test_slabs_in_strips(method: str, sections: dict[str, Any], peak: list[int]) -> None:
+    """Where slabs begin is for all strips to say; what goes on behind an edge is made from what is near."""
+    camera = {"resolution": [COLUMNS, TALL], "pixel_pitch": 0.04, "aperture_diameter": 8.0}
+    psf = {"occlusion": "layered"} | sections.get("psf", {})
+    scene = parse_scene({"camera": camera} | sections | {"psf": psf})
+    whole = list(clsco.render(scene, method=method))
+    assert {frame.metadata["strips"] for frame in whole} == {1}
+    assert whole[0].metadata["intermediate"][0]["slabs"] > 1
+    for rows in (BAND, 4 * BAND):
+        limit, before = memory_for(scene, rows, method=method), peak[0]
+        peak[1] = before
+        tiled = list(clsco.render(scene, method=method, memory=limit))
+        assert peak[1] - before == pytest.approx(limit, rel=0.05)
+        assert {frame.metadata["strips"] for frame in tiled} == {-(-TALL // rows)}
+        assert tiled[0].metadata["intermediate"] == whole[0].metadata["intermediate"]
+        assert_same(whole, tiled)
+
+
 def test_a_plan_that_was_too_small(monkeypatch: pytest.MonkeyPatch, peak: list[int]) -> None:
     """Radii beyond the prediction: the whole frame again, in strips of the wider plan."""
     scene, least = scene_of("moving ball"), 2.0
@@ -151,7 +182,6 @@ def test_a_sweep_in_strips() -> None:
     ("sections", "method", "why"),
     [
         ({"motion": {"warp": "forward"}}, "auto", "the forward warp"),
-        ({"psf": {"occlusion": "layered"}, "object": [CARD, WALL]}, "auto", "layered occlusion"),
         *(
             pytest.param(sections, method, "an approximation", marks=pytest.mark.slow)
             for sections, method in (
@@ -187,12 +217,13 @@ def test_too_little_memory() -> None:
 
 
 @pytest.mark.parametrize(("rows", "tallest"), [(1, 1), (64, 64), (65, 64), (500, 128), (500, 500)])
-@pytest.mark.parametrize(("guard", "reach"), [(0, 7), (9, 7), (200, 190)])
-def test_strips_cover_the_frame(rows: int, tallest: int, guard: int, reach: int) -> None:
-    strips = cut(rows, tallest, guard, reach)
+@pytest.mark.parametrize(("guard", "reach", "step"), [(0, 7, 1), (9, 7, 1), (200, 190, 1), (9, 7, 8), (0, 77, 128)])
+def test_strips_cover_the_frame(rows: int, tallest: int, guard: int, reach: int, step: int) -> None:
+    strips = cut(rows, tallest, guard, reach, step)
     assert [row for strip in strips for row in range(strip.top, strip.top + strip.rows)] == list(range(rows))
     for strip in strips:
         first, last = strip.top - strip.above, strip.top + strip.rows + strip.below
-        assert first == max(-guard, strip.top - max(guard, reach))
+        assert first % step == -guard % step
+        assert 0 <= max(-guard, strip.top - max(guard, reach)) - first < step
         assert last == min(rows + guard, strip.top + strip.rows + max(guard, reach))
         assert strip.height == last - first

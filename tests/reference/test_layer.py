@@ -22,6 +22,7 @@ from clsco.reference.layer import (
     find_jumps,
     label_slabs,
     layered,
+    level_count,
     open_slab,
     pull,
     push,
@@ -149,7 +150,7 @@ def test_a_constant_slab_goes_on_constant_behind_the_others() -> None:
     slab = np.where(near, 1, 2).astype(np.uint8)
     radiance = np.where(near, 0.0, 0.7)[..., None]
     coc = np.where(near, -4.0, 5.0)
-    value, radius, there = extend_slab(radiance, coc, slab, np.where(near, 2, 0).astype(np.uint8), 2)
+    value, radius, there = extend_slab(radiance, coc, slab, np.where(near, 2, 0).astype(np.uint8), 2, 15)
     np.testing.assert_allclose(value[..., 0], 0.7, rtol=0, atol=1e-14)
     np.testing.assert_allclose(radius, 5.0, rtol=0, atol=1e-13)
     assert there.all()
@@ -165,17 +166,41 @@ def test_a_pyramid_interpolates_what_is_missing(shape: tuple[int, int]) -> None:
     radiance, coc = rng.uniform(2, 3, (*shape, 2)), rng.uniform(4, 5, shape)
     levels = [open_slab(radiance, coc, slab, 1)]
     while max(levels[-1].shape[:2]) > 1:
-        levels.append(push(levels[-1]))
+        levels.append(push(levels[-1], last=max(levels[-1].shape[:2]) == 2))
         assert levels[-1].shape[:2] == tuple(-(-n // 2) for n in levels[-2].shape[:2])
-    assert levels[-1][..., -1].min() > 0
+    assert levels[-1][..., -1].min() == 1
     coarse = levels.pop()
     while levels:
         coarse = pull(levels.pop(), coarse)
+    np.testing.assert_array_equal(coarse[..., -1], 1.0)
     np.testing.assert_array_equal(coarse[slab > 0][:, :2], radiance[slab > 0])
     assert coarse[..., :2].min() > 2 - 1e-12
     assert coarse[..., :2].max() < 3 + 1e-12
     assert coarse[..., 2].min() > 4 - 1e-12
     assert coarse[..., 2].max() < 5 + 1e-12
+
+
+@pytest.mark.parametrize("deep", [1, 2, 3, 6, 7])
+def test_a_pyramid_shows_what_is_near_and_nothing_else(deep: int) -> None:
+    """One pixel of a slab: all up to deep + 1 px away look like it; what is far away changes no bit."""
+    size, step = 160, 1 << level_count(deep)
+    assert deep + 2 <= step < 2 * (deep + 2)
+    y, x = np.indices((size, size))
+    for row, column in ((70, 71), (79, 80), (87, 88), (83, 69)):
+        slab = ((y == row) & (x == column)).astype(np.uint8)
+        radiance, coc = np.where(slab, 0.3, 0.0)[..., None], np.where(slab, -2.0, 9.0)
+        near = np.maximum(abs(y - row), abs(x - column)) <= deep + 1
+        hidden = ((slab == 0) & near).astype(np.uint8)
+        value, radius, there = extend_slab(radiance, coc, slab, hidden, 1, deep)
+        assert (there == near).all()
+        np.testing.assert_allclose(value[there], [[0.3, 1.0]] * int(there.sum()), rtol=0, atol=1e-15)
+        np.testing.assert_allclose(radius[there], -2.0, rtol=0, atol=1e-14)
+        away = abs(y - row) > deep + 1 + 4 * step
+        slab = np.where(away & (RNG(9).random(slab.shape) < 0.5), 1, slab).astype(np.uint8)
+        lit = np.where(away, 1.0, radiance[..., 0])[..., None]
+        other, _, _ = extend_slab(lit, coc, slab, hidden, 1, deep)
+        assert away.any()
+        np.testing.assert_array_equal(other[~away], value[~away])
 
 
 def test_composite_fills_the_room_that_is_left() -> None:
