@@ -243,12 +243,15 @@ def unused_keys(plan: Plan) -> list[tuple[str, str]]:
     motions = [scene.camera.motion, *(item.motion for item in scene.objects)]
     if not plan.moves:
         give("sequence", ("samples", "sampling", "shutter"), "nothing moves")
-        used = ["warp"] * plan.forward + ["texture_filter"] * (scene.stereo is not None)
+        mapped = plan.forward or plan.still_map
+        used = ["warp"] * mapped + ["texture_filter"] * (scene.stereo is not None)
         give("motion", [key for key in type(scene.motion).model_fields if key not in used], "nothing moves")
-        if not plan.forward:
+        if not mapped:
             give("fill", type(scene.fill).model_fields, "nothing moves")
     elif all(sum(map(bool, motion.angular_velocity)) < 2 for motion in motions):
         give("motion", ("rotation",), "euler and axis differ only for turns about several axes")
+    if plan.still_map:
+        give("fill", ("domain",), "nothing moves")
     if plan.forward and scene.fill.method == "none":
         give("fill", ("domain",), "fill.method is none")
     if plan.blur == "none":

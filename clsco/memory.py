@@ -245,7 +245,7 @@ def buffer_bytes(plan: Plan, cores: int) -> dict[str, int]:
     features = plan.features()
     wide = WIDE_BYTES * bool(features["OCCLUDED"])
     textures = len({item.texture for item in plan.scene.objects})
-    sizes = {"texture": 4 * channels * textures * plan.rows * plan.columns}
+    sizes = {"texture": 4 * channels * textures * plan.rows * plan.columns * (not plan.still_map)}
     marked = bool(each or features["OCCLUDED"])
     sizes |= {"source": source_bytes(area, bool(features["TILT"]), marked), "value": 4 * channels * area}
     sizes |= {"depth": wide * area, "label": area * bool(each)}
@@ -257,8 +257,10 @@ def buffer_bytes(plan: Plan, cores: int) -> dict[str, int]:
         least = METHODS[plan.approximations[0]]
         frame = (psf, plan.blur, channels, plan.rows, plan.columns, plan.guard_px)
         sizes |= _coarse(*frame, plan.largest_blur, least, plan.tilt, cores)
+    if plan.occlusion == "layered" or plan.still_map:
+        sizes |= {"coc": WIDE_BYTES * area, "valid": area}
     if plan.occlusion == "layered":
-        sizes |= {"coc": WIDE_BYTES * area, "valid": area} | _layers(*blur, plan.tallest, plan.largest_blur, cores)
+        sizes |= _layers(*blur, plan.tallest, plan.largest_blur, cores)
     if plan.forward:
         sizes |= _warp(plan, area)
     maps = any(item.shape == "depth_map" for item in plan.scene.objects)

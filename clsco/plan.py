@@ -47,11 +47,11 @@ class Plan:
     scene: with its resolution; channels: 1 or 3; rows, columns px; samples: intermediate frames per frame;
     guard_px: width of the band around the frame whose surface lights it; smallest_blur, largest_blur: predicted
     range of |R| in px over the whole sequence, with a margin; blur: how light is spread; silhouettes: sub-pixel
-    sources per axis, 0 none; tilt, forward, moves: whether these passes are taken; eye: of a stereo pair; occlusion: as
-    it is done; layers: what is spread one after the other; truth: outputs besides color; passes, left_out: (name, what
-    or why); taps: predicted weights per frame; strip_rows: of the frame that are worked on at a time, 0 for all;
-    tolerance: that was asked for; approximations: what is taken instead of the exact blur (`clsco.coarsening.METHODS`),
-    in this order until the error is within the tolerance.
+    sources per axis, 0 none; tilt, forward, still_map, moves: whether these passes are taken; eye: of a stereo pair;
+    occlusion: as it is done; layers: what is spread one after the other; truth: outputs besides color; passes,
+    left_out: (name, what or why); taps: predicted weights per frame; strip_rows: of the frame that are worked on at a
+    time, 0 for all; tolerance: that was asked for; approximations: what is taken instead of the exact blur
+    (`clsco.coarsening.METHODS`), in this order until the error is within the tolerance.
     """
 
     scene: Scene
@@ -66,6 +66,7 @@ class Plan:
     silhouettes: int
     tilt: bool
     forward: bool
+    still_map: bool
     moves: bool
     eye: Eye
     occlusion: Occlusion
@@ -137,10 +138,16 @@ class Plan:
         } | psf_features(scene.psf)
 
 
+def is_still_map(scene: Scene) -> bool:
+    """Whether every pixel shows what it does in a depth map and its image: nothing else is there, and nothing moves."""
+    alone = len(scene.objects) == 1 and scene.objects[0].shape == "depth_map"
+    return alone and not scene.moves and scene.stereo is None
+
+
 def is_forward(scene: Scene, eye: Eye) -> bool:
-    """Whether the pixels at rest are moved: with the forward warp what moves, and depth maps always."""
+    """Whether the pixels at rest are moved: with the forward warp what moves, and depth maps unless all is still."""
     if any(item.shape == "depth_map" for item in scene.objects):
-        return True
+        return not is_still_map(scene)
     return scene.motion.warp == "forward" and (scene.moves or displaced(scene, eye))
 
 
@@ -313,14 +320,14 @@ def _hides_nothing(scene: Scene) -> bool:
 
 
 def _occlusion(
-    scene: Scene, forward: bool, sharp: bool, moments: list[tuple[Pose, ...]], w: Array
+    scene: Scene, rays: bool, sharp: bool, moments: list[tuple[Pose, ...]], w: Array
 ) -> tuple[Occlusion, tuple[Layer, ...]]:
     """How what hides what is dealt with, and the layers of objects that follow."""
     together = (Layer((1 << len(scene.objects)) - 1, 0),)
     wanted = scene.psf.occlusion
     if wanted == "none" or sharp or _hides_nothing(scene):
         return "none", together
-    if wanted == "layered" or forward:
+    if wanted == "layered" or not rays:
         return "layered", together
     extents = [extent(item, [poses[k] for poses in moments], w[k]) for k, item in enumerate(scene.objects)]
     found = layers(scene.objects, extents, scene.camera, scene.psf)
@@ -353,20 +360,21 @@ def make_plan(
         raise SceneError("camera.resolution: must be known before a scene is planned; got None")
     columns, rows = scene.camera.resolution
     psf, moves = scene.psf, scene.moves
-    forward = is_forward(scene, eye)
+    forward, still = is_forward(scene, eye), is_still_map(scene)
     maps = maps or (None,) * len(scene.objects)
     samples = _samples(scene, maps)
     moments = _moments(scene, eye)
     smallest, largest, each, guard = _blur_range(scene, moments, maps)
     w = each.max(axis=0)
     slabs = psf.occlusion == "layered" and not _hides_nothing(scene)
-    silhouettes = psf.silhouette_samples if psf.silhouette_samples > 1 and not forward and not slabs else 0
+    rays = not (forward or still)
+    silhouettes = psf.silhouette_samples if psf.silhouette_samples > 1 and rays and not slabs else 0
     if silhouettes and _fills_view(scene, w):
         silhouettes = 0
     constant = _constant_blur(scene) and not silhouettes and psf.border == "lose"
     sharp = is_sharp(psf, largest) and not silhouettes
     check_border(psf, method)
-    occlusion, found = _occlusion(scene, forward, sharp, moments, each)
+    occlusion, found = _occlusion(scene, rays, sharp, moments, each)
     occluded = any(layer.blockers for layer in found)
     blur = _choose_blur(method, sharp, constant, gpu, occluded)
     approximations: tuple[str, ...] = (method,) if method in METHODS and blur != "none" else ()
@@ -378,7 +386,19 @@ def make_plan(
         guard += 2 * LANES
     tilt = psf.tilt and not _constant_blur(scene) and blur not in ("convolve", "none")
     passes, left_out = _passes(
-        scene, eye, forward, samples, largest, blur, silhouettes, tilt, truth, channels, occlusion, len(found), gpu
+        scene,
+        eye,
+        (forward, still),
+        samples,
+        largest,
+        blur,
+        silhouettes,
+        tilt,
+        truth,
+        channels,
+        occlusion,
+        len(found),
+        gpu,
     )
     if blur in MANY_RADII:
         _check_tables(psf, smallest, largest, silhouettes)
@@ -387,7 +407,7 @@ def make_plan(
     taps = float((w > 0).mean() * area * samples * (lit.mean() if lit.size else 0.0)) if blur != "none" else 0.0
     return Plan(
         scene, channels, rows, columns, samples, guard, smallest, largest, blur, silhouettes, tilt, forward,
-        moves, eye, occlusion, found, truth, passes, left_out, taps, 0, tolerance, approximations,
+        still, moves, eye, occlusion, found, truth, passes, left_out, taps, 0, tolerance, approximations,
     )  # fmt: skip
 
 
@@ -432,10 +452,11 @@ def _choose_blur(method: str, sharp: bool, constant: bool, gpu: bool, occluded: 
 
 
 def _passes(
-    scene: Scene, eye: Eye, forward: bool, samples: int, largest: float, blur: Blur, silhouettes: int, tilt: bool,
-    truth: tuple[str, ...], channels: int, occlusion: Occlusion, layers: int, gpu: bool,
+    scene: Scene, eye: Eye, pixels: tuple[bool, bool], samples: int, largest: float, blur: Blur, silhouettes: int,
+    tilt: bool, truth: tuple[str, ...], channels: int, occlusion: Occlusion, layers: int, gpu: bool,
 ) -> tuple[tuple[tuple[str, str], ...], tuple[tuple[str, str], ...]]:  # fmt: skip
-    """What is done, and what is left out with the reason."""
+    """What is done, and what is left out with the reason; pixels: whether they are moved, or taken as they are."""
+    forward, still = pixels
     psf, moves = scene.psf, scene.moves
     shapes = ", ".join(dict.fromkeys(item.shape for item in scene.objects))
     done: list[tuple[str, str]] = []
@@ -446,7 +467,8 @@ def _passes(
 
     plural = "s" if samples > 1 else ""
     either(moves, "motion", f"{samples} intermediate frame{plural} per exposure", "nothing moves: one sample, at rest")
-    either(not forward, "trace", f"rays against the {shapes}, one per pixel", "replaced by the forward warp")
+    why = "a depth map at rest: its own pixels" if still else "replaced by the forward warp"
+    either(not (forward or still), "trace", f"rays against the {shapes}, one per pixel", why)
     either(
         (moves or displaced(scene, eye)) and not forward, "texture sampling", scene.motion.texture_filter,
         "the forward warp moves whole pixels" if forward else "nothing moves: every pixel shows its own texel",
@@ -458,8 +480,8 @@ def _passes(
         "fill.method is none" if forward else "only a forward warp leaves pixels missing",
     )  # fmt: skip
     why = "silhouette_samples = 1" if psf.silhouette_samples == 1 else "no silhouette in sight"
-    each = f"{silhouettes} x {silhouettes} sub-pixel sources within 2 px"
-    either(bool(silhouettes), "silhouettes", each, "the forward warp moves whole pixels" if forward else why)
+    why = "a depth map has whole pixels" if still else "the forward warp moves whole pixels" if forward else why
+    either(bool(silhouettes), "silhouettes", f"{silhouettes} x {silhouettes} sub-pixel sources within 2 px", why)
     why = "tilt = false" if not psf.tilt else "one radius for all pixels, or none"
     either(tilt, "tilt", "weights by the gradient of the blur radius", why)
     how = {"gather": "many radii", "scatter": "atomic, fixed point", "convolve": "one PSF for the whole frame"}

@@ -190,7 +190,7 @@ def _shares_rays(one: tuple[Plan, ...], other: tuple[Plan, ...]) -> bool:
     """Whether what rays hit for one lens serves another one."""
     return all(
         a.blur == b.blur in ("gather", "tiles")
-        and not (a.forward or b.forward)
+        and not (a.forward or b.forward or a.still_map or b.still_map)
         and "layered" not in (a.occlusion, b.occlusion)
         and (a.layers, a.silhouettes, a.samples) == (b.layers, b.silhouettes, b.samples)
         for a, b in zip(one, other, strict=True)

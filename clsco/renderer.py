@@ -37,7 +37,8 @@ from clsco.plan import MANY_RADII, Maps, Plan, exposure, widened
 from clsco.program import build, download, download_into, empty, kernel, launch, upload
 from clsco.scene import DepthMap
 from clsco.slabs import Slabs
-from clsco.spread import FILES_OF, PIXELS, Events, Sources, blur_features, prepare_sources
+from clsco.spread import FILES_OF, PIXELS, Events, Sources, blur_features, image_features, prepare_sources
+from clsco.stillmap import StillMap
 from clsco.strips import Strip
 from clsco.surfaces import PlacedSurface, place
 from clsco.textures import Texture
@@ -101,7 +102,12 @@ class Renderer:
         self.brightest = max(float(texture.radiance.max(initial=0.0)) for texture in textures)  # none is below 0
         stack = list(dict.fromkeys(textures))  # those that several objects have in common once
         self.texture_of = [stack.index(texture) for texture in textures]
-        self.texture = upload(session, texture_planes([texture.radiance for texture in stack], plan.channels))
+        self.still: StillMap | None = None
+        if plan.still_map:
+            assert maps[0] is not None
+            self.still = StillMap(plan.scene.camera, textures[0].radiance, maps[0], plan.guard_px, self.real)
+        else:
+            self.texture = upload(session, texture_planes([texture.radiance for texture in stack], plan.channels))
         self.held: list[cl.Buffer] = []  # what queued launches still read: the host runs ahead of the device
         self.camera = self._camera(plan.strips[0])
         self.lenses = int(hits is not None)
@@ -121,15 +127,18 @@ class Renderer:
 
     def _build(self) -> dict[str, int]:
         """The program for the range of radii, again where a larger one needs other kernels; what it is built with."""
-        plan = self.plan
-        prepare = plan.forward or plan.occlusion == "layered"
-        fp64 = self.session.device.has_fp64
-        features = plan.features() | blur_features(plan.blur, plan.scene.psf, self.largest, fp64, prepare)
-        features |= {"TRUTH": int(bool(plan.truth)), "LENSES": self.lenses}
-        features["PINHOLE"] = int(plan.occlusion == "layered" and not plan.forward)
-        features |= {f"TRUTH_{name.upper()}": int(name in self._truth_names()) for name in TRUTH_BUFFERS}
+        plan, psf, fp64 = self.plan, self.plan.scene.psf, self.session.device.has_fp64
+        files = FILES_OF[plan.blur]
+        if plan.still_map:
+            features = image_features(plan.blur, psf, self.largest, plan.channels, plan.tilt, fp64)
+        else:
+            files = ("trace.cl", *files)
+            prepare = plan.forward or plan.occlusion == "layered"
+            features = plan.features() | blur_features(plan.blur, psf, self.largest, fp64, prepare)
+            features |= {"TRUTH": int(bool(plan.truth)), "LENSES": self.lenses}
+            features["PINHOLE"] = int(plan.occlusion == "layered" and not plan.forward)
+            features |= {f"TRUTH_{name.upper()}": int(name in self._truth_names()) for name in TRUTH_BUFFERS}
         if features != self.built:
-            files = ["trace.cl", *FILES_OF[plan.blur]]
             self.program = build(self.session, files, features, structs(self.real), self.real)
             self.built = features
         return features
@@ -163,6 +172,7 @@ class Renderer:
         if plan.occlusion == "layered":
             how = (plan.tilt, self.largest, self.real, self.brightest, plan.tallest)
             self.slabs = Layers(session, self.spreader, *how)
+        if plan.occlusion == "layered" or plan.still_map:
             self.coc, self.valid = empty(session, WIDE_BYTES * area), empty(session, area)
 
     def _poses(self, time: float) -> tuple[Pose, ...]:
@@ -198,16 +208,19 @@ class Renderer:
     def _slabs_at(self, time: float) -> Slabs:
         """Slabs of a moment, from all strips."""
         assert self.slabs is not None
-        surfaces = self._placed(self._surfaces(time))
         for strip in self.strips:
-            self.camera = self.spreader.camera = self._camera(strip)
-            _, coc, valid = self._look(surfaces, 0.0, self.events)
+            self._turn_to(strip)
+            _, coc, valid = self._look(time, 0.0, self.events)
             self.slabs.look(coc, valid, self.events)
         return self.slabs.slabs()
 
+    def _turn_to(self, strip: Strip) -> None:
+        self.strip = strip
+        self.camera = self.spreader.camera = self._camera(strip)
+
     def begin_strip(self, strip: Strip) -> None:
         """Begin one of the strips of the frame."""
-        self.camera = self.spreader.camera = self._camera(strip)
+        self._turn_to(strip)
         self.moments: list[dict[str, Any]] = []  # the same for every strip
         self.spreader.clear()
 
@@ -241,9 +254,11 @@ class Renderer:
             warped = self.forward.warp(poses, self._placed_at(poses), weight, events)
             report |= warped.counters
             return report | self._add_planes((warped.value, warped.coc, warped.valid), time, events)
+        if self.still is not None:
+            report["missing_pixels"] = report["unfilled_pixels"] = int(self.still.missing.sum())
+        if self.slabs is not None or self.still is not None:
+            return report | self._add_planes(self._look(time, weight, events), time, events)
         surfaces = self._placed(self._surfaces(time))
-        if self.slabs is not None:
-            return report | self._add_planes(self._look(surfaces, weight, events), time, events)
         for layer in self.plan.layers:
             sources = self._trace(surfaces, layer, time, weight, events)
             self.spreader.add(sources, self._central_radius(time), events)
@@ -260,9 +275,13 @@ class Renderer:
         self.spreader.add(Sources(self.source, value), self._central_radius(time), events)
         return {}
 
-    def _look(self, surfaces: cl.Buffer, weight: float, events: Events) -> Planes:
+    def _look(self, time: float, weight: float, events: Events) -> Planes:
         """What the pinhole sees of all objects."""
         planes = (self.value, self.coc, self.valid)
+        if self.still is not None:
+            self.still.send(self.session, self.strip, *planes)
+            return planes
+        surfaces = self._placed(self._surfaces(time))
         head = (self.camera, surfaces, self._everything(), np.float32(weight), self.texture)
         self._per_pixel("pinhole", events, *head, *planes, self.statistics)
         return planes
@@ -312,7 +331,7 @@ class Renderer:
 
     def _outgrown(self) -> bool:
         """Whether the frame met more than was predicted; if so, makes room for it."""
-        if self.forward is not None:
+        if self.forward is not None or self.still is not None:
             return False
         found = download(self.session, self.statistics, EMPTY_STATISTICS.shape, np.int32)
         largest, smallest = (float(r) for r in found[:2].view(np.float32))
@@ -350,8 +369,8 @@ class Renderer:
         plan = self.plan
         if not plan.truth:
             return {}
-        if self.forward is not None and any(isinstance(item, DepthMap) for item in self.items):
-            return self._map_truth(self.forward, index, events)
+        if any(isinstance(item, DepthMap) for item in self.items):
+            return self._map_truth(index, events)
         time, later = self._middles(index)
         pixels = self.strips[0].rows * plan.columns
         names = self._truth_names()
@@ -389,15 +408,20 @@ class Renderer:
             return 0.0, 0.0
         return middle_time(self.plan.scene.sequence, index), middle_time(self.plan.scene.sequence, index + 1)
 
-    def _map_truth(self, forward: ForwardWarp, index: int, events: Events) -> dict[str, NDArray[Any]]:
+    def _map_truth(self, index: int, events: Events) -> dict[str, NDArray[Any]]:
         """Ground truth of a scene with depth maps, which no ray can be cast at: of the pixels in their new places."""
         now, then = (self._poses(t) for t in self._middles(index))
         needed = {"depth", "object_id", "filled"}  # for the others
-        out = forward.truth(now, self._placed_at(now), needed | set(self.plan.truth), events)
+        forward = self.forward
+        if self.still is not None:
+            out = self.still.truth()
+        else:
+            assert forward is not None
+            out = forward.truth(now, self._placed_at(now), needed | set(self.plan.truth), events)
         where = (self.plan.scene.camera, self.items, out["depth"], out["object_id"])
         out |= {"normal": map_normal(self.plan.scene.camera, out["depth"]), "flow": map_flow(*where, now, then)}
         out["hidden"] = out["filled"] > 0
-        if self.plan.scene.stereo is not None:
+        if forward is not None and self.plan.scene.stereo is not None:
             there = poses_at(self.plan.scene, self._middles(index)[0], "left" if self.plan.eye == "right" else "right")
             opposite = forward.truth(there, self._placed_at(there), ("depth",), events)["depth"]
             out["disparity"], out["occluded"] = map_stereo(*where, now, there, opposite, self.plan.eye)

@@ -75,7 +75,8 @@ def _strips(plan: Plan) -> str:
     count = len(plan.strips)
     if count == 1:
         return "1, the whole frame"
-    return f"{count} of up to {plan.strips[0].rows} rows, with up to {plan.reach_px} more on either side"
+    beside = max(max(strip.above, strip.below) for strip in plan.strips)
+    return f"{count} of up to {plan.strips[0].rows} rows, with up to {beside} more on either side"
 
 
 def _of_views(rows: Sequence[Sequence[tuple[str, str]]]) -> list[tuple[str, str]]:

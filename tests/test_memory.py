@@ -185,7 +185,7 @@ def test_commands_take_a_limit(tmp_path: Path) -> None:
     scene.write_text(PLANE)
     assert "1, the whole frame" in clsco_("plan", scene).stdout
     told = clsco_("plan", scene, "--memory", "2MiB")
-    assert "3 of up to 192 rows, with up to 12 more on either side" in told.stdout
+    assert "3 of up to 192 rows, with up to 16 more on either side" in told.stdout
     for command in (("plan", scene), ("render", scene, "-o", out)):
         refused = clsco_(*command, "--memory", "300kB")
         assert (refused.exit_code, refused.stdout) == (1, "")
@@ -205,13 +205,17 @@ def test_commands_take_a_limit(tmp_path: Path) -> None:
     assert json.loads((out / "frame_0000.json").read_text())["strips"] == 3
 
 
-def test_a_depth_map_needs_the_whole_frame(tmp_path: Path) -> None:
+def test_a_depth_map_that_moves_needs_the_whole_frame(tmp_path: Path) -> None:
     image, depth, out = tmp_path / "image.npy", tmp_path / "depth.npy", tmp_path / "out"
     np.save(image, RNG.random((90, 80), np.float32))
     np.save(depth, np.full((90, 80), 400.0, np.float32))
-    for target in (out, tmp_path / "out.png"):
-        refused = clsco_("defocus", image, depth, "-o", target, "--memory", "100kB")
+    moved = ("--set", "object.0.motion.velocity=[9,0,0]", "--set", "sequence.shutter=0.1")
+    for target, options, why in (
+        (out, moved, "as the forward warp needs the whole frame"),
+        (tmp_path / "out.png", (), "in strips of 64 rows"),
+    ):
+        refused = clsco_("defocus", image, depth, "-o", target, "--memory", "100kB", *options)
         assert (refused.exit_code, refused.stdout) == (1, "")
         assert f"error: {image}: memory: must be at least " in refused.stderr
-        assert " MiB for this frame, as the forward warp needs the whole frame; got 0.09537 MiB" in refused.stderr
+        assert f" MiB for this frame, {why}; got 0.09537 MiB" in refused.stderr
         assert not target.exists()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import pyopencl as cl
 import pytest
 
 import clsco
+from clsco.depthmaps import load_scene_depths
 from clsco.describe import planned
 from clsco.device import choose
 from clsco.errors import SceneError
@@ -64,7 +66,7 @@ def memory_for(scene: Scene, rows: int, truth: tuple[str, ...] = TRUTH, method: 
 
 def plan_of(scene: Scene, truth: tuple[str, ...], method: str, eye: Any) -> Plan:
     known = planned(scene, truth, eye)
-    return make_plan(known.scene, known.channels, truth, method, eye)
+    return make_plan(known.scene, known.channels, truth, method, eye, load_scene_depths(known.scene))
 
 
 def assert_same(frames: list[Frame], others: list[Frame]) -> None:
@@ -142,6 +144,32 @@ def test_slabs_in_strips(method: str, sections: dict[str, Any], peak: list[int])
         assert peak[1] - before == pytest.approx(limit, rel=0.05)
         assert {frame.metadata["strips"] for frame in tiled} == {-(-TALL // rows)}
         assert tiled[0].metadata["intermediate"] == whole[0].metadata["intermediate"]
+        assert_same(whole, tiled)
+
+
+@pytest.mark.parametrize("holes", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("occlusion", ["layered", "none"])
+def test_a_depth_map_in_strips(occlusion: str, holes: bool, tmp_path: Path, peak: list[int]) -> None:
+    """The mirror image around it is wider than the strips' own part of the last one."""
+    rows, columns = 9 * BAND + 5, 40
+    rng, (i, j) = np.random.default_rng(4), np.indices((rows, columns))
+    depth = np.where(np.sin(i / 30.0) * np.cos(j / 9.0) > 0.3, 260.0, 320.0) + i / 20
+    depth = np.where(rng.random(depth.shape) < 0.02 * holes, 0.0, depth).astype(np.float32)
+    np.save(tmp_path / "image.npy", rng.random((rows, columns, 3), np.float32))
+    np.save(tmp_path / "depth.npy", depth)
+    item = {"shape": "depth_map", "texture": str(tmp_path / "image.npy"), "depth": str(tmp_path / "depth.npy")}
+    camera = {"pixel_pitch": 0.04, "aperture_diameter": 7.0}
+    fill = {"motion": {"warp": "forward"}, "fill": {"method": "none"}} if holes else {}
+    scene = parse_scene({"camera": camera, "psf": {"occlusion": occlusion}, "object": [item]} | fill)
+    whole = list(clsco.render(scene))
+    assert whole[0].mask is not None
+    assert whole[0].mask.all() == (not holes)
+    for tall in (BAND, 3 * BAND):
+        limit, before = memory_for(scene, tall), peak[0]
+        peak[1] = before
+        tiled = list(clsco.render(scene, memory=limit))
+        assert peak[1] - before == pytest.approx(limit, rel=0.05)
+        assert {frame.metadata["strips"] for frame in tiled} == {-(-rows // tall)}
         assert_same(whole, tiled)
 
 
