@@ -14,8 +14,8 @@ from clsco.occlusion import Layer, lens_extent
 from clsco.optics import blur_scale, focus_power, lens_radius, ray_step
 from clsco.psf import (
     MINIMUM_BLUR,
-    OFFSET,
     PsfTable,
+    octaves_from,
     sampled_key,
     sampled_steps,
     table_steps,
@@ -196,7 +196,7 @@ def psf_struct(psf: Psf, table: PsfTable, subpixel: PsfTable | None, real: Real)
         "reach": max(table.reach, subpixel.reach if subpixel else 0),
         "key": sampled_key(psf),
         "minimum_blur": MINIMUM_BLUR,
-        "octaves_from": 1.0 / OFFSET,
+        "octaves_from": octaves_from(psf),
         "steps": table_steps(psf, False),
         "sub_steps": table_steps(psf, True),
         "lens_extent": lens_extent(psf),

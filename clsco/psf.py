@@ -22,11 +22,12 @@ Array = NDArray[np.float64]
 Widths = TypeVar("Widths", int, NDArray[np.int64])
 
 LANES = 8  # a row of weights fills whole vectors of this many floats
-# Intervals of the tables: STEPS per octave of R + OFFSET, so that they grow with the radius. A point source's weight
-# has a kink of order 3/2 where its circle touches a pixel's edge, first at R = 1/8 px; the area forms have such kinks
-# in every weight of a frame. tests/test_psf.py bounds what interpolation adds to a PSF, tests/kernels/test_blur.py what
-# it adds to a frame.
+# Intervals of the tables: so many per octave of the radius and an offset (`octaves_from`), so that they grow with it.
+# The weight of a point source has a kink of order 3/2 where its circle touches a pixel's edge, first at R = 1/8 px, and
+# that of a Gaussian a corner where its cut does; the area forms have these in every weight of a frame.
+# tests/test_psf.py bounds what interpolation adds to a PSF, tests/kernels/test_blur.py what it adds to a frame.
 OFFSET, STEPS, AREA_STEPS = 0.125, 48, 128
+GAUSSIAN_STEPS = 64  # a power of 2: octaves are divided where the corners are, up to an extent of 2 STEPS offsets
 # A sampled Gaussian changes fastest at few taps: so many intervals per unit of dx^2 + dy^2 up to so many units.
 FINE_STEPS, FINE_UNTIL = 16, 16
 # Chebyshev points of [0, 1]: near the best cubic, and never on a jump of a sampled PSF.
@@ -236,7 +237,21 @@ def sampled_steps(psf: Psf) -> tuple[int, int]:
 
 def table_steps(psf: Psf, subpixel: bool) -> int:
     """Intervals per octave of a table that is indexed by the radius."""
-    return AREA_STEPS if psf.edge == "area" and not subpixel else STEPS
+    if psf.edge == "area" and not subpixel:
+        return AREA_STEPS
+    return GAUSSIAN_STEPS if psf.model == "gaussian" else STEPS
+
+
+def octaves_from(psf: Psf) -> float:
+    """Inverse of the offset of the radii of a table, 1 / px; a float32.
+
+    For a Gaussian OFFSET, or less, of its extent: pixel edges are at multiples of 1 / (2 silhouette_samples) px from
+    sub-pixel sources, and where the cut touches one an interval has to begin.
+    """
+    if psf.model == "pillbox":
+        return 1.0 / OFFSET
+    parts = 2 * psf.silhouette_samples
+    return float(np.float32(float(psf_extent(psf, 1.0)) * parts * ceil(1.0 / (parts * OFFSET))))
 
 
 def table_coordinate(psf: Psf, radius: Array, subpixel: bool = False) -> Array:
@@ -246,7 +261,7 @@ def table_coordinate(psf: Psf, radius: Array, subpixel: bool = False) -> Array:
         key = np.where(r < MINIMUM_BLUR, 0.0, sampled_key(psf) * r * r)
         steps, until = sampled_steps(psf)
         return np.where(key < until, key * steps, until * steps + (key - until))
-    mantissa, exponent = np.frexp(r / OFFSET + 1.0)
+    mantissa, exponent = np.frexp(r * octaves_from(psf) + 1.0)
     return np.asarray(table_steps(psf, subpixel) * (exponent - 1 + 2.0 * mantissa - 1.0))
 
 
@@ -256,7 +271,7 @@ def _table_radius(psf: Psf, coordinate: Array, subpixel: bool) -> Array:
         return np.maximum(np.sqrt(_sampled_reach(psf, coordinate) / sampled_key(psf)), MINIMUM_BLUR)
     position = coordinate / table_steps(psf, subpixel)
     octave = np.floor(position)
-    return np.asarray(OFFSET * (2.0**octave * (1.0 + position - octave) - 1.0))
+    return np.asarray((2.0**octave * (1.0 + position - octave) - 1.0) / octaves_from(psf))
 
 
 def _sampled_reach(psf: Psf, coordinate: Array) -> Array:
