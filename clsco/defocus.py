@@ -18,7 +18,16 @@ from clsco.device import Session
 from clsco.errors import DeviceError, ImageError, SceneError
 from clsco.layers import Layers
 from clsco.layout import WIDE_BYTES, Real, Struct, flat, frame_struct, in_parts, structs
-from clsco.memory import Limit, defocus_bytes, defocus_strips, is_layered, limit_of, rows_that_fit, source_bytes
+from clsco.memory import (
+    Limit,
+    defocus_bytes,
+    defocus_strips,
+    fits,
+    is_layered,
+    limit_of,
+    rows_that_fit,
+    source_bytes,
+)
 from clsco.optics import LARGEST_BLUR
 from clsco.plan import MANY_RADII, Blur, is_sharp, many_radii
 from clsco.program import build, empty
@@ -62,7 +71,8 @@ def defocus(
     faster, None for the exact blur; told: gets an entry of which it was and its measured error. NumPy arrays, or
     pyopencl arrays of one queue, which is then worked in; memory: most that buffers on the device may take, bytes or a
     size like "1.5GiB", by default half of what is free: an image that needs more is done in horizontal strips, with the
-    same bits, but for an approximation, which needs the whole image. With occlusion = "layered" smaller signed radii,
+    same bits, but for an approximation, which needs the whole image (where a tolerance leaves the choice, the exact
+    blur is taken). With occlusion = "layered" smaller signed radii,
     which are nearer, hide larger ones where the map jumps (`clsco.layers.Layers`); with any other nothing hides
     anything.
     Returns float32 of the image's shape, as NumPy or pyopencl array as given. Nothing is known outside of the image,
@@ -143,9 +153,12 @@ def _defocus(
     if tolerance is not None and checked_tolerance(tolerance, name):
         names = [*(() if _choose(psf, name, *which) == "none" else candidates(psf, np.abs(given.coc))), name]
     for each in names:
+        blur, least = _choose(psf, each, *which), METHODS.get(each)
+        if least is not None and tolerance is not None and not fits(_sizes(given, psf, blur, least, limit), limit):
+            continue  # approximations need the whole image
         measured = each in METHODS and (told is not None or tolerance is not None)
         places = sample_places(*given.coc.shape) if measured else None
-        result, missed = _blurred(session, given, psf, _choose(psf, each, *which), METHODS.get(each), places, limit)
+        result, missed = _blurred(session, given, psf, blur, least, places, limit)
         rms, at_most = (0.0, 0.0) if missed is None else estimate(missed)
         if each not in METHODS or tolerance is None or at_most <= tolerance:
             break
@@ -156,6 +169,19 @@ def _defocus(
     return result
 
 
+def _guard(given: _Given, psf: Psf, blur: Blur) -> int:
+    return reach(psf, given.largest) + 2 * LANES if blur == "convolve" else 0
+
+
+def _sizes(
+    given: _Given, psf: Psf, blur: Blur, least: float | None, limit: Limit, tallest: int | None = None
+) -> dict[str, int]:
+    """Buffers for strips of up to `tallest` rows, by default the whole image."""
+    rows, columns = given.coc.shape
+    about = (given.channels, (rows, columns), _guard(given, psf, blur), (given.smallest, given.largest))
+    return defocus_bytes(psf, blur, *about, least, limit.cores, tallest or rows)
+
+
 def _blurred(
     session: Session, given: _Given, psf: Psf, blur: Blur, least: float | None, places: NDArray[np.int32] | None,
     limit: Limit,
@@ -163,20 +189,21 @@ def _blurred(
     """The image, and its error at places; least: of an approximation, None for the exact way."""
     if blur == "none":
         return given.image.astype(np.float32), None
-    shape, channels, ends = given.image.shape, given.channels, (given.smallest, given.largest)
-    rows, columns = shape[:2]
-    guard = reach(psf, given.largest) + 2 * LANES if blur == "convolve" else 0
+    shape, rows = given.image.shape, len(given.coc)
+    guard = _guard(given, psf, blur)
     whole = None if least is None else "an approximation"
 
     def sizes(tall: int) -> dict[str, int]:
-        return defocus_bytes(psf, blur, channels, (rows, columns), guard, ends, least, limit.cores, tall)
+        return _sizes(given, psf, blur, least, limit, tall)
 
     def in_strips(tall: int) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
         strips = defocus_strips(psf, blur, rows, guard, given.largest, tall)
         engine = _Engine(session, given, psf, blur, guard, strips, least, places)
         out = np.empty(shape, np.float32)
         for strip in strips:
-            engine.defocus(strip, out[strip.inside] if channels > 1 or len(shape) == 2 else out[strip.inside, :, 0])
+            engine.defocus(
+                strip, out[strip.inside] if given.channels > 1 or len(shape) == 2 else out[strip.inside, :, 0]
+            )
         return out, engine.missed()
 
     tallest = rows_that_fit(rows, limit, sizes, whole)

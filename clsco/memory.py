@@ -329,8 +329,20 @@ def _sum(sizes: Mapping[str, int], views: int) -> int:
     return sum(size * (1 if name.startswith("truth") else views) for name, size in sizes.items())
 
 
+def fits(sizes: Mapping[str, int], limit: Limit) -> bool:
+    """Whether buffers of these sizes fit the limit, for all views together."""
+    return _sum(sizes, limit.views) <= limit.total and max(sizes.values()) <= limit.buffer
+
+
 def fitted(plan: Plan, limit: Limit) -> Plan:
-    """The plan with as few strips as fit the limit: the whole frame where it does. Raises as `rows_that_fit`."""
+    """The plan with as few strips as fit the limit: the whole frame where it does. Raises as `rows_that_fit`.
+
+    Approximations need the whole frame: where a tolerance leaves the choice, those that do not fit are left out.
+    """
+    if plan.tolerance is not None:
+        tried = (replace(plan, approximations=(name,)) for name in plan.approximations)
+        names = (each.approximations[0] for each in tried if fits(buffer_bytes(each, limit.cores), limit))
+        plan = replace(plan, approximations=tuple(names))
     needs_whole = {
         "the forward warp": plan.forward,
         "an approximation": bool(plan.approximations),
@@ -351,18 +363,14 @@ def rows_that_fit(rows: int, limit: Limit, sizes: Callable[[int], Mapping[str, i
     the whole frame where something needs it.
     """
 
-    def fits(tried: int) -> bool:
-        found = sizes(tried)
-        return _sum(found, limit.views) <= limit.total and max(found.values()) <= limit.buffer
-
-    if fits(rows):
+    if fits(sizes(rows), limit):
         return rows
     least = rows if whole else min(BAND, rows)
-    if not whole and fits(least):
+    if not whole and fits(sizes(least), limit):
         few, many = 1, (rows - 1) // BAND
         while few < many:
             middle = (few + many + 1) // 2
-            few, many = (middle, many) if fits(middle * BAND) else (few, middle - 1)
+            few, many = (middle, many) if fits(sizes(middle * BAND), limit) else (few, middle - 1)
         return few * BAND
     needed = _sum(sizes(least), limit.views)
     if limit.given and needed > limit.total:

@@ -42,7 +42,7 @@ def render(
     in `Frame.metadata["approximation"]`, see `clsco.coarsening.Told`); frames: numbers of the frames wanted, by default
     all; memory: most that the buffers on the device may take, bytes or a size like "1.5GiB", by default half of what is
     free: a frame that needs more is made in horizontal strips, with the same bits, but for an approximation, which
-    needs the whole frame.
+    needs the whole frame (where a tolerance leaves the choice, the exact blur is taken).
     Yields frames in order, of a stereo pair the left and then the right one. Raises SceneError, ImageError,
     DeviceError, KernelError.
     Validated against `clsco.reference.render` on every scene in examples/ and a ray tracer (benchmarks/accuracy.py).

@@ -150,7 +150,7 @@ def test_what_is_too_narrow_is_not_approximated() -> None:
     image, coc = np.ones((16, 16)), np.full((16, 16), 3.0)
     assert np.array_equal(clsco.defocus(image, coc, tolerance=1.0, told=told), clsco.defocus(image, coc))
     assert told == [Told("exact", 1.0, 0.0, 0.0, 0)]
-    assert told[0].line() == "exact: nothing is faster"
+    assert told[0].line() == "exact: nothing that fits the memory is faster"
 
 
 def test_a_radius_shrinks_with_its_grid() -> None:

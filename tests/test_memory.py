@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from click.testing import CliRunner, Result
 import clsco
 from clsco import memory
 from clsco.cli import main
+from clsco.coarsening import METHODS, Told
 from clsco.errors import SceneError
 from clsco.memory import Limit, free_bytes, limit_of, margin, parse_size, rows_that_fit
 from clsco.psf import LANES
@@ -166,11 +168,28 @@ def assert_strips(
     np.testing.assert_array_equal(tiled.view(np.uint32), whole.view(np.uint32), strict=True)
 
 
-@pytest.mark.parametrize("how", [{"method": "coarse2"}, {"tolerance": 0.1}])
-def test_approximations_need_the_whole_image(how: dict[str, Any]) -> None:
+def test_approximations_need_the_whole_image() -> None:
     image, coc = RNG.random(SHAPE, np.float32), np.full(SHAPE, 50.0) + RNG.random(SHAPE)
     with pytest.raises(SceneError, match=r"MiB for this frame, as an approximation needs the whole frame; got 1 MiB"):
-        clsco.defocus(image, coc, memory="1MiB", **how)
+        clsco.defocus(image, coc, memory="1MiB", method="coarse2")
+
+
+def test_a_tolerance_is_kept_by_the_exact_blur_where_memory_is_short() -> None:
+    rng = np.random.default_rng(6)
+    image, coc = rng.random(SHAPE, np.float32), 30.0 + rng.random(SHAPE)
+    exact = clsco.defocus(image, coc)
+    told: list[Told] = []
+    assert (clsco.defocus(image, coc, tolerance=0.1, told=told) != exact).any()
+    needed = []
+    for method in METHODS:
+        with pytest.raises(SceneError) as refused:
+            clsco.defocus(image, coc, method=method, memory="1MiB")
+        needed += re.findall(r"at least (\d+) MiB for this frame, as an approximation", str(refused.value))
+    assert len(needed) == len(METHODS)
+    least = min(map(int, needed))
+    np.testing.assert_array_equal(clsco.defocus(image, coc, tolerance=0.1, told=told, memory=f"{least - 1}MiB"), exact)
+    assert [one.method[:6] for one in told] == ["coarse", "exact"]
+    assert told[1].line() == "exact: nothing that fits the memory is faster"
 
 
 PLANE = '[camera]\nresolution = [100, 500]\n[[object]]\nshape = "plane"\ndistance = 300.0\nslope_y = 0.2\n'
@@ -200,6 +219,12 @@ def test_commands_take_a_limit(tmp_path: Path) -> None:
     assert refused.exit_code == 1
     assert " MiB for this frame, as an approximation needs the whole frame; got 3 MiB" in refused.stderr
     assert not out.exists()
+    for size, wanted in (("5MiB", "exact"), ("30MiB", "coarse")):
+        done = clsco_("render", scene, "-o", out / wanted, *wide, "--memory", size, "--tolerance", "0.1")
+        assert done.exit_code == 0, done.output
+        told = json.loads((out / wanted / "frame_0000.json").read_text())
+        assert told["approximation"]["method"].startswith(wanted)
+        assert (told["strips"] > 1) == (wanted == "exact")
     done = clsco_("render", scene, "-o", out, "--memory", "2MiB")
     assert done.exit_code == 0, done.output
     assert json.loads((out / "frame_0000.json").read_text())["strips"] == 3
