@@ -320,12 +320,14 @@ def table_coordinate(psf: Psf, radius: Array, subpixel: bool, first: int, count:
     """Coordinates (...) in a device's table of PSF weights; their integer part names the interval.
 
     radius: (...) px; the table has `count` intervals from `first` on, others are clamped to them. Rounded to
-    float32 without crossing into the next interval. Only the device reads tables; the reference has the
-    weights.
+    float32, that of a sampled PSF without crossing into the next interval, where it may jump. Only the device reads
+    tables; the reference has the weights.
     """
     u = np.maximum(coordinate_of_radius(psf, radius, subpixel), first)
     rounded = u.astype(np.float32)
-    ceiling = np.minimum(np.floor(u) + 1.0, first + count).astype(np.float32)
+    highest = np.full(u.shape, first + count)
+    jumps = psf.edge == "sampled" and not subpixel
+    ceiling = (np.minimum(np.floor(u) + 1.0, highest) if jumps else highest).astype(np.float32)
     return np.where(rounded < ceiling, rounded, np.nextafter(ceiling, np.float32(0.0)))
 
 

@@ -453,7 +453,9 @@ def test_table_coordinate_stays_in_its_interval(psf: Psf) -> None:
         last = int(exact.max())
         found = table_coordinate(psf, radius, subpixel, 0, last + 1)
         assert found.dtype == np.float32
-        assert (np.floor(found) == np.floor(exact)).all()
+        # Others are continuous there: rounding may take them to where the next interval begins, and no farther.
+        jumps = psf.edge == "sampled" and not subpixel
+        assert ((np.floor(found) == np.floor(exact)) | (not jumps) & (found == np.ceil(exact))).all()
         np.testing.assert_allclose(found, exact, rtol=2.0**-23)  # one rounding, or one step back
         clamped = table_coordinate(psf, radius, subpixel, 5, 3)
         assert clamped.min() == 5.0
