@@ -3,7 +3,8 @@
     python -m tests.mutation --share 20 --jobs 2 -o mutation.json
 
 Works in copies of the tree, which are gone at the end, whatever ends it. Fails where a mutant survives that
-survivors.toml does not give a reason for.
+survivors.toml does not give a reason for. All of them take hours: noticed.json remembers which were noticed for as long
+as the code of their file stays the same, and --new leaves these out, and those with a reason.
 """
 
 from __future__ import annotations
@@ -18,13 +19,15 @@ import time
 import tomllib
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from hashlib import sha256
 from pathlib import Path
 from queue import SimpleQueue
 
 from tests.mutation.copies import ROOT, Copy, copies
-from tests.mutation.mutants import Mutant, mutants
+from tests.mutation.mutants import Mutant, code_of, mutants
 
 REASONS = Path(__file__).with_name("survivors.toml")
+NOTICED = Path(__file__).with_name("noticed.json")
 MOST_FIRST = 4  # tests that noticed most other mutants of a file go before the others
 TESTS = {
     "clsco/optics.py": "test_optics test_plan reference/test_geometry",
@@ -80,6 +83,39 @@ def chosen(names: list[str], share: int, part: int) -> list[Mutant]:
     return all_of_them[part::share]
 
 
+def short(text: str) -> str:
+    return sha256(text.encode()).hexdigest()[:12]
+
+
+class Memory:
+    """Which mutants were noticed: of each file a hash of its code, and hashes of their names."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        found = json.loads(path.read_text("utf-8")) if path.exists() else {}
+        self.code = {name: short(code_of(ROOT, name)) for name in files()}
+        self.noticed = {
+            name: set(found[name]["noticed"]) if found.get(name, {}).get("code") == code else set[str]()
+            for name, code in self.code.items()
+        }
+
+    def has(self, mutant: Mutant) -> bool:
+        return short(mutant.name) in self.noticed[mutant.file]
+
+    def keep(self, mutant: Mutant) -> None:
+        self.noticed[mutant.file].add(short(mutant.name))
+
+    def write(self) -> None:
+        kept = {
+            name: {"code": self.code[name], "noticed": sorted(hashes)}
+            for name, hashes in self.noticed.items()
+            if hashes
+        }
+        partial = self.path.with_suffix(".part")
+        partial.write_text(json.dumps(kept, indent=0) + "\n", "utf-8")
+        partial.replace(self.path)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--files", nargs="+", default=files(), metavar="FILE", help="by default all of them")
@@ -89,12 +125,16 @@ def main() -> int:
     parser.add_argument("--timeout", type=float, default=60.0, metavar="SECONDS", help="of a mutant, at least")
     parser.add_argument("--slow", action="store_true", help="survivors against what is marked slow as well")
     parser.add_argument("--until", type=float, default=float("inf"), metavar="MINUTES", help="begin no mutant later")
+    parser.add_argument("--new", action="store_true", help="only those that nothing is known of yet")
     parser.add_argument("-o", "--output", type=Path, default=Path("mutation.json"))
     options = parser.parse_args()
     # Kernels of a few pixels take longer to optimize than to run.
     os.environ["PYOPENCL_BUILD_OPTIONS"] = "-cl-opt-disable"
     reasons = {entry["mutant"]: entry["reason"] for entry in tomllib.loads(REASONS.read_text("utf-8"))["survivor"]}
     selected, end = chosen(options.files, options.share, options.part), time.monotonic() + 60 * options.until
+    memory = Memory(NOTICED)
+    if options.new:
+        selected = [mutant for mutant in selected if not memory.has(mutant) and mutant.name not in reasons]
     marks = ("not slow", "slow") if options.slow else ("not slow",)
     results: list[dict[str, object]] = []
     seconds: dict[str, float] = {}
@@ -137,12 +177,16 @@ def main() -> int:
             }  # fmt: skip
 
         try:
-            for future in as_completed([pool.submit(run, mutant) for mutant in selected]):
+            futures = {pool.submit(run, mutant): mutant for mutant in selected}
+            for future in as_completed(futures):
                 if (result := future.result()) is None:
                     continue
+                if result["outcome"] != "survived":
+                    memory.keep(futures[future])
                 results.append(result)
                 print(f"{result['outcome']:9} {result['seconds']:6} s  {result['mutant']}", flush=True)
                 _write(options, seconds, results)
+                memory.write()
         except BaseException:
             stopped.set()
             pool.shutdown(wait=False, cancel_futures=True)
@@ -153,6 +197,9 @@ def main() -> int:
     survivors = [result for result in results if result["outcome"] == "survived"]
     unexplained = [result for result in survivors if result["reason"] is None]
     print(dict(Counter(str(result["outcome"]) for result in results)), f"{len(unexplained)} survive without a reason")
+    everything = [mutant for name in files() for mutant in mutants(ROOT, name)]
+    known = sum(memory.has(mutant) for mutant in everything), sum(mutant.name in reasons for mutant in everything)
+    print(f"of all {len(everything)} mutants {known[0]} are known to be noticed, and {known[1]} have a reason")
     for result in unexplained:
         print(f"{result['mutant']} (row {result['row']})")
     return 1 if unexplained else 0

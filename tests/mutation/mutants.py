@@ -73,6 +73,17 @@ def mutants(root: Path, file: str) -> list[Mutant]:
     return found
 
 
+def code_of(root: Path, file: str) -> str:
+    """The tokens of a file, without comments and where lines end."""
+    text = (root / file).read_text("utf-8")
+    if file.endswith(".py"):
+        left_out = (tokenize.COMMENT, tokenize.NL)
+        tokens = tokenize.generate_tokens(io.StringIO(text).readline)
+        return " ".join(token.string for token in tokens if token.type not in left_out)
+    matches = C_TOKEN.finditer(text)
+    return " ".join(m[0] for m in matches if m.lastgroup != "space" and not m[0].startswith(("//", "/*")))
+
+
 def _number(text: str) -> str:
     """One more of a whole number, twice any other."""
     digits = re.sub(r"(?<!0[xX])[uUlL]+$", "", text)
