@@ -1,10 +1,12 @@
 """Time and memory of large frames, with a limit of memory: python -m benchmarks.sizes
 
 One gray channel, R from 0 to 20 px at every size, the defaults of the PSF. `render`: a plane tilted in both directions,
-rays included; `defocus`: an image and its radii, as arrays, where nothing hides anything. Each size in a process of its
+rays included; `defocus`: an image and its radii, as arrays, where nothing hides anything; `layered`: the same with near
+spots of -20 px before a wavy ground of up to 8 px, whose edges hide what is behind them. Each size in a process of its
 own. Time is process CPU time of the second frame, with programs and tables at hand; memory is the most that the process
 held at a time (the peak of its resident set), the image, the frame and Python with its libraries among it. `command`:
-`clsco render` as a whole, from the texture's pattern to the PNG file.
+`clsco render` as a whole, from the texture's pattern to the PNG file; `map`: `clsco defocus`, layered, from an image
+and its radii in NPY files to the PNG file.
 """
 
 from __future__ import annotations
@@ -17,18 +19,21 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import clsco
 from clsco.scene import Scene
 from clsco.scenefile import parse_scene
 
+Plane = NDArray[np.float32]
 RESULTS = Path(__file__).parent / "results"
 LARGEST = 20.0  # px
-PARTS = ("render", "defocus", "command")
+PARTS = ("render", "defocus", "layered", "command", "map")
 
 
 def scene_of(size: int, frames: int = 1) -> Scene:
@@ -56,14 +61,42 @@ def render_frame(size: int, memory: str) -> Callable[[], object]:
     return call
 
 
-def defocus_image(size: int, memory: str) -> Callable[[], object]:
-    """What defocuses an image."""
+def image_and_radii(size: int, spots: bool) -> tuple[Plane, Plane]:
+    """An image and its signed radii in px, both (size, size)."""
     image, coc = np.empty((size, size), np.float32), np.empty((size, size), np.float32)
     rng, x = np.random.default_rng(1), np.arange(size) * (8.0 / size)
     for i in range(size):
         image[i] = rng.random(size, np.float32)
-        coc[i] = LARGEST * np.sin(x) * np.cos(x[i])
-    return lambda: clsco.defocus(image, coc, memory=memory)
+        coc[i] = (8.0 if spots else LARGEST) * np.sin(x) * np.cos(x[i])
+        if spots:
+            coc[i] = np.where(np.sin(5 * x) * np.sin(5 * x[i]) > 0.6, -LARGEST, coc[i])
+    return image, coc
+
+
+def defocus_image(size: int, memory: str, layered: bool = False) -> Callable[[], object]:
+    """What defocuses an image."""
+    image, coc = image_and_radii(size, layered)
+    return lambda: clsco.defocus(image, coc, {"occlusion": "layered" if layered else "none"}, memory=memory)
+
+
+def run_map_command(size: int, memory: str) -> Callable[[], object]:
+    """What runs `clsco defocus` on an image and its map of radii."""
+    from clsco.cli import main
+
+    folder = Path(tempfile.mkdtemp(prefix="clsco-sizes-"))
+    for name, plane in zip(("image", "coc"), image_and_radii(size, True), strict=True):
+        np.save(folder / f"{name}.npy", plane)
+    lens = ["--focal-length", "50", "--f-number", f"{2.0 * size / 8192}", "--focus-distance", "300"]
+    args = [
+        "defocus",
+        str(folder / "image.npy"),
+        str(folder / "coc.npy"),
+        "-o",
+        str(folder / "out.png"),
+        "--unit",
+        "coc",
+    ]
+    return lambda: main([*args, *lens, "--pixel-pitch", f"{36.0 / size}", "--memory", memory], standalone_mode=False)
 
 
 def run_command(size: int, memory: str) -> Callable[[], object]:
@@ -79,9 +112,11 @@ def run_command(size: int, memory: str) -> Callable[[], object]:
 
 
 def measured(part: str, size: int, memory: str) -> dict[str, Any]:
-    """Time of the second call, of `command` the only one, and the peak of the process."""
-    call = {"render": render_frame, "defocus": defocus_image, "command": run_command}[part](size, memory)
-    if part != "command":
+    """Time of the second call, of commands the only one, and the peak of the process."""
+    makers = {"render": render_frame, "defocus": defocus_image, "command": run_command, "map": run_map_command}
+    makers["layered"] = partial(defocus_image, layered=True)
+    call = makers[part](size, memory)
+    if part not in ("command", "map"):
         call()
     wall, cpu = time.perf_counter(), time.process_time()
     told = call()

@@ -242,12 +242,13 @@ class _Engine:
         self.value = empty(session, 4 * channels * area)
         if constant:
             return
-        self.source = empty(session, source_bytes(area, psf.tilt))
+        layered = is_layered(psf, blur)  # which has a plane of its own
+        self.source = empty(session, 0 if layered else source_bytes(area, psf.tilt))
         self.coc = empty(session, WIDE_BYTES * area)
         self.valid = empty(session, area)
         cl.enqueue_fill_buffer(session.queue, self.valid, np.ones(1, np.uint8), 0, area)
         self.layers: Layers | None = None
-        if is_layered(psf, blur):
+        if layered:
             how = (psf.tilt, given.largest, self.real, given.brightest, tallest)
             self.layers = Layers(session, self.spreader, *how)
             self.slabs = self._slabs(self.layers, strips)

@@ -135,15 +135,20 @@ def inverse_depth(
     if not valid.any():
         why = ", ".join(f"{count} {kind}" for kind, count in numbers.items() if count)
         raise ImageError(f"{where}: at least one pixel must have a depth; got {why}")
+    value = raw[valid]
     with np.errstate(over="ignore"):
-        value = raw[valid] * scale + (offset or 0.0)
+        value *= scale
+        value += offset or 0.0
     w = _convert(value, unit, camera, baseline)
     _check_blur(w, value, unit, camera, where)
     if unit == "coc":
         _check_reach(value, camera, where)
-    result = np.zeros(raw.shape)
-    result[valid] = np.maximum(w, FARTHEST)
-    return DepthValues(result, **numbers, far=int(np.count_nonzero(w <= FARTHEST)))
+    far = int(np.count_nonzero(w <= FARTHEST))
+    np.maximum(w, FARTHEST, out=w)
+    result = w.reshape(raw.shape) if w.size == raw.size else np.zeros(raw.shape)
+    if w.size < raw.size:
+        result[valid] = w
+    return DepthValues(result, **numbers, far=far)
 
 
 def fill_depth(w: Array) -> Array:
@@ -235,13 +240,13 @@ def _convert(value: Array, unit: str, camera: Camera, baseline: float | None) ->
 
 
 def _check_blur(w: Array, value: Array, unit: str, camera: Camera, where: str) -> None:
-    radius = np.abs(blur_radius(camera, w))
-    at = int(radius.argmax())
-    if radius[at] > LARGEST_BLUR:
+    # Linear in w: one of the ends has the largest.
+    largest, at = max((abs(float(blur_radius(camera, w[at]))), -int(at)) for at in (w.argmin(), w.argmax()))
+    if largest > LARGEST_BLUR:
+        count = np.count_nonzero(np.abs(blur_radius(camera, w)) > LARGEST_BLUR)
         raise ImageError(
-            f"{where}: the blur radius must be at most {LARGEST_BLUR:g} px; got {radius[at]:.4g} px at {value[at]:.4g} "
-            f"{unit}, and more than that limit in {np.count_nonzero(radius > LARGEST_BLUR)} of {w.size} pixels "
-            f"({_probable_cause(value, unit, camera)})"
+            f"{where}: the blur radius must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px at {value[-at]:.4g} "
+            f"{unit}, and more than that limit in {count} of {w.size} pixels ({_probable_cause(value, unit, camera)})"
         )
     if w.max() > 1 / MIN_LENGTH_MM:
         raise ImageError(f"{where}: depth must be at least {MIN_LENGTH_MM:g} mm; got {1 / w.max():.4g} mm")

@@ -246,8 +246,9 @@ def buffer_bytes(plan: Plan, cores: int) -> dict[str, int]:
     wide = WIDE_BYTES * bool(features["OCCLUDED"])
     textures = len({item.texture for item in plan.scene.objects})
     sizes = {"texture": 4 * channels * textures * plan.rows * plan.columns * (not plan.still_map)}
-    marked = bool(each or features["OCCLUDED"])
-    sizes |= {"source": source_bytes(area, bool(features["TILT"]), marked), "value": 4 * channels * area}
+    marked, layered = bool(each or features["OCCLUDED"]), plan.occlusion == "layered"
+    sizes |= {"source": source_bytes(area, bool(features["TILT"]), marked) * (not layered)}
+    sizes |= {"value": 4 * channels * area}
     sizes |= {"depth": wide * area, "label": area * bool(each)}
     sizes |= {"pixels": 4 * plan.slots, "sub_source": 16 * each * plan.slots, "sub_depth": wide * each * plan.slots}
     sizes |= {"sub_value": 4 * channels * each * plan.slots}
@@ -257,9 +258,9 @@ def buffer_bytes(plan: Plan, cores: int) -> dict[str, int]:
         least = METHODS[plan.approximations[0]]
         frame = (psf, plan.blur, channels, plan.rows, plan.columns, plan.guard_px)
         sizes |= _coarse(*frame, plan.largest_blur, least, plan.tilt, cores)
-    if plan.occlusion == "layered" or plan.still_map:
+    if layered or plan.still_map:
         sizes |= {"coc": WIDE_BYTES * area, "valid": area}
-    if plan.occlusion == "layered":
+    if layered:
         sizes |= _layers(*blur, plan.tallest, plan.largest_blur, cores)
     if plan.forward:
         sizes |= _warp(plan, area)
@@ -305,13 +306,14 @@ def defocus_bytes(
     height = max(strip.height for strip in strips)
     area = (shape[1] + 2 * guard) * height
     sizes = {"value": 4 * channels * area}
+    layered = is_layered(psf, method)
     if method != "convolve":
-        sizes |= {"source": source_bytes(area, psf.tilt), "coc": WIDE_BYTES * area, "valid": area}
+        sizes |= {"source": source_bytes(area, psf.tilt) * (not layered), "coc": WIDE_BYTES * area, "valid": area}
     blur = (psf, method, channels, strips[0].rows, shape[1], guard)
     sizes |= _spreader(*blur, ends, 0, cores)
     if least is not None:
         sizes |= _coarse(psf, method, channels, *shape, guard, ends[1], least, psf.tilt, cores)
-    return sizes | (_layers(*blur, height, ends[1], cores) if is_layered(psf, method) else {})
+    return sizes | (_layers(*blur, height, ends[1], cores) if layered else {})
 
 
 def hit_bytes(plan: Plan) -> int:

@@ -158,7 +158,8 @@ class Renderer:
             sample_places(plan.rows, plan.columns),
         )  # fmt: skip
         marked = bool(features["SUBPIXELS"] or features["OCCLUDED"])
-        self.source = empty(session, source_bytes(area, bool(features["TILT"]), marked))
+        layered = plan.occlusion == "layered"  # which has a plane of its own
+        self.source = empty(session, 0 if layered else source_bytes(area, bool(features["TILT"]), marked))
         self.value = empty(session, 4 * plan.channels * area)
         self.statistics = empty(session, EMPTY_STATISTICS.nbytes)
         each = plan.silhouettes**2
@@ -169,10 +170,10 @@ class Renderer:
         self.depth, self.sub_depth = empty(session, occluded * area), empty(session, occluded * self.slots * each)
         self.sub_value = empty(session, 4 * plan.channels * self.slots * each)
         self.slabs: Layers | None = None
-        if plan.occlusion == "layered":
+        if layered:
             how = (plan.tilt, self.largest, self.real, self.brightest, plan.tallest)
             self.slabs = Layers(session, self.spreader, *how)
-        if plan.occlusion == "layered" or plan.still_map:
+        if layered or plan.still_map:
             self.coc, self.valid = empty(session, WIDE_BYTES * area), empty(session, area)
 
     def _poses(self, time: float) -> tuple[Pose, ...]:
@@ -210,8 +211,8 @@ class Renderer:
         assert self.slabs is not None
         for strip in self.strips:
             self._turn_to(strip)
-            _, coc, valid = self._look(time, 0.0, self.events)
-            self.slabs.look(coc, valid, self.events)
+            _, *maps = self._look(time, 0.0, self.events)
+            self.slabs.look(*maps, self.events)
         return self.slabs.slabs()
 
     def _turn_to(self, strip: Strip) -> None:
@@ -256,6 +257,7 @@ class Renderer:
             return report | self._add_planes((warped.value, warped.coc, warped.valid), time, events)
         if self.still is not None:
             report["missing_pixels"] = report["unfilled_pixels"] = int(self.still.missing.sum())
+            self.still.send(self.session, self.strip, self.value)
         if self.slabs is not None or self.still is not None:
             return report | self._add_planes(self._look(time, weight, events), time, events)
         surfaces = self._placed(self._surfaces(time))
@@ -279,7 +281,7 @@ class Renderer:
         """What the pinhole sees of all objects."""
         planes = (self.value, self.coc, self.valid)
         if self.still is not None:
-            self.still.send(self.session, self.strip, *planes)
+            self.still.send_radii(self.session, self.strip, *planes[1:])
             return planes
         surfaces = self._placed(self._surfaces(time))
         head = (self.camera, surfaces, self._everything(), np.float32(weight), self.texture)

@@ -32,17 +32,17 @@ class StillMap:
         self.camera, self.radiance, self.inverse_depth = camera, radiance, inverse_depth
         self.guard, self.real = guard, real
 
-    def send(self, session: Session, strip: Strip, value: cl.Buffer, coc: cl.Buffer, valid: cl.Buffer) -> None:
-        """Write the planes of a strip, on its padded grid: as for `clsco.layers.Layers.add`, of weight 1."""
+    def send(self, session: Session, strip: Strip, value: cl.Buffer) -> None:
+        """Write the radiance of a strip, on its padded grid: as for `clsco.layers.Layers.add`, of weight 1."""
+        cl.enqueue_copy(session.queue, value, flat(self._around(self.radiance, strip), np.float32))
+
+    def send_radii(self, session: Session, strip: Strip, coc: cl.Buffer, valid: cl.Buffer) -> None:
+        """Write where its surface is and how it is blurred, in the same way."""
         w = self._around(self.inverse_depth, strip)
-        radii = np.where(w > 0, blur_radius(self.camera, w), 0.0)
-        planes = (
-            flat(self._around(self.radiance, strip), np.float32),
-            in_parts(radii, self.real),
-            (w > 0).view(np.uint8),
-        )
-        for buffer, plane in zip((value, coc, valid), planes, strict=True):
-            cl.enqueue_copy(session.queue, buffer, plane)
+        there, radii = w > 0, blur_radius(self.camera, w)
+        radii *= there
+        cl.enqueue_copy(session.queue, coc, in_parts(radii, self.real))
+        cl.enqueue_copy(session.queue, valid, there.view(np.uint8))
 
     @cached_property
     def missing(self) -> NDArray[np.bool_]:
