@@ -211,8 +211,8 @@ class Renderer:
         assert self.slabs is not None
         for strip in self.strips:
             self._turn_to(strip)
-            _, *maps = self._look(time, 0.0, self.events)
-            self.slabs.look(*maps, self.events)
+            _, coc, valid = self._look(time, 0.0, self.events)
+            self.slabs.look(coc, valid, self.events)
         return self.slabs.slabs()
 
     def _turn_to(self, strip: Strip) -> None:
@@ -281,7 +281,7 @@ class Renderer:
         """What the pinhole sees of all objects."""
         planes = (self.value, self.coc, self.valid)
         if self.still is not None:
-            self.still.send_radii(self.session, self.strip, *planes[1:])
+            self.still.send_radii(self.session, self.strip, self.coc, self.valid)
             return planes
         surfaces = self._placed(self._surfaces(time))
         head = (self.camera, surfaces, self._everything(), np.float32(weight), self.texture)
