@@ -22,7 +22,8 @@
 #define JUMP ((real)1)     // px, as in the twin
 #define BIN ((real)0.25)   // px
 #define CLASSES 10         // of jumps: beyond JUMP, 2 JUMP, 4 JUMP ... px
-#define NO_SEED (1 << 14)  // farther than any frame is wide
+#define NO_SEED (1 << 14)  // farther than any blur reaches
+#define NEVER (1 << 24)    // beyond the last pixel of any frame
 #define RUN 64             // pixels of a row that a work-item looks at together
 #define RADIUS (CHANNELS - 1)  // plane of the pyramid
 #define KNOWN CHANNELS
@@ -112,13 +113,13 @@ __kernel void column_seeds(const camera_t camera, __global const uchar *seed, __
     const int x = get_global_id(0);
     if (x >= camera.width)
         return;
-    int last = -NO_SEED;
+    int last = -NEVER;
     for (int y = 0; y < camera.height; ++y) {
         const int at = y * camera.width + x;
         last = seed[at] ? y : last;
         offset[at] = y - last < NO_SEED ? last - y : NO_SEED;
     }
-    last = 2 * NO_SEED;
+    last = NEVER;
     for (int y = camera.height - 1; y >= 0; --y) {
         const int at = y * camera.width + x, above = offset[at];
         last = seed[at] ? y : last;
@@ -130,13 +131,13 @@ __kernel void column_seeds(const camera_t camera, __global const uchar *seed, __
 // flags |= bit for the pixels of a run that are within `far` px of a seed, rows and columns counted separately.
 static void flag_near(__global const int *offset, int begin, int end, int width, int far, uchar bit, uchar *flags)
 {
-    int last = -NO_SEED;
+    int last = -NEVER;
     for (int x = MAX(begin - far, 0); x < end; ++x) {
         last = ABS(offset[x]) <= far ? x : last;
         if (x >= begin && x - last <= far)
             flags[x - begin] |= bit;
     }
-    last = 2 * NO_SEED;
+    last = NEVER;
     for (int x = MIN(end + far, width) - 1; x >= begin; --x) {
         last = ABS(offset[x]) <= far ? x : last;
         if (x < end && last - x <= far)

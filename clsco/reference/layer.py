@@ -26,7 +26,8 @@ JUMP = 1.0  # px: over the lens two points shift by |R1 - R2| against each other
 BIN = 0.25  # px: slabs end at multiples of it
 CLASSES = 10  # of jumps: beyond JUMP, 2 JUMP, 4 JUMP ... px
 MOST_SLABS = 8
-NO_SEED = 1 << 14  # px: farther than any frame is wide
+NO_SEED = 1 << 14  # px: farther than any blur reaches
+NEVER = 1 << 24  # beyond the last pixel of any frame
 TENT = (0.125, 0.375, 0.375, 0.125)  # of a coarse pixel, over 4 fine ones per axis
 GROWTH = 4.0  # a coarse pixel is known whole once a quarter of its tent is
 
@@ -100,10 +101,10 @@ def seed_hidden(coc: Array, slab: Labels) -> Labels:
 def column_seeds(seed: Labels) -> Integers:
     """Rows (H, W) to the nearest seed of the same column, NO_SEED for none; of two the upper one."""
     rows = np.arange(len(seed))[:, None]
-    above = np.maximum.accumulate(np.where(seed > 0, rows, -NO_SEED), axis=0) - rows
-    below = np.minimum.accumulate(np.where(seed > 0, rows, 2 * NO_SEED)[::-1], axis=0)[::-1] - rows
+    above = np.maximum.accumulate(np.where(seed > 0, rows, -NEVER), axis=0) - rows
+    below = np.minimum.accumulate(np.where(seed > 0, rows, NEVER)[::-1], axis=0)[::-1] - rows
     offset = np.where(below < -above, below, above)
-    return np.where(np.abs(offset) < NO_SEED // 2, offset, NO_SEED)
+    return np.where(np.abs(offset) < NO_SEED, offset, NO_SEED)
 
 
 def reach_hidden(slab: Labels, seed: Labels, offset: Integers, deep: int) -> tuple[Labels, Mask]:

@@ -154,6 +154,29 @@ def test_labels_are_those_of_the_twin(session: Session) -> None:
         np.testing.assert_array_equal(device.read(name, dtype), expected, err_msg=name)
 
 
+def test_seeds_of_frames_taller_than_any_blur(session: Session) -> None:
+    """Rows whose nearest seed is too far away to be told, or beyond where it could be counted in some whole number."""
+    view = View((2.0, 2.0), shape=(40000, 3), guard=0, slope=0.0)
+    view.coc[20:50, 1], view.coc[33000, 0] = -2.0, 5.0
+    device = Device(session, view)
+    _, count = device.image()
+    slab = np.where(view.coc < 0, 1, np.where(view.coc < 3, 2, 3)).astype(np.uint8)
+    np.testing.assert_array_equal(device.read("slab", np.uint8), slab)
+    seed = twin.seed_hidden(view.coc, slab)
+    offset = twin.column_seeds(seed)
+    assert count == 3
+    assert (offset == twin.NO_SEED).any(axis=0).all()
+    assert np.abs(offset[:, 1]).max() > 10000
+    np.testing.assert_array_equal(device.read("seed", np.uint8), seed)
+    np.testing.assert_array_equal(device.read("offset", np.int32), offset)
+    deep = twin.depth_of_hidden(view.psf, 7)
+    hidden, edge = twin.reach_hidden(slab, seed, offset, deep)
+    np.testing.assert_array_equal(device.read("hidden", np.uint8), hidden)
+    np.testing.assert_array_equal(device.read("edge", np.bool_), edge)
+    assert edge[32000:34000].any()
+    assert not edge[32700:32800].any()
+
+
 def test_the_last_slab_is_extended_as_by_the_twin(session: Session) -> None:
     view = View((-4.2, 3.9), shape=(37, 52), channels=3)
     device = Device(session, view)
