@@ -13,9 +13,9 @@ from clsco.memory import pyramid_bytes, source_bytes
 from clsco.program import build, download, empty, kernel, launch, upload
 from clsco.psf import reach
 from clsco.slabs import CLASSES, Slabs, bins_of, depth_of_hidden, levels_of, slab_bounds
-from clsco.spread import FILES_OF, PIXELS, PLAIN, Events, Sources, Spreader, image_features, prepare_sources
+from clsco.spread import BLOCKS, FILES_OF, PIXELS, PLAIN, Events, Sources, Spreader, image_features, prepare_sources
 
-RUN = 64  # px, as in layer.cl
+RUN, COLUMNS, PUSHED = 64, 16, 4  # px, as in layer.cl
 LINES = (8,)  # local size of kernels with a work-item per row or column
 RUNS = (1, 8)  # of those with a work-item per run of a row
 ZERO = np.zeros(1, np.uint32)
@@ -130,7 +130,8 @@ class Layers:
         head = (self.camera, self._real(self.low), np.int32(self.bins), np.int32(len(slabs.bounds)))
         self._launch("label_slabs", self._padded(), PIXELS, events, *head, *self.held, coc, valid, self.slab)
         self._launch("seed_hidden", self._padded(), PIXELS, events, self.camera, coc, self.slab, self.seed)
-        self._launch("column_seeds", (width,), LINES, events, self.camera, self.seed, self.offset)
+        columns = (-(-width // COLUMNS),)
+        self._launch("column_seeds", columns, LINES, events, self.camera, self.seed, self.offset)
         runs = (-(-width // RUN), height)
         args = (self.camera, np.int32(slabs.deep), self.slab, self.seed, self.offset, self.hidden, self.edge)
         self._launch("reach_hidden", runs, RUNS, events, *args)
@@ -151,9 +152,11 @@ class Layers:
         for name, chosen in (("push", pairs), ("pull", pairs[:0:-1])):
             for (rows, columns, start), (half_rows, half_columns, half_start) in chosen:
                 sizes = (np.int32(n) for n in (rows, columns, half_rows, half_columns, start, half_start))
-                grid = (half_columns, half_rows) if name == "push" else (columns, rows)
-                last = (np.int32(half_start == levels[-1][2]),) if name == "push" else ()
-                self._launch(name, grid, PIXELS, events, *sizes, *last, self.pyramid)
+                if name == "push":
+                    last, grid = np.int32(half_start == levels[-1][2]), (-(-half_columns // PUSHED), half_rows)
+                    self._launch(name, grid, BLOCKS, events, *sizes, last, self.pyramid)
+                else:
+                    self._launch(name, (columns, rows), PIXELS, events, *sizes, self.pyramid)
         coarse = (np.int32(n) for n in levels[1])
         out = (self.value, self.coc, self.valid)
         labels = (self.hidden, self.pyramid)

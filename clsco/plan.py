@@ -19,7 +19,7 @@ from clsco.frame import STEREO_NAMES, TRUTH_NAMES
 from clsco.motion import Eye, Pose, poses_at, rest_center, sample_times
 from clsco.occlusion import Layer, extent, is_hollow, layers
 from clsco.optics import LARGEST_BLUR, blur_radius, ray_step
-from clsco.psf import LANES, MINIMUM_BLUR, psf_extent, psf_features, reach, table_bytes, table_reach
+from clsco.psf import LANES, MINIMUM_BLUR, check_tables, psf_extent, psf_features, reach, table_reach
 from clsco.scene import Object, Plane, Psf, Scene
 from clsco.slabs import margin_of_slabs
 from clsco.strips import Strip, cut
@@ -33,7 +33,6 @@ Occlusion = Literal["visibility", "layered", "none"]
 MANY_RADII: tuple[Blur, ...] = ("gather", "scatter", "tiles")  # methods for sources of any radius each
 GRID = 65  # rays per axis that predict the range of the blur radius
 PREDICTED_MOMENTS = 33  # of the whole sequence at most
-LARGEST_TABLES = 2**30  # bytes of PSF tables
 PIXELS_PER_SAMPLE = 1.0  # of the largest motion, with samples = "auto": 2 lose 5 to 9 dB, fewer gain little
 MOST_SAMPLES = 4095
 FILTERS = {"nearest": 0, "bilinear": 1, "bicubic": 2}
@@ -401,7 +400,7 @@ def make_plan(
         gpu,
     )
     if blur in MANY_RADII:
-        _check_tables(psf, smallest, largest, silhouettes)
+        check_tables(psf, smallest, largest, silhouettes)
     area = (rows + 2 * guard) * (columns + 2 * guard)
     lit = np.pi * (psf_extent(psf, seen) + 0.7) ** 2
     taps = float((w > 0).mean() * area * samples * (lit.mean() if lit.size else 0.0)) if blur != "none" else 0.0
@@ -409,17 +408,6 @@ def make_plan(
         scene, channels, rows, columns, samples, guard, smallest, largest, blur, silhouettes, tilt, forward,
         still, moves, eye, occlusion, found, truth, passes, left_out, taps, 0, tolerance, approximations,
     )  # fmt: skip
-
-
-def _check_tables(psf: Psf, smallest: float, largest: float, silhouettes: int) -> None:
-    """Raise SceneError where the PSF tables take more than LARGEST_TABLES."""
-    size = table_bytes(psf, smallest, largest)
-    size += table_bytes(psf, smallest, largest, silhouettes) if silhouettes else 0
-    if size > LARGEST_TABLES:
-        raise SceneError(
-            f"psf: the tables of weights must take at most {LARGEST_TABLES >> 20} MiB; got {size >> 20} MiB for radii "
-            f"up to {largest:.4g} px (fewer silhouette_samples, or a smaller aperture, take less)"
-        )
 
 
 def many_radii(gpu: bool, occluded: bool = False, approximate: bool = False) -> Blur:

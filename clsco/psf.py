@@ -16,6 +16,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.errors import SceneError
 from clsco.scene import Psf
 
 Array = NDArray[np.float64]
@@ -37,6 +38,7 @@ TO_POWERS = np.linalg.inv(np.vander(NODES, 4, increasing=True))
 MANY = 16  # intervals of which a kernel reads the coefficients of a tap together, from every LANES-th one on
 # Sampled discs that reach at most so far, in px to both sides, are added up tap by tap: kernels/near.clh.
 NEAR = 7
+LARGEST_TABLES = 2**30  # bytes
 RUN = 16  # intervals whose weights are computed at once, of one half-width
 MINIMUM_BLUR = 0.5  # px; sampled PSFs leave smaller radii alone (thesis, 2.2)
 
@@ -356,6 +358,17 @@ def table_bytes(psf: Psf, smallest: float, largest: float, subpixel: int = 0) ->
         return int((8 + each).sum()) + of_taps * (widest + 1)
     outlines = 8 * len(span) * (widest + 1)
     return int((8 + each * (widths + 1)).sum()) + of_taps * _octant_taps(widest) + outlines
+
+
+def check_tables(psf: Psf, smallest: float, largest: float, silhouettes: int) -> None:
+    """Raise SceneError where the tables for |blur radii| in [smallest, largest] px take more than LARGEST_TABLES."""
+    size = table_bytes(psf, smallest, largest)
+    size += table_bytes(psf, smallest, largest, silhouettes) if silhouettes else 0
+    if size > LARGEST_TABLES:
+        raise SceneError(
+            f"psf: the tables of weights must take at most {LARGEST_TABLES >> 20} MiB; got {size >> 20} MiB for radii "
+            f"up to {largest:.4g} px (fewer silhouette_samples, or a smaller aperture, take less)"
+        )
 
 
 @lru_cache(maxsize=8)

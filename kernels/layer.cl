@@ -28,8 +28,14 @@
 #define RADIUS (CHANNELS - 1)  // plane of the pyramid
 #define KNOWN CHANNELS
 #define GROWTH 4.0f
+#define COLUMNS 16  // that a work-item walks down
+#define PUSHED 4    // pixels of a coarser level that one makes
 
 __constant float TENT[4] = {0.125f, 0.375f, 0.375f, 0.125f};
+
+typedef float eight_t __attribute__((ext_vector_type(8), aligned(4)));
+typedef float four_t __attribute__((ext_vector_type(4), aligned(4)));
+#define EIGHT(p) (*(__global const eight_t *)(p))
 
 static int bin_of(real coc, real low, int bins)
 {
@@ -107,42 +113,98 @@ __kernel void seed_hidden(const camera_t camera, __global const wide_t *coc, __g
     seed[at] = found;
 }
 
-// One column per work-item; of two seeds the upper one. In: seed. Out: offset.
-__kernel void column_seeds(const camera_t camera, __global const uchar *seed, __global int *offset)
+// `count` columns from x on, up to COLUMNS.
+static inline void seeds_of(const camera_t camera, __global const uchar *seed, __global int *offset, int x, const int count)
 {
-    const int x = get_global_id(0);
-    if (x >= camera.width)
-        return;
+    int last[COLUMNS];
+    for (int k = 0; k < count; ++k)
+        last[k] = -NEVER;
+    for (int y = 0; y < camera.height; ++y)
+        for (int k = 0; k < count; ++k) {
+            const int at = y * camera.width + x + k;
+            last[k] = seed[at] ? y : last[k];
+            offset[at] = y - last[k] < NO_SEED ? last[k] - y : NO_SEED;
+        }
+    for (int k = 0; k < count; ++k)
+        last[k] = NEVER;
+    for (int y = camera.height - 1; y >= 0; --y)
+        for (int k = 0; k < count; ++k) {
+            const int at = y * camera.width + x + k, above = offset[at];
+            last[k] = seed[at] ? y : last[k];
+            offset[at] = last[k] - y < ABS(above) ? last[k] - y : above;
+        }
+}
+
+// COLUMNS columns per work-item; of two seeds the upper one. In: seed. Out: offset.
+__kernel void column_seeds(const camera_t camera, __global const uchar *restrict seed, __global int *restrict offset)
+{
+    const int x = get_global_id(0) * COLUMNS;
+    if (x + COLUMNS <= camera.width)
+        seeds_of(camera, seed, offset, x, COLUMNS);
+    else if (x < camera.width)
+        seeds_of(camera, seed, offset, x, camera.width - x);
+}
+
+// Flags the pixels of a run that are within `far` px of a seed, rows and columns counted separately; whether there are any.
+static bool flag_near(__global const int *offset, int begin, int end, int width, int far, __global uchar *flags)
+{
+    const int first = MAX(begin - far, 0), stop = MIN(end + far, width);
+    int nearest = NO_SEED;
+    for (int x = first; x < stop; ++x)
+        nearest = MIN(nearest, ABS(offset[x]));
+    for (int x = begin; x < end; ++x)
+        flags[x] = 0;
+    if (nearest > far)
+        return false;
     int last = -NEVER;
-    for (int y = 0; y < camera.height; ++y) {
-        const int at = y * camera.width + x;
-        last = seed[at] ? y : last;
-        offset[at] = y - last < NO_SEED ? last - y : NO_SEED;
+    for (int x = first; x < end; ++x) {
+        last = ABS(offset[x]) <= far ? x : last;
+        if (x >= begin && x - last <= far)
+            flags[x] = 1;
     }
     last = NEVER;
-    for (int y = camera.height - 1; y >= 0; --y) {
-        const int at = y * camera.width + x, above = offset[at];
-        last = seed[at] ? y : last;
-        if (last - y < ABS(above))
-            offset[at] = last - y;
+    for (int x = stop - 1; x >= begin; --x) {
+        last = ABS(offset[x]) <= far ? x : last;
+        if (x < end && last - x <= far)
+            flags[x] = 1;
+    }
+    return true;
+}
+
+// Of each pixel of a run the squared distance to the nearest seed, deep^2 + 1 for none within `deep` px, and how many
+// columns away that is. Of two at the same distance the nearer column's counts, of two such columns the left one's.
+// offset: of the first pixel; of all columns up to `deep` px away there are some.
+static inline void nearest_seeds(__global const int *offset, int deep, int *restrict best, int *restrict away)
+{
+    for (int i = 0; i < RUN; ++i) {
+        best[i] = deep * deep + 1;
+        away[i] = 0;
+    }
+    for (int dx = 0; dx <= deep; ++dx) {
+        int farthest = 0;
+        for (int i = 0; dx % 8 == 0 && i < RUN; ++i)
+            farthest = MAX(farthest, best[i]);
+        if (dx % 8 == 0 && dx * dx >= farthest)
+            break;
+        for (int side = -dx; side <= dx; side += MAX(2 * dx, 1))
+            for (int i = 0; i < RUN; ++i) {
+                const int dy = offset[i + side], square = dx * dx + dy * dy;
+                away[i] = square < best[i] ? side : away[i];
+                best[i] = MIN(best[i], square);
+            }
     }
 }
 
-// flags |= bit for the pixels of a run that are within `far` px of a seed, rows and columns counted separately.
-static void flag_near(__global const int *offset, int begin, int end, int width, int far, uchar bit, uchar *flags)
+// The same for a pixel near the left or right end of a row.
+static int2 nearest_seed(__global const int *offset, int x, int width, int deep)
 {
-    int last = -NEVER;
-    for (int x = MAX(begin - far, 0); x < end; ++x) {
-        last = ABS(offset[x]) <= far ? x : last;
-        if (x >= begin && x - last <= far)
-            flags[x - begin] |= bit;
-    }
-    last = NEVER;
-    for (int x = MIN(end + far, width) - 1; x >= begin; --x) {
-        last = ABS(offset[x]) <= far ? x : last;
-        if (x < end && last - x <= far)
-            flags[x - begin] |= bit;
-    }
+    int2 found = {deep * deep + 1, 0};
+    for (int dx = 0; dx * dx < found.x; ++dx)
+        for (int side = -dx; side <= dx; side += MAX(2 * dx, 1)) {
+            const int dy = x + side < 0 || x + side >= width ? NO_SEED : offset[x + side], square = dx * dx + dy * dy;
+            found = square < found.x ? (int2)(square, side) : found;
+        }
+    return found;
 }
 
 // A run of a row per work-item. deep: px, the farthest seed. In: slab, seed, offset. Out: hidden, edge.
@@ -154,27 +216,26 @@ __kernel void reach_hidden(const camera_t camera, const int deep, __global const
     if (begin >= camera.width || y >= camera.height)
         return;
     const int end = MIN(begin + RUN, camera.width), line = y * camera.width;
-    uchar flags[RUN];
-    for (int i = 0; i < RUN; ++i)
-        flags[i] = 0;
-    flag_near(offset + line, begin, end, camera.width, 2 * deep, 1, flags);
-    flag_near(offset + line, begin, end, camera.width, deep, 2, flags);
+    if (!flag_near(offset + line, begin, end, camera.width, 2 * deep, edge + line)) {
+        for (int x = begin; x < end; ++x)
+            hidden[line + x] = 0;
+        return;
+    }
+    int best[RUN], away[RUN];
+    if (begin >= deep && begin + RUN + deep <= camera.width)
+        nearest_seeds(offset + line + begin, deep, best, away);
+    else
+        for (int x = begin; x < end; ++x) {
+            const int2 found = nearest_seed(offset + line, x, camera.width, deep);
+            best[x - begin] = found.x;
+            away[x - begin] = found.y;
+        }
     for (int x = begin; x < end; ++x) {
-        int best = deep * deep + 1, label = 0;
-        for (int dx = 0; (flags[x - begin] & 2) && dx * dx < best; ++dx)
-            for (int side = -1; side <= (dx ? 1 : -1); side += 2) {
-                const int column = x + side * dx;
-                if (column < 0 || column >= camera.width)
-                    continue;
-                const int dy = offset[line + column];
-                if (dy != NO_SEED && dx * dx + dy * dy < best) {
-                    best = dx * dx + dy * dy;
-                    label = seed[line + dy * camera.width + column];
-                }
-            }
-        const int own = slab[line + x];
+        const int own = slab[line + x], column = x + away[x - begin];
+        int label = 0;
+        if (best[x - begin] <= deep * deep)
+            label = seed[line + offset[line + column] * camera.width + column];
         hidden[line + x] = own && label > own ? label : 0;
-        edge[line + x] = flags[x - begin] & 1;
     }
 }
 
@@ -193,35 +254,66 @@ __kernel void open_slab(const camera_t camera, const int which, __global const f
     pyramid[KNOWN * plane + at] = known;
 }
 
-// One pixel of the coarser level (rows, columns) per work-item: means of what is known, under a tent of 4 x 4 pixels of
+// PUSHED pixels of a row y of the coarser level, of planes of `plane` px, amid the row. from: in the finer one's first
+// row, before the first pixel under them.
+static inline void push_some(__global const float *from, int fine_rows, int fine_columns, int y, int plane, int last,
+                             __global float *to)
+{
+    const int fine_plane = fine_rows * fine_columns;
+    float4 total = 0, sum[CHANNELS];
+    for (int c = 0; c < CHANNELS; ++c)
+        sum[c] = 0;
+    for (int i = MAX(1 - 2 * y, 0); i < MIN(4, fine_rows + 1 - 2 * y); ++i) {
+        __global const float *line = from + (2 * y + i - 1) * fine_columns;
+        const float8 left = EIGHT(line + KNOWN * fine_plane) * TENT[i], right = EIGHT(line + KNOWN * fine_plane + 2) * TENT[i];
+        const float4 known[4] = {left.even * TENT[0], left.odd * TENT[1], right.even * TENT[2], right.odd * TENT[3]};
+        total += (known[0] + known[1]) + (known[2] + known[3]);
+        for (int c = 0; c < CHANNELS; ++c) {
+            const float8 here = EIGHT(line + c * fine_plane), next = EIGHT(line + c * fine_plane + 2);
+            sum[c] += (known[0] * here.even + known[1] * here.odd) + (known[2] * next.even + known[3] * next.odd);
+        }
+    }
+    const float4 none = 0, whole = 1;
+    for (int c = 0; c < CHANNELS; ++c)
+        *(__global four_t *)(to + c * plane) = total > 0 ? sum[c] / total : none;
+    *(__global four_t *)(to + KNOWN * plane) = last ? (total > 0 ? whole : none) : MIN(GROWTH * total, whole);
+}
+
+// PUSHED pixels of the coarser level (rows, columns) per work-item: means of what is known, under a tent of 4 x 4 pixels of
 // the finer one (fine_rows, fine_columns). fine, coarse: where the levels are in the pyramid; last: there is no coarser one
 // to ask, so what is known in part is taken as it is.
 __kernel void push(const int fine_rows, const int fine_columns, const int rows, const int columns, const int fine,
                    const int coarse, const int last, __global float *pyramid)
 {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= columns || y >= rows)
+    const int begin = get_global_id(0) * PUSHED, y = get_global_id(1);
+    if (begin >= columns || y >= rows)
         return;
-    const int fine_plane = fine_rows * fine_columns;
+    const int fine_plane = fine_rows * fine_columns, plane = rows * columns;
     __global const float *from = pyramid + fine;
-    float total = 0, sum[CHANNELS];
-    for (int c = 0; c < CHANNELS; ++c)
-        sum[c] = 0;
-    for (int i = 0; i < 4; ++i)
-        for (int j = 0; j < 4; ++j) {
-            const int row = 2 * y + i - 1, column = 2 * x + j - 1;
-            if (row < 0 || row >= fine_rows || column < 0 || column >= fine_columns)
-                continue;
-            const int at = row * fine_columns + column;
-            const float known = TENT[i] * TENT[j] * from[KNOWN * fine_plane + at];
-            total += known;
-            for (int c = 0; c < CHANNELS; ++c)
-                sum[c] += known * from[c * fine_plane + at];
-        }
-    __global float *to = pyramid + coarse + y * columns + x;
-    for (int c = 0; c < CHANNELS; ++c)
-        to[c * rows * columns] = total > 0 ? sum[c] / total : 0;
-    to[KNOWN * rows * columns] = last ? total > 0 : MIN(GROWTH * total, 1.0f);
+    __global float *to = pyramid + coarse + y * columns;
+    if (begin > 0 && 2 * begin + 2 * PUSHED < fine_columns) {
+        push_some(from + 2 * begin - 1, fine_rows, fine_columns, y, plane, last, to + begin);
+        return;
+    }
+    for (int x = begin; x < MIN(begin + PUSHED, columns); ++x) {
+        float total = 0, sum[CHANNELS];
+        for (int c = 0; c < CHANNELS; ++c)
+            sum[c] = 0;
+        for (int i = 0; i < 4; ++i)
+            for (int j = 0; j < 4; ++j) {
+                const int row = 2 * y + i - 1, column = 2 * x + j - 1;
+                if (row < 0 || row >= fine_rows || column < 0 || column >= fine_columns)
+                    continue;
+                const int at = row * fine_columns + column;
+                const float known = TENT[i] * TENT[j] * from[KNOWN * fine_plane + at];
+                total += known;
+                for (int c = 0; c < CHANNELS; ++c)
+                    sum[c] += known * from[c * fine_plane + at];
+            }
+        for (int c = 0; c < CHANNELS; ++c)
+            to[c * plane + x] = total > 0 ? sum[c] / total : 0;
+        to[KNOWN * plane + x] = last ? total > 0 : MIN(GROWTH * total, 1.0f);
+    }
 }
 
 // Places of the four pixels of a coarser level around one of the finer level, and the shares of those that are known: of
@@ -283,14 +375,18 @@ __kernel void take_slab(const camera_t camera, const int which, const int rows, 
     const int at = y * camera.width + x;
     const bool own = slab[at] == which, there = own || hidden[at] == which;
     __global const float *behind = pyramid + coarse;
+    slab_value[(CHANNELS - 1) * plane + at] = there;
+    slab_valid[at] = there;
+    if (own || !there) {
+        for (int c = 0; c < CHANNELS - 1; ++c)
+            slab_value[c * plane + at] = own ? value[c * plane + at] : 0;
+        slab_coc[at] = own ? coc[at] : widened(0);
+        return;
+    }
     const around_t near = around(behind + KNOWN * rows * columns, rows, columns, y, x);
     for (int c = 0; c < CHANNELS - 1; ++c)
-        slab_value[c * plane + at] = own ? value[c * plane + at]
-                                   : there ? between(behind + c * rows * columns, near) : 0;
-    slab_value[(CHANNELS - 1) * plane + at] = there;
-    const float radius = there && !own ? between(behind + RADIUS * rows * columns, near) : 0;
-    slab_coc[at] = own ? coc[at] : widened(radius);
-    slab_valid[at] = there;
+        slab_value[c * plane + at] = between(behind + c * rows * columns, near);
+    slab_coc[at] = widened(between(behind + RADIUS * rows * columns, near));
 }
 
 // Leaves only the sources near edges, or only the others. In: edge. In and out: source.

@@ -18,7 +18,7 @@ LAYERS = (
     ("files", "shapes", "frame", "strips", "estimators"),
     ("scene",),
     ("optics", "psf", "motion", "images", "scenefile"),
-    ("stencil",),
+    ("stencil", "slabs"),
     ("surfaces", "textures", "depthmaps", "sweep", "framefiles", "coarsening"),
     ("occlusion", "maptruth"),
     ("layout",),
@@ -29,7 +29,7 @@ LAYERS = (
     ("program", "arrays"),
     ("inpainting",),
     ("convolution",),
-    ("spread",),
+    ("spread", "stillmap"),
     ("coarse",),
     ("layers",),
     ("defocus", "forward"),
@@ -50,7 +50,7 @@ ONLY = {
 IMPORTS_REFERENCE = {"check", "bench"}
 OPENCL = {
     "device", "arrays", "program", "inpainting", "convolution", "spread", "coarse", "layers", "defocus", "forward",
-    "renderer",
+    "renderer", "stillmap",
 }  # fmt: skip
 ON_OPENCL = {"render", "batch", "check", "bench"}
 IMAGES = {"images"}
