@@ -36,6 +36,8 @@ __constant float TENT[4] = {0.125f, 0.375f, 0.375f, 0.125f};
 typedef float eight_t __attribute__((ext_vector_type(8), aligned(4)));
 typedef float four_t __attribute__((ext_vector_type(4), aligned(4)));
 #define EIGHT(p) (*(__global const eight_t *)(p))
+#define EVEN(v) __builtin_shufflevector(v, v, 0, 2, 4, 6)
+#define ODD(v) __builtin_shufflevector(v, v, 1, 3, 5, 7)
 
 static int bin_of(real coc, real low, int bins)
 {
@@ -266,11 +268,11 @@ static inline void push_some(__global const float *from, int fine_rows, int fine
     for (int i = MAX(1 - 2 * y, 0); i < MIN(4, fine_rows + 1 - 2 * y); ++i) {
         __global const float *line = from + (2 * y + i - 1) * fine_columns;
         const float8 left = EIGHT(line + KNOWN * fine_plane) * TENT[i], right = EIGHT(line + KNOWN * fine_plane + 2) * TENT[i];
-        const float4 known[4] = {left.even * TENT[0], left.odd * TENT[1], right.even * TENT[2], right.odd * TENT[3]};
+        const float4 known[4] = {EVEN(left) * TENT[0], ODD(left) * TENT[1], EVEN(right) * TENT[2], ODD(right) * TENT[3]};
         total += (known[0] + known[1]) + (known[2] + known[3]);
         for (int c = 0; c < CHANNELS; ++c) {
             const float8 here = EIGHT(line + c * fine_plane), next = EIGHT(line + c * fine_plane + 2);
-            sum[c] += (known[0] * here.even + known[1] * here.odd) + (known[2] * next.even + known[3] * next.odd);
+            sum[c] += (known[0] * EVEN(here) + known[1] * ODD(here)) + (known[2] * EVEN(next) + known[3] * ODD(next));
         }
     }
     const float4 none = 0, whole = 1;
