@@ -104,12 +104,9 @@ class Told:
     def line(self) -> str:
         """The same in a line."""
         if self.method == "exact":
-            why = (
-                f"{self.tried[-1][0]} is off by up to {self.tried[-1][1]:.2g}"
-                if self.tried
-                else "nothing that fits the memory is faster"
-            )
-            return f"exact: {why}"
+            if not self.tried:
+                return "exact: nothing that fits the memory is faster"
+            return f"exact: {self.tried[-1][0]} is off by up to {self.tried[-1][1]:.2g}"
         return f"{self.method}: RMS error {self.rms_error:.2g} of white, measured at {self.pixels} pixels"
 
 

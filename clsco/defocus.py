@@ -72,9 +72,8 @@ def defocus(
     pyopencl arrays of one queue, which is then worked in; memory: most that buffers on the device may take, bytes or a
     size like "1.5GiB", by default half of what is free: an image that needs more is done in horizontal strips, with the
     same bits, but for an approximation, which needs the whole image (where a tolerance leaves the choice, the exact
-    blur is taken). With occlusion = "layered" smaller signed radii,
-    which are nearer, hide larger ones where the map jumps (`clsco.layers.Layers`); with any other nothing hides
-    anything.
+    blur is taken). With occlusion = "layered" smaller signed radii, which are nearer, hide larger ones where the map
+    jumps (`clsco.layers.Layers`); with any other nothing hides anything.
     Returns float32 of the image's shape, as NumPy or pyopencl array as given. Nothing is known outside of the image,
     so with border = "lose" it darkens where light leaves it; sources have their pixel's center, and the gradient for
     `tilt` comes from differences of `coc`. Raises ImageError, SceneError, DeviceError.
@@ -201,9 +200,8 @@ def _blurred(
         engine = _Engine(session, given, psf, blur, guard, strips, least, places)
         out = np.empty(shape, np.float32)
         for strip in strips:
-            engine.defocus(
-                strip, out[strip.inside] if given.channels > 1 or len(shape) == 2 else out[strip.inside, :, 0]
-            )
+            rows_of = (strip.inside, ..., 0) if shape[2:] == (1,) else strip.inside
+            engine.defocus(strip, out[rows_of])
         return out, engine.missed()
 
     tallest = rows_that_fit(rows, limit, sizes, whole)
@@ -251,7 +249,7 @@ class _Engine:
         if layered:
             how = (psf.tilt, given.largest, self.real, given.brightest, tallest)
             self.layers = Layers(session, self.spreader, *how)
-            self.slabs = self._slabs(self.layers, strips)
+            self.slabs = self._slabs(self.layers, strips) if len(strips) > 1 else None
 
     def _camera(self, strip: Strip) -> Struct:
         rows, columns = self.given.coc.shape

@@ -384,20 +384,9 @@ def make_plan(
     if blur == "convolve":
         guard += 2 * LANES
     tilt = psf.tilt and not _constant_blur(scene) and blur not in ("convolve", "none")
+    moved = forward, still
     passes, left_out = _passes(
-        scene,
-        eye,
-        (forward, still),
-        samples,
-        largest,
-        blur,
-        silhouettes,
-        tilt,
-        truth,
-        channels,
-        occlusion,
-        len(found),
-        gpu,
+        scene, eye, moved, samples, largest, blur, silhouettes, tilt, truth, channels, occlusion, len(found), gpu
     )
     if blur in MANY_RADII:
         check_tables(psf, smallest, largest, silhouettes)
