@@ -10,7 +10,7 @@ import pyopencl as cl
 from clsco.device import Session
 from clsco.layout import WIDE_BYTES, Real, Struct, structs
 from clsco.memory import pyramid_bytes, source_bytes
-from clsco.program import build, download, empty, kernel, launch, upload
+from clsco.program import build, download, empty, kernel, launch
 from clsco.psf import reach
 from clsco.slabs import CLASSES, Slabs, bins_of, depth_of_hidden, levels_of, slab_bounds
 from clsco.spread import BLOCKS, FILES_OF, PIXELS, PLAIN, Events, Sources, Spreader, image_features, prepare_sources
@@ -67,7 +67,6 @@ class Layers:
         self.value, self.coc = empty(session, 4 * (self.channels + 1) * pixels), empty(session, WIDE_BYTES * pixels)
         self.valid = empty(session, pixels)
         self.covered = empty(session, 4 * rows * columns)
-        self.held: list[cl.Buffer] = []
 
     @property
     def camera(self) -> Struct:
@@ -126,9 +125,10 @@ class Layers:
     def _label(self, slabs: Slabs, coc: cl.Buffer, valid: cl.Buffer, events: Events) -> None:
         """The slab of every pixel, and the one behind it."""
         width, height = self._padded()
-        self.held = [upload(self.session, np.array(slabs.bounds, np.int32))]  # the device reads it later
-        head = (self.camera, self._real(self.low), np.int32(self.bins), np.int32(len(slabs.bounds)))
-        self._launch("label_slabs", self._padded(), PIXELS, events, *head, *self.held, coc, valid, self.slab)
+        some = (*slabs.bounds, *(0,) * (8 - len(slabs.bounds)))  # at most MOST_SLABS - 1
+        bounds = cl.cltypes.make_int8(*some)  # type: ignore[attr-defined]
+        head = (self.camera, self._real(self.low), np.int32(self.bins), np.int32(len(slabs.bounds)), bounds)
+        self._launch("label_slabs", self._padded(), PIXELS, events, *head, coc, valid, self.slab)
         self._launch("seed_hidden", self._padded(), PIXELS, events, self.camera, coc, self.slab, self.seed)
         columns = (-(-width // COLUMNS),)
         self._launch("column_seeds", columns, LINES, events, self.camera, self.seed, self.offset)

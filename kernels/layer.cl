@@ -81,9 +81,9 @@ __kernel void find_jumps(const camera_t camera, const real low, const int bins, 
     }
 }
 
-// bounds: first bins of the second and each further slab. Out: slab.
+// bounds: first bins of the second and each further slab, `count` of them. Out: slab.
 __kernel void label_slabs(const camera_t camera, const real low, const int bins, const int count,
-                          __global const int *bounds, __global const wide_t *coc, __global const uchar *valid,
+                          const int8 bounds, __global const wide_t *coc, __global const uchar *valid,
                           __global uchar *slab)
 {
     const int x = get_global_id(0), y = get_global_id(1);
@@ -91,7 +91,7 @@ __kernel void label_slabs(const camera_t camera, const real low, const int bins,
         return;
     const int at = y * camera.width + x, bin = bin_of(narrow(coc[at]), low, bins);
     int label = 1;
-    while (label <= count && bin >= bounds[label - 1])
+    while (label <= count && bin >= ((const int *)&bounds)[label - 1])
         ++label;
     slab[at] = valid[at] ? label : 0;
 }
