@@ -136,10 +136,15 @@ def _with_channels(radiance: NDArray[np.float32], channels: int) -> Array:
     return np.broadcast_to(image, (*image.shape[:2], channels))
 
 
+def _moves_pixels(plan: Plan) -> bool:
+    """Whether pixels at rest are moved, those of a depth map where nothing moves to their own places."""
+    return plan.forward or plan.still_map
+
+
 def _moment(plan: Plan, textures: tuple[Array, ...], maps: Maps, time: float) -> tuple[Array, dict[str, int]]:
     """The blurred image (m, n, C) of one moment, and what is told of it."""
     scene, guard, shape = plan.scene, plan.guard_px, textures[0].shape[:2]
-    if plan.forward:
+    if _moves_pixels(plan):
         warped = _warped_sources(scene, textures, maps, guard, time, plan.eye)
         image, told = _image_of_planes(scene, plan, warped.sources, shape)
         return image, asdict(warped.report) | told
@@ -163,7 +168,7 @@ def _frame(plan: Plan, textures: tuple[Array, ...], maps: Maps, index: int) -> F
         color = accumulate(color, image, weight)
         told.append({"time": time, "weight": weight, **report})
     arrays = _truth(plan, textures, maps, index) | {"filled": np.zeros(color.shape[:2], dtype=np.uint8)}
-    if plan.forward:
+    if _moves_pixels(plan):
         time = middle_time(scene.sequence, index) if plan.moves else 0.0
         middle = _warped_sources(scene, textures, maps, guard, time, plan.eye)
         arrays |= {"sharp": _crop(middle.sources.radiance, guard), "filled": _crop(middle.status, guard)}

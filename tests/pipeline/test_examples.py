@@ -51,7 +51,6 @@ LONG |= {
     "camera_motion",
     "sphere_moving",
     "stereo",
-    "depth_map",
     "cone_turning",
     "sphere_turning",
     "cylinder_turning",
