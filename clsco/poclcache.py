@@ -13,7 +13,9 @@ import atexit
 import json
 import os
 import shutil
+import stat
 import tempfile
+import time
 import zlib
 from collections.abc import Iterator, MutableMapping
 from contextlib import ExitStack, contextmanager, suppress
@@ -32,7 +34,16 @@ ROOM = 16 * 2**20  # bytes; the largest program takes some 2 MB
 _LARGEST = 64 * 2**20
 """Bytes; a larger cache is emptied, since PoCL never removes what older versions of the kernels left."""
 
+_SETTLED = 2 * 10**9
+"""ns after which a folder that changes again gets another time of change, on any file system."""
+
+_AT_ONCE = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+"""To open a pipe would block for ever."""
+
 _Sums = dict[str, list[int]]
+_Listing = tuple[int, list[str], list[str]]  # when a folder changed, names of its files and of its folders
+_listings: dict[str, _Listing] = {}
+"""Of folders by their path: to ask whether one has changed takes a tenth of the time to read it."""
 
 
 def prepare(environ: MutableMapping[str, str] = os.environ) -> None:
@@ -75,16 +86,16 @@ def check() -> int:
     with _locked(folder):
         recorded = _recorded(folder)
         found = {}
-        for name in _names(folder):
+        for name, _ in _names(folder):
             with suppress(OSError):  # PoCL moves its temporary files without our lock; what cannot be read is removed
-                found[name] = [(folder / name).stat().st_size, _sum(folder / name)]
+                found[name] = _state(f"{folder}/{name}")
         programs = {_program(name) for name in found}
         bad = {
             _program(name)
             for name in found.keys() | recorded.keys()
-            if name not in found or name not in recorded or found[name][1] != recorded[name][2]
+            if name not in found or name not in recorded or found[name][2] != recorded[name][2]
         }
-        if sum(size for size, _ in found.values()) > _LARGEST:
+        if sum(size for size, _, _ in found.values()) > _LARGEST:
             bad = programs
         for program in bad:
             shutil.rmtree(folder / program, ignore_errors=True)
@@ -155,25 +166,57 @@ def _locked(folder: Path) -> Iterator[None]:
         yield
 
 
-def _names(folder: Path) -> list[str]:
-    # `last_accessed` is rewritten at every use, and a `tempfile_` is what PoCL leaves behind; it loads
-    # neither.
-    # os.walk and plain strings, because this is done after every compilation, and paths take ten times as long.
-    names, start = [], len(str(folder)) + 1
-    for root, _, files in os.walk(folder):
-        if len(root) > start:
-            names += [f"{root[start:]}/{name}" for name in files if name != "last_accessed"]
-    return sorted(name.replace(os.sep, "/") for name in names)
+def _names(folder: Path) -> Iterator[tuple[str, bool]]:
+    """All compiled files, and of each whether its folder is as it was when this process last looked.
+
+    Plain strings, because this is done after every compilation, and paths take ten times as long.
+    """
+    waiting = [""]
+    while waiting:
+        inside = waiting.pop()
+        with suppress(OSError):  # another process removes a cache that grew too large
+            (_, files, folders), known = _listed(f"{folder}/{inside}")
+            # `last_accessed` is rewritten at every use, and a `tempfile_` is what PoCL leaves behind; it loads neither.
+            if inside:
+                yield from ((inside + name, known) for name in files if name != "last_accessed")
+            waiting += [f"{inside}{name}/" for name in folders]
+
+
+def _listed(path: str) -> tuple[_Listing, bool]:
+    """What is in a folder, and whether this process has read it before, since it changed."""
+    changed = os.stat(path).st_mtime_ns  # noqa: PTH116
+    known = _listings.get(path)
+    if known is not None and known[0] == changed:
+        return known, True
+    with os.scandir(path) as entries:
+        inside = [(entry.name, entry.is_dir(follow_symlinks=False)) for entry in entries]
+    found = (
+        changed,
+        [name for name, is_folder in inside if not is_folder],
+        [name for name, is_folder in inside if is_folder],
+    )
+    if time.time_ns() - changed > _SETTLED:
+        _listings[path] = found
+    return found, False
 
 
 def _program(name: str) -> str:
     return "/".join(name.split("/")[:2])  # PoCL's folders: two letters of the hash, then the rest of it
 
 
-def _sum(path: Path) -> int:
-    if not path.is_file():  # to open a pipe would block for ever
-        raise FileNotFoundError(path)
-    return zlib.crc32(path.read_bytes())
+def _state(path: str, recorded: list[int] | None = None) -> list[int]:
+    """Size, time of change and checksum of a file; the recorded one where size and time are as they were."""
+    handle = os.open(path, os.O_RDONLY | _AT_ONCE)
+    try:
+        status = os.fstat(handle)
+        if not stat.S_ISREG(status.st_mode):
+            raise FileNotFoundError(path)
+        key = [status.st_size, status.st_mtime_ns]
+        if recorded is not None and recorded[:2] == key:
+            return recorded
+        return [*key, zlib.crc32(os.read(handle, status.st_size))]
+    finally:
+        os.close(handle)
 
 
 def _recorded(folder: Path) -> _Sums:
@@ -187,12 +230,13 @@ def _recorded(folder: Path) -> _Sums:
 def _record(folder: Path) -> None:
     recorded = _recorded(folder)
     sums: _Sums = {}
-    for name in _names(folder):
+    for name, same in _names(folder):
+        known = recorded.get(name)
+        if same and known is not None:  # PoCL moves a file to its place, and so changes the folder
+            sums[name] = known
+            continue
         with suppress(OSError):
-            status = (folder / name).stat()
-            key = [status.st_size, status.st_mtime_ns]
-            known = recorded.get(name)
-            sums[name] = known if known is not None and known[:2] == key else [*key, _sum(folder / name)]
+            sums[name] = _state(f"{folder}/{name}", known)
     if sums != recorded:
         temporary = folder / f"{LIST}.new"
         with suppress(OSError):  # a full disk: what is not recorded is compiled anew

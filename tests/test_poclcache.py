@@ -186,3 +186,28 @@ def test_only_the_damaged_program_is_removed(tmp_path: Path, monkeypatch: pytest
     assert poclcache.check() == 0
     (folder / poclcache.LIST).write_text('{"AB/two/program.bc": 3}')
     assert poclcache.check() == 1
+
+
+def test_folders_that_did_not_change_are_not_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "clsco" / "pocl-1"
+    monkeypatch.setenv("POCL_CACHE_DIR", str(folder))
+    with poclcache.exclusive():
+        for name in ("AB/one", "AB/two"):
+            (folder / name).mkdir(parents=True)
+            (folder / name / "program.bc").write_text(name)
+    for path in folder.glob("AB/*"):
+        os.utime(path, (1.0, 1.0))
+    read: list[str] = []
+    scandir = os.scandir
+    monkeypatch.setattr(os, "scandir", lambda path: (read.append(str(path)), scandir(path))[1])
+    with poclcache.exclusive():
+        pass
+    assert sorted(read)[-2:] == [f"{folder}/AB/one/", f"{folder}/AB/two/"]
+    read.clear()
+    with poclcache.exclusive():
+        (folder / "AB/two/kernel").mkdir()
+        (folder / "AB/two/kernel/work.so").write_text("compiled")
+    assert f"{folder}/AB/one/" not in read and f"{folder}/AB/two/kernel/" in read
+    assert poclcache.check() == 0
+    (folder / "AB/two/kernel/work.so").write_text("Compiled")  # in place, as no folder tells
+    assert poclcache.check() == 1
