@@ -8,6 +8,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
+from math import inf
 from pathlib import Path
 from typing import Any, get_args
 
@@ -20,6 +21,7 @@ from clsco.bench.cases import (
     FULL,
     PSFS,
     QUICK,
+    Case,
     Grid,
     Precision,
     channels_of,
@@ -30,6 +32,7 @@ from clsco.bench.cases import (
     radius_map,
 )
 from clsco.bench.measure import Bench, front
+from clsco.bench.paces import Paces
 from clsco.bench.passes import Pass
 from clsco.bench.roofline import Roof, intensity, multiply_add_rate, tap_rate, triad_rate
 from clsco.cli import main
@@ -42,7 +45,16 @@ from clsco.scene import Psf
 FIGURE = 1e-5  # of white, as in tests/test_defocus.py
 METHODS = set(get_args(Blur)) - {"none"}
 FILES = ["bench.csv", "bench.json", "radius.png", "roofline.png", "size.png", "speed_error.png"]
-SMALL = Grid(sizes=(24, 40), radii=(2.5,), channels=(3,), precisions=("double",), rounds=2, longest_s=100.0)
+SMALL = Grid(
+    sizes=(24, 40),
+    radii=(2.5,),
+    channels=(3,),
+    precisions=("double",),
+    rounds=2,
+    longest_s=100.0,
+    once_s=100.0,
+    slowest=inf,
+)
 
 
 def bench_(*words: object) -> Result:
@@ -127,6 +139,31 @@ def test_bytes_on_the_device_are_those_of_its_buffers(session: Session) -> None:
     held = [buffer for table in (*spreader.tables, spreader.alike) for buffer in table]
     tables = sum(buffer.size for buffer in held) + spreader.lens.size
     assert one.bytes == 256 * (12 + 1 + 4 + 8) + margins + tables + row_bytes(psf, 1, 0, near=True)
+
+
+def test_a_long_call_is_timed_once(session: Session) -> None:
+    grid = replace(SMALL, sizes=(24,), once_s=0.0)
+    calls: list[int] = []
+    found = measure.run(grid, session.device, [], lambda: calls.append(1))
+    assert {row.calls for row in found.rows} == {1}
+    assert len(calls) == measure.steps(grid, session.device, [])
+
+
+def test_what_was_slow_is_left_out_at_larger_sizes() -> None:
+    grid = replace(SMALL, longest_s=1.0, slowest=10.0)
+    paces = Paces(grid)
+    slow, fast = (Case(100, 6.0, "varying", "sampled", 1, "double", "clsco", name) for name in ("scatter", "gather"))
+    peer, other = replace(slow, tool="numba"), replace(slow, radius=20.0)
+    for case, seconds in ((slow, 0.011), (fast, 0.001), (peer, 0.011), (other, 0.011)):
+        assert paces.objection(case) == ""
+        paces.note(case, seconds)
+    larger = [replace(case, size=200) for case in (slow, fast, peer, other)]
+    reasons = [paces.objection(case) for case in larger]
+    assert reasons == ["a way must take 10 times as long as the fastest at most; got 11 at 100 px", "", "", ""]
+    paces.note(larger[1], 0.004)
+    assert paces.objection(replace(slow, size=400)) == reasons[0]
+    assert paces.objection(replace(fast, size=5000)) == "a call must take 1 s at most; got at least 1.2 s, by 200 px"
+    assert paces.objection(replace(fast, size=4000)) == ""
 
 
 def test_long_cases_are_left_out_with_the_reason(session: Session, tmp_path: Path) -> None:

@@ -179,7 +179,8 @@ def test_the_report_has_frames_and_warps(tmp_path: Path, monkeypatch: pytest.Mon
     row = Row(
         512, 6.0, "varying", "sampled", 1, "double", "clsco", "gather", cost_ns=9.0, cpu_ns=9.0, wall_ns=5.0,
         device_ns=8.0, kernels_ns={"gather": 8.0}, first_call_s=0.5, crop_px=64, rms_error=1e-8, largest_error=1e-7,
-        psnr_db=160.0, device_bytes=2**20, taps=52.0, flop_per_byte=9.0, gflop_per_s=13.0, of_peak=0.2, on_front=True,
+        psnr_db=160.0, device_bytes=2**20, calls=3, taps=52.0, flop_per_byte=9.0, gflop_per_s=13.0, of_peak=0.2,
+        on_front=True,
     )  # fmt: skip
     monkeypatch.setattr(report, "PLOTS", {})  # tests/test_bench.py has these
     frames = Lens("sphere", 512, 2e-4, compared(ROWS))

@@ -50,6 +50,11 @@ class Case:
     method: str
 
     @property
+    def kind(self) -> Case:
+        """The same at any size."""
+        return replace(self, size=0)
+
+    @property
     def task(self) -> tuple[int, float, Scene, str, int]:
         """What cases have in common whose speed and error can be compared."""
         return self.size, self.radius, self.scene, self.psf, self.channels
@@ -59,6 +64,8 @@ class Case:
 class Grid:
     """The axes of the benchmark; rounds: timed calls of a case; longest_s: cases with longer calls are left out.
 
+    once_s: longer calls are timed once; slowest: ways of clsco that take so many times as long as its fastest one are
+    left out at larger sizes.
     lens_size, samples: px a side of the frames that are compared with a traced one, and rays per pixel of Mitsuba's;
     warp_size: px a side of forward warps. 0: none of these.
     """
@@ -69,6 +76,8 @@ class Grid:
     precisions: tuple[Precision, ...] = ("double", "single")
     rounds: int = 3
     longest_s: float = 10.0
+    once_s: float = 1.0
+    slowest: float = 10.0
     lens_size: int = 0
     samples: tuple[int, ...] = ()
     warp_size: int = 0

@@ -34,6 +34,7 @@ from clsco.bench.cases import (
     scene_radii,
 )
 from clsco.bench.lens import Lens
+from clsco.bench.paces import Paces
 from clsco.bench.passes import Pass
 from clsco.bench.roofline import Roof, intensity, measure_roof, tap_rate
 from clsco.bench.warp import WarpRow
@@ -60,8 +61,8 @@ class Row(Case):
     cost_ns: cpu_ns, but device_ns on a device that is no processor; cpu_ns: process CPU time; device_ns, kernels_ns:
     between the events of the kernels; first_call_s: with programs and tables, on the crop; rms_error, largest_error: of
     white, on the crop of crop_px a side, of approximations at pixels of the frame; psnr_db: of white, None without
-    error; taps: per pixel, mean; gflop_per_s: two per tap, by device_ns; of_peak: of the measured multiply-adds;
-    on_front: no other row of the same task is as fast and as close, and better in one of them.
+    error; calls: that were timed; taps: per pixel, mean; gflop_per_s: two per tap, by device_ns; of_peak: of the
+    measured multiply-adds; on_front: no other row of the same task is as fast and as close, and better in one of them.
     """
 
     cost_ns: float
@@ -75,6 +76,7 @@ class Row(Case):
     largest_error: float
     psnr_db: float | None
     device_bytes: int | None
+    calls: int
     taps: float
     flop_per_byte: float
     gflop_per_s: float | None
@@ -132,10 +134,11 @@ def run(grid: Grid, device: Device, tools: Sequence[str], advance: Callable[[], 
     rows: list[Row] = []
     left_out: list[dict[str, Any]] = []
     batch: list[_Ready] = []
+    paces = Paces(grid)
     with Session(device) as session:
         roof = measure_roof(session)
         for case in _cases(grid, device, tools):
-            ready = _ready(case, session, grid.longest_s)
+            ready = paces.objection(case) or _ready(case, session, grid.longest_s, paces)
             advance()
             if isinstance(ready, str):
                 left_out.append(asdict(case) | {"why": ready})
@@ -144,9 +147,9 @@ def run(grid: Grid, device: Device, tools: Sequence[str], advance: Callable[[], 
                 continue
             batch.append(ready)
             if sum(held.device_bytes or 0 for held in batch) > device.global_mem // BATCH_SHARE:
-                rows += _timed(batch, grid.rounds, roof, device, advance)
+                rows += _timed(batch, grid, roof, device, advance)
                 batch = []
-        rows += _timed(batch, grid.rounds, roof, device, advance)
+        rows += _timed(batch, grid, roof, device, advance)
     makes_frames, makes_warps = _also(grid, device, tools)
     whole, warps = None, []
     if makes_frames:
@@ -241,16 +244,21 @@ def reference(image: Array, radii: Array, psf: Psf) -> Array:
     return scatter(psf, light, None, (image.shape[0], image.shape[1]), 0)
 
 
-def _ready(case: Case, session: Session, longest_s: float) -> _Ready | str:
+def _ready(case: Case, session: Session, longest_s: float, paces: Paces) -> _Ready | str:
     """Set a case up in full size and call it a first time; or why it is left out."""
     first = _first(case, session.device)
     least = first.warm_s * (case.size / first.crop_px) ** 2  # more light than of the image leaves the crop
+    paces.note(case, least)
     if least > longest_s:
         return f"a call must take {longest_s:g} s at most; got at least {least:.2g} s"
     image = channels_of(picture(case.size), case.channels)
     try:
         call = _set_up(case, image, scene_radii(case.size, case.radius, case.scene), session)
-        if _seconds(call) > longest_s and (warm := _seconds(call)) > longest_s:  # the first one may compile
+        warm = _seconds(call)
+        if warm > longest_s:
+            warm = _seconds(call)  # the first one may compile
+        paces.note(case, warm)
+        if warm > longest_s:
             return f"a call must take {longest_s:g} s at most; got {warm:.2g} s"
         if case.method in METHODS:
             first = replace(first, **_sampled(case, image, session))
@@ -277,12 +285,13 @@ def _seconds(call: Callable[[Events], Array]) -> float:
     return time.perf_counter() - start
 
 
-def _timed(
-    batch: Sequence[_Ready], rounds: int, roof: Roof, device: Device, advance: Callable[[], object]
-) -> list[Row]:
+def _timed(batch: Sequence[_Ready], grid: Grid, roof: Roof, device: Device, advance: Callable[[], object]) -> list[Row]:
     """Call all of a batch once, then all again, and so on: what slows the machine for a while slows all alike."""
-    for _ in range(rounds):
+    for _ in range(grid.rounds):
         for ready in batch:
+            if ready.wall and ready.wall[0] > grid.once_s:
+                advance()
+                continue
             events: Events = []
             wall, cpu = time.perf_counter(), time.process_time()
             ready.call(events)
@@ -317,6 +326,7 @@ def _row(ready: _Ready, roof: Roof, device: Device) -> Row:
         largest_error=first.largest,
         psnr_db=-20.0 * log10(first.rms) if first.rms else None,
         device_bytes=ready.device_bytes,
+        calls=len(ready.wall),
         taps=taps,
         flop_per_byte=intensity(taps),
         gflop_per_s=rate,
