@@ -67,6 +67,8 @@ def test_a_grid_has_all_combinations_that_the_device_can_do() -> None:
     assert len(set(cases)) == len(cases) == 2 * len(single) == 4 * len(grid_cases(SMALL, has_fp64=True))
     assert {(case.precision, case.channels) for case in cases} == set(product(both.precisions, both.channels))
     assert {case.precision for case in single} == {"single"}
+    large = grid_cases(replace(both, both_to=24), has_fp64=True)
+    assert {(case.size, case.precision) for case in large} == {(24, "double"), (24, "single"), (40, "double")}
 
 
 @pytest.fixture(scope="module")

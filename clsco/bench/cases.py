@@ -65,7 +65,8 @@ class Grid:
     """The axes of the benchmark; rounds: timed calls of a case; longest_s: cases with longer calls are left out.
 
     once_s: longer calls are timed once; slowest: ways of clsco that take so many times as long as its fastest one are
-    left out at larger sizes.
+    left out at larger sizes; both_to: above so many px a side only the first precision is measured, as the blur itself
+    is the same.
     lens_size, samples: px a side of the frames that are compared with a traced one, and rays per pixel of Mitsuba's;
     warp_size: px a side of forward warps. 0: none of these.
     """
@@ -76,8 +77,9 @@ class Grid:
     precisions: tuple[Precision, ...] = ("double", "single")
     rounds: int = 3
     longest_s: float = 10.0
-    once_s: float = 1.0
+    once_s: float = 0.3
     slowest: float = 10.0
+    both_to: int = 2048
     lens_size: int = 0
     samples: tuple[int, ...] = ()
     warp_size: int = 0
@@ -125,9 +127,10 @@ def grid_cases(grid: Grid, has_fp64: bool, peers: Sequence[tuple[str, str, Scene
 
     peers: (tool, method, scene, name of the PSF) of what else there is; those take floats.
     """
-    precisions = [precision for precision in grid.precisions if precision == "single" or has_fp64]
+    known = [precision for precision in grid.precisions if precision == "single" or has_fp64]
     found: list[Case] = []
     for size in grid.sizes:
+        precisions = known if size <= grid.both_to else known[:1]
         for radius in grid.radii:
             for scene in get_args(Scene):
                 for psf in PSFS:
