@@ -21,8 +21,8 @@ from clsco.reference.geometry import blur_radius, nearest_surface, pixel_ray
 from clsco.reference.occlusion import CLEAR, PARTLY, look, look_through, tap_share
 from clsco.scene import Camera, Cone, Cylinder, Ellipsoid, Object, Plane, Psf, Quadric, Scene, Sphere
 from clsco.surfaces import place
+from tests.slow import mostly_slow
 
-pytestmark = pytest.mark.slow  # whole frames of it are looked at in tests/pipeline
 Array = NDArray[Any]
 Runner = Callable[..., None]
 KERNEL = """
@@ -179,7 +179,7 @@ def assert_same(seen: Seen) -> None:
         pytest.param(Psf(model="gaussian"), 0, id="gaussian", marks=pytest.mark.slow),
     ],
 )
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", mostly_slow(list(SCENES), ["ball", "ball, narrow lens", "card", "bounded cone"]))
 def test_taps(session: Session, run_source: Runner, name: str, gather: int, psf: Psf) -> None:
     seen = see(session, run_source, SCENES[name], psf, gather=gather)
     partly = seen.state == PARTLY
@@ -199,6 +199,7 @@ def test_taps(session: Session, run_source: Runner, name: str, gather: int, psf:
         assert min((along == value).mean() for value in (0, 0.5, 1)) > 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ball", "wire, narrow lens", "bounded cone"])
 def test_single_precision(session: Session, run_source: Runner, name: str) -> None:
     """Lines are decided with pairs of floats, as float64 does."""
@@ -215,7 +216,7 @@ def test_subpixel_sources(session: Session, run_source: Runner, name: str) -> No
 
 
 @pytest.mark.parametrize("far", [False, True])
-@pytest.mark.parametrize("name", ["tube, narrow lens", "cap"])
+@pytest.mark.parametrize("name", mostly_slow(["tube, narrow lens", "cap"], ["cap"]))
 def test_a_hollow_surface_before_itself(session: Session, run_source: Runner, name: str, far: bool) -> None:
     """Points of its far wall look past its rim; those of the near one see all of the lens."""
     (item, _), camera = SCENES[name], CAMERA.model_copy(update={"sensor_distance": 20.5, "aperture_diameter": 30.0})

@@ -466,12 +466,20 @@ def test_ground_truth(session: Session, name: str, frame: int) -> None:
     assert_truth(session, planned(*SCENES[name]), MONO, frame)
 
 
-@pytest.mark.parametrize("eye", ["left", "right"])
-def test_ground_truth_of_a_stereo_pair(session: Session, eye: Eye) -> None:
-    plan = planned(scene(ROW, stereo=Stereo(baseline=12.0, toe_in=1.0)), 1, eye=eye)
+@pytest.mark.parametrize(("eye", "items"), [("left", ROW), ("right", ROW), ("right", ROW[:2])])
+def test_ground_truth_of_a_stereo_pair(session: Session, eye: Eye, items: tuple[Object, ...]) -> None:
+    plan = planned(scene(items, stereo=Stereo(baseline=12.0, toe_in=1.0)), 1, eye=eye)
     assert_truth(session, plan, tuple(TRUTH_BUFFERS), 0)
+    if items != ROW:  # there is nothing behind them
+        return
     occluded = truth_on_device(session, plan, ("disparity", "occluded"), 0)["occluded"]
     assert 0.02 < occluded.mean() < 0.5
+
+
+def test_the_apex_of_a_cone_faces_the_lens(session: Session) -> None:
+    """Its gradient is 0, exactly, in the pixel that the axis goes through."""
+    plan = planned(scene(Cone(half_angle=40.0, apex=(0.0, 0.0, 256.0)), STILL, size=(9, 7)), 1)
+    assert truth_on_device(session, plan, ("normal",), 0)["normal"][3, 4].tolist() == [0.0, 0.0, -1.0]
 
 
 def test_hidden_points_are_there_and_seen_ones_too(session: Session) -> None:
