@@ -261,12 +261,13 @@ def validate(scenes: tuple[Path, ...]) -> None:
 @click.option("--compare", is_flag=True, help="Also measure numba, OpenCV and Mitsuba, as far as they are installed.")
 @click.option("--size", "sizes", metavar="PX", type=int, multiple=True, help="Pixels a side; may be given again.")
 @click.option("--radius", "radii", metavar="PX", type=float, multiple=True, help="Largest radius; may be given again.")
+@click.option("--minutes", metavar="M", type=float, help="Begin no case later, and leave out what is left.")
 @click.option("--stability", is_flag=True, help="Measure errors of hard cases of numerics instead.")
 @device_option
 @quiet_option
 def bench(
-    out: Path, quick: bool, compare: bool, sizes: tuple[int, ...], radii: tuple[float, ...], stability: bool,
-    device: str | None, quiet: bool,
+    out: Path, quick: bool, compare: bool, sizes: tuple[int, ...], radii: tuple[float, ...], minutes: float | None,
+    stability: bool, device: str | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Measure speed against error of the defocus pass: bench.json, bench.csv and plots in DIR.
 
@@ -279,7 +280,7 @@ def bench(
     from clsco.bench.command import make_task
     from clsco.files import writable_folder
 
-    task = make_task(stability, quick, compare, sizes, radii)
+    task = make_task(stability, quick, compare, sizes, radii, minutes)
     _require_device(device)
     from clsco.device import choose
     from clsco.show import print_tables, progress

@@ -168,6 +168,13 @@ def test_what_was_slow_is_left_out_at_larger_sizes() -> None:
     assert paces.objection(replace(fast, size=4000)) == ""
 
 
+def test_no_case_is_begun_when_the_time_is_over() -> None:
+    paces = Paces(replace(SMALL, minutes=1e-9))
+    case = Case(100, 6.0, "varying", "sampled", 1, "double", "clsco", "gather")
+    assert paces.objection(case) == "no case is begun after 1e-09 minutes"
+    assert Paces(replace(SMALL, minutes=1.0)).objection(case) == ""
+
+
 def test_long_cases_are_left_out_with_the_reason(session: Session, tmp_path: Path) -> None:
     grid = replace(SMALL, sizes=(24,), longest_s=0.0)
     calls: list[int] = []
@@ -290,6 +297,12 @@ def test_the_command_writes_and_shows(tmp_path: Path, monkeypatch: pytest.Monkey
         (("--size", 8193), "error: --size: must be 16 to 8192 px; got 8193"),
         (("--radius", -1), "error: --radius: must be 0 to 60 px; got -1"),
         (("--radius", 61), "error: --radius: must be 0 to 60 px; got 61"),
+        (("--minutes", 0), "error: --minutes: must be above 0; got 0"),
+        (("--minutes", "nan"), "error: --minutes: must be above 0; got nan"),
+        (
+            ("--minutes", 1, "--stability"),
+            "error: --stability: must stand without --compare, --size, --radius and --minutes; got one of them",
+        ),
         (("--radius", "nan"), "error: --radius: must be 0 to 60 px; got nan"),
     ],
 )

@@ -152,7 +152,8 @@ def test_a_shortfall_ends_the_command(measured: Stability, tmp_path: Path, monke
 def test_options_that_do_not_go_together(tmp_path: Path) -> None:
     for words in (["--compare"], ["--size", "64"], ["--radius", "3"]):
         result = CliRunner().invoke(main, ["bench", "-o", str(tmp_path / "out"), "--stability", *words])
-        message = "error: --stability: must stand without --compare, --size and --radius; got one of them"
+        rule = "must stand without --compare, --size, --radius and --minutes"
+        message = f"error: --stability: {rule}; got one of them"
         assert (result.exit_code, result.stderr.splitlines()) == (1, [message])
     assert not (tmp_path / "out").exists()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from math import inf
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -66,7 +67,7 @@ class Grid:
 
     once_s: longer calls are timed once; slowest: ways of clsco that take so many times as long as its fastest one are
     left out at larger sizes; both_to: above so many px a side only the first precision is measured, as the blur itself
-    is the same.
+    is the same; minutes: after which no case is begun.
     lens_size, samples: px a side of the frames that are compared with a traced one, and rays per pixel of Mitsuba's;
     warp_size: px a side of forward warps. 0: none of these.
     """
@@ -80,6 +81,7 @@ class Grid:
     once_s: float = 0.3
     slowest: float = 10.0
     both_to: int = 2048
+    minutes: float | None = None
     lens_size: int = 0
     samples: tuple[int, ...] = ()
     warp_size: int = 0
@@ -93,7 +95,7 @@ QUICK = Grid(
 )  # fmt: skip
 
 
-def make_grid(quick: bool, sizes: Sequence[int], radii: Sequence[float]) -> Grid:
+def make_grid(quick: bool, sizes: Sequence[int], radii: Sequence[float], minutes: float | None = None) -> Grid:
     """The grid of the command's options; sizes and radii in px, none: the grid's own, and all else that there is.
 
     Raises ClscoError.
@@ -104,7 +106,9 @@ def make_grid(quick: bool, sizes: Sequence[int], radii: Sequence[float]) -> Grid
     for radius in radii:
         if not 0.0 <= radius <= LARGEST_RADIUS:
             raise ClscoError(f"--radius: must be 0 to {LARGEST_RADIUS:g} px; got {radius:g}")
-    base = QUICK if quick else FULL
+    if minutes is not None and not 0.0 < minutes < inf:
+        raise ClscoError(f"--minutes: must be above 0; got {minutes:g}")
+    base = replace(QUICK if quick else FULL, minutes=minutes)
     if not sizes and not radii:
         return base
     sides, largest = tuple(sorted(set(sizes))) or base.sizes, tuple(sorted(set(radii))) or base.radii
@@ -117,9 +121,10 @@ def methods(scene: Scene) -> tuple[str, ...]:
     return tuple(name for name in known if (name == "convolve") == (scene == "constant"))
 
 
-def approximations(psf: Psf, largest: float) -> tuple[str, ...]:
-    """Approximations that do anything to radii up to `largest` px."""
-    return tuple(name for name, least in METHODS.items() if coarse_radii(psf, largest, least))
+def approximations(scene: Scene, psf: Psf, largest: float) -> tuple[str, ...]:
+    """Approximations that do anything to radii up to `largest` px; for one radius the exact way is faster than any."""
+    known = METHODS if scene == "varying" else {}
+    return tuple(name for name, least in known.items() if coarse_radii(psf, largest, least))
 
 
 def grid_cases(grid: Grid, has_fp64: bool, peers: Sequence[tuple[str, str, Scene, str]] = ()) -> list[Case]:
@@ -143,7 +148,7 @@ def grid_cases(grid: Grid, has_fp64: bool, peers: Sequence[tuple[str, str, Scene
                     found += [
                         Case(size, radius, scene, psf, channels, precisions[0], "clsco", method)
                         for channels in grid.channels
-                        for method in approximations(PSFS[psf], radius)
+                        for method in approximations(scene, PSFS[psf], radius)
                     ]
                     found += [
                         Case(size, radius, scene, psf, channels, "single", tool, method)

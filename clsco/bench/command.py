@@ -84,13 +84,14 @@ class Stability:
 
 
 def make_task(
-    stability: bool, quick: bool, compare: bool, sizes: Sequence[int], radii: Sequence[float]
+    stability: bool, quick: bool, compare: bool, sizes: Sequence[int], radii: Sequence[float], minutes: float | None
 ) -> Speed | Stability:
     """What the command's options ask for. Raises ClscoError where they do not go together, or a peer is missing."""
     if stability:
-        if compare or sizes or radii:
-            raise ClscoError("--stability: must stand without --compare, --size and --radius; got one of them")
+        if compare or sizes or radii or minutes is not None:
+            rule = "must stand without --compare, --size, --radius and --minutes"
+            raise ClscoError(f"--stability: {rule}; got one of them")
         return Stability(quick)
-    grid = make_grid(quick, sizes, radii)
+    grid = make_grid(quick, sizes, radii, minutes)
     tools, missing = require_peers() if compare else ([], {})
     return Speed(grid, tools, missing)

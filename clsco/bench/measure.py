@@ -210,23 +210,28 @@ def _set_up(case: Case, image: Array, radii: Array, session: Session) -> Callabl
     return lambda _: call()
 
 
-def _first(case: Case, device: Device) -> _First:
-    """Run a case on its crop, the first time with nothing made before, and compare it with the reference."""
+def _first(case: Case, session: Session, first_call_s: float | None) -> _First:
+    """Run a case on its crop, the first time with nothing made before, and compare it with the reference.
+
+    first_call_s: of the same at another size, which is not measured again.
+    """
     crop = crop_of(case.size, case.radius, PSFS[case.psf])
     image = channels_of(picture(case.size)[crop], case.channels)
     radii = np.ascontiguousarray(scene_radii(case.size, case.radius, case.scene)[crop])
-    psf_table.cache_clear()
-    stencils.cache_clear()
-    start = time.perf_counter()
-    with Session(device) as session:
-        call = _set_up(case, image, radii, session)
-        found = call([])
-        middle = time.perf_counter()
-        warm = min(_seconds(call), _seconds(call))  # what slows the machine for a moment must not leave a case out
+    if first_call_s is None:
+        psf_table.cache_clear()
+        stencils.cache_clear()
+        start = time.perf_counter()
+        with Session(session.device) as alone:
+            _set_up(case, image, radii, alone)([])
+            first_call_s = time.perf_counter() - start
+    call = _set_up(case, image, radii, session)
+    found = call([])
+    warm = min(_seconds(call), _seconds(call))  # what slows the machine for a moment must not leave a case out
     exact = _exact(case.size, case.radius, case.scene, case.psf)
     error = found.astype(np.float64) - channels_of(exact, case.channels)
     rms, largest = float(np.sqrt(np.mean(error**2))), float(np.abs(error).max())
-    return _First(middle - start, len(radii), rms, largest, warm)
+    return _First(first_call_s, len(radii), rms, largest, warm)
 
 
 @lru_cache(maxsize=1)
@@ -246,7 +251,8 @@ def reference(image: Array, radii: Array, psf: Psf) -> Array:
 
 def _ready(case: Case, session: Session, longest_s: float, paces: Paces) -> _Ready | str:
     """Set a case up in full size and call it a first time; or why it is left out."""
-    first = _first(case, session.device)
+    first = _first(case, session, paces.first_call_s.get(case.kind))
+    paces.first_call_s[case.kind] = first.first_call_s
     least = first.warm_s * (case.size / first.crop_px) ** 2  # more light than of the image leaves the crop
     paces.note(case, least)
     if least > longest_s:

@@ -37,6 +37,7 @@ from clsco.scene import (
     Cylinder,
     Ellipsoid,
     Motion,
+    Object,
     ObjectMotion,
     Plane,
     Psf,
