@@ -168,6 +168,19 @@ def test_what_was_slow_is_left_out_at_larger_sizes() -> None:
     assert paces.objection(replace(fast, size=4000)) == ""
 
 
+def test_what_is_slow_on_its_crop_is_left_out() -> None:
+    """Its light goes beyond the crop: nothing says how long it takes in full size."""
+    paces = Paces(replace(SMALL, slowest=10.0))
+    gather = Case(512, 60.0, "varying", "gaussian", 1, "double", "clsco", "gather")
+    coarse, scatter = replace(gather, method="coarse2"), replace(gather, method="scatter")
+    assert [paces.crop_objection(case, s) for case, s in ((gather, 0.001), (coarse, 0.05), (scatter, 0.009))] == [
+        ""
+    ] * 3
+    why = "a way must take 10 times as long as the fastest at most; got 11 at its crop"
+    assert paces.crop_objection(scatter, 0.011) == why
+    assert paces.objection(replace(scatter, size=1024)) == why
+
+
 def test_no_case_is_begun_when_the_time_is_over() -> None:
     paces = Paces(replace(SMALL, minutes=1e-9))
     case = Case(100, 6.0, "varying", "sampled", 1, "double", "clsco", "gather")

@@ -116,7 +116,7 @@ def make_grid(quick: bool, sizes: Sequence[int], radii: Sequence[float], minutes
 
 
 def methods(scene: Scene) -> tuple[str, ...]:
-    """Exact methods that are measured on a scene: those for one radius have a scene of their own."""
+    """Exact methods that are measured on a scene, the fastest first: those for one radius have a scene of their own."""
     known = [name for name in get_args(Blur) if name != "none"]
     return tuple(name for name in known if (name == "convolve") == (scene == "constant"))
 

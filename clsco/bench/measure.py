@@ -253,6 +253,8 @@ def _ready(case: Case, session: Session, longest_s: float, paces: Paces) -> _Rea
     """Set a case up in full size and call it a first time; or why it is left out."""
     first = _first(case, session, paces.first_call_s.get(case.kind))
     paces.first_call_s[case.kind] = first.first_call_s
+    if why_not := paces.crop_objection(case, first.warm_s):
+        return why_not
     least = first.warm_s * (case.size / first.crop_px) ** 2  # more light than of the image leaves the crop
     paces.note(case, least)
     if least > longest_s:
