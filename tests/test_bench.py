@@ -81,6 +81,13 @@ def measured(session: Session, steps: list[int]) -> Bench:
     return measure.run(SMALL, session.device, [], lambda: steps.append(1))
 
 
+def test_plots_show_the_largest_size_that_is_whole(measured: Bench) -> None:
+    assert report._size(measured) == 40
+    rows = [row for row in measured.rows if row.size == 24]
+    others = [replace(row, radius=9.0) for row in rows]
+    assert report._size(replace(measured, rows=[*measured.rows, *others])) == 24
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", get_args(Precision))
 def test_gray_images_as_well(session: Session, precision: Precision) -> None:
@@ -179,6 +186,15 @@ def test_what_is_slow_on_its_crop_is_left_out() -> None:
     why = "a way must take 10 times as long as the fastest at most; got 11 at its crop"
     assert paces.crop_objection(scatter, 0.011) == why
     assert paces.objection(replace(scatter, size=1024)) == why
+
+
+@pytest.mark.slow
+def test_light_beyond_the_crop_counts(session: Session) -> None:
+    """A call in full size would take minutes."""
+    case = Case(512, 60.0, "varying", "gaussian", 1, "double", "clsco", "scatter")
+    why = measure._ready(case, session, 10.0, Paces(SMALL))
+    assert isinstance(why, str)
+    assert float(why.split("got at least ")[1].split()[0]) > 60.0
 
 
 def test_no_case_is_begun_when_the_time_is_over() -> None:

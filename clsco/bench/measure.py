@@ -51,7 +51,9 @@ from clsco.stencil import stencils
 
 Array = NDArray[Any]
 REALS: dict[str, Real] = {"double": "double", "single": "float"}
-BATCH_SHARE = 4  # cases are held on the device together up to this part of its memory
+TAP_BY_TAP = ("scatter", "tiles")  # ways that leave out what goes beyond a crop
+# Cases are held together up to this part of the device's memory; those of peers take about so many bytes per pixel.
+BATCH_SHARE, PEER_BYTES = 8, 32
 
 
 @dataclass(frozen=True)
@@ -125,6 +127,13 @@ class _Ready:
     wall: list[float]
     kernels: list[dict[str, float]]
 
+    @property
+    def bytes(self) -> int:
+        """What it holds until it is timed, with its own copy of the image, or about that."""
+        pixels = self.case.size**2
+        own = PEER_BYTES * pixels if self.device_bytes is None else self.device_bytes
+        return own + 4 * self.case.channels * pixels
+
 
 def run(grid: Grid, device: Device, tools: Sequence[str], advance: Callable[[], object]) -> Bench:
     """Measure a grid on a device, beside the peers of `tools`.
@@ -146,7 +155,7 @@ def run(grid: Grid, device: Device, tools: Sequence[str], advance: Callable[[], 
                     advance()
                 continue
             batch.append(ready)
-            if sum(held.device_bytes or 0 for held in batch) > device.global_mem // BATCH_SHARE:
+            if sum(held.bytes for held in batch) > device.global_mem // BATCH_SHARE:
                 rows += _timed(batch, grid, roof, device, advance)
                 batch = []
         rows += _timed(batch, grid, roof, device, advance)
@@ -256,6 +265,8 @@ def _ready(case: Case, session: Session, longest_s: float, paces: Paces) -> _Rea
     if why_not := paces.crop_objection(case, first.warm_s):
         return why_not
     least = first.warm_s * (case.size / first.crop_px) ** 2  # more light than of the image leaves the crop
+    if case.method in TAP_BY_TAP:
+        least *= max(1.0, mean_taps(PSFS[case.psf], case.radius, case.scene) / first.crop_px**2)
     paces.note(case, least)
     if least > longest_s:
         return f"a call must take {longest_s:g} s at most; got at least {least:.2g} s"
