@@ -477,12 +477,6 @@ def test_ground_truth_of_a_stereo_pair(session: Session, eye: Eye, items: tuple[
     assert 0.02 < occluded.mean() < 0.5
 
 
-def test_the_apex_of_a_cone_faces_the_lens(session: Session) -> None:
-    """Its gradient is 0, exactly, in the pixel that the axis goes through."""
-    plan = planned(scene(Cone(half_angle=40.0, apex=(0.0, 0.0, 256.0)), STILL, size=(9, 7)), 1)
-    assert truth_on_device(session, plan, ("normal",), 0)["normal"][3, 4].tolist() == [0.0, 0.0, -1.0]
-
-
 def test_hidden_points_are_there_and_seen_ones_too(session: Session) -> None:
     """The scenes above would not test `hidden` if nothing were."""
     hidden = [

@@ -130,6 +130,14 @@ def test_what_is_hidden_from_the_other_view_is_nearer_there(waves: str) -> None:
     assert right.occluded is not None
 
 
+def test_the_apex_of_a_cone_faces_the_lens(waves: str) -> None:
+    """Its gradient is 0, exactly, in the pixel that the axis goes through."""
+    cone = {"shape": "cone", "apex": [0.0, 0.0, 256.0], "half_angle": 40.0}
+    (frame,) = clsco.render(scene(waves, cone, camera={"resolution": [9, 7]}, psf=TRUTH_ONLY))
+    assert frame.normal is not None
+    assert frame.normal[3, 4].tolist() == [0.0, 0.0, -1.0]
+
+
 def test_a_depth_map_of_a_scene_gives_its_frame(waves: str, tmp_path: Path) -> None:
     """Depth and focused image of an analytic scene make the frame that its layers make, up to their rounding.
 
