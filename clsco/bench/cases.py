@@ -65,9 +65,9 @@ class Case:
 class Grid:
     """The axes of the benchmark; rounds: timed calls of a case; longest_s: cases with longer calls are left out.
 
-    once_s: longer calls are timed once; slowest: ways of clsco that take so many times as long as its fastest one are
-    left out at larger sizes; both_to: above so many px a side only the first precision is measured, as the blur itself
-    is the same; minutes: after which no case is begun.
+    once_s: longer calls are timed once; slowest: ways of clsco that take so many times as long as its fastest one, on a
+    crop or at a smaller size, are left out; both_to: above so many px a side only the first precision is measured, as
+    the blur itself is the same; minutes: after which no case is begun.
     lens_size, samples: px a side of the frames that are compared with a traced one, and rays per pixel of Mitsuba's;
     warp_size: px a side of forward warps. 0: none of these.
     """
@@ -122,7 +122,7 @@ def methods(scene: Scene) -> tuple[str, ...]:
 
 
 def approximations(scene: Scene, psf: Psf, largest: float) -> tuple[str, ...]:
-    """Approximations that do anything to radii up to `largest` px; for one radius the exact way is faster than any."""
+    """Approximations that do anything to radii up to `largest` px; none for one radius, where `convolve` is faster."""
     known = METHODS if scene == "varying" else {}
     return tuple(name for name, least in known.items() if coarse_radii(psf, largest, least))
 
