@@ -221,7 +221,10 @@ def _state(path: str, recorded: list[int] | None = None) -> list[int]:
 
 def _recorded(folder: Path) -> _Sums:
     try:
-        entries = json.loads((folder / LIST).read_text("utf-8")).items()
+        text, _, own = (folder / LIST).read_text("utf-8").rpartition("\n")
+        if int(own) != zlib.crc32(text.encode()):  # a damaged list may lack the file that is damaged
+            return {}
+        entries = json.loads(text).items()
         return {name: [int(size), int(modified), int(crc)] for name, (size, modified, crc) in entries}
     except (OSError, ValueError, TypeError, AttributeError):  # none yet, or damaged: as good as none
         return {}
@@ -240,7 +243,8 @@ def _record(folder: Path) -> None:
     if sums != recorded:
         temporary = folder / f"{LIST}.new"
         with suppress(OSError):  # a full disk: what is not recorded is compiled anew
-            temporary.write_text(json.dumps(sums), "utf-8")
+            text = json.dumps(sums)
+            temporary.write_text(f"{text}\n{zlib.crc32(text.encode())}", "utf-8")
             temporary.replace(folder / LIST)
     for left in folder.glob("tempfile_*"):
         with suppress(OSError):

@@ -188,6 +188,22 @@ def test_only_the_damaged_program_is_removed(tmp_path: Path, monkeypatch: pytest
     assert poclcache.check() == 1
 
 
+def test_a_list_that_lost_the_damaged_file_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "clsco" / "pocl-1"
+    monkeypatch.setenv("POCL_CACHE_DIR", str(folder))
+    with poclcache.exclusive():
+        (folder / "AB/one").mkdir(parents=True)
+        for name in ("program.bc", "work.so"):
+            (folder / "AB/one" / name).write_text("compiled")
+    assert poclcache.check() == 0
+    (folder / "AB/one/program.bc").unlink()
+    (folder / "AB/one/program.bc").mkdir()  # which PoCL would read
+    listed = (folder / poclcache.LIST).read_text()
+    (folder / poclcache.LIST).write_text(listed.replace("AB/one/program.bc", "AB/onf/program.bc"))
+    assert poclcache.check() == 1
+    assert list((folder / "AB").iterdir()) == []
+
+
 def test_folders_that_did_not_change_are_not_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "clsco" / "pocl-1"
     monkeypatch.setenv("POCL_CACHE_DIR", str(folder))
