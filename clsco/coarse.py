@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import nan, sqrt
+from weakref import proxy
 
 import numpy as np
 import pyopencl as cl
@@ -83,7 +84,8 @@ class Coarse(Spreader):
         self.least, self.places, self.tilt = least, places, bool(features["TILT"])
         self.marked = np.int32(bool(features["SUBPIXELS"] or features["OCCLUDED"]))
         radii = coarse_radii(psf, largest, least)
-        self.levels = [self._level(self)] if radii else []
+        # A cycle of references would hold all buffers until the garbage collector comes by.
+        self.levels = [self._level(proxy(self), True)] if radii else []
         if not radii:
             return
         coarse = coarse_psf(psf)
@@ -99,14 +101,14 @@ class Coarse(Spreader):
                 session, inner, coarse, method, frame_struct(*shape, real), channels, least, radius, 0, real,
                 brightest, plain,
             )  # fmt: skip
-            self.levels.append(self._level(spreader))
+            self.levels.append(self._level(spreader, False))
         if places is not None:
             self.pixels = upload(session, places)
             self.misses = empty(session, 4 * channels * len(places))
 
-    def _level(self, spreader: Spreader) -> Level:
+    def _level(self, spreader: Spreader, own: bool) -> Level:
+        """own: the finest one, whose value and source are those of a moment."""
         width, height = int(spreader.camera["width"]), int(spreader.camera["height"])
-        own = spreader is self  # whose value and source are those of a moment
         sizes = grid_bytes(self.channels, width, height, self.tilt, own)
         radius = _filled(self.session, sizes["radius"], nan)
         tilt, moved, light = (_filled(self.session, sizes[name], 0.0) for name in ("tilt", "moved", "light"))

@@ -160,27 +160,35 @@ def test_wiping_leaves_what_is_not_pocls(tmp_path: Path, monkeypatch: pytest.Mon
     assert (tmp_path / "mine" / "thesis.txt").read_text() == "kept"
 
 
-def test_too_large_a_cache_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = tmp_path / "clsco" / "pocl-1"
-    monkeypatch.setenv("POCL_CACHE_DIR", str(folder))
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The cache of this process."""
+    monkeypatch.setenv("POCL_CACHE_DIR", str(tmp_path / "clsco" / "pocl-1"))
+    return tmp_path / "clsco" / "pocl-1"
+
+
+def compiled(folder: Path, *files: str) -> None:
+    """Put files into a cache and its list; what they hold are their names."""
     with poclcache.exclusive():
-        for name in ("AB/one", "AB/two", "CD/three"):
-            (folder / name).mkdir(parents=True)
-            (folder / name / "program.bc").write_bytes(bytes(100))
+        for file in files:
+            (folder / file).parent.mkdir(parents=True, exist_ok=True)
+            (folder / file).write_text(file)
+
+
+def test_too_large_a_cache_is_removed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    files = ("AB/one/program.bc", "AB/two/program.bc", "CD/three/program.bc")
+    compiled(folder, *files)
+    size = sum(len(file) for file in files)
+    monkeypatch.setattr(poclcache, "_LARGEST", size)
     assert poclcache.check() == 0
-    monkeypatch.setattr(poclcache, "_LARGEST", 299)
+    monkeypatch.setattr(poclcache, "_LARGEST", size - 1)
     assert poclcache.check() == 3
     assert list(folder.rglob("program.bc")) == []
 
 
-def test_only_the_damaged_program_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = tmp_path / "clsco" / "pocl-1"
-    monkeypatch.setenv("POCL_CACHE_DIR", str(folder))
-    with poclcache.exclusive():
-        for name in ("AB/one", "AB/two"):
-            (folder / name).mkdir(parents=True)
-            (folder / name / "program.bc").write_text(name)
-    (folder / "AB/one/program.bc").write_text("AB/One")
+def test_only_the_damaged_program_is_removed(folder: Path) -> None:
+    compiled(folder, "AB/one/program.bc", "AB/two/program.bc")
+    (folder / "AB/one/program.bc").write_text("AB/One/program.bc")
     assert poclcache.check() == 1
     assert [path.parent.name for path in folder.rglob("program.bc")] == ["two"]
     assert poclcache.check() == 0
@@ -188,13 +196,8 @@ def test_only_the_damaged_program_is_removed(tmp_path: Path, monkeypatch: pytest
     assert poclcache.check() == 1
 
 
-def test_a_list_that_lost_the_damaged_file_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = tmp_path / "clsco" / "pocl-1"
-    monkeypatch.setenv("POCL_CACHE_DIR", str(folder))
-    with poclcache.exclusive():
-        (folder / "AB/one").mkdir(parents=True)
-        for name in ("program.bc", "work.so"):
-            (folder / "AB/one" / name).write_text("compiled")
+def test_a_list_that_lost_the_damaged_file_is_none(folder: Path) -> None:
+    compiled(folder, "AB/one/program.bc", "AB/one/work.so")
     assert poclcache.check() == 0
     (folder / "AB/one/program.bc").unlink()
     (folder / "AB/one/program.bc").mkdir()  # which PoCL would read
@@ -204,13 +207,8 @@ def test_a_list_that_lost_the_damaged_file_is_none(tmp_path: Path, monkeypatch: 
     assert list((folder / "AB").iterdir()) == []
 
 
-def test_folders_that_did_not_change_are_not_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = tmp_path / "clsco" / "pocl-1"
-    monkeypatch.setenv("POCL_CACHE_DIR", str(folder))
-    with poclcache.exclusive():
-        for name in ("AB/one", "AB/two"):
-            (folder / name).mkdir(parents=True)
-            (folder / name / "program.bc").write_text(name)
+def test_folders_that_did_not_change_are_not_read_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    compiled(folder, "AB/one/program.bc", "AB/two/program.bc")
     for path in folder.glob("AB/*"):
         os.utime(path, (1.0, 1.0))
     read: list[str] = []
