@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import gc
 import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyopencl as cl
 import pytest
 from click.testing import CliRunner
 
@@ -127,6 +129,23 @@ def test_errors_are_measured_where_they_are(scene: tuple[Any, Any, Any]) -> None
     assert (one.method, one.tolerance, one.pixels, one.tried) == ("coarse2", None, len(place), ())
     assert (one.rms_error, one.at_most) == pytest.approx((rms, at_most), rel=1e-2)
     assert np.array_equal(found, clsco.defocus(image, coc, method="coarse2"))  # measured or not
+
+
+@pytest.mark.parametrize("how", [{}, {"method": "coarse2"}, {"tolerance": 0.01}])
+def test_buffers_are_given_back_at_once(scene: tuple[Any, Any, Any], how: dict[str, Any]) -> None:
+    image, coc, _ = scene
+    clsco.defocus(image, coc, **how)  # what a session keeps is there then
+    gc.collect()
+    gc.disable()
+    try:
+        clsco.defocus(image, coc, **how)
+        gc.set_debug(gc.DEBUG_SAVEALL)
+        gc.collect()
+        assert [type(each) for each in gc.garbage if isinstance(each, cl.Buffer)] == []  # in cycles of references
+    finally:
+        gc.set_debug(0)
+        gc.garbage.clear()
+        gc.enable()
 
 
 def test_places_are_spread_over_the_frame() -> None:

@@ -272,6 +272,8 @@ def _ready(case: Case, session: Session, longest_s: float, paces: Paces) -> _Rea
         return f"a call must take {longest_s:g} s at most; got at least {least:.2g} s"
     image = channels_of(picture(case.size), case.channels)
     try:
+        if case.method in METHODS:  # before the pass that is timed: two at once may be too large
+            first = replace(first, **_sampled(case, image, session))
         call = _set_up(case, image, scene_radii(case.size, case.radius, case.scene), session)
         warm = _seconds(call)
         if warm > longest_s:
@@ -279,8 +281,6 @@ def _ready(case: Case, session: Session, longest_s: float, paces: Paces) -> _Rea
         paces.note(case, warm)
         if warm > longest_s:
             return f"a call must take {longest_s:g} s at most; got {warm:.2g} s"
-        if case.method in METHODS:
-            first = replace(first, **_sampled(case, image, session))
     except (DeviceError, SceneError) as error:
         return str(error)
     return _Ready(case, first, call, call.bytes if isinstance(call, Pass) else None, [], [], [])
