@@ -91,7 +91,7 @@ class Grid:
 FULL = Grid(lens_size=512, samples=(1, 4, 16, 64, 256, 1024, 2500), warp_size=2048)
 QUICK = Grid(
     sizes=(256, 512), radii=(2.0, 6.0, 20.0), channels=(1,), precisions=("double",), longest_s=0.2, lens_size=512,
-    samples=(4, 16, 64, 324), warp_size=2048,
+    samples=(4, 16, 64, 256), warp_size=2048,
 )  # fmt: skip
 
 

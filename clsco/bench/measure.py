@@ -42,7 +42,7 @@ from clsco.coarsening import METHODS, estimate, sample_places
 from clsco.device import Device, Session
 from clsco.errors import DeviceError, SceneError
 from clsco.layout import Real
-from clsco.psf import psf_table
+from clsco.psf import psf_extent, psf_table
 from clsco.reference.blur import prepare_sources, scatter
 from clsco.reference.trace import Sources as Light
 from clsco.scene import Psf
@@ -51,7 +51,7 @@ from clsco.stencil import stencils
 
 Array = NDArray[Any]
 REALS: dict[str, Real] = {"double": "double", "single": "float"}
-TAP_BY_TAP = ("scatter", "tiles")  # ways that leave out what goes beyond a crop
+TAP_BY_TAP = ("scatter", "tiles", "private", "bands")  # ways that leave out what goes beyond a crop
 # Cases are held together up to this part of the device's memory; those of peers take about so many bytes per pixel.
 BATCH_SHARE, PEER_BYTES = 8, 32
 
@@ -264,12 +264,10 @@ def _ready(case: Case, session: Session, longest_s: float, paces: Paces) -> _Rea
     paces.first_call_s[case.kind] = first.first_call_s
     if why_not := paces.crop_objection(case, first.warm_s):
         return why_not
-    least = first.warm_s * (case.size / first.crop_px) ** 2  # more light than of the image leaves the crop
-    if case.method in TAP_BY_TAP:
-        least *= max(1.0, mean_taps(PSFS[case.psf], case.radius, case.scene) / first.crop_px**2)
-    paces.note(case, least)
-    if least > longest_s:
-        return f"a call must take {longest_s:g} s at most; got at least {least:.2g} s"
+    about = _by_crop(case, first)
+    paces.note(case, about)
+    if about > longest_s:
+        return f"a call must take {longest_s:g} s at most; got about {about:.2g} s, by its crop"
     image = channels_of(picture(case.size), case.channels)
     try:
         if case.method in METHODS:  # before the pass that is timed: two at once may be too large
@@ -284,6 +282,14 @@ def _ready(case: Case, session: Session, longest_s: float, paces: Paces) -> _Rea
     except (DeviceError, SceneError) as error:
         return str(error)
     return _Ready(case, first, call, call.bytes if isinstance(call, Pass) else None, [], [], [])
+
+
+def _by_crop(case: Case, first: _First) -> float:
+    """About how long a call in full size takes: light that leaves the crop costs as much, or nothing."""
+    psf, crop = PSFS[case.psf], first.crop_px
+    if case.method in TAP_BY_TAP:
+        return first.warm_s * (case.size / crop) ** 2 * max(1.0, mean_taps(psf, case.radius, case.scene) / crop**2)
+    return first.warm_s * (case.size / (crop + 2.0 * float(psf_extent(psf, case.radius)))) ** 2
 
 
 def _sampled(case: Case, image: Array, session: Session) -> dict[str, Any]:

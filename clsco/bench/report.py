@@ -204,11 +204,11 @@ PLOTS: dict[str, Callable[[Bench], Any]] = {
 
 
 def _size(bench: Bench) -> int:
-    """The largest size among those with the most radii: time may have been over at larger ones."""
-    radii: dict[int, set[float]] = {}
+    """The largest size among those that show most: calls may be too long, or time over, at larger ones."""
+    shown: dict[int, set[object]] = {}
     for row in bench.rows:
-        radii.setdefault(row.size, set()).add(row.radius)
-    return max(radii, key=lambda size: (len(radii[size]), size))
+        shown.setdefault(row.size, set()).add((row.scene, row.psf, row.radius))
+    return max(shown, key=lambda size: (len(shown[size]), size))
 
 
 def _channels(bench: Bench) -> int:
