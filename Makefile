@@ -61,7 +61,7 @@ bench: .venv/bench.stamp
 	$(BIN)/python -m benchmarks.convolve_speed
 	$(BIN)/python -m benchmarks.accuracy
 	$(BIN)/python -m benchmarks.occlusion
-	$(BIN)/clsco bench --quick --compare -o benchmarks/results/bench
+	$(BIN)/clsco bench --compare -o benchmarks/results/bench
 
 .venv/%.stamp: pyproject.toml
 	@test -n "$(PYTHON)" || { echo "python: must be 3.11 or newer; give one with make PYTHON=..." >&2; exit 1; }
