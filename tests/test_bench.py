@@ -197,7 +197,7 @@ def test_light_beyond_the_crop_counts(session: Session) -> None:
 
 
 def test_light_beyond_the_crop_costs_those_who_blur_it() -> None:
-    """A crop of 39 px with R to 60 px is all border: what is blurred there is nine times as much in each direction."""
+    """A crop of 39 px with R to 60 px is all border: what is blurred there is four times as wide and high."""
     first = measure._First(first_call_s=0.1, crop_px=39, rms=0.0, largest=0.0, warm_s=1e-3)
     whole = Case(3900, 60.0, "constant", "sampled", 1, "double", "clsco", "convolve")
     assert measure._by_crop(whole, first) == pytest.approx(1e-3 * (3900 / (39 + 2 * 60)) ** 2, rel=0.05)
