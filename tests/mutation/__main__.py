@@ -2,9 +2,10 @@
 
     python -m tests.mutation --share 20 --jobs 2 -o mutation.json
 
-Works in copies of the tree, which are gone at the end, whatever ends it. Fails where a mutant survives that
-survivors.toml does not give a reason for. All of them take hours: noticed.json remembers which were noticed for as long
-as the code of their file stays the same, and --new leaves these out, and those with a reason.
+Works in copies of the tree, which are gone at the end, whatever ends it. Of the tests of a kernel file, those run that
+have the mutant in what they compile and launch. Fails where a mutant survives that survivors.toml does not give a reason
+for. All of them take hours: noticed.json remembers which were noticed for as long as the code of their file stays the
+same, and --new leaves these out, and those with a reason.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import argparse
 import json
 import os
 import random
+import shutil
 import sys
 import threading
 import time
@@ -25,10 +27,10 @@ from queue import SimpleQueue
 
 from tests.mutation.copies import ROOT, Copy, copies
 from tests.mutation.mutants import Mutant, code_of, mutants
+from tests.mutation.seen import Sight
 
 REASONS = Path(__file__).with_name("survivors.toml")
 NOTICED = Path(__file__).with_name("noticed.json")
-MOST_FIRST = 4  # tests that noticed most other mutants of a file go before the others
 TESTS = {
     "clsco/optics.py": "test_optics test_plan reference/test_geometry",
     "clsco/motion.py": "test_motion test_surfaces test_plan reference/test_geometry",
@@ -116,6 +118,38 @@ class Memory:
         partial.replace(self.path)
 
 
+class Tests:
+    """Which tests can notice a mutant, as they were seen to run without a change."""
+
+    def __init__(self, timeout: float) -> None:
+        self.timeout = timeout
+        self.seconds: dict[str, float] = {}
+        self.noticed: dict[str, Counter[str]] = {name: Counter() for name in files()}  # by which tests
+        self._seen: dict[str, dict[Mutant, list[str]]] = {}  # test file -> mutant -> tests
+        self._tests: dict[str, list[str]] = {}  # test file -> tests
+        self._sight = Sight(ROOT, [name for name in files() if name.startswith("kernels/")])
+        self._lock = threading.Lock()
+
+    def seeing(self, mutant: Mutant, copy: Copy) -> list[str]:
+        """Tests in the order in which they are to run: those first that noticed most of the file in their time."""
+        found = []
+        for file in tests_of(mutant.file):
+            with self._lock:
+                if file not in self._tests:
+                    self._record(file, copy)
+            found += self._seen[file].get(mutant, []) if mutant.file.startswith("kernels/") else self._tests[file]
+        noticed = self.noticed[mutant.file]
+        return sorted(found, key=lambda test: -noticed[test] / (0.5 + self.seconds[test]))  # 0.5 s: to compile
+
+    def _record(self, file: str, copy: Copy) -> None:
+        begun = time.monotonic()
+        recorded = copy.recorded(file, self.timeout)
+        recorded["tests"] = dict(sorted(recorded["tests"].items(), key=lambda test: bool(test[1]["slow"])))
+        self.seconds |= {name: what["seconds"] for name, what in recorded["tests"].items()}
+        self._seen[file], self._tests[file] = self._sight.seen(recorded), list(recorded["tests"])
+        print(f"without a change {time.monotonic() - begun:6.1f} s  {file}", flush=True)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--files", nargs="+", default=files(), metavar="FILE", help="by default all of them")
@@ -128,52 +162,41 @@ def main() -> int:
     parser.add_argument("--new", action="store_true", help="only those that nothing is known of yet")
     parser.add_argument("-o", "--output", type=Path, default=Path("mutation.json"))
     options = parser.parse_args()
+    if shutil.which("cpp") is None:
+        parser.error("cpp: must be installed, the preprocessor of C; on Debian and Ubuntu by apt-get install cpp")
     # Kernels of a few pixels take longer to optimize than to run.
     os.environ["PYOPENCL_BUILD_OPTIONS"] = "-cl-opt-disable"
     reasons = {entry["mutant"]: entry["reason"] for entry in tomllib.loads(REASONS.read_text("utf-8"))["survivor"]}
     selected, end = chosen(options.files, options.share, options.part), time.monotonic() + 60 * options.until
+    selected.sort(key=lambda mutant: options.files.index(mutant.file))  # tests are collected once for each
     memory = Memory(NOTICED)
     if options.new:
         selected = [mutant for mutant in selected if not memory.has(mutant) and mutant.name not in reasons]
-    marks = ("not slow", "slow") if options.slow else ("not slow",)
     results: list[dict[str, object]] = []
-    seconds: dict[str, float] = {}
-    noticed: dict[str, Counter[str]] = {name: Counter() for name in options.files}  # by which tests
-    checking, stopped = threading.Lock(), threading.Event()
-    with copies(options.jobs) as made, ThreadPoolExecutor(options.jobs) as pool:
+    tests = Tests(10 * options.timeout)
+    stopped = threading.Event()
+    with copies(options.jobs, options.slow) as made, ThreadPoolExecutor(options.jobs) as pool:
         free: SimpleQueue[Copy] = SimpleQueue()
         for each in made:
             free.put(each)
-
-        def check(copy: Copy, names: list[str]) -> None:
-            """That tests pass without a change, once each; kernels are compiled then."""
-            with checking:
-                for name in (name for name in names if name not in seconds):
-                    begun = time.monotonic()
-                    status, out = copy.tested([name], [], 10 * options.timeout, " or ".join(marks), True)
-                    if status != 0:
-                        raise RuntimeError(f"{name} must pass without a change; got {status}\n{out[-3000:]}")
-                    seconds[name] = round(time.monotonic() - begun, 1)
-                    print(f"without a change {seconds[name]:6} s  {name}", flush=True)
 
         def run(mutant: Mutant) -> dict[str, object] | None:
             if stopped.is_set() or time.monotonic() > end:
                 return None
             copy = free.get()
             try:
-                check(copy, tests_of(mutant.file))
-                usual = sum(seconds[name] for name in tests_of(mutant.file))
-                often = [test for test, _ in noticed[mutant.file].most_common(MOST_FIRST)]
+                seeing = tests.seeing(mutant, copy)
+                usual = sum(tests.seconds[test] for test in seeing)
                 outcome, spent, test = copy.tried(
-                    mutant, tests_of(mutant.file), often, max(options.timeout, 4 * usual), marks
+                    mutant, tests_of(mutant.file), seeing, max(options.timeout, 10 * usual)
                 )
             finally:
                 free.put(copy)
             if test:
-                noticed[mutant.file][test] += 1
+                tests.noticed[mutant.file][test] += 1
             return {
                 "mutant": mutant.name, "row": mutant.row, "outcome": outcome, "seconds": round(spent, 1),
-                "by": test, "reason": reasons.get(mutant.name) if outcome == "survived" else None,
+                "tests": len(seeing), "by": test, "reason": reasons.get(mutant.name) if outcome == "survived" else None,
             }  # fmt: skip
 
         try:
@@ -185,7 +208,7 @@ def main() -> int:
                     memory.keep(futures[future])
                 results.append(result)
                 print(f"{result['outcome']:9} {result['seconds']:6} s  {result['mutant']}", flush=True)
-                _write(options, seconds, results)
+                _write(options, results)
                 memory.write()
         except BaseException:
             stopped.set()
@@ -193,7 +216,7 @@ def main() -> int:
             for each in made:
                 each.stop()
             raise
-    _write(options, seconds, results)
+    _write(options, results)
     survivors = [result for result in results if result["outcome"] == "survived"]
     unexplained = [result for result in survivors if result["reason"] is None]
     print(dict(Counter(str(result["outcome"]) for result in results)), f"{len(unexplained)} survive without a reason")
@@ -205,7 +228,7 @@ def main() -> int:
     return 1 if unexplained else 0
 
 
-def _write(options: argparse.Namespace, seconds: dict[str, float], results: list[dict[str, object]]) -> None:
+def _write(options: argparse.Namespace, results: list[dict[str, object]]) -> None:
     by_file: dict[str, Counter[str]] = {}
     for result in results:
         by_file.setdefault(str(result["mutant"]).split(":")[0], Counter())[str(result["outcome"])] += 1
@@ -213,7 +236,6 @@ def _write(options: argparse.Namespace, seconds: dict[str, float], results: list
         "share": options.share,
         "part": options.part,
         "mutants": {name: len(mutants(ROOT, name)) for name in options.files},
-        "seconds_without_a_change": seconds,
         "files": by_file,
         "results": sorted(results, key=lambda result: str(result["mutant"])),
     }
