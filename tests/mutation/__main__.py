@@ -2,10 +2,10 @@
 
     python -m tests.mutation --share 20 --jobs 2 -o mutation.json
 
-Works in copies of the tree, which are gone at the end, whatever ends it. Of the tests of a kernel file, those run that
-have the mutant in what they compile and launch. Fails where a mutant survives that survivors.toml does not give a reason
-for. All of them take hours: noticed.json remembers which were noticed for as long as the code of their file stays the
-same, and --new leaves these out, and those with a reason.
+Works in copies of the tree, which are gone at the end, whatever ends it. Of the tests of a kernel file those run that
+have the mutant in what they launch. Fails where a mutant survives that survivors.toml does not give a reason for. All
+of them take hours: noticed.json remembers which were noticed for as long as the code of their file stays the same, and
+--new leaves these out, and those with a reason.
 """
 
 from __future__ import annotations
@@ -127,6 +127,7 @@ class Tests:
         self.noticed: dict[str, Counter[str]] = {name: Counter() for name in files()}  # by which tests
         self._seen: dict[str, dict[Mutant, list[str]]] = {}  # test file -> mutant -> tests
         self._tests: dict[str, list[str]] = {}  # test file -> tests
+        self._slow: set[str] = set()
         self._sight = Sight(ROOT, [name for name in files() if name.startswith("kernels/")])
         self._lock = threading.Lock()
 
@@ -138,14 +139,14 @@ class Tests:
                 if file not in self._tests:
                     self._record(file, copy)
             found += self._seen[file].get(mutant, []) if mutant.file.startswith("kernels/") else self._tests[file]
-        noticed = self.noticed[mutant.file]
-        return sorted(found, key=lambda test: -noticed[test] / (0.5 + self.seconds[test]))  # 0.5 s: to compile
+        often = {test: count / (0.5 + self.seconds[test]) for test, count in self.noticed[mutant.file].items()}
+        return sorted(found, key=lambda test: (-often.get(test, 0.0), test in self._slow))
 
     def _record(self, file: str, copy: Copy) -> None:
         begun = time.monotonic()
         recorded = copy.recorded(file, self.timeout)
-        recorded["tests"] = dict(sorted(recorded["tests"].items(), key=lambda test: bool(test[1]["slow"])))
         self.seconds |= {name: what["seconds"] for name, what in recorded["tests"].items()}
+        self._slow |= {name for name, what in recorded["tests"].items() if what["slow"]}
         self._seen[file], self._tests[file] = self._sight.seen(recorded), list(recorded["tests"])
         print(f"without a change {time.monotonic() - begun:6.1f} s  {file}", flush=True)
 
