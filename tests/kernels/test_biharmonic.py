@@ -9,7 +9,10 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.device import Session
+from clsco.inpainting import biharmonic
 from clsco.inpainting.biharmonic import fill_biharmonic
+from clsco.layout import structs
+from clsco.program import build
 from clsco.reference import biharmonic as reference
 
 Array = NDArray[Any]
@@ -80,6 +83,26 @@ def test_the_reference_takes_the_same_steps(session: Session, name: str) -> None
     expected = np.clip(reference.fill_biharmonic(scaled, missing), 0, 1) * (high - low) + low
     # The device looks at the residual at every tenth step only.
     assert np.abs(filled(session, fill_biharmonic, image, missing) - expected).max() < FIGURE
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(31, 40), (22, 27)])
+@pytest.mark.parametrize("steps", [1, 3])
+def test_each_step_is_the_reference(
+    session: Session, monkeypatch: pytest.MonkeyPatch, steps: int, rows: int, columns: int
+) -> None:
+    """Whatever a preconditioner leaves out, the solution is the same in the end, only later."""
+    monkeypatch.setattr(biharmonic, "MOST_STEPS", steps)
+    monkeypatch.setattr(reference, "MOST_STEPS", steps)
+    image = 1e-3 * picture(rows, columns, 2).astype(np.float32)  # all sums are less than 1
+    missing = holes((rows, columns))["random"]
+    missing[: rows // 2, : columns // 2] = True
+    missing[rows // 2 :, columns // 2 :] = True
+    missing[rows // 3, columns // 3] = False
+    program = build(session, ["biharmonic.cl"], {"CHANNELS": 2, "SAMPLED": 0}, structs("double"), "double")
+    solver = biharmonic._Solver(session, program, "double", 2, missing)
+    assert len(solver.levels) > 2
+    exact = reference.fill_biharmonic(image.astype(np.float64), missing)[missing]
+    assert np.abs(solver.solve(image) - exact).max() < 1e-6 * np.abs(exact).max()
 
 
 @pytest.mark.parametrize("shape", [(1, 9), (9, 1), (2, 2), (1, 2), (3, 40)])

@@ -24,18 +24,22 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from hashlib import sha256
 from pathlib import Path
 from queue import SimpleQueue
+from typing import Any
 
-from tests.mutation.copies import ROOT, Copy, copies
-from tests.mutation.mutants import Mutant, code_of, mutants
+from tests.mutation import simulated
+from tests.mutation.copies import Copy, copies
+from tests.mutation.mutants import ROOT, Mutant, code_of, mutants
 from tests.mutation.seen import Sight
 
+AGAINST = ("quick", "slow", "simulator")  # tests by default, those marked slow, the cases of `make oclgrind`
+MOST_CASES = 6  # of the simulator, the quickest that see a mutant
 REASONS = Path(__file__).with_name("survivors.toml")
 NOTICED = Path(__file__).with_name("noticed.json")
 TESTS = {
     "clsco/optics.py": "test_optics test_plan reference/test_geometry",
     "clsco/motion.py": "test_motion test_surfaces test_plan reference/test_geometry",
     "clsco/plan.py": "test_plan test_coarsening test_describe test_memory pipeline/test_strips pipeline/test_scenes",
-    "accumulate.cl": "pipeline/test_examples",
+    "accumulate.cl": "pipeline/test_scenes",
     "biharmonic.cl": "kernels/test_biharmonic",
     "blur.cl": "kernels/test_blur test_defocus kernels/test_layer kernels/test_occlusion pipeline/test_occlusion",
     "coarse.cl": "kernels/test_coarse",
@@ -89,6 +93,9 @@ def short(text: str) -> str:
     return sha256(text.encode()).hexdigest()[:12]
 
 
+SIMULATOR = "tests/oclgrind"
+
+
 class Memory:
     """Which mutants were noticed: of each file a hash of its code, and hashes of their names."""
 
@@ -139,16 +146,29 @@ class Tests:
                 if file not in self._tests:
                     self._record(file, copy)
             found += self._seen[file].get(mutant, []) if mutant.file.startswith("kernels/") else self._tests[file]
+        return self._often_first(mutant, sorted(found, key=self._slow.__contains__))
+
+    def cases(self, mutant: Mutant) -> list[str]:
+        """Some cases of the simulator that see a mutant, in the order in which they are to run."""
+        with self._lock:
+            if SIMULATOR not in self._seen:
+                self._keep(SIMULATOR, simulated.recorded())
+        found = sorted(self._seen[SIMULATOR].get(mutant, []), key=self.seconds.__getitem__)
+        return self._often_first(mutant, found)[:MOST_CASES]
+
+    def _often_first(self, mutant: Mutant, found: list[str]) -> list[str]:
         often = {test: count / (0.5 + self.seconds[test]) for test, count in self.noticed[mutant.file].items()}
-        return sorted(found, key=lambda test: (-often.get(test, 0.0), test in self._slow))
+        return sorted(found, key=lambda test: -often.get(test, 0.0))
 
     def _record(self, file: str, copy: Copy) -> None:
         begun = time.monotonic()
-        recorded = copy.recorded(file, self.timeout)
+        self._keep(file, copy.recorded(file, self.timeout))
+        print(f"without a change {time.monotonic() - begun:6.1f} s  {file}", flush=True)
+
+    def _keep(self, file: str, recorded: dict[str, Any]) -> None:
         self.seconds |= {name: what["seconds"] for name, what in recorded["tests"].items()}
         self._slow |= {name for name, what in recorded["tests"].items() if what["slow"]}
         self._seen[file], self._tests[file] = self._sight.seen(recorded), list(recorded["tests"])
-        print(f"without a change {time.monotonic() - begun:6.1f} s  {file}", flush=True)
 
 
 def main() -> int:
@@ -158,9 +178,12 @@ def main() -> int:
     parser.add_argument("--part", type=int, default=0, metavar="K", help="which ones: 0 to N - 1")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--timeout", type=float, default=60.0, metavar="SECONDS", help="of a mutant, at least")
-    parser.add_argument("--slow", action="store_true", help="survivors against what is marked slow as well")
+    parser.add_argument(
+        "--against", nargs="+", choices=AGAINST, default=["quick"], help="which tests, by default quick"
+    )
     parser.add_argument("--until", type=float, default=float("inf"), metavar="MINUTES", help="begin no mutant later")
     parser.add_argument("--new", action="store_true", help="only those that nothing is known of yet")
+    parser.add_argument("--survivors", type=Path, metavar="FILE", help="only those of an earlier output")
     parser.add_argument("-o", "--output", type=Path, default=Path("mutation.json"))
     options = parser.parse_args()
     if shutil.which("cpp") is None:
@@ -171,12 +194,21 @@ def main() -> int:
     selected, end = chosen(options.files, options.share, options.part), time.monotonic() + 60 * options.until
     selected.sort(key=lambda mutant: options.files.index(mutant.file))  # tests are collected once for each
     memory = Memory(NOTICED)
+    if options.survivors:
+        earlier = json.loads(options.survivors.read_text("utf-8"))["results"]
+        survived = {result["mutant"] for result in earlier if result["outcome"] == "survived"}
+        selected = [mutant for mutant in selected if mutant.name in survived]
     if options.new:
         selected = [mutant for mutant in selected if not memory.has(mutant) and mutant.name not in reasons]
     results: list[dict[str, object]] = []
     tests = Tests(10 * options.timeout)
+    simulator = "simulator" in options.against
+    marked = " or ".join({"quick": "not slow", "slow": "slow"}[name] for name in options.against if name != "simulator")
     stopped = threading.Event()
-    with copies(options.jobs, options.slow) as made, ThreadPoolExecutor(options.jobs) as pool:
+    with (
+        copies(options.jobs, f"({marked}) and not soak and not laws and not oclgrind") as made,
+        ThreadPoolExecutor(options.jobs) as pool,
+    ):
         free: SimpleQueue[Copy] = SimpleQueue()
         for each in made:
             free.put(each)
@@ -186,18 +218,22 @@ def main() -> int:
                 return None
             copy = free.get()
             try:
-                seeing = tests.seeing(mutant, copy)
+                begun = time.monotonic()
+                seeing = tests.seeing(mutant, copy) if marked else []
                 usual = sum(tests.seconds[test] for test in seeing)
-                outcome, spent, test = copy.tried(
-                    mutant, tests_of(mutant.file), seeing, max(options.timeout, 10 * usual)
-                )
+                outcome, test = copy.tried(mutant, tests_of(mutant.file), seeing, max(options.timeout, 10 * usual))
+                if outcome == "survived" and simulator and mutant.file.startswith("kernels/"):
+                    cases = tests.cases(mutant)
+                    seeing = [*seeing, *cases]
+                    outcome, test = simulated.tried(mutant, cases, options.timeout) if cases else (outcome, "")
             finally:
                 free.put(copy)
             if test:
-                tests.noticed[mutant.file][test] += 1
+                tests.noticed[mutant.file][test.removeprefix("oclgrind: ")] += 1
             return {
-                "mutant": mutant.name, "row": mutant.row, "outcome": outcome, "seconds": round(spent, 1),
-                "tests": len(seeing), "by": test, "reason": reasons.get(mutant.name) if outcome == "survived" else None,
+                "mutant": mutant.name, "row": mutant.row, "outcome": outcome,
+                "seconds": round(time.monotonic() - begun, 1), "tests": len(seeing), "by": test,
+                "reason": reasons.get(mutant.name) if outcome == "survived" else None,
             }  # fmt: skip
 
         try:

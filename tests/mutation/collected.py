@@ -97,11 +97,10 @@ def collect(tree: Path, cache: Path, told: Path, arguments: list[str], asked: Co
 
 
 class Collected:
-    """Tests of some files of a copy; slow: those that are marked so as well."""
+    """Tests of some files of a copy; marked: which ones, as pytest's -m."""
 
-    def __init__(self, tree: Path, cache: Path, told: Path, files: Sequence[str], slow: bool) -> None:
-        marked = ["-m", f"{'' if slow else 'not slow and '}not soak and not laws and not oclgrind"]
-        options = ["-x", "-q", "--tb=short", "-rf", "-n", "0", "-p", "no:cacheprovider", *marked]
+    def __init__(self, tree: Path, cache: Path, told: Path, files: Sequence[str], marked: str) -> None:
+        options = ["-x", "-q", "--tb=short", "-rf", "-n", "0", "-p", "no:cacheprovider", "-m", marked]
         self.pipe, theirs = STARTED.Pipe()
         arguments = (tree, cache, told, [*options, *files], theirs)
         self.process = STARTED.Process(target=collect, args=arguments, daemon=True)

@@ -8,16 +8,14 @@ import shutil
 import signal
 import sys
 import tempfile
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from tests.mutation.collected import Collected
-from tests.mutation.mutants import Mutant
+from tests.mutation.mutants import ROOT, Mutant
 
-ROOT = Path(__file__).resolve().parents[2]
 COPIED = ("clsco", "kernels", "tests", "examples", "benchmarks", "docs", "pyproject.toml", "README.md", "Makefile")
 NOT_BUILT = ("must build on", "SyntaxError")  # what says that a mutant is no program
 
@@ -25,8 +23,8 @@ NOT_BUILT = ("must build on", "SyntaxError")  # what says that a mutant is no pr
 class Copy:
     """A copy of the tree in which one mutant at a time is tried."""
 
-    def __init__(self, folder: Path, slow: bool) -> None:
-        self.slow = slow
+    def __init__(self, folder: Path, marked: str) -> None:
+        self.marked = marked
         self.tree, self.cache, self.told = folder / "tree", folder / "cache", folder / "told"
         self.records = folder / "records.json"
         self.collected: tuple[tuple[str, ...], Collected] | None = None
@@ -45,7 +43,7 @@ class Copy:
         """Exit status of tests, see `Collected.run`, and what they print; anew: the package itself has changed."""
         if anew or self.collected is None or self.collected[0] != tuple(files):
             self.stop()
-            self.collected = tuple(files), Collected(self.tree, self.cache, self.told, files, self.slow)
+            self.collected = tuple(files), Collected(self.tree, self.cache, self.told, files, self.marked)
         status = self.collected[1].run(wanted, timeout)
         if anew or not self.collected[1].process.is_alive():
             self.stop()
@@ -65,13 +63,11 @@ class Copy:
         found: dict[str, Any] = json.loads(self.records.read_text("utf-8"))
         return found
 
-    def tried(
-        self, mutant: Mutant, files: Sequence[str], tests: Sequence[str], timeout: float
-    ) -> tuple[str, float, str]:
-        """What came of a mutant, the seconds that it took, and the test that failed; tests: of the files, in order."""
+    def tried(self, mutant: Mutant, files: Sequence[str], tests: Sequence[str], timeout: float) -> tuple[str, str]:
+        """What came of a mutant, and the test that failed; tests: of the files, in order."""
         if not tests:
-            return "survived", 0.0, ""
-        path, begun = self.tree / mutant.file, time.monotonic()
+            return "survived", ""
+        path = self.tree / mutant.file
         text, known = path.read_text("utf-8"), set(self.cache.glob("*/*"))
         path.write_text(mutant.of(text), "utf-8")
         try:
@@ -84,15 +80,15 @@ class Copy:
         if outcome == "killed" and any(words in out for words in NOT_BUILT):
             outcome = "not built"
         failed = re.search(r"^FAILED (tests/.+?::.+?)(?: - .*)?$", out, re.MULTILINE)
-        return outcome, time.monotonic() - begun, failed[1] if failed else ""
+        return outcome, failed[1] if failed else ""
 
 
 @contextmanager
-def copies(count: int, slow: bool) -> Iterator[list[Copy]]:
-    """Copies of the tree, removed at the end, by Ctrl-C and SIGTERM as well."""
+def copies(count: int, marked: str) -> Iterator[list[Copy]]:
+    """Copies of the tree, removed at the end, by Ctrl-C and SIGTERM as well; marked: which tests, as pytest's -m."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     with tempfile.TemporaryDirectory(prefix="clsco-mutation-", ignore_cleanup_errors=True) as folder:
-        made = [Copy(Path(folder) / str(k), slow) for k in range(count)]
+        made = [Copy(Path(folder) / str(k), marked) for k in range(count)]
         try:
             yield made
         finally:
