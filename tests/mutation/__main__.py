@@ -32,6 +32,7 @@ from tests.mutation.mutants import ROOT, Mutant, code_of, mutants
 from tests.mutation.seen import Sight
 
 AGAINST = ("quick", "slow", "simulator")  # tests by default, those marked slow, the cases of `make oclgrind`
+SECONDS = 10.0  # between two times that results are written
 MOST_CASES = 6  # of the simulator, the quickest that see a mutant
 REASONS = Path(__file__).with_name("survivors.toml")
 NOTICED = Path(__file__).with_name("noticed.json")
@@ -42,7 +43,7 @@ TESTS = {
     "accumulate.cl": "pipeline/test_scenes",
     "biharmonic.cl": "kernels/test_biharmonic",
     "blur.cl": "kernels/test_blur test_defocus kernels/test_layer kernels/test_occlusion pipeline/test_occlusion",
-    "coarse.cl": "kernels/test_coarse",
+    "coarse.cl": "kernels/test_coarse test_coarsening",
     "columns.clh": "kernels/test_blur test_defocus kernels/test_layer",
     "convolve.cl": "kernels/test_convolve",
     "discs.clh": "kernels/test_blur test_defocus",
@@ -66,7 +67,7 @@ TESTS = {
     "texture.cl": "kernels/test_texture",
     "tiles.cl": "kernels/test_tiles",
     "trace.cl": "kernels/test_trace kernels/test_geometry pipeline/test_views pipeline/test_scenes",
-    "wide.clh": "kernels/test_wide kernels/test_ray_surface",
+    "wide.clh": "kernels/test_wide kernels/test_ray_surface kernels/test_geometry kernels/test_trace",
 }
 """File -> tests that look at it, the quickest first; kernels without their folder."""
 
@@ -204,7 +205,7 @@ def main() -> int:
     tests = Tests(10 * options.timeout)
     simulator = "simulator" in options.against
     marked = " or ".join({"quick": "not slow", "slow": "slow"}[name] for name in options.against if name != "simulator")
-    stopped = threading.Event()
+    stopped, written = threading.Event(), time.monotonic()
     with (
         copies(options.jobs, f"({marked}) and not soak and not laws and not oclgrind") as made,
         ThreadPoolExecutor(options.jobs) as pool,
@@ -245,15 +246,19 @@ def main() -> int:
                     memory.keep(futures[future])
                 results.append(result)
                 print(f"{result['outcome']:9} {result['seconds']:6} s  {result['mutant']}", flush=True)
-                _write(options, results)
-                memory.write()
+                if time.monotonic() > written + SECONDS:
+                    _write(options, results)
+                    memory.write()
+                    written = time.monotonic()
         except BaseException:
             stopped.set()
             pool.shutdown(wait=False, cancel_futures=True)
             for each in made:
                 each.stop()
             raise
-    _write(options, results)
+        finally:
+            _write(options, results)
+            memory.write()
     survivors = [result for result in results if result["outcome"] == "survived"]
     unexplained = [result for result in survivors if result["reason"] is None]
     print(dict(Counter(str(result["outcome"]) for result in results)), f"{len(unexplained)} survive without a reason")
