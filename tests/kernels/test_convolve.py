@@ -98,6 +98,11 @@ def test_small_and_odd_frames(session: Session, shape: tuple[int, int]) -> None:
     assert_exact(session, Psf(model="gaussian"), 3.0, (*shape, 1))
 
 
+@pytest.mark.parametrize("shape", [(3, 1100), (270, 5)])
+def test_more_tiles_than_lie_side_by_side(session: Session, shape: tuple[int, int]) -> None:
+    assert_exact(session, Psf(), 2.5, (*shape, 1))
+
+
 @pytest.mark.parametrize("channels", [1, 2, 16])
 @pytest.mark.parametrize("psf", [Psf(), Psf(model="gaussian")], ids=name_of)
 def test_channels(session: Session, psf: Psf, channels: int) -> None:

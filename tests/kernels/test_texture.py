@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from clsco.device import Session
 from clsco.inpainting.texture import fill_texture
 from clsco.reference import texture as reference
+from clsco.waves import FEWEST_WAVES, MOST_WAVES, WAVES_PER_CONTRAST
 
 Array = NDArray[Any]
 
@@ -63,6 +64,18 @@ def test_one_block_agrees_with_the_reference(session: Session) -> None:
     low, high = image[~missing].min(axis=0), image[~missing].max(axis=0)
     expected = reference.fill_texture((image.astype(np.float64) - low) / (high - low), missing) * (high - low) + low
     assert np.abs(filled(session, fill_texture, image, missing) - expected)[missing].max() < 1e-5
+
+
+def test_as_many_waves_as_the_contrast_asks_for(session: Session) -> None:
+    """In windows of so little contrast that there are fewer waves than at most, and more than at least."""
+    missing = np.zeros((40, 80), bool)
+    missing[17, 22] = True
+    for contrast in (0.14, 0.17, 0.2, 0.23, 0.26, 0.3, 0.34):
+        image = np.pad(0.5 + contrast * (picture(40, 40, 1) - 0.5), ((0, 0), (0, 40), (0, 0)), mode="edge")
+        image[0, -1], image[-1, -1] = 0, 1  # far from the window
+        assert 1.5 * FEWEST_WAVES < WAVES_PER_CONTRAST * image[1:33, 6:38].std() < MOST_WAVES / 1.5
+        expected = reference.fill_texture(image.astype(np.float64), missing)
+        assert np.abs(filled(session, fill_texture, image, missing) - expected)[missing].max() < 1e-6
 
 
 def test_waves_go_on_across_a_hole(session: Session) -> None:
