@@ -66,7 +66,8 @@ TESTS = {
     "spread.clh": "kernels/test_blur kernels/test_tiles test_defocus kernels/test_occlusion",
     "texture.cl": "kernels/test_texture",
     "tiles.cl": "kernels/test_tiles",
-    "trace.cl": "kernels/test_trace kernels/test_geometry pipeline/test_views pipeline/test_scenes",
+    "trace.cl": "kernels/test_silhouettes kernels/test_trace kernels/test_geometry pipeline/test_views "
+    "pipeline/test_scenes test_sweep",
     "wide.clh": "kernels/test_wide kernels/test_ray_surface kernels/test_geometry kernels/test_trace",
 }
 """File -> tests that look at it, the quickest first; kernels without their folder."""

@@ -1,0 +1,33 @@
+"""Which pixels get sub-pixels, by labels alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from clsco.device import Session
+from clsco.layout import frame_struct, structs
+from clsco.plan import make_plan
+from clsco.program import build, copied, download, empty, kernel, launch, upload
+from clsco.reference import trace as twin
+from clsco.renderer import EMPTY_STATISTICS
+from clsco.scene import Camera, Scene, Sphere
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 3), (4, 4), (5, 9), (8, 6)])
+def test_a_change_of_label_anywhere(session: Session, shape: tuple[int, int]) -> None:
+    """Borders, too: scenes have nothing but a guard band there."""
+    plan = make_plan(Scene(camera=Camera(resolution=(16, 16)), objects=(Sphere(),)), 1)
+    features = plan.features() | {"SUBPIXELS": 2, "TRUTH": 0, "PINHOLE": 0, "LENSES": 0, "GATHER": 0}
+    program = build(session, ["trace.cl"], features, structs("double"), "double")
+    camera, area = frame_struct(*shape, 0, "double"), shape[0] * shape[1]
+    for odd in range(area):
+        label = np.full(shape, 3, np.uint8)
+        label.flat[odd] = 130
+        source, pixels = copied(session, np.full((4, area), -1.0, np.float32)), empty(session, 4 * area)
+        statistics = copied(session, EMPTY_STATISTICS)
+        args = (camera, upload(session, label), np.int32(area), source, pixels, statistics)
+        launch(session, kernel(program, "mark_silhouettes"), shape[::-1], (64, 1), *args)
+        count = download(session, statistics, (4,), np.int32)[2]
+        marked = twin.mark_silhouettes(label)
+        assert sorted(download(session, pixels, (area,), np.int32)[:count]) == np.flatnonzero(marked).tolist()
