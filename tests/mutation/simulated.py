@@ -52,7 +52,7 @@ def tried(mutant: Mutant, cases: Sequence[str], timeout: float) -> tuple[str, st
         told = _process(["try"], json.dumps([Path(mutant.file).name, text, cases]), timeout).strip()
     except subprocess.TimeoutExpired:
         return "timeout", ""
-    return ("killed", f"oclgrind: {told}") if told else ("survived", "")
+    return ("killed", told) if told else ("survived", "")
 
 
 def _record(path: Path) -> None:
