@@ -12,7 +12,7 @@ from clsco.device import Session
 from clsco.inpainting import biharmonic
 from clsco.inpainting.biharmonic import fill_biharmonic
 from clsco.layout import structs
-from clsco.program import build
+from clsco.program import build, copied, download, kernel, launch, upload
 from clsco.reference import biharmonic as reference
 
 Array = NDArray[Any]
@@ -103,6 +103,20 @@ def test_each_step_is_the_reference(
     assert len(solver.levels) > 2
     exact = reference.fill_biharmonic(image.astype(np.float64), missing)[missing]
     assert np.abs(solver.solve(image) - exact).max() < 1e-6 * np.abs(exact).max()
+
+
+@pytest.mark.parametrize("count", [2 * biharmonic.SEGMENT, 2 * biharmonic.SEGMENT + 1])
+def test_products_are_added_in_whole_segments(session: Session, count: int) -> None:
+    """The host adds up ceil(count / SEGMENT) sums: none may be left out, and none written beyond them."""
+    a, b = np.random.default_rng(6).random((2, count, 2))
+    expected = np.add.reduceat(a * b, np.arange(0, count, biharmonic.SEGMENT))
+    partial = copied(session, np.full((len(expected) + 1, 2), 7.0))
+    program = build(session, ["biharmonic.cl"], {"CHANNELS": 2, "SAMPLED": 0}, structs("double"), "double")
+    vectors = (upload(session, a), upload(session, b), np.int32(count), partial)
+    launch(session, kernel(program, "add_products"), (len(expected),), biharmonic.LOCAL, *vectors)
+    found = download(session, partial, (len(expected) + 1, 2), np.float64)
+    assert np.allclose(found[:-1], expected, rtol=1e-13)
+    assert (found[-1] == 7).all()
 
 
 @pytest.mark.parametrize("shape", [(1, 9), (9, 1), (2, 2), (1, 2), (3, 40)])

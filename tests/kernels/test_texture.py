@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from clsco.device import Session
 from clsco.inpainting.texture import fill_texture
+from clsco.layout import structs
+from clsco.program import build, download, empty, kernel, launch, upload
 from clsco.reference import texture as reference
-from clsco.waves import FEWEST_WAVES, MOST_WAVES, WAVES_PER_CONTRAST
+from clsco.waves import BEFORE, BLOCK, FEWEST_WAVES, MOST_WAVES, SIDE, STEP, WAVES_PER_CONTRAST, tables
 
 Array = NDArray[Any]
 
@@ -76,6 +78,36 @@ def test_as_many_waves_as_the_contrast_asks_for(session: Session) -> None:
         assert 1.5 * FEWEST_WAVES < WAVES_PER_CONTRAST * image[1:33, 6:38].std() < MOST_WAVES / 1.5
         expected = reference.fill_texture(image.astype(np.float64), missing)
         assert np.abs(filled(session, fill_texture, image, missing) - expected)[missing].max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("first", "other"), [((0, 3), (0, 5)), ((0, 3), (0, 11)), ((0, 3), (1, 3)), ((0, 13), (1, 3)), ((0, 5), (1, 3))]
+)
+def test_of_equally_strong_waves_the_first(session: Session, first: tuple[int, int], other: tuple[int, int]) -> None:
+    """Of a window with a single value all waves are exactly as strong; two of them count. LANES hold every eighth."""
+    value, preference = np.zeros((SIDE, SIDE), np.float32), np.zeros((SIDE, SIDE // 2), np.float32)
+    value[0, 0] = preference[first] = preference[other] = 1
+    constants = (np.ones_like(value), preference, tables().cosines, tables().sines)
+    arrays = [upload(session, array) for array in (value, value, *constants, np.full((1, 2), BEFORE, np.int32))]
+    result = empty(session, 4 * BLOCK**2)
+    program = build(session, ["texture.cl"], {"CHANNELS": 1, "SAMPLED": 0}, structs("float"), "float")
+    settings = (np.int32(1), np.float32(STEP), np.float32(0), np.int32(1), np.int32(1))  # one wave
+    size = (np.int32(SIDE), np.int32(SIDE))
+    launch(session, kernel(program, "extrapolate_blocks"), (1,), (1,), *size, *arrays, *settings, result)
+    y, x = np.mgrid[BEFORE : BEFORE + BLOCK, BEFORE : BEFORE + BLOCK]
+    wave = 2 * STEP * np.cos(2 * np.pi / SIDE * (first[0] * y + first[1] * x))
+    assert np.abs(download(session, result, (BLOCK, BLOCK), np.float32) - wave).max() < 1e-6
+
+
+def test_a_block_ends_at_the_right_border(session: Session) -> None:
+    """Of an odd number of columns: what is beyond the last one is not the first pixel of the next row."""
+    image = picture(40, 37, 2)
+    missing = np.zeros((40, 37), bool)
+    missing[3, 36] = missing[4, 0] = True  # the first is settled after the second
+    expected = image.astype(np.float64)
+    low, high = image[~missing].min(axis=0), image[~missing].max(axis=0)
+    expected = reference.fill_texture((expected - low) / (high - low), missing) * (high - low) + low
+    assert np.abs(filled(session, fill_texture, image, missing) - expected)[missing].max() < 1e-5
 
 
 def test_waves_go_on_across_a_hole(session: Session) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from fractions import Fraction
 from math import isqrt
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -107,6 +108,22 @@ def test_operations_keep_their_bounds(session: Session, run_source: Run, real: R
     units = [float(w / u) for w in worst]
     assert all(w <= bound for w, bound in zip(units, bounds, strict=True)), units
     assert min(units) > 0.4, units  # the numbers are not so simple that nothing is rounded
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_the_same_bits_without_instructions(session: Session, run_source: Run, tmp_path: Path, real: Real) -> None:
+    """Devices other than an x86 processor with FMA call the builtin functions, which PoCL rounds alike."""
+    count, found = 600, []
+    v = in_parts(numbers(count), real)
+    header = tmp_path / "wide.clh"
+    for before in ("", "#undef __FMA__\n"):
+        header.write_text(before + header.read_text("utf-8"), "utf-8")
+        out, less, floors = (empty(session, size * count) for size in (56, 4, 8))
+        run_source(SOURCE, "compute", real, {}, count, v, np.int32(count), out, less, floors)
+        number = np.float64 if real == "double" else np.float32
+        found.append((whole(session, out, (count, 7), real), download(session, floors, (count,), number)))
+    for usual, builtin in zip(*found, strict=True):
+        np.testing.assert_array_equal(builtin, usual)
 
 
 @pytest.mark.parametrize("real", ["double", "float"])
