@@ -11,15 +11,18 @@ from numpy.typing import NDArray
 from clsco.coarse import Coarse
 from clsco.coarsening import coarse_radii, sample_places
 from clsco.device import Session
-from clsco.layout import Real, flat, frame_struct, in_parts, structs
+from clsco.layout import Real, flat, frame_struct, in_parts, psf_struct, structs
 from clsco.memory import source_bytes
-from clsco.program import build, empty, upload
+from clsco.program import build, download, empty, kernel, launch, upload
+from clsco.psf import LANES, MINIMUM_BLUR, psf_features, psf_table
 from clsco.reference import coarse as twin
 from clsco.reference.blur import prepare_sources, scatter
+from clsco.reference.geometry import table_coordinate
 from clsco.reference.trace import Sources as Light
 from clsco.scene import Psf
-from clsco.spread import Sources, image_features
+from clsco.spread import BLOCKS, PLAIN, Sources, image_features
 from clsco.spread import prepare_sources as make_sources
+from tests.kernels.conftest import source_planes
 from tests.slow import mostly_slow
 
 Array = NDArray[Any]
@@ -28,6 +31,7 @@ Array = NDArray[Any]
 FIGURE = 3e-5
 PSFS = [Psf(edge="sampled"), Psf(), Psf(model="gaussian", edge="sampled"), Psf(model="gaussian")]
 SHAPE = (28, 36)
+WHOLE, BLOCKED = -1, -2  # as in kernels/sources.clh
 
 
 def light_of(shape: tuple[int, int], largest: float, channels: int, falls: bool = False) -> Light:
@@ -107,6 +111,36 @@ def test_shares_in_what_is_left_of_a_row(session: Session) -> None:
     expected, _ = twin.coarse(psf, light, None, SHAPE, guard, 2.0)
     found, _ = approximate(session, psf, light, guard, 2.0, None)
     assert_close(found, expected, FIGURE)
+
+
+@pytest.mark.parametrize("psf", PSFS[:2], ids=lambda psf: str(psf.edge))
+@pytest.mark.parametrize("marked", [True, False])
+def test_radii_come_back_from_coordinates(session: Session, psf: Psf, marked: bool) -> None:
+    """Those of sources that may move: that are there, whole and with nothing in their way."""
+    rows, columns, pitch, edge = 3, 21, 48, 8
+    sampled = psf.edge == "sampled"
+    radius = np.geomspace(1.01 * MINIMUM_BLUR if sampled else 0.01, 45.0, rows * columns).reshape(rows, columns)
+    table = psf_table(psf, 0.0, 50.0)
+    records = np.zeros((rows, columns, 4), np.float32)
+    records[..., 0] = table_coordinate(psf, radius, False, table.first, len(table.intervals))
+    records[1, ::4, 0] = -1  # nothing there
+    marks = np.full((rows, columns), WHOLE, np.int32)
+    marks[:, 2], marks[:, 7] = 5, BLOCKED
+    records[..., 3] = marks.view(np.float32)
+    may = records[..., 0] >= 0
+    may &= (marks == WHOLE) | (not marked)
+    features = PLAIN | psf_features(psf) | {"CHANNELS": 1, "TILT": 0, "SAMPLED": int(sampled)}
+    program = build(session, ["coarse.cl"], features, structs("double"), "double")
+    plane = empty(session, 4 * (rows + 2 * edge) * pitch)
+    args = (
+        frame_struct(rows, columns, 0, "double"), psf_struct(psf, table, None, "double"),
+        upload(session, source_planes(records, False, True)), np.int32(marked), np.int32(sampled), np.int32(pitch),
+        plane, plane,
+    )  # fmt: skip
+    launch(session, kernel(program, "measure_radii"), (-(-columns // LANES), rows), BLOCKS, *args)
+    found = download(session, plane, (rows + 2 * edge, pitch), np.float32)[edge:-edge, edge : edge + columns]
+    assert (found[~may] < 0).all()
+    np.testing.assert_allclose(found[may], radius[may], rtol=2e-6)
 
 
 @pytest.mark.slow
