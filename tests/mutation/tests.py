@@ -45,7 +45,7 @@ TESTS = {
     "texture.cl": "kernels/test_texture",
     "tiles.cl": "kernels/test_tiles",
     "trace.cl": "kernels/test_silhouettes kernels/test_trace kernels/test_geometry pipeline/test_views "
-    "pipeline/test_scenes test_sweep",
+    "pipeline/test_scenes",
     "wide.clh": "kernels/test_wide kernels/test_ray_surface kernels/test_geometry kernels/test_trace",
 }
 """File -> tests that look at it, the quickest first; kernels without their folder."""

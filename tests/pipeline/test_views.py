@@ -167,8 +167,7 @@ def frames_of(scenes: list[Scene]) -> list[Frame]:
     return [frame for _, frame in sorted(render_sweep(scenes), key=lambda found: found[0])]
 
 
-@pytest.mark.parametrize("key", ["focus_distance", "f_number"])
-@pytest.mark.slow
+@pytest.mark.parametrize("key", ["focus_distance", pytest.param("f_number", marks=pytest.mark.slow)])
 def test_sweeps_over_the_lens_have_the_bits_of_single_scenes(waves: str, key: str) -> None:
     values = {"focus_distance": [200.0, 250.0, 400.0], "f_number": [2.0, 4.0, 8.0]}[key]
     moving = BALL | {"motion": {"velocity": [5.0, 0.0, 0.0]}}
