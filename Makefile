@@ -49,7 +49,7 @@ oclgrind: .venv/dev.stamp
 # Small faults in kernels and in the host's arithmetic, which the tests have to notice: one of SHARE of them.
 SHARE ?= 100
 mutation: .venv/dev.stamp
-	$(BIN)/python -m tests.mutation --against quick slow simulator --share $(SHARE)
+	$(BIN)/python -m tests.mutation --against quick slow --share $(SHARE)
 
 lint: .venv/dev.stamp
 	$(BIN)/ruff check .

@@ -31,6 +31,7 @@ from tests.mutation.copies import Copy, copies
 from tests.mutation.memory import NOTICED, Memory, reasons
 from tests.mutation.mutants import ROOT, Mutant, mutants
 from tests.mutation.tests import Tests, files, tests_of
+from tests.oclgrind import simulator
 
 AGAINST = {"quick": "not slow", "slow": "slow", "simulator": ""}  # pytest's -m; the cases of `make oclgrind`
 SECONDS = 10.0  # between two times that results are written
@@ -62,6 +63,8 @@ def asked() -> argparse.Namespace:
     options = parser.parse_args()
     if shutil.which("cpp") is None:
         parser.error("cpp: must be installed, the preprocessor of C; on Debian and Ubuntu by apt-get install cpp")
+    if "simulator" in options.against and not simulator.LIBRARIES:
+        parser.error(simulator.INSTALL)
     return options
 
 
