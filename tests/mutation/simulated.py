@@ -16,8 +16,6 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from clsco import program
-from clsco.resources import folder
 from tests.mutation.mutants import ROOT, Mutant
 from tests.mutation.recorder import Launches
 from tests.oclgrind import simulator, worker
@@ -77,15 +75,10 @@ def _record(path: Path) -> None:
 
 def _try(file: str, text: str, names: Sequence[str]) -> str:
     wanted = {case.name: case for case in all_cases() if case.name in names}
-    with tempfile.TemporaryDirectory(prefix="clsco-simulated-") as place:
-        for entry in folder("kernels").iterdir():
-            if entry.name.endswith((".cl", ".clh")):
-                (Path(place) / entry.name).write_text(entry.read_text("utf-8"), "utf-8")
-        (Path(place) / file).write_text(text, "utf-8")
-        with patch.object(program, "folder", lambda _: Path(place)):
-            for name in names:
-                if worker.run(wanted[name], Path(os.environ["OCLGRIND_LOG"]))["report"]:
-                    return name
+    with worker.with_kernel(file, text):
+        for name in names:
+            if worker.run(wanted[name], Path(os.environ["OCLGRIND_LOG"]))["report"]:
+                return name
     return ""
 
 

@@ -12,7 +12,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
@@ -63,19 +63,26 @@ def run(case: Case, log: Path) -> dict[str, Any]:
     }
 
 
-def run_fault(fault: Fault, log: Path) -> dict[str, Any]:
-    """The case of a fault, with a copy of the kernels that has it."""
-    case = next(one for one in fault_cases() if one.name == fault.case)
+@contextmanager
+def with_kernel(file: str, text: str) -> Iterator[None]:
+    """Has programs built of a copy of the kernels in which a file has this text."""
     with tempfile.TemporaryDirectory(prefix="clsco-fault-") as place:
         for entry in folder("kernels").iterdir():
             if entry.name.endswith((".cl", ".clh")):
                 (Path(place) / entry.name).write_text(entry.read_text("utf-8"), "utf-8")
-        text = (Path(place) / fault.file).read_text("utf-8")
-        if fault.old not in text:
-            raise ValueError(f"fault {fault.name}: {fault.file} must hold its text; got none of\n{fault.old}")
-        (Path(place) / fault.file).write_text(text.replace(fault.old, fault.new, 1), "utf-8")
+        (Path(place) / file).write_text(text, "utf-8")
         with patch.object(program, "folder", lambda _: Path(place)):
-            return run(case, log) | {"name": fault.name}
+            yield
+
+
+def run_fault(fault: Fault, log: Path) -> dict[str, Any]:
+    """The case of a fault, with a copy of the kernels that has it."""
+    case = next(one for one in fault_cases() if one.name == fault.case)
+    text = (folder("kernels") / fault.file).read_text("utf-8")
+    if fault.old not in text:
+        raise ValueError(f"fault {fault.name}: {fault.file} must hold its text; got none of\n{fault.old}")
+    with with_kernel(fault.file, text.replace(fault.old, fault.new, 1)):
+        return run(case, log) | {"name": fault.name}
 
 
 def _read(log: Path) -> str:
