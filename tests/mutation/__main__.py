@@ -30,6 +30,7 @@ from tests.mutation import simulated
 from tests.mutation.copies import Copy, copies
 from tests.mutation.memory import NOTICED, Memory, reasons
 from tests.mutation.mutants import ROOT, Mutant, mutants
+from tests.mutation.switched import Switches
 from tests.mutation.tests import Tests, files, tests_of
 from tests.oclgrind import simulator
 
@@ -84,15 +85,17 @@ def selected(options: argparse.Namespace, memory: Memory) -> list[Mutant]:
 class Trial:
     """Tries mutants, as many at a time as there are copies of the tree."""
 
-    def __init__(self, made: Sequence[Copy], against: Sequence[str], timeout: float) -> None:
+    def __init__(self, made: Sequence[Copy], against: Sequence[str], switches: Switches, timeout: float) -> None:
         self.made, self.against, self.timeout = made, against, timeout
-        self.tests, self.reasons, self.stopped = Tests(10 * timeout), reasons(), threading.Event()
+        self.tests, self.reasons, self.stopped = Tests(switches, 10 * timeout), reasons(), threading.Event()
         self.free: SimpleQueue[Copy] = SimpleQueue()
         for copy in made:
             self.free.put(copy)
 
     def results(self, wanted: Sequence[Mutant], end: float) -> Generator[tuple[Mutant, Result], None, None]:
         """What came of each, as they end; none begins after `end`, of time.monotonic()."""
+        if {"quick", "slow"} & set(self.against):
+            self.tests.record({mutant.file for mutant in wanted}, self.made)
         pool = ThreadPoolExecutor(len(self.made))
         try:
             futures = {pool.submit(self.tried, mutant, end): mutant for mutant in wanted}
@@ -113,7 +116,7 @@ class Trial:
             return None
         copy, begun = self.free.get(), time.monotonic()
         try:
-            seeing = self.tests.seeing(mutant, copy) if {"quick", "slow"} & set(self.against) else []
+            seeing = self.tests.seeing(mutant) if {"quick", "slow"} & set(self.against) else []
             usual = sum(self.tests.seconds[test] for test in seeing)
             outcome, test = copy.tried(mutant, tests_of(mutant.file), seeing, max(self.timeout, 10 * usual))
         finally:
@@ -140,8 +143,9 @@ def main() -> int:
     found: list[Result] = []
     written = time.monotonic()
     try:
-        with copies(options.jobs, f"({marked}) and not soak and not laws and not oclgrind") as made:
-            trial = Trial(made, options.against, options.timeout)
+        switches = Switches(ROOT, [mutant for mutant in wanted if mutant.file.startswith("kernels/")])
+        with copies(options.jobs, f"({marked}) and not soak and not laws and not oclgrind", switches) as made:
+            trial = Trial(made, options.against, switches, options.timeout)
             with closing(trial.results(wanted, end)) as results:
                 for mutant, result in results:
                     if result["outcome"] != "survived":

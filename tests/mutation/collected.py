@@ -16,9 +16,12 @@ from typing import Any, BinaryIO
 import pyopencl as cl
 import pytest
 
+from tests.mutation.memo import remember
 from tests.mutation.recorder import Recorder
+from tests.mutation.switched import Switches, reserve, turn_on
 
 # Processes begin with what all tests import but the package itself.
+Programs = Sequence[tuple[list[str], str]]  # options and text
 STARTED = get_context("forkserver")
 STARTED.set_forkserver_preload(["numpy", "pyopencl", "pydantic", "imageio.v3", "scipy.special", "pytest"])
 
@@ -29,14 +32,15 @@ class Forks:
     PoCL reads its library of functions once for all forks, 0.4 s; its device `basic` has no threads that a fork misses.
     """
 
-    def __init__(self, asked: Connection, told: BinaryIO) -> None:
-        self.asked, self.told = asked, told
+    def __init__(self, asked: Connection, told: BinaryIO, switches: Switches | None, programs: Programs) -> None:
+        self.asked, self.told, self.switches, self.programs = asked, told, switches, programs
 
     def pytest_runtestloop(self, session: pytest.Session) -> None:
         """Fork for each list of tests, or for each file to record all of them in; go on in the fork."""
         queue = _prepared()
+        _build_once(queue.context, self.programs)
         while True:
-            wanted = self.asked.recv()
+            wanted, number = self.asked.recv()
             self.told.seek(0)
             self.told.truncate()
             with warnings.catch_warnings():
@@ -45,8 +49,10 @@ class Forks:
             if child == 0:
                 os.setsid()
                 _work_in(queue)
+                if self.switches is not None:
+                    turn_on(number)
                 if isinstance(wanted, Path):
-                    session.config.pluginmanager.register(Recorder(wanted))
+                    session.config.pluginmanager.register(Recorder(wanted, self.switches))
                 else:
                     items = {item.nodeid: item for item in session.items}
                     session.items[:] = [items[name] for name in wanted]
@@ -78,7 +84,37 @@ def _work_in(shared: cl.CommandQueue) -> None:
     device.Session.__init__ = initialize  # type: ignore[method-assign,assignment]
 
 
-def collect(tree: Path, cache: Path, told: Path, arguments: list[str], asked: Connection) -> None:
+def _build_once(context: cl.Context, programs: Programs) -> None:
+    """Have these programs be built now, for all forks."""
+    from clsco import program
+
+    built = {
+        (tuple(options), text): {kernel.function_name: kernel for kernel in _kernels(context, options, text)}
+        for options, text in programs
+    }
+    build = program._built
+
+    def found(session: Any, where: str, text: str, options: list[str]) -> Any:
+        return built.get((tuple(options), text)) or build(session, where, text, options)
+
+    program._built = found
+
+
+def _kernels(context: cl.Context, options: list[str], text: str) -> list[cl.Kernel]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", cl.CompilerWarning)
+        return cl.Program(context, text).build(options).all_kernels()
+
+
+def collect(
+    tree: Path,
+    cache: Path,
+    told: Path,
+    arguments: list[str],
+    asked: Connection,
+    switches: Switches | None,
+    programs: Programs,
+) -> None:
     """In a process of its own: collect tests in a copy of the tree, and have forks run them."""
     os.setsid()
     os.chdir(tree)
@@ -91,27 +127,46 @@ def collect(tree: Path, cache: Path, told: Path, arguments: list[str], asked: Co
             del sys.modules[name]
         sys.path.insert(0, str(tree))
         sys.dont_write_bytecode = True
-        status = int(pytest.main(arguments, plugins=[Forks(asked, file)]))
+        if switches is not None:
+            reserve()
+            remember(cache)
+        status = int(pytest.main(arguments, plugins=[Forks(asked, file, switches, programs)]))
         sys.stdout.flush()
     os._exit(status)
 
 
 class Collected:
-    """Tests of some files of a copy; marked: which ones, as pytest's -m."""
+    """Tests of some files of a copy.
 
-    def __init__(self, tree: Path, cache: Path, told: Path, files: Sequence[str], marked: str) -> None:
-        options = ["-x", "-q", "--tb=short", "-rf", "-n", "0", "-p", "no:cacheprovider", "-m", marked]
+    marked: which ones, as pytest's -m. switches: those in the copy's kernels. programs: which ones they build.
+    """
+
+    def __init__(
+        self,
+        tree: Path,
+        cache: Path,
+        told: Path,
+        files: Sequence[str],
+        marked: str,
+        switches: Switches | None,
+        programs: Programs = (),
+    ) -> None:
+        plugins = ["-p", "no:cacheprovider", "-p", "no:hypothesispytest"]  # which is read by each fork, 1 s
+        options = ["-x", "-q", "--tb=line", "-rf", "-n", "0", *plugins, "-m", marked]
         self.pipe, theirs = STARTED.Pipe()
-        arguments = (tree, cache, told, [*options, *files], theirs)
+        arguments = (tree, cache, told, [*options, *files], theirs, switches, programs)
         self.process = STARTED.Process(target=collect, args=arguments, daemon=True)
         self.process.start()
         theirs.close()
         self.child: int | None = None
 
-    def run(self, wanted: Sequence[str] | Path, timeout: float) -> int | None:
-        """Exit status of these tests, or of all while they are recorded in a file; None past the time."""
+    def run(self, wanted: Sequence[str] | Path, number: int, timeout: float) -> int | None:
+        """Exit status of these tests, or of all while they are recorded in a file; None past the time.
+
+        number: of the mutant that is on.
+        """
         try:
-            self.pipe.send(wanted)
+            self.pipe.send((wanted, number))
             self.child = self.pipe.recv()
             late = not self.pipe.poll(timeout)
             self.kill()

@@ -6,12 +6,14 @@ import json
 import subprocess
 import time
 from collections import defaultdict
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import Any
 
 import pyopencl as cl
 import pytest
+
+from tests.mutation.switched import Switches
 
 
 class Launches:
@@ -43,10 +45,10 @@ class Launches:
         program._built = noted_program
         cl.Kernel.__call__ = noted_launch  # type: ignore[method-assign,assignment]
 
-    def write(self, path: Path, tests: dict[str, dict[str, Any]]) -> None:
-        """tests: `slow`, `seconds`, `elsewhere`, `launched`, see `Recorder`."""
+    def write(self, path: Path, tests: dict[str, dict[str, Any]], left_out: Sequence[int] = ()) -> None:
+        """tests: `slow`, `seconds`, `elsewhere`, `launched`; left_out: see `Recorder`."""
         programs = [json.loads(program) for program in self.programs]
-        path.write_text(json.dumps({"programs": programs, "tests": tests}), "utf-8")
+        path.write_text(json.dumps({"programs": programs, "tests": tests, "left_out": left_out}), "utf-8")
 
 
 class Recorder:
@@ -54,10 +56,14 @@ class Recorder:
 
     what: `slow`, `seconds`, `launched` as pairs of the program's place and the kernel's name, and `elsewhere` where the
     test starts processes, of which nothing is known. What a fixture of several tests launches, all of them launch.
+    Where kernels have switches, texts are those without, and `left_out` are mutants with which programs do not build.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path, self.launches = path, Launches()
+    def __init__(self, path: Path, switches: Switches | None) -> None:
+        self.path, self.switches = path, switches
+        if switches is not None:
+            _build_without(switches)
+        self.launches = Launches(switches.unswitched if switches else str)
         self.tests: dict[str, dict[str, Any]] = {}
         self.elsewhere: set[str] = set()
         popen = subprocess.Popen.__init__
@@ -91,7 +97,29 @@ class Recorder:
         return result
 
     def pytest_sessionfinish(self) -> None:
-        self.launches.write(self.path, self.tests)
+        left_out = sorted(self.switches.left_out) if self.switches else []
+        self.launches.write(self.path, self.tests, left_out)
+
+
+def _build_without(switches: Switches) -> None:
+    """Have programs that do not build leave mutants out, in the tree of this process as well."""
+    from clsco import program
+    from clsco.errors import KernelError
+
+    built = program._built
+
+    def tried(session: Any, where: str, text: str, options: list[str]) -> Any:
+        while True:
+            try:
+                return built(session, where, text, options)
+            except KernelError as error:
+                again = switches.without(text, str(error))
+                if again is None:
+                    raise
+                text = again
+                switches.write(Path.cwd())
+
+    program._built = tried
 
 
 def _fixture(node: Any, name: str) -> str:

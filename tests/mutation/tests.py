@@ -5,12 +5,16 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from queue import SimpleQueue
 from typing import Any
 
 from tests.mutation import simulated
 from tests.mutation.copies import Copy
 from tests.mutation.mutants import ROOT, Mutant
 from tests.mutation.seen import Sight
+from tests.mutation.switched import Switches
 
 SIMULATOR = "tests/oclgrind"
 MOST_CASES = 6  # of the simulator, the quickest that see a mutant
@@ -65,8 +69,8 @@ def tests_of(file: str) -> list[str]:
 class Tests:
     """Which tests can notice a mutant, as they were seen to run without a change."""
 
-    def __init__(self, timeout: float) -> None:
-        self.timeout = timeout
+    def __init__(self, switches: Switches, timeout: float) -> None:
+        self.switches, self.timeout = switches, timeout
         self.seconds: dict[str, float] = {}
         self.noticed: dict[str, Counter[str]] = {name: Counter() for name in files()}  # by which tests
         self._seen: dict[str, dict[Mutant, list[str]]] = {}  # test file -> mutant -> tests
@@ -75,13 +79,36 @@ class Tests:
         self._sight = Sight(ROOT, [name for name in files() if name.startswith("kernels/")])
         self._lock = threading.Lock()
 
-    def seeing(self, mutant: Mutant, copy: Copy) -> list[str]:
+    def record(self, changed: Iterable[str], made: Sequence[Copy]) -> None:
+        """Run the tests of files without a change, in copies side by side; with switches, until all programs build."""
+        kinds = {(test, file.startswith("kernels/")) for file in changed for test in tests_of(file)}
+        free: SimpleQueue[Copy] = SimpleQueue()
+        for copy in made:
+            free.put(copy)
+
+        def recorded(test: str, switched: bool) -> dict[str, Any]:
+            copy, begun = free.get(), time.monotonic()
+            try:
+                return copy.recorded(test, switched, self.timeout)
+            finally:
+                free.put(copy)
+                print(f"without a change {time.monotonic() - begun:6.1f} s  {test}", flush=True)
+
+        with ThreadPoolExecutor(len(made)) as pool:
+            while True:
+                before = len(self.switches.left_out)
+                found = dict(zip(sorted(kinds), pool.map(recorded, *zip(*sorted(kinds), strict=True)), strict=True))
+                for (test, switched), what in found.items():
+                    if switched:
+                        self.switches.leave_out(what["left_out"])
+                    self._keep(test, what)
+                if len(self.switches.left_out) == before:
+                    return
+
+    def seeing(self, mutant: Mutant) -> list[str]:
         """Tests in the order in which they are to run: those first that noticed most of the file in their time."""
         found = []
         for file in tests_of(mutant.file):
-            with self._lock:
-                if file not in self._tests:
-                    self._record(file, copy)
             found += self._seen[file].get(mutant, []) if mutant.file.startswith("kernels/") else self._tests[file]
         return self._often_first(mutant, sorted(found, key=self._slow.__contains__))
 
@@ -96,11 +123,6 @@ class Tests:
     def _often_first(self, mutant: Mutant, found: list[str]) -> list[str]:
         often = {test: count / (0.5 + self.seconds[test]) for test, count in self.noticed[mutant.file].items()}
         return sorted(found, key=lambda test: -often.get(test, 0.0))
-
-    def _record(self, file: str, copy: Copy) -> None:
-        begun = time.monotonic()
-        self._keep(file, copy.recorded(file, self.timeout))
-        print(f"without a change {time.monotonic() - begun:6.1f} s  {file}", flush=True)
 
     def _keep(self, file: str, recorded: dict[str, Any]) -> None:
         self.seconds |= {name: what["seconds"] for name, what in recorded["tests"].items()}
