@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clsco.device import Session
+from clsco.device import Program, Session
 from clsco.layout import frame_struct, structs
 from clsco.plan import make_plan
 from clsco.program import build, copied, download, empty, kernel, launch, upload
@@ -14,12 +14,16 @@ from clsco.renderer import EMPTY_STATISTICS
 from clsco.scene import Camera, Scene, Sphere
 
 
+def marks_program(session: Session) -> Program:
+    plan = make_plan(Scene(camera=Camera(resolution=(16, 16)), objects=(Sphere(),)), 1)
+    features = plan.features() | {"SUBPIXELS": 2, "TRUTH": 0, "PINHOLE": 0, "LENSES": 0, "GATHER": 0}
+    return build(session, ["trace.cl"], features, structs("double"), "double")
+
+
 @pytest.mark.parametrize("shape", [(1, 1), (2, 3), (4, 4), (5, 9), (8, 6)])
 def test_a_change_of_label_anywhere(session: Session, shape: tuple[int, int]) -> None:
     """Borders, too: scenes have nothing but a guard band there."""
-    plan = make_plan(Scene(camera=Camera(resolution=(16, 16)), objects=(Sphere(),)), 1)
-    features = plan.features() | {"SUBPIXELS": 2, "TRUTH": 0, "PINHOLE": 0, "LENSES": 0, "GATHER": 0}
-    program = build(session, ["trace.cl"], features, structs("double"), "double")
+    program = marks_program(session)
     camera, area = frame_struct(*shape, 0, "double"), shape[0] * shape[1]
     for odd in range(area):
         label = np.full(shape, 3, np.uint8)
@@ -31,3 +35,18 @@ def test_a_change_of_label_anywhere(session: Session, shape: tuple[int, int]) ->
         count = download(session, statistics, (4,), np.int32)[2]
         marked = twin.mark_silhouettes(label)
         assert sorted(download(session, pixels, (area,), np.int32)[:count]) == np.flatnonzero(marked).tolist()
+
+
+def test_no_pixel_beyond_the_grid(session: Session) -> None:
+    """Work-groups reach beyond it, to labels that differ from all of its own."""
+    rows, columns, spare = 8, 17, 64
+    camera, area = frame_struct(rows, columns, 0, "double"), rows * columns
+    label = np.full(area + spare, 3, np.uint8)
+    label[area:] = 130
+    statistics = copied(session, EMPTY_STATISTICS)
+    pixels = copied(session, np.full(area + spare, -1, np.int32))
+    source = copied(session, np.full(4 * (area + spare), -1.0, np.float32))
+    args = (camera, upload(session, label), np.int32(area + spare), source, pixels, statistics)
+    launch(session, kernel(marks_program(session), "mark_silhouettes"), (columns, rows), (7, 5), *args)
+    assert download(session, statistics, (4,), np.int32).tolist() == EMPTY_STATISTICS.tolist()
+    assert (download(session, pixels, (area + spare,), np.int32) == -1).all()

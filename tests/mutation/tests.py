@@ -22,7 +22,7 @@ TESTS = {
     "clsco/optics.py": "test_optics test_plan reference/test_geometry",
     "clsco/motion.py": "test_motion test_surfaces test_plan reference/test_geometry",
     "clsco/plan.py": "test_plan test_coarsening test_describe test_memory pipeline/test_strips pipeline/test_scenes",
-    "accumulate.cl": "pipeline/test_scenes",
+    "accumulate.cl": "kernels/test_accumulate pipeline/test_scenes",
     "biharmonic.cl": "kernels/test_biharmonic",
     "blur.cl": "kernels/test_blur test_defocus kernels/test_layer kernels/test_occlusion pipeline/test_occlusion",
     "coarse.cl": "kernels/test_coarse test_coarsening",
@@ -48,8 +48,8 @@ TESTS = {
     "spread.clh": "kernels/test_blur kernels/test_tiles test_defocus kernels/test_occlusion",
     "texture.cl": "kernels/test_texture",
     "tiles.cl": "kernels/test_tiles",
-    "trace.cl": "kernels/test_silhouettes kernels/test_trace kernels/test_geometry pipeline/test_views "
-    "pipeline/test_scenes",
+    "trace.cl": "kernels/test_silhouettes kernels/test_trace_hidden kernels/test_trace_bounds kernels/test_trace "
+    "kernels/test_geometry pipeline/test_views pipeline/test_scenes",
     "wide.clh": "kernels/test_wide kernels/test_ray_surface kernels/test_geometry kernels/test_trace",
 }
 """File -> tests that look at it, the quickest first; kernels without their folder."""

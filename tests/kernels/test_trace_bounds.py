@@ -1,0 +1,164 @@
+"""Kernels of trace.cl with more work-items than pixels, and of strips: what they write, and that it is all."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+import pytest
+from numpy.typing import NDArray
+
+from clsco.device import Program, Session
+from clsco.layout import camera_struct, layer_struct, pose_structs, psf_struct, structs
+from clsco.memory import TRUTH_BUFFERS, source_bytes
+from clsco.motion import middle_time, poses_at, rest_poses
+from clsco.occlusion import Layer
+from clsco.plan import Plan
+from clsco.program import build, copied, download, kernel, launch
+from clsco.psf import psf_table
+from clsco.reference import trace as twin
+from clsco.renderer import EMPTY_STATISTICS
+from clsco.scene import Psf
+from clsco.strips import Strip
+from tests.kernels.test_trace import (
+    CARD,
+    GUARD,
+    MONO,
+    MOTION,
+    ROW,
+    SINGLE,
+    on_device,
+    placed_on_device,
+    planned,
+    random_textures,
+    scene,
+    stack,
+    view,
+)
+
+Array = NDArray[Any]
+LOCAL = (7, 5)  # divide neither the grid nor its part
+SPARE, UNTOUCHED = 4096, 0xA5  # bytes beyond what a kernel may write, and what is in them
+TIME, WEIGHT = 0.55, 0.3
+
+
+@pytest.fixture
+def plan() -> Plan:
+    """A card that sinks into a cylinder, both moved, in color."""
+    cylinder = ROW[1].model_copy(update={"motion": MOTION})
+    return planned(scene((CARD, cylinder), psf=Psf(silhouette_samples=2, edge="sampled", occlusion="none")), 3)
+
+
+def everything_built(session: Session, plan: Plan) -> Program:
+    features = plan.features() | {"TRUTH": 1, "PINHOLE": 1, "LENSES": 1, "GATHER": 0}
+    features |= {f"TRUTH_{name.upper()}": int(name in MONO) for name in TRUTH_BUFFERS}
+    return build(session, ["trace.cl"], features, structs("double"), "double")
+
+
+def buffers(session: Session, **sizes: int) -> dict[str, cl.Buffer]:
+    return {name: copied(session, np.full(size + SPARE, UNTOUCHED, np.uint8)) for name, size in sizes.items()}
+
+
+def written(session: Session, buffer: cl.Buffer, shape: tuple[int, ...], dtype: Any) -> Array:
+    """What a kernel wrote to one of `buffers`, and that it wrote nothing beyond."""
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    found = download(session, buffer, (size + SPARE,), np.uint8)
+    assert (found[size:] == UNTOUCHED).all()
+    return found[:size].view(dtype).reshape(shape)
+
+
+def pixel_args(session: Session, plan: Plan, layer: Layer) -> tuple[Any, ...]:
+    """Camera, surfaces, layer, PSF, weight and texture."""
+    wanted = plan.scene
+    tables = [psf_table(wanted.psf, plan.smallest_blur, plan.largest_blur, n) for n in (0, plan.silhouettes)]
+    return (
+        camera_struct(wanted.camera, plan.guard_px, "double"),
+        on_device(session, plan, TIME, "double"),
+        layer_struct(layer, len(wanted.objects)),
+        psf_struct(wanted.psf, tables[0], tables[1], "double"),
+        np.float32(WEIGHT),
+        stack(session, plan),
+    )
+
+
+def test_cast_and_aim_together_write_what_trace_does(session: Session, plan: Plan) -> None:
+    program, grid = everything_built(session, plan), (plan.width, plan.height)
+    area = plan.width * plan.height
+    sizes = {
+        "value": 4 * plan.channels * area, "depth": 8 * area, "source": source_bytes(area, plan.tilt, True),
+        "label": area, "hit": area,
+    }  # fmt: skip
+    (layer,) = plan.layers
+    camera, surfaces, shown, psf, weight, texture = pixel_args(session, plan, layer)
+    one, two = buffers(session, **sizes), buffers(session, **sizes)
+    noted = [copied(session, EMPTY_STATISTICS) for _ in range(2)]
+    head, planes = (camera, surfaces, shown), (two["depth"], two["hit"])
+    traced = (one["source"], one["value"], one["label"], noted[0])
+    launch(session, kernel(program, "trace"), grid, LOCAL, *head, psf, weight, texture, *traced)
+    launch(session, kernel(program, "cast"), grid, LOCAL, *head, weight, texture, two["value"], *planes)
+    aimed = (two["source"], two["label"], noted[1])
+    launch(session, kernel(program, "aim"), grid, LOCAL, *head, psf, *planes, *aimed)
+    for name in ("value", "source", "label"):
+        expected, found = (written(session, each[name], (sizes[name],), np.uint8) for each in (one, two))
+        np.testing.assert_array_equal(found, expected, name)
+    statistics = [download(session, each, (4,), np.int32).tolist() for each in noted]
+    assert statistics[0] == statistics[1] != EMPTY_STATISTICS.tolist()
+    shape, exact = (plan.height, plan.width), twin.trace(view(plan, TIME), layer, GUARD)
+    np.testing.assert_array_equal(written(session, two["hit"], shape, np.uint8), exact.label)
+    depth = written(session, two["depth"], shape, np.float64)
+    np.testing.assert_allclose(depth, exact.inverse_depth, rtol=1e-7, atol=0)  # at a limb half of the digits are left
+
+
+def test_pinhole(session: Session, plan: Plan) -> None:
+    """Against the twin: each object has light of its own in each channel."""
+    shape = (plan.height, plan.width)
+    everything = twin.everything(plan.scene)
+    camera, surfaces, shown, _, weight, texture = pixel_args(session, plan, everything)
+    area = plan.width * plan.height
+    out = buffers(session, value=4 * plan.channels * area, coc=8 * area, valid=area)
+    statistics = copied(session, EMPTY_STATISTICS)
+    run, head = kernel(everything_built(session, plan), "pinhole"), (camera, surfaces, shown, weight, texture)
+    launch(session, run, shape[::-1], LOCAL, *head, *out.values(), statistics)
+    expected = twin.trace(view(plan, TIME), everything, GUARD)
+    seen = expected.label > 0
+    np.testing.assert_array_equal(written(session, out["valid"], shape, np.uint8), seen)
+    np.testing.assert_allclose(written(session, out["coc"], shape, np.float64), expected.radius, rtol=1e-11, atol=1e-11)
+    value = written(session, out["value"], (plan.channels, *shape), np.float32)
+    limit = WEIGHT * 34 * SINGLE + SINGLE  # as in test_trace.py
+    np.testing.assert_allclose(value, WEIGHT * np.moveaxis(expected.radiance, -1, 0), rtol=0, atol=limit)
+    noted = download(session, statistics, (4,), np.int32)[:2].view(np.float32)
+    radii = np.abs(expected.radius[seen])
+    np.testing.assert_allclose(noted, [radii.max(), radii.min()], rtol=1e-6)
+
+
+def truth(session: Session, plan: Plan, strip: Strip, local: tuple[int, int]) -> dict[str, Array]:
+    wanted, shape = plan.scene, (strip.rows, plan.columns)
+    now, then = (middle_time(wanted.sequence, k) for k in (1, 2))
+    forms: dict[str, tuple[Any, int]] = {"mask": (np.uint8, 1)}
+    forms |= {name: (TRUTH_BUFFERS[name][0], TRUTH_BUFFERS[name][1] or plan.channels) for name in MONO}
+    pixels = strip.rows * plan.columns
+    out = buffers(session, **{name: pixels * n * dtype().itemsize for name, (dtype, n) in forms.items()})
+    args = (
+        camera_struct(wanted.camera, plan.guard_px, "double", strip),
+        on_device(session, plan, now, "double"),
+        placed_on_device(session, plan, rest_poses(wanted), "double"),
+        copied(session, pose_structs(poses_at(wanted, then, plan.eye), "double")),
+        layer_struct(twin.everything(wanted), len(wanted.objects)),
+        stack(session, plan),
+    )
+    launch(session, kernel(everything_built(session, plan), "ground_truth"), shape[::-1], local, *args, *out.values())
+    return {name: written(session, out[name], (*shape, n), dtype) for name, (dtype, n) in forms.items()}
+
+
+def test_ground_truth_of_a_strip_is_a_part_of_the_whole(session: Session, plan: Plan) -> None:
+    strip = Strip(top=11, rows=18, above=7, below=9)
+    whole, part = truth(session, plan, Strip(0, plan.rows, GUARD, GUARD), (64, 1)), truth(session, plan, strip, LOCAL)
+    for name, expected in whole.items():
+        assert len(np.unique(expected)) > 1, name
+        np.testing.assert_array_equal(part[name], expected[strip.inside], name)
+    textures = tuple(texture.astype(float) for texture in random_textures(plan.scene, plan.channels))
+    exact = twin.ground_truth(plan.scene, textures, 1, plan.eye)
+    turned = exact.object_id == 1
+    assert 0.02 < exact.hidden[turned].mean() < 0.9
+    np.testing.assert_array_equal(whole["hidden"][..., 0], exact.hidden)

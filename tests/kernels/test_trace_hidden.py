@@ -1,0 +1,86 @@
+"""What trace.cl makes of points that were behind the lens, or that something stands before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from clsco.device import Session
+from clsco.layout import Real, in_parts
+from clsco.program import download, empty
+from clsco.reference import trace as twin
+from clsco.resources import folder
+from clsco.scene import Cylinder, ObjectMotion, Psf
+from tests.kernels.test_trace import (
+    BLOCKED,
+    GUARD,
+    ROW,
+    WHOLE,
+    assert_truth,
+    planned,
+    random_textures,
+    scene,
+    traced,
+    view,
+)
+from tests.kernels.wide_numbers import PARTS
+
+Array = NDArray[Any]
+Run = Callable[..., None]
+
+
+def test_what_was_behind_the_lens_is_dark(session: Session) -> None:
+    """A tube around the axis goes by: what is seen of its near part comes from behind the lens."""
+    tube = Cylinder(center=(0.0, 0.0, 200.0), radius=24.0, axis=(0.0, 0.0, 1.0))
+    plan = planned(scene(tube, ObjectMotion(velocity=(0.0, 0.0, 600.0)), psf=Psf(occlusion="none")), 1)
+    textures = tuple(texture.astype(float) for texture in random_textures(plan.scene, plan.channels))
+    exact = twin.ground_truth(plan.scene, textures, 1)
+    dark = exact.sharp[..., 0] == 0
+    assert 0.1 < dark[exact.mask].mean() < 0.9
+    assert_truth(session, plan, ("sharp",), 1)
+
+
+def test_subpixel_sources_of_all_layers_are_marked(session: Session) -> None:
+    """Whether something hides a sub-pixel source, all of it or in part: its edge is as soft as the source is wide."""
+    plan = planned(scene(ROW, psf=Psf(silhouette_samples=2)), 1)
+    kinds = np.zeros(3, np.int64)
+    for layer in plan.layers:
+        found = traced(session, plan, 0.55, layer=layer)
+        marked = twin.mark_silhouettes(found.label)
+        exact = twin.trace_subpixels(view(plan, 0.55), layer, GUARD, marked)
+        records = found.sub_source[found.slot[exact.row, exact.column]]
+        np.testing.assert_array_equal(records[..., 0] >= 0, exact.hit)
+        blocked = np.zeros(exact.hit.shape, bool)
+        if exact.sight is not None:
+            blocked[exact.hit] = exact.sight.row >= 0
+        np.testing.assert_array_equal(records[..., 3].view(np.int32), np.where(blocked, BLOCKED, WHOLE))
+        kinds += [int(kind.sum()) for kind in (~exact.hit, exact.hit & blocked, exact.hit & ~blocked)]
+    assert kinds.min() > 100, kinds
+
+
+COVERED = """
+__kernel void cover(__global const real *seen, __global const real *ratio, __global const real *w, const int count,
+                    __global int *out)
+{
+    const int i = get_global_id(0);
+    if (i < count)
+        out[i] = covered(GET(seen, i), GET(ratio, i), GET(w, i));
+}
+"""
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_a_point_is_covered_by_what_is_nearer_by_a_millionth(session: Session, run_source: Run, real: Real) -> None:
+    nearer = np.repeat([0.0, 0.99e-6, 1.01e-6, 0.1], 50)
+    w, ratio = np.random.default_rng(4).uniform([[2e-3], [0.5]], [[9e-3], [2.0]], (2, nearer.size))
+    seen = w * (1 + nearer) / ratio
+    text = "".join((folder("kernels") / name).read_text("utf-8") for name in ("sources.clh", "trace.cl"))
+    features = {"TILT": 0, "SUBPIXELS": 0, "MOVED": 0, "OCCLUDED": 0, "TRUTH_OCCLUDED": 1}
+    out = empty(session, 4 * w.size)
+    args = (in_parts(values, real) for values in (seen, ratio, w))
+    run_source(PARTS + text + COVERED, "cover", real, features, w.size, *args, np.int32(w.size), out)
+    np.testing.assert_array_equal(download(session, out, w.shape, np.int32), nearer > 1e-6)
