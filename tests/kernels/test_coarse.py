@@ -48,10 +48,10 @@ def light_of(shape: tuple[int, int], largest: float, channels: int, falls: bool 
     return Light(radiance, np.ones(shape), there.astype(np.uint8), radius, prepare_sources(radius, there), there)
 
 
-def approximate(
+def spread(
     session: Session, psf: Psf, light: Light, guard: int, least: float, places: Array | None, real: Real = "double"
-) -> tuple[Array, Array]:
-    """Frame (m, n, C) on the device, and its error at places."""
+) -> tuple[Coarse, Sources]:
+    """What blurs a frame and measures its error at places, and the light as it takes it."""
     height, width, channels = light.radiance.shape
     camera = frame_struct(height - 2 * guard, width - 2 * guard, guard, real)
     size = np.abs(light.radius[light.lit])
@@ -66,9 +66,17 @@ def approximate(
     source = empty(session, source_bytes(height * width, psf.tilt))
     make_sources(session, program, camera, spreader.struct, radii, valid, source, [])
     spreader.clear()
-    spreader.add(Sources(source, value), 0.0, [])
+    return spreader, Sources(source, value)
+
+
+def approximate(
+    session: Session, psf: Psf, light: Light, guard: int, least: float, places: Array | None, real: Real = "double"
+) -> tuple[Array, Array]:
+    """Frame (m, n, C) on the device, and its error at places."""
+    spreader, sources = spread(session, psf, light, guard, least, places, real)
+    spreader.add(sources, 0.0, [])
     frame = spreader.image([])
-    return (frame if channels > 1 else frame[..., None]).astype(np.float64), spreader.missed()
+    return (frame if spreader.channels > 1 else frame[..., None]).astype(np.float64), spreader.missed()
 
 
 def assert_close(got: Array, expected: Array, figure: float) -> None:
@@ -165,3 +173,17 @@ def test_the_same_bits_each_time(session: Session) -> None:
     (one, missed), (other, again) = (approximate(session, PSFS[0], light, 0, 2.0, places) for _ in range(2))
     assert np.array_equal(one, other)
     assert np.array_equal(missed, again)
+
+
+def test_errors_are_measured_at_these_places_only(session: Session) -> None:
+    """Another one, which is there in memory but not counted, is left alone."""
+    places, found = sample_places(*SHAPE)[:14], []
+    for count in (14, 13):
+        spreader, sources = spread(session, PSFS[0], light_of(SHAPE, 11.0, 3), 0, 2.0, places)
+        spreader.places = places[:count]
+        spreader.add(sources, 0.0, [])
+        spreader.image([])
+        found.append(download(session, spreader.misses, (14, 3), np.float32))
+    assert found[0].all()
+    assert np.array_equal(found[1][:13], found[0][:13])
+    assert not found[1][13:].any()

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from clsco import convolution
 from clsco.device import Session
 from clsco.layout import flat, frame_struct
-from clsco.program import empty, launch
+from clsco.memory import SUMS_BEYOND
+from clsco.program import download, empty, launch
 from clsco.psf import LANES, reach
 from clsco.reference.convolve import convolve
 from clsco.scene import Psf
@@ -158,6 +159,17 @@ def test_moments_add_up(session: Session, radius: float) -> None:
     once = Convolver(session, Psf(), light, radius)()
     # Three roundings of three times as much.
     np.testing.assert_allclose(Convolver(session, Psf(), light / 3, radius)(3), once, rtol=0, atol=LARGEST)
+
+
+def test_no_sums_beyond_the_last_row(session: Session) -> None:
+    """Vectors that end a row read there, so there is memory, but nobody writes to it."""
+    psf, radius = Psf(), 13.3
+    light = lit(psf, radius, (20, 41, 1))
+    found = Convolver(session, psf, light, radius)
+    found()
+    sums = download(session, found.spreader.convolution.sums, (light.size + SUMS_BEYOND,), np.uint32)
+    assert sums[: light.size].any()
+    assert not sums[light.size :].any()
 
 
 @pytest.mark.parametrize("psf", [Psf(), Psf(model="gaussian")], ids=name_of)

@@ -25,7 +25,7 @@ TESTS = {
     "accumulate.cl": "kernels/test_accumulate pipeline/test_scenes",
     "biharmonic.cl": "kernels/test_biharmonic",
     "blur.cl": "kernels/test_blur test_defocus kernels/test_layer kernels/test_occlusion pipeline/test_occlusion",
-    "coarse.cl": "kernels/test_coarse test_coarsening",
+    "coarse.cl": "kernels/test_coarse_edges kernels/test_coarse test_coarsening",
     "columns.clh": "kernels/test_blur test_defocus kernels/test_layer",
     "convolve.cl": "kernels/test_convolve",
     "discs.clh": "kernels/test_blur test_defocus",
