@@ -31,7 +31,8 @@ def remember(folder: Path) -> None:
         for name, function in vars(module).items()
         if isinstance(function, FunctionType) and function.__module__ == module.__name__ and not name.startswith("_")
     ]
-    kept = {id(function): _keeping(folder, function) for function in (*public, clsco.psf.psf_table)}
+    public.append(clsco.psf.psf_table)
+    kept = {id(function): _keeping(folder, function) for function in public}
     for module in [module for name, module in sys.modules.items() if name.split(".")[0] == "clsco"]:
         for name, value in list(vars(module).items()):
             if id(value) in kept:
