@@ -197,8 +197,9 @@ def _piece(tokens: list[Token], k: int) -> tuple[int, int] | None:
     if token.text not in OPERATORS:
         lone = tokens[k - 1].text in ("(", ",") and k + 1 < len(tokens) and tokens[k + 1].text in (")", ",")
         return None if token.ends and lone else (token.start, token.stop)  # a macro may paste it
-    ends = ENDS if token.text in ASSIGNING else ENDS | ASSIGNING | {"="}
-    first, last = _end(tokens, k, -1, ends), _end(tokens, k, 1, ends)
+    assigns = token.text in ASSIGNING
+    before = ENDS if assigns else ENDS | ASSIGNING | {"="}
+    first, last = _end(tokens, k, -1, before), _end(tokens, k, 1, ENDS - {"?", ":"} if assigns else before)
     return None if first is None or last is None else (tokens[first].start, tokens[last].stop)
 
 
