@@ -96,6 +96,7 @@ class Trial:
         """What came of each, as they end; none begins after `end`, of time.monotonic()."""
         if {"quick", "slow"} & set(self.against):
             self.tests.record({mutant.file for mutant in wanted}, self.made)
+            wanted = sorted(wanted, key=self.tests.switches.has, reverse=True)  # the others have texts of their own
         pool = ThreadPoolExecutor(len(self.made))
         try:
             futures = {pool.submit(self.tried, mutant, end): mutant for mutant in wanted}
