@@ -119,7 +119,7 @@ class Trial:
         try:
             seeing = self.tests.seeing(mutant) if {"quick", "slow"} & set(self.against) else []
             usual = sum(self.tests.seconds[test] for test in seeing)
-            outcome, test = copy.tried(mutant, tests_of(mutant.file), seeing, max(self.timeout, 10 * usual))
+            outcome, test = copy.tried(mutant, tests_of(mutant.file), seeing, max(self.timeout, 3 * usual))
         finally:
             self.free.put(copy)
         if outcome == "survived" and "simulator" in self.against and mutant.file.startswith("kernels/"):

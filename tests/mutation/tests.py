@@ -98,12 +98,11 @@ class Tests:
             while True:
                 before = len(self.switches.left_out)
                 found = dict(zip(sorted(kinds), pool.map(recorded, *zip(*sorted(kinds), strict=True)), strict=True))
-                for (test, switched), what in found.items():
-                    if switched:
-                        self.switches.leave_out(what["left_out"])
-                    self._keep(test, what)
+                self.switches.leave_out(number for what in found.values() for number in what["left_out"])
                 if len(self.switches.left_out) == before:
-                    return
+                    break
+        for (test, _), what in found.items():
+            self._keep(test, what)
 
     def seeing(self, mutant: Mutant) -> list[str]:
         """Tests in the order in which they are to run: those first that noticed most of the file in their time."""
