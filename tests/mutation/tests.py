@@ -21,7 +21,8 @@ MOST_CASES = 6  # of the simulator, the quickest that see a mutant
 TESTS = {
     "clsco/optics.py": "test_optics test_plan reference/test_geometry",
     "clsco/motion.py": "test_motion test_surfaces test_plan reference/test_geometry",
-    "clsco/plan.py": "test_plan test_coarsening test_describe test_memory pipeline/test_strips pipeline/test_scenes",
+    "clsco/plan.py": "test_plan test_plan_prediction test_plan_structure test_coarsening test_describe test_memory "
+    "pipeline/test_strips pipeline/test_scenes",
     "accumulate.cl": "kernels/test_accumulate pipeline/test_scenes",
     "biharmonic.cl": "kernels/test_biharmonic",
     "blur.cl": "kernels/test_blur test_defocus kernels/test_layer kernels/test_occlusion pipeline/test_occlusion",
