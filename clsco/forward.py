@@ -308,6 +308,12 @@ class ForwardWarp:
         out = (planes.value, planes.w, planes.coc, planes.valid, planes.status, *seen)
         self._per_pixel("reproject_gather", events, (plan.width, plan.height), *head, *several, *out)
 
+    def note_radii(self, statistics: cl.Buffer, events: Events) -> None:
+        """Keep the range of the radii that `warp` has found, largest and smallest, in the first two of these ints."""
+        chunks = (-(-self.plan.width // (SEGMENT if self.owned else 1)), self.plan.height)
+        found = (self.filler.coc, self.filler.valid, statistics)
+        self._launch("note_radii", events, chunks, (1, *LINES) if self.owned else PIXELS, self.camera, *found)
+
     def truth(
         self, poses: Sequence[Pose], surfaces: Surfaces, wanted: Collection[str], events: Events
     ) -> dict[str, NDArray[Any]]:

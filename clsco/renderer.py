@@ -112,14 +112,17 @@ class Renderer:
         self.camera = self._camera(plan.strips[0])
         self.lenses = int(hits is not None)
         self.built: dict[str, int] = {}
-        self.forward = None
+        self.forward, self.maps = None, maps if plan.forward else ()
         if plan.forward:
-            at_rest = self._placed_at(rest_poses(plan.scene))
-            self.forward = ForwardWarp(
-                session, plan, self.camera, self.texture, at_rest, maps, self.real, textures=self.texture_of,
-                brightest=self.brightest,
-            )  # fmt: skip
+            self.forward = self._forward()
         self._allocate()
+
+    def _forward(self) -> ForwardWarp:
+        at_rest = self._placed_at(rest_poses(self.plan.scene))
+        return ForwardWarp(
+            self.session, self.plan, self.camera, self.texture, at_rest, self.maps, self.real,
+            textures=self.texture_of, brightest=self.brightest,
+        )  # fmt: skip
 
     def _truth_names(self) -> list[str]:
         """Outputs of ground_truth; a forward warp makes its own focused image."""
@@ -253,6 +256,7 @@ class Renderer:
         if self.forward is not None:
             poses = self._poses(time)
             warped = self.forward.warp(poses, self._placed_at(poses), weight, events)
+            self.forward.note_radii(self.statistics, events)
             report |= warped.counters
             return report | self._add_planes((warped.value, warped.coc, warped.valid), time, events)
         if self.still is not None:
@@ -333,7 +337,7 @@ class Renderer:
 
     def _outgrown(self) -> bool:
         """Whether the frame met more than was predicted; if so, makes room for it."""
-        if self.forward is not None or self.still is not None:
+        if self.still is not None:
             return False
         found = download(self.session, self.statistics, EMPTY_STATISTICS.shape, np.int32)
         largest, smallest = (float(r) for r in found[:2].view(np.float32))
@@ -346,6 +350,10 @@ class Renderer:
             self.largest, self.smallest = max(largest * SLACK, self.largest), min(smallest / SLACK, self.smallest)
             self.plan = fitted(widened(self.plan, self.largest), self.limit)
             self.hits = None  # the guard band may not be that of the others any more
+            if self.forward is not None:
+                self.forward = None  # before the larger one takes memory
+                self.camera = self._camera(self.plan.strips[0])
+                self.forward = self._forward()
         self._allocate()
         return True
 

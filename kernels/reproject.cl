@@ -359,3 +359,15 @@ __kernel void extend_border(const camera_t camera, __global float *value, __glob
     valid[at] = 1;
 }
 #endif
+
+// Keeps the range of the radii of a moment. In: coc, valid, as in reproject_gather. In and out: statistics.
+__kernel void note_radii(const camera_t camera, __global const wide_t *coc, __global const uchar *valid,
+                         __global int *statistics)
+{
+    const int begin = get_global_id(0) * SEGMENT, y = get_global_id(1);
+    if (begin >= camera.width || y >= camera.height)
+        return;
+    for (int x = begin; x < MIN(begin + SEGMENT, camera.width); ++x)
+        if (valid[y * camera.width + x])
+            note_radius(statistics, narrow(coc[y * camera.width + x]));
+}

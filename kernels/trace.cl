@@ -10,21 +10,9 @@
 // Features besides geometry.clh's: MOVED (not all is where it was at rest), TILT, SUBPIXELS (sources per axis in a
 // pixel at a silhouette, 0 none), SAMPLED, OCCLUDED, PINHOLE, LENSES, and TRUTH_* for the outputs of ground_truth.
 
-// Statistics of a frame, ints: floats >= 0 keep their order as ints.
-#define LARGEST_RADIUS 0
-#define SMALLEST_RADIUS 1
+// Statistics of a frame, ints, beside those of geometry.clh.
 #define SLOTS 2       // taken at this moment
 #define MOST_SLOTS 3  // taken at any moment
-
-// Keeps the range of radii that were met; the look first makes the atomic rare.
-static void note_radius(__global volatile int *statistics, real radius)
-{
-    const int bits = as_int((float)ABS(radius));
-    if (bits > LOOK(statistics + LARGEST_RADIUS))
-        atomic_max(statistics + LARGEST_RADIUS, bits);
-    if (bits < LOOK(statistics + SMALLEST_RADIUS))
-        atomic_min(statistics + SMALLEST_RADIUS, bits);
-}
 
 // Where a hit takes its radiance from in the texture: (column, row, in front of the lens). At rest a pixel shows its
 // own texel.

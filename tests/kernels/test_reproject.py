@@ -240,3 +240,21 @@ def test_local_sizes_change_no_bit(session: Session, make_case: Maker, warps: Wa
     assert (owned.nearest(*first, band=7, local=4) == winner).all()
     for local in (1, 16, 256):
         assert (atomic.by_atomics(*first[:2], local)[1] == winner).all()
+
+
+@pytest.mark.parametrize("owned", [True, False])
+def test_range_of_radii(session: Session, make_case: Maker, owned: bool) -> None:
+    """Of pixels that are known, of which there are few or none, in the last column and the last row as well."""
+    case = make_case((Plane(),), (70, 9))
+    kernels, (height, width) = Kernels(session, case, owned), case.shape
+    rng = np.random.default_rng(11)
+    size = (-(-width // (SEGMENT if owned else 1)), height)
+    for known in (0.0, 0.05, 0.9):
+        coc, valid = rng.normal(0, 7, (height, width)), (rng.random((height, width)) < known).astype(np.uint8)
+        if known:
+            coc[-1, -1], coc[0, 0], valid[-1, -1], valid[0, 0] = -60, 1e-5, 1, 1
+        statistics = upload(session, np.array([0, NONE, 3, 4], np.int32))
+        kernels.run("note_radii", size, (1, 8), upload(session, coc), upload(session, valid), statistics)
+        found = download(session, statistics, (4,), np.int32)
+        expected = np.array([60, 1e-5] if known else [0, 0], np.float32).view(np.int32)
+        assert found.tolist() == ([*expected.tolist(), 3, 4] if known else [0, NONE, 3, 4])

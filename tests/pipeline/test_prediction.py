@@ -1,0 +1,49 @@
+"""Frames that meet larger blur than was predicted of the scene."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clsco
+from clsco import reference
+from clsco.plan import make_plan
+from clsco.scene import Scene
+from clsco.scenefile import parse_scene
+
+BOUNDS = [[-100.0, 100.0], [-50.0, 50.0], [-1.0, 1.0]]
+
+
+def turning(item: dict[str, Any], warp: str, frames: int = 64, aperture: float = 40.0) -> Scene:
+    """An object that makes whole turns between two of the moments that are looked at ahead, 2 s apart."""
+    return parse_scene(
+        {
+            "camera": {"resolution": [36, 24], "pixel_pitch": 0.13, "aperture_diameter": aperture},
+            "psf": {"occlusion": "none", "silhouette_samples": 1, "tilt": False},
+            "sequence": {"frames": frames, "samples": 3},
+            "motion": {"warp": warp},
+            "object": [{**item, "motion": {"angular_velocity": [0.0, 180.0, 0.0]}}],
+        }
+    )
+
+
+@pytest.mark.parametrize("warp", ["forward", pytest.param("inverse", marks=pytest.mark.slow)])
+def test_a_card_that_turns_between_the_moments_looked_at(warp: str) -> None:
+    scene = turning({"shape": "plane", "distance": 280.0, "bounds": BOUNDS}, warp)
+    frame, twin = next(iter(clsco.render(scene))), next(iter(reference.render(scene)))
+    np.testing.assert_allclose(frame.color, twin.color, rtol=0, atol=1e-6)
+    # A short sequence is looked at more closely, and its one frame has the bits of the first of the long one.
+    short = turning({"shape": "plane", "distance": 280.0, "bounds": BOUNDS}, warp, 1)
+    known, missed = make_plan(short, 1, ()), make_plan(scene, 1, ())
+    assert known.largest_blur > 1.5 * missed.largest_blur
+    np.testing.assert_allclose(frame.color, next(iter(clsco.render(short))).color, rtol=0, atol=1e-6)
+
+
+def test_a_depth_map_that_turns_between_the_moments_looked_at(tmp_path: Path) -> None:
+    depth = 280.0 + np.tile(np.linspace(0.0, 4.0, 36, dtype=np.float32), (24, 1))
+    np.save(tmp_path / "depth.npy", depth)
+    item = {"shape": "depth_map", "depth": str(tmp_path / "depth.npy"), "center": [0.0, 0.0, 280.0]}
+    long, short = (turning(item, "forward", frames, 150.0) for frames in (64, 1))
+    (first,), (only,) = clsco.render(long, frames=[0]), clsco.render(short)
+    np.testing.assert_allclose(first.color, only.color, rtol=0, atol=1e-6)
