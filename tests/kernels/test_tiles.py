@@ -38,6 +38,16 @@ def test_subpixel_sources(session: Session, guard: int) -> None:
     assert_close(blurred(session, given, "tiles"), expected, FIGURE["area"])
 
 
+@pytest.mark.parametrize(("smallest", "largest"), [(5.0, 8.0), (0.0, 0.0), (0.0, 0.4)])
+def test_subpixel_sources_alone(session: Session, smallest: float, largest: float) -> None:
+    """All of them wide, or all sharp, and nothing else that lights the frame."""
+    given = light(Psf(), shape=(11, 21), guard=9, smallest=smallest, largest=largest, samples=2)
+    alone = replace(given, sources=replace(given.sources, lit=np.zeros_like(given.sources.lit)))
+    expected = alone.expected()
+    assert expected.max() > 0.05
+    assert_close(blurred(session, alone, "tiles"), expected, FIGURE["area"])
+
+
 def test_tiles_are_scatter(session: Session) -> None:
     """The same weights, in several chunks for each of several tiles; the same bits every time."""
     given = light(Psf(), shape=(43, 50), guard=3, largest=9.0, channels=3, samples=3)

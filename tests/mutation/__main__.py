@@ -87,7 +87,7 @@ class Trial:
 
     def __init__(self, made: Sequence[Copy], against: Sequence[str], switches: Switches, timeout: float) -> None:
         self.made, self.against, self.timeout = made, against, timeout
-        self.tests, self.reasons, self.stopped = Tests(switches, 10 * timeout), reasons(), threading.Event()
+        self.tests, self.reasons, self.stopped = Tests(switches), reasons(), threading.Event()
         self.free: SimpleQueue[Copy] = SimpleQueue()
         for copy in made:
             self.free.put(copy)

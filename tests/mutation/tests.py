@@ -17,6 +17,7 @@ from tests.mutation.seen import Sight
 from tests.mutation.switched import Switches
 
 SIMULATOR = "tests/oclgrind"
+RECORDING = 1800.0  # seconds that the tests of a file may take without a change
 MOST_CASES = 6  # of the simulator, the quickest that see a mutant
 TESTS = {
     "clsco/optics.py": "test_optics test_plan reference/test_geometry",
@@ -45,7 +46,7 @@ TESTS = {
     "rows.clh": "kernels/test_blur test_defocus",
     "score.cl": "kernels/test_holes kernels/test_fill",
     "sight.clh": "kernels/test_occlusion kernels/test_blur pipeline/test_occlusion",
-    "sources.clh": "kernels/test_blur kernels/test_trace",
+    "sources.clh": "kernels/test_blur kernels/test_trace kernels/test_occlusion",
     "spread.clh": "kernels/test_blur kernels/test_tiles test_defocus kernels/test_occlusion",
     "texture.cl": "kernels/test_texture",
     "tiles.cl": "kernels/test_tiles",
@@ -70,8 +71,8 @@ def tests_of(file: str) -> list[str]:
 class Tests:
     """Which tests can notice a mutant, as they were seen to run without a change."""
 
-    def __init__(self, switches: Switches, timeout: float) -> None:
-        self.switches, self.timeout = switches, timeout
+    def __init__(self, switches: Switches) -> None:
+        self.switches = switches
         self.seconds: dict[str, float] = {}
         self.noticed: dict[str, Counter[str]] = {name: Counter() for name in files()}  # by which tests
         self._seen: dict[str, dict[Mutant, list[str]]] = {}  # test file -> mutant -> tests
@@ -90,7 +91,7 @@ class Tests:
         def recorded(test: str, switched: bool) -> dict[str, Any]:
             copy, begun = free.get(), time.monotonic()
             try:
-                return copy.recorded(test, switched, self.timeout)
+                return copy.recorded(test, switched, RECORDING)
             finally:
                 free.put(copy)
                 print(f"without a change {time.monotonic() - begun:6.1f} s  {test}", flush=True)
