@@ -12,14 +12,18 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
+from clsco import program as program_module
 from clsco.device import Program, Session
-from clsco.estimators import bits_of, most_sweeps
+from clsco.estimators import bits_of, most_sweeps, score_of_sums
 from clsco.inpainting import mean_median
 from clsco.inpainting.mean_median import (
     FEATURES,
     KERNELS,
     LANES,
+    MOST_LANES,
     NEVER,
+    OWNERS,
+    SUMS,
     VECTORS,
     Holes,
     Layout,
@@ -29,8 +33,8 @@ from clsco.inpainting.mean_median import (
     group_size,
     score_image,
 )
-from clsco.layout import structs
-from clsco.program import build, copied, download, empty, kernel, launch
+from clsco.layout import frame_struct, structs
+from clsco.program import build, copied, download, empty, kernel, launch, upload
 from clsco.reference import holes as twin
 from clsco.reference.mean_median import smooth_median
 from clsco.reference.score import score_mean_median
@@ -198,6 +202,26 @@ def test_sweeps_are_the_same_launched_or_not(session: Session, most: int, monkey
             check_sheet(session, masks, SOME_WIN, 4, 1)
 
 
+def test_a_lone_pixel_is_filled_by_one_launch_and_smoothed(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As many entries as a single work-group takes at most, and a pixel more than vectors are full of."""
+    monkeypatch.setattr(mean_median, "MOST_ENTRIES", 1)
+    missing = np.zeros((5, 5), np.bool_)
+    missing[2, 2] = True
+    image = np.random.default_rng(31).random((5, 5, 1)).astype(np.float32)
+    holes, shares = Holes(session, program(session, 1), Layout(missing), image), list[float]()
+
+    def tell(share: float) -> None:
+        shares.append(share)
+        assert shares == [1.0]
+
+    assert holes.fill(np.int32(bits_of(NO_WINS)), 4, NEVER, tell) == 1
+    filled: Array = image.copy()
+    filled[missing] = holes.values()
+    smoothed = smooth_median(filled, missing, np.ones_like(missing))
+    assert smoothed[2, 2] != filled[2, 2]
+    assert (holes.smooth(1, lambda share: None) == smoothed[missing]).all()
+
+
 def test_a_sweep_and_its_end_are_their_twins(session: Session) -> None:
     rng = np.random.default_rng(19)
     missing = rng.random((40, 37)) < 0.7
@@ -253,6 +277,39 @@ def test_the_border_is_its_twin(
         blend_border(session, built, layout.border, image, missing, stages, lambda share: None)
         assert (stages.gradients == np.sqrt(steepness.astype(np.float64))).all()
         assert (stages.blended == blended).all()
+
+
+@pytest.mark.parametrize("count", [20, 8 * LANES + 1])
+def test_a_group_writes_its_own_border_pixels_only(session: Session, count: int) -> None:
+    border = np.arange(90) < count
+    image: Array = np.random.default_rng(37).random((9, 10, 1)).astype(np.float32)
+    entries, outputs = np.flatnonzero(border), [copied(session, np.full(90, -1, np.float32)) for _ in range(2)]
+    given = upload(session, entries.astype(np.int32)), np.int32(count), upload(session, image)
+    blend, camera = kernel(program(session, 1), "blend_border"), frame_struct(9, 10, 0, "float")
+    launch(session, blend, VECTORS, VECTORS, camera, *given, *outputs)
+    for output, expected in zip(outputs, twin.blend_border(image, border.reshape(9, 10)), strict=True):
+        found, own = download(session, output, (90,), np.float32), min(count, 8 * LANES)
+        assert (found[:own] == expected.ravel()[:own]).all()
+        assert (found[own:] == -1).all()
+
+
+@pytest.mark.parametrize("avx2", [True, False])
+def test_scores_of_codes_are_exact(session: Session, avx2: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Columns fill segments; each writes its own sums only. On processors without AVX2 as well."""
+    text = program_module.program_text
+    if not avx2:
+        monkeypatch.setattr(program_module, "program_text", lambda *given: "#undef __AVX2__\n" + text(*given))
+    rng, rows, columns = np.random.default_rng(41), 4, 128
+    image, missing = rng.integers(0, 256, (rows, columns, 1), np.uint8), rng.random((rows, columns)) < 0.02
+    room = np.zeros(MOST_LANES, np.uint8)
+    planes = (np.concatenate([plane.ravel(), room]) for plane in (image, (~missing).astype(np.uint8)))
+    sums, camera = copied(session, np.full((rows + 1, SUMS), -1, np.int64)), frame_struct(rows, columns, 0, "float")
+    buffers = *(upload(session, plane) for plane in planes), sums
+    score = kernel(program(session, 1, codes=True), "score_mean_median")
+    launch(session, score, (rows,), OWNERS, camera, np.float32(256), *buffers)
+    found = download(session, sums, (rows + 1, SUMS), np.int64)
+    assert score_of_sums(found[:rows], 256.0) == score_mean_median(image.astype(np.float64), ~missing, 256.0)
+    assert (found[rows:] == -1).all()
 
 
 @pytest.mark.parametrize("dtype", mostly_slow([np.uint8, np.uint16, np.float32], [np.uint16, np.float32]))
