@@ -202,6 +202,27 @@ def test_sweeps_are_the_same_launched_or_not(session: Session, most: int, monkey
             check_sheet(session, masks, SOME_WIN, 4, 1)
 
 
+def test_a_group_sweeps_what_is_left_of_a_list(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What comes before in the list stays as it is."""
+    monkeypatch.setattr(mean_median, "group_size", lambda session: 8)
+    missing = np.zeros((18, 27), np.bool_)
+    missing[1::3, 1::3] = True
+    image = np.random.default_rng(43).random((18, 27, 1)).astype(np.float32)
+    built, size, begin = program(session, 1), np.int32(missing.sum()), 24
+    holes = Holes(session, built, Layout(missing), image)
+    lists, state = holes._lists(np.minimum(holes.level, 4), 4)
+    state[4, 0] = begin
+    rest = (holes.beside, size, np.int32(4), holes.found, holes.value, holes.near, lists, copied(session, state))
+    args = (holes.slots, size, np.int32(1), np.int32(bits_of(SOME_WIN)), *rest)
+    launch(session, kernel(built, "sweep_holes"), (8,), (8,), *args)
+    assert download(session, rest[-1], (5, 2), np.int32)[[0, 4]].tolist() == [[1, size - begin], [size, size]]
+    expected, _ = twin.fill_holes(np.where(missing[..., None], np.float32(0), image), ~missing, missing, SOME_WIN, 4)
+    for plane in (holes.found, holes.value):
+        found = download(session, plane, (int(holes.slots),), np.float32)[holes.index]
+        assert (found[:begin] == np.inf).all()
+        assert (found[begin:] == expected[missing][begin:, 0]).all()
+
+
 def test_a_lone_pixel_is_filled_by_one_launch_and_smoothed(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     """As many entries as a single work-group takes at most, and a pixel more than vectors are full of."""
     monkeypatch.setattr(mean_median, "MOST_ENTRIES", 1)
