@@ -162,6 +162,46 @@ def test_missing_pixels_are_listed(session: Session, domain: str) -> None:
     assert marked > 500
 
 
+def test_any_root_of_any_object_allows_missing_pixels(session: Session) -> None:
+    """The lens is within a ball, which is seen at the second root of every ray."""
+    known = np.random.default_rng(5).random((9, 21)) < 0.4
+    planes = Planes(session, np.ones((9, 21, 2)), known, "none", domain="surface", far=True)
+    around = Sphere(center=(0.0, 0.0, 0.0), radius=300.0)
+    placed = place(around, pose_at(around.motion, 0.0, "euler"))
+    _, roots = solve_quadric(placed, None, pixel_ray(planes.lens, *padded_grid(planes.lens, 0)))
+    assert (roots == 2).all()
+    planes.surface = upload(session, surface_structs([around], [placed], "double"))
+    _, status, _ = planes.fill()
+    assert (status == np.where(mark_missing(known, None), 2, 0)).all()
+
+
+def test_spans_and_lists_end_where_they_should(session: Session) -> None:
+    known = np.random.default_rng(7).random((9, 70)) < 0.5
+    lines, missing = sum(known.shape), mark_missing(known, None)
+    planes = Planes(session, np.ones((9, 70, 2)), known, "none")
+    f = planes.filler
+    f.spans, f.grown = (upload(session, np.full((lines + 8, 2), -9, np.int32)) for _ in range(2))
+    f.indices = upload(session, np.full(known.size, -9, np.int32)), f.indices[1]
+    planes.fill()
+    for spans in (f.spans, f.grown):
+        found = download(session, spans, (lines + 8, 2), np.int32)
+        assert (found[:lines] == spans_of(known)).all()
+        assert (found[lines:] == -9).all()
+    pixels = download(session, f.indices[0], known.shape, np.int32).ravel()
+    assert (np.sort(pixels[: missing.sum()]) == np.flatnonzero(missing)).all()
+    assert (pixels[missing.sum() :] == -9).all()
+
+
+def test_the_first_pixel_of_all_serves_as_any_other(session: Session) -> None:
+    known, missing = np.zeros((2, 3, 4), dtype=bool)
+    known[0, [0, 2]] = missing[1, 1] = True
+    planes = Planes(session, np.arange(24.0).reshape(3, 4, 2) + 1.0, known, "ait")
+    pixels, count = planes.listed(missing)
+    f, given = planes.filler, planes.values()
+    planes.run("fill_ait", 1, pixels, count, f.valid, f.value, f.w, f.coc, f.status)
+    assert (planes.values()[1, 1] == given[0, 0]).all()
+
+
 @pytest.mark.parametrize(("channels", "far"), mostly_slow([(1, None), (3, None), (1, 1), (3, 0)], [(1, 1), (3, None)]))
 def test_a_sweep_of_ait_is_its_twin(session: Session, channels: int, far: int | None) -> None:
     """far: whether neighbors are bounded (1), or would be but for a stalled sweep (0)."""
@@ -294,6 +334,22 @@ def test_a_round_of_smoothing_is_its_twin(session: Session, channels: int, far: 
         close(planes.values(), expected)
         alone += int((expected == given)[filled].all(axis=-1).sum())
     assert not far or alone > 50  # pixels that no neighbor may serve
+
+
+def test_smoothing_writes_all_that_is_listed(session: Session) -> None:
+    """Also what no neighbor may serve: planes to write to may hold anything before."""
+    rng = np.random.default_rng(73)
+    values, filled = rng.random((9, 11, 2)).astype(np.float32).astype(np.float64), rng.random((9, 11)) < 0.6
+    planes = Planes(session, values, np.ones_like(filled), "mean_median", far=True)
+    f, bounds = planes.filler, np.where(rng.random((9, 11)) < 0.5, 0.0, 0.7).astype(np.float32)
+    pixels, count = planes.listed(filled)
+    out = f.other_value, f.other_w
+    for buffer in out:
+        cl.enqueue_fill_buffer(session.queue, buffer, np.array(1, np.uint8), 0, buffer.size)
+    args = (pixels, count, *planes.bounded(bounds), f.valid, f.value, f.w, *out, f.coc)
+    planes.run("smooth_median", -(-int(count) // LANES), *args)
+    f.value, f.w = out
+    close(planes.values()[filled], smooth_median(values, filled, np.ones_like(filled), bounds)[filled])
 
 
 @pytest.mark.parametrize("method", ["ait", "mean_median", "none"])
