@@ -202,6 +202,21 @@ def test_the_first_pixel_of_all_serves_as_any_other(session: Session) -> None:
     assert (planes.values()[1, 1] == given[0, 0]).all()
 
 
+def test_only_the_eight_neighbors_serve(session: Session) -> None:
+    """Neither a pixel itself, which is valid here, nor one farther away."""
+    listed, known = np.zeros((7, 9), dtype=bool), np.ones((7, 9), dtype=bool)
+    listed[3, 4], known[2:5, 3:6] = True, listed[2:5, 3:6]
+    for west in (False, True):
+        known[3, 3] = west
+        planes = Planes(session, np.random.default_rng(9).random((7, 9, 2)), known, "ait")
+        pixels, count = planes.listed(listed)
+        f, expected = planes.filler, planes.values()
+        planes.run("fill_ait", 1, pixels, count, f.valid, f.value, f.w, f.coc, f.status)
+        expected[listed] = expected[3, 3] if west else expected[listed]
+        assert (planes.values() == expected).all()
+        assert (planes.read("status") == (listed & west)).all()
+
+
 @pytest.mark.parametrize(("channels", "far"), mostly_slow([(1, None), (3, None), (1, 1), (3, 0)], [(1, 1), (3, None)]))
 def test_a_sweep_of_ait_is_its_twin(session: Session, channels: int, far: int | None) -> None:
     """far: whether neighbors are bounded (1), or would be but for a stalled sweep (0)."""
