@@ -42,7 +42,7 @@ TESTS = {
     "near.clh": "kernels/test_blur test_defocus",
     "quadrants.clh": "kernels/test_blur test_defocus kernels/test_layer",
     "occlusion.clh": "kernels/test_occlusion pipeline/test_occlusion",
-    "reproject.cl": "kernels/test_reproject kernels/test_forward pipeline/test_scenes",
+    "reproject.cl": "kernels/test_reproject_planes kernels/test_reproject kernels/test_forward pipeline/test_scenes",
     "rows.clh": "kernels/test_blur test_defocus",
     "score.cl": "kernels/test_holes kernels/test_fill",
     "sight.clh": "kernels/test_occlusion kernels/test_blur pipeline/test_occlusion",

@@ -1,0 +1,244 @@
+"""Kernels of reproject.cl on planes of numbers that stand amid others: what they look at, and what they leave alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+import pytest
+from numpy.typing import NDArray
+
+from clsco.device import Program, Session
+from clsco.forward import SEGMENT, forward_features
+from clsco.layout import in_parts, pose_structs, structs, surface_structs
+from clsco.motion import Pose
+from clsco.program import build, download, empty, kernel, launch, upload
+from clsco.reference.reproject import (
+    NO_WINNER,
+    SAME_DEPTH,
+    extend_border,
+    reproject_depth,
+    reproject_gaps,
+    reproject_gather,
+    reproject_rest,
+    reproject_targets,
+    reproject_winner,
+)
+from clsco.scene import Sphere
+from tests.kernels.wide_numbers import whole
+
+Array = NDArray[Any]
+NONE = np.iinfo(np.int32).max
+AROUND = 4096  # numbers before and after those of a plane
+LOCAL = (8, 4)  # beyond the grid in both directions
+
+Maker = Callable[..., Any]
+CUT = Sphere(center=(0.0, 0.0, 280.0), radius=4.0, bounds=((-4.0, 4.0), (-4.0, 4.0), (0.5, 4.0)))
+
+
+class Amid:
+    """A plane on the device with the number `around` on both sides of it."""
+
+    def __init__(self, session: Session, array: Array, around: float) -> None:
+        side = np.full(AROUND, around, array.dtype)
+        self.session, self.shape, self.held = session, array.shape, np.concatenate([side, array.ravel(), side])
+        flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
+        self.all = cl.Buffer(session.context, flags, hostbuf=self.held)
+        begin = AROUND * array.itemsize
+        self.buffer = self.all.get_sub_region(begin, self.all.size - begin)
+
+    def now(self) -> Array:
+        found = download(self.session, self.all, self.held.shape, self.held.dtype)
+        for side in (slice(None, AROUND), slice(-AROUND, None)):
+            assert (found[side] == self.held[side]).all()
+        return found[AROUND:-AROUND].reshape(self.shape)
+
+
+def built(session: Session, case: Any) -> Program:
+    return build(session, ["reproject.cl"], forward_features(case.plan, True), structs(case.real), case.real)
+
+
+def run(session: Session, case: Any, name: str, size: tuple[int, ...], local: tuple[int, ...], *args: Any) -> None:
+    held = [upload(session, arg) if isinstance(arg, np.ndarray) and arg.ndim else arg for arg in args]
+    given = [arg.buffer if isinstance(arg, Amid) else arg for arg in held]
+    launch(session, kernel(built(session, case), name), size, local, case.camera, *given)
+    session.queue.finish()
+
+
+def surfaces(case: Any) -> Array:
+    """surface_t of every object; the last has the first texture."""
+    known = [k for k, surface in enumerate(case.rest) if surface is not None]
+    array = np.zeros(len(case.items), structs(case.real)["surface_t"])
+    array[known] = surface_structs([case.items[k] for k in known], [case.rest[k] for k in known], case.real)
+    array["texture"] = np.arange(len(case.items))[::-1]
+    return array
+
+
+@pytest.fixture
+def mapped(make_case: Maker, warps: dict[str, Any]) -> Any:
+    """A ball and a depth map on a grid of 11 x 70 pixels; lines of the frame are as long as a segment."""
+    return make_case(warps["map and ball"][0], (5, SEGMENT), channels=3)
+
+
+def random_winners(case: Any) -> tuple[Array, Array]:
+    """Winners that were often neighbors, or nearly, and depths with ties."""
+    rng, (height, width) = np.random.default_rng(5), case.shape
+    depth = rng.choice(np.array([0.0, 0.5, 1.0, SAME_DEPTH, 1.5], np.float32), (height, width))
+    winner = rng.choice(np.array([0, 1, 2, 63, 64, 65, 128, 191]), (height, width))
+    # The first pixel is one side of a gap, (1, 1), which nothing else shows to be one.
+    depth[:5, :5], winner[:5, :5] = 0.5, 0
+    depth[0, 0] = depth[0, 1] = depth[2, 2] = 1.5
+    return np.where(depth > 0, winner, NO_WINNER), depth
+
+
+def single_gaps(case: Any) -> tuple[Array, Array]:
+    """Gaps between two near pixels before a far plane, far from each other, at the ends of rows, columns, segments."""
+    depth = np.full(case.shape, 0.5, np.float32)
+    winner = np.zeros(case.shape, np.int64)
+    bottom, right = case.shape[0] - 1, case.shape[1] - 1
+    for places in (
+        [(0, 20), (0, 22)],
+        [(0, 40), (0, 46)],
+        [(10, 0), (12, 0)],
+        [(20, SEGMENT - 3), (20, SEGMENT - 1)],
+        [(30, 10), (36, 10)],
+        [(35, right - 1), (36, 0)],
+        [(40, 10), (44, 14)],
+        [(50, 10), (50, 18)],
+        [(56, right - 2), (56, right)],
+        [(bottom, 20), (bottom, 22)],
+    ):
+        for place in places:
+            depth[place] = 1.5
+    return winner, depth
+
+
+@pytest.mark.parametrize("made", [random_winners, single_gaps])
+def test_gaps_are_those_within_the_grid(
+    session: Session, make_case: Maker, mapped: Any, made: Callable[[Any], tuple[Array, Array]]
+) -> None:
+    """Whatever is before and after the planes: near pixels that were neighbors of those in it."""
+    case = make_case(mapped.items, (60, SEGMENT), channels=3) if made is single_gaps else mapped
+    winner, depth = made(case)
+    expected = reproject_gaps(winner, depth, SEGMENT)
+    assert 5 < ((winner != NO_WINNER) & ~expected).sum() < 0.5 * winner.size
+    narrow = np.where(winner == NO_WINNER, NONE, winner).astype(np.int32)
+    valid = Amid(session, np.full(case.shape, 9, np.uint8), 7)
+    size = (-(-case.shape[1] // SEGMENT), case.shape[0])
+    inputs = [Amid(session, depth, 1.5), Amid(session, narrow, 0)]
+    run(session, case, "reproject_gaps", size, (1, 8), *inputs, valid)
+    assert (valid.now() == expected).all()
+
+
+def test_each_band_writes_its_own_rows(session: Session, mapped: Any) -> None:
+    (height, width), rng, band = mapped.shape, np.random.default_rng(3), 2
+    target = np.sort(rng.integers(-40, height * width, 5 * SEGMENT)).clip(-1).reshape(5, SEGMENT)
+    target[:, ::7] = width * np.array([2, 4, 6, 8, 10])[:, None]  # where bands begin
+    bounds = [(row[row >= 0].min(), row.max()) for row in target]
+    moved = rng.uniform(0.003, 0.005, target.size)
+    key, pixels = moved.astype(np.float32), height * width
+    depth = reproject_depth(target.ravel(), key, pixels)
+    winner = reproject_winner(target.ravel(), key, depth)
+    expected = np.where(winner == NO_WINNER, NONE, winner)
+    inputs = [upload(session, a) for a in (target.astype(np.int32), moved)]
+    ranges = Amid(session, np.array(bounds, np.int32), -1)
+    for k in range(-(-height // band)):
+        own = slice(k * band * width, (k + 1) * band * width)
+        found, near = (Amid(session, np.full(pixels, -7, np.int32), -7) for _ in range(2))
+        args = (mapped.camera, *inputs, ranges.buffer, np.int32(band), found.buffer, near.buffer)
+        kernel(built(session, mapped), "reproject_nearest")(session.queue, (1,), (1,), *args, global_offset=(k,))
+        for plane, values in ((found, expected.astype(np.int32)), (near, depth.view(np.int32))):
+            only = np.full(pixels, -7)
+            only[own] = values[own]
+            assert (plane.now() == only).all()
+
+
+def test_gather_takes_each_object_from_its_texture(session: Session, mapped: Any) -> None:
+    """What is not valid has nothing, winner or not."""
+    rng, shape, sources = np.random.default_rng(7), mapped.shape, 5 * SEGMENT
+    winner, valid = rng.integers(0, sources, shape), rng.random(shape) < 0.6
+    moved, whose = rng.uniform(0.003, 0.005, sources), rng.integers(0, 2, sources).astype(np.uint8)
+    planes = (((3, *shape), "f4"), (shape, "f8"), (shape, "f8"), (shape, "u1"), (shape, "u1"))
+    value, w, coc, status, seen = (Amid(session, np.full(of, 9, dtype), 9) for of, dtype in planes)
+    before = Amid(session, valid.astype(np.uint8), 1)
+    stack = np.ascontiguousarray(np.moveaxis(mapped.textures, -1, 1))
+    inputs = (stack, moved, Amid(session, winner.astype(np.int32), 0), surfaces(mapped), whose)
+    outputs = (value, w, coc, before, status, seen)
+    run(session, mapped, "reproject_gather", shape[::-1], LOCAL, np.float32(0.3), *inputs, *outputs)
+    radiance = mapped.textures.reshape(2, sources, 3)[1 - whose, np.arange(sources)]
+    values = np.concatenate([radiance, moved[:, None], whose[:, None]], axis=1)
+    known, expected = reproject_gather(np.where(valid, winner, NO_WINNER).ravel(), values)
+    expected, known = expected.reshape(*shape, 5), known.reshape(shape)
+    assert (np.moveaxis(value.now(), 0, -1) == np.float32(0.3) * expected[..., :3].astype(np.float32)).all()
+    assert (w.now() == expected[..., 3]).all()
+    radius = mapped.camera["blur_scale"] * (mapped.camera["focus_power"] - expected[..., 3])
+    np.testing.assert_allclose(coc.now(), np.where(known, radius, 0.0), rtol=1e-12)
+    assert (before.now() == known).all()
+    assert not status.now().any()
+    assert (seen.now() == np.where(known, expected[..., 4], 255)).all()
+
+
+def test_border_is_the_mirror_image_of_the_frame(session: Session, mapped: Any) -> None:
+    rng, shape, guard = np.random.default_rng(11), mapped.shape, mapped.guard
+    value, w, coc = rng.random((4, *shape)).astype(np.float32), rng.random(shape), rng.random(shape)  # one more plane
+    known = rng.random(shape) < 0.3
+    known[guard:-guard, guard:-guard] = rng.random((5, SEGMENT)) < 0.7
+    expected, after = extend_border(np.stack([*value[:3], w, coc], axis=-1), known, guard)
+    assert known.sum() + 100 < after.sum() < known.size - 100
+    planes = [Amid(session, plane, 0) for plane in (value, w, coc, known.astype(np.uint8))]
+    run(session, mapped, "extend_border", shape[::-1], LOCAL, *planes)
+    found = [plane.now() for plane in planes]
+    assert (np.stack([*found[0][:3], *found[1:3]], axis=-1) == expected).all()
+    assert (found[0][3] == value[3]).all()
+    assert (found[3] == after).all()
+
+
+def test_where_nothing_is_the_first_object_stands(session: Session, mapped: Any) -> None:
+    depth = np.where(np.arange(5 * SEGMENT).reshape(5, SEGMENT) % 3 == 0, 1 / 260.0, 0.0)
+    expected, whose = reproject_rest(mapped.plan.scene, mapped.rest, [None, depth])
+    assert (expected == 0).any()
+    assert set(whose.ravel().tolist()) == {0, 1}
+    rest, of = Amid(session, np.full(whose.shape, 9.0), 9), Amid(session, np.full(whose.shape, 9, np.uint8), 9)
+    members = np.uint64(1)  # the ball
+    inputs = (surfaces(mapped), np.int32(2), members, depth)
+    run(session, mapped, "reproject_rest", whose.shape[::-1], LOCAL, *inputs, rest, of)
+    np.testing.assert_allclose(rest.now(), expected, rtol=1e-12)  # some eps
+    assert (of.now() == whose).all()
+
+
+def test_far_side_of_a_cut_surface_is_seen(session: Session, make_case: Maker) -> None:
+    case = replace(make_case((CUT,), (5, 9)), real="float")
+    expected = reproject_rest(case.plan.scene, case.rest, case.maps)[0]
+    assert (expected < 1 / 283.0).all()
+    rest = empty(session, 8 * expected.size)
+    run(session, case, "reproject_rest", (9, 5), LOCAL, surfaces(case), np.int32(1), np.uint64(1), rest)
+    np.testing.assert_allclose(whole(session, rest, (5, 9), "float"), expected, rtol=1e-11)  # 48 bits that cancel
+
+
+def in_place(entry: int, point: Array, center: Array) -> Pose:
+    """A large multiple of one coordinate is added to another, and taken away again where it is that of the point."""
+    turn = np.eye(3)
+    turn.flat[entry] += 1e6 / 3 if entry % 3 == 2 else 1e9 / 3
+    return Pose(turn, point - center - turn @ (point - center))
+
+
+def test_targets_have_all_digits_of_a_pose(session: Session, make_case: Maker) -> None:
+    """In single precision, of 48 bits; what leaves the grid on any side by a pixel has no target."""
+    case = replace(make_case((CUT,), (2, 2), guard=0), real="float")
+    rest, whose = np.full((2, 2), 1 / 256.0), np.zeros((2, 2), np.uint8)
+    step = float(case.camera["step"]) + float(case.camera["step_low"])
+    pixel, center = 256.0 * step, np.array([0.0, 0.0, 280.0])
+    first = np.array([-0.5 * pixel, 0.5 * pixel, 256.0])
+    poses = [in_place(entry, first, center) for entry in range(9)]
+    poses += [Pose(np.eye(3), np.array([x, y, 0.0]) * pixel) for x in (-1, 0, 1) for y in (-1, 0, 1)]
+    bounds = empty(session, 16)
+    for pose in poses:
+        expected, depth = reproject_targets(case.plan.scene, [pose], rest, whose, 0)
+        target, moved = Amid(session, np.full(4, 9, np.int32), 9), empty(session, 32)
+        inputs = (surfaces(case), pose_structs([pose], "float"), in_parts(rest, "float"))
+        run(session, case, "reproject_targets", (2,), (8,), *inputs, target, moved, bounds)
+        assert (target.now() == expected).all()
+        np.testing.assert_allclose(whole(session, moved, (4,), "float"), depth, rtol=1e-6)
