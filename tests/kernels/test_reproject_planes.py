@@ -107,6 +107,7 @@ def single_gaps(case: Any) -> tuple[Array, Array]:
         [(30, 10), (36, 10)],
         [(35, right - 1), (36, 0)],
         [(40, 10), (44, 14)],
+        [(45, SEGMENT - 1), (45, SEGMENT + 1)],
         [(50, 10), (50, 18)],
         [(56, right - 2), (56, right)],
         [(bottom, 20), (bottom, 22)],
@@ -120,17 +121,19 @@ def single_gaps(case: Any) -> tuple[Array, Array]:
 def test_gaps_are_those_within_the_grid(
     session: Session, make_case: Maker, mapped: Any, made: Callable[[Any], tuple[Array, Array]]
 ) -> None:
-    """Whatever is before and after the planes: near pixels that were neighbors of those in it."""
+    """Whatever is before and after the planes: near pixels that were neighbors of those in it. Each writes its own."""
     case = make_case(mapped.items, (60, SEGMENT), channels=3) if made is single_gaps else mapped
     winner, depth = made(case)
     expected = reproject_gaps(winner, depth, SEGMENT)
     assert 5 < ((winner != NO_WINNER) & ~expected).sum() < 0.5 * winner.size
     narrow = np.where(winner == NO_WINNER, NONE, winner).astype(np.int32)
-    valid = Amid(session, np.full(case.shape, 9, np.uint8), 7)
-    size = (-(-case.shape[1] // SEGMENT), case.shape[0])
     inputs = [Amid(session, depth, 1.5), Amid(session, narrow, 0)]
-    run(session, case, "reproject_gaps", size, (1, 8), *inputs, valid)
-    assert (valid.now() == expected).all()
+    for segments in (1, 2):
+        valid = Amid(session, np.full(case.shape, 9, np.uint8), 7)
+        run(session, case, "reproject_gaps", (segments, case.shape[0]), (1, 8), *inputs, valid)
+        found, end = valid.now(), segments * SEGMENT
+        assert (found[:, :end] == expected[:, :end]).all()
+        assert (found[:, end:] == 9).all()
 
 
 def test_each_band_writes_its_own_rows(session: Session, mapped: Any) -> None:
@@ -139,6 +142,7 @@ def test_each_band_writes_its_own_rows(session: Session, mapped: Any) -> None:
     target[:, ::7] = width * np.array([2, 4, 6, 8, 10])[:, None]  # where bands begin
     bounds = [(row[row >= 0].min(), row.max()) for row in target]
     moved = rng.uniform(0.003, 0.005, target.size)
+    moved[0] = 0.002  # any other source would take a pixel from the first, which stands around the band
     key, pixels = moved.astype(np.float32), height * width
     depth = reproject_depth(target.ravel(), key, pixels)
     winner = reproject_winner(target.ravel(), key, depth)
@@ -147,11 +151,11 @@ def test_each_band_writes_its_own_rows(session: Session, mapped: Any) -> None:
     ranges = Amid(session, np.array(bounds, np.int32), -1)
     for k in range(-(-height // band)):
         own = slice(k * band * width, (k + 1) * band * width)
-        found, near = (Amid(session, np.full(pixels, -7, np.int32), -7) for _ in range(2))
+        found, near = (Amid(session, np.full(pixels, around, np.int32), around) for around in (0, -7))
         args = (mapped.camera, *inputs, ranges.buffer, np.int32(band), found.buffer, near.buffer)
         kernel(built(session, mapped), "reproject_nearest")(session.queue, (1,), (1,), *args, global_offset=(k,))
         for plane, values in ((found, expected.astype(np.int32)), (near, depth.view(np.int32))):
-            only = np.full(pixels, -7)
+            only = np.full(pixels, plane.held[0])
             only[own] = values[own]
             assert (plane.now() == only).all()
 
