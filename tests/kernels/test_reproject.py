@@ -245,7 +245,7 @@ def test_local_sizes_change_no_bit(session: Session, make_case: Maker, warps: Wa
 @pytest.mark.parametrize("owned", [True, False])
 def test_range_of_radii(session: Session, make_case: Maker, owned: bool) -> None:
     """Of pixels that are known, of which there are few or none, in the last column and the last row as well."""
-    case = make_case((Plane(),), (70, 9))
+    case = make_case((Plane(),), (9, 70))
     kernels, (height, width) = Kernels(session, case, owned), case.shape
     rng = np.random.default_rng(11)
     size = (-(-width // (SEGMENT if owned else 1)), height)
