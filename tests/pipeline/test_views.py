@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import clsco
+from clsco import reference
 from clsco.frame import Frame
 from clsco.optics import focus_power
 from clsco.render import render_sweep
@@ -136,6 +137,20 @@ def test_the_apex_of_a_cone_faces_the_lens(waves: str) -> None:
     (frame,) = clsco.render(scene(waves, cone, camera={"resolution": [9, 7]}, psf=TRUTH_ONLY))
     assert frame.normal is not None
     assert frame.normal[3, 4].tolist() == [0.0, 0.0, -1.0]
+
+
+def test_the_apex_of_a_cone_beside_the_axis_faces_the_lens(waves: str) -> None:
+    """A pixel is 1 mm at the apex, so that all of it is exact; its light goes into all directions alike."""
+    cone = {"shape": "cone", "apex": [3.0, -1.0, 256.0], "half_angle": 40.0}
+    camera = {"resolution": [9, 7], "pixel_pitch": 0.078125, "focus_distance": 150.0, "aperture_diameter": 20.0}
+    whole = scene(waves, cone, camera=camera, psf={"occlusion": "none", "silhouette_samples": 1, "edge": "sampled"})
+    (frame,), (twin,) = clsco.render(whole), reference.render(whole)
+    assert frame.normal is not None
+    assert frame.depth is not None
+    assert frame.depth[4, 7] == 256.0
+    ray = np.array([3.0, -1.0, 256.0])
+    np.testing.assert_allclose(frame.normal[4, 7], -ray / np.linalg.norm(ray), rtol=1e-7)
+    np.testing.assert_allclose(frame.color, twin.color, rtol=0, atol=1e-6)
 
 
 def test_a_depth_map_of_a_scene_gives_its_frame(waves: str, tmp_path: Path) -> None:
