@@ -26,7 +26,8 @@ TESTS = {
     "pipeline/test_strips pipeline/test_scenes",
     "accumulate.cl": "kernels/test_accumulate pipeline/test_scenes",
     "biharmonic.cl": "kernels/test_biharmonic",
-    "blur.cl": "kernels/test_blur test_defocus kernels/test_layer kernels/test_occlusion pipeline/test_occlusion",
+    "blur.cl": "kernels/test_blur_amid kernels/test_blur test_defocus kernels/test_layer kernels/test_occlusion "
+    "pipeline/test_occlusion",
     "coarse.cl": "kernels/test_coarse_edges kernels/test_coarse test_coarsening",
     "columns.clh": "kernels/test_blur test_defocus kernels/test_layer",
     "convolve.cl": "kernels/test_convolve",

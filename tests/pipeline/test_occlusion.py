@@ -77,6 +77,21 @@ def test_device_against_reference(name: str, occlusion: str) -> None:
         assert [found for found in compare(frame, exact) if found.count] == []
 
 
+def test_colors_in_several_bands(tmp_path: Path) -> None:
+    """Gather and scatter give the same of a wall in focus, and of one so steep that light ends at 0; a ball passes."""
+    write_png(tmp_path / "color.png", np.random.default_rng(5).integers(0, 256, (44, 60, 3)).astype(np.uint8))
+    painted = {"texture": str(tmp_path / "color.png")}
+    ball = BALL | painted | {"center": [-4.0, 3.0, 160.0], "radius": 8.0, "motion": {"velocity": [1.0, 0.0, 0.0]}}
+    camera = CAMERA | {"resolution": [40, 80], "aperture_diameter": 60.0}
+    for wall in ({"distance": 250.0}, {"distance": 300.0, "slope_x": 6.0}):
+        items = [ball, {"shape": "plane"} | wall | painted]
+        sections = {"camera": camera, "object": items, "sequence": {"samples": 2}}
+        wanted = scene(sections, edge="sampled", silhouette_samples=3)
+        gathered, scattered = (image(wanted, method=method).color for method in ("gather", "scatter"))
+        assert np.ptp(scattered) > 0.5
+        np.testing.assert_allclose(gathered, scattered, rtol=0, atol=1.5e-6)
+
+
 @pytest.mark.slow
 def test_color_textures(tmp_path: Path) -> None:
     """Gray and color together, one texture for two objects."""

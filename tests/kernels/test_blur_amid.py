@@ -1,0 +1,183 @@
+"""Kernels of blur.cl amid other numbers: what each work-item looks at, and what it leaves alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from clsco import spread
+from clsco.device import Session
+from clsco.layout import psf_struct
+from clsco.memory import band_scratch, column_bytes, margin
+from clsco.program import build, download, kernel, launch, upload
+from clsco.psf import psf_table
+from clsco.reference import blur as twin
+from clsco.scene import Psf
+from clsco.spread import PIXELS
+from clsco.strips import BAND
+from tests.kernels.conftest import source_planes
+from tests.kernels.test_blur import (
+    FIGURE,
+    RNG,
+    ROUNDING,
+    STRUCTS,
+    Light,
+    assert_close,
+    blurred,
+    features,
+    light,
+    on_device,
+    records,
+    spreader,
+)
+from tests.kernels.test_reproject_planes import Amid
+
+Array = NDArray[Any]
+LEFT_ALONE = 7.0
+
+
+@pytest.mark.parametrize(("columns", "items"), [(80, 8), (80, 10), (75, 10)])
+@pytest.mark.parametrize("tilt", [True, False])
+def test_prepare_sources_writes_those_of_its_work_items(session: Session, tilt: bool, columns: int, items: int) -> None:
+    """With marks; all of a row that fills whole vectors or not, or the first 64 columns of it."""
+    psf = Psf(tilt=tilt)
+    given = light(psf, shape=(12, columns - 4), guard=2)
+    coc = given.sources.radius + 1.0
+    valid = RNG(48).random(coc.shape) < 0.98
+    valid[-1, -8:] = True
+    program = build(session, ["blur.cl"], features(psf, 1, 2), STRUCTS, "double")
+    table = psf_table(psf, 0.0, given.largest)
+    expected = source_planes(records(given, coc, twin.prepare_sources(coc, valid), valid, False), tilt, True)
+    expected[-1] = np.full(coc.shape, -1, np.int32).view(np.float32)
+    out = Amid(session, np.full_like(expected, LEFT_ALONE), LEFT_ALONE)
+    maps = Amid(session, coc, 9.0), Amid(session, valid.astype(np.uint8), 1)
+    args = given.camera(), psf_struct(psf, table, None, "double"), maps[0].buffer, maps[1].buffer, out.buffer
+    launch(session, kernel(program, "prepare_sources"), (items, coc.shape[0]), (items, 1), *args)
+    found = out.now()
+    np.testing.assert_allclose(found[:-1, :, : 8 * items], expected[:-1, :, : 8 * items], rtol=2.5e-7)
+    assert (found[-1].view(np.int32)[:, : 8 * items] == -1).all()
+    assert (found[..., 8 * items :] == LEFT_ALONE).all()
+
+
+def test_resolve_writes_the_frame_alone(session: Session) -> None:
+    given = light(Psf(), shape=(5, 70), channels=3)
+    program = build(session, ["blur.cl"], features(given.psf, 3, 0), STRUCTS, "double")
+    sums = RNG(49).integers(0, 2**40, (3, 5, 70))
+    total = Amid(session, np.full((3, 5, 88), LEFT_ALONE, np.float32), LEFT_ALONE)
+    layout = np.float32(2**40), np.int32(88), np.int32(8), upload(session, sums), total.buffer
+    launch(session, kernel(program, "resolve"), (70, 5), PIXELS, given.camera(), *layout)
+    found = total.now()
+    np.testing.assert_allclose(found[..., 8:78], sums / 2.0**40, rtol=2.0**-23)
+    assert (found[..., :8] == LEFT_ALONE).all()
+    assert (found[..., 78:] == LEFT_ALONE).all()
+
+
+def test_renormalized_subpixel_sources(session: Session) -> None:
+    """Also in focus or nearly so; those that tilt so much that nothing is left in the frame stay as they are."""
+    given = light(Psf(border="renormalize"), shape=(9, 11), guard=0, channels=3, samples=2)
+    assert given.sub is not None
+    radius = RNG(50).choice([0.0, 1e-3, 2.5], given.sub.radius.shape)
+    edge = (given.sub.row == 0) | (given.sub.column == 0)
+    gradient = np.where(edge[:, None, None, None], -40.0, given.sub.gradient)
+    given = replace(given, sub=replace(given.sub, radius=radius, gradient=gradient))
+    assert given.sub is not None
+    owner, sources = spreader(session, given, "scatter"), on_device(session, given, 1.0)
+    assert sources.source is not None
+    assert sources.sub_source is not None
+    assert sources.sub_value is not None
+    shape = (3, sources.capacity, 2, 2)
+    before = download(session, sources.sub_value, shape, np.float32)
+    head = (given.camera(), owner.struct, sources.source, sources.value, *owner.tables[0])
+    tail = (sources.sub_source, sources.sub_value, np.int32(sources.capacity), *owner.tables[1])
+    launch(session, kernel(owner.program, "renormalize"), (11, 9), PIXELS, *head, *tail)
+    found = download(session, sources.sub_value, shape, np.float32)
+    _, scaled = twin.renormalize(given.psf, given.sources, given.sub, given.shape, 0)
+    assert scaled is not None
+    slots = RNG(44).permutation(len(given.sub.row))
+    expected = np.moveaxis(scaled.radiance, -1, 0) / 4
+    lost = given.sub.hit & (scaled.radiance == 0).all(axis=-1)
+    kept = given.sub.hit & ~lost
+    assert lost.any()
+    np.testing.assert_allclose(found[:, slots][:, kept], expected[:, kept], rtol=1e-3)
+    assert (found[:, slots][:, lost] == before[:, slots][:, lost]).all()
+
+
+def test_subpixel_sources_in_focus(session: Session) -> None:
+    given = light(Psf(), shape=(9, 11), guard=1, channels=3, samples=2)
+    assert given.sub is not None
+    given = replace(given, sub=replace(given.sub, radius=np.zeros_like(given.sub.radius)))
+    assert_close(blurred(session, given, "gather"), given.expected(), FIGURE["area"])
+    assert_close(blurred(session, given, "scatter"), given.expected(), FIGURE["area"])
+
+
+def gathered(
+    session: Session, given: Light, group: int, start: int, kept: dict[str, int], scratch: tuple[Any, ...], part: Amid
+) -> Array:
+    """The frame (channels, rows, columns) after two work-items, from band `start` on; kept: features for `scratch`."""
+    psf, (rows, columns) = given.psf, given.shape
+    table = psf_table(psf, given.smallest, given.largest)
+    struct = psf_struct(psf, table, None, "double")
+    chosen = features(psf, given.channels, 0, given.largest) | kept
+    program = build(session, ["blur.cl"], chosen, STRUCTS, "double")
+    pad, pitch = margin(columns, given.guard, table.reach)
+    sources = on_device(session, given, 1.0)
+    total = Amid(session, np.zeros((given.channels, rows, pitch), np.float32), LEFT_ALONE)
+    arrays = (table.intervals, table.coefficients, table.taps, table.outlines)
+    head = (given.camera(), struct, sources.source, sources.value, *(upload(session, each) for each in arrays))
+    layout = (np.int32(start), np.int32(group), part.buffer, np.int32(pitch), np.int32(pad), total.buffer)
+    launch(session, kernel(program, "gather"), (2,), (1,), *head, *scratch, *layout)  # type: ignore[arg-type]
+    return total.now()[..., pad : pad + columns]
+
+
+@pytest.mark.parametrize(("group", "start"), [(1, 1), (3, 1), (3, 2)])
+def test_gather_source_by_source(session: Session, group: int, start: int) -> None:
+    """Sums of few rows of sources, each with light up to the top of its reach, in bands from the second on."""
+    psf = Psf(edge="sampled", tilt=False)
+    given = light(psf, shape=(3 * BAND, 17), guard=5, largest=4.0, channels=2)
+    given = given.constant(4.0)
+    _, pitch = margin(17, 5, psf_table(psf, 4.0, 4.0).reach)
+    part = Amid(session, np.zeros((2, 2 * BAND, pitch), np.float32), 1.0)
+    found = gathered(session, given, group, start, {"ROWS": 0, "NEAR": 0}, (), part)
+    expected = np.moveaxis(given.expected(), -1, 0)
+    assert_close(found[:, start * BAND :], expected[:, start * BAND :], ROUNDING)
+    assert not found[:, : start * BAND].any()
+    assert not part.now().any()
+
+
+def test_gather_with_parts_of_its_own(session: Session) -> None:
+    """Level sources and lone steep ones for the second work-item, in its memory; the first one has nothing to do."""
+    psf = Psf()
+    given = light(psf, shape=(2 * BAND, 8), guard=4, largest=6.6, smallest=2.0, channels=2)
+    rows, columns = np.indices(given.sources.lit.shape)
+    steep = (rows > BAND + 20) & (rows % 13 == 0) & (columns == 0)
+    there = steep | ((rows > BAND + 20) & (columns == 5))
+    gradient = np.where(steep[..., None], (30.0, -30.0), np.zeros(2))
+    sources = replace(given.sources, lit=there, gradient=gradient, radius=np.where(there, 6.6, 0.0))
+    given = replace(given, sources=sources)
+    assert band_scratch(psf, given.largest, True) == "columns"
+    far = psf_table(psf, given.smallest, given.largest).reach
+    _, pitch = margin(8, 4, far)
+    own = np.zeros((2, 2, BAND, pitch), np.float32)
+    own[:, 0] = LEFT_ALONE
+    part = Amid(session, own, 1.0)
+    size = column_bytes(psf, 2, far) // 8
+    scratch = Amid(session, np.zeros((2, size)), 0.0)
+    found = gathered(session, given, 1, 0, {}, (scratch.buffer, np.int32(size)), part)
+    assert_close(found, np.moveaxis(given.expected(), -1, 0), 2e-5)
+    assert found.any()
+    assert (part.now() == own).all()
+    used = scratch.now().view(np.uint64).any(axis=1)
+    assert used.tolist() == [False, True]
+
+
+def test_gather_without_doubles(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sampled discs of any radius one by one, in rows that end amid a block."""
+    given = light(Psf(edge="sampled"), shape=(9, 27), guard=5, largest=26.0, channels=2)
+    expected = blurred(session, given, "scatter")
+    monkeypatch.setattr(spread, "band_scratch", lambda psf, largest, fp64: "none")
+    assert not features(given.psf, 2, 0, given.largest)["ROWS"]
+    assert_close(blurred(session, given, "gather"), expected, ROUNDING)
