@@ -77,6 +77,7 @@ def test_device_against_reference(name: str, occlusion: str) -> None:
         assert [found for found in compare(frame, exact) if found.count] == []
 
 
+@pytest.mark.slow
 def test_colors_in_several_bands(tmp_path: Path) -> None:
     """Gather and scatter give the same of a wall in focus, and of one so steep that light ends at 0; a ball passes."""
     write_png(tmp_path / "color.png", np.random.default_rng(5).integers(0, 256, (44, 60, 3)).astype(np.uint8))
