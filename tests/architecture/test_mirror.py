@@ -34,6 +34,8 @@ WITHOUT_TWIN = {
         "reads tables, in whose place the reference has the closed forms",
     )
     | dict.fromkeys(("sums_of", "bits_of", "any_of"), "lanes of a vector"),
+    "geometry": {"note_radius": "the largest and the smallest of an array"},
+    "reproject": {"note_radii": "the largest and the smallest of an array"},
     "tiles": {"tiles": "the sum of scatter, which each tile forms for its pixels"},
     "many": dict.fromkeys(
         ["lowest_lane", "lowest", "some_taps", "values_at", "tap_weight", "take_sources", "rest_of", "take_together"],

@@ -40,6 +40,7 @@ def test_a_card_that_turns_between_the_moments_looked_at(warp: str) -> None:
     np.testing.assert_allclose(frame.color, next(iter(clsco.render(short))).color, rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_depth_map_that_turns_between_the_moments_looked_at(tmp_path: Path) -> None:
     depth = 280.0 + np.tile(np.linspace(0.0, 4.0, 36, dtype=np.float32), (24, 1))
     np.save(tmp_path / "depth.npy", depth)
