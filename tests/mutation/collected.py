@@ -20,8 +20,8 @@ from tests.mutation.memo import remember
 from tests.mutation.recorder import Recorder
 from tests.mutation.switched import Switches, reserve, turn_on
 
-# Processes begin with what all tests import but the package itself.
 Programs = Sequence[tuple[list[str], str]]  # options and text
+# Processes begin with what all tests import but the package itself.
 STARTED = get_context("forkserver")
 STARTED.set_forkserver_preload(["numpy", "pyopencl", "pydantic", "imageio.v3", "scipy.special", "pytest"])
 

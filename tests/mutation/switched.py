@@ -110,7 +110,8 @@ class Switches:
         # Where they have none it is in one of the macros that stand there, or stand in these.
         fresh = self._at(lines) or self._at(uses)
         rows = {Path(file).name: text.split("\n") for file, text in self.plain.items()}
-        names, known = {name for file, row in uses for name in WORD.findall(rows[file][row - 1])}, set[str]()
+        used = [rows[file][row - 1] for file, row in uses if file in rows]  # not in a file without a mutant
+        names, known = {name for row in used for name in WORD.findall(row)}, set[str]()
         while not fresh and names > known:
             known = names
             defining = [row for text in rows.values() for row in text if (m := DEFINES.match(row)) and m[1] in names]
