@@ -112,7 +112,7 @@ def test_conditions_of_the_preprocessor_have_no_mutants(switches: Switches) -> N
     assert not any(mutant.line.startswith("#if") for mutant in switches.mutants)
 
 
-def test_the_number_is_held_once() -> None:
+def test_the_number_is_held_once(switches: Switches) -> None:
     assert ADDRESS % mmap.PAGESIZE == 0
     with pytest.raises(OSError, match="must be free"):
         reserve()
