@@ -86,6 +86,22 @@ def test_a_wide_blur_leaves_a_uniform_image_as_it_is(session: Session, edge: Any
     assert np.abs(blurred(session, replace(given, sources=uniform), "tiles") - 1.0).max() < 2.0**-19
 
 
+def test_a_sum_of_a_thousand_chunks_is_rounded_once(session: Session) -> None:
+    """One or two of 128 sources are lit, so rounding is that of the sum over chunks; added naively 80 units of it."""
+    radius, shape, guard = 160.3, (9, 17), 162
+    given = light(Psf(edge="sampled", tilt=False), shape=shape, guard=guard, largest=radius).constant(radius)
+    grid = given.sources.lit.shape
+    lit = np.random.default_rng(1).random(grid) < 0.01
+    sources = replace(given.sources, lit=lit, radius=np.full(grid, radius), radiance=np.ones((*grid, 1)))
+    found = blurred(session, replace(given, sources=sources), "tiles")
+    y, x = np.nonzero(lit)
+    rows, columns = np.indices(shape) + guard
+    reach = np.arange(-guard, guard + 1)
+    within = np.hypot(rows[..., None] - y, columns[..., None] - x) <= radius
+    expected = within.sum(axis=-1) / (np.hypot(reach, reach[:, None]) <= radius).sum()
+    np.testing.assert_allclose(found[..., 0], expected, rtol=4 * 2.0**-24)
+
+
 BALL = {
     "camera": {"resolution": [45, 30], "pixel_pitch": 0.1, "aperture_diameter": 30.0},
     "psf": {"silhouette_samples": 2},

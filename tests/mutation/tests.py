@@ -35,8 +35,8 @@ TESTS = {
     "estimate.clh": "kernels/test_fill kernels/test_holes",
     "fill.cl": "kernels/test_fill kernels/test_forward",
     "gaussians.clh": "kernels/test_blur test_defocus",
-    "geometry.clh": "kernels/test_geometry kernels/test_ray_surface kernels/test_trace kernels/test_trace_hidden "
-    "pipeline/test_views",
+    "geometry.clh": "kernels/test_geometry kernels/test_bounds kernels/test_ray_surface kernels/test_trace "
+    "kernels/test_trace_hidden pipeline/test_views pipeline/test_strips",
     "holes.cl": "kernels/test_holes test_inpainting",
     "layer.cl": "kernels/test_layer test_defocus",
     "many.clh": "kernels/test_blur test_defocus",
