@@ -36,6 +36,7 @@ from tests.oclgrind import simulator
 
 AGAINST = {"quick": "not slow", "slow": "slow", "simulator": ""}  # pytest's -m; the cases of `make oclgrind`
 SECONDS = 10.0  # between two times that results are written
+COMPILING = 60.0  # seconds more for a mutant whose programs are not built yet
 Result = dict[str, Any]
 
 
@@ -118,8 +119,9 @@ class Trial:
         copy, begun = self.free.get(), time.monotonic()
         try:
             seeing = self.tests.seeing(mutant) if {"quick", "slow"} & set(self.against) else []
-            usual = sum(self.tests.seconds[test] for test in seeing)
-            outcome, test = copy.tried(mutant, tests_of(mutant.file), seeing, max(self.timeout, 3 * usual))
+            most = max(self.timeout, 3 * sum(self.tests.seconds[test] for test in seeing))
+            most += 0.0 if self.tests.switches.has(mutant) else COMPILING
+            outcome, test = copy.tried(mutant, tests_of(mutant.file), seeing, most)
         finally:
             self.free.put(copy)
         if outcome == "survived" and "simulator" in self.against and mutant.file.startswith("kernels/"):

@@ -31,7 +31,7 @@ TESTS = {
     "coarse.cl": "kernels/test_coarse_edges kernels/test_coarse test_coarsening",
     "columns.clh": "kernels/test_blur test_defocus kernels/test_layer",
     "convolve.cl": "kernels/test_convolve",
-    "discs.clh": "kernels/test_blur test_defocus",
+    "discs.clh": "kernels/test_blur_tiles kernels/test_blur test_defocus",
     "estimate.clh": "kernels/test_fill kernels/test_holes",
     "fill.cl": "kernels/test_fill kernels/test_forward",
     "gaussians.clh": "kernels/test_blur test_defocus",
