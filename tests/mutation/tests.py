@@ -43,7 +43,7 @@ TESTS = {
     "mean_median.cl": "kernels/test_fill kernels/test_forward",
     "near.clh": "kernels/test_blur test_defocus",
     "quadrants.clh": "kernels/test_blur test_defocus kernels/test_layer",
-    "occlusion.clh": "kernels/test_occlusion pipeline/test_occlusion",
+    "occlusion.clh": "kernels/test_occlusion_blockers kernels/test_occlusion pipeline/test_occlusion",
     "reproject.cl": "kernels/test_reproject_planes kernels/test_reproject kernels/test_forward pipeline/test_scenes",
     "rows.clh": "kernels/test_blur test_defocus",
     "score.cl": "kernels/test_holes kernels/test_fill",
