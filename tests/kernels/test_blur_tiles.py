@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from clsco.device import Session
 from clsco.memory import TILE
@@ -14,6 +16,7 @@ from clsco.scene import Psf
 from tests.kernels.test_blur import ROUNDING, Light, assert_close, blurred, features, light, on_device, spreader
 from tests.kernels.test_reproject_planes import AROUND, Amid
 
+Array = NDArray[Any]
 SEGMENT = 64  # columns, as in rows.clh
 DISCS = Psf(edge="sampled", tilt=False)
 
@@ -28,7 +31,7 @@ def discs(shape: tuple[int, int], guard: int, largest: float, channels: int = 1,
     return given
 
 
-def with_radius(given: Light, radius: np.ndarray, lit: np.ndarray | None = None) -> Light:
+def with_radius(given: Light, radius: Array, lit: Array | None = None) -> Light:
     there = given.sources.lit if lit is None else lit
     return replace(given, sources=replace(given.sources, lit=there, radius=np.where(there, radius, 0.0)))
 
@@ -38,7 +41,7 @@ def test_color_and_coverage(session: Session, tilt: bool) -> None:
     """Four channels, of which a segment has registers for one vector at a time."""
     given = discs((9, 2 * SEGMENT + 11), 5, 21.0, 4, tilt)
     rows, columns = np.indices(given.sources.lit.shape)
-    given = with_radius(given, 14.0 + 0.1 * rows + 0.03 * columns)
+    given = with_radius(given, np.asarray(14.0 + 0.1 * rows + 0.03 * columns))
     assert_close(blurred(session, given, "gather"), blurred(session, given, "scatter"), ROUNDING)
 
 

@@ -29,7 +29,7 @@ TESTS = {
     "blur.cl": "kernels/test_blur_amid kernels/test_blur test_defocus kernels/test_layer kernels/test_occlusion "
     "pipeline/test_occlusion",
     "coarse.cl": "kernels/test_coarse_edges kernels/test_coarse test_coarsening",
-    "columns.clh": "kernels/test_blur test_defocus kernels/test_layer",
+    "columns.clh": "kernels/test_blur_quadrants kernels/test_blur test_defocus kernels/test_layer",
     "convolve.cl": "kernels/test_convolve",
     "discs.clh": "kernels/test_blur_tiles kernels/test_blur test_defocus",
     "estimate.clh": "kernels/test_fill kernels/test_holes",
@@ -42,8 +42,9 @@ TESTS = {
     "many.clh": "kernels/test_blur test_defocus",
     "mean_median.cl": "kernels/test_fill kernels/test_forward",
     "near.clh": "kernels/test_blur test_defocus",
-    "quadrants.clh": "kernels/test_blur test_defocus kernels/test_layer",
-    "occlusion.clh": "kernels/test_occlusion_blockers kernels/test_occlusion pipeline/test_occlusion",
+    "quadrants.clh": "kernels/test_blur_quadrants kernels/test_blur test_defocus kernels/test_layer",
+    "occlusion.clh": "kernels/test_occlusion_shares kernels/test_occlusion_blockers kernels/test_occlusion "
+    "pipeline/test_occlusion",
     "reproject.cl": "kernels/test_reproject_planes kernels/test_reproject kernels/test_forward pipeline/test_scenes",
     "rows.clh": "kernels/test_blur test_defocus",
     "score.cl": "kernels/test_holes kernels/test_fill",
