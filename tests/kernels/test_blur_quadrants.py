@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 from clsco.device import Session
+from clsco.layout import frame_struct, structs
+from clsco.program import build
 from clsco.psf import psf_table
 from clsco.scene import Psf
+from clsco.spread import FILES_OF, Spreader
 from clsco.strips import BAND
-from tests.kernels.test_blur import RNG, ROUNDING, assert_close, blurred, features, light
+from tests.kernels.test_blur import RNG, ROUNDING, assert_close, blurred, features, light, on_device
 
 
 @pytest.mark.parametrize("model", ["pillbox", "gaussian"])
@@ -53,3 +56,20 @@ def test_a_last_column_of_one_tap(session: Session, model: str, edge: str) -> No
     table = psf_table(psf, given.smallest, given.largest)
     assert (table.outlines[:, 1:, 1] == 0).any()
     assert_close(blurred(session, given, "gather"), blurred(session, given, "scatter"), ROUNDING)
+
+
+@pytest.mark.parametrize("tilt", [False, True])
+def test_a_device_without_doubles(session: Session, monkeypatch: pytest.MonkeyPatch, tilt: bool) -> None:
+    """There are no sums over the ends of rows of one weight: all taps are added one by one."""
+    given = light(Psf(tilt=tilt), shape=(BAND + 9, 24), guard=5, largest=14.0, steepest=0.05)
+    expected = blurred(session, given, "scatter")
+    monkeypatch.setattr(session, "device", replace(session.device, has_fp64=False))
+    chosen = features(given.psf, 1, 0, given.largest)
+    program = build(session, FILES_OF["gather"], chosen, structs("float"), "float")
+    camera = frame_struct(*given.shape, given.guard, "float")
+    ends = given.smallest, given.largest
+    owner = Spreader(session, program, given.psf, "gather", camera, 1, *ends, 0, "float", 1.0, chosen)
+    owner.clear()
+    sources = on_device(session, given, 1.0)
+    owner.add(sources, given.largest, [])
+    assert_close(owner.image([])[..., None], expected, ROUNDING)
