@@ -89,3 +89,17 @@ def test_nothing_is_added_behind_the_last_row(session: Session, largest: float) 
         assert np.signbit(found[side]).all()
     row = found[AROUND + owner.pad :][: given.shape[1]]
     assert_close(row[None, :, None], given.expected(), ROUNDING)
+
+
+@pytest.mark.parametrize("tilt", [False, True])
+@pytest.mark.parametrize("psf", [DISCS, Psf(model="gaussian")], ids=["discs", "gaussians"])
+def test_shorter_vectors_change_no_bit(session: Session, monkeypatch: pytest.MonkeyPatch, psf: Psf, tilt: bool) -> None:
+    """How many of them go together hangs on what the device has registers for; the result does not."""
+    psf = psf.model_copy(update={"tilt": tilt})
+    given = light(psf, shape=(20, 2 * SEGMENT + 11), guard=5, largest=21.0, steepest=0.05, channels=2)
+    found = []
+    for width in (4, 16):
+        monkeypatch.setattr(session, "device", replace(session.device, vector_width=width))
+        found.append(blurred(session, given, "gather"))
+    np.testing.assert_array_equal(found[1], found[0])
+    assert_close(found[0], blurred(session, given, "scatter"), ROUNDING)
