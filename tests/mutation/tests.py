@@ -38,7 +38,7 @@ TESTS = {
     "geometry.clh": "kernels/test_geometry kernels/test_bounds kernels/test_ray_surface kernels/test_trace "
     "kernels/test_trace_hidden pipeline/test_views pipeline/test_strips",
     "holes.cl": "kernels/test_holes test_inpainting",
-    "layer.cl": "kernels/test_layer test_defocus",
+    "layer.cl": "kernels/test_layer_amid kernels/test_layer test_defocus",
     "many.clh": "kernels/test_blur test_defocus",
     "mean_median.cl": "kernels/test_fill kernels/test_forward",
     "near.clh": "kernels/test_blur test_defocus",

@@ -25,6 +25,7 @@ from clsco.forward import forward_features
 from clsco.frame import STEREO_NAMES, TRUTH_NAMES
 from clsco.inpainting import inpaint
 from clsco.plan import Plan, make_plan
+from clsco.psf import NEAR
 from clsco.render import render_sweep
 from clsco.scene import (
     Camera,
@@ -283,7 +284,7 @@ def scene_cases() -> Iterator[Case]:
 
 
 def long_cases() -> Iterator[Case]:
-    """What small images have no need of: sums of wide discs, coarser grids, many missing pixels."""
+    """What small images have no need of: sums of wide discs, coarser grids, many missing pixels, runs amid a row."""
     rng = np.random.default_rng(11)
     image, coc = rng.random((5, 4)).astype(np.float32), np.full((5, 4), SUMMED + 2.0)
     holes = rng.random((10, 11, 1)).astype(np.float32)
@@ -308,6 +309,23 @@ def long_cases() -> Iterator[Case]:
     for method in ("mean-median", "biharmonic"):
         yield Case(f"many missing, {method}", {}, partial(filled, method))
     yield Case("many missing, as on a GPU", {"kind": "gpu"}, partial(filled, "mean-median"))
+    yield Case("long rows", {}, slabs_of_long_rows)
+    for tilt in (True, False):
+        yield Case(f"rows of discs, tilt {tilt}", {}, partial(discs, tilt))
+
+
+def discs(tilt: bool) -> list[Array]:
+    """Of three channels, too wide for each of their taps to be added by itself."""
+    image, coc = np.ones((2, 9, 3), np.float32), np.linspace(NEAR + 1.0, NEAR + 2.0, 18).reshape(2, 9)
+    return [defocus(image, coc, Psf(edge="sampled", tilt=tilt), device="oclgrind", method="gather")]
+
+
+def slabs_of_long_rows() -> list[Array]:
+    """Runs at both ends of a row, and one amid it that looks for edges on both sides."""
+    image, near = np.ones((6, 140), np.float32), np.arange(140) % 40 < 5
+    psf = Psf(edge="sampled", tilt=False, occlusion="layered")
+    coc = np.where(near, -0.6, 0.6) * np.ones((6, 1))
+    return [defocus(image, coc, psf, device="oclgrind", method="scatter")]
 
 
 def fault_cases() -> Iterator[Case]:
