@@ -77,6 +77,16 @@ def test_device_against_reference(name: str, occlusion: str) -> None:
         assert [found for found in compare(frame, exact) if found.count] == []
 
 
+def test_blur_of_many_vectors_behind_a_ball() -> None:
+    """Rows of taps longer than what is decided about at once: gather, which does so, and scatter give the same."""
+    camera = CAMERA | {"resolution": [12, 9], "aperture_diameter": 200.0}
+    items = [BALL | {"center": [0.0, 3.0, 300.0], "radius": 6.0}, WALL | {"distance": 420.0}]
+    wanted = scene({"camera": camera, "object": items}, edge="sampled", tilt=False, silhouette_samples=2)
+    assert make_plan(wanted, 1).largest_blur > 4 * 8
+    gathered, scattered = (image(wanted, method=method).color for method in ("gather", "scatter"))
+    np.testing.assert_allclose(gathered, scattered, rtol=0, atol=1.5e-6)
+
+
 @pytest.mark.slow
 def test_colors_in_several_bands(tmp_path: Path) -> None:
     """Gather and scatter give the same of a wall in focus, and of one so steep that light ends at 0; a ball passes."""
