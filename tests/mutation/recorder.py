@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import time
 from collections import defaultdict
@@ -10,10 +11,13 @@ from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyopencl as cl
 import pytest
 
 from tests.mutation.switched import Switches
+
+CONDITION, GIVEN = re.compile(r"^\s*#\s*(?:el)?if.*", re.MULTILINE), re.compile(r"\b__[A-Z]\w+")
 
 
 class Launches:
@@ -33,7 +37,8 @@ class Launches:
 
         def noted_program(session: Any, where: str, text: str, options: list[str]) -> Any:
             found = built(session, where, text, options)
-            place = self.programs.setdefault(json.dumps([options, plain(text)]), len(self.programs))
+            asked = [*options, *_defined(session, text)]
+            place = self.programs.setdefault(json.dumps([asked, plain(text)]), len(self.programs))
             places.update(dict.fromkeys(found.values(), place))
             return found
 
@@ -99,6 +104,18 @@ class Recorder:
     def pytest_sessionfinish(self) -> None:
         left_out = sorted(self.switches.left_out) if self.switches else []
         self.launches.write(self.path, self.tests, left_out)
+
+
+def _defined(session: Any, text: str) -> list[str]:
+    """Options for the macros of a text's conditions that the device's compiler has, as __AVX2__: others may differ."""
+    names = sorted({name for line in CONDITION.findall(text) for name in GIVEN.findall(line)})
+    lines = [f"#ifdef {name}\nout[{place}] = 1;\n#endif" for place, name in enumerate(names)]
+    source = "\n".join(["__kernel void tell(__global int *out)\n{", *lines, "}"])
+    there = np.zeros(len(names) + 1, np.int32)
+    out = cl.Buffer(session.context, cl.mem_flags.COPY_HOST_PTR, hostbuf=there)
+    cl.Program(session.context, source).build().tell(session.queue, (1,), None, out)
+    cl.enqueue_copy(session.queue, there, out)
+    return [f"-D{name}" for name, defined in zip(names, there.tolist(), strict=False) if defined]
 
 
 def _build_without(switches: Switches) -> None:

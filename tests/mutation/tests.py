@@ -34,14 +34,14 @@ TESTS = {
     "discs.clh": "kernels/test_blur_tiles kernels/test_blur test_defocus",
     "estimate.clh": "kernels/test_fill kernels/test_holes",
     "fill.cl": "kernels/test_fill kernels/test_forward",
-    "gaussians.clh": "kernels/test_blur test_defocus",
+    "gaussians.clh": "kernels/test_blur_columns kernels/test_blur test_defocus",
     "geometry.clh": "kernels/test_geometry kernels/test_bounds kernels/test_ray_surface kernels/test_trace "
     "kernels/test_trace_hidden pipeline/test_views pipeline/test_strips",
     "holes.cl": "kernels/test_holes test_inpainting",
     "layer.cl": "kernels/test_layer_amid kernels/test_layer test_defocus",
-    "many.clh": "kernels/test_blur test_defocus",
+    "many.clh": "kernels/test_blur_columns kernels/test_blur test_defocus",
     "mean_median.cl": "kernels/test_fill kernels/test_forward",
-    "near.clh": "kernels/test_blur test_defocus",
+    "near.clh": "kernels/test_blur_columns kernels/test_blur test_defocus",
     "quadrants.clh": "kernels/test_blur_quadrants kernels/test_blur test_defocus kernels/test_layer",
     "occlusion.clh": "kernels/test_occlusion_shares kernels/test_occlusion_blockers kernels/test_occlusion "
     "pipeline/test_occlusion",
