@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from clsco.device import Session
 from clsco.memory import TILE
 from clsco.program import download
+from clsco.psf import NEAR
 from clsco.scene import Psf
-from tests.kernels.test_blur import ROUNDING, Light, assert_close, blurred, features, light, on_device, spreader
+from tests.kernels.test_blur import RNG, ROUNDING, Light, assert_close, blurred, features, light, on_device, spreader
 from tests.kernels.test_reproject_planes import AROUND, Amid
 
 Array = NDArray[Any]
@@ -103,3 +104,14 @@ def test_shorter_vectors_change_no_bit(session: Session, monkeypatch: pytest.Mon
         found.append(blurred(session, given, "gather"))
     np.testing.assert_array_equal(found[1], found[0])
     assert_close(found[0], blurred(session, given, "scatter"), ROUNDING)
+
+
+@pytest.mark.parametrize("tilt", [False, True])
+def test_the_widest_of_small_discs(session: Session, tilt: bool) -> None:
+    """The last reach at which each tap of a row of sources is added by itself (near.clh)."""
+    psf = DISCS.model_copy(update={"tilt": tilt})
+    given = light(psf, shape=(21, 37), guard=7, largest=NEAR + 0.95, steepest=0.05)
+    assert features(psf, 1, 0, given.largest)["NEAR"]
+    radius = np.where(given.sources.lit, NEAR + 0.9 * RNG(52).random(given.sources.lit.shape), 0.0)
+    given = replace(given, sources=replace(given.sources, radius=radius))
+    assert_close(blurred(session, given, "gather"), given.expected(), ROUNDING)

@@ -41,7 +41,7 @@ TESTS = {
     "layer.cl": "kernels/test_layer_amid kernels/test_layer test_defocus",
     "many.clh": "kernels/test_blur_columns kernels/test_blur test_defocus",
     "mean_median.cl": "kernels/test_fill kernels/test_forward",
-    "near.clh": "kernels/test_blur_columns kernels/test_blur test_defocus",
+    "near.clh": "kernels/test_blur_tiles kernels/test_blur_columns kernels/test_blur test_defocus",
     "quadrants.clh": "kernels/test_blur_quadrants kernels/test_blur test_defocus kernels/test_layer",
     "occlusion.clh": "kernels/test_occlusion_shares kernels/test_occlusion_blockers kernels/test_occlusion "
     "pipeline/test_occlusion",

@@ -311,12 +311,13 @@ def long_cases() -> Iterator[Case]:
     yield Case("many missing, as on a GPU", {"kind": "gpu"}, partial(filled, "mean-median"))
     yield Case("long rows", {}, slabs_of_long_rows)
     for tilt in (True, False):
-        yield Case(f"rows of discs, tilt {tilt}", {}, partial(discs, tilt))
+        yield Case(f"rows of small discs, tilt {tilt}", {}, partial(discs, NEAR, tilt))
+        yield Case(f"rows of discs, tilt {tilt}", {}, partial(discs, NEAR + 1, tilt))
 
 
-def discs(tilt: bool) -> list[Array]:
-    """Of three channels, too wide for each of their taps to be added by itself."""
-    image, coc = np.ones((2, 9, 3), np.float32), np.linspace(NEAR + 1.0, NEAR + 2.0, 18).reshape(2, 9)
+def discs(reach: int, tilt: bool) -> list[Array]:
+    """Of three channels; beyond NEAR their taps are not added one by one."""
+    image, coc = np.ones((2, 9, 3), np.float32), np.linspace(reach, reach + 0.9, 18).reshape(2, 9)
     return [defocus(image, coc, Psf(edge="sampled", tilt=tilt), device="oclgrind", method="gather")]
 
 
