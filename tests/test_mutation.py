@@ -9,6 +9,8 @@ import pyopencl as cl
 import pytest
 
 from clsco.device import Session
+from clsco.reference import biharmonic
+from tests.mutation import memo
 from tests.mutation.mutants import Mutant, mutants
 from tests.mutation.switched import ADDRESS, Switches, reserve, turn_on
 
@@ -116,3 +118,20 @@ def test_the_number_is_held_once(switches: Switches) -> None:
     assert ADDRESS % mmap.PAGESIZE == 0
     with pytest.raises(OSError, match="must be free"):
         reserve()
+
+
+def test_results_of_the_reference_are_kept_for_the_same_constants(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(memo, "WORTH", 0.0)
+    calls = []
+
+    def some_reference(value: int) -> int:
+        calls.append(value)
+        return value * biharmonic.MOST_STEPS
+
+    kept, most = memo._keeping(tmp_path, some_reference), biharmonic.MOST_STEPS
+    assert [kept(2), kept(2), kept(3)] == [2 * most, 2 * most, 3 * most]
+    monkeypatch.setattr(biharmonic, "MOST_STEPS", 1)
+    assert [kept(2), kept(2)] == [2, 2]
+    assert calls == [2, 3, 2]

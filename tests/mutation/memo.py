@@ -45,7 +45,7 @@ def _keeping(folder: Path, function: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(function)
     def kept(*args: Any, **options: Any) -> Any:
-        given = _pickled((of, args, options)) if not _inside else None
+        given = _pickled((of, _constants(), args, options)) if not _inside else None
         if given is None:
             return function(*args, **options)
         path = folder / sha256(given).hexdigest()
@@ -57,7 +57,7 @@ def _keeping(folder: Path, function: Callable[..., Any]) -> Callable[..., Any]:
             found = function(*args, **options)
         finally:
             _inside.pop()
-        if time.monotonic() - begun > WORTH and _pickled((of, args, options)) == given:
+        if time.monotonic() - begun > WORTH and _pickled((of, _constants(), args, options)) == given:
             result = _pickled(found)
             if result is not None:
                 partial = path.with_suffix(f".{os.getpid()}")
@@ -66,6 +66,16 @@ def _keeping(folder: Path, function: Callable[..., Any]) -> Callable[..., Any]:
         return found
 
     return kept
+
+
+def _constants() -> list[tuple[str, str, object]]:
+    """Of all modules: tests change some."""
+    return [
+        (module.__name__, name, value)
+        for module in [module for name, module in sorted(sys.modules.items()) if name.split(".")[0] == "clsco"]
+        for name, value in sorted(vars(module).items())
+        if name.isupper() and isinstance(value, (int, float, str))
+    ]
 
 
 def _pickled(value: object) -> bytes | None:
