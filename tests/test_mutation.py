@@ -9,7 +9,7 @@ import pyopencl as cl
 import pytest
 
 from clsco.device import Session
-from clsco.reference import biharmonic
+from clsco.reference import geometry
 from tests.mutation import memo
 from tests.mutation.mutants import Mutant, mutants
 from tests.mutation.switched import ADDRESS, Switches, reserve, turn_on
@@ -124,14 +124,15 @@ def test_results_of_the_reference_are_kept_for_the_same_constants(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(memo, "WORTH", 0.0)
-    calls = []
+    calls: list[int] = []
 
-    def some_reference(value: int) -> int:
+    def some_reference(value: int) -> float:
         calls.append(value)
-        return value * biharmonic.MOST_STEPS
+        return value * geometry.BOUNDS_SLACK
 
-    kept, most = memo._keeping(tmp_path, some_reference), biharmonic.MOST_STEPS
-    assert [kept(2), kept(2), kept(3)] == [2 * most, 2 * most, 3 * most]
-    monkeypatch.setattr(biharmonic, "MOST_STEPS", 1)
-    assert [kept(2), kept(2)] == [2, 2]
-    assert calls == [2, 3, 2]
+    kept = memo._keeping(tmp_path, some_reference)
+    assert kept(2) == kept(2) == 2 * geometry.BOUNDS_SLACK
+    assert calls == [2]
+    monkeypatch.setattr(geometry, "BOUNDS_SLACK", 0.5)
+    assert kept(2) == kept(2) == 1.0
+    assert calls == [2, 2]
