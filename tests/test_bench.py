@@ -189,11 +189,13 @@ def test_what_is_slow_on_its_crop_is_left_out() -> None:
 
 @pytest.mark.slow
 def test_light_beyond_the_crop_counts(session: Session) -> None:
-    """A call in full size would take a minute."""
+    """A call in full size would take 18 times as long as the crop has it by its pixels alone: up to a minute."""
     case = Case(512, 60.0, "varying", "gaussian", 1, "double", "clsco", "scatter")
-    why = measure._ready(case, session, 10.0, Paces(SMALL))
+    first = measure._first(case, session, None)
+    by_pixels = first.warm_s * (case.size / first.crop_px) ** 2
+    why = measure._ready(case, session, 4.0 * by_pixels, Paces(SMALL))  # measured twice, on machines that are noisy
     assert isinstance(why, str)
-    assert float(why.split("got about ")[1].split()[0]) > 15.0
+    assert "by its crop" in why
 
 
 def test_light_beyond_the_crop_costs_those_who_blur_it() -> None:
