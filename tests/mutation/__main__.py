@@ -170,8 +170,9 @@ def told(found: Sequence[Result], memory: Memory) -> int:
     unexplained = [result for result in found if result["outcome"] == "survived" and result["reason"] is None]
     print(dict(Counter(result["outcome"] for result in found)), f"{len(unexplained)} survive without a reason")
     everything, known = [mutant for name in files() for mutant in mutants(ROOT, name)], reasons()
-    counts = sum(memory.has(mutant) for mutant in everything), sum(mutant.name in known for mutant in everything)
-    print(f"of all {len(everything)} mutants {counts[0]} are known to be noticed, and {counts[1]} have a reason")
+    others = [mutant for mutant in everything if not memory.has(mutant)]
+    noticed, explained = len(everything) - len(others), sum(mutant.name in known for mutant in others)
+    print(f"of all {len(everything)} mutants {noticed} are noticed, and {explained} others have a reason")
     for result in unexplained:
         print(f"{result['mutant']} (row {result['row']})")
     return 1 if unexplained else 0
