@@ -19,7 +19,7 @@ from tests.mutation.collected import Collected, Programs
 from tests.mutation.mutants import ROOT, Mutant
 from tests.mutation.switched import Switches
 
-COPIED = ("clsco", "kernels", "tests", "examples", "benchmarks", "docs", "pyproject.toml", "README.md", "LICENSE", "Makefile")
+COPIED = ("clsco", "kernels", "tests", "examples", "benchmarks", "docs", "pyproject.toml", "README.md", "Makefile")
 NOT_BUILT = ("must build on", "SyntaxError")  # what says that a mutant is no program
 
 
