@@ -24,8 +24,8 @@ from scipy import ndimage
 
 import clsco
 from benchmarks.truth import decibels, rms, trace_twice, update
-from clsco.bench.raytracer import pinhole_depth
-from clsco.textures import load_texture
+from clsco.cli.bench.raytracer import pinhole_depth
+from clsco.inputs.textures import load_texture
 
 ROOT = Path(__file__).resolve().parent
 FULL_SIZE = 512

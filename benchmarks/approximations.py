@@ -16,12 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.bench.cases import PSFS, picture, radius_map
-from clsco.bench.passes import Pass
-from clsco.coarsening import METHODS, coarse_radii
-from clsco.device import Session, choose
-from clsco.psf import reach, weights
-from clsco.scene import Psf
+from clsco.cli.bench.cases import PSFS, picture, radius_map
+from clsco.cli.bench.passes import Pass
+from clsco.opencl.device import choose
+from clsco.opencl.session import Session
+from clsco.optics.multigrid import coarse_radii
+from clsco.optics.psf import reach, weights
+from clsco.plan.approximation import METHODS
+from clsco.scene.model import Psf
 
 Array = NDArray[Any]
 DISCS = (4, 8)

@@ -19,11 +19,12 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.defocus_speed import measured
-from clsco.bench.passes import Pass
-from clsco.bench.peers import opencv
-from clsco.device import Session, choose
-from clsco.psf import reach, weights
-from clsco.scene import Psf
+from clsco.cli.bench.passes import Pass
+from clsco.cli.bench.peers import opencv
+from clsco.opencl.device import choose
+from clsco.opencl.session import Session
+from clsco.optics.psf import reach, weights
+from clsco.scene.model import Psf
 
 RESULTS = Path(__file__).parent / "results"
 PSFS = {

@@ -24,19 +24,14 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from clsco.bench.cases import radius_map
-from clsco.bench.direct import (
-    THREADS,
-    axis_table,
-    dense_table,
-    gaussian_bands,
-    scatter,
-)
-from clsco.bench.passes import Pass
-from clsco.device import Session, choose
-from clsco.psf import psf_extent
-from clsco.scene import Psf
-from clsco.spread import Events
+from clsco.cli.bench.cases import radius_map
+from clsco.cli.bench.direct import THREADS, axis_table, dense_table, gaussian_bands, scatter
+from clsco.cli.bench.passes import Pass
+from clsco.opencl.device import choose
+from clsco.opencl.session import Session
+from clsco.optics.psf import psf_extent
+from clsco.passes.blur import Events
+from clsco.scene.model import Psf
 
 Array = NDArray[Any]
 LARGEST_GAUSSIAN = 20.0  # px; numba takes minutes beyond

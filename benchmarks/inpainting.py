@@ -30,10 +30,11 @@ from skimage.restoration import inpaint_biharmonic
 
 import clsco
 from benchmarks.inpainting_cases import IMAGES, MASKS, Case, cases
-from clsco.device import Session, choose
 from clsco.inpainting.biharmonic import fill_biharmonic
 from clsco.inpainting.choice import choose_method
-from clsco.inpainting.texture import fill_texture
+from clsco.inpainting.fse import fill_texture
+from clsco.opencl.device import choose
+from clsco.opencl.session import Session
 
 Image = NDArray[Any]
 Mask = NDArray[np.bool_]

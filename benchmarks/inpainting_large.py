@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.images import write_png
+from clsco.files.images import write_png
 
 SHARE = 0.01
-RUN = "from clsco.cli import main; main()"
+RUN = "from clsco.cli.main import main; main()"
 
 
 def picture(size: int) -> NDArray[np.uint8]:

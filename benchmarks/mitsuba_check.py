@@ -22,7 +22,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.bench.raytracer import trace_converged
+from clsco.cli.bench.raytracer import trace_converged
 
 FRAME = 512
 PITCH, S0, APERTURE, FOCAL_LENGTH, SENSOR = 0.01, 20.0, 10.0, 20.0, 21.739

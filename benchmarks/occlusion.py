@@ -27,10 +27,10 @@ from scipy import ndimage
 
 import clsco
 from benchmarks.truth import decibels, rms, trace_twice, update
-from clsco.bench.raytracer import pinhole_depth
-from clsco.images import write_png
-from clsco.textures import load_scene_textures
-from clsco.transfer import encode
+from clsco.cli.bench.raytracer import pinhole_depth
+from clsco.files.images import write_png
+from clsco.files.transfer import encode
+from clsco.inputs.textures import load_scene_textures
 
 ROOT = Path(__file__).resolve().parent
 FULL_SIZE = 512

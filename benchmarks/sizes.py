@@ -27,8 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import clsco
-from clsco.scene import Scene
-from clsco.scenefile import parse_scene
+from clsco.scene.file import parse_scene
+from clsco.scene.model import Scene
 
 Plane = NDArray[np.float32]
 RESULTS = Path(__file__).parent / "results"
@@ -81,7 +81,7 @@ def defocus_image(size: int, memory: str, layered: bool = False) -> Callable[[],
 
 def run_map_command(size: int, memory: str) -> Callable[[], object]:
     """What runs `clsco defocus` on an image and its map of radii."""
-    from clsco.cli import main
+    from clsco.cli.main import main
 
     folder = Path(tempfile.mkdtemp(prefix="clsco-sizes-"))
     for name, plane in zip(("image", "coc"), image_and_radii(size, True), strict=True):
@@ -101,8 +101,8 @@ def run_map_command(size: int, memory: str) -> Callable[[], object]:
 
 def run_command(size: int, memory: str) -> Callable[[], object]:
     """What runs `clsco render` on a scene file."""
-    from clsco.cli import main
-    from clsco.scenefile import dump
+    from clsco.cli.main import main
+    from clsco.scene.file import dump
 
     folder = Path(tempfile.mkdtemp(prefix="clsco-sizes-"))
     path = folder / "scene.json"

@@ -7,38 +7,36 @@ imported when it is first used: without OpenCL everything but `render`, `defocus
 
 from __future__ import annotations
 
-import sys
 from importlib import import_module
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from clsco import reference as reference
-    from clsco.defocus import defocus as defocus
-    from clsco.inpainting import inpaint as inpaint
-    from clsco.render import render as render
-    from clsco.scenefile import load_scene as load_scene
-    from clsco.scenefile import parse_scene as parse_scene
-    from clsco.sweep import load_sweep as load_sweep
+    from clsco.engine.defocus import defocus as defocus
+    from clsco.engine.inpaint import inpaint as inpaint
+    from clsco.engine.sequence import render as render
+    from clsco.scene.file import load_scene as load_scene
+    from clsco.scene.file import parse_scene as parse_scene
+    from clsco.scene.sweep import load_sweep as load_sweep
 
 __version__ = "0.1.0"
 __all__ = ["__version__", "defocus", "inpaint", "load_scene", "load_sweep", "parse_scene", "reference", "render"]
 
-_FUNCTIONS = {
-    "defocus": "clsco.defocus",
-    "inpaint": "clsco.inpainting",
-    "load_scene": "clsco.scenefile",
-    "load_sweep": "clsco.sweep",
-    "parse_scene": "clsco.scenefile",
-    "render": "clsco.render",
+_HOME = {
+    "defocus": "clsco.engine.defocus",
+    "inpaint": "clsco.engine.inpaint",
+    "load_scene": "clsco.scene.file",
+    "load_sweep": "clsco.scene.sweep",
+    "parse_scene": "clsco.scene.file",
+    "render": "clsco.engine.sequence",
 }
 
 
 def __getattr__(name: str) -> Any:
     if name == "reference":
         return import_module("clsco.reference")
-    if name in _FUNCTIONS:
-        value = getattr(import_module(_FUNCTIONS[name]), name)
+    if name in _HOME:
+        value = getattr(import_module(_HOME[name]), name)
         globals()[name] = value
         return value
     raise AttributeError(f"module clsco has no attribute {name}")
@@ -46,14 +44,3 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
-
-
-class _Package(ModuleType):
-    """`clsco.render` is the function, also after something has imported the module `clsco.render`."""
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        if not (name in _FUNCTIONS and isinstance(value, ModuleType)):  # what the import of a module does
-            super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package

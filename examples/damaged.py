@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 from skimage.data import astronaut
 
-from clsco.images import write_png
+from clsco.files.images import write_png
 
 FOLDER = Path(__file__).resolve().parent
 SCRATCHES = (

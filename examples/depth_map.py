@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 import clsco
-from clsco.images import write_png
-from clsco.transfer import encode
+from clsco.files.images import write_png
+from clsco.files.transfer import encode
 
 FOLDER = Path(__file__).resolve().parent
 SCENE = {

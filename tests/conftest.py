@@ -24,7 +24,8 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ["POCL_CACHE_DIR"] = str(own)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # those of several workers would wait for each other
 
-from clsco.device import Session, choose
+from clsco.opencl.device import choose
+from clsco.opencl.session import Session
 
 
 def pytest_collection_finish() -> None:

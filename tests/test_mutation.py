@@ -8,8 +8,8 @@ import numpy as np
 import pyopencl as cl
 import pytest
 
-from clsco.device import Session
-from clsco.reference import geometry
+from clsco.opencl.session import Session
+from clsco.reference.common import geometry
 from tests.mutation import memo
 from tests.mutation.mutants import Mutant, mutants
 from tests.mutation.switched import ADDRESS, Switches, reserve, turn_on

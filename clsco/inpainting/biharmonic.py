@@ -17,14 +17,15 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clsco.device import Program, Session
-from clsco.holes import FINER_GAIN, FIRST_GAIN, MOST_STEPS, TOLERANCE, spline_holes
+from clsco.inpainting.hole_shapes import FINER_GAIN, FIRST_GAIN, MOST_STEPS, TOLERANCE, spline_holes
 from clsco.inpainting.tiles import Progress, fill_in_tiles, no_progress
-from clsco.layout import Real, structs
-from clsco.program import build, download, empty, kernel, launch, upload
+from clsco.opencl.buffers import download, empty, upload
+from clsco.opencl.program import build, kernel, launch
+from clsco.opencl.session import Program, Session
+from clsco.records import Real, structs
 
 LOCAL = (64,)
-SEGMENT = 256  # as in kernels/biharmonic.cl
+SEGMENT = 256  # as in kernels/inpainting/biharmonic.cl
 CHECK_EVERY = 10  # steps between two looks at the residual, which wait for the device
 
 
@@ -37,12 +38,12 @@ def fill_biharmonic(
     after each tile which part is done, 0 to 1. Values found are kept within the range of what is known nearby. The same
     bits on every run of a device. Memory beside the image: a byte per pixel, per missing one 8 and the result; per
     pixel of a tile (`clsco.inpainting.tiles`) 12 channels + 6 bytes, per missing one of it 43 channels + 5.
-    Raises ImageError where nothing is known, DeviceError. Validated against `clsco.reference.biharmonic`
+    Raises ImageError where nothing is known, DeviceError. Validated against `clsco.reference.inpainting.biharmonic`
     (tests/kernels/test_biharmonic.py) and scikit-image's direct solution (benchmarks/inpainting.py).
     """
     real: Real = "double" if session.device.has_fp64 else "float"
     features = {"CHANNELS": image.shape[2], "SAMPLED": 0}
-    program = build(session, ["biharmonic.cl"], features, structs(real), real)
+    program = build(session, ["inpainting/biharmonic.cl"], features, structs(real), real)
     return fill_in_tiles(image, missing, partial(_fill, session, program, real), progress)
 
 

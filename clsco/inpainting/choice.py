@@ -7,9 +7,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.device import Session
 from clsco.inpainting.biharmonic import fill_biharmonic
-from clsco.inpainting.texture import fill_texture
+from clsco.inpainting.fse import fill_texture
+from clsco.opencl.session import Session
 
 WINDOW = 96  # px, of the parts of the image that are looked at
 MOST_WINDOWS = 4

@@ -17,8 +17,8 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import DTypeLike, NDArray
 
-from clsco.device import Program, Session
-from clsco.estimators import (
+from clsco.frame.strips import frame_struct
+from clsco.inpainting.rules import (
     Histogram,
     MeanMedian,
     Score,
@@ -28,15 +28,17 @@ from clsco.estimators import (
     score_of_sums,
     score_scale,
 )
-from clsco.layout import frame_struct, structs
-from clsco.program import build, copied, download, download_into, empty, kernel, launch, upload
+from clsco.opencl.buffers import copied, download, download_into, empty, upload
+from clsco.opencl.program import build, kernel, launch
+from clsco.opencl.session import Program, Session
+from clsco.records import structs
 
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float32]
 Pixels = NDArray[np.int64]
 Progress = Callable[[float], object]
 
-KERNELS = ("score.cl", "holes.cl")
+KERNELS = ("inpainting/score.cl", "inpainting/holes.cl")
 FEATURES = dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SAMPLED"), 0)
 FEATURES |= {"FILL_MEAN_MEDIAN": 1, "IMAGE": 1}
 # As in the kernels.
@@ -92,7 +94,7 @@ def fill_mean_median(
     image: (rows, columns, K), codes or floats, of which those of missing pixels do not matter; missing: (rows,
     columns), some but not all; span: range of the values; progress: gets the share that is done, from 0 to 1.
     Takes 100 to 200 bytes per missing pixel and known one beside it, and up to 8 per pixel of the image.
-    Raises DeviceError. Validated against `clsco.reference.holes`, bit by bit.
+    Raises DeviceError. Validated against `clsco.reference.inpainting.holes`, bit by bit.
     """
     program = _program(session, image.shape[2], image.dtype == np.uint8)
     layout = Layout(missing)

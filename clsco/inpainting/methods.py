@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.device import Session
 from clsco.errors import SceneError
-from clsco.estimators import MeanMedian
 from clsco.inpainting.biharmonic import fill_biharmonic
 from clsco.inpainting.choice import choose_method
+from clsco.inpainting.fse import fill_texture
 from clsco.inpainting.mean_median import Mask, Progress, Stages, fill_mean_median
-from clsco.inpainting.texture import fill_texture
+from clsco.inpainting.rules import MeanMedian
+from clsco.opencl.session import Session
 
 THESIS = "mean-median"
 

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import ClscoError
-from clsco.estimators import COUNTS, MeanMedian
-from clsco.files import together, writable_folder
-from clsco.images import write_json, write_png
-from clsco.transfer import encode
+from clsco.files.atomic import together, writable_folder
+from clsco.files.images import write_json, write_png
+from clsco.files.transfer import encode
+from clsco.inpainting.rules import COUNTS, MeanMedian
 
 if TYPE_CHECKING:
     from clsco.inpainting.mean_median import Stages
@@ -135,7 +135,7 @@ def _small(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 def _with(image: NDArray[Any], pixels: NDArray[np.int64], values: NDArray[np.float32]) -> NDArray[Any]:
     """An image in which pixels have other values; they are rounded as the result is."""
-    from clsco.inpainting import as_stored
+    from clsco.inpainting.rules import as_stored
 
     result = image.copy()
     result.reshape(image.shape[0] * image.shape[1], -1)[pixels] = as_stored(values, image.dtype)

@@ -9,19 +9,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.depthmaps import load_scene_depths
-from clsco.frame import Frame
-from clsco.maptruth import map_flow, map_normal, map_stereo
-from clsco.motion import Eye, Pose, middle_time, poses_at, rest_poses
-from clsco.occlusion import Layer
-from clsco.plan import Maps, Plan, exposure, make_plan
-from clsco.reference.accumulate import accumulate
-from clsco.reference.blur import prepare_sources, scatter
-from clsco.reference.fill import FillReport, fill_objects
-from clsco.reference.geometry import Array, blur_radius
-from clsco.reference.layer import layered
-from clsco.reference.reproject import extend_border, reproject
-from clsco.reference.trace import (
+from clsco.frame.frame import Frame
+from clsco.inputs.depth_maps import load_scene_depths
+from clsco.inputs.textures import load_scene_textures
+from clsco.optics.depth_truth import map_flow, map_normal, map_stereo
+from clsco.optics.motion import Eye, Pose, middle_time, poses_at, rest_poses
+from clsco.optics.quadrics import PlacedSurface, place
+from clsco.optics.visibility import Layer
+from clsco.plan.plan import Plan, exposure, make_plan
+from clsco.plan.predict import Maps
+from clsco.reference.blur.accumulate import accumulate
+from clsco.reference.blur.blur import prepare_sources, scatter
+from clsco.reference.common.geometry import Array, blur_radius
+from clsco.reference.inpainting.fill import FillReport, fill_objects
+from clsco.reference.layered.layered import layered
+from clsco.reference.trace.trace import (
     Sources,
     SubpixelSources,
     View,
@@ -32,9 +34,8 @@ from clsco.reference.trace import (
     trace_subpixels,
     view_at,
 )
-from clsco.scene import DepthMap, Scene
-from clsco.surfaces import PlacedSurface, place
-from clsco.textures import load_scene_textures
+from clsco.reference.warp.warp import extend_border, reproject
+from clsco.scene.model import DepthMap, Scene
 
 
 def _cast_sources(view: View, layer: Layer, guard: int) -> tuple[Sources, SubpixelSources | None]:
@@ -117,7 +118,7 @@ def render(scene: Scene) -> Iterator[Frame]:
     """Frames of a scene, each with all its ground truth; float arrays are float64.
 
     Errors: those of the plan and of the textures. Metadata: {"intermediate": [...]}, one mapping per
-    intermediate frame with its time in s, its weight and the counts of `clsco.reference.fill.FillReport`.
+    intermediate frame with its time in s, its weight and the counts of `clsco.reference.inpainting.fill.FillReport`.
     """
     scene, loaded = load_scene_textures(scene)
     channels = max(texture.radiance.shape[2] if texture.radiance.ndim == 3 else 1 for texture in loaded)

@@ -8,19 +8,19 @@ from pathlib import Path
 
 import pytest
 
-from clsco.device import Session
-from clsco.forward import KERNELS as FORWARD
-from clsco.forward import forward_features
+from clsco.frame.strips import BAND
 from clsco.inpainting.mean_median import FEATURES
 from clsco.inpainting.mean_median import KERNELS as HOLES
-from clsco.layout import Real, structs
-from clsco.memory import TRUTH_BUFFERS
-from clsco.plan import make_plan
-from clsco.program import HEADERS, HEADERS_OF, OCCLUSION_HEADERS, build
-from clsco.psf import NEAR, psf_features
-from clsco.scene import Camera, Psf, Scene, Sphere
-from clsco.spread import PLAIN, blur_features
-from clsco.strips import BAND
+from clsco.opencl.program import HEADERS, HEADERS_OF, OCCLUSION_HEADERS, build
+from clsco.opencl.session import Session
+from clsco.optics.psf_tables import NEAR, psf_features
+from clsco.passes.blur import PLAIN, blur_features
+from clsco.passes.warp import KERNELS as FORWARD
+from clsco.passes.warp import forward_features
+from clsco.plan.memory import TRUTH_BUFFERS
+from clsco.plan.plan import make_plan
+from clsco.records import Real, structs
+from clsco.scene.model import Camera, Psf, Scene, Sphere
 from tests.slow import mostly_slow
 
 KERNELS = Path(__file__).resolve().parents[2] / "kernels"
@@ -37,22 +37,22 @@ BLUR = (
 TRUTH = [f"TRUTH_{name.upper()}" for name in TRUTH_BUFFERS]
 # Files that are built together: feature -> value when off, when on, and others. Structure is all that is compiled in.
 PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
-    ("trace.cl",): GEOMETRY
+    ("trace/trace.cl",): GEOMETRY
     | dict.fromkeys(("MOVED", "TILT", "TRUTH", *TRUTH, "PINHOLE", "LENSES"), ON_OR_OFF)
     | {"SUBPIXELS": (0, 4, 2, 3), "OCCLUDED": (0,)},
-    ("blur.cl",): dict.fromkeys(PLAIN, (0,))
+    ("blur/blur.cl",): dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (1, BAND), "NEAR": (0, NEAR), "COLUMNS": (0, 0, 1)},
-    ("coarse.cl",): dict.fromkeys(PLAIN, (0,))
+    ("blur/multigrid.cl",): dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(("TILT", "DISC", "SAMPLED", "SEPARABLE"), ON_OR_OFF)
     | {"CHANNELS": (1, 3)},
-    ("tiles.cl",): dict.fromkeys(PLAIN, (0,))
+    ("blur/tiles.cl",): dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(("SAMPLED", "TILT", "DISC", "SEPARABLE"), ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 3)},
-    ("accumulate.cl",): GEOMETRY,
-    ("convolve.cl",): GEOMETRY | {"WIDE_SUMS": ON_OR_OFF},
-    ("texture.cl",): GEOMETRY,
-    ("biharmonic.cl",): GEOMETRY,
+    ("blur/accumulate.cl",): GEOMETRY,
+    ("blur/convolve.cl",): GEOMETRY | {"WIDE_SUMS": ON_OR_OFF},
+    ("inpainting/fse.cl",): GEOMETRY,
+    ("inpainting/biharmonic.cl",): GEOMETRY,
     FORWARD: GEOMETRY
     | dict.fromkeys(("FILTER", "SAMPLED", "IMAGE", "CODES"), (0,))
     | dict.fromkeys(("OWNED", "MAPPED", "FILL_AIT", "FILL_MEAN_MEDIAN", "FILL_FAR", "DOMAIN_SURFACE"), ON_OR_OFF),
@@ -60,15 +60,15 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
 PROGRAMS[HOLES] = dict.fromkeys(FEATURES, (0,)) | {"CHANNELS": (1, 3), "CODES": ON_OR_OFF, "ALONE": ON_OR_OFF}
 PROGRAMS[HOLES] |= {"FILL_MEAN_MEDIAN": (1,), "IMAGE": (1,)}
 # What can be in the way of a source: one object, or any other number up to all but one.
-OCCLUSION = ("trace.cl", "blur.cl")
-PROGRAMS[OCCLUSION] = PROGRAMS["blur.cl",] | PROGRAMS["trace.cl",] | {"OCCLUDED": (1, 2, 63)}
+OCCLUSION = ("trace/trace.cl", "blur/blur.cl")
+PROGRAMS[OCCLUSION] = PROGRAMS["blur/blur.cl",] | PROGRAMS["trace/trace.cl",] | {"OCCLUDED": (1, 2, 63)}
 # Features that have to do with it; of the others there is one value, the program being a long one.
 TOLD = {"OCCLUDED", "SEVERAL", "QUADRATIC", "NAPPE", "BOUNDED", "CHANNELS", "SUBPIXELS", "TILT", "GATHER", "SCATTER"}
 PROGRAMS[OCCLUSION] |= {name: values[1:2] for name, values in PROGRAMS[OCCLUSION].items() if name not in TOLD}
 # What goes by columns goes neither by rows nor tap by tap, as sampled discs do.
 NOT_BY_COLUMNS = ("ROWS", "NEAR", "DISC")
 PROGRAMS[OCCLUSION] |= dict.fromkeys((*NOT_BY_COLUMNS, "SEPARABLE"), (0,)) | {"COLUMNS": ON_OR_OFF}
-PROGRAMS["layer.cl",] = dict.fromkeys((*PLAIN, "SAMPLED"), (0,)) | {"CHANNELS": (2, 4), "SCATTER": ON_OR_OFF}
+PROGRAMS["layered/layered.cl",] = dict.fromkeys((*PLAIN, "SAMPLED"), (0,)) | {"CHANNELS": (2, 4), "SCATTER": ON_OR_OFF}
 GIVEN_BY_THE_BUILD = {"REAL_IS_DOUBLE", "HAS_INT64_ATOMICS", "HAS_FP64", "VECTOR_WIDTH", "defined"}
 GIVEN_BY_THE_BUILD |= {"__FMA__", "__SSE4_1__", "__AVX__", "__AVX2__", "__AVX512F__"}
 
@@ -99,7 +99,7 @@ def variants(features: dict[str, tuple[int, ...]]) -> list[dict[str, int]]:
 
 def test_every_file_is_built() -> None:
     built = {name for files in PROGRAMS for name in (*headers(files), *files)}
-    assert built == {path.name for path in KERNELS.glob("*.cl*")}
+    assert built == {path.relative_to(KERNELS).as_posix() for path in KERNELS.rglob("*.cl*")}
 
 
 @pytest.mark.parametrize("files", PROGRAMS, ids="+".join)
@@ -114,15 +114,15 @@ def test_what_the_host_asks_for_is_what_the_files_know() -> None:
     plan = make_plan(scene, 1, ())
     spreading = blur_features("gather", Psf(), 1.0, True, prepare=True).keys()
     rendering = plan.features().keys() | spreading | {"TRUTH", *TRUTH, "PINHOLE", "LENSES"}
-    assert PROGRAMS["trace.cl",].keys() | PROGRAMS["blur.cl",].keys() == rendering
-    assert asked_for(("blur.cl",)) <= PLAIN.keys() | spreading | {"CHANNELS", "TILT", *psf_features(Psf())}
+    assert PROGRAMS["trace/trace.cl",].keys() | PROGRAMS["blur/blur.cl",].keys() == rendering
+    assert asked_for(("blur/blur.cl",)) <= PLAIN.keys() | spreading | {"CHANNELS", "TILT", *psf_features(Psf())}
     assert forward_features(plan, owned=True).keys() == PROGRAMS[FORWARD].keys()
 
 
 # What takes seconds: programs with most kernels, and files that are built by themselves as well.
-LONG = (OCCLUSION, FORWARD, ("trace.cl",), ("blur.cl",))
+LONG = (OCCLUSION, FORWARD, ("trace/trace.cl",), ("blur/blur.cl",))
 # What hardly any feature of the geometry changes.
-PLAIN_FILES = (("accumulate.cl",), ("convolve.cl",), ("texture.cl",), ("biharmonic.cl",))
+PLAIN_FILES = (("blur/accumulate.cl",), ("blur/convolve.cl",), ("inpainting/fse.cl",), ("inpainting/biharmonic.cl",))
 
 
 # In single precision all features are built for a device with less, too.
@@ -153,7 +153,7 @@ def test_with_all_features_but_one(session: Session, files: tuple[str, ...]) -> 
 
 
 def test_trace_and_blur_are_built_together(session: Session) -> None:
-    files, features = ("trace.cl", "blur.cl"), PROGRAMS["blur.cl",] | PROGRAMS["trace.cl",]
+    files, features = ("trace/trace.cl", "blur/blur.cl"), PROGRAMS["blur/blur.cl",] | PROGRAMS["trace/trace.cl",]
     for chosen in variants(features)[:2]:
         assert "trace" in build(session, files, chosen, structs("double"), "double")
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-KERNELS = sorted((ROOT / "kernels").glob("*.cl"))
+KERNELS = sorted((ROOT / "kernels").rglob("*.cl"))
 # wide.clh makes of two floats what NumPy has as float64.
-HEADERS = sorted(set((ROOT / "kernels").glob("*.clh")) - {ROOT / "kernels" / "wide.clh"})
+HEADERS = sorted(set((ROOT / "kernels").rglob("*.clh")) - {ROOT / "kernels" / "common/wide.clh"})
 # What has no twin of its own, and why.
 WITHOUT_TWIN = {
     "trace": {
@@ -19,7 +19,7 @@ WITHOUT_TWIN = {
         "aim": "the rest of trace, for one of several lenses",
         "pinhole": "trace of all objects, with nothing in their way",
     },
-    "occlusion": {
+    "visibility": {
         "dot3": "a product of NumPy's arrays",
         "size2": "np.hypot",
         "add_limit": "a row of _limits, which keeps infinite limits",
@@ -28,14 +28,14 @@ WITHOUT_TWIN = {
     "convolve": dict.fromkeys(("sum_down", "sum_across"), "sums over rectangles, of which the reference has no need"),
     "estimate": {"use_neighbors": "counts them, as the reference does where it needs to"},
     "sources": dict.fromkeys(("get_source", "put_source"), "where the planes of a record are"),
-    "sight": {"look_along": "finds out which vectors of taps need a test at all"},
-    "spread": dict.fromkeys(
+    "visibility_test": {"look_along": "finds out which vectors of taps need a test at all"},
+    "psf": dict.fromkeys(
         ("weights", "pixel_spread", "subpixel_spread", "tap", "see"),
         "reads tables, in whose place the reference has the closed forms",
     )
     | dict.fromkeys(("sums_of", "bits_of", "any_of"), "lanes of a vector"),
     "geometry": {"note_radius": "the largest and the smallest of an array"},
-    "reproject": {"note_radii": "the largest and the smallest of an array"},
+    "warp": {"note_radii": "the largest and the smallest of an array"},
     "tiles": {"tiles": "the sum of scatter, which each tile forms for its pixels"},
     "many": dict.fromkeys(
         ["lowest_lane", "lowest", "some_taps", "values_at", "tap_weight", "take_sources", "rest_of", "take_together"],
@@ -61,8 +61,8 @@ WITHOUT_TWIN = {
 }
 
 # Files whose twin is part of another file.
-PART_OF = {"estimate": "mean_median", "sight": "occlusion", "sources": "trace", "tiles": "blur"}
-PART_OF |= dict.fromkeys(("spread", "many", "rows", "near", "discs", "quadrants", "gaussians", "columns"), "blur")
+PART_OF = {"estimate": "mean_median", "visibility_test": "visibility", "sources": "trace", "tiles": "blur"}
+PART_OF |= dict.fromkeys(("psf", "many", "rows", "near", "discs", "quadrants", "gaussians", "columns"), "blur")
 
 
 def kernel_names(text: str) -> set[str]:
@@ -80,7 +80,8 @@ def plain(text: str) -> str:
 
 
 def twins(name: str) -> set[str]:
-    tree = ast.parse((ROOT / "clsco" / "reference" / f"{name}.py").read_text("utf-8"))
+    (path,) = (ROOT / "clsco" / "reference").rglob(f"{name}.py")
+    tree = ast.parse(path.read_text("utf-8"))
     return {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
 
 

@@ -72,9 +72,9 @@ def test_the_wheel_holds_everything_and_nothing_else(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         names = {name for name in archive.namelist() if ".dist-info/" not in name}
         (entry_points,) = (name for name in archive.namelist() if name.endswith("entry_points.txt"))
-        assert "clsco = clsco.cli:main" in archive.read(entry_points).decode()
+        assert "clsco = clsco.cli.main:main" in archive.read(entry_points).decode()
     assert f"clsco-{clsco.__version__}-" in wheel.name
-    assert {"clsco/kernels/geometry.clh", "clsco/reference/geometry.py"} <= names
+    assert {"clsco/kernels/common/geometry.clh", "clsco/reference/common/geometry.py"} <= names
     assert any(name.startswith("clsco/examples/") for name in names)
     assert names == shipped()
 
@@ -85,9 +85,11 @@ def test_the_wheel_finds_its_kernels_and_examples(wheel: Path, tmp_path: Path) -
     code = "from clsco.resources import folder as f; print(f('kernels'), f('examples'), sep='\\n')"
     found = [Path(line) for line in python(code, tmp_path, tmp_path / "site").splitlines()]
     assert found == [tmp_path / "site/clsco/kernels", tmp_path / "site/clsco/examples"]
-    kernels = {path.name for path in (ROOT / "kernels").iterdir() if path.suffix in (".cl", ".clh")}
+    kernels = {
+        path.relative_to(ROOT / "kernels") for path in (ROOT / "kernels").rglob("*") if path.suffix in (".cl", ".clh")
+    }
     assert kernels
-    assert kernels <= {path.name for path in found[0].iterdir()}
+    assert kernels <= {path.relative_to(found[0]) for path in found[0].rglob("*")}
 
 
 def test_the_wheel_renders_an_example(wheel: Path, tmp_path: Path) -> None:
@@ -95,7 +97,7 @@ def test_the_wheel_renders_an_example(wheel: Path, tmp_path: Path) -> None:
         archive.extractall(tmp_path / "site")
     example = tmp_path / "site/clsco/examples/sphere.toml"
     words = ["render", str(example), "-o", "frames", "--set", "camera.resolution=[32, 24]", "--truth", "npz"]
-    assert python(f"from clsco.cli import main; main({words})", tmp_path, tmp_path / "site") == ""
+    assert python(f"from clsco.cli.main import main; main({words})", tmp_path, tmp_path / "site") == ""
     assert sorted(path.suffix for path in (tmp_path / "frames").iterdir()) == [".json", ".npz", ".png"]
 
 
@@ -117,18 +119,10 @@ def test_the_front_door_offers_what_type_checkers_see() -> None:
     (block,) = (node for node in tree.body if isinstance(node, ast.If))
     lines = [line for line in block.body if isinstance(line, ast.ImportFrom)]
     seen = {alias.name: line.module for line in lines for alias in line.names}
-    assert seen == clsco._FUNCTIONS | {"reference": "clsco"}
+    assert seen == clsco._HOME | {"reference": "clsco"}
     assert sorted(clsco.__all__) == sorted([*seen, "__version__"])
     for name in clsco.__all__:
         assert name in dir(clsco)
         assert getattr(clsco, name) is not None
     with pytest.raises(AttributeError, match="no attribute missing"):
         _ = clsco.missing
-
-
-def test_functions_stay_functions_after_their_modules_are_imported(tmp_path: Path) -> None:
-    for name in ("render", "defocus"):
-        code = f"import clsco.{name}, clsco; print(callable(clsco.{name})); clsco.{name}.__call__"
-        assert python(code, tmp_path, ROOT) == "True\n"
-        code = f"import clsco; clsco.{name}; import clsco.{name}; print(callable(clsco.{name}))"
-        assert python(code, tmp_path, ROOT) == "True\n"

@@ -95,7 +95,11 @@ def load() -> None:
     import imageio.v3
     import pyopencl
 
-    from clsco import batch, cli, describe, renderer, show, sweep
+    from clsco.cli import main as cli
+    from clsco.cli import tables as show
+    from clsco.engine import batch, renderer
+    from clsco.frame import provenance as describe
+    from clsco.scene import sweep
 
     assert all((imageio.v3, pyopencl, batch, cli, describe, renderer, show, sweep))
 
@@ -132,9 +136,9 @@ def _runs(child: int) -> bool:
 
 def render(scene: Path, out: Path, log: Path, naive: bool) -> int:
     """What the child does: the command, with a note of each frame that is written."""
-    from clsco import batch
-    from clsco.cli import main as command
-    from clsco.framefiles import write_frame
+    from clsco.cli.main import main as command
+    from clsco.engine import batch
+    from clsco.frame.files import write_frame
 
     notes = os.open(log, os.O_WRONLY | os.O_APPEND)
 
@@ -154,8 +158,10 @@ def render(scene: Path, out: Path, log: Path, naive: bool) -> int:
 
 def make_naive() -> None:
     """Write files in place, and take those that are there for whole."""
-    from clsco import batch, framefiles, images
-    from clsco.describe import record
+    from clsco.engine import batch
+    from clsco.files import images
+    from clsco.frame import files as framefiles
+    from clsco.frame.provenance import record
 
     @contextlib.contextmanager
     def in_place(path: Path) -> Iterator[BinaryIO]:
@@ -187,7 +193,7 @@ def make_naive() -> None:
 
 def complete_frames(out: Path, problems: list[str]) -> dict[int, int]:
     """The frames in a folder that are complete, with the time of their JSON file; damaged ones are problems."""
-    from clsco.framefiles import read_complete
+    from clsco.frame.files import read_complete
 
     found = {}
     for path in sorted(out.glob("frame_*.json")):
@@ -200,7 +206,7 @@ def complete_frames(out: Path, problems: list[str]) -> dict[int, int]:
 
 def digests(out: Path) -> dict[str, str]:
     """SHA-256 of all images and arrays, as the JSON files name them and as `sha256` finds them."""
-    from clsco.files import sha256
+    from clsco.files.atomic import sha256
 
     for path in out.glob("frame_*.json"):
         for name, digest in json.loads(path.read_bytes())["files"].items():

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.test_poclcache import Start, ended, start, warm
+from tests.opencl.test_pocl_cache import Start, ended, start, warm
 
 __all__ = ["start", "warm"]
 GOOD = (0, "256\n512\n")

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 import clsco
-from clsco.device import Session, choose
 from clsco.errors import DeviceError, SceneError
-from clsco.program import download, empty
+from clsco.opencl.buffers import download, empty
+from clsco.opencl.device import choose
+from clsco.opencl.session import Session
 
 IMAGE = np.ones((8, 8), np.float32)
 

@@ -14,11 +14,11 @@ import pytest
 from click.testing import CliRunner
 
 import clsco
-from clsco.cli import main
-from clsco.device import session_on
+from clsco.cli.main import main
 from clsco.errors import DeviceError, KernelError
-from clsco.files import sha256
-from clsco.framefiles import read_complete
+from clsco.files.atomic import sha256
+from clsco.frame.files import read_complete
+from clsco.opencl.session import session_on
 from tests.faults.opencl import ERRORS, Counter, failing
 
 CAMERA = "[camera]\nresolution = [20, 150]\n"

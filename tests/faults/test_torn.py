@@ -17,12 +17,14 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from clsco import files, poclcache
-from clsco.cli import main
-from clsco.device import choose, session_on
+from clsco.cli.main import main
 from clsco.errors import DeviceError, ImageError
-from clsco.framefiles import read_complete
-from clsco.images import write_exr
+from clsco.files import atomic as files
+from clsco.files.images import write_exr
+from clsco.frame.files import read_complete
+from clsco.opencl import pocl_cache as poclcache
+from clsco.opencl.device import choose
+from clsco.opencl.session import session_on
 
 SCENE = """
 [camera]
@@ -169,7 +171,7 @@ def test_a_small_disk(tmp_path: Path) -> None:
     """A file system that is full after so many KiB, in a name space of its own."""
     (tmp_path / "scene.toml").write_text(SCENE.replace("[12, 9]", "[120, 90]"))
     (tmp_path / "disk").mkdir()
-    words = [sys.executable, "-W", "error", "-c", "from clsco.cli import main; main()"]
+    words = [sys.executable, "-W", "error", "-c", "from clsco.cli.main import main; main()"]
     words += ["render", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "disk" / "out"), "--truth", "npz"]
     # Only Linux has them, and there the administrator may forbid them; full disks are also injected, above.
     if not shutil.which("unshare") or subprocess.run(["unshare", "-rm", "true"], capture_output=True).returncode:

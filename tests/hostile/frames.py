@@ -21,11 +21,11 @@ import numpy as np
 
 import clsco
 from clsco import reference
-from clsco.check import compare
+from clsco.cli.check import compare
 from clsco.errors import ClscoError, SceneError
-from clsco.plan import MANY_RADII
-from clsco.scene import Scene
-from clsco.scenefile import parse_scene
+from clsco.plan.methods import MANY_RADII
+from clsco.scene.file import parse_scene
+from clsco.scene.model import Scene
 
 TEXTURES = ("bricks", "checkerboard", "slanted_edge", "siemens_star")
 BOXES = (

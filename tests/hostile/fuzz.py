@@ -21,12 +21,12 @@ import traceback
 from collections.abc import Callable
 from pathlib import Path
 
-from clsco.depthmaps import read_depth
-from clsco.describe import planned_sweep
 from clsco.errors import ClscoError, ImageError, SceneError
-from clsco.images import read_image
-from clsco.scenefile import key_name
-from clsco.sweep import Sweep, load_sweep, parse_sweep
+from clsco.files.images import read_image
+from clsco.inputs.depth_files import read_depth
+from clsco.plan.prepare import planned_sweep
+from clsco.scene.file import key_name
+from clsco.scene.sweep import Sweep, load_sweep, parse_sweep
 from tests.hostile.mutate import Case, make_case
 from tests.hostile.pictures import damaged
 from tests.hostile.watch import faults_of, keys_of, start_watching, watched

@@ -15,17 +15,17 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from clsco import images
-from clsco.batch import prepare
-from clsco.cli import main
-from clsco.depthmaps import read_depth
-from clsco.describe import planned_sweep
+from clsco.cli.main import main
+from clsco.engine.batch import prepare
 from clsco.errors import ImageError, SceneError
-from clsco.files import same_place
-from clsco.framefiles import read_complete
-from clsco.images import read_image
-from clsco.memory import parse_size
-from clsco.sweep import parse_sweep
+from clsco.files import images
+from clsco.files.atomic import same_place
+from clsco.files.images import read_image
+from clsco.frame.files import read_complete
+from clsco.inputs.depth_files import read_depth
+from clsco.plan.memory import parse_size
+from clsco.plan.prepare import planned_sweep
+from clsco.scene.sweep import parse_sweep
 from tests.hostile.pictures import exr
 
 SCENE = '[camera]\nresolution = [12, 9]\n[[object]]\nshape = "plane"\ndistance = 250.0\n'
@@ -146,7 +146,7 @@ def test_an_output_that_cannot_be_written(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_nothing_is_printed_where_stdout_is_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from clsco.show import print_tables, progress
+    from clsco.cli.tables import print_tables, progress
 
     monkeypatch.setattr(sys, "stdout", None)
     monkeypatch.setattr(sys, "stderr", None)

@@ -12,7 +12,7 @@ import pytest
 import clsco
 from clsco import reference
 from clsco.errors import SceneError
-from clsco.scene import Scene
+from clsco.scene.model import Scene
 from tests.hostile import frames
 
 

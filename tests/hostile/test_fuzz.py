@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from clsco import scenefile
 from clsco.errors import SceneError
+from clsco.scene import file as scenefile
 from tests.hostile import fuzz
 from tests.hostile.commands import bomb
 from tests.hostile.mutate import Case, make_case

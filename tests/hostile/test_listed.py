@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from clsco.cli import main
+from clsco.cli.main import main
 from clsco.errors import SceneError
-from clsco.sweep import parse_sweep
+from clsco.scene.sweep import parse_sweep
 from tests.hostile.commands import bad_files, command_lines, lay_out
 from tests.hostile.scenes import listed
 from tests.hostile.watch import faults_of, keys_of

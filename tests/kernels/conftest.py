@@ -12,16 +12,19 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
-from clsco import program as program_module
-from clsco.device import Session
-from clsco.forward import ForwardWarp
-from clsco.layout import Real, camera_struct, flat, structs
-from clsco.motion import Pose, pose_at
-from clsco.plan import Plan, make_plan
-from clsco.program import HEADERS, OCCLUSION_HEADERS, build, download, kernel, launch, upload
-from clsco.reference.reproject import Reprojected, reproject
+from clsco.opencl import program as program_module
+from clsco.opencl.buffers import download, upload
+from clsco.opencl.program import HEADERS, OCCLUSION_HEADERS, build, kernel, launch
+from clsco.opencl.session import Session
+from clsco.optics.motion import Pose, pose_at
+from clsco.optics.quadrics import PlacedSurface, place
+from clsco.passes.pack import camera_struct
+from clsco.passes.warp import ForwardWarp
+from clsco.plan.plan import Plan, make_plan
+from clsco.records import Real, flat, structs
+from clsco.reference.warp.warp import Reprojected, reproject
 from clsco.resources import folder
-from clsco.scene import (
+from clsco.scene.model import (
     Camera,
     Cone,
     Cylinder,
@@ -36,7 +39,6 @@ from clsco.scene import (
     Scene,
     Sphere,
 )
-from clsco.surfaces import PlacedSurface, place
 from tests.kernels.wide_numbers import whole
 from tests.slow import mostly_slow
 
@@ -44,7 +46,7 @@ Array = NDArray[Any]
 
 
 def source_planes(records: Array, tilt: bool, marked: bool) -> Array:
-    """Records (rows, columns, 4) as kernels/sources.clh has them."""
+    """Records (rows, columns, 4) as kernels/common/sources.clh has them."""
     return np.ascontiguousarray(np.moveaxis(records[..., [True, tilt, tilt, marked]], -1, 0))
 
 
@@ -67,6 +69,7 @@ def run_source(session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     Arrays are uploaded, and stay until the device is done; buffers and scalars are passed on.
     """
     for header in (*HEADERS, *OCCLUSION_HEADERS):
+        (tmp_path / header).parent.mkdir(exist_ok=True)
         (tmp_path / header).write_text((folder("kernels") / header).read_text("utf-8"), "utf-8")
     monkeypatch.setattr(program_module, "folder", lambda name: tmp_path)
 

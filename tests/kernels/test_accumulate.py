@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clsco.device import Session
-from clsco.layout import frame_struct, structs
-from clsco.program import build, copied, download, kernel, launch, upload
-from clsco.strips import Strip
+from clsco.frame.strips import Strip, frame_struct
+from clsco.opencl.buffers import copied, download, upload
+from clsco.opencl.program import build, kernel, launch
+from clsco.opencl.session import Session
+from clsco.records import structs
 from tests.kernels.conftest import PLAIN
 
 
@@ -17,7 +18,7 @@ def test_the_frame_without_its_guard_band_is_added(session: Session, local: tupl
     """Work-groups that reach beyond it add nothing of the next channel's."""
     rows, columns, pad, channels, strip = 12, 17, 4, 3, Strip(top=3, rows=8, above=2, below=5)
     camera = frame_struct(rows, columns, 3, "double", strip)
-    program = build(session, ["accumulate.cl"], PLAIN | {"CHANNELS": channels}, structs("double"), "double")
+    program = build(session, ["blur/accumulate.cl"], PLAIN | {"CHANNELS": channels}, structs("double"), "double")
     rng = np.random.default_rng(6)
     value = rng.random((channels, strip.height, columns + 6), np.float32)
     total = rng.random((channels + 1, strip.rows, columns + 2 * pad), np.float32)

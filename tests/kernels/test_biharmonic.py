@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.device import Session
 from clsco.inpainting import biharmonic
 from clsco.inpainting.biharmonic import fill_biharmonic
-from clsco.layout import structs
-from clsco.program import build, copied, download, kernel, launch, upload
-from clsco.reference import biharmonic as reference
+from clsco.opencl.buffers import copied, download, upload
+from clsco.opencl.program import build, kernel, launch
+from clsco.opencl.session import Session
+from clsco.records import structs
+from clsco.reference.inpainting import biharmonic as reference
 
 Array = NDArray[Any]
 # The residual ends at 1e-4 of its beginning in the preconditioner's norm, which is the energy's up to a factor; a value
@@ -98,7 +99,7 @@ def test_each_step_is_the_reference(
     missing[: rows // 2, : columns // 2] = True
     missing[rows // 2 :, columns // 2 :] = True
     missing[rows // 3, columns // 3] = False
-    program = build(session, ["biharmonic.cl"], {"CHANNELS": 2, "SAMPLED": 0}, structs("double"), "double")
+    program = build(session, ["inpainting/biharmonic.cl"], {"CHANNELS": 2, "SAMPLED": 0}, structs("double"), "double")
     solver = biharmonic._Solver(session, program, "double", 2, missing)
     assert len(solver.levels) > 2
     exact = reference.fill_biharmonic(image.astype(np.float64), missing)[missing]
@@ -111,7 +112,7 @@ def test_products_are_added_in_whole_segments(session: Session, count: int) -> N
     a, b = np.random.default_rng(6).random((2, count, 2))
     expected = np.add.reduceat(a * b, np.arange(0, count, biharmonic.SEGMENT))
     partial = copied(session, np.full((len(expected) + 1, 2), 7.0))
-    program = build(session, ["biharmonic.cl"], {"CHANNELS": 2, "SAMPLED": 0}, structs("double"), "double")
+    program = build(session, ["inpainting/biharmonic.cl"], {"CHANNELS": 2, "SAMPLED": 0}, structs("double"), "double")
     vectors = (upload(session, a), upload(session, b), np.int32(count), partial)
     launch(session, kernel(program, "add_products"), (len(expected),), biharmonic.LOCAL, *vectors)
     found = download(session, partial, (len(expected) + 1, 2), np.float64)

@@ -10,19 +10,24 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
-from clsco import psf as psf_weights
-from clsco import spread, strips
-from clsco.device import Session
-from clsco.layout import Struct, flat, frame_struct, psf_struct, structs
-from clsco.memory import ITEMS_BYTES, TILE, source_bytes
-from clsco.plan import Blur
-from clsco.program import build, download, empty, kernel, launch, upload
-from clsco.psf import MANY, psf_features, psf_table, reach
-from clsco.reference import blur as twin
-from clsco.reference.geometry import table_coordinate, tilt_slope
-from clsco.reference.trace import Sources, SubpixelSources
-from clsco.scene import Psf
-from clsco.spread import PIXELS, Spreader
+from clsco.frame import strips
+from clsco.frame.strips import frame_struct
+from clsco.opencl.buffers import download, empty, upload
+from clsco.opencl.program import build, kernel, launch
+from clsco.opencl.session import Session
+from clsco.optics import psf as psf_weights
+from clsco.optics.psf import reach
+from clsco.optics.psf_tables import MANY, psf_features, psf_table
+from clsco.passes import blur as spread
+from clsco.passes.blur import PIXELS, Spreader
+from clsco.passes.pack import psf_struct
+from clsco.plan.memory import ITEMS_BYTES, TILE, source_bytes
+from clsco.plan.methods import Blur
+from clsco.records import Struct, flat, structs
+from clsco.reference.blur import blur as twin
+from clsco.reference.common.geometry import table_coordinate, tilt_slope
+from clsco.reference.trace.trace import Sources, SubpixelSources
+from clsco.scene.model import Psf
 from tests.kernels.conftest import download_sources, source_planes
 from tests.slow import combined, mostly_slow
 
@@ -33,7 +38,7 @@ SHAPES = dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "F
 PSFS = [Psf(model=model, edge=edge) for model in ("pillbox", "gaussian") for edge in ("sampled", "area", "integrated")]
 # Float32 adds some 200 terms, each rounded by 2^-24 of a sum of about 1: at worst 1e-5, as a random walk below 1e-6.
 ROUNDING = 1.5e-6
-# The weights of a table are off by 1e-5 in sum with `integrated` and 1e-4 where they have kinks (tests/test_psf.py), to
+# The weights of a table are off by 1e-5 in sum with `integrated` and 1e-4 where they have kinks (test_psf.py), to
 # both sides and not for most radii; over sources of many radii, a twentieth of that is left in a pixel.
 FIGURE = {"sampled": ROUNDING, "area": 6e-6, "integrated": 2e-6}
 
@@ -438,7 +443,7 @@ def test_prepare_sources(session: Session, psf: Psf, tilt: bool) -> None:
     given = light(psf.model_copy(update={"tilt": tilt}), shape=(19, 23), guard=2)
     coc, valid = given.sources.radius, given.sources.lit
     table = psf_table(psf, 0.0, given.largest)
-    program = build(session, ["blur.cl"], features(given.psf, 1, 0), STRUCTS, "double")
+    program = build(session, ["blur/blur.cl"], features(given.psf, 1, 0), STRUCTS, "double")
     struct, out = psf_struct(psf, table, None, "double"), empty(session, source_bytes(coc.size, tilt))
     maps = (upload(session, coc), upload(session, valid.astype(np.uint8)))
     spread.prepare_sources(session, program, given.camera(), struct, *maps, out, [])

@@ -12,17 +12,20 @@ from numpy.typing import NDArray
 
 import clsco
 from clsco import reference
-from clsco.check import compare
-from clsco.device import Session
-from clsco.layout import flat, psf_struct
-from clsco.memory import TILE, band_scratch, column_bytes, margin, row_bytes
-from clsco.program import build, download, kernel, launch, upload
-from clsco.psf import axis_weights, psf_table
-from clsco.reference.blur import tilt_factor
-from clsco.reference.geometry import tilt_slope
-from clsco.scene import Psf
-from clsco.scenefile import parse_scene
-from clsco.strips import BAND
+from clsco.cli.check import compare
+from clsco.frame.strips import BAND
+from clsco.opencl.buffers import download, upload
+from clsco.opencl.program import build, kernel, launch
+from clsco.opencl.session import Session
+from clsco.optics.psf import axis_weights
+from clsco.optics.psf_tables import psf_table
+from clsco.passes.pack import psf_struct
+from clsco.plan.memory import TILE, band_scratch, column_bytes, margin, row_bytes
+from clsco.records import flat
+from clsco.reference.blur.blur import tilt_factor
+from clsco.reference.common.geometry import tilt_slope
+from clsco.scene.file import parse_scene
+from clsco.scene.model import Psf
 from tests.kernels.conftest import source_planes
 from tests.kernels.test_blur import (
     FIGURE,
@@ -80,7 +83,7 @@ def gathered(session: Session, given: Light, group: int = 0, part: Amid | None =
     """
     psf, (rows, columns) = given.psf, given.shape
     table = psf_table(psf, given.smallest, given.largest)
-    program = build(session, ["blur.cl"], features(psf, given.channels, 0, given.largest), STRUCTS, "double")
+    program = build(session, ["blur/blur.cl"], features(psf, given.channels, 0, given.largest), STRUCTS, "double")
     pad, pitch = margin(columns, given.guard, table.reach)
     source = source_planes(
         records(given, given.sources.radius, given.sources.gradient, given.sources.lit, False), psf.tilt, False

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clsco.device import Session
-from clsco.layout import frame_struct, structs
-from clsco.program import build
-from clsco.psf import psf_table
-from clsco.scene import Psf
-from clsco.spread import FILES_OF, Spreader
-from clsco.strips import BAND
+from clsco.frame.strips import BAND, frame_struct
+from clsco.opencl.program import build
+from clsco.opencl.session import Session
+from clsco.optics.psf_tables import psf_table
+from clsco.passes.blur import FILES_OF, Spreader
+from clsco.records import structs
+from clsco.scene.model import Psf
 from tests.kernels.test_blur import RNG, ROUNDING, assert_close, blurred, features, light, on_device
 
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.device import Session
-from clsco.memory import TILE
-from clsco.psf import NEAR
-from clsco.scene import Psf
+from clsco.opencl.session import Session
+from clsco.optics.psf_tables import NEAR
+from clsco.plan.memory import TILE
+from clsco.scene.model import Psf
 from tests.kernels.test_blur import RNG, ROUNDING, Light, assert_close, blurred, features, light, on_device, spreader
 from tests.kernels.test_blur_columns import Signed
 

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.device import Session
-from clsco.layout import Real, in_parts, surface_structs
-from clsco.motion import pose_at
-from clsco.program import download, empty
-from clsco.reference import geometry as twin
-from clsco.scene import Cylinder, Ellipsoid, Object, ObjectMotion, Plane, Quadric
-from clsco.surfaces import PlacedSurface, place
+from clsco.opencl.buffers import download, empty
+from clsco.opencl.session import Session
+from clsco.optics.motion import pose_at
+from clsco.optics.quadrics import PlacedSurface, place
+from clsco.passes.pack import surface_structs
+from clsco.records import Real, in_parts
+from clsco.reference.common import geometry as twin
+from clsco.scene.model import Cylinder, Ellipsoid, Object, ObjectMotion, Plane, Quadric
 from tests.kernels.wide_numbers import PARTS, held, whole
 
 Array = NDArray[Any]

@@ -9,16 +9,19 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
-from clsco import convolution
-from clsco.device import Session
-from clsco.layout import flat, frame_struct
-from clsco.memory import SUMS_BEYOND
-from clsco.program import download, empty, launch
-from clsco.psf import LANES, reach
-from clsco.reference.convolve import convolve
-from clsco.scene import Psf
-from clsco.spread import Sources, Spreader, blur_features
-from clsco.stencil import SUMMED
+from clsco.frame.strips import frame_struct
+from clsco.opencl.buffers import download, empty
+from clsco.opencl.program import launch
+from clsco.opencl.session import Session
+from clsco.optics.psf import reach
+from clsco.optics.psf_tables import LANES
+from clsco.optics.stencil import SUMMED
+from clsco.passes import convolve as convolution
+from clsco.passes.blur import Sources, Spreader, blur_features
+from clsco.plan.memory import SUMS_BEYOND
+from clsco.records import flat
+from clsco.reference.blur.convolve import convolve
+from clsco.scene.model import Psf
 
 Array = NDArray[Any]
 RNG = np.random.default_rng

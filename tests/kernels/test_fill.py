@@ -10,16 +10,21 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
-from clsco import forward
-from clsco.device import Session
-from clsco.estimators import score_of_sums
-from clsco.forward import LANES, SCORED, Filler, ForwardWarp
-from clsco.layout import Real, camera_struct, flat, in_parts, structs, surface_structs
-from clsco.motion import pose_at
-from clsco.optics import blur_radius
-from clsco.plan import make_plan
-from clsco.program import build, download, kernel, launch, upload
-from clsco.reference.fill import (
+from clsco.inpainting.rules import score_of_sums
+from clsco.opencl.buffers import download, upload
+from clsco.opencl.program import build, kernel, launch
+from clsco.opencl.session import Session
+from clsco.optics.lens import blur_radius
+from clsco.optics.motion import pose_at
+from clsco.optics.quadrics import place
+from clsco.passes import fill
+from clsco.passes.fill import LANES, SCORED, Filler
+from clsco.passes.pack import camera_struct, surface_structs
+from clsco.passes.warp import ForwardWarp
+from clsco.plan.plan import make_plan
+from clsco.records import Real, flat, in_parts, structs
+from clsco.reference.common.geometry import pixel_ray, solve_quadric
+from clsco.reference.inpainting.fill import (
     Method,
     far_bounds,
     fill_ait,
@@ -29,12 +34,10 @@ from clsco.reference.fill import (
     mark_missing,
     settle_sweep,
 )
-from clsco.reference.geometry import pixel_ray, solve_quadric
-from clsco.reference.mean_median import fill_mean_median, smooth_median
-from clsco.reference.score import score_mean_median
-from clsco.reference.trace import padded_grid
-from clsco.scene import Camera, Fill, Motion, Object, ObjectMotion, Plane, Scene, Sphere
-from clsco.surfaces import place
+from clsco.reference.inpainting.mean_median import fill_mean_median, smooth_median
+from clsco.reference.inpainting.score import score_mean_median
+from clsco.reference.trace.trace import padded_grid
+from clsco.scene.model import Camera, Fill, Motion, Object, ObjectMotion, Plane, Scene, Sphere
 from tests.kernels.wide_numbers import whole
 from tests.slow import combined, mostly_slow
 
@@ -65,7 +68,13 @@ class Planes:
         features |= {"CHANNELS": self.channels, "QUADRATIC": 1, "DOMAIN_SURFACE": int(domain == "surface")}
         features |= {"SEVERAL": int(far), "FILL_FAR": int(far)}
         features |= {"FILL_AIT": int(method == "ait"), "FILL_MEAN_MEDIAN": int(method == "mean_median")}
-        self.program = build(session, ["fill.cl", "score.cl", "mean_median.cl"], features, structs(real), real)
+        self.program = build(
+            session,
+            ["inpainting/fill.cl", "inpainting/score.cl", "inpainting/mean_median.cl"],
+            features,
+            structs(real),
+            real,
+        )
         self.filler = Filler(session, self.program, self.camera, features)
         self.write("value", flat(np.where(known[..., None], values, 0.0)[..., :-1], np.float32))
         self.write("w", in_parts(np.where(known, values[..., -1], 0.0), real))
@@ -271,7 +280,7 @@ def test_settling_a_sweep_lists_what_is_missing_then(session: Session, method: s
         expected = mark_grown(after, rest, allowed)
         assert (planes.read("valid") == after).all()
         assert (planes.read("spans", np.int32, (sum(known.shape), 2)) == spans_of(after)).all()
-        counters = planes.read("counters", np.int32, (forward.COUNTERS,)).tolist()
+        counters = planes.read("counters", np.int32, (fill.COUNTERS,)).tolist()
         done = [int(filled.sum())] * 2 + [int(filled.sum()) if f.smooths else 0]
         assert counters == [int(expected.sum())] * 2 + done
         found = download(session, left, (int(expected.sum()),), np.int32)
@@ -293,7 +302,7 @@ def test_scores_are_those_of_its_twin(session: Session, channels: int) -> None:
         f = planes.filler
         count = shape[0] * -(-shape[1] // SCORED)
         planes.run("score_mean_median", count, np.float32(2**16), f.value, f.valid, f.sums, local=1)
-        found = score_of_sums(download(session, f.sums, (count, forward.SUMS), np.int64), 2**16)
+        found = score_of_sums(download(session, f.sums, (count, fill.SUMS), np.int64), 2**16)
         assert found == score_mean_median(values[..., :-1], known, 2**16)
         assert found.samples or min(shape) < 4
 
@@ -424,7 +433,7 @@ def test_lists_and_local_sizes_change_no_bit(
     assert counters["filled_pixels"] > 5000
     for local in (1, 4, 64):
         for name in ("LISTED", "LINES", "OWNERS"):
-            monkeypatch.setattr(forward, name, (local,))
+            monkeypatch.setattr(fill, name, (local,))
         again, again_status, again_counters = Planes(session, values, known, method, 0, "span", real, far).fill()
         assert (again == first).all()
         assert (again_status == status).all()

@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.device import Session
-from clsco.layout import Real, camera_struct, in_parts, psf_struct, surface_structs
-from clsco.motion import pose_at
-from clsco.program import download, empty
-from clsco.psf import psf_table
-from clsco.reference import geometry as twin
-from clsco.scene import Camera, Cone, Ellipsoid, Object, ObjectMotion, Plane, Psf, Quadric
-from clsco.surfaces import place
+from clsco.opencl.buffers import download, empty
+from clsco.opencl.session import Session
+from clsco.optics.motion import pose_at
+from clsco.optics.psf_tables import psf_table
+from clsco.optics.quadrics import place
+from clsco.passes.pack import camera_struct, psf_struct, surface_structs
+from clsco.records import Real, in_parts
+from clsco.reference.common import geometry as twin
+from clsco.scene.model import Camera, Cone, Ellipsoid, Object, ObjectMotion, Plane, Psf, Quadric
 from tests.kernels.wide_numbers import PARTS, held, whole
 
 Array = NDArray[Any]

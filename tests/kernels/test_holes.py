@@ -12,9 +12,7 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
-from clsco import program as program_module
-from clsco.device import Program, Session
-from clsco.estimators import bits_of, most_sweeps, score_of_sums
+from clsco.frame.strips import frame_struct
 from clsco.inpainting import mean_median
 from clsco.inpainting.mean_median import (
     FEATURES,
@@ -33,11 +31,15 @@ from clsco.inpainting.mean_median import (
     group_size,
     score_image,
 )
-from clsco.layout import frame_struct, structs
-from clsco.program import build, copied, download, empty, kernel, launch, upload
-from clsco.reference import holes as twin
-from clsco.reference.mean_median import smooth_median
-from clsco.reference.score import score_mean_median
+from clsco.inpainting.rules import bits_of, most_sweeps, score_of_sums
+from clsco.opencl import program as program_module
+from clsco.opencl.buffers import copied, download, empty, upload
+from clsco.opencl.program import build, kernel, launch
+from clsco.opencl.session import Program, Session
+from clsco.records import structs
+from clsco.reference.inpainting import holes as twin
+from clsco.reference.inpainting.mean_median import smooth_median
+from clsco.reference.inpainting.score import score_mean_median
 from tests.slow import mostly_slow
 
 Array = NDArray[Any]

@@ -13,17 +13,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.device import Session
-from clsco.layout import Real, in_parts, packed, structs, surface_structs
-from clsco.motion import pose_at
-from clsco.program import download, empty
-from clsco.scene import ObjectMotion, Sphere
-from clsco.surfaces import place
+from clsco.opencl.buffers import download, empty
+from clsco.opencl.session import Session
+from clsco.optics.motion import pose_at
+from clsco.optics.quadrics import place
+from clsco.passes.pack import surface_structs
+from clsco.records import Real, in_parts, packed, structs
+from clsco.scene.model import ObjectMotion, Sphere
 from tests.kernels.wide_numbers import PARTS, held, whole
 
 Array = NDArray[Any]
 Solve = Callable[[Real, dict[str, int], Array, Array, Array], tuple[Array, Array]]
-UNIT = {"double": 2.0**-53, "float": 2.0**-47}  # relative error of an operation on `wide_t` (kernels/wide.clh)
+UNIT = {"double": 2.0**-53, "float": 2.0**-47}  # relative error of an operation on `wide_t` (kernels/common/wide.clh)
 
 SOURCE = (
     PARTS

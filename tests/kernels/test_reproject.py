@@ -11,11 +11,13 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
-from clsco.device import Program, Session
-from clsco.forward import SEGMENT, forward_features
-from clsco.layout import flat, pose_structs, structs
-from clsco.program import build, download, empty, kernel, launch, upload
-from clsco.reference.reproject import (
+from clsco.opencl.buffers import download, empty, upload
+from clsco.opencl.program import build, kernel, launch
+from clsco.opencl.session import Program, Session
+from clsco.passes.pack import pose_structs
+from clsco.passes.warp import SEGMENT, forward_features
+from clsco.records import flat, structs
+from clsco.reference.warp.warp import (
     NO_WINNER,
     reproject_depth,
     reproject_gaps,
@@ -25,11 +27,7 @@ from clsco.reference.reproject import (
     reproject_targets,
     reproject_winner,
 )
-from clsco.scene import (
-    Object,
-    ObjectMotion,
-    Plane,
-)
+from clsco.scene.model import Object, ObjectMotion, Plane
 from tests.slow import mostly_slow
 
 Array = NDArray[Any]
@@ -47,7 +45,7 @@ class Kernels:
         features = forward_features(case.plan, owned)
         self.session, self.case, self.owned, self.several = session, case, owned, bool(features["SEVERAL"])
         self.far = bool(features["FILL_FAR"])
-        self.program: Program = build(session, ["reproject.cl"], features, structs("double"), "double")
+        self.program: Program = build(session, ["warp/warp.cl"], features, structs("double"), "double")
         self.surfaces = case.forward(session, owned).rest_surfaces
 
     def run(self, name: str, size: tuple[int, ...], local: tuple[int, ...], *args: Any) -> None:

@@ -11,12 +11,14 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
-from clsco.device import Program, Session
-from clsco.forward import SEGMENT, forward_features
-from clsco.layout import in_parts, pose_structs, structs, surface_structs
-from clsco.motion import Pose
-from clsco.program import build, download, empty, kernel, launch, upload
-from clsco.reference.reproject import (
+from clsco.opencl.buffers import download, empty, upload
+from clsco.opencl.program import build, kernel, launch
+from clsco.opencl.session import Program, Session
+from clsco.optics.motion import Pose
+from clsco.passes.pack import pose_structs, surface_structs
+from clsco.passes.warp import SEGMENT, forward_features
+from clsco.records import in_parts, structs
+from clsco.reference.warp.warp import (
     NO_WINNER,
     SAME_DEPTH,
     extend_border,
@@ -27,7 +29,7 @@ from clsco.reference.reproject import (
     reproject_targets,
     reproject_winner,
 )
-from clsco.scene import Sphere
+from clsco.scene.model import Sphere
 from tests.kernels.wide_numbers import whole
 
 Array = NDArray[Any]
@@ -58,7 +60,7 @@ class Amid:
 
 
 def built(session: Session, case: Any) -> Program:
-    return build(session, ["reproject.cl"], forward_features(case.plan, True), structs(case.real), case.real)
+    return build(session, ["warp/warp.cl"], forward_features(case.plan, True), structs(case.real), case.real)
 
 
 def run(session: Session, case: Any, name: str, size: tuple[int, ...], local: tuple[int, ...], *args: Any) -> None:

@@ -5,19 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clsco.device import Program, Session
-from clsco.layout import frame_struct, structs
-from clsco.plan import make_plan
-from clsco.program import build, copied, download, empty, kernel, launch, upload
-from clsco.reference import trace as twin
-from clsco.renderer import EMPTY_STATISTICS
-from clsco.scene import Camera, Scene, Sphere
+from clsco.engine.renderer import EMPTY_STATISTICS
+from clsco.frame.strips import frame_struct
+from clsco.opencl.buffers import copied, download, empty, upload
+from clsco.opencl.program import build, kernel, launch
+from clsco.opencl.session import Program, Session
+from clsco.plan.plan import make_plan
+from clsco.records import structs
+from clsco.reference.trace import trace as twin
+from clsco.scene.model import Camera, Scene, Sphere
 
 
 def marks_program(session: Session) -> Program:
     plan = make_plan(Scene(camera=Camera(resolution=(16, 16)), objects=(Sphere(),)), 1)
     features = plan.features() | {"SUBPIXELS": 2, "TRUTH": 0, "PINHOLE": 0, "LENSES": 0, "GATHER": 0}
-    return build(session, ["trace.cl"], features, structs("double"), "double")
+    return build(session, ["trace/trace.cl"], features, structs("double"), "double")
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (2, 3), (4, 4), (5, 9), (8, 6)])

@@ -11,15 +11,15 @@ import pytest
 
 import clsco
 from clsco import reference
-from clsco.check import compare
-from clsco.device import Session
-from clsco.reference.layer import layered
-from clsco.scene import Psf
-from clsco.scenefile import parse_scene
-from clsco.spread import TILE
+from clsco.cli.check import compare
+from clsco.opencl.session import Session
+from clsco.passes.blur import TILE
+from clsco.reference.layered.layered import layered
+from clsco.scene.file import parse_scene
+from clsco.scene.model import Psf
+from tests.engine.test_defocus import reference as blurred_by_reference
 from tests.kernels.test_blur import FIGURE, PSFS, ROUNDING, assert_close, blurred, light
 from tests.slow import combined, mostly_slow
-from tests.test_defocus import reference as blurred_by_reference
 
 KEPT = [(PSFS[0], False), (PSFS[5], True)]
 
@@ -112,10 +112,10 @@ BALL = {
 @pytest.fixture
 def on_a_gpu(session: Session, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """PoCL taken for a graphics card; gives the names of the kernels of the blur that are launched."""
-    for module in ("clsco.render", "clsco.arrays"):
+    for module in ("clsco.engine.sequence", "clsco.opencl.arrays"):
         monkeypatch.setattr(import_module(module), "choose", lambda name: replace(session.device, kind="gpu"))
     names: list[str] = []
-    spread = import_module("clsco.spread")
+    spread = import_module("clsco.passes.blur")
     launch = spread.launch
 
     def noted(session: Session, kernel: Any, *args: Any) -> Any:

@@ -10,28 +10,22 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
-from clsco.device import Program, Session
-from clsco.frame import STEREO_NAMES
-from clsco.layout import (
-    Real,
-    camera_struct,
-    flat,
-    layer_struct,
-    pose_structs,
-    psf_struct,
-    structs,
-    surface_structs,
-)
-from clsco.memory import TRUTH_BUFFERS, source_bytes
-from clsco.motion import Eye, Pose, middle_time, poses_at, rest_poses
-from clsco.occlusion import Layer
-from clsco.plan import Plan, make_plan
-from clsco.program import build, download, empty, kernel, launch, upload
-from clsco.psf import psf_table
-from clsco.reference import trace as twin
-from clsco.reference.geometry import table_coordinate, tilt_slope
-from clsco.renderer import EMPTY_STATISTICS
-from clsco.scene import (
+from clsco.engine.renderer import EMPTY_STATISTICS
+from clsco.frame.frame import STEREO_NAMES
+from clsco.opencl.buffers import download, empty, upload
+from clsco.opencl.program import build, kernel, launch
+from clsco.opencl.session import Program, Session
+from clsco.optics.motion import Eye, Pose, middle_time, poses_at, rest_poses
+from clsco.optics.psf_tables import psf_table
+from clsco.optics.quadrics import place
+from clsco.optics.visibility import Layer
+from clsco.passes.pack import camera_struct, layer_struct, pose_structs, psf_struct, surface_structs
+from clsco.plan.memory import TRUTH_BUFFERS, source_bytes
+from clsco.plan.plan import Plan, make_plan
+from clsco.records import Real, flat, structs
+from clsco.reference.common.geometry import table_coordinate, tilt_slope
+from clsco.reference.trace import trace as twin
+from clsco.scene.model import (
     Camera,
     Cone,
     Cylinder,
@@ -47,7 +41,6 @@ from clsco.scene import (
     Sphere,
     Stereo,
 )
-from clsco.surfaces import place
 from tests.kernels.conftest import download_sources
 from tests.slow import mostly_slow
 
@@ -169,7 +162,7 @@ def built(session: Session, plan: Plan, real: Real, truth: tuple[str, ...] = MON
     """All kernels in one program, so that few have to be compiled."""
     features = plan.features() | {"TRUTH": int(bool(truth)), "PINHOLE": 0, "LENSES": 0, "GATHER": 0}
     features |= {f"TRUTH_{name.upper()}": int(name in truth) for name in TRUTH_BUFFERS}
-    files = ["trace.cl"]
+    files = ["trace/trace.cl"]
     return build(session, files, features, structs(real), real)
 
 

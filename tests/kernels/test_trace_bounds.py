@@ -9,18 +9,20 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
-from clsco.device import Program, Session
-from clsco.layout import camera_struct, layer_struct, pose_structs, psf_struct, structs
-from clsco.memory import TRUTH_BUFFERS, source_bytes
-from clsco.motion import middle_time, poses_at, rest_poses
-from clsco.occlusion import Layer
-from clsco.plan import Plan
-from clsco.program import build, copied, download, kernel, launch
-from clsco.psf import psf_table
-from clsco.reference import trace as twin
-from clsco.renderer import EMPTY_STATISTICS
-from clsco.scene import Psf
-from clsco.strips import Strip
+from clsco.engine.renderer import EMPTY_STATISTICS
+from clsco.frame.strips import Strip
+from clsco.opencl.buffers import copied, download
+from clsco.opencl.program import build, kernel, launch
+from clsco.opencl.session import Program, Session
+from clsco.optics.motion import middle_time, poses_at, rest_poses
+from clsco.optics.psf_tables import psf_table
+from clsco.optics.visibility import Layer
+from clsco.passes.pack import camera_struct, layer_struct, pose_structs, psf_struct
+from clsco.plan.memory import TRUTH_BUFFERS, source_bytes
+from clsco.plan.plan import Plan
+from clsco.records import structs
+from clsco.reference.trace import trace as twin
+from clsco.scene.model import Psf
 from tests.kernels.test_trace import (
     CARD,
     GUARD,
@@ -53,7 +55,7 @@ def plan() -> Plan:
 def everything_built(session: Session, plan: Plan) -> Program:
     features = plan.features() | {"TRUTH": 1, "PINHOLE": 1, "LENSES": 1, "GATHER": 0}
     features |= {f"TRUTH_{name.upper()}": int(name in MONO) for name in TRUTH_BUFFERS}
-    return build(session, ["trace.cl"], features, structs("double"), "double")
+    return build(session, ["trace/trace.cl"], features, structs("double"), "double")
 
 
 def buffers(session: Session, **sizes: int) -> dict[str, cl.Buffer]:

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.device import Session
-from clsco.layout import Real, in_parts
-from clsco.program import download, empty
-from clsco.reference import trace as twin
+from clsco.opencl.buffers import download, empty
+from clsco.opencl.session import Session
+from clsco.records import Real, in_parts
+from clsco.reference.trace import trace as twin
 from clsco.resources import folder
-from clsco.scene import Cylinder, ObjectMotion, Psf
+from clsco.scene.model import Cylinder, ObjectMotion, Psf
 from tests.kernels.test_trace import (
     BLOCKED,
     GUARD,
@@ -78,7 +78,7 @@ def test_a_point_is_covered_by_what_is_nearer_by_a_millionth(session: Session, r
     nearer = np.repeat([0.0, 0.99e-6, 1.01e-6, 0.1], 50)
     w, ratio = np.random.default_rng(4).uniform([[2e-3], [0.5]], [[9e-3], [2.0]], (2, nearer.size))
     seen = w * (1 + nearer) / ratio
-    text = "".join((folder("kernels") / name).read_text("utf-8") for name in ("sources.clh", "trace.cl"))
+    text = "".join((folder("kernels") / name).read_text("utf-8") for name in ("common/sources.clh", "trace/trace.cl"))
     features = {"TILT": 0, "SUBPIXELS": 0, "MOVED": 0, "OCCLUDED": 0, "TRUTH_OCCLUDED": 1}
     out = empty(session, 4 * w.size)
     args = (in_parts(values, real) for values in (seen, ratio, w))

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.device import Session
-from clsco.layout import Real, in_parts, packed, structs
-from clsco.program import download, empty
+from clsco.opencl.buffers import download, empty
+from clsco.opencl.session import Session
+from clsco.records import Real, in_parts, packed, structs
 from tests.kernels.wide_numbers import PARTS, held, whole
 
 Array = NDArray[Any]
@@ -115,7 +115,7 @@ def test_the_same_bits_without_instructions(session: Session, run_source: Run, t
     """Devices other than an x86 processor with FMA call the builtin functions, which PoCL rounds alike."""
     count, found = 600, []
     v = in_parts(numbers(count), real)
-    header = tmp_path / "wide.clh"
+    header = tmp_path / "common/wide.clh"
     for before in ("", "#undef __FMA__\n"):
         header.write_text(before + header.read_text("utf-8"), "utf-8")
         out, less, floors = (empty(session, size * count) for size in (56, 4, 8))

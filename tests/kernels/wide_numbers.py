@@ -1,4 +1,4 @@
-"""Numbers of a `wide_t` in buffers: doubles, or two floats each (kernels/wide.clh)."""
+"""Numbers of a `wide_t` in buffers: doubles, or two floats each (kernels/common/wide.clh)."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clsco.device import Session
-from clsco.layout import WIDE, Real, in_parts, together
-from clsco.program import download
+from clsco.opencl.buffers import download
+from clsco.opencl.session import Session
+from clsco.records import WIDE, Real, in_parts, together
 
 Array = NDArray[Any]
 

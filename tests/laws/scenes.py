@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import clsco
-from clsco.frame import Frame
-from clsco.scene import Camera, Ellipsoid, Object, ObjectMotion, Psf, Scene, Sphere
-from clsco.scene import Sequence as Exposure
+from clsco.frame.frame import Frame
+from clsco.scene.model import Camera, Ellipsoid, Object, ObjectMotion, Psf, Scene, Sphere
+from clsco.scene.model import Sequence as Exposure
 
 COLUMNS, ROWS = 24, 20
 LIGHT = (-4, 1, 3)  # powers of two by which textures are brighter

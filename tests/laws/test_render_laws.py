@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from clsco.quantities import Vector
-from clsco.scene import Ellipsoid, Motion, Object, ObjectMotion, Psf, Quadric, Sphere
-from clsco.scene import Sequence as Exposure
+from clsco.scene.model import Ellipsoid, Motion, Object, ObjectMotion, Psf, Quadric, Sphere
+from clsco.scene.model import Sequence as Exposure
+from clsco.scene.quantities import Vector
 from tests.laws.scenes import (
     CAMERA,
     FILTERS,

@@ -63,30 +63,32 @@ class Forks:
 
 def _prepared() -> cl.CommandQueue:
     """A queue of a context that has built a program."""
-    from clsco import device
+    from clsco.opencl import device
+    from clsco.opencl.session import Session
 
-    session = device.Session(device.choose("pocl"))
+    session = Session(device.choose("pocl"))
     cl.Program(session.context, "__kernel void nothing() {}").build()
     return session.queue
 
 
 def _work_in(shared: cl.CommandQueue) -> None:
     """Have all sessions of this process, a fork, work in that queue's context."""
-    from clsco import device
+    from clsco.opencl import device
+    from clsco.opencl import session as sessions
 
-    opened = device.Session.__init__
+    opened = sessions.Session.__init__
 
     def initialize(session: Any, chosen: device.Device, queue: cl.CommandQueue | None = None) -> None:
         timed = cl.command_queue_properties.PROFILING_ENABLE
         opened(session, chosen, queue or cl.CommandQueue(shared.context, properties=timed))
 
     device._process = os.getpid()
-    device.Session.__init__ = initialize  # type: ignore[method-assign,assignment]
+    sessions.Session.__init__ = initialize  # type: ignore[method-assign,assignment]
 
 
 def _build_once(context: cl.Context, programs: Programs) -> None:
     """Have these programs be built now, for all forks."""
-    from clsco import program
+    from clsco.opencl import program
 
     built = {
         (tuple(options), text): {kernel.function_name: kernel for kernel in _kernels(context, options, text)}

@@ -21,17 +21,17 @@ _inside: list[str] = []  # the function of these that runs
 
 def remember(folder: Path) -> None:
     """Have all functions of the reference, and tables of point spread functions, keep their results in a folder."""
-    import clsco.psf
+    import clsco.optics.psf_tables
     import clsco.reference
 
-    names = [f"clsco.reference.{module.name}" for module in pkgutil.iter_modules(clsco.reference.__path__)]
+    names = [f"clsco.reference.{module.name}" for module in pkgutil.walk_packages(clsco.reference.__path__)]
     public: list[Callable[..., Any]] = [
         function
         for module in map(importlib.import_module, names)
         for name, function in vars(module).items()
         if isinstance(function, FunctionType) and function.__module__ == module.__name__ and not name.startswith("_")
     ]
-    public.append(clsco.psf.psf_table)
+    public.append(clsco.optics.psf_tables.psf_table)
     kept = {id(function): _keeping(folder, function) for function in public}
     for module in [module for name, module in sys.modules.items() if name.split(".")[0] == "clsco"]:
         for name, value in list(vars(module).items()):

@@ -27,7 +27,7 @@ class Launches:
     """
 
     def __init__(self, plain: Callable[[str], str] = str) -> None:
-        from clsco import program
+        from clsco.opencl import program
 
         self.now = ""
         self.programs: dict[str, int] = {}
@@ -120,8 +120,8 @@ def _defined(session: Any, text: str) -> list[str]:
 
 def _build_without(switches: Switches) -> None:
     """Have programs that do not build leave mutants out, in the tree of this process as well."""
-    from clsco import program
     from clsco.errors import KernelError
+    from clsco.opencl import program
 
     built = program._built
 

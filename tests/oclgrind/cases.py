@@ -18,16 +18,19 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.coarsening import METHODS
-from clsco.defocus import defocus
+from clsco.engine.defocus import defocus
+from clsco.engine.inpaint import inpaint
+from clsco.engine.sequence import render_sweep
 from clsco.errors import SceneError
-from clsco.forward import forward_features
-from clsco.frame import STEREO_NAMES, TRUTH_NAMES
-from clsco.inpainting import inpaint
-from clsco.plan import Plan, make_plan
-from clsco.psf import NEAR
-from clsco.render import render_sweep
-from clsco.scene import (
+from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES
+from clsco.inputs.textures import Texture
+from clsco.optics.psf_tables import NEAR
+from clsco.optics.stencil import SUMMED
+from clsco.passes.blur import blur_features
+from clsco.passes.warp import forward_features
+from clsco.plan.approximation import METHODS
+from clsco.plan.plan import Plan, make_plan
+from clsco.scene.model import (
     Camera,
     Cone,
     Cylinder,
@@ -42,13 +45,8 @@ from clsco.scene import (
     Scene,
     Sphere,
     Stereo,
-)  # fmt: skip
-from clsco.scene import (
-    Sequence as Frames,
 )
-from clsco.spread import blur_features
-from clsco.stencil import SUMMED
-from clsco.textures import Texture
+from clsco.scene.model import Sequence as Frames
 
 Array = NDArray[Any]
 # Rows and columns: single pixels and lines, odd and even, less than a vector of 8 or 16, whole ones, and one more.
@@ -299,7 +297,7 @@ def long_cases() -> Iterator[Case]:
         return [defocus(image, coc, Psf(edge="sampled", tilt=tilt), **options)]
 
     def filled(method: str) -> list[Array]:
-        with patch("clsco.inpainting.mean_median.MOST_ENTRIES", 4):  # of a sweep that one work-group does
+        with patch("clsco.engine.inpaint.mean_median.MOST_ENTRIES", 4):  # of a sweep that one work-group does
             return [inpaint(holes, missing, method=method, device="oclgrind")[0]]
 
     for light in (1.0, 10.0):

@@ -26,7 +26,7 @@ LAST_BARRIER = """                        first_y + n / across, item, &chunk SUB
 FAULTS = (
     Fault(
         "a work-item too many",
-        "biharmonic.cl",
+        "inpainting/biharmonic.cl",
         "    if (entry >= count)\n        return;\n    real result[CHANNELS];\n    biharmonic(rows, columns, image,",
         "    if (entry > count)\n        return;\n    real result[CHANNELS];\n    biharmonic(rows, columns, image,",
         "solver",
@@ -34,7 +34,7 @@ FAULTS = (
     ),
     Fault(
         "a write beyond the end",
-        "biharmonic.cl",
+        "inpainting/biharmonic.cl",
         "    sums[slot * CHANNELS + c] = sum;",
         "    sums[(slot + 3) * CHANNELS + c] = sum;",
         "solver",
@@ -42,7 +42,7 @@ FAULTS = (
     ),
     Fault(
         "one place for all work-items",
-        "biharmonic.cl",
+        "inpainting/biharmonic.cl",
         "        applied[entry * CHANNELS + c] = result[c];",
         "        applied[c] = result[c] + entry;",
         "solver",
@@ -50,7 +50,7 @@ FAULTS = (
     ),
     Fault(
         "the same value written by all",
-        "biharmonic.cl",
+        "inpainting/biharmonic.cl",
         "    residual[entry * CHANNELS + c] = -result[c];",
         "    { residual[entry * CHANNELS + c] = -result[c]; residual[0] = 0; }",
         "solver",
@@ -58,7 +58,7 @@ FAULTS = (
     ),
     Fault(
         "a private array not set",
-        "biharmonic.cl",
+        "inpainting/biharmonic.cl",
         "    for (int c = 0; c < CHANNELS; ++c)\n        result[c] = 0;\n",
         "",
         "solver",
@@ -67,7 +67,7 @@ FAULTS = (
     ),
     Fault(
         "a local array not set",
-        "tiles.cl",
+        "blur/tiles.cl",
         "        if (item < CHUNK / WORD)\n            chunk.reaching[item] = 0;\n",
         "",
         "tiles",
@@ -76,7 +76,7 @@ FAULTS = (
     ),
     Fault(
         "a plane not written",
-        "sources.clh",
+        "common/sources.clh",
         "    source[2 * plane + at] = record.z;\n",
         "",
         "tiles",
@@ -85,7 +85,7 @@ FAULTS = (
     ),
     Fault(
         "no barrier after the chunk",
-        "tiles.cl",
+        "blur/tiles.cl",
         LAST_BARRIER,
         LAST_BARRIER[: LAST_BARRIER.rindex("        b")],
         "tiles",
@@ -93,7 +93,7 @@ FAULTS = (
     ),
     Fault(
         "a barrier that not all reach",
-        "tiles.cl",
+        "blur/tiles.cl",
         "            chunk.reaching[item] = 0;\n        barrier(CLK_LOCAL_MEM_FENCE);",
         "        { chunk.reaching[item] = 0; barrier(CLK_LOCAL_MEM_FENCE); }",
         "tiles",
@@ -101,7 +101,7 @@ FAULTS = (
     ),
     Fault(
         "a source too many",
-        "tiles.cl",
+        "blur/tiles.cl",
         "        if (n < across * down)\n",
         "        if (n <= across * down)\n",
         "tiles",
@@ -109,7 +109,7 @@ FAULTS = (
     ),
     Fault(
         "beyond a local array",
-        "tiles.cl",
+        "blur/tiles.cl",
         "        if (item < CHUNK / WORD)\n",
         "        if (item < 64 * CHUNK)\n",
         "tiles",
@@ -117,7 +117,7 @@ FAULTS = (
     ),
     Fault(
         "a plain look beside an atomic",
-        "layer.cl",
+        "layered/layered.cl",
         "if (LOOK(latest + CLASSES * bins) < sum)",
         "if (latest[CLASSES * bins] < sum)",
         "slabs",
@@ -125,7 +125,7 @@ FAULTS = (
     ),
     Fault(
         "a row too many",
-        "layer.cl",
+        "layered/layered.cl",
         "    if (line >= camera.height + camera.width)\n",
         "    if (line > camera.height + camera.width)\n",
         "slabs",
@@ -133,7 +133,7 @@ FAULTS = (
     ),
     Fault(
         "a sum without an atomic",
-        "blur.cl",
+        "blur/blur.cl",
         "#define ADD_FIXED(p, v) atom_add(p, v)",
         "#define ADD_FIXED(p, v) (*(p) += (v))",
         "scatter",

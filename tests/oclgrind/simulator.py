@@ -17,8 +17,9 @@ from unittest.mock import patch
 import numpy as np
 import pyopencl as cl
 
-from clsco import program
-from clsco.device import Session, choose
+from clsco.opencl import program
+from clsco.opencl.device import choose
+from clsco.opencl.session import Session
 
 LIBRARIES = sorted(Path("/usr/lib").glob("**/oclgrind/liboclgrind-rt.so"))
 INSTALL = (
@@ -140,7 +141,7 @@ def sessions(**changes: Any) -> Iterator[None]:
     # What a kernel reads of the host's own memory it takes for uninitialized, hence no unified memory.
     given: Mapping[str, Any] = {"unified_memory": False, **changes}
     device = replace(choose("oclgrind"), **given)
-    render, arrays = import_module("clsco.render"), import_module("clsco.arrays")
+    render, arrays = import_module("clsco.engine.sequence"), import_module("clsco.opencl.arrays")
 
     def session(*_: Any, **__: Any) -> Session:
         return Session(device, queue=_queue())

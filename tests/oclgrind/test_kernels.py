@@ -57,7 +57,7 @@ def test_nothing_is_reported(cases: Results) -> None:
 
 @pytest.mark.parametrize("check", simulator.CHECKS)
 def test_every_kernel_is_run(cases: Results, check: str) -> None:
-    text = "".join(path.read_text("utf-8") for path in (ROOT / "kernels").glob("*.cl"))
+    text = "".join(path.read_text("utf-8") for path in (ROOT / "kernels").rglob("*.cl"))
     kernels = set(re.findall(r"^__kernel void (\w+)\(", text, re.MULTILINE))
     assert len(kernels) > 50
     launched = {name for one in cases if one["check"] == check for name in one["launched"]}

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from importlib import import_module
+from importlib.resources import as_file
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -21,7 +23,7 @@ from unittest.mock import patch
 
 import pyopencl as cl
 
-from clsco import program
+from clsco.opencl import program
 from clsco.resources import folder
 from tests.oclgrind import simulator
 from tests.oclgrind.cases import Case, all_cases, depths_of, fault_cases, textures_of
@@ -42,7 +44,7 @@ def run(case: Case, log: Path) -> dict[str, Any]:
     with ExitStack() as stack:
         stack.enter_context(simulator.sessions(**case.device))
         stack.enter_context(patch.object(cl.Kernel, "__call__", noted))
-        render = import_module("clsco.render")
+        render = import_module("clsco.engine.sequence")
         stack.enter_context(
             patch.object(render, "load_scene_textures", lambda scene: textures_of(scene, case.channels))
         )
@@ -67,9 +69,8 @@ def run(case: Case, log: Path) -> dict[str, Any]:
 def with_kernel(file: str, text: str) -> Iterator[None]:
     """Has programs built of a copy of the kernels in which a file has this text."""
     with tempfile.TemporaryDirectory(prefix="clsco-fault-") as place:
-        for entry in folder("kernels").iterdir():
-            if entry.name.endswith((".cl", ".clh")):
-                (Path(place) / entry.name).write_text(entry.read_text("utf-8"), "utf-8")
+        with as_file(folder("kernels")) as kernels:
+            shutil.copytree(kernels, place, dirs_exist_ok=True)
         (Path(place) / file).write_text(text, "utf-8")
         with patch.object(program, "folder", lambda _: Path(place)):
             yield

@@ -14,12 +14,12 @@ from click.testing import CliRunner, Result
 from numpy.typing import NDArray
 
 import clsco
-from clsco.cli import main
-from clsco.images import read_image
-from clsco.optics import blur_radius
-from clsco.scene import Camera
-from clsco.scenefile import parse_scene
-from clsco.transfer import encode
+from clsco.cli.main import main
+from clsco.files.images import read_image
+from clsco.files.transfer import encode
+from clsco.optics.lens import blur_radius
+from clsco.scene.file import parse_scene
+from clsco.scene.model import Camera
 from tests.slow import mostly_slow
 
 

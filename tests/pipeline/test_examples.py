@@ -11,11 +11,11 @@ import pytest
 
 import clsco
 from clsco import reference
-from clsco.check import FIGURES, Difference, compare
-from clsco.frame import STEREO_NAMES, Frame
-from clsco.images import read_image, write_png
-from clsco.scene import DepthMap, Scene
-from clsco.sweep import load_sweep
+from clsco.cli.check import FIGURES, Difference, compare
+from clsco.files.images import read_image, write_png
+from clsco.frame.frame import STEREO_NAMES, Frame
+from clsco.scene.model import DepthMap, Scene
+from clsco.scene.sweep import load_sweep
 from tests.slow import mostly_slow
 
 Small = Callable[[Path], Scene]

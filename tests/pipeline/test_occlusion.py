@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 import clsco
 from clsco import reference
-from clsco.check import compare
-from clsco.frame import Frame
-from clsco.images import write_png
-from clsco.plan import make_plan
-from clsco.scene import Scene
-from clsco.scenefile import parse_scene
+from clsco.cli.check import compare
+from clsco.files.images import write_png
+from clsco.frame.frame import Frame
+from clsco.plan.plan import make_plan
+from clsco.scene.file import parse_scene
+from clsco.scene.model import Scene
 from tests.slow import mostly_slow
 
 CAMERA = {"resolution": [60, 44], "pixel_pitch": 0.08, "aperture_diameter": 24.0, "focus_distance": 250.0}

@@ -8,9 +8,9 @@ import pytest
 
 import clsco
 from clsco import reference
-from clsco.plan import make_plan
-from clsco.scene import Scene
-from clsco.scenefile import parse_scene
+from clsco.plan.plan import make_plan
+from clsco.scene.file import parse_scene
+from clsco.scene.model import Scene
 
 BOUNDS = [[-100.0, 100.0], [-50.0, 50.0], [-1.0, 1.0]]
 

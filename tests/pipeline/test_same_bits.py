@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 import clsco
-from clsco.frame import TRUTH_NAMES, Frame
+from clsco.frame.frame import TRUTH_NAMES, Frame
 from clsco.reference.render import render as reference
-from clsco.scenefile import parse_scene
+from clsco.scene.file import parse_scene
 from tests.slow import mostly_slow
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -13,15 +13,15 @@ import pytest
 
 import clsco
 from clsco import reference
-from clsco.check import compare
+from clsco.cli.check import compare
 from clsco.errors import DeviceError, ImageError, SceneError
-from clsco.frame import TRUTH_NAMES, Frame
-from clsco.framefiles import write_frame
-from clsco.images import read_image, write_png
-from clsco.plan import Plan
-from clsco.scene import Scene
-from clsco.scenefile import parse_scene
-from clsco.transfer import decode
+from clsco.files.images import read_image, write_png
+from clsco.files.transfer import decode
+from clsco.frame.files import write_frame
+from clsco.frame.frame import TRUTH_NAMES, Frame
+from clsco.plan.plan import Plan
+from clsco.scene.file import parse_scene
+from clsco.scene.model import Scene
 from tests.slow import combined, mostly_slow
 
 CAMERA = {"resolution": [56, 40], "pixel_pitch": 0.08, "aperture_diameter": 30.0}
@@ -289,7 +289,7 @@ def test_wrong_calls(tmp_path: Path) -> None:
 
 def test_radii_beyond_the_prediction_are_rendered_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     """Kernels are built anew where a wider blur needs others; buffers and tables grow."""
-    rendering = import_module("clsco.render")
+    rendering = import_module("clsco.engine.sequence")
     predict = rendering.make_plan
 
     def too_little(*args: Any, **options: Any) -> Plan:

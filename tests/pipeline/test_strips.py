@@ -12,17 +12,17 @@ import pyopencl as cl
 import pytest
 
 import clsco
-from clsco.depthmaps import load_scene_depths
-from clsco.describe import planned
-from clsco.device import choose
+from clsco.engine.sequence import render_sweep
 from clsco.errors import SceneError
-from clsco.frame import STEREO_NAMES, TRUTH_NAMES, Frame
-from clsco.memory import device_bytes
-from clsco.plan import Plan, make_plan
-from clsco.render import render_sweep
-from clsco.scene import Scene
-from clsco.scenefile import parse_scene
-from clsco.strips import BAND, cut
+from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES, Frame
+from clsco.frame.strips import BAND, cut
+from clsco.inputs.depth_maps import load_scene_depths
+from clsco.opencl.device import choose
+from clsco.plan.memory import device_bytes
+from clsco.plan.plan import Plan, make_plan
+from clsco.plan.prepare import planned
+from clsco.scene.file import parse_scene
+from clsco.scene.model import Scene
 
 TRUTH = (*TRUTH_NAMES, *STEREO_NAMES)
 ROWS, COLUMNS = 3 * BAND + 23, 50
@@ -182,7 +182,7 @@ def test_a_plan_that_was_too_small(monkeypatch: pytest.MonkeyPatch, peak: list[i
         assert plan.largest_blur > 2 * least
         return replace(plan, largest_blur=least, guard_px=0)
 
-    monkeypatch.setattr(sys.modules["clsco.render"], "make_plan", short)
+    monkeypatch.setattr(sys.modules["clsco.engine.sequence"], "make_plan", short)
     whole = list(clsco.render(scene, frames=[0]))
     limit, before = memory_for(scene, BAND), peak[0]
     peak[1] = before

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 import clsco
 from clsco import reference
-from clsco.frame import Frame
-from clsco.optics import focus_power
-from clsco.render import render_sweep
-from clsco.scene import Scene
-from clsco.scenefile import parse_scene
+from clsco.engine.sequence import render_sweep
+from clsco.frame.frame import Frame
+from clsco.optics.lens import focus_power
+from clsco.scene.file import parse_scene
+from clsco.scene.model import Scene
 
 SIZE = 96
 CAMERA = {"resolution": [SIZE, SIZE], "pixel_pitch": 0.05, "focus_distance": 250.0}

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from clsco.motion import pose_at
-from clsco.scene import Camera, Object, Scene
-from clsco.surfaces import PlacedSurface, place
+from clsco.optics.motion import pose_at
+from clsco.optics.quadrics import PlacedSurface, place
+from clsco.scene.model import Camera, Object, Scene
 
 SceneMaker = Callable[..., Scene]
 Placer = Callable[..., PlacedSurface]

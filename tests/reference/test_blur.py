@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco import psf as psf_weights
-from clsco.occlusion import Layer
-from clsco.reference.accumulate import accumulate
-from clsco.reference.blur import gather, prepare_sources, renormalize, resolve, scatter, tilt_factor
-from clsco.reference.convolve import convolve
-from clsco.reference.geometry import tilt_slope
-from clsco.reference.trace import Sources, SubpixelSources, mark_silhouettes, trace, trace_subpixels, view_at
-from clsco.scene import Plane, Psf, Scene, Sphere
+from clsco.optics import psf as psf_weights
+from clsco.optics.visibility import Layer
+from clsco.reference.blur.accumulate import accumulate
+from clsco.reference.blur.blur import gather, prepare_sources, renormalize, resolve, scatter, tilt_factor
+from clsco.reference.blur.convolve import convolve
+from clsco.reference.common.geometry import tilt_slope
+from clsco.reference.trace.trace import Sources, SubpixelSources, mark_silhouettes, trace, trace_subpixels, view_at
+from clsco.scene.model import Plane, Psf, Scene, Sphere
 
 Array = NDArray[np.float64]
 SceneMaker = Callable[..., Scene]

@@ -8,16 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.reference.fill import (
-    Method,
-    far_bounds,
-    fill,
-    fill_ait,
-    fill_objects,
-    mark_missing,
-)
-from clsco.reference.mean_median import fill_mean_median, smooth_median
-from clsco.reference.score import score_mean_median
+from clsco.reference.inpainting.fill import Method, far_bounds, fill, fill_ait, fill_objects, mark_missing
+from clsco.reference.inpainting.mean_median import fill_mean_median, smooth_median
+from clsco.reference.inpainting.score import score_mean_median
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.occlusion import Layer
-from clsco.optics import blur_radius
-from clsco.psf import table_coordinate as coordinate_of_radius
-from clsco.reference.geometry import (
+from clsco.optics.lens import blur_radius
+from clsco.optics.psf_tables import table_coordinate as coordinate_of_radius
+from clsco.optics.quadrics import PlacedSurface
+from clsco.optics.visibility import Layer
+from clsco.reference.common.geometry import (
     Filter,
     blur_gradient,
     difference_of_products,
@@ -30,8 +31,7 @@ from clsco.reference.geometry import (
     surface_slope,
     table_coordinate,
 )
-from clsco.scene import AnyShape, Camera, Cone, Cylinder, Ellipsoid, ObjectMotion, Plane, Psf, Quadric, Sphere
-from clsco.surfaces import PlacedSurface
+from clsco.scene.model import AnyShape, Camera, Cone, Cylinder, Ellipsoid, ObjectMotion, Plane, Psf, Quadric, Sphere
 
 Array = NDArray[np.float64]
 Placer = Callable[..., PlacedSurface]

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.frame import TRUTH_NAMES, Frame
-from clsco.reference.convolve import convolve
-from clsco.reference.fill import Method
+from clsco.frame.frame import TRUTH_NAMES, Frame
+from clsco.reference.blur.convolve import convolve
+from clsco.reference.inpainting.fill import Method
 from clsco.reference.render import render
-from clsco.scene import Cylinder, Fill, Motion, ObjectMotion, Plane, Psf, Quadric, Scene, Sequence, Sphere
+from clsco.scene.model import Cylinder, Fill, Motion, ObjectMotion, Plane, Psf, Quadric, Scene, Sequence, Sphere
 
 SceneMaker = Callable[..., Scene]
 

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from clsco.motion import Pose, pose_at
-from clsco.reference.fill import Method, fill, fill_objects, mark_missing
-from clsco.reference.geometry import Array, pixel_ray, rest_pixel, sample_texture, solve_quadric
-from clsco.reference.reproject import (
+from clsco.optics.motion import Pose, pose_at
+from clsco.optics.quadrics import PlacedSurface, place
+from clsco.reference.common.geometry import Array, pixel_ray, rest_pixel, sample_texture, solve_quadric
+from clsco.reference.inpainting.fill import Method, fill, fill_objects, mark_missing
+from clsco.reference.trace.trace import padded_grid
+from clsco.reference.warp.warp import (
     NO_WINNER,
     nearest_pixel,
     reproject,
@@ -21,9 +23,7 @@ from clsco.reference.reproject import (
     reproject_rest,
     reproject_winner,
 )
-from clsco.reference.trace import padded_grid
-from clsco.scene import Camera, DepthMap, Motion, Object, ObjectMotion, Plane, Scene, Sphere
-from clsco.surfaces import PlacedSurface, place
+from clsco.scene.model import Camera, DepthMap, Motion, Object, ObjectMotion, Plane, Scene, Sphere
 
 SceneMaker = Callable[..., Scene]
 Placer = Callable[..., PlacedSurface]

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.motion import pose_at
-from clsco.occlusion import Layer
-from clsco.optics import blur_radius
-from clsco.psf import subpixel_offsets
-from clsco.reference.geometry import Filter, pixel_ray, rest_pixel, solve_quadric
-from clsco.reference.trace import (
+from clsco.optics.lens import blur_radius
+from clsco.optics.motion import pose_at
+from clsco.optics.psf import subpixel_offsets
+from clsco.optics.quadrics import PlacedSurface
+from clsco.optics.visibility import Layer
+from clsco.reference.common.geometry import Filter, pixel_ray, rest_pixel, solve_quadric
+from clsco.reference.trace.trace import (
     SILHOUETTE_RANGE,
     View,
     ground_truth,
@@ -23,8 +24,7 @@ from clsco.reference.trace import (
     trace_subpixels,
     view_at,
 )
-from clsco.scene import Ellipsoid, Motion, ObjectMotion, Plane, Psf, Scene, Sequence, Sphere
-from clsco.surfaces import PlacedSurface
+from clsco.scene.model import Ellipsoid, Motion, ObjectMotion, Plane, Psf, Scene, Sequence, Sphere
 
 SceneMaker = Callable[..., Scene]
 Placer = Callable[..., PlacedSurface]

@@ -1,0 +1,500 @@
+"""A thin-lens ray tracer in float64: the judge that every picture of the package is measured against.
+
+It shares no code with the package. A scene is read by attribute names only (`scene.camera.focal_length`, ...), every
+shape becomes ten coefficients in its own frame, and a ray meets it by the textbook formula.
+
+The ray. The detector position x' (mm, in the plane of the normalization distance s0) sees through the lens point l
+(unit disc) the surface point whose pinhole projection is x = x' - R(Z) l, with the blur radius R(Z) = (s0 D/2) (K -
+1/Z), K = 1/f - 1/s (2.33). Hence X(Z) = x Z / s0 = (x'/s0 - (D/2) K l) Z + (D/2) l: a straight line from the point
+(D/2) l of the lens through the point in focus, Z = 1/K, X = x' / (s0 K). The ray's parameter is the depth Z itself.
+
+The samples. Two independent Owen-scrambled Sobol sets (pixel x, pixel y, lens, lens, time) give two images: their
+mean is the result, the root mean square of half their difference its noise. Each pixel shifts the set over its own
+box (modulo one) and turns it about the lens axis by random amounts. Both keep the distribution uniform, so the
+estimate is unbiased.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from scipy.stats import qmc
+
+Array = NDArray[np.float64]
+Textures = NDArray[Any] | Sequence[NDArray[Any]]
+
+CACHE_FORMAT = 1  # part of the key of cached images; a change of what is computed must change it
+LEAST_SAMPLES = 64
+BLOCK = 128  # samples that stay in the fastest cache while all pixels of a row use them
+STEP = np.uint64(0x9E3779B97F4A7C15)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What the kernel needs of a scene, in mm, s and rad; a cached image is keyed by these fields.
+
+    `coefficients` (objects, 10), in the order a200 a020 a002 a110 a011 a101 a100 a010 a001 a000, about
+    `centers` (objects, 3), x right, y up, z away from the camera; `bounds` (objects, 6) as x0 x1 y0 y1 z0 z1
+    in the same frame; `textures` (objects, rows, columns, channels) linear radiance.
+    """
+
+    pitch_ratio: float
+    lens_radius: float
+    focus_term: float
+    start: float
+    shutter: float
+    axis_rotation: bool
+    coefficients: Array
+    bounds: Array
+    centers: Array
+    velocities: Array
+    angular_velocities: Array
+    textures: Array
+
+
+def _shape(item: Any) -> tuple[Array, Any, tuple[float, float]]:
+    """Coefficients (10,), center (3) mm and z range (2) mm of one object; ValueError for an unknown shape."""
+    k = np.zeros(10)
+    everywhere = (-np.inf, np.inf)
+    match item.shape:
+        case "plane":  # b x + c y - z = 0 about (0, 0, a)
+            k[6:9] = item.slope_x, item.slope_y, -1.0
+            return k, (0.0, 0.0, item.distance), everywhere
+        case "sphere":
+            k[[0, 1, 2, 9]] = 1.0, 1.0, 1.0, -(item.radius**2)
+            return k, item.center, everywhere
+        case "ellipsoid":
+            k[:3], k[9] = 1.0 / np.asarray(item.semi_axes, float) ** 2, -1.0
+            return k, item.center, everywhere
+        case "cylinder":  # |q|^2 - (q . axis)^2 = radius^2
+            x, y, z = np.asarray(item.axis, float) / np.linalg.norm(item.axis)
+            k[:6] = 1 - x * x, 1 - y * y, 1 - z * z, -2 * x * y, -2 * y * z, -2 * x * z
+            k[9] = -(item.radius**2)
+            return k, item.center, everywhere
+        case "cone":
+            k[:3] = 1.0, 1.0, -(math.tan(math.radians(item.half_angle)) ** 2)
+            return k, item.apex, (0.0, np.inf) if item.nappe == "away" else (-np.inf, 0.0)
+        case "quadric":
+            return np.asarray(item.coefficients, float), item.center, everywhere
+    raise ValueError(f"raytracer: shape must be analytic; got {item.shape!r}")
+
+
+def _texture_stack(textures: Textures, rows: int, columns: int, count: int) -> Array:
+    """One image for all objects, or one per object, as (objects, rows, columns, channels) float64."""
+    images = [textures] * count if isinstance(textures, np.ndarray) else list(textures)
+    if len(images) != count:
+        raise ValueError(f"raytracer: textures must be one per object, {count}; got {len(images)}")
+    for image in images:
+        if image.shape[:2] != (rows, columns) or image.ndim not in (2, 3):
+            raise ValueError(f"raytracer: textures must be {rows} x {columns} texels; got {image.shape}")
+    images = [image.reshape(rows, columns, -1) for image in images]
+    size = rows, columns, max(image.shape[2] for image in images)
+    return np.stack([np.broadcast_to(image, size) for image in images]).astype(float, order="C")
+
+
+def prepare(scene: Any, textures: Textures, rows: int, columns: int, frame: int = 0) -> Problem:
+    """Read a scene by its attribute names.
+
+    `textures`: linear radiance, (rows, columns[, channels]), one image for all objects or a sequence of one
+    per object; `frame`: index of the video frame. Raises ValueError for a shape without a formula and for a
+    texture of another size than the frame.
+    """
+    camera, objects = scene.camera, scene.objects
+    shapes = [_shape(item) for item in objects]
+    bounds = np.tile([-np.inf, np.inf], (len(objects), 3))
+    for box, item, (_, _, (low, high)) in zip(bounds, objects, shapes, strict=True):
+        if item.bounds is not None:
+            box[:] = np.ravel(item.bounds)
+        box[4:] = max(box[4], low), min(box[5], high)
+    return Problem(
+        pitch_ratio=camera.pixel_pitch / camera.normalization_distance,
+        lens_radius=camera.aperture_diameter / 2,
+        focus_term=1 / camera.focal_length - 1 / camera.sensor_distance,
+        start=frame * scene.sequence.interval,
+        shutter=scene.sequence.shutter,
+        axis_rotation=scene.motion.rotation == "axis",
+        coefficients=np.array([shape[0] for shape in shapes]),
+        bounds=bounds,
+        centers=np.array([shape[1] for shape in shapes], float),
+        velocities=np.array([item.motion.velocity for item in objects], float),
+        angular_velocities=np.radians([item.motion.angular_velocity for item in objects]),
+        textures=_texture_stack(textures, rows, columns, len(objects)),
+    )
+
+
+def rotation_matrix(angles: Array, axis_rotation: bool) -> Array:
+    """M of P(t) = C + v t + M (P0 - C) for `angles` = omega t, (..., 3) rad: (..., 3, 3) in camera axes.
+
+    The thesis' matrix (2.14 to 2.23) acts on x right, y up, z towards the camera. With `axis_rotation` a turn
+    about the vector `angles` takes its place, in the sense that the matrix has for a single axis (clockwise
+    seen from the axis' tip).
+    """
+    towards = np.diag([1.0, 1.0, -1.0])
+    if axis_rotation:
+        matrix = Rotation.from_rotvec(-angles.reshape(-1, 3)).as_matrix().reshape(*angles.shape, 3)
+        return towards @ matrix @ towards
+    (sx, sy, sz), (cx, cy, cz) = np.moveaxis(np.sin(angles), -1, 0), np.moveaxis(np.cos(angles), -1, 0)
+    matrix = np.array(
+        [
+            [cy * cz, sx * sy * cz + cx * sz, -cx * sy * cz + sx * sz],
+            [-cy * sz, -sx * sy * sz + cx * cz, cx * sy * sz + sx * cz],
+            [sy, -sx * cy, cx * cy],
+        ]
+    )
+    return towards @ np.moveaxis(matrix, (0, 1), (-2, -1)) @ towards
+
+
+def _inverse_poses(problem: Problem, times: Array) -> Array:
+    """Per time and object, the inverse rotation (9) and the moved center (3): (times, objects, 12), mm."""
+    turn = rotation_matrix(times[:, None, None] * problem.angular_velocities, problem.axis_rotation)
+    center = problem.centers + times[:, None, None] * problem.velocities
+    return np.concatenate([np.swapaxes(turn, -1, -2).reshape(*turn.shape[:2], 9), center], axis=-1)
+
+
+def _disc(square: Array) -> Array:
+    """The concentric map (Shirley and Chiu 1997) of points (n, 2) of the unit square to the unit disc."""
+    a, b = 2 * square.T - 1
+    wide = np.abs(a) > np.abs(b)
+    radius = np.where(wide, a, b)
+    ratio = np.divide(np.where(wide, b, a), radius, out=np.zeros_like(a), where=radius != 0)
+    angle = np.where(wide, np.pi / 4 * ratio, np.pi / 2 - np.pi / 4 * ratio)
+    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+
+
+@njit(cache=True, inline="always")
+def _uniform(state):  # type: ignore[no-untyped-def]
+    """A uniform number in [0, 1) of a 64-bit state (the finalizer of splitmix64)."""
+    z = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    z = z ^ (z >> np.uint64(31))
+    return float(z >> np.uint64(11)) * 2.0**-53
+
+
+@njit(cache=True, inline="always")
+def _inside(box, x, y, z):  # type: ignore[no-untyped-def]
+    """Whether a point of the object's frame lies in its bounds."""
+    return (box[0] <= x) & (x <= box[1]) & (box[2] <= y) & (y <= box[3]) & (box[4] <= z) & (z <= box[5])
+
+
+@njit(cache=True, inline="always")
+def _mirror(index, count):  # type: ignore[no-untyped-def]
+    """Half-sample mirror reflection of a whole number: -1 -> 0, count -> count - 1. All floating point."""
+    # The half keeps the product off whole numbers, where rounding would decide.
+    index = index - 2 * count * np.floor((index + 0.5) * (0.5 / count))
+    index = index if index < count else 2 * count - 1 - index
+    # Infinite, or so large that whole numbers have gaps: any texel.
+    index = index if index > 0.0 else 0.0
+    return index if index < count else count - 1
+
+
+@njit(cache=True, inline="always")
+def _turn(m, x, y, z):  # type: ignore[no-untyped-def]
+    """The vector (x, y, z) times the 3x3 matrix in the first nine elements of `m`."""
+    return m[0] * x + m[1] * y + m[2] * z, m[3] * x + m[4] * y + m[5] * z, m[6] * x + m[7] * y + m[8] * z
+
+
+@njit(cache=True, inline="always")
+def _meet(lens_x, lens_y, slope_x, slope_y, m, k, box):  # type: ignore[no-untyped-def]
+    """First hit of the ray (lens + slope Z, Z) with one surface: depth, 0 for none, and the point at rest.
+
+    `m`: inverse rotation and center (12); `k`: coefficients (10); `box`: bounds (6). All about the center.
+    """
+    # Back to rest: the ray's parameter stays the depth in the camera at the sampled time.
+    ox, oy, oz = _turn(m, lens_x - m[9], lens_y - m[10], -m[11])
+    dx, dy, dz = _turn(m, slope_x, slope_y, 1.0)
+    a = k[0] * dx * dx + k[1] * dy * dy + k[2] * dz * dz + k[3] * dx * dy + k[4] * dy * dz + k[5] * dx * dz
+    cross = k[3] * (ox * dy + oy * dx) + k[4] * (oy * dz + oz * dy) + k[5] * (ox * dz + oz * dx)
+    linear = k[6] * dx + k[7] * dy + k[8] * dz
+    b = k[0] * ox * dx + k[1] * oy * dy + k[2] * oz * dz + 0.5 * (cross + linear)
+    c = k[0] * ox * ox + k[1] * oy * oy + k[2] * oz * oz + k[3] * ox * oy + k[4] * oy * oz + k[5] * ox * oz
+    c += k[6] * ox + k[7] * oy + k[8] * oz + k[9]
+    # a Z^2 + 2 b Z + c = 0. The form with q keeps both roots, and the only one where a = 0. Where there
+    # is none it is no number or infinite: comparisons refuse both.
+    q = -(b + np.copysign(np.sqrt(b * b - a * c), b))
+    first, second = c / q, q / a
+    low, high = (first if first < second else second), (second if first < second else first)
+    good = (low > 0.0) & _inside(box, ox + low * dx, oy + low * dy, oz + low * dz)
+    depth = low if good else high
+    x, y, z = ox + depth * dx, oy + depth * dy, oz + depth * dz
+    good = (depth > 0.0) & (depth < np.inf) & _inside(box, x, y, z)
+    return depth if good else 0.0, x, y, z
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _cast(hits, rays, count, turn, corner, optics, surface, texture):  # type: ignore[no-untyped-def]
+    """Keep the hits of one pixel's rays with one surface where they are nearer than those before.
+
+    `hits` (2 x BLOCK): depth in mm, and index of the texel or -1; `rays` (16 x BLOCK): sample set (4) and
+    poses (12). One loop without branches over flat arrays: the compiler computes eight rays at once.
+    """
+    cosine, sine = turn
+    left, top, shift_x, shift_y = corner
+    pitch_ratio, _, focus_term = optics
+    coefficients, bounds, center = surface
+    # Scalars, so that the compiler need not fear that a store changes them.
+    k0, k1, k2, k3, k4, k5, k6, k7, k8, k9 = coefficients
+    x0, x1, y0, y1, z0, z1 = bounds
+    k, box = (k0, k1, k2, k3, k4, k5, k6, k7, k8, k9), (x0, x1, y0, y1, z0, z1)
+    center_x, center_y, center_z = center
+    base, rows, columns = texture
+    for s in range(count):
+        sub_x, sub_y = rays[s] + shift_x, rays[s + BLOCK] + shift_y
+        sub_x = sub_x - 1.0 if sub_x >= 1.0 else sub_x
+        sub_y = sub_y - 1.0 if sub_y >= 1.0 else sub_y
+        u, v = rays[s + 2 * BLOCK], rays[s + 3 * BLOCK]
+        lens_x, lens_y = cosine * u - sine * v, sine * u + cosine * v
+        slope_x = (left + sub_x) * pitch_ratio - focus_term * lens_x
+        slope_y = (top - sub_y) * pitch_ratio - focus_term * lens_y
+        m = (
+            rays[s + 4 * BLOCK], rays[s + 5 * BLOCK], rays[s + 6 * BLOCK], rays[s + 7 * BLOCK],
+            rays[s + 8 * BLOCK], rays[s + 9 * BLOCK], rays[s + 10 * BLOCK], rays[s + 11 * BLOCK],
+            rays[s + 12 * BLOCK], rays[s + 13 * BLOCK], rays[s + 14 * BLOCK], rays[s + 15 * BLOCK],
+        )  # fmt: skip
+        depth, x, y, z = _meet(lens_x, lens_y, slope_x, slope_y, m, k, box)
+        nearest, texel = hits[s], hits[s + BLOCK]
+        nearer = (depth > 0.0) & (depth < nearest)
+        hits[s] = depth if nearer else nearest
+        # A point behind the lens at rest has no projection: the focused image has no value for it.
+        rest = z + center_z
+        scale = 1.0 / (pitch_ratio * rest)
+        j = _mirror(np.floor((x + center_x) * scale + 0.5 * columns), columns)
+        i = _mirror(np.floor(0.5 * rows - (y + center_y) * scale), rows)
+        found = base + i * columns + j if rest > 0.0 else -1.0
+        hits[s + BLOCK] = found if nearer else texel
+
+
+@njit(cache=True, parallel=True, fastmath={"contract"})
+def _accumulate(  # type: ignore[no-untyped-def]
+    sums, squares, order, first, last, points, poses, coefficients, bounds, centers, textures, optics, seed
+):
+    """Add samples first..last (rows, columns) of every pixel to `sums` and, over all channels, `squares`.
+
+    `points` (4, n): position in the pixel, [0, 1), and on the unit disc; `poses` (objects, 12, n or 1).
+    """
+    rows, columns, channels = sums.shape
+    _, lens_radius, _ = optics
+    flat = textures.reshape(-1, channels)
+    for position in prange(rows):
+        row = order[position]
+        rays = np.empty((len(poses), 16 * BLOCK))
+        hits = np.empty(2 * BLOCK)
+        for block in range(first[row].min(), last[row].max(), BLOCK):
+            stop = min(block + BLOCK, points.shape[1])
+            for n in range(len(poses)):  # loops instead of slices: the compiler takes a quarter of the time
+                for s in range(block, stop):
+                    for k in range(4):
+                        rays[n, s - block + k * BLOCK] = points[k, s]
+                    for k in range(12):
+                        rays[n, s - block + (4 + k) * BLOCK] = poses[n, k, s if poses.shape[2] > 1 else 0]
+            for column in range(columns):
+                begin, end = max(first[row, column], block), min(last[row, column], stop)
+                if begin >= end:
+                    continue
+                state = np.uint64(seed) + np.uint64(3 * (row * columns + column) + 1) * STEP
+                angle = 2 * math.pi * _uniform(state + STEP + STEP)
+                turn = lens_radius * math.cos(angle), lens_radius * math.sin(angle)
+                corner = column - 0.5 * columns, 0.5 * rows - row, _uniform(state), _uniform(state + STEP)
+                for s in range(BLOCK):
+                    hits[s], hits[s + BLOCK] = np.inf, -1.0
+                for n in range(len(poses)):
+                    surface = coefficients[n], bounds[n], centers[n]
+                    texture = float(n * rows * columns), float(rows), float(columns)
+                    _cast(hits, rays[n], end - block, turn, corner, optics, surface, texture)
+                square = 0.0
+                for s in range(begin - block, end - block):
+                    texel = int(hits[s + BLOCK])
+                    if texel >= 0:
+                        for channel in range(channels):
+                            value = flat[texel, channel]
+                            sums[row, column, channel] += value
+                            square += value * value
+                squares[row, column] += square
+
+
+@dataclass(frozen=True)
+class Halves:
+    """Two independent running sums: `sums` (2, rows, columns, channels) and `squares` (2, rows, columns).
+
+    `counts` (rows, columns): samples in each half so far; `points`: their Sobol points, (n, 5) per half."""
+
+    problem: Problem
+    engines: tuple[Any, ...]
+    seeds: tuple[int, ...]
+    points: tuple[Array, ...]
+    sums: Array
+    squares: Array
+    counts: NDArray[np.int64]
+
+
+def start(problem: Problem, seed: int) -> Halves:
+    """Two empty halves with scramblings of their own."""
+    streams = np.random.SeedSequence(seed).spawn(2)
+    size = problem.textures.shape[1:]
+    return Halves(
+        problem,
+        tuple(qmc.Sobol(5, scramble=True, rng=np.random.default_rng(stream)) for stream in streams),
+        tuple(int(stream.generate_state(1, np.uint64)[0] >> 1) for stream in streams),
+        (np.empty((0, 5)), np.empty((0, 5))),
+        np.zeros((2, *size)),
+        np.zeros((2, *size[:2])),
+        np.zeros(size[:2], np.int64),
+    )
+
+
+def extend(halves: Halves, counts: NDArray[np.int64]) -> Halves:
+    """Add samples until every pixel has `counts` (rows, columns) in each half."""
+    problem, more = halves.problem, int(counts.max()) - len(halves.points[0])
+    pairs = zip(halves.engines, halves.points, strict=True)
+    points = tuple(np.concatenate([old, new.random(more)]) if more > 0 else old for new, old in pairs)
+    sums, squares = halves.sums.copy(), halves.squares.copy()
+    moving = np.any(problem.velocities) or np.any(problem.angular_velocities)
+    # Rows in random order, so that threads with a block of rows each have the same work.
+    order = np.random.default_rng(0).permutation(len(counts))
+    for half in range(2):
+        times = problem.start + problem.shutter * (points[half][:, 4] if moving else np.zeros(1))
+        lens = np.ascontiguousarray(np.column_stack([points[half][:, :2], _disc(points[half][:, 2:4])]).T)
+        shape = problem.coefficients, problem.bounds, problem.centers, problem.textures
+        optics = problem.pitch_ratio, problem.lens_radius, problem.focus_term
+        span, poses = (
+            (halves.counts, counts),
+            np.ascontiguousarray(np.moveaxis(_inverse_poses(problem, times), 0, -1)),
+        )
+        _accumulate(sums[half], squares[half], order, *span, lens, poses, *shape, optics, halves.seeds[half])
+    return replace(halves, points=points, sums=sums, squares=squares, counts=counts)
+
+
+def estimate(halves: Halves) -> tuple[Array, float]:
+    """Mean image (rows, columns, channels) and its noise: the RMS of half the difference of the halves."""
+    first, second = halves.sums / halves.counts[:, :, None]
+    return (first + second) / 2, float(np.sqrt(np.mean((first - second) ** 2)) / 2)
+
+
+def sample_shares(halves: Halves) -> Array:
+    """Share of the full number of samples for each pixel, (rows, columns), a power of two, from a pilot.
+
+    Where the error falls as n^-q, a given mean square error takes the fewest samples for n ~ deviation^(1 /
+    (q + 1/2)); q = 0.64 was measured on a textured sphere. The largest deviation of the 3x3 neighborhood
+    counts, so that an edge which the pilot missed in one pixel is found from its neighbors.
+    """
+    count = 2 * halves.counts
+    mean = halves.sums.sum(0) / count[:, :, None]
+    variance = np.maximum(halves.squares.sum(0) / count - np.sum(mean**2, axis=-1), 0.0)
+    padded = np.pad(np.sqrt(variance), 1, mode="edge")
+    largest = np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).max(axis=(2, 3))
+    # Rounding of the sums leaves 1e-8 where nothing varies.
+    varied = largest > 1e-6
+    if not varied.any():
+        return np.zeros(count.shape)
+    relative = np.maximum(largest / np.quantile(largest[varied], 0.95), 1e-9) ** (1 / 1.14)
+    return np.where(varied, np.exp2(np.minimum(np.round(np.log2(relative)), 0.0)), 0.0)
+
+
+def _shaped(image: Array, textures: Textures) -> Array:
+    """Drop the channel axis where no texture has one."""
+    images = [textures] if isinstance(textures, np.ndarray) else textures
+    return image if any(item.ndim == 3 for item in images) else image[:, :, 0]
+
+
+def trace(
+    scene: Any, texture: Textures, rows: int, columns: int, samples: int = 256, seed: int = 0, frame: int = 0
+) -> tuple[Array, float]:
+    """Trace a frame with the same number of samples in every pixel.
+
+    `texture`: linear radiance (rows, columns[, channels]), or a sequence of one per object; `samples`: rays
+    per pixel, at least 2, best a power of two. Returns the linear image (rows, columns[, channels]) and its
+    noise (RMS, same unit). Raises ValueError as `prepare` does. Validated against closed forms
+    (tests/benchmarks/test_raytracer.py) and against Mitsuba 3 (benchmarks/mitsuba_check.py).
+    """
+    if samples < 2:
+        raise ValueError(f"trace: samples must be at least 2, one for each half; got {samples}")
+    halves = start(prepare(scene, texture, rows, columns, frame), seed)
+    image, noise = estimate(extend(halves, np.full((rows, columns), samples // 2)))
+    return _shaped(image, texture), noise
+
+
+def _cache_file(folder: Path, problem: Problem, noise: float, seed: int, most_samples: int) -> Path:
+    digest = hashlib.sha256(f"{CACHE_FORMAT} {noise!r} {seed} {most_samples}".encode())
+    for field in fields(problem):
+        value = np.asarray(getattr(problem, field.name))
+        digest.update(f"{field.name} {value.dtype} {value.shape}".encode() + value.tobytes())
+    return folder / f"traced_{digest.hexdigest()[:32]}.npz"
+
+
+def _write_cache(path: Path, image: Array, noise: float) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
+        np.savez_compressed(file, image=image, noise=noise)
+    Path(file.name).replace(path)
+
+
+def trace_converged(
+    scene: Any,
+    texture: Textures,
+    rows: int,
+    columns: int,
+    noise: float = 2e-4,
+    seed: int = 0,
+    frame: int = 0,
+    most_samples: int = 1 << 17,
+    cache: Path | None = None,
+    tell: Callable[[str], object] = print,
+) -> tuple[Array, float]:
+    """Trace a frame with ever more samples until the RMS noise over it is below `noise`, and tell what it took.
+
+    A pilot with samples of its own, which are then thrown away, fixes each pixel's share of the samples: flat
+    and empty pixels get few. The shares do not depend on the samples that are averaged, so the estimate stays
+    unbiased (Kirk and Arvo 1991). Ends at `most_samples` per pixel at the latest. `cache`: folder of earlier
+    results, keyed by what the scene contains, textures, size, noise and seed. Arguments and result otherwise
+    as `trace`.
+    """
+    problem = prepare(scene, texture, rows, columns, frame)
+    path = None if cache is None else _cache_file(cache, problem, noise, seed, most_samples)
+    if path is not None and path.exists():
+        with np.load(path, allow_pickle=False) as stored:
+            return _shaped(stored["image"], texture), float(stored["noise"])
+    began = time.perf_counter()
+    pilot_seed, final_seed = (int(word) for word in np.random.SeedSequence(seed).generate_state(2))
+    shares = sample_shares(extend(start(problem, pilot_seed), np.full((rows, columns), LEAST_SAMPLES)))
+    halves, full, reached = start(problem, final_seed), LEAST_SAMPLES // 2, math.inf
+    while reached >= noise and 4 * full <= most_samples:
+        full *= 2
+        halves = extend(halves, np.maximum(full * shares, LEAST_SAMPLES).astype(np.int64))
+        image, reached = estimate(halves)
+    mean, seconds = 2 * halves.counts.mean(), time.perf_counter() - began
+    tell(f"traced {rows} x {columns}: {2 * full} samples, mean {mean:.0f}, {reached:.2e} RMS, {seconds:.1f} s")
+    if path is not None:
+        _write_cache(path, image, reached)
+    return _shaped(image, texture), reached
+
+
+def pinhole_depth(scene: Any, rows: int, columns: int, times: Sequence[float]) -> Array:
+    """Depth (mm) at the pixel centers at `times` (s): (times, rows, columns), inf where nothing is."""
+    problem = prepare(scene, np.zeros((rows, columns)), rows, columns)
+    x, y = np.arange(columns) - 0.5 * (columns - 1), 0.5 * (rows - 1) - np.arange(rows)
+    poses, ratio = _inverse_poses(problem, np.asarray(times, float)), problem.pitch_ratio
+    return _pinhole(x * ratio, y * ratio, poses, problem.coefficients, problem.bounds)
+
+
+@njit(cache=True, error_model="numpy")
+def _pinhole(x, y, poses, coefficients, bounds):  # type: ignore[no-untyped-def]
+    """Depth of the nearest hit along (x, y, 1) for x (columns,), y (rows,) and poses (times, objects, 12)."""
+    depth = np.full((len(poses), len(y), len(x)), np.inf)
+    for moment in range(len(poses)):
+        for row in range(len(y)):
+            for column in range(len(x)):
+                for n in range(len(coefficients)):
+                    hit = _meet(0.0, 0.0, x[column], y[row], poses[moment, n], coefficients[n], bounds[n])
+                    if 0.0 < hit[0] < depth[moment, row, column]:
+                        depth[moment, row, column] = hit[0]
+    return depth

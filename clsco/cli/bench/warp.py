@@ -1,0 +1,176 @@
+"""Depth test and filling of the forward warp, against numba's depth test and a copy of what a filling reads and writes.
+
+The scenes are those of the thesis' figures 4.14 and 4.15, where a plane comes nearer and turns by 45 degrees.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.inputs.textures import load_scene_textures
+from clsco.opencl.buffers import download, upload
+from clsco.opencl.device import Device
+from clsco.opencl.session import Session
+from clsco.optics.motion import Pose, poses_at, rest_center, rest_poses
+from clsco.optics.quadrics import place
+from clsco.passes.pack import camera_struct
+from clsco.passes.warp import ForwardWarp
+from clsco.plan.plan import make_plan
+from clsco.records import Real
+from clsco.scene.examples import example
+from clsco.scene.model import Scene
+
+Array = NDArray[Any]
+
+SCENES = {"nearer": "thesis/fig_4_14", "turned": "thesis/fig_4_15"}
+EXAMPLE_SIZE = 512
+ROUNDS = 5
+
+
+@dataclass(frozen=True)
+class WarpRow:
+    """A part of the forward warp beside what it is measured against; process CPU time, medians, ns per pixel.
+
+    stage: "depth test" or "filling"; peer: the fastest of what it is compared with; missing_share: of the pixels;
+    times: peer_ns / cpu_ns.
+    """
+
+    scene: str
+    size: int
+    stage: str
+    cpu_ns: float
+    peer: str
+    peer_ns: float
+    missing_share: float
+    times: float
+
+
+class Stages:
+    """The stages of the forward warp of one scene on the device; real: by default double where that has it."""
+
+    def __init__(self, session: Session, scene: Scene, texture: Array, real: Real | None = None) -> None:
+        plan = make_plan(scene, 1, ())
+        real = real or ("double" if session.device.has_fp64 else "float")
+        self.session, self.scene = session, scene
+        self.poses = poses_at(scene, scene.sequence.shutter, "left")
+        self.surfaces = [place(item, pose) for item, pose in zip(scene.objects, self.poses, strict=True)]
+        at_rest = [place(item, pose) for item, pose in zip(scene.objects, rest_poses(scene), strict=True)]
+        camera = camera_struct(scene.camera, plan.guard_px, real)
+        image = upload(session, np.ascontiguousarray(texture, np.float32))
+        self.warp = ForwardWarp(session, plan, camera, image, at_rest, [None], real)
+        self.shape, self.guard = (plan.height, plan.width), plan.guard_px
+
+    def depth_test(self) -> None:
+        """Find the nearest pixel that comes to each."""
+        self.warp.nearest(self.poses, self.surfaces, [])
+        self.session.queue.finish()
+
+    def gather(self) -> None:
+        """Bring what the nearest ones are, with nothing filled."""
+        self.warp.gather(1.0, [])
+        self.session.queue.finish()
+
+    def fill(self) -> None:
+        """Find missing pixels and fill them; after `gather`."""
+        self.warp.filler.fill(self.warp.placed[1], 1, [])
+        self.session.queue.finish()
+
+    def winners(self) -> Array:
+        """Number of the nearest pixel at rest that comes to each of the frame, (rows, columns); after `depth_test`."""
+        found = download(self.session, self.warp.winner, self.shape, np.int32)
+        inside = slice(self.guard, -self.guard or None)
+        return found[inside, inside]
+
+    def filled(self) -> Array:
+        """Row and column (n, 2) of the filled pixels that are not on the padded grid's outermost rows and columns."""
+        status = download(self.session, self.warp.filler.status, self.shape, np.uint8)
+        return (np.argwhere(status[1:-1, 1:-1] == 1) + 1).astype(np.int32)
+
+
+def scene_at(name: str, size: int) -> tuple[Scene, Array]:
+    """A scene of SCENES at size x size px with the field of view that it has at 512, and its texture."""
+    scene = example(SCENES[name])
+    pitch = scene.camera.pixel_pitch * EXAMPLE_SIZE / size
+    camera = scene.camera.model_copy(update={"resolution": (size, size), "pixel_pitch": pitch})
+    scene, (texture,) = load_scene_textures(scene.model_copy(update={"camera": camera}))
+    return scene, texture.radiance
+
+
+def numba_depth_tests(scene: Scene) -> dict[str, Callable[[], Array]]:
+    """Numba's depth tests of a scene of one object, with one thread and with all."""
+    from clsco.cli.bench import direct, zbuffer
+
+    (item,), (pose,) = scene.objects, poses_at(scene, scene.sequence.shutter, "left")
+    step = scene.camera.pixel_pitch / scene.camera.normalization_distance
+    args = (rest_inverse_depth(scene), _flat(pose), rest_center(item), step)
+    return {
+        "numba, one thread": partial(zbuffer.nearest_serial, *args, 1),
+        "numba, threads": partial(zbuffer.nearest_threads, *args, direct.THREADS),
+    }
+
+
+def rest_inverse_depth(scene: Scene) -> Array:
+    """Inverse depth (rows, columns) in 1/mm of the plane at rest."""
+    from clsco.reference.warp.warp import reproject_rest
+
+    at_rest = [place(item, pose) for item, pose in zip(scene.objects, rest_poses(scene), strict=True)]
+    return np.ascontiguousarray(reproject_rest(scene, at_rest, [None])[0])
+
+
+def run(device: Device, size: int, advance: Callable[[], object]) -> list[WarpRow]:
+    """Measure both stages of all scenes at size x size px. Raises DeviceError, KernelError."""
+    rows = []
+    with Session(device) as session:
+        for name in SCENES:
+            scene, texture = scene_at(name, size)
+            stages, tests = Stages(session, scene, texture), numba_depth_tests(scene)
+            spent = _measured([stages.depth_test, stages.gather, stages.fill, *tests.values()], advance)
+            peers = dict(zip(tests, spent[3:], strict=True))
+            fastest = min(peers, key=lambda key: peers[key])
+            missing = stages.filled()
+            copied = _measured([_copy(missing, stages.shape)], advance)[0]
+            share = len(missing) / size**2
+            found = [("depth test", spent[0], fastest, peers[fastest]), ("filling", spent[2], "copy", copied)]
+            for stage, seconds, peer, other in found:
+                ns = (1e9 * value / size**2 for value in (seconds, other))
+                rows.append(WarpRow(name, size, stage, next(ns), peer, next(ns), share, other / seconds))
+    return rows
+
+
+def steps() -> int:
+    """How often `run` calls `advance`."""
+    return 2 * ROUNDS * len(SCENES)
+
+
+def _measured(calls: list[Callable[[], object]], advance: Callable[[], object]) -> list[float]:
+    """Median process CPU time in s of each call, all called in turn, after a first round that does not count."""
+    spent: list[list[float]] = [[] for _ in calls]
+    for call in calls:
+        call()
+    for _ in range(ROUNDS):
+        for times, call in zip(spent, calls, strict=True):
+            start = time.process_time()
+            call()
+            times.append(time.process_time() - start)
+        advance()
+    return [float(np.median(times)) for times in spent]
+
+
+def _copy(missing: Array, shape: tuple[int, int]) -> Callable[[], object]:
+    """A copy of the neighborhoods of missing pixels in planes of `shape`: radiance, inverse depth and blur radius."""
+    from clsco.cli.bench import zbuffer
+
+    types = (np.float32, np.float64, np.float64)
+    planes = [np.ones(shape, dtype) for dtype in (*types, *types)]
+    return partial(zbuffer.copy_neighborhoods, missing, *planes)
+
+
+def _flat(pose: Pose) -> Array:
+    return np.concatenate([np.ravel(pose.rotation), pose.shift])

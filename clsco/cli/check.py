@@ -1,0 +1,107 @@
+"""The device against the NumPy reference: errors per output, and the time of each."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco import reference
+from clsco.engine.sequence import render
+from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES, Frame
+from clsco.scene.model import Scene
+
+# Output -> unit, and the figure up to which it agrees: float32 of values of their size, and for color what an
+# 8-bit image could never show (1/255 is 400 times more). Masks and numbers agree exactly.
+FIGURES: dict[str, tuple[str, float]] = {
+    "color": ("of white", 1e-5),
+    "sharp": ("of white", 1e-5),
+    "depth": ("relative", 1e-6),
+    "coc": ("px", 1e-4),
+    "normal": ("", 1e-5),
+    "flow": ("px", 1e-4),
+    "mask": ("", 0.0),
+    "filled": ("", 0.0),
+    "object_id": ("", 0.0),
+    "hidden": ("", 0.0),
+    "disparity": ("px", 1e-4),
+    "occluded": ("", 0.0),
+}
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How far an output is from the reference's.
+
+    largest, rms: in `unit`; row, column: of the largest; count: pixels above `figure`; pixels: of the frame.
+    """
+
+    output: str
+    unit: str
+    largest: float
+    rms: float
+    row: int
+    column: int
+    count: int
+    figure: float
+    pixels: int
+
+
+@dataclass(frozen=True)
+class Checked:
+    """One frame, or one view of a stereo pair (`eye`): its differences, and seconds in kernels, of the whole call, and
+    of the reference."""
+
+    index: int
+    eye: str
+    differences: tuple[Difference, ...]
+    device: str
+    precision: str
+    pass_seconds: float
+    seconds: float
+    reference_seconds: float
+
+
+def difference(output: str, got: NDArray[Any], wanted: NDArray[Any]) -> Difference:
+    """Compare two arrays (rows, columns[, channels]); equal infinities agree, and NaN never does."""
+    unit, figure = FIGURES[output]
+    found, exact = np.asarray(got, np.float64), np.asarray(wanted, np.float64)
+    with np.errstate(invalid="ignore"):  # infinity minus infinity
+        error = np.abs(found - exact)
+    if unit == "relative":
+        error = error / np.where(np.isfinite(exact), np.abs(exact), 1.0)
+    error = np.where(found == exact, 0.0, np.where(np.isnan(error), np.inf, error))
+    error = error.reshape(*error.shape[:2], -1).max(axis=2)
+    row, column = np.unravel_index(int(error.argmax()), error.shape)
+    rms = float(np.sqrt(np.mean(error**2)))
+    count = int((error > figure).sum())
+    return Difference(output, unit, float(error.max()), rms, int(row), int(column), count, figure, error.size)
+
+
+def compare(frame: Frame, exact: Frame) -> tuple[Difference, ...]:
+    """Differences of color and of all truth that `frame` has."""
+    return tuple(
+        difference(name, getattr(frame, name), getattr(exact, name))
+        for name in ("color", *TRUTH_NAMES, *STEREO_NAMES)
+        if getattr(frame, name) is not None
+    )
+
+
+def compare_frames(scene: Scene, device: str | None, precision: str | None) -> Iterator[Checked]:
+    """Render each frame, of a stereo pair each view, on the device and with the reference. Raises as `clsco.render`."""
+    frames, exacts = render(scene, device=device, precision=precision), reference.render(scene)
+    for _ in range(scene.sequence.frames * (1 if scene.stereo is None else 2)):
+        start = time.perf_counter()
+        frame = next(frames)
+        middle = time.perf_counter()
+        exact = next(exacts)
+        end = time.perf_counter()
+        told = frame.metadata
+        yield Checked(
+            frame.index, frame.eye, compare(frame, exact), told["device"], told["precision"],
+            sum(told["seconds"].values()), middle - start, end - middle,
+        )  # fmt: skip

@@ -1,0 +1,121 @@
+"""The demonstration: which examples it renders, and the labeled sheet of their images and ground truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from clsco.files.images import write_png
+from clsco.files.transfer import encode
+from clsco.frame.frame import Frame
+from clsco.scene.examples import EXAMPLES
+
+Picture = NDArray[np.uint8]
+DETAILS = ("cylinder_turning", "card", "road", "depth_map", "stereo")
+WIDE, NARROW, GAP, LINE = 300, 196, 12, 24
+BACKGROUND, TEXT, QUIET = (250, 250, 248), (20, 20, 20), (110, 110, 110)
+
+# Anchors of color scales, evenly spaced: dark to bright for depth; blue, white, red around R = 0.
+SEQUENTIAL = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
+DIVERGING = ((20, 70, 160), (120, 170, 220), (247, 247, 247), (230, 145, 110), (165, 20, 40))
+NOTHING, OCCLUDED = (225, 225, 222), (215, 60, 50)
+
+
+def scaled(values: NDArray[Any], low: float, high: float, anchors: Sequence[tuple[int, int, int]]) -> Picture:
+    """Color a map (rows, columns) by a scale from `low` to `high`; returns (rows, columns, 3)."""
+    position = np.clip((values - low) / max(high - low, 1e-9), 0.0, 1.0) * (len(anchors) - 1)
+    table = np.asarray(anchors, np.float64)
+    channels = [np.interp(position, np.arange(len(anchors)), table[:, c]) for c in range(3)]
+    return np.stack(channels, axis=-1).round().astype(np.uint8)
+
+
+def flow_colors(flow: NDArray[np.float32], longest: float) -> Picture:
+    """Color displacements (rows, columns, 2) by direction (hue) and length (saturation); still is white."""
+    turn = np.arctan2(flow[..., 1], flow[..., 0]) / (2 * np.pi)
+    strength = np.clip(np.linalg.norm(flow, axis=-1) / max(longest, 1e-9), 0.0, 1.0)
+    hue = np.stack([np.abs((turn + shift) % 1.0 * 6 - 3) - 1 for shift in (0.0, 2 / 3, 1 / 3)], axis=-1)
+    shade = 1.0 - strength[..., None] * (1.0 - np.clip(hue, 0.0, 1.0))
+    return (255 * shade).round().astype(np.uint8)
+
+
+def views(frames: Sequence[Frame]) -> dict[str, Picture]:
+    """Pictures (rows, columns, 3) of a frame, or of a stereo pair, by a label that says the range of each.
+
+    frames: one, or the left and the right view; with all truth.
+    """
+    frame = frames[0]
+    assert frame.depth is not None
+    assert frame.coc is not None
+    assert frame.mask is not None
+    assert frame.normal is not None
+    assert frame.flow is not None
+    assert frame.sharp is not None
+    seen = frame.mask
+    near, far = float(frame.depth[seen].min()), float(frame.depth[seen].max())
+    least, most = (round(float(limit), 1) + 0.0 for limit in (frame.coc[seen].min(), frame.coc[seen].max()))
+    bound = max(abs(least), abs(most), 1e-6)
+    longest = float(np.linalg.norm(frame.flow[seen], axis=-1).max())
+    depth = scaled(np.where(seen, frame.depth, far), near, far, SEQUENTIAL)
+    maps = {f"depth, {near:.0f} to {far:.0f} mm": depth}
+    if frame.disparity is not None and frame.occluded is not None:
+        low, high = (float(limit) for limit in (frame.disparity[seen].min(), frame.disparity[seen].max()))
+        label = f"disparity, {low:.1f} to {high:.1f} px"
+        covered = np.where(frame.occluded[..., None], OCCLUDED, photograph(frame.sharp))
+        maps |= {label: scaled(frame.disparity, low, high, SEQUENTIAL), "red: not in the right view": covered}
+    else:
+        maps[f"blur radius R, {least:.1f} to {most:.1f} px"] = scaled(frame.coc, -bound, bound, DIVERGING)
+        maps["normal"] = (127.5 * (1 + frame.normal * np.array([1, 1, -1]))).round().astype(np.uint8)
+    if longest > 0:
+        maps[f"flow, up to {longest:.0f} px"] = flow_colors(frame.flow, longest)
+    on_gray = {label: np.where(seen[..., None], m, NOTHING).astype(np.uint8) for label, m in maps.items()}
+    photographs = {"color": photograph(frame.color)}
+    if len(frames) > 1:
+        photographs = {"left": photographs["color"], "right": photograph(frames[1].color)}
+    return {**photographs, "sharp": photograph(frame.sharp), **on_gray}
+
+
+def photograph(light: NDArray[np.float32]) -> Picture:
+    """Linear light, gray or color, as 8-bit sRGB with three channels."""
+    codes = encode(light, 8, "srgb").astype(np.uint8)
+    return codes if codes.ndim == 3 else np.repeat(codes[..., None], 3, axis=2)
+
+
+def contact_sheet(frames: Mapping[str, Sequence[Frame]]) -> Picture:
+    """Draw a frame of every example, and below all views of some; returns (rows, columns, 3).
+
+    frames: one, or a stereo pair, by the names in EXAMPLES, with all truth.
+    """
+    across = 4
+    width = GAP + across * (WIDE + GAP)
+    photographs = -(-len(frames) // across) * (WIDE + LINE + GAP)
+    height = GAP + photographs + len(DETAILS) * (NARROW + LINE + GAP) + LINE
+    sheet = Image.new("RGB", (width, height), BACKGROUND)
+    draw = ImageDraw.Draw(sheet)
+    font = ImageFont.load_default(14)
+
+    def put(picture: Picture, label: str, side: int, x: int, y: int, ink: tuple[int, int, int]) -> None:
+        small = Image.fromarray(picture).resize((side, side), Image.Resampling.LANCZOS)
+        sheet.paste(small, (x, y))
+        draw.text((x, y + side + 3), label, fill=ink, font=font)
+
+    for number, (name, shown) in enumerate(frames.items()):
+        row, column = divmod(number, across)
+        x, y = GAP + column * (WIDE + GAP), GAP + row * (WIDE + LINE + GAP)
+        put(photograph(shown[0].color), EXAMPLES[name], WIDE, x, y, TEXT)
+    y = GAP + photographs
+    draw.text((GAP, y - 2), "The truth that comes with a frame, at the middle of the shutter", fill=TEXT, font=font)
+    for row, name in enumerate(DETAILS):
+        for column, (label, picture) in enumerate(views(frames[name]).items()):
+            x, top = GAP + column * (NARROW + GAP), y + LINE + row * (NARROW + LINE + GAP)
+            put(picture, label, NARROW, x, top, QUIET)
+    return np.asarray(sheet)
+
+
+def write_contact_sheet(path: Path, frames: Mapping[str, Sequence[Frame]]) -> None:
+    """Write `contact_sheet` as a PNG. Raises ImageError where it cannot be written."""
+    write_png(path, contact_sheet(frames))

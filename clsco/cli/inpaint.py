@@ -1,0 +1,88 @@
+"""What `clsco inpaint` does: an image and its mask from files, and the filled image to one."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.errors import ImageError
+from clsco.files.atomic import refuse, same_place, writable_folder
+from clsco.files.images import codec, image_size, read_image, write_exr, write_png, write_tiff
+
+SUFFIXES = (".png", ".tif", ".tiff", ".exr")
+
+
+def read_pair(image: Path, mask: Path, threshold: float | None = None) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """Read an image (rows, columns[, 3]) as stored, and which of its pixels are missing (rows, columns).
+
+    Missing is where the mask is white: 255, 65535, or 1.0 in floats; where it is 0 all is known. threshold: what is
+    missing from there on, in the mask's values; then any others may occur as well. What missing pixels of a float image
+    hold may also be no number. Raises ImageError where the files cannot be read or differ in size, where the mask has
+    colors or other values, where it leaves nothing known, and for a threshold that is no number.
+    """
+    if threshold is not None and not math.isfinite(threshold):
+        raise ImageError(f"--threshold: must be a finite number; got {threshold}")
+    size, wanted = image_size(mask), image_size(image)
+    if size != wanted:
+        sizes = [f"{columns} x {rows}" for columns, rows in (wanted, size)]
+        refuse(mask, f"the size must be that of {image}, {sizes[0]} pixels", sizes[1])
+    missing = _missing(mask, threshold)
+    if missing.all():
+        refuse(mask, "some pixel must be known, and be 0", "only missing ones")
+    return read_image(image, missing).data, missing
+
+
+def _missing(mask: Path, threshold: float | None) -> NDArray[np.bool_]:
+    picture = read_image(mask)
+    values = picture.data
+    if values.ndim == 3:
+        if (values != values[..., :1]).any():
+            refuse(mask, "a mask must be gray", "colors")
+        values = values[..., 0]
+    if threshold is not None:
+        return values >= threshold
+    white = 1 if picture.is_float else np.iinfo(values.dtype).max
+    other = (values != 0) & (values != white)
+    if other.any():
+        row, column = np.unravel_index(int(other.argmax()), other.shape)
+        got = f"{values[row, column]} at row {row}, column {column} ({int(other.sum())} others in all)"
+        refuse(mask, f"values must be 0 (known) or {white} (missing), or give --threshold", got)
+    return values == white
+
+
+def prepare_out(out: Path, image: Path, mask: Path, is_float: bool | None = None) -> None:
+    """Prove that OUT can hold the image, and that its folder can be written; raises ImageError where not.
+
+    is_float: whether the image has floats and no codes, once that is known.
+    """
+    suffix = out.suffix.lower()
+    if suffix not in SUFFIXES or out.is_dir():
+        refuse(out, f"must be a file that ends in one of {' '.join(SUFFIXES)}", repr(out.suffix))
+    for path in (image, mask):
+        if same_place(out, path):
+            raise ImageError(f"{out}: must not be the image or the mask that it is made of; got {path}")
+    if is_float and suffix == ".png":
+        refuse(out, "a PNG holds codes; for floats it must end in .tif, .tiff or .exr", f"the floats of {image}")
+    if is_float is False and suffix == ".exr":
+        refuse(out, "an EXR holds floats; for codes it must end in .png, .tif or .tiff", f"the codes of {image}")
+    if suffix == ".exr":
+        codec(out, "OpenEXR", "exr")
+    elif suffix != ".png":
+        codec(out, "tifffile", "formats")
+    writable_folder(out.parent)
+
+
+def write_filled(out: Path, image: NDArray[Any]) -> None:
+    """Write an image (rows, columns[, 3]) as it is, by the file's extension; raises ImageError where that fails."""
+    suffix = out.suffix.lower()
+    if suffix == ".exr":
+        gray = image.ndim == 2  # in three channels, so that every reader shows it
+        write_exr(out, {name: image if gray else image[..., n] for n, name in enumerate("RGB")})
+    elif suffix == ".png":
+        write_png(out, image)
+    else:
+        write_tiff(out, image)

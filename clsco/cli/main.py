@@ -1,0 +1,500 @@
+"""The command `clsco`: words to calls, results to tables, errors to one line each and an exit status.
+
+Exit status: 0 done; 1 a user's error, told on stderr; 2 wrong usage; 3 no usable device; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from clsco import __version__
+from clsco.errors import ClscoError, DeviceError, ImageError, SceneError
+from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES
+
+if TYPE_CHECKING:
+    from clsco.engine.batch import Span
+    from clsco.frame.frame import Frame
+    from clsco.plan.plan import Plan
+    from clsco.scene.sweep import Sweep
+
+USER_ERROR, NO_DEVICE, INTERRUPTED = 1, 3, 130
+
+
+class Commands(click.Group):
+    """A group whose commands end with one line per error and the exit status that belongs to it."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command; what the user can mend, and Ctrl-C, ends without a traceback."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            click.echo("interrupted", err=True)
+            ctx.exit(INTERRUPTED)
+        except MemoryError:
+            click.echo("error: memory: must hold the arrays of the scene; got too little of it", err=True)
+            ctx.exit(USER_ERROR)
+        except BrokenPipeError:
+            raise  # who reads the output has had enough, which click takes for an end
+        except OSError as error:
+            click.echo(f"error: {error.filename or 'output'}: must be writable; got {error.strerror}", err=True)
+            ctx.exit(USER_ERROR)
+        except ClscoError as error:
+            for message in error.messages if isinstance(error, SceneError) else (str(error),):
+                click.echo(f"error: {message}", err=True)
+            ctx.exit(NO_DEVICE if isinstance(error, DeviceError) else USER_ERROR)
+
+
+def _truth_files(text: str) -> tuple[str, ...]:
+    names = tuple(dict.fromkeys(text.split(","))) if text else ()
+    if not set(names) <= {"npz", "exr"}:
+        raise click.BadParameter(f"must be npz, exr or npz,exr; got {text}")
+    return names
+
+
+def _span(text: str) -> Span:
+    match = re.fullmatch(r"(\d{0,9}):(\d{0,9})", text, re.ASCII)
+    if match is None:
+        raise click.BadParameter(f"must be A:B, frames A to B - 1 counted from 0; got {text}")
+    first, end = (int(number) if number else None for number in match.groups())
+    return first, end
+
+
+def _size(text: str) -> int:
+    from clsco.plan.memory import parse_size
+
+    try:
+        return parse_size(text)
+    except SceneError as error:
+        raise click.BadParameter(str(error).removeprefix("memory: ")) from None
+
+
+PATH = click.Path(path_type=Path)
+one_scene = click.argument("scene", type=PATH)
+scenes_wanted = click.argument("scenes", metavar="SCENE...", nargs=-1, required=True, type=PATH)
+set_option = click.option(
+    "--set", "overrides", metavar="KEY=VALUE", multiple=True,
+    help="Set a key of the scene, such as camera.f_number=4 or object.0.radius=30; may be given again.",
+)  # fmt: skip
+truth_option = click.option(
+    "--truth", "files", metavar="npz,exr", type=_truth_files, default="",
+    help="Also compute the ground truth, and write it in one or both of these formats.",
+)  # fmt: skip
+device_option = click.option(
+    "--device", metavar="NAME", help="Part of the name of an OpenCL device or platform, or gpu or cpu."
+)
+precision_option = click.option(
+    "--precision", type=click.Choice(["single", "double"]),
+    help="Of the geometry. Default: double where the device has it.",
+)  # fmt: skip
+memory_option = click.option(
+    "--memory", metavar="SIZE", type=_size,
+    help="Most that buffers on the device may take, like 1.5GiB or 800MB; frames that need more are made in strips. "
+    "Default: half of what is free.",
+)  # fmt: skip
+method_option = click.option(
+    "--method", metavar="NAME", default="auto",
+    help="Of the blur: auto (default), which is exact, or an approximation: coarse2 (the fastest) to coarse16.",
+)  # fmt: skip
+tolerance_option = click.option(
+    "--tolerance", metavar="E", type=click.FloatRange(min=0.0, min_open=True),
+    help="Take the fastest method whose RMS error is at most E of white, measured at some of the pixels.",
+)  # fmt: skip
+quiet_option = click.option("--quiet", is_flag=True, help="Show no progress.")
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="clsco")
+def main() -> None:
+    """Images of moving objects out of focus, with their ground truth."""
+
+
+@main.command()
+@scenes_wanted
+@click.option("-o", "out", metavar="DIR", required=True, type=PATH, help="Folder for the frames.")
+@truth_option
+@click.option("--frames", "span", metavar="A:B", type=_span, default=":", help="Frames A to B - 1, counted from 0.")
+@set_option
+@device_option
+@precision_option
+@memory_option
+@method_option
+@tolerance_option
+@click.option("--resume", is_flag=True, help="Leave out frames that are in DIR already, whole and of this scene.")
+@quiet_option
+def render(
+    scenes: tuple[Path, ...], out: Path, files: tuple[str, ...], span: Span, overrides: tuple[str, ...],
+    device: str | None, precision: str | None, memory: int | None, method: str, tolerance: float | None, resume: bool,
+    quiet: bool,
+) -> None:  # fmt: skip
+    """Render the frames of scenes to files.
+
+    A frame is frame_0000.png, and frame_0000.json with everything that made it. Of several scenes, each has a
+    folder of its name in DIR. Where keys of a scene have several values, each has a folder like f_number_4 there.
+    """
+    from clsco.scene.sweep import load_sweeps
+
+    how = (files, span, device, precision, _blur(method, tolerance), memory, resume, quiet)
+    _render_to_folders(load_sweeps(scenes, overrides), out, *how)
+
+
+@main.command()
+@click.option("-o", "out", metavar="DIR", type=PATH, default=Path("demo"), show_default=True, help="Folder.")
+@device_option
+@quiet_option
+def demo(out: Path, device: str | None, quiet: bool) -> None:
+    """Render some of the example scenes, and a sheet that shows them and their ground truth."""
+    _require_device(device)
+    from clsco.cli.demo import write_contact_sheet
+    from clsco.cli.tables import progress
+    from clsco.engine import batch
+    from clsco.plan.prepare import planned
+    from clsco.scene.examples import EXAMPLES, example
+
+    scenes = {name: planned(example(name), ()).scene for name in EXAMPLES}
+    jobs = {
+        name: batch.prepare(scene, out / name, range(scene.sequence.frames), ("npz",), None, False)
+        for name, scene in scenes.items()
+    }
+    shown = {}
+    with progress(sum(len(job.frames) for job in jobs.values()), quiet) as advance:
+        for job, frames in batch.run(list(jobs.values()), device, None):
+            shown[job.folder.name] = frames  # the last one of a sequence
+            advance()
+    write_contact_sheet(out / "contact_sheet.png", shown)
+    place = click.format_filename(out)
+    click.echo(f"{place}/contact_sheet.png: all scenes, and the ground truth of some")
+    click.echo(f"{place}/NAME/frame_0000.png, .npz, .json: image, truth and parameters; NAME is one of")
+    click.echo(f"  {', '.join(jobs)}")
+
+
+@main.command()
+@one_scene
+@set_option
+@truth_option
+@memory_option
+@click.option("--gpu", is_flag=True, help="On a graphics card instead of a processor.")
+def plan(scene: Path, overrides: tuple[str, ...], files: tuple[str, ...], memory: int | None, gpu: bool) -> None:
+    """Tell what rendering a scene takes; runs nothing, and needs no OpenCL."""
+    first = _first(scene, overrides, files, memory=memory, gpu=gpu)
+    from clsco.cli.tables import plan_tables, print_tables
+    from clsco.plan.prepare import planned
+
+    right = [] if first.scene.stereo is None else [planned(first.scene, first.truth, "right", memory, gpu)]
+    print_tables(*plan_tables([first, *right]))
+
+
+@main.command()
+@one_scene
+@set_option
+@device_option
+@precision_option
+def check(scene: Path, overrides: tuple[str, ...], device: str | None, precision: str | None) -> None:
+    """Compare the device with the NumPy reference, output by output.
+
+    Fails where color differs by more than 1e-5 of white, in either precision.
+    """
+    planned = _first(scene, overrides)
+    _require_device(device)
+    from clsco.cli.check import compare_frames
+    from clsco.cli.tables import check_tables, print_tables
+
+    for checked in compare_frames(planned.scene, device, precision):
+        print_tables(*check_tables(checked))
+        color = checked.differences[0]
+        if color.count:
+            view = f" ({checked.eye})" if checked.eye else ""
+            got = f"{color.largest:.2g} in frame {checked.index}{view} ({color.count} pixels above)"
+            raise ClscoError(f"{scene}: color must agree within {color.figure:g} of white; got {got}")
+
+
+@main.command()
+@device_option
+@click.option("--self-test", "tested", is_flag=True, help="Run small kernels on each device.")
+def devices(device: str | None, tested: bool) -> None:
+    """List OpenCL devices, what each can do, and which one is used and why."""
+    _require_opencl()
+    from clsco.cli.tables import device_tables, print_tables
+    from clsco.opencl.device import list_devices
+    from clsco.opencl.self_test import self_test
+
+    found, choice = list_devices(device)
+    checks = {item: self_test(item) for item in found} if tested else {}
+    if found:
+        print_tables(*device_tables(found, choice.device, checks))
+    if choice.device is None:
+        raise DeviceError(choice.reason)
+    click.echo(f"used: {choice.device} ({choice.reason})")
+    failed = [f"{item}: {check.name}" for item, results in checks.items() for check in results if not check.passed]
+    if failed:
+        raise ClscoError(f"self-test: every check must pass; got failures in {', '.join(failed)}")
+
+
+@main.command()
+def schema() -> None:
+    """Print the JSON Schema of a scene file."""
+    from clsco.scene.file import scene_schema
+
+    click.echo(json.dumps(scene_schema(), indent=2))
+
+
+@main.command()
+@scenes_wanted
+def validate(scenes: tuple[Path, ...]) -> None:
+    """Check scene files and their textures without rendering; tells all faults of all files."""
+    from clsco.plan.prepare import planned_files
+    from clsco.scene.sweep import load_sweeps
+
+    for path, labels, _ in planned_files(load_sweeps(scenes)):
+        count = f", {len(labels)} scenes" if labels != ("",) else ""
+        click.echo(f"{click.format_filename(path)}: valid{count}")
+
+
+@main.command()
+@click.option("-o", "out", metavar="DIR", required=True, type=PATH, help="Folder for the figures and plots.")
+@click.option("--quick", is_flag=True, help="A small grid: a minute or two on a slow machine.")
+@click.option("--compare", is_flag=True, help="Also measure numba, OpenCV and Mitsuba, as far as they are installed.")
+@click.option("--size", "sizes", metavar="PX", type=int, multiple=True, help="Pixels a side; may be given again.")
+@click.option("--radius", "radii", metavar="PX", type=float, multiple=True, help="Largest radius; may be given again.")
+@click.option("--minutes", metavar="M", type=float, help="Begin no case later, and leave out what is left.")
+@click.option("--stability", is_flag=True, help="Measure errors of hard cases of numerics instead.")
+@device_option
+@quiet_option
+def bench(
+    out: Path, quick: bool, compare: bool, sizes: tuple[int, ...], radii: tuple[float, ...], minutes: float | None,
+    stability: bool, device: str | None, quiet: bool,
+) -> None:  # fmt: skip
+    """Measure speed against error of the defocus pass: bench.json, bench.csv and plots in DIR.
+
+    Time is process CPU time, on a graphics card that of its kernels; from radii on the device to the frame on the host.
+    Errors are those of a crop, against the NumPy reference. Cases with long calls are left out, and named in the JSON.
+    Whole frames of a sphere are compared with a ray-traced lens, and --compare adds Mitsuba's, and the forward warp
+    beside numba's; not where only some sizes or radii are asked for.
+    With --stability errors against an oracle of 106 bits: stability.json, CSV files and a plot.
+    """
+    from clsco.cli.bench.command import make_task
+    from clsco.files.atomic import writable_folder
+
+    task = make_task(stability, quick, compare, sizes, radii, minutes)
+    _require_device(device)
+    from clsco.cli.tables import print_tables, progress
+    from clsco.opencl.device import choose
+
+    for notice in task.notices():
+        click.echo(notice, err=True)
+    folder, chosen = writable_folder(out), choose(device)
+    with progress(task.steps(chosen), quiet, "calls") as advance:
+        tables, short = task.run(chosen, folder, advance)
+    print_tables(*tables)
+    if short:
+        raise ClscoError(short)
+
+
+def _ratio(text: str) -> float:
+    above, line, below = text.partition("/")
+    try:
+        return float(above) / float(below) if line else float(text)
+    except (ValueError, ZeroDivisionError):
+        raise click.BadParameter(f"must be a number, like 0.001, or a ratio, like 1/256; got {text}") from None
+
+
+def _number(name: str, text: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    return click.option(name, metavar="NUMBER", type=float, help=text)
+
+
+@main.command()
+@click.argument("image", type=PATH)
+@click.argument("depth", type=PATH)
+@click.option(
+    "-o", "out", metavar="OUT", required=True, type=PATH,
+    help="Folder for the frame, or a file .png, .tif or .exr for its image alone.",
+)  # fmt: skip
+@click.option("--unit", metavar="UNIT", help="Of DEPTH: mm (default), m, inverse_mm, inverse_m, disparity or coc.")
+@click.option("--scale", metavar="NUMBER", type=_ratio, help="What 1 in DEPTH is worth, such as 0.001 or 1/256.")
+@_number("--baseline", "Distance between the views of a disparity, mm.")
+@_number("--offset", "Added to a disparity, px, such as doffs of Middlebury's calibrations.")
+@_number("--focal-length", "f, mm.")
+@_number("--f-number", "f / D.")
+@_number("--aperture-diameter", "D, mm; instead of the f-number.")
+@_number("--focus-distance", "Distance in focus, mm.")
+@_number("--sensor-distance", "Distance from lens to detector, mm; instead of the distance in focus.")
+@_number("--pixel-pitch", "Distance between pixels on the detector, mm.")
+@click.option("--model", metavar="MODEL", help="Of the blur: pillbox (default) or gaussian.")
+@click.option("--edge", metavar="EDGE", help="Of the blur: integrated (default), area or sampled.")
+@click.option("--occlusion", metavar="METHOD", help="How near hides far: layered (default) or none.")
+@truth_option
+@set_option
+@device_option
+@precision_option
+@memory_option
+@method_option
+@tolerance_option
+@quiet_option
+def defocus(
+    image: Path, depth: Path, out: Path, files: tuple[str, ...], overrides: tuple[str, ...], device: str | None,
+    precision: str | None, memory: int | None, method: str, tolerance: float | None, quiet: bool,
+    **options: str | float | None,
+) -> None:  # fmt: skip
+    """Defocus IMAGE by its depth map DEPTH, a file of the same size.
+
+    DEPTH is a PNG, TIFF, EXR, PFM, NPY or NPZ. All else is as in a scene with this one object, whose other keys
+    --set reaches. Where --set gives a key of the camera several values, each has a folder in OUT.
+    """
+    from clsco.cli.defocus import depth_report, is_image_file, prepare_image, scenes_from_files, write_image
+    from clsco.plan.prepare import planned_files
+
+    alone, blur = is_image_file(out), _blur(method, tolerance)
+    if alone and files:
+        raise click.UsageError(f"--truth: OUT must be a folder; got {click.format_filename(out)}")
+    sweep = scenes_from_files(image, depth, options, overrides)
+    for line in depth_report(sweep.scenes[0]):
+        click.echo(line, err=True)
+    if not alone:
+        _render_to_folders([(image, sweep)], out, files, (None, None), device, precision, blur, memory, False, quiet)
+        return
+    scenes = [plan.scene for _, _, plans in planned_files([(image, sweep)], (), memory, **blur) for plan in plans]
+    prepare_image(scenes, out)
+    _require_device(device)
+    from clsco.cli.tables import progress
+    from clsco.engine.sequence import render as render_frames
+
+    with progress(1, quiet) as advance:
+        for frame in render_frames(scenes[0], truth=(), device=device, precision=precision, memory=memory, **blur):
+            write_image(out, frame, frame.metadata["bits"], scenes[0].image.transfer)
+            _tell_approximation(out, frame)
+            advance()
+
+
+@main.command()
+@click.argument("image", type=PATH)
+@click.argument("mask", type=PATH)
+@click.option(
+    "-o", "out", metavar="OUT", required=True, type=PATH, help="File for the filled image: .png, .tif or .exr."
+)
+@click.option(
+    "--report", "folder", metavar="DIR", type=PATH, help="Folder for figures, plots and images of the stages."
+)
+@click.option(
+    "--method", metavar="METHOD", default="auto", show_default=True,
+    help="mean-median, biharmonic, texture, or auto for the better of the last two.",
+)  # fmt: skip
+@_number("--threshold", "Values of MASK from this one on are missing; without it they must be 0 and white.")
+@click.option("--estimator", metavar="NAME", help="Of mean-median: scored (default), mean or median.")
+@click.option("--minimum", metavar="NUMBER", type=int, help="Of mean-median: known neighbors that a pixel needs, 4.")
+@click.option("--smoothing-rounds", metavar="NUMBER", type=int, help="Of mean-median: 20; 0 turns smoothing off.")
+@_number("--border-share", "Of mean-median: of the border, the share that is blended, 0.4; 0 turns it off.")
+@device_option
+@quiet_option
+def inpaint(
+    image: Path, mask: Path, out: Path, folder: Path | None, method: str, threshold: float | None, device: str | None,
+    quiet: bool, **constants: str | float | None,
+) -> None:  # fmt: skip
+    """Fill the missing pixels of IMAGE: those that are white (255) in MASK, a file of the same size.
+
+    8 and 16 bits, gray and color, and floats, of which missing ones may be no numbers. OUT has the type of IMAGE.
+    """
+    from clsco.cli.inpaint import prepare_out, read_pair, write_filled
+
+    prepare_out(out, image, mask)
+    pixels, missing = read_pair(image, mask, threshold)
+    prepare_out(out, image, mask, pixels.dtype.kind == "f")
+    _require_device(device)
+    from clsco import inpaint as fill
+    from clsco.cli.tables import inpaint_tables, print_tables, shares
+    from clsco.files.atomic import writable_folder
+    from clsco.inpainting.report import require_matplotlib, write_report
+
+    if folder is not None:
+        require_matplotlib()
+        writable_folder(folder)
+    given = {name: value for name, value in constants.items() if value is not None}
+    with shares(quiet) as progress:
+        filled, report = fill(pixels, missing, method=method, device=device, progress=progress, **given)
+    write_filled(out, filled)
+    if folder is not None:
+        write_report(folder, report, pixels, missing, filled)
+    print_tables(*inpaint_tables(report))
+    if not report.missing_pixels:
+        click.echo(f"no pixel is missing: {click.format_filename(out)} is a copy of {click.format_filename(image)}")
+
+
+def _truth(files: tuple[str, ...]) -> tuple[str, ...]:
+    """The outputs that files of ground truth hold: all, or none without such files."""
+    return (*TRUTH_NAMES, *STEREO_NAMES) if files else ()
+
+
+def _blur(method: str, tolerance: float | None) -> dict[str, Any]:
+    """What is asked of the blur."""
+    from clsco.plan.approximation import METHODS
+
+    if method not in ("auto", *METHODS):
+        raise click.UsageError(f"--method: must be one of auto, {', '.join(METHODS)}; got {method}")
+    if tolerance is not None and method != "auto":
+        raise click.UsageError(f"--tolerance: chooses the method, which must then be auto; got --method {method}")
+    return {"method": method, "tolerance": tolerance}
+
+
+def _tell_approximation(where: Path, frame: Frame) -> None:
+    """On stderr, of a frame whose blur was or could have been approximated."""
+    from clsco.plan.approximation import Told
+
+    if told := frame.metadata["approximation"]:
+        view = f" ({frame.eye})" if frame.eye else ""
+        click.echo(f"{click.format_filename(where)}: frame {frame.index}{view}: {Told(**told).line()}", err=True)
+
+
+def _render_to_folders(
+    loaded: Sequence[tuple[Path, Sweep | SceneError]], out: Path, files: tuple[str, ...], span: Span,
+    device: str | None, precision: str | None, blur: dict[str, Any], memory: int | None, resume: bool, quiet: bool,
+) -> None:  # fmt: skip
+    """Plan scenes, and render those of each file into its folder."""
+    if "exr" in files and find_spec("OpenEXR") is None:
+        raise ImageError("--truth exr: needs OpenEXR: pip install 'clsco[exr]'; got no such module")
+    from clsco.cli.tables import progress
+    from clsco.plan.prepare import planned_files
+
+    planned = planned_files(loaded, _truth(files), memory, **blur)
+    _require_device(device)
+    from clsco.engine import batch
+
+    jobs = batch.prepare_all(planned, out, files, span, precision, resume, **blur)
+    with progress(sum(len(job.frames) for job in jobs), quiet) as advance:
+        for job, frames in batch.run(jobs, device, precision, memory):
+            for frame in frames:
+                _tell_approximation(job.folder, frame)
+            advance()
+
+
+def _first(path: Path, overrides: tuple[str, ...], files: tuple[str, ...] = (), **options: Any) -> Plan:
+    """The plan of a file's only scene; of several the first one, which is told."""
+    from clsco.plan.prepare import planned_files
+    from clsco.scene.sweep import load_sweeps
+
+    ((path, sweep),) = load_sweeps([path], overrides)
+    if isinstance(sweep, SceneError):
+        raise sweep
+    alone = replace(sweep, labels=sweep.labels[:1], scenes=sweep.scenes[:1])
+    ((_, (label,), (planned,)),) = planned_files([(path, alone)], _truth(files), **options)
+    if label:
+        click.echo(f"the first of {len(sweep.labels)} scenes, {label}:")
+    return planned
+
+
+def _require_opencl() -> None:
+    if find_spec("pyopencl") is None:
+        raise DeviceError("device: needs pyopencl: pip install 'clsco[pocl]'; got no such module")
+
+
+def _require_device(name: str | None) -> None:
+    """Fail before anything is written where there is no device, or none of this name."""
+    _require_opencl()
+    from clsco.opencl.device import choose
+
+    choose(name)

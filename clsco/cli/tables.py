@@ -1,0 +1,209 @@
+"""Plans, comparisons and devices as tables for the terminal, and how far work has come."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from rich.box import SIMPLE
+from rich.console import Console, RenderableType
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+from rich.text import Text
+
+from clsco.plan.memory import device_bytes
+from clsco.plan.plan import Plan
+from clsco.plan.unused_keys import unused_keys
+
+if TYPE_CHECKING:
+    from clsco.cli.check import Checked
+    from clsco.inpainting.report import Report
+    from clsco.opencl.device import Device
+    from clsco.opencl.self_test import Check
+
+
+def _table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], right: Sequence[str] = ()) -> Table:
+    """A table of plain text; columns named in `right` hold numbers."""
+    table = Table(title=Text(title), title_justify="left", box=SIMPLE, pad_edge=False)
+    for name in columns:
+        table.add_column(Text(name), justify="right" if name in right else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*(Text(cell) for cell in row))
+    return table
+
+
+def plan_tables(plans: Sequence[Plan]) -> list[RenderableType]:
+    """What a plan does, leaves out, and costs, and which keys of the scene it has no use for.
+
+    plans: one, or those of the left and the right view of a stereo pair.
+    """
+    plan = plans[0]
+    scene = plan.scene
+    samples = f"{plan.samples} per frame" + (", from the motion" if scene.sequence.samples == "auto" else "")
+    kind = "gray" if plan.channels == 1 else "color"
+    figures = [("frames", f"{scene.sequence.frames}, {plan.columns} x {plan.rows} px, {kind}")]
+    if scene.stereo is not None:
+        turned = f", each turned inwards by {scene.stereo.toe_in:g} deg" if scene.stereo.toe_in else ""
+        figures.append(("views", f"left and right, {scene.stereo.baseline:g} mm apart{turned}"))
+    figures.append(("intermediate frames", samples))
+    figures += _of_views([_figures(each) for each in plans])
+    tables: list[RenderableType] = [
+        _table(f"Plan: {scene.title or scene.objects[0].name}", ("what", "how much"), figures),
+        _table("Passes that are run", ("pass", "how"), _of_views([each.passes for each in plans])),
+        _table("Left out", ("pass", "why"), _of_views([each.left_out for each in plans])),
+    ]
+    if unused := unused_keys(plan):
+        tables.append(_table("Keys that this scene has no use for", ("key", "why"), unused))
+    return tables
+
+
+def _figures(plan: Plan) -> list[tuple[str, str]]:
+    memory = f"{device_bytes(plan, os.cpu_count() or 1) / 2**20:.1f} MiB"
+    return [
+        ("blur radius |R|", f"{plan.smallest_blur:.2f} to {plan.largest_blur:.2f} px, predicted with a margin"),
+        ("guard band", f"{plan.guard_px} px on every side"),
+        ("blur method", plan.blur),
+        ("memory on the device", memory + (" for each view" if plan.scene.stereo else "")),
+        ("strips", _strips(plan)),
+        ("predicted work", f"{plan.taps:.3g} weights per frame"),
+    ]
+
+
+def _strips(plan: Plan) -> str:
+    count = len(plan.strips)
+    if count == 1:
+        return "1, the whole frame"
+    beside = max(max(strip.above, strip.below) for strip in plan.strips)
+    return f"{count} of up to {plan.strips[0].rows} rows, with up to {beside} more on either side"
+
+
+def _of_views(rows: Sequence[Sequence[tuple[str, str]]]) -> list[tuple[str, str]]:
+    """Rows of all views in the order of the first one: once where they agree, else with the name of the view."""
+    if len(rows) == 1:
+        return list(rows[0])
+    views = [dict(one) for one in rows]
+    found = []
+    for name in dict.fromkeys(name for one in rows for name, _ in one):
+        texts = [view.get(name) for view in views]
+        alike = len(set(texts)) == 1
+        for eye, text in zip(("left", "right"), texts, strict=True):
+            if text is not None and (eye == "left" or not alike):
+                found.append((name if alike else f"{name} ({eye})", text))
+    return found
+
+
+def check_tables(checked: Checked) -> list[RenderableType]:
+    """Differences of one frame from the reference, and the time of each."""
+    columns = ("output", "largest", "RMS", "unit", "row", "column", "above", "figure")
+    rows = [
+        (
+            d.output,
+            f"{d.largest:.2e}",
+            f"{d.rms:.2e}",
+            d.unit,
+            f"{d.row}",
+            f"{d.column}",
+            f"{d.count}",
+            f"{d.figure:g}",
+        )
+        for d in checked.differences
+    ]
+    view = f", {checked.eye} view," if checked.eye else ""
+    table = _table(
+        f"Frame {checked.index}{view} against the reference", columns, rows, right=columns[1:3] + columns[4:]
+    )
+    times = (
+        f"{checked.device}, {checked.precision} precision: {checked.seconds:.3f} s, in kernels "
+        f"{checked.pass_seconds:.3f} s; reference: {checked.reference_seconds:.3f} s"
+    )
+    return [table, Text(times)]
+
+
+def inpaint_tables(report: Report) -> list[RenderableType]:
+    """What filling an image has taken; of the method mean-median the figures of the thesis' table (figure 5.21)."""
+    figures, rows = report.figures(), [("missing pixels", f"{report.missing_pixels}")]
+    if "border_pixels" in figures:
+        rows += [("border pixels", f"{figures['border_pixels']}"), ("sweeps", f"{figures['sweeps']}")]
+    if "gradient_range" in figures:
+        low, high = figures["gradient_range"]
+        rows += [("gradients of border pixels", f"{low:.4g} to {high:.4g}")]
+        rows += [("blended", f"{figures['blended_pixels']}, from {figures['threshold']:.4g} on")]
+    if "mse" in figures:
+        chosen = zip(figures["mse"]["neighbors"], figures["mse"]["chosen"], strict=True)
+        of = ", ".join(f"{k}: {name}" for k, name in chosen)
+        rows += [("estimator, by known neighbors", of)]
+    rows += [("seconds", f"{report.seconds:.3g}")]
+    size = " x ".join(f"{n}" for n in (report.shape[1], report.shape[0]))
+    return [_table(f"Filled by {report.method}: {size} pixels", ("what", "how much"), rows)]
+
+
+def device_tables(
+    devices: Sequence[Device], used: Device | None, checks: Mapping[Device, Sequence[Check]]
+) -> list[RenderableType]:
+    """Devices with what each can do, and the answers of their self-tests where there are any."""
+
+    def yes(has: bool) -> str:
+        return "yes" if has else "no"
+
+    columns = (
+        "",
+        "device",
+        "platform",
+        "kind",
+        "units",
+        "memory",
+        "double",
+        "64-bit atomics",
+        "exact division",
+    )
+    rows = [
+        (
+            "*" if device == used else "", device.name, f"{device.platform} {device.driver}", device.kind,
+            f"{device.compute_units}", f"{device.global_mem / 2**30:.1f} GiB", yes(device.has_fp64),
+            yes(device.has_int64_atomics), yes(device.correctly_rounded),
+        )
+        for device in devices
+    ]  # fmt: skip
+    tables: list[RenderableType] = [_table("OpenCL devices (* is used)", columns, rows, right=("units", "memory"))]
+    for device, results in checks.items():
+        answers = [(check.name, "passed" if check.passed else "failed", check.detail) for check in results]
+        tables.append(_table(f"Self-test of {device}", ("check", "result", "detail"), answers))
+    return tables
+
+
+def print_tables(*things: RenderableType) -> None:
+    """Print to stdout, as wide as the terminal; without one, as wide as they are; nothing where stdout is closed."""
+    if sys.stdout is None:
+        return
+    width = None if sys.stdout.isatty() else 160
+    Console(width=width, markup=False, highlight=False, emoji=False).print(*things, sep="\n")
+
+
+@contextmanager
+def progress(total: int, quiet: bool, what: str = "frames") -> Iterator[Callable[[], object]]:
+    """Show a bar on a terminal, nothing in a pipe; gives what is to be called after each frame, or what it is."""
+    if quiet or sys.stderr is None or not sys.stderr.isatty() or not total:
+        yield lambda: None
+        return
+    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(what, total=total)
+        yield lambda: bar.advance(task)
+
+
+@contextmanager
+def shares(quiet: bool) -> Iterator[Callable[[float], object]]:
+    """A bar as of `progress` for work that tells the share that is done, from 0 to 1."""
+    shown = 0
+    with progress(100, quiet, "percent") as advance:
+
+        def reached(share: float) -> None:
+            nonlocal shown
+            while shown < int(100 * share):
+                advance()
+                shown += 1
+
+        yield reached

@@ -1,0 +1,1 @@
+"""Runs plans on a device: frames of scenes, blur and filling of images, batches."""

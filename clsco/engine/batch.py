@@ -1,0 +1,177 @@
+"""Scenes to folders of files: which frames are wanted, which are there already, and the rest rendered."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from clsco.engine.sequence import render_sweep
+from clsco.errors import ImageError, SceneError
+from clsco.files.atomic import remove_stale, same_place, writable_folder
+from clsco.frame.files import frame_files, read_complete, write_frame
+from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES, Frame
+from clsco.frame.provenance import file_digests, record
+from clsco.plan.approximation import asked_alike
+from clsco.plan.prepare import PlannedFile
+from clsco.scene.model import DepthMap, Scene
+
+Span = tuple[int | None, int | None]
+TOGETHER, PIXELS_TOGETHER = 16, 2**24  # scenes of a sweep that are on the device at a time, and pixels of all of them
+
+
+@dataclass(frozen=True)
+class Job:
+    """One scene to render: what its frames' JSON files say of it, the folder, and the frames still to do.
+
+    files: of "npz" and "exr", what is written besides PNG and JSON; method, tolerance: of the blur, as of
+    `clsco.render`.
+    """
+
+    scene: Scene
+    record: dict[str, Any]
+    folder: Path
+    frames: tuple[int, ...]
+    files: tuple[str, ...]
+    method: str = "auto"
+    tolerance: float | None = None
+
+
+def folders(scenes: Sequence[Path], out: Path) -> list[Path]:
+    """Where each scene's frames go: into `out`, or for several scenes into a folder of each one's name in it.
+
+    Raises SceneError where two scenes would share a folder, or one would leave `out`.
+    """
+    if len(scenes) == 1:
+        return [out]
+    found: dict[Path, Path] = {}
+    for scene in scenes:
+        folder = out / scene.stem
+        _require_inside(folder, out, scene)
+        if folder in found:
+            rule = f"scenes that are rendered together must have different names; got another {scene.name}"
+            raise SceneError(f"{scene}: {rule}, {found[folder]}")
+        found[folder] = scene
+    return list(found)
+
+
+def _require_inside(folder: Path, out: Path, where: Path) -> None:
+    """Raise SceneError where a folder of frames would not lie in `out`, by its name or as a symbolic link."""
+    if not same_place(Path(os.path.realpath(folder)).parent, out):
+        raise SceneError(f"{where}: frames must stay inside {out}; got {folder}")
+
+
+def wanted(scene: Scene, span: Span, where: str) -> range:
+    """Numbers of the frames from span[0] up to but not including span[1], by default all.
+
+    Raises SceneError where the scene has no such frames.
+    """
+    count = scene.sequence.frames
+    first, end = span[0] or 0, count if span[1] is None else span[1]
+    if not first < end <= count:
+        raise SceneError(f"{where}: --frames: must lie within 0:{count} and hold a frame; got {first}:{end}")
+    return range(first, end)
+
+
+def prepare(
+    scene: Scene,
+    folder: Path,
+    frames: Sequence[int],
+    files: tuple[str, ...],
+    precision: str | None,
+    resume: bool,
+    digests: Mapping[str, str] | None = None,
+    method: str = "auto",
+    tolerance: float | None = None,
+) -> Job:
+    """Make the folder, and with `resume` take out the frames that are in it, whole and of this scene.
+
+    scene: with its resolution. digests: of its files, as `provenance.file_digests` gives them, where they are
+    known. method, tolerance: see `Job`. A frame is whole where its JSON file, written last, names the scene's hash,
+    this version, an approximation that was asked for alike, all files asked for, and each file's SHA-256.
+    Raises ImageError where a texture or depth cannot be read or the folder written.
+    """
+    about = record(scene, digests)
+    writable_folder(folder)
+    remove_stale(folder)
+    for item in scene.objects:
+        for what, name in (("texture", item.texture), ("depth", item.depth if isinstance(item, DepthMap) else "")):
+            path = Path(name)
+            if path.stem.startswith("frame_") and same_place(path.parent, folder):
+                raise ImageError(f"{path}: a {what} must not lie where frames are written; got {folder}")
+
+    def is_there(index: int) -> bool:
+        content = read_complete(folder, index)
+        if content is None:
+            return False
+        if any(content.get(key) != about[key] for key in ("version", "scene_sha256")):
+            return False
+        whole = frame_files(index, scene.stereo is not None, files) <= set(content["files"])
+        told = content["views"].values() if scene.stereo is not None else [content]
+        alike = all(asked_alike(view.get("approximation"), method, tolerance) for view in told)
+        return whole and alike and all(precision in (None, view.get("precision")) for view in told)
+
+    left = tuple(index for index in frames if not (resume and is_there(index)))
+    return Job(scene, about, folder, left, files, method, tolerance)
+
+
+def prepare_all(
+    planned: Sequence[PlannedFile], out: Path, files: tuple[str, ...], span: Span, precision: str | None, resume: bool,
+    method: str, tolerance: float | None,
+) -> list[Job]:  # fmt: skip
+    """`prepare` for every scene of files, each file with its folder of `folders`. Raises as these and `wanted`."""
+    places = list(zip(planned, folders([path for path, *_ in planned], out), strict=True))
+    for (path, labels, _), folder in places:
+        if path.stem.startswith("frame_") and same_place(path.parent, folder):
+            raise SceneError(f"{path}: a scene file must not lie where frames are written; got {folder}")
+        for label in filter(None, labels):
+            _require_inside(folder / label, folder, path)
+    chosen = [
+        (plan.scene, folder / label, wanted(plan.scene, span, str(path)))
+        for (path, labels, plans), folder in places
+        for label, plan in zip(labels, plans, strict=True)
+    ]
+    digests = file_digests(scene for scene, _, _ in chosen)
+    return [prepare(*what, files, precision, resume, digests, method, tolerance) for what in chosen]
+
+
+def run(
+    jobs: Sequence[Job], device: str | None, precision: str | None, memory: int | None = None
+) -> Iterator[tuple[Job, tuple[Frame, ...]]]:
+    """Render the frames of jobs, write each one, and then yield it: one frame, or the two views of a stereo pair.
+
+    jobs: of scenes with their resolutions, in the order in which they are rendered; those of one sweep follow each
+    other, and up to `TOGETHER` of them share their rays where they can. Truth is computed only where a file asks for
+    it. Raises as `clsco.render` and `clsco.frame.files.write_frame`.
+    """
+    for _, alike in groupby(
+        (job for job in jobs if job.frames), key=lambda job: (job.frames, job.files, job.method, job.tolerance)
+    ):
+        members = list(alike)
+        largest = max(math.prod(job.scene.camera.resolution or ()) for job in members)
+        count = max(1, min(TOGETHER, PIXELS_TOGETHER // largest))
+        for start in range(0, len(members), count):
+            yield from _run_together(members[start : start + count], device, precision, memory)
+
+
+def _run_together(
+    jobs: Sequence[Job], device: str | None, precision: str | None, memory: int | None
+) -> Iterator[tuple[Job, tuple[Frame, ...]]]:
+    """As `run`, of jobs with the same frames and the same files."""
+    truth = (*TRUTH_NAMES, *STEREO_NAMES) if jobs[0].files else ()  # nothing that no file asks for
+    scenes, wanted = [job.scene for job in jobs], jobs[0].frames
+    left: Frame | None = None
+    options: dict[str, Any] = {"method": jobs[0].method, "tolerance": jobs[0].tolerance, "memory": memory}
+    options |= {"truth": truth, "device": device, "precision": precision, "frames": wanted}
+    for number, frame in render_sweep(scenes, **options):
+        if frame.eye == "left":
+            left = frame
+            continue
+        job, views = jobs[number], (frame,) if left is None else (left, frame)
+        write_frame(job.folder, views, frame.metadata["bits"], job.scene.image.transfer, job.files, job.record)
+        left = None
+        yield job, views

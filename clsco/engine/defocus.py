@@ -1,0 +1,307 @@
+"""The lens by itself: one image and its map of blur radii."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, overload
+
+import numpy as np
+import pyopencl as cl
+import pyopencl.array as cl_array
+from numpy.typing import NDArray
+
+from clsco.errors import DeviceError, ImageError, SceneError
+from clsco.frame.strips import BAND, Strip, frame_struct
+from clsco.opencl.arrays import check_image, on_host
+from clsco.opencl.buffers import empty
+from clsco.opencl.program import build
+from clsco.opencl.session import Session
+from clsco.optics.lens import LARGEST_BLUR
+from clsco.optics.psf import reach
+from clsco.optics.psf_tables import LANES
+from clsco.optics.slabs import Slabs
+from clsco.passes.blur import FILES_OF, Sources, image_features, prepare_sources
+from clsco.passes.layered import Layers
+from clsco.passes.multigrid import Coarse, make_spreader
+from clsco.plan.approximation import METHODS, Told, candidates, check_border, checked_tolerance, estimate, sample_places
+from clsco.plan.memory import (
+    Limit,
+    defocus_bytes,
+    defocus_strips,
+    fits,
+    is_layered,
+    limit_of,
+    rows_that_fit,
+    source_bytes,
+)
+from clsco.plan.methods import MANY_RADII, Blur, is_sharp, many_radii
+from clsco.records import WIDE_BYTES, Real, Struct, flat, in_parts, structs
+from clsco.scene.file import parse_psf
+from clsco.scene.model import Psf
+
+
+@overload
+def defocus(
+    image: NDArray[Any], coc: NDArray[Any], psf: Psf | Mapping[str, Any] | None = None,
+    *, device: str | None = None, method: str = "auto", tolerance: float | None = None, told: list[Told] | None = None,
+    memory: str | int | None = None,
+) -> NDArray[np.float32]: ...  # fmt: skip
+@overload
+def defocus(
+    image: cl_array.Array, coc: cl_array.Array, psf: Psf | Mapping[str, Any] | None = None,
+    *, device: str | None = None, method: str = "auto", tolerance: float | None = None, told: list[Told] | None = None,
+    memory: str | int | None = None,
+) -> cl_array.Array: ...  # fmt: skip
+def defocus(
+    image: NDArray[Any] | cl_array.Array,
+    coc: NDArray[Any] | cl_array.Array,
+    psf: Psf | Mapping[str, Any] | None = None,
+    *,
+    device: str | None = None,
+    method: str = "auto",
+    tolerance: float | None = None,
+    told: list[Told] | None = None,
+    memory: str | int | None = None,
+) -> NDArray[np.float32] | cl_array.Array:
+    """Blur an image by a map of signed blur radii, each pixel by its own PSF.
+
+    image: linear light, (rows, columns) or (rows, columns, channels), up to 16 channels; coc: signed R in px, (rows,
+    columns), positive behind the focal surface; psf: keys of the scene file's [psf]; device: part of an OpenCL
+    device's name; method: "auto", "gather", "scatter", "tiles", "convolve" (one radius) or an approximation
+    (`approximation.METHODS`); tolerance: RMS error of white up to which an approximation may be taken where it is
+    faster, None for the exact blur; told: gets an entry of which it was and its measured error. NumPy arrays, or
+    pyopencl arrays of one queue, which is then worked in; memory: most that buffers on the device may take, bytes or a
+    size like "1.5GiB", by default half of what is free: an image that needs more is done in horizontal strips, with the
+    same bits, but for an approximation, which needs the whole image (where a tolerance leaves the choice, the exact
+    blur is taken). With occlusion = "layered" smaller signed radii, which are nearer, hide larger ones where the map
+    jumps (`clsco.passes.layered.Layers`); with any other nothing hides anything.
+    Returns float32 of the image's shape, as NumPy or pyopencl array as given. Nothing is known outside of the image,
+    so with border = "lose" it darkens where light leaves it; sources have their pixel's center, and the gradient for
+    `tilt` comes from differences of `coc`. Raises ImageError, SceneError, DeviceError.
+    Validated against `clsco.reference.blur.blur.scatter` and `clsco.reference.layered.layered.layered` to 1e-5
+    (tests/test_defocus.py). Equation 2.40.
+    """
+    model = psf if isinstance(psf, Psf) else parse_psf(psf or {})
+    session, host, as_given = on_host(device, image, coc)
+    with session.telling():
+        return as_given(_defocus(session, _checked(*host), model, (method, tolerance), memory, told))
+
+
+@dataclass(frozen=True)
+class _Given:
+    """An image, (rows, columns[, channels]), with its map of signed radii, and what is in them."""
+
+    image: NDArray[Any]
+    coc: NDArray[Any]
+    smallest: float
+    largest: float
+    brightest: float
+
+    @property
+    def channels(self) -> int:
+        return int(self.image.shape[2]) if self.image.ndim == 3 else 1
+
+
+def _checked(picture: NDArray[Any], radii: NDArray[Any]) -> _Given:
+    check_image(picture)
+    if radii.shape != picture.shape[:2]:
+        raise ImageError(f"coc: must have the rows and columns of the image, {picture.shape[:2]}; got {radii.shape}")
+    ends = []
+    for name, array in (("image", picture), ("coc", radii)):
+        if array.dtype.kind not in "fiu":
+            raise ImageError(f"{name}: must hold real numbers; got {array.dtype}")
+        ends.append((float(array.min()), float(array.max())))  # as NaN and infinity are, and without a plane of its own
+        if not np.isfinite(ends[-1]).all():
+            raise ImageError(f"{name}: must be finite; got {int((~np.isfinite(array)).sum())} values that are not")
+    if picture.dtype.kind != "f":
+        raise ImageError(f"image: must be linear light in floats; got {picture.dtype}")
+    brightest, largest = (max(abs(low), abs(high)) for low, high in ends)
+    if largest > LARGEST_BLUR:
+        raise ImageError(f"coc: radii must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
+    smallest = min(
+        float(np.abs(radii[first : first + BAND].astype(np.float64)).min()) for first in range(0, len(radii), BAND)
+    )
+    return _Given(picture, radii, smallest, largest, float(np.float32(brightest)))
+
+
+def _choose(psf: Psf, method: str, smallest: float, largest: float, gpu: bool) -> Blur:
+    known = ("auto", *MANY_RADII, "convolve", *METHODS)
+    if method not in known:
+        raise SceneError(f"method: must be one of {', '.join(known)}; got {method}")
+    constant = smallest == largest and psf.border == "lose"
+    if method == "convolve" and not constant:
+        raise SceneError('method: convolve needs one radius for all pixels and border = "lose"; got many radii')
+    check_border(psf, method)
+    if is_sharp(psf, largest) and (method == "auto" or method in METHODS):
+        return "none"
+    if method == "convolve" or (method == "auto" and constant):
+        return "convolve"
+    return next((name for name in MANY_RADII if name == method), many_radii(gpu))
+
+
+def _defocus(
+    session: Session, given: _Given, psf: Psf, method: tuple[str, float | None], memory: str | int | None,
+    told: list[Told] | None,
+) -> NDArray[np.float32]:  # fmt: skip
+    """By the method, or the first one that is within the tolerance."""
+    device = session.device
+    limit = limit_of(memory, device.global_mem, device.max_alloc, device.compute_units, device.unified_memory)
+    name, tolerance = method
+    which = given.smallest, given.largest, device.kind == "gpu"
+    tried: tuple[tuple[str, float], ...] = ()
+    names = [name]
+    if tolerance is not None and checked_tolerance(tolerance, name):
+        names = [*(() if _choose(psf, name, *which) == "none" else candidates(psf, np.abs(given.coc))), name]
+    for each in names:
+        blur, least = _choose(psf, each, *which), METHODS.get(each)
+        if least is not None and tolerance is not None and not fits(_sizes(given, psf, blur, least, limit), limit):
+            continue  # approximations need the whole image
+        measured = each in METHODS and (told is not None or tolerance is not None)
+        places = sample_places(*given.coc.shape) if measured else None
+        result, missed = _blurred(session, given, psf, blur, least, places, limit)
+        rms, at_most = (0.0, 0.0) if missed is None else estimate(missed)
+        if each not in METHODS or tolerance is None or at_most <= tolerance:
+            break
+        tried += ((each, at_most),)
+    if told is not None and (each in METHODS or tolerance is not None):
+        label, count = (each, 0 if missed is None else len(missed)) if each in METHODS else ("exact", 0)
+        told.append(Told(label, tolerance, rms, at_most, count, tried))
+    return result
+
+
+def _guard(given: _Given, psf: Psf, blur: Blur) -> int:
+    return reach(psf, given.largest) + 2 * LANES if blur == "convolve" else 0
+
+
+def _sizes(
+    given: _Given, psf: Psf, blur: Blur, least: float | None, limit: Limit, tallest: int | None = None
+) -> dict[str, int]:
+    """Buffers for strips of up to `tallest` rows, by default the whole image."""
+    rows, columns = given.coc.shape
+    about = (given.channels, (rows, columns), _guard(given, psf, blur), (given.smallest, given.largest))
+    return defocus_bytes(psf, blur, *about, least, limit.cores, tallest or rows)
+
+
+def _blurred(
+    session: Session, given: _Given, psf: Psf, blur: Blur, least: float | None, places: NDArray[np.int32] | None,
+    limit: Limit,
+) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:  # fmt: skip
+    """The image, and its error at places; least: of an approximation, None for the exact way."""
+    if blur == "none":
+        return given.image.astype(np.float32), None
+    shape, rows = given.image.shape, len(given.coc)
+    guard = _guard(given, psf, blur)
+    whole = None if least is None else "an approximation"
+
+    def sizes(tall: int) -> dict[str, int]:
+        return _sizes(given, psf, blur, least, limit, tall)
+
+    def in_strips(tall: int) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+        strips = defocus_strips(psf, blur, rows, guard, given.largest, tall)
+        engine = _Engine(session, given, psf, blur, guard, strips, least, places)
+        out = np.empty(shape, np.float32)
+        for strip in strips:
+            rows_of = (strip.inside, ..., 0) if shape[2:] == (1,) else strip.inside
+            engine.defocus(strip, out[rows_of])
+        return out, engine.missed()
+
+    tallest = rows_that_fit(rows, limit, sizes, whole)
+    while True:
+        try:
+            with session.telling():
+                return in_strips(tallest)
+        except DeviceError as error:  # in smaller strips where the device has less memory than it told
+            half = replace(limit, total=sum(sizes(tallest).values()) // 2, given=False)
+            less = rows_that_fit(rows, half, sizes, whole)
+            if not error.short_of_memory or less == tallest:
+                raise
+            tallest = less
+
+
+class _Engine:
+    """Owns the buffers and the program for the strips of one image; least, places: as for `make_spreader`."""
+
+    def __init__(
+        self, session: Session, given: _Given, psf: Psf, blur: Blur, guard: int, strips: Sequence[Strip],
+        least: float | None, places: NDArray[np.int32] | None,
+    ) -> None:  # fmt: skip
+        self.session, self.given, self.psf, self.blur, self.guard = session, given, psf, blur, guard
+        fp64 = session.device.has_fp64
+        self.real: Real = "double" if fp64 else "float"
+        channels, columns = given.channels, given.coc.shape[1]
+        features = image_features(blur, psf, given.largest, channels, psf.tilt, fp64)
+        constant = blur == "convolve"
+        self.program = {} if constant else build(session, FILES_OF[blur], features, structs(self.real), self.real)
+        self.spreader = make_spreader(
+            session, self.program, psf, blur, self._camera(strips[0]), channels, given.smallest, given.largest, 0,
+            self.real, given.brightest, features, least, places,
+        )  # fmt: skip
+        tallest = max(strip.height for strip in strips)
+        area = tallest * (columns + 2 * guard)
+        self.value = empty(session, 4 * channels * area)
+        if constant:
+            return
+        layered = is_layered(psf, blur)  # which has a plane of its own
+        self.source = empty(session, 0 if layered else source_bytes(area, psf.tilt))
+        self.coc = empty(session, WIDE_BYTES * area)
+        self.valid = empty(session, area)
+        cl.enqueue_fill_buffer(session.queue, self.valid, np.ones(1, np.uint8), 0, area)
+        self.layers: Layers | None = None
+        if layered:
+            how = (psf.tilt, given.largest, self.real, given.brightest, tallest)
+            self.layers = Layers(session, self.spreader, *how)
+            self.slabs = self._slabs(self.layers, strips) if len(strips) > 1 else None
+
+    def _camera(self, strip: Strip) -> Struct:
+        rows, columns = self.given.coc.shape
+        return frame_struct(rows, columns, self.guard, self.real, strip)
+
+    def _slabs(self, layers: Layers, strips: Sequence[Strip]) -> Slabs:
+        """Slabs of the image, from all strips."""
+        for strip in strips:
+            self.spreader.camera = self._camera(strip)
+            self._send_radii(strip)
+            layers.look(self.coc, self.valid, [])
+        return layers.slabs()
+
+    def defocus(self, strip: Strip, out: NDArray[np.float32]) -> None:
+        """Blur one strip into out, (rows, columns[, channels])."""
+        spreader, camera = self.spreader, self._camera(strip)
+        spreader.camera = camera
+        self._send(strip)
+        spreader.clear()
+        if self.blur == "convolve":
+            spreader.add(Sources(None, self.value), self.given.largest, [])
+        elif self.layers is not None:
+            self.layers.add(self.value, self.coc, self.valid, [], self.slabs)
+        else:
+            maps = (self.coc, self.valid, self.source)
+            prepare_sources(self.session, self.program, camera, spreader.struct, *maps, [])
+            spreader.add(Sources(self.source, self.value), 0.0, [])
+        spreader.image([], out)
+
+    def missed(self) -> NDArray[np.float32] | None:
+        """Error at the places, where it was asked for."""
+        if isinstance(self.spreader, Coarse) and self.spreader.places is not None:
+            return self.spreader.missed()
+        return None
+
+    def _send(self, strip: Strip) -> None:
+        """What of image and radii lights a strip to the device: with zeros around where the image ends."""
+        rows, guard = len(self.given.coc), self.guard
+        top, end = max(strip.top - strip.above, 0), min(strip.top + strip.rows + strip.below, rows)
+        planes = flat(self.given.image[top:end], np.float32)
+        if guard:
+            missing = top - (strip.top - strip.above)
+            widths = ((0, 0), (missing, strip.height - missing - (end - top)), (guard, guard))
+            planes = np.pad(planes, widths)
+        cl.enqueue_copy(self.session.queue, self.value, planes)
+        if self.blur != "convolve":
+            self._send_radii(strip)
+
+    def _send_radii(self, strip: Strip) -> None:
+        """The radii around a strip to the device."""
+        near = slice(max(strip.top - strip.above, 0), strip.top + strip.rows + strip.below)
+        radii = self.given.coc[near].astype(np.float64, order="C")  # that of a transposed array is not
+        cl.enqueue_copy(self.session.queue, self.coc, in_parts(radii, self.real))

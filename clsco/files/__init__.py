@@ -1,0 +1,1 @@
+"""Files in and out: codecs, transfer curves, atomic writing. Knows no scenes."""

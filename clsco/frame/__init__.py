@@ -1,0 +1,1 @@
+"""One frame with its ground truth, its strips, its files and its provenance."""

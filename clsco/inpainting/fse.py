@@ -1,0 +1,86 @@
+"""Texture and structure across holes, on the device: frequency-selective extrapolation, coarse to fine.
+
+The image around a block of pixels is taken apart into a few waves, which also say how it goes on in the block: the
+weighted residual's strongest wave is taken out, again and again (Seiler and Kaup 2010, doi:10.1109/LSP.2010.2052560;
+number of waves and preference of low frequencies: Genser et al. 2017 and 2018; OpenCV's xphoto has it as FSR). Here the
+channels share their waves, blocks are 2 x 2 px, and all that are equally far from what is known are computed at once.
+Holes wider than a block are first filled in the image at half its size, by the same method: what is found there
+counts a little in every window, so that wide holes are neither flat nor dominated by chance.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from clsco.inpainting.fse_tables import BLOCK, FEWEST_WAVES, GUESS, MOST_WAVES, STEP, TRUST, WAVES_PER_CONTRAST, tables
+from clsco.inpainting.hole_shapes import block_turns, doubled, halved
+from clsco.inpainting.tiles import Progress, fill_in_tiles, no_progress
+from clsco.opencl.buffers import copied, download, empty, upload
+from clsco.opencl.program import build, kernel, launch
+from clsco.opencl.session import Program, Session
+from clsco.records import structs
+
+LOCAL = (1,)  # a work-item is long, and its arrays are large
+
+
+def fill_texture(
+    session: Session, image: NDArray[Any], missing: NDArray[np.bool_], progress: Progress = no_progress
+) -> NDArray[np.float32]:
+    """Values (N, channels) of the N missing pixels of an image, row by row.
+
+    image: (rows, columns, channels), codes or floats, finite where known; missing: (rows, columns); progress: is told
+    after each tile which part is done, 0 to 1. Values found are kept within the range of what is known nearby. The same
+    bits on every run of a device. Memory beside the image: a byte per pixel, per missing one 8 and the result; and that
+    of one tile (`clsco.inpainting.tiles`), about 28 channels + 12 bytes per pixel of 1024 x 1024.
+    Raises ImageError where nothing is known, DeviceError. Validated against `clsco.reference.inpainting.fse`
+    (tests/kernels/test_texture.py) and beside OpenCV's FSR (benchmarks/inpainting.py).
+    """
+    features = {"CHANNELS": image.shape[2], "SAMPLED": 0}
+    program = build(session, ["inpainting/fse.cl"], features, structs("float"), "float")
+    constants = [upload(session, table) for table in tables()]
+    result = fill_in_tiles(image, missing, partial(_fill, session, program, constants), progress)
+    session.queue.finish()
+    return result
+
+
+def _fill(
+    session: Session,
+    program: Program,
+    constants: list[cl.Buffer],
+    image: NDArray[np.float32],
+    missing: NDArray[np.bool_],
+) -> NDArray[np.float32]:
+    if not missing.any():
+        return image
+    turns = block_turns(missing, BLOCK)
+    start = np.where(missing[..., None], np.float32(0), image)
+    weights = np.where(missing, np.float32(0), np.float32(1))
+    if turns.max() > 1:  # some block is wholly missing
+        coarse = _fill(session, program, constants, *halved(start, missing))
+        start[missing] = doubled(coarse, missing)
+        weights[missing] = GUESS
+    value, weight = (copied(session, array) for array in (start, weights))
+    size = (np.int32(missing.shape[0]), np.int32(missing.shape[1]))
+    order = np.argsort(turns, axis=None, kind="stable")
+    blocks = (np.stack(np.unravel_index(order, turns.shape), axis=1) * BLOCK).astype(np.int32)
+    ends = np.searchsorted(turns.ravel()[order], np.arange(turns.max() + 2))
+    settings = (np.float32(STEP), np.float32(WAVES_PER_CONTRAST), np.int32(FEWEST_WAVES), np.int32(MOST_WAVES))
+    held = []  # until the queue is done with them
+    for first, end in pairwise(ends):
+        count = int(end - first)
+        if not count:
+            continue
+        listed = upload(session, blocks[first:end])
+        filled = empty(session, 4 * BLOCK**2 * image.shape[2] * count)
+        todo = (listed, np.int32(count), *settings, filled)
+        launch(session, kernel(program, "extrapolate_blocks"), (count,), LOCAL, *size, value, weight, *constants, *todo)
+        settled = (*size, filled, listed, np.int32(count), np.float32(TRUST), value, weight)
+        launch(session, kernel(program, "settle_blocks"), (count,), LOCAL, *settled)
+        held += [listed, filled]
+    return download(session, value, image.shape, np.float32)

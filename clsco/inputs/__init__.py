@@ -1,0 +1,1 @@
+"""What a scene names on disk: textures and depth maps."""

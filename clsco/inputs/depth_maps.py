@@ -1,0 +1,251 @@
+"""Depth files to the inverse depth that a surface has in each pixel (float64, pure but for reading the file)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.errors import ImageError
+from clsco.files.atomic import refuse
+from clsco.inputs.depth_files import read_depth
+from clsco.optics.lens import LARGEST_BLUR, blur_radius, blur_scale, focus_power
+from clsco.scene.model import Camera, DepthMap, Scene
+from clsco.scene.quantities import MIN_LENGTH_MM
+
+Array = NDArray[np.float64]
+
+UNITS = ("mm", "m", "inverse_mm", "inverse_m", "disparity", "coc")
+FARTHEST = 1e-12  # inverse depth in 1/mm of what is infinitely far: 0 means that nothing is there
+ONE_SURFACE = 1.1  # how many times as far as one end of a gap the other one may be, for a surface to reach across it
+ROUNDING = 1e-6  # of the radius at infinity: float32 files reach it, and pass it by a few times 2^-24
+
+
+@dataclass(frozen=True, eq=False)
+class DepthValues:
+    """What a depth map says, in the units of the program.
+
+    inverse_depth: (rows, columns), 1/mm, > 0; 0 where the map has no surface.
+    zero, negative, nan, infinite: pixels without a surface, by the value that the file has there.
+    far: pixels with a surface that is infinitely far, whose inverse depth is `FARTHEST`.
+    """
+
+    inverse_depth: Array
+    zero: int
+    negative: int
+    nan: int
+    infinite: int
+    far: int
+
+    @property
+    def invalid(self) -> int:
+        """Pixels without a surface."""
+        return self.zero + self.negative + self.nan + self.infinite
+
+    def report(self) -> str:
+        """One line: how many pixels have no depth and why, and how many are infinitely far; "" where none."""
+        kinds = {"zero": self.zero, "negative": self.negative, "NaN": self.nan, "infinite": self.infinite}
+        why = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
+        size, verb = self.inverse_depth.size, "is" if self.far == 1 else "are"
+        parts = [f"{self.invalid} of {size} pixels have no depth ({why})"] if why else []
+        if self.far:
+            parts.append(
+                f"{self.far} {verb} infinitely far" if why else f"{self.far} of {size} pixels {verb} infinitely far"
+            )
+        return ", ".join(parts)
+
+
+def check_sizes(image: str, image_size: tuple[int, int], depth: str, depth_size: tuple[int, int]) -> None:
+    """Raise ImageError where an image and its depth map differ in size.
+
+    image, depth: their names for the message; sizes: (columns, rows), px.
+    """
+    if image_size != depth_size:
+        wanted, got = (f"{columns} x {rows}" for columns, rows in (image_size, depth_size))
+        refuse(Path(depth), f"the size must be that of {image}, {wanted} pixels", got)
+
+
+def inverse_depth(
+    raw: Array, unit: str, scale: float, camera: Camera, baseline: float | None = None, where: str = "depth",
+    offset: float | None = None,
+) -> DepthValues:  # fmt: skip
+    """Turn the numbers of a depth file into inverse depth.
+
+    raw: (rows, columns). scale: number times scale is in `unit`; > 0. baseline: mm, offset: px, added to it, of unit
+    "disparity" only. where: name for the messages.
+
+    unit         inverse depth w of v = raw scale          no surface                         infinitely far
+    mm, m        1 / v                                     0, negative, NaN                   +inf (Blender: 1e10)
+    inverse_mm,  v                                         negative, NaN, +inf                0
+    inverse_m
+    disparity    p (v + offset) / (baseline s0), v in px   0, negative, NaN, +inf             -
+    coc          K - v / kappa, v the signed R in px       NaN, infinite                      R = kappa K
+
+    KITTI's PNGs have scale 1/256; 0 there and inf in Middlebury's PFMs mean that the pixel was not measured.
+    What is infinitely far, or farther than 1e12 mm, gets 1e-12 per mm: it is there, and blurs as at infinity.
+    Raises ImageError where no pixel has a surface; where |R| passes 512 px, with the unit that is probably
+    meant; nearer than 1e-6 mm; for a radius beyond the camera's at infinity, which no depth has; and where scale
+    or baseline is missing or no positive number.
+    Validated against the formulas in exact fractions, and by converting analytic depth to every unit and back.
+    """
+    _check_numbers(unit, scale, baseline, where)
+    nowhere = np.zeros(raw.shape, np.bool_)
+    signed = unit == "coc"
+    kinds = {
+        "zero": raw == 0 if unit in ("mm", "m", "disparity") else nowhere,
+        "negative": nowhere if signed else raw < 0,
+        "nan": np.isnan(raw),
+        "infinite": nowhere if unit in ("mm", "m") else np.isinf(raw) if signed else raw == np.inf,
+    }
+    numbers = {name: int(np.count_nonzero(kind)) for name, kind in kinds.items()}
+    valid = ~np.logical_or.reduce(list(kinds.values()))
+    if not valid.any():
+        why = ", ".join(f"{count} {kind}" for kind, count in numbers.items() if count)
+        raise ImageError(f"{where}: at least one pixel must have a depth; got {why}")
+    value = raw[valid]
+    with np.errstate(over="ignore"):
+        value *= scale
+        value += offset or 0.0
+    w = _convert(value, unit, camera, baseline)
+    _check_blur(w, value, unit, camera, where)
+    if unit == "coc":
+        _check_reach(value, camera, where)
+    far = int(np.count_nonzero(w <= FARTHEST))
+    np.maximum(w, FARTHEST, out=w)
+    result = w.reshape(raw.shape) if w.size == raw.size else np.zeros(raw.shape)
+    if w.size < raw.size:
+        result[valid] = w
+    return DepthValues(result, **numbers, far=far)
+
+
+def fill_depth(w: Array) -> Array:
+    """Inverse depth (rows, columns) in 1/mm with that of pixels that have none, 0, taken from around them.
+
+    Between the nearest known pixels of a row, and of a column, w goes on as it does on a plane, linearly; where the
+    ends are at the depths of two surfaces it is that of the farther one, so that nothing grows over an edge. The two
+    are weighted by the inverse of the gaps' widths, or where they are two surfaces the narrower gap counts, of equal
+    ones the farther surface. Validated on tilted planes, which come back exactly, and on steps.
+    """
+    for _ in range(2):  # a pixel whose row and column are empty has pixels of the first round in both
+        along, width = _across(w)
+        down, height = (array.T for array in _across(w.T))
+        total = 1 / width + 1 / height
+        mean = (along / width + down / height) / np.where(total > 0, total, 1.0)
+        nearer, farther = np.maximum(along, down), np.minimum(along, down)
+        narrower = np.where(width == height, farther, np.where(width < height, along, down))
+        w = np.where(w > 0, w, np.where(nearer <= ONE_SURFACE * farther, mean, narrower))
+    return w
+
+
+def _across(w: Array) -> tuple[Array, Array]:
+    """For every pixel w between the nearest known ones of its row, 0 without any, and px between these or inf."""
+    column = np.broadcast_to(np.arange(w.shape[1]), w.shape)
+    left = np.maximum.accumulate(np.where(w > 0, column, -1), axis=1)
+    right = np.minimum.accumulate(np.where(w > 0, column, w.shape[1])[:, ::-1], axis=1)[:, ::-1]
+    on_left, on_right = left >= 0, right < w.shape[1]
+    before, after = (np.take_along_axis(w, np.clip(at, 0, w.shape[1] - 1), axis=1) for at in (left, right))
+    before, after = np.where(on_left, before, after), np.where(on_right, after, before)
+    both, gap = on_left & on_right, np.maximum(right - left, 1)
+    nearer, farther = np.maximum(before, after), np.minimum(before, after)
+    plane = before + np.where(both, (column - left) / gap, 0.0) * (after - before)
+    between = np.where(nearer <= ONE_SURFACE * farther, plane, farther)
+    outside = 2.0 * np.where(on_left, column - left, right - column)  # as from the middle of a gap
+    width = np.where(both, gap, np.where(on_left | on_right, outside, np.inf))
+    return np.where(on_left | on_right, between, 0.0), width
+
+
+def load_scene_depths(scene: Scene) -> tuple[Array | None, ...]:
+    """Inverse depth (rows, columns) in 1/mm of every object that is a depth map, None for others.
+
+    scene: with its resolution. Raises ImageError where a file cannot be read, has another size than the frame, or
+    does not fit the camera.
+    """
+    found: list[Array | None] = []
+    for item in scene.objects:
+        if not isinstance(item, DepthMap):
+            found.append(None)
+            continue
+        found.append(map_inverse_depth(scene, item, read_depth(item.depth)))
+    return tuple(found)
+
+
+def map_inverse_depth(scene: Scene, item: DepthMap, raw: Array) -> Array:
+    """Inverse depth (rows, columns) in 1/mm of an object of a scene; 0 where nothing is.
+
+    scene: with its resolution. raw: numbers of its file. Where the file has no depth it is taken from around
+    (`fill_depth`), so that the image is complete, unless fill.method is none: then nothing is there.
+    Raises ImageError where the size is not that of the frame, and as `inverse_depth`.
+    """
+    assert scene.camera.resolution is not None
+    check_sizes("the frame", scene.camera.resolution, item.depth, (raw.shape[1], raw.shape[0]))
+    values = inverse_depth(raw, item.unit, item.scale, scene.camera, item.baseline, item.depth, item.offset)
+    w = values.inverse_depth
+    return fill_depth(w) if values.invalid and scene.fill.method != "none" else w
+
+
+def _check_numbers(unit: str, scale: float, baseline: float | None, where: str) -> None:
+    if unit not in UNITS:
+        raise ImageError(f"{where}: unit must be one of {', '.join(UNITS)}; got {unit!r}")
+    if not 0 < scale < math.inf:
+        raise ImageError(f"{where}: scale must be finite and greater than 0; got {scale:g}")
+    if (unit == "disparity") != (baseline is not None):
+        raise ImageError(f"{where}: baseline belongs to unit disparity, which needs it; got {baseline} and {unit}")
+    if baseline is not None and not 0 < baseline < math.inf:
+        raise ImageError(f"{where}: baseline must be a finite number of mm greater than 0; got {baseline:g}")
+
+
+def _convert(value: Array, unit: str, camera: Camera, baseline: float | None) -> Array:
+    """Inverse depth in 1/mm of values that have one; not above 0 where they are infinitely far."""
+    with np.errstate(over="ignore", divide="ignore"):  # what overflows is too near, and refused as that
+        if unit == "disparity":
+            return value * (camera.pixel_pitch / ((baseline or 1.0) * camera.normalization_distance))
+        if unit == "coc":
+            return focus_power(camera) - value / blur_scale(camera)
+        if unit in ("inverse_mm", "inverse_m"):
+            return value * (1.0 if unit == "inverse_mm" else 1e-3)
+        return np.asarray((1.0 if unit == "mm" else 1e-3) / value)
+
+
+def _check_blur(w: Array, value: Array, unit: str, camera: Camera, where: str) -> None:
+    # Linear in w: one of the ends has the largest.
+    largest, at = max((abs(float(blur_radius(camera, w[at]))), -int(at)) for at in (w.argmin(), w.argmax()))
+    if largest > LARGEST_BLUR:
+        count = np.count_nonzero(np.abs(blur_radius(camera, w)) > LARGEST_BLUR)
+        raise ImageError(
+            f"{where}: the blur radius must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px at {value[-at]:.4g} "
+            f"{unit}, and more than that limit in {count} of {w.size} pixels ({_probable_cause(value, unit, camera)})"
+        )
+    if w.max() > 1 / MIN_LENGTH_MM:
+        raise ImageError(f"{where}: depth must be at least {MIN_LENGTH_MM:g} mm; got {1 / w.max():.4g} mm")
+
+
+def _probable_cause(value: Array, unit: str, camera: Camera) -> str:
+    """Name the unit in which no radius is too large, and the radii are not all as at infinity."""
+    at_infinity = abs(float(blur_radius(camera, 0.0)))
+    if at_infinity > LARGEST_BLUR:
+        return f"the camera has {at_infinity:.4g} px at infinity: aperture_diameter or pixel_pitch is probably wrong"
+    spans: dict[str, float] = {}
+    for other in ("mm", "m", "inverse_m", "inverse_mm"):
+        if other != unit and value.min() >= 0:
+            radius = blur_radius(camera, _convert(value[value > 0], other, camera, None))
+            if np.abs(radius).max() <= LARGEST_BLUR:
+                spans[other] = float(np.ptp(radius))
+    for other, span in spans.items():
+        if 10 * span >= max(spans.values()):  # meters are likelier than their inverse, which often gives about the same
+            return f"the depth is probably in {other}: give unit {other}"
+    return "no unit makes it less: scale, or the camera, is probably wrong"
+
+
+def _check_reach(radius: Array, camera: Camera, where: str) -> None:
+    """Refuse a radius that the camera has at no depth: beyond infinity, by more than rounding explains."""
+    at_infinity, largest = float(blur_radius(camera, 0.0)), float(radius.max())
+    if largest > at_infinity + ROUNDING * abs(at_infinity):
+        rule = f"radii must be at most {at_infinity:.6g} px, which the camera has at infinity"
+        if at_infinity > 0:
+            opening = camera.aperture_diameter * largest / at_infinity * 1.001
+            rule += f", or its aperture_diameter at least {opening:.4g} mm"
+        count = np.count_nonzero(radius > at_infinity)
+        raise ImageError(f"{where}: {rule}; got {largest:.6g} px, and {count} pixels above the limit")

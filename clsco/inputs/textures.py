@@ -1,0 +1,285 @@
+"""Textures in linear light: built-in patterns, or image files resampled to the frame (pure).
+
+Computed in float64, some rows at a time, and kept in float32: what a frame of 8192 x 8192 takes besides is little.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.errors import ImageError
+from clsco.files.images import image_size, read_image
+from clsco.files.transfer import decode, encode
+from clsco.scene.model import Scene
+
+DEFAULT_SIDE = 512
+ROWS_AT_A_TIME = 128
+ALIGNMENT = 4096  # bytes: devices that work in the host's memory then use an array as it is
+
+Codes = NDArray[np.uint8]
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Texture:
+    """What a surface looks like, in linear light.
+
+    radiance: float32 (rows, columns) or (rows, columns, 3), 1 = white, >= 0; row 0 on top.
+    bits: 8, 16 or 32 per value, as it was stored. source: name of the pattern, or path of the file.
+    """
+
+    radiance: NDArray[np.float32]
+    bits: int
+    source: str
+
+
+def load_texture(name_or_path: str | os.PathLike[str], transfer: str, size: tuple[int, int] | None = None) -> Texture:
+    """Load a built-in pattern or an image file as linear light.
+
+    name_or_path: bricks, checkerboard, slanted_edge, siemens_star, or a path. transfer: "srgb" or "linear",
+    of patterns, which have 8 bits, and of files with 8 and 16 bits; floats are linear.
+    size: (rows, columns) of the frame; a file of another size is resampled to it (`resample`), a pattern is
+    made for it, 512 x 512 by default.
+    Raises ImageError where there is no such pattern or file, or the file cannot be read.
+    """
+    source = os.fspath(name_or_path)
+    if source in PATTERNS:
+        rows, columns = size or (DEFAULT_SIDE, DEFAULT_SIDE)
+        draw = PATTERNS[source]
+        return Texture(_by_rows((rows, columns), lambda a, b: decode(draw(rows, columns, a, b), transfer)), 8, source)
+    _require_suffix(source)
+    picture = read_image(source)
+    stored, bits = picture.data, picture.bits
+    if size is None or stored.shape[:2] == size:
+        return Texture(_by_rows(stored.shape, lambda a, b: decode(stored[a:b], transfer)), bits, source)
+    linear, shape = decode(stored, transfer), (*size, *stored.shape[2:])
+    return Texture(_by_rows(shape, lambda a, b: resample(linear, size, a, b)), bits, source)
+
+
+def _by_rows(shape: tuple[int, ...], rows_of: Callable[[int, int], Floats]) -> NDArray[np.float32]:
+    """An image of this shape in float32, aligned; rows_of: gives its rows from one up to another."""
+    image = np.empty(4 * math.prod(shape) + ALIGNMENT, np.uint8)
+    start = -image.ctypes.data % ALIGNMENT
+    aligned = image[start : start + 4 * math.prod(shape)].view(np.float32).reshape(shape)
+    for first in range(0, shape[0], ROWS_AT_A_TIME):
+        end = min(first + ROWS_AT_A_TIME, shape[0])
+        aligned[first:end] = rows_of(first, end)
+    return aligned
+
+
+def texture_size(name_or_path: str | os.PathLike[str]) -> tuple[int, int]:
+    """Give (columns, rows) of a texture, px, from its file's header. Raises ImageError as `load_texture`."""
+    source = os.fspath(name_or_path)
+    if source in PATTERNS:
+        return DEFAULT_SIDE, DEFAULT_SIDE
+    _require_suffix(source)
+    return image_size(source)
+
+
+def load_scene_textures(scene: Scene) -> tuple[Scene, tuple[Texture, ...]]:
+    """Load the textures of all objects in the size of the frame, each file once.
+
+    Returns the scene with its resolution, which the first object's texture gives where the scene does not,
+    and a texture per object. Raises ImageError as `load_texture` does.
+    """
+    columns, rows = scene.camera.resolution or texture_size(scene.objects[0].texture)
+    camera = scene.camera.model_copy(update={"resolution": (columns, rows)})
+    names = [item.texture for item in scene.objects]
+    loaded = {name: load_texture(name, scene.image.transfer, (rows, columns)) for name in dict.fromkeys(names)}
+    return scene.model_copy(update={"camera": camera}), tuple(loaded[name] for name in names)
+
+
+def _require_suffix(source: str) -> None:
+    if not Path(source).suffix:
+        raise ImageError(f"texture: must be one of {', '.join(PATTERNS)}, or an image file; got {source!r}")
+
+
+def resample(linear: Floats, size: tuple[int, ...], first: int = 0, end: int | None = None) -> Floats:
+    """Resample an image to another size with the same outer borders, without aliasing.
+
+    linear: (rows, columns[, channels]), linear light. size: (rows, columns). first, end: which rows of it are wanted,
+    by default all. Returns size[, channels], >= 0.
+    Separable Catmull-Rom cubic (Catmull and Rom 1974; a = -1/2 of Keys 1981), as wide as an output pixel
+    where the image shrinks. Each output pixel's weights sum to 1; beyond the border the nearest pixel
+    repeats; what rings below 0 is 0. Validated on constants, cosines, mirrored images, and by the mean.
+    """
+    if linear.shape[:2] == size:
+        return linear[first:end]
+    wanted = np.arange(size[0])[first:end]
+    linear = linear[wanted] if linear.shape[0] == size[0] else _resample_rows(linear, size[0], wanted)
+    if linear.shape[1] != size[1]:
+        linear = np.swapaxes(_resample_rows(np.swapaxes(linear, 0, 1), size[1], np.arange(size[1])), 0, 1)
+    return np.ascontiguousarray(np.maximum(linear, 0))
+
+
+def _resample_rows(image: Floats, rows: int, wanted: NDArray[np.intp]) -> Floats:
+    """The wanted ones of the rows of an image that has `rows` then."""
+    before = image.shape[0]
+    width = max(before / rows, 1.0)
+    center = (wanted + 0.5) * before / rows - 0.5
+    taps = np.floor(center - 2 * width)[:, None] + np.arange(int(np.ceil(4 * width)) + 2)
+    t = np.abs(taps - center[:, None]) / width
+    outer = np.where(t < 2, ((2.5 - 0.5 * t) * t - 4) * t + 2, 0)
+    weights = np.where(t < 1, (1.5 * t - 2.5) * t * t + 1, outer)
+    weights /= weights.sum(axis=1, keepdims=True)
+    nearest = np.clip(taps, 0, before - 1).astype(np.intp)
+    result = np.zeros((len(wanted), *image.shape[1:]))
+    for weight, source in zip(weights.T, nearest.T, strict=True):
+        result += weight.reshape(-1, *[1] * (image.ndim - 1)) * image[source]
+    return result
+
+
+# Patterns are drawn in full, or the rows from `first` up to `end` of them.
+
+
+def bricks(rows: int, columns: int, first: int = 0, end: int | None = None) -> Codes:
+    """Draw a brick wall in running bond with detail at all scales; 14 courses over the shorter side.
+
+    Returns sRGB codes (rows, columns), the same everywhere: only fixed random numbers, and algebra.
+    """
+    scale = DEFAULT_SIDE / min(rows, columns)  # the wall is laid out in pixels of a 512 x 512 image
+    step = max(1, round(2.5 / scale))  # how far a shadow falls: rows above those that are wanted are needed
+    top = max(first - step, 0)
+    row = np.arange(rows)[top:end]
+    y = (row.astype(np.float64) + 0.5) * scale
+    x = (np.arange(columns, dtype=np.float64) + 0.5) * scale
+    length, height, joint = 108.0, 36.6, 5.0
+
+    # Courses wander a little; every second one is shifted by half a brick, and none by exactly half.
+    wavy_y = y[:, None] + 3.0 * (_noise(x / 90, y / 40, 1) - 0.5) + 1.6 * (_noise(x / 17, y / 13, 2) - 0.5)
+    wavy_x = x + 3.0 * (_noise(x / 40, y / 30, 3) - 0.5) + 1.6 * (_noise(x / 13, y / 17, 4) - 0.5)
+    course = np.floor(wavy_y / height).astype(np.intp)
+    wavy_x = wavy_x + length * (0.5 * (course % 2) + 0.16 * (_random(course, np.zeros_like(course), 5) - 0.5))
+    brick = np.floor(wavy_x / length).astype(np.intp)
+
+    # Distance inside each brick's outline, a rectangle with round corners, chipped.
+    half_x = (length - joint) / 2 - 1.6 * _random(course, brick, 6)
+    half_y = (height - joint) / 2 - 1.0 * _random(course, brick, 7)
+    corner = 3.0
+    across = np.abs(wavy_x - (brick + 0.5) * length) - half_x + corner
+    along = np.abs(wavy_y - (course + 0.5) * height) - half_y + corner
+    outside = np.sqrt(np.maximum(across, 0) ** 2 + np.maximum(along, 0) ** 2)
+    outside += np.minimum(np.maximum(across, along), 0)
+    inside = corner - outside - 2.2 * _noise(x / 5, y / 5, 8) * _noise(x / 23, y / 19, 9)
+    face = np.clip(0.5 + inside / max(1.6, scale), 0, 1)
+
+    # Brightness of the fired clay and of the mortar.
+    grain = _random(row[:, None], np.arange(columns), 10) - 0.5
+    sand = 0.6 * _noise(x / 2.3, y / 2.1, 11) + 0.6 * _noise(x / 1.4, y / 1.5, 17) - 0.6
+    stain = _noise(x / 61, y / 47, 12) - 0.5
+    coarse = 0.5 * _noise(x / 3.6, y / 2.9, 13) + 0.5 * _noise(x / 2.7, y / 3.5, 14)
+    flecks = np.clip(coarse - 0.7, 0, 1) - np.clip(0.28 - coarse, 0, 1)
+    streaks = _noise(x / 19, y / 5, 15) - 0.5
+    shade = 0.44 + 0.26 * (_random(course, brick, 16) - 0.5)
+    clay = shade + 0.10 * stain + 0.11 * streaks + 0.13 * sand + 0.08 * grain + 0.55 * flecks
+    mortar = 0.66 + 0.10 * stain + 0.20 * sand + 0.13 * grain
+
+    # Light from the upper left: relief on the faces, and the shadow that they cast into the joints.
+    relief = 1.3 * np.clip(inside / 3.5, -0.4, 1) + 0.55 * sand * face + 0.8 * flecks * face
+    light = np.zeros_like(relief)
+    light[1:, 1:] = np.clip((relief[1:, 1:] - relief[:-1, :-1]) / max(scale, 0.35), -1, 1)
+    shadow = np.zeros_like(face)
+    shadow[step:, step:] = face[:-step, :-step]
+    wall = face * clay + (1 - face) * mortar * (1 - 0.5 * shadow) + 0.16 * light
+    codes: Codes = np.floor(255 * np.clip(wall[first - top :], 0.02, 0.98) + 0.5).astype(np.uint8)
+    return codes
+
+
+def _noise(x: Floats, y: Floats, layer: int) -> Floats:
+    """Value noise from 0 to 1 where columns x and rows y cross: random lattice points, interpolated."""
+    left, top = np.floor(x), np.floor(y)
+    u, v = x - left, (y - top)[:, None]
+    u, v = u * u * (3 - 2 * u), v * v * (3 - 2 * v)
+    i, j = top.astype(np.intp), left.astype(np.intp)
+    lattice = _random(np.arange(i[-1] + 2)[:, None], np.arange(j[-1] + 2), layer)
+    rows = lattice[i] + v * (lattice[i + 1] - lattice[i])
+    noise: Floats = rows[:, j] + u * (rows[:, j + 1] - rows[:, j])
+    return noise
+
+
+def _random(row: NDArray[np.intp], column: NDArray[np.intp], layer: int) -> Floats:
+    """Give every pair of whole numbers its fixed random number from 0 to 1; repeats after 512."""
+    numbers: Floats = _random_table()[(row + 37 * layer) & 511, (column + 151 * layer) & 511]
+    return numbers
+
+
+@functools.cache
+def _random_table() -> Floats:
+    # Raw output of the bit generator is the one random stream that NumPy promises never to change.
+    raw = np.asarray(np.random.PCG64(20).random_raw(512 * 512), np.uint64)
+    return (raw >> np.uint64(11)).astype(np.float64).reshape(512, 512) * 2.0**-53
+
+
+def checkerboard(rows: int, columns: int, first: int = 0, end: int | None = None) -> Codes:
+    """Draw squares of sRGB codes 232 and 24, 16 along the shorter side; returns (rows, columns)."""
+    side = max(1, round(min(rows, columns) / 16))
+    odd = (np.arange(rows)[first:end, None] // side + np.arange(columns) // side) % 2
+    return np.where(odd == 1, 24, 232).astype(np.uint8)
+
+
+def slanted_edge(rows: int, columns: int, first: int = 0, end: int | None = None) -> Codes:
+    """Draw a straight edge through the center, 5 degrees from the vertical, for an MTF after ISO 12233.
+
+    Returns sRGB codes (rows, columns): light 0.2 on the left, 0.8 on the right, 4 : 1, and in each pixel on
+    the edge the mean by exact area, to the nearest code.
+    """
+    angle = np.deg2rad(5.0)
+    i, j = np.arange(rows)[first:end, None] - (rows - 1) / 2, np.arange(columns) - (columns - 1) / 2
+    right = _area_beyond(j * np.cos(angle) + i * np.sin(angle), np.cos(angle), np.sin(angle))
+    return encode(0.2 + 0.6 * right, 8, "srgb").astype(np.uint8)
+
+
+def siemens_star(rows: int, columns: int, first: int = 0, end: int | None = None) -> Codes:
+    """Draw 36 bright and 36 dark spokes, light 0.8 and 0.05, around the center.
+
+    Returns sRGB codes (rows, columns). A pixel that one edge crosses has the mean by exact area, to
+    the nearest code; near the center, where several cross, the mean of 16 x 16 samples.
+    """
+    i, j = np.arange(rows)[first:end, None] - (rows - 1) / 2, np.arange(columns) - (columns - 1) / 2
+    edge = np.rint(np.arctan2(i, j) * 36 / np.pi)  # the nearest edge, between spoke edge - 1 and spoke edge
+    angle = edge * np.pi / 36
+    after = _area_beyond(i * np.cos(angle) - j * np.sin(angle), np.cos(angle), np.sin(angle))
+    bright = np.where(edge % 2 == 0, after, 1 - after)
+
+    near = np.nonzero(i * i + j * j < 20**2)  # beyond, spokes are wider than the diagonal of a pixel
+    step = (np.arange(16) + 0.5) / 16 - 0.5
+    samples_i = i[near[0], 0][:, None, None] + step[:, None]
+    samples_j = j[near[1]][:, None, None] + step
+    spoke = np.floor(np.arctan2(samples_i, samples_j) * 36 / np.pi)
+    bright[near] = (spoke % 2 == 0).mean(axis=(1, 2))
+    return encode(0.05 + 0.75 * bright, 8, "srgb").astype(np.uint8)
+
+
+def _area_beyond(distance: Floats, normal_x: float | Floats, normal_y: float | Floats) -> Floats:
+    """Share of unit squares that lies beyond a straight line.
+
+    distance: of the square's center, along the unit normal, positive beyond. The square's sides, projected
+    on the normal, are two intervals: along the longer one the area grows as a ramp, and the shorter one
+    takes the mean of that ramp.
+    """
+    distance = np.clip(distance, -2, 2)
+    a, b = np.maximum(np.abs(normal_x), 1e-7) / 2, np.maximum(np.abs(normal_y), 1e-7) / 2
+    wide, narrow = np.maximum(a, b), np.minimum(a, b)
+
+    def integral(s: Floats) -> Floats:  # of the ramp, clip(1/2 + s / (2 wide), 0, 1)
+        inner = np.clip(s, -wide, wide)
+        area: Floats = (inner + wide) ** 2 / (4 * wide) + np.maximum(s - wide, 0)
+        return area
+
+    return np.asarray((integral(distance + narrow) - integral(distance - narrow)) / (2 * narrow))
+
+
+PATTERNS = {
+    "bricks": bricks,
+    "checkerboard": checkerboard,
+    "slanted_edge": slanted_edge,
+    "siemens_star": siemens_star,
+}

@@ -1,0 +1,1 @@
+"""Devices, sessions, programs and buffers. Knows no scenes."""

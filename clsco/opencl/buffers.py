@@ -1,0 +1,120 @@
+"""Arrays to the device and back."""
+
+from __future__ import annotations
+
+import mmap
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import DTypeLike, NDArray
+
+from clsco.errors import DeviceError
+from clsco.opencl.device import failure
+from clsco.opencl.session import Session
+
+LARGE = 2**22  # bytes, from which a buffer holds at least one page of 2 MiB
+
+
+def upload(session: Session, array: NDArray[Any]) -> cl.Buffer:
+    """A read-only buffer with the contents of `array`, in C order.
+
+    Where the device works in the host's memory, an aligned C-ordered array is used in place: the buffer then
+    keeps it alive, and the caller must neither write to it nor drop the buffer before the last kernel that reads it
+    has ended.
+    Otherwise it is copied. Raises DeviceError when the array is larger than the device allows for one buffer.
+    """
+    packed = np.ascontiguousarray(array)
+    _check_size(session, packed.nbytes)
+    if packed.nbytes == 0:
+        return empty(session, 0)
+    in_place = session.device.unified_memory and packed.ctypes.data % session.device.alignment == 0
+    flags = cl.mem_flags.USE_HOST_PTR if in_place else cl.mem_flags.COPY_HOST_PTR
+    try:
+        return cl.Buffer(session.context, cl.mem_flags.READ_ONLY | flags, hostbuf=packed)
+    except cl.Error as error:
+        raise failure(session.device, f"have memory for a buffer of {packed.nbytes} bytes", error) from error
+
+
+def copied(session: Session, array: NDArray[Any]) -> cl.Buffer:
+    """A buffer with a copy of `array`, in C order, for kernels to read and write. Raises DeviceError as `upload`."""
+    packed = np.ascontiguousarray(array)
+    if not 0 < packed.nbytes < LARGE:
+        buffer = empty(session, packed.nbytes)
+        if packed.nbytes:
+            cl.enqueue_copy(session.queue, buffer, packed)
+        return buffer
+    flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR  # sooner than by a command in the queue
+    try:
+        return cl.Buffer(session.context, flags, hostbuf=packed)
+    except cl.Error as error:
+        raise failure(session.device, f"have memory for a buffer of {packed.nbytes} bytes", error) from error
+
+
+def empty(session: Session, size: int) -> cl.Buffer:
+    """A buffer of `size` bytes, not initialized, for kernels to read and write. Raises DeviceError as
+    `upload`."""
+    _check_size(session, size)
+    flags = cl.mem_flags.READ_WRITE
+    try:
+        if session.device.unified_memory and size >= LARGE and sys.platform == "linux":
+            return cl.Buffer(session.context, flags | cl.mem_flags.USE_HOST_PTR, hostbuf=_in_large_pages(size))
+        return cl.Buffer(session.context, flags, max(size, 1))  # OpenCL knows no empty buffer
+    except (cl.Error, OSError) as error:
+        raise failure(session.device, f"have memory for a buffer of {size} bytes", error) from error
+
+
+def _in_large_pages(size: int) -> NDArray[np.uint8]:
+    """Bytes on the host, in pages of 2 MiB where the system has them: many places of a large plane are near at once."""
+    memory = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    with suppress(OSError):
+        memory.madvise(mmap.MADV_HUGEPAGE)
+    return np.frombuffer(memory, np.uint8)
+
+
+def download(session: Session, buffer: cl.Buffer, shape: Sequence[int], dtype: DTypeLike) -> NDArray[Any]:
+    """Wait for everything enqueued so far and return a copy of the buffer's beginning, the caller's own.
+
+    shape, dtype: of the array to return. Raises DeviceError when the device fails.
+    """
+    array = np.empty(tuple(shape), dtype)
+    download_into(session, buffer, array)
+    return array
+
+
+def download_into(session: Session, buffer: cl.Buffer, array: NDArray[Any]) -> None:
+    """Wait for all that is enqueued and copy the buffer's beginning to a C-ordered array. Raises as `download`."""
+    if array.nbytes:
+        try:
+            cl.enqueue_copy(session.queue, array, buffer, is_blocking=True)
+        except cl.Error as error:
+            raise failure(session.device, "give results back", error) from error
+
+
+@contextmanager
+def mapped(session: Session, buffer: cl.Buffer, shape: Sequence[int]) -> Iterator[NDArray[np.float32]]:
+    """Wait for all that is enqueued and read the buffer's beginning where it is; on a processor nothing is copied.
+
+    shape: of the array, which is gone after the block. Raises as `download`.
+    """
+    try:
+        flags = cl.map_flags.READ
+        array, _ = cl.enqueue_map_buffer(
+            session.queue, buffer, flags, 0, tuple(shape), np.dtype(np.float32), is_blocking=True
+        )
+    except cl.Error as error:
+        raise failure(session.device, "give results back", error) from error
+    try:
+        yield array
+    finally:
+        array.base.release(session.queue)
+
+
+def _check_size(session: Session, size: int) -> None:
+    if size > session.device.max_alloc:
+        raise DeviceError(
+            f"device {session.device}: a buffer must be at most {session.device.max_alloc} bytes; got {size}"
+        )

@@ -1,0 +1,198 @@
+"""OpenCL devices: which there are, which one is used and why, what it can do, and a queue on it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import pyopencl as cl
+
+from clsco.errors import DeviceError
+from clsco.opencl import pocl_cache as poclcache
+
+NO_DEVICE = (
+    "device: OpenCL needs a driver, and none with a device was found; "
+    'install PoCL for the processor with `pip install "clsco[pocl]"`, or your GPU vendor\'s OpenCL driver'
+)
+_POCL = "Portable Computing Language"
+_SHORT_OF_MEMORY = ("ALLOCATION_FAILURE", "OUT_OF_RESOURCES", "OUT_OF_HOST_MEMORY", "INVALID_BUFFER_SIZE")
+_REASONS = (
+    "the first GPU",
+    "PoCL, as there is no GPU",
+    "the first processor, as there is neither a GPU nor PoCL",
+    "the first device, as there is neither a GPU nor a processor",
+)
+
+
+@dataclass(frozen=True)
+class Device:
+    """An OpenCL device and what clsco has to know about it; sizes in bytes."""
+
+    name: str
+    platform: str
+    platform_version: str
+    driver: str
+    kind: Literal["gpu", "cpu", "accelerator"]
+    has_fp64: bool
+    has_int64_atomics: bool
+    correctly_rounded: bool
+    """float32 division and square root can be had correctly rounded, as in NumPy."""
+    unified_memory: bool
+    """The device works in the host's memory, so that an aligned array needs no copy."""
+    alignment: int
+    max_alloc: int
+    global_mem: int
+    compute_units: int
+    vector_width: int
+    """Floats in the widest vector that it computes at once."""
+    max_work_group: int
+    handle: cl.Device = field(repr=False)
+
+    @property
+    def is_pocl(self) -> bool:
+        return self.platform == _POCL
+
+    def __str__(self) -> str:
+        return f"{self.name} ({self.platform})"
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The device that would be used (None: there is no usable one) and the reason, in words."""
+
+    device: Device | None
+    reason: str
+
+
+def list_devices(name: str | None = None) -> tuple[tuple[Device, ...], Choice]:
+    """All OpenCL devices in the platforms' order, and which one `choose(name)` would use and why.
+
+    Raises nothing: where no device can be chosen, the reason says so.
+    """
+    devices = _devices()
+    try:
+        return devices, pick(devices, name, os.environ, _by_pyopencl)
+    except DeviceError as error:
+        return devices, Choice(None, str(error))
+
+
+def choose(name: str | None = None) -> Device:
+    """The device to use: `name` > CLSCO_DEVICE > PYOPENCL_CTX > a GPU > PoCL > any other processor.
+
+    Never prompts.
+    `name` is a part of the device's or platform's name or version in any case, or "gpu" or "cpu".
+    Raises DeviceError when no device is there or none matches.
+    """
+    chosen = pick(_devices(), name, os.environ, _by_pyopencl).device
+    if chosen is None:
+        raise DeviceError(NO_DEVICE)
+    return chosen
+
+
+def pick(
+    devices: Sequence[Device],
+    name: str | None,
+    environ: Mapping[str, str],
+    by_pyopencl: Callable[[str], cl.Device],
+) -> Choice:
+    """The rule of `choose`, on a given list and environment; `by_pyopencl` resolves a PYOPENCL_CTX."""
+    if not devices:
+        return Choice(None, NO_DEVICE)
+    for source, wanted in (("--device", name), ("CLSCO_DEVICE", environ.get("CLSCO_DEVICE"))):
+        if wanted:
+            return Choice(_matching(devices, source, wanted), f'{source} is "{wanted}"')
+    if specification := environ.get("PYOPENCL_CTX"):
+        handle = by_pyopencl(specification)
+        return Choice(described(handle), f'PYOPENCL_CTX is "{specification}"')
+    best = min(devices, key=_rank)  # the first of equals, so the platforms' order decides
+    return Choice(best, _REASONS[_rank(best)])
+
+
+def failure(device: Device, what: str, error: cl.Error | OSError) -> DeviceError:
+    """The error to raise where a device fails: `what` it must do, and what OpenCL raised."""
+    short = isinstance(error, cl.MemoryError | OSError) or any(word in str(error) for word in _SHORT_OF_MEMORY)
+    return DeviceError(f"device {device}: must {what}; got {error}", short_of_memory=short)
+
+
+_process: int | None = None  # the one in which OpenCL was asked for the first time
+
+
+def _not_forked() -> None:
+    """Raise DeviceError in a fork of a process that has asked OpenCL for anything: PoCL would wait for ever."""
+    global _process
+    _process = _process or os.getpid()
+    if _process != os.getpid():
+        rule = "OpenCL must be used in the process that began to, or in others that are started by spawning"
+        raise DeviceError(f"device: {rule}; got a fork of process {_process}")
+
+
+def _rank(device: Device) -> int:
+    if device.kind == "gpu":
+        return 0
+    if device.is_pocl:
+        return 1
+    return 2 if device.kind == "cpu" else 3
+
+
+def _matching(devices: Sequence[Device], source: str, wanted: str) -> Device:
+    def matches(device: Device) -> bool:
+        texts = (device.name, device.platform, device.platform_version)
+        return wanted.lower() == device.kind or any(wanted.lower() in text.lower() for text in texts)
+
+    found = [device for device in devices if matches(device)]
+    if not found:
+        there = ", ".join(map(str, devices))
+        raise DeviceError(f'{source}: must be a part of the name of one of {there}; got "{wanted}"')
+    return min(found, key=_rank)
+
+
+def _by_pyopencl(specification: str) -> cl.Device:
+    try:
+        return cl.choose_devices(interactive=False, answers=specification.split(":"))[0]
+    except (RuntimeError, cl.Error) as error:
+        raise DeviceError(f'PYOPENCL_CTX: must name a platform and device; got "{specification}": {error}') from error
+
+
+def _devices() -> tuple[Device, ...]:
+    _not_forked()
+    try:
+        poclcache.prepare()  # PoCL reads the variable when its platform is first asked for
+    except OSError as error:
+        raise DeviceError(f"device: PoCL must have a folder for compiled kernels; got {error}") from error
+    try:
+        platforms = cl.get_platforms()
+    except cl.LogicError:  # the loader's word for no driver at all
+        return ()
+    handles = []
+    for platform in platforms:
+        try:
+            handles.extend(platform.get_devices())
+        except cl.Error:  # a driver without its hardware
+            continue
+    return tuple(described(handle) for handle in handles)
+
+
+def described(handle: cl.Device) -> Device:
+    extensions = handle.extensions.split()
+    kinds = cl.device_type
+    return Device(
+        name=handle.name.strip(),
+        platform=handle.platform.name.strip(),
+        platform_version=handle.platform.version.strip(),
+        driver=handle.driver_version.strip(),
+        # A simulator claims every kind at once: not to be mistaken for a GPU.
+        kind="cpu" if handle.type & kinds.CPU else "gpu" if handle.type & kinds.GPU else "accelerator",
+        has_fp64="cl_khr_fp64" in extensions,
+        has_int64_atomics={"cl_khr_int64_base_atomics", "cl_khr_int64_extended_atomics"} <= set(extensions),
+        correctly_rounded=bool(handle.single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT),
+        unified_memory=bool(handle.type & kinds.CPU),
+        alignment=handle.mem_base_addr_align // 8,
+        max_alloc=handle.max_mem_alloc_size,
+        global_mem=handle.global_mem_size,
+        compute_units=handle.max_compute_units,
+        vector_width=handle.native_vector_width_float,
+        max_work_group=handle.max_work_group_size,
+        handle=handle,
+    )

@@ -1,0 +1,172 @@
+"""Kernel text to built program, launches, and arrays to the device and back."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from clsco.errors import DeviceError, KernelError
+from clsco.opencl.device import failure
+from clsco.opencl.session import Program, Session
+from clsco.resources import folder
+
+HEADERS = ("common/wide.clh", "common/geometry.clh")
+OCCLUSION_HEADERS = ("common/visibility.clh", "common/visibility_test.clh")  # with the feature OCCLUDED
+MANY_SOURCES = ("many", "rows", "near", "discs", "quadrants", "gaussians", "columns")  # together: ways of `gather`
+HEADERS_OF = {
+    "trace/trace.cl": ("common/sources.clh",),
+    "blur/blur.cl": ("common/sources.clh", "common/psf.clh", *(f"blur/cpu/{name}.clh" for name in MANY_SOURCES)),
+    "blur/multigrid.cl": ("common/sources.clh", "common/psf.clh"),
+    "blur/tiles.cl": ("common/sources.clh", "common/psf.clh"),
+    "inpainting/fill.cl": ("inpainting/estimate.clh",),
+    "inpainting/holes.cl": ("inpainting/estimate.clh",),
+}
+_C_TYPES = {
+    "f4": "float", "f8": "double",
+    "i1": "char", "i2": "short", "i4": "int", "i8": "long",
+    "u1": "uchar", "u2": "ushort", "u4": "uint", "u8": "ulong",
+}  # fmt: skip
+
+
+def build(
+    session: Session,
+    sources: Sequence[str],
+    features: Mapping[str, int | bool],
+    structs: Mapping[str, np.dtype[Any]],
+    real: Literal["double", "float"],
+) -> Program:
+    """Build kernel files, after the shared headers, into a program; the same request gives the same program.
+
+    sources: names of files in kernels/, such as "trace/trace.cl". features: NAME -> small integer or bool, given to
+    the compiler as -DNAME=value; structure only, since each set of values is compiled anew. structs: C name
+    -> NumPy dtype, as `struct_text` takes them, nested ones after their parts. real: what `real` and `real2`
+    to `real16` mean.
+
+    Defined for the kernels: real, real2, real3, real4, real8, real16, REAL_IS_DOUBLE, HAS_FP64,
+    HAS_INT64_ATOMICS, VECTOR_WIDTH (floats of the device's widest vector, which may change the time and no result).
+    Raises KernelError with the compiler's log, DeviceError where `real` is double and the device has none.
+    """
+    device = session.device
+    if real == "double" and not device.has_fp64:
+        raise DeviceError(f"precision: double needs a device with fp64, use single; got {device}")
+    headers = [*(OCCLUSION_HEADERS if features.get("OCCLUDED") else ())]
+    headers += dict.fromkeys(header for source in sources for header in HEADERS_OF.get(source, ()))
+    text = program_text([*headers, *sources], structs, real, device.has_fp64, device.has_int64_atomics)
+    options = [f"-D{name}={int(value)}" for name, value in sorted(features.items())]
+    options.append("-cl-std=CL1.2")
+    if real == "float":  # else 0.5 is a double, and so is the arithmetic around it
+        options.append("-cl-single-precision-constant")
+    options.append(f"-DVECTOR_WIDTH={device.vector_width}")
+    if device.correctly_rounded:
+        options.append("-cl-fp32-correctly-rounded-divide-sqrt")
+    key = "\n".join([*options, text])
+    with session.lock:
+        if key not in session.programs:
+            with session.compiling():
+                session.programs[key] = _built(session, ", ".join(sources), text, options)
+        return session.programs[key]
+
+
+def kernel(program: Program, name: str) -> cl.Kernel:
+    """The kernel `name` of a built program. Raises KernelError when it has none of this name."""
+    if name not in program:
+        raise KernelError(f"kernel: must be one of {', '.join(sorted(program))}; got {name}")
+    return program[name]
+
+
+def launch(
+    session: Session,
+    kernel: cl.Kernel,
+    global_size: tuple[int, ...],
+    local_size: tuple[int, ...],
+    *args: cl.Buffer | np.generic | NDArray[np.void],
+) -> cl.Event:
+    """Enqueue a kernel over at least `global_size` work-items and return its event; in order with all others.
+
+    global_size is rounded up to whole groups of local_size, so the kernel's first statement has to be a
+    guard. local_size is fixed by the kernel, since each new one is compiled anew. args: buffers, NumPy
+    scalars, scalars of a structured dtype, in the kernel's order. Raises DeviceError when the device cannot
+    run it.
+    """
+    padded = tuple(-(-size // group) * group for size, group in zip(global_size, local_size, strict=True))
+    # PoCL compiles a kernel at its first launch, for a local size, and another time for small grids.
+    shape = (kernel, local_size, max(padded) < 2**16)
+    try:
+        with session.lock:  # a kernel's arguments and its launch belong together
+            if shape in session.compiled:
+                return kernel(session.queue, padded, local_size, *args)
+            with session.compiling():
+                event = kernel(session.queue, padded, local_size, *args)
+                session.queue.finish()  # the compiler runs in the queue, not in the call
+            session.compiled.add(shape)
+            return event
+    except cl.Error as error:
+        raise failure(session.device, f"run {kernel.function_name}", error) from error
+
+
+def program_text(
+    sources: Sequence[str],
+    structs: Mapping[str, np.dtype[Any]],
+    real: Literal["double", "float"],
+    has_fp64: bool,
+    has_int64_atomics: bool,
+) -> str:
+    """The whole text that the compiler sees, with #line before each file, so that errors name it."""
+    lines = ["#pragma OPENCL FP_CONTRACT OFF"]  # a * b + c as NumPy has it; fma where a kernel says fma
+    # How wide vectors are passed is of no interest where every function is inlined, but PoCL counts on the terminal.
+    lines += ["#ifdef __clang__", '#pragma clang diagnostic ignored "-Wpsabi"', "#endif"]
+    if has_fp64:
+        lines.append("#pragma OPENCL EXTENSION cl_khr_fp64 : enable")
+    if has_int64_atomics:
+        lines.append("#pragma OPENCL EXTENSION cl_khr_int64_base_atomics : enable")
+        lines.append("#pragma OPENCL EXTENSION cl_khr_int64_extended_atomics : enable")
+    lines += [f"#define HAS_FP64 {int(has_fp64)}", f"#define HAS_INT64_ATOMICS {int(has_int64_atomics)}"]
+    lines.append(f"#define REAL_IS_DOUBLE {int(real == 'double')}")
+    lines += [f"typedef {real}{width} real{width};" for width in ("", 2, 3, 4, 8, 16)]
+    lines += [struct_text(name, dtype, structs) for name, dtype in structs.items()]
+    kernels = folder("kernels")
+    for source in (*HEADERS, *sources):
+        path = kernels / source
+        if not path.is_file():
+            raise KernelError(f"kernels: must hold every file that is asked for; got no {source}")
+        lines += [f'#line 1 "{source}"', path.read_text("utf-8")]
+    return "\n".join(lines)
+
+
+def struct_text(name: str, dtype: np.dtype[Any], structs: Mapping[str, np.dtype[Any]]) -> str:
+    """The C typedef `name` of an aligned structured dtype, with a check of its size by the compiler itself.
+
+    Fields are scalars, arrays of them, or dtypes in `structs`. `np.dtype(..., align=True)` gives the layout
+    that OpenCL C prescribes, so equal sizes mean equal offsets. (pyopencl's match_dtype_to_c_struct asks the
+    device with a kernel per struct: 35 ms each from a warm cache, 0.3 s from a cold one.)
+    """
+    if dtype.fields is None or not dtype.isalignedstruct:
+        raise KernelError(f"struct {name}: must be a structured dtype with align=True; got {dtype}")
+    names = {other: c_name for c_name, other in structs.items()}
+    members = []
+    for field, entry in dtype.fields.items():
+        base, shape = entry[0].base, entry[0].shape
+        c_type = names.get(base) or _C_TYPES.get(base.str[1:])
+        if c_type is None:
+            raise KernelError(f"struct {name}: fields must be numbers or known structs; got {field}: {base}")
+        members.append(f"{c_type} {field}{''.join(f'[{count}]' for count in shape)};")
+    check = f"typedef char {name}_has_the_size_of_its_dtype[sizeof({name}) == {dtype.itemsize} ? 1 : -1];"
+    return f"typedef struct {{ {' '.join(members)} }} {name};\n{check}"
+
+
+def _built(session: Session, where: str, text: str, options: list[str]) -> Program:
+    with warnings.catch_warnings():
+        # pyopencl warns of any output of the compiler; shown only to whom asks with pyopencl's own variable.
+        if not os.environ.get("PYOPENCL_COMPILER_OUTPUT"):
+            warnings.simplefilter("ignore", cl.CompilerWarning)
+        try:
+            built = cl.Program(session.context, text).build(options)
+            return {kernel.function_name: kernel for kernel in built.all_kernels()}
+        except cl.Error as error:
+            raise KernelError(f"{where}: must build on {session.device}; got\n{error}") from error

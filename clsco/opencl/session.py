@@ -1,0 +1,128 @@
+"""A context and a queue on a device, with the programs built there."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from functools import lru_cache
+from types import TracebackType
+from typing import Self, TypeAlias
+
+import pyopencl as cl
+
+from clsco.errors import DeviceError
+from clsco.opencl import pocl_cache as poclcache
+from clsco.opencl import pocl_cpu as poclcpu
+from clsco.opencl.device import Device, _not_forked, described, failure
+
+Program: TypeAlias = dict[str, cl.Kernel]
+"""A built program: its kernels by name. Looking a kernel up in OpenCL costs 0.2 ms, so they are kept."""
+
+
+class Session:
+    """A context and an in-order queue that times its commands, on one device, with the programs built in it;
+    released by `close` or `with`.
+
+    Not to be carried over a fork: PoCL would wait for ever, even with a new session, so that DeviceError is raised.
+    Start processes by spawning. Safe to share between threads. `queue`: work in this queue and its context, for arrays
+    that live there. Raises DeviceError when the device refuses a context.
+    """
+
+    def __init__(self, device: Device, queue: cl.CommandQueue | None = None) -> None:
+        _not_forked()
+        self.device = device
+        self.lock = threading.RLock()
+        self.programs: dict[str, Program] = {}
+        """What `program.build` has built here, by text and options."""
+        self.compiled: set[tuple[cl.Kernel, tuple[int, ...], bool]] = set()
+        """Kernels and launch shapes that the driver has compiled already, kept by `program.launch`."""
+        if device.is_pocl:
+            poclcache.check()
+            poclcpu.ensure_known(device.handle.version, device.handle.int_ptr)
+        try:
+            if queue is not None:
+                self.context, self._queue = queue.context, queue
+                return
+            self.context = cl.Context([device.handle])
+            timed = cl.command_queue_properties.PROFILING_ENABLE
+            self._queue = cl.CommandQueue(self.context, properties=timed)
+        except cl.Error as error:
+            raise failure(device, "open a context and a queue", error) from error
+
+    @property
+    def queue(self) -> cl.CommandQueue:
+        """The queue; raises DeviceError in a fork of the process that has opened it."""
+        _not_forked()
+        return self._queue
+
+    def compiling(self) -> AbstractContextManager[None]:
+        """To be held while the driver may compile: no other process then writes to its cache.
+
+        Raises DeviceError where the disk is so full that PoCL would abort.
+        """
+        if not self.device.is_pocl:
+            return nullcontext()
+        if not poclcache.has_room():
+            rule = f"the folder {os.environ[poclcache.VARIABLE]} must have {poclcache.ROOM >> 20} MiB for kernels"
+            raise DeviceError(f"device {self.device}: {rule}; got a full disk")
+        return poclcache.exclusive()
+
+    def close(self) -> None:
+        """Wait for the queue and let go of the programs; the context goes when its last buffer does."""
+        with self.lock:
+            self.queue.finish()
+            self.compiled.clear()
+            self.programs.clear()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None:
+            with self.telling():
+                self.close()
+            return
+        with suppress(cl.Error, DeviceError):  # what came first is told
+            self.close()
+        if isinstance(error, cl.Error):
+            raise failure(self.device, "go on", error) from error
+
+    @contextmanager
+    def telling(self) -> Iterator[None]:
+        """Have what OpenCL raises in the block told as a DeviceError, when nothing runs any more that reads arrays.
+
+        After an error other than a want of memory the context may be lost, so that `session_on` opens another one.
+        """
+        try:
+            yield
+        except BaseException as error:
+            self.settle()
+            told = failure(self.device, "go on", error) if isinstance(error, cl.Error) else error
+            if isinstance(told, DeviceError) and not told.short_of_memory:
+                session_on.cache_clear()
+            if told is not error:
+                raise told from error
+            raise
+
+    def settle(self) -> None:
+        """Wait for the queue, whatever has come of it: arrays and buffers may go then."""
+        with suppress(cl.Error, DeviceError):
+            self.queue.finish()
+
+
+# A context and its built programs, kept because they take longer than a small image does, and because PoCL does not
+# give back the memory of a program that is released (2 MiB each).
+@lru_cache(maxsize=4)
+def session_on(device: Device) -> Session:
+    """A session on a device, the same one as long as it is among the last four."""
+    return Session(device)
+
+
+@lru_cache(maxsize=4)
+def session_of(queue: cl.CommandQueue) -> Session:
+    """A session that works in a queue, the same one as long as it is among the last four."""
+    return Session(described(queue.device), queue=queue)

@@ -1,0 +1,130 @@
+"""Rigid motion over an exposure: poses, sample times and their weights (float64, pure)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.scene.model import Object, ObjectMotion, Scene, Sequence
+
+Eye = Literal["left", "right"]
+# The thesis turns an object in a frame whose z axis points towards the camera (2.13).
+TOWARDS_CAMERA = np.diag([1.0, 1.0, -1.0])
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where an object is at one moment: P = center + shift + rotation (P0 - center), camera frame.
+
+    rotation: (3, 3), unitless; shift: (3,), mm.
+    """
+
+    rotation: NDArray[np.float64]
+    shift: NDArray[np.float64]
+
+
+def rotation_matrix(angles: NDArray[np.float64], rotation: str) -> NDArray[np.float64]:
+    """Rotation matrix (3, 3) in the object's frame for angles (3,) in radians.
+
+    "euler": the matrix of 2.14 to 2.23. "axis": a turn by |angles| about the vector `angles` (Rodrigues), in
+    the same sense as the matrix for a single axis, which is the negative of the right-hand rule.
+    Validated: both agree for every single axis, are orthonormal and are the identity at rest.
+    """
+    if rotation == "axis":
+        angle = float(np.linalg.norm(angles))
+        if angle == 0.0:
+            return np.eye(3)
+        x, y, z = -angles / angle
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        sine, cosine = _sine_cosine(np.asarray(angle))
+        return np.eye(3) + sine * cross + (1.0 - cosine) * (cross @ cross)
+    (sx, sy, sz), (cx, cy, cz) = _sine_cosine(angles)
+    return np.array(
+        [
+            [cy * cz, sx * sy * cz + cx * sz, -cx * sy * cz + sx * sz],
+            [-cy * sz, -sx * sy * sz + cx * cz, cx * sy * sz + sx * cz],
+            [sy, -sx * cy, cx * cy],
+        ]
+    )
+
+
+def _sine_cosine(angles: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Sines and cosines, exact for quarter turns: pi/2 in float64 is not quite one, and a plane would tilt."""
+    sines, cosines = np.sin(angles), np.cos(angles)
+    least = np.finfo(np.float64).eps
+    return np.where(np.abs(sines) < least, 0.0, sines), np.where(np.abs(cosines) < least, 0.0, cosines)
+
+
+def pose_at(motion: ObjectMotion, time: float, rotation: str) -> Pose:
+    """Pose after `time` seconds, always from rest and never composed step by step (thesis 4.3.6.2).
+
+    Degrees are reduced to one turn before they become radians: sin(1e7 deg) would lose four digits. The
+    axis-angle turn reduces the length of the vector instead of its components.
+    """
+    degrees = np.asarray(motion.angular_velocity, dtype=np.float64) * time
+    if rotation == "axis":
+        length = float(np.linalg.norm(degrees))
+        angles = degrees * (np.radians(np.fmod(length, 360.0)) / length) if length > 0 else np.zeros(3)
+    else:
+        angles = np.radians(np.fmod(degrees, 360.0))
+    matrix = TOWARDS_CAMERA @ rotation_matrix(angles, rotation) @ TOWARDS_CAMERA
+    return Pose(matrix, np.asarray(motion.velocity, dtype=np.float64) * time)
+
+
+def rest_center(item: Object) -> NDArray[np.float64]:
+    """Center (3,) of an object at rest in mm, about which it turns: the apex of a cone, (0, 0, a) of a plane."""
+    if item.shape == "plane":
+        return np.array([0.0, 0.0, item.distance])
+    return np.asarray(item.apex if item.shape == "cone" else item.center, dtype=np.float64)
+
+
+def eye_pose(scene: Scene, eye: Eye, time: float) -> Pose:
+    """Pose of the camera, or of one of a stereo pair, in the frame of the camera at rest.
+
+    A camera moves and turns about the center of its lens. The right one stands `baseline` to the right of the left
+    one, which is the scene's; both turn inwards by `toe_in`.
+    """
+    rig = pose_at(scene.camera.motion, time, scene.motion.rotation)
+    if scene.stereo is None or (eye == "left" and scene.stereo.toe_in == 0.0):
+        return rig
+    angle = np.radians(scene.stereo.toe_in) * (1.0 if eye == "left" else -1.0)
+    inwards = np.array([[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]])
+    apart = np.array([scene.stereo.baseline if eye == "right" else 0.0, 0.0, 0.0])
+    return Pose(rig.rotation @ inwards, rig.shift + rig.rotation @ apart)
+
+
+def rest_poses(scene: Scene) -> tuple[Pose, ...]:
+    """Poses of all objects before the camera that their textures belong to: neither moved nor turned."""
+    return (Pose(np.eye(3), np.zeros(3)),) * len(scene.objects)
+
+
+def poses_at(scene: Scene, time: float, eye: Eye = "left") -> tuple[Pose, ...]:
+    """Poses of all objects after `time` seconds, as the camera sees them, wherever it is then itself."""
+    camera, found = eye_pose(scene, eye, time), []
+    for item in scene.objects:
+        pose, center = pose_at(item.motion, time, scene.motion.rotation), rest_center(item)
+        shift = camera.rotation.T @ (pose.shift - camera.shift) + (camera.rotation.T @ center - center)
+        found.append(Pose(camera.rotation.T @ pose.rotation, shift))
+    return tuple(found)
+
+
+def sample_times(sequence: Sequence, frame: int, samples: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Times (samples,) in s since rest and weights (samples,) of the intermediate frames of one frame.
+
+    "midpoint": t = (i + 1/2) T / N after the shutter opens; "endpoint": t = (i + 1) T / N, the thesis, which
+    displaces the image by half an interval. The shutter is a box, so the weights are equal and sum to 1.
+    """
+    offset = 0.5 if sequence.sampling == "midpoint" else 1.0
+    assert sequence.shutter is not None  # filled in by the scene's validation
+    steps = np.arange(samples, dtype=np.float64) + offset
+    times = frame * sequence.interval + steps * (sequence.shutter / samples)
+    return times, np.full(samples, 1.0 / samples)
+
+
+def middle_time(sequence: Sequence, frame: int) -> float:
+    """Middle of the shutter of a frame in s since rest, the moment of its ground truth."""
+    assert sequence.shutter is not None
+    return frame * sequence.interval + 0.5 * sequence.shutter

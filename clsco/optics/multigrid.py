@@ -1,0 +1,73 @@
+"""Coarser grids for sources of wide blur: radii, PSFs and sizes of each level (float64, pure)."""
+
+from __future__ import annotations
+
+from math import exp, pi, sqrt
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.optics.psf_tables import LANES
+from clsco.scene.model import Psf
+
+Array = NDArray[np.float64]
+
+EDGE, EDGE_ROWS = 8, 8  # around planes, as in kernels/blur/multigrid.cl
+MOST_LEVELS = 5
+FADE = 1.25  # from the smallest radius that moves to where all light does
+STEEPEST = 1.0  # px to neighbors 2 px away: with more the radii of what shares a node would be too different
+SHARING = 0.75  # px^2 per axis: what bilinear sharing among nodes adds to a PSF's second moment, and taking back again
+# Of the coarse frame before it is enlarged: for discs as much as gives back what sharing adds, so that less of their
+# edge is lost; a Gaussian has nothing to lose, and is nearest without.
+SHARPENING = {"pillbox": 3 / 16, "gaussian": 0.0}
+PIXEL_MOMENT = {"sampled": 0.0, "area": 1 / 12, "integrated": 1 / 6}  # px^2 per axis: what `edge` adds to it
+
+
+def second_moment(psf: Psf) -> float:
+    """Second moment per axis of a PSF of R = 1 px, without what `edge` adds; px^2."""
+    if psf.model == "pillbox":
+        return 0.25
+    cut = psf.truncation
+    if psf.edge == "sampled":  # cut off at a circle
+        lost = exp(-0.5 * cut * cut)
+        return psf.sigma_ratio**2 * (1.0 - 0.5 * cut * cut * lost / (1.0 - lost))
+    inside = 2.0 * NormalDist().cdf(cut) - 1.0  # at a square
+    return psf.sigma_ratio**2 * (1.0 - 2.0 * cut * exp(-0.5 * cut * cut) / sqrt(2.0 * pi) / inside)
+
+
+def coarse_psf(psf: Psf) -> Psf:
+    """The PSF on coarser grids: over a node's own area, which rounds off least; a cut Gaussian keeps its circle."""
+    return psf if psf.model == "gaussian" and psf.edge == "sampled" else psf.model_copy(update={"edge": "area"})
+
+
+def loss(psf: Psf, finest: bool) -> float:
+    """What of R^2 in px^2 the way to the next coarser grid and back does by itself; finest: from the frame's own."""
+    own = PIXEL_MOMENT[psf.edge if finest else coarse_psf(psf).edge]
+    added = 2 * SHARING - 8 * SHARPENING[psf.model] + 4 * PIXEL_MOMENT[coarse_psf(psf).edge]
+    return (added - own) / second_moment(psf)
+
+
+def coarse_radius(psf: Psf, radius: float, finest: bool) -> float:
+    """Radius in px of the next grid of a source of `radius` px, so that second moments are the same; 0 for none."""
+    return 0.5 * sqrt(max(radius * radius - loss(psf, finest), 0.0))
+
+
+def coarse_radii(psf: Psf, largest: float, least: float) -> tuple[float, ...]:
+    """Largest radius on each coarser grid that is used, px of that grid; least: the smallest one there."""
+    found: list[float] = []
+    while len(found) < MOST_LEVELS and (radius := coarse_radius(psf, largest, not found)) >= least:
+        found.append(radius)
+        largest = radius
+    return tuple(found)
+
+
+def coarse_frame(rows: int, columns: int, guard: int) -> tuple[int, int, int]:
+    """Rows, columns and guard band of the next coarser grid: the nodes that pixels of the frame need."""
+    first = (guard + 1) // 2
+    return (guard + rows) // 2 + 4 - first, (guard + columns) // 2 + 4 - first, first
+
+
+def plane_shape(width: int, height: int) -> tuple[int, int]:
+    """Rows and pitch of a plane of a grid, see coarse.cl."""
+    return height + 2 * EDGE_ROWS, -(-(width + 4 * EDGE) // LANES) * LANES

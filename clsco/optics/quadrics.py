@@ -1,0 +1,199 @@
+"""Shapes as canonical quadrics, placed before the camera by a pose (float64, pure).
+
+Every shape is the zero set of  sum q_i X_i^2 + 2 sum l_i X_i - k  in a canonical frame of its own, along its
+principal axes. One ray-surface solution then serves all of them, in a form that does not cancel (Lagrange's
+identity, see `solve_quadric` in kernels/common/geometry.clh).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.optics.motion import Pose, rest_center
+from clsco.scene.model import Cone, Cylinder, Ellipsoid, Object, Plane, Quadric, Sphere
+
+Vector = NDArray[np.float64]
+# Eigenvalues of a quadric below this fraction of the largest count as zero: they are rounding, not curvature.
+NULL_CURVATURE = 1e-13
+# The square is completed along an axis where that moves the origin by at most so many distances of the quadric.
+FARTHEST_CENTER = 4.0
+
+
+@dataclass(frozen=True)
+class Canonical:
+    """A shape in its canonical frame X = axes (X_object - origin).
+
+    q, l: (3,), k: the coefficients; axes: (3, 3) rows are the canonical axes in the object's frame; origin:
+    (3,) mm; nappe: sign that the third canonical coordinate must have, 0 when any will do.
+    """
+
+    q: Vector
+    l: Vector  # noqa: E741 - the name of the linear part in physics
+    k: float
+    axes: NDArray[np.float64]
+    origin: Vector
+    nappe: int = 0
+
+
+@dataclass(frozen=True)
+class Extent:
+    """Where an object can be seen: slopes (x, y) of rays, low and high, and inverse depths in 1/mm."""
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+    w: tuple[float, float]
+
+
+EVERYWHERE = Extent((-inf, inf), (-inf, inf), (0.0, inf))
+
+
+@dataclass(frozen=True)
+class PlacedSurface:
+    """A surface at one moment, as the rays of the camera see it: a ray d has X = offset + Z turn d.
+
+    turn (3, 3) and offset (3,) mm: camera to canonical frame; body_turn, body_offset: camera to object's frame
+    (for bounds and for the way back to rest); rest (3,): the center at rest in mm; constant: the quadric's
+    value at the lens center. canonical: the shape; seen: no part of it is elsewhere.
+    """
+
+    canonical: Canonical
+    turn: NDArray[np.float64]
+    offset: Vector
+    body_turn: NDArray[np.float64]
+    body_offset: Vector
+    rest: Vector
+    constant: float
+    seen: Extent = EVERYWHERE
+
+
+def _axes_along(axis: Vector) -> NDArray[np.float64]:
+    """Right-handed orthonormal rows whose third row is along `axis`."""
+    third = axis / np.linalg.norm(axis)
+    helper = np.eye(3)[int(np.argmin(np.abs(third)))]
+    first = np.cross(helper, third)
+    first /= np.linalg.norm(first)
+    return np.array([first, np.cross(third, first), third])
+
+
+def _canonical_quadric(coefficients: tuple[float, ...], farthest: float) -> Canonical:
+    """The ten coefficients of 3.39 in principal axes; `farthest` mm: how far the origin may move to make l_i 0."""
+    xx, yy, zz, xy, yz, zx, x, y, z, constant = coefficients
+    matrix = np.array([[xx, xy / 2, zx / 2], [xy / 2, yy, yz / 2], [zx / 2, yz / 2, zz]])
+    linear = np.array([x, y, z]) / 2
+    q, vectors = np.linalg.eigh(matrix)
+    axes = vectors.T
+    largest = np.max(np.abs(q))
+    q = np.where(np.abs(q) <= NULL_CURVATURE * largest, 0.0, q)
+    half_linear = axes @ linear
+    # A weak curvature would put its center so far away that the offset swallows the digits of the surface.
+    curved = (q != 0) & (np.abs(half_linear) <= farthest * np.abs(q))
+    shift = np.where(curved, -half_linear / np.where(curved, q, 1.0), 0.0)
+    rest = np.where(curved, 0.0, half_linear)
+    k = -(constant + float(half_linear @ shift))
+    return Canonical(q, rest, k, axes, axes.T @ shift)
+
+
+def canonical(item: Object) -> Canonical:
+    """The canonical form of a shape (3.7, 3.11, 3.18, 3.23, 3.33, 3.39).
+
+    Lengths in mm. Coefficients are scaled to the size of the shape where that is free, so that neither 1e-6
+    nor 1e9 mm leaves the range of float32.
+    """
+    still, zero = np.eye(3), np.zeros(3)
+    if isinstance(item, Plane):
+        return Canonical(zero, np.array([-item.slope_x, -item.slope_y, 1.0]) / 2, 0.0, still, zero)
+    if isinstance(item, Sphere):
+        return Canonical(np.ones(3), zero, item.radius**2, still, zero)
+    if isinstance(item, Cylinder):
+        axes = _axes_along(np.asarray(item.axis, dtype=np.float64))
+        return Canonical(np.array([1.0, 1.0, 0.0]), zero, item.radius**2, axes, zero)
+    if isinstance(item, Cone):
+        spread = np.tan(np.radians(item.half_angle)) ** 2
+        sign = 1 if item.nappe == "away" else -1
+        return Canonical(np.array([1.0, 1.0, -spread]), zero, 0.0, still, zero, sign)
+    if isinstance(item, Ellipsoid):
+        axes_mm = np.asarray(item.semi_axes, dtype=np.float64)
+        largest = float(axes_mm.max())
+        return Canonical((largest / axes_mm) ** 2, zero, largest**2, still, zero)
+    assert isinstance(item, Quadric)
+    distance = float(np.linalg.norm(item.center))
+    # Any multiple means the same; this one keeps products of coefficients within float32, and changes no digit.
+    second, first = np.abs(item.coefficients[:6]).max(), np.abs(item.coefficients[6:9]).max()
+    factor = 2.0 ** -int(np.frexp(max(second, first / max(distance, 1.0)))[1])
+    return _canonical_quadric(tuple(factor * c for c in item.coefficients), FARTHEST_CENTER * distance)
+
+
+def place(item: Object, pose: Pose) -> PlacedSurface:
+    """The surface of `item` in `pose`, seen from the lens center."""
+    shape, rest = canonical(item), rest_center(item)
+    body_turn = pose.rotation.T
+    body_offset = body_turn @ (-rest - pose.shift)
+    turn = shape.axes @ body_turn
+    offset = shape.axes @ (body_offset - shape.origin)
+    if isinstance(item, Sphere):
+        # (c - rho)(c + rho) keeps the digits that c^2 - rho^2 loses beyond c/rho = 1e4
+        distance = float(np.linalg.norm(offset))
+        constant = (distance - item.radius) * (distance + item.radius)
+    else:
+        constant = float(shape.q @ offset**2 + 2.0 * (shape.l @ offset) - shape.k)
+    return PlacedSurface(shape, turn, offset, body_turn, body_offset, rest, constant, _seen(item, pose))
+
+
+def _seen(item: Object, pose: Pose) -> Extent:
+    """Where an object can be seen: that of a ball around it, everywhere if there is none or the lens is in it."""
+    balls: list[tuple[Vector, float]] = []
+    if isinstance(item, Sphere):
+        balls.append((np.zeros(3), item.radius))
+    if isinstance(item, Ellipsoid):
+        balls.append((np.zeros(3), max(item.semi_axes)))
+    if item.bounds is not None:
+        box = np.array(item.bounds)
+        balls.append((box.mean(axis=1), 0.5 * float(np.linalg.norm(box[:, 1] - box[:, 0]))))
+    if not balls:
+        return EVERYWHERE
+    middle, radius = min(balls, key=lambda ball: ball[1])
+    x, y, z = (rest_center(item) + pose.shift + pose.rotation @ middle).tolist()
+    radius *= 1.0 + 1e-9
+    if z - radius <= 1e-3 * radius:
+        return EVERYWHERE
+
+    def interval(center: float) -> tuple[float, float]:
+        ends = [(center + s * radius) / (z + t * radius) for s in (-1, 1) for t in (-1, 1)]
+        return min(ends), max(ends)
+
+    return Extent(interval(x), interval(y), (1.0 / (z + radius), 1.0 / (z - radius)))
+
+
+def predict_inverse_depth(
+    item: Object, surface: PlacedSurface, x: NDArray[np.float64], y: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Inverse depth in 1/mm along rays (x, y, 1), 0 where they miss: for the plan's predictions only.
+
+    x, y: slopes of any one shape. Textbook formula in float64; images are made by `solve_quadric`.
+    """
+    rays = np.stack([x, y, np.ones_like(x)])
+    d = np.tensordot(surface.turn, rays, axes=1)
+    o = surface.offset.reshape(3, *([1] * x.ndim))
+    q, half_linear = (v.reshape(o.shape) for v in (surface.canonical.q, surface.canonical.l))
+    a = (q * d * d).sum(axis=0)
+    b = ((q * o + half_linear) * d).sum(axis=0)
+    c = surface.constant
+    root = np.sqrt(np.maximum(b * b - a * c, 0.0))
+    body = np.tensordot(surface.body_turn, rays, axes=1)
+    best = np.zeros_like(a)
+    for sign in (1.0, -1.0):
+        with np.errstate(all="ignore"):  # what is no number is not kept
+            w = (-b + sign * root) / c if c != 0 else -a / (2 * b)
+            keep = np.isfinite(w) & (w > 0) & (b * b >= a * c)
+            if surface.canonical.nappe:
+                keep &= surface.canonical.nappe * (surface.offset[2] * w + d[2]) >= 0
+            if item.bounds is not None:
+                for axis, (low, high) in enumerate(item.bounds):
+                    along = surface.body_offset[axis] * w + body[axis]
+                    keep &= (along >= low * w) & (along <= high * w)
+        best = np.where(keep & (w > best), w, best)
+    return best

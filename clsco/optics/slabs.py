@@ -1,0 +1,87 @@
+"""Slabs of signed blur radius for layered occlusion: where they begin, and what around a row matters; pure Python."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.optics.psf import psf_extent
+from clsco.optics.psf_tables import table_reach
+from clsco.scene.model import Psf
+
+# As in layer.cl.
+JUMP, BIN, CLASSES = 1.0, 0.25, 10  # px, px
+MOST_SLABS = 8
+
+
+@dataclass(frozen=True)
+class Slabs:
+    """Of one moment: first bins of the second and each further slab; px behind an edge where surface may be seen."""
+
+    bounds: tuple[int, ...]
+    deep: int
+
+
+def bins_of(largest: float) -> tuple[float, int]:
+    """Lower end in px of the first bin, and the number of bins, for radii in [-largest, largest] px."""
+    half = ceil(largest / BIN) + 1
+    return -half * BIN, 2 * half
+
+
+def slab_bounds(latest: NDArray[np.int32]) -> list[int]:
+    """First bins of the second and each further slab, at most MOST_SLABS - 1 of them, in rising order.
+
+    latest: (CLASSES, bins) from `find_jumps` of layer.cl. From near to far, a jump that no bound splits yet gets one in
+    the middle of where it can be; where that makes too many, the smaller half of the jumps (a class) is left alone.
+    """
+    for smallest in range(CLASSES):
+        bounds: list[int] = []
+        begins = latest[smallest:].max(axis=0)
+        for far_bin in np.flatnonzero(begins).tolist():
+            begin = int(begins[far_bin])  # the first bin behind the near side
+            if not bounds or bounds[-1] < begin:
+                bounds.append((begin + far_bin + 1) // 2)
+        if len(bounds) < MOST_SLABS:
+            return bounds
+    return bounds[: MOST_SLABS - 1]
+
+
+def depth_of_hidden(psf: Psf, largest_sum: int) -> int:
+    """How far behind an edge surface may be seen, px: as far as the blurs of both sides reach together.
+
+    largest_sum: of the |radii| on both sides of a jump, px.
+    """
+    return ceil(float(psf_extent(psf, largest_sum))) + 2
+
+
+def level_count(deep: int) -> int:
+    """Levels of a pyramid above the finest one: a pixel of the last one has seen all that is deep + 1 px away."""
+    return (deep + 1).bit_length()
+
+
+def levels_of(rows: int, columns: int, deep: int, planes: int) -> list[tuple[int, int, int]]:
+    """Rows, columns and start in floats of every level of a pyramid of so many planes."""
+    levels = [(rows, columns, 0)]
+    for _ in range(level_count(deep)):
+        start = levels[-1][2] + planes * rows * columns
+        rows, columns = -(-rows // 2), -(-columns // 2)
+        levels.append((rows, columns, start))
+    return levels
+
+
+def most_deep(psf: Psf, largest: float) -> int:
+    """What `depth_of_hidden` is at most for |radii| up to `largest` px."""
+    return depth_of_hidden(psf, ceil(2.0 * largest))
+
+
+def margin_of_slabs(psf: Psf, largest: float) -> tuple[int, int]:
+    """Rows beyond those of a strip that may matter to it, and a number of rows that its grid begins at a multiple of.
+
+    largest: px, no |radius| is larger. A hidden pixel that lights the strip is between pixels of the last level of the
+    pyramid up to three of them away, each of which has seen one more; these begin where they do in the whole frame.
+    """
+    step = 1 << level_count(most_deep(psf, largest))
+    return table_reach(psf, largest) + 2 + 4 * step, step

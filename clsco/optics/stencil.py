@@ -1,0 +1,119 @@
+"""The PSF of one radius as convolve.cl adds it up: runs of weights, and rectangles of one weight (pure)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.optics.psf import axis_weights, is_separable, reach, weights
+from clsco.scene.model import Psf
+
+LONGEST_RUN = 8  # weights that a kernel keeps in registers
+SUMMED = 12  # px, half-width of discs from which rectangles are worth the sums that they need
+# What a pair of sums and a weight of the quadrant, which is four taps, take, in units of the same time.
+PAIR_COST, WEIGHT_COST = 4.0, 2.0
+
+Weights = NDArray[np.float32]
+Rectangle = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Stencil:
+    """A PSF, or one of two that follow each other: the sum of its runs and rectangles, exact but for float32.
+
+    runs: int32 (count, 4): |dx|, first dy, number of weights, where they begin; those of dx = 0 are half of what is
+    added, as the kernel adds every run at -dx and dx. rectangles: half-widths (|dx|, |dy|), narrower and higher ones
+    after wider ones: their union has the weight `share`, to which runs may add or of which they may take away.
+    """
+
+    runs: NDArray[np.int32]
+    weights: Weights
+    rectangles: tuple[Rectangle, ...] = ()
+    share: float = 0.0
+
+    @property
+    def reach(self) -> tuple[int, int]:
+        """Largest |dx| and |dy| of a run."""
+        dx, dy, count, _ = self.runs.T
+        return int(dx.max(initial=0)), int((dy + count - 1).max(initial=0))
+
+    @property
+    def area(self) -> int:
+        """Pixels in the union of the rectangles."""
+        below = [-1, *(b for _, b in self.rectangles)]
+        bands = (2 * b + 1 - max(2 * inner + 1, 0) for inner, b in pairwise(below))
+        return sum((2 * a + 1) * rows for (a, _), rows in zip(self.rectangles, bands, strict=True))
+
+    @property
+    def pairs(self) -> NDArray[np.int32]:
+        """The union by sums over all that is above and to the left: int32 (count, 4), (dy, dx) of +1 and of -1."""
+        found, inner = list[tuple[int, int, int, int]](), -1
+        for a, b in self.rectangles:
+            found += [(b, a, b, -a - 1), (-b - 1, -a - 1, -b - 1, a)]
+            if inner >= 0:
+                found += [(inner, -a - 1, inner, a), (-inner - 1, a, -inner - 1, -a - 1)]
+            inner = b
+        return np.array(found, np.int32).reshape(-1, 4)
+
+
+def is_summed(psf: Psf, half_width: int) -> bool:
+    """Whether PSFs of this half-width in px have rectangles."""
+    return psf.model == "pillbox" and half_width >= SUMMED
+
+
+@lru_cache(maxsize=64)
+def stencils(psf: Psf, radius: float) -> tuple[Stencil, ...]:
+    """What makes the PSF of one |blur radius| in px: one stencil, or of products one for each axis."""
+    far = reach(psf, radius)
+    offset = np.arange(far + 1.0)
+    if is_separable(psf):
+        line = axis_weights(psf, offset, np.asarray(radius)).astype(np.float32)
+        return Stencil(*_runs(line[None, :])), Stencil(*_runs(line[:, None]))
+    quadrant = weights(psf, offset[None, :], offset[:, None], np.asarray(radius)).astype(np.float32)
+    share = quadrant[0, 0]
+    rectangles = _rectangles(quadrant == share, quadrant >= share / 2) if is_summed(psf, far) else ()
+    inside = np.zeros_like(quadrant)
+    for a, b in rectangles:
+        inside[: b + 1, : a + 1] = share
+    # Without rounding, as these weights are at least half of the share.
+    return (Stencil(*_runs(quadrant - inside), rectangles, float(share)),)
+
+
+def _rectangles(same: NDArray[np.bool_], half: NDArray[np.bool_]) -> tuple[Rectangle, ...]:
+    """Rectangles for a quadrant of a disc whose middle has one weight: those with which it takes least time.
+
+    same: where that weight is; half: where at least half of it is. Rectangles may go that far, as the weights that take
+    away what is too much have to be there anyway. The shortest path over the rows where one ends.
+    """
+    filled, allowed = same.sum(axis=1), half.sum(axis=1)
+    count = int((allowed > 0).sum())
+    cost, before = np.zeros(count + 1), np.zeros(count + 1, np.intp)
+    for end in range(1, count + 1):
+        missing = np.maximum(filled[:end] - allowed[end - 1], 0)[::-1].cumsum()[::-1]
+        each = cost[:end] + 4 * PAIR_COST + WEIGHT_COST * missing
+        before[end] = each.argmin()
+        cost[end] = each.min()
+    above = np.append(filled[:count][::-1].cumsum()[::-1], 0)
+    end, found = int((cost + WEIGHT_COST * above).argmin()), list[Rectangle]()
+    while end:
+        found.append((int(allowed[end - 1]) - 1, end - 1))
+        end = int(before[end])
+    return tuple(found[::-1])
+
+
+def _runs(quadrant: Weights) -> tuple[NDArray[np.int32], Weights]:
+    """Runs of a PSF (|dy|, |dx|) and their weights, see Stencil."""
+    runs, found, start = list[tuple[int, int, int, int]](), [np.zeros(0, np.float32)], 0
+    for dx, half in enumerate(quadrant.T):
+        column = np.concatenate([half[:0:-1], half]) * np.float32(1.0 if dx else 0.5)
+        lit = np.flatnonzero(column)
+        for together in np.split(lit, np.flatnonzero(np.diff(lit) > 1) + 1):
+            for run in np.array_split(together, -(-len(together) // LONGEST_RUN)) if len(together) else ():
+                runs.append((dx, int(run[0]) - len(half) + 1, len(run), start))
+                found.append(column[run])
+                start += len(run)
+    return np.array(runs, np.int32).reshape(-1, 4), np.concatenate(found)

@@ -1,0 +1,117 @@
+"""Which objects can stand between others and the lens: layers that are spread one by one (float64, pure).
+
+Every object of a scene scatters its own light, also what the pinhole does not see of it. Objects that cannot hide each
+other share a layer, and only what can stand in a layer's way is tested for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.optics.lens import lens_radius
+from clsco.optics.motion import Pose
+from clsco.optics.psf import disc_coverage
+from clsco.optics.quadrics import Extent, place
+from clsco.scene.model import Camera, Object, Psf
+
+Array = NDArray[np.float64]
+
+LENS_CELLS = 8  # of the lens per half axis, where it is looked at on a grid of its own (kernels/common/visibility.clh)
+
+
+@dataclass(frozen=True)
+class Layer:
+    """Objects that are seen together, as the nearest of them along each ray, and what may hide them.
+
+    members, blockers: bit k is object k of the scene. own: number of an object that may hide itself, -1 for none;
+    sheet: which of its roots the layer has (`solve_quadric`), 0 for both.
+    """
+
+    members: int
+    blockers: int
+    own: int = -1
+    sheet: int = 0
+
+
+def lens_extent(psf: Psf) -> float:
+    """Radius of the lens that a PSF stands for, in aperture radii: light that leaves at R l comes from l."""
+    return 1.0 if psf.model == "pillbox" else psf.sigma_ratio * psf.truncation
+
+
+def lens_cells(psf: Psf) -> Array:
+    """Light (2 LENS_CELLS, 2 LENS_CELLS) through each cell of a square around the lens, up to a factor."""
+    at = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
+    x, y = np.meshgrid(at, at)
+    area = disc_coverage(x, y, np.asarray(float(LENS_CELLS)), tent=False)
+    if psf.model == "pillbox":
+        return area
+    spread = psf.truncation / LENS_CELLS
+    return np.asarray(area * np.exp(-0.5 * (x * x + y * y) * spread**2))
+
+
+def extent(item: Object, poses: Sequence[Pose], seen: Array) -> Extent:
+    """Where an object can be over all `poses`; seen: inverse depths in 1/mm at rays over the frame, 0 for none."""
+    hit = seen[seen > 0]
+    depths = (0.9 * float(hit.min()), 1.1 * float(hit.max())) if hit.size else (0.0, inf)
+    found = []
+    for pose in poses:
+        one = place(item, pose).seen
+        # Without an end, or around the lens: as deep as its rays are. A thin thing may hide between them.
+        found.append(one if one.w[1] < inf else replace(one, w=depths))
+    return reduce(_hull, found)
+
+
+def _hull(a: Extent, b: Extent) -> Extent:
+    def both(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
+        return min(one[0], other[0]), max(one[1], other[1])
+
+    return Extent(both(a.x, b.x), both(a.y, b.y), both(a.w, b.w))
+
+
+def may_hide(near: Extent, far: Extent, camera: Camera, reach: float) -> bool:
+    """Whether a point in `near` can be between one in `far` and the lens; reach: radius of the lens, in its own."""
+    depth = near.w[1] - far.w[0]
+    if depth <= 0.0:
+        return False
+    # A line to lens point l goes over the image by (D / 2) l per inverse depth.
+    way = lens_radius(camera) * reach * depth
+    axes = ((near.x, far.x), (near.y, far.y))
+    return all(a[0] - way <= b[1] and b[0] - way <= a[1] for a, b in axes)
+
+
+def is_hollow(item: Object) -> bool:
+    """Whether the lens may see the inside of a surface past its own edge: it is curved, and cut by bounds."""
+    return item.bounds is not None and item.shape != "plane"
+
+
+def layers(items: Sequence[Object], extents: Sequence[Extent], camera: Camera, psf: Psf) -> tuple[Layer, ...]:
+    """Few layers for objects at `extents`, in the order of the scene, so that none hides another of its layer.
+
+    Of a hollow one each of its two roots is a layer. One layer and no blockers where nothing is hidden.
+    """
+    count, reach = len(extents), lens_extent(psf)
+    hides = [[m != k and may_hide(extents[m], extents[k], camera, reach) for m in range(count)] for k in range(count)]
+    groups: list[list[int]] = []
+    for k in (k for k in range(count) if not is_hollow(items[k])):
+        group = next((g for g in groups if not any(hides[k][m] or hides[m][k] for m in g)), None)
+        if group is None:
+            groups.append([k])
+        else:
+            group.append(k)
+    blockers = [{m for k in group for m in range(count) if hides[k][m]} for group in groups]
+    sheets = [
+        Layer(1 << k, 1 << k | sum(1 << m for m in range(count) if hides[k][m]), k, sheet)
+        for k in range(count)
+        if is_hollow(items[k])
+        for sheet in (1, 2)
+    ]
+    return (*sheets, *(
+        Layer(sum(1 << k for k in group), sum(1 << m for m in found))
+        for group, found in zip(groups, blockers, strict=True)
+    ))  # fmt: skip

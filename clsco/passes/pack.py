@@ -1,0 +1,112 @@
+"""Pack scenes into the structs that kernels read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.frame.strips import Strip, frame_struct
+from clsco.optics.lens import blur_scale, focus_power, lens_radius, ray_step
+from clsco.optics.motion import Pose
+from clsco.optics.psf import MINIMUM_BLUR, sampled_key
+from clsco.optics.psf_tables import PsfTable, octaves_from, sampled_steps, table_steps
+from clsco.optics.quadrics import PlacedSurface
+from clsco.optics.visibility import Layer, lens_extent
+from clsco.records import Real, Struct, filled, structs
+from clsco.scene.model import Camera, Object, Psf
+
+EVERYWHERE = ((-np.inf, np.inf),) * 3  # bounds of an object that has none, beside one that has
+
+
+def camera_struct(camera: Camera, guard: int, real: Real, strip: Strip | None = None) -> Struct:
+    """camera_t of a camera with a resolution, for a guard band of `guard` px; strip as for `frame_struct`."""
+    assert camera.resolution is not None  # known once the textures are loaded
+    columns, rows = camera.resolution
+    return frame_struct(
+        rows, columns, guard, real, strip,
+        step=ray_step(camera), blur_scale=blur_scale(camera), focus_power=focus_power(camera),
+        lens_radius=lens_radius(camera),
+    )  # fmt: skip
+
+
+def surface_structs(
+    items: Sequence[Object], surfaces: Sequence[PlacedSurface], real: Real, textures: Sequence[int] | None = None
+) -> NDArray[np.void]:
+    """surface_t of every object placed before the camera, (objects,); textures: number of each one's, by default 0."""
+    numbers = textures or [0] * len(items)
+    placed = [_surface_struct(*one, real) for one in zip(items, surfaces, numbers, strict=True)]
+    return np.array(placed, structs(real)["surface_t"])
+
+
+def _surface_struct(item: Object, surface: PlacedSurface, texture: int, real: Real) -> Struct:
+    shape = surface.canonical
+    low, high = np.array(item.bounds or EVERYWHERE, dtype=np.float64).T
+    return filled(
+        "surface_t",
+        real,
+        {
+            "turn": surface.turn.ravel(),
+            "body_turn": surface.body_turn.ravel(),
+            "offset": surface.offset,
+            "body_offset": surface.body_offset,
+            "rest": surface.rest,
+            "q": shape.q,
+            "l": shape.l,
+            "bounds_low": low,
+            "bounds_high": high,
+            "k": shape.k,
+            "at_lens": surface.constant,
+            "nappe": shape.nappe,
+            "texture": texture,
+            "near_x": surface.seen.x,
+            "near_y": surface.seen.y,
+            "near_w": surface.seen.w[1],
+        },
+    )
+
+
+def pose_structs(poses: Sequence[Pose], real: Real) -> NDArray[np.void]:
+    """pose_t of every pose, (poses,)."""
+    placed = [filled("pose_t", real, {"rotation": p.rotation.ravel(), "shift": p.shift}) for p in poses]
+    return np.array(placed, structs(real)["pose_t"])
+
+
+def layer_struct(layer: Layer, objects: int) -> Struct:
+    """layer_t of a layer of a scene of so many objects."""
+    return filled("layer_t", "double", vars(layer) | {"count": objects})
+
+
+def psf_struct(psf: Psf, table: PsfTable, subpixel: PsfTable | None, real: Real) -> Struct:
+    """psf_t for a main table and, where there are sub-pixel sources, theirs."""
+    values: dict[str, Any] = {
+        "first": table.first,
+        "count": len(table.intervals),
+        "reach": max(table.reach, subpixel.reach if subpixel else 0),
+        "key": sampled_key(psf),
+        "minimum_blur": MINIMUM_BLUR,
+        "octaves_from": octaves_from(psf),
+        "steps": table_steps(psf, False),
+        "sub_steps": table_steps(psf, True),
+        "lens_extent": lens_extent(psf),
+    }
+    values["fine_steps"], values["fine_until"] = sampled_steps(psf)
+    if subpixel:
+        values |= {"sub_first": subpixel.first, "sub_count": len(subpixel.intervals)}
+    return filled("psf_t", real, values)
+
+
+def texture_planes(radiances: Sequence[NDArray[np.float32]], channels: int) -> NDArray[np.float32]:
+    """Channel planes (textures, channels, rows, columns); gray textures serve color scenes as well.
+
+    The only texture of a gray scene is given as it is, without a copy.
+    """
+    planes = [radiance[None] if radiance.ndim == 2 else np.moveaxis(radiance, -1, 0) for radiance in radiances]
+    if len(planes) == channels == 1:
+        return planes[0][None]
+    stack = np.empty((len(planes), channels, *planes[0].shape[1:]), np.float32)
+    for texture, plane in zip(stack, planes, strict=True):
+        texture[...] = plane
+    return stack

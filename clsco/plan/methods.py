@@ -1,0 +1,54 @@
+"""Choice of the blur method."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.errors import SceneError
+from clsco.optics.psf import MINIMUM_BLUR, psf_extent
+from clsco.plan.approximation import METHODS
+from clsco.scene.model import Psf
+
+Array = NDArray[np.float64]
+Blur = Literal["gather", "scatter", "tiles", "convolve", "none"]
+
+MANY_RADII: tuple[Blur, ...] = ("gather", "scatter", "tiles")  # methods for sources of any radius each
+
+
+def is_sharp(psf: Psf, largest: float) -> bool:
+    """Whether the PSF of the |blur radius| `largest` px keeps all light in its pixel."""
+    if psf.edge == "sampled":
+        return largest < MINIMUM_BLUR or float(psf_extent(psf, largest)) < 1.0
+    return largest == 0.0 or (psf.edge == "area" and float(psf_extent(psf, largest)) <= 0.5)
+
+
+def many_radii(gpu: bool, occluded: bool = False, approximate: bool = False) -> Blur:
+    """The method for many radii that suits a device.
+
+    gpu: the device is a GPU; occluded: something may stand in the way of a source, which `tiles` does not test;
+    approximate: on coarser grids, which take no frame in fixed point.
+    """
+    if gpu and not occluded:
+        return "tiles"
+    return "scatter" if gpu and not approximate else "gather"
+
+
+def _choose_blur(method: str, sharp: bool, constant: bool, gpu: bool, occluded: bool) -> Blur:
+    if method in METHODS:
+        return "none" if sharp else many_radii(gpu, occluded, approximate=True)
+    if method == "convolve" and not constant:
+        raise SceneError("method: convolve needs one blur radius for the whole frame; got a scene with many")
+    if method == "tiles" and occluded:
+        raise SceneError("method: tiles needs sources with nothing in their way; got objects that hide each other")
+    for known in MANY_RADII:
+        if method == known:
+            return known
+    if method not in ("auto", "convolve"):
+        known_names = ", ".join(("auto", *MANY_RADII, "convolve", *METHODS))
+        raise SceneError(f"method: must be one of {known_names}; got {method}")
+    if sharp:
+        return "none"
+    return "convolve" if constant else many_radii(gpu, occluded)

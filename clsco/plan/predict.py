@@ -1,0 +1,166 @@
+"""Predictions for a scene from a coarse grid of rays: range of blur radii, guard band, image motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.errors import SceneError
+from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
+from clsco.optics.motion import Eye, Pose, poses_at, rest_center
+from clsco.optics.psf import reach
+from clsco.optics.psf_tables import LANES
+from clsco.optics.quadrics import place, predict_inverse_depth
+from clsco.scene.model import Object, Plane, Psf, Scene
+
+Array = NDArray[np.float64]
+Maps = Sequence[Array | None]
+GRID = 65  # rays per axis that predict the range of the blur radius
+PREDICTED_MOMENTS = 33  # of the whole sequence at most
+PIXELS_PER_SAMPLE = 1.0  # of the largest motion, with samples = "auto": 2 lose 5 to 9 dB, fewer gain little
+MOST_SAMPLES = 4095
+
+
+def guard_band(psf: Psf, largest: float) -> int:
+    """Width in px of the band around the frame whose surface can light it, and 2 px to see silhouettes in.
+
+    A multiple of LANES, so that vectors of sources begin in the same columns of the frame with every lens: lenses that
+    share a band have the bits that each has by itself.
+    """
+    if psf.border == "renormalize":
+        return 0
+    needed = max(reach(psf, largest), reach(psf, largest, True)) + 2
+    return -(-needed // LANES) * LANES
+
+
+def _grid(scene: Scene, guard: int) -> tuple[Array, Array]:
+    """Slopes (GRID, GRID) of rays over frame and guard band, the outermost pixels included."""
+    assert scene.camera.resolution is not None
+    columns, rows = scene.camera.resolution
+    x = np.linspace(-0.5 * (columns - 1) - guard, 0.5 * (columns - 1) + guard, GRID)
+    y = np.linspace(-0.5 * (rows - 1) - guard, 0.5 * (rows - 1) + guard, GRID)
+    across, up = np.meshgrid(x * ray_step(scene.camera), y * ray_step(scene.camera))
+    return across, up
+
+
+def displaced(scene: Scene, eye: Eye) -> bool:
+    """Whether one of a stereo pair sees the scene from elsewhere than the textures."""
+    return scene.stereo is not None and (eye == "right" or scene.stereo.toe_in > 0.0)
+
+
+def _moments(scene: Scene, eye: Eye) -> list[tuple[Pose, ...]]:
+    """Poses of the objects over the whole sequence, few enough to be looked at before every rendering."""
+    sequence = scene.sequence
+    if not scene.moves:
+        return [poses_at(scene, 0.0, eye)]
+    assert sequence.shutter is not None
+    end = (sequence.frames - 1) * sequence.interval + sequence.shutter
+    count = min(4 * sequence.frames + 1, PREDICTED_MOMENTS)
+    return [poses_at(scene, t, eye) for t in np.linspace(0.0, end, count).tolist()]
+
+
+def _inverse_depths(scene: Scene, moments: list[tuple[Pose, ...]], maps: Maps, guard: int) -> Array:
+    """Predicted inverse depths (objects, moments, GRID, GRID) in 1/mm, 0 where nothing is hit."""
+    grid, found = _grid(scene, guard), []
+    for k, (item, depth) in enumerate(zip(scene.objects, maps, strict=True)):
+        if depth is None:
+            found.append([predict_inverse_depth(item, place(item, poses[k]), *grid) for poses in moments])
+        else:
+            found.append([_moved_map(scene, item, depth, poses[k]) for poses in moments])
+    return np.array(found)
+
+
+def _moved_map(scene: Scene, item: Object, depth: Array, pose: Pose) -> Array:
+    """Inverse depths (GRID, GRID) of some points of a depth map after a move, its nearest and farthest among them."""
+    rows, columns = (np.linspace(0, n - 1, GRID).round().astype(np.intp) for n in depth.shape)
+    i, j = (n.copy() for n in np.meshgrid(rows, columns, indexing="ij"))
+    seen = np.where(depth > 0, depth, np.inf)
+    for place_at, extreme in enumerate((seen.argmin(), depth.argmax())):
+        i[0, place_at], j[0, place_at] = np.unravel_index(extreme, depth.shape)
+    w, step, center = depth[i, j], ray_step(scene.camera), rest_center(item)
+    middle = (np.array(depth.shape) - 1) / 2
+    rays = np.stack([(j - middle[1]) * step, (middle[0] - i) * step, np.ones(i.shape)], axis=-1)
+    point = rays / np.where(w > 0, w, 1.0)[..., None]
+    z = (center + pose.shift + (point - center) @ pose.rotation.T)[..., 2]
+    return np.where((w > 0) & (z > 0), 1.0 / np.where(z > 0, z, 1.0), 0.0)
+
+
+def image_displacement(scene: Scene, maps: Maps | None = None) -> float:
+    """Largest way in px that a visible point of a surface goes over the image while the shutter is open.
+
+    maps: as for `make_plan`.
+    """
+    frames = sorted({0, scene.sequence.frames // 2, scene.sequence.frames - 1})
+    known = enumerate(maps or (None,) * len(scene.objects))
+    return max(_frame_displacement(scene, k, depth, frame) for k, depth in known for frame in frames)
+
+
+def _frame_displacement(scene: Scene, number: int, depth: Array | None, frame: int) -> float:
+    assert scene.sequence.shutter is not None
+    item, opens = scene.objects[number], frame * scene.sequence.interval
+    x, y = _grid(scene, 0)
+    opening, center = poses_at(scene, opens)[number], rest_center(item)[:, None]
+    if depth is None:
+        w = predict_inverse_depth(item, place(item, opening), x, y)
+    else:
+        w = np.full(x.shape, float(np.quantile(depth[depth > 0], 0.99)))  # as if all of it were near
+    hit = w > 0
+    if not hit.any():
+        return 0.0
+    rays = np.stack([x[hit], y[hit], np.ones(int(hit.sum()))])
+    body = opening.rotation.T @ (rays / w[hit] - center - opening.shift[:, None])
+    steps = []
+    for time in np.linspace(opens, opens + scene.sequence.shutter, 9).tolist():
+        pose = poses_at(scene, time)[number]
+        point = center + pose.shift[:, None] + pose.rotation @ body
+        ahead = np.maximum(point[2], 1e-3)
+        steps.append(point[:2] / ahead / ray_step(scene.camera))
+    ways = np.linalg.norm(np.diff(np.stack(steps), axis=0), axis=1).sum(axis=0)
+    return float(ways.max())
+
+
+def _samples(scene: Scene, maps: Maps) -> int:
+    if not scene.moves:
+        return 1
+    if scene.sequence.samples != "auto":
+        return scene.sequence.samples
+    wanted = ceil(image_displacement(scene, maps) / PIXELS_PER_SAMPLE)
+    return min(wanted | 1, MOST_SAMPLES)  # odd, so that the middle of the shutter is one of them
+
+
+def _fills_view(scene: Scene, w: Array) -> bool:
+    """Whether no silhouette is in sight: the surface is hit everywhere, and cannot have a hole between rays."""
+    item = scene.objects[0]
+    simple = len(scene.objects) == 1 and item.bounds is None and item.shape != "quadric"
+    return simple and bool((w > 0).all())
+
+
+def _constant_blur(scene: Scene) -> bool:
+    """Whether every pixel has the same radius at any moment: a plane that stays parallel to the detector."""
+    item, camera = scene.objects[0], scene.camera.motion
+    turns = any((*item.motion.angular_velocity[:2], *camera.angular_velocity[:2]))
+    turned = scene.stereo is not None and scene.stereo.toe_in > 0.0
+    flat = isinstance(item, Plane) and item.slope_x == item.slope_y == 0.0 and not turns and not turned
+    return len(scene.objects) == 1 and flat
+
+
+def _blur_range(scene: Scene, moments: list[tuple[Pose, ...]], maps: Maps) -> tuple[float, float, Array, int]:
+    """Smallest and largest |R| with a margin, the inverse depths of the objects, and the guard band that follows."""
+    psf, guard = scene.psf, 0
+    for _ in range(2):  # the second time with the guard band that the first asked for
+        w = _inverse_depths(scene, moments, maps, guard)
+        radii = np.abs(blur_radius(scene.camera, w[w > 0]))
+        largest, smallest = (float(radii.max()), float(radii.min())) if radii.size else (0.0, 0.0)
+        if largest > LARGEST_BLUR:
+            nearest = 1.0 / float(w.max())
+            raise SceneError(
+                f"camera: the blur radius must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px (the surface comes "
+                f"as near as {nearest:.4g} mm; is it in mm, and the focus on it?)"
+            )
+        if not _constant_blur(scene):  # rays between those of the grid
+            smallest, largest = max(0.0, 0.9 * smallest - 1.0), 1.1 * largest + 1.0
+        guard = guard_band(psf, largest)
+    return smallest, largest, w, guard

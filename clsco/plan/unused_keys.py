@@ -1,0 +1,50 @@
+"""Keys that a scene gives although nothing depends on them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from clsco.plan.plan import Plan
+from clsco.scene.model import DepthMap
+
+
+def unused_keys(plan: Plan) -> list[tuple[str, str]]:
+    """Keys that the scene gives although nothing depends on them, and why: (key, reason)."""
+    scene = plan.scene
+    reasons: dict[str, str] = {}
+
+    def give(section: str, keys: Iterable[str], why: str) -> None:
+        reasons.update({f"{section}.{key}": why for key in keys})
+
+    motions = [scene.camera.motion, *(item.motion for item in scene.objects)]
+    if not plan.moves:
+        give("sequence", ("samples", "sampling", "shutter"), "nothing moves")
+        mapped = plan.forward or plan.still_map
+        used = ["warp"] * mapped + ["texture_filter"] * (scene.stereo is not None)
+        give("motion", [key for key in type(scene.motion).model_fields if key not in used], "nothing moves")
+        if not mapped:
+            give("fill", type(scene.fill).model_fields, "nothing moves")
+    elif all(sum(map(bool, motion.angular_velocity)) < 2 for motion in motions):
+        give("motion", ("rotation",), "euler and axis differ only for turns about several axes")
+    if plan.still_map:
+        give("fill", ("domain",), "nothing moves")
+    if plan.forward and scene.fill.method == "none":
+        give("fill", ("domain",), "fill.method is none")
+    if plan.blur == "none":
+        keys = [key for key in type(scene.psf).model_fields if key != "silhouette_samples"]
+        give("psf", keys, "everything is in focus")
+    left_out = dict(plan.left_out)
+    if not plan.tilt and scene.psf.tilt:
+        give("psf", ("tilt",), left_out["tilt"])
+    if not plan.silhouettes and scene.psf.silhouette_samples > 1:
+        give("psf", ("silhouette_samples",), left_out["silhouettes"])
+    if "occlusion" in left_out:
+        give("psf", ("occlusion",), left_out["occlusion"])
+    sections: list[tuple[str, Any]] = [(name, getattr(scene, name)) for name in ("psf", "sequence", "motion", "fill")]
+    for index, item in enumerate(scene.objects):
+        if isinstance(item, DepthMap) and not any(item.motion.angular_velocity):
+            give(f"object[{index}]", ("center",), "the depth map does not turn")
+            sections.append((f"object[{index}]", item))
+    given = [f"{place}.{key}" for place, model in sections for key in sorted(model.model_fields_set)]
+    return [(key, reasons[key]) for key in given if key in reasons]

@@ -1,0 +1,107 @@
+"""Structs shared with the device: NumPy dtypes, from which the C typedefs are generated."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from typing import Any, Literal, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+Real = Literal["double", "float"]
+Struct = np.void
+WIDE_BYTES = 8  # of a number on the device: a double, or two floats
+WIDE: dict[Real, np.dtype[Any]] = {"double": np.dtype("f8"), "float": np.dtype([("high", "f4"), ("low", "f4")])}
+LOW = "_low"  # ends the name of a low part
+
+
+@cache
+def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
+    """C name -> dtype of every struct, in the order in which they are declared.
+
+    In single precision every real number has a low part, what rounding to float left of it (kernels/common/wide.clh): a
+    scalar x is followed by x_low, an array of n numbers is one of 2 n, the low parts last.
+
+    camera_t: rows, columns of the frame, or of a strip of it (strips.py); frame_rows: of the frame; top: first
+    row of the strip; guard: columns, above: rows of the grid before its own; width, height of the grid; step: slope
+    between neighboring rays; blur_scale px mm; focus_power 1/mm; lens_radius mm. surface_t: see surfaces.PlacedSurface;
+    texture: its number in the stack. pose_t: see motion.Pose. layer_t: see occlusion.Layer; count: of all objects.
+    psf_t: how a blur radius becomes a coordinate in the tables, and which intervals they hold; the rest: see occlusion.
+    """
+    i, two, three, nine = "i4", (2,), (3,), (9,)
+    camera: list[Any] = [
+        (name, i) for name in ("rows", "columns", "frame_rows", "top", "guard", "above", "width", "height")
+    ]
+    camera += _reals(real, step=(), blur_scale=(), focus_power=(), lens_radius=())
+    surface = _reals(real, turn=nine, body_turn=nine, offset=three, body_offset=three, rest=three, q=three, l=three)
+    surface += _reals(real, bounds_low=three, bounds_high=three, k=(), at_lens=())
+    surface += [("nappe", i), ("texture", i), *_reals(real, near_x=two, near_y=two, near_w=())]
+    pose = _reals(real, rotation=nine, shift=three)
+    layer = [("members", "u8"), ("blockers", "u8"), *((name, i) for name in ("count", "own", "sheet"))]
+    psf: list[Any] = [(name, i) for name in ("first", "count", "reach", "sub_first", "sub_count")]
+    psf += _reals(real, key=(), minimum_blur=(), fine_steps=(), fine_until=(), octaves_from=(), steps=(), sub_steps=())
+    psf += _reals(real, lens_extent=())
+    fields = {"camera_t": camera, "surface_t": surface, "pose_t": pose, "layer_t": layer, "psf_t": psf}
+    return {name: np.dtype(members, align=True) for name, members in fields.items()}
+
+
+def _reals(real: Real, **shapes: tuple[int, ...]) -> list[Any]:
+    """Fields for real numbers and arrays (n,) of them, with low parts in single precision."""
+    fields: list[Any] = []
+    for name, shape in shapes.items():
+        if real == "double":
+            fields.append((name, "f8", shape))
+        elif shape:
+            fields.append((name, "f4", (2 * shape[0],)))
+        else:
+            fields += [(name, "f4"), (name + LOW, "f4")]
+    return fields
+
+
+def packed(name: str, records: NDArray[np.void], real: Real) -> NDArray[np.void]:
+    """Structs `name` of double precision, any shape, as the device takes them."""
+    if real == "double":
+        return records
+    out = np.zeros(records.shape, structs(real)[name])
+    for field in structs("double")[name].fields or ():
+        values = records[field]
+        if values.dtype.kind in "iu":
+            out[field] = values
+            continue
+        high = values.astype(np.float32)
+        finite = np.isfinite(values)
+        low = np.where(finite, values, 0.0) - np.where(finite, high, 0.0)
+        if field + LOW in out.dtype.fields:
+            out[field], out[field + LOW] = high, low
+        else:
+            out[field] = np.concatenate([high, low], axis=-1)
+    return out
+
+
+def in_parts(values: NDArray[Any], real: Real) -> NDArray[Any]:
+    """Numbers (...) of double precision as the device's `wide_t`, (...) of dtype WIDE."""
+    if real == "double":
+        return values
+    out = np.empty(values.shape, WIDE[real])
+    out["high"] = values
+    out["low"] = values - out["high"]
+    return out
+
+
+def together(parts: NDArray[Any], real: Real) -> NDArray[Any]:
+    """Numbers (...) of dtype WIDE in float64."""
+    return parts if real == "double" else parts["high"] + parts["low"].astype(np.float64)
+
+
+def filled(name: str, real: Real, values: dict[str, Any]) -> Struct:
+    record = np.zeros((), structs("double")[name])
+    for field, value in values.items():
+        record[field] = value
+    return cast(Struct, packed(name, record, real)[()])
+
+
+def flat(values: NDArray[Any], dtype: Any) -> NDArray[Any]:
+    """Channel planes (channels, rows, columns) of an image (rows, columns[, channels]), packed."""
+    planes = values[None] if values.ndim == 2 else np.moveaxis(values, -1, 0)
+    return np.ascontiguousarray(planes, dtype=dtype)

@@ -1,0 +1,1 @@
+"""Scattering of sources by their PSF, the twin of kernels/blur."""

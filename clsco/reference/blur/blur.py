@@ -1,0 +1,218 @@
+"""Defocus: every source spreads its light over the pixels around it (2.25), in NumPy float64.
+
+Sources stand on the padded grid (H, W), which has `guard` rows and columns around the frame (m, n). Offsets
+(dx, dy) go right and down from a source to the pixel that it lights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clsco.optics import psf as psf_weights
+from clsco.reference.common.geometry import Array, tilt_slope
+from clsco.reference.common.visibility import Sight, look_through, tap_share
+from clsco.reference.trace.trace import Sources, SubpixelSources
+from clsco.scene.model import Psf
+
+Shape = tuple[int, int]
+BLOCK = 16384  # sources at a time: their intermediate results stay in the cache
+SIGHTS = 2048  # the same of sources that something is in the way of, of which there is more to keep
+
+
+def prepare_sources(coc: Array, valid: NDArray[np.bool_]) -> Array:
+    """Gradient (H, W, 2) of the blur radius in px per px, right and down, from its differences.
+
+    coc: (H, W) signed radius in px; valid: (H, W) there is a source. Central where both neighbors are valid,
+    one sided where one is, else 0. For forward-warped images and for depth maps, which have no analytic
+    surface.
+    """
+
+    def along(radius: Array, there: NDArray[np.bool_]) -> Array:
+        ahead, behind = np.zeros_like(there), np.zeros_like(there)
+        ahead[:, :-1] = there[:, 1:]
+        behind[:, 1:] = there[:, :-1]
+        high, low = radius.copy(), radius.copy()
+        high[:, :-1] = np.where(ahead[:, :-1], radius[:, 1:], radius[:, :-1])
+        low[:, 1:] = np.where(behind[:, 1:], radius[:, :-1], radius[:, 1:])
+        distance = ahead.astype(np.int64) + behind
+        return np.where(there & (distance > 0), (high - low) / np.maximum(distance, 1), 0.0)
+
+    return np.stack([along(coc, valid), along(coc.T, valid.T).T], axis=-1)
+
+
+def tilt_factor(dx: ArrayLike, dy: ArrayLike, slope: Array) -> Array:
+    """Weight 1 + l . grad R of the light that a tilted surface sends through lens point l = (dx, dy) / R.
+
+    dx, dy: px, right and down; slope: grad R / R (..., 2) in 1/px, the same way, of `tilt_slope`. They
+    broadcast. The factor is never below 0.
+    """
+    return np.maximum(0.0, 1.0 + (np.asarray(dx) * slope[..., 0] + np.asarray(dy) * slope[..., 1]))
+
+
+def _octant(offset_limit: int) -> Iterator[tuple[int, int, set[tuple[int, int]]]]:
+    """Offsets a <= b with all the offsets that share their weight: signs changed, axes swapped."""
+    for b in range(offset_limit + 1):
+        for a in range(b + 1):
+            yield a, b, {(s * x, t * y) for x, y in ((a, b), (b, a)) for s in (1, -1) for t in (1, -1)}
+
+
+def _alike(sight: Sight) -> list[tuple[NDArray[np.int64], Sight, Array]]:
+    """Groups of what is partly hidden, of nearly the same radius and so of the same taps, and their cells of the lens.
+
+    Numbers of the sources in a group, its part of `sight`, and what `look_through` makes of it.
+    """
+    hidden = np.flatnonzero(sight.row >= 0)
+    hidden = hidden[np.argsort(np.abs(sight.radius[sight.row[hidden]]), kind="stable")]
+    parts = [hidden[start : start + SIGHTS] for start in range(0, hidden.size, SIGHTS)]
+    return [(part, group, look_through(group)) for part in parts for group in [sight.of(part)]]
+
+
+def _shares(
+    psf: Psf, sources: Sources, there: NDArray[np.bool_], shape: Shape, guard: int
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Array]]:
+    """For every offset: source numbers, frame pixel numbers, and the share of each source's light that goes there.
+
+    Targets outside of the frame are left out.
+    """
+    size, slope = np.abs(sources.radius).ravel(), tilt_slope(sources.gradient, sources.radius).reshape(-1, 2)
+    row, column = (axis.ravel() - guard for axis in np.indices(there.shape))
+    at = np.flatnonzero(there)
+    at = at[np.argsort(size[at], kind="stable")]  # a block's sources have nearly the same taps
+    blocks = [at[start : start + BLOCK] for start in range(0, at.size, BLOCK)]
+    reaches = [psf_weights.reach(psf, float(size[block[-1]])) for block in blocks]
+    groups = [] if sources.sight is None else _alike(sources.sight)
+    for a, b, offsets in _octant(max(reaches, default=-1)):
+        weight = np.zeros(there.size)
+        for block, far in zip(blocks, reaches, strict=True):
+            if far >= b:
+                weight[block] = psf_weights.weights(psf, np.asarray(float(b)), np.asarray(float(a)), size[block])
+        lit = np.flatnonzero(weight)
+        for dx, dy in sorted(offsets):
+            y, x = row[lit] + dy, column[lit] + dx
+            inside = (y >= 0) & (y < shape[0]) & (x >= 0) & (x < shape[1])
+            source, target = lit[inside], (y * shape[1] + x)[inside]
+            if not source.size:
+                continue
+            share = weight[source] * tilt_factor(dx, dy, slope[source]) if psf.tilt else weight[source]
+            for hidden, sight, cells in groups:
+                place = np.minimum(np.searchsorted(source, hidden), source.size - 1)
+                found = source[place] == hidden
+                if found.any():
+                    share[place[found]] *= tap_share(sight, cells, dx, dy)[found]
+            yield source, target, share
+
+
+def _subpixel_shares(
+    psf: Psf, sub: SubpixelSources, shape: Shape, guard: int
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Array]]:
+    """For blocks of sub-pixel sources and every offset: source numbers, frame pixel numbers, share of light.
+
+    Sources are numbered in the order of `hit`; the share includes the source's weight 1/S^2. Targets outside
+    of the frame are left out.
+    """
+    samples = sub.hit.shape[1]
+    pixel, i, j = np.nonzero(sub.hit)
+    offset = psf_weights.subpixel_offsets(samples)
+    order = np.argsort(np.abs(sub.radius[sub.hit]), kind="stable")  # a block's sources have the same taps
+    size = BLOCK if sub.sight is None else SIGHTS
+    for start in range(0, pixel.size, size):
+        block = order[start : start + size]
+        p, y, x = pixel[block], offset[i[block]], offset[j[block]]
+        radius = sub.radius[sub.hit][block]
+        slope = tilt_slope(sub.gradient[sub.hit][block], radius)
+        far = psf_weights.reach(psf, float(np.abs(radius).max()), subpixel=True)
+        sight = None if sub.sight is None else sub.sight.of(block)
+        cells = np.empty(0) if sight is None else look_through(sight)
+        for dy in range(-far, far + 1):
+            for dx in range(-far, far + 1):
+                row, column = sub.row[p] - guard + dy, sub.column[p] - guard + dx
+                inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
+                share = psf_weights.subpixel_weights(psf, dx - x[inside], dy - y[inside], radius[inside])
+                if psf.tilt:
+                    share = share * tilt_factor(dx - x, dy - y, slope)[inside]
+                if sight is not None:
+                    seen = np.ones(p.size)
+                    seen[sight.row >= 0] = tap_share(sight, cells, dx, dy)
+                    share = share * seen[inside]
+                lit = share > 0.0
+                target = (row * shape[1] + column)[inside][lit]
+                yield block[inside][lit], target, share[lit] / samples**2
+
+
+def _own_sources(sources: Sources, sub: SubpixelSources | None) -> NDArray[np.bool_]:
+    """Pixels (H, W) with a source of their own: a surface, and no sub-pixel sources in its place."""
+    there = sources.lit.copy()
+    if sub is not None:
+        there[sub.row, sub.column] = False
+    return there
+
+
+def renormalize(
+    psf: Psf, sources: Sources, sub: SubpixelSources | None, shape: Shape, guard: int
+) -> tuple[Sources, SubpixelSources | None]:
+    """Sources whose light, as far as it would fall outside of the frame, is given back to the frame.
+
+    Arguments as for `scatter`. The radiance is divided by the share of the source's PSF (with tilt) that falls inside
+    the frame, whatever is in its way; sources outside of the frame (the guard band) end. Validated: a constant image
+    stays constant in sum up to the border.
+    """
+    m, n = shape
+    inside = np.zeros(sources.label.shape, dtype=bool)
+    inside[guard : guard + m, guard : guard + n] = True
+    there = _own_sources(sources, sub) & inside
+    kept: Array = np.zeros(there.size)
+    for source, _, share in _shares(psf, replace(sources, sight=None), there, shape, guard):
+        kept[source] += share
+    kept = kept.reshape(there.shape)
+    scale = np.where(kept > 0.0, 1.0 / np.where(kept > 0.0, kept, 1.0), 0.0)
+    sources = replace(sources, lit=sources.lit & inside, radiance=sources.radiance * scale[..., None])
+    if sub is None:
+        return sources, None
+    sub = replace(sub, hit=sub.hit & inside[sub.row, sub.column][:, None, None])
+    kept_sub = np.zeros(int(sub.hit.sum()))
+    for source, _, share in _subpixel_shares(psf, replace(sub, sight=None), shape, guard):
+        np.add.at(kept_sub, source, share)
+    # Shares include 1/S^2; what is divided by is the share of the source's own light.
+    kept_sub *= sub.hit.shape[1] ** 2
+    scale_sub = np.zeros(sub.hit.shape)
+    scale_sub[sub.hit] = np.where(kept_sub > 0.0, 1.0 / np.where(kept_sub > 0.0, kept_sub, 1.0), 0.0)
+    return sources, replace(sub, radiance=sub.radiance * scale_sub[..., None])
+
+
+def scatter(psf: Psf, sources: Sources, sub: SubpixelSources | None, shape: Shape, guard: int) -> Array:
+    """Defocused image (m, n, C): the sum over all sources of radiance x PSF x tilt.
+
+    sources: on the padded grid (m + 2 guard, n + 2 guard); sub: sub-pixel sources that replace their pixels'
+    own, or None; shape: (m, n) of the frame; guard: px. PSF: `clsco.optics.psf.weights`, and `subpixel_weights` for
+    sub-pixel sources. border = "renormalize": see `renormalize`. Validated: light is conserved, a constant
+    facing plane stays constant, linear, equal to direct sums.
+    """
+    m, n = shape
+    if psf.border == "renormalize":
+        sources, sub = renormalize(psf, sources, sub, shape, guard)
+    color = np.zeros((m * n, sources.radiance.shape[2]))
+    radiance = sources.radiance.reshape(-1, color.shape[1])
+    for source, target, share in _shares(psf, sources, _own_sources(sources, sub), shape, guard):
+        color[target] += share[:, None] * radiance[source]  # of one offset, so no target is met twice
+    if sub is not None:
+        radiance = sub.radiance[sub.hit]
+        for source, target, share in _subpixel_shares(psf, sub, shape, guard):
+            np.add.at(color, target, share[:, None] * radiance[source])
+    return color.reshape(m, n, -1)
+
+
+def resolve(sums: NDArray[np.int64], scale: float) -> Array:
+    """Light of sums in fixed point, which a device's `scatter` forms so that their order does not matter.
+
+    sums: any shape, light x scale rounded half up. The reference adds in float64 and has no use for it.
+    """
+    return np.asarray(sums / scale)
+
+
+def gather(psf: Psf, sources: Sources, sub: SubpixelSources | None, shape: Shape, guard: int) -> Array:
+    """The same sum as `scatter`, which a kernel forms target by target; arguments and result as there."""
+    return scatter(psf, sources, sub, shape, guard)

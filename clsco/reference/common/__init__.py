@@ -1,0 +1,1 @@
+"""Geometry and visibility, the twin of kernels/common."""

@@ -1,0 +1,343 @@
+"""Rays, the one ray-surface solution, and what follows from it, in NumPy float64.
+
+Rays are arrays (..., 3) whose third component is 1, so that a surface point is ray / w with w the inverse
+depth in 1/mm; w = 0 stands for "no surface". Every function works on arrays of any shape at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clsco.optics.lens import blur_scale, focus_power, ray_step
+from clsco.optics.psf_tables import table_coordinate as coordinate_of_radius
+from clsco.optics.quadrics import PlacedSurface
+from clsco.optics.visibility import Layer
+from clsco.scene.model import Camera, Psf
+
+Array = NDArray[np.float64]
+Bounds = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
+Filter = Literal["nearest", "bilinear", "bicubic"]
+
+BOUNDS_SLACK = 1e-14  # relative
+NEAREST_INVERSE_DEPTH = 1e6  # 1/mm: nearer than 1e-6 mm is nothing
+FARTHEST_TEXEL = 1e9  # px: texture positions beyond are not told apart
+SMALLEST_RADIUS = 1.0  # px: below, the lens offset of a touched pixel is formed with this radius
+STEEPEST_TILT = 1e6  # 1/px: far beyond where a weight is clamped, and finite on a limb
+
+
+def _product_error(a: Array, b: Array, product: Array) -> Array:
+    """a b - product exactly (Dekker 1971), as an FMA gives it; far from the ends of float64's range."""
+
+    def halves(value: Array) -> tuple[Array, Array]:
+        scaled = 134217729.0 * value  # 2^27 + 1 (Veltkamp)
+        high = scaled - (scaled - value)
+        return high, value - high
+
+    (ah, al), (bh, bl) = halves(a), halves(b)
+    return al * bl - (((product - ah * bh) - al * bh) - ah * bl)
+
+
+def difference_of_products(a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLike) -> Array:
+    """a b - c d without cancellation of the products' rounding errors.
+
+    The four broadcast; unit: that of a b. The error is at most 1.5 ulp (Jeannerod, Louvet, Muller 2013),
+    except that the last sum is rounded once more here. Validated against exact rational arithmetic.
+    """
+    a, b, c, d = (np.asarray(v, dtype=np.float64) for v in (a, b, c, d))
+    subtracted = c * d
+    first = a * b
+    errors = _product_error(a, b, first) - _product_error(c, d, subtracted)
+    return np.asarray((first - subtracted) + errors)
+
+
+def pixel_ray(camera: Camera, row: ArrayLike, column: ArrayLike) -> Array:
+    """Rays (..., 3) through pixel positions: slopes x right, y up, and 1 (3.1, 3.2).
+
+    row, column: px, may be fractional and outside of the frame; they broadcast. The camera's resolution must
+    be known. Validated against 3.1 and 3.2 at the corners and the middle.
+    """
+    assert camera.resolution is not None
+    columns, rows = camera.resolution
+    step = ray_step(camera)
+    x = step * (np.asarray(column, dtype=np.float64) - (columns - 1) / 2)
+    y = step * ((rows - 1) / 2 - np.asarray(row, dtype=np.float64))
+    x, y = np.broadcast_arrays(x, y)
+    return np.stack([x, y, np.ones_like(x)], axis=-1)
+
+
+def project(camera: Camera, position: Array) -> tuple[Array, Array]:
+    """Row and column in px of the pinhole projection (2.4, 2.5) of points (..., 3).
+
+    position: camera frame, mm or any common multiple of the coordinates; the third is not 0.
+    Validated as the inverse of `pixel_ray`.
+    """
+    assert camera.resolution is not None
+    columns, rows = camera.resolution
+    step = ray_step(camera)
+    x, y = position[..., 0] / position[..., 2], position[..., 1] / position[..., 2]
+    return (rows - 1) / 2 - y / step, (columns - 1) / 2 + x / step
+
+
+def turned(matrix: Array, vector: Array) -> Array:
+    """A matrix (3, 3) times vectors (..., 3)."""
+    return np.asarray(vector @ matrix.T)
+
+
+def turned_back(matrix: Array, vector: Array) -> Array:
+    """A transposed matrix (3, 3) times vectors (..., 3): from the canonical frame back to the camera's."""
+    return np.asarray(vector @ matrix)
+
+
+def quarter_discriminant(surface: PlacedSurface, d: Array) -> Array:
+    """B^2 - A C of the quadric along canonical rays d (..., 3), in the form that does not cancel.
+
+    With m = o x d (Lagrange's identity): k A - sum of q_i q_j m_k^2 + (l.d)^2 + 2 sum of q_i d_i l_j m_ij.
+    Validated against B^2 - A C in exact rational arithmetic.
+    """
+    shape = surface.canonical
+    (qx, qy, qz), (lx, ly, lz), (ox, oy, oz) = shape.q, shape.l, surface.offset
+    dx, dy, dz = d[..., 0], d[..., 1], d[..., 2]
+    mx = difference_of_products(oy, dz, oz, dy)
+    my = difference_of_products(oz, dx, ox, dz)
+    mz = difference_of_products(ox, dy, oy, dx)
+    leading = qx * dx * dx + qy * dy * dy + qz * dz * dz
+    twist = qx * qy * mz * mz + qy * qz * mx * mx + qz * qx * my * my
+    linear = lx * dx + ly * dy + lz * dz
+    mixed = qx * dx * (ly * mz - lz * my) + qy * dy * (lz * mx - lx * mz) + qz * dz * (lx * my - ly * mx)
+    return np.asarray(shape.k * leading - twist + linear * linear + 2.0 * mixed)
+
+
+def root_counts(surface: PlacedSurface, bounds: Bounds | None, d: Array, body: Array, w: Array) -> NDArray[np.bool_]:
+    """Whether roots (...) are in front of the lens, on the right nappe and within the bounds.
+
+    d, body: (..., 3) rays in the canonical and in the object's frame; w: (...) 1/mm, finite or not. Nothing
+    is divided by Z: every comparison is multiplied by w.
+    """
+    counts = np.isfinite(w) & (w > 0.0) & (w < NEAREST_INVERSE_DEPTH)
+    w = np.where(counts, w, 0.0)
+    counts &= surface.canonical.nappe * (surface.offset[2] * w + d[..., 2]) >= 0.0
+    if bounds is not None:
+        for axis, (low, high) in enumerate(bounds):
+            shift = surface.body_offset[axis] * w
+            along = shift + body[..., axis]
+            # A bound that touches the surface must not lose its last point to rounding.
+            slack = BOUNDS_SLACK * (np.abs(shift) + np.abs(body[..., axis]))
+            counts &= (low * w - slack <= along) & (along <= high * w + slack)
+    return np.asarray(counts)
+
+
+def solve_quadric(surface: PlacedSurface, bounds: Bounds | None, rays: Array) -> tuple[Array, NDArray[np.uint8]]:
+    """`solve_sheet` for both roots."""
+    return solve_sheet(surface, bounds, rays, 0)
+
+
+def solve_sheet(
+    surface: PlacedSurface, bounds: Bounds | None, rays: Array, sheet: int
+) -> tuple[Array, NDArray[np.uint8]]:
+    """Inverse depth (...) in 1/mm of the nearest visible root along rays (..., 3), and which root it is.
+
+    bounds: box in the object's own frame, mm; sheet: the label of the only root that counts, 0 for both. Label: 0 no
+    surface (w = 0), 1 the root (-B + sqrt(D))/C, 2 the root (-B - sqrt(D))/C of C w^2 + 2 B w + A = 0. A root counts
+    when it is real, 0 < w < 1e6, on the wanted nappe and within the bounds; nothing is divided by Z, so horizon and
+    infinity are the sign of w. Of two equal roots the first counts. Validated against 3.10, 3.16, 3.22, 3.32, 3.36 and
+    against exact arithmetic at c/rho = 1e6.
+    """
+    shape = surface.canonical
+    d, body = turned(surface.turn, rays), turned(surface.body_turn, rays)
+    a = (shape.q * d * d).sum(axis=-1)
+    b = ((shape.q * surface.offset + shape.l) * d).sum(axis=-1)
+    discriminant = quarter_discriminant(surface, d)
+    root = np.sqrt(np.maximum(discriminant, 0.0))
+    # -B and -sign(B) sqrt(D) have one sign: their sum does not cancel. The other root comes from A = C w1 w2.
+    t = -b - np.copysign(root, b)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        sum_root = t / surface.constant if surface.constant != 0.0 else np.zeros_like(t)
+        product_root = np.where(t != 0.0, a / t, 0.0)
+    minus_is_sum = ~np.signbit(b)
+    inverse_depth = np.zeros_like(a)
+    label = np.zeros(a.shape, dtype=np.uint8)
+    # They differ by 2 sqrt(D) / C: the nearer one first.
+    plus_first = (surface.constant > 0.0) | (root == 0.0)
+    for first in (True, False):
+        number = np.where(plus_first == first, np.uint8(1), np.uint8(2))
+        w = np.where(minus_is_sum == (number == 2), sum_root, product_root)
+        wanted = (label == 0) & (discriminant >= 0.0) & ((sheet == 0) | (number == sheet))
+        counts = wanted & root_counts(surface, bounds, d, body, w)
+        inverse_depth = np.where(counts, w, inverse_depth)
+        label = np.where(counts, number, label)
+    return inverse_depth, label
+
+
+def nearest_surface(
+    surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], layer: Layer, rays: Array
+) -> tuple[Array, NDArray[np.uint8], NDArray[np.int32]]:
+    """Inverse depth (...) in 1/mm of the nearest surface along rays (..., 3), its label, and its number.
+
+    surfaces, bounds: of all objects; layer: which of them count, and which sheet. Label: 0 no surface (w = 0, number
+    -1), else 2 k + the label of `solve_quadric` for object k. Of equally near ones the first counts.
+    """
+    nearest = np.zeros(rays.shape[:-1])
+    label, number = np.zeros(nearest.shape, dtype=np.uint8), np.full(nearest.shape, -1, dtype=np.int32)
+    for k, surface in enumerate(surfaces):
+        if layer.members >> k & 1:
+            w, root = solve_sheet(surface, bounds[k], rays, layer.sheet)
+            nearer = w > nearest
+            nearest = np.where(nearer, w, nearest)
+            label = np.where(nearer, (2 * k + root).astype(np.uint8), label)
+            number = np.where(nearer, np.int32(k), number)
+    return nearest, label, number
+
+
+def canonical_gradient(surface: PlacedSurface, d: Array, w: Array) -> Array:
+    """Gradient (..., 3) of the quadric at hits, times w / 2, in the canonical frame.
+
+    d: (..., 3) canonical rays; w: (...) 1/mm.
+    """
+    point = surface.offset * w[..., None] + d
+    return np.asarray(surface.canonical.q * point + surface.canonical.l * w[..., None])
+
+
+def surface_slope(surface: PlacedSurface, rays: Array, w: Array) -> Array:
+    """Change of inverse depth (..., 2) per unit of ray slope, x right and y up, in 1/mm.
+
+    rays: (..., 3); w: (...) 1/mm. Implicit differentiation of the quadric. 0 where no surface is, and where
+    the quadric has no gradient along the ray (a cone's apex, an exactly tangent ray). Validated against
+    differences.
+    """
+    d = turned(surface.turn, rays)
+    g = canonical_gradient(surface, d, w)
+    n = turned_back(surface.turn, g)
+    along = (g * d).sum(axis=-1)
+    usable = (w > 0.0) & (along != 0.0)
+    with np.errstate(over="ignore"):
+        scale = np.where(usable, w / np.where(usable, along, 1.0), 0.0)
+        return np.asarray(scale[..., None] * n[..., :2])
+
+
+def blur_radius(camera: Camera, w: Array) -> Array:
+    """Signed blur radius (...) in px of inverse depths w (...) in 1/mm (2.33)."""
+    return np.asarray(blur_scale(camera) * (focus_power(camera) - w))
+
+
+def blur_gradient(camera: Camera, slope: Array) -> Array:
+    """Gradient (..., 2) of the signed blur radius in px per px, right and down.
+
+    slope: (..., 2) from `surface_slope`. R = kappa (K - w) (2.33), so that it changes against w.
+    """
+    return np.asarray(blur_scale(camera) * ray_step(camera) * slope * np.array([-1.0, 1.0]))
+
+
+def surface_normal(surface: PlacedSurface, rays: Array, w: Array) -> Array:
+    """Unit normal (..., 3) in the camera frame, on the side of the lens; 0 where no surface is (w = 0).
+
+    rays: (..., 3); w: (...) 1/mm. Where the quadric has no gradient (a cone's apex) the direction to the
+    lens. Validated against differences and the sphere's radius vector.
+    """
+    n = turned_back(surface.turn, canonical_gradient(surface, turned(surface.turn, rays), w))
+    n = np.where((n * rays).sum(axis=-1, keepdims=True) > 0.0, -n, n)
+    n = np.where(np.abs(n).max(axis=-1, keepdims=True) > 0.0, n, -rays)
+    n = n / np.sqrt((n * n).sum(axis=-1, keepdims=True))
+    return np.where((w > 0.0)[..., None], n, 0.0)
+
+
+def body_point(surface: PlacedSurface, rays: Array, w: Array) -> Array:
+    """w times the position (..., 3) in the object's own frame of the surface point that a ray meets, no unit.
+
+    rays: (..., 3); w: (...) 1/mm.
+    """
+    return np.asarray(surface.body_offset * w[..., None] + turned(surface.body_turn, rays))
+
+
+def rest_position(surface: PlacedSurface, rays: Array, w: Array) -> Array:
+    """w times the position at rest (..., 3) of the surface point that a ray meets, camera frame, no unit.
+
+    rays: (..., 3); w: (...) 1/mm. The third component is positive where the point was before the lens.
+    """
+    return np.asarray(surface.rest * w[..., None] + body_point(surface, rays, w))
+
+
+def rest_pixel(surface: PlacedSurface, camera: Camera, rays: Array, w: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Row and column (...) in px where the camera saw a surface point at rest, and whether it did.
+
+    rays: (..., 3); w: (...) 1/mm. False, and row = column = 0, where no surface is or where the point was
+    behind the lens. Validated: the pixel itself for the pose at rest, 80 px for 10 mm at 250 mm.
+    """
+    position = rest_position(surface, rays, w)
+    valid = (w > 0.0) & (position[..., 2] > 0.0)
+    row, column = project(camera, np.where(valid[..., None], position, 1.0))
+    return np.where(valid, row, 0.0), np.where(valid, column, 0.0), valid
+
+
+def mirror_index(i: NDArray[np.int64], n: int) -> NDArray[np.int64]:
+    """Index in 0..n-1 of a signal mirrored about its outer edges: -1 -> 0, n -> n-1, period 2 n."""
+    folded = np.mod(i, 2 * n)
+    return np.asarray(np.where(folded >= n, 2 * n - 1 - folded, folded))
+
+
+def _taps(position: Array, texture_filter: Filter) -> tuple[NDArray[np.int64], Array]:
+    """First texel and weights (..., taps) of the texels that serve a position along one axis."""
+    position = np.clip(position, -FARTHEST_TEXEL, FARTHEST_TEXEL)
+    if texture_filter == "nearest":
+        return np.floor(position + 0.5).astype(np.int64), np.ones((*position.shape, 1))
+    first = np.floor(position)
+    t = position - first
+    if texture_filter == "bilinear":
+        return first.astype(np.int64), np.stack([1.0 - t, t], axis=-1)
+    weights = (
+        ((-0.5 * t + 1.0) * t - 0.5) * t,
+        (1.5 * t - 2.5) * t * t + 1.0,
+        ((-1.5 * t + 2.0) * t + 0.5) * t,
+        (0.5 * t - 0.5) * t * t,
+    )
+    return first.astype(np.int64) - 1, np.stack(weights, axis=-1)
+
+
+def sample_texture(texture: Array, row: Array, column: Array, texture_filter: Filter) -> Array:
+    """Texture (rows, columns[, channels]) at positions (...) in px, mirrored outside: (...[, channels]).
+
+    texture_filter: "nearest" (halves go up), "bilinear", or "bicubic" (Catmull-Rom, a = -1/2: may
+    overshoot, is not clamped). Validated: texels are kept, bilinear keeps linear, bicubic quadratic signals.
+    """
+    (first_row, row_weights), (first_column, column_weights) = (
+        _taps(row, texture_filter),
+        _taps(column, texture_filter),
+    )
+    rows, columns = texture.shape[:2]
+    result = np.zeros(row.shape + texture.shape[2:])
+    for i in range(row_weights.shape[-1]):
+        for j in range(column_weights.shape[-1]):
+            texel = texture[mirror_index(first_row + i, rows), mirror_index(first_column + j, columns)]
+            weight = row_weights[..., i] * column_weights[..., j]
+            result += weight.reshape(weight.shape + (1,) * (texture.ndim - 2)) * texel
+    return result
+
+
+def table_coordinate(psf: Psf, radius: Array, subpixel: bool, first: int, count: int) -> NDArray[np.float32]:
+    """Coordinates (...) in a device's table of PSF weights; their integer part names the interval.
+
+    radius: (...) px; the table has `count` intervals from `first` on, others are clamped to them. Rounded to
+    float32, that of a sampled PSF without crossing into the next interval, where it may jump. Only the device reads
+    tables; the reference has the weights.
+    """
+    u = np.maximum(coordinate_of_radius(psf, radius, subpixel), first)
+    rounded = u.astype(np.float32)
+    highest = np.full(u.shape, first + count)
+    jumps = psf.edge == "sampled" and not subpixel
+    ceiling = (np.minimum(np.floor(u) + 1.0, highest) if jumps else highest).astype(np.float32)
+    return np.where(rounded < ceiling, rounded, np.nextafter(ceiling, np.float32(0.0)))
+
+
+def tilt_slope(gradient: Array, radius: ArrayLike) -> Array:
+    """Gradient of the signed blur radius over that radius, (..., 2) in 1/px: l . grad R per px of offset.
+
+    gradient: (..., 2) px per px, right and down; radius: (...) signed, px. Below 1 px the disc is smaller
+    than a pixel, and the offset of a pixel that it touches overstates l: a radius counts as at least 1 px
+    there.
+    """
+    radius = np.asarray(radius, dtype=np.float64)
+    size = np.where(radius < 0.0, -1.0, 1.0) * np.maximum(np.abs(radius), SMALLEST_RADIUS)
+    return np.clip(gradient / size[..., None], -STEEPEST_TILT, STEEPEST_TILT)

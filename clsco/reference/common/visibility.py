@@ -1,0 +1,395 @@
+"""What stands between surface points and the lens: the factor V(x, l) of the physics, in NumPy float64.
+
+The line from a point at inverse depth w to lens point l meets a quadric Q at inverse depths w + v, v > 0, with
+C v^2 + 2 B v + F = 0, C = Q(lens point), F = w^2 Q(point). F does not depend on l. Where its sign differs from C's
+there is one crossing for every l; else two or none, and two exactly where h = -B - sqrt(C F) > 0, with signs such that
+C > 0.
+Taps stand for cells of the lens; over them the edge of what is blocked is softened by a cubic step of the same
+variance as the boxes that overlap there, so that V is continuous.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.optics.lens import blur_scale, lens_radius
+from clsco.optics.quadrics import PlacedSurface
+from clsco.optics.visibility import LENS_CELLS, Layer, lens_cells, lens_extent
+from clsco.reference.common.geometry import Array, Bounds, difference_of_products, turned
+from clsco.scene.model import Camera, Psf
+
+Mask = NDArray[np.bool_]
+
+CLEAR, PARTLY, HIDDEN = np.uint8(0), np.uint8(1), np.uint8(2)
+SOFT_BOX = (5.0 / 12.0) ** 0.5  # half width of the cubic step that has the variance of a box 1 wide
+WIDE_LENS = 4.0  # px: a lens at least so wide is looked at once per tap, others on a grid of cells
+SHARP_EDGE = 2.0  # px: a blurred outline this narrow asks for sub-pixel sources
+TINY = 1e-30
+
+
+@dataclass(frozen=True, eq=False)
+class Blocker:
+    """One surface as N points see it against the lens; x, y: offset of a tap in cells, right and down.
+
+    h (N, 3): constant, x, y, over the width of the soft edge, without the root; root (N,), f (N, 5): x, y, xx, xy, yy
+    under it. With limits: crossings (N,) 1 or 2, or 0 for a plane, whose limits are an h (N, 3) each; else b (N, 3),
+    f0 (N,), c, d (N, 6), soft (N,): 1 over the width of the edge; limits: (N, 4) each,
+    limit + v (limit_0 + limit_x x + limit_y y) >= 0; kept: (N,) each, where it is needed.
+    """
+
+    h: Array
+    root: Array
+    f: Array
+    crossings: NDArray[np.int64]
+    b: Array
+    f0: Array
+    c: Array
+    d: Array
+    soft: Array
+    limits: tuple[Array, ...]
+    kept: tuple[Mask, ...]
+
+    def of(self, chosen: NDArray[Any]) -> Blocker:
+        """The same for some of the points."""
+        arrays = {k: v[chosen] for k, v in vars(self).items() if k not in ("limits", "kept")}
+        limits, kept = (tuple(array[chosen] for array in arrays) for arrays in (self.limits, self.kept))
+        return Blocker(**arrays, limits=limits, kept=kept)
+
+
+def _dot(weights: Array, vectors: Array) -> Array:
+    return np.asarray(vectors @ weights)
+
+
+def _limits(surface: PlacedSurface, bounds: Bounds | None, w: Array, rays: Array, p: Array, e: Array) -> list[Array]:
+    """Conditions on a crossing: on the right nappe and within the bounds. e: (N, 2) mm per cell, right and down."""
+    found = []
+    nappe, o = float(surface.canonical.nappe), surface.offset
+    if nappe:
+        found.append(np.stack([p[:, 2], np.full(w.shape, o[2]), *(e * surface.turn[2, :2]).T], axis=-1) * nappe)
+    if bounds is not None:
+        body = surface.body_offset * w[:, None] + turned(surface.body_turn, rays)
+        for axis, (low, high) in enumerate(bounds):
+            at, along = surface.body_offset[axis], e * surface.body_turn[axis, :2]
+            for limit, sign in ((low, 1.0), (high, -1.0)):
+                head = np.stack([body[:, axis] - limit * w, np.full(w.shape, at - limit)], axis=-1)
+                found.append(np.concatenate([head, along], axis=-1) * sign)
+    return found
+
+
+def meet_blocker(
+    camera: Camera, surface: PlacedSurface, bounds: Bounds | None, rays: Array, w: Array, cells: Array, extent: float,
+    wide: Mask, source: float, own: bool = False,
+) -> tuple[NDArray[np.uint8], Mask, Blocker]:  # fmt: skip
+    """How a surface hides the lens from points at inverse depth w (N,) in 1/mm on rays (N, 3).
+
+    cells: (N,) per lens radius, signed as the blur radius; extent: of the lens in lens radii; wide: (N,) a cell is a
+    pixel; source: width of the sources, px; own: the points are on the surface itself, of which another part may be
+    between them and the lens. Returns whether the lens is CLEAR, PARTLY or all HIDDEN (N,), which
+    points are on the surface's other side than the lens or near an outline of it that has hardly any width (N,), and
+    what is to be tested per tap.
+    """
+    q, l, k, o = surface.canonical.q, surface.canonical.l, surface.canonical.k, surface.offset  # noqa: E741
+    # The line to lens point l goes over the image by lens_radius l per inverse depth.
+    way = lens_radius(camera) * extent * (surface.seen.w[1] - w)
+    far = way <= 0
+    for axis, (low, high) in enumerate((surface.seen.x, surface.seen.y)):
+        far = far | (rays[:, axis] + way < low) | (rays[:, axis] - way > high)
+    p = o * w[:, None] + turned(surface.turn, rays)
+    e = np.stack([lens_radius(camera) / cells, -lens_radius(camera) / cells], axis=-1)
+    ex, ey = (e[:, i, None] * surface.turn[:, i] for i in (0, 1))
+    side = -1.0 if surface.constant < 0 else 1.0
+    f = np.zeros_like(w) if own else side * (_dot(q, p * p) + w * (2 * _dot(l, p) - k * w))
+    b = side * (_dot(q, p * o) + _dot(l, p) + w * (l @ o - k))
+    c = side * surface.constant
+    once, flat = f <= 0, not q.any()
+    d = difference_of_products(b, b, c, f)
+    most = extent * np.abs(cells) + 1.5
+    limits = _limits(surface, bounds, w, rays, p, e)
+    with np.errstate(all="ignore"):  # where there is one crossing, what belongs to two is not used, and vice versa
+        # Where the line meets the surface, or passes it: so many px of the image away, per lens radius. The edge of
+        # what is hidden is softened over the cell and over what the width of the source adds to it.
+        root = np.sqrt(np.maximum(d, 0.0))
+        v = np.where(once, np.where(b < 0, (root - b) / c, -f / (b + root)), -b / c)
+        place = np.maximum(np.abs(blur_scale(camera) * v), TINY)
+        soft = SOFT_BOX * np.hypot(1.0, source * np.where(wide, cells / place - 1, cells / place))
+        if flat:
+            state, limits = flatten_limits(limits, _dot(l, p), float(l @ o), ex @ l, ey @ l, soft, most)
+            state = np.where(once & ~far, state, CLEAR)
+            return state.astype(np.uint8), (f < 0) & ~far, _planar(limits, w.size)
+        bx, by = (side * (_dot(q, p * u) + w * _dot(l, u)) for u in (ex, ey))
+        cx, cy = (side * 2 * (_dot(q, o * u) + _dot(l, u)) for u in (ex, ey))
+        cxx, cyy, cxy = side * _dot(q, ex * ex), side * _dot(q, ey * ey), side * 2 * _dot(q, ex * ey)
+        # B^2 - C F, which is 0 at the edge
+        dx, dy = 2 * b * bx - cx * f, 2 * b * by - cy * f
+        dxx, dyy, dxy = bx * bx - cxx * f, by * by - cyy * f, 2 * bx * by - cxy * f
+        under = np.sqrt(c * f)
+        h = -b - under
+        change = f * (np.hypot(cx, cy) + (np.abs(cxx) + np.abs(cxy) + np.abs(cyy)) * most) * most
+        reach = np.minimum(np.where(under > 0, change / under, np.inf), np.sqrt(change))
+        reach = reach + np.hypot(bx, by) * most
+        # Slope of h = D / (sqrt(C F) - B) at the edge, across which D curves by twice its lower eigenvalue; where there
+        # is no edge, a thousandth of what the range allows, as on devices, which could not hold more.
+        curve = 0.5 * (dxx + dyy - np.hypot(dxx - dyy, dxy))
+        slope = np.sqrt(np.maximum(dx * dx + dy * dy - 4 * d * curve, 0.0)) / (2 * np.maximum(under, TINY))
+        scale = 1 / (2 * soft * np.maximum(slope, np.maximum(1e-3 * reach / most, TINY)))
+        clear = far | ~once & ((h + reach) * scale <= -0.5)
+        hidden = once | ((h - reach) * scale >= 0.5)
+        area = scale * scale * f
+    state = np.where(clear, CLEAR, np.where(hidden & (not limits), HIDDEN, PARTLY))
+    edge = ~far & (once & (f < 0) | ~once & ~clear & ~hidden & (place * extent <= SHARP_EDGE))
+    zero = np.zeros_like(w)
+    blocker = Blocker(
+        h=np.stack([h * scale, -bx * scale, -by * scale], axis=-1),
+        root=under * scale,
+        f=np.stack([cx * area, cy * area, cxx * area, cxy * area, cyy * area], axis=-1),
+        crossings=np.where(once, 1, 2),
+        b=np.stack([b, bx, by], axis=-1),
+        f0=f,
+        c=np.stack([zero + c, cx, cy, cxx, cxy, cyy], axis=-1),
+        d=np.stack([d, dx, dy, dxx, dxy, dyy], axis=-1),
+        soft=1 / (2 * soft),
+        limits=tuple(limits),
+        kept=tuple(np.ones(w.shape, dtype=bool) for _ in limits),
+    )
+    if limits:
+        all_hidden, kept = hides_all(blocker, most)
+        state = np.where(~clear & all_hidden, HIDDEN, state)
+        blocker = replace(blocker, kept=kept)
+    return state.astype(np.uint8), edge, blocker
+
+
+def flatten_limits(
+    limits: Sequence[Array], near: Array, far: float, far_x: Array, far_y: Array, soft: Array, most: Array
+) -> tuple[NDArray[np.uint8], list[Array]]:
+    """Conditions on the one crossing with a plane, linear in the tap: what they leave (N,), and h (N, 3) of each.
+
+    The crossing is at v = -near / (far + far_x x + far_y y). limits: (N, 4) each; soft: half width of the edge (N,);
+    most: cells to the farthest tap (N,). h: constant, x, y, over the width of the edge.
+    """
+    state, found = np.full(near.shape, HIDDEN), []
+    for limit in limits:
+        base = limit[:, 0] * far - near * limit[:, 1]
+        x, y = limit[:, 0] * far_x - near * limit[:, 2], limit[:, 0] * far_y - near * limit[:, 3]
+        scale = (-1.0 if far < 0 else 1.0) / (2 * soft * np.maximum(np.hypot(x, y), TINY))
+        state = np.where(base * scale - most / (2 * soft) < 0.5, np.minimum(state, PARTLY), state)
+        state = np.where(base * scale + most / (2 * soft) <= -0.5, CLEAR, state)
+        found.append(np.stack([base * scale, x * scale, y * scale], axis=-1))
+    return state, found
+
+
+def _planar(limits: Sequence[Array], points: int) -> Blocker:
+    """A plane: of its `limits` each is (N, 3), an h."""
+    none, zero = np.zeros((points, 6)), np.zeros(points)
+    crossings = np.zeros(points, dtype=np.int64)
+    return Blocker(none[:, :3], zero, none[:, :5], crossings, none[:, :3], zero, none, none, zero, tuple(limits), ())
+
+
+def soft_step(t: Array) -> Array:
+    """Cubic step from 0 at t = -1/2 to 1 at 1/2."""
+    t = np.clip(t + 0.5, 0.0, 1.0)
+    return np.asarray(t * t * (3.0 - 2.0 * t))
+
+
+@dataclass(frozen=True, eq=False)
+class Crossing:
+    """One of the crossings with the lines to taps: w + v, and how v changes with the tap, (N,) each."""
+
+    v: Array
+    x: Array
+    y: Array
+
+
+def crossing_at(m: Blocker, v: Array, b: Array, c: Array, x: Array, y: Array) -> Crossing:
+    """The crossing at w + v (N,); b, c, x, y: (N,), at the taps."""
+    steep = c * v + b
+    scale = -v / np.where(np.abs(steep) > TINY, steep, TINY)
+    _, c_x, c_y, c_xx, c_xy, c_yy = m.c.T
+    vx = scale * (m.b[:, 1] + 0.5 * v * (c_x + 2 * c_xx * x + c_xy * y))
+    vy = scale * (m.b[:, 2] + 0.5 * v * (c_y + c_xy * x + 2 * c_yy * y))
+    return Crossing(v, vx, vy)
+
+
+def limit_share(m: Blocker, limit: Array, at: Crossing, x: Array, y: Array) -> Array:
+    """Share (N,) of the taps' cells over which a crossing meets one condition (N, 4)."""
+    slope = limit[:, 1] + limit[:, 2] * x + limit[:, 3] * y
+    steep = np.hypot(at.v * limit[:, 2] + slope * at.x, at.v * limit[:, 3] + slope * at.y)
+    return soft_step((limit[:, 0] + at.v * slope) * m.soft / (steep + TINY))
+
+
+def crossing_share(m: Blocker, at: Crossing, x: Array, y: Array) -> Array:
+    """Share (N,) of them from which a crossing blocks: the least that any condition leaves."""
+    least = np.ones_like(x)
+    for limit, kept in zip(m.limits, m.kept, strict=True):
+        least = np.where(kept, np.minimum(least, limit_share(m, limit, at, x, y)), least)
+    # Behind a point of the surface itself the tilt lets no light pass; a step there would only be seen in rounding.
+    return np.where((m.f0 == 0) | (at.v > 0), least, 0.0)
+
+
+def find_crossings(m: Blocker, x: Array, y: Array) -> tuple[Crossing, Crossing]:
+    """Both crossings at taps x, y (N,), or the one."""
+    b = m.b[:, 0] + m.b[:, 1] * x + m.b[:, 2] * y
+    c, d = (p[:, 0] + x * (p[:, 1] + p[:, 3] * x + p[:, 4] * y) + y * (p[:, 2] + p[:, 5] * y) for p in (m.c, m.d))
+    root = np.sqrt(np.maximum(d, 0.0))
+    t = np.where(b < 0, root - b, -b - root)
+    t = np.where(np.abs(t) > TINY, t, TINY)
+    return crossing_at(m, t / c, b, c, x, y), crossing_at(m, m.f0 / t, b, c, x, y)
+
+
+def blocked_height(m: Blocker, x: Array, y: Array) -> Array:
+    """h (N,) of a surface without limits at taps x, y (N,), over the width of the soft edge."""
+    fx, fy, fxx, fxy, fyy = m.f.T
+    f = x * (fx + fxx * x + fxy * y) + y * (fy + fyy * y)
+    under = np.sqrt(np.maximum(m.root * m.root + f, 0.0))
+    return np.asarray(m.h[:, 0] + m.h[:, 1] * x + m.h[:, 2] * y - f / (under + m.root + TINY))
+
+
+def blocked_share(m: Blocker, x: Array, y: Array) -> Array:
+    """Share (N,) of the lens, over the cells of taps x, y (N,), that one surface blocks."""
+    if not m.limits:
+        return soft_step(blocked_height(m, x, y))
+    if m.limits[0].shape[1] == 3:  # a plane
+        return np.asarray(np.min([soft_step(h[:, 0] + h[:, 1] * x + h[:, 2] * y) for h in m.limits], axis=0))
+    with np.errstate(all="ignore"):  # a lens point on the surface itself has an infinite crossing
+        one, other = (crossing_share(m, at, x, y) for at in find_crossings(m, x, y))
+    # Without any condition left, a surface that is crossed twice is as one that never had any.
+    share, d = np.where(m.f0 == 0, one, np.maximum(one, other)), m.d
+    height = d[:, 0] + x * (d[:, 1] + d[:, 3] * x + d[:, 4] * y) + y * (d[:, 2] + d[:, 5] * y)
+    slope = np.hypot(d[:, 1] + 2 * d[:, 3] * x + d[:, 4] * y, d[:, 2] + d[:, 4] * x + 2 * d[:, 5] * y)
+    twice = np.where(
+        np.any(m.kept, axis=0), share * soft_step(height * m.soft / (slope + TINY)), soft_step(blocked_height(m, x, y))
+    )
+    return np.where(m.crossings == 1, share, twice)
+
+
+def hides_all(m: Blocker, most: Array) -> tuple[Mask, tuple[Mask, ...]]:
+    """Whether a surface hides the lens (N,) at 16 points all over it, a little beyond its rim, `most` (N,), among them.
+
+    Also which conditions (N,) each some crossing there does not meet wholly; others can be dropped, but for one where
+    there is one crossing.
+    """
+    hidden, kept = np.ones(most.shape, dtype=bool), [np.zeros(most.shape, dtype=bool) for _ in m.limits]
+    kept[0] |= m.crossings == 1
+    for radius in (most / np.cos(np.pi / 8), 0.5 * most):
+        for angle in np.arange(8) * (np.pi / 4):
+            x, y = radius * np.cos(angle), radius * np.sin(angle)
+            hidden &= blocked_share(m, x, y) >= 1.0
+            with np.errstate(all="ignore"):
+                for at in find_crossings(m, x, y):
+                    for k, limit in enumerate(m.limits):
+                        kept[k] |= (at.v > 0) & (limit_share(m, limit, at, x, y) < 1.0)
+    return hidden, tuple(kept)
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What hides the lens from sources; made by `look`.
+
+    row: (sources,) where a source is in the other arrays, -1 if nothing hides it or all is hidden. Of the M others:
+    radius px; wide; x, y: place of the source in its pixel, px; blockers: per surface which of them it concerns, and
+    how. extent: of the lens in lens radii; cells: light (L, L) through its cells.
+    """
+
+    row: NDArray[np.int64]
+    radius: Array
+    wide: Mask
+    x: Array
+    y: Array
+    blockers: tuple[tuple[Mask, Blocker], ...]
+    extent: float
+    cells: Array
+
+    def of(self, chosen: NDArray[Any] | slice) -> Sight:
+        """The same for some of the sources."""
+        row = self.row[chosen]
+        there = row[row >= 0]
+        blockers = tuple(
+            (mask[there], blocker.of(np.cumsum(mask)[there[mask[there]]] - 1)) for mask, blocker in self.blockers
+        )
+        new = np.where(row >= 0, np.cumsum(row >= 0) - 1, -1)
+        return Sight(
+            new, self.radius[there], self.wide[there], self.x[there], self.y[there], blockers, self.extent, self.cells
+        )
+
+
+def free_share(sight: Sight, x: Array, y: Array) -> Array:
+    """Share (M,) of the lens, over the cells of taps x, y (M,) from the sources, that nothing blocks.
+
+    Where the lens is wide, a tap at the rim of the blur sees only the inside of it: with a tent across it, cut at the
+    distance s from its middle, the mean of what is left is at -(1 - s)^2 / 3, and below s = 0 at (2 s - 1) / 3.
+    """
+    rim = np.maximum(np.abs(sight.radius) * sight.extent, 1.0)
+    s = np.clip(0.5 * rim - (x * x + y * y) / (2 * rim), -1.0, 1.0)
+    inwards = np.where(sight.wide, 1 - np.where(s > 0, (1 - s) ** 2, 1 - 2 * s) / (3 * rim), 1.0)
+    share = np.ones_like(x)
+    for mask, blocker in sight.blockers:
+        share[mask] *= 1 - blocked_share(blocker, (x * inwards)[mask], (y * inwards)[mask])
+    return share
+
+
+def look_through(sight: Sight) -> Array:
+    """Share (N, L, L) of each cell of the lens that nothing blocks, of the N sources that the lens is not wide for."""
+    narrow = ~sight.wide
+    size, points = 2 * LENS_CELLS, sight.radius.size
+    share = np.ones((np.count_nonzero(narrow), size, size))
+    if narrow.any():
+        for i in range(size):
+            for j in range(size):
+                x, y = (np.full(points, n + 0.5 - LENS_CELLS) for n in (j, i))
+                share[:, i, j] = free_share(sight, x, y)[narrow]
+    return share
+
+
+def tap_share(sight: Sight, cells: Array, dx: float | Array, dy: float | Array) -> Array:
+    """Share (M,) of the lens that is free, as seen from the tap (dx, dy) px off each source's pixel.
+
+    cells: (N, L, L) from `look_through`. Where the lens is not wide, the tap's tent weighs its cells.
+    """
+    share = free_share(sight, dx - sight.x, dy - sight.y) if sight.wide.any() else np.ones_like(sight.x)
+    narrow = ~sight.wide
+    if narrow.any():
+        step = np.abs(sight.radius[narrow]) * sight.extent / LENS_CELLS
+        at = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
+        across, down = (
+            np.maximum(0.0, 1 - np.abs(at * step[:, None] + (place - d)[narrow, None]))
+            for place, d in ((sight.x, dx), (sight.y, dy))
+        )
+        whole = np.einsum("mi,ij,mj->m", down, sight.cells, across, optimize=True)
+        free = np.einsum("mi,mij,mj->m", down, sight.cells * cells, across, optimize=True)
+        share[narrow] = np.where(whole > 0, free / np.where(whole > 0, whole, 1.0), 1.0)
+    return share
+
+
+def look(
+    camera: Camera, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], layer: Layer, psf: Psf,
+    rays: Array, w: Array, radius: Array, x: Array, y: Array, width: float,
+) -> tuple[NDArray[np.uint8], Mask, Sight]:  # fmt: skip
+    """What stands between the lens and points at inverse depth w (N,) in 1/mm on rays (N, 3).
+
+    surfaces, bounds: of all objects; layer: of them, what can block; radius: (N,) px; x, y: (N,) place of the source in
+    its pixel, px; width: of the sources, px. Returns CLEAR, PARTLY or HIDDEN (N,); what changes where two surfaces
+    meet, and at outlines of what stands close before the point (N,); and what is to be tested for taps.
+    """
+    extent = lens_extent(psf)
+    wide = np.abs(radius) * extent >= WIDE_LENS
+    cells = np.where(wide, radius, np.where(radius < 0, -LENS_CELLS, LENS_CELLS) / extent)
+    state, edge = np.full(w.shape, CLEAR), np.zeros(w.shape, dtype=bool)
+    found = []
+    for k, surface in enumerate(surfaces):
+        # The near one of two roots has nothing of its own surface before it.
+        front = k == layer.own and layer.sheet == (2 if surface.constant < 0 else 1)
+        if layer.blockers >> k & 1 and not front:
+            head = (camera, surface, bounds[k], rays, w)
+            one, changes, blocker = meet_blocker(*head, cells, extent, wide, width, k == layer.own)
+            state, edge = np.maximum(state, one), edge ^ changes
+            found.append((one == PARTLY, blocker))
+    partly = state == PARTLY
+    row = np.where(partly, np.cumsum(partly) - 1, -1)
+    blockers = tuple((mask[partly], blocker.of(mask & partly)) for mask, blocker in found)
+    return state, edge, Sight(
+        row, radius[partly], wide[partly], x[partly], y[partly], blockers, extent, lens_cells(psf)
+    )  # fmt: skip

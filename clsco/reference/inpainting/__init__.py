@@ -1,0 +1,1 @@
+"""Filling of missing pixels, the twin of kernels/inpainting."""

@@ -1,0 +1,256 @@
+"""Missing pixels: which there are, adaptive interpolation (thesis, 4.3.5), and whole fillings of either kind.
+
+Values are arrays (H, W, K) of any channels, radiance and inverse depth alike. A pixel filled in a sweep
+serves others from the next sweep on, so the order of pixels within a sweep does not matter.
+
+What a moving edge uncovers lies behind it. Where a scene has surfaces at several depths, a hole is therefore filled
+from its farther side only: every missing pixel has a bound on the inverse depth of neighbors that may serve it
+(`far_bounds`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.inpainting.rules import MeanMedian, score_scale
+from clsco.reference.common.geometry import Array
+from clsco.reference.inpainting.mean_median import fill_mean_median, smooth_median
+from clsco.reference.inpainting.neighbors import NEIGHBORS, Bounds, Mask, Pixels, known_neighbors, neighbor_numbers
+from clsco.reference.inpainting.score import score_mean_median
+
+Method = Literal["ait", "mean_median", "none"]
+CHAPTER5 = MeanMedian()
+
+FAR_SLACK = np.float32(1.02)  # relative; a surface at 45 degrees changes less over two pixels of 0.5 degrees each
+
+KNOWN, FILLED, UNFILLED = np.uint8(0), np.uint8(1), np.uint8(2)
+
+
+@dataclass(frozen=True)
+class FillReport:
+    """Missing pixels within the frame: all, filled, left, filled in the first sweep; number of sweeps."""
+
+    missing_pixels: int = 0
+    filled_pixels: int = 0
+    unfilled_pixels: int = 0
+    sweeps: int = 0
+    filled_first_sweep: int = 0
+
+
+def find_spans(known: Mask) -> NDArray[np.int64]:
+    """First and last known pixel (H + W, 2) of each row and then of each column; (H + W, -1) for none.
+
+    known: (H, W).
+    """
+
+    def ends(lines: Mask) -> NDArray[np.int64]:
+        some = lines.any(axis=1)
+        first = np.where(some, lines.argmax(axis=1), sum(known.shape))
+        last = np.where(some, lines.shape[1] - 1 - lines[:, ::-1].argmax(axis=1), -1)
+        return np.stack([first, last], axis=1)
+
+    return np.concatenate([ends(known), ends(known.T)])
+
+
+def mark_missing(known: Mask, allowed: Mask | None) -> Mask:
+    """Missing pixels (H, W): unknown, strictly between the first and last known of their row, else column.
+
+    known: (H, W); allowed: (H, W), only these may be missing (domain "surface"), or None (domain "span").
+    """
+    (rows, columns), spans = known.shape, find_spans(known)
+    i, j = np.arange(rows)[:, None], np.arange(columns)[None, :]
+    first, last = spans[:rows, :1], spans[:rows, 1:]
+    top, bottom = spans[rows:].T
+    missing: Mask = ~known & (((first < j) & (j < last)) | ((top < i) & (i < bottom)))
+    return missing if allowed is None else missing & allowed
+
+
+def far_bounds(w: Array, known: Mask, wanted: Mask) -> NDArray[np.float32]:
+    """Largest inverse depth (H, W) in 1/mm of neighbors that may serve the wanted pixels; infinite elsewhere.
+
+    w: (H, W) 1/mm; known, wanted: (H, W). Of the row, the column and the two diagonals through a pixel the one decides
+    that meets known pixels on both sides first, that is within the fewest steps, and of equals the first: the bound
+    is 1.02 times the smaller inverse depth of the two. Beside an edge that has moved away that is the far side; in a
+    gap that a growing surface leaves, its own. Compared in float32 on every device.
+    Validated on a card that moves before a plane.
+    """
+    height, width = known.shape
+    bound = np.full(known.shape, np.inf, dtype=np.float32)
+    row, column = np.nonzero(wanted)
+    ends = np.full((8, row.size), np.nan)
+    open_ = np.ones(row.size, dtype=bool)
+    for step in range(1, max(height, width)):
+        for k, (i, j) in enumerate(NEIGHBORS):
+            y, x = row + step * i, column + step * j
+            met = (y >= 0) & (y < height) & (x >= 0) & (x < width) & np.isnan(ends[k])
+            met[met] = known[y[met], x[met]]
+            ends[k, met] = w[y[met], x[met]]
+            if k % 2:
+                pair = open_ & ~np.isnan(ends[k - 1]) & ~np.isnan(ends[k])
+                smaller = np.minimum(ends[k - 1, pair], ends[k, pair]).astype(np.float32)
+                bound[row[pair], column[pair]] = FAR_SLACK * smaller
+                open_ &= ~pair
+        if not open_.any():
+            break
+    return bound
+
+
+def settle_sweep(known: Mask, missing: Mask, filled: Mask) -> tuple[Mask, Mask]:
+    """Known and missing pixels (H, W) after a sweep that has filled some.
+
+    known, missing: (H, W), before the sweep; filled: (H, W).
+    """
+    return known | filled, missing & ~filled
+
+
+def mark_grown(known: Mask, missing: Mask, allowed: Mask | None) -> Mask:
+    """Missing pixels (H, W) after known pixels were added to those between which `missing` (H, W) were.
+
+    known, allowed: as for `mark_missing`. There are new ones where a pixel was filled for the sake of its row,
+    which lies beyond what was known of its column, or the other way round.
+    """
+    return missing | mark_missing(known, allowed)
+
+
+def _nearest_known(known: Mask) -> tuple[Pixels, Pixels]:
+    """Column of the nearest known pixel to the left (-1: none) and right (width: none) of every pixel."""
+    width = known.shape[1]
+    column = np.arange(width)
+    left = np.maximum.accumulate(np.where(known, column, -1), axis=1)
+    right = np.minimum.accumulate(np.where(known, column, width)[:, ::-1], axis=1)[:, ::-1]
+    return left, right
+
+
+def _between_known(values: Array, known: Mask, far: bool) -> tuple[Array, Mask, Pixels]:
+    """Linear interpolation along each row between the nearest known pixels; where both exist; the left one's column.
+
+    far: the farther one alone where the other is nearer by more than the slack.
+    """
+    left, right = _nearest_known(known)
+    both = (left >= 0) & (right < known.shape[1])
+    left, right = np.where(both, left, 0), np.where(both, right, 0)
+    row, column = np.arange(known.shape[0])[:, None], np.arange(known.shape[1])[None, :]
+    share = (column - left) / np.maximum(right - left, 1)
+    if far:
+        at_left, at_right = (values[row, end, -1].astype(np.float32) for end in (left, right))
+        left, right = (
+            np.where(at_left > FAR_SLACK * at_right, right, left),
+            np.where(at_right > FAR_SLACK * at_left, left, right),
+        )
+    low, high = values[row, left], values[row, right]
+    return low + (high - low) * share[..., None], both, left
+
+
+def fill_ait(values: Array, known: Mask, missing: Mask, bounds: Bounds = None) -> tuple[Array, Mask, Pixels]:
+    """One sweep of AIT: values (H, W, K) with what could be filled, which pixels those are (H, W), and from where.
+
+    values: (H, W, K), inverse depth last; known: (H, W), before the sweep; missing: (H, W), not yet filled; bounds: on
+    the inverse depth of those that serve a missing pixel. Inside: the mean of the first opposite pair of known
+    neighbors (horizontal, vertical, the two diagonals), else a copy of the first known neighbor. On the outermost
+    rows and columns: linear between the nearest known pixels of the row, else of the column; with bounds a copy of
+    the farther one where the other is more than 1.02 times nearer. From where: (H, W), number of the first pixel that
+    served, its own number elsewhere.
+    Validated on the thesis' figures 4.14 and 4.15 and on random masks.
+    """
+    inside = missing.copy()
+    inside[[0, -1], :] = inside[:, [0, -1]] = False
+    row, column = np.nonzero(inside)
+    near, near_known = known_neighbors(values, known, row, column, bounds)
+    result, filled, source = values.copy(), np.zeros_like(known), np.arange(known.size).reshape(known.shape)
+    value, found = np.zeros((row.size, values.shape[2])), np.zeros(row.size, dtype=bool)
+    first = np.zeros(row.size, dtype=np.int64)
+    for pair in range(0, 8, 2):
+        use = near_known[pair] & near_known[pair + 1] & ~found
+        value[use] = 0.5 * (near[pair] + near[pair + 1])[use]
+        first[use] = pair
+        found |= use
+    for k in range(8):
+        use = near_known[k] & ~found
+        value[use] = near[k][use]
+        first[use] = k
+        found |= use
+    result[row[found], column[found]] = value[found]
+    filled[row[found], column[found]] = True
+    source[row[found], column[found]] = neighbor_numbers(first, row, column, known.shape[1])[found]
+    border = missing & ~inside
+    if border.any():
+        far = bounds is not None
+        along_row, in_row, left = _between_known(values, known, far)
+        along_column, in_column, top = _between_known(values.swapaxes(0, 1), known.T, far)
+        usable = border & (in_row | in_column.T)
+        line = np.where(in_row[..., None], along_row, along_column.swapaxes(0, 1))
+        result[usable] = line[usable]
+        height, width = known.shape
+        ends = np.where(in_row, np.arange(height)[:, None] * width + left, top.T * width + np.arange(width))
+        source[usable] = ends[usable]
+        filled |= usable
+    return result, filled, source
+
+
+def fill(
+    values: Array, known: Mask, allowed: Mask | None, method: Method, guard: int, far: bool = False,
+    brightest: float = 1.0,
+) -> tuple[Array, NDArray[np.uint8], FillReport]:  # fmt: skip
+    """Fill what a forward warp left: values (H, W, K), status (H, W) and the report.
+
+    values: (H, W, K), radiance and then inverse depth; known: (H, W); allowed: as for `mark_missing`; guard:
+    px of the padded grid that do not count in the report; far, brightest: as for `fill_objects`. Status: 0 known or
+    outside, 1 filled, 2 missing but could not be filled. "mean_median" scores on the radiance and fills inverse depth
+    by the same rule.
+    Before each sweep missing pixels are those between known or filled ones. Sweeps that fill nothing do not
+    count.
+    """
+    objects = np.zeros(known.shape, dtype=np.uint8)
+    values, _, status, report = fill_objects(values, objects, known, allowed, method, guard, far, brightest)
+    return values, status, report
+
+
+def fill_objects(
+    values: Array, objects: NDArray[np.uint8], known: Mask, allowed: Mask | None, method: Method, guard: int,
+    far: bool = True, brightest: float = 1.0,
+) -> tuple[Array, NDArray[np.uint8], NDArray[np.uint8], FillReport]:  # fmt: skip
+    """As `fill`, with the number of the object that is seen (H, W), which follows the first pixel that serves.
+
+    far: holes are filled from their farther side (`far_bounds`, when a pixel becomes a missing one). Where that fills
+    nothing more, the nearer ones serve for one sweep as well. brightest: what radiance is at most, for scores.
+    """
+    left, valid = mark_missing(known, allowed), known
+    frame = (slice(guard, known.shape[0] - guard), slice(guard, known.shape[1] - guard))
+    bounds = far_bounds(values[..., -1], valid, left) if far else None
+    sweeps = first = 0
+    median_wins = np.zeros(9, dtype=bool)
+    if method == "mean_median" and left.any():
+        median_wins = score_mean_median(values[..., :-1], known, score_scale(brightest)).median_wins()
+    while method != "none" and left.any():
+        # Fewer neighbors will do where the filling would stall, and then (0) nearer ones.
+        for minimum in range(1 if method == "ait" else CHAPTER5.minimum, -1 if far else 0, -1):
+            within = bounds if minimum or bounds is None else np.full_like(bounds, np.inf)
+            if method == "ait":
+                swept, filled, source = fill_ait(values, valid, left, within)
+            else:
+                swept, filled, source = fill_mean_median(values, valid, left, median_wins, minimum, within)
+            if filled.any():
+                break
+        if not filled.any():
+            break
+        values, objects = swept, objects.ravel()[source]
+        sweeps += 1
+        if sweeps == 1:
+            first = int(filled[frame].sum())
+        valid, missing = settle_sweep(valid, left, filled)
+        left = mark_grown(valid, missing, allowed)
+        if bounds is not None:
+            new = left & ~missing
+            bounds = np.where(new, far_bounds(values[..., -1], valid, new), bounds)
+    done = valid & ~known
+    if method == "mean_median" and done.any():
+        for _ in range(CHAPTER5.smoothing_rounds):
+            values = smooth_median(values, done, valid, bounds)
+    status = np.where(done, FILLED, np.where(left, UNFILLED, KNOWN))
+    done_pixels, left_pixels = int(done[frame].sum()), int(left[frame].sum())
+    report = FillReport(done_pixels + left_pixels, done_pixels, left_pixels, sweeps, first)
+    return values, objects, status, report

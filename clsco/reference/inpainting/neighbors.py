@@ -1,0 +1,42 @@
+"""The eight neighbors of a pixel, from which missing ones are filled."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.reference.common.geometry import Array
+
+Mask = NDArray[np.bool_]
+Bounds = NDArray[np.float32] | None
+"""(H, W): largest inverse depth in 1/mm of neighbors that may serve a missing pixel, by `inpainting.fill`."""
+Pixels = NDArray[np.int64]
+
+# Rows down, columns right: W E, N S, NW SE, NE SW. Opposite neighbors are pairs.
+NEIGHBORS = ((0, -1), (0, 1), (-1, 0), (1, 0), (-1, -1), (1, 1), (-1, 1), (1, -1))
+
+
+def known_neighbors(
+    values: Array, known: Mask, row: Pixels, column: Pixels, bounds: Bounds = None
+) -> tuple[Array, Mask]:
+    """Values (8, N, K) of the neighbors of N pixels, and which are known (8, N), within the array and the bounds.
+
+    values: (H, W, K), inverse depth last; known: (H, W); row, column: (N,); bounds: on the neighbors' inverse depth.
+    """
+    edge = ((1, 1), (1, 1))
+    padded_values = np.pad(values, (*edge, (0, 0)))
+    padded_known = np.pad(known, edge)
+    at = [(row + 1 + i, column + 1 + j) for i, j in NEIGHBORS]
+    near, near_known = np.stack([padded_values[p] for p in at]), np.stack([padded_known[p] for p in at])
+    if bounds is not None:
+        near_known &= near[..., -1].astype(np.float32) <= bounds[row, column]
+    return near, near_known
+
+
+def neighbor_numbers(k: Pixels, row: Pixels, column: Pixels, width: int) -> Pixels:
+    """Numbers (N,) in row order of the neighbors k (N,) of N pixels of an array so many columns wide.
+
+    row, column: (N,).
+    """
+    step = np.array(NEIGHBORS)[k]
+    return np.asarray((row + step[:, 0]) * width + column + step[:, 1])

@@ -1,0 +1,1 @@
+"""Layered occlusion, the twin of kernels/layered."""

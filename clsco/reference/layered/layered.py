@@ -1,0 +1,274 @@
+"""Layered occlusion in NumPy float64: slabs of blur radius, each blurred with its coverage, composited front to back.
+
+All that is known is what the pinhole sees: the radiance and the signed blur radius of each pixel of the padded grid
+(H, W). A smaller signed radius is nearer. Slabs are numbered from 1, the nearest; 0 stands for no surface.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import ceil, log2
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.optics.psf import psf_extent, reach
+from clsco.reference.blur.blur import prepare_sources, scatter
+from clsco.reference.common.geometry import Array
+from clsco.reference.trace.trace import Sources
+from clsco.scene.model import Psf
+
+Mask = NDArray[np.bool_]
+Labels = NDArray[np.uint8]
+Integers = NDArray[np.int64]
+
+JUMP = 1.0  # px: over the lens two points shift by |R1 - R2| against each other; less hides no pixel
+BIN = 0.25  # px: slabs end at multiples of it
+CLASSES = 10  # of jumps: beyond JUMP, 2 JUMP, 4 JUMP ... px
+MOST_SLABS = 8
+NO_SEED = 1 << 14  # px: farther than any blur reaches
+NEVER = 1 << 24  # beyond the last pixel of any frame
+TENT = (0.125, 0.375, 0.375, 0.125)  # of a coarse pixel, over 4 fine ones per axis
+GROWTH = 4.0  # a coarse pixel is known whole once a quarter of its tent is
+
+
+def _bin(coc: Array, low: float, bins: int) -> Integers:
+    """Number of the bin of a radius."""
+    return np.clip(np.floor((coc - low) / BIN), 0, bins - 1).astype(np.int64)
+
+
+def bins_of(largest: float) -> tuple[float, int]:
+    """Lower end in px of the first bin, and the number of bins, for radii in [-largest, largest] px."""
+    half = int(np.ceil(largest / BIN)) + 1
+    return -half * BIN, 2 * half
+
+
+def find_jumps(coc: Array, valid: Mask, low: float, bins: int, far: int) -> tuple[Integers, int]:
+    """Where jumps of the radius begin: (CLASSES, bins), 1 + the largest bin of the near side, 0 for no jump.
+
+    And the largest sum of the two radii of a jump, without their signs, px, rounded up.
+    coc: (H, W) px; valid: (H, W); low px, bins: from `bins_of`; far: px. A jump is between two valid pixels of a row or
+    a column with none between them, at most `far` px apart. Entry (k, b): jumps of class k, beyond JUMP 2^k px, whose
+    far side is in bin b.
+    """
+    latest, largest_sum = np.zeros((CLASSES, bins), dtype=np.int64), 0
+    for radius, there in ((coc, valid), (coc.T, valid.T)):
+        line, at = np.nonzero(there)
+        value = radius[line, at]
+        near, away = np.minimum(value[:-1], value[1:]), np.maximum(value[:-1], value[1:])
+        pair = (line[1:] == line[:-1]) & (np.diff(at) <= far) & (away - near > JUMP)
+        near, away = near[pair], away[pair]
+        largest_sum = max(largest_sum, int(np.ceil(np.abs(near) + np.abs(away)).max(initial=0)))
+        size = np.clip(np.ceil(np.log2((away - near) / JUMP)) - 1, 0, CLASSES - 1).astype(np.int64)
+        np.maximum.at(latest, (size, _bin(away, low, bins)), _bin(near, low, bins) + 1)
+    return latest, largest_sum
+
+
+def slab_bounds(latest: Integers) -> list[int]:
+    """First bins of the second and each further slab, at most MOST_SLABS - 1 of them, in rising order.
+
+    latest: (CLASSES, bins) from `find_jumps`. From near to far, a jump that no bound splits yet gets one in the middle
+    of where it can be; where that makes too many, the jumps of the smallest class are left alone.
+    """
+    for smallest in range(CLASSES):
+        bounds: list[int] = []
+        for far_bin, near_bin in enumerate((latest[smallest:].max(axis=0) - 1).tolist()):
+            if near_bin >= 0 and (not bounds or bounds[-1] <= near_bin):
+                bounds.append((near_bin + 1 + far_bin + 1) // 2)
+        if len(bounds) < MOST_SLABS:
+            return bounds
+    return bounds[: MOST_SLABS - 1]
+
+
+def label_slabs(coc: Array, valid: Mask, low: float, bins: int, bounds: list[int]) -> Labels:
+    """Slab (H, W) of every pixel. Arguments as for `find_jumps`; bounds: from `slab_bounds`."""
+    slab = 1 + np.searchsorted(np.asarray(bounds, np.int64), _bin(coc, low, bins), side="right")
+    return np.where(valid, slab, 0).astype(np.uint8)
+
+
+def seed_hidden(coc: Array, slab: Labels) -> Labels:
+    """The slab (H, W) that goes on behind a pixel at an edge: the nearest of its four neighbors' behind a jump."""
+    padded, radius = np.pad(slab, 1), np.pad(coc, 1)
+    seed = np.zeros_like(slab)
+    rows, columns = slab.shape
+    for i, j in ((0, 1), (2, 1), (1, 0), (1, 2)):
+        near = (slice(i, i + rows), slice(j, j + columns))
+        behind = (slab > 0) & (padded[near] > slab) & (radius[near] - coc > JUMP)
+        seed = np.where(behind & ((seed == 0) | (padded[near] < seed)), padded[near], seed)
+    return seed
+
+
+def column_seeds(seed: Labels) -> Integers:
+    """Rows (H, W) to the nearest seed of the same column, NO_SEED for none; of two the upper one."""
+    rows = np.arange(len(seed))[:, None]
+    above = np.maximum.accumulate(np.where(seed > 0, rows, -NEVER), axis=0) - rows
+    below = np.minimum.accumulate(np.where(seed > 0, rows, NEVER)[::-1], axis=0)[::-1] - rows
+    offset = np.where(below < -above, below, above)
+    return np.where(np.abs(offset) < NO_SEED, offset, NO_SEED)
+
+
+def reach_hidden(slab: Labels, seed: Labels, offset: Integers, deep: int) -> tuple[Labels, Mask]:
+    """The slab that is taken to go on behind each pixel, that of its nearest seed, 0 for none; where edges count.
+
+    Both (H, W). offset: (H, W) from `column_seeds`; deep: px, no seed is farther. Of seeds at the same distance the one
+    of the nearest column counts, of two such columns the left one. Only what is behind the pixel's own slab counts.
+    Edges count up to 2 `deep` px away, rows and columns counted separately: from beyond, no light falls where hidden
+    surface may be seen.
+    """
+    columns, wide = slab.shape[1], 2 * deep
+    best, found = np.full(slab.shape, deep * deep + 1), np.zeros_like(slab)
+    edge = np.zeros(slab.shape, dtype=bool)
+    padded = np.pad(offset, ((0, 0), (wide, wide)), constant_values=NO_SEED)
+    row, column = np.indices(slab.shape)
+    for dx in sorted(range(-wide, wide + 1), key=lambda d: (abs(d), d)):
+        dy = padded[:, wide + dx : wide + dx + columns]
+        edge |= np.abs(dy) <= wide
+        nearer = dx * dx + dy * dy < best
+        label = seed[np.where(nearer, row + dy, 0), np.clip(column + dx, 0, columns - 1)]
+        best, found = np.where(nearer, dx * dx + dy * dy, best), np.where(nearer, label, found)
+    return np.where((slab > 0) & (found > slab), found, 0).astype(np.uint8), edge
+
+
+def open_slab(radiance: Array, coc: Array, slab: Labels, which: int) -> Array:
+    """Finest level (H, W, C + 2) of a pyramid: radiance and radius of one slab's pixels, and whether they are known."""
+    known = slab == which
+    return np.concatenate([radiance, coc[..., None], known[..., None]], axis=-1) * known[..., None]
+
+
+def push(fine: Array, last: bool = False) -> Array:
+    """The next coarser level (ceil(H / 2), ceil(W / 2), C + 2): means of what is known, under a tent of 4 x 4.
+
+    last: there is no coarser one to ask, so what is known in part is taken as it is.
+    """
+    rows, columns = -(-fine.shape[0] // 2), -(-fine.shape[1] // 2)
+    known = fine[..., -1:]
+    sums = np.concatenate([fine[..., :-1] * known, known], axis=-1)
+    sums = np.pad(sums, ((1, 2), (1, 2), (0, 0)))
+    sums = np.sum([weight * sums[i : i + 2 * rows : 2] for i, weight in enumerate(TENT)], axis=0)
+    sums = np.sum([weight * sums[:, i : i + 2 * columns : 2] for i, weight in enumerate(TENT)], axis=0)
+    total = sums[..., -1:]
+    return np.concatenate(
+        [
+            np.where(total > 0, sums[..., :-1] / np.where(total > 0, total, 1.0), 0.0),
+            np.where(total > 0, 1.0, 0.0) if last else np.minimum(GROWTH * total, 1.0),
+        ],
+        axis=-1,
+    )
+
+
+def _between(coarse: Array, count: int, axis: int) -> Array:
+    """Bilinear interpolation of a coarse level at `count` fine pixels along an axis."""
+    position = np.arange(count)
+    near = position // 2
+    other = np.clip(np.where(position % 2, near + 1, near - 1), 0, coarse.shape[axis] - 1)
+    return np.asarray(0.75 * np.take(coarse, near, axis) + 0.25 * np.take(coarse, other, axis))
+
+
+def _around(coarse: Array, shape: tuple[int, ...]) -> tuple[Array, Mask]:
+    """Means (H, W, C + 1) of what a pulled level knows around each pixel of the finer one, and whether it knows any."""
+    known = coarse[..., -1:]
+    sums = _between(_between(np.concatenate([coarse[..., :-1] * known, known], axis=-1), shape[0], 0), shape[1], 1)
+    share = sums[..., -1:]
+    return np.where(share > 0, sums[..., :-1] / np.where(share > 0, share, 1.0), 0.0), share > 0
+
+
+def pull(fine: Array, coarse: Array) -> Array:
+    """A level (H, W, C + 2) with what it does not know, in part or whole, from the next coarser one."""
+    known = fine[..., -1:]
+    other, found = _around(coarse, fine.shape)
+    values = np.where(found, known * fine[..., :-1] + (1.0 - known) * other, fine[..., :-1])
+    return np.concatenate([values, np.where((known > 0) | found, 1.0, 0.0)], axis=-1)
+
+
+def take_slab(
+    radiance: Array, coc: Array, slab: Labels, hidden: Labels, coarse: Array, which: int
+) -> tuple[Array, Array, Mask]:
+    """One slab to be blurred: radiance with coverage (H, W, C + 1), radius (H, W), and where it is (H, W).
+
+    coarse: the pulled second level of the slab's pyramid, from which the hidden part comes.
+    """
+    behind, _ = _around(coarse, slab.shape)
+    own, extended = slab == which, hidden == which
+    there = own | extended
+    light = np.where(own[..., None], radiance, behind[..., :-1])
+    value = np.concatenate([light, np.ones((*slab.shape, 1))], axis=-1) * there[..., None]
+    return value, np.where(own, coc, np.where(extended, behind[..., -1], 0.0)), there
+
+
+def keep_sources(sources: Sources, edge: Mask, near_edges: bool) -> Sources:
+    """Only the sources near edges, or only the others. edge: (H, W) from `reach_hidden`."""
+    return replace(sources, lit=sources.lit & (edge == near_edges))
+
+
+def composite(total: Array, covered: Array, blurred: Array) -> tuple[Array, Array]:
+    """Frame (m, n, C) and the coverage so far (m, n) with one more slab behind those before.
+
+    blurred: (m, n, C + 1), light and coverage of the slab. It gets the room that nearer slabs have left, all of it: at
+    a cut through a continuous surface the two coverages add up to that of the whole, and nothing is lost.
+    """
+    coverage = blurred[..., -1]
+    seen = np.maximum(np.minimum(coverage, np.maximum(coverage, 1.0) - covered), 0.0)
+    share = np.where(seen < coverage, seen / np.where(seen < coverage, coverage, 1.0), 1.0)
+    return total + share[..., None] * blurred[..., :-1], covered + seen
+
+
+def extend_slab(
+    radiance: Array, coc: Array, slab: Labels, hidden: Labels, which: int, deep: int
+) -> tuple[Array, Array, Mask]:
+    """One slab with its hidden part; result as of `take_slab`. Push-pull over a pyramid (Gortler et al. 1996).
+
+    It has as few levels as show each pixel what is deep + 1 px away: hidden pixels are no farther from their slab. So
+    strips of a frame need no more than what is near by.
+    """
+    levels, count = [open_slab(radiance, coc, slab, which)], level_count(deep)
+    for level in range(1, count + 1):
+        levels.append(push(levels[-1], last=level == count))
+    coarse = levels[-1]
+    for fine in levels[-2:0:-1]:
+        coarse = pull(fine, coarse)
+    return take_slab(radiance, coc, slab, hidden, coarse, which)
+
+
+def level_count(deep: int) -> int:
+    """Levels above the finest one of a pyramid."""
+    return ceil(log2(deep + 2))
+
+
+def depth_of_hidden(psf: Psf, largest_sum: int) -> int:
+    """How far behind an edge surface may be seen, px: as far as the blurs of both sides reach together."""
+    return ceil(float(psf_extent(psf, largest_sum))) + 2
+
+
+def layered(
+    psf: Psf, radiance: Array, coc: Array, valid: Mask, shape: tuple[int, int], guard: int, largest: float
+) -> tuple[Array, int]:
+    """Defocused image (m, n, C) with occlusion from the pinhole's view alone, and the number of slabs that it took.
+
+    radiance: (H, W, C) on the padded grid, linear light; coc: (H, W) signed blur radius in px; valid: (H, W) there is
+    surface; shape: (m, n) of the frame; guard: px; largest: px, no |coc| is larger. Without a jump of the radius it is
+    `blur.scatter`. Validated: a cut through a slanted plane leaves no seam, an edge before a plane is
+    its closed form, one brightness stays so, and against the ray tracer.
+    """
+    low, bins = bins_of(largest)
+    latest, largest_sum = find_jumps(coc, valid, low, bins, 2 * reach(psf, largest) + 1)
+    slab = label_slabs(coc, valid, low, bins, slab_bounds(latest))
+    return spread_slabs(psf, radiance, coc, slab, shape, guard, depth_of_hidden(psf, largest_sum))
+
+
+def spread_slabs(
+    psf: Psf, radiance: Array, coc: Array, slab: Labels, shape: tuple[int, int], guard: int, deep: int
+) -> tuple[Array, int]:
+    """As `layered`, for given slabs (H, W) that go on up to `deep` px behind an edge."""
+
+    def light(value: Array, radius: Array, there: Mask, near_edges: bool) -> Array:
+        label, gradient = there.astype(np.uint8), prepare_sources(radius, there)
+        sources = Sources(value, np.ones(coc.shape), label, radius, gradient, there)
+        return scatter(psf, keep_sources(sources, edge, near_edges), None, shape, guard)
+
+    count, seed = int(slab.max(initial=0)), seed_hidden(coc, slab)
+    hidden, edge = reach_hidden(slab, seed, column_seeds(seed), deep)
+    total, covered = light(radiance, coc, slab > 0, near_edges=False), np.zeros(shape)
+    for which in range(1, count + 1):
+        blurred = light(*extend_slab(radiance, coc, slab, hidden, which, deep), near_edges=True)
+        total, covered = composite(total, covered, blurred)
+    return total, count

@@ -1,0 +1,1 @@
+"""Rays to surfaces, the twin of kernels/trace."""

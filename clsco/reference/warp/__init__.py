@@ -1,0 +1,1 @@
+"""Reprojection, the twin of kernels/warp."""

@@ -1,0 +1,1 @@
+"""What a user means: scenes, their files, sweeps. Knows nothing of how they are rendered."""

@@ -1,0 +1,290 @@
+"""What a scene says: frozen, validated models in millimeters, seconds and degrees.
+
+Attribute names are the keys of the scene file, except that the array of tables `object` is `Scene.objects`.
+Every rule that a scene can break is stated here, in `clsco.scene.shapes` and in `clsco.scene.quantities`;
+`clsco.scene.file` turns broken rules into messages.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
+
+from clsco.scene.quantities import (
+    MAX_LENGTH_MM,
+    MIN_LENGTH_MM,
+    AngularVelocity,
+    Duration,
+    FNumber,
+    Length,
+    Resolution,
+    Samples,
+    Strict,
+    Text,
+    Velocity,
+    Within,
+    at_keys,
+    fault,
+)
+from clsco.scene.shapes import (
+    BUILT_IN_TEXTURES,
+    MAX_OBJECTS,
+    AnyShape,
+    Cone,
+    Cylinder,
+    DepthMap,
+    Ellipsoid,
+    Object,
+    ObjectMotion,
+    Objects,
+    Plane,
+    Quadric,
+    Sphere,
+    origin,
+)
+
+__all__ = [
+    "BUILT_IN_TEXTURES",
+    "AnyShape",
+    "Camera",
+    "CameraMotion",
+    "Cone",
+    "Cylinder",
+    "DepthMap",
+    "Ellipsoid",
+    "Fill",
+    "ImageOptions",
+    "Motion",
+    "Object",
+    "ObjectMotion",
+    "Plane",
+    "Psf",
+    "Quadric",
+    "Scene",
+    "Sequence",
+    "Sphere",
+    "Stereo",
+    "Within",
+    "origin",
+]
+
+
+def _aperture_mm(data: dict[str, Any]) -> float:
+    return 10.0 if data["f_number"] is None else float(data["focal_length"] / data["f_number"])
+
+
+def _sensor_distance_mm(data: dict[str, Any]) -> float:
+    f, u = data["focal_length"], data["focus_distance"]
+    return 21.739 if u is None else float(f * u / (u - f))
+
+
+class CameraMotion(ObjectMotion):
+    """Constant velocities of the camera; it turns about the center of its lens."""
+
+    velocity: Velocity = (0.0, 0.0, 0.0)
+    """Right, up, forwards; mm/s."""
+    angular_velocity: AngularVelocity = (0.0, 0.0, 0.0)
+    """About the axes right, up, backwards, in the sense of an object's; deg/s."""
+
+
+class Camera(Strict):
+    """Thin lens and detector. After validation every distance is a number, whichever of a pair was given."""
+
+    focal_length: Length = 20.0
+    """Focal length f, mm."""
+    f_number: FNumber | None = None
+    """f / D; instead of aperture_diameter."""
+    focus_distance: Length | None = None
+    """Distance u in focus, mm, greater than f; instead of sensor_distance: 1/s = 1/f - 1/u."""
+    aperture_diameter: Length = Field(default_factory=_aperture_mm)
+    """Aperture diameter D, mm. Default 10, or from f_number."""
+    sensor_distance: Length = Field(default_factory=_sensor_distance_mm)
+    """Distance s from lens to detector, mm. Default 21.739, or from focus_distance."""
+    normalization_distance: Length = Field(default_factory=lambda data: data["focal_length"])
+    """Magnification normalization distance s0, mm: x = s0 X / Z. Default: focal_length."""
+    pixel_pitch: Length = 0.01
+    """Pixel pitch p, mm."""
+    resolution: Resolution | None = None
+    """Columns and rows, px. Default: size of the first object's texture."""
+    motion: CameraMotion = CameraMotion()
+    """Velocities of the camera itself; at rest if none are given."""
+
+    @field_validator("f_number")
+    @classmethod
+    def _opening(cls, value: float | None, info: ValidationInfo) -> float | None:
+        f = info.data.get("focal_length")
+        if value is not None and f is not None and not MIN_LENGTH_MM <= f / value <= MAX_LENGTH_MM:
+            raise fault(f"must leave an aperture between {MIN_LENGTH_MM:g} and {MAX_LENGTH_MM:g} mm")
+        return value
+
+    @field_validator("focus_distance")
+    @classmethod
+    def _beyond_focal_length(cls, value: float | None, info: ValidationInfo) -> float | None:
+        f = info.data.get("focal_length")
+        if value is None or f is None:
+            return value
+        if value <= f:
+            raise fault(f"must be greater than focal_length = {f:g} mm")
+        if f * value / (value - f) > MAX_LENGTH_MM:
+            raise fault(f"too close to focal_length = {f:g} mm: detector beyond {MAX_LENGTH_MM:g} mm")
+        return value
+
+    @field_validator("aperture_diameter", "sensor_distance")
+    @classmethod
+    def _one_of_a_pair(cls, value: float, info: ValidationInfo) -> float:
+        other = "f_number" if info.field_name == "aperture_diameter" else "focus_distance"
+        if info.data.get(other, "refused") is not None:  # a refused value is missing from `data`
+            raise fault(f"give {other} or {info.field_name}, not both")
+        return value
+
+
+class Psf(Strict):
+    """Point spread function and how exactly it is evaluated."""
+
+    model: Literal["pillbox", "gaussian"] = "pillbox"
+    """A disc of radius |R|, or a Gaussian of standard deviation sigma_ratio |R|."""
+    edge: Literal["integrated", "area", "sampled"] = "integrated"
+    """Integrated over source and detector pixel, over the detector pixel only, or taken at pixel centers."""
+    tilt: bool = True
+    """Weight by the gradient of the blur radius."""
+    silhouette_samples: Annotated[int, Within(1, 16)] = 4
+    """Sources per pixel and axis near silhouettes; 1: off."""
+    occlusion: Literal["visibility", "layered", "none"] = "visibility"
+    """How nearer surface hides farther: rays to the lens, layers of the image, or not at all. Default, where surfaces
+    are not met by rays (depth maps, forward warp): layered."""
+    sigma_ratio: Annotated[float, Within(1e-6, 10.0)] = math.sqrt(0.5)
+    """sigma / |R|; only with model = "gaussian"."""
+    truncation: Annotated[float, Within(1.0, 6.0)] = Field(
+        default_factory=lambda data: 2.0 if data["edge"] == "sampled" else 3.0
+    )
+    """Cut of the Gaussian, in sigma; only with model = "gaussian". Default 3, with edge = "sampled" 2."""
+    border: Literal["lose", "renormalize"] = "lose"
+    """Light that would fall outside the image is lost, or given back to the pixels inside."""
+
+    @field_validator("sigma_ratio", "truncation")
+    @classmethod
+    def _of_the_gaussian(cls, value: float, info: ValidationInfo) -> float:
+        if info.data.get("model") == "pillbox":
+            raise fault('belongs to psf.model = "gaussian", not "pillbox"')
+        return value
+
+
+class Sequence(Strict):
+    """Video frames and the intermediate frames that sample each exposure."""
+
+    frames: Annotated[int, Within(1, 1_000_000)] = 1
+    """Number of frames."""
+    interval: Duration = 1.0
+    """Time from frame to frame, s."""
+    shutter: Duration = Field(default_factory=lambda data: data["interval"])
+    """Time that the shutter is open, s, at most interval. Default: interval."""
+    samples: Samples = 5
+    """Intermediate frames per frame, or "auto": about one per 1 to 2 px of the largest motion."""
+    sampling: Literal["midpoint", "endpoint"] = "midpoint"
+    """Where in its share of the exposure a sample lies."""
+
+    @field_validator("shutter")
+    @classmethod
+    def _within_interval(cls, value: float, info: ValidationInfo) -> float:
+        interval = info.data.get("interval", math.inf)
+        if value > interval:
+            raise fault(f"must be at most interval = {interval:g} s")
+        return value
+
+
+class Motion(Strict):
+    """How moved surface gets its radiance, and what an angular velocity means."""
+
+    warp: Literal["inverse", "forward"] = "inverse"
+    """Cast rays at the moved surface, or move the pixels at rest."""
+    rotation: Literal["euler", "axis"] = "euler"
+    """Euler angles, or a constant angular velocity vector."""
+    texture_filter: Literal["bicubic", "bilinear", "nearest"] = "bicubic"
+    """Sampling of the texture between pixels; only with warp = "inverse"."""
+
+    @field_validator("texture_filter")
+    @classmethod
+    def _of_the_inverse_warp(cls, value: str, info: ValidationInfo) -> str:
+        if info.data.get("warp") == "forward":
+            raise fault('belongs to motion.warp = "inverse", not "forward"')
+        return value
+
+
+class Fill(Strict):
+    """Filling of the pixels that a forward warp leaves missing; only with motion.warp = "forward"."""
+
+    method: Literal["ait", "mean_median", "none"] = "ait"
+    """Adaptive interpolation (section 4.3.5), mean and median (chapter 5), or no filling."""
+    domain: Literal["surface", "span"] = "surface"
+    """Fill where the ray meets a surface, or everything between known pixels; with a depth map both are the latter."""
+
+
+class Stereo(Strict):
+    """A second camera: the scene's is the left one, and the right one is moved along x."""
+
+    baseline: Length
+    """Distance of the right camera from the left one, mm."""
+    toe_in: Annotated[float, Within(0.0, 45.0, "deg", "[)")] = 0.0
+    """Angle by which each camera is turned inwards, deg."""
+
+
+class ImageOptions(Strict):
+    """Reading and writing of images."""
+
+    transfer: Literal["srgb", "linear"] = "srgb"
+    """Transfer of 8- and 16-bit files; float files are linear."""
+
+
+class Scene(Strict):
+    """A camera, what it looks at, and how the images are made."""
+
+    model_config = ConfigDict(validate_by_name=True, validate_by_alias=True)
+
+    title: Text = ""
+    """Title; only told back."""
+    camera: Camera = Camera()
+    psf: Psf = Psf()
+    sequence: Sequence = Sequence()
+    motion: Motion = Motion()
+    fill: Fill = Fill()
+    image: ImageOptions = ImageOptions()
+    stereo: Stereo | None = None
+    """A second view; none if not given."""
+    objects: Objects = Field(
+        default=(),
+        validation_alias="object",
+        serialization_alias="object",
+        validate_default=True,
+        json_schema_extra={"minItems": 1, "maxItems": MAX_OBJECTS},
+    )
+    """What the camera sees: 1 to 64 objects of different names. Where two are equally near, the first is seen."""
+
+    @field_validator("fill")
+    @classmethod
+    def _of_the_forward_warp(cls, value: Fill, info: ValidationInfo) -> Fill:
+        motion = info.data.get("motion")
+        if motion is not None and motion.warp == "inverse" and value.model_fields_set:
+            rule = fault('belongs to motion.warp = "forward", not "inverse"')
+            raise at_keys([((key,), rule, getattr(value, key)) for key in sorted(value.model_fields_set)])
+        return value
+
+    @model_validator(mode="after")
+    def _visibility_needs_rays(self) -> Self:
+        explicit = "occlusion" in self.psf.model_fields_set and self.psf.occlusion == "visibility"
+        if explicit and not self.met_by_rays:
+            rule = '"visibility" needs analytic surfaces seen by rays; use "layered" or "none"'
+            raise at_keys([(("psf", "occlusion"), fault(rule), self.psf.occlusion)])
+        return self
+
+    @property
+    def moves(self) -> bool:
+        """Whether anything moves: an object, or the camera."""
+        return self.camera.motion.moves or any(item.motion.moves for item in self.objects)
+
+    @property
+    def met_by_rays(self) -> bool:
+        """Whether rays can meet every surface at any moment: no depth map, and no pixels moved by a forward warp."""
+        mapped = any(isinstance(item, DepthMap) for item in self.objects)
+        return not mapped and not (self.moves and self.motion.warp == "forward")

@@ -1,0 +1,259 @@
+"""The objects of a scene: shapes with their textures and motions, in millimeters, seconds and degrees."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import count
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator
+from pydantic_core import PydanticCustomError
+
+from clsco.scene.quantities import (
+    AngularVelocity,
+    Box,
+    Coefficients,
+    Direction,
+    Length,
+    Name,
+    Point,
+    SemiAxes,
+    Slope,
+    Strict,
+    Vector,
+    Velocity,
+    Within,
+    at_keys,
+    fault,
+)
+
+SHAPES = ("plane", "cylinder", "sphere", "cone", "ellipsoid", "quadric", "depth_map")
+BUILT_IN_TEXTURES = ("bricks", "checkerboard", "slanted_edge", "siemens_star")
+MAX_OBJECTS = 64
+IN_FRONT = "must leave part of the object in front of the lens (z > 0)"
+
+
+def _reaching(center: Vector, reach: float | None) -> Vector:
+    """Refuse a body that reaches at most to the lens; `reach` in mm along z, None if it is not known."""
+    if reach is not None and center[2] + reach <= 0.0:
+        raise fault(IN_FRONT)
+    return center
+
+
+class ObjectMotion(Strict):
+    """Constant velocities of an object; it turns about its origin."""
+
+    velocity: Velocity = (0.0, 0.0, 0.0)
+    """Right, up, away from the camera; mm/s."""
+    angular_velocity: AngularVelocity = (0.0, 0.0, 0.0)
+    """About the object's axes right, up, towards the camera; deg/s."""
+
+    @property
+    def moves(self) -> bool:
+        """Whether any component of either velocity differs from 0."""
+        return any(self.velocity) or any(self.angular_velocity)
+
+
+class _Object(Strict):
+    """What every shape has."""
+
+    shape: str
+    """Which surface it is."""
+    name: Name = Field(default_factory=lambda data: data["shape"])
+    """Name in messages and metadata. Default: shape."""
+    texture: Name = "bricks"
+    """bricks, checkerboard, slanted_edge, siemens_star, or an image: a path, relative to the scene file."""
+    bounds: Box | None = None
+    """Box [[x0, x1], [y0, y1], [z0, z1]] about the object's origin before rotation, mm; cuts the surface."""
+    motion: ObjectMotion = ObjectMotion()
+    """Velocities; at rest if none are given."""
+
+
+class Plane(_Object):
+    """Plane Z = distance + slope_x X + slope_y Y (3.7); origin (0, 0, distance)."""
+
+    shape: Literal["plane"] = "plane"
+    distance: Length = 250.0
+    """Distance a on the optical axis, mm."""
+    slope_x: Slope = 0.0
+    """Slope b along x, mm per mm."""
+    slope_y: Slope = 0.0
+    """Slope c along y, mm per mm."""
+
+
+class Cylinder(_Object):
+    """Circular cylinder without ends (3.11), its axis in any direction."""
+
+    shape: Literal["cylinder"] = "cylinder"
+    radius: Length = 30.0
+    """Radius, mm."""
+    axis: Direction = (0.0, 1.0, 0.0)
+    """Direction of the axis, of any length."""
+    center: Point = (0.0, 0.0, 280.0)
+    """Point on the axis, mm; the origin."""
+
+    @field_validator("center")
+    @classmethod
+    def _visible(cls, center: Vector, info: ValidationInfo) -> Vector:
+        # An axis that leaves the plane of the lens always runs to its front on one side.
+        across = "axis" in info.data and info.data["axis"][2] == 0.0
+        return _reaching(center, info.data.get("radius") if across else None)
+
+
+class Sphere(_Object):
+    """Sphere (3.18), its center anywhere."""
+
+    shape: Literal["sphere"] = "sphere"
+    radius: Length = 30.0
+    """Radius, mm."""
+    center: Point = (0.0, 0.0, 280.0)
+    """Center, mm; the origin."""
+
+    @field_validator("center")
+    @classmethod
+    def _visible(cls, center: Vector, info: ValidationInfo) -> Vector:
+        return _reaching(center, info.data.get("radius"))
+
+
+class Cone(_Object):
+    """One nappe of a circular cone whose axis is parallel to the optical axis (3.23)."""
+
+    shape: Literal["cone"] = "cone"
+    half_angle: Annotated[float, Within(0.0, 90.0, "deg", "()")] = 45.0
+    """Angle from axis to surface, deg."""
+    nappe: Literal["away", "towards"] = "away"
+    """The cone opens away from the camera, or towards it."""
+    apex: Point = (0.0, 0.0, 250.0)
+    """Apex, mm; the origin."""
+
+    @field_validator("apex")
+    @classmethod
+    def _visible(cls, apex: Vector, info: ValidationInfo) -> Vector:
+        return _reaching(apex, 0.0 if info.data.get("nappe") == "towards" else None)
+
+
+class Ellipsoid(_Object):
+    """Ellipsoid with its axes along x, y and z (3.33)."""
+
+    shape: Literal["ellipsoid"] = "ellipsoid"
+    semi_axes: SemiAxes = (30.0, 30.0, 50.0)
+    """Semi-axes along x, y and z, mm."""
+    center: Point = (0.0, 0.0, 300.0)
+    """Center, mm; the origin."""
+
+    @field_validator("center")
+    @classmethod
+    def _visible(cls, center: Vector, info: ValidationInfo) -> Vector:
+        return _reaching(center, info.data["semi_axes"][2] if "semi_axes" in info.data else None)
+
+
+class Quadric(_Object):
+    """Surface of second degree (3.39) about its center: x right, y up, z away from the camera."""
+
+    shape: Literal["quadric"] = "quadric"
+    coefficients: Coefficients
+    """a200 a020 a002 a110 a011 a101 a100 a010 a001 a000; x, y and z in mm."""
+    center: Point = (0.0, 0.0, 250.0)
+    """Where x = y = z = 0, mm; the origin."""
+
+
+class DepthMap(_Object):
+    """Surface given by the depth of every pixel at t = 0, from a file of the texture's size."""
+
+    shape: Literal["depth_map"] = "depth_map"
+    depth: Name
+    """File of depths: PNG, TIFF, EXR, PFM, .npy or .npz; a path, relative to the scene file."""
+    unit: Literal["mm", "m", "inverse_mm", "inverse_m", "disparity", "coc"] = "mm"
+    """What the file holds: Z in mm or m, 1/Z in 1/mm or 1/m, disparity in px, or signed blur radius R in px."""
+    scale: Annotated[float, Within(1e-12, 1e12)] = 1.0
+    """What 1 in the file is worth in `unit`, such as 0.001."""
+    baseline: Length | None = Field(default=None, validate_default=True)
+    """Distance B between the views, mm: Z = B s0 / (p disparity); only with unit = "disparity"."""
+    offset: Annotated[float, Within(0.0, 1e6, "px")] | None = None
+    """Added to the disparity, px: `doffs` of Middlebury's calibrations; only with unit = "disparity"."""
+    center: Point = (0.0, 0.0, 0.0)
+    """Point about which it turns, mm; the origin. Default: in the lens."""
+
+    @field_validator("bounds")
+    @classmethod
+    def _unbounded(cls, value: Any) -> Any:
+        if value is not None:
+            raise fault("belongs to analytic shapes, not to depth_map")
+        return value
+
+    @field_validator("baseline", "offset")
+    @classmethod
+    def _of_the_disparity(cls, value: float | None, info: ValidationInfo) -> float | None:
+        unit = info.data.get("unit")  # missing where it was refused
+        if unit == "disparity" and value is None and info.field_name == "baseline":
+            raise fault('must be given with unit = "disparity"', got="nothing")
+        if unit not in (None, "disparity") and value is not None:
+            raise fault(f'belongs to unit = "disparity", not "{unit}"')
+        return value
+
+
+AnyShape = Plane | Cylinder | Sphere | Cone | Ellipsoid | Quadric | DepthMap
+
+
+def origin(shape: AnyShape) -> Vector:
+    """Origin of an object's own frame in the camera frame, mm: about it the object turns and is bounded."""
+    if isinstance(shape, Plane):
+        return (0.0, 0.0, shape.distance)
+    return shape.apex if isinstance(shape, Cone) else shape.center
+
+
+def _bounds_in_front(shape: AnyShape) -> AnyShape:
+    if shape.bounds is not None and origin(shape)[2] + shape.bounds[2][1] <= 0.0:
+        raise at_keys([(("bounds", 2), fault(IN_FRONT), shape.bounds[2])])
+    return shape
+
+
+def _known_shape(value: Any) -> Any:
+    if isinstance(value, dict):
+        shape = value.get("shape")
+        if not isinstance(shape, str) or shape not in SHAPES:
+            rule = f"must be {', '.join(SHAPES[:-1])} or {SHAPES[-1]}"
+            raise at_keys([(("shape",), fault(rule, None if "shape" in value else "nothing"), shape)])
+    return value
+
+
+def _objects(value: Any) -> Any:
+    if not isinstance(value, list | tuple):
+        raise fault("must be an array of tables, [[object]]")
+    if not 1 <= len(value) <= MAX_OBJECTS:
+        raise fault(f"must hold 1 to {MAX_OBJECTS} objects", got=str(len(value)))
+    return tuple(value)
+
+
+def repeated_names(names: Iterable[str | None]) -> list[tuple[int, PydanticCustomError, str]]:
+    """Faults of names given before: (position, fault, name); None is a name not given."""
+    first: dict[str, int] = {}
+    found = []
+    for index, name in enumerate(names):
+        if name is not None and first.setdefault(name, index) != index:
+            found.append((index, fault(f"names must differ; object[{first[name]}] has the same"), name))
+    return found
+
+
+def _named(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
+    """Objects of different names: shapes without one are numbered from the second on, "sphere 2"."""
+    given = [item.name if "name" in item.model_fields_set else None for item in objects]
+    if faults := repeated_names(given):
+        raise at_keys([((index, "name"), rule, name) for index, rule, name in faults])
+    taken = set(given)
+    placed = []
+    for item, name in zip(objects, given, strict=True):
+        if name is None:
+            free = (item.shape if n == 1 else f"{item.shape} {n}" for n in count(1))
+            chosen = next(word for word in free if word not in taken)
+            taken.add(chosen)
+            if chosen != item.name:
+                item = item.model_copy(update={"name": chosen})
+                item.model_fields_set.discard("name")  # numbered anew in another scene
+        placed.append(item)
+    return tuple(placed)
+
+
+_Union = Annotated[AnyShape, Field(discriminator="shape")]
+Object = Annotated[_Union, AfterValidator(_bounds_in_front), BeforeValidator(_known_shape)]
+Objects = Annotated[tuple[Object, ...], AfterValidator(_named), BeforeValidator(_objects)]

@@ -1,0 +1,254 @@
+"""Sweeps: scene files in which keys have several values, and the scenes that these give."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from clsco.errors import SceneError
+from clsco.scene.file import (
+    MAX_OUTPUTS,
+    Location,
+    absolute,
+    at_most,
+    key_name,
+    missing_files,
+    parse_scene,
+    read_mapping,
+    shown,
+    swept_keys,
+)
+from clsco.scene.model import Scene
+
+RANGE = ("from", "to", "steps")
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Scenes of one file, and a label for each that names the keys with their values and can name a folder."""
+
+    labels: tuple[str, ...]
+    scenes: tuple[Scene, ...]
+
+
+@dataclass(frozen=True)
+class _Axis:
+    """A key with its values as a scene file would give them one by one."""
+
+    location: Location
+    values: tuple[Any, ...]
+
+    @property
+    def name(self) -> str:
+        return key_name(self.location)
+
+    def words(self) -> list[str]:
+        """A word for each value, as short as tells them apart."""
+        short = [_word(value, exact=False) for value in self.values]
+        return short if len(set(short)) == len(short) else [_word(value, exact=True) for value in self.values]
+
+    def label(self) -> str:
+        """The key in labels: short, and different for every key that can have several values."""
+        section, *inner, key = (str(part) for part in self.location)
+        return "_".join([section, *inner[:-1], key] if inner else [key])  # without "motion"
+
+
+def load_sweep(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Sweep:
+    """Read all scenes of a .toml or .json file in which keys may have several values.
+
+    Keys of [camera], [motion], [sequence], [camera.motion] and [object.motion] can be a list of values, or a range
+    { from = 200, to = 400, steps = 9 } with both ends; for a vector a list of vectors, or a range of vectors.
+    Several such keys give all combinations, the first key of the file changing slowest.
+
+    Args:
+        path: the file, at most 1 MiB.
+        overrides: as in `clsco.load_scene`; a value may be a list or a range, too.
+
+    Returns:
+        At most 4096 scenes with labels like "focus_distance_200__f_number_4"; one with the label "" where no key has
+        several values. Paths are absolute, as in `clsco.load_scene`.
+
+    Raises:
+        SceneError: one message per fault, `file: key: rule; got value`; a key of several values is told with the
+            position of the value, counted from 0: camera.f_number[2].
+    """
+    where = os.fspath(path)
+    data = read_mapping(where, overrides)
+    folder = Path(where).absolute().parent
+    try:
+        sweep = parse_sweep(data, where)
+    except SceneError as error:
+        raise SceneError([*error.messages, *missing_files(data, folder, where)]) from error
+    return replace(sweep, scenes=tuple(absolute(scene, folder) for scene in sweep.scenes))
+
+
+def load_sweeps(paths: Sequence[Path], overrides: Sequence[str] = ()) -> list[tuple[Path, Sweep | SceneError]]:
+    """The sweeps of files, as of `load_sweep`, or what is wrong with them."""
+    loaded: list[tuple[Path, Sweep | SceneError]] = []
+    for path in paths:
+        try:
+            loaded.append((path, load_sweep(path, overrides)))
+        except SceneError as error:
+            loaded.append((path, error))
+    return loaded
+
+
+def parse_sweep(mapping: Mapping[str, Any], where: str = "scene") -> Sweep:
+    """Validate all scenes of nested mappings and lists with the keys of a scene file; see `load_sweep`.
+
+    mapping: not changed; paths stay as they are. where: name for the messages. Raises SceneError.
+    """
+    if not isinstance(mapping, Mapping) or not (given := swept_keys(mapping)):
+        return Sweep(("",), (parse_scene(mapping, where),))
+    faults: list[str] = []
+    axes = [_Axis(location, _values(key_name(location), value, faults)) for location, value in given]
+    count = math.prod(max(1, len(axis.values)) for axis in axes)
+    if count > MAX_OUTPUTS:
+        names = ", ".join(axis.name for axis in axes[:4]) + (f" and {len(axes) - 4} more" if len(axes) > 4 else "")
+        faults.append(f"{names}: must give at most {MAX_OUTPUTS} scenes in all; got {count}")
+    if faults:  # the rest of the file has its faults told, with the first value of every key that has one
+        faults += _faults(mapping, axes, [(0,) * len(axes)])[1]
+        raise SceneError(at_most(where, dict.fromkeys(faults)))
+    choices = list(product(*(range(len(axis.values)) for axis in axes)))
+    scenes, faults = _faults(mapping, axes, choices)
+    if faults:
+        raise SceneError(at_most(where, faults))
+    words = [[f"{axis.label()}_{word}" for word in axis.words()] for axis in axes]
+    labels = ["__".join(column[i] for column, i in zip(words, choice, strict=True)) for choice in choices]
+    return Sweep(tuple(labels), tuple(scenes))
+
+
+def _faults(
+    mapping: Mapping[str, Any], axes: Sequence[_Axis], choices: Sequence[tuple[int, ...]]
+) -> tuple[list[Scene], list[str]]:
+    """The scenes that are valid, and the faults of the others, each told once."""
+    scenes: list[Scene] = []
+    seen: dict[str, list[tuple[int, ...]]] = {}
+    still = all(axis.location[0] != "object" for axis in axes)
+    for choice in choices:
+        data: Any = mapping
+        for axis, index in zip(axes, choice, strict=True):
+            data = _with(data, axis.location, axis.values[index : index + 1])
+        try:
+            scenes.append(parse_scene(data, ""))
+            if still:  # valid objects need no further look
+                mapping = {**mapping, "object": scenes[0].objects}
+        except SceneError as error:
+            for message in error.messages:
+                seen.setdefault(_at_value(message.removeprefix(": "), axes, choice), []).append(choice)
+    faults = []
+    for message, found in seen.items():
+        # What belongs to one value comes back with every value of the other keys; anything else needs all told.
+        alone = any(
+            message.startswith(f"{axis.name}[{found[0][k]}]") and len(found) * len(axis.values) == len(choices)
+            for k, axis in enumerate(axes)
+        )
+        if len(found) == len(choices) or alone:
+            faults.append(message)
+        else:
+            those = ", ".join(f"{axis.name}[{index}]" for axis, index in zip(axes, found[0], strict=True))
+            faults.append(f"{message} (with {those})")
+    return scenes, faults
+
+
+def _at_value(message: str, axes: Sequence[_Axis], choice: tuple[int, ...]) -> str:
+    """The message with the position of the value after the name of a key that has several."""
+    for axis, index in zip(axes, choice, strict=True):
+        if message.startswith(axis.name) and message[len(axis.name)] in ":[":
+            return f"{axis.name}[{index}]{message[len(axis.name) :]}"
+    return message
+
+
+def _with(node: Any, location: Location, value: tuple[Any, ...]) -> Any:
+    """A copy of `node` with the one value at `location`, or without that key for no value; the rest is shared."""
+    copy = list(node) if isinstance(node, list) else dict(node)
+    first: Any = location[0]
+    if len(location) > 1:
+        copy[first] = _with(copy[first], location[1:], value)
+    elif value:
+        copy[first] = value[0]
+    else:
+        del copy[first]
+    return copy
+
+
+def _values(name: str, given: Any, faults: list[str]) -> tuple[Any, ...]:
+    """The values of a list or a range; none, and messages in `faults`, where it is not valid."""
+    if isinstance(given, Mapping):
+        return _range(name, given, faults)
+    if not 1 <= len(given) <= MAX_OUTPUTS:
+        faults.append(f"{name}: must hold 1 to {MAX_OUTPUTS} values; got {len(given)}")
+        return ()
+    first: dict[str, int] = {}
+    for index, value in enumerate(given):
+        try:
+            other = first.setdefault(_word(value, exact=True), index)
+        except RecursionError:
+            faults.append(f"{name}[{index}]: nested too deeply; got {shown(value)}")
+            return ()
+        if other != index:
+            faults.append(f"{name}[{index}]: values must differ; {name}[{other}] is the same; got {shown(value)}")
+    return tuple(given)
+
+
+def _range(name: str, given: Mapping[str, Any], faults: list[str]) -> tuple[Any, ...]:
+    before = len(faults)
+    for key in given:
+        if key not in RANGE:
+            faults.append(f"{name}.{key_name((key,))}: a range has from, to and steps; got {shown(given[key])}")
+    for key in RANGE:
+        if key not in given:
+            faults.append(f"{name}.{key}: must be given; got nothing")
+        elif key == "steps":
+            if type(given[key]) is not int or not 2 <= given[key] <= MAX_OUTPUTS:
+                faults.append(f"{name}.steps: must be an integer between 2 and {MAX_OUTPUTS}; got {shown(given[key])}")
+        elif not all(_is_finite(value) for value in _components(given[key])):
+            faults.append(f"{name}.{key}: must be a finite number, or a list of them; got {shown(given[key])}")
+    if len(faults) > before:
+        return ()
+    start, end, steps = (given[key] for key in RANGE)
+    if isinstance(start, list) != isinstance(end, list) or len(_components(start)) != len(_components(end)):
+        faults.append(f"{name}.to: must have as many numbers as from = {shown(start)}; got {shown(end)}")
+        return ()
+    if start == end:
+        faults.append(f"{name}.to: must differ from from; got {shown(end)}")
+        return ()
+    values = []
+    for i in range(steps):
+        pairs = zip(_components(start), _components(end), strict=True)
+        value = [_between(low, high, i, steps - 1) for low, high in pairs]
+        values.append(value if isinstance(start, list) else value[0])
+    return tuple(values)
+
+
+def _components(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else [value]
+
+
+def _is_finite(value: Any) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) < 1e300  # so that differences are finite, too
+
+
+def _between(low: float, high: float, step: int, last: int) -> float:
+    """The number at `step` of `last` equal steps, both ends exact; an integer where it is one between integers."""
+    if step == last:
+        return high
+    if isinstance(low, int) and isinstance(high, int) and (high - low) * step % last == 0:
+        return low + (high - low) * step // last
+    return low + (high - low) * (step / last)
+
+
+def _word(value: Any, *, exact: bool) -> str:
+    """A value in a label; six digits of a float, or all."""
+    if isinstance(value, list):
+        return "_".join(_word(entry, exact=exact) for entry in value)
+    if isinstance(value, float):
+        return repr(value).removesuffix(".0") if exact else f"{value:.6g}"
+    return value if isinstance(value, str) else repr(value)

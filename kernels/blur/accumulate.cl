@@ -1,0 +1,16 @@
+// Averages intermediate frames. Twin: clsco/reference/blur/accumulate.py.
+//
+// The blur kernels add to `total` themselves; this one serves scenes in focus, where there is nothing to blur.
+
+// In: value float (CHANNELS, height, width), already times the weight of its moment. In and out: total, the frame's
+// part, float (CHANNELS, rows, pitch) with `pad` columns before and after the frame's own.
+__kernel void accumulate(const camera_t camera, __global const float *value, const int pitch, const int pad,
+                         __global float *total)
+{
+    const int column = get_global_id(0), row = get_global_id(1);
+    if (column >= camera.columns || row >= camera.rows)
+        return;
+    for (int k = 0; k < CHANNELS; ++k)
+        total[(k * camera.rows + row) * pitch + column + pad] +=
+            value[(k * camera.height + row + camera.above) * camera.width + column + camera.guard];
+}

@@ -1,0 +1,416 @@
+// Spreads every source over the pixels that its point spread function lights. Twin: clsco/reference/blur/blur.py.
+//
+//   source: see sources.clh; value, sub_source, sub_value: see trace.cl
+//   intervals, coefficients, taps, outlines: tables of weights, see PsfTable in clsco/optics/psf.py
+//   total   float (CHANNELS, rows, pitch): the frame, or a strip of it, so far; moments of the exposure add up here. The
+//           `pad` columns on both sides of a row are scratch, so that a vector of taps may hang over.
+//   part    the same, zeros: what some rows of sources add, on its way to total. Of thousands of equal small taps added
+//           one by one to one float, each is rounded the same way (benchmarks/optimisation_log.md).
+//
+// gather gives every work-item a band of output rows, which it alone writes, and walks the sources that reach it
+// in a fixed order, whole vectors of taps at a time: no atomics, same bits, for CPUs. scatter adds taps one by one in
+// fixed point: any device, any order, same bits; the oracle of gather. For one radius only there is convolve.cl.
+// Features: CHANNELS, TILT, SUBPIXELS, DISC (sampled, one weight), SEPARABLE (weights are products of two), BAND (rows of a
+// band), OCCLUDED (after occlusion.clh), of gather ROWS (whole rows of sources), with NEAR (so many px at most) tap by tap, or
+// COLUMNS of them; GATHER, SCATTER, RENORMALIZE, PREPARE: which kernels are wanted.
+
+#if GATHER
+// Adds rows -up..down of one source to `out`, the place of its first tap in its own row.
+INLINE void add_rows(spread_t s, int up, int down, float v, float4 source, __global float *out, int pitch)
+{
+    const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
+    for (int b = 0; b < s.lanes; b += LANES) {
+        for (int dy = -up; dy <= down; ++dy) {
+            const float8 w = weights(s, dy, b);
+#if TILT
+            float8 factor = (lane + (b - s.half_width - s.ox)) * source.y + (1 + (dy - s.oy) * source.z);
+            factor = factor > 0 ? factor : (float8)0;
+            ADD_TAPS(out + dy * pitch + b, w * (factor * v));
+#else
+            ADD_TAPS(out + dy * pitch + b, w * v);
+#endif
+        }
+    }
+}
+
+#if OCCLUDED
+// The same for all channels, `apart` apart in `light` and `planes` in `out`, where something stands in the way.
+INLINE void add_seen_rows(spread_t s, const sight_t *sight, int up, int down, __global const float *light, int apart,
+                          float4 source, __global float *out, int planes, int pitch)
+{
+    const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
+    for (int dy = -up; dy <= down; ++dy) {
+        const float y = dy - s.oy;
+        float states[LANES];
+        for (int b = 0; b < s.lanes; b += LANES) {
+            const int first = b - s.half_width, block = b / LANES % (LANES - 1);
+            const float8 x = lane + (first - s.ox);
+            float8 share = 1;
+            if (sight->wide) {
+                if (block == 0)
+                    *(own_lanes_t *)states = look_along(sight, first - s.ox, y);
+                if (states[block] == 0)
+                    continue;
+                if (states[block] < 1)
+                    share = free_share(sight, x, (float8)y);
+            } else
+                share = *(const own_lanes_t *)(sight->share[dy + SIGHT_MIDDLE] + first + SIGHT_MIDDLE);
+            float8 w = weights(s, dy, b) * share;
+#if TILT
+            const float8 factor = x * source.y + (1 + y * source.z);
+            w *= factor > 0 ? factor : (float8)0;
+#endif
+            for (int k = 0; k < CHANNELS; ++k)
+                ADD_TAPS(out + k * planes + dy * pitch + b, w * light[k * apart]);
+        }
+    }
+}
+#endif
+
+// Moves what has come to rows first..last from part, `apart` between its planes and `shift` from a row's place in total.
+static void settle(int first, int last, int apart, int shift, int plane, int pitch, __global float *part,
+                   __global float *total)
+{
+    for (int k = 0; k < CHANNELS; ++k)
+        for (int at = first * pitch; at < (last + 1) * pitch; at += LANES) {
+            ADD_TAPS(total + k * plane + at, TAPS(part + k * apart + shift + at));
+            *(__global taps_t *)(part + k * apart + shift + at) = 0;
+        }
+}
+
+#define BLOCK MANY  // sources of a row that are looked at together
+
+// Each work-item adds to BAND rows of `total`, the first one's band being `start`, all the light that reaches them, row by
+// row of sources. part: BAND rows for each work-item, of which every `group` rows of sources the sum goes on to total; with
+// group 0 it is total. scratch: see rows.clh, near.clh and columns.clh, zeros as well.
+__kernel void gather(const camera_t camera, const psf_t psf, __global const float *source,
+                     __global const float *value, __global const int2 *intervals,
+                     __global const float *coefficients,
+                     __global const float *taps, __global const outline_t *outlines,
+#if ROWS || COLUMNS
+                     __global scratch_t *scratch, const int scratch_size,  // of a work-item
+#endif
+                     const int start, const int group, __global float *part, const int pitch, const int pad,
+                     __global float *total
+#if SUBPIXELS
+                     , __global const float4 *sub_source, __global const float *sub_value, const int capacity,
+                     __global const int2 *sub_intervals, __global const float *sub_coefficients
+#endif
+                     OCCLUSION_ARGUMENTS
+)
+{
+    const int own = get_global_id(0), first = (start + own) * BAND;
+    if (first >= camera.rows)
+        return;
+    const int end = MIN(camera.rows, first + BAND);
+    const int plane = camera.width * camera.height, total_plane = camera.rows * pitch;
+    const int apart = group ? (int)get_global_size(0) * BAND * pitch : total_plane;
+    const int shift = group ? (own * BAND - first) * pitch : 0;  // from a row of the frame to that of part
+    const int from = MAX(first - psf.reach, -camera.above), to = MIN(end + psf.reach, camera.height - camera.above);
+#if ROWS || COLUMNS
+    if (!add_whole(camera, psf, source, value, intervals, taps, outlines, first, end, scratch + own * scratch_size, pitch, pad,
+                   total))
+        return;
+#endif
+    bool added = false;  // anything to `part` since it was settled
+    for (int y = from; y < to; ++y) {
+    const int line = (y + camera.above) * camera.width, place = shift + y * pitch - camera.guard + pad;
+    for (int block = 0; block < camera.width; block += BLOCK) {
+    int single = (1 << MIN(BLOCK, camera.width - block)) - 1;
+#if ROWS || COLUMNS
+    const int16 others = take_sources(psf, source, plane, line, block, camera.width, intervals, outlines).others;
+    single = bits_of(others.lo) | bits_of(UPPER(others)) << LANES;
+#endif
+    added |= single != 0;
+    while (single) {
+        const int x = block + __builtin_ctz(single);
+        single &= single - 1;
+        const int at = line + x;
+        const float4 s = get_source(source, plane, at);
+        __global float *out = part + place + x;
+#if SUBPIXELS
+        const int slot = as_int(s.w);
+        if (slot >= 0) {
+            for (int sub = 0; sub < SUBPIXELS * SUBPIXELS; ++sub) {
+                const int id = slot * SUBPIXELS * SUBPIXELS + sub;
+                const float4 p = sub_source[id];
+                if (p.x < 0)
+                    continue;
+                const spread_t spread = subpixel_spread(psf, sub_intervals, sub_coefficients, p.x, sub);
+                const int half_width = spread.half_width, up = MIN(half_width, y - first), down = MIN(half_width, end - 1 - y);
+#if OCCLUDED
+                if (as_int(p.w) == BLOCKED) {
+                    sight_t sight;
+                    see(camera, surfaces, layer, psf, lens, camera.top + y + spread.oy, x - camera.guard + spread.ox,
+                        sub_depth[id], spread, (real)1 / SUBPIXELS, &sight);
+                    add_seen_rows(spread, &sight, up, down, sub_value + id, capacity * SUBPIXELS * SUBPIXELS, p,
+                                  out - half_width, apart, pitch);
+                    continue;
+                }
+#endif
+                for (int k = 0; k < CHANNELS; ++k)
+                    add_rows(spread, up, down, sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id], p,
+                             out + k * apart - half_width, pitch);
+            }
+            continue;
+        }
+#endif
+        if (s.x < 0)
+            continue;
+        const spread_t spread = pixel_spread(psf, intervals, coefficients, s.x);
+        const int half_width = spread.half_width;
+#if OCCLUDED
+        if (as_int(s.w) == BLOCKED) {
+            sight_t sight;
+            see(camera, surfaces, layer, psf, lens, camera.top + y, x - camera.guard, depth[at], spread, (real)1, &sight);
+            add_seen_rows(spread, &sight, MIN(half_width, y - first), MIN(half_width, end - 1 - y), value + at, plane,
+                          s, out - half_width, apart, pitch);
+            continue;
+        }
+#endif
+        for (int k = 0; k < CHANNELS; ++k)
+            add_rows(spread, MIN(half_width, y - first), MIN(half_width, end - 1 - y), value[k * plane + at], s,
+                     out + k * apart - half_width, pitch);
+    }
+    }
+    if (group && added && ((y + 1 - from) % group == 0 || y + 1 == to)) {
+        settle(MAX(first, y + 1 - group - psf.reach), MIN(end - 1, y + psf.reach), apart, shift, total_plane, pitch, part,
+               total);
+        added = false;
+    }
+    }
+}
+#endif
+
+#if SCATTER
+#if HAS_INT64_ATOMICS
+#define ADD_FIXED(p, v) atom_add(p, v)
+#else
+#define ADD_FIXED(p, v) atomic_add(p, v)
+#endif
+
+#if OCCLUDED
+#define SIGHT_ARGUMENT , const sight_t *sight
+#define SIGHT , sight
+
+static float tap_share(const sight_t *sight, int dx, int dy, spread_t s)
+{
+    if (!sight->wide)
+        return sight->share[dy + SIGHT_MIDDLE][dx + SIGHT_MIDDLE];
+    return FIRST_LANE(free_share(sight, (lanes_t)(dx - s.ox), (lanes_t)(dy - s.oy)));
+}
+#else
+#define SIGHT_ARGUMENT
+#define SIGHT
+#endif
+
+// Adds one source tap by tap, rounded to multiples of 1 / scale. sight: what is in the way, if anything.
+static void scatter_source(const camera_t camera, spread_t spread, float4 source, float v, float scale, int row,
+                           int column, __global fixed_t *sums SIGHT_ARGUMENT)
+{
+    const int half_width = spread.half_width;
+    for (int dy = MAX(-half_width, -row); dy <= MIN(half_width, camera.rows - 1 - row); ++dy)
+        for (int dx = MAX(-half_width, -column); dx <= MIN(half_width, camera.columns - 1 - column); ++dx) {
+            float light = v * tap(spread, dx, dy, source) * scale;
+#if OCCLUDED
+            if (sight)
+                light *= tap_share(sight, dx, dy, spread);
+#endif
+            ADD_FIXED(sums + (row + dy) * camera.columns + column + dx, (fixed_t)floor(light + 0.5f));
+        }
+}
+
+// One work-item per source. In and out: sums fixed_t (CHANNELS, rows, columns), in units of 1 / scale.
+__kernel void scatter(const camera_t camera, const psf_t psf, __global const float *source,
+                      __global const float *value, __global const int2 *intervals,
+                      __global const float *coefficients, const float scale, __global fixed_t *sums
+#if SUBPIXELS
+                      , __global const float4 *sub_source, __global const float *sub_value, const int capacity,
+                      __global const int2 *sub_intervals, __global const float *sub_coefficients
+#endif
+                      OCCLUSION_ARGUMENTS
+)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= camera.width || y >= camera.height)
+        return;
+    const int at = y * camera.width + x, row = y - camera.above, column = x - camera.guard;
+    const int plane = camera.width * camera.height, sums_plane = camera.rows * camera.columns;
+    const float4 s = get_source(source, plane, at);
+#if SUBPIXELS
+    const int slot = as_int(s.w);
+    if (slot >= 0) {
+        for (int sub = 0; sub < SUBPIXELS * SUBPIXELS; ++sub) {
+            const int id = slot * SUBPIXELS * SUBPIXELS + sub;
+            const float4 p = sub_source[id];
+            if (p.x < 0)
+                continue;
+            const spread_t spread = subpixel_spread(psf, sub_intervals, sub_coefficients, p.x, sub);
+#if OCCLUDED
+            sight_t seen;
+            const sight_t *sight = as_int(p.w) == BLOCKED ? &seen : 0;
+            if (sight)
+                see(camera, surfaces, layer, psf, lens, camera.top + row + spread.oy, column + spread.ox, sub_depth[id],
+                    spread, (real)1 / SUBPIXELS, &seen);
+#endif
+            for (int k = 0; k < CHANNELS; ++k)
+                scatter_source(camera, spread, p, sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id], scale, row,
+                               column, sums + k * sums_plane SIGHT);
+        }
+        return;
+    }
+#endif
+    if (s.x < 0)
+        return;
+    const spread_t spread = pixel_spread(psf, intervals, coefficients, s.x);
+#if OCCLUDED
+    sight_t seen;
+    const sight_t *sight = as_int(s.w) == BLOCKED ? &seen : 0;
+    if (sight)
+        see(camera, surfaces, layer, psf, lens, camera.top + row, column, depth[at], spread, (real)1, &seen);
+#endif
+    for (int k = 0; k < CHANNELS; ++k)
+        scatter_source(camera, spread, s, value[k * plane + at], scale, row, column, sums + k * sums_plane SIGHT);
+}
+
+// Fixed point to float: sums / scale, in the layout of total.
+__kernel void resolve(const camera_t camera, const float scale, const int pitch, const int pad,
+                      __global const fixed_t *sums, __global float *total)
+{
+    const int column = get_global_id(0), row = get_global_id(1);
+    if (column >= camera.columns || row >= camera.rows)
+        return;
+    for (int k = 0; k < CHANNELS; ++k)
+        total[(k * camera.rows + row) * pitch + column + pad] =
+            (float)sums[(k * camera.rows + row) * camera.columns + column] / scale;
+}
+#endif
+
+#if RENORMALIZE
+// Share of a source's light that falls inside of the frame.
+static float share_inside(const camera_t camera, spread_t spread, float4 source, int row, int column)
+{
+    const int half_width = spread.half_width;
+    float sum = 0;
+    for (int dy = MAX(-half_width, -row); dy <= MIN(half_width, camera.frame_rows - 1 - row); ++dy)
+        for (int dx = MAX(-half_width, -column); dx <= MIN(half_width, camera.columns - 1 - column); ++dx)
+            sum += tap(spread, dx, dy, source);
+    return sum;
+}
+
+// border = "renormalize": no light is lost over the border of the frame; there is no guard band then.
+// In and out: value, sub_value.
+__kernel void renormalize(const camera_t camera, const psf_t psf, __global const float *source,
+                          __global float *value, __global const int2 *intervals,
+                          __global const float *coefficients
+#if SUBPIXELS
+                          , __global const float4 *sub_source, __global float *sub_value, const int capacity,
+                          __global const int2 *sub_intervals, __global const float *sub_coefficients
+#endif
+)
+{
+    const int column = get_global_id(0), y = get_global_id(1), row = FRAME_ROW(camera, y);
+    if (column >= camera.columns || y >= camera.height)
+        return;
+    const int at = y * camera.columns + column, plane = camera.height * camera.columns;
+    const float4 s = get_source(source, plane, at);
+#if SUBPIXELS
+    const int slot = as_int(s.w);
+    if (slot >= 0) {
+        for (int sub = 0; sub < SUBPIXELS * SUBPIXELS; ++sub) {
+            const int id = slot * SUBPIXELS * SUBPIXELS + sub;
+            const float4 p = sub_source[id];
+            if (p.x < 0)
+                continue;
+            const float share = share_inside(
+                camera, subpixel_spread(psf, sub_intervals, sub_coefficients, p.x, sub), p, row, column);
+            for (int k = 0; k < CHANNELS && share > 0; ++k)
+                sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id] /= share;
+        }
+        return;
+    }
+#endif
+    if (s.x < 0)
+        return;
+    const float share = share_inside(camera, pixel_spread(psf, intervals, coefficients, s.x), s, row, column);
+    for (int k = 0; k < CHANNELS && share > 0; ++k)
+        value[k * plane + at] /= share;
+}
+#endif
+
+#if PREPARE
+// Difference of the radius to the neighbors along one axis: central, one-sided at an edge, else 0.
+static real difference(__global const wide_t *coc, __global const uchar *valid, int at, int step, bool before, bool after)
+{
+    before = before && valid[at - step];
+    after = after && valid[at + step];
+    if (before && after)
+        return (real)0.5 * narrow(wide_sub(coc[at + step], coc[at - step]));
+    if (after)
+        return narrow(wide_sub(coc[at + step], coc[at]));
+    return before ? narrow(wide_sub(coc[at], coc[at - step])) : 0;
+}
+
+// One source from a map of signed radii.
+static float4 record_of(const camera_t camera, const psf_t psf, __global const wide_t *coc, __global const uchar *valid,
+                        int x, int y)
+{
+    const int at = y * camera.width + x;
+    float4 record = (float4)(-1, 0, 0, as_float(WHOLE));
+    if (valid[at]) {
+        record.x = table_coordinate(psf, coc[at], 0);
+#if TILT
+        const int w = camera.width;
+        const real2 gradient = (real2)(difference(coc, valid, at, 1, x > 0, x + 1 < w),
+                                       difference(coc, valid, at, w, y > 0, y + 1 < camera.height));
+        record.yz = tilt_slope(gradient, narrow(coc[at]));
+#endif
+    }
+    return record;
+}
+
+typedef ulong eight_t __attribute__((aligned(1)));
+#define ALL_VALID(p) (*(__global const eight_t *)(p) == 0x0101010101010101ul)
+
+// Sources from a map of signed radii, px, instead of from a surface. In: coc wide_t, valid uchar (0 or 1), both (height,
+// width). Out: source. LANES at a time; where all of them and their neighbors are there, in loops that are made vectors.
+__kernel void prepare_sources(const camera_t camera, const psf_t psf, __global const wide_t *restrict coc,
+                              __global const uchar *restrict valid, __global float *restrict source)
+{
+    const int x = get_global_id(0) * LANES, y = get_global_id(1);
+    if (x >= camera.width || y >= camera.height)
+        return;
+    const int w = camera.width, at = y * w + x, plane = w * camera.height;
+    bool whole = x + LANES <= w && ALL_VALID(valid + at);
+#if TILT
+    whole &= x > 0 && x + LANES < w && y > 0 && y + 1 < camera.height;
+    whole = whole && ALL_VALID(valid + at - 1) && ALL_VALID(valid + at + 1) && ALL_VALID(valid + at - w) &&
+            ALL_VALID(valid + at + w);
+#endif
+    if (!whole) {
+        for (int i = 0; i < MIN(LANES, w - x); ++i)
+            put_source(source, plane, at + i, record_of(camera, psf, coc, valid, x + i, y));
+        return;
+    }
+    // Pointers, and one slope after the other, are what the compiler makes whole vectors of.
+    __global const wide_t *restrict here = coc + at;
+    __global float *restrict coordinate = source + at;
+    #pragma unroll
+    for (int i = 0; i < LANES; ++i)
+        coordinate[i] = table_coordinate(psf, here[i], 0);
+#if TILT
+    __global const wide_t *restrict above = here - w, *restrict below = here + w;
+    __global float *restrict right = coordinate + plane, *restrict down = right + plane;
+    #pragma unroll
+    for (int i = 0; i < LANES; ++i)
+        right[i] = tilt_slope((real2)((real)0.5 * narrow(wide_sub(here[i + 1], here[i - 1])), 0), narrow(here[i])).x;
+    #pragma unroll
+    for (int i = 0; i < LANES; ++i)
+        down[i] = tilt_slope((real2)(0, (real)0.5 * narrow(wide_sub(below[i], above[i]))), narrow(here[i])).y;
+#endif
+#if SUBPIXELS || OCCLUDED
+    for (int i = 0; i < LANES; ++i)
+        MARKS(source, plane)[at + i] = as_float(WHOLE);
+#endif
+}
+#endif

@@ -1,0 +1,215 @@
+// Blur with one radius for all sources and no tilt: a plain convolution. Twin: clsco/reference/blur/convolve.py.
+//
+// A PSF is the sum of two parts, which clsco/optics/stencil.py finds. What is the same everywhere inside of a disc is a union
+// of rectangles, taken from sums over rectangles (sum_across, sum_down): whole numbers, so that what is added and taken
+// away again is gone to the last bit, and no sum depends on where a strip begins. All other weights are runs, one below
+// the other, which columns -dx and dx of the PSF have in common. A run keeps its weights in registers, and the sources
+// that they meet, while it goes down the image. Gaussians that are products are two such PSFs, one after the other.
+// Feature: WIDE_SUMS (sums of 64 bits instead of 32).
+
+#define LANES 16        // floats in a vector
+#define TILE_ROWS 32    // of a work-item, as in clsco/passes/convolve.py, and
+#define TILE_VECTORS 4  // vectors in each row
+#define TILES 8         // side by side before those below, so that what they read is still in the cache
+#define LONGEST_RUN 8   // weights, as in clsco/optics/stencil.py
+#define RUNS_IN_ONE_SUM 32  // runs that a float adds up before it goes into another sum
+
+// Sums of up to 64 bits, of which the lower ones may be left out; unsigned, as they run over. Differences do not.
+#if WIDE_SUMS
+#define LOWER_BITS 0
+typedef ulong sum_t;
+typedef ulong sums_t __attribute__((ext_vector_type(16), aligned(8)));
+#define SIGNED(v) as_long16(v)
+#else
+#define LOWER_BITS 26  // as in clsco/passes/convolve.py
+typedef uint sum_t;
+typedef uint sums_t __attribute__((ext_vector_type(16), aligned(4)));
+#define SIGNED(v) as_int16(v)
+#endif
+// vload16 and vstore16 are calls on PoCL; through such types they are unaligned moves.
+typedef float floats_t __attribute__((ext_vector_type(16), aligned(4)));
+#define FLOATS(p) (*(__global const floats_t *)(p))
+#define SUMS(p) (*(__global sums_t *)(p))
+#define INLINE static inline __attribute__((always_inline))
+
+// Contraction changes no bit from run to run.
+#pragma OPENCL FP_CONTRACT ON
+
+// Sums along each row: of a pixel's light and all that is to the left of it, in units of 1 / scale. Those of 32 bits
+// are the upper bits: it is not pixels that are rounded, but sums, so that no error adds up along a row.
+// In: value float (height, width) from `start` on; out: sums (height, width).
+__kernel void sum_across(const int height, const int width, __global const float *value, const int start,
+                         const float scale, __global sum_t *sums)
+{
+    const int y = get_global_id(0);
+    if (y >= height)
+        return;
+    __global const float *line = value + start + y * width;
+    const long16 zero = 0;
+    long before = 0;
+    int x = 0;
+    for (; x + LANES <= width; x += LANES) {
+        long16 sum = __builtin_convertvector(FLOATS(line + x) * scale, long16);
+        sum += __builtin_shufflevector(zero, sum, 0, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30);
+        sum += __builtin_shufflevector(zero, sum, 0, 0, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29);
+        sum += __builtin_shufflevector(zero, sum, 0, 0, 0, 0, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27);
+        sum += __builtin_shufflevector(zero, sum, 0, 0, 0, 0, 0, 0, 0, 0, 16, 17, 18, 19, 20, 21, 22, 23);
+        sum += before;
+        before = sum.sf;
+        SUMS(sums + y * width + x) = __builtin_convertvector(sum >> LOWER_BITS, sums_t);
+    }
+    for (; x < width; ++x) {
+        before += (long)(line[x] * scale);
+        sums[y * width + x] = (sum_t)(before >> LOWER_BITS);
+    }
+}
+
+// Sums of these down each column: of all that is to the left of a pixel or above, itself included.
+__kernel void sum_down(const int height, const int width, __global sum_t *sums)
+{
+    const int x = get_global_id(0) * TILE_VECTORS * LANES;
+    if (x >= width)
+        return;
+    const int vectors = MIN(TILE_VECTORS, (width - x) / LANES);
+    sums_t sum[TILE_VECTORS];
+    #pragma unroll
+    for (int v = 0; v < TILE_VECTORS; ++v)
+        sum[v] = 0;
+    for (int y = 0; y < height; ++y) {
+        #pragma unroll
+        for (int v = 0; v < TILE_VECTORS; ++v)
+            if (v < vectors) {
+                sum[v] += SUMS(sums + y * width + x + v * LANES);
+                SUMS(sums + y * width + x + v * LANES) = sum[v];
+            }
+    }
+    if (vectors == TILE_VECTORS)
+        return;
+    for (int y = 1; y < height; ++y)  // columns that fill no vector
+        for (int column = x + vectors * LANES; column < width; ++column)
+            sums[y * width + column] += sums[(y - 1) * width + column];
+}
+
+// Adds a run of `count` weights, a constant, to a vector in each of some rows. left, right: what the first weight meets
+// in the first row, dx columns to either side. Loops end at a constant, or the compiler keeps the arrays in memory.
+INLINE void add_run(const int count, __global const float *weights, __global const float *left,
+                    __global const float *right, const int pitch, int rows, float16 *part)
+{
+    float weight[LONGEST_RUN];
+    float16 both[LONGEST_RUN];
+    #pragma unroll
+    for (int k = 0; k < LONGEST_RUN; ++k)
+        if (k < count)
+            weight[k] = weights[k];
+    #pragma unroll
+    for (int k = 0; k < LONGEST_RUN - 1; ++k)
+        if (k < count - 1)
+            both[k + 1] = FLOATS(left + k * pitch) + FLOATS(right + k * pitch);
+    left += (count - 1) * pitch;
+    right += (count - 1) * pitch;
+    for (int r = 0; r < rows; ++r) {
+        #pragma unroll
+        for (int k = 0; k < LONGEST_RUN - 1; ++k)
+            if (k < count - 1)
+                both[k] = both[k + 1];
+        both[count - 1] = FLOATS(left + r * pitch) + FLOATS(right + r * pitch);
+        float16 sum = part[r];
+        #pragma unroll
+        for (int k = 0; k < LONGEST_RUN; ++k)
+            if (k < count)
+                sum += both[k] * weight[k];
+        part[r] = sum;
+    }
+}
+
+// Light of the rectangles for one row of a tile: pairs of sums (dy, dx), one that is added and one that is taken away.
+INLINE void add_rectangles(__global const int4 *pairs, int count, __global sum_t *sums, int pitch, float share,
+                           float16 *row)
+{
+    sums_t inside[TILE_VECTORS];
+    #pragma unroll
+    for (int v = 0; v < TILE_VECTORS; ++v)
+        inside[v] = 0;
+    for (int i = 0; i < count; ++i) {
+        const int4 pair = pairs[i];
+        __global sum_t *plus = sums + pair.x * pitch + pair.y, *minus = sums + pair.z * pitch + pair.w;
+        #pragma unroll
+        for (int v = 0; v < TILE_VECTORS; ++v)
+            inside[v] += SUMS(plus + v * LANES) - SUMS(minus + v * LANES);
+    }
+    #pragma unroll
+    for (int v = 0; v < TILE_VECTORS; ++v)
+        row[v * TILE_ROWS] = __builtin_convertvector(SIGNED(inside[v]), float16) * share;
+}
+
+// Asks for what the next tile to the right is the first to read: otherwise it would wait for memory, line by line.
+INLINE void ask_for(__global const float *value, __global const sum_t *sums, bool summed, int pitch, int rows,
+                    int vectors)
+{
+    for (int y = 0; y < rows; ++y)
+        for (int v = 0; v < vectors; ++v) {
+            *(volatile __global const float *)(value + y * pitch + v * LANES);
+            if (summed)
+                *(volatile __global const sum_t *)(sums + y * pitch + v * LANES);
+        }
+}
+
+// Each work-item makes TILE_ROWS rows of TILE_VECTORS vectors of a frame (rows, columns).
+//   value   float, rows of `pitch`, pixel (0, 0) at start + origin. What is within reach of the PSF is there, too, and
+//           LANES more columns
+//   runs    (dx, first dy, number of weights, where in `weights` they are)
+//   sums    of sum_down, pixel (0, 0) at origin; pairs: see add_rectangles; share: light of one unit
+//   target  pixel (0, 0) at target_start, rows of target_pitch. fresh: what is there does not count
+//   half_width, half_height: of what the runs reach
+__kernel void convolve(const int rows, const int columns, __global const float *value, const int start,
+                       const int origin, const int pitch, __global const int4 *runs, const int run_count,
+                       __global const float *weights, __global sum_t *sums, __global const int4 *pairs,
+                       const int pair_count, const float share, const int half_width, const int half_height,
+                       __global float *target, const int target_start, const int target_pitch, const int fresh)
+{
+    const int first = get_global_id(1) * TILE_ROWS, tile = get_global_id(2) * TILES + get_global_id(0);
+    const int x0 = tile * TILE_VECTORS * LANES;
+    if (get_global_id(0) >= TILES || first >= rows || x0 >= columns)
+        return;
+    const int end = MIN(rows, first + TILE_ROWS);
+    const int next = x0 + TILE_VECTORS * LANES, ahead = origin + (first + half_height) * pitch + next + half_width;
+    ask_for(value + start + ahead, sums + ahead, pair_count > 0, pitch, end - first,
+            MIN(TILE_VECTORS, (columns - next) / LANES));
+    float16 sum[TILE_VECTORS * TILE_ROWS];
+    for (int y = first; y < end; ++y)
+        add_rectangles(pairs, pair_count, sums + origin + y * pitch + x0, pitch, share, sum + (y - first));
+    for (int v = 0; v < TILE_VECTORS && x0 + v * LANES < columns; ++v) {
+        const int x = x0 + v * LANES;
+        float16 *own = sum + v * TILE_ROWS;
+        for (int from = 0; from < run_count; from += RUNS_IN_ONE_SUM) {
+            float16 part[TILE_ROWS];
+            for (int r = 0; r < TILE_ROWS; ++r)
+                part[r] = 0;
+            for (int i = from; i < MIN(from + RUNS_IN_ONE_SUM, run_count); ++i) {
+                const int4 run = runs[i];
+                __global const float *w = weights + run.w;
+                __global const float *left = value + start + origin + (first + run.y) * pitch + x - run.x;
+                __global const float *right = left + 2 * run.x;
+                switch (run.z) {
+                case 1: add_run(1, w, left, right, pitch, end - first, part); break;
+                case 2: add_run(2, w, left, right, pitch, end - first, part); break;
+                case 3: add_run(3, w, left, right, pitch, end - first, part); break;
+                case 4: add_run(4, w, left, right, pitch, end - first, part); break;
+                case 5: add_run(5, w, left, right, pitch, end - first, part); break;
+                case 6: add_run(6, w, left, right, pitch, end - first, part); break;
+                case 7: add_run(7, w, left, right, pitch, end - first, part); break;
+                default: add_run(8, w, left, right, pitch, end - first, part);
+                }
+            }
+            for (int r = 0; r < end - first; ++r)
+                own[r] += part[r];
+        }
+        for (int y = first; y < end; ++y) {
+            __global float *out = target + target_start + y * target_pitch + x;
+            float16 before = 0;
+            if (!fresh)
+                before = FLOATS(out);
+            *(__global floats_t *)out = before + own[y - first];
+        }
+    }
+}

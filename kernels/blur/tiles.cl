@@ -1,0 +1,167 @@
+// Spreads every source over the pixels that it lights, as blur.cl does, for devices with many small cores: a work-item
+// for each output pixel, and a group for each tile of them. Twin: clsco/reference/blur/blur.py.
+//
+//   source, value, sub_source, sub_value, intervals, coefficients, total: as in blur.cl
+//
+// The group walks the sources around its tile row by row, a chunk of them at a time. Each of its work-items looks up one
+// source, and keeps it in local memory if it reaches the tile; then each adds, in the order of the sources, those that
+// reach its own pixel: no light by atomics, same bits. Nothing stands in the way of a source here.
+// Features: CHANNELS, TILT, SUBPIXELS, DISC, SEPARABLE.
+
+#define TILE_COLUMNS 16  // as TILE in clsco/passes/blur.py
+#define TILE_ROWS 8
+#define CHUNK (TILE_COLUMNS * TILE_ROWS)  // sources, one for each work-item; as many taps are added up one by one
+#define WORD 32
+
+// Sources of a chunk: a bit for each that reaches the tile, and of those the place on the grid, where the weights are,
+// what else of the record is needed (sources.clh), and the light.
+typedef struct {
+    uint reaching[CHUNK / WORD];
+    int x[CHUNK], y[CHUNK];
+    spread_t spread[CHUNK];
+#if TILT
+    float2 slope[CHUNK];
+#endif
+#if SUBPIXELS
+    int slot[CHUNK];
+#endif
+    float light[CHUNK][CHANNELS];
+} chunk_t;
+
+// First and last columns and rows of a tile on the grid.
+typedef struct {
+    int left, right, top, bottom;
+} tile_t;
+
+#if SUBPIXELS
+#define EACH (SUBPIXELS * SUBPIXELS)
+#define SUBPIXEL_ARGUMENTS \
+    , __global const float4 *sub_source, __global const float *sub_value, const int capacity, \
+    __global const int2 *sub_intervals, __global const float *sub_coefficients
+#define SUBPIXEL_VALUES , sub_source, sub_value, capacity, sub_intervals, sub_coefficients
+#else
+#define SUBPIXEL_ARGUMENTS
+#define SUBPIXEL_VALUES
+#endif
+
+// Notes source (x, y) of the grid as the i-th of a chunk, if it reaches the tile.
+static void note_source(const camera_t camera, const psf_t psf, __global const float *source,
+                        __global const float *value, __global const int2 *intervals,
+                        __global const float *coefficients, tile_t tile, int x, int y, int i,
+                        __local chunk_t *chunk SUBPIXEL_ARGUMENTS)
+{
+    const int at = y * camera.width + x, plane = camera.width * camera.height;
+    const float4 s = get_source(source, plane, at);
+    int far = -1;
+#if SUBPIXELS
+    const int slot = as_int(s.w);
+    chunk->slot[i] = slot;
+    for (int sub = 0; slot >= 0 && sub < EACH; ++sub) {
+        const float coordinate = sub_source[slot * EACH + sub].x;
+        if (coordinate >= 0)
+            far = MAX(far, sub_intervals[(int)coordinate - psf.sub_first].y);
+    }
+    if (slot < 0)
+#endif
+    if (s.x >= 0) {
+        const spread_t spread = pixel_spread(psf, intervals, coefficients, s.x);
+        chunk->spread[i] = spread;
+        far = spread.half_width;
+    }
+    if (MAX(MAX(tile.left - x, x - tile.right), MAX(tile.top - y, y - tile.bottom)) > far || far < 0)
+        return;
+    atomic_or(&chunk->reaching[i / WORD], 1u << i % WORD);
+    chunk->x[i] = x;
+    chunk->y[i] = y;
+#if TILT
+    chunk->slope[i] = s.yz;
+#endif
+    for (int k = 0; k < CHANNELS; ++k)
+        chunk->light[i][k] = value[k * plane + at];
+}
+
+// Adds the light of one source in the pixel (dx, dy) from it.
+static void add_tap(spread_t spread, int dx, int dy, float4 source, const float *light, float *sum)
+{
+    if (MAX(ABS(dx), ABS(dy)) > spread.half_width)
+        return;
+    const float weight = tap(spread, dx, dy, source);
+    for (int k = 0; k < CHANNELS; ++k)
+        sum[k] += weight * light[k];
+}
+
+// Adds the light of the i-th source of a chunk in pixel (x, y) of the grid.
+static void add_source(const psf_t psf, int x, int y, int i, __local const chunk_t *chunk,
+                       float *sum SUBPIXEL_ARGUMENTS)
+{
+    const int dx = x - chunk->x[i], dy = y - chunk->y[i];
+    float light[CHANNELS];
+#if SUBPIXELS
+    if (chunk->slot[i] >= 0) {
+        for (int sub = 0; sub < EACH; ++sub) {
+            const int id = chunk->slot[i] * EACH + sub;
+            const float4 s = sub_source[id];
+            if (s.x < 0)
+                continue;
+            for (int k = 0; k < CHANNELS; ++k)
+                light[k] = sub_value[k * capacity * EACH + id];
+            add_tap(subpixel_spread(psf, sub_intervals, sub_coefficients, s.x, sub), dx, dy, s, light, sum);
+        }
+        return;
+    }
+#endif
+    float4 s = 0;
+#if TILT
+    s.yz = chunk->slope[i];
+#endif
+    for (int k = 0; k < CHANNELS; ++k)
+        light[k] = chunk->light[i][k];
+    add_tap(chunk->spread[i], dx, dy, s, light, sum);
+}
+
+// One work-item per pixel, in groups of a tile. Out: added to total.
+__attribute__((reqd_work_group_size(TILE_COLUMNS, TILE_ROWS, 1)))
+__kernel void tiles(const camera_t camera, const psf_t psf, __global const float *source, __global const float *value,
+                    __global const int2 *intervals, __global const float *coefficients, const int pitch, const int pad,
+                    __global float *total SUBPIXEL_ARGUMENTS)
+{
+    __local chunk_t chunk;
+    const int column = get_global_id(0), row = get_global_id(1);
+    const int item = get_local_id(1) * TILE_COLUMNS + get_local_id(0);
+    const int x = column + camera.guard, y = row + camera.above;
+    const int left = x - (int)get_local_id(0), top = y - (int)get_local_id(1);
+    const tile_t tile = {left, left + TILE_COLUMNS - 1, top, top + TILE_ROWS - 1};
+    const int first_x = MAX(tile.left - psf.reach, 0), across = MIN(tile.right + psf.reach + 1, camera.width) - first_x;
+    const int first_y = MAX(tile.top - psf.reach, 0), down = MIN(tile.bottom + psf.reach + 1, camera.height) - first_y;
+    float sum[CHANNELS], over[CHANNELS];
+    for (int k = 0; k < CHANNELS; ++k)
+        sum[k] = over[k] = 0;  // not as {0}, of which PoCL 3.0 makes garbage where there are two channels
+    // Those beyond the frame's end help to look up sources as well.
+    for (int start = 0; start < across * down; start += CHUNK) {
+        barrier(CLK_LOCAL_MEM_FENCE);  // all are done with the chunk before
+        if (item < CHUNK / WORD)
+            chunk.reaching[item] = 0;
+        barrier(CLK_LOCAL_MEM_FENCE);
+        const int n = start + item;
+        if (n < across * down)
+            note_source(camera, psf, source, value, intervals, coefficients, tile, first_x + n % across,
+                        first_y + n / across, item, &chunk SUBPIXEL_VALUES);
+        barrier(CLK_LOCAL_MEM_FENCE);
+        float part[CHANNELS];
+        for (int k = 0; k < CHANNELS; ++k)
+            part[k] = 0;
+        for (int word = 0; word < CHUNK / WORD; ++word)
+            for (uint left_over = chunk.reaching[word]; left_over; left_over &= left_over - 1) {
+                const int lowest = WORD - 1 - (int)clz(left_over & -left_over);
+                add_source(psf, x, y, word * WORD + lowest, &chunk, part SUBPIXEL_VALUES);
+            }
+        for (int k = 0; k < CHANNELS; ++k) {  // by Kahan: around wide PSFs there are thousands of chunks
+            const float more = part[k] - over[k], next = sum[k] + more;
+            over[k] = (next - sum[k]) - more;
+            sum[k] = next;
+        }
+    }
+    if (column < camera.columns && row < camera.rows)
+        for (int k = 0; k < CHANNELS; ++k)
+            total[(k * camera.rows + row) * pitch + column + pad] += sum[k];
+}

@@ -1,0 +1,323 @@
+// Missing pixels: which there are, and adaptive interpolation (thesis, 4.3.5). mean_median.cl, which is built after this
+// file, has the other way of filling them. Twin: clsco/reference/inpainting/fill.py.
+//
+// On the padded grid, row-major:
+//   value    float (CHANNELS, height, width): radiance times the weight of the moment
+//   w, coc   wide_t: inverse depth in 1/mm and signed radius of the blur in px
+//   valid    uchar: 1 known or filled, else 0
+//   status   uchar: 0 known or not missing, 1 filled, 2 missing
+//   spans    int2 per line, the rows and then the columns: first and last valid pixel, (INT_MAX, -1) for none
+//   grown    the same after a sweep; where they differ, the sweep has made lines longer
+//   list     int per missing pixel, in any order: its number
+//   far      float per missing pixel of the grid, with FILL_FAR: largest inverse depth of neighbors that may serve it
+//   object   uchar, with SEVERAL: which object is seen, 255 for none
+//   counters ints, see below
+//
+// A sweep writes to missing pixels, which nobody reads before settle_sweep has made them valid: all of it sees what was
+// known before it, in any order. Features besides geometry.clh's: FILL_AIT, FILL_MEAN_MEDIAN, FILL_FAR, DOMAIN_SURFACE.
+//
+// FILL_FAR: what a moving edge uncovers lies behind it, and is filled from the farther side only. The nearest pair of
+// known pixels on opposite sides of a missing one says how far its surface is: as far as the farther of the two. Known
+// neighbors that are more than FAR_SLACK nearer than that do not serve, and a pixel that has only such ones waits for
+// others to be filled, until nothing else can be. In the gap that a growing surface leaves, both sides are near, and serve.
+
+#define LEFT 0           // missing pixels: entries of the list
+#define LEFT_INSIDE 1    // of them inside the frame
+#define FILLED 2         // filled by the sweep
+#define FILLED_INSIDE 3
+#define DONE 4           // filled by all sweeps: entries of done
+#define CHUNK 64         // pixels per work-item where it counts, so that atomics are rare
+#define FAR_SLACK 1.02f  // relative: a surface at 45 degrees changes less over two pixels of 0.5 degrees each
+
+static bool in_frame(const camera_t camera, int x, int y)
+{
+    const int column = x - camera.guard, row = y - camera.guard;
+    return column >= 0 && column < camera.columns && row >= 0 && row < camera.rows;
+}
+
+// Whether the fill domain contains a pixel: with "surface" its ray has to meet one of the moved surfaces.
+static bool may_be_missing(const camera_t camera, __constant surface_t *surfaces, int count, int x, int y)
+{
+#if DOMAIN_SURFACE
+    const layer_t everything = {~(ulong)0, 0, count, -1, 0};
+    const wide3_t ray = pixel_ray(camera, widened(y - camera.guard), widened(x - camera.guard));
+    uchar label;
+    int object;
+    nearest_surface(surfaces, everything, ray, &label, &object);
+    return object >= 0;
+#else
+    return true;
+#endif
+}
+
+#if FILL_FAR
+// Bound on the inverse depth of neighbors that may serve a missing pixel. Of the row, the column and the two diagonals
+// the one decides that meets valid pixels on both sides first, that is within the fewest steps.
+static float far_bound(const camera_t camera, __global const uchar *valid, __global const wide_t *w, int x, int y)
+{
+    int ends[8];
+    for (int k = 0; k < 8; ++k)
+        ends[k] = -1;
+    for (int step = 1; step < MAX(camera.width, camera.height); ++step)
+        for (int k = 0; k < 8; ++k) {
+            const int i = y + step * NEIGHBOR_Y[k], j = x + step * NEIGHBOR_X[k];
+            const bool inside = i >= 0 && i < camera.height && j >= 0 && j < camera.width;
+            if (ends[k] < 0 && inside && valid[i * camera.width + j])
+                ends[k] = i * camera.width + j;
+            if (k % 2 && ends[k - 1] >= 0 && ends[k] >= 0)
+                return FAR_SLACK * MIN((float)narrow(w[ends[k - 1]]), (float)narrow(w[ends[k]]));
+        }
+    return INFINITY;
+}
+
+// Whether a valid pixel may serve one with this bound.
+static bool serves(__global const uchar *valid, __global const wide_t *w, int at, float bound)
+{
+    return valid[at] && (float)narrow(w[at]) <= bound;
+}
+#else
+#define serves(valid, w, at, bound) valid[at]
+#endif
+
+// First and last valid pixel of each line. In: valid. Out: spans, grown.
+__kernel void find_spans(const camera_t camera, __global const uchar *valid, __global int2 *spans,
+                         __global int2 *grown)
+{
+    const int line = get_global_id(0);
+    if (line >= camera.height + camera.width)
+        return;
+    const bool is_row = line < camera.height;
+    const int length = is_row ? camera.width : camera.height, step = is_row ? 1 : camera.width;
+    __global const uchar *along = valid + (is_row ? line * camera.width : line - camera.height);
+    int first = 0, last = length - 1;
+    while (first < length && !along[first * step])
+        ++first;
+    while (last >= first && !along[last * step])
+        --last;
+    spans[line] = grown[line] = first < length ? (int2)(first, last) : (int2)(INT_MAX, -1);
+}
+
+// Lists the pixels that are unknown but between the first and last valid one of their row, or else of their column,
+// CHUNK columns per work-item. In: `count` surfaces, valid, w, spans. Out: status and far of missing pixels, list, LEFT
+// and LEFT_INSIDE.
+__kernel void mark_missing(const camera_t camera, __constant surface_t *surfaces, const int count,
+                           __global const uchar *valid, __global const int2 *spans, __global uchar *status,
+                           __global int *list, __global int *counters
+#if FILL_FAR
+                           , __global const wide_t *w, __global float *far
+#endif
+)
+{
+    const int begin = get_global_id(0) * CHUNK, y = get_global_id(1);
+    if (begin >= camera.width || y >= camera.height)
+        return;
+    const int end = MIN(begin + CHUNK, camera.width);
+    __global const uchar *line = valid + y * camera.width;
+    int unknown = 0;
+    for (int x = begin; x < end; ++x)
+        unknown += !line[x];
+    if (!unknown)
+        return;
+    const int2 row = spans[y];
+    int found[CHUNK], entries = 0, inside = 0;
+    for (int x = begin; x < end; ++x) {
+        const int2 column = spans[camera.height + x];
+        if (line[x] || !((x > row.x && x < row.y) || (y > column.x && y < column.y)))
+            continue;
+        if (!may_be_missing(camera, surfaces, count, x, y))
+            continue;
+#if FILL_FAR
+        far[y * camera.width + x] = far_bound(camera, valid, w, x, y);
+#endif
+        found[entries++] = y * camera.width + x;
+        inside += in_frame(camera, x, y);
+        status[y * camera.width + x] = 2;
+    }
+    if (!entries)
+        return;
+    const int start = atomic_add(counters + LEFT, entries);
+    if (inside)
+        atomic_add(counters + LEFT_INSIDE, inside);
+    for (int i = 0; i < entries; ++i)
+        list[start + i] = found[i];
+}
+
+#if FILL_AIT || FILL_MEAN_MEDIAN
+// Makes lines reach to a pixel on them.
+static void reach(__global int2 *grown, __global const int2 *spans, int line, int index)
+{
+    const int2 span = spans[line];
+    if (index < span.x)
+        atomic_min((__global int *)(grown + line), index);
+    if (index > span.y)
+        atomic_max((__global int *)(grown + line) + 1, index);
+}
+
+// Ends a sweep: what it filled becomes valid, the rest is listed again. In: list of `count`, status, spans. Out: valid,
+// grown, left (as list), counters, done (list of what all sweeps filled).
+__kernel void settle_sweep(const camera_t camera, __global const int *list, const int count,
+                           __global const int2 *spans, __global int2 *grown, __global const uchar *status,
+                           __global uchar *valid, __global int *left, __global int *counters
+#if FILL_MEAN_MEDIAN
+                           , __global int *done
+#endif
+)
+{
+    const int begin = get_global_id(0) * CHUNK;
+    if (begin >= count)
+        return;
+    const int end = MIN(begin + CHUNK, count);
+    int filled = 0, filled_inside = 0, left_inside = 0;
+    for (int i = begin; i < end; ++i) {
+        const int at = list[i], x = at % camera.width, y = at / camera.width, inside = in_frame(camera, x, y);
+        if (status[at] == 1) {
+            reach(grown, spans, y, x);
+            reach(grown, spans, camera.height + x, y);
+            valid[at] = 1;
+            ++filled;
+            filled_inside += inside;
+        } else {
+            left_inside += inside;
+        }
+    }
+    if (filled_inside)
+        atomic_add(counters + FILLED_INSIDE, filled_inside);
+    if (left_inside)
+        atomic_add(counters + LEFT_INSIDE, left_inside);
+    if (filled)
+        atomic_add(counters + FILLED, filled);
+    int next = filled < end - begin ? atomic_add(counters + LEFT, end - begin - filled) : 0;
+    for (int i = begin; i < end; ++i)
+        if (status[list[i]] != 1)
+            left[next++] = list[i];
+#if FILL_MEAN_MEDIAN
+    next = filled ? atomic_add(counters + DONE, filled) : 0;
+    for (int i = begin; i < end; ++i)
+        if (status[list[i]] == 1)
+            done[next++] = list[i];
+#endif
+}
+
+// Lists what is missing since lines have grown, one line per work-item. A pixel within the span of its row is left to
+// the row. In: `count` surfaces, valid, w, grown. In and out: spans, status, far, list, LEFT and LEFT_INSIDE.
+__kernel void mark_grown(const camera_t camera, __constant surface_t *surfaces, const int count,
+                         __global const uchar *valid, __global int2 *spans, __global const int2 *grown,
+                         __global uchar *status, __global int *list, __global int *counters
+#if FILL_FAR
+                         , __global const wide_t *w, __global float *far
+#endif
+)
+{
+    const int line = get_global_id(0);
+    if (line >= camera.height + camera.width)
+        return;
+    const int2 before = spans[line], now = grown[line];
+    if (before.x == now.x && before.y == now.y)
+        return;
+    spans[line] = now;
+    const bool is_row = line < camera.height;
+    for (int i = now.x + 1; i < now.y; ++i) {
+        if (i >= before.x && i < before.y)
+            i = before.y;  // what lies between is listed, or was
+        const int x = is_row ? i : line - camera.height, y = is_row ? line : i, at = y * camera.width + x;
+        const int2 row = grown[y];
+        const bool listed = is_row ? status[at] == 2 : x > row.x && x < row.y;
+        if (valid[at] || listed || !may_be_missing(camera, surfaces, count, x, y))
+            continue;
+#if FILL_FAR
+        far[at] = far_bound(camera, valid, w, x, y);
+#endif
+        status[at] = 2;
+        list[atomic_inc(counters + LEFT)] = at;
+        if (in_frame(camera, x, y))
+            atomic_inc(counters + LEFT_INSIDE);
+    }
+}
+#endif
+
+#if FILL_AIT
+// Nearest valid pixel from `at` in steps of `step`, at most `most`; -1 for none.
+static int nearest_valid(__global const uchar *valid, int at, int step, int most)
+{
+    for (int i = 1; i <= most; ++i)
+        if (valid[at + i * step])
+            return at + i * step;
+    return -1;
+}
+
+// The valid pixels on both sides of a pixel of a line; x is the first, y the second, negative for none.
+static int2 between_valid(__global const uchar *valid, int at, int step, int index, int length)
+{
+    const int before = nearest_valid(valid, at, -step, index);
+    return (int2)(before, before < 0 ? -1 : nearest_valid(valid, at, step, length - 1 - index));
+}
+
+// One sweep of AIT. Inside: the mean of the first opposite pair of valid neighbors, else a copy of the first valid
+// neighbor. On the outermost rows and columns: linear between the nearest valid pixels of the row, else of the column;
+// with FILL_FAR a copy of the farther one where the other may not serve a pixel of its depth. The object is that of the
+// first pixel that serves. In: list of `count`, valid; minimum, far: with 0 any neighbor serves. In and out: value, w,
+// coc, status, object.
+__kernel void fill_ait(const camera_t camera, __global const int *list, const int count,
+#if FILL_FAR
+                       const int minimum, __global const float *far,
+#endif
+                       __global const uchar *valid, __global float *value, __global wide_t *w, __global wide_t *coc,
+                       __global uchar *status
+#if SEVERAL
+                       , __global uchar *object
+#endif
+)
+{
+    const int id = get_global_id(0);
+    if (id >= count)
+        return;
+    const int at = list[id], x = at % camera.width, y = at / camera.width;
+    int2 from = -1;
+    wide_t whole_share = widened((real)0.5);
+    if (x == 0 || y == 0 || x == camera.width - 1 || y == camera.height - 1) {
+        int step = 1;
+        from = between_valid(valid, at, step, x, camera.width);
+        if (from.y < 0) {
+            step = camera.width;
+            from = between_valid(valid, at, step, y, camera.height);
+        }
+        if (from.y >= 0)
+            whole_share = wide_div(widened((at - from.x) / step), widened((from.y - from.x) / step));
+#if FILL_FAR
+        if (from.y >= 0 && (float)narrow(w[from.x]) > FAR_SLACK * (float)narrow(w[from.y]))
+            from.x = from.y;
+        else if (from.y >= 0 && (float)narrow(w[from.y]) > FAR_SLACK * (float)narrow(w[from.x]))
+            from.y = from.x;
+#endif
+    } else {
+#if FILL_FAR
+        const float bound = minimum ? far[at] : INFINITY;
+#endif
+        for (int k = 0; k < 8 && from.y < 0; k += 2) {
+            const int step = NEIGHBOR_Y[k] * camera.width + NEIGHBOR_X[k];
+            if (serves(valid, w, at + step, bound) && serves(valid, w, at - step, bound))
+                from = (int2)(at + step, at - step);
+        }
+        for (int k = 0; k < 8 && from.y < 0; ++k) {
+            const int step = NEIGHBOR_Y[k] * camera.width + NEIGHBOR_X[k];
+            if (serves(valid, w, at + step, bound))
+                from = at + step;
+        }
+    }
+    if (from.y < 0)
+        return;
+    const real share = narrow(whole_share);
+    for (int c = 0; c < CHANNELS; ++c) {
+        __global float *plane = value + c * camera.height * camera.width;
+        plane[at] = (float)(plane[from.x] + ((real)plane[from.y] - plane[from.x]) * share);
+    }
+    const wide_t change = wide_mul(wide_sub(w[from.y], w[from.x]), whole_share);
+    const wide_t inverse_depth = wide_add(w[from.x], change);
+    w[at] = inverse_depth;
+    coc[at] = blur_radius(camera, inverse_depth);
+    status[at] = 1;
+#if SEVERAL
+    object[at] = object[from.x];
+#endif
+}
+#endif

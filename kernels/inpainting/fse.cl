@@ -1,0 +1,224 @@
+// Texture across holes: frequency-selective extrapolation (clsco/inpainting/fse.py has the method and its sources).
+// A work-item fills a block of BLOCK x BLOCK px from the window of SIDE x SIDE px around it: the weighted spectrum of
+// what is there is taken apart into waves, the strongest first. On a processor its arrays stay in the first cache.
+// Twin: clsco/reference/inpainting/fse.py.
+
+#define SIDE 32
+#define HALF 16
+#define BLOCK 2
+#define PIXELS (BLOCK * BLOCK)
+#define BEFORE ((SIDE - BLOCK) / 2)  // pixels of the window before the block, along an axis
+#define LANES 8
+#define PITCH (SIDE + HALF)  // a spectrum's columns -HALF to SIDE - 1, so that a shifted one is read in a row
+
+// Contraction changes no bit from run to run, and halves the time of the loops below.
+#pragma OPENCL FP_CONTRACT ON
+
+// vload8 and vstore8 are calls on PoCL; through this type they are one unaligned move.
+typedef float floats_t __attribute__((ext_vector_type(8), aligned(4)));
+#define FLOATS(p) (*(floats_t *)(p))
+#define TABLE(p) (*(__global const floats_t *)(p))
+
+// Spectrum (SIDE, HALF) of a real window (SIDE, SIDE), columns 0 to HALF - 1, and column HALF as `middle`.
+// cosines, sines: (SIDE, HALF) of 2 pi a v / SIDE.
+static void transform(const float *window, __global const float *cosines, __global const float *sines, float *re,
+                      float *im, float *middle_re, float *middle_im)
+{
+    float row_re[SIDE * HALF], row_im[SIDE * HALF], middle[SIDE];
+    for (int i = 0; i < SIDE; ++i) {
+        float8 re_low = 0, re_high = 0, im_low = 0, im_high = 0;
+        float alternating = 0;
+        for (int j = 0; j < SIDE; j += 2) {
+            for (int odd = 0; odd < 2; ++odd) {
+                const float8 g = window[i * SIDE + j + odd];
+                __global const float *c = cosines + (j + odd) * HALF, *s = sines + (j + odd) * HALF;
+                re_low += g * TABLE(c);
+                re_high += g * TABLE(c + LANES);
+                im_low -= g * TABLE(s);
+                im_high -= g * TABLE(s + LANES);
+            }
+            alternating += window[i * SIDE + j] - window[i * SIDE + j + 1];
+        }
+        FLOATS(row_re + i * HALF) = re_low;
+        FLOATS(row_re + i * HALF + LANES) = re_high;
+        FLOATS(row_im + i * HALF) = im_low;
+        FLOATS(row_im + i * HALF + LANES) = im_high;
+        middle[i] = alternating;
+    }
+    // Rows a and a + HALF: the sum of the even terms, plus and minus that of the odd ones.
+    for (int a = 0; a < HALF; ++a) {
+        for (int h = 0; h < HALF; h += LANES) {
+            float8 sum_re[2] = {0, 0}, sum_im[2] = {0, 0};
+            for (int i = 0; i < SIDE; i += 2)
+                for (int odd = 0; odd < 2; ++odd) {
+                    const float c = cosines[(i + odd) * HALF + a], s = sines[(i + odd) * HALF + a];
+                    const float8 g_re = FLOATS(row_re + (i + odd) * HALF + h);
+                    const float8 g_im = FLOATS(row_im + (i + odd) * HALF + h);
+                    sum_re[odd] += g_re * c + g_im * s;
+                    sum_im[odd] += g_im * c - g_re * s;
+                }
+            FLOATS(re + a * HALF + h) = sum_re[0] + sum_re[1];
+            FLOATS(im + a * HALF + h) = sum_im[0] + sum_im[1];
+            FLOATS(re + (a + HALF) * HALF + h) = sum_re[0] - sum_re[1];
+            FLOATS(im + (a + HALF) * HALF + h) = sum_im[0] - sum_im[1];
+        }
+        float even_re = 0, even_im = 0, odd_re = 0, odd_im = 0;
+        for (int i = 0; i < SIDE; i += 2) {
+            even_re += middle[i] * cosines[i * HALF + a];
+            even_im -= middle[i] * sines[i * HALF + a];
+            odd_re += middle[i + 1] * cosines[(i + 1) * HALF + a];
+            odd_im -= middle[i + 1] * sines[(i + 1) * HALF + a];
+        }
+        middle_re[a] = even_re + odd_re;
+        middle_im[a] = even_im + odd_im;
+        middle_re[a + HALF] = even_re - odd_re;
+        middle_im[a + HALF] = even_im - odd_im;
+    }
+}
+
+// The same spectrum (SIDE, PITCH) with its columns -HALF to SIDE - 1: that of a real window is its own mirror.
+static void unfold(const float *re, const float *im, const float *middle_re, const float *middle_im, float *all_re,
+                   float *all_im)
+{
+    for (int a = 0; a < SIDE; ++a) {
+        const int mirror = (SIDE - a) % SIDE;
+        for (int k = 0; k < PITCH; ++k) {
+            const int v = k % SIDE < HALF ? HALF - k % SIDE : k % SIDE - HALF;  // |column|, at most HALF
+            const int negative = k % SIDE < HALF && v < HALF;
+            const int row = negative ? mirror : a;
+            const float x = v == HALF ? middle_re[row] : re[row * HALF + v];
+            const float y = v == HALF ? middle_im[row] : im[row * HALF + v];
+            all_re[a * PITCH + k] = x;
+            all_im[a * PITCH + k] = negative ? -y : y;
+        }
+    }
+}
+
+// Values of the blocks of a list, (count, PIXELS, CHANNELS).
+// In: value (rows, columns, CHANNELS), about 0 to 1, and its weight (rows, columns), 0 where there is none; window
+// (SIDE, SIDE), what a value counts by its place; preference (SIDE, HALF), what the energy of a wave counts, 0 for waves
+// that are others' mirrors; cosines, sines: see transform; list (count, 2), row and column of the blocks' first pixels.
+// step: part of a wave's amplitude that is taken at a time; waves_per_contrast: waves per standard deviation, at least
+// `fewest` and at most `most`.
+__kernel void extrapolate_blocks(const int rows, const int columns, __global const float *value,
+                                 __global const float *weight, __global const float *window,
+                                 __global const float *preference, __global const float *cosines,
+                                 __global const float *sines, __global const int2 *list, const int count,
+                                 const float step, const float waves_per_contrast, const int fewest, const int most,
+                                 __global float *filled)
+{
+    const int entry = get_global_id(0);
+    if (entry >= count)
+        return;
+    const int top = list[entry].x - BEFORE, left = list[entry].y - BEFORE;
+
+    // What is in the window, and how much it varies.
+    float weights[SIDE * SIDE], weighted[CHANNELS * SIDE * SIDE];
+    float sums[CHANNELS], squares[CHANNELS], total = 0;
+    for (int c = 0; c < CHANNELS; ++c)
+        sums[c] = squares[c] = 0;
+    for (int i = 0; i < SIDE; ++i)
+        for (int j = 0; j < SIDE; ++j) {
+            const int y = top + i, x = left + j, k = i * SIDE + j;
+            const bool inside = y >= 0 && y < rows && x >= 0 && x < columns;
+            const int at = inside ? y * columns + x : 0;
+            const float w = inside ? weight[at] * window[k] : 0;
+            weights[k] = w;
+            total += w;
+            for (int c = 0; c < CHANNELS; ++c) {
+                const float f = value[at * CHANNELS + c], wf = w * f;
+                weighted[c * SIDE * SIDE + k] = wf;
+                sums[c] += wf;
+                squares[c] += wf * f;
+            }
+        }
+    float variance = 0;
+    for (int c = 0; c < CHANNELS; ++c) {
+        const float mean = sums[c] / total;
+        variance = MAX(variance, squares[c] / total - mean * mean);
+    }
+    const int waves = MIN(MAX((int)(waves_per_contrast * sqrt(variance) + 0.5f), fewest), most);
+
+    float W_re[SIDE * PITCH], W_im[SIDE * PITCH], R_re[CHANNELS * SIDE * HALF], R_im[CHANNELS * SIDE * HALF];
+    float middle_re[SIDE], middle_im[SIDE];
+    transform(weights, cosines, sines, R_re, R_im, middle_re, middle_im);
+    unfold(R_re, R_im, middle_re, middle_im, W_re, W_im);
+    for (int c = 0; c < CHANNELS; ++c)
+        transform(weighted + c * SIDE * SIDE, cosines, sines, R_re + c * SIDE * HALF, R_im + c * SIDE * HALF, middle_re,
+                  middle_im);
+
+    float block[CHANNELS * PIXELS], q_re[CHANNELS], q_im[CHANNELS];
+    for (int k = 0; k < CHANNELS * PIXELS; ++k)
+        block[k] = 0;
+    for (int c = 0; c < CHANNELS; ++c)
+        q_re[c] = q_im[c] = 0;
+    int u = 0, v = 0;
+    for (int wave = 0; wave < waves; ++wave) {
+        // Take the wave (u, v) and its mirror out of the residual, and look for the strongest that is left.
+        float8 strongest = -1;
+        int8 where = 0;
+        for (int a = 0; a < SIDE; ++a) {
+            const int one = ((a - u) & (SIDE - 1)) * PITCH + HALF - v, other = ((a + u) & (SIDE - 1)) * PITCH + HALF + v;
+            for (int h = 0; h < HALF; h += LANES) {
+                const float8 one_re = FLOATS(W_re + one + h), one_im = FLOATS(W_im + one + h);
+                const float8 other_re = FLOATS(W_re + other + h), other_im = FLOATS(W_im + other + h);
+                const float8 sum_re = one_re + other_re, sum_im = one_im + other_im;
+                const float8 difference_re = one_re - other_re, difference_im = one_im - other_im;
+                float8 energy = 0;
+                for (int c = 0; c < CHANNELS; ++c) {
+                    float *r = R_re + c * SIDE * HALF + a * HALF + h, *i = R_im + c * SIDE * HALF + a * HALF + h;
+                    const float8 left_re = FLOATS(r) - q_re[c] * sum_re + q_im[c] * difference_im;
+                    const float8 left_im = FLOATS(i) - q_re[c] * sum_im - q_im[c] * difference_re;
+                    FLOATS(r) = left_re;
+                    FLOATS(i) = left_im;
+                    energy += left_re * left_re + left_im * left_im;
+                }
+                energy *= TABLE(preference + a * HALF + h);
+                const int8 stronger = energy > strongest;
+                strongest = stronger ? energy : strongest;
+                where = stronger ? (int8)(a * HALF + h) : where;
+            }
+        }
+        // Of equally strong ones the first.
+        const float *energies = (const float *)&strongest;
+        const int *places = (const int *)&where;
+        int lane = 0;
+        for (int k = 1; k < LANES; ++k)
+            if (energies[k] > energies[lane] ||
+                (energies[k] == energies[lane] && places[k] + k < places[lane] + lane))
+                lane = k;
+        const int best = places[lane] + lane;
+        u = best / HALF;
+        v = best % HALF;
+        const float part = (best ? step : 0.5f * step) / total;  // the constant is its own mirror
+        for (int c = 0; c < CHANNELS; ++c) {
+            q_re[c] = part * R_re[c * SIDE * HALF + best];
+            q_im[c] = part * R_im[c * SIDE * HALF + best];
+        }
+        for (int k = 0; k < PIXELS; ++k) {
+            const int phase = (u * (BEFORE + k / BLOCK) + v * (BEFORE + k % BLOCK)) & (SIDE - 1);
+            for (int c = 0; c < CHANNELS; ++c)
+                block[k * CHANNELS + c] += 2 * (q_re[c] * cosines[phase * HALF + 1] - q_im[c] * sines[phase * HALF + 1]);
+        }
+    }
+    for (int k = 0; k < CHANNELS * PIXELS; ++k)
+        filled[entry * CHANNELS * PIXELS + k] = block[k];
+}
+
+// Takes over the values of the blocks of a list, (count, PIXELS, CHANNELS), where pixels are not known, and lets them
+// count as `trust` from now on. In and out: value (rows, columns, CHANNELS), weight (rows, columns), 1 where known.
+__kernel void settle_blocks(const int rows, const int columns, __global const float *filled, __global const int2 *list,
+                            const int count, const float trust, __global float *value, __global float *weight)
+{
+    const int entry = get_global_id(0);
+    if (entry >= count)
+        return;
+    for (int k = 0; k < PIXELS; ++k) {
+        const int y = list[entry].x + k / BLOCK, x = list[entry].y + k % BLOCK;
+        if (y >= rows || x >= columns || weight[y * columns + x] == 1)
+            continue;
+        for (int c = 0; c < CHANNELS; ++c)
+            value[(y * columns + x) * CHANNELS + c] = filled[(entry * PIXELS + k) * CHANNELS + c];
+        weight[y * columns + x] = trust;
+    }
+}

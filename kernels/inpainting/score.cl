@@ -1,0 +1,133 @@
+// Missing pixels: how well mean and median of neighbors estimate known pixels (thesis, chapter 5). Twin:
+// clsco/reference/inpainting/score.py.
+
+#if FILL_MEAN_MEDIAN
+#define SCORED 128  // columns of a row that a work-item scores: no more may be summed up in 31 bits
+#define SUMS 13
+
+// The value of WIDTH pixels, or with IMAGE as many values of pixels whose channels are side by side.
+#if IMAGE
+#define STEP CHANNELS  // from pixel to pixel
+#define PLACE(c, y, x) (((y) * width + (x)) * CHANNELS + (c) * WIDTH)
+#define PIXEL(c, lane) (((c) * WIDTH + (lane)) / CHANNELS)
+#else
+#define STEP 1
+#define PLACE(c, y, x) (((c) * camera.height + (y)) * width + (x))
+#define PIXEL(c, lane) (lane)
+#endif
+
+// Vectors of values, of their exact differences, and of sums of products; PRODUCTS adds up what of them is in one lane.
+#if CODES  // of 8 bits
+#define WIDTH 16
+typedef uchar element_t;
+typedef uchar16 values_t;
+typedef short part_t;
+typedef short16 parts_t;
+typedef int8 sums_t;
+typedef uchar elements_t __attribute__((ext_vector_type(16), aligned(1)));
+typedef elements_t whole_t;
+#define WHOLE(v) __builtin_convertvector(v, parts_t)
+#define STEPS ((long)(scale * scale))  // in a product of codes
+#ifdef __AVX2__
+#define PRODUCTS(a, b) __builtin_ia32_pmaddwd256(a, b)  // in one instruction, which the compiler does not find
+#else
+#define PRODUCTS(a, b) \
+    (__builtin_convertvector((a).even, sums_t) * __builtin_convertvector((b).even, sums_t) \
+     + __builtin_convertvector((a).odd, sums_t) * __builtin_convertvector((b).odd, sums_t))
+#endif
+#else
+#define WIDTH 8
+typedef float element_t;
+typedef float8 values_t;
+typedef floats_t elements_t;
+typedef uchars_t whole_t;
+#if HAS_FP64
+typedef double part_t;
+typedef double8 parts_t;
+// Half a unit and more in the last place rounds to the nearest, as rint does.
+#define ROUNDER 6755399441055744.0
+#define WHOLE(v) ((parts_t)EACH((v) * scale) + ROUNDER - ROUNDER)
+#else
+typedef long part_t;
+typedef long8 parts_t;
+#define WHOLE(v) convert_long8_rte((v) * scale)
+#endif
+typedef parts_t sums_t;
+#define PRODUCTS(a, b) ((a) * (b))
+#define STEPS 1
+#endif
+#define ELEMENTS(p) (*(__global const elements_t *)(p))
+#define WHOLE_AT(p) (*(__global const whole_t *)(p))
+
+// Stage 0: sums over all pixels of a row with eight valid neighbors, and all channels, from which the host has the
+// squared errors of mean and median of all 163 subsets of k = 4..8 neighbors. With d the sorted differences of the
+// neighbors to the center and C binomial coefficients, the subsets of k have
+//   of means    (C(6, k-2) (sum d)^2 + C(6, k-1) sum d^2) / k^2,
+//   of medians  for odd k = 2 m + 1  C(i, m) C(7-i, m) times d_i^2, for all i,
+//               for even k = 2 m + 2  C(i, m) C(7-j, m) times ((d_i + d_j) / 2)^2, for all i < j.
+// Values times `scale` are rounded to whole numbers before, which differ by 2^16 at most, so that sums are exact in
+// any order; CODES are so already. One work-item per SCORED columns, WIDTH values at once. In: value (CHANNELS, height,
+// width), with IMAGE (height, width, CHANNELS); valid (height, width); both must be readable WIDTH pixels beyond their
+// end. Out: sums (height, segments, SUMS): d_i^2 for i = 0..7; (sum d)^2; C(i, m) C(7-j, m) d_i d_j
+// over i < j for m = 1, 2, 3; number of pixels times channels.
+__kernel void score_mean_median(const camera_t camera, const float scale, __global const element_t *value,
+                                __global const uchar *valid, __global long *sums)
+{
+    const int width = camera.width, segments = (width + SCORED - 1) / SCORED;
+    const int segment = get_global_id(0) % segments, y = get_global_id(0) / segments;
+    if (y >= camera.height)
+        return;
+    const int begin = MAX(segment * SCORED, 1), end = MIN((segment + 1) * SCORED, width - 1);
+    sums_t sum[SUMS];
+    for (int k = 0; k < SUMS; ++k)
+        sum[k] = 0;
+    for (int x = begin; x < end && y > 0 && y < camera.height - 1; x += WIDTH) {
+        const int at = y * width + x;
+        whole_t whole = WHOLE_AT(valid + at);
+        for (int k = 0; k < 8; ++k)
+            whole &= WHOLE_AT(valid + at + NEIGHBOR_Y[k] * width + NEIGHBOR_X[k]);
+        for (int lane = end - x; lane < WIDTH; ++lane)
+            ((uchar *)&whole)[lane] = 0;
+        UNROLL
+        for (int c = 0; c < CHANNELS; ++c) {
+            __global const element_t *center = value + PLACE(c, y, x);
+            parts_t use;
+            UNROLL
+            for (int lane = 0; lane < WIDTH; ++lane)
+                ((part_t *)&use)[lane] = ((const uchar *)&whole)[PIXEL(c, lane)];
+            values_t near[8];
+            UNROLL
+            for (int k = 0; k < 8; ++k)
+                near[k] = ELEMENTS(center + (NEIGHBOR_Y[k] * width + NEIGHBOR_X[k]) * STEP);
+            SORT(values_t, near)
+            const values_t middle = ELEMENTS(center);
+            parts_t d[8], total = 0, above = 0;
+            UNROLL
+            for (int k = 0; k < 8; ++k) {
+                d[k] = (WHOLE(near[k]) - WHOLE(middle)) * use;
+                total += d[k];
+                sum[k] += PRODUCTS(d[k], d[k]);
+            }
+            sum[8] += PRODUCTS(total, total);
+            UNROLL
+            for (int i = 5; i > 0; --i) {
+                above += (part_t)(6 - i) * d[i + 1];
+                sum[9] += PRODUCTS((part_t)i * d[i], above);
+            }
+            above = 0;
+            UNROLL
+            for (int i = 4; i > 1; --i) {
+                above += (part_t)((6 - i) * (5 - i) / 2) * d[i + 1];
+                sum[10] += PRODUCTS((part_t)(i * (i - 1) / 2) * d[i], above);
+            }
+            sum[11] += PRODUCTS(d[3], d[4]);
+            sum[12] += PRODUCTS(use, use);
+        }
+    }
+    for (int k = 0; k < SUMS; ++k) {
+        const sums_t v = sum[k];
+        const long all = (long)(((v.s0 + v.s1) + (v.s2 + v.s3)) + ((v.s4 + v.s5) + (v.s6 + v.s7)));
+        sums[SUMS * get_global_id(0) + k] = k < 12 ? all * STEPS : all;
+    }
+}
+#endif

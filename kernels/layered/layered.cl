@@ -1,0 +1,435 @@
+// Occlusion from what the pinhole alone sees: slabs of blur radius, each blurred together with its coverage by the
+// kernels of blur.cl. Twin: clsco/reference/layered/layered.py. Features: CHANNELS, of the image and 1; SCATTER, whether the blur
+// adds in fixed point.
+//
+// On the padded grid (height, width), row-major; a smaller signed radius is nearer:
+//   value    float (CHANNELS - 1, height, width): radiance times the weight of the moment
+//   coc      wide_t: signed radius of the blur in px
+//   valid    uchar: whether there is surface
+//   slab     uchar: 1 is the nearest, 0 no surface
+//   seed     uchar: at an edge, the slab that goes on behind the pixel, else 0
+//   offset   int: rows to the nearest seed of the same column, NO_SEED for none
+//   hidden   uchar: the slab that is taken to go on behind the pixel, else 0
+//   edge     uchar: whether an edge is so near that coverage counts; light from elsewhere simply adds up
+// and of the slab that is being blurred
+//   pyramid  float, level by level from the finest on, each (CHANNELS + 1, rows, columns): radiance, radius, and how far
+//            they are known, 0 to 1
+//   slab_value float (CHANNELS, height, width): radiance and coverage; slab_coc, slab_valid: as coc and valid
+// All is whole numbers, or sums in a fixed order: the same bits every time.
+
+#pragma OPENCL FP_CONTRACT ON  // as where light is summed in blur.cl
+
+#define JUMP ((real)1)     // px, as in the twin
+#define BIN ((real)0.25)   // px
+#define CLASSES 10         // of jumps: beyond JUMP, 2 JUMP, 4 JUMP ... px
+#define NO_SEED (1 << 14)  // farther than any blur reaches
+#define NEVER (1 << 24)    // beyond the last pixel of any frame
+#define RUN 64             // pixels of a row that a work-item looks at together
+#define RADIUS (CHANNELS - 1)  // plane of the pyramid
+#define KNOWN CHANNELS
+#define GROWTH 4.0f
+#define COLUMNS 16  // that a work-item walks down
+#define PUSHED 4    // pixels of a coarser level that one makes
+
+__constant float TENT[4] = {0.125f, 0.375f, 0.375f, 0.125f};
+
+typedef float eight_t __attribute__((ext_vector_type(8), aligned(4)));
+typedef float four_t __attribute__((ext_vector_type(4), aligned(4)));
+#define EIGHT(p) (*(__global const eight_t *)(p))
+#define EVEN(v) __builtin_shufflevector(v, v, 0, 2, 4, 6)
+#define ODD(v) __builtin_shufflevector(v, v, 1, 3, 5, 7)
+
+static int bin_of(real coc, real low, int bins)
+{
+    const real at = FLOOR((coc - low) / BIN);
+    return at < 0 ? 0 : at < bins ? (int)at : bins - 1;
+}
+
+// One row or column per work-item. In and out: latest int (CLASSES, bins): of jumps of a class, beyond JUMP 2^class,
+// whose far side is in a bin, 1 + the largest bin of the near side, 0 for none; after it the largest sum of the two
+// radii of a jump, without their signs, px, rounded up.
+__kernel void find_jumps(const camera_t camera, const real low, const int bins, const int far,
+                         __global const wide_t *coc, __global const uchar *valid, __global int *latest)
+{
+    const int line = get_global_id(0);
+    if (line >= camera.height + camera.width)
+        return;
+    const bool is_row = line < camera.height;
+    const int length = is_row ? camera.width : camera.height, step = is_row ? 1 : camera.width;
+    const int start = is_row ? line * camera.width : line - camera.height;
+    int last = -far - 1;
+    real before = 0;
+    for (int i = 0; i < length; ++i) {
+        const int at = start + i * step;
+        if (!valid[at])
+            continue;
+        const real now = narrow(coc[at]), size = ABS(now - before);
+        if (size > JUMP && i - last <= far && last >= 0) {
+            int class = 0;
+            while (class < CLASSES - 1 && size > JUMP * (2 << class))
+                ++class;
+            __global int *entry = latest + class * bins + bin_of(MAX(now, before), low, bins);
+            const int begin = bin_of(MIN(now, before), low, bins) + 1;
+            if (LOOK(entry) < begin)
+                atomic_max(entry, begin);
+            const int sum = -(int)FLOOR(-(ABS(now) + ABS(before)));
+            if (LOOK(latest + CLASSES * bins) < sum)
+                atomic_max(latest + CLASSES * bins, sum);
+        }
+        last = i;
+        before = now;
+    }
+}
+
+// bounds: first bins of the second and each further slab, `count` of them. Out: slab.
+__kernel void label_slabs(const camera_t camera, const real low, const int bins, const int count,
+                          const int8 bounds, __global const wide_t *coc, __global const uchar *valid,
+                          __global uchar *slab)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= camera.width || y >= camera.height)
+        return;
+    const int at = y * camera.width + x, bin = bin_of(narrow(coc[at]), low, bins);
+    int label = 1;
+    while (label <= count && bin >= ((const int *)&bounds)[label - 1])
+        ++label;
+    slab[at] = valid[at] ? label : 0;
+}
+
+// In: coc, slab. Out: seed.
+__kernel void seed_hidden(const camera_t camera, __global const wide_t *coc, __global const uchar *slab,
+                          __global uchar *seed)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= camera.width || y >= camera.height)
+        return;
+    const int at = y * camera.width + x, own = slab[at];
+    const int near[4] = {y > 0 ? at - camera.width : at, y + 1 < camera.height ? at + camera.width : at,
+                         x > 0 ? at - 1 : at, x + 1 < camera.width ? at + 1 : at};
+    int found = 0;
+    for (int k = 0; k < 4 && own; ++k) {
+        const int other = slab[near[k]];
+        if (other > own && narrow(coc[near[k]]) - narrow(coc[at]) > JUMP && (!found || other < found))
+            found = other;
+    }
+    seed[at] = found;
+}
+
+// `count` columns from x on, up to COLUMNS.
+static inline void seeds_of(const camera_t camera, __global const uchar *seed, __global int *offset, int x, const int count)
+{
+    int last[COLUMNS];
+    for (int k = 0; k < count; ++k)
+        last[k] = -NEVER;
+    for (int y = 0; y < camera.height; ++y)
+        for (int k = 0; k < count; ++k) {
+            const int at = y * camera.width + x + k;
+            last[k] = seed[at] ? y : last[k];
+            offset[at] = y - last[k] < NO_SEED ? last[k] - y : NO_SEED;
+        }
+    for (int k = 0; k < count; ++k)
+        last[k] = NEVER;
+    for (int y = camera.height - 1; y >= 0; --y)
+        for (int k = 0; k < count; ++k) {
+            const int at = y * camera.width + x + k, above = offset[at];
+            last[k] = seed[at] ? y : last[k];
+            offset[at] = last[k] - y < ABS(above) ? last[k] - y : above;
+        }
+}
+
+// COLUMNS columns per work-item; of two seeds the upper one. In: seed. Out: offset.
+__kernel void column_seeds(const camera_t camera, __global const uchar *restrict seed, __global int *restrict offset)
+{
+    const int x = get_global_id(0) * COLUMNS;
+    if (x + COLUMNS <= camera.width)
+        seeds_of(camera, seed, offset, x, COLUMNS);
+    else if (x < camera.width)
+        seeds_of(camera, seed, offset, x, camera.width - x);
+}
+
+// Flags the pixels of a run that are within `far` px of a seed, rows and columns counted separately; whether there are any.
+static bool flag_near(__global const int *offset, int begin, int end, int width, int far, __global uchar *flags)
+{
+    const int first = MAX(begin - far, 0), stop = MIN(end + far, width);
+    int nearest = NO_SEED;
+    for (int x = first; x < stop; ++x)
+        nearest = MIN(nearest, ABS(offset[x]));
+    for (int x = begin; x < end; ++x)
+        flags[x] = 0;
+    if (nearest > far)
+        return false;
+    int last = -NEVER;
+    for (int x = first; x < end; ++x) {
+        last = ABS(offset[x]) <= far ? x : last;
+        if (x >= begin && x - last <= far)
+            flags[x] = 1;
+    }
+    last = NEVER;
+    for (int x = stop - 1; x >= begin; --x) {
+        last = ABS(offset[x]) <= far ? x : last;
+        if (x < end && last - x <= far)
+            flags[x] = 1;
+    }
+    return true;
+}
+
+// Of each pixel of a run the squared distance to the nearest seed, deep^2 + 1 for none within `deep` px, and how many
+// columns away that is. Of two at the same distance the nearer column's counts, of two such columns the left one's.
+// offset: of the first pixel; of all columns up to `deep` px away there are some.
+static inline void nearest_seeds(__global const int *offset, int deep, int *restrict best, int *restrict away)
+{
+    for (int i = 0; i < RUN; ++i) {
+        best[i] = deep * deep + 1;
+        away[i] = 0;
+    }
+    for (int dx = 0; dx <= deep; ++dx) {
+        int farthest = 0;
+        for (int i = 0; dx % 8 == 0 && i < RUN; ++i)
+            farthest = MAX(farthest, best[i]);
+        if (dx % 8 == 0 && dx * dx >= farthest)
+            break;
+        for (int side = -dx; side <= dx; side += MAX(2 * dx, 1))
+            for (int i = 0; i < RUN; ++i) {
+                const int dy = offset[i + side], square = dx * dx + dy * dy;
+                away[i] = square < best[i] ? side : away[i];
+                best[i] = MIN(best[i], square);
+            }
+    }
+}
+
+// The same for a pixel near the left or right end of a row.
+static int2 nearest_seed(__global const int *offset, int x, int width, int deep)
+{
+    int2 found = {deep * deep + 1, 0};
+    for (int dx = 0; dx * dx < found.x; ++dx)
+        for (int side = -dx; side <= dx; side += MAX(2 * dx, 1)) {
+            const int dy = x + side < 0 || x + side >= width ? NO_SEED : offset[x + side], square = dx * dx + dy * dy;
+            found = square < found.x ? (int2)(square, side) : found;
+        }
+    return found;
+}
+
+// A run of a row per work-item. deep: px, the farthest seed. In: slab, seed, offset. Out: hidden, edge.
+__kernel void reach_hidden(const camera_t camera, const int deep, __global const uchar *slab,
+                           __global const uchar *seed, __global const int *offset, __global uchar *hidden,
+                           __global uchar *edge)
+{
+    const int begin = get_global_id(0) * RUN, y = get_global_id(1);
+    if (begin >= camera.width || y >= camera.height)
+        return;
+    const int end = MIN(begin + RUN, camera.width), line = y * camera.width;
+    if (!flag_near(offset + line, begin, end, camera.width, 2 * deep, edge + line)) {
+        for (int x = begin; x < end; ++x)
+            hidden[line + x] = 0;
+        return;
+    }
+    int best[RUN], away[RUN];
+    if (begin >= deep && begin + RUN + deep <= camera.width)
+        nearest_seeds(offset + line + begin, deep, best, away);
+    else
+        for (int x = begin; x < end; ++x) {
+            const int2 found = nearest_seed(offset + line, x, camera.width, deep);
+            best[x - begin] = found.x;
+            away[x - begin] = found.y;
+        }
+    for (int x = begin; x < end; ++x) {
+        const int own = slab[line + x], column = x + away[x - begin];
+        int label = 0;
+        if (best[x - begin] <= deep * deep)
+            label = seed[line + offset[line + column] * camera.width + column];
+        hidden[line + x] = own && label > own ? label : 0;
+    }
+}
+
+// Out: the finest level of the pyramid, of the pixels of slab `which`.
+__kernel void open_slab(const camera_t camera, const int which, __global const float *value, __global const wide_t *coc,
+                        __global const uchar *slab, __global float *pyramid)
+{
+    const int x = get_global_id(0), y = get_global_id(1), plane = camera.height * camera.width;
+    if (x >= camera.width || y >= camera.height)
+        return;
+    const int at = y * camera.width + x;
+    const bool known = slab[at] == which;
+    for (int c = 0; c < CHANNELS - 1; ++c)
+        pyramid[c * plane + at] = known ? value[c * plane + at] : 0;
+    pyramid[RADIUS * plane + at] = known ? (float)narrow(coc[at]) : 0;
+    pyramid[KNOWN * plane + at] = known;
+}
+
+// PUSHED pixels of a row y of the coarser level, of planes of `plane` px, amid the row. from: in the finer one's first
+// row, before the first pixel under them.
+static inline void push_some(__global const float *from, int fine_rows, int fine_columns, int y, int plane, int last,
+                             __global float *to)
+{
+    const int fine_plane = fine_rows * fine_columns;
+    float4 total = 0, sum[CHANNELS];
+    for (int c = 0; c < CHANNELS; ++c)
+        sum[c] = 0;
+    for (int i = MAX(1 - 2 * y, 0); i < MIN(4, fine_rows + 1 - 2 * y); ++i) {
+        __global const float *line = from + (2 * y + i - 1) * fine_columns;
+        const float8 left = EIGHT(line + KNOWN * fine_plane) * TENT[i], right = EIGHT(line + KNOWN * fine_plane + 2) * TENT[i];
+        const float4 known[4] = {EVEN(left) * TENT[0], ODD(left) * TENT[1], EVEN(right) * TENT[2], ODD(right) * TENT[3]};
+        total += (known[0] + known[1]) + (known[2] + known[3]);
+        for (int c = 0; c < CHANNELS; ++c) {
+            const float8 here = EIGHT(line + c * fine_plane), next = EIGHT(line + c * fine_plane + 2);
+            sum[c] += (known[0] * EVEN(here) + known[1] * ODD(here)) + (known[2] * EVEN(next) + known[3] * ODD(next));
+        }
+    }
+    const float4 none = 0, whole = 1;
+    for (int c = 0; c < CHANNELS; ++c)
+        *(__global four_t *)(to + c * plane) = total > 0 ? sum[c] / total : none;
+    *(__global four_t *)(to + KNOWN * plane) = last ? (total > 0 ? whole : none) : MIN(GROWTH * total, whole);
+}
+
+// PUSHED pixels of the coarser level (rows, columns) per work-item: means of what is known, under a tent of 4 x 4 pixels of
+// the finer one (fine_rows, fine_columns). fine, coarse: where the levels are in the pyramid; last: there is no coarser one
+// to ask, so what is known in part is taken as it is.
+__kernel void push(const int fine_rows, const int fine_columns, const int rows, const int columns, const int fine,
+                   const int coarse, const int last, __global float *pyramid)
+{
+    const int begin = get_global_id(0) * PUSHED, y = get_global_id(1);
+    if (begin >= columns || y >= rows)
+        return;
+    const int fine_plane = fine_rows * fine_columns, plane = rows * columns;
+    __global const float *from = pyramid + fine;
+    __global float *to = pyramid + coarse + y * columns;
+    if (begin > 0 && 2 * begin + 2 * PUSHED < fine_columns) {
+        push_some(from + 2 * begin - 1, fine_rows, fine_columns, y, plane, last, to + begin);
+        return;
+    }
+    for (int x = begin; x < MIN(begin + PUSHED, columns); ++x) {
+        float total = 0, sum[CHANNELS];
+        for (int c = 0; c < CHANNELS; ++c)
+            sum[c] = 0;
+        for (int i = 0; i < 4; ++i)
+            for (int j = 0; j < 4; ++j) {
+                const int row = 2 * y + i - 1, column = 2 * x + j - 1;
+                if (row < 0 || row >= fine_rows || column < 0 || column >= fine_columns)
+                    continue;
+                const int at = row * fine_columns + column;
+                const float known = TENT[i] * TENT[j] * from[KNOWN * fine_plane + at];
+                total += known;
+                for (int c = 0; c < CHANNELS; ++c)
+                    sum[c] += known * from[c * fine_plane + at];
+            }
+        for (int c = 0; c < CHANNELS; ++c)
+            to[c * plane + x] = total > 0 ? sum[c] / total : 0;
+        to[KNOWN * plane + x] = last ? total > 0 : MIN(GROWTH * total, 1.0f);
+    }
+}
+
+// Places of the four pixels of a coarser level around one of the finer level, and the shares of those that are known: of
+// the nearest and the others along a row, and the same in the other row.
+typedef struct {
+    int4 place;
+    float4 share;
+    float sum;
+} around_t;
+
+// known: plane of the coarser level (rows, columns), of 0 and 1. Pixel (y, x) of the finer one.
+static around_t around(__global const float *known, int rows, int columns, int y, int x)
+{
+    const int row = y / 2, other_row = y % 2 ? MIN(row + 1, rows - 1) : MAX(row - 1, 0);
+    const int column = x / 2, other_column = x % 2 ? MIN(column + 1, columns - 1) : MAX(column - 1, 0);
+    around_t near;
+    near.place = (int4)(row, row, other_row, other_row) * columns + (int4)(column, other_column, column, other_column);
+    near.share = (float4)(0.5625f, 0.1875f, 0.1875f, 0.0625f) *
+                 (float4)(known[near.place.x], known[near.place.y], known[near.place.z], known[near.place.w]);
+    near.sum = near.share.x + near.share.y + near.share.z + near.share.w;
+    return near;
+}
+
+// Mean of what is known there; 0 where nothing is.
+static float between(__global const float *plane, around_t near)
+{
+    const float4 light = {plane[near.place.x], plane[near.place.y], plane[near.place.z], plane[near.place.w]};
+    return near.sum > 0 ? dot(near.share, light) / near.sum : 0;
+}
+
+// One pixel of the finer level per work-item: what it does not know, in part or whole, comes from the coarser one.
+// Arguments as for push; coarse is pulled already, or the last one.
+__kernel void pull(const int fine_rows, const int fine_columns, const int rows, const int columns, const int fine,
+                   const int coarse, __global float *pyramid)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= fine_columns || y >= fine_rows)
+        return;
+    const int plane = fine_rows * fine_columns;
+    __global float *to = pyramid + fine + y * fine_columns + x;
+    const float known = to[KNOWN * plane];
+    if (known == 1)
+        return;
+    const around_t near = around(pyramid + coarse + KNOWN * rows * columns, rows, columns, y, x);
+    for (int c = 0; c < CHANNELS && near.sum > 0; ++c)
+        to[c * plane] = known * to[c * plane] + (1 - known) * between(pyramid + coarse + c * rows * columns, near);
+    to[KNOWN * plane] = known > 0 || near.sum > 0;
+}
+
+// Slab `which` with its hidden part, which comes from the second level (rows, columns) of the pyramid, at `coarse`.
+__kernel void take_slab(const camera_t camera, const int which, const int rows, const int columns, const int coarse,
+                        __global const float *value, __global const wide_t *coc, __global const uchar *slab,
+                        __global const uchar *hidden, __global const float *pyramid,
+                        __global float *slab_value, __global wide_t *slab_coc, __global uchar *slab_valid)
+{
+    const int x = get_global_id(0), y = get_global_id(1), plane = camera.height * camera.width;
+    if (x >= camera.width || y >= camera.height)
+        return;
+    const int at = y * camera.width + x;
+    const bool own = slab[at] == which, there = own || hidden[at] == which;
+    __global const float *behind = pyramid + coarse;
+    slab_value[(CHANNELS - 1) * plane + at] = there;
+    slab_valid[at] = there;
+    if (own || !there) {
+        for (int c = 0; c < CHANNELS - 1; ++c)
+            slab_value[c * plane + at] = own ? value[c * plane + at] : 0;
+        slab_coc[at] = own ? coc[at] : widened(0);
+        return;
+    }
+    const around_t near = around(behind + KNOWN * rows * columns, rows, columns, y, x);
+    for (int c = 0; c < CHANNELS - 1; ++c)
+        slab_value[c * plane + at] = between(behind + c * rows * columns, near);
+    slab_coc[at] = widened(between(behind + RADIUS * rows * columns, near));
+}
+
+// Leaves only the sources near edges, or only the others. In: edge. In and out: source.
+__kernel void keep_sources(const camera_t camera, const int near_edges, __global const uchar *edge,
+                           __global float *source)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= camera.width || y >= camera.height)
+        return;
+    const int at = y * camera.width + x;
+    if (edge[at] != near_edges)
+        source[at] = -1;
+}
+
+// Adds a blurred slab behind those before. It gets the room that they have left, all of it: at a cut through a
+// continuous surface the two coverages add up to that of the whole, and nothing is lost. In: blurred float (CHANNELS,
+// rows, from_pitch), with scratch columns as `total` in blur.cl. In and out: covered float (rows, columns), total.
+__kernel void composite(const camera_t camera, const int from_pitch, const int from_pad,
+                        __global const float *blurred, __global float *covered,
+#if SCATTER
+                        const float scale, __global fixed_t *total
+#else
+                        const int pitch, const int pad, __global float *total
+#endif
+)
+{
+    const int column = get_global_id(0), row = get_global_id(1);
+    if (column >= camera.columns || row >= camera.rows)
+        return;
+    __global const float *light = blurred + row * from_pitch + column + from_pad;
+    const int at = row * camera.columns + column, plane = camera.rows * from_pitch;
+    const float coverage = light[(CHANNELS - 1) * plane], before = covered[at];
+    const float room = MIN(coverage, MAX(coverage, 1.0f) - before), seen = MAX(room, 0.0f);
+    const float share = seen < coverage ? seen / coverage : 1;
+    for (int c = 0; c < CHANNELS - 1; ++c) {
+#if SCATTER
+        const float fixed = floor(light[c * plane] * share * scale + 0.5f);
+        total[c * camera.rows * camera.columns + at] += (fixed_t)fixed;
+#else
+        total[(c * camera.rows + row) * pitch + column + pad] += light[c * plane] * share;
+#endif
+    }
+    covered[at] = before + seen;
+}

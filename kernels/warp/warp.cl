@@ -1,0 +1,373 @@
+// Forward warp: the pixels of the frame at rest move and are projected to the nearest pixel of the padded grid
+// (thesis, 4.3.3). Twin: clsco/reference/warp/warp.py.
+//
+//   rest     wide_t per source (pixel of the frame, row-major): inverse depth at rest, 1/mm, 0 for no surface
+//   target   int per source: pixel of the padded grid that it moves to, -1 for none
+//   moved    wide_t per source: its inverse depth after the move, 1/mm, 0 for none
+//   winner   int per pixel of the padded grid: lowest source among the nearest that come there, NO_WINNER for none
+//   object   uchar per source, with SEVERAL: which object it belongs to, 0 where there is none
+//
+// The source in a pixel at rest is the nearest of all surfaces there; it moves with its object. `count` objects have a
+// surface, a pose and a texture each. Those in `members` are met by rays; the others are depth maps (MAPPED), whose
+// surface_t has only the center.
+//
+// Depths are compared as floats, so that rounding in the last digit of a double decides nothing: of equal ones the
+// first source wins. On CPUs (OWNED) a work-item owns a band of the padded grid and walks the sources that come there
+// in their order, without atomics; elsewhere two passes of atomics find the same winners.
+// Features besides geometry.clh's: OWNED, MAPPED, FILL_FAR (surfaces at several depths).
+
+// The position p of a source in px is snapped to 1/4096 px and then rounded half up, so that errors far below a step
+// cannot move it across a pixel's edge. Both roundings in one are floor(p + ROUND).
+#define ROUND ((real)(0.5 + 0.5 / 4096))
+#define NO_WINNER INT_MAX
+#define NO_OBJECT 255
+#define SAME_DEPTH 1.02f  // relative: neighbors at rest that differ by less are one surface
+#define WIDEST_GAP 3      // px on each side: surfaces may grow to four times their size
+
+// Sources of a row that a work-item moves. PoCL vectorizes a loop over them, but not work-items of one source each.
+#if OWNED
+#define SEGMENT 64
+#else
+#define SEGMENT 1
+#endif
+
+// Inverse depth and object of every source; `surfaces` are at rest; maps real (depth maps, rows, columns): inverse
+// depths at rest. Of equally near objects the first counts. Out: rest, object.
+__kernel void reproject_rest(const camera_t camera, __constant surface_t *surfaces, const int count,
+                             const ulong members,
+#if MAPPED
+                             __global const wide_t *maps,
+#endif
+                             __global wide_t *rest
+#if SEVERAL
+                             , __global uchar *object
+#endif
+)
+{
+    const int column = get_global_id(0), row = get_global_id(1);
+    if (column >= camera.columns || row >= camera.rows)
+        return;
+    const int at = row * camera.columns + column;
+    const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
+    wide_t nearest = widened(0);
+    int whose = 0;
+#if MAPPED
+    for (int k = 0; k < count; ++k) {
+        uchar root;
+        const bool is_map = !(members >> k & 1);
+        const wide_t w = is_map ? maps[at] : solve_quadric(surfaces + k, ray, &root);
+        maps += is_map ? camera.rows * camera.columns : 0;
+        const bool nearer = wide_less(nearest, w);
+        whose = nearer ? k : whose;
+        nearest = nearer ? w : nearest;
+    }
+#else
+    const layer_t layer = {members, 0, count, -1, 0};
+    uchar label;
+    nearest = nearest_surface(surfaces, layer, ray, &label, &whose);
+#endif
+    rest[at] = nearest;
+#if SEVERAL
+    object[at] = whose < 0 ? 0 : whose;
+#endif
+}
+
+// Moves the sources of object k in columns begin to end of a row by its pose, about the center of its surface at rest.
+// Gives the lowest and highest target, (INT_MAX, -1) for none.
+static inline int2 move_sources(const camera_t camera, __constant surface_t *surface, __constant pose_t *pose, int row,
+                                int begin, int end, __global const wide_t *restrict rest, __global int *restrict target,
+                                __global wide_t *restrict moved
+#if SEVERAL
+                                , __global const uchar *restrict object, int k
+#endif
+)
+{
+    // With the ray r, R r + w offset is the moved point times w. Component by component, and the divisions taken out:
+    // PoCL vectorizes no loop that computes with vectors.
+    __constant real *R = pose->rotation, *center = surface->rest;
+    const wide3_t turn = turned(R, wide_load(center)), shifted = wide3_add(wide_load(center), wide_load(pose->shift));
+    const wide_t across = wide_sub(shifted.x, turn.x), up = wide_sub(shifted.y, turn.y);
+    const wide_t away = wide_sub(shifted.z, turn.z);
+    const wide_t step = WIDE_FIELD(camera.step), y = pixel_ray(camera, widened(row), widened(0)).y;
+    const wide_t line_x = wide_add(wide_mul(wide_part(R, 9, 1), y), wide_part(R, 9, 2));
+    const wide_t line_y = wide_add(wide_mul(wide_part(R, 9, 4), y), wide_part(R, 9, 5));
+    const wide_t line_z = wide_add(wide_mul(wide_part(R, 9, 7), y), wide_part(R, 9, 8));
+    const wide_t R_x = wide_part(R, 9, 0), R_y = wide_part(R, 9, 3), R_z = wide_part(R, 9, 6);
+    const real middle = (real)0.5 * (camera.columns - 1);
+    const wide_t inverse_step = wide_div(widened(1), step);
+    // Where a position is 0 on the padded grid, and one more, so that what is negative is below 1.
+    const wide_t right = widened(middle + (camera.guard + 1) + ROUND);
+    const wide_t down = widened((real)0.5 * (camera.rows - 1) + (camera.guard + 1) + ROUND);
+    const wide_t first = widened(1), bottom = widened(camera.height + 1), edge = widened(camera.width + 1);
+    int lowest = INT_MAX, highest = -1;
+    for (int column = begin; column < end; ++column) {
+        const int at = row * camera.columns + column;
+        const wide_t w = rest[at], x = wide_mul(step, widened(column - middle));
+        const wide_t px = wide_add(wide_add(wide_mul(R_x, x), line_x), wide_mul(across, w));
+        const wide_t py = wide_add(wide_add(wide_mul(R_y, x), line_y), wide_mul(up, w));
+        const wide_t pz = wide_add(wide_add(wide_mul(R_z, x), line_z), wide_mul(away, w));
+        const wide_t nearness = wide_div(widened(1), pz), scale = wide_mul(nearness, inverse_step);
+        const wide_t i = wide_sub(down, wide_mul(py, scale)), j = wide_add(right, wide_mul(px, scale));
+        const wide_t depth = wide_mul(w, nearness), none = widened(0);
+        bool used = narrow(w) > 0 && narrow(pz) > 0 && !wide_less(i, first) && wide_less(i, bottom) &&
+                    !wide_less(j, first) && wide_less(j, edge);
+#if SEVERAL
+        const bool mine = object[at] == k;
+        used = used && mine;
+#endif
+        const int line = wide_whole(used ? i : first), place = wide_whole(used ? j : widened(0));
+        const int to = line * camera.width + place - camera.width - 1;
+#if SEVERAL
+        target[at] = mine ? to : target[at];
+        moved[at] = used ? depth : mine ? none : moved[at];
+#else
+        target[at] = to;
+        moved[at] = used ? depth : none;
+#endif
+        lowest = MIN(lowest, used ? to : INT_MAX);
+        highest = MAX(highest, to);
+    }
+    return (int2)(lowest, highest);
+}
+
+// Moves every source with its object. In: rest, object. Out: target, moved, and with OWNED bounds int2 per SEGMENT of a
+// row: lowest and highest target there, (INT_MAX, -1) for none.
+__kernel void reproject_targets(const camera_t camera, __constant surface_t *surfaces, __constant pose_t *poses,
+                                __global const wide_t *restrict rest, __global int *restrict target,
+                                __global wide_t *restrict moved
+#if SEVERAL
+                                , __global const uchar *restrict object
+#endif
+#if OWNED
+                                , __global int2 *restrict bounds
+#endif
+)
+{
+    const int id = get_global_id(0), each = (camera.columns + SEGMENT - 1) / SEGMENT, row = id / each;
+    if (row >= camera.rows)
+        return;
+    const int begin = id % each * SEGMENT, end = MIN(begin + SEGMENT, camera.columns);
+#if SEVERAL
+    ulong present = 0;
+    for (int column = begin; column < end; ++column)
+        present |= (ulong)1 << object[row * camera.columns + column];
+    int2 range = (int2)(INT_MAX, -1);
+    for (int k = 0; present >> k; ++k) {
+        if (!(present >> k & 1))
+            continue;
+        const int2 own =
+            move_sources(camera, surfaces + k, poses + k, row, begin, end, rest, target, moved, object, k);
+        range = (int2)(MIN(range.x, own.x), MAX(range.y, own.y));
+    }
+#else
+    const int2 range = move_sources(camera, surfaces, poses, row, begin, end, rest, target, moved);
+#endif
+#if OWNED
+    bounds[id] = range;
+#endif
+}
+
+#if OWNED
+// The whole depth test: each work-item owns `band` rows of the padded grid. In: target, moved, bounds. Out: winner; with
+// FILL_FAR depth, as reproject_depth gives it.
+__kernel void reproject_nearest(const camera_t camera, __global const int *target, __global const wide_t *moved,
+                                __global const int2 *bounds, const int band, __global int *winner
+#if FILL_FAR
+                                , __global int *depth
+#endif
+)
+{
+    const int first = get_global_id(0) * band;
+    if (first >= camera.height)
+        return;
+    const int begin = first * camera.width, end = MIN(first + band, camera.height) * camera.width;
+    const int each = (camera.columns + SEGMENT - 1) / SEGMENT;
+    for (int to = begin; to < end; ++to)
+        winner[to] = NO_WINNER;
+    for (int segment = 0; segment < camera.rows * each; ++segment) {
+        const int2 range = bounds[segment];
+        if (range.x >= end || range.y < begin)
+            continue;
+        const int row = segment / each, column = segment % each * SEGMENT;
+        const int from = row * camera.columns + column, sources = MIN(SEGMENT, camera.columns - column);
+        for (int i = from; i < from + sources; ++i) {
+            const int to = target[i];
+            if (to < begin || to >= end)
+                continue;
+            const int other = winner[to];
+            if (other == NO_WINNER || (float)narrow(moved[i]) > (float)narrow(moved[other]))
+                winner[to] = i;
+        }
+    }
+#if FILL_FAR
+    for (int to = begin; to < end; ++to)
+        depth[to] = winner[to] == NO_WINNER ? 0 : as_int((float)narrow(moved[winner[to]]));
+#endif
+}
+#else
+// Largest inverse depth that comes to each pixel. In: target, moved. In and out: depth, bits of a float per pixel of
+// the padded grid, 0 to begin with; floats > 0 keep their order as ints.
+__kernel void reproject_depth(const camera_t camera, __global const int *target, __global const wide_t *moved,
+                              __global int *depth)
+{
+    const int i = get_global_id(0);
+    if (i >= camera.rows * camera.columns)
+        return;
+    if (target[i] >= 0)
+        atomic_max(depth + target[i], as_int((float)narrow(moved[i])));
+}
+
+// Lowest source that brings it. In: target, moved, depth. In and out: winner, NO_WINNER to begin with.
+__kernel void reproject_winner(const camera_t camera, __global const int *target, __global const wide_t *moved,
+                               __global const int *depth, __global int *winner)
+{
+    const int i = get_global_id(0);
+    if (i >= camera.rows * camera.columns)
+        return;
+    const int to = target[i];
+    if (to >= 0 && depth[to] == as_int((float)narrow(moved[i])))
+        atomic_min(winner + to, i);
+}
+#endif
+
+#if FILL_FAR
+// The first winner that is nearer than `bound`, in steps of (right, down) from a pixel; -1 for none.
+static int nearer_pixel(const camera_t camera, __global const int *depth, int x, int y, int right, int down,
+                        float bound)
+{
+    for (int step = 1; step <= WIDEST_GAP; ++step) {
+        x += right;
+        y += down;
+        if (x < 0 || x >= camera.width || y < 0 || y >= camera.height)
+            return -1;
+        if (as_float(depth[y * camera.width + x]) > bound)
+            return y * camera.width + x;
+    }
+    return -1;
+}
+
+// Whether a winner is seen only through a surface that has grown: on opposite sides are nearer ones that were neighbors
+// at rest, on one surface, which was closed between them.
+static bool shows_through(const camera_t camera, __global const int *depth, __global const int *winner, int x, int y)
+{
+    const float bound = SAME_DEPTH * as_float(depth[y * camera.width + x]);
+    for (int k = 0; k < 4; ++k) {
+        const int right = k == 1 ? 0 : 1, down = k == 0 ? 0 : k == 3 ? -1 : 1;
+        const int before = nearer_pixel(camera, depth, x, y, -right, -down, bound);
+        const int after = before < 0 ? -1 : nearer_pixel(camera, depth, x, y, right, down, bound);
+        if (after < 0)
+            continue;
+        const int a = winner[before], b = winner[after];
+        const int rows = a / camera.columns - b / camera.columns, columns = a % camera.columns - b % camera.columns;
+        const float first = as_float(depth[before]), second = as_float(depth[after]);
+        if (ABS(rows) <= 1 && ABS(columns) <= 1 && MAX(first, second) <= SAME_DEPTH * MIN(first, second))
+            return true;
+    }
+    return false;
+}
+
+// Leaves out what only shows through another surface, SEGMENT pixels per work-item. In: depth, winner. Out: valid uchar
+// per pixel of the padded grid, what is known.
+__kernel void reproject_gaps(const camera_t camera, __global const int *restrict depth, __global const int *winner,
+                             __global uchar *restrict valid)
+{
+    const int begin = get_global_id(0) * SEGMENT, y = get_global_id(1);
+    if (begin >= camera.width || y >= camera.height)
+        return;
+    const int end = MIN(begin + SEGMENT, camera.width);
+    __global const int *line = depth + y * camera.width;
+    for (int x = begin; x < end; ++x)
+        valid[y * camera.width + x] = line[x] > 0;
+    // Most segments lie amid one surface. Floats > 0 keep their order as ints, whose extrema PoCL vectorizes.
+    int lowest = INT_MAX, highest = 0;
+    for (int x = begin; x < end; ++x)
+        lowest = MIN(lowest, line[x] > 0 ? line[x] : INT_MAX);
+    const int left = MAX(begin - WIDEST_GAP, 0), right = MIN(end + WIDEST_GAP, camera.width);
+    for (int i = MAX(y - WIDEST_GAP, 0); i <= MIN(y + WIDEST_GAP, camera.height - 1); ++i)
+        for (int x = left; x < right; ++x)
+            highest = MAX(highest, depth[i * camera.width + x]);
+    if (!(as_float(highest) > SAME_DEPTH * as_float(lowest)))  // nor for the NaN of no winner at all
+        return;
+    for (int x = begin; x < end; ++x)
+        if (line[x] > 0 && shows_through(camera, depth, winner, x, y))
+            valid[y * camera.width + x] = 0;
+}
+#endif
+
+// What the winners bring. In: texture float (textures, CHANNELS, rows, columns), of which each surface names its own;
+// moved, winner, object; weight of this moment in the exposure. Out, on the padded grid: value float (CHANNELS, height,
+// width), radiance times weight; w wide_t, inverse depth in 1/mm; coc wide_t, signed radius in px; valid uchar, there is a
+// winner; status uchar, 0; seen uchar, with SEVERAL, its object. All 0 without one, and seen NO_OBJECT. With FILL_FAR
+// valid is from reproject_gaps, and winners of other pixels do not count.
+__kernel void reproject_gather(const camera_t camera, const float weight, __global const float *texture,
+                               __global const wide_t *moved, __global const int *winner,
+#if SEVERAL
+                               __constant surface_t *surfaces, __global const uchar *object,
+#endif
+                               __global float *value, __global wide_t *w, __global wide_t *coc, __global uchar *valid,
+                               __global uchar *status
+#if SEVERAL
+                               , __global uchar *seen
+#endif
+)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= camera.width || y >= camera.height)
+        return;
+    const int at = y * camera.width + x, source = winner[at];
+#if FILL_FAR
+    const bool known = valid[at];
+#else
+    const bool known = source != NO_WINNER;
+    valid[at] = known;
+#endif
+    const wide_t none = widened(0), inverse_depth = known ? moved[source] : none;
+#if SEVERAL
+    const int whose = known ? object[source] : NO_OBJECT;
+    seen[at] = whose;
+    texture += known ? (size_t)surfaces[whose].texture * CHANNELS * camera.rows * camera.columns : 0;
+#endif
+    for (int c = 0; c < CHANNELS; ++c)
+        value[c * camera.height * camera.width + at] =
+            known ? weight * texture[c * camera.rows * camera.columns + source] : 0;
+    w[at] = inverse_depth;
+    coc[at] = known ? blur_radius(camera, inverse_depth) : none;
+    status[at] = 0;
+}
+
+#if MAPPED
+// A depth map knows nothing outside of the frame: there the image goes on as its mirror image, as textures do. In and
+// out, on the padded grid: value, w, coc, valid as in reproject_gather; pixels outside of the frame that are not valid
+// take what is in their mirror image.
+__kernel void extend_border(const camera_t camera, __global float *value, __global wide_t *w, __global wide_t *coc,
+                            __global uchar *valid)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= camera.width || y >= camera.height)
+        return;
+    const int column = x - camera.guard, row = y - camera.guard, at = y * camera.width + x;
+    const bool inside = column >= 0 && column < camera.columns && row >= 0 && row < camera.rows;
+    const int from = (mirror_index(row, camera.rows) + camera.guard) * camera.width +
+                     mirror_index(column, camera.columns) + camera.guard;
+    if (inside || valid[at] || !valid[from])
+        return;
+    const int plane = camera.width * camera.height;
+    for (int c = 0; c < CHANNELS; ++c)
+        value[c * plane + at] = value[c * plane + from];
+    w[at] = w[from];
+    coc[at] = coc[from];
+    valid[at] = 1;
+}
+#endif
+
+// Keeps the range of the radii of a moment. In: coc, valid, as in reproject_gather. In and out: statistics.
+__kernel void note_radii(const camera_t camera, __global const wide_t *coc, __global const uchar *valid,
+                         __global int *statistics)
+{
+    const int begin = get_global_id(0) * SEGMENT, y = get_global_id(1);
+    if (begin >= camera.width || y >= camera.height)
+        return;
+    for (int x = begin; x < MIN(begin + SEGMENT, camera.width); ++x)
+        if (valid[y * camera.width + x])
+            note_radius(statistics, narrow(coc[y * camera.width + x]));
+}

@@ -1,0 +1,108 @@
+"""The examples of the README and of docs/ work as they stand."""
+
+from __future__ import annotations
+
+import re
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clsco
+from clsco.cli.main import main
+from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = {path.relative_to(ROOT).as_posix(): path.read_text("utf-8") for path in sorted((ROOT / "docs").glob("*.md"))}
+PAGES["README.md"] = (ROOT / "README.md").read_text("utf-8")
+
+
+def blocks(language: str, page: str = "README.md") -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", PAGES[page], re.DOTALL)
+
+
+def test_the_scene_is_valid(tmp_path: Path) -> None:
+    (text,) = blocks("toml", "docs/scene_files.md")
+    path = tmp_path / "scene.toml"
+    path.write_text(text, "utf-8")
+    scene = clsco.load_scene(path)
+    assert (scene.title, scene.sequence.frames, scene.camera.aperture_diameter) == ("Turning ball", 3, 10.0)
+    assert scene.objects[0].motion.moves
+
+
+def test_the_python_of_the_readme_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    (text,) = blocks("python")
+    exec(text, {})
+    assert re.fullmatch(r"\(512, 512\) 250\.\d+ mm\n", capsys.readouterr().out)
+
+
+def test_the_python_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.chdir(ROOT)
+    whole = clsco.load_scene
+    small = ["camera.resolution=[48, 32]", "camera.pixel_pitch=0.1"]
+    monkeypatch.setattr(clsco, "load_scene", lambda path: whole(path, small))
+    given: dict[str, Any] = {"image": np.ones((9, 12), np.float32), "blur_radius": np.full((9, 12), 2.0, np.float32)}
+    given["mask"] = np.eye(9, 12, dtype=np.bool_)
+    first, second = blocks("python", "docs/python.md")
+    exec(first, given)
+    assert capsys.readouterr().out.count("(32, 48)") == 3
+    exec(second, given | {"clsco": clsco})
+
+
+def test_commands_and_outputs_are_all_named() -> None:
+    assert set(re.findall(r"^\| `clsco (\w+)", PAGES["docs/commands.md"], re.MULTILINE)) == set(main.commands)
+    named = re.findall(r"^\| `(\w+)` \| (?:float32|bool|u?int\d+)", PAGES["docs/outputs.md"], re.MULTILINE)
+    assert sorted(named) == sorted(["color", *TRUTH_NAMES, *STEREO_NAMES])
+
+
+def test_options_and_examples_of_files_exist() -> None:
+    (command,) = (block for block in blocks("sh", "docs/depth_maps.md") if "clsco defocus" in block)
+    options = {name for option in main.commands["defocus"].params for name in option.opts}
+    table = re.findall(r"^\| [^|]+ \| `(--unit [^`]+)`", PAGES["docs/depth_maps.md"], re.MULTILINE)
+    assert len(table) == 3
+    used = set(re.findall(r"--[\w-]+", " ".join([command, *table])))
+    assert used <= options
+    assert {"--unit", "--scale", "--baseline", "--offset"} <= used
+
+
+def test_keys_exist_and_have_their_defaults() -> None:
+    scene = clsco.parse_scene({"object": [{"shape": "plane"}]})
+    keys = re.findall(r"^\| `(\w+)\.(?!toml)(\w+)` \| (?:`(\w+)`|(\d+))", PAGES["docs/scene_files.md"], re.MULTILINE)
+    assert len(keys) > 5
+    for section, key, word, number in keys:
+        assert key in type(getattr(scene, section)).model_fields
+        default = getattr(getattr(scene, section), key)
+        assert str(default).lower() == (word or number), key
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_exist(page: str) -> None:
+    text, folder = PAGES[page], (ROOT / page).parent
+    for target, part in re.findall(r"\]\(([^)#]*)(?:#([\w-]+))?\)", text):
+        assert (folder / target).exists(), target
+        if part:
+            linked = PAGES[page if not target else (folder / target).resolve().relative_to(ROOT).as_posix()]
+            titles = re.findall(r"^#+ (.*)", linked, re.MULTILINE)
+            assert part in [re.sub(r"[^\w-]", "", title.lower().replace(" ", "-")) for title in titles], part
+    for target in re.findall(r"`((?:benchmarks|examples|docs|\.ci)/[\w./]+)`", text):
+        assert (ROOT / target).exists(), target
+    for name in re.findall(r"`(\w+\.toml)`", text):
+        assert (ROOT / "examples" / name).exists(), name
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_modules_tests_and_targets_of_commands_exist(page: str) -> None:
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE))
+    for module in re.findall(r"python -m ([\w.]+)", PAGES[page]):
+        assert find_spec(module) is not None, module
+    for path in re.findall(r"\btests/[\w/]+\.py", PAGES[page]):
+        assert (ROOT / path).exists(), path
+    for target in re.findall(r"(?:`|^)make ([a-z-]+)", PAGES[page], re.MULTILINE):
+        assert target in targets, target
+
+
+def test_pages_are_linked_from_the_readme() -> None:
+    linked = set(re.findall(r"\]\((docs/\w+\.md)", PAGES["README.md"]))
+    assert linked == PAGES.keys() - {"README.md"}

@@ -1,0 +1,262 @@
+"""The ray tracer that judges the package, against closed forms."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from clsco.cli.bench.raytracer import pinhole_depth, prepare, rotation_matrix, trace, trace_converged
+
+PITCH, S0, APERTURE = 0.01, 20.0, 10.0
+FOCUS_TERM = 1 / 20.0 - 1 / 21.739
+KAPPA = S0 * APERTURE / (2 * PITCH)  # px mm: R = KAPPA (K - 1/Z)
+
+
+def body(shape: str, velocity: Any = (0, 0, 0), turn: Any = (0, 0, 0), bounds: Any = None, **keys: Any) -> Any:
+    """An object of a scene."""
+    motion = SimpleNamespace(velocity=velocity, angular_velocity=turn)
+    return SimpleNamespace(shape=shape, bounds=bounds, motion=motion, **keys)
+
+
+def plane(distance: float, slope_x: float = 0.0, slope_y: float = 0.0, **keys: Any) -> Any:
+    return body("plane", distance=distance, slope_x=slope_x, slope_y=slope_y, **keys)
+
+
+def scene(*objects: Any, shutter: float = 1.0, rotation: str = "euler") -> Any:
+    """A scene with the camera of the thesis."""
+    camera = SimpleNamespace(
+        focal_length=20.0,
+        aperture_diameter=APERTURE,
+        sensor_distance=21.739,
+        normalization_distance=S0,
+        pixel_pitch=PITCH,
+    )
+    sequence = SimpleNamespace(interval=1.0, shutter=shutter)
+    return SimpleNamespace(camera=camera, sequence=sequence, motion=SimpleNamespace(rotation=rotation), objects=objects)
+
+
+def distance_at(radius_px: float) -> float:
+    """Distance (mm) at which the signed blur radius is `radius_px`."""
+    return 1 / (FOCUS_TERM - radius_px / KAPPA)
+
+
+def noise(rows: int, columns: int, *channels: int) -> NDArray[np.float64]:
+    return np.random.default_rng(7).random((rows, columns, *channels))
+
+
+def moments(image: NDArray[np.float64]) -> tuple[float, NDArray[np.float64], float]:
+    """Energy, centroid (row, column) and mean square distance from it, px."""
+    energy = float(image.sum())
+    grid = np.indices(image.shape)
+    center = (grid * image).sum(axis=(1, 2)) / energy
+    spread = float((((grid - center[:, None, None]) ** 2).sum(0) * image).sum() / energy)
+    return energy, center, spread
+
+
+def test_a_plane_in_focus_reproduces_its_texture() -> None:
+    texture = noise(20, 31, 3)
+    image, error = trace(scene(plane(1 / FOCUS_TERM)), texture, 20, 31, samples=32)
+    # All rays of a pixel end in its texel: sums of 16 equal numbers round by 1e-15 at most.
+    np.testing.assert_allclose(image, texture, rtol=0, atol=1e-14)
+    assert error < 1e-14
+
+
+def test_a_uniform_plane_gives_a_uniform_image_up_to_the_border() -> None:
+    image, _ = trace(scene(plane(240.0, 0.7, -0.4)), np.full((24, 24), 0.37), 24, 24, samples=32)
+    np.testing.assert_allclose(image, 0.37, rtol=0, atol=1e-14)  # as above
+
+
+@pytest.mark.parametrize("radius", [6.0, -4.5])
+def test_a_bright_texel_becomes_a_disc(radius: float) -> None:
+    texture = np.zeros((31, 33))
+    texture[12, 18] = 1.0
+    image, error = trace(scene(plane(distance_at(radius))), texture, 31, 33, samples=16384)
+    energy, center, spread = moments(image)
+    # The mean square error of the frame is `error`^2, that of the sum of its independent pixels 31 x 33
+    # times as much: `sigma`^2. Light lies at most |R| + 1 from the center: a factor to errors of the moments.
+    sigma, reach = math.sqrt(31 * 33) * error, abs(radius) + 1
+    assert 0 < sigma < 0.01
+    assert energy == pytest.approx(1.0, abs=5 * sigma)
+    np.testing.assert_allclose(center, [12, 18], rtol=0, atol=5 * sigma * reach)
+    # A disc's mean square radius is R^2 / 2; the boxes of source and detector pixel add 1/12 each per axis.
+    assert spread == pytest.approx(radius**2 / 2 + 1 / 3, abs=5 * sigma * reach**2)
+    # Far inside, every detector pixel sees the whole texel through a share 1 / (pi R^2) of the lens. The
+    # error is in the pi R^2 lit pixels, 9 of which are averaged.
+    deviation = sigma / math.sqrt(9 * math.pi * radius**2)
+    assert image[11:14, 17:20].mean() == pytest.approx(1 / (math.pi * radius**2), abs=5 * deviation)
+    rows, columns = np.indices(image.shape)
+    assert not image[np.hypot(rows - 12, columns - 18) > abs(radius) + math.sqrt(2)].any()
+
+
+@pytest.mark.parametrize("radius", [6.0, -6.0])
+def test_a_tilted_plane_displaces_the_light_towards_larger_blur(radius: float) -> None:
+    texture = np.zeros((35, 35))
+    texture[17, 17] = 1.0
+    slopes = 12.0, -8.0
+    image, error = trace(scene(plane(distance_at(radius), *slopes)), texture, 35, 35, samples=16384)
+    energy, center, _ = moments(image)
+    # R is linear in the image, so x' = x + R(x) l has the Jacobian 1 + l . grad R exactly. Over the unit disc
+    # the mean of l (l . grad R) is grad R / 4: the centroid moves by R grad R / 4. Rows count downwards.
+    gradient = KAPPA * PITCH / S0 / distance_at(radius) * np.array([-slopes[1], slopes[0]])
+    shift = radius * gradient / 4
+    # As above; the light reaches |R| / (1 - |grad R|) < 9 px, and per axis 4 px at most in the mean square.
+    sigma = 35 * error
+    assert 0 < 5 * sigma * 4 < 0.5 * abs(shift).min()
+    np.testing.assert_allclose(center - 17, shift, rtol=0, atol=5 * sigma * 4)
+    assert energy == pytest.approx(1.0, abs=5 * sigma)
+
+
+def test_a_moving_plane_is_blurred_by_a_box() -> None:
+    length_px, distance = 5, 1 / FOCUS_TERM
+    texture = np.zeros((7, 21))
+    texture[3, 6] = 1.0
+    speed = length_px * PITCH * distance / S0
+    image, error = trace(scene(plane(distance, velocity=(speed, 0, 0))), texture, 7, 21, samples=4096)
+    expected = np.zeros((7, 21))
+    # The texel crosses a pixel box: half a step to enter and to leave, whole steps between.
+    expected[3, 6:12] = np.array([0.5, 1, 1, 1, 1, 0.5]) / length_px
+    assert 0 < error < 2e-4
+    np.testing.assert_allclose(image, expected, rtol=0, atol=5 * 12 * error)  # 12 of 147 pixels hold the error
+
+
+def test_beyond_the_frame_the_texture_is_mirrored() -> None:
+    texture, distance = noise(9, 12), 1 / FOCUS_TERM
+    step = PITCH * distance / S0
+    moved = scene(plane(distance, velocity=(15 * step, -4 * step, 0)), shutter=0.0)
+    image, _ = trace(moved, texture, 9, 12, samples=8, frame=1)
+    expected = np.pad(texture, 15, mode="symmetric")[11:20, 0:12]  # 15 px to the right, 4 px down
+    # The position rounds by 1e-13 px: a ray that close to a texel's edge does not occur.
+    np.testing.assert_allclose(image, expected, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("rotation", ["euler", "axis"])
+def test_a_positive_turn_about_z_is_clockwise(rotation: str) -> None:
+    texture = noise(16, 16)
+    turned = scene(plane(1 / FOCUS_TERM, turn=(0, 0, 90)), shutter=0.0, rotation=rotation)
+    image, _ = trace(turned, texture, 16, 16, samples=8, frame=1)
+    np.testing.assert_allclose(image, np.rot90(texture, -1), rtol=0, atol=1e-14)  # as above
+
+
+def test_the_matrix_of_the_thesis_is_three_turns() -> None:
+    angles = np.random.default_rng(3).uniform(-4, 4, (50, 3))
+    turns = [Rotation.from_rotvec(-angle[:, None] * axis) for angle, axis in zip(angles.T, np.eye(3), strict=True)]
+    flip = np.diag([1.0, 1.0, -1.0])
+    expected = flip @ (turns[2] * turns[1] * turns[0]).as_matrix() @ flip
+    # Products of three sines and cosines round by a few 1e-16.
+    np.testing.assert_allclose(rotation_matrix(angles, False), expected, rtol=0, atol=2e-15)
+    for axis in range(3):
+        single = angles * np.eye(3)[axis]
+        np.testing.assert_allclose(rotation_matrix(single, True), rotation_matrix(single, False), rtol=0, atol=2e-15)
+
+
+CONE = {"apex": (1.0, 2.0, 250.0), "half_angle": 40.0}
+SOLIDS = {
+    "sphere": body("sphere", center=(3.0, -5.0, 280.0), radius=30.0),
+    "ellipsoid": body("ellipsoid", center=(0.0, 1.0, 280.0), semi_axes=(40.0, 25.0, 30.0)),
+    "cylinder": body("cylinder", center=(0.0, 0.0, 280.0), radius=30.0, axis=(1.0, 2.0, 0.5)),
+    "cone": body("cone", nappe="away", **CONE),
+    "saddle": body("quadric", center=(0.0, 0.0, 300.0), coefficients=(0.01, -0.02, 0.0, 0.003, 0, 0.002, 0.1, 0, 1, 2)),
+    "plane": plane(250.0, 0.4, -0.3),
+}
+
+
+def _implicit(item: Any, x: Any, y: Any, z: Any) -> Any:
+    """The surface's equation as a text states it, in mm or without unit; 0 on the surface."""
+    match item.shape:
+        case "plane":
+            return item.distance + item.slope_x * x + item.slope_y * y - z
+        case "cone":
+            x, y, z = x - item.apex[0], y - item.apex[1], z - item.apex[2]
+            return math.tan(math.radians(item.half_angle)) * z - np.hypot(x, y)
+    q = np.stack([x - item.center[0], y - item.center[1], z - item.center[2]])
+    match item.shape:
+        case "sphere":
+            return np.sqrt((q**2).sum(0)) - item.radius
+        case "ellipsoid":
+            return sum((q[i] / item.semi_axes[i]) ** 2 for i in range(3)) - 1
+        case "cylinder":
+            axis = np.array(item.axis) / np.linalg.norm(item.axis)
+            return np.linalg.norm(np.cross(q, axis, axisa=0), axis=-1) - item.radius
+    u, v, w = q
+    terms = (u * u, v * v, w * w, u * v, v * w, u * w, u, v, w, np.ones_like(u))
+    return sum(k * term for k, term in zip(item.coefficients, terms, strict=True))
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_hits_lie_on_the_surface(name: str) -> None:
+    item, size = SOLIDS[name], 512
+    depth = pinhole_depth(scene(item), size, size, [0.0])[0]
+    offset = (np.arange(size) - (size - 1) / 2) * PITCH / S0
+    seen = np.isfinite(depth)
+    rows, columns = np.nonzero(seen)
+    z = depth[seen]
+    x, y = offset[columns] * z, -offset[rows] * z
+    assert seen.sum() > 50_000
+    # Depths near 300 round by 1e-13; at the limb the root of a discriminant that rounds by 1e-16 of b^2 gives
+    # 1e-8 of the depth, along a ray that touches the surface: second order in its distance again.
+    assert abs(_implicit(item, x, y, z)).max() < 1e-9
+    if name in ("sphere", "ellipsoid"):
+        assert z.max() < item.center[2]  # the near side, before the center
+
+
+def test_nappes_and_bounds_choose_the_root() -> None:
+    away = pinhole_depth(scene(body("cone", nappe="away", **CONE)), 64, 64, [0.0])[0]
+    towards = pinhole_depth(scene(body("cone", nappe="towards", **CONE)), 64, 64, [0.0])[0]
+    assert away.min() >= 250
+    assert towards.max() <= 250
+    ball = {"center": (0.0, 0.0, 280.0), "radius": 30.0}
+    far_half = ((-99, 99), (-99, 99), (0, 99))
+    depth = pinhole_depth(scene(body("sphere", bounds=far_half, **ball)), 65, 65, [0.0])[0]
+    # On the axis 280 + 30, exact but for the rounding of the root.
+    assert depth[32, 32] == pytest.approx(310.0, abs=1e-10)
+
+
+def test_the_nearest_of_several_objects_wins_whatever_their_order() -> None:
+    card = plane(240.0, bounds=((-1, 1), (-1, 1), (-1, 1)))
+    wall = plane(250.0)
+    bright, dark = np.ones((32, 32)), np.full((32, 32), 0.25)
+    first, _ = trace(scene(card, wall), [bright, dark], 32, 32, samples=256)
+    second, _ = trace(scene(wall, card), [dark, bright], 32, 32, samples=256)
+    np.testing.assert_array_equal(first, second)
+    # 2 mm at 240 mm are 16.7 px, blurred by 1.7 px: the middle is the card alone, the corner the wall alone.
+    assert first[16, 16] == 1.0
+    assert first[0, 0] == 0.25
+    assert len(np.unique(first)) > 10
+
+
+def test_converges_below_the_noise_asked_for_and_reads_its_cache(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ball, texture = scene(body("sphere", center=(0.0, 0.0, 280.0), radius=3.0)), noise(64, 64)
+    image, error = trace_converged(ball, texture, 64, 64, noise=1e-3, cache=tmp_path)
+    assert 0 < error < 1e-3
+    assert "samples" in capsys.readouterr().out
+    reference, reference_error = trace(ball, texture, 64, 64, samples=8192, seed=1)
+    # Independent estimates differ by the root of the sum of their mean squares. Each of the three is a mean
+    # over the 1,400 pixels of the ball, 1 / sqrt(2 * 1400) = 2 % off, some 4 % together: five times that.
+    difference = math.sqrt(np.mean((image - reference) ** 2))
+    assert difference == pytest.approx(math.hypot(error, reference_error), rel=0.2)
+    again, same = trace_converged(ball, texture, 64, 64, noise=1e-3, cache=tmp_path)
+    assert capsys.readouterr().out == ""
+    assert same == error
+    np.testing.assert_array_equal(again, image)
+    assert [path.suffix for path in tmp_path.iterdir()] == [".npz"]
+
+
+def test_what_cannot_be_traced_is_refused() -> None:
+    flat = scene(plane(250.0))
+    with pytest.raises(ValueError, match=r"shape must be analytic; got 'depth_map'"):
+        prepare(scene(body("depth_map")), np.zeros((4, 4)), 4, 4)
+    with pytest.raises(ValueError, match=r"4 x 4 texels; got \(4, 5\)"):
+        prepare(flat, np.zeros((4, 5)), 4, 4)
+    with pytest.raises(ValueError, match="one per object, 1; got 2"):
+        prepare(flat, [np.zeros((4, 4))] * 2, 4, 4)
+    with pytest.raises(ValueError, match="at least 2, one for each half; got 1"):
+        trace(flat, np.zeros((4, 4)), 4, 4, samples=1)

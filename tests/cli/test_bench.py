@@ -1,0 +1,405 @@
+"""The benchmark: its rows and files, what it refuses, and its arithmetic; no test looks at how long something took."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import product
+from math import inf
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from clsco.cli.bench import measure, peers, report
+from clsco.cli.bench.cases import (
+    FULL,
+    PSFS,
+    QUICK,
+    Case,
+    Grid,
+    Precision,
+    channels_of,
+    crop_of,
+    grid_cases,
+    make_grid,
+    mean_taps,
+    radius_map,
+)
+from clsco.cli.bench.measure import Bench, front
+from clsco.cli.bench.paces import Paces
+from clsco.cli.bench.passes import Pass
+from clsco.cli.bench.roofline import Roof, intensity, multiply_add_rate, tap_rate, triad_rate
+from clsco.cli.main import main
+from clsco.errors import ClscoError, ImageError
+from clsco.opencl.session import Session
+from clsco.plan.memory import row_bytes
+from clsco.plan.methods import Blur
+from clsco.scene.model import Psf
+
+FIGURE = 1e-5  # of white, as in tests/test_defocus.py
+METHODS = set(get_args(Blur)) - {"none"}
+FILES = ["bench.csv", "bench.json", "radius.png", "roofline.png", "size.png", "speed_error.png"]
+SMALL = Grid(
+    sizes=(24, 40),
+    radii=(2.5,),
+    channels=(3,),
+    precisions=("double",),
+    rounds=2,
+    longest_s=100.0,
+    once_s=100.0,
+    slowest=inf,
+)
+
+
+def bench_(*words: object) -> Result:
+    return CliRunner().invoke(main, ["bench", *map(str, words)])
+
+
+def test_a_grid_has_all_combinations_that_the_device_can_do() -> None:
+    both = replace(SMALL, precisions=get_args(Precision), channels=(1, 3))
+    cases, single = grid_cases(both, has_fp64=True), grid_cases(both, has_fp64=False)
+    assert len(set(cases)) == len(cases) == 2 * len(single) == 4 * len(grid_cases(SMALL, has_fp64=True))
+    assert {(case.precision, case.channels) for case in cases} == set(product(both.precisions, both.channels))
+    assert {case.precision for case in single} == {"single"}
+    large = grid_cases(replace(both, both_to=24), has_fp64=True)
+    assert {(case.size, case.precision) for case in large} == {(24, "double"), (24, "single"), (40, "double")}
+
+
+@pytest.fixture(scope="module")
+def steps() -> list[int]:
+    return []
+
+
+@pytest.fixture(scope="module")
+def measured(session: Session, steps: list[int]) -> Bench:
+    return measure.run(SMALL, session.device, [], lambda: steps.append(1))
+
+
+def test_plots_show_the_largest_size_that_is_whole(measured: Bench) -> None:
+    assert report._size(measured) == 40
+    rows = [row for row in measured.rows if row.size == 24]
+    others = [replace(row, radius=9.0) for row in rows]
+    assert report._size(replace(measured, rows=[*measured.rows, *others])) == 24
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("precision", get_args(Precision))
+def test_gray_images_as_well(session: Session, precision: Precision) -> None:
+    found = measure.run(replace(SMALL, channels=(1,), precisions=(precision,)), session.device, [], lambda: None)
+    assert len(found.rows) == len(grid_cases(SMALL, has_fp64=True))
+    test_every_method_is_close_to_the_reference(found)
+    test_figures_of_a_row_belong_together(found)
+
+
+def test_every_case_has_a_row(measured: Bench, steps: list[int], session: Session) -> None:
+    cases = grid_cases(SMALL, has_fp64=True)
+    names = ("size", "radius", "scene", "psf", "channels", "precision", "tool", "method")
+
+    def keys(things: list[Any]) -> list[tuple[Any, ...]]:
+        return sorted(tuple(getattr(thing, name) for name in names) for thing in things)
+
+    assert keys(measured.rows) == keys(cases)
+    assert len(set(cases)) == len(cases) == 2 * len(PSFS) * len(METHODS)
+    assert {case.method for case in cases} == METHODS
+    assert measured.left_out == []
+    assert len(steps) == measure.steps(SMALL, session.device, []) == 3 * len(cases)
+
+
+def test_every_method_is_close_to_the_reference(measured: Bench) -> None:
+    for row in measured.rows:
+        assert 0.0 <= row.rms_error <= row.largest_error < FIGURE, row
+        assert (row.psnr_db is None) == (row.rms_error == 0.0)
+    worst = max(measured.rows, key=lambda row: row.largest_error)
+    assert worst.largest_error > 0.0
+
+
+def test_figures_of_a_row_belong_together(measured: Bench) -> None:
+    for row in measured.rows:
+        assert row.device_ns is not None
+        assert row.gflop_per_s is not None
+        assert row.of_peak is not None
+        assert row.cost_ns == (row.cpu_ns if measured.device["kind"] == "cpu" else row.device_ns)
+        assert row.method in row.kernels_ns
+        assert ("prepare_sources" in row.kernels_ns) == (row.method != "convolve")
+        assert sum(row.kernels_ns.values()) == pytest.approx(row.device_ns)
+        assert row.gflop_per_s * row.device_ns == pytest.approx(2 * row.taps)
+        assert row.of_peak * measured.roof.gflop_per_s == pytest.approx(row.gflop_per_s)
+        assert min(row.cpu_ns, row.wall_ns, row.first_call_s) > 0.0
+        # A color in and one out, and a record of 16 bytes where radii differ.
+        least = row.size**2 * (8 * row.channels + (16 if row.method != "convolve" else 0))
+        assert row.device_bytes is not None
+        assert row.device_bytes >= least
+    assert measured.peak_rss_bytes is None or measured.peak_rss_bytes > 2**20
+
+
+def test_bytes_on_the_device_are_those_of_its_buffers(session: Session) -> None:
+    """In focus nothing hangs over: record, validity, color, radius, the frame with its margins, and scratch."""
+    radii = np.zeros((16, 16))
+    psf = Psf(edge="sampled")
+    one = Pass(session, np.zeros((16, 16), np.float32), radii, psf, "gather", "double")
+    spreader = one.spreader
+    margins = 4 * 16 * spreader.pitch
+    held = [buffer for table in (*spreader.tables, spreader.alike) for buffer in table]
+    tables = sum(buffer.size for buffer in held) + spreader.lens.size
+    assert one.bytes == 256 * (12 + 1 + 4 + 8) + margins + tables + row_bytes(psf, 1, 0, near=True)
+
+
+def test_a_long_call_is_timed_once(session: Session) -> None:
+    grid = replace(SMALL, sizes=(24,), once_s=0.0)
+    calls: list[int] = []
+    found = measure.run(grid, session.device, [], lambda: calls.append(1))
+    assert {row.calls for row in found.rows} == {1}
+    assert len(calls) == measure.steps(grid, session.device, [])
+
+
+def test_what_was_slow_is_left_out_at_larger_sizes() -> None:
+    grid = replace(SMALL, longest_s=1.0, slowest=10.0)
+    paces = Paces(grid)
+    slow, fast = (Case(100, 6.0, "varying", "sampled", 1, "double", "clsco", name) for name in ("scatter", "gather"))
+    peer, other = replace(slow, tool="numba"), replace(slow, radius=20.0)
+    for case, seconds in ((slow, 0.011), (fast, 0.001), (peer, 0.011), (other, 0.011)):
+        assert paces.objection(case) == ""
+        paces.note(case, seconds)
+    larger = [replace(case, size=200) for case in (slow, fast, peer, other)]
+    reasons = [paces.objection(case) for case in larger]
+    assert reasons == ["a way must take 10 times as long as the fastest at most; got 11 at 100 px", "", "", ""]
+    paces.note(larger[1], 0.004)
+    assert paces.objection(replace(slow, size=400)) == reasons[0]
+    assert paces.objection(replace(fast, size=5000)) == "a call must take 1 s at most; got at least 1.2 s, by 200 px"
+    assert paces.objection(replace(fast, size=4000)) == ""
+
+
+def test_what_is_slow_on_its_crop_is_left_out() -> None:
+    """Its light goes beyond the crop: nothing says how long it takes in full size."""
+    paces = Paces(replace(SMALL, slowest=10.0))
+    gather = Case(512, 60.0, "varying", "gaussian", 1, "double", "clsco", "gather")
+    coarse, scatter = replace(gather, method="coarse2"), replace(gather, method="scatter")
+    for case, seconds in ((gather, 0.001), (coarse, 0.05), (scatter, 0.009)):
+        assert paces.crop_objection(case, seconds) == ""
+    why = "a way must take 10 times as long as the fastest at most; got 11 at its crop"
+    assert paces.crop_objection(scatter, 0.011) == why
+    assert paces.objection(replace(scatter, size=1024)) == why
+
+
+@pytest.mark.slow
+def test_light_beyond_the_crop_counts(session: Session) -> None:
+    """A call in full size would take 18 times as long as the crop has it by its pixels alone: up to a minute."""
+    case = Case(512, 60.0, "varying", "gaussian", 1, "double", "clsco", "scatter")
+    first = measure._first(case, session, None)
+    by_pixels = first.warm_s * (case.size / first.crop_px) ** 2
+    why = measure._ready(case, session, 4.0 * by_pixels, Paces(SMALL))  # measured twice, on machines that are noisy
+    assert isinstance(why, str)
+    assert "by its crop" in why
+
+
+def test_light_beyond_the_crop_costs_those_who_blur_it() -> None:
+    """A crop of 39 px with R to 60 px is all border: what is blurred there is four times as wide and high."""
+    first = measure._First(first_call_s=0.1, crop_px=39, rms=0.0, largest=0.0, warm_s=1e-3)
+    whole = Case(3900, 60.0, "constant", "sampled", 1, "double", "clsco", "convolve")
+    assert measure._by_crop(whole, first) == pytest.approx(1e-3 * (3900 / (39 + 2 * 60)) ** 2, rel=0.05)
+    left = replace(whole, scene="varying", method="private", tool="numba")
+    taps = mean_taps(PSFS["sampled"], 60.0, "varying")
+    assert measure._by_crop(left, first) == pytest.approx(1e-3 * 100**2 * taps / 39**2)
+    assert taps > 2 * 39**2
+
+
+def test_no_case_is_begun_when_the_time_is_over() -> None:
+    paces = Paces(replace(SMALL, minutes=1e-9))
+    case = Case(100, 6.0, "varying", "sampled", 1, "double", "clsco", "gather")
+    assert paces.objection(case) == "no case is begun after 1e-09 minutes"
+    assert Paces(replace(SMALL, minutes=1.0)).objection(case) == ""
+
+
+def test_long_cases_are_left_out_with_the_reason(session: Session, tmp_path: Path) -> None:
+    grid = replace(SMALL, sizes=(24,), longest_s=0.0)
+    calls: list[int] = []
+    found = measure.run(grid, session.device, [], lambda: calls.append(1))
+    assert found.rows == []
+    assert len(found.left_out) == len(grid_cases(grid, session.device.has_fp64))
+    assert len(calls) == measure.steps(grid, session.device, [])
+    for case in found.left_out:
+        assert case["method"] in METHODS
+        assert case["why"].startswith("a call must take 0 s at most; got about ")
+    with pytest.raises(ClscoError, match=r"^bench: some case must be short enough; got none, a call must take 0 s"):
+        report.write(tmp_path, found)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_front_is_what_nothing_beats() -> None:
+    rng = np.random.default_rng(3)
+    for count in (0, 1, 2, 30):
+        for _ in range(20):
+            costs, errors = rng.integers(0, 8, (2, count)).astype(float).tolist()  # few values: many are equal
+            expected = [
+                not any(
+                    c <= cost and e <= error and (c < cost or e < error) for c, e in zip(costs, errors, strict=True)
+                )
+                for cost, error in zip(costs, errors, strict=True)
+            ]
+            assert front(costs, errors) == expected
+            assert any(expected) == (count > 0)
+
+
+def test_each_task_has_a_front_of_its_own(measured: Bench) -> None:
+    tasks = {row.task for row in measured.rows}
+    assert len(tasks) == 2 * 2 * len(PSFS)
+    assert {row.task for row in measured.rows if row.on_front} == tasks
+    assert not all(row.on_front for row in measured.rows)
+
+
+def test_rates_of_known_times() -> None:
+    assert triad_rate(1000, 100.0) == 30.0  # 3000 bytes in 100 ns
+    assert multiply_add_rate(items=4, count=5, nanoseconds=100.0) == 32.0  # 4 x 5 steps of 10 x 8 x 2 flop
+    assert tap_rate(taps=50.0, nanoseconds=10.0) == 10.0
+    assert intensity(taps=6.0) == 1.0
+    roof = Roof(gb_per_s=10.0, gflop_per_s=100.0)
+    assert [roof.at(x) for x in (0.5, 10.0, 40.0)] == [5.0, 100.0, 100.0]
+
+
+def test_taps_of_one_radius_are_counted() -> None:
+    """Pixel centers within 2 px; squares of 2 px around those that a disc of 0.5 px touches; 3 sigma of 2.12 px + 1."""
+    assert mean_taps(PSFS["sampled"], 2.0, "constant") == 13.0
+    assert mean_taps(PSFS["integrated, tilt"], 0.5, "constant") == 9.0
+    assert mean_taps(PSFS["gaussian"], 1.0, "constant") == 49.0
+    assert mean_taps(PSFS["sampled"], 2.0, "varying") < 13.0
+
+
+def test_the_crop_lies_in_the_image_and_holds_an_edge() -> None:
+    for size in (16, 100, 512, 8192):
+        for radius in (0.0, 6.0, 60.0):
+            for psf in PSFS.values():
+                rows, columns = crop_of(size, radius, psf)
+                assert 0 <= rows.start < rows.stop <= size
+                assert 0 <= columns.start < columns.stop <= size
+                assert rows.stop - rows.start == columns.stop - columns.start >= min(size, 32)
+    crop = crop_of(2048, 60.0, PSFS["gaussian"])
+    radii = radius_map(2048, 60.0)[crop]
+    assert np.abs(np.diff(radii, axis=1)).max() > 10.0
+
+
+def test_files_hold_all_rows(measured: Bench, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    report.write(tmp_path, measured)
+    assert sorted(path.name for path in tmp_path.iterdir()) == FILES
+    content = json.loads((tmp_path / "bench.json").read_text())
+    assert content["device"]["name"] == measured.device["name"]
+    assert {"clsco", "numpy", "pyopencl", "python"} <= content["versions"].keys()
+    assert content["settings"]["sizes"] == [24, 40]
+    assert content["roof"].keys() == {"gb_per_s", "gflop_per_s"}
+    with open(tmp_path / "bench.csv", newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert len(lines) == len(content["rows"]) == len(measured.rows)
+    for line, row, wanted in zip(lines, content["rows"], measured.rows, strict=True):
+        assert row["cost_ns"] == float(line["cost_ns"]) == pytest.approx(wanted.cost_ns, rel=1e-5)
+        assert (line["method"], line["psf"]) == (wanted.method, wanted.psf)
+
+
+@pytest.mark.parametrize("failure", [OSError("disk full"), RuntimeError("no such font")])
+def test_nothing_is_left_when_a_plot_fails(
+    measured: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failure: Exception
+) -> None:
+    def fail(_: Bench) -> Any:
+        raise failure
+
+    (tmp_path / "bench.csv").write_text("before")
+    plots: dict[str, Callable[[Bench], Any]] = {"speed_error.png": fail}
+    monkeypatch.setattr(report, "PLOTS", plots)
+    with pytest.raises(ImageError if isinstance(failure, OSError) else RuntimeError):
+        report.write(tmp_path, measured)
+    assert [path.name for path in tmp_path.iterdir()] == ["bench.csv"]
+    assert (tmp_path / "bench.csv").read_text() == "before"
+
+
+def test_the_command_writes_and_shows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("matplotlib")
+    small = replace(QUICK, channels=(3,), precisions=("double",), rounds=1, longest_s=100.0)
+    monkeypatch.setattr("clsco.cli.bench.cases.QUICK", small)
+    result = bench_("-o", tmp_path / "new", "--quick", "--size", 20, "--radius", 0, "--radius", 1.5, "--device", "pocl")
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == FILES
+    rows = json.loads((tmp_path / "new/bench.json").read_text())["rows"]
+    assert {(row["size"], row["radius"], row["channels"]) for row in rows} == {(20, 0.0, 3), (20, 1.5, 3)}
+    assert max(row["largest_error"] for row in rows) < FIGURE
+    assert result.stdout.count(" gather ") == sum(row["method"] == "gather" for row in rows) == 2 * len(PSFS)
+    sharp = {row["psnr_db"] for row in rows if row["radius"] == 0.0}
+    assert sharp == {None}  # no error, hence no ratio
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--size", 0), "error: --size: must be 16 to 8192 px; got 0"),
+        (("--size", 8193), "error: --size: must be 16 to 8192 px; got 8193"),
+        (("--radius", -1), "error: --radius: must be 0 to 60 px; got -1"),
+        (("--radius", 61), "error: --radius: must be 0 to 60 px; got 61"),
+        (("--minutes", 0), "error: --minutes: must be above 0; got 0"),
+        (("--minutes", "nan"), "error: --minutes: must be above 0; got nan"),
+        (
+            ("--minutes", 1, "--stability"),
+            "error: --stability: must stand without --compare, --size, --radius and --minutes; got one of them",
+        ),
+        (("--radius", "nan"), "error: --radius: must be 0 to 60 px; got nan"),
+    ],
+)
+def test_bad_options_give_one_message(words: tuple[object, ...], message: str, tmp_path: Path) -> None:
+    result = bench_("-o", tmp_path / "out", *words)
+    assert (result.exit_code, result.stdout, result.stderr.splitlines()) == (1, "", [message])
+    assert not (tmp_path / "out").exists()
+
+
+def without(monkeypatch: pytest.MonkeyPatch, *missing: str) -> None:
+    there = importlib.util.find_spec
+
+    def find_spec(name: str, package: str | None = None) -> Any:
+        return None if name in missing else there(name, package)
+
+    monkeypatch.setattr(report, "find_spec", find_spec)
+    monkeypatch.setattr(peers, "find_spec", find_spec)
+
+
+def test_missing_extras_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    without(monkeypatch, "matplotlib", "numba", "cv2", "mitsuba")
+    lacking = "--compare: needs numba or OpenCV or Mitsuba"
+    for words, what in (((), "bench: needs matplotlib"), (("--compare",), lacking)):
+        result = bench_("-o", tmp_path / "out", "--quick", *words)
+        message = f"error: {what}: pip install 'clsco[bench]'; got no such module"
+        assert (result.exit_code, result.stdout, result.stderr.splitlines()) == (1, "", [message])
+    assert not (tmp_path / "out").exists()
+    without(monkeypatch, "cv2", "mitsuba")
+    assert peers.require_peers() == (["numba"], dict.fromkeys(("OpenCV", "Mitsuba"), peers.NOT_INSTALLED))
+
+
+# Numba compiles each for seconds.
+@pytest.mark.parametrize(
+    "peer",
+    [pytest.param(peer, marks=pytest.mark.slow if peer in peers.PEERS[:4] else ()) for peer in peers.PEERS],
+    ids=lambda peer: "-".join(peer),
+)
+def test_peers_do_the_same(peer: tuple[str, str, Any, str]) -> None:
+    tool, method, scene, psf = peer
+    pytest.importorskip(peers.MODULES[tool])
+    radii = radius_map(40, 3.3) if scene == "varying" else np.full((40, 40), 3.3)
+    image = np.random.default_rng(0).random((40, 40), dtype=np.float32)
+    found = peers.set_up(tool, method, psf, image, radii)()
+    exact = measure.reference(image[..., None], radii, PSFS[psf])[..., 0]
+    error = np.abs(found - exact).max()
+    # GaussianBlur samples where clsco integrates; a table of floats is linear between its radii.
+    assert error < (5e-3 if method == "GaussianBlur" else 2e-5)
+    assert np.abs(found - image).max() > 0.1
+
+
+def test_grids_of_the_options() -> None:
+    assert make_grid(False, [], []) == FULL
+    assert make_grid(True, [], []) == QUICK
+    asked = make_grid(True, [64, 32, 64], [3.0])
+    assert (asked.sizes, asked.radii, asked.rounds) == ((32, 64), (3.0,), QUICK.rounds)
+    assert (asked.lens_size, asked.samples, asked.warp_size) == (0, (), 0)
+    assert 0 not in (QUICK.lens_size, QUICK.warp_size, len(QUICK.samples))
+    image = np.zeros((4, 5, 3), np.float32)
+    assert (channels_of(image, 1).shape, channels_of(image, 3).shape) == ((4, 5), (4, 5, 3))

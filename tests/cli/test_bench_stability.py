@@ -1,0 +1,164 @@
+"""The stability report in its quick form: every row within its bound; files, tables, and what shortfalls do."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from math import inf, nan
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from clsco.cli.bench import degenerate, stabilityreport
+from clsco.cli.bench.command import Stability as Task
+from clsco.cli.bench.hardimages import large_angles, near_objects
+from clsco.cli.bench.rays import FAMILIES
+from clsco.cli.bench.stability import Compared, HardCase, hard_case
+from clsco.cli.bench.stabilityreport import Stability
+from clsco.cli.main import main
+from clsco.errors import ClscoError
+from clsco.opencl.session import Session
+
+
+@pytest.fixture(scope="module")
+def steps() -> list[int]:
+    return []
+
+
+@pytest.fixture(scope="module")
+def measured(session: Session, steps: list[int]) -> Stability:
+    return stabilityreport.run(session.device, True, lambda: steps.append(1))
+
+
+def test_every_hard_case_is_within_its_bound(measured: Stability, steps: list[int]) -> None:
+    for case in measured.cases:
+        assert case.reached, case
+        # What the textbook's form does shows that the case is hard.
+        assert case.worst("naive") > 5 * case.bounds[0] or (case.wrong is not None and case.wrong[0] > 100), case.name
+        assert case.values > 1000
+    assert len(steps) == stabilityreport.steps(True)
+
+
+def test_depths_of_random_rays(measured: Stability) -> None:
+    assert {(one.family, one.precision) for one in measured.rays} == {
+        (family, real) for family in FAMILIES for real in ("float", "double")
+    }
+    for one in measured.rays:
+        assert one.reached, one
+        assert 0 < one.hits < one.rays
+        assert one.certain > 0.95 * one.rays
+        assert one.oracle_bits > 46
+        # Half a unit is the rounding of the depth itself; single precision is nearly as good.
+        assert one.worst_ulp < 0.6
+    assert sum(one.rays for one in measured.rays) >= 2e5
+
+
+def test_degenerate_cases_are_of_the_reference_s_class(measured: Stability) -> None:
+    assert len({one.name for one in measured.degenerate}) >= 200
+    for one in measured.degenerate:
+        assert (one.not_finite, one.other_class) == (0, 0), one
+    double = [one for one in measured.degenerate if one.precision == "double"]
+    assert sum(one.on_edge for one in double) == 0
+    assert sum(one.on_edge for one in measured.degenerate) < 20
+    hits = {name: int(degenerate.reference_hits(target).sum()) for name, target in degenerate.cases().items()}
+    assert hits["sphere about the lens"] == degenerate.ACROSS**2
+    assert hits["nothing"] == hits["imaginary cylinder"] == 0
+    assert len(set(hits.values())) > 40
+
+
+def test_distinct_cases_are_neither_turned_nor_scaled() -> None:
+    targets = degenerate.cases()
+    assert 200 <= len(degenerate.distinct(targets)) < len(targets)
+
+
+@pytest.mark.slow
+def test_a_degenerate_scene_is_rendered(session: Session) -> None:
+    targets = degenerate.cases()
+    names = ("sphere with the lens on it", "plane almost along the axis, 1 mm away")
+    found = degenerate.rendered({name: targets[name] for name in names}, session.device)
+    assert len(found) == 4
+    for one in found:
+        assert (one.not_finite, one.other_class) == (0, 0), one
+        assert bool(one.refused) == (one.name == names[1])
+        assert "the blur radius must be at most 512 px" in one.refused or not one.refused
+        assert one.refused or one.rays == degenerate.ACROSS**2
+
+
+def test_what_needs_no_device(session: Session) -> None:
+    for make in (large_angles, near_objects):
+        case = make(session)
+        assert case.reached, case
+        assert case.worst("naive") > 100 * case.worst("single")
+
+
+def test_files_and_tables(measured: Stability, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    measured = replace(measured, cases=measured.cases[:2])
+    stabilityreport.write(tmp_path, measured)
+    names = ["degenerate.csv", "rays.csv", "stability.csv", "stability.json", "stability.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == names
+    content = json.loads((tmp_path / "stability.json").read_text())
+    assert [case["name"] for case in content["cases"]] == [case.name for case in measured.cases]
+    with open(tmp_path / "stability.csv", newline="") as file:
+        lines = list(csv.DictReader(file))
+    for line, case in zip(lines, measured.cases, strict=True):
+        assert line["case"] == case.name
+        assert float(line["double"]) == pytest.approx(case.worst("double"), rel=1e-5)
+        assert (line["reached"], line["ns_naive"]) == ("True", "")
+    with open(tmp_path / "degenerate.csv", newline="") as file:
+        assert len(list(csv.DictReader(file))) == len(measured.degenerate)
+    assert len(stabilityreport.tables(measured)) == 3
+
+
+def test_what_is_beyond_its_bound_is_told(measured: Stability) -> None:
+    assert measured.shortfalls() == []
+    case, found, outcome = measured.cases[0], measured.rays[0], measured.degenerate[0]
+    worse = replace(
+        measured,
+        cases=[replace(case, bounds=(0.1, 0.1)), replace(case, wrong=(9, 0, 1)), case],
+        rays=[replace(found, misclassified=3)],
+        degenerate=[replace(outcome, not_finite=2)],
+    )
+    lines = worse.shortfalls()
+    assert len(lines) == 4
+    assert "3 misclassified" in lines[2]
+    assert lines[3].endswith("2 not finite, 0 of another class")
+
+
+@pytest.mark.parametrize(("error", "reached"), [(0.5, True), (1.0, True), (1.1, False), (inf, False), (nan, False)])
+def test_a_case_needs_a_finite_error_within_its_bound(error: float, reached: bool) -> None:
+    found = [(1.0, {"naive": Compared(9.0, 1, 2), "single": Compared(error, 0, 2)})]
+    case: HardCase = hard_case("x", "y", "z", found, (1.0, 1.0), "")
+    assert case.reached == reached
+    assert (case.values, case.wrong) == (2, (1, 0, 0))
+
+
+def test_a_shortfall_ends_the_command(measured: Stability, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    figure = pytest.importorskip("matplotlib.figure")
+    worse = replace(measured, cases=[replace(measured.cases[0], bounds=(0.1, 0.1))])
+    monkeypatch.setattr(stabilityreport, "run", lambda *given: worse)
+    monkeypatch.setattr(stabilityreport, "plot", lambda cases: figure.Figure())
+    words = ["bench", "-o", str(tmp_path / "out"), "--stability", "--quick", "--device", "pocl"]
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 1
+    message = "error: stability: every error must be within its bound; got 1 beyond: sphere far away: beyond its bound"
+    assert result.stderr.splitlines() == [message]
+    assert "SHORT" in result.stdout
+    assert (tmp_path / "out/stability.csv").is_file()
+
+
+def test_options_that_do_not_go_together(tmp_path: Path) -> None:
+    for words in (["--compare"], ["--size", "64"], ["--radius", "3"]):
+        result = CliRunner().invoke(main, ["bench", "-o", str(tmp_path / "out"), "--stability", *words])
+        rule = "must stand without --compare, --size, --radius and --minutes"
+        message = f"error: --stability: {rule}; got one of them"
+        assert (result.exit_code, result.stderr.splitlines()) == (1, [message])
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("clsco.cli.bench.command.find_spec", lambda name: None)
+    with pytest.raises(ClscoError, match=r"^--stability: needs mpmath: pip install 'clsco\[bench\]'"):
+        Task(True).notices()

@@ -1,0 +1,25 @@
+"""How far an image is from the reference's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from clsco.cli import check
+
+
+def test_differences() -> None:
+    wanted = np.array([[1.0, np.inf, 200.0], [4.0, 5.0, np.inf]])
+    got = wanted.astype(np.float32)
+    assert check.difference("depth", got, wanted).largest == 0.0
+    got[0, 2] = 201.0
+    found = check.difference("depth", got, wanted)
+    # One of six pixels is off by 1/200: RMS 0.005 / sqrt(6).
+    assert (found.row, found.column, found.count) == (0, 2, 1)
+    assert found.largest == pytest.approx(0.005)
+    assert found.rms == pytest.approx(0.005 / np.sqrt(6))
+    got[1, 2] = 7.0
+    found = check.difference("depth", got, wanted)
+    assert (found.largest, found.row, found.column, found.count) == (np.inf, 1, 2, 2)
+    mask = np.array([[True, False]])
+    assert check.difference("mask", ~mask, mask).count == 2

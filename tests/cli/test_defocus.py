@@ -1,0 +1,288 @@
+"""An image and its depth map: the scene that they make, what the map leaves out, and one image file."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import imagecodecs
+import numpy as np
+import OpenEXR
+import pytest
+import tifffile
+from click.testing import CliRunner, Result
+
+from clsco.cli.defocus import depth_report, is_image_file, prepare_image, scenes_from_files, write_image
+from clsco.cli.main import main
+from clsco.errors import ClscoError, ImageError, SceneError
+from clsco.files.images import read_image, write_png
+from clsco.frame.frame import Frame
+from clsco.scene.file import dump, parse_scene
+from clsco.scene.model import DepthMap, Scene, Stereo
+
+CODES = np.arange(12 * 9, dtype=np.uint8).reshape(9, 12)
+DEPTHS = CODES.astype(np.uint16) + np.uint16(200)
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> tuple[Path, Path]:
+    """An image of 12 x 9 px and a depth map in mm of the same size."""
+    write_png(tmp_path / "image.png", CODES)
+    write_png(tmp_path / "depth.png", DEPTHS)
+    return tmp_path / "image.png", tmp_path / "depth.png"
+
+
+def scene_of(image: Path, depth: Path, options: dict[str, Any] | None = None, overrides: Sequence[str] = ()) -> Scene:
+    (scene,) = scenes_from_files(image, depth, options or {}, overrides).scenes
+    return scene
+
+
+def only_map(scene: Scene) -> DepthMap:
+    (item,) = scene.objects
+    assert isinstance(item, DepthMap)
+    return item
+
+
+def test_defaults_are_those_of_a_scene(files: tuple[Path, Path]) -> None:
+    image, depth = files
+    scene = scene_of(image, depth, {"f_number": None, "unit": None})
+    table = {"shape": "depth_map", "name": "image", "texture": str(image), "depth": str(depth)}
+    assert scene == parse_scene({"object": [table]})
+
+
+def test_options_are_keys_of_the_scene(files: tuple[Path, Path]) -> None:
+    options = {
+        "unit": "disparity",
+        "scale": 0.5,
+        "baseline": 60.0,
+        "offset": 124.343,
+        "focal_length": 50.0,
+        "f_number": 2.8,
+        "focus_distance": 900.0,
+        "pixel_pitch": 0.005,
+        "model": "gaussian",
+        "edge": "area",
+        "occlusion": "none",
+    }
+    scene = scene_of(*files, options)
+    item, camera, psf = only_map(scene), scene.camera, scene.psf
+    given: list[Any] = [item.unit, item.scale, item.baseline, item.offset, camera.focal_length, camera.f_number]
+    given += [camera.focus_distance, camera.pixel_pitch, psf.model, psf.edge, psf.occlusion]
+    assert given == list(options.values())
+    pair = scene_of(*files, {"aperture_diameter": 3.0, "sensor_distance": 20.5}).camera
+    assert (pair.aperture_diameter, pair.sensor_distance) == (3.0, 20.5)
+
+
+def test_overrides_come_last_and_reach_every_key(files: tuple[Path, Path]) -> None:
+    overrides = [
+        "camera.aperture_diameter=4",
+        "object.0.center=[0.0, 0.0, 300.0]",
+        "camera.motion.velocity=[1.0, 0.0, 0.0]",
+    ]
+    scene = scene_of(*files, {"f_number": 2.0, "unit": "mm"}, overrides)
+    assert (scene.camera.aperture_diameter, scene.camera.f_number) == (4.0, None)
+    assert only_map(scene).center == (0.0, 0.0, 300.0)
+    assert scene.camera.motion.velocity == (1.0, 0.0, 0.0)
+
+
+def test_paths_are_absolute_and_a_pattern_is_none(files: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    image, depth = files
+    monkeypatch.chdir(image.parent)
+    item = only_map(scene_of(Path("bricks"), Path(depth.name)))
+    assert (item.texture, item.depth) == (str(image.parent / "bricks"), str(depth))
+
+
+@pytest.mark.parametrize(("options", "overrides", "message"), [
+    ({"unit": "feet"}, [],
+     "defocus: object[0].unit: must be mm, m, inverse_mm, inverse_m, disparity or coc; got "),
+    ({"unit": "disparity"}, [],
+     'defocus: object[0].baseline: must be given with unit = "disparity"; got nothing'),
+    ({"baseline": 6.0}, [],
+     'defocus: object[0].baseline: belongs to unit = "disparity", not "mm"; got 6.0'),
+    ({"scale": 0.0}, [], "defocus: object[0].scale: must be greater than 0; got 0.0"),
+    ({"f_number": 2.0, "aperture_diameter": 5.0}, [],
+     "defocus: camera.aperture_diameter: give f_number or aperture_diameter, not both; got 5.0"),
+    ({"focal_length": float("nan")}, [], "defocus: camera.focal_length: must be a finite number; got nan"),
+    ({"occlusion": "visibility"}, [], "defocus: psf.occlusion: "),
+    ({}, ["f_number"], "defocus: override must be KEY=VALUE, like camera.f_number=4; got "),
+    ({}, ["camera.zoom=2"], "defocus: camera.zoom: unknown key; got 2"),
+])  # fmt: skip
+def test_faults_name_the_key(
+    files: tuple[Path, Path], options: dict[str, Any], overrides: list[str], message: str
+) -> None:
+    with pytest.raises(SceneError) as caught:
+        scene_of(*files, options, overrides)
+    (told,) = caught.value.messages
+    assert told.startswith(message)
+
+
+def test_all_faults_are_told_at_once(files: tuple[Path, Path]) -> None:
+    with pytest.raises(SceneError) as caught:
+        scene_of(*files, {"focal_length": -1.0, "scale": -1.0, "edge": "soft"})
+    assert len(caught.value.messages) == 3
+
+
+def test_the_report_counts_what_has_no_depth(files: tuple[Path, Path]) -> None:
+    image, depth = files
+    scene = scene_of(image, depth)
+    assert depth_report(scene) == []
+    codes = DEPTHS.copy()
+    codes[0, :5] = 0
+    write_png(depth, codes)
+    assert depth_report(scene) == [f"{depth}: 5 of 108 pixels have no depth (5 zero)"]
+    with pytest.raises(ImageError, match=r"depth\.png: the blur radius must be at most 512 px.*give unit mm"):
+        depth_report(scene_of(image, depth, {"unit": "inverse_mm"}))
+
+
+def test_sizes_must_agree(files: tuple[Path, Path]) -> None:
+    image, depth = files
+    write_png(depth, DEPTHS[:-1])
+    with pytest.raises(ImageError) as caught:
+        depth_report(scene_of(image, depth))
+    assert str(caught.value) == f"{depth}: the size must be that of {image}, 12 x 9 pixels; got 12 x 8"
+
+
+@pytest.mark.parametrize("broken", [0, 1])
+def test_missing_files_are_named(files: tuple[Path, Path], broken: int) -> None:
+    files[broken].unlink()
+    with pytest.raises(ImageError) as caught:
+        depth_report(scene_of(*files))
+    assert str(caught.value) == f"{files[broken]}: must be a file that can be read; got No such file or directory"
+
+
+def test_an_image_file_is_told_from_a_folder(tmp_path: Path) -> None:
+    assert [is_image_file(tmp_path / f"a{suffix}") for suffix in (".png", ".TIF", ".tiff", ".exr")] == [True] * 4
+    assert not any(is_image_file(tmp_path / name) for name in ("out", "v1.2", ".png"))
+    (tmp_path / "folder.jpg").mkdir()
+    assert not is_image_file(tmp_path / "folder.jpg")
+    with pytest.raises(ImageError) as caught:
+        is_image_file(tmp_path / "a.jpg")
+    assert (
+        str(caught.value)
+        == f"{tmp_path / 'a.jpg'}: must be a folder, or end in one of .png .tif .tiff .exr; got '.jpg'"
+    )
+
+
+def test_one_file_takes_one_image(files: tuple[Path, Path], tmp_path: Path) -> None:
+    out = tmp_path / "out.png"
+    prepare_image([scene_of(*files)], out)
+    with pytest.raises(SceneError, match=r"out\.png: a file takes one image, a folder takes more; got 3"):
+        prepare_image([scene_of(*files, {}, ["sequence.frames=3"])], out)
+    two = scene_of(*files).model_copy(update={"stereo": Stereo(baseline=60.0)})
+    with pytest.raises(SceneError, match=r"got 2$"):
+        prepare_image([two], out)
+    with pytest.raises(SceneError, match=r"got 2$"):
+        prepare_image([scene_of(*files)] * 2, out)
+    prepare_image([scene_of(*files)], tmp_path / "new" / "out.png")
+    assert list((tmp_path / "new").iterdir()) == []
+    with pytest.raises(ImageError, match="must be a folder that can be written"):
+        prepare_image([scene_of(*files)], files[0] / "out.png")
+    for path in files:
+        with pytest.raises(ImageError, match="must not be the image or the depth that it is made of"):
+            prepare_image([scene_of(*files)], path.parent / ".." / path.parent.name / path.name)
+
+
+def exr_pixels(path: Path) -> Any:
+    channels = OpenEXR.File(str(path), separate_channels=True).channels()
+    assert set(channels) == set("RGB")
+    return np.dstack([channels[name].pixels for name in "RGB"])
+
+
+READERS: dict[str, Callable[[Path], Any]] = {
+    ".png": lambda path: imagecodecs.png_decode(path.read_bytes()),
+    ".tif": tifffile.imread,
+    ".tiff": tifffile.imread,
+    ".exr": exr_pixels,
+}
+
+
+@pytest.mark.parametrize("channels", [(), (3,)], ids=["gray", "color"])
+@pytest.mark.parametrize(("suffix", "bits", "dtype"), [
+    (".png", 8, "u1"), (".png", 16, "u2"), (".png", 32, "u2"),
+    (".tif", 8, "u1"), (".tiff", 16, "u2"), (".TIF", 32, "f4"), (".exr", 8, "f4"),
+])  # fmt: skip
+def test_one_image_is_written_and_read_back(
+    tmp_path: Path, suffix: str, bits: int, dtype: str, channels: tuple[int, ...]
+) -> None:
+    color = np.random.default_rng(5).random((9, 12, *channels)).astype(np.float32)
+    out = tmp_path / f"out{suffix}"
+    write_image(out, Frame(index=0, color=color, metadata={}), bits, "linear")
+    data = READERS[suffix.lower()](out)
+    assert data.dtype == np.dtype(dtype)
+    top = 1 if dtype == "f4" else np.iinfo(dtype).max
+    wanted = color if suffix != ".exr" or channels else np.dstack([color] * 3)
+    # Codes are the nearest ones, half a code off at most; floats are stored as they are.
+    np.testing.assert_allclose(data / top, wanted, rtol=0, atol=0.0 if top == 1 else 0.5 / top * (1 + 1e-6))
+    assert read_image(out).bits == 8 * np.dtype(dtype).itemsize
+    assert sorted(tmp_path.iterdir()) == [out]
+
+
+def test_codes_have_the_transfer_of_the_image(tmp_path: Path) -> None:
+    color = np.full((2, 2), 0.2158605, np.float32)  # ((128 / 255 + 0.055) / 1.055)^2.4, by IEC 61966-2-1
+    for name in ("a.png", "a.tif"):
+        write_image(tmp_path / name, Frame(index=0, color=color, metadata={}), 8, "srgb")
+        np.testing.assert_array_equal(read_image(tmp_path / name).data, np.full((2, 2), 128))
+
+
+def test_a_file_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+    for suffix in (".png", ".tif", ".exr"):
+        with pytest.raises(ClscoError, match="the file must be writable; got No such file or directory"):
+            write_image(
+                tmp_path / "none" / f"a{suffix}",
+                Frame(index=0, color=np.ones((2, 2), np.float32), metadata={}),
+                8,
+                "srgb",
+            )
+
+
+def test_the_scene_can_be_written_down(files: tuple[Path, Path]) -> None:
+    scene = scene_of(*files, {"unit": "m", "f_number": 4.0})
+    assert parse_scene(dump(scene)) == scene
+
+
+def test_a_focal_stack_has_a_scene_per_distance(files: tuple[Path, Path]) -> None:
+    sweep = scenes_from_files(*files, {"unit": "mm"}, ["camera.focus_distance={from = 200, to = 400, steps = 3}"])
+    assert sweep.labels == ("focus_distance_200", "focus_distance_300", "focus_distance_400")
+    assert [scene.camera.focus_distance for scene in sweep.scenes] == [200, 300, 400]
+
+
+@pytest.mark.parametrize(("name", "module", "extra"), [("a.tif", "tifffile", "formats"), ("a.exr", "OpenEXR", "exr")])
+def test_a_missing_extra_is_named_before_anything_is_done(
+    files: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, module: str, extra: str
+) -> None:
+    scene = scene_of(*files)
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(ImageError, match=rf"needs {module}: pip install 'clsco\[{extra}\]'"):
+        prepare_image([scene], tmp_path / "new" / name)
+    assert not (tmp_path / "new").exists()
+    prepare_image([scene], tmp_path / "new" / "a.png")
+
+
+def clsco_(*words: object) -> Result:
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+def test_the_command_tells_of_wrong_usage_and_of_what_it_was_given(files: tuple[Path, Path], tmp_path: Path) -> None:
+    image, depth = files
+    other = tmp_path / "other.png"
+    write_png(other, DEPTHS[:4])
+    cases: list[tuple[list[object], int, str]] = [
+        ([image, depth], 2, "Missing option '-o'"),
+        ([image, depth, "-o", tmp_path / "a.png", "--truth", "npz"], 2, "--truth: OUT must be a folder; got "),
+        ([image, depth, "-o", tmp_path / "a", "--scale", "1/0"], 2, "like 1/256; got 1/0"),
+        ([image, depth, "-o", tmp_path / "a", "--scale", "1e"], 2, "like 1/256; got 1e"),
+        ([image, depth, "-o", tmp_path / "a.jpg"], 1, "a.jpg: must be a folder, or end in one of .png .tif .tiff .exr"),
+        ([image, other, "-o", tmp_path / "a"], 1, f"{other}: the size must be that of {image}, 12 x 9 "),
+        ([image, depth, "-o", tmp_path / "a", "--unit", "feet"], 1, "defocus: object[0].unit: must be mm, m, "),
+        ([image, depth, "-o", tmp_path / "a", "--scale", "1e-3"], 1, "give unit m"),
+        ([image, tmp_path / "none.exr", "-o", tmp_path / "a"], 1, "none.exr: must be a file that can be read; got "),
+        ([image, depth, "-o", tmp_path / "a", "--f-number", 2, "--aperture-diameter", 3], 1, "not both; got 3.0"),
+    ]  # fmt: skip
+    for words, status, message in cases:
+        result = clsco_("defocus", *words)
+        assert (result.exit_code, result.stdout) == (status, ""), result.output
+        assert message in result.stderr
+        assert "Traceback" not in result.stderr
+    assert sorted(tmp_path.iterdir()) == sorted([image, depth, other])

@@ -1,0 +1,226 @@
+"""`clsco inpaint`: files in and out, what it tells, and files that it refuses."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from numpy.typing import NDArray
+
+import clsco
+from clsco.cli.inpaint import read_pair
+from clsco.cli.main import main
+from clsco.errors import ImageError
+from clsco.files.images import read_image, write_exr, write_png, write_tiff
+
+ROWS, COLUMNS = 20, 24
+MISSING = np.zeros((ROWS, COLUMNS), np.bool_)
+MISSING[5:9, 3:20] = MISSING[:, 11] = True
+MASK = np.where(MISSING, 255, 0).astype(np.uint8)
+CODES = (np.indices((ROWS, COLUMNS)).sum(axis=0) * 5 % 256).astype(np.uint8)
+
+Save = Callable[[str, NDArray[Any]], Path]
+
+
+@pytest.fixture
+def save(tmp_path: Path) -> Save:
+    """save(name, array): a PNG, TIFF, EXR or NPY in the test's folder."""
+
+    def write(name: str, array: NDArray[Any]) -> Path:
+        path = tmp_path / name
+        if path.suffix == ".png":
+            write_png(path, array)
+        elif path.suffix == ".tif":
+            write_tiff(path, array)
+        elif path.suffix == ".exr":
+            write_exr(path, {"Y": array} if array.ndim == 2 else {c: array[..., n] for n, c in enumerate("RGB")})
+        else:
+            np.save(path, array)
+        return path
+
+    return write
+
+
+def run(*words: str | Path) -> Result:
+    return CliRunner().invoke(main, ["inpaint", *map(str, words)])
+
+
+@pytest.mark.parametrize(
+    ("name", "out", "dtype", "channels"),
+    [
+        ("image.png", "filled.png", np.uint8, 1),
+        ("image.png", "filled.tif", np.uint16, 3),
+        ("image.tif", "filled.png", np.uint8, 3),
+        ("image.tif", "filled.tif", np.float32, 3),
+        ("image.exr", "filled.exr", np.float32, 3),
+        ("image.npy", "filled.exr", np.float32, 1),
+    ],
+)
+def test_files_are_filled_as_arrays_are(
+    save: Save, tmp_path: Path, name: str, out: str, dtype: Any, channels: int
+) -> None:
+    data = CODES.astype(dtype) if channels == 1 else np.stack([CODES, CODES // 2, 255 - CODES], -1).astype(dtype)
+    image, mask = save(name, data), save("mask.png", MASK)
+    result = run(image, mask, "-o", tmp_path / "made" / out, "--method", "mean-median")
+    assert result.exit_code == 0, result.output
+    expected, report = clsco.inpaint(data, MISSING, method="mean-median")
+    found = read_image(tmp_path / "made" / out).data
+    if out.endswith(".exr") and channels == 1:
+        assert (found[..., :1] == found).all()
+        found = found[..., 0]
+    assert found.dtype == expected.dtype
+    assert (found == expected).all()
+    assert report.stages is not None
+    for told in (f"{MISSING.sum()}", f"{report.stages.border.size}", f"{report.stages.sweeps}", "20 x 24", "median"):
+        assert told.replace("20 x 24", "24 x 20") in result.stdout
+    assert result.stderr == ""
+
+
+def test_options_are_the_constants(save: Save, tmp_path: Path) -> None:
+    image, mask, out = save("image.png", CODES), save("mask.png", MASK), tmp_path / "out.png"
+    words = ["--estimator", "median", "--minimum", "2", "--smoothing-rounds", "3", "--border-share", "0.7"]
+    assert run(image, mask, "-o", out, "--method", "mean-median", *words).exit_code == 0
+    constants: dict[str, Any] = {"estimator": "median", "minimum": 2, "smoothing_rounds": 3, "border_share": 0.7}
+    expected, _ = clsco.inpaint(CODES, MISSING, method="mean-median", **constants)
+    assert (read_image(out).data == expected).all()
+    result = run(image, mask, "-o", out, *words)
+    assert (result.exit_code, result.stderr) == (1, "error: estimator: belongs to method mean-median; got auto\n")
+
+
+def test_the_report_is_written(save: Save, tmp_path: Path) -> None:
+    image, mask, folder = save("image.png", CODES), save("mask.png", MASK), tmp_path / "a/report"
+    result = run(image, mask, "-o", tmp_path / "out.png", "--report", folder, "--method", "mean-median")
+    assert result.exit_code == 0, result.output
+    figures = json.loads((folder / "report.json").read_text())
+    assert figures["missing_pixels"] == MISSING.sum()
+    assert f"{figures['blended_pixels']}, from {figures['threshold']:.4g} on" in result.stdout
+
+
+def test_missing_pixels_of_floats_may_be_no_numbers(save: Save, tmp_path: Path) -> None:
+    data = CODES.astype(np.float32)
+    data[MISSING] = np.nan
+    image, mask = save("image.npy", data), save("mask.png", MASK)
+    assert run(image, mask, "-o", tmp_path / "out.tif").exit_code == 0
+    assert np.isfinite(read_image(tmp_path / "out.tif").data).all()
+
+
+def test_an_image_without_missing_pixels_is_copied_and_that_is_told(save: Save, tmp_path: Path) -> None:
+    image, mask, out = save("image.png", CODES), save("mask.png", 0 * MASK), tmp_path / "out.png"
+    result = run(image, mask, "-o", out)
+    assert result.exit_code == 0
+    assert f"no pixel is missing: {out} is a copy of {image}\n" in result.stdout
+    assert (read_image(out).data == CODES).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("mask.png", np.stack([MASK] * 3, axis=-1)),
+        ("mask.png", MASK.astype(np.uint16) * np.uint16(257)),
+        ("mask.npy", MISSING.astype(np.float32)),
+    ],
+)
+def test_masks_of_other_kinds(save: Save, name: str, values: NDArray[Any]) -> None:
+    _, missing = read_pair(save("image.png", CODES), save(name, values))
+    assert (missing == MISSING).all()
+
+
+def test_a_threshold_takes_masks_with_other_values(save: Save) -> None:
+    values = CODES.copy()
+    _, missing = read_pair(save("image.png", CODES), save("mask.png", values), 100.0)
+    assert (missing == (CODES >= 100)).all()
+
+
+COLORS = np.stack([MASK, MASK, 0 * MASK], axis=-1)
+WRONG = CODES.astype(np.float32)
+WRONG[2, 1] = np.nan
+WHITE = np.ones((ROWS, COLUMNS), np.float32)
+
+
+@pytest.mark.parametrize(
+    ("image", "mask", "out", "message"),
+    [
+        (CODES, MASK[:, 1:], "out.png", "{mask}: the size must be that of {image}, 24 x 20 pixels; got 23 x 20"),
+        (CODES, MASK // 255, "out.png",
+         "{mask}: values must be 0 (known) or 255 (missing), or give --threshold; got 1 at row 0, column 11 ("),
+        (CODES, COLORS, "out.png", "{mask}: a mask must be gray; got colors"),
+        (CODES, MASK | 255, "out.png", "{mask}: some pixel must be known, and be 0; got only missing ones"),
+        (WRONG, MASK, "out.tif", "{image}: values must be finite and at least 0; got nan at row 2, column 1"),
+        (WHITE, MASK, "out.png", "{out}: a PNG holds codes; for floats it must end in .tif, .tiff or .exr; got"),
+        (CODES, MASK, "out.exr", "{out}: an EXR holds floats; for codes it must end in .png, .tif or .tiff; got the"),
+        (CODES, MASK, "out.jpg", "{out}: must be a file that ends in one of .png .tif .tiff .exr; got '.jpg'"),
+        (CODES, MASK, "out", "{out}: must be a file that ends in one of .png .tif .tiff .exr; got ''"),
+        (CODES, MASK, "mask.png", "{out}: must not be the image or the mask that it is made of; got {mask}"),
+    ],
+)  # fmt: skip
+def test_files_that_cannot_be_are_refused(
+    save: Save, tmp_path: Path, image: NDArray[Any], mask: NDArray[Any], out: str, message: str
+) -> None:
+    paths = {"image": save("image.npy" if image.dtype == np.float32 else "image.png", image)}
+    paths |= {"mask": save("mask.png", mask), "out": tmp_path / out}
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    result = run(paths["image"], paths["mask"], "-o", paths["out"])
+    assert result.exit_code == 1
+    assert result.stderr.startswith(f"error: {message.format(**paths)}")
+    assert result.stderr.count("\n") == 1
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_files_that_cannot_be_read_are_refused(save: Save, tmp_path: Path) -> None:
+    image, mask = save("image.png", CODES), save("mask.png", MASK)
+    (tmp_path / "broken.png").write_bytes(mask.read_bytes()[:60])
+    for words in ((tmp_path / "none.png", mask), (image, tmp_path / "none.png"), (image, tmp_path / "broken.png")):
+        result = run(*words, "-o", tmp_path / "out.png")
+        assert (result.exit_code, result.stderr.count("\n")) == (1, 1)
+        assert not (tmp_path / "out.png").exists()
+
+
+def test_a_report_needs_matplotlib_before_anything_is_done(
+    save: Save, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("clsco.inpainting.report.find_spec", lambda name: None)
+    image, mask, out = save("image.png", CODES), save("mask.png", MASK), tmp_path / "out.png"
+    result = run(image, mask, "-o", out, "--report", tmp_path / "report")
+    assert result.exit_code == 1
+    assert result.stderr == "error: report: needs matplotlib: pip install 'clsco[report]'; got no such module\n"
+    assert not out.exists()
+
+
+def test_a_threshold_and_a_folder_that_cannot_be_are_refused_before_anything_is_written(
+    save: Save, tmp_path: Path
+) -> None:
+    image, mask, out = save("image.png", CODES), save("mask.png", MASK), tmp_path / "out.png"
+    for words, message in (
+        (("--threshold", "nan"), "error: --threshold: must be a finite number; got nan\n"),
+        (("--report", mask), f"error: {mask}: must be a folder that can be written; got File exists\n"),
+    ):
+        result = run(image, mask, "-o", out, *words)
+        assert (result.exit_code, result.stderr) == (1, message)
+        assert not out.exists()
+
+
+def test_progress_is_shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    from clsco.cli import tables as show
+
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    with show.shares(False) as progress:
+        for share in (0.0, 0.005, 0.3, 0.3, 0.999):
+            progress(share)
+    assert "99/100" in terminal.getvalue()
+
+
+def test_an_image_of_a_mask_that_hides_all_is_not_read(save: Save) -> None:
+    with pytest.raises(ImageError, match="some pixel must be known"):
+        read_pair(save("image.npy", WRONG), save("mask.png", MASK | 255))

@@ -1,0 +1,472 @@
+"""The command line: what it prints and writes, its exit status, and one line for everything that is wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+import clsco
+from clsco.cli import check, demo
+from clsco.cli.main import main
+from clsco.engine import batch
+from clsco.errors import ImageError
+from clsco.files.images import read_image
+from clsco.frame.files import read_complete
+from clsco.frame.frame import TRUTH_NAMES, Frame
+from clsco.opencl import device, self_test
+from clsco.plan.prepare import planned
+from clsco.scene import examples
+from clsco.scene.file import parse_scene
+from clsco.scene.model import Scene
+from tests.slow import mostly_slow
+
+ROOT = Path(__file__).resolve().parents[2]
+BALL = """
+title = "Ball"
+[camera]
+resolution = [40, 24]
+pixel_pitch = 0.1
+[sequence]
+frames = 3
+samples = 3
+[[object]]
+name = "ball"
+shape = "sphere"
+[object.motion]
+velocity = [3.0, 0.0, 0.0]
+"""
+PLANE = '[camera]\nresolution = [12, 9]\n[[object]]\nshape = "plane"\n'
+
+
+def clsco_(*words: object) -> Result:
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+def messages(result: Result, status: int) -> list[str]:
+    """The lines on stderr of a command that failed as it should: with a message, and without a traceback."""
+    assert (result.exit_code, result.stdout) == (status, ""), result.output
+    assert isinstance(result.exception, SystemExit)
+    return result.stderr.splitlines()
+
+
+@pytest.fixture
+def ball(tmp_path: Path) -> Path:
+    path = tmp_path / "ball.toml"
+    path.write_text(BALL)
+    return path
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+
+
+def test_render_writes_frames_and_says_nothing(ball: Path, tmp_path: Path) -> None:
+    result = clsco_("render", ball, "-o", tmp_path / "new" / "out", "--truth", "npz,exr", "--frames", "1:")
+    assert (result.exit_code, result.output) == (0, "")
+    wanted = [f"frame_000{n}.{suffix}" for n in (1, 2) for suffix in ("exr", "json", "npz", "png")]
+    assert names(tmp_path / "new") == [f"out/{name}" for name in wanted]
+    picture = read_image(tmp_path / "new/out/frame_0001.png")
+    assert (picture.data.shape, picture.bits) == ((24, 40), 8)
+    frame = next(clsco.render(clsco.load_scene(ball), frames=[1]))
+    with np.load(tmp_path / "new/out/frame_0001.npz") as arrays:
+        assert set(arrays) == {"color", *TRUTH_NAMES}
+        for name in arrays:
+            np.testing.assert_array_equal(arrays[name], getattr(frame, name), strict=True)
+
+
+def test_the_json_tells_every_parameter_and_what_became_of_it(ball: Path, tmp_path: Path) -> None:
+    settings = ["--set", "camera.f_number=4", "--set", "object.0.radius=25", "--precision", "single"]
+    assert clsco_("render", ball, "-o", tmp_path, *settings).exit_code == 0
+    told = json.loads((tmp_path / "frame_0002.json").read_text())
+    scene = clsco.load_scene(ball, ["camera.f_number=4", "object.0.radius=25"])
+    assert parse_scene(told["scene"]) == scene
+    assert told["derived"] == {"aperture_diameter": 5.0, "sensor_distance": 21.739}
+    assert (told["version"], told["frame"], told["precision"]) == (clsco.__version__, 2, "single")
+    assert (told["samples"], told["bits"], told["blur_method"]) == (3, 8, "gather")
+    assert told["guard_px"] > 0
+    assert [moment["weight"] for moment in told["intermediate"]] == [1 / 3] * 3
+    # Midpoints of thirds of the third second: (1/2 + i) / 3.
+    assert [moment["time"] for moment in told["intermediate"]] == pytest.approx([2 + 1 / 6, 2.5, 2 + 5 / 6])
+    counters = {"missing_pixels", "filled_pixels", "unfilled_pixels", "sweeps"}
+    assert all(counters <= set(moment) for moment in told["intermediate"])
+    assert told["device"]
+    assert set(told["seconds"]) >= {"trace", "gather"}
+    assert "ground_truth" not in told["seconds"]  # nobody asked for it
+    assert list(told["files"]) == ["frame_0002.png"]
+    assert read_complete(tmp_path, 2) == told
+
+
+def test_several_scenes_have_folders(ball: Path, tmp_path: Path) -> None:
+    (tmp_path / "plane.toml").write_text(PLANE)
+    out = tmp_path / "out"
+    assert clsco_("render", ball, tmp_path / "plane.toml", "-o", out).exit_code == 0
+    wanted = [f"ball/frame_000{n}.{suffix}" for n in range(3) for suffix in ("json", "png")]
+    assert names(out) == [*wanted, "plane/frame_0000.json", "plane/frame_0000.png"]
+
+
+def test_frames_stay_inside_the_folder(ball: Path, tmp_path: Path) -> None:
+    out = tmp_path / "a" / "out"
+    for name in ("...toml", "..toml", "ball.toml"):
+        other = tmp_path / "a" / name
+        other.parent.mkdir(exist_ok=True)
+        other.write_text(PLANE)
+        (line,) = messages(clsco_("render", ball, other, "-o", out), 1)
+        assert line.startswith(f"error: {other}: ")
+        rule = "different names" if name == "ball.toml" else f"must stay inside {out}"
+        assert rule in line
+    assert not out.exists()
+    picture = tmp_path / "out" / "frame_0007.png"
+    assert clsco_("render", ball, "-o", picture.parent, "--frames", "0:1").exit_code == 0
+    (picture.parent / "frame_0000.png").rename(picture)
+    scene = picture.parent / "scene.toml"
+    scene.write_text(f'[[object]]\nshape = "plane"\ntexture = "{picture.name}"\n')
+    (line,) = messages(clsco_("render", scene, "-o", picture.parent), 1)
+    assert "a texture must not lie where frames are written" in line
+    assert picture.exists()
+
+
+def marks(folder: Path) -> dict[str, int]:
+    return {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
+
+
+def test_resume_renders_what_is_missing_damaged_or_of_another_scene(ball: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    command = ("render", ball, "-o", out)
+
+    def redone(*more: str) -> set[str]:
+        before = marks(out)
+        assert clsco_(*command, *more).exit_code == 0
+        assert sorted(marks(out)) == sorted(before | marks(out))
+        return {name[6:10] for name, mark in marks(out).items() if before.get(name) != mark}
+
+    assert clsco_(*command).exit_code == 0
+    assert redone("--resume") == set()
+    (out / "frame_0000.json").unlink()
+    picture = out / "frame_0001.png"
+    picture.write_bytes(picture.read_bytes()[:-1])
+    assert redone("--resume") == {"0000", "0001"}
+    (out / "frame_0002.json").write_text("{")
+    assert redone("--resume", "--frames", "0:2") == set()
+    assert redone("--resume") == {"0002"}
+    assert redone("--resume", "--truth", "npz", "--frames", ":1") == {"0000"}
+    assert redone("--resume") == set()  # a file more does no harm
+    assert redone("--resume", "--precision", "double") == set()
+    assert redone("--resume", "--precision", "single") == {"0000", "0001", "0002"}
+    assert redone("--resume", "--set", "object.0.radius=29") == {"0000", "0001", "0002"}
+    assert redone() == {"0000", "0001", "0002"}
+
+
+def test_resume_notices_another_texture_of_the_same_name(tmp_path: Path) -> None:
+    for value in (0.25, 0.75):
+        np.save(tmp_path / "texture.npy", np.full((9, 12), value, np.float32))
+        (tmp_path / "plane.toml").write_text(PLANE + 'texture = "texture.npy"\n')
+        assert clsco_("render", tmp_path / "plane.toml", "-o", tmp_path, "--resume").exit_code == 0
+        light = read_image(tmp_path / "frame_0000.png").data[4, 6] / 65535
+        # sRGB of 1/4 and 3/4 (IEC 61966-2-1): 1.055 x^(1/2.4) - 0.055, to half a code of 16 bits.
+        assert light == pytest.approx(1.055 * value ** (1 / 2.4) - 0.055, abs=1e-4)
+
+
+def test_a_depth_map_lies_outside_the_frames(tmp_path: Path) -> None:
+    scene = parse_scene(
+        {
+            "camera": {"resolution": [4, 3]},
+            "object": [{"shape": "depth_map", "depth": str(tmp_path / "frame_0000.npz")}],
+        }
+    )
+    (tmp_path / "frame_0000.npz").touch()
+    with pytest.raises(ImageError, match="a depth must not lie where frames are written"):
+        batch.prepare(scene, tmp_path, [0], (), None, False)
+
+
+BAD_SCENES = {
+    "missing.toml": (None, "cannot be read: No such file or directory"),
+    "nan.toml": ("[camera]\nfocal_length = nan\n" + PLANE[9:], "must be a finite number; got nan"),
+    "unknown.toml": (PLANE + "colour = 1\n", "object[0].colour: unknown key"),
+    "texture.toml": (PLANE + 'texture = "none.png"\n', "none.png: must be a file that can be read"),
+    "pattern.toml": (PLANE + 'texture = "brick"\n', "must be one of bricks, checkerboard"),
+    "broken.toml": (PLANE + 'texture = "broken.png"\n', "must be a whole PNG"),
+    "large.toml": (PLANE.replace("[12, 9]", "[65536, 65536]"), "must have at most 268435456 pixels"),
+    "near.toml": (PLANE + "distance = 0.001\n", "the blur radius must be at most 512 px"),
+    "words.toml": ("what is this", "not valid TOML"),
+    "scene.txt": (PLANE, "must end in .toml or .json"),
+}
+
+
+@pytest.fixture
+def bad(tmp_path: Path) -> Path:
+    whole = tmp_path / "whole.toml"
+    whole.write_text(PLANE)
+    assert clsco_("render", whole, "-o", tmp_path).exit_code == 0
+    picture = (tmp_path / "frame_0000.png").read_bytes()
+    for path in tmp_path.iterdir():
+        path.unlink()
+    (tmp_path / "broken.png").write_bytes(picture[:60])
+    for name, (text, _) in BAD_SCENES.items():
+        if text is not None:
+            (tmp_path / name).write_text(text)
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", BAD_SCENES)
+def test_a_bad_scene_is_told_in_one_line(name: str, bad: Path) -> None:
+    before = names(bad)
+    for command in (["render", bad / name, "-o", bad / "out"], ["plan", bad / name], ["check", bad / name]):
+        (line,) = messages(clsco_(*command), 1)
+        assert line.startswith(f"error: {bad / name}: ")
+        assert BAD_SCENES[name][1] in line
+    assert names(bad) == before
+    assert not (bad / "out").exists()
+
+
+def test_validate_tells_all_faults_of_all_files(bad: Path, ball: Path) -> None:
+    result = clsco_("validate", ball, *(bad / name for name in BAD_SCENES))
+    lines = messages(result, 1)
+    assert len(lines) == len(BAD_SCENES)
+    for line, (name, (_, rule)) in zip(lines, BAD_SCENES.items(), strict=True):
+        assert name in line
+        assert rule in line
+    result = clsco_("validate", ball, ball)
+    assert (result.exit_code, result.output) == (0, f"{ball}: valid\n" * 2)
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "rule"),
+    [
+        (["--set", "camera.f_numer=4"], 1, "camera.f_numer: unknown key (did you mean f_number?)"),
+        (["--set", "nonsense"], 1, 'override must be KEY=VALUE, like camera.f_number=4; got "nonsense"'),
+        (["--set", "object.0.radius=nan"], 1, "object[0].radius: must be a finite number; got nan"),
+        (["--set", "object.7.radius=3"], 1, "object has 1 entries, counted from 0; got 7"),
+        (["--frames", "2:9"], 1, "--frames: must lie within 0:3 and hold a frame; got 2:9"),
+        (["--frames", "2:2"], 1, "--frames: must lie within 0:3 and hold a frame; got 2:2"),
+        (["--frames", "3:"], 1, "--frames: must lie within 0:3 and hold a frame; got 3:3"),
+        (["--frames", "-1:2"], 2, "must be A:B, frames A to B - 1 counted from 0; got -1:2"),
+        (["--frames", "9" * 5000 + ":"], 2, "must be A:B"),
+        (["--truth", "npz,pdf"], 2, "must be npz, exr or npz,exr; got npz,pdf"),
+        (["--precision", "half"], 2, "is not one of 'single', 'double'"),
+        (["--device", "abacus"], 3, '--device: must be a part of the name of one of'),
+        (["--nonsense"], 2, "No such option"),
+    ],
+)  # fmt: skip
+def test_wrong_words(words: list[str], status: int, rule: str, ball: Path, tmp_path: Path) -> None:
+    lines = messages(clsco_("render", ball, "-o", tmp_path / "out", *words), status)
+    assert rule in lines[-1]
+    assert (len(lines) == 1) == (status != 2)  # click says how it is used, too
+    assert not (tmp_path / "out").exists()
+
+
+def test_folders_that_cannot_be_written(ball: Path, tmp_path: Path) -> None:
+    for folder in (ball, ball / "under", tmp_path / ("x" * 300), Path("/proc/none")):
+        for command in (["render", ball, "-o", folder], ["demo", "-o", folder]):
+            (line,) = messages(clsco_(*command), 1)
+            assert "must be a folder that can be written" in line
+    assert "Missing option '-o'" in clsco_("render", ball).stderr
+    assert clsco_("render", "-o", tmp_path).exit_code == 2
+
+
+def test_without_a_device_it_says_what_to_install(ball: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(device, "_devices", lambda: ())
+    commands = (
+        ["render", ball, "-o", tmp_path / "out"],
+        ["check", ball],
+        ["devices"],
+        ["demo", "-o", tmp_path / "out"],
+    )
+    for command in commands:
+        (line,) = messages(clsco_(*command), 3)
+        assert 'pip install "clsco[pocl]"' in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_needs_no_opencl_works_without_it(ball: Path) -> None:
+    code = "import sys; sys.modules['pyopencl'] = None; from clsco.cli.main import main; main(sys.argv[1:])"
+    environ = os.environ | {"PYTHONPATH": str(ROOT)}
+    for words in (["plan", str(ball)], ["validate", str(ball)], ["schema"]):
+        command = [sys.executable, "-W", "error", "-c", code, *words]
+        subprocess.run(command, check=True, env=environ, stdout=subprocess.DEVNULL, timeout=60)
+
+
+def test_plan(ball: Path) -> None:
+    result = clsco_("plan", ball, "--set", "psf.occlusion=layered", "--set", "motion.rotation=axis")
+    assert result.exit_code == 0
+    text = " ".join(result.output.split())
+    assert "3, 40 x 24 px, gray" in text
+    assert "intermediate frames 3 per frame" in text
+    for name, _ in planned(clsco.load_scene(ball), ()).passes:
+        assert name in text
+    assert "ground truth nobody asked for it" in text
+    assert "psf.occlusion one object" in text
+    assert "motion.rotation euler and axis differ only for turns about several axes" in text
+    assert "guard band" in text
+    assert "MiB" in text
+    assert "weights per frame" in text
+    assert "nobody asked for it" not in clsco_("plan", ball, "--truth", "npz").output
+    for words, method in (((), "gather"), (("--gpu",), "tiles")):
+        assert f"blur method {method}" in " ".join(clsco_("plan", ball, *words).output.split())
+
+
+def test_check_agrees(ball: Path) -> None:
+    result = clsco_("check", ball, "--set", "sequence.frames=2")
+    assert result.exit_code == 0, result.output
+    rows = [line.split() for line in result.output.splitlines()]
+    for name in ("color", *TRUTH_NAMES):
+        found = [row for row in rows if row[:1] == [name]]
+        assert len(found) == 2
+        assert all(row[-2] == "0" for row in found)  # pixels above the figure
+    assert result.output.count("reference: ") == 2
+
+
+def changed(**places: Any) -> Callable[..., Iterator[Frame]]:
+    """`render` with pixels changed: name=(index, value)."""
+
+    def rendered(*args: Any, **options: Any) -> Iterator[Frame]:
+        for frame in clsco.render(*args, **options):
+            arrays = {name: getattr(frame, name).copy() for name in places}
+            for name, (index, value) in places.items():
+                arrays[name][index] = value
+            yield replace(frame, **arrays)
+
+    return rendered
+
+
+def test_check_notices_a_wrong_pixel(ball: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(check, "render", changed(color=((5, 7), np.nan), depth=((2, 3), 1.0), mask=((4, 4), True)))
+    result = clsco_("check", ball)
+    assert result.exit_code == 1
+    assert f"error: {ball}: color must agree within 1e-05 of white; got inf in frame 0 (1 pixels" in result.stderr
+    rows = {row[0]: row for row in (line.split() for line in result.stdout.splitlines()) if row}
+    assert rows["color"][-4:] == ["5", "7", "1", "1e-05"]
+    assert rows["depth"][-4:-1] == ["2", "3", "1"]
+    assert rows["sharp"][-2] == "0"
+    assert clsco_("check", ball, "--precision", "single").exit_code == 1
+
+
+def test_devices() -> None:
+    result = clsco_("devices", "--self-test")
+    assert result.exit_code == 0
+    used = device.choose()
+    assert used.name in result.output
+    assert f"used: {used} (" in result.output
+    assert result.output.count("passed") >= 4
+    lines = messages(replace_stdout(clsco_("devices", "--device", "abacus")), 3)
+    assert "must be a part of the name of one of" in lines[0]
+
+
+def replace_stdout(result: Result) -> Result:
+    """The result without its table, after a look at it."""
+    assert "OpenCL devices" in result.stdout
+    result.stdout_bytes = b""
+    return result
+
+
+def test_a_failed_self_test_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(self_test, "self_test", lambda item: [self_test.Check("fp64", False, "work-item 3")])
+    result = clsco_("devices", "--self-test")
+    assert result.exit_code == 1
+    assert "work-item 3" in result.stdout
+    assert "must pass; got failures in" in result.stderr
+
+
+def test_schema() -> None:
+    schema = json.loads(clsco_("schema").output)
+    assert schema["$schema"].startswith("https://json-schema.org/")
+    assert "camera" in schema["properties"]
+
+
+def test_help_and_version() -> None:
+    assert clsco_("--version").output == f"clsco, version {clsco.__version__}\n"
+    for name in ("render", "plan", "check", "demo", "devices", "schema", "validate"):
+        assert name in clsco_("--help").output
+        assert clsco_(name, "--help").exit_code == 0
+    assert clsco_("paint").exit_code == 2
+
+
+@pytest.mark.slow
+def test_demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = examples.example
+
+    def small(name: str) -> Scene:
+        scene = whole(name)
+        if name == "depth_map":  # its files have their size
+            return scene
+        return scene.model_copy(
+            update={"camera": scene.camera.model_copy(update={"resolution": (64, 64), "pixel_pitch": 0.08})}
+        )
+
+    monkeypatch.setattr(examples, "example", small)
+    monkeypatch.setattr(examples, "EXAMPLES", {name: examples.EXAMPLES[name] for name in demo.DETAILS})
+    out = tmp_path / "demo"
+    result = clsco_("demo", "-o", out)
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert str(out / "contact_sheet.png") in result.output
+    for name in examples.EXAMPLES:
+        assert name in result.output
+        apart = ["frame_0000.npz", "frame_0000.png"]
+        if name == "stereo":
+            apart = [f"frame_0000_{eye}.{suffix}" for eye in ("left", "right") for suffix in ("npz", "png")]
+        assert set(names(out / name)) >= {"frame_0000.json", *apart}
+    sheet = read_image(out / "contact_sheet.png").data
+    assert sheet.shape[2] == 3
+    assert sheet.std() > 20
+    colors = np.ptp(sheet.astype(int), axis=2)
+    assert (colors > 60).mean() > 0.05  # maps of the ground truth have color, photographs of bricks have none
+
+
+def test_ctrl_c(ball: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*args: Any) -> Iterator[Frame]:
+        raise KeyboardInterrupt
+        yield
+
+    monkeypatch.setattr(batch, "run", interrupted)
+    assert messages(clsco_("render", ball, "-o", tmp_path), 130) == ["interrupted"]
+
+
+def test_too_little_memory(ball: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def too_large(*args: Any) -> Iterator[Frame]:
+        raise MemoryError
+        yield
+
+    monkeypatch.setattr(batch, "run", too_large)
+    (line,) = messages(clsco_("render", ball, "-o", tmp_path), 1)
+    assert line.startswith("error: memory: ")
+
+
+@pytest.mark.parametrize("kill", mostly_slow([signal.SIGINT, signal.SIGKILL], [signal.SIGKILL]))
+def test_a_killed_run_leaves_whole_frames_and_is_resumed(kill: signal.Signals, ball: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    code = "import sys; from clsco.cli.main import main; main(sys.argv[1:])"
+    options = ["--set", "sequence.frames=100000", "--truth", "npz", "--resume"]
+    command = [sys.executable, "-c", code, "render", str(ball), "-o", str(out), *options]
+    process = subprocess.Popen(command, env=os.environ | {"PYTHONPATH": str(ROOT)}, stderr=subprocess.PIPE)
+    try:
+        deadline = time.monotonic() + 60
+        while not (out / "frame_0003.json").exists():
+            assert time.monotonic() < deadline
+            assert process.poll() is None
+            time.sleep(0.02)
+        process.send_signal(kill)
+        _, errors = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    if kill is signal.SIGINT:
+        assert (process.returncode, errors) == (130, b"interrupted\n")
+        assert list(out.glob(".*")) == []
+    done = len(list(out.glob("*.json")))
+    assert done >= 4
+    assert all(read_complete(out, index) is not None for index in range(done))
+    kept = {name: mark for name, mark in marks(out).items() if name.endswith(".json")}
+    assert clsco_("render", ball, "-o", out, *options, "--frames", f":{done + 2}").exit_code == 0
+    assert list(out.glob(".*")) == []
+    assert read_complete(out, done + 1) is not None
+    assert {name: mark for name, mark in marks(out).items() if name in kept} == kept

@@ -1,0 +1,192 @@
+"""Stereo pairs on the command line: files of both views, resumed as one, planned and checked view by view."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+from click.testing import CliRunner, Result
+
+import clsco
+from clsco.cli.check import compare_frames
+from clsco.cli.main import main
+from clsco.engine import batch
+from clsco.engine.sequence import render_sweep
+from clsco.frame.files import read_complete
+from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES
+from tests.slow import mostly_slow
+
+PAIR = """
+title = "Pair"
+[camera]
+resolution = [40, 24]
+pixel_pitch = 0.1
+[stereo]
+baseline = 6.0
+[sequence]
+frames = 2
+samples = 2
+[[object]]
+name = "ball"
+shape = "sphere"
+center = [0.0, 0.0, 200.0]
+radius = 9.0
+[object.motion]
+velocity = [3.0, 0.0, 0.0]
+[[object]]
+name = "wall"
+shape = "plane"
+distance = 380.0
+texture = "checkerboard"
+"""
+
+
+def clsco_(*words: object) -> Result:
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    path = tmp_path / "pair.toml"
+    path.write_text(PAIR)
+    return path
+
+
+def marks(folder: Path) -> dict[str, int]:
+    return {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
+
+
+def test_both_views_are_written_as_they_are_rendered(scene: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    result = clsco_("render", scene, "-o", out, "--truth", "npz,exr", "--frames", "1:")
+    assert (result.exit_code, result.output) == (0, "")
+    apart = [f"frame_0001_{eye}.{suffix}" for eye in ("left", "right") for suffix in ("npz", "png")]
+    assert sorted(marks(out)) == ["frame_0001.exr", "frame_0001.json", *apart]
+    parts = OpenEXR.File(str(out / "frame_0001.exr"), separate_channels=True).parts
+    frames = list(clsco.render(clsco.load_scene(scene), frames=[1]))
+    assert [frame.eye for frame in frames] == [part.header["view"] for part in parts] == ["left", "right"]
+    for frame, part in zip(frames, parts, strict=True):
+        with np.load(out / f"frame_0001_{frame.eye}.npz") as arrays:
+            assert set(arrays) == {"color", *TRUTH_NAMES, *STEREO_NAMES}
+            for name in arrays:
+                np.testing.assert_array_equal(arrays[name], getattr(frame, name), strict=True)
+        assert frame.disparity is not None
+        np.testing.assert_array_equal(part.channels["disparity"].pixels, frame.disparity)
+        # baseline s0 / (p Z): 6 mm * 20 mm / (0.1 mm * 380 mm) of the wall, the farthest.
+        assert frame.disparity.min() == pytest.approx(6 * 20 / (0.1 * 380), rel=1e-6)
+    told = json.loads((out / "frame_0001.json").read_text())
+    assert (told["scene"]["stereo"], told["scene"]["title"]) == ({"baseline": 6.0, "toe_in": 0.0}, "Pair")
+    for view in ("left", "right"):
+        assert told["views"][view]["frame"] == 1
+        # Midpoints of halves of the second second.
+        assert [moment["time"] for moment in told["views"][view]["intermediate"]] == [1.25, 1.75]
+        assert (told["units"][f"views.{view}.intermediate[].time"], told["units"]["stereo.baseline"]) == ("s", "mm")
+
+
+@pytest.mark.slow
+def test_a_pair_is_resumed_as_one(scene: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+
+    def redone(*more: str) -> set[str]:
+        before = marks(out)
+        assert clsco_("render", scene, "-o", out, "--resume", *more).exit_code == 0
+        return {name for name, mark in marks(out).items() if before.get(name) != mark}
+
+    assert clsco_("render", scene, "-o", out).exit_code == 0
+    assert redone() == set()
+    first = {"frame_0000.json", "frame_0000_left.png", "frame_0000_right.png"}
+    (out / "frame_0000_right.png").write_bytes((out / "frame_0000_left.png").read_bytes())
+    assert redone() == first
+    (out / "frame_0000_left.png").unlink()
+    assert redone() == first
+    assert redone("--truth", "exr", "--frames", ":1") == first | {"frame_0000.exr"}
+    assert redone("--precision", "double") == set()
+    assert redone("--precision", "single", "--frames", ":1") == first
+    content = read_complete(out, 0)
+    assert content is not None
+    assert {view["precision"] for view in content["views"].values()} == {"single"}
+    alone = "\n".join(line for line in PAIR.splitlines() if "stereo" not in line and "baseline" not in line)
+    scene.write_text(alone)
+    assert redone("--frames", ":1") == {"frame_0000.json", "frame_0000.png"}
+
+
+def test_scenes_that_share_rays_are_those_rendered_alone(scene: Path, tmp_path: Path) -> None:
+    sweep = ["--set", "camera.f_number=[2, 4, 8]", "--frames", "1:", "--truth", "npz"]
+    batch_size = batch.TOGETHER
+    assert batch_size > 3
+    assert clsco_("render", scene, "-o", tmp_path / "out", *sweep).exit_code == 0
+    for number in (2, 4, 8):
+        alone = ["--set", f"camera.f_number={number}", *sweep[2:]]
+        assert clsco_("render", scene, "-o", tmp_path / "alone", *alone).exit_code == 0
+        for eye in ("left", "right"):
+            for suffix in ("png", "npz"):
+                name = f"frame_0001_{eye}.{suffix}"
+                assert (tmp_path / f"out/f_number_{number}" / name).read_bytes() == (
+                    tmp_path / "alone" / name
+                ).read_bytes()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("limit", ["TOGETHER", "PIXELS_TOGETHER"])
+def test_long_sweeps_are_rendered_in_parts(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str
+) -> None:
+    sizes: list[int] = []
+
+    def counted(scenes: list[clsco.Scene], **options: object) -> object:
+        sizes.append(len(scenes))
+        return render_sweep(scenes, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(batch, "render_sweep", counted)
+    monkeypatch.setattr(batch, limit, 2 if limit == "TOGETHER" else 2 * 40 * 24)
+    values = ["--set", "camera.f_number=[2, 3, 4, 5, 6]", "--frames", ":1"]
+    assert clsco_("render", scene, "-o", tmp_path / "out", *values).exit_code == 0
+    assert sizes == [2, 2, 1]
+    assert len(list((tmp_path / "out").glob("*/frame_0000_right.png"))) == 5
+
+
+def test_the_plan_tells_both_views(scene: Path) -> None:
+    result = clsco_("plan", scene, "--set", "stereo.toe_in=1.5", "--truth", "npz")
+    text = " ".join(result.output.split())
+    assert "views left and right, 6 mm apart, each turned inwards by 1.5 deg" in text
+    assert "disparity, occluded" in text
+    still = clsco_("plan", scene, "--set", "object.0.motion.velocity=[0, 0, 0]")
+    assert "texture sampling (left) nothing moves" in " ".join(still.output.split())
+    assert "texture sampling (right) bicubic" in " ".join(still.output.split())
+
+
+def test_every_view_is_checked(scene: Path) -> None:
+    result = clsco_("check", scene, "--set", "sequence.frames=1", "--precision", "double")
+    assert result.exit_code == 0, result.output
+    for view in ("left", "right"):
+        assert f"Frame 0, {view} view, against the reference" in result.output
+    assert result.output.count("disparity ") == result.output.count("occluded ") == 2
+
+
+@pytest.mark.parametrize("warp", mostly_slow(["inverse", "forward"], ["inverse"]))
+def test_views_turned_inwards_agree_with_the_reference(scene: Path, warp: str) -> None:
+    words = ["stereo.toe_in=1.5", "sequence.frames=1", f"motion.warp={warp}"]
+    views = list(compare_frames(clsco.load_scene(scene, words), None, "double"))
+    assert [checked.eye for checked in views] == ["left", "right"]
+    assert [found for checked in views for found in checked.differences if found.count] == []
+    # The texture is that of the camera that is not turned: 1.5 deg are 20 mm / 0.1 mm * tan(1.5 deg) = 5.2 columns.
+    frame = next(clsco.render(clsco.load_scene(scene, [*words, "object.0.motion.velocity=[0, 0, 0]"])))
+    assert frame.hidden is not None
+    assert frame.hidden.mean() == pytest.approx(5 / 40, abs=1 / 40)
+
+
+def test_a_fault_of_the_right_view_alone_is_told_before_anything_is_written(tmp_path: Path) -> None:
+    # The plane falls towards the right: 250 - 2.497 * 100 = 0.3 mm before the right camera.
+    wall = '[camera]\nresolution = [40, 24]\n[[object]]\nshape = "plane"\nslope_x = -2.497\n'
+    path = tmp_path / "wall.toml"
+    path.write_text(wall)
+    assert clsco_("validate", path).exit_code == 0
+    path.write_text(f"[stereo]\nbaseline = 100.0\n{wall}")
+    for words in (("validate", path), ("render", path, "-o", tmp_path / "out")):
+        result = clsco_(*words)
+        assert result.exit_code == 1
+        assert "the surface comes as near as 0.29" in result.stderr
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,193 @@
+"""The lens on arrays: against the reference's scatter, and what it refuses."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pyopencl.array as cl_array
+import pytest
+from numpy.typing import NDArray
+
+from clsco.engine.defocus import defocus
+from clsco.errors import ClscoError
+from clsco.opencl.session import Session
+from clsco.reference.blur.blur import prepare_sources, scatter
+from clsco.reference.layered.layered import layered
+from clsco.reference.trace.trace import Sources
+from clsco.scene.model import Psf
+from tests.slow import mostly_slow
+
+Array = NDArray[Any]
+# Float32 weights and sums over some hundred taps leave about 1e-6 of white, interpolation in the tables as much.
+FIGURE = 1e-5
+
+
+def reference(image: Array, coc: Array, psf: Psf) -> Array:
+    valid = np.ones(coc.shape, bool)
+    values = np.asarray(image, np.float64).reshape(*coc.shape, -1)
+    sources = Sources(values, np.ones(coc.shape), valid.astype(np.uint8), coc, prepare_sources(coc, valid), valid)
+    return np.asarray(scatter(psf, sources, None, coc.shape, 0)).reshape(image.shape)
+
+
+def picture(rows: int, columns: int, channels: int = 1) -> tuple[Array, Array]:
+    rng = np.random.default_rng(7)
+    image = rng.random((rows, columns, channels) if channels > 1 else (rows, columns), dtype=np.float32)
+    i, j = np.mgrid[0:rows, 0:columns]
+    coc = 5.0 * np.sin(0.07 * j) * np.cos(0.05 * i) + 0.02 * i
+    assert np.ptp(coc) > 1.0
+    return image, coc
+
+
+PSFS = [
+    Psf(model=model, edge=edge, tilt=tilt)
+    for model in ("pillbox", "gaussian")
+    for edge in ("sampled", "area", "integrated")
+    for tilt in (False, True)
+]
+
+
+KEPT = [PSFS[k] for k in (0, 5, 8)]  # with and without tilt, each edge, both models
+
+
+@pytest.mark.parametrize("method", mostly_slow(["gather", "scatter"], ["gather"]))
+@pytest.mark.parametrize("psf", mostly_slow(PSFS, KEPT), ids=lambda p: f"{p.model}-{p.edge}-{p.tilt}")
+def test_every_psf_agrees_with_the_reference(psf: Psf, method: str) -> None:
+    image, coc = picture(70, 90)
+    error = np.abs(defocus(image, coc, psf, method=method) - reference(image, coc, psf))
+    worst = np.unravel_index(int(error.argmax()), error.shape)
+    assert error.max() < FIGURE, f"{error.max():.2e} at {worst}, {(error > FIGURE).sum()} pixels"
+
+
+@pytest.mark.parametrize("channels", mostly_slow([2, 3, 4], [3]))
+def test_channels_are_blurred_alike(channels: int) -> None:
+    image, coc = picture(40, 50, channels)
+    result = defocus(image, coc)
+    for k in range(channels):
+        assert np.array_equal(result[..., k], defocus(np.ascontiguousarray(image[..., k]), coc))
+
+
+@pytest.mark.parametrize("psf", mostly_slow(PSFS[::2], PSFS[:8:4]), ids=lambda p: f"{p.model}-{p.edge}")
+@pytest.mark.parametrize("radius", [0.3, -2.7, 9.4])
+def test_one_radius_is_a_convolution(psf: Psf, radius: float) -> None:
+    image, _ = picture(45, 61)
+    coc = np.full(image.shape, radius)
+    expected = reference(image, coc, psf)
+    for method in ("auto", "convolve", "gather", "scatter"):
+        if method == "convolve" or abs(radius) > 0.5 or method == "auto":
+            assert np.abs(defocus(image, coc, psf, method=method) - expected).max() < FIGURE, method
+
+
+@pytest.mark.parametrize("method", mostly_slow(["gather", "scatter"], ["gather"]))
+@pytest.mark.parametrize("psf", mostly_slow(PSFS[::2], [PSFS[4]]), ids=lambda p: f"{p.model}-{p.edge}")
+def test_what_is_nearer_hides_what_is_farther(psf: Psf, method: str) -> None:
+    """A disc of -4 px before the waves, with layers; a map without jumps is as without them."""
+    image, coc = picture(60, 80, channels=3)
+    model = psf.model_copy(update={"occlusion": "layered"})
+    assert np.array_equal(defocus(image, coc, model, method=method), defocus(image, coc, psf, method=method))
+    i, j = np.mgrid[0:60, 0:80]
+    disc = np.hypot(i - 28, j - 33) < 15
+    image, coc = np.where(disc[..., None], 0.2 * image, image), np.where(disc, -4.0, 1.0 + 0.6 * np.abs(coc))
+    found = defocus(image, coc, model, method=method)
+    light, largest = np.asarray(image, np.float64), float(np.abs(coc).max())
+    expected, count = layered(model, light, coc, np.ones(coc.shape, bool), coc.shape, 0, largest)
+    assert count == 2
+    assert np.abs(expected - reference(image, coc, psf)).max() > 0.1
+    assert np.abs(found - expected).max() < FIGURE
+
+
+@pytest.mark.parametrize("method", ["convolve", "gather"])
+@pytest.mark.parametrize("radius", [5.0, 20.0, 60.0])
+def test_a_wide_blur_leaves_a_uniform_image_as_it_is(radius: float, method: str) -> None:
+    """Eleven thousand equal taps: added one by one to a float they would leave 6.6e-5."""
+    side, reach = int(2 * radius + 40), int(radius + 3)
+    coc = np.full((side, side), radius)
+    if method == "gather":  # far from the middle: another radius, so that this is no convolution
+        coc[0, 0] = radius - 0.1
+    image = defocus(np.full((side, side), 0.73, dtype=np.float32), coc, Psf(tilt=False))
+    inside = image[reach + 2 : -reach, reach + 2 : -reach]
+    assert inside.size
+    assert np.abs(inside / 0.73 - 1.0).max() < 1.2e-6
+
+
+def test_renormalized_border_loses_no_light() -> None:
+    image, coc = picture(50, 60)
+    psf = Psf(border="renormalize")
+    result = defocus(image, coc, psf)
+    # float32 sums of 3000 pixels: 1e-6 of the total is ten times their rounding
+    assert result.sum(dtype=np.float64) == pytest.approx(image.sum(dtype=np.float64), rel=1e-6)
+    assert np.abs(result - reference(image, coc, psf)).max() < FIGURE
+    lost = defocus(image, coc).sum(dtype=np.float64)
+    assert lost < 0.99 * image.sum(dtype=np.float64)
+
+
+def test_in_focus_is_the_image_itself() -> None:
+    image, _ = picture(20, 30)
+    assert np.array_equal(defocus(image, np.zeros(image.shape)), image)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (17, 1), (2, 3), (33, 65)])
+def test_small_and_odd_sizes(shape: tuple[int, int]) -> None:
+    image = np.random.default_rng(1).random(shape, dtype=np.float32)
+    coc = np.linspace(-3.0, 4.0, image.size).reshape(shape)
+    assert np.abs(defocus(image, coc) - reference(image, coc, Psf())).max() < FIGURE
+
+
+def test_device_arrays_come_back_as_device_arrays(session: Session) -> None:
+    image, coc = picture(30, 40)
+    on_device = cl_array.to_device(session.queue, image)
+    result = defocus(on_device, cl_array.to_device(session.queue, coc.astype(np.float32)))
+    assert isinstance(result, cl_array.Array)
+    assert np.array_equal(result.get(), defocus(image, coc.astype(np.float32)))
+
+
+def test_the_same_bits_every_time() -> None:
+    image, coc = picture(64, 64)
+    for method in ("gather", "scatter"):
+        assert len({defocus(image, coc, method=method).tobytes() for _ in range(3)}) == 1
+
+
+@pytest.mark.parametrize("method", ["gather", "scatter", "tiles", "convolve"])
+@pytest.mark.parametrize("brightest", [0.0, 1e-36])
+def test_hardly_any_light_is_hardly_any_light(method: str, brightest: float) -> None:
+    image, coc = picture(12, 9)
+    radii = np.full_like(coc, 1.5) if method == "convolve" else coc
+    found = defocus(image * np.float32(brightest), radii, method=method)
+    assert np.abs(found).max() <= 1.001 * brightest * image.max()
+
+
+def test_arrays_may_lie_in_memory_in_any_order() -> None:
+    image, coc = picture(9, 14)
+    expected = defocus(image, coc)
+    turned = defocus(np.asfortranarray(image), np.asfortranarray(coc))
+    np.testing.assert_array_equal(turned, expected)
+    np.testing.assert_array_equal(defocus(image[::-1][::-1], np.repeat(coc, 2, axis=1)[:, ::2]), expected)
+
+
+ONES = np.ones((4, 5), np.float32)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((ONES, np.ones((5, 4))), "coc: must have the rows and columns of the image, (4, 5); got (5, 4)"),
+        ((ONES[0], np.ones(5)), "image: must have the shape"),
+        ((ONES, np.full((4, 5), np.nan)), "coc: must be finite; got 20 values that are not"),
+        ((np.full((4, 5), np.inf, np.float32), ONES), "image: must be finite"),
+        ((np.ones((4, 5), np.uint8), ONES), "image: must be linear light in floats; got uint8"),
+        ((ONES, np.full((4, 5), 1e4)), "coc: radii must be at most 512 px; got 1e+04 px"),
+        ((ONES, ONES, {"edge": "sharp"}), "psf.edge"),
+        ((ONES, ONES, {"sigma_ratio": 1.0}), "psf.sigma_ratio"),
+    ],
+)
+def test_what_is_refused(arguments: tuple[Any, ...], message: str) -> None:
+    with pytest.raises(ClscoError) as caught:
+        defocus(*arguments)
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("method", ["convolve", "fast"])
+def test_unknown_or_unfit_methods_are_refused(method: str) -> None:
+    image, coc = picture(8, 8)
+    with pytest.raises(ClscoError, match="method: "):
+        defocus(image, coc, method=method)

@@ -1,0 +1,328 @@
+"""Writing: a frame's files hold the frame, and a file is whole on the disk or not there."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+
+from clsco.errors import ImageError
+from clsco.files import atomic as files
+from clsco.files.atomic import remove_stale, writable_folder
+from clsco.files.images import read_image, write_exr, write_json, write_npz, write_png
+from clsco.files.transfer import encode
+from clsco.frame.files import exr_channels, frame_files, read_complete, write_frame
+from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES, Frame
+
+GREY = np.arange(256, dtype=np.uint8).reshape(8, 32)
+COLOR = np.random.default_rng(7).integers(0, 65536, (300, 300, 3), "u2")
+LIGHT = np.random.default_rng(7).random((300, 300), "f4")
+
+
+def frame(channels: int) -> Frame:
+    generator = np.random.default_rng(3)
+    shape = (6, 8) if channels == 1 else (6, 8, 3)
+    depth = generator.random((6, 8)).astype("f4")
+    depth[0] = np.inf
+    return Frame(
+        index=3,
+        color=(generator.random(shape) * 1.5 - 0.2).astype("f4"),
+        sharp=generator.random(shape).astype("f4"),
+        depth=depth,
+        coc=(generator.random((6, 8)) - 0.5).astype("f4"),
+        mask=generator.random((6, 8)) < 0.5,
+        filled=generator.integers(0, 3, (6, 8), "u1"),
+        object_id=generator.integers(-1, 3, (6, 8), "i4"),
+        normal=generator.random((6, 8, 3)).astype("f4"),
+        flow=generator.random((6, 8, 2)).astype("f4"),
+        hidden=generator.random((6, 8)) < 0.5,
+        metadata={"title": "Kugel, groß"},
+    )
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_frame_files_hold_the_frame(tmp_path: Path, channels: int) -> None:
+    shown = frame(channels)
+    content = write_frame(tmp_path, (shown,), 32, "srgb", ("npz", "exr"))
+    names = ["frame_0003.exr", "frame_0003.json", "frame_0003.npz", "frame_0003.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == names
+    assert json.loads((tmp_path / "frame_0003.json").read_text("utf-8")) == content
+    assert content["title"] == "Kugel, groß"
+    assert sorted(content["files"]) == [name for name in names if not name.endswith("json")]
+
+    image = read_image(tmp_path / "frame_0003.png")
+    np.testing.assert_array_equal(image.data, encode(shown.color, 16, "srgb"), strict=True)
+    with np.load(tmp_path / "frame_0003.npz", allow_pickle=False) as truth:
+        assert set(truth.files) == {"color", *TRUTH_NAMES}
+        for name in truth.files:
+            np.testing.assert_array_equal(truth[name], getattr(shown, name), strict=True)
+
+    stored = OpenEXR.File(str(tmp_path / "frame_0003.exr"), separate_channels=True).channels()
+    wanted = exr_channels(shown)
+    assert set(stored) == set(wanted)
+    expected = "R G B A Z coc sharp.R sharp.G sharp.B N.X N.Y N.Z flow.u flow.v id mask filled hidden"
+    assert set(stored) == set(expected.split())
+    for name, channel in stored.items():
+        np.testing.assert_array_equal(channel.pixels, wanted[name].astype("f4"), strict=True)
+    assert shown.flow is not None
+    np.testing.assert_array_equal(stored["flow.v"].pixels, shown.flow[..., 1])
+    np.testing.assert_array_equal(stored["B"].pixels, shown.color.reshape(6, 8, -1)[..., -1])
+
+
+def pair() -> tuple[Frame, Frame]:
+    """Two views of different content."""
+    generator = np.random.default_rng(4)
+    left, right = (
+        replace(
+            frame(1),
+            color=generator.random((6, 8)).astype("f4"),
+            disparity=generator.random((6, 8)).astype("f4"),
+            occluded=generator.random((6, 8)) < 0.5,
+            eye=eye,
+            metadata={"guard_px": guard},
+        )
+        for eye, guard in (("left", 4), ("right", 5))
+    )
+    return left, right
+
+
+def test_a_stereo_pair_has_files_of_each_view_and_one_exr(tmp_path: Path) -> None:
+    views = pair()
+    content = write_frame(tmp_path, views, 8, "linear", ("npz", "exr"), {"title": "Pair"})
+    apart = [f"frame_0003_{eye}.{suffix}" for eye in ("left", "right") for suffix in ("npz", "png")]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["frame_0003.exr", "frame_0003.json", *apart]
+    assert set(content["files"]) == frame_files(3, True, ("npz", "exr")) == {"frame_0003.exr", *apart}
+    assert content["views"] == {"left": {"guard_px": 4}, "right": {"guard_px": 5}}
+    assert content["title"] == "Pair"
+    assert read_complete(tmp_path, 3) == content
+
+    parts = OpenEXR.File(str(tmp_path / "frame_0003.exr"), separate_channels=True).parts
+    assert [part.name() for part in parts] == [part.header["view"] for part in parts] == ["left", "right"]
+    for shown, part in zip(views, parts, strict=True):
+        wanted = exr_channels(shown)
+        assert set(part.channels) == set(wanted) >= {"R", "Z", "flow.u", "disparity", "occluded"}
+        for name, channel in part.channels.items():
+            np.testing.assert_array_equal(channel.pixels, wanted[name].astype("f4"), strict=True)
+        np.testing.assert_array_equal(part.channels["disparity"].pixels, shown.disparity, strict=True)
+        stem = f"frame_0003_{shown.eye}"
+        np.testing.assert_array_equal(read_image(tmp_path / f"{stem}.png").data, encode(shown.color, 8, "linear"))
+        with np.load(tmp_path / f"{stem}.npz", allow_pickle=False) as truth:
+            assert set(truth.files) == {"color", *TRUTH_NAMES, *STEREO_NAMES}
+            for name in truth.files:
+                np.testing.assert_array_equal(truth[name], getattr(shown, name), strict=True)
+
+    (tmp_path / "frame_0003_right.png").write_bytes((tmp_path / "frame_0003_left.png").read_bytes())
+    assert read_complete(tmp_path, 3) is None
+
+
+@pytest.mark.parametrize("broken", ["write_png", "write_npz", "write_exr"])
+def test_a_pair_is_written_together_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken: str) -> None:
+    from clsco.frame import files as framefiles
+
+    write, calls = getattr(framefiles, broken), []
+
+    def second_fails(path: Path, *given: object, **options: object) -> None:
+        calls.append(path)
+        if len(calls) == (1 if broken == "write_exr" else 2):
+            raise ImageError(f"{path}: the file must be writable; got No space left on device")
+        write(path, *given, **options)
+
+    monkeypatch.setattr(framefiles, broken, second_fails)
+    with pytest.raises(ImageError) as caught:
+        write_frame(tmp_path, pair(), 8, "linear", ("npz", "exr"))
+    name = "frame_0003.exr" if broken == "write_exr" else f"frame_0003_right.{broken[-3:]}"
+    assert str(caught.value) == f"{tmp_path / name}: the file must be writable; got No space left on device"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_frame_without_truth(tmp_path: Path) -> None:
+    write_frame(tmp_path, (Frame(12345, np.full((2, 3), 0.5, "f4")),), 8, "linear", ("npz",))
+    assert read_image(tmp_path / "frame_12345.png").data.tolist() == [[128] * 3] * 2
+    with np.load(tmp_path / "frame_12345.npz") as truth:
+        assert truth.files == ["color"]
+
+
+def test_frame_is_complete_or_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = frame(1)
+    assert read_complete(tmp_path, 3) is None
+    content = write_frame(tmp_path, (shown,), 8, "srgb", ("npz",))
+    assert read_complete(tmp_path, 3) == content
+    (tmp_path / "frame_0003.png").write_bytes(b"x")
+    assert read_complete(tmp_path, 3) is None
+
+    content = write_frame(tmp_path, (shown,), 8, "srgb", ("npz",))
+    with monkeypatch.context() as patch:
+        patch.setattr("clsco.frame.files.write_npz", lambda *_: (_ for _ in ()).throw(ImageError("disk")))
+        with pytest.raises(ImageError, match="disk"):
+            write_frame(tmp_path, (replace(shown, color=1 - shown.color),), 8, "srgb", ("npz",))
+    assert read_complete(tmp_path, 3) == content  # the older frame is still there
+    monkeypatch.setattr("clsco.frame.files.write_json", lambda *_: (_ for _ in ()).throw(ImageError("disk")))
+    with pytest.raises(ImageError, match="disk"):
+        write_frame(tmp_path, (shown,), 8, "srgb", ("npz",))
+    assert read_complete(tmp_path, 3) is None  # new files, and none that says they are whole
+    (tmp_path / "frame_0003.json").write_text("[]")
+    assert read_complete(tmp_path, 3) is None
+
+
+def test_same_content_gives_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = write_frame(tmp_path, (frame(3),), 8, "srgb", ("npz", "exr"))
+    later = time.gmtime(time.time() + 100_000)
+    monkeypatch.setattr(time, "localtime", lambda _=None: later)  # what archives put beside a name
+    assert write_frame(tmp_path, (frame(3),), 8, "srgb", ("npz", "exr")) == first
+
+
+WRITERS: dict[str, Callable[[Path], None]] = {
+    "png": lambda path: write_png(path, COLOR),
+    "npz": lambda path: write_npz(path, {"color": LIGHT}),
+    "exr": lambda path: write_exr(path, {"R": LIGHT}),
+    "json": lambda path: write_json(path, {"numbers": list(range(100_000))}),
+}
+
+
+@pytest.mark.parametrize("failure", ["fsync", "replace", "disk", "interrupt"])
+@pytest.mark.parametrize("write", WRITERS.values(), ids=WRITERS)
+def test_failed_writing_leaves_what_was_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: Callable[[Path], None], failure: str
+) -> None:
+    path = tmp_path / "file.bin"
+    path.write_bytes(b"before")
+
+    def fail(*_arguments: object) -> None:
+        if failure == "interrupt":
+            raise KeyboardInterrupt
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    if failure == "disk":  # the system refuses byte 50,001 in the middle of the file
+        resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, limit[1]))
+    else:
+        monkeypatch.setattr(Path if failure == "replace" else os, "replace" if failure == "replace" else "fsync", fail)
+    try:
+        with pytest.raises(KeyboardInterrupt if failure == "interrupt" else ImageError) as caught:
+            write(path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+    if failure != "interrupt":
+        assert str(caught.value).startswith(f"{path}: the file must be writable; got ")
+        assert str(caught.value).isprintable()
+    assert path.read_bytes() == b"before"
+    assert list(tmp_path.iterdir()) == [path]
+    monkeypatch.undo()
+    write(path)
+    assert path.stat().st_size > 50_000
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_writing_shows_nothing_unfinished(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[list[str]] = []
+    monkeypatch.setattr(os, "fsync", lambda _: seen.append([path.name for path in tmp_path.iterdir()]))
+    write_png(tmp_path / "file.png", GREY)
+    ((name,),) = seen
+    assert name.startswith(f".file.png.{os.getpid()}-")
+    assert name.endswith(".part")
+
+
+def test_unwritable_places(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"")
+    (tmp_path / "folder" / "inner").mkdir(parents=True)
+    for path in (
+        tmp_path / "none" / "a.png",
+        tmp_path / "file" / "a.png",
+        tmp_path / "folder",
+        tmp_path / "a\0.png",
+    ):
+        with pytest.raises(ImageError, match="the file must be writable; got "):
+            write_png(path, GREY)
+    with pytest.raises(ImageError, match="the file must be writable; got Out of range float"):
+        write_json(tmp_path / "a.json", {"x": float("nan")})
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder"]
+
+    assert writable_folder(tmp_path / "new" / "deep") == tmp_path / "new" / "deep"
+    assert list((tmp_path / "new" / "deep").iterdir()) == []
+    for path in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/nothing"), tmp_path / "a\0"):
+        with pytest.raises(ImageError, match="must be a folder that can be written; got "):
+            writable_folder(path)
+
+
+def test_stale_temporary_files_are_removed(tmp_path: Path) -> None:
+    with subprocess.Popen([sys.executable, "-c", ""]) as process:
+        process.wait()
+    alive = tmp_path / f".a.png.{os.getpid()}-{files._RUN}-0.part"
+    parent = tmp_path / f".a.png.{os.getppid()}-0-0.part"
+    stale = tmp_path / f".a.png.{process.pid}-0-0.part"
+    earlier = tmp_path / f".a.png.{os.getpid()}-0-0.part"  # of a process that had this one's number
+    foreign = tmp_path / ".foreign.part"
+    for path in (alive, parent, stale, earlier, foreign, tmp_path / "a.part"):
+        path.touch()
+    folder = tmp_path / f".frame_0000.{process.pid}-1-0.part"
+    folder.mkdir()
+    (folder / "frame_0000.png").touch()
+    remove_stale(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([alive.name, parent.name, foreign.name, "a.part"])
+
+
+KILLED = """
+import contextlib, os, random, signal, sys, time
+from pathlib import Path
+import numpy as np
+from clsco.files import images
+from clsco.frame import files as framefiles
+from clsco.frame.frame import Frame
+
+folder, naive = Path(sys.argv[1]), sys.argv[2] == "naive"
+if naive:
+    @contextlib.contextmanager
+    def images_open(path):
+        with open(path, "wb") as file:
+            yield file
+    @contextlib.contextmanager
+    def in_place(folder, name):
+        yield folder
+    images.whole_file, framefiles.together, framefiles.sha256 = images_open, in_place, lambda path: path.name
+light = np.random.default_rng(1).random((64, 64, 3), "f4")
+framefiles.write_frame(folder, (Frame(0, light),), 16, "srgb")  # makes the tables, once for all children
+random.seed(2)
+damaged = complete = 0
+for round in range(100):
+    child = os.fork()
+    if child == 0:
+        for index in range(7 * round, 10**6):
+            framefiles.write_frame(folder, (Frame(index % 50, light + index % 3),), 16, "srgb", ("npz",))
+    time.sleep(random.uniform(0.001, 0.04))
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    files.remove_stale(folder)
+    names = sorted(path.name for path in folder.iterdir())
+    assert not [name for name in names if not name.startswith("frame_")], names
+    for path in folder.glob("*.png"):
+        try:
+            images.read_image(path)
+        except Exception:
+            damaged += 1
+    for path in folder.glob("*.json"):
+        whole = framefiles.read_complete(folder, int(path.stem[-4:])) is not None
+        complete, damaged = complete + whole, damaged + (not whole)
+print(complete, damaged)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("writer", ["whole", "naive"])
+def test_killed_at_any_moment(tmp_path: Path, writer: str) -> None:
+    command = [sys.executable, "-W", "ignore", "-c", KILLED, str(tmp_path), writer]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    complete, damaged = (int(word) for word in done.stdout.split())
+    assert complete > 100
+    assert (damaged == 0) == (writer == "whole"), done.stdout

@@ -1,0 +1,381 @@
+"""Reading images: exactly what the file stores, or a refusal in one line."""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import struct
+import sys
+import time
+import tracemalloc
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import imagecodecs
+import imageio.v3 as iio
+import numpy as np
+import OpenEXR
+import pytest
+import tifffile
+from numpy.typing import NDArray
+from PIL import Image
+
+from clsco.errors import ImageError
+from clsco.files.images import image_size, read_image, write_exr, write_png
+
+Array = NDArray[Any]
+SHAPES = {"grey": (13, 7), "rgb": (13, 7, 3), "row": (1, 9), "pixel": (1, 1, 3)}
+
+
+def pixels(dtype: str, shape: tuple[int, ...]) -> Array:
+    """Give random values over the whole range of a type, its limits among them; floats up to 100."""
+    generator = np.random.default_rng(7)
+    if np.dtype(dtype).kind == "f":
+        return (100 * generator.random(shape)).astype(dtype)
+    data = generator.integers(0, np.iinfo(dtype).max, shape, endpoint=True).astype(dtype)
+    data.flat[0] = np.iinfo(dtype).max
+    return data
+
+
+def save_exr(path: Path, **channels: Array) -> None:
+    pixels = {name: np.ascontiguousarray(channel) for name, channel in channels.items()}
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, pixels).write(str(path))
+
+
+def save_pfm(path: Path, data: Array, order: str = "<") -> None:
+    kind = "PF" if data.ndim == 3 else "Pf"
+    head = f"{kind}\n{data.shape[1]} {data.shape[0]}\n{-1.0 if order == '<' else 1.0}\n"
+    path.write_bytes(head.encode() + data[::-1].astype(f"{order}f4").tobytes())
+
+
+def save_tiff(path: Path, data: Array, **options: Any) -> None:
+    tifffile.imwrite(path, data, photometric="rgb" if data.ndim == 3 else "minisblack", **options)
+
+
+def save_rgb_exr(path: Path, data: Array) -> None:
+    save_exr(path, **({"Y": data} if data.ndim == 2 else {name: data[..., n] for n, name in enumerate("RGB")}))
+
+
+def png(columns: int, rows: int, depth: int, color: int, raw: bytes, *extra: bytes, laced: int = 0) -> bytes:
+    """Put a PNG together chunk by chunk; `raw` are its rows with their filter bytes, `extra` whole chunks."""
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", columns, rows, depth, color, 0, 0, laced))
+    body = [header, *extra, chunk(b"IDAT", zlib.compress(raw)), chunk(b"IEND", b"")]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(body)
+
+
+def chunk(kind: bytes, body: bytes) -> bytes:
+    return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+
+def refusal(path: Path) -> str:
+    """Read what must not be read, and give the message, a single line, after its path."""
+    with pytest.raises(ImageError) as caught:
+        read_image(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert "; got " in message
+    assert "\n" not in message
+    return message.removeprefix(f"{path}: ")
+
+
+ROUND_TRIPS: list[tuple[str, str, Callable[[Path, Array], object]]] = [
+    ("png", "u1", write_png),
+    ("png", "u2", write_png),
+    ("png", "u1", lambda path, data: iio.imwrite(path, data)),
+    ("png", "u2", lambda path, data: path.write_bytes(imagecodecs.png_encode(data))),
+    ("PNG", "u1", lambda path, data: path.write_bytes(imagecodecs.png_encode(data))),
+    ("tif", "u1", save_tiff),
+    ("tiff", "u2", save_tiff),
+    ("tif", ">u2", lambda path, data: save_tiff(path, data, byteorder=">")),
+    ("tif", "u2", lambda path, data: save_tiff(path, data, compression="zlib", predictor=True)),
+    ("tif", "f2", save_tiff),
+    ("tif", "f4", save_tiff),
+    ("tif", "f8", save_tiff),
+    ("exr", "f2", save_rgb_exr),
+    ("exr", "f4", save_rgb_exr),
+    ("pfm", "f4", save_pfm),
+    ("pfm", "f4", lambda path, data: save_pfm(path, data, ">")),
+    *[("npy", dtype, np.save) for dtype in ("u1", "u2", ">u2", "f2", "f4", "f8")],
+    ("npy", "f4", lambda path, data: np.save(path, np.asfortranarray(data))),
+]
+
+
+@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
+@pytest.mark.parametrize(("suffix", "dtype", "save"), ROUND_TRIPS)
+def test_reads_what_was_stored(
+    tmp_path: Path, suffix: str, dtype: str, save: Callable[[Path, Array], object], shape: tuple[int, ...]
+) -> None:
+    data = pixels(dtype, shape)
+    path = tmp_path / f"image.{suffix}"
+    save(path, data)
+    picture = read_image(path)
+    wanted = data.astype(np.float32) if data.dtype.kind == "f" else data.astype(data.dtype.newbyteorder("="))
+    np.testing.assert_array_equal(picture.data, wanted, strict=True)
+    assert picture.bits == 8 * wanted.dtype.itemsize
+    assert picture.is_float == (data.dtype.kind == "f")
+    assert image_size(path) == (shape[1], shape[0])
+
+
+@pytest.mark.parametrize("bits", [1, 2, 4])
+def test_few_bits_and_palettes_become_8_bits(tmp_path: Path, bits: int) -> None:
+    codes = np.arange(8) % 2**bits
+    packed = np.packbits((codes[:, None] >> np.arange(bits)[::-1]) & 1).tobytes()
+    path = tmp_path / "image.png"
+    path.write_bytes(png(8, 1, bits, 0, b"\0" + packed))
+    np.testing.assert_array_equal(read_image(path).data, (codes[None] * (255 // (2**bits - 1))).astype(np.uint8))
+
+    colors = pixels("u1", (2**bits, 3))
+    table, opaque = chunk(b"PLTE", colors.tobytes()), chunk(b"tRNS", b"\xff\xff")
+    path.write_bytes(png(8, 1, bits, 3, b"\0" + packed, table, opaque))
+    np.testing.assert_array_equal(read_image(path).data, colors[codes][None])
+    path.write_bytes(png(8, 1, bits, 3, b"\0" + packed, table, chunk(b"tRNS", b"\xff\xfe")))
+    assert refusal(path).startswith("pixels must be opaque; got a transparent color")
+
+
+def test_interlaced_png(tmp_path: Path) -> None:
+    data = pixels("u1", (11, 13))
+    passes = [
+        data[y::dy, x::dx]
+        for x, y, dx, dy in [
+            (0, 0, 8, 8),
+            (4, 0, 8, 8),
+            (0, 4, 4, 8),
+            (2, 0, 4, 4),
+            (0, 2, 2, 4),
+            (1, 0, 2, 2),
+            (0, 1, 1, 2),
+        ]
+    ]
+    rows = b"".join(b"\0" + row.tobytes() for part in passes for row in part)
+    (tmp_path / "image.png").write_bytes(png(13, 11, 8, 0, rows, laced=1))
+    np.testing.assert_array_equal(read_image(tmp_path / "image.png").data, data)
+    (tmp_path / "image.png").write_bytes(png(13, 11, 8, 0, rows[:-1], laced=1))
+    assert "fewer pixels" in refusal(tmp_path / "image.png")
+
+
+@pytest.mark.parametrize("channels", [2, 4])
+@pytest.mark.parametrize("kind", ["png u1", "png u2", "tif u2", "tif f4", "exr f4"])
+def test_only_opaque_alpha_is_dropped(tmp_path: Path, kind: str, channels: int) -> None:
+    suffix, dtype = kind.split()
+    data = pixels(dtype, (5, 6, channels))
+    data[..., -1] = 1 if dtype == "f4" else np.iinfo(dtype).max
+    path = tmp_path / f"image.{suffix}"
+
+    def save() -> None:
+        if suffix == "png":
+            path.write_bytes(imagecodecs.png_encode(data))
+        elif suffix == "tif":
+            photometric = "rgb" if channels == 4 else "minisblack"
+            tifffile.imwrite(path, data, photometric=photometric, planarconfig="contig", extrasamples=["unassalpha"])
+        else:
+            names = "RGBA" if channels == 4 else "YA"
+            save_exr(path, **{name: data[..., n] for n, name in enumerate(names)})
+
+    save()
+    np.testing.assert_array_equal(read_image(path).data, data[..., 0] if channels == 2 else data[..., :3])
+    data[2, 3, -1] = 0
+    save()
+    assert refusal(path) == "alpha must be opaque everywhere; got 1 other pixels"
+
+
+@pytest.mark.parametrize("orientation", range(9))
+@pytest.mark.parametrize("mode", ["L", "RGB"])
+def test_jpeg_is_turned_upright(tmp_path: Path, mode: str, orientation: int) -> None:
+    upright = np.zeros((32, 48), np.uint8)
+    upright[:16, :16] = 250  # three marks tell all eight cases apart
+    upright[:16, 32:] = 170
+    upright[16:, :16] = 80
+    # How each orientation stores an upright image: the tag says how to undo it.
+    turns: list[Callable[[Array], Array]] = [
+        np.array,
+        np.array,
+        np.fliplr,
+        lambda image: np.rot90(image, 2),
+        np.flipud,
+        np.transpose,
+        np.rot90,
+        lambda image: np.rot90(image, 2).T,
+        lambda image: np.rot90(image, 3),
+    ]
+    exif = Image.Exif()
+    if orientation:
+        exif[274] = orientation
+    path = tmp_path / "image.jpg"
+    Image.fromarray(turns[orientation](upright)).convert(mode).save(path, exif=exif, quality=95)
+    picture = read_image(path)
+    assert picture.bits == 8
+    assert image_size(path) == (48, 32)
+    assert picture.data.shape == ((32, 48) if mode == "L" else (32, 48, 3))
+    # The marks are whole blocks of 8 x 8: a flat one is off by half a step of its mean and rounding.
+    np.testing.assert_allclose(picture.data.reshape(32, 48, -1)[..., 0], upright, atol=2)
+
+
+def test_jpeg_markers_may_be_padded(tmp_path: Path) -> None:
+    (tmp_path / "image.jpg").write_bytes(JPEG[:2] + b"\xff\xff\xff" + JPEG[2:])
+    assert image_size(tmp_path / "image.jpg") == (30, 40)
+    assert read_image(tmp_path / "image.jpg").data.shape == (40, 30)
+
+
+GREY = pixels("u1", (40, 30))
+PNG = bytes(imagecodecs.png_encode(GREY))
+
+
+def encoded(save: Callable[..., object], *arguments: Any, **options: Any) -> bytes:
+    stream = io.BytesIO()
+    save(stream, *arguments, **options)
+    return stream.getvalue()
+
+
+def exr(**channels: Array) -> bytes:
+    return encoded(OpenEXR.File({"type": OpenEXR.scanlineimage}, channels).write)
+
+
+def tiff(data: Array, **options: Any) -> bytes:
+    return encoded(tifffile.imwrite, data, **{"photometric": "minisblack", "metadata": None, **options})
+
+
+CHANNEL = pixels("f4", (4, 5))
+JPEG = encoded(Image.fromarray(GREY).save, "JPEG")
+TIFF = tiff(GREY)
+BIG_TIFF = TIFF.replace(struct.pack("<HHII", 256, 4, 1, 30), struct.pack("<HHII", 256, 4, 1, 70000))
+EXR = exr(Y=pixels("f4", (40, 30)))
+BIG_EXR = EXR.replace(struct.pack("<4i", 0, 0, 29, 39), struct.pack("<4i", 0, 0, 12999, 12999))
+CROPPED_EXR = EXR.replace(struct.pack("<4i", 0, 0, 29, 39), struct.pack("<4i", 3, 3, 32, 42), 1)
+NPY = encoded(np.save, GREY)
+BIG_NPY = NPY.replace(b"(40, 30), }       ", b"(40000000, 30), } ")
+OBJECTS = encoded(np.save, np.array([[{}]]), allow_pickle=True)
+WHOLE = "must be a whole PNG; got "
+LIMIT = "columns and rows must be from 1 to 65536, and at most 134217728 pixels; got "
+HUGE = encoded(Image.new("L", (13000, 13000)).save, "PNG")
+assert len(HUGE) < 200_000
+
+VALUES = "values must be finite and at least 0; got "
+DTYPES = "values must be uint8, uint16, float16, float32 or float64; got "
+NUMBERS = "an NPY must hold numbers of shape (rows, columns) or (rows, columns, 3); got "
+CONTENT = "the content must be PNG, as the extension says; got "
+ROWS = bytes(20)  # of 4 x 4 pixels of 8 bits
+
+# fmt: off
+REFUSED: dict[str, tuple[str, bytes, str]] = {
+    "empty": ("a.png", b"", f"{CONTENT}an empty file"),
+    "text": ("a.png", b"hello world", f"{CONTENT}the first bytes b'hello wo'"),
+    "other format": ("a.png", JPEG, f"{CONTENT}JPEG"),
+    "other extension": ("a.bmp", b"BM", "the extension must be one of .png "),
+    "no extension": ("a", PNG, "the extension must be one of .png "),
+    "bomb": ("a.png", HUGE, f"{LIMIT}13000 x 13000"),
+    "big header": ("a.png", png(2**31 - 1, 2**31 - 1, 8, 0, b""), f"{LIMIT}2147483647 x 2147483647"),
+    "no columns": ("a.png", png(0, 5, 8, 0, b""), f"{LIMIT}0 x 5"),
+    "long row": ("a.png", png(65537, 1, 8, 0, bytes(65538)), f"{LIMIT}65537 x 1"),
+    "big JPEG": ("a.jpg", JPEG.replace(struct.pack(">HH", 40, 30), b"\xff" * 4), f"{LIMIT}65535 x 65535"),
+    "big TIFF": ("a.tif", BIG_TIFF, f"{LIMIT}70000 x 40"),
+    "big EXR": ("a.exr", BIG_EXR, f"{LIMIT}13000 x 13000"),
+    "big PFM": ("a.pfm", b"Pf\n13000 13000\n-1\n", f"{LIMIT}13000 x 13000"),
+    "negative PFM": ("a.pfm", b"Pf\n-3 -3\n-1\n", f"{LIMIT}-3 x -3"),
+    "big NPY": ("a.npy", BIG_NPY, f"{LIMIT}30 x 40000000"),
+    "checksum": ("a.png", PNG[:60] + bytes([PNG[60] ^ 1]) + PNG[61:], f"{WHOLE}a wrong checksum"),
+    "few rows": ("a.png", png(8, 8, 8, 0, bytes(9 * 5)), f"{WHOLE}fewer pixels than the header says"),
+    "bad filter": ("a.png", png(4, 4, 8, 0, b"\7aaaa" * 4), WHOLE),
+    "bad color": ("a.png", png(4, 4, 8, 5, ROWS), f"{WHOLE}color type 5"),
+    "animation": ("a.png", png(4, 4, 8, 0, ROWS, chunk(b"acTL", bytes(8))), f"{WHOLE}an animation"),
+    "keyed": ("a.png", png(4, 4, 8, 0, ROWS, chunk(b"tRNS", b"\0\5")), "pixels must be opaque; got "),
+    "CMYK": ("a.jpg", encoded(Image.new("CMYK", (9, 9)).save, "JPEG"), "a JPEG must be grey or RGB; got "),
+    "no frame": ("a.jpg", b"\xff\xd8\xff\xd9" + ROWS, "must be a whole JPEG; got no frame header"),
+    "pages": ("a.tif", tiff(np.zeros((3, 8, 9), "u1")), "must be a single image; got 3 pages"),
+    "white is 0": ("a.tif", tiff(GREY, photometric="miniswhite"), "a TIFF must be grey (0 is black) or RGB"),
+    "signed": ("a.tif", tiff(GREY.astype("i2")), f"{DTYPES}int16"),
+    "32-bit": ("a.npy", encoded(np.save, GREY.astype("u4")), f"{DTYPES}uint32"),
+    "objects": ("a.npy", OBJECTS, f"{NUMBERS}object"),
+    "volume": ("a.npy", encoded(np.save, np.zeros((4, 5, 4))), f"{NUMBERS}float64 of shape (4, 5, 4)"),
+    "depth only": ("a.exr", exr(Z=CHANNEL), "an EXR must hold the channels R G B or Y; got Z"),
+    "cropped": ("a.exr", CROPPED_EXR, "the data window must be the display window"),
+    "integers": ("a.exr", exr(Y=CHANNEL.astype("u4")), "EXR pixels must be floats; got uint32"),
+    "nan": ("a.npy", encoded(np.save, [[0, np.nan], [np.nan, 1]]), f"{VALUES}nan at row 0, column 1 (2 "),
+    "infinite": ("a.exr", exr(Y=CHANNEL + np.float32(np.inf)), f"{VALUES}inf at row 0, column 0 (20 in all)"),
+    "overflow": ("a.npy", encoded(np.save, [[1e39]]), f"{VALUES}inf at row 0, column 0 (1 in all)"),
+    "negative": ("a.pfm", b"Pf 2 1 -1 " + struct.pack("<ff", 1, -0.5), f"{VALUES}-0.5 at row 0, column 1"),
+    "many bytes": ("a.pfm", b"Pf 1 1 -1 12345678", "must be a whole PFM; got 8 bytes of 1 x 1 x 1"),
+}
+# fmt: on
+
+
+@pytest.mark.parametrize(("name", "content", "message"), REFUSED.values(), ids=REFUSED)
+def test_refuses_in_one_line_soon_and_small(tmp_path: Path, name: str, content: bytes, message: str) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    tracemalloc.start()
+    start = time.perf_counter()
+    assert refusal(path).startswith(message)
+    seconds, peak = time.perf_counter() - start, tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert seconds < 1  # the figure to reach for hostile images
+    assert peak < 2**24  # the first import of a codec takes some 10 MB, the smallest image over the limit 128 MB
+    if message.startswith(LIMIT):
+        with pytest.raises(ImageError, match="columns and rows must"):
+            image_size(path)
+
+
+@pytest.mark.parametrize(("suffix", "content"), [
+    ("png", PNG), ("jpg", JPEG), ("tif", TIFF), ("exr", EXR), ("npy", NPY),
+    ("pfm", b"PF 2 2 -1 " + bytes(48)),
+])  # fmt: skip
+def test_refuses_every_truncation(tmp_path: Path, suffix: str, content: bytes) -> None:
+    path = tmp_path / f"image.{suffix}"
+    path.write_bytes(content)
+    read_image(path)
+    needed = len(content) - (2 if suffix == "jpg" else 0)  # decoders need no end marker after the last block
+    lengths = {*range(0, min(needed, 200), 7), *range(200, needed, 97), needed - 1}
+    for length in sorted(lengths):
+        path.write_bytes(content[:length])
+        refusal(path)
+
+
+def test_refuses_what_is_no_file(tmp_path: Path) -> None:
+    assert refusal(tmp_path / "none.png") == "must be a file that can be read; got No such file or directory"
+    assert refusal(tmp_path) == "must be an image file; got a folder"
+    os.mkfifo(tmp_path / "pipe.png")
+    assert refusal(tmp_path / "pipe.png") == "must be an image file; got a device or a pipe"
+    (tmp_path / "loop.png").symlink_to("loop.png")
+    assert refusal(tmp_path / "loop.png") == "must be a file that can be read; got Too many levels of symbolic links"
+    for name in ("a\0b.png", "a\nb.png", "\udcff.png", "x" * 300 + ".png"):
+        with pytest.raises(ImageError) as caught:
+            read_image(tmp_path / name)
+        assert str(caught.value).isprintable()
+
+
+def test_refuses_without_permission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_png(tmp_path / "image.png", GREY)
+
+    def denied(*_arguments: object, **_options: object) -> None:  # root may open everything
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr("builtins.open", denied)
+    assert refusal(tmp_path / "image.png") == "must be a file that can be read; got Permission denied"
+
+
+@pytest.mark.parametrize(("module", "extra", "save"), [
+    ("imagecodecs", "formats", lambda path: write_png(path.with_suffix(".png"), pixels("u2", (4, 5, 3)))),
+    ("tifffile", "formats", lambda path: save_tiff(path.with_suffix(".tif"), GREY)),
+    ("OpenEXR", "exr", lambda path: save_rgb_exr(path.with_suffix(".exr"), CHANNEL)),
+])  # fmt: skip
+def test_names_the_extra_that_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, extra: str, save: Callable[[Path], None]
+) -> None:
+    save(tmp_path / "image")
+    monkeypatch.setitem(sys.modules, module, None)
+    message = refusal(next(tmp_path.iterdir()))
+    assert message.startswith(f"needs {module}: pip install 'clsco[{extra}]'; got ")
+    if module == "OpenEXR":
+        with pytest.raises(ImageError, match=r"needs OpenEXR: pip install 'clsco\[exr\]'"):
+            write_exr(tmp_path / "new.exr", {"Y": CHANNEL})
+
+
+def test_core_formats_need_no_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in ("imagecodecs", "tifffile", "OpenEXR"):
+        monkeypatch.setitem(sys.modules, module, None)
+    write_png(tmp_path / "rgb.png", pixels("u1", (4, 5, 3)))
+    write_png(tmp_path / "grey.png", pixels("u2", (4, 5)))
+    assert read_image(tmp_path / "rgb.png").bits == 8
+    assert read_image(tmp_path / "grey.png").bits == 16

@@ -1,0 +1,336 @@
+"""Depth files: the numbers that they store, and one line where a file is none."""
+
+from __future__ import annotations
+
+import io
+import struct
+import time
+import tracemalloc
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import imagecodecs
+import numpy as np
+import OpenEXR
+import pytest
+import tifffile
+from numpy.typing import NDArray
+from PIL import Image
+
+from clsco.errors import ImageError
+from clsco.inputs.depth_files import read_depth
+from clsco.inputs.depth_maps import check_sizes, inverse_depth
+from clsco.scene.model import Camera
+
+Array = NDArray[Any]
+CAMERA = Camera()  # kappa = 10,000 px mm, in focus at 250.017 mm, 39.997 px at infinity
+BASELINE = 60.0
+
+
+def numbers(dtype: str, shape: tuple[int, ...] = (5, 7)) -> Array:
+    """Numbers of which no two rows, columns or byte orders agree; floats have all kinds that a file can hold."""
+    generator = np.random.default_rng(3)
+    if np.dtype(dtype).kind == "f":
+        data = (1000 * generator.standard_normal(shape)).astype(dtype)
+        data.flat[:4] = np.nan, np.inf, -np.inf, 0
+        return data
+    limits = np.iinfo(dtype)
+    data = generator.integers(
+        limits.min, limits.max, shape, endpoint=True, dtype=limits.dtype.newbyteorder("=")
+    ).astype(dtype)
+    data.flat[:2] = limits.max, limits.min
+    return data
+
+
+def save_exr(path: Path, channels: dict[str, Array]) -> None:
+    header = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
+    OpenEXR.File(header, {name: np.ascontiguousarray(data) for name, data in channels.items()}).write(str(path))
+
+
+def save_pfm(path: Path, data: Array, scale: str = "-1") -> None:
+    order = "<" if scale.startswith("-") else ">"
+    kind = "PF" if data.ndim == 3 else "Pf"
+    content = b"".join(row.astype(f"{order}f4").tobytes() for row in data[::-1])  # the lowest row comes first
+    path.write_bytes(f"{kind}\n{data.shape[1]} {data.shape[0]}\n{scale}\n".encode() + content)
+
+
+def refusal(path: Path) -> str:
+    """The message, a single line, after the path, with which a file is not read."""
+    with pytest.raises(ImageError) as caught:
+        read_depth(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert "; got " in message
+    assert message.isprintable()
+    return message.removeprefix(f"{path}: ")
+
+
+FORMATS: dict[str, tuple[str, str, Callable[[Path, Array], object]]] = {
+    "PNG 8": ("png", "u1", lambda path, data: path.write_bytes(imagecodecs.png_encode(data))),
+    "PNG 16": ("png", "u2", lambda path, data: path.write_bytes(imagecodecs.png_encode(data))),
+    "PNG 16 by Pillow": ("PNG", "u2", lambda path, data: Image.fromarray(data).save(path)),
+    "TIFF u1": ("tif", "u1", tifffile.imwrite),
+    "TIFF u2": ("tiff", "u2", tifffile.imwrite),
+    "TIFF u2, big endian": ("tif", "u2", lambda path, data: tifffile.imwrite(path, data, byteorder=">")),
+    "TIFF i2": ("tif", "i2", tifffile.imwrite),
+    "TIFF u4": ("tif", "u4", tifffile.imwrite),
+    "TIFF f2": ("tif", "f2", tifffile.imwrite),
+    "TIFF f4": ("tif", "f4", tifffile.imwrite),
+    "TIFF f4, big endian": ("tif", "f4", lambda path, data: tifffile.imwrite(path, data, byteorder=">")),
+    "TIFF f4, compressed": ("tif", "f4", lambda path, data: tifffile.imwrite(path, data, compression="zlib")),
+    "TIFF f4 by Pillow": ("tif", "f4", lambda path, data: Image.fromarray(data).save(path)),
+    "TIFF f8": ("tif", "f8", tifffile.imwrite),
+    "EXR f2": ("exr", "f2", lambda path, data: save_exr(path, {"Z": data})),
+    "EXR f4": ("exr", "f4", lambda path, data: save_exr(path, {"Z": data})),
+    "EXR u4": ("exr", "u4", lambda path, data: save_exr(path, {"Z": data})),
+    "PFM": ("pfm", "f4", save_pfm),
+    "PFM, big endian": ("pfm", "f4", lambda path, data: save_pfm(path, data, "1")),
+    "PFM, scaled as Middlebury's": ("pfm", "f4", lambda path, data: save_pfm(path, data, "-0.003922")),
+    "NPZ": ("npz", "f4", lambda path, data: np.savez(path, depth=data)),
+    "NPZ, compressed": ("npz", ">u2", lambda path, data: np.savez_compressed(path, depth=data)),
+    "NPZ, only one": ("npz", "f8", lambda path, data: np.savez(path, z=data, t=3.0, xyz=np.ones((5, 7, 3)))),
+    "NPZ, one of two": ("npz", "f8", lambda path, data: np.savez(path, K=np.eye(3), depth=data)),
+    **{f"NPY {dtype}": ("npy", dtype, np.save) for dtype in ("u1", "i2", ">u2", "i4", "u8", "f2", ">f4", "f8")},
+    "NPY, columns first": ("npy", "f4", lambda path, data: np.save(path, np.asfortranarray(data))),
+}
+
+
+@pytest.mark.parametrize(("suffix", "dtype", "save"), FORMATS.values(), ids=FORMATS)
+def test_reads_the_numbers_that_a_file_stores(
+    tmp_path: Path, suffix: str, dtype: str, save: Callable[[Path, Array], object]
+) -> None:
+    data = numbers(dtype)
+    path = tmp_path / f"depth.{suffix}"
+    save(path, data)
+    read = read_depth(path)
+    np.testing.assert_array_equal(read, data.astype(np.float64), strict=True)
+    assert read.flags.c_contiguous
+
+
+def test_a_pfm_begins_with_its_lowest_row(tmp_path: Path) -> None:
+    path = tmp_path / "depth.pfm"
+    path.write_bytes(b"Pf\n2 2\n-1.0\n" + struct.pack("<4f", 1, 2, 3, 4))
+    np.testing.assert_array_equal(read_depth(path), [[3, 4], [1, 2]])
+    path.write_bytes(b"Pf\n2 2\n1.0\n" + struct.pack(">4f", 1, 2, 3, 4))
+    np.testing.assert_array_equal(read_depth(path), [[3, 4], [1, 2]])
+
+
+@pytest.mark.parametrize("kind", ["png u1", "png u2", "tif u2", "tif f4", "pfm f4", "npy f8", "npz f4"])
+def test_three_equal_channels_are_one_depth(tmp_path: Path, kind: str) -> None:
+    suffix, dtype = kind.split()
+    savers: dict[str, Callable[[Path, Array], object]] = {
+        "png": lambda path, data: path.write_bytes(imagecodecs.png_encode(data)),
+        "tif": lambda path, data: tifffile.imwrite(path, data, photometric="rgb"),
+        "pfm": save_pfm,
+        "npy": np.save,
+        "npz": lambda path, data: np.savez(path, depth=data),
+    }
+    gray = numbers(dtype)
+    path = tmp_path / f"depth.{suffix}"
+    data = np.stack([gray] * 3, axis=-1)
+    savers[suffix](path, data)
+    np.testing.assert_array_equal(read_depth(path), gray.astype(np.float64))
+    data[4, 5] = (1, 1, 2)
+    savers[suffix](path, data)
+    got = [1.0, 1.0, 2.0] if dtype[0] == "f" else [1, 1, 2]
+    rule = "must hold one depth per pixel: red, green and blue must be equal"
+    assert refusal(path) == f"{rule}; got {got} at row 4, column 5 (1 in all)"
+
+
+Z, OTHER, THIRD = (numbers("f4") + np.float32(n) for n in (0, 1, 2))
+
+CHANNELS: dict[str, dict[str, Array]] = {
+    "Blender, one layer": {"R": OTHER, "G": OTHER, "B": OTHER, "A": OTHER, "Z": Z},
+    "Blender, several layers": {
+        "Composite.Combined.R": OTHER,
+        "ViewLayer.Combined.R": OTHER,
+        "ViewLayer.Depth.Z": Z,
+        "ViewLayer.Mist.Z": OTHER,
+        "ViewLayer.Normal.X": OTHER,
+        "ViewLayer.Normal.Y": OTHER,
+        "ViewLayer.Normal.Z": OTHER,
+    },
+    "Blender, values": {"ViewLayer.Depth.V": Z, "ViewLayer.Position.X": OTHER},
+    "Blender, file output": {"Depth.V": Z, "Image.R": OTHER},
+    "a vector and a value": {"N.X": OTHER, "N.Y": OTHER, "N.Z": OTHER, "near.Z": Z},
+    "clsco": {"R": OTHER, "Z": Z, "coc": THIRD, "N.X": OTHER, "N.Y": OTHER, "N.Z": THIRD, "id": OTHER},
+    "all layers and one": {"Z": Z, "ViewLayer.Depth.Z": OTHER},
+    "V": {"V": Z, "R": OTHER},
+    "R": {"R": Z, "A": OTHER},
+    "gray as RGB": {"R": Z, "G": Z, "B": Z},
+    "Y": {"Y": Z, "A": OTHER},
+    "depth": {"depth": Z, "R": OTHER},
+    "layer of a depth": {"left.depth": Z, "R": OTHER},
+    "only one": {"distance": Z},
+    "two that agree": {"one.Depth.Z": Z, "two.Depth.Z": Z},
+}
+
+
+@pytest.mark.parametrize("channels", CHANNELS.values(), ids=CHANNELS)
+def test_finds_the_depth_among_channels(tmp_path: Path, channels: dict[str, Array]) -> None:
+    save_exr(tmp_path / "depth.exr", channels)
+    np.testing.assert_array_equal(read_depth(tmp_path / "depth.exr"), Z)
+
+
+@pytest.mark.parametrize(("channels", "got"), [
+    ({"one.Z": Z, "two.Z": OTHER, "R": Z}, "channels one.Z two.Z that differ"),
+    ({"a.Depth.Z": Z, "b.Depth.V": OTHER, "Mist.Z": Z}, "channels a.Depth.Z b.Depth.V that differ"),
+    ({"R": Z, "G": OTHER, "B": Z}, "channels B G R that differ"),
+    ({"X": Z, "Y.": Z, "Z.X": Z}, "X Y. Z.X"),
+    ({"P.X": Z, "P.Y": Z, "P.Z": Z}, "P.X P.Y P.Z"),
+    ({f"c{n:02}": Z for n in range(22)}, f"{' '.join(f'c{n:02}' for n in range(20))} and 2 more"),
+    ({"a\nb": Z, "c": Z}, r"'a\nb' c"),
+])  # fmt: skip
+def test_lists_the_channels_where_the_depth_is_not_clear(tmp_path: Path, channels: dict[str, Array], got: str) -> None:
+    save_exr(tmp_path / "depth.exr", channels)
+    message = refusal(tmp_path / "depth.exr")
+    assert message.startswith("an EXR must hold one depth")
+    assert message.endswith(f"; got {got}")
+
+
+def save_parts(path: Path, *parts: dict[str, Array], **last: Any) -> None:
+    headers: list[dict[str, Any]] = [{"type": OpenEXR.scanlineimage, "name": f"part{n}"} for n in range(len(parts))]
+    headers[-1] |= last
+    pages = [OpenEXR.Part(header, dict(part), header["name"]) for header, part in zip(headers, parts, strict=True)]
+    OpenEXR.File(pages).write(str(path))
+
+
+def test_an_exr_may_have_parts(tmp_path: Path) -> None:
+    path = tmp_path / "depth.exr"
+    save_parts(path, {"ViewLayer.Combined.R": OTHER}, {"ViewLayer.Depth.Z": Z})
+    np.testing.assert_array_equal(read_depth(path), Z)
+    save_parts(path, {"Z": OTHER}, {"Z": Z})
+    assert refusal(path) == "the channels of an EXR must have different names; got Z"
+    save_parts(path, {"R": OTHER}, {"Z": Z[:3]}, dataWindow=((0, 0), (6, 2)), displayWindow=((0, 0), (6, 4)))
+    assert refusal(path) == "must be a whole EXR; got channel Z of shape (3, 7)"
+    save_parts(path, {"R": np.tile(OTHER, (40, 40))}, {"Z": np.tile(Z, (40, 40))})
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) - 200])
+    assert refusal(path).startswith("must be a whole EXR; got ")
+
+
+def stored(save: Callable[..., object], *arguments: Any, **options: Any) -> bytes:
+    stream = io.BytesIO()
+    save(stream, *arguments, **options)
+    return stream.getvalue()
+
+
+def archive(**members: bytes) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, content in members.items():
+            file.writestr(f"{name}.npy", content)
+    return stream.getvalue()
+
+
+def encrypted(content: bytes) -> bytes:
+    """Set the bit that says that the first member is encrypted, in both of its headers."""
+    data = bytearray(content)
+    data[6] |= 1
+    data[data.index(b"PK\1\2") + 8] |= 1
+    return bytes(data)
+
+
+SMALL = numbers("f4")
+NPY = stored(np.save, SMALL)
+BIG_NPY = NPY.replace(b"(5, 7), }        ", b"(13000, 13000), }")
+LONG_NPY = NPY.replace(b"(5, 7), }    ", b"(1, 70000), }")
+NPZ = archive(depth=NPY)
+OBJECTS = stored(np.save, np.array([[{}]]), allow_pickle=True)
+MANY_CHANNELS = stored(
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, {f"c{n}": np.zeros((4, 4), "f2") for n in range(5)}).write
+).replace(struct.pack("<4i", 0, 0, 3, 3), struct.pack("<4i", 0, 0, 11999, 10999))
+LIMIT = "columns and rows must be from 1 to 65536, and at most 134217728 pixels; got "
+NONE_OF_THEM = "an NPZ must hold an array depth, or one array with two dimensions; got "
+ONLY_NUMBERS = "array depth must hold numbers of shape (rows, columns); got "
+
+# fmt: off
+REFUSED: dict[str, tuple[str, bytes, str]] = {
+    "JPEG": ("a.jpg", b"\xff\xd8\xff", "the extension must be one of .png .tif .tiff .exr .pfm .npy .npz; got '.jpg'"),
+    "no NPZ": ("a.npz", NPY, "the content must be NPZ, as the extension says; got NPY"),
+    "empty": ("a.npz", b"", "the content must be NPZ, as the extension says; got an empty file"),
+    "big PNG": ("a.png", stored(Image.new("L", (13000, 13000)).save, "PNG"), f"{LIMIT}13000 x 13000"),
+    "big PFM": ("a.pfm", b"Pf\n13000 13000\n-1\n", f"{LIMIT}13000 x 13000"),
+    "big NPY": ("a.npy", BIG_NPY, f"{LIMIT}13000 x 13000"),
+    "big NPZ": ("a.npz", archive(depth=BIG_NPY), f"{LIMIT}13000 x 13000"),
+    "long NPZ": ("a.npz", archive(depth=LONG_NPY), f"{LIMIT}70000 x 1"),
+    "no rows": ("a.npz", archive(depth=stored(np.save, np.ones((0, 4)))), f"{LIMIT}4 x 0"),
+    "many channels": ("a.exr", MANY_CHANNELS,
+                      "an EXR must hold at most 536870912 values; got 5 channels of 12000 x 11000"),
+    "objects": ("a.npz", archive(depth=OBJECTS), f"{ONLY_NUMBERS}object of shape (1, 1)"),
+    "objects in an NPY": ("a.npy", OBJECTS, "an NPY must hold numbers of shape "),
+    "complex": ("a.npz", archive(depth=stored(np.save, np.ones((2, 2), "c8"))), f"{ONLY_NUMBERS}complex64 of shape"),
+    "complex TIFF": ("a.tif", stored(tifffile.imwrite, np.ones((2, 2), "c8")),
+                     "values must be integers or floats; got complex64"),
+    "volume": ("a.npz", archive(depth=stored(np.save, np.ones((2, 2, 2)))),
+               f"{ONLY_NUMBERS}float64 of shape (2, 2, 2)"),
+    "one number": ("a.npz", archive(depth=stored(np.save, 1.0)), f"{ONLY_NUMBERS}float64 of shape ()"),
+    "two arrays": ("a.npz", archive(z=NPY, d=NPY), f"{NONE_OF_THEM}arrays d z"),
+    "no array": ("a.npz", archive(points=stored(np.save, np.ones((2, 2, 3)))), f"{NONE_OF_THEM}none"),
+    "many arrays": ("a.npz", archive(**{f"a{n}": b"" for n in range(257)}),
+                    "an NPZ must hold an array depth, or at most 256 arrays; got more"),
+    "short array": ("a.npz", archive(depth=NPY[:-4]), "must be a whole NPZ; got "),
+    "long array": ("a.npz", archive(depth=NPY + b"1234"), "must be a whole NPZ; got bytes after the array"),
+    "no header": ("a.npz", archive(depth=b"hello"), "must be a whole NPZ; got "),
+    "encrypted": ("a.npz", encrypted(NPZ), "must be a whole NPZ; got "),
+    "few bytes": ("a.pfm", b"Pf 2 1 -1 1234", "must be a whole PFM; got 4 bytes of 2 x 1 x 1 float32 pixels"),
+    "seen through": ("a.png", bytes(imagecodecs.png_encode(np.full((2, 2, 2), 9, np.uint8))),
+                     "alpha must be opaque everywhere; got 4 other pixels"),
+    "pages": ("a.tif", stored(tifffile.imwrite, np.zeros((2, 8, 9), "f4")), "must be a single image; got 2 pages"),
+}
+# fmt: on
+
+
+@pytest.mark.parametrize(("name", "content", "message"), REFUSED.values(), ids=REFUSED)
+def test_refuses_in_one_line_soon_and_small(tmp_path: Path, name: str, content: bytes, message: str) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    tracemalloc.start()
+    start = time.perf_counter()
+    assert refusal(path).startswith(message)
+    seconds, peak = time.perf_counter() - start, tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert seconds < 1  # the figure to reach for hostile images
+    assert peak < 2**24  # the first import of a codec takes some 10 MB, the smallest map over the limit 128 MB
+
+
+@pytest.mark.parametrize(("suffix", "content"), [("npz", NPZ), ("npy", NPY)])
+def test_refuses_every_truncation(tmp_path: Path, suffix: str, content: bytes) -> None:
+    path = tmp_path / f"depth.{suffix}"
+    for length in range(0, len(content), 3):
+        path.write_bytes(content[:length])
+        refusal(path)
+
+
+def test_every_flipped_byte_is_noticed_or_changes_no_number(tmp_path: Path) -> None:
+    path = tmp_path / "depth.npz"
+    for at in range(len(NPZ)):
+        path.write_bytes(NPZ[:at] + bytes([NPZ[at] ^ 0x55]) + NPZ[at + 1 :])
+        try:
+            np.testing.assert_array_equal(read_depth(path), SMALL)
+        except ImageError:
+            continue
+
+
+def test_sizes_must_be_the_same() -> None:
+    check_sizes("a.png", (640, 480), "b.exr", (640, 480))
+    with pytest.raises(ImageError) as caught:
+        check_sizes("a.png", (640, 480), "b.exr", (480, 640))
+    assert str(caught.value) == "b.exr: the size must be that of a.png, 640 x 480 pixels; got 480 x 640"
+
+
+def test_files_of_kitti_and_middlebury_work_as_they_are(tmp_path: Path) -> None:
+    meters = np.array([[0.5, 1.25], [80.0, 0.0]])
+    (tmp_path / "kitti.png").write_bytes(imagecodecs.png_encode((256 * meters).astype(np.uint16)))
+    values = inverse_depth(read_depth(tmp_path / "kitti.png"), "m", 1 / 256, CAMERA)
+    np.testing.assert_allclose(values.inverse_depth, [[1 / 500, 1 / 1250], [1 / 80000, 0]], rtol=3 * 2.0**-53)
+    assert values.zero == 1
+
+    disparity = np.array([[240.0, np.inf], [120.5, 480.0]], np.float32)
+    save_pfm(tmp_path / "disp0.pfm", disparity, "-0.003922")
+    values = inverse_depth(read_depth(tmp_path / "disp0.pfm"), "disparity", 1.0, CAMERA, BASELINE)
+    wanted = np.where(np.isinf(disparity), 0, 0.01 * disparity.astype(np.float64) / (BASELINE * 20.0))
+    np.testing.assert_allclose(values.inverse_depth, wanted, rtol=4 * 2.0**-53)
+    assert values.infinite == 1

@@ -1,0 +1,259 @@
+"""What the numbers of depth maps mean in each unit, and one line where they cannot be meant."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from clsco.errors import ImageError
+from clsco.inputs.depth_maps import FARTHEST, UNITS, fill_depth, inverse_depth
+from clsco.optics.lens import LARGEST_BLUR, blur_radius, blur_scale, focus_power
+from clsco.scene.model import Camera
+
+Array = NDArray[Any]
+CAMERA = Camera()  # kappa = 10,000 px mm, in focus at 250.017 mm, 39.997 px at infinity
+BASELINE = 60.0
+
+
+def w_of(raw: list[float], unit: str, **options: Any) -> Array:
+    given: dict[str, Any] = {"scale": 1.0, "camera": CAMERA, "baseline": BASELINE if unit == "disparity" else None}
+    return inverse_depth(np.array([raw]), unit, **(given | options)).inverse_depth[0]
+
+
+@pytest.mark.parametrize(("unit", "value", "meters"), [
+    ("mm", 320.0, Fraction(32, 100)),
+    ("m", 0.75, Fraction(3, 4)),
+    ("inverse_mm", 2.0**-8, Fraction(256, 1000)),
+    ("inverse_m", 4.0, Fraction(1, 4)),
+    # Z = B s0 / (p d) = 60 mm * 20 mm / (0.01 mm * 480)
+    ("disparity", 480.0, Fraction(1, 4)),
+])  # fmt: skip
+def test_units_against_exact_fractions(unit: str, value: float, meters: Fraction) -> None:
+    wanted = float(1 / (1000 * meters))
+    # Three roundings at most, of the product with the scale, of a factor and of the division: 2^-53 each.
+    np.testing.assert_allclose(w_of([value], unit), [wanted], rtol=3 * 2.0**-53)
+    np.testing.assert_allclose(w_of([value * 256], unit, scale=1 / 256), [wanted], rtol=3 * 2.0**-53)
+
+
+def test_an_offset_is_added_to_a_disparity() -> None:
+    # Z = B s0 / (p (d + 120)) = 60 mm * 20 mm / (0.01 mm * 480); what was not measured has no disparity to add to.
+    w = w_of([360.0, 0.0, np.inf], "disparity", offset=120.0)
+    np.testing.assert_allclose(w, [1 / 250, 0.0, 0.0], rtol=2.0**-51)
+    np.testing.assert_array_equal(w_of([180.0], "disparity", scale=2.0, offset=120.0), w[:1])  # in px, not in steps
+
+
+def test_a_radius_is_taken_as_it_is() -> None:
+    radii = [-30.0, 0.0, 12.5, 39.0]
+    # K - w cancels: both are at most 0.007 per mm, each rounded twice to 2^-53 of that, and kappa makes px of it.
+    bound = 4 * 2.0**-53 * 0.007 * blur_scale(CAMERA)
+    assert blur_radius(CAMERA, w_of(radii, "coc")) == pytest.approx(radii, abs=bound)
+    assert blur_radius(CAMERA, w_of(radii, "coc", scale=0.5)) == pytest.approx([-15, 0, 6.25, 19.5], abs=bound)
+
+
+def test_infinity_as_a_radius_is_infinitely_far() -> None:
+    at_infinity = np.float32(blur_radius(CAMERA, 0.0))  # as a file of floats has it, a little beyond or short of it
+    beyond = float(np.nextafter(at_infinity, np.float32(np.inf)))
+    values = inverse_depth(np.array([[beyond, 0.0]]), "coc", 1.0, CAMERA)
+    assert values.inverse_depth[0, 0] == FARTHEST
+    assert (values.far, values.invalid) == (1, 0)
+
+
+KINDS = [0.0, -0.0, -1.0, -np.inf, np.nan, np.inf]
+GOOD = {"mm": 250.0, "m": 0.25, "inverse_mm": 0.004, "inverse_m": 4.0, "disparity": 480.0, "coc": 3.0}
+
+
+@pytest.mark.parametrize(("unit", "zero", "negative", "nan", "infinite", "far"), [
+    ("mm", 2, 2, 1, 0, 1),
+    ("m", 2, 2, 1, 0, 1),
+    ("inverse_mm", 0, 2, 1, 1, 2),
+    ("inverse_m", 0, 2, 1, 1, 2),
+    ("disparity", 2, 2, 1, 1, 0),
+    ("coc", 0, 0, 1, 2, 0),
+])  # fmt: skip
+def test_what_every_kind_of_number_means(
+    unit: str, zero: int, negative: int, nan: int, infinite: int, far: int
+) -> None:
+    raw = np.array([[GOOD[unit], *KINDS]])
+    baseline = BASELINE if unit == "disparity" else None
+    values = inverse_depth(raw, unit, 1.0, CAMERA, baseline)
+    assert (values.zero, values.negative, values.nan, values.infinite, values.far) == (
+        zero, negative, nan, infinite, far,
+    )  # fmt: skip
+    w = values.inverse_depth[0]
+    assert w[0] > FARTHEST
+    assert (w == FARTHEST).sum() == far
+    assert (w == 0).sum() == values.invalid == zero + negative + nan + infinite
+    assert (w >= 0).all()
+    assert np.isfinite(w).all()
+    assert values.inverse_depth.shape == raw.shape
+
+
+def test_report_tells_the_kinds_that_there_are() -> None:
+    raw = np.array([[250.0, 0.0, 0.0, np.nan], [250.0, np.inf, -3.0, 1e10]])
+    told = "4 of 8 pixels have no depth (2 zero, 1 negative, 1 NaN), 1 is infinitely far"
+    assert inverse_depth(raw, "mm", 1.0, CAMERA).report() == told
+    assert inverse_depth(np.full((2, 2), 250.0), "mm", 1.0, CAMERA).report() == ""
+    assert inverse_depth(np.array([[250.0, np.inf]]), "mm", 1.0, CAMERA).report() == "1 of 2 pixels is infinitely far"
+    disparity = inverse_depth(np.array([[480.0, np.inf]]), "disparity", 1.0, CAMERA, BASELINE)
+    assert disparity.report() == "1 of 2 pixels have no depth (1 infinite)"
+
+
+def test_the_background_of_a_renderer_is_there() -> None:
+    values = inverse_depth(np.array([[0.3, 1e10, 1e9, 65504.0]]), "m", 1.0, CAMERA)
+    np.testing.assert_array_equal(values.inverse_depth[0, 1:3], FARTHEST)
+    assert (values.invalid, values.far) == (0, 2)
+    # 1e-12 per mm is 1e-8 px from infinity with kappa = 1e4 px mm.
+    assert blur_radius(CAMERA, values.inverse_depth[0, 1]) == pytest.approx(float(blur_radius(CAMERA, 0.0)), abs=1e-7)
+
+
+@given(
+    millimeters=st.floats(20.0, 1e9),
+    unit=st.sampled_from(UNITS),
+    scale=st.floats(1e-4, 1e4),
+    focal_length=st.floats(10.0, 100.0),
+    focus=st.floats(2.0, 1e4),
+    baseline=st.floats(1.0, 1e3),
+)
+def test_every_unit_tells_the_same_depth(
+    millimeters: float, unit: str, scale: float, focal_length: float, focus: float, baseline: float
+) -> None:
+    camera = Camera(
+        focal_length=focal_length, focus_distance=focal_length * focus, aperture_diameter=0.1, pixel_pitch=0.01
+    )
+    wanted = 1 / millimeters
+    value = {
+        "mm": millimeters,
+        "m": millimeters / 1000,
+        "inverse_mm": wanted,
+        "inverse_m": 1000 * wanted,
+        "disparity": baseline * camera.normalization_distance / (camera.pixel_pitch * millimeters),
+        "coc": float(blur_radius(camera, wanted)),
+    }[unit]
+    given_baseline = baseline if unit == "disparity" else None
+    values = inverse_depth(np.array([[value / scale]]), unit, scale, camera, given_baseline)
+    # Eight roundings of 2^-53 at most; of a radius, each is relative to the larger of K and w instead.
+    size = max(wanted, abs(focus_power(camera)), 1 / focal_length) if unit == "coc" else wanted
+    assert values.inverse_depth[0, 0] == pytest.approx(wanted, rel=0, abs=8 * 2.0**-53 * size)
+    assert values.invalid == 0
+
+
+def fault(raw: list[float], unit: str, **options: Any) -> str:
+    with pytest.raises(ImageError) as caught:
+        w_of(raw, unit, **options)
+    return str(caught.value)
+
+
+METERS = [0.2, 0.25, 5.0, 0.0]
+LARGE = "depth: the blur radius must be at most 512 px; got "
+AT_INFINITY = "px, which the camera has at infinity"
+
+
+IN = "the depth is probably in {0}: give unit {0}".format
+NO_UNIT = "no unit makes it less: scale, or the camera, is probably wrong"
+
+
+@pytest.mark.parametrize(("raw", "unit", "got", "pixels", "cause"), [
+    (METERS, "mm", "4.996e+04 px at 0.2 mm", "3 of 3", IN("m")),
+    ([0.8, 3.0], "mm", "1.246e+04 px at 0.8 mm", "2 of 2", IN("m")),
+    ([200.0, 5000.0], "inverse_m", "4.996e+04 px at 5000 inverse_m", "2 of 2", IN("mm")),
+    ([200.0, 5000.0], "inverse_mm", "5e+07 px at 5000 inverse_mm", "2 of 2", IN("mm")),
+    ([0.0, 300.0], "inverse_mm", "3e+06 px at 300 inverse_mm", "1 of 2", IN("mm")),
+    ([0.003, 0.005], "mm", "3.333e+06 px at 0.003 mm", "2 of 2", IN("inverse_mm")),
+    ([300.0, 5000.0], "coc", "5000 px at 5000 coc", "1 of 2", IN("mm")),
+    ([-2000.0, 500.0], "coc", "2000 px at -2000 coc", "1 of 2", NO_UNIT),
+    ([1.0, 1e6], "disparity", "8.329e+04 px at 1e+06 disparity", "1 of 2", IN("m")),
+    ([250.0, 1e-9], "mm", "1e+13 px at 1e-09 mm", "1 of 2", NO_UNIT),
+    ([250.0, 1e-320], "mm", "inf px at 1e-320 mm", "1 of 2", NO_UNIT),
+])  # fmt: skip
+def test_radii_of_thousands_of_pixels_name_the_likely_unit(
+    raw: list[float], unit: str, got: str, pixels: str, cause: str
+) -> None:
+    assert fault(raw, unit) == f"{LARGE}{got}, and more than that limit in {pixels} pixels ({cause})"
+
+
+def test_a_camera_of_thousands_of_pixels_is_named() -> None:
+    message = fault([250.0, 1e5], "mm", camera=Camera(aperture_diameter=1000.0))
+    assert message == (
+        f"{LARGE}3990 px at 1e+05 mm, and more than that limit in 1 of 2 pixels (the camera has 4000 px at infinity: "
+        "aperture_diameter or pixel_pitch is probably wrong)"
+    )
+    w_of([250.0, 260.0], "mm", camera=Camera(aperture_diameter=1000.0))  # as long as no surface is that far
+
+
+def test_the_limit_is_the_one_of_the_renderer() -> None:
+    nearest = 1 / (focus_power(CAMERA) + LARGEST_BLUR / blur_scale(CAMERA))
+    w_of([nearest * (1 + 1e-9)], "mm")
+    assert fault([nearest * (1 - 1e-9)], "mm").startswith(LARGE)
+
+
+@pytest.mark.parametrize(("raw", "unit", "options", "message"), [
+    ([0.0, np.nan, -2.0], "mm", {}, "depth: at least one pixel must have a depth; got 1 zero, 1 negative, 1 nan"),
+    ([np.inf], "disparity", {}, "depth: at least one pixel must have a depth; got 1 infinite"),
+    ([250.0], "cm", {}, "depth: unit must be one of mm, m, inverse_mm, inverse_m, disparity, coc; got 'cm'"),
+    ([250.0], "mm", {"scale": 0.0}, "depth: scale must be finite and greater than 0; got 0"),
+    ([250.0], "mm", {"scale": -1.0}, "depth: scale must be finite and greater than 0; got -1"),
+    ([2.0], "coc", {"scale": np.nan}, "depth: scale must be finite and greater than 0; got nan"),
+    ([250.0], "mm", {"baseline": 9.0}, "depth: baseline belongs to unit disparity, which needs it; got 9.0 and mm"),
+    ([250.0], "disparity", {"baseline": None},
+     "depth: baseline belongs to unit disparity, which needs it; got None and disparity"),
+    ([250.0], "disparity", {"baseline": -5.0},
+     "depth: baseline must be a finite number of mm greater than 0; got -5"),
+    ([45.0, 60.0, 3.0], "coc", {},
+     f"depth: radii must be at most 39.9972 {AT_INFINITY}, or its aperture_diameter at least 15.02 mm; got 60 px"),
+    ([0.0], "coc", {"camera": Camera(sensor_distance=19.0)},
+     f"depth: radii must be at most -26.3158 {AT_INFINITY}; got 0 px, and 1 pixels above the limit"),
+    ([2e-7], "mm", {"camera": Camera(aperture_diameter=1e-6, pixel_pitch=1.0)},
+     "depth: depth must be at least 1e-06 mm; got 2e-07 mm"),
+    ([0.25], "mm", {"where": "room.exr"}, "room.exr: the blur radius must be at most 512 px"),
+])  # fmt: skip
+def test_every_other_refusal(raw: list[float], unit: str, options: dict[str, Any], message: str) -> None:
+    assert fault(raw, unit, **options).startswith(message)
+
+
+def test_the_aperture_that_is_suggested_will_do() -> None:
+    w_of([45.0, 60.0, 3.0], "coc", camera=Camera(aperture_diameter=15.02))
+
+
+def test_missing_depths_of_a_plane_come_back() -> None:
+    row, column = np.indices((40, 50))
+    w = 1e-3 * (3 + 0.01 * row - 0.005 * column)  # a tilted plane: 1/Z is linear in the image
+    holes = np.random.default_rng(6).random(w.shape) < 0.6
+    holes[10:25, 12:30] = True
+    holes[[0, -1], :], holes[:, [0, -1]] = False, False  # beyond the outermost depths nothing is known of a slope
+    filled = fill_depth(np.where(holes, 0.0, w))
+    # Over gaps of up to 20 px in rows and columns w changes by less than 0.2 of 2.75, which may be one surface.
+    np.testing.assert_allclose(filled, w, rtol=1e-13)
+    assert (filled[~holes] == w[~holes]).all()
+
+
+def test_missing_depths_at_a_step_are_the_farther_ones() -> None:
+    w = np.full((6, 12), 1 / 200)
+    w[:, 6:] = 1 / 400
+    known = w.copy()
+    known[:, 3:9] = 0.0
+    assert (fill_depth(known)[:, 3:9] == 1 / 400).all()
+    assert (fill_depth(known.T)[3:9] == 1 / 400).all()
+
+
+def test_missing_depths_are_those_of_one_of_two_surfaces() -> None:
+    w = np.full((9, 40), 1 / 200)
+    w[:, 20:] = 1 / 400
+    known = w.copy()
+    known[4, 2:38] = 0.0  # a line that crosses the step: what is above and below is closest
+    np.testing.assert_allclose(fill_depth(known), w, rtol=1e-15)
+    known = w.copy()
+    known[2:7, 18:23] = 0.0  # as far to both sides as up and down
+    np.testing.assert_allclose(fill_depth(known)[2:7, 18:23], 1 / 400, rtol=1e-15)
+
+
+def test_a_single_depth_fills_the_map() -> None:
+    w = np.zeros((5, 7))
+    w[1, 5] = 1 / 300
+    np.testing.assert_allclose(fill_depth(w), 1 / 300, rtol=1e-15)
+    assert (fill_depth(np.zeros((2, 3))) == 0.0).all()

@@ -1,0 +1,259 @@
+"""layer.cl against its twin: each kernel where it is whole numbers, whole frames, and that no bit changes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+import pytest
+from numpy.typing import NDArray
+
+from clsco.frame.strips import frame_struct
+from clsco.opencl.buffers import download, empty, upload
+from clsco.opencl.program import build
+from clsco.opencl.session import Session
+from clsco.optics import slabs
+from clsco.optics.psf import reach
+from clsco.passes.blur import Events, Spreader, image_features
+from clsco.passes.blur import Sources as Light
+from clsco.passes.layered import Layers
+from clsco.plan.methods import Blur
+from clsco.records import Real, flat, in_parts, structs
+from clsco.reference.blur.blur import prepare_sources, scatter
+from clsco.reference.layered import layered as twin
+from clsco.reference.trace.trace import Sources
+from clsco.scene.model import Psf
+
+Array = NDArray[Any]
+RNG = np.random.default_rng
+# Float32 rounds some 200 terms, and the tables of weights are off by a little (tests/kernels/test_blur.py: together
+# 2e-6); the share of a slab doubles that where its coverage is divided by itself, once per slab that was before.
+FIGURE = 1e-5
+
+
+class View:
+    """What a pinhole sees, on the padded grid, and how it is blurred."""
+
+    def __init__(
+        self, radii: tuple[float, ...], shape: tuple[int, int] = (47, 69), guard: int = 6, channels: int = 1,
+        psf: Psf | None = None, holes: bool = False, slope: float = 0.02,
+    ) -> None:  # fmt: skip
+        self.psf, self.shape, self.guard = Psf() if psf is None else psf, shape, guard
+        size = (shape[0] + 2 * guard, shape[1] + 2 * guard)
+        y, x = np.indices(size)
+        rng = RNG(11)
+        self.coc = np.full(size, radii[-1]) + slope * (x - size[1] / 2)
+        for radius in radii[-2::-1]:  # each before those after it
+            row, column, wide = rng.uniform(0, size[0]), rng.uniform(0, size[1]), rng.uniform(6, 14)
+            inside = np.hypot(y - row, x - column) < wide
+            self.coc = np.where(inside, radius + slope * (y - row), self.coc)
+        self.valid = np.ones(size, dtype=bool)
+        if holes:
+            self.valid = (rng.random(size) < 0.9) & (np.hypot(y - 30, x - 50) > 9)
+        self.coc = np.where(self.valid, self.coc, 0.0)
+        self.radiance = np.where(self.valid[..., None], rng.random((*size, channels)), 0.0)
+
+    @property
+    def largest(self) -> float:
+        return float(np.abs(self.coc).max())
+
+    def expected(self) -> tuple[Array, int]:
+        return twin.layered(self.psf, self.radiance, self.coc, self.valid, self.shape, self.guard, self.largest)
+
+    def plain(self) -> Array:
+        """Without occlusion."""
+        gradient = prepare_sources(self.coc, self.valid)
+        ones = np.ones(self.coc.shape)
+        sources = Sources(self.radiance, ones, self.valid.astype(np.uint8), self.coc, gradient, self.valid)
+        return scatter(self.psf, sources, None, self.shape, self.guard)
+
+
+class Device:
+    """The view on a device."""
+
+    def __init__(self, session: Session, view: View, method: Blur = "gather", real: Real = "double") -> None:
+        psf, channels = view.psf, view.radiance.shape[2]
+        features = image_features(method, psf, view.largest, channels, psf.tilt, session.device.has_fp64)
+        program = build(session, ["blur/blur.cl"], features, structs(real), real)
+        camera = frame_struct(*view.shape, view.guard, real)
+        self.session, self.view = session, view
+        self.spreader = Spreader(
+            session, program, psf, method, camera, channels, 0.0, view.largest, 0, real, 1.0, features
+        )  # fmt: skip
+        self.layers = Layers(session, self.spreader, psf.tilt, view.largest, real, 1.0)
+        self.coc, self.valid = upload(session, in_parts(view.coc, real)), upload(session, view.valid.astype(np.uint8))
+
+    def image(self, moments: int = 1) -> tuple[Array, int]:
+        """The frame (rows, columns, channels) of equal moments, and the number of slabs of each."""
+        light = flat(self.view.radiance / moments, np.float32)
+        value = empty(self.session, light.nbytes)
+        events: Events = []
+        self.spreader.clear()
+        for _ in range(moments):
+            cl.enqueue_copy(self.session.queue, value, light)  # "renormalize" writes to it
+            count = self.layers.add(value, self.coc, self.valid, events)
+        image = self.spreader.image(events)
+        return image.reshape(*self.view.shape, -1), count
+
+    def read(self, name: str, dtype: Any) -> Array:
+        return download(self.session, getattr(self.layers, name), self.view.coc.shape, dtype)
+
+
+def assert_close(found: Array, expected: Array, limit: float = FIGURE) -> None:
+    error = np.abs(found - expected)
+    worst = np.unravel_index(int(error.argmax()), error.shape)
+    assert error.max() < limit, f"{error.max():.2e} at {worst}: {found[worst]} for {expected[worst]}"
+
+
+VIEWS = {
+    "near and far": View((-3.5, 4.2), channels=3),
+    "one side": View((1.5, 4.5)),
+    "four": View((-4.2, -1.4, 1.2, 3.9), channels=3),
+    "holes": View((-3.5, 0.8, 4.2), holes=True),
+    "no guard": View((-3.5, 4.2), guard=0),
+    "renormalized": View((-3.5, 4.2), shape=(110, 90), guard=0, psf=Psf(border="renormalize")),
+    "gaussian": View((-2.5, 2.2), psf=Psf(model="gaussian")),
+    "no tilt": View((-3.5, 4.2), psf=Psf(tilt=False)),
+    "steep": View((-1.5, 2.2), slope=0.12),
+    "a row": View((-3.5, 4.2), shape=(1, 90), guard=0),
+}
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n != "near and far")) for n in VIEWS])
+def test_frames(session: Session, name: str) -> None:
+    view = VIEWS[name]
+    expected, count = view.expected()
+    assert count > 1
+    assert np.abs(expected - view.plain()).max() > 0.05
+    found, slabs = Device(session, view).image()
+    assert slabs == count
+    # A source in a corner keeps a quarter of its light: its error grows as its light does.
+    assert_close(found, expected, FIGURE * (4 if name == "renormalized" else 1))
+
+
+def test_labels_are_those_of_the_twin(session: Session) -> None:
+    view = View((-4.2, -1.4, 1.2, 3.9), shape=(150, 140), guard=9, channels=3, holes=True)
+    device = Device(session, view)
+    _, count = device.image()
+    low, bins = twin.bins_of(view.largest)
+    assert (device.layers.low, device.layers.bins) == (low, bins)
+    latest, largest_sum = twin.find_jumps(view.coc, view.valid, low, bins, 2 * reach(view.psf, view.largest) + 1)
+    device.layers.look(device.coc, device.valid, [])
+    found = download(session, device.layers.latest, (latest.size + 1,), np.int32)
+    np.testing.assert_array_equal(found, [*latest.ravel(), largest_sum])
+    slab = twin.label_slabs(view.coc, view.valid, low, bins, twin.slab_bounds(latest))
+    seed = twin.seed_hidden(view.coc, slab)
+    offset = twin.column_seeds(seed)
+    hidden, edge = twin.reach_hidden(slab, seed, offset, twin.depth_of_hidden(view.psf, largest_sum))
+    assert count == slab.max() > 3
+    assert (hidden > 0).any()
+    assert not edge.all()
+    for name, dtype, expected in (
+        ("slab", np.uint8, slab), ("seed", np.uint8, seed), ("offset", np.int32, offset),
+        ("hidden", np.uint8, hidden), ("edge", np.bool_, edge),
+    ):  # fmt: skip
+        np.testing.assert_array_equal(device.read(name, dtype), expected, err_msg=name)
+
+
+def test_seeds_of_frames_taller_than_any_blur(session: Session) -> None:
+    """Rows whose nearest seed is too far away to be told, or beyond where it could be counted in some whole number."""
+    view = View((2.0, 2.0), shape=(40000, 3), guard=0, slope=0.0)
+    view.coc[20:50, 1], view.coc[33000, 0] = -2.0, 5.0
+    device = Device(session, view)
+    _, count = device.image()
+    slab = np.where(view.coc < 0, 1, np.where(view.coc < 3, 2, 3)).astype(np.uint8)
+    np.testing.assert_array_equal(device.read("slab", np.uint8), slab)
+    seed = twin.seed_hidden(view.coc, slab)
+    offset = twin.column_seeds(seed)
+    assert count == 3
+    assert (offset == twin.NO_SEED).any(axis=0).all()
+    assert np.abs(offset[:, 1]).max() > 10000
+    np.testing.assert_array_equal(device.read("seed", np.uint8), seed)
+    np.testing.assert_array_equal(device.read("offset", np.int32), offset)
+    deep = twin.depth_of_hidden(view.psf, 7)
+    hidden, edge = twin.reach_hidden(slab, seed, offset, deep)
+    np.testing.assert_array_equal(device.read("hidden", np.uint8), hidden)
+    np.testing.assert_array_equal(device.read("edge", np.bool_), edge)
+    assert edge[32000:34000].any()
+    assert not edge[32700:32800].any()
+
+
+def test_the_last_slab_is_extended_as_by_the_twin(session: Session) -> None:
+    view = View((-4.2, 3.9), shape=(37, 52), channels=3)
+    device = Device(session, view)
+    device.image()
+    slab, hidden = device.read("slab", np.uint8), device.read("hidden", np.uint8)
+    _, largest_sum = twin.find_jumps(view.coc, view.valid, *twin.bins_of(4.5), 2 * reach(view.psf, view.largest) + 1)
+    deep = twin.depth_of_hidden(view.psf, largest_sum)
+    value, radius, there = twin.extend_slab(view.radiance, view.coc, slab, hidden, int(slab.max()), deep)
+    assert [twin.level_count(n) for n in range(1, 99)] == [slabs.level_count(n) for n in range(1, 99)]
+    size = view.coc.shape
+    found = np.moveaxis(download(session, device.layers.value, (4, *size), np.float32), 0, -1)
+    # A mean of means, each of 16 terms: a few roundings of 2^-24 of values up to 4.
+    np.testing.assert_allclose(found, value, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(device.read("coc", np.float64), radius, rtol=0, atol=2e-6)
+    np.testing.assert_array_equal(device.read("valid", np.bool_), there)
+
+
+def test_bounds_of_the_host_are_those_of_the_twin() -> None:
+    rng = RNG(12)
+    assert (slabs.MOST_SLABS, slabs.JUMP, slabs.BIN) == (twin.MOST_SLABS, twin.JUMP, twin.BIN)
+    low, bins = twin.bins_of(30.0)
+    assert slabs.bins_of(30.0) == (low, bins)
+    counts = set()
+    for surfaces in (1, 2, 3, 6, 12, 40):
+        coc = rng.uniform(-30, 30, surfaces)[rng.integers(0, surfaces, (20, 20))]
+        latest, _ = twin.find_jumps(coc, rng.random((20, 20)) < 0.9, low, bins, 5)
+        bounds = slabs.slab_bounds(latest.astype(np.int32))
+        assert bounds == twin.slab_bounds(latest)
+        counts.add(len(bounds))
+    assert {0, 1} < counts
+    assert max(counts) < twin.MOST_SLABS
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("channels", [1, 3])
+def test_scatter_is_gather(session: Session, channels: int) -> None:
+    """In fixed point, in another order, from the same tables."""
+    view = View((-3.5, 1.0, 4.2), channels=channels)
+    (first, count), (second, same) = (Device(session, view, method).image() for method in ("gather", "scatter"))
+    assert count == same
+    assert_close(second, first, 4e-6)
+
+
+@pytest.mark.slow
+def test_single_precision(session: Session) -> None:
+    # Radii of 4 px rounded by 2e-7, in a table whose weights change by all of themselves over 1 px at the rim.
+    view = VIEWS["four"]
+    assert_close(Device(session, view, real="float").image()[0], view.expected()[0], 2 * FIGURE)
+
+
+def test_moments_add_up(session: Session) -> None:
+    view = VIEWS["near and far"]
+    device = Device(session, view)
+    once, _ = device.image()
+    assert_close(device.image(moments=3)[0], once, 1e-6)
+
+
+def test_the_same_bits_every_time(session: Session) -> None:
+    view = VIEWS["four"]
+    device = Device(session, view)
+    first, _ = device.image()
+    for _ in range(3):
+        assert device.image()[0].tobytes() == first.tobytes()
+    assert Device(session, view).image()[0].tobytes() == first.tobytes()
+
+
+@pytest.mark.parametrize("method", ["gather", "scatter"])
+def test_one_slab_is_plain_scattering_to_the_bit(session: Session, method: Blur) -> None:
+    view = View((2.0,), slope=0.05)
+    device = Device(session, view, method)
+    found, count = device.image()
+    assert count == 1
+    assert_close(found, view.expected()[0])
+    plain = Device(session, view, method).spreader
+    plain.clear()
+    value = upload(session, flat(view.radiance, np.float32))
+    plain.add(Light(device.layers.source, value), 0.0, [])
+    assert plain.image([]).tobytes() == found.tobytes()

@@ -1,0 +1,228 @@
+"""occlusion.clh and sight.clh against their twin: what single taps of a source see of the lens."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from clsco.opencl.buffers import download, empty
+from clsco.opencl.session import Session
+from clsco.optics.motion import Pose
+from clsco.optics.psf_tables import psf_table
+from clsco.optics.quadrics import place
+from clsco.optics.visibility import Layer, lens_cells
+from clsco.passes.pack import camera_struct, layer_struct, psf_struct, surface_structs
+from clsco.plan.plan import make_plan
+from clsco.records import Real
+from clsco.reference.common.geometry import blur_radius, nearest_surface, pixel_ray
+from clsco.reference.common.visibility import CLEAR, PARTLY, look, look_through, tap_share
+from clsco.scene.model import Camera, Cone, Cylinder, Ellipsoid, Object, Plane, Psf, Quadric, Scene, Sphere
+from tests.slow import mostly_slow
+
+Array = NDArray[Any]
+Runner = Callable[..., None]
+KERNEL = """
+// What source i sees of the lens from every tap: place holds (column, row, ox, oy), tap (dx, dy). state: -1 for no
+// source. along: what look_along says of the row of taps through the source.
+__kernel void see_taps(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
+                       __constant float *lens, const float width, __global const float4 *place, const int taps,
+                       __global const int2 *tap, __global int *state, __global int *edges, __global float *share,
+                       __global float *along)
+{
+    const int i = get_global_id(0);
+    if (i >= SOURCES)
+        return;
+    const real column = place[i].x + place[i].z, row = place[i].y + place[i].w;
+    const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
+    uchar label;
+    int object;
+    const wide_t w = nearest_surface(surfaces, layer, ray, &label, &object);
+    state[i] = -1;
+    if (!label)
+        return;
+    const real radius = narrow(blur_radius(camera, w));
+    sight_t sight;
+    bool edge;
+    state[i] = look(camera, surfaces, layer, ray, w, radius, psf.lens_extent, width, &sight, &edge);
+    edges[i] = edge;
+    if (!sight.wide)
+        look_through(&sight, lens, radius, psf.lens_extent, place[i].z, place[i].w, SIGHT_MIDDLE);
+    for (int t = 0; t < taps; ++t) {
+        const int dx = tap[t].x, dy = tap[t].y;
+        const lanes_t x = dx - place[i].z, y = dy - place[i].w;
+        share[i * taps + t] = sight.wide ? FIRST_LANE(free_share(&sight, x, y))
+                                         : sight.share[dy + SIGHT_MIDDLE][dx + SIGHT_MIDDLE];
+    }
+#if GATHER
+    for (int t = 0; t < taps && sight.wide; ++t)
+        along[i * taps + t] = look_along(&sight, tap[t].x - place[i].z, tap[t].y - place[i].w).s0;
+#endif
+}
+"""
+CAMERA = Camera(resolution=(144, 120), pixel_pitch=0.04, aperture_diameter=25.0, focus_distance=250.0)
+BOX = ((-20.0, 14.0), (-16.0, 25.0), (-30.0, 22.0))
+BALL = Sphere(center=(-10.0, 4.0, 190.0), radius=14.0)
+BOWL = Quadric(coefficients=(1.0, 0.8, 0.0, 0, 0, 0, 0, 0, -2.0, 0), center=(3.0, 0.0, 180.0))
+WALL = Plane(name="wall", distance=380.0, slope_x=0.3)
+NEAR_FOCUS = Plane(name="wall", distance=262.0, slope_x=0.1)
+# What is in the way, and what it is in the way of: the last object of a scene.
+SCENES: dict[str, tuple[Object, ...]] = {
+    "ball": (BALL, WALL),
+    "ball, narrow lens": (BALL, NEAR_FOCUS),
+    "wire": (Cylinder(center=(-2.0, 0.0, 170.0), radius=0.5, axis=(0.3, 1.0, 0.0)), WALL),
+    "wire, narrow lens": (Cylinder(center=(-2.0, 0.0, 170.0), radius=0.5, axis=(0.3, 1.0, 0.0)), NEAR_FOCUS),
+    "cone": (Cone(apex=(2.0, 3.0, 150.0), half_angle=25.0), WALL),
+    "paraboloid": (BOWL, WALL),
+    "card": (Plane(distance=190.0, slope_x=0.9, bounds=BOX), WALL),
+    "card, narrow lens": (Plane(distance=190.0, slope_x=0.9, bounds=BOX), NEAR_FOCUS),
+    "cap": (BALL.model_copy(update={"bounds": BOX}), WALL),
+    "bounded paraboloid": (BOWL.model_copy(update={"bounds": BOX}), WALL),
+    "tube, narrow lens": (Cylinder(center=(3.0, 0.0, 200.0), radius=9.0, axis=(0.4, 0.1, 1.0), bounds=BOX), NEAR_FOCUS),
+    "bounded cone": (Cone(apex=(2.0, 3.0, 170.0), half_angle=35.0, bounds=BOX), WALL),
+    "four at once": (
+        BALL,
+        Ellipsoid(center=(12.0, -6.0, 210.0), semi_axes=(10.0, 4.0, 8.0)),
+        Plane(distance=220.0, bounds=((-9.0, 4.0), (-16.0, -2.0), (-1.0, 1.0))),
+        Cylinder(center=(4.0, 0.0, 240.0), radius=3.0, axis=(1.0, 0.4, 0.0)),
+        WALL,
+    ),
+    "sunk in two": (
+        Sphere(center=(-5.0, 0.0, 300.0), radius=25.0),
+        Sphere(center=(8.0, 3.0, 300.0), radius=22.0),
+        Plane(distance=300.0, slope_x=0.8, slope_y=-0.5),
+    ),
+    "sunk in": (Sphere(center=(0.0, 0.0, 300.0), radius=25.0), Plane(distance=300.0, slope_x=0.8, slope_y=-0.5)),
+}
+PILLBOX = Psf()
+STILL = Pose(np.eye(3), np.zeros(3))
+ROWS = (-6, -2, 0, 3, 7)  # of taps, two vectors of 8 in each
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What the device finds for N sources and T taps, and what the twin does; wide: of the lens, by the twin."""
+
+    state: Array
+    edge: Array
+    share: Array
+    along: Array
+    expected_state: Array
+    expected_edge: Array
+    expected: Array
+    wide: Array
+
+
+def see(
+    session: Session, run: Runner, items: tuple[Object, ...], psf: Psf = PILLBOX, real: Real = "double",
+    gather: int = 1, width: float = 1.0, layer: Layer | None = None, camera: Camera = CAMERA,
+) -> Seen:  # fmt: skip
+    """Sources of the last object at random pixels, and what is in their way; width: of the sources, px."""
+    far = len(items) - 1
+    layer = layer or Layer(1 << far, (1 << far) - 1)
+    surfaces, bounds = [place(item, STILL) for item in items], [item.bounds for item in items]
+    rng, count = np.random.default_rng(17), 900
+    at = np.stack([rng.integers(-10, 154, count), rng.integers(-10, 130, count)], axis=-1)
+    offset = rng.integers(-2, 3, (count, 2)) / 8 if width < 1 else np.zeros((count, 2))
+    taps = np.array([(x, y) for y in ROWS for start in (-7, 0) for x in range(start, start + 8)], np.int32)
+    features = make_plan(Scene(camera=camera, objects=items, psf=psf), 1, ()).features()
+    features |= {"OCCLUDED": layer.blockers.bit_count(), "SOURCES": count, "GATHER": gather}
+    buffers = [empty(session, 4 * count * size) for size in (1, 1, len(taps), len(taps))]
+    run(
+        KERNEL, "see_taps", real, features, count, camera_struct(camera, 0, real),
+        surface_structs(items, surfaces, real), layer_struct(layer, len(items)),
+        psf_struct(psf, psf_table(psf, 0.0, 20.0), None, real), lens_cells(psf).astype(np.float32), np.float32(width),
+        np.concatenate([at, offset], axis=-1).astype(np.float32), np.int32(len(taps)), taps, *buffers,
+    )  # fmt: skip
+    state, edge = (download(session, one, (count,), np.int32) for one in buffers[:2])
+    share, along = (download(session, one, (count, len(taps)), np.float32) for one in buffers[2:])
+
+    rays = pixel_ray(camera, at[:, 1] + offset[:, 1], at[:, 0] + offset[:, 0])
+    w, label, _ = nearest_surface(surfaces, bounds, layer, rays)
+    there = label > 0
+    assert ((state >= 0) == there).all()
+    w, radius, (x, y) = w[there], blur_radius(camera, w[there]), offset[there].T
+    found, outline, sight = look(camera, surfaces, bounds, layer, psf, rays[there], w, radius, x, y, width)
+    cells, expected, wide = look_through(sight), np.ones((w.size, len(taps))), np.zeros(w.size, dtype=bool)
+    for n, (dx, dy) in enumerate(taps.astype(float).tolist()):
+        expected[sight.row >= 0, n] = tap_share(sight, cells, dx, dy)
+    wide[sight.row >= 0] = sight.wide
+    return Seen(state[there], edge[there], share[there], along[there], found, outline, expected, wide)
+
+
+def assert_same(seen: Seen) -> None:
+    """States and outlines are the same, and shares to what float32 leaves of them."""
+    assert (seen.state == seen.expected_state).all()
+    assert (seen.edge == seen.expected_edge).all()
+    partly = seen.state == PARTLY
+    if not partly.any():
+        return
+    error = np.abs(seen.share[partly] - seen.expected[partly])
+    # h has terms of up to some ten widths of the edge, each rounded to 6e-8 of that and some ten of them, and the step
+    # is up to 1.5 times as steep. Where a line just touches a surface with bounds, its crossing is the root of a
+    # difference, of which float32 has half of the digits left.
+    assert np.quantile(error, 0.999) < 2e-5
+    assert error.max() < 3e-4
+    if seen.wide.any():
+        assert np.ptp(seen.expected) > 0.7
+
+
+@pytest.mark.parametrize(
+    ("psf", "gather"),
+    [
+        pytest.param(Psf(), 1, id="pillbox, vectors"),
+        pytest.param(Psf(), 0, id="pillbox", marks=pytest.mark.slow),
+        pytest.param(Psf(model="gaussian"), 1, id="gaussian, vectors", marks=pytest.mark.slow),
+        pytest.param(Psf(model="gaussian"), 0, id="gaussian", marks=pytest.mark.slow),
+    ],
+)
+@pytest.mark.parametrize("name", mostly_slow(list(SCENES), ["ball", "ball, narrow lens", "card", "bounded cone"]))
+def test_taps(session: Session, run_source: Runner, name: str, gather: int, psf: Psf) -> None:
+    seen = see(session, run_source, SCENES[name], psf, gather=gather)
+    partly = seen.state == PARTLY
+    assert partly.sum() > 20
+    if psf.model == "pillbox":
+        assert (seen.wide[partly].mean() > 0.5) != name.endswith("narrow lens")
+    assert_same(seen)
+    if not gather or not seen.wide.any():
+        return
+    # What is said of a vector of taps as a whole holds for each of them.
+    chosen = partly & seen.wide
+    vectors = seen.share[chosen].reshape(-1, 8)
+    along = seen.along[chosen].reshape(-1, 8)[:, 0]
+    assert not vectors[along == 0].any()
+    assert (vectors[along == 1] == 1).all()
+    if name == "ball":
+        assert min((along == value).mean() for value in (0, 0.5, 1)) > 0.05
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ball", "wire, narrow lens", "bounded cone"])
+def test_single_precision(session: Session, run_source: Runner, name: str) -> None:
+    """Lines are decided with pairs of floats, as float64 does."""
+    assert_same(see(session, run_source, SCENES[name], real="float"))
+
+
+@pytest.mark.parametrize("name", ["ball", "ball, narrow lens", "card, narrow lens", "cap", "sunk in"])
+@pytest.mark.slow
+def test_subpixel_sources(session: Session, run_source: Runner, name: str) -> None:
+    """Sources that are not in the middle of their pixel, and narrower than it."""
+    whole, quarter = (see(session, run_source, SCENES[name], width=width) for width in (1.0, 0.25))
+    assert_same(quarter)
+    assert not np.array_equal(whole.share, quarter.share)
+
+
+@pytest.mark.parametrize("far", [False, True])
+@pytest.mark.parametrize("name", mostly_slow(["tube, narrow lens", "cap"], ["cap"]))
+def test_a_hollow_surface_before_itself(session: Session, run_source: Runner, name: str, far: bool) -> None:
+    """Points of its far wall look past its rim; those of the near one see all of the lens."""
+    (item, _), camera = SCENES[name], CAMERA.model_copy(update={"sensor_distance": 20.5, "aperture_diameter": 30.0})
+    near_sheet = 1 if place(item, STILL).constant > 0 else 2
+    layer = Layer(1, 1, 0, 3 - near_sheet if far else near_sheet)
+    seen = see(session, run_source, (item,), layer=layer, camera=camera)
+    assert (seen.state == PARTLY).any() if far else (seen.state == CLEAR).all()
+    assert_same(seen)

@@ -1,0 +1,269 @@
+"""Building, launching and moving arrays, with small kernels of the tests' own."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+import pytest
+
+from clsco.errors import DeviceError, KernelError
+from clsco.opencl import program as program_module
+from clsco.opencl.buffers import download, empty, upload
+from clsco.opencl.program import build, kernel, launch, program_text, struct_text
+from clsco.opencl.session import Session
+
+POSE = np.dtype([("angle", "f8"), ("axis", "f4", (3,)), ("id", "i4")], align=True)
+SCENE = np.dtype([("count", "i2"), ("pose", POSE, (2,)), ("turn", "f4", (2, 3)), ("last", "u8")], align=True)
+STRUCTS = {"Pose": POSE, "Scene": SCENE}
+
+HEADER = """\
+static inline real twice(real x)
+{
+    return 2 * x;
+}
+"""
+WORK = """\
+__kernel void count(int n, __global int *out)
+{
+    int i = get_global_id(0);
+    if (i >= n) return;
+    out[i] += (int)twice(i) + EXTRA;
+}
+
+__kernel void fields(Scene scene, __global double *out)
+{
+    if (get_global_id(0) > 0) return;
+    out[0] = scene.count;
+    out[1] = scene.pose[1].angle;
+    out[2] = scene.pose[1].axis[2];
+    out[3] = scene.pose[1].id;
+    out[4] = scene.turn[1][2];
+    out[5] = scene.last;
+}
+
+__kernel void arithmetic(int n, __global const float *x, __global float *out)
+{
+    int i = get_global_id(0);
+    if (i >= n) return;
+    out[4 * i] = x[i] * x[i] - x[n - 1 - i];
+    out[4 * i + 1] = x[i] / (x[n - 1 - i] + 1);
+    out[4 * i + 2] = sqrt(x[i]);
+    out[4 * i + 3] = x[i] + 0.1f * x[n - 1 - i];
+}
+
+__kernel void real_size(__global int *out)
+{
+    if (get_global_id(0) > 0) return;
+    out[0] = sizeof(real);
+    out[1] = sizeof(real16);
+    out[2] = REAL_IS_DOUBLE;
+    out[3] = HAS_FP64;
+    out[4] = HAS_INT64_ATOMICS;
+    out[5] = sizeof(1.5 * (real)1);
+}
+"""
+
+
+@pytest.fixture
+def kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    (tmp_path / "common").mkdir()
+    (tmp_path / "common/wide.clh").write_text("")
+    (tmp_path / "common/geometry.clh").write_text(HEADER)
+    (tmp_path / "work.cl").write_text(WORK)
+    monkeypatch.setattr(program_module, "folder", lambda name: tmp_path)
+    return tmp_path
+
+
+def built(session: Session, extra: int = 0, real: Any = "double") -> dict[str, cl.Kernel]:
+    return build(session, ["work.cl"], {"EXTRA": extra}, STRUCTS, real)
+
+
+@pytest.mark.usefixtures("kernels")
+def test_launch_covers_every_item_once_and_none_beyond(session: Session) -> None:
+    for count in (1, 63, 64, 65, 1000):
+        buffer = empty(session, 4 * 1024)
+        cl.enqueue_fill_buffer(session.queue, buffer, np.array(-7, np.int32), 0, 4 * 1024)
+        launch(session, kernel(built(session, 5), "count"), (count,), (64,), np.int32(count), buffer)
+        got = download(session, buffer, (1024,), np.int32)
+        expected = np.where(np.arange(1024) < count, 2 * np.arange(1024) + 5 - 7, -7)
+        np.testing.assert_array_equal(got, expected)
+
+
+@pytest.mark.usefixtures("kernels")
+def test_the_same_request_gives_the_same_program_and_another_feature_another(session: Session) -> None:
+    assert built(session, 1) is built(session, 1)
+    assert built(session, 1) is not built(session, 2)
+    assert built(session, 1) is not built(session, 1, "float")
+    with Session(session.device) as other:
+        assert built(other, 1) is not built(session, 1)
+
+
+def test_a_changed_file_is_built_anew(session: Session, kernels: Path) -> None:
+    before = built(session)
+    (kernels / "common/geometry.clh").write_text(HEADER.replace("2 * x", "3 * x"))
+    buffer = empty(session, 4 * 4)
+    cl.enqueue_fill_buffer(session.queue, buffer, np.zeros((), np.int32), 0, 4 * 4)
+    assert built(session) is not before
+    launch(session, kernel(built(session), "count"), (4,), (64,), np.int32(4), buffer)
+    np.testing.assert_array_equal(download(session, buffer, (4,), np.int32), [0, 3, 6, 9])
+
+
+@pytest.mark.usefixtures("kernels")
+def test_structs_arrive_field_by_field(session: Session) -> None:
+    scene = np.zeros((), SCENE)
+    scene["count"], scene["last"] = 3, 2**40
+    scene["pose"]["angle"][1], scene["pose"]["axis"][1, 2], scene["pose"]["id"][1] = 0.1, 0.5, -4
+    scene["turn"][1, 2] = 0.25
+    buffer = empty(session, 6 * 8)
+    launch(session, kernel(built(session), "fields"), (1,), (1,), scene[()], buffer)
+    np.testing.assert_array_equal(download(session, buffer, (6,), np.float64), [3, 0.1, 0.5, -4, 0.25, 2**40])
+
+
+@pytest.mark.usefixtures("kernels")
+def test_float32_arithmetic_has_the_bits_of_numpy(session: Session) -> None:
+    # No tolerance: +, -, x, / and sqrt are correctly rounded on both sides and never contracted.
+    x = np.random.default_rng(1).random(4096, np.float32)
+    assert np.unique(x).size > 4000
+    y = x[::-1]
+    expected = np.stack([x * x - y, x / (y + np.float32(1)), np.sqrt(x), x + np.float32(0.1) * y], axis=1)
+    buffer = empty(session, expected.nbytes)
+    launch(
+        session,
+        kernel(built(session), "arithmetic"),
+        (x.size,),
+        (64,),
+        np.int32(x.size),
+        upload(session, x),
+        buffer,
+    )
+    got = download(session, buffer, expected.shape, np.float32)
+    np.testing.assert_array_equal(got.view(np.uint32), expected.view(np.uint32))
+
+
+@pytest.mark.usefixtures("kernels")
+@pytest.mark.parametrize(("real", "size"), [("double", 8), ("float", 4)])
+def test_real(session: Session, real: str, size: int) -> None:
+    buffer = empty(session, 6 * 4)
+    launch(session, kernel(built(session, real=real), "real_size"), (1,), (1,), buffer)
+    device = session.device
+    expected = [size, 16 * size, size == 8, device.has_fp64, device.has_int64_atomics, size]
+    np.testing.assert_array_equal(download(session, buffer, (6,), np.int32), expected)
+
+
+def test_a_build_error_names_file_and_line(session: Session, kernels: Path) -> None:
+    (kernels / "work.cl").write_text(
+        WORK.replace("out[2] = sqrt", "out[2] = sqroot").replace("scene.last", "scene.lost")
+    )
+    with pytest.raises(KernelError, match=r"^work\.cl: must build on ") as caught:
+        built(session)
+    line = 1 + WORK[: WORK.index("scene.last")].count("\n")
+    assert f"work.cl:{line}:" in str(caught.value)
+
+
+def test_a_header_error_names_the_header(session: Session, kernels: Path) -> None:
+    (kernels / "common/geometry.clh").write_text(HEADER.replace("2 * x;", "2 * y;"))
+    with pytest.raises(KernelError, match=r"geometry\.clh:3:"):
+        built(session)
+
+
+def test_compiler_warnings_stay_out_of_the_way_unless_asked_for(
+    session: Session, kernels: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A fresh name, since PoCL only gives a warning when it really compiles.
+    name = f"odd_{kernels.name.replace('-', '_')}"
+    (kernels / "work.cl").write_text(f"#warning {name}\n{WORK}")
+    monkeypatch.delenv("PYOPENCL_COMPILER_OUTPUT", raising=False)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        built(session)
+    (kernels / "work.cl").write_text(f"#warning {name} again\n{WORK}")
+    monkeypatch.setenv("PYOPENCL_COMPILER_OUTPUT", "1")
+    with pytest.warns(cl.CompilerWarning, match=name):
+        built(session)
+
+
+@pytest.mark.usefixtures("kernels")
+def test_unknown_names(session: Session) -> None:
+    with pytest.raises(KernelError, match=r"^kernel: must be one of .*count.*; got missing$"):
+        kernel(built(session), "missing")
+    with pytest.raises(KernelError, match=r"got no missing\.cl$"):
+        build(session, ["missing.cl"], {}, {}, "double")
+
+
+@pytest.mark.usefixtures("kernels")
+def test_double_on_a_device_without_it(session: Session) -> None:
+    with Session(replace(session.device, has_fp64=False)) as lesser:
+        with pytest.raises(DeviceError, match=r"^precision: .*fp64"):
+            built(lesser)
+        assert "cl_khr_fp64" not in program_text(["work.cl"], {}, "float", False, False)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "message"),
+    [
+        (np.dtype([("a", "f8"), ("b", "i4")]), "align=True"),
+        (np.dtype("f8"), "align=True"),
+        (np.dtype([("a", "f2")], align=True), "got a: float16"),
+        (np.dtype([("a", POSE)], align=True), "got a: "),
+    ],
+)
+def test_structs_that_cannot_be_given(dtype: np.dtype[Any], message: str) -> None:
+    with pytest.raises(KernelError, match=message):
+        struct_text("S", dtype, {})
+
+
+def test_a_struct_whose_layout_is_not_the_compilers_does_not_build(session: Session, kernels: Path) -> None:
+    tail = np.dtype({"names": ["a", "b"], "formats": ["f8", "i4"], "offsets": [0, 8], "itemsize": 24}, align=True)
+    (kernels / "work.cl").write_text("__kernel void none(void) {}\n")
+    with pytest.raises(KernelError, match="Tail_has_the_size_of_its_dtype"):
+        build(session, ["work.cl"], {}, {"Tail": tail}, "double")
+
+
+def aligned(values: np.ndarray[Any, Any], offset: int, alignment: int) -> np.ndarray[Any, Any]:
+    """A copy whose first byte lies `offset` bytes after a multiple of `alignment`."""
+    memory = np.empty(values.nbytes + 2 * alignment, np.uint8)
+    start = -memory.ctypes.data % alignment + offset
+    copy: np.ndarray[Any, Any] = np.ndarray(values.shape, values.dtype, memory, start)
+    copy[...] = values
+    return copy
+
+
+def test_arrays_go_and_come_back(session: Session) -> None:
+    values = np.arange(60, dtype=np.float32).reshape(3, 4, 5)
+    alignment = session.device.alignment
+    for given in (
+        values,
+        aligned(values, 0, alignment),
+        aligned(values, 4, alignment),
+        values[:, ::-1, ::2],
+        values[:0],
+    ):
+        got = download(session, upload(session, given), given.shape, given.dtype)
+        np.testing.assert_array_equal(got, given)
+        assert got.flags.owndata
+        assert got.flags.writeable
+
+
+def test_an_aligned_array_is_used_in_place_and_kept_alive(session: Session) -> None:
+    values = np.arange(1000, dtype=np.float32)
+    given = aligned(values, 0, session.device.alignment)
+    buffer = upload(session, given)
+    given[7] = -1  # what the caller must not do shows that nothing was copied
+    del given
+    expected = np.where(values == 7, -1, values)
+    np.testing.assert_array_equal(download(session, buffer, values.shape, values.dtype), expected)
+    other = aligned(values, 4, session.device.alignment)
+    buffer = upload(session, other)
+    other[7] = -1
+    np.testing.assert_array_equal(download(session, buffer, values.shape, values.dtype), values)
+
+
+def test_a_buffer_that_is_too_large(session: Session) -> None:
+    size = session.device.max_alloc + 1
+    with pytest.raises(DeviceError, match=rf"at most {session.device.max_alloc} bytes; got {size}$"):
+        empty(session, size)

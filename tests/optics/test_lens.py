@@ -1,0 +1,109 @@
+"""The thin lens against the thesis' equations and exact arithmetic."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from clsco.optics.lens import blur_radius, blur_scale, focus_distance, focus_power, lens_radius, ray_step
+from clsco.scene.model import Camera
+
+EPS = np.finfo(np.float64).eps
+LENSES = [
+    Camera(),
+    Camera(focal_length=400.0, aperture_diameter=140.0, focus_distance=5000.0, pixel_pitch=0.005),
+    Camera(focal_length=50.0, f_number=1.8, focus_distance=1500.0, pixel_pitch=0.004),
+    Camera(focal_length=4.2, f_number=1.7, focus_distance=400.0, pixel_pitch=0.0014),
+]
+
+
+def exact_radius(camera: Camera, u: Fraction) -> Fraction:
+    """R = (s0 D / 2 p) (1/f - 1/u - 1/s), 2.33 in pixels, in rational arithmetic."""
+    f, s, d, s0, p = (
+        Fraction(float(v))
+        for v in (
+            camera.focal_length,
+            camera.sensor_distance,
+            camera.aperture_diameter,
+            camera.normalization_distance,
+            camera.pixel_pitch,
+        )
+    )
+    return s0 * d / (2 * p) * (1 / f - 1 / u - 1 / s)
+
+
+def thesis_radius(camera: Camera, u: float) -> float:
+    """The same by 2.24 and 2.30, from where the image of a point at u lies; 2.32 scales s to s0."""
+    v = 1.0 / (1.0 / camera.focal_length - 1.0 / u)
+    s, d = camera.sensor_distance, camera.aperture_diameter
+    r = d * (s - v) / v / 2.0
+    return r * camera.normalization_distance / s / camera.pixel_pitch
+
+
+@pytest.mark.parametrize("camera", LENSES, ids=lambda c: f"{c.focal_length:g} mm")
+def test_radius_from_half_the_focus_distance_to_infinity(camera: Camera) -> None:
+    near = 0.5 * focus_distance(camera)
+    for u in np.geomspace(near, 1e9, 200).tolist():
+        # 1/u is rounded once: the figure to reach is 1e-4 px, and float64 stays a million times below it. K is
+        # the difference of 1/f and 1/s, rounded by eps of those.
+        w = 1.0 / u
+        scale = blur_scale(camera) * (1.0 / camera.focal_length + w)
+        found = float(blur_radius(camera, w))
+        assert abs(found - float(exact_radius(camera, Fraction(u)))) <= 4 * EPS * scale
+        assert abs(found - float(exact_radius(camera, Fraction(u)))) < 1e-9
+        assert found == pytest.approx(thesis_radius(camera, u), abs=16 * EPS * scale)
+
+
+def test_the_thesis_camera_focuses_at_a_quarter_of_a_meter() -> None:
+    camera = Camera()
+    assert focus_distance(camera) == pytest.approx(250.0172, abs=1e-4)  # 1 / (1/20 - 1/21.739) mm by hand
+    assert blur_scale(camera) == 20.0 * 10.0 / (2.0 * 0.01)
+    assert float(blur_radius(camera, 1.0 / focus_distance(camera))) == pytest.approx(0.0, abs=1e-10)
+    # "Blur at most about 6 px": at 292 mm, 10^4 (1/250.0172 - 1/292) = 5.75 px.
+    assert float(blur_radius(camera, 1.0 / 292.0)) == pytest.approx(1e4 * (1 / 250.0172 - 1 / 292.0), abs=1e-4)
+
+
+def test_sign_tells_the_side_of_the_focus_and_infinity_is_finite() -> None:
+    camera = Camera(focus_distance=250.0)
+    radius = blur_radius(camera, 1.0 / np.array([200.0, 300.0, np.inf]))
+    assert radius[0] < 0 < radius[1] < radius[2]
+    assert radius[2] == blur_scale(camera) * focus_power(camera)
+    assert radius.dtype == np.float64
+
+
+def test_radius_is_linear_in_inverse_depth() -> None:
+    w = np.random.default_rng(1).uniform(0.0, 0.1, (2, 50))
+    camera = Camera()
+    mean = blur_radius(camera, w.mean(axis=0))
+    scale = blur_scale(camera) * 0.1
+    np.testing.assert_allclose(blur_radius(camera, w).mean(axis=0), mean, rtol=0, atol=4 * EPS * scale)
+    assert np.ptp(mean) > 1.0
+
+
+def test_focus_at_infinity() -> None:
+    camera = Camera(sensor_distance=20.0)
+    assert focus_power(camera) == 0.0
+    assert focus_distance(camera) == np.inf
+    assert focus_distance(Camera(sensor_distance=19.0)) == np.inf  # nearer than the focal length: nothing is sharp
+    assert (blur_radius(camera, np.array([0.0, 0.01])) == [0.0, -blur_scale(camera) * 0.01]).all()
+
+
+@pytest.mark.parametrize("focus", [20.1, 250.0, 1e6])
+def test_focus_distance_gives_the_detector_its_place(focus: float) -> None:
+    camera = Camera(focus_distance=focus)
+    # s = f u / (u - f); K = 1/f - 1/s loses the digits that u has over f.
+    assert focus_distance(camera) == pytest.approx(focus, rel=8 * EPS * focus / 20.0)
+    assert camera.sensor_distance == pytest.approx(1.0 / (1.0 / 20.0 - 1.0 / focus), rel=8 * EPS * focus / (focus - 20))
+
+
+def test_ray_step_is_the_pixel_seen_from_the_lens() -> None:
+    assert ray_step(Camera()) == 0.01 / 20.0
+    assert ray_step(Camera(normalization_distance=21.739)) == 0.01 / 21.739
+    # 10 mm at 250 mm: 80 px (thesis, 4.3.3).
+    assert 10.0 / 250.0 / ray_step(Camera()) == pytest.approx(80.0, rel=4 * EPS)
+
+
+def test_half_the_aperture_is_the_lens_radius() -> None:
+    assert lens_radius(Camera(aperture_diameter=10.0)) == 5.0

@@ -1,0 +1,481 @@
+"""PSF weights against quadrature and the thesis' own recipe, and the tables that a device reads."""
+
+from __future__ import annotations
+
+import time
+from itertools import pairwise
+from math import exp, pi, sqrt
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import quad
+
+from clsco.optics.psf import (
+    disc_coverage,
+    is_disc,
+    is_separable,
+    psf_extent,
+    reach,
+    subpixel_offsets,
+    subpixel_weights,
+    weights,
+)
+from clsco.optics.psf_tables import (
+    LANES,
+    MANY,
+    POWERS,
+    PsfTable,
+    _table_radius,
+    psf_table,
+    table_bytes,
+    table_coordinate,
+)
+from clsco.reference.common.geometry import table_coordinate as float32_coordinate
+from clsco.scene.model import Psf
+
+Array = NDArray[np.float64]
+
+PSFS = [Psf(model=m, edge=e) for m in ("pillbox", "gaussian") for e in ("sampled", "area", "integrated")]
+SMOOTH = [psf for psf in PSFS if psf.edge != "sampled"]
+SAMPLED = [psf for psf in PSFS if psf.edge == "sampled"]
+# Radii of every kind: none, tiny, each side of the thresholds, whole numbers, and any.
+RADII = np.concatenate(
+    [
+        [0.0, 1e-12, 1e-9, 2e-9, 1e-6, 0.125, np.nextafter(0.5, 0.0), 0.5, 1.0, 2.0, 5.0, 13.0, 25.0, 60.0],
+        np.random.default_rng(1).uniform(0.0, 6.0, 20),
+        np.random.default_rng(2).uniform(6.0, 60.0, 4),
+    ]
+)
+
+
+def name_of(psf: Psf) -> str:
+    return f"{psf.model}-{psf.edge}"
+
+
+def square(psf: Psf, radius: float, half_width: int) -> Array:
+    """Weights (rows, columns) around a source, up to `half_width` px away."""
+    span = np.arange(-half_width, half_width + 1.0)
+    return weights(psf, span[None, :], span[:, None], np.asarray(radius))
+
+
+def octant(half_width: int) -> tuple[Array, Array, Array]:
+    """Offsets 0 <= a <= b of an octant and how many offsets share the weight of each."""
+    a, b = np.triu_indices(half_width + 1)
+    count = np.where(a == b, np.where(a == 0, 1, 4), np.where(a == 0, 4, 8))
+    return a.astype(float), b.astype(float), count.astype(float)
+
+
+# The closed forms
+
+
+def response(offset: float, low: float, high: float, tent: bool) -> float:
+    """Integral from low to high of the response of a pixel at `offset`, by the definition of that response."""
+    if not tent:
+        return max(0.0, min(high, offset + 0.5) - max(low, offset - 0.5))
+
+    def rise(position: float) -> float:  # integral up to there of 1 - |u|, 0 beyond 1
+        u = min(max(position - offset, -1.0), 1.0)
+        return 0.5 * (1.0 + u) ** 2 if u < 0.0 else 1.0 - 0.5 * (1.0 - u) ** 2
+
+    return rise(high) - rise(low)
+
+
+def disc_by_quadrature(dx: float, dy: float, radius: float, tent: bool) -> float:
+    """disc_coverage over the chords x = R sin(phi), on which the integrand has kinks but no vertical tangent."""
+    knots = (-1.0, 0.0, 1.0) if tent else (-0.5, 0.5)
+
+    def chord(phi: float) -> float:
+        x, h = radius * np.sin(phi), radius * np.cos(phi)
+        across = max(0.0, 1.0 - abs(x - dx)) if tent else float(abs(x - dx) < 0.5)
+        return float(across * response(dy, -h, h, tent) * h)
+
+    kinks = {float(np.arcsin((dx + k) / radius)) for k in knots if abs(dx + k) < radius}
+    kinks |= {s * float(np.arccos((dy + k) / radius)) for k in knots for s in (-1, 1) if 0 < dy + k < radius}
+    kinks |= {s * float(np.arccos((-dy - k) / radius)) for k in knots for s in (-1, 1) if 0 < -dy - k < radius}
+    ends = [-pi / 2, *sorted(kinks), pi / 2]
+    return sum(quad(chord, a, b, epsabs=1e-14, epsrel=1e-13)[0] for a, b in pairwise(ends))
+
+
+@pytest.mark.parametrize("tent", [False, True])
+def test_disc_coverage_is_the_integral(tent: bool) -> None:
+    rng = np.random.default_rng(11)
+    worst, crossed = 0.0, 0
+    for _ in range(120):
+        radius = float(np.exp(rng.uniform(np.log(0.05), np.log(30.0))))
+        angle, length = rng.uniform(0, 2 * pi), max(0.0, radius + rng.uniform(-1.5, 1.5))
+        dx, dy = length * np.cos(angle), length * np.sin(angle)
+        if rng.random() < 0.5:
+            dx, dy = float(np.rint(dx)), float(np.rint(dy))
+        found = float(disc_coverage(np.asarray(dx), np.asarray(dy), np.asarray(radius), tent))
+        crossed += 0.01 < found < 0.99
+        # Quadrature gives 1e-13. The antiderivatives of the closed form reach R^4 / 4 with the tent, R^2 without, and
+        # some 50 of them, each rounded by 1e-16, are subtracted: less than 1e-15 R^2 of the light of the source.
+        largest = 0.25 * radius**4 if tent else radius**2
+        worst = max(worst, abs(found - disc_by_quadrature(dx, dy, radius, tent)) / (1e-13 + 50e-16 * largest))
+    assert crossed > 30
+    assert worst < 1.0
+
+
+def test_gaussian_is_the_integral() -> None:
+    rng = np.random.default_rng(12)
+    for psf in [psf for psf in SMOOTH if psf.model == "gaussian"]:
+        tent = psf.edge == "integrated"
+        checked = 0
+        for _ in range(30):
+            radius = float(np.exp(rng.uniform(np.log(0.1), np.log(20.0))))
+            sigma = psf.sigma_ratio * radius
+            cut = psf.truncation * sigma
+            half = 1.0 if tent else 0.5
+            offset = np.rint(rng.uniform(-cut - half, cut + half, 2))
+
+            def axis(at: float, sigma: float = sigma, cut: float = cut, half: float = half) -> float:
+                def density(u: float) -> float:
+                    return exp(-0.5 * (u / sigma) ** 2) / sqrt(2 * pi) / sigma
+
+                def seen(u: float) -> float:
+                    return density(u) * (1.0 - abs(u - at) if half == 1.0 else 1.0)
+
+                low, high = max(at - half, -cut), min(at + half, cut)
+                if low >= high:
+                    return 0.0
+                ends = [low, at, high] if low < at < high else [low, high]
+                parts = [quad(seen, a, b, epsabs=1e-15)[0] for a, b in pairwise(ends)]
+                return sum(parts) / quad(density, -cut, cut, epsabs=1e-15)[0]
+
+            expected = axis(float(offset[0])) * axis(float(offset[1]))
+            found = float(weights(psf, offset[0], offset[1], np.asarray(radius)))
+            checked += expected > 1e-6
+            assert abs(found - expected) < 1e-13, (radius, offset)  # quadrature and erf each give 1e-14
+        assert checked > 10
+
+
+def test_integrated_is_the_mean_over_a_square_source_of_the_exact_coverage() -> None:
+    # Coverage is a Lipschitz function of where in its pixel a source is, so the midpoint rule on 40 x 40
+    # sources is off by less than the slope, at most 2 min(2R, 1) / (pi R^2) per px, times half a cell.
+    fine = (np.arange(40) + 0.5) / 40 - 0.5
+    for radius in (0.4, 1.0, 2.7):
+        for dx, dy in ((0, 0), (1, 0), (1, 1), (2, 1), (3, 1)):
+            x, y = dx - fine[:, None], dy - fine[None, :]
+            mean = disc_coverage(x, y, np.asarray(radius), False).mean() / (pi * radius**2)
+            found = float(weights(Psf(), np.asarray(dx), np.asarray(dy), np.asarray(radius)))
+            assert abs(found - mean) < 2 * min(2 * radius, 1.0) / (pi * radius**2) / 80
+            assert (found == 0.0) == (np.hypot(max(dx - 1, 0), max(dy - 1, 0)) >= radius)
+
+
+def test_center_of_a_small_disc_has_a_closed_form() -> None:
+    # For R <= 1 the tent is (1 - |x|) (1 - |y|) over the whole disc, whose means of |x| and |x y| are 4R/(3 pi)
+    # and R^2 / (2 pi); rounding is 1e-15 relative to pi R^2.
+    radius = np.array([1e-6, 1e-3, 0.1, 0.5, 0.99, 1.0])
+    expected = 1.0 - 8.0 * radius / (3.0 * pi) + radius**2 / (2.0 * pi)
+    np.testing.assert_allclose(weights(Psf(), np.zeros(6), np.zeros(6), radius), expected, rtol=1e-13)
+
+
+@pytest.mark.parametrize("psf", PSFS, ids=name_of)
+def test_energy_is_one(psf: Psf) -> None:
+    for radius in RADII.tolist():
+        a, b, count = octant(reach(psf, radius))
+        share = weights(psf, a, b, np.asarray(radius))
+        assert (share >= 0.0).all()
+        assert abs((share * count).sum() - 1.0) < 1e-12, radius  # what `weights` promises
+
+
+@pytest.mark.parametrize("samples", [2, 5])
+@pytest.mark.parametrize("model", ["pillbox", "gaussian"])
+def test_energy_of_a_subpixel_source_is_one(model: str, samples: int) -> None:
+    psf = Psf.model_validate({"model": model})
+    x, y = subpixel_offsets(samples)[[0, -1]]
+    for radius in RADII[RADII < 20].tolist():
+        span = np.arange(-1.0 - reach(psf, radius, True), 2.0 + reach(psf, radius, True))
+        share = subpixel_weights(psf, span[None, :] - x, span[:, None] - y, np.asarray(radius))
+        assert not share[[0, -1]].any()  # `reach` holds it all
+        assert not share[:, [0, -1]].any()
+        # A disc of 1e-9 px lies so near to nothing that (R - x)(R + x) keeps 7 digits; light is 1e-12 beyond.
+        assert abs(share.sum() - 1.0) < (1e-12 if radius > 1e-3 else 1e-6), radius
+
+
+def test_the_area_of_a_disc_is_covered() -> None:
+    for radius in (0.3, 7.1, 60.0):
+        span = np.arange(-62.0, 63.0)
+        for tent in (False, True):
+            covered = disc_coverage(span[None, :], span[:, None], np.asarray(radius), tent)
+            assert covered.sum() == pytest.approx(pi * radius**2, rel=1e-12)
+            half = 1.0 if tent else 0.5
+            far = np.hypot(np.abs(span)[None, :] + half, np.abs(span)[:, None] + half)
+            assert (covered[far <= radius] == 1.0).all()
+    # The circle problem: |points - pi R^2| <= 2 sqrt(2) pi R (Gauss), and a sampled PSF shares light among them.
+    inside = 1.0 / float(weights(SAMPLED[0], np.asarray(0), np.asarray(0), np.asarray(60.0)))
+    assert inside == pytest.approx(round(inside), rel=1e-12)
+    assert abs(inside - pi * 3600.0) < 2 * sqrt(2) * pi * 60.0
+
+
+@pytest.mark.parametrize("psf", SMOOTH, ids=name_of)
+def test_weights_are_continuous_in_the_radius(psf: Psf) -> None:
+    for low, high, steps in ((0.0, 1.5, 3000), (1.5, 6.0, 2000), (17.0, 17.1, 40)):
+        radius = np.linspace(low, high, steps)
+        a, b, count = octant(reach(psf, high))
+        share = weights(psf, a, b, radius[:, None])
+        change = (np.abs(np.diff(share, axis=0)) * count).sum(axis=1) / (radius[1] - radius[0])
+        assert change.max() > 0.04
+        assert change.max() <= 4.0  # the figure to reach: L1 per px of radius
+    jumps = [square(SAMPLED[0], r, 1) for r in (0.999999, 1.0)]
+    assert np.abs(jumps[1] - jumps[0]).sum() > 1.5  # which the sampled form does not: five pixels instead of one
+
+
+@pytest.mark.parametrize("psf", PSFS, ids=name_of)
+def test_no_radius_is_no_blur(psf: Psf) -> None:
+    delta = np.zeros((5, 5))
+    delta[2, 2] = 1.0
+    assert (square(psf, 0.0, 2) == delta).all()
+    assert np.abs(square(psf, 1e-8, 2) - delta).max() < 2e-8  # at most 2 per px of radius in one weight
+    if psf.edge == "area" and psf.model == "pillbox":
+        np.testing.assert_allclose(square(psf, 0.5, 2), delta, rtol=0, atol=1e-15)
+    if psf.edge == "sampled":
+        assert (square(psf, np.nextafter(0.5, 0.0), 2) == delta).all()
+
+
+@pytest.mark.parametrize("psf", PSFS, ids=name_of)
+def test_weights_have_the_symmetry_of_the_lattice_and_of_the_sign(psf: Psf) -> None:
+    for radius in (0.7, 2.3, 5.0):
+        share = square(psf, radius, reach(psf, radius))
+        assert (share == square(psf, -radius, reach(psf, radius))).all()
+        assert (share == share[::-1]).all()
+        assert (share == share[:, ::-1]).all()
+        np.testing.assert_allclose(share, share.T, rtol=0, atol=1e-15)  # chords along x or along y: other roundings
+
+
+def thesis(model: str, dx: int, dy: int, radius: float, k: float) -> float:
+    """A PSF coefficient by 2.26 to 2.29 and the rules of section 2.4.2: pixel centers, circle or 2 sigma, 0.5 px."""
+    if radius < 0.5:
+        return float(dx == dy == 0)
+    sigma = k * radius
+    extent = radius if model == "pillbox" else 2.0 * sigma
+
+    def h(x: int, y: int) -> float:
+        if x * x + y * y > extent * extent:
+            return 0.0
+        if model == "pillbox":
+            return 1.0 / (pi * radius * radius)
+        return exp(-(x * x + y * y) / (2.0 * sigma * sigma)) / (2.0 * pi * sigma * sigma)
+
+    limit = int(extent) + 1
+    total = sum(h(x, y) for x in range(-limit, limit + 1) for y in range(-limit, limit + 1))
+    return h(dx, dy) / total
+
+
+@pytest.mark.parametrize("k", [sqrt(0.5), 0.65])
+@pytest.mark.parametrize("psf", SAMPLED, ids=name_of)
+def test_sampled_is_what_the_thesis_says(psf: Psf, k: float) -> None:
+    if psf.model == "gaussian":
+        psf = Psf(model="gaussian", edge="sampled", sigma_ratio=k)
+        assert psf.truncation == 2.0
+    for radius in (0.0, 0.3, 0.5, 0.93, 1.0, 1.42, 2.0, 3.3, 5.999, 6.1):
+        half = reach(psf, radius) + 1
+        expected = [
+            [thesis(psf.model, x, y, radius, k) for x in range(-half, half + 1)] for y in range(-half, half + 1)
+        ]
+        np.testing.assert_allclose(square(psf, radius, half), expected, rtol=1e-12)  # a sum of some 200 terms
+
+
+@pytest.mark.parametrize("psf", PSFS, ids=name_of)
+def test_reach_is_exact(psf: Psf) -> None:
+    extent = float(psf_extent(psf, 1.0))
+    around = [(n + f) / extent for n in range(1, 14) for f in (-0.5, -0.499, -1e-9, 0.0, 1e-9, 0.499)]
+    for radius in [*RADII[RADII < 14].tolist(), *around]:
+        held = reach(psf, radius)
+        lit = np.argwhere(square(psf, radius, held + 2) > 0.0) - (held + 2)
+        assert np.abs(lit).max() <= held <= np.abs(lit).max() + 1, radius
+
+
+# The tables
+
+
+def read(table: PsfTable, coordinate: float, row: int, powers: int = POWERS) -> Array:
+    """Weights (2 half-width + 1,) of a row as a kernel reads them."""
+    start, half_width = (int(v) for v in table.intervals[int(coordinate) - table.first, :2])
+    lanes = (2 * half_width // LANES + 1) * LANES
+    t, at = coordinate - int(coordinate), start + row * powers * lanes
+    found = table.coefficients[at : at + powers * lanes].reshape(powers, lanes).astype(np.float64)
+    assert not found[:, 2 * half_width + 1 :].any()  # what a whole vector adds beyond the PSF is nothing
+    return np.asarray((found * (t ** np.arange(powers))[:, None]).sum(axis=0)[: 2 * half_width + 1])
+
+
+def pixel_table(table: PsfTable, coordinate: float, powers: int = POWERS) -> Array:
+    """All weights of a source: rows of |dy|."""
+    half_width = int(table.intervals[int(coordinate) - table.first, 1])
+    return np.stack([read(table, coordinate, abs(dy), powers) for dy in range(-half_width, half_width + 1)])
+
+
+def disc_table(table: PsfTable, coordinate: float) -> Array:
+    """The same of a sampled disc: in each row as many pixels as a square root says, all with one weight."""
+    number = int(coordinate) - table.first
+    start, half_width = (int(v) for v in table.intervals[number])
+    assert table.coefficients[start] == table.taps[number]
+    span = np.abs(np.arange(-half_width, half_width + 1))
+    ends = [int(table.outlines[int(coordinate) - dy * dy]) for dy in span]
+    return np.stack([(span <= end) * float(table.coefficients[start]) for end in ends])
+
+
+def stored_taps(table: PsfTable, coordinate: float) -> Array:
+    """Weights of all taps as many neighbors read them: from both windows that have the interval, which agree."""
+    number = int(coordinate) - table.first
+    windows = table.taps.shape[1]
+    assert windows == -(-len(table.intervals) // LANES)
+    powers = (coordinate - int(coordinate)) ** np.arange(POWERS)
+    found = [
+        (table.taps[:, window, :, number - LANES * window].astype(np.float64) * powers).sum(axis=-1)
+        for window in range(number // LANES, max(number - MANY, -1) // LANES, -1)
+    ]
+    assert len(found) == min(MANY // LANES, number // LANES + 1)
+    for other in found[1:]:
+        np.testing.assert_array_equal(found[0], other)
+    return np.asarray(found[0])
+
+
+def separable_table(table: PsfTable, coordinate: float) -> Array:
+    """The same of a Gaussian whose weights are products of those of one row."""
+    axis = read(table, coordinate, 0)
+    half_width = int(table.intervals[int(coordinate) - table.first, 1])
+    side = stored_taps(table, coordinate)
+    np.testing.assert_array_equal(side[: half_width + 1], axis[half_width:])
+    assert len(side) == table.reach + 1
+    assert not side[half_width + 1 :].any()  # read as well
+    return np.asarray(axis[:, None] * axis)
+
+
+def stored_octant(table: PsfTable, coordinate: float) -> Array:
+    """Weights (half-width + 1, half-width + 1) of |dx|, |dy| as neighbors read them."""
+    half_width = int(table.intervals[int(coordinate) - table.first, 1])
+    weights = stored_taps(table, coordinate)
+    assert len(weights) == (table.reach + 1) * (table.reach + 2) // 2
+    a, b = np.indices((half_width + 1, half_width + 1))
+    low, high = np.minimum(a, b), np.maximum(a, b)
+    number = high * (high + 1) // 2 + low
+    assert not weights[number.max() + 1 :].any()  # beyond the half-width of the interval
+    return np.asarray(weights[number])
+
+
+def check_outline(table: PsfTable, coordinate: float, weights: Array) -> None:
+    """Of columns of a quadrant (|dy|, |dx|): how many taps have the weight in the middle, and where the last one is."""
+    first, last = table.outlines[int(coordinate) - table.first].T
+    n, t = np.arange(len(weights)), coordinate % 1.0
+    same = np.minimum.accumulate(np.logical_and.accumulate(weights == weights[0, 0]).sum(axis=0))
+    assert (first[: len(weights)] <= same).all()
+    if 0.05 < t < 0.95:  # not where weights begin to differ
+        assert (first[: len(weights)] == same).all()
+    for dx in range(len(weights)):
+        assert not weights[n > last[dx], dx].any()
+    assert (first[len(weights) :] == 0).all()
+    assert (last[len(weights) :] == -1).all()
+
+
+def subpixel_table(table: PsfTable, coordinate: float, samples: int, i: int, j: int) -> Array:
+    """All weights of sub-pixel source (i, j): offsets above the center read the rows of their mirror image."""
+    half_width = int(table.intervals[int(coordinate) - table.first, 1])
+    stored = max(i, samples - 1 - i) - samples // 2
+    middle = (stored * samples + j) * (2 * half_width + 1) + half_width
+    sign = -1 if i < samples - 1 - i else 1
+    return np.stack([read(table, coordinate, middle + sign * dy) for dy in range(-half_width, half_width + 1)])
+
+
+def coordinate_of(table: PsfTable, psf: Psf, radius: float, subpixel: bool = False) -> float:
+    """The coordinate that a device gives a radius: rounded to float32, within the table."""
+    found = float32_coordinate(psf, np.asarray(radius), subpixel, table.first, len(table.intervals))
+    assert table.first <= found < table.first + len(table.intervals)
+    return float(found)
+
+
+# A cubic through 4 Chebyshev points does not follow the kink of order 3/2 that a weight has where the circle first
+# touches a pixel: over an interval of relative width w it leaves some 0.02 (2 w)^1.5 of the touched pixels' share. With
+# w = ln 2 / 48 and 4 to 12 of the pi R^2 pixels touched at once, that is 1e-5 in sum at R = 4 for kinks that the tent
+# has softened, and what is stated beyond; `area` has them in every weight, but w = ln 2 / 128.
+INTERPOLATION = {
+    ("pillbox", "sampled"): (2e-7, 2e-7),  # constant: float32 alone
+    ("pillbox", "area"): (3e-5, 1e-4),
+    ("pillbox", "integrated"): (1e-5, 5e-5),
+    ("gaussian", "sampled"): (2e-6, 2e-6),  # smooth within an interval; the coordinate's own float32 rounding
+    # An interval begins at each corner that its cut has, up to an extent of 32 px, and with half as many of 16 px.
+    ("gaussian", "area"): (1e-6, 1e-4),
+    ("gaussian", "integrated"): (1e-6, 3e-5),
+}
+
+
+@pytest.mark.parametrize("psf", PSFS, ids=name_of)
+def test_table_holds_the_weights(psf: Psf) -> None:
+    rng = np.random.default_rng(13)
+    for low, high, count, limit in ((0.0, 6.0, 400, 0), (6.0, 20.0, 60, 1)):
+        table = psf_table(psf, low, high)
+        assert table.intervals.dtype == np.int32
+        assert table.coefficients.dtype == np.float32
+        assert sum(a.nbytes for a in vars(table).values() if isinstance(a, np.ndarray)) == table_bytes(psf, low, high)
+        radii = [low, high, low + 1e-9, 0.5, 0.500001, 1.0, np.nextafter(1.0, 0.0), *rng.uniform(low, high, count)]
+        error = energy = 0.0
+        for radius in [r for r in radii if low <= r <= high]:
+            coordinate = coordinate_of(table, psf, radius)
+            read_all = disc_table if is_disc(psf) else separable_table if is_separable(psf) else pixel_table
+            found = read_all(table, coordinate)
+            half = len(found) // 2
+            if read_all is pixel_table:
+                stored = stored_octant(table, coordinate)
+                np.testing.assert_array_equal(stored, found[half:, half:])
+                check_outline(table, coordinate, stored)
+            assert reach(psf, radius) <= half <= table.reach
+            error = max(error, float(np.abs(found - square(psf, radius, half)).sum()))
+            energy = max(energy, abs(found.sum() - 1.0))
+        assert error < INTERPOLATION[psf.model, psf.edge][limit]
+        # Interpolation keeps sums exactly; float32 rounds hundreds of coefficients by 6e-8 of each, both ways.
+        assert energy < 1e-7
+
+
+@pytest.mark.parametrize("samples", [2, 3, 4, 5])
+@pytest.mark.parametrize("model", ["pillbox", "gaussian"])
+def test_subpixel_table_holds_the_weights_of_every_position(model: str, samples: int) -> None:
+    edge = "sampled" if samples == 3 else "integrated"
+    psf = Psf.model_validate({"model": model, "edge": edge, "silhouette_samples": samples})
+    low, high = 0.3, 3.5
+    table = psf_table(psf, low, high, samples)
+    assert table.coefficients.nbytes + table.intervals.nbytes == table_bytes(psf, low, high, samples)
+    offset = subpixel_offsets(samples)
+    radii = [low, high, *np.random.default_rng(14).uniform(low, high, 20)]
+    for radius in radii:
+        coordinate = coordinate_of(table, psf, radius, True)
+        for i in range(samples):
+            for j in range(samples):
+                found = subpixel_table(table, coordinate, samples, i, j)
+                half = len(found) // 2
+                assert reach(psf, radius, True) <= half <= table.reach
+                span = np.arange(-half, half + 1.0)
+                exact = subpixel_weights(psf, span[None, :] - offset[j], span[:, None] - offset[i], np.asarray(radius))
+                # Point sources have the kinks of `area` in intervals 128 / 48 times as wide: 2.7^1.5 times 3e-5. The
+                # corners of Gaussians are between intervals.
+                assert np.abs(found - exact).sum() < (1.3e-4 if model == "pillbox" else 1e-6)
+                assert abs(found.sum() - 1.0) < 1e-7
+
+
+@pytest.mark.parametrize("subpixel", [False, True])
+@pytest.mark.parametrize("psf", PSFS, ids=name_of)
+def test_coordinate_and_radius_are_inverse(psf: Psf, subpixel: bool) -> None:
+    radius = np.concatenate([np.random.default_rng(15).uniform(0.5, 500.0, 500), [0.5, 0.875, 1.0, 512.0]])
+    coordinate = table_coordinate(psf, radius, subpixel)
+    assert (np.diff(table_coordinate(psf, np.sort(radius), subpixel)) >= 0.0).all()
+    back = _table_radius(psf, coordinate, subpixel)
+    np.testing.assert_allclose(back, radius, rtol=1e-13)  # a dozen roundings, and u of some 1e5 at R = 500
+    assert (table_coordinate(psf, -radius, subpixel) == coordinate).all()
+
+
+@pytest.mark.parametrize("psf", SAMPLED, ids=name_of)
+def test_a_sampled_interval_has_one_set_of_lit_pixels(psf: Psf) -> None:
+    radius = np.random.default_rng(16).uniform(0.0, 8.0, 400)
+    interval = np.floor(table_coordinate(psf, radius))
+    seen: dict[float, NDArray[np.bool_]] = {}
+    for r, number in zip(radius.tolist(), interval.tolist(), strict=True):
+        lit = square(psf, r, 12) > 0.0
+        assert (seen.setdefault(number, lit) == lit).all(), r
+    assert len(seen) > 40
+
+
+def test_tables_too_large_to_make_are_counted_at_once() -> None:
+    """A sampled PSF has R^2 intervals, which a plan counts before it refuses them."""
+    begun = time.process_time()
+    assert table_bytes(Psf(model="gaussian", edge="sampled"), 0.0, 500.0) > 2**40
+    assert time.process_time() - begun < 2.0

@@ -1,0 +1,70 @@
+"""Stencils: their runs and rectangles together are the PSF."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from clsco.optics.psf import is_separable, reach, weights
+from clsco.optics.stencil import LONGEST_RUN, SUMMED, Stencil, is_summed, stencils
+from clsco.scene.model import Psf
+
+PSFS = [Psf(model=model, edge=edge) for model in ("pillbox", "gaussian") for edge in ("sampled", "area", "integrated")]
+
+
+def name_of(psf: Psf) -> str:
+    return f"{psf.model}-{psf.edge}"
+
+
+def summed_up(stencil: Stencil, far: int) -> NDArray[np.float64]:
+    """The weights (2 far + 1, 2 far + 1) as the kernel adds them up."""
+    out = np.zeros((2 * far + 1, 2 * far + 1))
+    for dx, dy, count, start in stencil.runs:
+        assert 0 < count <= LONGEST_RUN
+        rows = slice(far + dy, far + dy + count)
+        out[rows, far - dx] += stencil.weights[start : start + count]
+        out[rows, far + dx] += stencil.weights[start : start + count]
+    inside = np.zeros_like(out)
+    y, x = np.indices(out.shape) - far
+    for to_y, to_x, from_y, from_x in stencil.pairs:
+        inside += 1.0 * ((y <= to_y) & (x <= to_x)) - ((y <= from_y) & (x <= from_x))
+    assert set(np.unique(inside)) <= {0.0, 1.0}
+    assert inside.sum() == stencil.area
+    return out + stencil.share * inside
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.4, 1.0, 2.7, 9.3, 12.0, 12.6, 20.0, 33.3, 60.0])
+@pytest.mark.parametrize("psf", PSFS, ids=name_of)
+def test_a_stencil_is_its_psf(psf: Psf, radius: float) -> None:
+    far = reach(psf, radius)
+    each = [summed_up(stencil, far) for stencil in stencils(psf, radius)]
+    found = each[0]
+    if is_separable(psf):
+        across, down = each
+        assert not np.delete(across, far, 0).any()
+        assert not np.delete(down, far, 1).any()
+        found = down[:, far, None] * across[far]
+    span = np.arange(-far, far + 1.0)
+    # Rounded to float32 once, or a product of two that are.
+    expected = weights(psf, span[None, :], span[:, None], np.asarray(radius))
+    np.testing.assert_allclose(found, expected, rtol=2.5 * 2.0**-24, atol=1e-14)
+
+
+@pytest.mark.parametrize("psf", PSFS, ids=name_of)
+def test_wide_discs_have_rectangles(psf: Psf) -> None:
+    for radius in (10.0, 20.0):
+        far = reach(psf, radius)
+        rectangles = stencils(psf, radius)[-1].rectangles
+        assert bool(rectangles) == is_summed(psf, far) == (psf.model == "pillbox" and far >= SUMMED)
+        # Narrower and higher ones after wider ones, and most of the disc.
+        assert list(rectangles) == sorted(rectangles, key=lambda rectangle: (-rectangle[0], rectangle[1]))
+        if rectangles:
+            assert stencils(psf, radius)[0].area > 0.8 * np.pi * (radius - 1.5) ** 2
+
+
+def test_wide_discs_take_few_weights() -> None:
+    """What the rectangles leave grows as the radius does, not as its square."""
+    for psf, most in zip(PSFS[:3], (3.0, 6.0, 10.0), strict=True):
+        for radius in (20.0, 60.0):
+            assert len(stencils(psf, radius)[0].weights) < most * radius

@@ -1,0 +1,246 @@
+"""Sizes and limits of memory, and the strips that fit."""
+
+from __future__ import annotations
+
+import json
+import re
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+import clsco
+from clsco.cli.main import main
+from clsco.errors import SceneError
+from clsco.frame.strips import BAND, Strip
+from clsco.optics.psf_tables import LANES
+from clsco.plan import memory
+from clsco.plan.approximation import METHODS, Told
+from clsco.plan.memory import Limit, free_bytes, limit_of, margin, parse_size, rows_that_fit
+
+
+@pytest.mark.parametrize(
+    ("text", "size"),
+    [
+        ("1.5GiB", 3 * 2**29), ("800MB", 800_000_000), ("800 mb", 800_000_000), ("64KiB", 65536), ("2kB", 2000),
+        ("1TiB", 2**40), ("12345", 12345), (12345, 12345), ("7 B", 7), ("0.5kb", 500),
+    ],
+)  # fmt: skip
+def test_sizes(text: str | int, size: int) -> None:
+    assert parse_size(text) == size
+
+
+@pytest.mark.parametrize(
+    "text", ["", "GiB", "-1GiB", "1 PiB", "1e9", "nan", "inf", "1.5.0MB", "٣MB", "0", 0, -5, "0.1B"]
+)
+def test_what_is_no_size(text: str | int) -> None:
+    with pytest.raises(SceneError, match=r"^memory: must be a size greater than 0, like 1.5GiB or 800MB; got "):
+        parse_size(text)
+
+
+def test_the_limit_is_given_or_half_of_what_is_free(monkeypatch: pytest.MonkeyPatch) -> None:
+    free = free_bytes()
+    assert free is not None
+    assert free > 2**20
+    monkeypatch.setattr(memory, "free_bytes", lambda: 1000)
+    assert limit_of(None, 3000, 700, 4) == Limit(500, 700, 4, given=False)
+    assert limit_of(None, 600, 700, 4).total == 300
+    assert limit_of(None, 3000, 700, 4, shared=False).total == 1500
+    assert limit_of("2kB", 600, 700, 4) == Limit(2000, 700, 4, given=True)
+    monkeypatch.setattr(memory, "free_bytes", lambda: None)
+    assert limit_of(None).total > 2**60
+
+
+@pytest.mark.parametrize("guard", [0, 3, 24])
+@pytest.mark.parametrize("far", [0, 7, 22, 60])
+def test_rows_of_the_frame_do_not_lie_below_each_other_in_the_cache(guard: int, far: int) -> None:
+    """Vectors hang over by up to `far` and LANES more; 45 rows of 8 doubles a vector share no place in 4 KiB."""
+    for columns in range(1, 2200, LANES):
+        pad, pitch = margin(columns, guard, far)
+        assert pad % LANES == pitch % LANES == 0
+        assert pad >= guard + far + LANES
+        assert columns + 2 * pad <= pitch <= columns + 2 * pad + 12 * LANES
+        places = np.arange(45) * pitch * 8 % 4096
+        assert len(set(places.tolist())) == 45
+        step = pitch * 8 % 4096
+        assert min(step, 4096 - step) >= 256
+
+
+def test_the_tallest_strips_that_fit() -> None:
+    def sizes(rows: int) -> dict[str, int]:
+        return {"fixed": 1000, "strip": 10 * rows, "truth": 2 * rows}
+
+    def rows(total: int, buffer: int = 2**40, given: bool = True, views: int = 1, whole: str | None = None) -> int:
+        return rows_that_fit(500, Limit(total, buffer, 2, given, views), sizes, whole)
+
+    assert rows(7000) == 500
+    assert rows(6999) == 7 * BAND
+    assert rows(1000 + 12 * 3 * BAND) == 3 * BAND
+    assert rows(1000 + 12 * 3 * BAND - 1) == 2 * BAND
+    assert rows(1000 + 12 * BAND) == BAND
+    assert rows(10**6, buffer=10 * 2 * BAND + 9) == 2 * BAND
+    assert rows(13_000, views=2) == 500  # truth is made for one view after the other
+    assert rows(12_999, views=2) == 7 * BAND
+    with pytest.raises(SceneError, match=r"must be at least 1 MiB for this frame, in strips of 64 rows; got"):
+        rows(1000 + 12 * BAND - 1)
+    assert rows(999, given=False) == BAND
+    assert rows(7000, whole="this") == 500
+    with pytest.raises(SceneError, match=r"must be at least 1 MiB for this frame, as this needs the whole frame; got"):
+        rows(6999, whole="this")
+    assert rows(6999, given=False, whole="this") == 500
+
+
+RNG = np.random.default_rng(5)
+SHAPE = (3 * BAND + 10, 70)
+
+
+@pytest.mark.parametrize(
+    ("method", "radius", "psf", "channels"),
+    [
+        pytest.param("gather", 3.0, {}, (3,), marks=pytest.mark.slow),
+        ("gather", 9.0, {"border": "renormalize", "edge": "sampled"}, (1,)),
+        ("gather", 16.0, {}, ()),
+        ("scatter", 9.0, {"model": "gaussian"}, ()),
+        pytest.param("tiles", 4.0, {}, (), marks=pytest.mark.slow),
+        ("convolve", 7.0, {}, (3,)),
+        ("convolve", 17.0, {}, ()),
+        ("convolve", 3.0, {"model": "gaussian"}, ()),
+    ],
+)
+def test_an_image_in_strips(
+    method: str, radius: float, psf: dict[str, object], channels: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same bits as the whole image, from as little memory as is possible."""
+    image = RNG.random((*SHAPE, *channels), np.float32)
+    i, j = np.indices(SHAPE)
+    coc = radius * (np.ones(SHAPE) if method == "convolve" else np.sin(i / 23.0) * np.cos(j / 31.0))
+    assert_strips(image, coc, psf, method, monkeypatch)
+
+
+@pytest.mark.parametrize(
+    ("method", "psf", "channels"),
+    [
+        ("gather", {}, (3,)),
+        pytest.param("scatter", {"border": "renormalize"}, (), marks=pytest.mark.slow),
+        pytest.param("tiles", {"model": "gaussian", "edge": "area"}, (), marks=pytest.mark.slow),
+    ],
+)
+def test_layers_in_strips(
+    method: str, psf: dict[str, object], channels: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The farthest surfaces of the image are in its first rows, the nearest in its last ones."""
+    image = RNG.random((*SHAPE, *channels), np.float32)
+    i, j = np.indices(SHAPE)
+    coc = np.where(np.sin(i / 9.0) * np.cos(j / 11.0) > 0.2, -0.4, 1.5) - i / SHAPE[0]
+    assert_strips(image, coc, {"occlusion": "layered"} | psf, method, monkeypatch)
+    plain = clsco.defocus(image, coc, {"occlusion": "none"} | psf, method=method)
+    assert np.abs(clsco.defocus(image, coc, {"occlusion": "layered"} | psf, method=method) - plain).max() > 0.1
+
+
+def assert_strips(
+    image: np.ndarray[Any, Any], coc: np.ndarray[Any, Any], psf: dict[str, object], method: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    needed: dict[int, int] = {}
+    used: list[int] = []
+
+    def sizes(*args: Any) -> dict[str, int]:
+        found = memory.defocus_bytes(*args)
+        needed[args[-1]] = sum(found.values())
+        return found
+
+    def strips(*args: Any) -> tuple[Strip, ...]:
+        found = memory.defocus_strips(*args)
+        used.append(len(found))
+        return found
+
+    monkeypatch.setattr(import_module("clsco.engine.defocus"), "defocus_bytes", sizes)
+    monkeypatch.setattr(import_module("clsco.engine.defocus"), "defocus_strips", strips)
+    whole = clsco.defocus(image, coc, psf, method=method)
+    with pytest.raises(SceneError, match=r"^memory: must be at least \d+ MiB for this frame, in strips of 64 rows"):
+        clsco.defocus(image, coc, psf, method=method, memory=1000)
+    tiled = clsco.defocus(image, coc, psf, method=method, memory=needed[BAND])
+    assert used == [1, 4]
+    assert whole.shape == image.shape
+    np.testing.assert_array_equal(tiled.view(np.uint32), whole.view(np.uint32), strict=True)
+
+
+def test_approximations_need_the_whole_image() -> None:
+    image, coc = RNG.random(SHAPE, np.float32), np.full(SHAPE, 50.0) + RNG.random(SHAPE)
+    with pytest.raises(SceneError, match=r"MiB for this frame, as an approximation needs the whole frame; got 1 MiB"):
+        clsco.defocus(image, coc, memory="1MiB", method="coarse2")
+
+
+def test_a_tolerance_is_kept_by_the_exact_blur_where_memory_is_short() -> None:
+    rng = np.random.default_rng(6)
+    image, coc = rng.random(SHAPE, np.float32), 30.0 + rng.random(SHAPE)
+    exact = clsco.defocus(image, coc)
+    told: list[Told] = []
+    assert (clsco.defocus(image, coc, tolerance=0.1, told=told) != exact).any()
+    needed = []
+    for method in METHODS:
+        with pytest.raises(SceneError) as refused:
+            clsco.defocus(image, coc, method=method, memory="1MiB")
+        needed += re.findall(r"at least (\d+) MiB for this frame, as an approximation", str(refused.value))
+    assert len(needed) == len(METHODS)
+    least = min(map(int, needed))
+    np.testing.assert_array_equal(clsco.defocus(image, coc, tolerance=0.1, told=told, memory=f"{least - 1}MiB"), exact)
+    assert [one.method[:6] for one in told] == ["coarse", "exact"]
+    assert told[1].line() == "exact: nothing that fits the memory is faster"
+
+
+PLANE = '[camera]\nresolution = [100, 500]\n[[object]]\nshape = "plane"\ndistance = 300.0\nslope_y = 0.2\n'
+
+
+def clsco_(*words: object) -> Result:
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+def test_commands_take_a_limit(tmp_path: Path) -> None:
+    scene, out = tmp_path / "plane.toml", tmp_path / "out"
+    scene.write_text(PLANE)
+    assert "1, the whole frame" in clsco_("plan", scene).stdout
+    told = clsco_("plan", scene, "--memory", "2MiB")
+    assert "3 of up to 192 rows, with up to 16 more on either side" in told.stdout
+    for command in (("plan", scene), ("render", scene, "-o", out)):
+        refused = clsco_(*command, "--memory", "300kB")
+        assert (refused.exit_code, refused.stdout) == (1, "")
+        assert refused.stderr.startswith(
+            f"error: {scene}: memory: must be at least 1 MiB for this frame, in strips of 64"
+        )
+        wrong = clsco_(*command, "--memory", "lots")
+        assert wrong.exit_code == 2
+        assert "'--memory': must be a size greater than 0, like 1.5GiB or 800MB; got lots" in wrong.stderr
+    wide = ("--set", "camera.aperture_diameter=60")
+    refused = clsco_("render", scene, "-o", out, *wide, "--memory", "3MiB", "--method", "coarse2")
+    assert refused.exit_code == 1
+    assert " MiB for this frame, as an approximation needs the whole frame; got 3 MiB" in refused.stderr
+    assert not out.exists()
+    for size, wanted in (("5MiB", "exact"), ("30MiB", "coarse")):
+        done = clsco_("render", scene, "-o", out / wanted, *wide, "--memory", size, "--tolerance", "0.1")
+        assert done.exit_code == 0, done.output
+        told = json.loads((out / wanted / "frame_0000.json").read_text())
+        assert told["approximation"]["method"].startswith(wanted)
+        assert (told["strips"] > 1) == (wanted == "exact")
+    done = clsco_("render", scene, "-o", out, "--memory", "2MiB")
+    assert done.exit_code == 0, done.output
+    assert json.loads((out / "frame_0000.json").read_text())["strips"] == 3
+
+
+def test_a_depth_map_that_moves_needs_the_whole_frame(tmp_path: Path) -> None:
+    image, depth, out = tmp_path / "image.npy", tmp_path / "depth.npy", tmp_path / "out"
+    np.save(image, RNG.random((90, 80), np.float32))
+    np.save(depth, np.full((90, 80), 400.0, np.float32))
+    moved = ("--set", "object.0.motion.velocity=[9,0,0]", "--set", "sequence.shutter=0.1")
+    for target, options, why in (
+        (out, moved, "as the forward warp needs the whole frame"),
+        (tmp_path / "out.png", (), "in strips of 64 rows"),
+    ):
+        refused = clsco_("defocus", image, depth, "-o", target, "--memory", "100kB", *options)
+        assert (refused.exit_code, refused.stdout) == (1, "")
+        assert f"error: {image}: memory: must be at least " in refused.stderr
+        assert f" MiB for this frame, {why}; got 0.09537 MiB" in refused.stderr
+        assert not target.exists()

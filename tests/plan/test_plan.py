@@ -1,0 +1,448 @@
+"""What a scene is given to do, and above all what it is not."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+
+from clsco.errors import SceneError
+from clsco.frame.frame import TRUTH_NAMES
+from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
+from clsco.optics.psf import reach
+from clsco.optics.psf_tables import LANES
+from clsco.plan.memory import device_bytes
+from clsco.plan.methods import MANY_RADII, is_sharp
+from clsco.plan.plan import Plan, exposure, make_plan, widened
+from clsco.plan.predict import guard_band, image_displacement
+from clsco.scene.model import (
+    Camera,
+    Cone,
+    DepthMap,
+    Fill,
+    Motion,
+    ObjectMotion,
+    Plane,
+    Psf,
+    Quadric,
+    Scene,
+    Sequence,
+    Sphere,
+)
+
+STILL = Plane(distance=280.0)
+TILTED = Plane(distance=280.0, slope_x=0.5)
+BALL = Sphere()
+RIGHT = ObjectMotion(velocity=(0.5, 0.0, 0.0))
+TURN = ObjectMotion(angular_velocity=(0.0, 20.0, 0.0))
+SPIN = ObjectMotion(angular_velocity=(0.0, 0.0, 20.0))
+AWAY = ObjectMotion(velocity=(0.0, 0.0, 20.0))
+
+
+def scene(item: Any, **sections: Any) -> Scene:
+    camera = sections.pop("camera", {})
+    size = sections.pop("size", (64, 48))
+    return Scene(camera=Camera(resolution=size, **camera), objects=(item,), **sections)
+
+
+def moving(item: Any, motion: ObjectMotion) -> Any:
+    return item.model_copy(update={"motion": motion})
+
+
+def plan(item: Any, channels: int = 1, truth: tuple[str, ...] = (), method: str = "auto", **sections: Any) -> Plan:
+    return make_plan(scene(item, **sections), channels, truth, method)
+
+
+# name, plan, passes taken, passes left out with a word of the reason
+SCENES = [
+    (
+        "plane at rest",
+        plan(STILL),
+        {"trace", "blur", "guard band"},
+        {
+            "motion": "nothing moves",
+            "texture sampling": "nothing moves",
+            "reproject": "no forward warp",
+            "fill": "only a forward warp",
+            "silhouettes": "no silhouette in sight",
+            "tilt": "one radius",
+            "renormalize": "lose",
+            "color": "gray",
+            "occlusion": "one object",
+            "ground truth": "nobody asked",
+        },
+    ),
+    ("tilted plane", plan(TILTED), {"trace", "blur", "tilt", "guard band"}, {"silhouettes": "no silhouette in sight"}),
+    ("tilt off", plan(TILTED, psf=Psf(tilt=False)), {"trace", "blur", "guard band"}, {"tilt": "tilt = false"}),
+    ("color", plan(TILTED, 3), {"trace", "blur", "tilt", "guard band", "color"}, {"motion": "nothing moves"}),
+    (
+        "sphere with its limb",
+        plan(BALL, size=(640, 480)),
+        {"trace", "blur", "tilt", "silhouettes", "guard band"},
+        {"motion": "nothing moves"},
+    ),
+    ("sphere filling the view", plan(BALL), {"trace", "blur", "tilt", "guard band"}, {"silhouettes": "in sight"}),
+    (
+        "silhouettes off",
+        plan(BALL, size=(640, 480), psf=Psf(silhouette_samples=1)),
+        {"trace", "blur", "tilt", "guard band"},
+        {"silhouettes": "silhouette_samples = 1"},
+    ),
+    (
+        "moving sphere",
+        plan(moving(BALL, RIGHT), size=(640, 480)),
+        {"motion", "trace", "texture sampling", "blur", "tilt", "silhouettes", "guard band"},
+        {"reproject": "no forward warp", "fill": "only a forward warp"},
+    ),
+    (
+        "forward warp",
+        plan(moving(BALL, TURN), size=(640, 480), motion=Motion(warp="forward")),
+        {"motion", "reproject", "fill", "blur", "tilt", "guard band"},
+        {"trace": "replaced by the forward warp", "texture sampling": "whole pixels", "silhouettes": "whole pixels"},
+    ),
+    (
+        "forward warp without filling",
+        plan(
+            moving(BALL, TURN), size=(640, 480), motion=Motion(warp="forward"),
+            fill=Fill(method="none"),
+        ),
+        {"motion", "reproject", "blur", "tilt", "guard band"},
+        {"fill": "fill.method is none"},
+    ),
+    ("forward warp of nothing", plan(STILL, motion=Motion(warp="forward")), {"trace", "blur", "guard band"},
+     {"reproject": "no forward warp"}),
+    (
+        "plane in focus",
+        plan(Plane(distance=280.0), camera={"focus_distance": 280.0}, psf=Psf(edge="area")),
+        {"trace", "guard band"},
+        {"blur": "in focus"},
+    ),
+    (
+        "light given back",
+        plan(TILTED, psf=Psf(border="renormalize")),
+        {"trace", "blur", "tilt", "renormalize"},
+        {"guard band": "light stays inside"},
+    ),
+    (
+        "some truth",
+        plan(TILTED, truth=("depth", "coc")),
+        {"trace", "blur", "tilt", "guard band", "ground truth"},
+        {"other outputs": "sharp, mask, filled, object_id, normal, flow, hidden"},
+    ),
+    (
+        "plane that turns in itself",
+        plan(moving(STILL, SPIN)),
+        {"motion", "trace", "texture sampling", "blur", "guard band"},
+        {"tilt": "one radius"},
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("given", "taken", "left"), [case[1:] for case in SCENES], ids=[case[0] for case in SCENES])
+def test_passes_taken_and_left_out(given: Plan, taken: set[str], left: dict[str, str]) -> None:
+    assert {name for name, _ in given.passes} == taken
+    reasons = dict(given.left_out)
+    for name, why in left.items():
+        assert why in reasons[name]
+    assert taken & reasons.keys() == set()
+    every = {"motion", "trace", "texture sampling", "reproject", "fill", "silhouettes", "tilt", "blur", "renormalize"}
+    every |= {"guard band", "color", "occlusion", "ground truth"}
+    assert taken | reasons.keys() - {"other outputs"} == every
+    assert all(text for _, text in (*given.passes, *given.left_out))
+
+
+@pytest.mark.parametrize(("given", "taken"), [case[1:3] for case in SCENES], ids=[case[0] for case in SCENES])
+def test_only_what_is_taken_is_compiled_and_stored(given: Plan, taken: set[str]) -> None:
+    features = given.features()
+    assert bool(features["TILT"]) == ("tilt" in taken)
+    assert bool(features["SUBPIXELS"]) == ("silhouettes" in taken) == bool(given.slots)
+    assert bool(features["MOVED"]) == ("texture sampling" in taken)
+    assert features["CHANNELS"] == (3 if "color" in taken else 1)
+    assert (given.guard_px > 0) == ("guard band" in taken)
+    assert (given.blur == "none") == ("blur" not in taken)
+    assert (given.samples > 1) == ("motion" in taken)
+    assert given.forward == ("reproject" in taken)
+
+
+@pytest.mark.parametrize(
+    ("item", "needed"),
+    [
+        (STILL, set()),
+        (BALL, {"QUADRATIC"}),
+        (Cone(half_angle=40.0), {"QUADRATIC", "NAPPE"}),
+        (Quadric(coefficients=(1.0, 2.0, 3.0, 0, 0, 0, 0, 0, 0, -100.0)), {"QUADRATIC"}),
+        (Quadric(coefficients=(1.0, 2.0, 0, 0, 0, 0, 0, 0, -40.0, 0)), {"QUADRATIC", "LINEAR"}),
+        (Quadric(coefficients=(0.0, 0, 0, 0, 0, 0, 0.1, 0, 1.0, 0)), set()),
+        (STILL.model_copy(update={"bounds": ((-5.0, 5.0), (-5.0, 5.0), (-1.0, 1.0))}), {"BOUNDED"}),
+    ],
+    ids=["plane", "sphere", "cone", "ellipsoid", "paraboloid", "plane as a quadric", "card"],
+)
+def test_geometry_is_compiled_for_the_shape(item: Any, needed: set[str]) -> None:
+    features = plan(item).features()
+    assert {name for name in ("QUADRATIC", "LINEAR", "NAPPE", "BOUNDED") if features[name]} == needed
+
+
+@pytest.mark.parametrize(("name", "number"), [("nearest", 0), ("bilinear", 1), ("bicubic", 2)])
+def test_texture_filter_and_table_form(name: Any, number: int) -> None:
+    given = plan(moving(BALL, RIGHT), motion=Motion(texture_filter=name), psf=Psf(edge="sampled")).features()
+    assert (given["FILTER"], given["SAMPLED"], given["DISC"]) == (number, 1, 1)
+    assert plan(BALL).features()["DISC"] == 0
+    assert plan(BALL, psf=Psf(model="gaussian", edge="sampled")).features()["DISC"] == 0
+    assert plan(BALL).features()["SAMPLED"] == 0
+
+
+# Samples
+
+
+@pytest.mark.parametrize(("distance", "expected"), [(250.0, 80.0), (285.0, 70.2)])
+def test_displacement_of_the_thesis(distance: float, expected: float) -> None:
+    """10 mm at 250 and 285 mm: 80 and 70 px (4.3.3; 70.175 exactly)."""
+    item = Plane(distance=distance, motion=ObjectMotion(velocity=(10.0, 0.0, 0.0)))
+    assert image_displacement(scene(item)) == pytest.approx(expected, abs=0.03)
+    assert image_displacement(scene(item, sequence=Sequence(shutter=0.5))) == pytest.approx(expected / 2, abs=0.03)
+
+
+def test_displacement_counts_a_way_there_and_back() -> None:
+    # A full turn in the plane of the image: the corner, 39.3 px out (31.5 and 23.5 px), goes around in 8 chords.
+    item = moving(STILL, ObjectMotion(angular_velocity=(0.0, 0.0, 360.0)))
+    out = (31.5**2 + 23.5**2) ** 0.5
+    assert image_displacement(scene(item)) == pytest.approx(out * 8 * 2 * 0.3826834324, rel=1e-6)  # sin(22.5 deg)
+    nothing = Sphere(center=(900.0, 0.0, 280.0), motion=RIGHT)
+    assert image_displacement(scene(nothing)) == 0.0
+
+
+@pytest.mark.parametrize("speed", [0.05, 0.2, 0.5, 1.0, 3.3, 10.0])
+def test_automatic_samples_are_odd_and_about_one_per_pixel(speed: float) -> None:
+    item = moving(STILL, ObjectMotion(velocity=(speed, 0.0, 0.0)))
+    given = plan(item, sequence=Sequence(samples="auto"))
+    way = image_displacement(given.scene)
+    assert way > 0.3
+    assert given.samples % 2 == 1
+    assert way / 2 <= given.samples <= way + 2
+
+
+def test_samples_as_asked_and_one_at_rest() -> None:
+    assert plan(moving(STILL, RIGHT), sequence=Sequence(samples=4)).samples == 4
+    still = plan(STILL, sequence=Sequence(samples="auto"))
+    assert still.samples == plan(STILL).samples == 1
+    times, weights = exposure(still, 3)
+    assert (times.tolist(), weights.tolist()) == ([0.0], [1.0])
+    times, weights = exposure(plan(moving(STILL, RIGHT), sequence=Sequence(samples=2)), 3)
+    assert (times.tolist(), weights.tolist()) == ([3.25, 3.75], [0.5, 0.5])
+
+
+def test_very_fast_motion_does_not_ask_for_endless_samples() -> None:
+    item = moving(STILL, ObjectMotion(velocity=(1e6, 0.0, 0.0)))
+    given = plan(item, sequence=Sequence(samples="auto"))
+    assert given.samples == 4095
+
+
+# Blur
+
+
+def test_radii_of_a_constant_plane_are_exact_and_others_have_a_margin() -> None:
+    given = plan(STILL)
+    radius = abs(float(blur_radius(given.scene.camera, 1.0 / 280.0)))
+    assert given.smallest_blur == pytest.approx(radius, rel=1e-12)
+    assert given.largest_blur == pytest.approx(radius, rel=1e-12)
+    given = plan(moving(STILL, AWAY))
+    ends = [abs(float(blur_radius(given.scene.camera, 1.0 / z))) for z in (280.0, 300.0)]
+    assert given.smallest_blur == pytest.approx(ends[0], rel=1e-12)
+    assert given.largest_blur == pytest.approx(ends[1], rel=1e-12)
+    ball = plan(BALL, size=(640, 480))
+    nearest = abs(float(blur_radius(ball.scene.camera, 1.0 / 250.0)))
+    assert 0.0 <= ball.smallest_blur < nearest < ball.largest_blur
+
+
+@pytest.mark.parametrize(("axis", "side"), [("slope_x", 1), ("slope_x", -1), ("slope_y", 1), ("slope_y", -1)])
+def test_radii_are_predicted_up_to_the_edges_of_the_frame(axis: str, side: int) -> None:
+    """A plane that is sharp on one side and less and less towards the other."""
+    given = plan(STILL.model_copy(update={axis: 1.5 * side}), size=(640, 640))
+    camera = given.scene.camera
+    inverse_depth = (1.0 - 1.5 * 319.5 * ray_step(camera)) / 280.0
+    assert given.largest_blur > abs(float(blur_radius(camera, inverse_depth)))
+
+
+@pytest.mark.parametrize("depth", [200.0, 500.0])
+def test_no_depth_of_a_map_is_missed(depth: float) -> None:
+    """A single pixel that is nearer, or farther, than all others, and not one of those that are looked at; and no
+    depth of pixels that show nothing is made up."""
+    inverse_depth = np.full((300, 300), 1.0 / 280.0)
+    inverse_depth[200:] = 0.0
+    inverse_depth[13, 27] = 1.0 / depth
+    item = DepthMap(depth="map.npy", center=(0.0, 0.0, 280.0))
+    given = make_plan(scene(item, size=(300, 300)), 1, maps=(inverse_depth,))
+    radius = abs(float(blur_radius(given.scene.camera, 1.0 / depth)))
+    assert radius < given.largest_blur <= 1.1 * radius + 1.0
+
+
+@pytest.mark.parametrize("edge", ["sampled", "area", "integrated"])
+@pytest.mark.parametrize("model", ["pillbox", "gaussian"])
+def test_guard_band_holds_every_source_that_lights_the_frame(model: Any, edge: Any) -> None:
+    psf = Psf(model=model, edge=edge)
+    given = plan(TILTED, psf=psf)
+    held = given.guard_px
+    assert held == guard_band(psf, given.largest_blur)
+    assert held >= max(reach(psf, given.largest_blur), reach(psf, given.largest_blur, True))
+    assert held % LANES == 0
+    assert held < reach(psf, given.largest_blur, True) + 3 + LANES  # 2 px to see silhouettes in
+    assert (given.width, given.height) == (64 + 2 * held, 48 + 2 * held)
+    assert guard_band(psf.model_copy(update={"border": "renormalize"}), 5.0) == 0
+    flat = plan(STILL, psf=psf)
+    assert flat.blur == "convolve"
+    assert flat.guard_px == guard_band(psf, flat.largest_blur) + 2 * LANES  # two vectors of sources may hang over
+
+
+def test_widened() -> None:
+    given = plan(BALL, size=(640, 480))
+    wider = widened(given, given.largest_blur + 7.0)
+    assert wider.largest_blur == given.largest_blur + 7.0
+    assert wider.guard_px == guard_band(Psf(), wider.largest_blur) > given.guard_px
+    assert widened(given, 0.1).guard_px == given.guard_px
+    with pytest.raises(SceneError, match=r"^camera: the blur radius must be at most 512 px; got 600 px$"):
+        widened(given, 600.0)
+
+
+def test_too_large_a_blur_is_refused_with_its_number() -> None:
+    item = Plane(distance=0.5)
+    with pytest.raises(SceneError) as caught:
+        plan(item)
+    radius = abs(float(blur_radius(Camera(), 2.0)))
+    assert radius > LARGEST_BLUR
+    assert f"must be at most 512 px; got {radius:.4g} px (the surface comes as near as 0.5 mm;" in str(caught.value)
+
+
+def test_too_large_tables_are_refused_with_their_size() -> None:
+    wide = {"aperture_diameter": 400.0, "pixel_pitch": 0.006}
+    with pytest.raises(SceneError, match=r"^psf: the tables of weights must take at most 1024 MiB; got \d{4,} MiB for"):
+        plan(Sphere(), size=(640, 480), camera=wide, psf=Psf(silhouette_samples=8))
+
+
+def test_a_plan_needs_a_resolution() -> None:
+    with pytest.raises(SceneError, match=r"^camera\.resolution: must be known"):
+        make_plan(Scene(objects=(STILL,)), 1)
+
+
+# Methods
+
+
+def test_method_by_itself() -> None:
+    assert plan(STILL).blur == "convolve"
+    assert plan(moving(STILL, AWAY)).blur == "convolve"
+    assert plan(TILTED).blur == "gather"
+    assert plan(moving(STILL, TURN)).blur == "gather"
+    assert plan(STILL, psf=Psf(border="renormalize")).blur == "gather"
+    assert plan(STILL.model_copy(update={"bounds": ((-2.0, 2.0), (-2.0, 2.0), (-1.0, 1.0))})).blur == "gather"
+    assert plan(STILL, camera={"focus_distance": 280.0}, psf=Psf(edge="sampled")).blur == "none"
+
+
+@pytest.mark.parametrize("method", ["gather", "scatter", "tiles"])
+def test_method_as_asked(method: str) -> None:
+    for item in (STILL, TILTED, BALL):
+        assert plan(item, method=method).blur == method
+
+
+@pytest.mark.parametrize(
+    ("item", "sections"),
+    [
+        (TILTED, {}),
+        (BALL, {}),
+        (moving(STILL, TURN), {}),
+        (STILL, {"psf": Psf(border="renormalize")}),
+    ],
+)
+def test_convolve_is_refused_where_it_cannot_be(item: Any, sections: dict[str, Any]) -> None:
+    with pytest.raises(SceneError, match=r"^method: convolve needs one blur radius"):
+        plan(item, method="convolve", **sections)
+
+
+CARD = Plane(distance=230.0, bounds=((-2.0, 2.0), (-2.0, 2.0), (-1.0, 1.0)))
+
+
+def cards(occlusion: Any, method: str = "auto", tolerance: float | None = None, gpu: bool = True) -> Plan:
+    """Of a card before a plane."""
+    pair = scene(CARD, psf=Psf(occlusion=occlusion)).model_copy(update={"objects": (CARD, TILTED)})
+    return make_plan(pair, 1, (), method, tolerance=tolerance, gpu=gpu)
+
+
+def test_tiles_are_for_gpus() -> None:
+    for item, gpu, expected in ((TILTED, False, "gather"), (TILTED, True, "tiles"), (STILL, True, "convolve")):
+        assert make_plan(scene(item), 1, (), gpu=gpu).blur == expected
+    assert make_plan(scene(TILTED), 1, (), "coarse2", gpu=True).blur == "tiles"
+    assert (
+        make_plan(scene(STILL, camera={"focus_distance": 280.0}, psf=Psf(edge="sampled")), 1, (), gpu=True).blur
+        == "none"
+    )
+
+
+def test_what_is_in_the_way_is_tested_by_scatter_on_a_gpu() -> None:
+    assert cards("visibility").layers[1].blockers
+    told = dict(cards("visibility").passes)["blur"]
+    assert told.endswith("scatter: atomic, fixed point, as tiles do not test what is in the way")
+    assert [cards(way, gpu=False).blur for way in ("visibility", "layered", "none")] == ["gather"] * 3
+    assert [cards(way).blur for way in ("layered", "none")] == ["tiles"] * 2
+    assert cards("visibility", "coarse2").blur == "gather"  # whose grids add up in floats
+    assert dict(cards("none").passes)["blur"].endswith("tiles: many radii, a work-item per pixel")
+    with pytest.raises(SceneError, match=r"^method: tiles needs sources with nothing in their way; got objects that"):
+        cards("visibility", "tiles")
+
+
+@pytest.mark.parametrize("method", ["fast", "", "none", "Gather"])
+def test_unknown_methods_are_refused(method: str) -> None:
+    with pytest.raises(
+        SceneError, match=rf"^method: must be one of auto, gather, scatter, tiles, convolve, coarse2, .*; got {method}$"
+    ):
+        plan(STILL, method=method)
+
+
+@pytest.mark.parametrize(
+    ("psf", "largest", "sharp"),
+    [
+        (Psf(edge="sampled"), 0.49, True),
+        (Psf(edge="sampled"), 0.99, True),  # no other pixel center within the circle
+        (Psf(edge="sampled"), 1.0, False),
+        (Psf(model="gaussian", edge="sampled"), 0.7, True),  # 2 sigma = 0.99 px
+        (Psf(model="gaussian", edge="sampled"), 0.72, False),
+        (Psf(edge="area"), 0.5, True),
+        (Psf(edge="area"), 0.51, False),
+        (Psf(), 0.0, True),
+        (Psf(), 1e-6, False),
+    ],
+)
+def test_what_stays_sharp(psf: Psf, largest: float, sharp: bool) -> None:
+    assert is_sharp(psf, largest) == sharp
+    assert (reach(psf, largest) == 0) == sharp
+
+
+def test_memory_and_work_grow_with_what_is_done() -> None:
+    small, large = plan(BALL, size=(64, 48)), plan(BALL, size=(640, 480))
+    assert 0 < device_bytes(small, 2) < device_bytes(large, 2)
+    assert small.taps < large.taps
+    gray, color, truth = (plan(BALL, c, t) for c, t in ((1, ()), (3, ()), (3, TRUTH_NAMES)))
+    assert device_bytes(gray, 2) < device_bytes(color, 2) < device_bytes(truth, 2)
+    moved = plan(moving(BALL, RIGHT), sequence=Sequence(samples=7))
+    assert moved.taps == pytest.approx(7 * small.taps, rel=0.1)  # the ball goes 4 px
+    # Pixels of frame and guard band, each spread over its disc of about pi (R + 0.7)^2 px.
+    flat = plan(STILL)
+    assert flat.taps == pytest.approx(flat.width * flat.height * 3.14159 * (flat.largest_blur + 0.7) ** 2, rel=1e-3)
+
+
+def test_what_is_left_out_is_not_needed_elsewhere() -> None:
+    """Slabs are of whole pixels, whatever else a scene asks for: sub-pixel sources have no place in them."""
+    box = ((-60.0, 60.0), (-60.0, 60.0), (-5.0, 60.0))
+    cut = [item.model_copy(update={"bounds": box}) for item in (BALL, Cone(), TILTED)]
+    seen = set()
+    for items in ((BALL,), *((item,) for item in cut), (cut[0], STILL), (moving(cut[0], TURN),)):
+        warps = [("visibility", "inverse"), *product(("layered", "none"), ("inverse", "forward"))]
+        for (occlusion, warp), samples, border in product(warps, (1, 4), ("lose", "renormalize")):
+            psf = {"occlusion": occlusion, "silhouette_samples": samples, "border": border}
+            whole = scene(items[0], psf=psf, motion={"warp": warp}).model_copy(update={"objects": items})
+            found = make_plan(whole, 1, ())
+            seen.add((found.occlusion, bool(found.silhouettes)))
+            if found.occlusion == "layered":
+                assert found.silhouettes == 0
+                assert found.blur in MANY_RADII
+            assert found.occlusion in (occlusion, "none")
+    assert seen == {("visibility", True), ("visibility", False), ("layered", False), ("none", True), ("none", False)}

@@ -1,0 +1,293 @@
+"""Layered occlusion: what a jump is, where slabs are cut, what goes on behind an edge, what the layers add up to."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from clsco.optics.psf import reach
+from clsco.reference.blur.blur import prepare_sources, scatter
+from clsco.reference.layered.layered import (
+    BIN,
+    JUMP,
+    MOST_SLABS,
+    NO_SEED,
+    bins_of,
+    column_seeds,
+    composite,
+    extend_slab,
+    find_jumps,
+    label_slabs,
+    layered,
+    level_count,
+    open_slab,
+    pull,
+    push,
+    reach_hidden,
+    seed_hidden,
+    slab_bounds,
+    spread_slabs,
+)
+from clsco.reference.trace.trace import Sources
+from clsco.scene.model import Psf
+
+Array = NDArray[Any]
+Mask = NDArray[np.bool_]
+RNG = np.random.default_rng
+
+
+def blob(shape: tuple[int, int]) -> Array:
+    """A region (rows, columns) with curved and straight edges, corners and a hole."""
+    y, x = np.indices(shape) - np.array(shape).reshape(2, 1, 1) // 2
+    return (np.hypot(x + 6, y - 4) < 15) & ~(np.hypot(x + 8, y) < 4) | (np.abs(x - 14) < 5) & (y < 9)
+
+
+def cuts(coc: Array, valid: Mask, largest: float) -> list[int]:
+    return slab_bounds(find_jumps(coc, valid, *bins_of(largest), 2 * reach(Psf(), largest) + 1)[0])
+
+
+def unsliced(radiance: Array, coc: Array, shape: tuple[int, int], guard: int) -> Array:
+    there = np.ones(coc.shape, dtype=bool)
+    sources = Sources(radiance, np.ones(coc.shape), there.astype(np.uint8), coc, prepare_sources(coc, there), there)
+    return scatter(Psf(), sources, None, shape, guard)
+
+
+def test_jumps_lie_between_neighbors_of_a_line() -> None:
+    low, bins = bins_of(8.0)
+    there = np.ones((1, 4), dtype=bool)
+
+    def found(coc: list[float], valid: Array = there, far: int = 9) -> Array:
+        return np.argwhere(find_jumps(np.array([coc]), valid, low, bins, far)[0])
+
+    assert found([0.0, 0.0, JUMP, JUMP]).size == 0  # as much as allowed
+    ((kind, far_bin),) = found([0.1, 0.1, 1.2, 1.2])
+    assert (kind, far_bin) == (0, (1.2 - low) // BIN)
+    assert found([3.0, 3.0, -3.0, -3.0])[0, 0] == 2  # beyond 4 JUMP
+    assert len(found([-6.0, 0.0, 7.0, 7.0])) == 2
+    gap = np.array([[True, False, True, False]])
+    assert len(found([0.0, 99.0, 5.0, 0.0], gap)) == 1
+    assert len(found([0.0, 99.0, 5.0, 0.0], gap, far=1)) == 0
+    latest, largest_sum = find_jumps(np.array([[0.0], [-0.5], [2.2], [2.9]]), there.T, low, bins, 9)
+    assert latest.any()
+    assert largest_sum == 3  # 0.5 + 2.2, rounded up
+
+
+def test_jumps_of_a_class_are_remembered_by_the_latest_near_side() -> None:
+    low, bins = bins_of(8.0)
+    coc = np.array([[0.0, 3.0], [0.9, 3.0]])
+    latest, _ = find_jumps(coc, np.ones((2, 2), dtype=bool), low, bins, 9)
+    ((_, far_bin),) = np.argwhere(latest)
+    assert latest.max() - 1 == (0.9 - low) // BIN
+    assert far_bin == (3.0 - low) // BIN
+
+
+def test_bounds_split_every_jump_and_are_few() -> None:
+    rng = RNG(3)
+    low, bins = bins_of(16.0)
+    for surfaces in (2, 3, 5):
+        radii = np.linspace(-15, 15, surfaces)
+        coc = radii[rng.integers(0, surfaces, (20, 24))] + rng.uniform(-0.4, 0.4, (20, 24))
+        valid = rng.random(coc.shape) < 0.9
+        bounds = cuts(coc, valid, 16.0)
+        assert len(bounds) == surfaces - 1
+        slab = label_slabs(coc, valid, low, bins, bounds)
+        for axis in (0, 1):
+            jump = (np.abs(np.diff(coc, axis=axis)) > JUMP) & valid.take(range(1, coc.shape[axis]), axis)
+            jump &= valid.take(range(coc.shape[axis] - 1), axis)
+            assert (np.diff(slab.astype(int), axis=axis)[jump] != 0).all()
+        assert (slab[~valid] == 0).all()
+        assert slab.max() == surfaces
+
+
+def test_without_a_jump_there_is_one_slab() -> None:
+    y, x = np.indices((40, 40))
+    assert cuts(np.asarray(0.9 * x - 18.0), np.ones((40, 40), dtype=bool), 20.0) == []
+    assert cuts(np.asarray(9.0 * x), y < 0, 400.0) == []
+
+
+def test_too_many_jumps_leave_the_smallest_alone() -> None:
+    coc = np.repeat(np.array([-20.0, -18.5] * 8 + [0.0, 5.0, 6.5, 8.0, 9.5, 11, 12.5, 14, 15.5, 17]), 2)[None]
+    bounds = slab_bounds(find_jumps(coc, np.ones(coc.shape, dtype=bool), *bins_of(20.0), 9)[0])
+    assert 0 < len(bounds) < MOST_SLABS
+    low, bins = bins_of(20.0)
+    slab = label_slabs(coc, np.ones(coc.shape, dtype=bool), low, bins, bounds)[0]
+    assert slab[30] < slab[32] < slab[34]  # -18.5, 0, 5
+    noise = RNG(5).uniform(-20, 20, (30, 30))
+    assert len(cuts(noise, np.ones(noise.shape, dtype=bool), 20.0)) < MOST_SLABS
+
+
+def test_seeds_lie_on_the_near_side_of_jumps_only() -> None:
+    coc = np.array([[0.0, 0.5, 1.0, 5.0], [0.0, 0.5, 1.0, 5.0]])
+    slab = np.array([[1, 1, 2, 3], [1, 1, 2, 0]], dtype=np.uint8)
+    # Between 0.5 and 1.0 there is a cut and no jump; the last pixel of the second row holds nothing.
+    assert seed_hidden(coc, slab).tolist() == [[0, 0, 3, 0], [0, 0, 0, 0]]
+
+
+def test_the_nearest_seed_is_found() -> None:
+    rng = RNG(7)
+    seed = ((rng.random((30, 26)) < 0.02) * rng.integers(2, 4, (30, 26))).astype(np.uint8)
+    slab = np.ones(seed.shape, dtype=np.uint8)
+    deep = 6
+    offset = column_seeds(seed)
+    hidden, edge = reach_hidden(slab, seed, offset, deep)
+    rows, columns = np.nonzero(seed)
+    for y in range(30):
+        for x in range(26):
+            square = (rows - y) ** 2 + (columns - x) ** 2
+            nearest = seed[rows, columns][square == square.min()]
+            assert (hidden[y, x] in nearest) if square.min() <= deep**2 else hidden[y, x] == 0
+            assert edge[y, x] == (np.maximum(abs(rows - y), abs(columns - x)).min() <= 2 * deep)
+            same = rows[columns == x]
+            assert abs(offset[y, x]) == (abs(same - y).min() if same.size else NO_SEED)
+    assert reach_hidden(3 * slab, seed, offset, deep)[0].max() == 0  # nothing goes on in front of a pixel
+
+
+def test_a_constant_slab_goes_on_constant_behind_the_others() -> None:
+    near = blob((50, 60))
+    slab = np.where(near, 1, 2).astype(np.uint8)
+    radiance = np.where(near, 0.0, 0.7)[..., None]
+    coc = np.where(near, -4.0, 5.0)
+    value, radius, there = extend_slab(radiance, coc, slab, np.where(near, 2, 0).astype(np.uint8), 2, 15)
+    np.testing.assert_allclose(value[..., 0], 0.7, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(radius, 5.0, rtol=0, atol=1e-13)
+    assert there.all()
+    np.testing.assert_array_equal(value[..., 1], 1.0)
+
+
+@pytest.mark.parametrize("shape", [(16, 16), (7, 9), (1, 5), (2, 1)])
+def test_a_pyramid_interpolates_what_is_missing(shape: tuple[int, int]) -> None:
+    """Values between those known, known ones as they are, down to levels of one pixel."""
+    rng = RNG(8)
+    slab = (rng.random(shape) < 0.3).astype(np.uint8)
+    slab.ravel()[0] = 1
+    radiance, coc = rng.uniform(2, 3, (*shape, 2)), rng.uniform(4, 5, shape)
+    levels = [open_slab(radiance, coc, slab, 1)]
+    while max(levels[-1].shape[:2]) > 1:
+        levels.append(push(levels[-1], last=max(levels[-1].shape[:2]) == 2))
+        assert levels[-1].shape[:2] == tuple(-(-n // 2) for n in levels[-2].shape[:2])
+    assert levels[-1][..., -1].min() == 1
+    coarse = levels.pop()
+    while levels:
+        coarse = pull(levels.pop(), coarse)
+    np.testing.assert_array_equal(coarse[..., -1], 1.0)
+    np.testing.assert_array_equal(coarse[slab > 0][:, :2], radiance[slab > 0])
+    assert coarse[..., :2].min() > 2 - 1e-12
+    assert coarse[..., :2].max() < 3 + 1e-12
+    assert coarse[..., 2].min() > 4 - 1e-12
+    assert coarse[..., 2].max() < 5 + 1e-12
+
+
+@pytest.mark.parametrize("deep", [1, 2, 3, 6, 7])
+def test_a_pyramid_shows_what_is_near_and_nothing_else(deep: int) -> None:
+    """One pixel of a slab: all up to deep + 1 px away look like it; what is far away changes no bit."""
+    size, step = 160, 1 << level_count(deep)
+    assert deep + 2 <= step < 2 * (deep + 2)
+    y, x = np.indices((size, size))
+    for row, column in ((70, 71), (79, 80), (87, 88), (83, 69)):
+        slab = ((y == row) & (x == column)).astype(np.uint8)
+        radiance, coc = np.where(slab, 0.3, 0.0)[..., None], np.where(slab, -2.0, 9.0)
+        near = np.maximum(abs(y - row), abs(x - column)) <= deep + 1
+        hidden = ((slab == 0) & near).astype(np.uint8)
+        value, radius, there = extend_slab(radiance, coc, slab, hidden, 1, deep)
+        assert (there == near).all()
+        np.testing.assert_allclose(value[there], [[0.3, 1.0]] * int(there.sum()), rtol=0, atol=1e-15)
+        np.testing.assert_allclose(radius[there], -2.0, rtol=0, atol=1e-14)
+        away = abs(y - row) > deep + 1 + 4 * step
+        slab = np.where(away & (RNG(9).random(slab.shape) < 0.5), 1, slab).astype(np.uint8)
+        lit = np.where(away, 1.0, radiance[..., 0])[..., None]
+        other, _, _ = extend_slab(lit, coc, slab, hidden, 1, deep)
+        assert away.any()
+        np.testing.assert_array_equal(other[~away], value[~away])
+
+
+def test_composite_fills_the_room_that_is_left() -> None:
+    zero = np.zeros((1, 4))
+    total, covered = composite(zero[..., None], zero, np.array([[[0.4, 0.5], [0.9, 1.2], [0.0, 0.0], [0.2, 1.0]]]))
+    np.testing.assert_array_equal(total[0, :, 0], [0.4, 0.9, 0.0, 0.2])  # nothing dims the nearest
+    total, covered = composite(total, covered, np.array([[[0.3, 0.5], [0.6, 1.2], [0.8, 1.0], [0.7, 0.0]]]))
+    np.testing.assert_allclose(total[0, :, 0], [0.7, 0.9, 0.8, 0.9], atol=1e-15)  # beside, behind, alone, uncounted
+    np.testing.assert_allclose(covered[0], [1.0, 1.2, 1.0, 1.0], atol=1e-15)
+
+
+@pytest.mark.parametrize("texture", ["noise", "ramp"])
+def test_a_cut_through_a_continuous_surface_leaves_no_seam(texture: str) -> None:
+    guard, shape = 12, (40, 44)
+    size = (shape[0] + 2 * guard, shape[1] + 2 * guard)
+    y, x = np.indices(size)
+    coc = 0.13 * (x - 30) + 0.06 * (y - 30)
+    radiance = (RNG(1).random(size) if texture == "noise" else x / 70.0)[..., None]
+    slab = (1 + np.searchsorted(np.quantile(coc, [0.25, 0.5, 0.75]), coc)).astype(np.uint8)
+    cut, count = spread_slabs(Psf(), radiance, coc, slab, shape, guard, 20)
+    assert count == 4
+    np.testing.assert_array_equal(cut, unsliced(radiance, coc, shape, guard))  # nothing is covered: light adds up
+
+
+def test_a_cut_that_meets_an_edge_leaves_little() -> None:
+    """A slanted plane in four slabs behind a card: as in two slabs, but for where the cuts meet the edge."""
+    guard, shape = 14, (44, 48)
+    size = (shape[0] + 2 * guard, shape[1] + 2 * guard)
+    y, x = np.indices(size)
+    near = np.abs(x - 36) + np.abs(y - 36) < 14
+    plane = 5.0 + 0.05 * (x - 38)
+    coc = np.where(near, -4.0, plane)
+    radiance = np.where(near, 0.2, 0.5 + 0.3 * np.sin(0.4 * x) * np.cos(0.3 * y))[..., None]
+    two = np.where(near, 1, 2).astype(np.uint8)
+    five = np.where(near, 1, 2 + np.searchsorted([4.2, 5.1, 5.6], plane)).astype(np.uint8)
+    images = [spread_slabs(Psf(), radiance, coc, slab, shape, guard, 14)[0] for slab in (two, five)]
+    plain = unsliced(radiance, coc, shape, guard)
+    cut, hidden = (np.sqrt(np.mean((image - images[0]) ** 2)) for image in (images[1], plain))
+    # Of the nine places where a cut meets the edge, each is at worst an edge without occlusion, 8 px wide of 60.
+    assert hidden > 0.03
+    assert cut < hidden / 5
+
+
+def test_an_edge_before_a_plane_is_its_closed_form() -> None:
+    """A dark half-plane before a bright plane: 1 - the disc's area beyond the edge, averaged over each pixel."""
+    guard, shape = 22, (5, 60)
+    size = (shape[0] + 2 * guard, shape[1] + 2 * guard)
+    near = np.broadcast_to(np.arange(size[1]) < guard + 30, size)
+    radius, behind = 7.3, 6.1
+    for sign in (1, -1):
+        coc = np.where(near, -radius, sign * behind) if sign > 0 else np.where(near, -radius, -radius + 3)
+        image, count = layered(Psf(), np.where(near, 0.0, 1.0)[..., None], coc, near | True, shape, guard, 8.0)
+        assert count == 2
+        # Across the edge at 29.5, a mean of the edge's spread over 400 points per pixel, which is right to 1e-6.
+        at = np.arange(shape[1])[:, None] + (np.arange(400) + 0.5) / 400 - 0.5 - 29.5
+        t = np.clip(at / radius, -1, 1)
+        bright = (0.5 + (t * np.sqrt(1 - t * t) + np.arcsin(t)) / np.pi).mean(axis=1)
+        np.testing.assert_allclose(image[..., 0], np.broadcast_to(bright, shape), rtol=0, atol=3e-6)
+
+
+def test_one_brightness_everywhere_stays_so() -> None:
+    """Two facing planes of the same brightness: what one covers, the other lacks, whatever the outline is."""
+    shape, largest = (40, 44), 5.0
+    guard = reach(Psf(), largest)
+    size = (shape[0] + 2 * guard, shape[1] + 2 * guard)
+    for near_radius, far_radius in ((-4.0, 5.0), (-0.3, 4.5), (1.0, 4.0), (-5.0, -1.2)):
+        coc = np.where(blob(size), near_radius, far_radius)
+        image, count = layered(Psf(), np.full((*size, 1), 0.6), coc, np.ones(size, dtype=bool), shape, guard, largest)
+        assert count == 2
+        np.testing.assert_allclose(image, 0.6, rtol=0, atol=1e-12)
+
+
+def test_one_slab_is_plain_scattering() -> None:
+    guard, shape = 8, (20, 22)
+    size = (shape[0] + 2 * guard, shape[1] + 2 * guard)
+    coc = np.linspace(-4, 6, size[1])[None, :] + np.zeros(size)
+    radiance = RNG(2).random((*size, 2))
+    image, count = layered(Psf(), radiance, coc, np.ones(size, dtype=bool), shape, guard, 6.0)
+    assert count == 1
+    np.testing.assert_array_equal(image, unsliced(radiance, coc, shape, guard))
+
+
+def test_a_sharp_object_before_a_blurred_plane_keeps_its_edge() -> None:
+    guard, shape = 12, (40, 44)
+    size = (shape[0] + 2 * guard, shape[1] + 2 * guard)
+    near = blob(size)
+    image, _ = layered(
+        Psf(), np.where(near, 0.0, 1.0)[..., None], np.where(near, 0.0, 8.0), near | True, shape, guard, 8.0
+    )
+    np.testing.assert_allclose(image[..., 0], ~near[guard:-guard, guard:-guard], rtol=0, atol=1e-12)

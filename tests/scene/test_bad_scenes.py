@@ -1,0 +1,410 @@
+"""Every rule of a scene, broken: each case has one fault and must give exactly its message."""
+
+from __future__ import annotations
+
+import tomllib
+
+import pytest
+
+from clsco.errors import SceneError
+from clsco.scene.file import dump, parse_scene
+
+# A line of a scene file whose object is valid, and the message.
+SCENES: list[tuple[str, str]] = [
+    ("title = 3", "title: must be text; got 3"),
+    ('title = "a\\nb"', 'title: must be one line of text without control characters; got "a\\nb"'),
+    ("camera = 3", "camera: must be a table; got 3"),
+    ("camera.focal_length = -3", "camera.focal_length: must be greater than 0 mm; got -3"),
+    ("camera.focal_length = 0", "camera.focal_length: must be greater than 0 mm; got 0"),
+    ("camera.focal_length = 1e-7", "camera.focal_length: must be between 1e-06 and 1e+09 mm; got 1e-07"),
+    (
+        "camera.focal_length = 2e9",
+        "camera.focal_length: must be between 1e-06 and 1e+09 mm; got 2000000000.0",
+    ),
+    ('camera.focal_length = "20"', 'camera.focal_length: must be a number; got "20"'),
+    ("camera.focal_length = true", "camera.focal_length: must be a number; got true"),
+    ("camera.focal_length = nan", "camera.focal_length: must be a finite number; got nan"),
+    ("camera.focal_length = inf", "camera.focal_length: must be a finite number; got inf"),
+    ("camera.focal_length = [20.0]", "camera.focal_length: must be a number; got [20.0]"),
+    ("camera.focal_lenght = 20.0", "camera.focal_lenght: unknown key (did you mean focal_length?); got 20.0"),
+    ("camera.f_number = 0", "camera.f_number: must be greater than 0; got 0"),
+    ("camera.f_number = 1e7", "camera.f_number: must be between 0.001 and 1000000; got 10000000.0"),
+    (
+        "camera = {focal_length = 1e-4, f_number = 1e4}",
+        "camera.f_number: must leave an aperture between 1e-06 and 1e+09 mm; got 10000.0",
+    ),
+    (
+        "camera = {f_number = 2, aperture_diameter = 10}",
+        "camera.aperture_diameter: give f_number or aperture_diameter, not both; got 10",
+    ),
+    (
+        "camera = {focus_distance = 250, sensor_distance = 21.739}",
+        "camera.sensor_distance: give focus_distance or sensor_distance, not both; got 21.739",
+    ),
+    (
+        "camera.focus_distance = 20",
+        "camera.focus_distance: must be greater than focal_length = 20 mm; got 20",
+    ),
+    (
+        "camera.focus_distance = 19.5",
+        "camera.focus_distance: must be greater than focal_length = 20 mm; got 19.5",
+    ),
+    (
+        "camera.focus_distance = 20.00000001",
+        "camera.focus_distance: too close to focal_length = 20 mm: detector beyond 1e+09 mm; got 20.00000001",
+    ),
+    ("camera.aperture_diameter = 0.0", "camera.aperture_diameter: must be greater than 0 mm; got 0.0"),
+    ("camera.sensor_distance = -21.739", "camera.sensor_distance: must be greater than 0 mm; got -21.739"),
+    (
+        "camera.normalization_distance = -inf",
+        "camera.normalization_distance: must be a finite number; got -inf",
+    ),
+    ("camera.pixel_pitch = 0", "camera.pixel_pitch: must be greater than 0 mm; got 0"),
+    ("camera.resolution = 512", "camera.resolution: must be a list of 2 integers; got 512"),
+    ("camera.resolution = [512]", "camera.resolution: must be a list of 2 integers; got [512]"),
+    (
+        "camera.resolution = [512, 512, 3]",
+        "camera.resolution: must be a list of 2 integers; got [512, 512, 3]",
+    ),
+    ("camera.resolution = [512.0, 512]", "camera.resolution[0]: must be an integer; got 512.0"),
+    ("camera.resolution = [0, 512]", "camera.resolution[0]: must be between 1 and 65536 px; got 0"),
+    ("camera.resolution = [512, 65537]", "camera.resolution[1]: must be between 1 and 65536 px; got 65537"),
+    (
+        "camera.resolution = [32768, 8193]",
+        "camera.resolution: must have at most 268435456 pixels in all; got [32768, 8193]",
+    ),
+    ("camera.resolution = [true, 512]", "camera.resolution[0]: must be an integer; got true"),
+    ("camera.frames = 3", "camera.frames: unknown key (did you mean sequence.frames?); got 3"),
+    ("camera.motion = 3", "camera.motion: must be a table; got 3"),
+    (
+        "camera.motion.velocity = [1, 2]",
+        "camera.motion.velocity: must be a list of 3 numbers; got [1, 2]",
+    ),
+    (
+        "camera.motion.angular_velocity = [0, 0, nan]",
+        "camera.motion.angular_velocity[2]: must be a finite number; got nan",
+    ),
+    (
+        "camera.motion.speed = [0, 0, 1]",
+        "camera.motion.speed: unknown key; got [0, 0, 1]",
+    ),
+    (
+        "camera.motion.velocty = [0, 0, 1]",
+        "camera.motion.velocty: unknown key (did you mean velocity?); got [0, 0, 1]",
+    ),
+    ("camera.baseline = 65", "camera.baseline: unknown key (did you mean stereo.baseline?); got 65"),
+    ("stereo = 65", "stereo: must be a table; got 65"),
+    ("stereo = {}", "stereo.baseline: must be given; got nothing"),
+    ("stereo.baseline = 0", "stereo.baseline: must be greater than 0 mm; got 0"),
+    ("stereo = {baseline = 65, toe_in = 45}", "stereo.toe_in: must be between 0 and 45 deg, 45 excluded; got 45"),
+    ("stereo = {baseline = 65, toe_in = -1}", "stereo.toe_in: must be between 0 and 45 deg, 45 excluded; got -1"),
+    ("stereo = {baseline = 65, toein = 1}", "stereo.toein: unknown key (did you mean toe_in?); got 1"),
+    ('psf.model = "disc"', 'psf.model: must be pillbox or gaussian; got "disc"'),
+    ("psf.model = 1", "psf.model: must be pillbox or gaussian; got 1"),
+    ('psf.edge = "sharp"', 'psf.edge: must be integrated, area or sampled; got "sharp"'),
+    ("psf.tilt = 1", "psf.tilt: must be true or false; got 1"),
+    ('psf.tilt = "true"', 'psf.tilt: must be true or false; got "true"'),
+    ("psf.silhouette_samples = 0", "psf.silhouette_samples: must be between 1 and 16; got 0"),
+    ("psf.silhouette_samples = 17", "psf.silhouette_samples: must be between 1 and 16; got 17"),
+    ("psf.silhouette_samples = 4.0", "psf.silhouette_samples: must be an integer; got 4.0"),
+    ("psf.occlusion = true", "psf.occlusion: must be visibility, layered or none; got true"),
+    ("psf.sigma_ratio = 0.7", 'psf.sigma_ratio: belongs to psf.model = "gaussian", not "pillbox"; got 0.7'),
+    ("psf.truncation = 2", 'psf.truncation: belongs to psf.model = "gaussian", not "pillbox"; got 2'),
+    ('psf = {model = "gaussian", sigma_ratio = 0}', "psf.sigma_ratio: must be greater than 0; got 0"),
+    (
+        'psf = {model = "gaussian", sigma_ratio = 10.1}',
+        "psf.sigma_ratio: must be between 1e-06 and 10; got 10.1",
+    ),
+    ('psf = {model = "gaussian", truncation = 0.9}', "psf.truncation: must be between 1 and 6; got 0.9"),
+    ('psf = {model = "gaussian", truncation = 7}', "psf.truncation: must be between 1 and 6; got 7"),
+    ('psf.border = "gain"', 'psf.border: must be lose or renormalize; got "gain"'),
+    ("psf.radius = 3", "psf.radius: unknown key (did you mean object[0].radius?); got 3"),
+    ("sequence.frames = 0", "sequence.frames: must be between 1 and 1000000; got 0"),
+    ("sequence.frames = 1000001", "sequence.frames: must be between 1 and 1000000; got 1000001"),
+    ("sequence.frames = 1.0", "sequence.frames: must be an integer; got 1.0"),
+    ("sequence.frames = true", "sequence.frames: must be an integer; got true"),
+    ("sequence.interval = 0", "sequence.interval: must be greater than 0 s; got 0"),
+    ("sequence.interval = 1e10", "sequence.interval: must be between 1e-09 and 1e+09 s; got 10000000000.0"),
+    ("sequence.shutter = -1", "sequence.shutter: must be greater than 0 s; got -1"),
+    ("sequence.shutter = 1.5", "sequence.shutter: must be at most interval = 1 s; got 1.5"),
+    (
+        "sequence = {interval = 0.04, shutter = 0.05}",
+        "sequence.shutter: must be at most interval = 0.04 s; got 0.05",
+    ),
+    ("sequence.samples = 0", 'sequence.samples: must be an integer between 1 and 4096, or "auto"; got 0'),
+    (
+        "sequence.samples = 4097",
+        'sequence.samples: must be an integer between 1 and 4096, or "auto"; got 4097',
+    ),
+    (
+        'sequence.samples = "many"',
+        'sequence.samples: must be an integer between 1 and 4096, or "auto"; got "many"',
+    ),
+    ("sequence.samples = 5.0", 'sequence.samples: must be an integer between 1 and 4096, or "auto"; got 5.0'),
+    (
+        "sequence.samples = true",
+        'sequence.samples: must be an integer between 1 and 4096, or "auto"; got true',
+    ),
+    ('sequence.sampling = "start"', 'sequence.sampling: must be midpoint or endpoint; got "start"'),
+    ('motion.warp = "backward"', 'motion.warp: must be inverse or forward; got "backward"'),
+    ('motion.rotation = "quaternion"', 'motion.rotation: must be euler or axis; got "quaternion"'),
+    (
+        'motion.texture_filter = "linear"',
+        'motion.texture_filter: must be bicubic, bilinear or nearest; got "linear"',
+    ),
+    (
+        'motion = {warp = "forward", texture_filter = "nearest"}',
+        'motion.texture_filter: belongs to motion.warp = "inverse", not "forward"; got "nearest"',
+    ),
+    (
+        "motion.velocity = [1.0, 0.0, 0.0]",
+        "motion.velocity: unknown key (did you mean object[0].motion.velocity?); got [1.0, 0.0, 0.0]",
+    ),
+    ('fill.method = "ait"', 'fill.method: belongs to motion.warp = "forward", not "inverse"; got "ait"'),
+    ('fill.domain = "span"', 'fill.domain: belongs to motion.warp = "forward", not "inverse"; got "span"'),
+    ('fill = {method = "magic"}', 'fill.method: must be ait, mean_median or none; got "magic"'),
+    ('image.transfer = "rec709"', 'image.transfer: must be srgb or linear; got "rec709"'),
+    ("image = []", "image: must be a table; got []"),
+    ('light = "sun"', 'light: unknown key; got "sun"'),
+    ("objects = []", "objects: unknown key (did you mean object?); got []"),
+    ("radius = 3", "radius: unknown key (did you mean object[0].radius?); got 3"),
+    ('"a b" = 1', '"a b": unknown key; got 1'),
+]
+# Keys of the one object, and the message.
+OBJECTS: list[tuple[str, str]] = [
+    ("", "object[0].shape: must be plane, cylinder, sphere, cone, ellipsoid, quadric or depth_map; got nothing"),
+    ('shape = "depth_map"', "object[0].depth: must be given; got nothing"),
+    ('shape = "depth_map", depth = ""', 'object[0].depth: must not be empty; got ""'),
+    (
+        'shape = "depth_map", depth = "z.png", unit = "cm"',
+        'object[0].unit: must be mm, m, inverse_mm, inverse_m, disparity or coc; got "cm"',
+    ),
+    ('shape = "depth_map", depth = "z.png", scale = 0', "object[0].scale: must be greater than 0; got 0"),
+    ('shape = "depth_map", depth = "z.png", scale = inf', "object[0].scale: must be a finite number; got inf"),
+    (
+        'shape = "depth_map", depth = "z.png", unit = "disparity"',
+        'object[0].baseline: must be given with unit = "disparity"; got nothing',
+    ),
+    (
+        'shape = "depth_map", depth = "z.png", unit = "m", baseline = 60',
+        'object[0].baseline: belongs to unit = "disparity", not "m"; got 60',
+    ),
+    (
+        'shape = "depth_map", depth = "z.png", offset = 124.343',
+        'object[0].offset: belongs to unit = "disparity", not "mm"; got 124.343',
+    ),
+    (
+        'shape = "depth_map", depth = "z.png", unit = "disparity", baseline = 6, offset = -1',
+        "object[0].offset: must be between 0 and 1000000 px; got -1",
+    ),
+    (
+        'shape = "depth_map", depth = "z.png", unit = "disparity", baseline = -1',
+        "object[0].baseline: must be greater than 0 mm; got -1",
+    ),
+    (
+        'shape = "depth_map", depth = "z.png", bounds = [[0, 1], [0, 1], [0, 1]]',
+        "object[0].bounds: belongs to analytic shapes, not to depth_map; got a list of 3 entries",
+    ),
+    ('shape = "sphere", depth = "z.png"', 'object[0].depth: belongs to depth_map, not to sphere; got "z.png"'),
+    (
+        'shape = "spheer"',
+        'object[0].shape: must be plane, cylinder, sphere, cone, ellipsoid, quadric or depth_map; got "spheer"',
+    ),
+    ("shape = 3", "object[0].shape: must be plane, cylinder, sphere, cone, ellipsoid, quadric or depth_map; got 3"),
+    ('shape = "plane", distance = 0', "object[0].distance: must be greater than 0 mm; got 0"),
+    ('shape = "plane", distance = -250.0', "object[0].distance: must be greater than 0 mm; got -250.0"),
+    (
+        'shape = "plane", slope_x = 1e7',
+        "object[0].slope_x: must be between -1000000 and 1000000 mm per mm; got 10000000.0",
+    ),
+    ('shape = "plane", slope_y = nan', "object[0].slope_y: must be a finite number; got nan"),
+    ('shape = "plane", radius = 3', "object[0].radius: belongs to cylinder or sphere, not to plane; got 3"),
+    ('shape = "plane", nappe = "away"', 'object[0].nappe: belongs to cone, not to plane; got "away"'),
+    ('shape = "plane", colour = "red"', 'object[0].colour: unknown key; got "red"'),
+    ('shape = "plane", name = ""', 'object[0].name: must not be empty; got ""'),
+    ('shape = "plane", name = 3', "object[0].name: must be text; got 3"),
+    ('shape = "plane", texture = ""', 'object[0].texture: must not be empty; got ""'),
+    (
+        'shape = "plane", texture = "a\\u0000b"',
+        'object[0].texture: must be one line of text without control characters; got "a\\u0000b"',
+    ),
+    (
+        'shape = "plane", bounds = [0, 1]',
+        "object[0].bounds: must be a list of 3 pairs [low, high]; got [0, 1]",
+    ),
+    (
+        'shape = "plane", bounds = [[0, 1], [0, 1], [1, 1]]',
+        "object[0].bounds[2]: lower bound must be less than the upper bound; got [1, 1]",
+    ),
+    (
+        'shape = "plane", bounds = [[0, 1], [0, 1], [0, 1, 2]]',
+        "object[0].bounds[2]: must be a list of 2 numbers; got [0, 1, 2]",
+    ),
+    (
+        'shape = "plane", bounds = [[0, inf], [0, 1], [0, 1]]',
+        "object[0].bounds[0][1]: must be a finite number; got inf",
+    ),
+    (
+        'shape = "plane", distance = 9, bounds = [[0, 1], [0, 1], [-40, -30]]',
+        "object[0].bounds[2]: must leave part of the object in front of the lens (z > 0); got [-40.0, -30.0]",
+    ),
+    ('shape = "plane", motion = 3', "object[0].motion: must be a table; got 3"),
+    (
+        'shape = "plane", motion = {velocity = [1, 2]}',
+        "object[0].motion.velocity: must be a list of 3 numbers; got [1, 2]",
+    ),
+    (
+        'shape = "plane", motion = {velocity = 1}',
+        "object[0].motion.velocity: must be a list of 3 numbers; got 1",
+    ),
+    (
+        'shape = "plane", motion = {velocity = [0, 0, 2e9]}',
+        "object[0].motion.velocity[2]: must be between -1e+09 and 1e+09 mm/s; got 2000000000.0",
+    ),
+    (
+        'shape = "plane", motion = {angular_velocity = [0, inf, 0]}',
+        "object[0].motion.angular_velocity[1]: must be a finite number; got inf",
+    ),
+    (
+        'shape = "plane", motion = {angular_velocity = [0, "5", 0]}',
+        'object[0].motion.angular_velocity[1]: must be a number; got "5"',
+    ),
+    (
+        'shape = "plane", motion = {angular = [0, 5, 0]}',
+        "object[0].motion.angular: unknown key (did you mean angular_velocity?); got [0, 5, 0]",
+    ),
+    ('shape = "cylinder", radius = 0', "object[0].radius: must be greater than 0 mm; got 0"),
+    (
+        'shape = "cylinder", axis = [0, 0, 0]',
+        "object[0].axis: must not be the zero vector (one component of 1e-06 at least); got [0, 0, 0]",
+    ),
+    ('shape = "cylinder", axis = [0, 1]', "object[0].axis: must be a list of 3 numbers; got [0, 1]"),
+    (
+        'shape = "cylinder", center = [0, 0, -30]',
+        "object[0].center: must leave part of the object in front of the lens (z > 0); got [0, 0, -30]",
+    ),
+    ('shape = "cylinder", distance = 250', "object[0].distance: belongs to plane, not to cylinder; got 250"),
+    ('shape = "sphere", radius = -1', "object[0].radius: must be greater than 0 mm; got -1"),
+    ('shape = "sphere", center = [0, 0]', "object[0].center: must be a list of 3 numbers; got [0, 0]"),
+    ('shape = "sphere", center = [0, 0, "280"]', 'object[0].center[2]: must be a number; got "280"'),
+    (
+        'shape = "sphere", center = [0, 0, 1e10]',
+        "object[0].center[2]: must be between -1e+09 and 1e+09 mm; got 10000000000.0",
+    ),
+    (
+        'shape = "sphere", center = [0, 0, -30]',
+        "object[0].center: must leave part of the object in front of the lens (z > 0); got [0, 0, -30]",
+    ),
+    (
+        'shape = "sphere", semi_axes = [1, 1, 1]',
+        "object[0].semi_axes: belongs to ellipsoid, not to sphere; got [1, 1, 1]",
+    ),
+    (
+        'shape = "cone", half_angle = 0',
+        "object[0].half_angle: must be between 0 and 90 deg, ends excluded; got 0",
+    ),
+    (
+        'shape = "cone", half_angle = 90',
+        "object[0].half_angle: must be between 0 and 90 deg, ends excluded; got 90",
+    ),
+    ('shape = "cone", nappe = "both"', 'object[0].nappe: must be away or towards; got "both"'),
+    (
+        'shape = "cone", nappe = "towards", apex = [0, 0, 0]',
+        "object[0].apex: must leave part of the object in front of the lens (z > 0); got [0, 0, 0]",
+    ),
+    (
+        'shape = "cone", center = [0, 0, 250]',
+        "object[0].center: belongs to cylinder, sphere, ellipsoid, quadric or depth_map, not to cone; got [0, 0, 250]",
+    ),
+    (
+        'shape = "ellipsoid", semi_axes = [30, 30]',
+        "object[0].semi_axes: must be a list of 3 numbers; got [30, 30]",
+    ),
+    (
+        'shape = "ellipsoid", semi_axes = [30, 0, 30]',
+        "object[0].semi_axes[1]: must be greater than 0 mm; got 0",
+    ),
+    (
+        'shape = "ellipsoid", center = [0, 0, -50]',
+        "object[0].center: must leave part of the object in front of the lens (z > 0); got [0, 0, -50]",
+    ),
+    ('shape = "quadric"', "object[0].coefficients: must be given; got nothing"),
+    (
+        'shape = "quadric", coefficients = [1, 1, 1]',
+        "object[0].coefficients: must be a list of 10 numbers; got [1, 1, 1]",
+    ),
+    (
+        'shape = "quadric", coefficients = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0]',
+        "object[0].coefficients: must not all be 0, or all but a000; got [0, 0, 0, 0, 0, 0, 0, 0, 0, 0]",
+    ),
+    (
+        'shape = "quadric", coefficients = [0, 0, 0, 0, 0, 0, 0, 0, 0, 5]',
+        "object[0].coefficients: must not all be 0, or all but a000; got [0, 0, 0, 0, 0, 0, 0, 0, 0, 5]",
+    ),
+    (
+        'shape = "quadric", coefficients = [1, 1, 1e31, 0, 0, 0, 0, 0, 0, 5]',
+        "object[0].coefficients[2]: must be between -1e+30 and 1e+30; got 1e+31",
+    ),
+]
+
+
+def messages_of(text: str) -> tuple[str, ...]:
+    with pytest.raises(SceneError) as caught:
+        parse_scene(tomllib.loads(text), "bad.toml")
+    return caught.value.messages
+
+
+@pytest.mark.parametrize(("line", "message"), SCENES)
+def test_bad_scene(line: str, message: str) -> None:
+    assert messages_of(f'{line}\nobject = [{{shape = "sphere"}}]') == (f"bad.toml: {message}",)
+
+
+@pytest.mark.parametrize(("keys", "message"), OBJECTS)
+def test_bad_object(keys: str, message: str) -> None:
+    assert messages_of(f"object = [{{{keys}}}]") == (f"bad.toml: {message}",)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "object: must hold 1 to 64 objects; got 0"),
+        ("object = []", "object: must hold 1 to 64 objects; got 0"),
+        ("[[object]]\nshape = 'sphere'\n" * 65, "object: must hold 1 to 64 objects; got 65"),
+        (
+            'object = [{shape = "plane", name = "a"}, {shape = "cone"}, {shape = "sphere", name = "a"}]',
+            'object[2].name: names must differ; object[0] has the same; got "a"',
+        ),
+        (
+            'object = {shape = "plane"}',
+            "object: must be an array of tables, [[object]]; got a table of 1 keys",
+        ),
+        ("object = 3", "object: must be an array of tables, [[object]]; got 3"),
+        ("object = [3]", "object[0]: must be a table; got 3"),
+    ],
+)
+def test_objects(text: str, message: str) -> None:
+    assert messages_of(text) == (f"bad.toml: {message}",)
+
+
+@pytest.mark.parametrize(
+    "rest",
+    [
+        '[[object]]\nshape = "depth_map"\ndepth = "z.png"',
+        '[motion]\nwarp = "forward"\n[[object]]\nshape = "sphere"\nmotion.velocity = [1, 0, 0]',
+        '[motion]\nwarp = "forward"\n[camera.motion]\nvelocity = [1, 0, 0]\n[[object]]\nshape = "sphere"',
+    ],
+)
+def test_visibility_needs_rays(rest: str) -> None:
+    rule = '"visibility" needs analytic surfaces seen by rays; use "layered" or "none"'
+    message = f'bad.toml: psf.occlusion: {rule}; got "visibility"'
+    assert messages_of(f'psf.occlusion = "visibility"\n{rest}') == (message,)
+    for fine in ("", 'psf.occlusion = "layered"\n', 'psf.occlusion = "none"\n'):
+        scene = parse_scene(tomllib.loads(fine + rest))
+        assert parse_scene(dump(scene)) == scene
+
+
+def test_names_are_told_with_the_other_faults() -> None:
+    assert messages_of('object = [{shape = "plane", name = "a"}, {shape = "plane", name = "a", distance = 0}]') == (
+        "bad.toml: object[1].distance: must be greater than 0 mm; got 0",
+        'bad.toml: object[1].name: names must differ; object[0] has the same; got "a"',
+    )

@@ -1,0 +1,224 @@
+"""The models of a scene: defaults, derived values, what Python code can rely on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from pydantic import BaseModel, ValidationError
+
+from clsco.scene.model import (
+    AnyShape,
+    Camera,
+    CameraMotion,
+    Cone,
+    Cylinder,
+    DepthMap,
+    Ellipsoid,
+    Fill,
+    ImageOptions,
+    Motion,
+    ObjectMotion,
+    Plane,
+    Psf,
+    Quadric,
+    Scene,
+    Sequence,
+    Sphere,
+    Stereo,
+    origin,
+)
+
+COEFFICIENTS = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0)
+
+
+@pytest.mark.parametrize(
+    ("model", "expected"),
+    [
+        (
+            Camera(),
+            {
+                "focal_length": 20.0,
+                "f_number": None,
+                "focus_distance": None,
+                "aperture_diameter": 10.0,
+                "sensor_distance": 21.739,
+                "normalization_distance": 20.0,
+                "pixel_pitch": 0.01,
+                "resolution": None,
+                "motion": {"velocity": (0.0, 0.0, 0.0), "angular_velocity": (0.0, 0.0, 0.0)},
+            },
+        ),
+        (
+            Psf(),
+            {
+                "model": "pillbox",
+                "edge": "integrated",
+                "tilt": True,
+                "silhouette_samples": 4,
+                "occlusion": "visibility",
+                "sigma_ratio": 0.7071067811865476,
+                "truncation": 3.0,
+                "border": "lose",
+            },
+        ),
+        (
+            Sequence(),
+            {"frames": 1, "interval": 1.0, "shutter": 1.0, "samples": 5, "sampling": "midpoint"},
+        ),
+        (Motion(), {"warp": "inverse", "rotation": "euler", "texture_filter": "bicubic"}),
+        (Fill(), {"method": "ait", "domain": "surface"}),
+        (ImageOptions(), {"transfer": "srgb"}),
+        (Stereo(baseline=65.0), {"baseline": 65.0, "toe_in": 0.0}),
+        (
+            DepthMap(depth="z.exr"),
+            {
+                "shape": "depth_map",
+                "name": "depth_map",
+                "texture": "bricks",
+                "bounds": None,
+                "motion": {"velocity": (0.0, 0.0, 0.0), "angular_velocity": (0.0, 0.0, 0.0)},
+                "depth": "z.exr",
+                "unit": "mm",
+                "scale": 1.0,
+                "baseline": None,
+                "offset": None,
+                "center": (0.0, 0.0, 0.0),
+            },
+        ),
+        (
+            Sphere(),
+            {
+                "shape": "sphere",
+                "name": "sphere",
+                "texture": "bricks",
+                "bounds": None,
+                "motion": {"velocity": (0.0, 0.0, 0.0), "angular_velocity": (0.0, 0.0, 0.0)},
+                "radius": 30.0,
+                "center": (0.0, 0.0, 280.0),
+            },
+        ),
+    ],
+)
+def test_defaults_are_those_of_the_interface(model: BaseModel, expected: dict[str, Any]) -> None:
+    assert model.model_dump() == expected
+
+
+@pytest.mark.parametrize(
+    ("shape", "expected"),
+    [
+        (Plane(), {"slope_x": 0.0, "slope_y": 0.0}),
+        (Cylinder(), {"axis": (0.0, 1.0, 0.0)}),
+        (Cone(), {"nappe": "away"}),
+    ],
+)
+def test_defaults_of_the_shapes(shape: AnyShape, expected: dict[str, Any]) -> None:
+    assert {key: getattr(shape, key) for key in expected} == expected
+    assert shape.name == shape.shape
+
+
+def test_a_camera_given_by_f_number_and_focus_has_numbers_for_both_distances() -> None:
+    camera = Camera(focal_length=50.0, f_number=2.5, focus_distance=1000.0)
+    assert camera.aperture_diameter == 20.0
+    assert camera.normalization_distance == 50.0
+    # One rounding each in the product, the difference and the quotient: below 4 units in the last place.
+    assert 1.0 / camera.sensor_distance == pytest.approx(1.0 / 50.0 - 1.0 / 1000.0, rel=4 * 2.0**-52)
+
+
+def test_the_default_focus_is_at_250_mm() -> None:
+    camera = Camera()
+    focus = 1.0 / (1.0 / camera.focal_length - 1.0 / camera.sensor_distance)
+    assert round(focus, 3) == 250.017
+
+
+def test_truncation_follows_the_edge() -> None:
+    assert Psf(model="gaussian").truncation == 3.0
+    assert Psf(model="gaussian", edge="area").truncation == 3.0
+    assert Psf(model="gaussian", edge="sampled").truncation == 2.0
+    assert Psf(model="gaussian", edge="sampled", truncation=3.0).truncation == 3.0
+
+
+def test_the_shutter_is_open_for_the_interval() -> None:
+    assert Sequence(interval=0.04).shutter == 0.04
+    assert Sequence(interval=0.04, shutter=0.01).shutter == 0.01
+    assert Sequence(samples="auto").samples == "auto"
+
+
+@pytest.mark.parametrize(
+    ("shape", "expected"),
+    [
+        (Plane(distance=230.0, slope_x=1.0), (0.0, 0.0, 230.0)),
+        (Cone(apex=(1.0, 2.0, -3.0)), (1.0, 2.0, -3.0)),
+        (Sphere(center=(1.0, 2.0, 300.0)), (1.0, 2.0, 300.0)),
+        (Cylinder(center=(1.0, 2.0, 300.0)), (1.0, 2.0, 300.0)),
+        (Ellipsoid(center=(1.0, 2.0, 300.0)), (1.0, 2.0, 300.0)),
+        (Quadric(coefficients=COEFFICIENTS, center=(1.0, 2.0, 300.0)), (1.0, 2.0, 300.0)),
+        (DepthMap(depth="z.npy"), (0.0, 0.0, 0.0)),
+    ],
+)
+def test_origin(shape: AnyShape, expected: tuple[float, float, float]) -> None:
+    assert origin(shape) == expected
+
+
+def test_moves() -> None:
+    assert not ObjectMotion().moves
+    assert not ObjectMotion(velocity=(0.0, -0.0, 0.0)).moves
+    assert ObjectMotion(velocity=(0.0, 0.0, 1e-9)).moves
+    assert ObjectMotion(angular_velocity=(0.0, -1.0, 0.0)).moves
+
+
+def test_a_scene_moves_where_anything_does() -> None:
+    moving = {"velocity": (0.0, 1.0, 0.0)}
+    assert not Scene(objects=(Sphere(), Plane())).moves
+    assert Scene(objects=(Plane(), Sphere(motion=ObjectMotion(**moving)))).moves
+    assert Scene(camera=Camera(motion=CameraMotion(**moving)), objects=(Plane(),)).moves
+
+
+def test_rays_meet_what_is_analytic_and_not_warped_forward() -> None:
+    forward, moving = Motion(warp="forward"), ObjectMotion(velocity=(0.0, 1.0, 0.0))
+    assert Scene(objects=(Sphere(), Plane()), motion=forward).met_by_rays
+    assert Scene(objects=(Sphere(motion=moving), Plane())).met_by_rays
+    assert not Scene(objects=(Sphere(motion=moving), Plane()), motion=forward).met_by_rays
+    assert not Scene(objects=(Plane(), DepthMap(depth="z.npy"))).met_by_rays
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        Sphere(center=(0.0, 0.0, -29.0)),
+        Cylinder(center=(0.0, 0.0, -29.0)),
+        Cylinder(center=(0.0, 0.0, -1000.0), axis=(0.0, 1.0, 1e-3)),
+        Cone(apex=(0.0, 0.0, -1000.0)),
+        Cone(apex=(0.0, 0.0, 1.0), nappe="towards"),
+        Ellipsoid(center=(0.0, 0.0, -49.0)),
+    ],
+)
+def test_a_part_in_front_of_the_lens_is_enough(shape: AnyShape) -> None:
+    assert Scene(objects=(shape,)).objects == (shape,)
+
+
+def test_python_code_may_say_object_or_objects() -> None:
+    assert Scene(objects=(Sphere(),)) == Scene.model_validate({"object": [{"shape": "sphere"}]})
+
+
+def test_objects_without_a_name_are_numbered() -> None:
+    scene = Scene(objects=(Sphere(), Plane(), Sphere(), Sphere(name="sphere 2"), Sphere(name="plane")))
+    assert [item.name for item in scene.objects] == ["sphere", "plane 2", "sphere 3", "sphere 2", "plane"]
+    again = Scene(objects=(*scene.objects[1:3], *Scene(objects=(Sphere(), Sphere())).objects))
+    assert [item.name for item in again.objects] == ["plane", "sphere", "sphere 2", "sphere 3"]
+    with pytest.raises(ValidationError, match="names must differ"):
+        Scene(objects=(Sphere(name="ball"), Plane(name="ball")))
+    assert len(Scene(objects=(Sphere(),) * 64).objects) == 64
+
+
+def test_scenes_are_frozen_and_hashable() -> None:
+    scene = Scene(objects=(Sphere(),))
+    with pytest.raises(ValidationError, match="frozen"):
+        scene.title = "other"
+    assert hash(scene) == hash(Scene(objects=(Sphere(),)))
+
+
+def test_whole_numbers_become_floats() -> None:
+    radius = Sphere(radius=25).radius
+    assert radius == 25.0
+    assert isinstance(radius, float)
