@@ -97,7 +97,7 @@ def test_modules_tests_and_targets_of_commands_exist(page: str) -> None:
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE))
     for module in re.findall(r"python -m ([\w.]+)", PAGES[page]):
         assert find_spec(module) is not None, module
-    for path in re.findall(r"\btests/[\w/]+\.py", PAGES[page]):
+    for path in re.findall(r"\b(?:tests|clsco)/[\w/]+\.py", PAGES[page]):
         assert (ROOT / path).exists(), path
     for target in re.findall(r"(?:`|^)make ([a-z-]+)", PAGES[page], re.MULTILINE):
         assert target in targets, target
