@@ -39,14 +39,14 @@ laws: .venv/dev.stamp
 stability: .venv/bench.stamp
 	$(BIN)/clsco bench --stability -o benchmarks/results/stability
 
-# Every kernel on a simulator that sees what it reads and writes, one of EVERY scenes and images; Debian and Ubuntu have it.
+# Every kernel on a simulator that checks their reads and writes, one of EVERY scenes and images; Debian and Ubuntu have it.
 EVERY ?= 1
 oclgrind: .venv/dev.stamp
 	@test -n "$$(find /usr/lib -name liboclgrind-rt.so)" || \
 		{ echo "oclgrind: must be installed, on Debian and Ubuntu by apt-get install oclgrind" >&2; exit 1; }
 	CLSCO_EVERY=$(EVERY) $(BIN)/python -m pytest -q -n 0 -m oclgrind tests/oclgrind
 
-# Small faults in kernels and in the host's arithmetic, which the tests have to notice: one of SHARE of them.
+# Small faults in kernels and in the host's arithmetic, which the tests have to kill: one of SHARE of them.
 SHARE ?= 100
 mutation: .venv/dev.stamp
 	$(BIN)/python -m tests.mutation --against quick slow --share $(SHARE)
