@@ -1,4 +1,4 @@
-"""Errors that clsco raises on purpose: what the user can mend, told in one line each."""
+"""Errors that clsco raises on purpose: what the user can mend, reported in one line each."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class ImageError(ClscoError):
 
 
 class DeviceError(ClscoError):
-    """No usable OpenCL device, or the device cannot do what was asked; `short_of_memory`: with less it might."""
+    """No usable OpenCL device, or the device cannot do what was asked; `short_of_memory`: it might with less memory."""
 
     def __init__(self, message: str, short_of_memory: bool = False) -> None:
         self.short_of_memory = short_of_memory

@@ -8,7 +8,7 @@ from typing import Any
 
 from clsco.errors import ImageError, SceneError
 from clsco.files.atomic import refuse, same_place, writable_folder
-from clsco.files.images import codec, image_size, write_exr, write_png, write_tiff
+from clsco.files.images import WRITERS, image_size, writer_for
 from clsco.files.transfer import encode
 from clsco.frame.frame import Frame
 from clsco.inputs.depth_files import read_depth
@@ -18,7 +18,6 @@ from clsco.scene.model import DepthMap, Scene
 from clsco.scene.sweep import Sweep, parse_sweep
 
 WHERE = "defocus"
-IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".exr")
 _OTHER_IMAGES = (".bmp", ".gif", ".hdr", ".jpeg", ".jpg", ".npy", ".npz", ".pfm", ".ppm", ".webp")
 _SECTION_OF = {
     **dict.fromkeys(("unit", "scale", "baseline", "offset"), "object"),
@@ -71,8 +70,8 @@ def is_image_file(out: Path) -> bool:
     if out.is_dir():
         return False
     if suffix in _OTHER_IMAGES:
-        refuse(out, f"must be a folder, or end in one of {' '.join(IMAGE_SUFFIXES)}", repr(out.suffix))
-    return suffix in IMAGE_SUFFIXES
+        refuse(out, f"must be a folder, or end in one of {' '.join(WRITERS)}", repr(out.suffix))
+    return suffix in WRITERS
 
 
 def prepare_image(scenes: Sequence[Scene], out: Path) -> None:
@@ -88,24 +87,28 @@ def prepare_image(scenes: Sequence[Scene], out: Path) -> None:
         for path in (item.texture, item.depth if isinstance(item, DepthMap) else item.texture):
             if same_place(out, path):
                 raise ImageError(f"{out}: must not be the image or the depth that it is made of; got {path}")
-    if out.suffix.lower() == ".exr":
-        codec(out, "OpenEXR", "exr")
-    elif out.suffix.lower() != ".png":
-        codec(out, "tifffile", "formats")
+    writer_for(out)
     writable_folder(out.parent)
 
 
-def write_image(out: Path, frame: Frame, bits: int, transfer: str) -> None:
-    """Write the color of a frame to one file, by its extension; raises ImageError where that fails.
+def write_color(out: Path, frame: Frame, bits: int, transfer: str) -> None:
+    """Write the color of a frame to one file, in the format of its extension.
 
-    bits: 8, 16 or 32, as the image has. PNG and TIFF have codes of as many bits, a PNG of 32 bits 16, and a TIFF of
-    32 bits linear float32; an EXR has linear float32 in R G B. transfer: "srgb" or "linear", of codes.
+    Parameters
+    ----------
+    out : Path
+    frame : Frame
+    bits : {8, 16, 32}
+        Of the image that was blurred. A format holds codes of as many bits, at most its own; where it can, 32 bits are
+        linear float32.
+    transfer : {"srgb", "linear"}
+        Of codes.
+
+    Raises
+    ------
+    ImageError
+        The file cannot be written.
     """
-    suffix = out.suffix.lower()
-    if suffix == ".exr":
-        gray = frame.color.ndim == 2  # in three channels, so that every reader shows it
-        write_exr(out, {name: frame.color if gray else frame.color[..., n] for n, name in enumerate("RGB")})
-    elif suffix == ".png":
-        write_png(out, encode(frame.color, min(bits, 16), transfer))
-    else:
-        write_tiff(out, frame.color if bits == 32 else encode(frame.color, bits, transfer))
+    writer = writer_for(out)
+    as_floats = writer.floats and (bits == 32 or not writer.code_bits)
+    writer.write(out, frame.color if as_floats else encode(frame.color, min(bits, writer.code_bits), transfer))

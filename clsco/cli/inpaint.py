@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,7 @@ from numpy.typing import NDArray
 
 from clsco.errors import ImageError
 from clsco.files.atomic import refuse, same_place, writable_folder
-from clsco.files.images import codec, image_size, read_image, write_exr, write_png, write_tiff
-
-SUFFIXES = (".png", ".tif", ".tiff", ".exr")
+from clsco.files.images import WRITERS, ImageWriter, image_size, read_image, writer_for
 
 
 def read_pair(image: Path, mask: Path, threshold: float | None = None) -> tuple[NDArray[Any], NDArray[np.bool_]]:
@@ -54,35 +53,28 @@ def _missing(mask: Path, threshold: float | None) -> NDArray[np.bool_]:
     return values == white
 
 
-def prepare_out(out: Path, image: Path, mask: Path, is_float: bool | None = None) -> None:
-    """Prove that OUT can hold the image, and that its folder can be written; raises ImageError where not.
+def prepare_out(out: Path, image: Path, mask: Path, is_float: bool | None = None) -> ImageWriter:
+    """Writer for OUT, after a proof that it can hold the image and that its folder can be written.
 
-    is_float: whether the image has floats and no codes, once that is known.
+    is_float: whether the image has floats and no codes, once that is known. Raises ImageError.
     """
     suffix = out.suffix.lower()
-    if suffix not in SUFFIXES or out.is_dir():
-        refuse(out, f"must be a file that ends in one of {' '.join(SUFFIXES)}", repr(out.suffix))
+    if suffix not in WRITERS or out.is_dir():
+        refuse(out, f"must be a file that ends in one of {' '.join(WRITERS)}", repr(out.suffix))
     for path in (image, mask):
         if same_place(out, path):
             raise ImageError(f"{out}: must not be the image or the mask that it is made of; got {path}")
-    if is_float and suffix == ".png":
-        refuse(out, "a PNG holds codes; for floats it must end in .tif, .tiff or .exr", f"the floats of {image}")
-    if is_float is False and suffix == ".exr":
-        refuse(out, "an EXR holds floats; for codes it must end in .png, .tif or .tiff", f"the codes of {image}")
-    if suffix == ".exr":
-        codec(out, "OpenEXR", "exr")
-    elif suffix != ".png":
-        codec(out, "tifffile", "formats")
+    writer = writer_for(out)
+    if is_float and not writer.floats:
+        fitting = _listed(name for name, other in WRITERS.items() if other.floats)
+        refuse(out, f"{writer.label} holds codes; for floats it must end in {fitting}", f"the floats of {image}")
+    if is_float is False and not writer.code_bits:
+        fitting = _listed(name for name, other in WRITERS.items() if other.code_bits)
+        refuse(out, f"{writer.label} holds floats; for codes it must end in {fitting}", f"the codes of {image}")
     writable_folder(out.parent)
+    return writer
 
 
-def write_filled(out: Path, image: NDArray[Any]) -> None:
-    """Write an image (rows, columns[, 3]) as it is, by the file's extension; raises ImageError where that fails."""
-    suffix = out.suffix.lower()
-    if suffix == ".exr":
-        gray = image.ndim == 2  # in three channels, so that every reader shows it
-        write_exr(out, {name: image if gray else image[..., n] for n, name in enumerate("RGB")})
-    elif suffix == ".png":
-        write_png(out, image)
-    else:
-        write_tiff(out, image)
+def _listed(suffixes: Iterable[str]) -> str:
+    *first, last = suffixes
+    return f"{', '.join(first)} or {last}"

@@ -347,7 +347,7 @@ def defocus(
     DEPTH is a PNG, TIFF, EXR, PFM, NPY or NPZ. All else is as in a scene with this one object, whose other keys
     --set reaches. Where --set gives a key of the camera several values, each has a folder in OUT.
     """
-    from clsco.cli.defocus import depth_report, is_image_file, prepare_image, scenes_from_files, write_image
+    from clsco.cli.defocus import depth_report, is_image_file, prepare_image, scenes_from_files, write_color
     from clsco.plan.prepare import planned_files
 
     alone, blur = is_image_file(out), _blur(method, tolerance)
@@ -367,7 +367,7 @@ def defocus(
 
     with progress(1, quiet) as advance:
         for frame in render_frames(scenes[0], truth=(), device=device, precision=precision, memory=memory, **blur):
-            write_image(out, frame, frame.metadata["bits"], scenes[0].image.transfer)
+            write_color(out, frame, frame.metadata["bits"], scenes[0].image.transfer)
             _tell_approximation(out, frame)
             advance()
 
@@ -400,11 +400,11 @@ def inpaint(
 
     8 and 16 bits, gray and color, and floats, of which missing ones may be no numbers. OUT has the type of IMAGE.
     """
-    from clsco.cli.inpaint import prepare_out, read_pair, write_filled
+    from clsco.cli.inpaint import prepare_out, read_pair
 
     prepare_out(out, image, mask)
     pixels, missing = read_pair(image, mask, threshold)
-    prepare_out(out, image, mask, pixels.dtype.kind == "f")
+    writer = prepare_out(out, image, mask, pixels.dtype.kind == "f")
     _require_device(device)
     from clsco import inpaint as fill
     from clsco.cli.tables import inpaint_tables, print_tables, shares
@@ -417,7 +417,7 @@ def inpaint(
     given = {name: value for name, value in constants.items() if value is not None}
     with shares(quiet) as progress:
         filled, report = fill(pixels, missing, method=method, device=device, progress=progress, **given)
-    write_filled(out, filled)
+    writer.write(out, filled)
     if folder is not None:
         write_report(folder, report, pixels, missing, filled)
     print_tables(*inpaint_tables(report))

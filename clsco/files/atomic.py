@@ -1,4 +1,4 @@
-"""Files that are whole or not there, and errors that say in one line why they could not be."""
+"""Files that are whole or absent, and errors that state in one line why they could not be written."""
 
 from __future__ import annotations
 
@@ -13,11 +13,25 @@ from typing import BinaryIO, NoReturn
 
 from clsco.errors import ImageError
 
-_RUN = secrets.token_hex(4)  # tells this process from an earlier one of the same number: in a container it is always 1
+_RUN = secrets.token_hex(4)  # differs from that of an earlier process of the same number: in a container it is always 1
 
 
 def refuse(path: Path, rule: str, got: object, cause: Exception | None = None) -> NoReturn:
-    """Raise ImageError with the one line `path: rule; got value`; an error as the value gives its reason."""
+    """Raise ImageError with the one line `path: rule; got value`.
+
+    Parameters
+    ----------
+    path : Path
+    rule : str
+    got : object
+        The value; of an OSError its reason.
+    cause : Exception, optional
+        Chained to the error.
+
+    Raises
+    ------
+    ImageError
+    """
     where = str(path)
     if isinstance(got, OSError):
         got = got.strerror or got
@@ -27,10 +41,21 @@ def refuse(path: Path, rule: str, got: object, cause: Exception | None = None) -
 
 @contextlib.contextmanager
 def whole_file(path: Path) -> Iterator[BinaryIO]:
-    """Open a file that gets its name only when all of it is on the disk, and leaves nothing otherwise.
+    """Open a file that gets its name only when all of it is on the disk; otherwise nothing is left.
 
-    Raises ImageError where the folder, the disk or a codec fails. A file that was there stays until it is
-    replaced.
+    Parameters
+    ----------
+    path : Path
+        An older file there stays until it is replaced.
+
+    Yields
+    ------
+    BinaryIO
+
+    Raises
+    ------
+    ImageError
+        The folder, the disk or a codec fails.
     """
     temporary = _temporary(path)
     try:
@@ -48,10 +73,24 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
 
 @contextlib.contextmanager
 def together(folder: Path, name: str) -> Iterator[Path]:
-    """Open a hidden folder; what was written into it moves to `folder` when all of it is there, and else goes away.
+    """Open a hidden folder whose files move to `folder` when all of them are written; otherwise they are removed.
 
-    name: of what the files make up. Raises ImageError where the folder cannot be written; errors from inside name the
-    files as if they were in `folder` already. Files that were there stay until they are replaced.
+    Parameters
+    ----------
+    folder : Path
+        Older files there stay until they are replaced.
+    name : str
+        Of what the files make up.
+
+    Yields
+    ------
+    Path
+        The hidden folder.
+
+    Raises
+    ------
+    ImageError
+        The folder cannot be written. Errors from inside name the files as if they were in `folder` already.
     """
     made = _temporary(folder / name)
     try:
@@ -68,7 +107,7 @@ def together(folder: Path, name: str) -> Iterator[Path]:
 
 
 def remove(path: Path) -> None:
-    """Remove a file if it is there; raises ImageError where that is not allowed."""
+    """Remove a file if it is there. Raises ImageError where that is not allowed."""
     try:
         path.unlink(missing_ok=True)
     except (OSError, ValueError) as error:
@@ -76,7 +115,7 @@ def remove(path: Path) -> None:
 
 
 def writable_folder(path: str | os.PathLike[str]) -> Path:
-    """Make a folder and its parents, and prove that files can be made in it; raises ImageError where not."""
+    """Make a folder and its parents, and prove that files can be made in it. Raises ImageError where not."""
     path = Path(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -89,7 +128,7 @@ def writable_folder(path: str | os.PathLike[str]) -> Path:
 
 
 def remove_stale(folder: str | os.PathLike[str]) -> None:
-    """Remove temporary files and folders of processes that no longer run on this machine: killed while they wrote."""
+    """Remove temporary files and folders of processes that were killed while they wrote."""
     for path in Path(folder).glob(".*.part"):
         try:
             process, run = path.name.split(".")[-2].split("-")[:2]
@@ -109,16 +148,16 @@ def remove_stale(folder: str | os.PathLike[str]) -> None:
 
 
 def same_place(path: str | os.PathLike[str], other: str | os.PathLike[str]) -> bool:
-    """Whether two paths, which need not exist, are one after all symbolic links; a link to itself is only itself."""
+    """Whether two paths, existing or not, are one after all symbolic links; a link to itself is only itself."""
     return os.path.realpath(path) == os.path.realpath(other)
 
 
 def sha256(path: Path) -> str:
-    """Give the SHA-256 of a file's content in hexadecimal; raises OSError where it cannot be read."""
+    """SHA-256 of a file's content in hexadecimal. Raises OSError where it cannot be read."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _temporary(path: Path) -> Path:
-    """Name a hidden file that nobody else uses, in the same folder: only there is replacing atomic."""
+    """A hidden name that nobody else uses, in the same folder: replacing is atomic only there."""
     return path.parent / f".{path.name}.{os.getpid()}-{_RUN}-{secrets.token_hex(4)}.part"

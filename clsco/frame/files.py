@@ -57,17 +57,37 @@ def write_frame(
     folder: str | os.PathLike[str], views: Sequence[Frame], bits: int, transfer: str, truth: Sequence[str] = (),
     about: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """Write frame_0000.png, .npz and .exr as asked, and last frame_0000.json: the frame is complete.
+    """Write the files of a frame; frame_0000.json comes last and makes the frame complete.
 
-    views: one frame, or the left and the right one of a stereo pair, whose files are frame_0000_left.png and so on; an
-    EXR holds both, as the views left and right. bits: 8, 16 or 32, as the textures have; 32 makes a PNG of 16.
-    transfer: "srgb" or "linear", of the PNG alone. truth: any of "npz" and "exr"; each holds the color and all truth
-    that the frame has, in linear light. Light below 0 or above 1 is clipped in the PNG and kept in the others.
-    about: what the JSON file says besides the frame's own metadata.
-    Returns the content of the JSON file: `about`, the metadata (of a pair: `views` with that of each), and `files`:
-    file name -> SHA-256.
-    Raises ImageError where a file cannot be written. All files get their names when all are on the disk; until then
-    an older frame stays as it is.
+    Parameters
+    ----------
+    folder : path
+    views : sequence of Frame
+        One frame, or the left and the right one of a stereo pair, whose files are frame_0000_left.png and so on; an EXR
+        holds both, as the views left and right.
+    bits : {8, 16, 32}
+        Of the textures; 32 makes a PNG of 16.
+    transfer : {"srgb", "linear"}
+        Of the PNG alone, which clips radiance below 0 and above 1; the others keep it.
+    truth : sequence of {"npz", "exr"}
+        Each holds the color and all truth of the frame, linear.
+    about : mapping, optional
+        Content of the JSON file besides the frame's own metadata.
+
+    Returns
+    -------
+    dict
+        Content of the JSON file: `about`, the metadata (of a pair `views` with that of each), and `files`, file name to
+        SHA-256.
+
+    Raises
+    ------
+    ImageError
+        A file cannot be written.
+
+    Notes
+    -----
+    All files get their names when all are on the disk; until then an older frame stays as it is.
     """
     index, stereo = views[0].index, len(views) > 1
     stem = f"frame_{index:04d}"
@@ -84,23 +104,23 @@ def write_frame(
             write_exr(made / f"{stem}.exr", *map(exr_channels, views), names=eyes)
         digests = {path.name: sha256(path) for path in sorted(made.iterdir())}
         remove(described)  # an older frame is not whole any more
-    told = {"views": {frame.eye: dict(frame.metadata) for frame in views}} if stereo else dict(views[0].metadata)
-    content = {**(about or {}), **told, "files": digests}
+    recorded = {"views": {frame.eye: dict(frame.metadata) for frame in views}} if stereo else dict(views[0].metadata)
+    content = {**(about or {}), **recorded, "files": digests}
     write_json(described, content)
     return content
 
 
 def read_complete(folder: str | os.PathLike[str], index: int) -> dict[str, Any] | None:
-    """Give the JSON content of a frame on disk if all files that it names are there, unchanged; else None."""
+    """JSON content of a frame on disk if all files that it names are there, unchanged; else None."""
     described = Path(folder) / f"frame_{index:04d}.json"
 
-    def is_as_told(name: str, digest: str) -> bool:
+    def is_as_recorded(name: str, digest: str) -> bool:
         path = described.parent / name  # to open a pipe would block for ever
         return path.name == name and path.is_file() and sha256(path) == digest
 
     try:
         content: dict[str, Any] = json.loads(described.read_bytes() if described.is_file() else b"")
-        whole = all(is_as_told(name, digest) for name, digest in content["files"].items())
+        whole = all(is_as_recorded(name, digest) for name, digest in content["files"].items())
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
     return content if whole else None

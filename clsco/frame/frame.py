@@ -18,7 +18,7 @@ class Frame:
     """A rendered frame: the photograph, and what nobody can see in a photograph.
 
     Row 0 is on top, column 0 on the left, pixel centers at integer coordinates. Channels are red, green,
-    blue; arrays of a grey scene have none. Truth that nobody asked for is None. `sharp`, `depth`, `coc`,
+    blue; arrays of a gray scene have none. Truth that nobody asked for is None. `sharp`, `depth`, `coc`,
     `mask`, `object_id`, `normal` and `flow` belong to the middle of the shutter and are never anti-aliased.
 
     index      number of the frame in its sequence, from 0

@@ -14,7 +14,7 @@ from clsco.optics.motion import Eye
 from clsco.scene.file import dump
 from clsco.scene.model import BUILT_IN_TEXTURES, DepthMap, Scene, Within
 
-# What parameters derived from a scene, and the metadata of a frame, are measured in, where the name does not say it.
+# Units of derived parameters and of a frame's metadata, where the name does not say them.
 DERIVED_UNITS = {"derived.aperture_diameter": "mm", "derived.sensor_distance": "mm"}
 FRAME_UNITS = {"intermediate[].time": "s", "seconds": "s, by pass on the device"}
 
@@ -39,13 +39,13 @@ def units(scene: Scene) -> dict[str, str]:
 
 
 def _record_units(scene: Scene) -> dict[str, str]:
-    """Units of what a frame's JSON file has besides the scene's parameters; of a stereo pair those of each view."""
+    """Units of what a frame's JSON file holds besides the scene's parameters; of a stereo pair those of each view."""
     views = [""] if scene.stereo is None else [f"views.{view}." for view in _views(scene)]
     return DERIVED_UNITS | {view + key: unit for view in views for key, unit in FRAME_UNITS.items()}
 
 
 def _unit(parts: Iterable[Any]) -> str:
-    """Unit of the first constraint that names one, however deep in the types it is."""
+    """Unit of the first constraint that names one, at any depth of the annotation."""
     for part in parts:
         if unit := part.unit if isinstance(part, Within) else _unit(get_args(part)):
             return unit
@@ -53,7 +53,22 @@ def _unit(parts: Iterable[Any]) -> str:
 
 
 def file_digests(scenes: Iterable[Scene]) -> dict[str, str]:
-    """SHA-256 by path of all textures and depths that are files. Raises ImageError where one cannot be read."""
+    """SHA-256 of all texture and depth files of scenes.
+
+    Parameters
+    ----------
+    scenes : iterable of Scene
+
+    Returns
+    -------
+    dict
+        Path to digest in hexadecimal.
+
+    Raises
+    ------
+    ImageError
+        A file cannot be read.
+    """
     items = [item for scene in scenes for item in scene.objects]
     paths = [item.texture for item in items if item.texture not in BUILT_IN_TEXTURES]
     paths += [item.depth for item in items if isinstance(item, DepthMap)]
@@ -68,10 +83,24 @@ def _digest(path: str) -> str:
 
 
 def scene_sha256(scene: Scene, digests: Mapping[str, str] | None = None) -> str:
-    """SHA-256 of what decides the image: all parameters, and the content of texture and depth files, not their paths.
+    """SHA-256 of what decides the image: all parameters, and the contents of texture and depth files, without their
+    paths.
 
-    scene: with its resolution. digests: what `file_digests` gives, where that is known. Raises ImageError where a file
-    cannot be read.
+    Parameters
+    ----------
+    scene : Scene
+        With its resolution.
+    digests : mapping, optional
+        Of `file_digests`, where they are known.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    ImageError
+        A file cannot be read.
     """
     known = file_digests([scene]) if digests is None else digests
     content = dump(scene)
@@ -84,10 +113,24 @@ def scene_sha256(scene: Scene, digests: Mapping[str, str] | None = None) -> str:
 
 
 def record(scene: Scene, digests: Mapping[str, str] | None = None) -> dict[str, Any]:
-    """What the JSON file of a frame says of its scene, besides what the rendering adds.
+    """Content of a frame's JSON file that comes from its scene.
 
-    scene: with its resolution. digests: as in `scene_sha256`. Returns the parameters as a scene file has them, those
-    derived from them in mm, the units, the hashes and the version. Raises ImageError where a file cannot be read.
+    Parameters
+    ----------
+    scene : Scene
+        With its resolution.
+    digests : mapping, optional
+        Of `file_digests`, where they are known.
+
+    Returns
+    -------
+    dict
+        The parameters as a scene file has them, those derived from them in mm, the units, the hashes and the version.
+
+    Raises
+    ------
+    ImageError
+        A file cannot be read.
     """
     camera = scene.camera
     known = file_digests([scene]) if digests is None else digests

@@ -6,14 +6,22 @@ from dataclasses import dataclass
 
 from clsco.records import Real, Struct, filled
 
-# Rows that a work-item of `gather` owns: bands for several cores, and little overlap. It walks the sources that reach
-# them in an order that counts from its first row, so strips of whole bands come out as they do in the whole frame.
+# Rows that a work-item of `gather` owns: enough bands for several cores, and little overlap. It walks the sources that
+# reach them in an order that counts from its first row, so strips of whole bands have the bits of the whole frame.
 BAND = 64
 
 
 @dataclass(frozen=True)
 class Strip:
-    """`rows` rows of a frame from row `top` on, with as many `above` and `below` on the grid of their sources."""
+    """A strip of a frame, with the rows of sources around it.
+
+    Attributes
+    ----------
+    top, rows : int
+        First row in the frame, and number of rows.
+    above, below : int
+        Rows of the sources' grid before and after those.
+    """
 
     top: int
     rows: int
@@ -32,10 +40,24 @@ class Strip:
 
 
 def cut(rows: int, tallest: int, guard: int, reach: int, step: int = 1) -> tuple[Strip, ...]:
-    """Strips of at most `tallest` rows of a frame of `rows`; the first one is the tallest.
+    """Cut a frame into strips; the first one is the tallest.
 
-    tallest: a multiple of BAND, or all rows. guard: rows of sources before the first and after the last row of the
-    frame; reach: so many rows away a source may matter; step: grids begin so many rows apart, or a multiple of it.
+    Parameters
+    ----------
+    rows : int
+        Of the frame.
+    tallest : int
+        Rows of a strip at most: a multiple of BAND, or all rows.
+    guard : int
+        Rows of the apron before the first and after the last row of the frame.
+    reach : int
+        Distance in rows at which a source may still light a pixel.
+    step : int
+        Grids begin at multiples of this many rows.
+
+    Returns
+    -------
+    tuple of Strip
     """
     found = []
     for top in range(0, rows, tallest):
@@ -48,9 +70,23 @@ def cut(rows: int, tallest: int, guard: int, reach: int, step: int = 1) -> tuple
 def frame_struct(
     rows: int, columns: int, guard: int, real: Real, strip: Strip | None = None, **optics: float
 ) -> Struct:
-    """camera_t of a frame of rows x columns px in a guard band of `guard` px, with what of the lens is needed.
+    """camera_t of a frame with an apron.
 
-    strip: which of its rows, by default all of them.
+    Parameters
+    ----------
+    rows, columns : int
+        Of the frame, px.
+    guard : int
+        Width of the apron, px.
+    real : {"double", "float"}
+    strip : Strip, optional
+        Rows of the frame that are worked on; all by default.
+    **optics : float
+        Fields of the lens, where kernels need them.
+
+    Returns
+    -------
+    numpy.void
     """
     part = strip or Strip(0, rows, guard, guard)
     size = {"rows": part.rows, "columns": columns, "frame_rows": rows, "top": part.top, "guard": guard}

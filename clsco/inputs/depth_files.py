@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.files.atomic import refuse
-from clsco.files.images import IMAGE_FORMATS, check_limits, checked_size, codec, decoded, opened
+from clsco.files.decoders import IMAGE_FORMATS, check_limits, checked_size, codec, decoded, opened
 
 Array = NDArray[np.float64]
 MOST_ARRAYS = 256  # in an NPZ

@@ -1,4 +1,4 @@
-"""Ground truth of depth maps, at which no ray can be cast: normals and motion from depth alone (float64, pure)."""
+"""Ground truth of depth maps, which are not ray-castable: normals and flow from depth alone (float64, pure)."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from clsco.optics.lens import ray_step
 from clsco.optics.motion import Eye, Pose, rest_center
 from clsco.scene.model import Camera, Object
 
-SAME_SURFACE = 1.02  # how much nearer than a point what is seen in its place may be, and still be its own surface
+# A depth at a point's place that is nearer by at most this factor is taken for the point's own surface.
+SAME_SURFACE = 1.02
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 
 def _points(camera: Camera, depth: NDArray[np.floating]) -> Array:
-    """Surface points (rows, columns, 3) in mm that pixels of a depth in mm see; 0 where depth is infinite."""
+    """Surface points (rows, columns, 3) in mm of a depth map in mm; 0 where depth is infinite."""
     rows, columns = depth.shape
     i, j = np.indices(depth.shape)
     step = ray_step(camera)
@@ -26,7 +27,7 @@ def _points(camera: Camera, depth: NDArray[np.floating]) -> Array:
 
 
 def _difference(point: Array, there: NDArray[np.bool_], axis: int) -> Array:
-    """Way from a pixel's point to its neighbor's on the side where the depth changes less; 0 without a neighbor."""
+    """Step from a pixel's point to the neighbor whose depth differs less; 0 without a neighbor."""
     step = np.diff(point, axis=axis)
     known = np.logical_and(*(np.delete(there, end, axis=axis) for end in (0, -1)))
     step = np.where(known[..., None], step, np.inf)
@@ -38,11 +39,23 @@ def _difference(point: Array, there: NDArray[np.bool_], axis: int) -> Array:
 
 
 def map_normal(camera: Camera, depth: NDArray[np.floating]) -> Floats:
-    """Unit normals (rows, columns, 3) in the camera frame, towards the lens, from the differences of a depth map.
+    """Unit normals of a depth map by finite differences.
 
-    depth: (rows, columns) in mm, +inf where nothing is; the normal is 0 there. Of the neighbors on both sides the one
-    counts whose depth differs less, so that a normal does not reach across an edge.
-    Validated on the depths of analytic surfaces.
+    Parameters
+    ----------
+    camera : Camera
+    depth : ndarray of float, (rows, columns)
+        mm, +inf where there is no surface.
+
+    Returns
+    -------
+    ndarray of float32, (rows, columns, 3)
+        In the camera frame, towards the lens; 0 where there is no surface.
+
+    Notes
+    -----
+    Of the neighbors on both sides the one whose depth differs less counts, so that a normal does not reach across a
+    depth discontinuity. Validated on the depths of analytic surfaces.
     """
     point, there = _points(camera, depth), np.isfinite(depth)
     right, down = (_difference(point, there, axis) for axis in (1, 0))
@@ -58,11 +71,27 @@ def map_flow(
     camera: Camera, items: Sequence[Object], depth: NDArray[np.floating], object_id: NDArray[np.int32],
     now: Sequence[Pose], then: Sequence[Pose],
 ) -> Floats:  # fmt: skip
-    """Image motion (rows, columns, 2) in px, right and down, of the surface that pixels see, from one pose to another.
+    """Optical flow of the visible surface from one pose to another.
 
-    depth: (rows, columns) in mm, +inf where nothing is; object_id: (rows, columns), -1 there; now, then: poses of all
-    objects. 0 where nothing is, and where the point gets behind the lens. Validated against the flow of the surface
-    that a depth map was made from.
+    Parameters
+    ----------
+    camera : Camera
+    items : sequence of Object
+    depth : ndarray of float, (rows, columns)
+        mm, +inf where there is no surface.
+    object_id : ndarray of int32, (rows, columns)
+        -1 where there is no surface.
+    now, then : sequence of Pose
+        Of all objects.
+
+    Returns
+    -------
+    ndarray of float32, (rows, columns, 2)
+        px, right and down; 0 where there is no surface, and where the point gets behind the lens.
+
+    Notes
+    -----
+    Validated against the flow of the surface that a depth map was made from.
     """
     point, step = _points(camera, depth), ray_step(camera)
     flow = np.zeros((*depth.shape, 2))
@@ -83,11 +112,25 @@ def map_stereo(
     camera: Camera, items: Sequence[Object], depth: NDArray[np.floating], object_id: NDArray[np.int32],
     now: Sequence[Pose], there: Sequence[Pose], opposite: NDArray[np.floating], eye: Eye,
 ) -> tuple[Floats, NDArray[np.bool_]]:  # fmt: skip
-    """Disparity (rows, columns) in px, and what the other view does not see (rows, columns), from depth.
+    """Disparity and occlusion of a view, from depth.
 
-    depth, object_id, now: of this view, `eye`, as for `map_flow`; there: poses that the other one sees; opposite: its
-    depth (rows, columns) in mm. Occluded: where the point is in the other view, something is more than SAME_SURFACE
-    times nearer, or the frame ends.
+    Parameters
+    ----------
+    camera, items, depth, object_id, now
+        As for `map_flow`, of this view.
+    there : sequence of Pose
+        Poses that the other view has.
+    opposite : ndarray of float, (rows, columns)
+        Depth of the other view, mm.
+    eye : {"left", "right"}
+        This view.
+
+    Returns
+    -------
+    disparity : ndarray of float32, (rows, columns)
+        px.
+    occluded : ndarray of bool, (rows, columns)
+        At the point's place in the other view a surface is more than SAME_SURFACE times nearer, or the frame has ended.
     """
     flow = map_flow(camera, items, depth, object_id, now, there)
     rows, columns = depth.shape

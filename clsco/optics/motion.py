@@ -1,4 +1,4 @@
-"""Rigid motion over an exposure: poses, sample times and their weights (float64, pure)."""
+"""Rigid motion over an exposure: poses, time samples and their weights (float64, pure)."""
 
 from __future__ import annotations
 
@@ -17,9 +17,13 @@ TOWARDS_CAMERA = np.diag([1.0, 1.0, -1.0])
 
 @dataclass(frozen=True)
 class Pose:
-    """Where an object is at one moment: P = center + shift + rotation (P0 - center), camera frame.
+    """Pose of an object at one time: P = center + shift + rotation (P0 - center), camera frame.
 
-    rotation: (3, 3), unitless; shift: (3,), mm.
+    Attributes
+    ----------
+    rotation : ndarray of float64, (3, 3)
+    shift : ndarray of float64, (3,)
+        mm.
     """
 
     rotation: NDArray[np.float64]
@@ -27,11 +31,23 @@ class Pose:
 
 
 def rotation_matrix(angles: NDArray[np.float64], rotation: str) -> NDArray[np.float64]:
-    """Rotation matrix (3, 3) in the object's frame for angles (3,) in radians.
+    """Rotation matrix in the object's frame.
 
-    "euler": the matrix of 2.14 to 2.23. "axis": a turn by |angles| about the vector `angles` (Rodrigues), in
-    the same sense as the matrix for a single axis, which is the negative of the right-hand rule.
-    Validated: both agree for every single axis, are orthonormal and are the identity at rest.
+    Parameters
+    ----------
+    angles : ndarray of float64, (3,)
+        Radians.
+    rotation : {"euler", "axis"}
+        "euler": the matrix of 2.14 to 2.23. "axis": a turn by |angles| about the vector `angles` (Rodrigues), in the
+        same sense as the matrix for a single axis, which is the negative of the right-hand rule.
+
+    Returns
+    -------
+    ndarray of float64, (3, 3)
+
+    Notes
+    -----
+    Validated: both kinds agree for every single axis, are orthonormal, and are the identity for no turn.
     """
     if rotation == "axis":
         angle = float(np.linalg.norm(angles))
@@ -52,17 +68,31 @@ def rotation_matrix(angles: NDArray[np.float64], rotation: str) -> NDArray[np.fl
 
 
 def _sine_cosine(angles: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Sines and cosines, exact for quarter turns: pi/2 in float64 is not quite one, and a plane would tilt."""
+    """Sines and cosines, exact for quarter turns: pi/2 in float64 is slightly off and would tilt a plane."""
     sines, cosines = np.sin(angles), np.cos(angles)
     least = np.finfo(np.float64).eps
     return np.where(np.abs(sines) < least, 0.0, sines), np.where(np.abs(cosines) < least, 0.0, cosines)
 
 
 def pose_at(motion: ObjectMotion, time: float, rotation: str) -> Pose:
-    """Pose after `time` seconds, always from rest and never composed step by step (thesis 4.3.6.2).
+    """Pose after a time of constant velocities.
 
-    Degrees are reduced to one turn before they become radians: sin(1e7 deg) would lose four digits. The
-    axis-angle turn reduces the length of the vector instead of its components.
+    Parameters
+    ----------
+    motion : ObjectMotion
+    time : float
+        Seconds since the reference pose.
+    rotation : {"euler", "axis"}
+
+    Returns
+    -------
+    Pose
+
+    Notes
+    -----
+    Poses are always formed from the reference pose, never composed step by step (thesis 4.3.6.2). Degrees are reduced
+    to one turn before they become radians, as sin(1e7 deg) would lose four digits; "axis" reduces the length of the
+    vector instead of its components.
     """
     degrees = np.asarray(motion.angular_velocity, dtype=np.float64) * time
     if rotation == "axis":
@@ -82,10 +112,23 @@ def rest_center(item: Object) -> NDArray[np.float64]:
 
 
 def eye_pose(scene: Scene, eye: Eye, time: float) -> Pose:
-    """Pose of the camera, or of one of a stereo pair, in the frame of the camera at rest.
+    """Pose of the camera, or of one of a stereo pair, in the frame of the camera's reference pose.
 
-    A camera moves and turns about the center of its lens. The right one stands `baseline` to the right of the left
-    one, which is the scene's; both turn inwards by `toe_in`.
+    Parameters
+    ----------
+    scene : Scene
+    eye : {"left", "right"}
+    time : float
+        Seconds.
+
+    Returns
+    -------
+    Pose
+
+    Notes
+    -----
+    A camera moves and turns about the center of its lens. The right one stands `baseline` to the right of the left one,
+    which is the scene's; both turn inwards by `toe_in`.
     """
     rig = pose_at(scene.camera.motion, time, scene.motion.rotation)
     if scene.stereo is None or (eye == "left" and scene.stereo.toe_in == 0.0):
@@ -97,12 +140,24 @@ def eye_pose(scene: Scene, eye: Eye, time: float) -> Pose:
 
 
 def rest_poses(scene: Scene) -> tuple[Pose, ...]:
-    """Poses of all objects before the camera that their textures belong to: neither moved nor turned."""
+    """Reference poses of all objects, those that their textures belong to: neither moved nor turned."""
     return (Pose(np.eye(3), np.zeros(3)),) * len(scene.objects)
 
 
 def poses_at(scene: Scene, time: float, eye: Eye = "left") -> tuple[Pose, ...]:
-    """Poses of all objects after `time` seconds, as the camera sees them, wherever it is then itself."""
+    """Poses of all objects in the frame of the camera at that time.
+
+    Parameters
+    ----------
+    scene : Scene
+    time : float
+        Seconds since the reference pose.
+    eye : {"left", "right"}
+
+    Returns
+    -------
+    tuple of Pose, one for each object
+    """
     camera, found = eye_pose(scene, eye, time), []
     for item in scene.objects:
         pose, center = pose_at(item.motion, time, scene.motion.rotation), rest_center(item)
@@ -112,10 +167,21 @@ def poses_at(scene: Scene, time: float, eye: Eye = "left") -> tuple[Pose, ...]:
 
 
 def sample_times(sequence: Sequence, frame: int, samples: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Times (samples,) in s since rest and weights (samples,) of the intermediate frames of one frame.
+    """Time samples of one frame's exposure.
 
-    "midpoint": t = (i + 1/2) T / N after the shutter opens; "endpoint": t = (i + 1) T / N, the thesis, which
-    displaces the image by half an interval. The shutter is a box, so the weights are equal and sum to 1.
+    Parameters
+    ----------
+    sequence : Sequence
+    frame : int
+    samples : int
+
+    Returns
+    -------
+    times : ndarray of float64, (samples,)
+        Seconds since the reference pose. "midpoint": t = (i + 1/2) T / N after the shutter opens; "endpoint":
+        t = (i + 1) T / N, the thesis, which displaces the image by half an interval.
+    weights : ndarray of float64, (samples,)
+        Equal, as the shutter is a box; they sum to 1.
     """
     offset = 0.5 if sequence.sampling == "midpoint" else 1.0
     assert sequence.shutter is not None  # filled in by the scene's validation
@@ -125,6 +191,6 @@ def sample_times(sequence: Sequence, frame: int, samples: int) -> tuple[NDArray[
 
 
 def middle_time(sequence: Sequence, frame: int) -> float:
-    """Middle of the shutter of a frame in s since rest, the moment of its ground truth."""
+    """Middle of the shutter of a frame, s since the reference pose: the time of its ground truth."""
     assert sequence.shutter is not None
     return frame * sequence.interval + 0.5 * sequence.shutter

@@ -1,8 +1,8 @@
 """Shapes as canonical quadrics, placed before the camera by a pose (float64, pure).
 
-Every shape is the zero set of  sum q_i X_i^2 + 2 sum l_i X_i - k  in a canonical frame of its own, along its
-principal axes. One ray-surface solution then serves all of them, in a form that does not cancel (Lagrange's
-identity, see `solve_quadric` in kernels/common/geometry.clh).
+Every shape is the zero set of  sum q_i X_i^2 + 2 sum l_i X_i - k  in a canonical frame of its own, along its principal
+axes. One ray-surface solution serves all of them, in a form without cancellation (Lagrange's identity, see
+`solve_quadric` in kernels/common/geometry.clh).
 """
 
 from __future__ import annotations
@@ -27,8 +27,18 @@ FARTHEST_CENTER = 4.0
 class Canonical:
     """A shape in its canonical frame X = axes (X_object - origin).
 
-    q, l: (3,), k: the coefficients; axes: (3, 3) rows are the canonical axes in the object's frame; origin:
-    (3,) mm; nappe: sign that the third canonical coordinate must have, 0 when any will do.
+    Attributes
+    ----------
+    q, l : ndarray of float64, (3,)
+        Coefficients of X_i^2 and 2 X_i.
+    k : float
+        Constant.
+    axes : ndarray of float64, (3, 3)
+        Rows are the canonical axes in the object's frame.
+    origin : ndarray of float64, (3,)
+        mm.
+    nappe : int
+        Sign that the third canonical coordinate must have, 0 for either.
     """
 
     q: Vector
@@ -41,7 +51,7 @@ class Canonical:
 
 @dataclass(frozen=True)
 class Extent:
-    """Where an object can be seen: slopes (x, y) of rays, low and high, and inverse depths in 1/mm."""
+    """Bounds of an object's visible part: slopes (x, y) of rays, low and high, and inverse depths w in 1/mm."""
 
     x: tuple[float, float]
     y: tuple[float, float]
@@ -53,11 +63,22 @@ EVERYWHERE = Extent((-inf, inf), (-inf, inf), (0.0, inf))
 
 @dataclass(frozen=True)
 class PlacedSurface:
-    """A surface at one moment, as the rays of the camera see it: a ray d has X = offset + Z turn d.
+    """A surface at one time in the camera's frame: a ray d has X = offset + Z turn d.
 
-    turn (3, 3) and offset (3,) mm: camera to canonical frame; body_turn, body_offset: camera to object's frame
-    (for bounds and for the way back to rest); rest (3,): the center at rest in mm; constant: the quadric's
-    value at the lens center. canonical: the shape; seen: no part of it is elsewhere.
+    Attributes
+    ----------
+    canonical : Canonical
+    turn : ndarray of float64, (3, 3)
+    offset : ndarray of float64, (3,)
+        Camera to canonical frame, mm.
+    body_turn, body_offset
+        Camera to object's frame, for bounds and for the way back to the reference pose.
+    rest : ndarray of float64, (3,)
+        Center in the reference pose, mm.
+    constant : float
+        The quadric's value at the lens center.
+    seen : Extent
+        No part of the surface is elsewhere.
     """
 
     canonical: Canonical
@@ -80,7 +101,7 @@ def _axes_along(axis: Vector) -> NDArray[np.float64]:
 
 
 def _canonical_quadric(coefficients: tuple[float, ...], farthest: float) -> Canonical:
-    """The ten coefficients of 3.39 in principal axes; `farthest` mm: how far the origin may move to make l_i 0."""
+    """Coefficients of 3.39 in principal axes; the origin moves by at most `farthest` mm to make l_i 0."""
     xx, yy, zz, xy, yz, zx, x, y, z, constant = coefficients
     matrix = np.array([[xx, xy / 2, zx / 2], [xy / 2, yy, yz / 2], [zx / 2, yz / 2, zz]])
     linear = np.array([x, y, z]) / 2
@@ -98,10 +119,21 @@ def _canonical_quadric(coefficients: tuple[float, ...], farthest: float) -> Cano
 
 
 def canonical(item: Object) -> Canonical:
-    """The canonical form of a shape (3.7, 3.11, 3.18, 3.23, 3.33, 3.39).
+    """Canonical form of a shape (3.7, 3.11, 3.18, 3.23, 3.33, 3.39).
 
-    Lengths in mm. Coefficients are scaled to the size of the shape where that is free, so that neither 1e-6
-    nor 1e9 mm leaves the range of float32.
+    Parameters
+    ----------
+    item : Object
+        Analytic; lengths in mm.
+
+    Returns
+    -------
+    Canonical
+
+    Notes
+    -----
+    Coefficients are scaled to the size of the shape where that is free, so that neither 1e-6 nor 1e9 mm leaves the
+    range of float32.
     """
     still, zero = np.eye(3), np.zeros(3)
     if isinstance(item, Plane):
@@ -128,7 +160,17 @@ def canonical(item: Object) -> Canonical:
 
 
 def place(item: Object, pose: Pose) -> PlacedSurface:
-    """The surface of `item` in `pose`, seen from the lens center."""
+    """Surface of an analytic object in a pose, in the frame of the lens.
+
+    Parameters
+    ----------
+    item : Object
+    pose : Pose
+
+    Returns
+    -------
+    PlacedSurface
+    """
     shape, rest = canonical(item), rest_center(item)
     body_turn = pose.rotation.T
     body_offset = body_turn @ (-rest - pose.shift)
@@ -144,7 +186,7 @@ def place(item: Object, pose: Pose) -> PlacedSurface:
 
 
 def _seen(item: Object, pose: Pose) -> Extent:
-    """Where an object can be seen: that of a ball around it, everywhere if there is none or the lens is in it."""
+    """Extent of a bounding ball; everywhere if there is none, or the lens is in it."""
     balls: list[tuple[Vector, float]] = []
     if isinstance(item, Sphere):
         balls.append((np.zeros(3), item.radius))
@@ -171,9 +213,23 @@ def _seen(item: Object, pose: Pose) -> Extent:
 def predict_inverse_depth(
     item: Object, surface: PlacedSurface, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Inverse depth in 1/mm along rays (x, y, 1), 0 where they miss: for the plan's predictions only.
+    """Inverse depth along rays (x, y, 1), for the plan's predictions only.
 
-    x, y: slopes of any one shape. Textbook formula in float64; images are made by `solve_quadric`.
+    Parameters
+    ----------
+    item : Object
+    surface : PlacedSurface
+    x, y : ndarray of float64, any one shape
+        Slopes of the rays.
+
+    Returns
+    -------
+    ndarray of float64
+        1/mm, 0 where a ray misses.
+
+    Notes
+    -----
+    The textbook formula in float64; images are made by `solve_quadric`.
     """
     rays = np.stack([x, y, np.ones_like(x)])
     d = np.tensordot(surface.turn, rays, axes=1)
@@ -186,7 +242,7 @@ def predict_inverse_depth(
     body = np.tensordot(surface.body_turn, rays, axes=1)
     best = np.zeros_like(a)
     for sign in (1.0, -1.0):
-        with np.errstate(all="ignore"):  # what is no number is not kept
+        with np.errstate(all="ignore"):  # NaN is not kept
             w = (-b + sign * root) / c if c != 0 else -a / (2 * b)
             keep = np.isfinite(w) & (w > 0) & (b * b >= a * c)
             if surface.canonical.nappe:

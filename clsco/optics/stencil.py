@@ -1,4 +1,4 @@
-"""The PSF of one radius as convolve.cl adds it up: runs of weights, and rectangles of one weight (pure)."""
+"""Stencils of one radius for convolve.cl: runs of weights, and rectangles of one weight (pure)."""
 
 from __future__ import annotations
 
@@ -23,11 +23,17 @@ Rectangle = tuple[int, int]
 
 @dataclass(frozen=True)
 class Stencil:
-    """A PSF, or one of two that follow each other: the sum of its runs and rectangles, exact but for float32.
+    """A PSF of one radius, or one of its two factors: the sum of its runs and rectangles, exact but for float32.
 
-    runs: int32 (count, 4): |dx|, first dy, number of weights, where they begin; those of dx = 0 are half of what is
-    added, as the kernel adds every run at -dx and dx. rectangles: half-widths (|dx|, |dy|), narrower and higher ones
-    after wider ones: their union has the weight `share`, to which runs may add or of which they may take away.
+    Attributes
+    ----------
+    runs : ndarray of int32, (count, 4)
+        |dx|, first dy, number of weights, where they begin. The kernel adds every run at -dx and dx, so runs of dx = 0
+        hold half of the weights.
+    weights : ndarray of float32
+    rectangles : tuple of (half-width in x, half-width in y)
+        Narrower and higher ones after wider ones. Their union has the weight `share`; runs add to it or subtract.
+    share : float
     """
 
     runs: NDArray[np.int32]
@@ -50,7 +56,7 @@ class Stencil:
 
     @property
     def pairs(self) -> NDArray[np.int32]:
-        """The union by sums over all that is above and to the left: int32 (count, 4), (dy, dx) of +1 and of -1."""
+        """The union from sums over all that is above and to the left: int32 (count, 4), (dy, dx) of +1 and of -1."""
         found, inner = list[tuple[int, int, int, int]](), -1
         for a, b in self.rectangles:
             found += [(b, a, b, -a - 1), (-b - 1, -a - 1, -b - 1, a)]
@@ -61,13 +67,25 @@ class Stencil:
 
 
 def is_summed(psf: Psf, half_width: int) -> bool:
-    """Whether PSFs of this half-width in px have rectangles."""
+    """Whether PSFs of this half-width in px use rectangles."""
     return psf.model == "pillbox" and half_width >= SUMMED
 
 
 @lru_cache(maxsize=64)
 def stencils(psf: Psf, radius: float) -> tuple[Stencil, ...]:
-    """What makes the PSF of one |blur radius| in px: one stencil, or of products one for each axis."""
+    """Stencils whose convolution is the PSF of one radius.
+
+    Parameters
+    ----------
+    psf : Psf
+    radius : float
+        |R| in px.
+
+    Returns
+    -------
+    tuple of Stencil
+        One; of a separable PSF one for each axis.
+    """
     far = reach(psf, radius)
     offset = np.arange(far + 1.0)
     if is_separable(psf):
@@ -84,10 +102,10 @@ def stencils(psf: Psf, radius: float) -> tuple[Stencil, ...]:
 
 
 def _rectangles(same: NDArray[np.bool_], half: NDArray[np.bool_]) -> tuple[Rectangle, ...]:
-    """Rectangles for a quadrant of a disc whose middle has one weight: those with which it takes least time.
+    """Rectangles for a quadrant of a disc with one weight in its middle, chosen for the least time.
 
-    same: where that weight is; half: where at least half of it is. Rectangles may go that far, as the weights that take
-    away what is too much have to be there anyway. The shortest path over the rows where one ends.
+    same: pixels of that weight; half: pixels of at least half of it. Rectangles may cover the latter, as the runs that
+    subtract the excess are needed anyway. The minimum is a shortest path over the rows where a rectangle ends.
     """
     filled, allowed = same.sum(axis=1), half.sum(axis=1)
     count = int((allowed > 0).sum())

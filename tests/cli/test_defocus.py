@@ -14,7 +14,7 @@ import pytest
 import tifffile
 from click.testing import CliRunner, Result
 
-from clsco.cli.defocus import depth_report, is_image_file, prepare_image, scenes_from_files, write_image
+from clsco.cli.defocus import depth_report, is_image_file, prepare_image, scenes_from_files, write_color
 from clsco.cli.main import main
 from clsco.errors import ClscoError, ImageError, SceneError
 from clsco.files.images import read_image, write_png
@@ -208,7 +208,7 @@ def test_one_image_is_written_and_read_back(
 ) -> None:
     color = np.random.default_rng(5).random((9, 12, *channels)).astype(np.float32)
     out = tmp_path / f"out{suffix}"
-    write_image(out, Frame(index=0, color=color, metadata={}), bits, "linear")
+    write_color(out, Frame(index=0, color=color, metadata={}), bits, "linear")
     data = READERS[suffix.lower()](out)
     assert data.dtype == np.dtype(dtype)
     top = 1 if dtype == "f4" else np.iinfo(dtype).max
@@ -222,14 +222,14 @@ def test_one_image_is_written_and_read_back(
 def test_codes_have_the_transfer_of_the_image(tmp_path: Path) -> None:
     color = np.full((2, 2), 0.2158605, np.float32)  # ((128 / 255 + 0.055) / 1.055)^2.4, by IEC 61966-2-1
     for name in ("a.png", "a.tif"):
-        write_image(tmp_path / name, Frame(index=0, color=color, metadata={}), 8, "srgb")
+        write_color(tmp_path / name, Frame(index=0, color=color, metadata={}), 8, "srgb")
         np.testing.assert_array_equal(read_image(tmp_path / name).data, np.full((2, 2), 128))
 
 
 def test_a_file_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     for suffix in (".png", ".tif", ".exr"):
         with pytest.raises(ClscoError, match="the file must be writable; got No such file or directory"):
-            write_image(
+            write_color(
                 tmp_path / "none" / f"a{suffix}",
                 Frame(index=0, color=np.ones((2, 2), np.float32), metadata={}),
                 8,

@@ -25,7 +25,7 @@ from clsco.files.transfer import encode
 from clsco.frame.files import exr_channels, frame_files, read_complete, write_frame
 from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES, Frame
 
-GREY = np.arange(256, dtype=np.uint8).reshape(8, 32)
+GRAY = np.arange(256, dtype=np.uint8).reshape(8, 32)
 COLOR = np.random.default_rng(7).integers(0, 65536, (300, 300, 3), "u2")
 LIGHT = np.random.default_rng(7).random((300, 300), "f4")
 
@@ -227,7 +227,7 @@ def test_failed_writing_leaves_what_was_there(
 def test_writing_shows_nothing_unfinished(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[list[str]] = []
     monkeypatch.setattr(os, "fsync", lambda _: seen.append([path.name for path in tmp_path.iterdir()]))
-    write_png(tmp_path / "file.png", GREY)
+    write_png(tmp_path / "file.png", GRAY)
     ((name,),) = seen
     assert name.startswith(f".file.png.{os.getpid()}-")
     assert name.endswith(".part")
@@ -243,7 +243,7 @@ def test_unwritable_places(tmp_path: Path) -> None:
         tmp_path / "a\0.png",
     ):
         with pytest.raises(ImageError, match="the file must be writable; got "):
-            write_png(path, GREY)
+            write_png(path, GRAY)
     with pytest.raises(ImageError, match="the file must be writable; got Out of range float"):
         write_json(tmp_path / "a.json", {"x": float("nan")})
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder"]

@@ -219,8 +219,8 @@ def test_jpeg_markers_may_be_padded(tmp_path: Path) -> None:
     assert read_image(tmp_path / "image.jpg").data.shape == (40, 30)
 
 
-GREY = pixels("u1", (40, 30))
-PNG = bytes(imagecodecs.png_encode(GREY))
+GRAY = pixels("u1", (40, 30))
+PNG = bytes(imagecodecs.png_encode(GRAY))
 
 
 def encoded(save: Callable[..., object], *arguments: Any, **options: Any) -> bytes:
@@ -238,13 +238,13 @@ def tiff(data: Array, **options: Any) -> bytes:
 
 
 CHANNEL = pixels("f4", (4, 5))
-JPEG = encoded(Image.fromarray(GREY).save, "JPEG")
-TIFF = tiff(GREY)
+JPEG = encoded(Image.fromarray(GRAY).save, "JPEG")
+TIFF = tiff(GRAY)
 BIG_TIFF = TIFF.replace(struct.pack("<HHII", 256, 4, 1, 30), struct.pack("<HHII", 256, 4, 1, 70000))
 EXR = exr(Y=pixels("f4", (40, 30)))
 BIG_EXR = EXR.replace(struct.pack("<4i", 0, 0, 29, 39), struct.pack("<4i", 0, 0, 12999, 12999))
 CROPPED_EXR = EXR.replace(struct.pack("<4i", 0, 0, 29, 39), struct.pack("<4i", 3, 3, 32, 42), 1)
-NPY = encoded(np.save, GREY)
+NPY = encoded(np.save, GRAY)
 BIG_NPY = NPY.replace(b"(40, 30), }       ", b"(40000000, 30), } ")
 OBJECTS = encoded(np.save, np.array([[{}]]), allow_pickle=True)
 WHOLE = "must be a whole PNG; got "
@@ -281,12 +281,12 @@ REFUSED: dict[str, tuple[str, bytes, str]] = {
     "bad color": ("a.png", png(4, 4, 8, 5, ROWS), f"{WHOLE}color type 5"),
     "animation": ("a.png", png(4, 4, 8, 0, ROWS, chunk(b"acTL", bytes(8))), f"{WHOLE}an animation"),
     "keyed": ("a.png", png(4, 4, 8, 0, ROWS, chunk(b"tRNS", b"\0\5")), "pixels must be opaque; got "),
-    "CMYK": ("a.jpg", encoded(Image.new("CMYK", (9, 9)).save, "JPEG"), "a JPEG must be grey or RGB; got "),
+    "CMYK": ("a.jpg", encoded(Image.new("CMYK", (9, 9)).save, "JPEG"), "a JPEG must be gray or RGB; got "),
     "no frame": ("a.jpg", b"\xff\xd8\xff\xd9" + ROWS, "must be a whole JPEG; got no frame header"),
     "pages": ("a.tif", tiff(np.zeros((3, 8, 9), "u1")), "must be a single image; got 3 pages"),
-    "white is 0": ("a.tif", tiff(GREY, photometric="miniswhite"), "a TIFF must be grey (0 is black) or RGB"),
-    "signed": ("a.tif", tiff(GREY.astype("i2")), f"{DTYPES}int16"),
-    "32-bit": ("a.npy", encoded(np.save, GREY.astype("u4")), f"{DTYPES}uint32"),
+    "white is 0": ("a.tif", tiff(GRAY, photometric="miniswhite"), "a TIFF must be gray (0 is black) or RGB"),
+    "signed": ("a.tif", tiff(GRAY.astype("i2")), f"{DTYPES}int16"),
+    "32-bit": ("a.npy", encoded(np.save, GRAY.astype("u4")), f"{DTYPES}uint32"),
     "objects": ("a.npy", OBJECTS, f"{NUMBERS}object"),
     "volume": ("a.npy", encoded(np.save, np.zeros((4, 5, 4))), f"{NUMBERS}float64 of shape (4, 5, 4)"),
     "depth only": ("a.exr", exr(Z=CHANNEL), "an EXR must hold the channels R G B or Y; got Z"),
@@ -346,7 +346,7 @@ def test_refuses_what_is_no_file(tmp_path: Path) -> None:
 
 
 def test_refuses_without_permission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_png(tmp_path / "image.png", GREY)
+    write_png(tmp_path / "image.png", GRAY)
 
     def denied(*_arguments: object, **_options: object) -> None:  # root may open everything
         raise PermissionError(errno.EACCES, "Permission denied")
@@ -357,7 +357,7 @@ def test_refuses_without_permission(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.parametrize(("module", "extra", "save"), [
     ("imagecodecs", "formats", lambda path: write_png(path.with_suffix(".png"), pixels("u2", (4, 5, 3)))),
-    ("tifffile", "formats", lambda path: save_tiff(path.with_suffix(".tif"), GREY)),
+    ("tifffile", "formats", lambda path: save_tiff(path.with_suffix(".tif"), GRAY)),
     ("OpenEXR", "exr", lambda path: save_rgb_exr(path.with_suffix(".exr"), CHANNEL)),
 ])  # fmt: skip
 def test_names_the_extra_that_is_missing(

@@ -1,0 +1,311 @@
+"""Decoders of image files: each opened by its extension and first bytes, sized by its header, then decoded."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import logging
+import os
+import stat
+import struct
+import warnings
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.errors import ImageError
+from clsco.files.atomic import refuse
+from clsco.files.png import GRAY, GRAY_ALPHA, PALETTE, RGB_ALPHA, SIGNATURE, checked_png, png_size
+
+MAX_PIXELS = 2**27
+MAX_SIDE = 65536
+LARGEST_EXR = 2**29  # values in all channels, which are decoded together
+logging.getLogger("tifffile").addHandler(logging.NullHandler())  # its findings are reported once, as an error
+
+IMAGE_FORMATS = {
+    ".png": "PNG",
+    ".jpg": "JPEG",
+    ".jpeg": "JPEG",
+    ".tif": "TIFF",
+    ".tiff": "TIFF",
+    ".exr": "EXR",
+    ".pfm": "PFM",
+    ".npy": "NPY",
+}
+_FIRST_BYTES = {
+    "PNG": (SIGNATURE,),
+    "JPEG": (b"\xff\xd8\xff",),
+    "TIFF": (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"),
+    "EXR": (b"v/1\x01",),
+    "PFM": (b"PF", b"Pf"),
+    "NPY": (b"\x93NUMPY",),
+    "NPZ": (b"PK\x03\x04",),
+}
+
+
+@contextlib.contextmanager
+def opened(path: str | os.PathLike[str], formats: Mapping[str, str] = IMAGE_FORMATS) -> Iterator[tuple[BinaryIO, str]]:
+    """Open a file as the format that its extension and first bytes name.
+
+    Parameters
+    ----------
+    path : path
+    formats : mapping
+        Format by extension, as in `IMAGE_FORMATS`.
+
+    Yields
+    ------
+    (BinaryIO, str)
+        The file at its first byte, and the format.
+
+    Raises
+    ------
+    ImageError
+        In place of any error of the file or of a codec.
+    """
+    path = Path(path)
+    kind = formats.get(path.suffix.lower(), "")
+    try:
+        mode = path.stat().st_mode
+        if not stat.S_ISREG(mode):  # to open a pipe would block for ever
+            refuse(path, "must be an image file", "a folder" if stat.S_ISDIR(mode) else "a device or a pipe")
+        if not kind:
+            refuse(path, f"the extension must be one of {' '.join(formats)}", repr(path.suffix))
+        with open(path, "rb") as file:
+            head = file.read(8)
+            found = next((name for name, first in _FIRST_BYTES.items() if head.startswith(first)), None)
+            if found != kind:
+                got = found or (f"the first bytes {head!r}" if head else "an empty file")
+                refuse(path, f"the content must be {kind}, as the extension says", got)
+            file.seek(0)
+            yield file, kind
+    except ImageError:
+        raise
+    except OSError as error:
+        refuse(
+            path,
+            "must be a file that can be read" if error.errno else f"must be a whole {kind}",
+            error,
+            error,
+        )
+    except Exception as error:  # damage: each codec has its own exceptions for it, and none lists them
+        refuse(path, f"must be a whole {kind}", error, error)
+
+
+def path_of(file: BinaryIO) -> Path:
+    """Path of an opened file."""
+    return Path(file.name)
+
+
+def codec(path: Path, module: str, extra: str) -> Any:
+    """Import the decoder of a file. Raises ImageError that names the extra of clsco that brings it."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        refuse(path, f"needs {module}: pip install 'clsco[{extra}]'", error, error)
+
+
+def checked_size(file: BinaryIO, kind: str) -> tuple[int, int]:
+    """(columns, rows) of an opened file's header; goes back to its first byte. Raises as `image_size`."""
+    columns, rows = _CODECS[kind][0](file)
+    file.seek(0)
+    check_limits(Path(file.name), columns, rows)
+    return columns, rows
+
+
+def check_limits(path: Path, columns: int, rows: int) -> None:
+    """Raise ImageError for an image of over 2^27 pixels or 65536 a side, or without any."""
+    if not (1 <= columns <= MAX_SIDE and 1 <= rows <= MAX_SIDE and columns * rows <= MAX_PIXELS):
+        rule = f"columns and rows must be from 1 to {MAX_SIDE}, and at most {MAX_PIXELS} pixels"
+        refuse(path, rule, f"{columns} x {rows}")
+
+
+def decoded(file: BinaryIO, kind: str) -> NDArray[Any]:
+    """Decode an opened file whose header is within the limits.
+
+    Returns
+    -------
+    ndarray, (rows, columns[, channels])
+        Values as stored.
+
+    Raises
+    ------
+    Exception
+        Any of the codecs', which `opened` turns into an ImageError.
+    """
+    columns, rows = checked_size(file, kind)
+    data: NDArray[Any] = _CODECS[kind][1](file)
+    if data.shape[:2] != (rows, columns):
+        raise ValueError(f"{data.shape[1]} x {data.shape[0]} pixels under a header of {columns} x {rows}")
+    return data
+
+
+def _without_alpha(file: BinaryIO, data: NDArray[Any]) -> NDArray[Any]:
+    """Drop the last channel if it is opaque everywhere; a single remaining channel becomes gray."""
+    alpha = data[..., -1]
+    seen_through = alpha != (1 if alpha.dtype.kind == "f" else np.iinfo(alpha.dtype).max)
+    if seen_through.any():
+        refuse(path_of(file), "alpha must be opaque everywhere", f"{int(seen_through.sum())} other pixels")
+    return data[..., 0] if data.shape[2] == 2 else data[..., :-1]
+
+
+def _decode_png(file: BinaryIO) -> NDArray[Any]:
+    png, depth, color, transparency = checked_png(file)
+    if transparency is not None and (color != PALETTE or transparency.strip(b"\xff")):
+        refuse(path_of(file), "pixels must be opaque", "a transparent color (chunk tRNS)")
+    if depth == 16 and color != GRAY:  # Pillow drops the lower 8 bits without a word
+        data = codec(path_of(file), "imagecodecs", "formats").png_decode(png)
+    else:
+        data = _by_imageio("imread", png, ".png")
+    if data.dtype == bool:
+        data = data.astype(np.uint8) * np.uint8(255)
+    return _without_alpha(file, data) if color in (GRAY_ALPHA, RGB_ALPHA) else data
+
+
+def _by_imageio(function: str, content: bytes, extension: str, **options: bool) -> Any:
+    import imageio.v3  # 75 ms, and most commands read no image
+
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Image size")  # that limit is checked from the header already
+        return getattr(imageio.v3, function)(content, plugin="pillow", extension=extension, **options)
+
+
+def _jpeg_size(file: BinaryIO) -> tuple[int, int]:
+    """Walk the segments to the frame header; swap the sides where EXIF rotates the image by a quarter turn."""
+    file.seek(2)
+    while True:
+        mark, kind, length = struct.unpack(">BBH", file.read(4))
+        if mark != 0xFF or kind in (0xD9, 0xDA):
+            raise ValueError("no frame header")
+        if kind == 0xFF:  # padding
+            file.seek(-3, os.SEEK_CUR)
+            continue
+        body = file.read(length - 2)
+        if 0xC0 <= kind <= 0xCF and kind not in (0xC4, 0xC8, 0xCC):
+            break
+    rows, columns = struct.unpack(">HH", body[1:5])
+    if columns * rows > MAX_PIXELS:
+        return columns, rows  # refused by the caller, so nothing else looks at it
+    file.seek(0)
+    laid_down = _by_imageio("immeta", file.read(), ".jpg", exclude_applied=False).get("Orientation", 1) >= 5
+    return (rows, columns) if laid_down else (columns, rows)
+
+
+def _decode_jpeg(file: BinaryIO) -> NDArray[Any]:
+    data: NDArray[Any] = _by_imageio("imread", file.read(), ".jpg", rotate=True)
+    if data.ndim == 3 and data.shape[2] == 4:
+        refuse(path_of(file), "a JPEG must be gray or RGB", "CMYK")
+    return data
+
+
+@contextlib.contextmanager
+def _tiff_page(file: BinaryIO) -> Iterator[Any]:
+    with codec(path_of(file), "tifffile", "formats").TiffFile(file) as tiff:
+        if len(tiff.pages) != 1:
+            refuse(path_of(file), "must be a single image", f"{len(tiff.pages)} pages")
+        yield tiff.pages[0]
+
+
+def _tiff_size(file: BinaryIO) -> tuple[int, int]:
+    with _tiff_page(file) as page:
+        return page.imagewidth, page.imagelength
+
+
+def _decode_tiff(file: BinaryIO) -> NDArray[Any]:
+    with _tiff_page(file) as page:
+        extra = len(page.extrasamples)
+        kind = (getattr(page.photometric, "name", page.photometric), page.samplesperpixel - extra)
+        if kind not in (("MINISBLACK", 1), ("RGB", 3)) or extra > 1 or page.imagedepth != 1:
+            got = f"{kind[0]} with {page.samplesperpixel} samples per pixel"
+            refuse(path_of(file), "a TIFF must be gray (0 is black) or RGB, with at most an alpha channel", got)
+        if page.bitspersample not in (8, 16, 32, 64):
+            refuse(path_of(file), "a TIFF must have 8 or 16 bits, or floats", f"{page.bitspersample} bits")
+        data = np.moveaxis(page.asarray(), 0, 2) if page.axes == "SYX" else page.asarray()
+        return _without_alpha(file, data) if extra else data
+
+
+def _exr_size(file: BinaryIO) -> tuple[int, int]:
+    parts = codec(path_of(file), "OpenEXR", "exr").File(str(file.name), header_only=True).parts
+    header, count = parts[0].header, sum(len(part.header["channels"]) for part in parts)
+    window, display = ([corner.tolist() for corner in header[name]] for name in ("dataWindow", "displayWindow"))
+    if window != display:
+        refuse(path_of(file), f"the data window must be the display window, {display}", window)
+    (left, top), (right, bottom) = window
+    columns, rows = right - left + 1, bottom - top + 1
+    if count * columns * rows > LARGEST_EXR and columns * rows <= MAX_PIXELS:  # otherwise its size is refused
+        got = f"{count} channels of {columns} x {rows}"
+        refuse(path_of(file), f"an EXR must hold at most {LARGEST_EXR} values", got)
+    return columns, rows
+
+
+def _decode_exr(file: BinaryIO) -> NDArray[Any]:
+    exr = codec(path_of(file), "OpenEXR", "exr").File(str(file.name), separate_channels=True)
+    if len(exr.parts) != 1:  # a part that cannot be decoded is left out by the library
+        refuse(path_of(file), "must be a single, whole image", f"{len(exr.parts)} readable parts")
+    channels = {name: channel.pixels for name, channel in exr.channels().items()}
+    names = "RGB" if "R" in channels else "Y"
+    if not set(names) <= set(channels) or "RY" in channels:
+        refuse(path_of(file), "an EXR must hold the channels R G B or Y", " ".join(channels))
+    if any(channels[name].dtype.kind != "f" for name in names):
+        refuse(path_of(file), "EXR pixels must be floats", channels[names[0]].dtype)
+    data = np.stack([channels[name] for name in (*names, "A") if name in channels], axis=-1)
+    if "A" in channels:
+        return _without_alpha(file, data)
+    return data[..., 0] if names == "Y" else data
+
+
+def _pfm_header(file: BinaryIO) -> tuple[int, int, int, float]:
+    """Header of a PFM: channels, columns, rows, and the scale whose sign is the byte order."""
+    words: list[bytes] = []
+    word = b""
+    while len(words) < 4:
+        byte = file.read(1)
+        if not byte or len(word) > 32:
+            raise ValueError(f"a header of {[*words, word]}")
+        if not byte.isspace():
+            word += byte
+        elif word:
+            words, word = [*words, word], b""
+    return (3 if words[0] == b"PF" else 1), int(words[1]), int(words[2]), float(words[3])
+
+
+def _pfm_size(file: BinaryIO) -> tuple[int, int]:
+    columns, rows = _pfm_header(file)[1:3]
+    return columns, rows
+
+
+def _decode_pfm(file: BinaryIO) -> NDArray[Any]:
+    channels, columns, rows, scale = _pfm_header(file)
+    content = file.read()
+    if len(content) != 4 * channels * columns * rows:
+        raise ValueError(f"{len(content)} bytes of {columns} x {rows} x {channels} float32 pixels")
+    data = np.frombuffer(content, "<f4" if scale < 0 else ">f4").reshape(rows, columns, channels)[::-1]
+    return data[..., 0] if channels == 1 else data
+
+
+def _npy_size(file: BinaryIO) -> tuple[int, int]:
+    version = np.lib.format.read_magic(file)
+    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _fortran, dtype = read_header(file)
+    if len(shape) not in (2, 3) or (len(shape) == 3 and shape[2] != 3) or dtype.kind not in "iuf":
+        rule = "an NPY must hold numbers of shape (rows, columns) or (rows, columns, 3)"
+        refuse(path_of(file), rule, f"{dtype} of shape {shape}")
+    return shape[1], shape[0]
+
+
+def _decode_npy(file: BinaryIO) -> NDArray[Any]:
+    data: NDArray[Any] = np.load(file, allow_pickle=False)
+    return data
+
+
+_CODECS = {
+    "PNG": (png_size, _decode_png),
+    "JPEG": (_jpeg_size, _decode_jpeg),
+    "TIFF": (_tiff_size, _decode_tiff),
+    "EXR": (_exr_size, _decode_exr),
+    "PFM": (_pfm_size, _decode_pfm),
+    "NPY": (_npy_size, _decode_npy),
+}
