@@ -6,7 +6,6 @@ Exit status: 0 done; 1 a user's error, told on stderr; 2 wrong usage; 3 no usabl
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
@@ -16,7 +15,22 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clsco import __version__
-from clsco.errors import ClscoError, DeviceError, ImageError, SceneError
+from clsco.cli.options import (
+    PATH,
+    Commands,
+    device_option,
+    memory_option,
+    method_option,
+    one_scene,
+    parse_span,
+    precision_option,
+    quiet_option,
+    scenes_wanted,
+    set_option,
+    tolerance_option,
+    truth_option,
+)
+from clsco.errors import ClscoError, DeviceError, SceneError
 from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES
 
 if TYPE_CHECKING:
@@ -24,90 +38,6 @@ if TYPE_CHECKING:
     from clsco.frame.frame import Frame
     from clsco.plan.plan import Plan
     from clsco.scene.sweep import Sweep
-
-USER_ERROR, NO_DEVICE, INTERRUPTED = 1, 3, 130
-
-
-class Commands(click.Group):
-    """A group whose commands end with one line per error and the exit status that belongs to it."""
-
-    def invoke(self, ctx: click.Context) -> Any:
-        """Run a command; what the user can mend, and Ctrl-C, ends without a traceback."""
-        try:
-            return super().invoke(ctx)
-        except KeyboardInterrupt:
-            click.echo("interrupted", err=True)
-            ctx.exit(INTERRUPTED)
-        except MemoryError:
-            click.echo("error: memory: must hold the arrays of the scene; got too little of it", err=True)
-            ctx.exit(USER_ERROR)
-        except BrokenPipeError:
-            raise  # who reads the output has had enough, which click takes for an end
-        except OSError as error:
-            click.echo(f"error: {error.filename or 'output'}: must be writable; got {error.strerror}", err=True)
-            ctx.exit(USER_ERROR)
-        except ClscoError as error:
-            for message in error.messages if isinstance(error, SceneError) else (str(error),):
-                click.echo(f"error: {message}", err=True)
-            ctx.exit(NO_DEVICE if isinstance(error, DeviceError) else USER_ERROR)
-
-
-def _truth_files(text: str) -> tuple[str, ...]:
-    names = tuple(dict.fromkeys(text.split(","))) if text else ()
-    if not set(names) <= {"npz", "exr"}:
-        raise click.BadParameter(f"must be npz, exr or npz,exr; got {text}")
-    return names
-
-
-def _span(text: str) -> Span:
-    match = re.fullmatch(r"(\d{0,9}):(\d{0,9})", text, re.ASCII)
-    if match is None:
-        raise click.BadParameter(f"must be A:B, frames A to B - 1 counted from 0; got {text}")
-    first, end = (int(number) if number else None for number in match.groups())
-    return first, end
-
-
-def _size(text: str) -> int:
-    from clsco.plan.memory import parse_size
-
-    try:
-        return parse_size(text)
-    except SceneError as error:
-        raise click.BadParameter(str(error).removeprefix("memory: ")) from None
-
-
-PATH = click.Path(path_type=Path)
-one_scene = click.argument("scene", type=PATH)
-scenes_wanted = click.argument("scenes", metavar="SCENE...", nargs=-1, required=True, type=PATH)
-set_option = click.option(
-    "--set", "overrides", metavar="KEY=VALUE", multiple=True,
-    help="Set a key of the scene, such as camera.f_number=4 or object.0.radius=30; may be given again.",
-)  # fmt: skip
-truth_option = click.option(
-    "--truth", "files", metavar="npz,exr", type=_truth_files, default="",
-    help="Also compute the ground truth, and write it in one or both of these formats.",
-)  # fmt: skip
-device_option = click.option(
-    "--device", metavar="NAME", help="Part of the name of an OpenCL device or platform, or gpu or cpu."
-)
-precision_option = click.option(
-    "--precision", type=click.Choice(["single", "double"]),
-    help="Of the geometry. Default: double where the device has it.",
-)  # fmt: skip
-memory_option = click.option(
-    "--memory", metavar="SIZE", type=_size,
-    help="Most that buffers on the device may take, like 1.5GiB or 800MB; frames that need more are made in strips. "
-    "Default: half of what is free.",
-)  # fmt: skip
-method_option = click.option(
-    "--method", metavar="NAME", default="auto",
-    help="Of the blur: auto (default), which is exact, or an approximation: coarse2 (the fastest) to coarse16.",
-)  # fmt: skip
-tolerance_option = click.option(
-    "--tolerance", metavar="E", type=click.FloatRange(min=0.0, min_open=True),
-    help="Take the fastest method whose RMS error is at most E of white, measured at some of the pixels.",
-)  # fmt: skip
-quiet_option = click.option("--quiet", is_flag=True, help="Show no progress.")
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
@@ -120,7 +50,9 @@ def main() -> None:
 @scenes_wanted
 @click.option("-o", "out", metavar="DIR", required=True, type=PATH, help="Folder for the frames.")
 @truth_option
-@click.option("--frames", "span", metavar="A:B", type=_span, default=":", help="Frames A to B - 1, counted from 0.")
+@click.option(
+    "--frames", "span", metavar="A:B", type=parse_span, default=":", help="Frames A to B - 1, counted from 0."
+)
 @set_option
 @device_option
 @precision_option
@@ -455,8 +387,10 @@ def _render_to_folders(
     device: str | None, precision: str | None, blur: dict[str, Any], memory: int | None, resume: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Plan scenes, and render those of each file into its folder."""
-    if "exr" in files and find_spec("OpenEXR") is None:
-        raise ImageError("--truth exr: needs OpenEXR: pip install 'clsco[exr]'; got no such module")
+    if files:
+        from clsco.frame.files import require_truth_formats
+
+        require_truth_formats(files)
     from clsco.cli.tables import progress
     from clsco.plan.prepare import planned_files
 

@@ -4,28 +4,20 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.errors import ImageError
 from clsco.files.atomic import remove, sha256, together
 from clsco.files.images import write_exr, write_json, write_npz, write_png
 from clsco.files.transfer import encode
 from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES, Frame
-
-
-def frame_files(index: int, stereo: bool, truth: Sequence[str] = ()) -> set[str]:
-    """Names of the files of a frame besides its JSON file.
-
-    truth: any of "npz" and "exr". A stereo pair has a PNG and an NPZ of each view, and one EXR of both.
-    """
-    stem = f"frame_{index:04d}"
-    apart = [f"{stem}_left", f"{stem}_right"] if stereo else [stem]
-    names = {f"{own}.{suffix}" for own in apart for suffix in ("png", *truth) if suffix != "exr"}
-    return names | ({f"{stem}.exr"} if "exr" in truth else set())
 
 
 def exr_channels(frame: Frame) -> dict[str, NDArray[Any]]:
@@ -53,6 +45,78 @@ def exr_channels(frame: Frame) -> dict[str, NDArray[Any]]:
     }
 
 
+def _write_npz(path: Path, views: Sequence[Frame]) -> None:
+    (frame,) = views
+    arrays = {name: getattr(frame, name) for name in ("color", *TRUTH_NAMES, *STEREO_NAMES)}
+    write_npz(path, {name: array for name, array in arrays.items() if array is not None})
+
+
+def _write_exr(path: Path, views: Sequence[Frame]) -> None:
+    write_exr(path, *map(exr_channels, views), names=[frame.eye for frame in views] if len(views) > 1 else ())
+
+
+@dataclass(frozen=True)
+class TruthFormat:
+    """A format that holds the color of a frame with all of its truth, in linear radiance.
+
+    Attributes
+    ----------
+    write : callable
+        Takes a path and the views of one file.
+    joins_views : bool
+        One file holds both views of a stereo pair; else each has its own.
+    needs : (str, str), optional
+        Module that it needs, and the extra of clsco that brings it.
+    """
+
+    write: Callable[[Path, Sequence[Frame]], None]
+    joins_views: bool = False
+    needs: tuple[str, str] | None = None
+
+
+# By extension, one row for each format: `clsco render --truth` takes its names from here.
+TRUTH_FORMATS = {
+    "npz": TruthFormat(_write_npz),
+    "exr": TruthFormat(_write_exr, joins_views=True, needs=("OpenEXR", "exr")),
+}
+
+
+def require_truth_formats(names: Sequence[str]) -> None:
+    """Raise ImageError where the extra that a format in `TRUTH_FORMATS` needs is not installed."""
+    for name in names:
+        needs = TRUTH_FORMATS[name].needs
+        if needs is not None and find_spec(needs[0]) is None:
+            raise ImageError(f"truth: {name} needs {needs[0]}: pip install 'clsco[{needs[1]}]'; got no such module")
+
+
+def _stems(index: int, eyes: Sequence[str]) -> list[str]:
+    """Stem of the files of each view."""
+    stem = f"frame_{index:04d}"
+    return [f"{stem}_{eye}" for eye in eyes] if len(eyes) > 1 else [stem]
+
+
+def frame_files(index: int, stereo: bool, truth: Sequence[str] = ()) -> set[str]:
+    """Names of the files of a frame besides its JSON file; a stereo pair has a PNG of each view.
+
+    Parameters
+    ----------
+    index : int
+    stereo : bool
+    truth : sequence of str
+        Names in `TRUTH_FORMATS`.
+
+    Returns
+    -------
+    set of str
+    """
+    apart = _stems(index, ("left", "right") if stereo else ("",))
+    names = {f"{own}.png" for own in apart}
+    for suffix in truth:
+        stems = [f"frame_{index:04d}"] if TRUTH_FORMATS[suffix].joins_views else apart
+        names |= {f"{stem}.{suffix}" for stem in stems}
+    return names
+
+
 def write_frame(
     folder: str | os.PathLike[str], views: Sequence[Frame], bits: int, transfer: str, truth: Sequence[str] = (),
     about: Mapping[str, Any] | None = None,
@@ -69,8 +133,8 @@ def write_frame(
         Of the textures; 32 makes a PNG of 16.
     transfer : {"srgb", "linear"}
         Of the PNG alone, which clips radiance below 0 and above 1; the others keep it.
-    truth : sequence of {"npz", "exr"}
-        Each holds the color and all truth of the frame, linear.
+    truth : sequence of str
+        Names in `TRUTH_FORMATS`; each holds the color and all truth of the frame, linear.
     about : mapping, optional
         Content of the JSON file besides the frame's own metadata.
 
@@ -90,18 +154,18 @@ def write_frame(
     All files get their names when all are on the disk; until then an older frame stays as it is.
     """
     index, stereo = views[0].index, len(views) > 1
-    stem = f"frame_{index:04d}"
+    stem, apart = f"frame_{index:04d}", _stems(index, [frame.eye for frame in views])
     described = Path(folder) / f"{stem}.json"
     with together(Path(folder), stem) as made:
-        for frame in views:
-            own = f"{stem}_{frame.eye}" if stereo else stem
+        for own, frame in zip(apart, views, strict=True):
             write_png(made / f"{own}.png", encode(frame.color, min(bits, 16), transfer))
-            if "npz" in truth:
-                arrays = {name: getattr(frame, name) for name in ("color", *TRUTH_NAMES, *STEREO_NAMES)}
-                write_npz(made / f"{own}.npz", {name: array for name, array in arrays.items() if array is not None})
-        if "exr" in truth:
-            eyes = tuple(frame.eye for frame in views) if stereo else ()
-            write_exr(made / f"{stem}.exr", *map(exr_channels, views), names=eyes)
+        for suffix in truth:
+            known = TRUTH_FORMATS[suffix]
+            if known.joins_views:
+                known.write(made / f"{stem}.{suffix}", views)
+                continue
+            for own, frame in zip(apart, views, strict=True):
+                known.write(made / f"{own}.{suffix}", [frame])
         digests = {path.name: sha256(path) for path in sorted(made.iterdir())}
         remove(described)  # an older frame is not whole any more
     recorded = {"views": {frame.eye: dict(frame.metadata) for frame in views}} if stereo else dict(views[0].metadata)

@@ -1,0 +1,102 @@
+"""What commands have in common: options with their parsers, and a group that turns errors into exit statuses."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from clsco.errors import ClscoError, DeviceError, SceneError
+
+if TYPE_CHECKING:
+    from clsco.engine.batch import Span
+
+USER_ERROR, NO_DEVICE, INTERRUPTED = 1, 3, 130
+
+
+class Commands(click.Group):
+    """A group whose commands end with one line per error and the exit status that belongs to it."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command; what the user can mend, and Ctrl-C, ends without a traceback."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            click.echo("interrupted", err=True)
+            ctx.exit(INTERRUPTED)
+        except MemoryError:
+            click.echo("error: memory: must hold the arrays of the scene; got too little of it", err=True)
+            ctx.exit(USER_ERROR)
+        except BrokenPipeError:
+            raise  # who reads the output has had enough, which click takes for an end
+        except OSError as error:
+            click.echo(f"error: {error.filename or 'output'}: must be writable; got {error.strerror}", err=True)
+            ctx.exit(USER_ERROR)
+        except ClscoError as error:
+            for message in error.messages if isinstance(error, SceneError) else (str(error),):
+                click.echo(f"error: {message}", err=True)
+            ctx.exit(NO_DEVICE if isinstance(error, DeviceError) else USER_ERROR)
+
+
+def truth_files(text: str) -> tuple[str, ...]:
+    if not text:
+        return ()
+    from clsco.frame.files import TRUTH_FORMATS
+
+    names = tuple(dict.fromkeys(text.split(",")))
+    if not set(names) <= set(TRUTH_FORMATS):
+        raise click.BadParameter(f"must be some of {','.join(TRUTH_FORMATS)}; got {text}")
+    return names
+
+
+def parse_span(text: str) -> Span:
+    match = re.fullmatch(r"(\d{0,9}):(\d{0,9})", text, re.ASCII)
+    if match is None:
+        raise click.BadParameter(f"must be A:B, frames A to B - 1 counted from 0; got {text}")
+    first, end = (int(number) if number else None for number in match.groups())
+    return first, end
+
+
+def parse_memory(text: str) -> int:
+    from clsco.plan.memory import parse_size
+
+    try:
+        return parse_size(text)
+    except SceneError as error:
+        raise click.BadParameter(str(error).removeprefix("memory: ")) from None
+
+
+PATH = click.Path(path_type=Path)
+one_scene = click.argument("scene", type=PATH)
+scenes_wanted = click.argument("scenes", metavar="SCENE...", nargs=-1, required=True, type=PATH)
+set_option = click.option(
+    "--set", "overrides", metavar="KEY=VALUE", multiple=True,
+    help="Set a key of the scene, such as camera.f_number=4 or object.0.radius=30; may be given again.",
+)  # fmt: skip
+truth_option = click.option(
+    "--truth", "files", metavar="npz,exr", type=truth_files, default="",
+    help="Also compute the ground truth, and write it in one or both of these formats.",
+)  # fmt: skip
+device_option = click.option(
+    "--device", metavar="NAME", help="Part of the name of an OpenCL device or platform, or gpu or cpu."
+)
+precision_option = click.option(
+    "--precision", type=click.Choice(["single", "double"]),
+    help="Of the geometry. Default: double where the device has it.",
+)  # fmt: skip
+memory_option = click.option(
+    "--memory", metavar="SIZE", type=parse_memory,
+    help="Most that buffers on the device may take, like 1.5GiB or 800MB; frames that need more are made in strips. "
+    "Default: half of what is free.",
+)  # fmt: skip
+method_option = click.option(
+    "--method", metavar="NAME", default="auto",
+    help="Of the blur: auto (default), which is exact, or an approximation: coarse2 (the fastest) to coarse16.",
+)  # fmt: skip
+tolerance_option = click.option(
+    "--tolerance", metavar="E", type=click.FloatRange(min=0.0, min_open=True),
+    help="Take the fastest method whose RMS error is at most E of white, measured at some of the pixels.",
+)  # fmt: skip
+quiet_option = click.option("--quiet", is_flag=True, help="Show no progress.")
