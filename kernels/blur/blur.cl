@@ -14,6 +14,8 @@
 // band), OCCLUDED (after occlusion.clh), of gather ROWS (whole rows of sources), with NEAR (so many px at most) tap by tap, or
 // COLUMNS of them; GATHER, SCATTER, RENORMALIZE, PREPARE: which kernels are wanted.
 
+#pragma OPENCL FP_CONTRACT ON
+
 #if GATHER
 // Adds rows -up..down of one source to `out`, the place of its first tap in its own row.
 INLINE void add_rows(spread_t s, int up, int down, float v, float4 source, __global float *out, int pitch)
@@ -414,3 +416,5 @@ __kernel void prepare_sources(const camera_t camera, const psf_t psf, __global c
 #endif
 }
 #endif
+
+#pragma OPENCL FP_CONTRACT OFF

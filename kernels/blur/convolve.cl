@@ -213,3 +213,5 @@ __kernel void convolve(const int rows, const int columns, __global const float *
         }
     }
 }
+
+#pragma OPENCL FP_CONTRACT OFF

@@ -9,6 +9,8 @@
 //           gather leaves it out.
 // Features: CHANNELS, TILT, DISC (of the finest table), SAMPLED (of the coarser tables).
 
+#pragma OPENCL FP_CONTRACT ON
+
 #define EDGE 8
 #define EDGE_ROWS 8
 #define AT(x, y) (((y) + EDGE_ROWS) * pitch + (x) + EDGE)
@@ -282,3 +284,5 @@ __kernel void look_up(const camera_t camera, __global const float *total, const 
     for (int k = 0; k < CHANNELS; ++k)
         missed[n * CHANNELS + k] += sign * total[(k * camera.rows + place[n].x) * pitch + place[n].y + pad];
 }
+
+#pragma OPENCL FP_CONTRACT OFF

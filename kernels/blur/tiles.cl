@@ -8,6 +8,8 @@
 // reach its own pixel: no light by atomics, same bits. Nothing stands in the way of a source here.
 // Features: CHANNELS, TILT, SUBPIXELS, DISC, SEPARABLE.
 
+#pragma OPENCL FP_CONTRACT ON
+
 #define TILE_COLUMNS 16  // as TILE in clsco/passes/blur.py
 #define TILE_ROWS 8
 #define CHUNK (TILE_COLUMNS * TILE_ROWS)  // sources, one for each work-item; as many taps are added up one by one
@@ -165,3 +167,5 @@ __kernel void tiles(const camera_t camera, const psf_t psf, __global const float
         for (int k = 0; k < CHANNELS; ++k)
             total[(k * camera.rows + row) * pitch + column + pad] += sum[k];
 }
+
+#pragma OPENCL FP_CONTRACT OFF

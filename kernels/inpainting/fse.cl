@@ -222,3 +222,5 @@ __kernel void settle_blocks(const int rows, const int columns, __global const fl
         weight[y * columns + x] = trust;
     }
 }
+
+#pragma OPENCL FP_CONTRACT OFF

@@ -433,3 +433,5 @@ __kernel void composite(const camera_t camera, const int from_pitch, const int f
     }
     covered[at] = before + seen;
 }
+
+#pragma OPENCL FP_CONTRACT OFF

@@ -102,6 +102,15 @@ def test_every_file_is_built() -> None:
     assert built == {path.relative_to(KERNELS).as_posix() for path in KERNELS.rglob("*.cl*")}
 
 
+@pytest.mark.parametrize("path", sorted(KERNELS.rglob("*.cl*")), ids=lambda path: path.name)
+def test_contraction_ends_with_its_file(path: Path) -> None:
+    """So that no bit depends on which files are built together, nor on their order."""
+    text = path.read_text("utf-8")
+    states = re.findall(r"^#pragma OPENCL FP_CONTRACT (ON|OFF)", text, re.MULTILINE)
+    assert text.count("FP_CONTRACT") == len(states)
+    assert not states or (states[0], states[-1]) == ("ON", "OFF")
+
+
 @pytest.mark.parametrize("files", PROGRAMS, ids="+".join)
 def test_every_feature_is_known(files: tuple[str, ...]) -> None:
     """The preprocessor takes an unknown name for 0 without a word."""
