@@ -38,7 +38,7 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     surface += _reals(real, bounds_low=three, bounds_high=three, k=(), at_lens=())
     surface += [("nappe", i), ("texture", i), *_reals(real, near_x=two, near_y=two, near_w=())]
     pose = _reals(real, rotation=nine, shift=three)
-    layer = [("members", "u8"), ("blockers", "u8"), *((name, i) for name in ("count", "own", "sheet"))]
+    layer = [("members", "u8"), ("occluders", "u8"), *((name, i) for name in ("count", "own", "root"))]
     psf: list[Any] = [(name, i) for name in ("first", "count", "reach", "sub_first", "sub_count")]
     psf += _reals(real, key=(), minimum_blur=(), fine_steps=(), fine_until=(), octaves_from=(), steps=(), sub_steps=())
     psf += _reals(real, lens_extent=())

@@ -29,14 +29,14 @@ LENS_CELLS = 8  # of the lens per half axis, where it is looked at on a grid of 
 class Layer:
     """Objects that are seen together, as the nearest of them along each ray, and what may hide them.
 
-    members, blockers: bit k is object k of the scene. own: number of an object that may hide itself, -1 for none;
-    sheet: which of its roots the layer has (`solve_quadric`), 0 for both.
+    members, occluders: bit k is object k of the scene. own: number of an object that may hide itself, -1 for none;
+    root: which of its roots the layer has (`solve_quadric`), 0 for both.
     """
 
     members: int
-    blockers: int
+    occluders: int
     own: int = -1
-    sheet: int = 0
+    root: int = 0
 
 
 def lens_extent(psf: Psf) -> float:
@@ -93,7 +93,7 @@ def is_hollow(item: Object) -> bool:
 def layers(items: Sequence[Object], extents: Sequence[Extent], camera: Camera, psf: Psf) -> tuple[Layer, ...]:
     """Few layers for objects at `extents`, in the order of the scene, so that none hides another of its layer.
 
-    Of a hollow one each of its two roots is a layer. One layer and no blockers where nothing is hidden.
+    Of a hollow one each of its two roots is a layer. One layer and no occluders where nothing is hidden.
     """
     count, reach = len(extents), lens_extent(psf)
     hides = [[m != k and may_hide(extents[m], extents[k], camera, reach) for m in range(count)] for k in range(count)]
@@ -104,14 +104,14 @@ def layers(items: Sequence[Object], extents: Sequence[Extent], camera: Camera, p
             groups.append([k])
         else:
             group.append(k)
-    blockers = [{m for k in group for m in range(count) if hides[k][m]} for group in groups]
+    occluders = [{m for k in group for m in range(count) if hides[k][m]} for group in groups]
     sheets = [
-        Layer(1 << k, 1 << k | sum(1 << m for m in range(count) if hides[k][m]), k, sheet)
+        Layer(1 << k, 1 << k | sum(1 << m for m in range(count) if hides[k][m]), k, root)
         for k in range(count)
         if is_hollow(items[k])
-        for sheet in (1, 2)
+        for root in (1, 2)
     ]
     return (*sheets, *(
         Layer(sum(1 << k for k in group), sum(1 << m for m in found))
-        for group, found in zip(groups, blockers, strict=True)
+        for group, found in zip(groups, occluders, strict=True)
     ))  # fmt: skip

@@ -122,7 +122,7 @@ class Plan:
             "LINEAR": int(quadratic and any(shape.l.any() for shape in shapes)),
             "NAPPE": int(any(shape.nappe != 0 for shape in shapes)),
             "BOUNDED": int(any(item.bounds is not None for item in analytic)),
-            "OCCLUDED": max(layer.blockers.bit_count() for layer in self.layers),
+            "OCCLUDED": max(layer.occluders.bit_count() for layer in self.layers),
             "MOVED": int((self.moves or self.eye_moved) and not self.forward),
             "FILTER": FILTERS[scene.motion.texture_filter],
             "TILT": int(self.tilt),
@@ -174,7 +174,7 @@ def _occlusion(
         return "layered", together
     extents = [extent(item, [poses[k] for poses in moments], w[k]) for k, item in enumerate(scene.objects)]
     found = layers(scene.objects, extents, scene.camera, scene.psf)
-    return ("visibility", found) if any(layer.blockers for layer in found) else ("none", together)
+    return ("visibility", found) if any(layer.occluders for layer in found) else ("none", together)
 
 
 def make_plan(
@@ -218,7 +218,7 @@ def make_plan(
     sharp = is_sharp(psf, largest) and not silhouettes
     check_border(psf, method)
     occlusion, found = _occlusion(scene, rays, sharp, moments, each)
-    occluded = any(layer.blockers for layer in found)
+    occluded = any(layer.occluders for layer in found)
     blur = _choose_blur(method, sharp, constant, gpu, occluded)
     approximations: tuple[str, ...] = (method,) if method in METHODS and blur != "none" else ()
     seen = np.abs(blur_radius(scene.camera, w[w > 0]))

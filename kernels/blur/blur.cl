@@ -37,7 +37,7 @@ INLINE void add_rows(spread_t s, int up, int down, float v, float4 source, __glo
 
 #if OCCLUDED
 // The same for all channels, `apart` apart in `light` and `planes` in `out`, where something stands in the way.
-INLINE void add_seen_rows(spread_t s, const sight_t *sight, int up, int down, __global const float *light, int apart,
+INLINE void add_seen_rows(spread_t s, const visibility_t *visibility, int up, int down, __global const float *light, int apart,
                           float4 source, __global float *out, int planes, int pitch)
 {
     const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
@@ -48,15 +48,15 @@ INLINE void add_seen_rows(spread_t s, const sight_t *sight, int up, int down, __
             const int first = b - s.half_width, block = b / LANES % (LANES - 1);
             const float8 x = lane + (first - s.ox);
             float8 share = 1;
-            if (sight->wide) {
+            if (visibility->wide) {
                 if (block == 0)
-                    *(own_lanes_t *)states = look_along(sight, first - s.ox, y);
+                    *(unaligned_lanes_t *)states = row_visibility(visibility, first - s.ox, y);
                 if (states[block] == 0)
                     continue;
                 if (states[block] < 1)
-                    share = free_share(sight, x, (float8)y);
+                    share = free_share(visibility, x, (float8)y);
             } else
-                share = *(const own_lanes_t *)(sight->share[dy + SIGHT_MIDDLE] + first + SIGHT_MIDDLE);
+                share = *(const unaligned_lanes_t *)(visibility->share[dy + NARROW_MIDDLE] + first + NARROW_MIDDLE);
             float8 w = weights(s, dy, b) * share;
 #if TILT
             const float8 factor = x * source.y + (1 + y * source.z);
@@ -141,11 +141,11 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
                 const spread_t spread = subpixel_spread(psf, sub_intervals, sub_coefficients, p.x, sub);
                 const int half_width = spread.half_width, up = MIN(half_width, y - first), down = MIN(half_width, end - 1 - y);
 #if OCCLUDED
-                if (as_int(p.w) == BLOCKED) {
-                    sight_t sight;
-                    see(camera, surfaces, layer, psf, lens, camera.top + y + spread.oy, x - camera.guard + spread.ox,
-                        sub_depth[id], spread, (real)1 / SUBPIXELS, &sight);
-                    add_seen_rows(spread, &sight, up, down, sub_value + id, capacity * SUBPIXELS * SUBPIXELS, p,
+                if (as_int(p.w) == PARTLY_OCCLUDED) {
+                    visibility_t visibility;
+                    source_visibility(camera, surfaces, layer, psf, lens, camera.top + y + spread.oy, x - camera.guard + spread.ox,
+                        sub_depth[id], spread, (real)1 / SUBPIXELS, &visibility);
+                    add_seen_rows(spread, &visibility, up, down, sub_value + id, capacity * SUBPIXELS * SUBPIXELS, p,
                                   out - half_width, apart, pitch);
                     continue;
                 }
@@ -162,10 +162,10 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
         const spread_t spread = pixel_spread(psf, intervals, coefficients, s.x);
         const int half_width = spread.half_width;
 #if OCCLUDED
-        if (as_int(s.w) == BLOCKED) {
-            sight_t sight;
-            see(camera, surfaces, layer, psf, lens, camera.top + y, x - camera.guard, depth[at], spread, (real)1, &sight);
-            add_seen_rows(spread, &sight, MIN(half_width, y - first), MIN(half_width, end - 1 - y), value + at, plane,
+        if (as_int(s.w) == PARTLY_OCCLUDED) {
+            visibility_t visibility;
+            source_visibility(camera, surfaces, layer, psf, lens, camera.top + y, x - camera.guard, depth[at], spread, (real)1, &visibility);
+            add_seen_rows(spread, &visibility, MIN(half_width, y - first), MIN(half_width, end - 1 - y), value + at, plane,
                           s, out - half_width, apart, pitch);
             continue;
         }
@@ -192,31 +192,31 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
 #endif
 
 #if OCCLUDED
-#define SIGHT_ARGUMENT , const sight_t *sight
-#define SIGHT , sight
+#define VISIBILITY_ARGUMENT , const visibility_t *visibility
+#define VISIBILITY_VALUE , visibility
 
-static float tap_share(const sight_t *sight, int dx, int dy, spread_t s)
+static float tap_share(const visibility_t *visibility, int dx, int dy, spread_t s)
 {
-    if (!sight->wide)
-        return sight->share[dy + SIGHT_MIDDLE][dx + SIGHT_MIDDLE];
-    return FIRST_LANE(free_share(sight, (lanes_t)(dx - s.ox), (lanes_t)(dy - s.oy)));
+    if (!visibility->wide)
+        return visibility->share[dy + NARROW_MIDDLE][dx + NARROW_MIDDLE];
+    return FIRST_LANE(free_share(visibility, (lanes_t)(dx - s.ox), (lanes_t)(dy - s.oy)));
 }
 #else
-#define SIGHT_ARGUMENT
-#define SIGHT
+#define VISIBILITY_ARGUMENT
+#define VISIBILITY_VALUE
 #endif
 
-// Adds one source tap by tap, rounded to multiples of 1 / scale. sight: what is in the way, if anything.
+// Adds one source tap by tap, rounded to multiples of 1 / scale. visibility: what is in the way, if anything.
 static void scatter_source(const camera_t camera, spread_t spread, float4 source, float v, float scale, int row,
-                           int column, __global fixed_t *sums SIGHT_ARGUMENT)
+                           int column, __global fixed_t *sums VISIBILITY_ARGUMENT)
 {
     const int half_width = spread.half_width;
     for (int dy = MAX(-half_width, -row); dy <= MIN(half_width, camera.rows - 1 - row); ++dy)
         for (int dx = MAX(-half_width, -column); dx <= MIN(half_width, camera.columns - 1 - column); ++dx) {
             float light = v * tap(spread, dx, dy, source) * scale;
 #if OCCLUDED
-            if (sight)
-                light *= tap_share(sight, dx, dy, spread);
+            if (visibility)
+                light *= tap_share(visibility, dx, dy, spread);
 #endif
             ADD_FIXED(sums + (row + dy) * camera.columns + column + dx, (fixed_t)floor(light + 0.5f));
         }
@@ -249,15 +249,15 @@ __kernel void scatter(const camera_t camera, const psf_t psf, __global const flo
                 continue;
             const spread_t spread = subpixel_spread(psf, sub_intervals, sub_coefficients, p.x, sub);
 #if OCCLUDED
-            sight_t seen;
-            const sight_t *sight = as_int(p.w) == BLOCKED ? &seen : 0;
-            if (sight)
-                see(camera, surfaces, layer, psf, lens, camera.top + row + spread.oy, column + spread.ox, sub_depth[id],
+            visibility_t seen;
+            const visibility_t *visibility = as_int(p.w) == PARTLY_OCCLUDED ? &seen : 0;
+            if (visibility)
+                source_visibility(camera, surfaces, layer, psf, lens, camera.top + row + spread.oy, column + spread.ox, sub_depth[id],
                     spread, (real)1 / SUBPIXELS, &seen);
 #endif
             for (int k = 0; k < CHANNELS; ++k)
                 scatter_source(camera, spread, p, sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id], scale, row,
-                               column, sums + k * sums_plane SIGHT);
+                               column, sums + k * sums_plane VISIBILITY_VALUE);
         }
         return;
     }
@@ -266,13 +266,13 @@ __kernel void scatter(const camera_t camera, const psf_t psf, __global const flo
         return;
     const spread_t spread = pixel_spread(psf, intervals, coefficients, s.x);
 #if OCCLUDED
-    sight_t seen;
-    const sight_t *sight = as_int(s.w) == BLOCKED ? &seen : 0;
-    if (sight)
-        see(camera, surfaces, layer, psf, lens, camera.top + row, column, depth[at], spread, (real)1, &seen);
+    visibility_t seen;
+    const visibility_t *visibility = as_int(s.w) == PARTLY_OCCLUDED ? &seen : 0;
+    if (visibility)
+        source_visibility(camera, surfaces, layer, psf, lens, camera.top + row, column, depth[at], spread, (real)1, &seen);
 #endif
     for (int k = 0; k < CHANNELS; ++k)
-        scatter_source(camera, spread, s, value[k * plane + at], scale, row, column, sums + k * sums_plane SIGHT);
+        scatter_source(camera, spread, s, value[k * plane + at], scale, row, column, sums + k * sums_plane VISIBILITY_VALUE);
 }
 
 // Fixed point to float: sums / scale, in the layout of total.

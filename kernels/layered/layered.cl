@@ -70,10 +70,10 @@ __kernel void find_jumps(const camera_t camera, const real low, const int bins, 
                 ++class;
             __global int *entry = latest + class * bins + bin_of(MAX(now, before), low, bins);
             const int begin = bin_of(MIN(now, before), low, bins) + 1;
-            if (LOOK(entry) < begin)
+            if (RELAXED_LOAD(entry) < begin)
                 atomic_max(entry, begin);
             const int sum = -(int)FLOOR(-(ABS(now) + ABS(before)));
-            if (LOOK(latest + CLASSES * bins) < sum)
+            if (RELAXED_LOAD(latest + CLASSES * bins) < sum)
                 atomic_max(latest + CLASSES * bins, sum);
         }
         last = i;

@@ -40,8 +40,8 @@ static float radiance(__global const float *texture, __constant surface_t *surfa
 #endif
 }
 
-// What the lens makes of a hit: its record; below 0 where its light does not reach the lens. subpixel: the source is one
-// of SUBPIXELS^2. In and out: label, statistics.
+// What the lens makes of a hit: its record; below 0 where its light does not reach the lens. subpixel: the source is
+// one of SUBPIXELS^2. In and out: label, statistics.
 static float4 source_record(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
                             wide3_t ray, wide_t w, int subpixel, uchar *label, __global int *statistics)
 {
@@ -53,12 +53,12 @@ static float4 source_record(const camera_t camera, __constant surface_t *surface
     __constant surface_t *surface = surfaces + (*label - 1) / 2;
 #if OCCLUDED
     bool edge;
-    const int seen = look(camera, surfaces, layer, ray, w, radius, psf.lens_extent,
-                          subpixel ? (real)1 / SUBPIXELS : 1, 0, &edge);
+    const lens_t lens = lens_of(radius, psf.lens_extent, subpixel ? (real)1 / SUBPIXELS : 1);
+    const int seen = check_visibility(camera, surfaces, layer, ray, w, lens, 0, &edge);
     *label |= edge << 7;
     if (seen == HIDDEN)
         return record;
-    record.w = as_float(seen == PARTLY ? BLOCKED : WHOLE);
+    record.w = as_float(seen == PARTLY ? PARTLY_OCCLUDED : WHOLE);
 #endif
     note_radius(statistics, radius);
     record.x = table_coordinate(psf, whole_radius, subpixel);
@@ -184,7 +184,7 @@ __kernel void mark_silhouettes(const camera_t camera, __global const uchar *labe
 }
 
 // SUBPIXELS x SUBPIXELS point sources of every marked pixel. Out, per slot and sub-pixel in row-major order: sub_source
-// float4 (coordinate, tilt right, tilt down, WHOLE or BLOCKED), sub_value float (CHANNELS, slots, SUBPIXELS^2),
+// float4 (coordinate, tilt right, tilt down, WHOLE or PARTLY_OCCLUDED), sub_value float (CHANNELS, slots, SUBPIXELS^2),
 // sub_depth wide_t.
 __kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfaces, const layer_t layer,
                               const psf_t psf, const float weight, __global const float *texture,
@@ -217,8 +217,8 @@ __kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfa
 #endif
 
 #if PINHOLE
-// What the pinhole sees of the layer's objects, for `layered` occlusion. Out: value as in trace; coc wide_t, signed R in px,
-// and valid uchar, (height, width); statistics.
+// What the pinhole sees of the layer's objects, for `layered` occlusion. Out: value as in trace; coc wide_t, signed R
+// in px, and valid uchar, (height, width); statistics.
 __kernel void pinhole(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const float weight,
                       __global const float *texture, __global float *value, __global wide_t *coc, __global uchar *valid,
                       __global int *statistics)
@@ -267,11 +267,11 @@ static bool covered(wide_t seen, wide_t ratio, wide_t w)
 }
 #endif
 
-// Ground truth of a strip at pixel centers, (rows, columns[, components]), never anti-aliased: depth mm (+inf: nothing),
-// coc signed px (0: nothing), mask, object (-1: nothing), normal, flow px to the pose `next`, hidden (the pinhole did
-// not see the point at rest), sharp radiance; of a stereo pair disparity px and occluded (the other view does not see
-// the point). `still` are the surfaces at rest, `opposite` those that the other view sees, in poses `there`; to_left: 1
-// for the right view, -1 for the left one.
+// Ground truth of a strip at pixel centers, (rows, columns[, components]), never anti-aliased: depth mm (+inf:
+// nothing), coc signed px (0: nothing), mask, object (-1: nothing), normal, flow px to the pose `next`, hidden (the
+// pinhole did not see the point at rest), sharp radiance; of a stereo pair disparity px and occluded (the other view
+// does not see the point). `still` are the surfaces at rest, `opposite` those that the other view sees, in poses
+// `there`; to_left: 1 for the right view, -1 for the left one.
 #if TRUTH
 __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces, __constant surface_t *still,
                            __constant pose_t *next, const layer_t layer, __global const float *texture,

@@ -28,9 +28,9 @@ WITHOUT_TWIN = {
     "convolve": dict.fromkeys(("sum_down", "sum_across"), "sums over rectangles, of which the reference has no need"),
     "estimate": {"use_neighbors": "counts them, as the reference does where it needs to"},
     "sources": dict.fromkeys(("get_source", "put_source"), "where the planes of a record are"),
-    "visibility_test": {"look_along": "finds out which vectors of taps need a test at all"},
+    "visibility_test": {"row_visibility": "finds out which vectors of taps need a test at all"},
     "psf": dict.fromkeys(
-        ("weights", "pixel_spread", "subpixel_spread", "tap", "see"),
+        ("weights", "pixel_spread", "subpixel_spread", "tap", "source_visibility"),
         "reads tables, in whose place the reference has the closed forms",
     )
     | dict.fromkeys(("sums_of", "bits_of", "any_of"), "lanes of a vector"),

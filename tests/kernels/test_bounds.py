@@ -1,4 +1,4 @@
-"""Which roots of a quadric count: within bounds, as near to them as arithmetic can tell, and of one sheet."""
+"""Which roots of a quadric count: within bounds, as near to them as arithmetic can tell, and of one root."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SOURCE = (
     PARTS
     + """
 // Ray i, of components in `rays` one after the other, and surface i, or the only one.
-__kernel void roots(__constant surface_t *surfaces, const int single, const int sheet, __global const real *rays,
+__kernel void roots(__constant surface_t *surfaces, const int single, const int only, __global const real *rays,
                     const int count, __global real *w, __global uchar *label)
 {
     const int i = get_global_id(0);
@@ -35,7 +35,7 @@ __kernel void roots(__constant surface_t *surfaces, const int single, const int 
         return;
     const wide3_t ray = wide_vector(GET(rays, i), GET(rays, count + i), GET(rays, 2 * count + i));
     uchar found;
-    PUT(w, i, solve_sheet(surfaces + (single ? 0 : i), ray, sheet, &found));
+    PUT(w, i, solve_root(surfaces + (single ? 0 : i), ray, only, &found));
     label[i] = found;
 }
 """
@@ -55,14 +55,14 @@ def rays_to(count: int, width: float) -> Array:
 
 
 def solved(
-    session: Session, run_source: Run, items: list[Object], rays: Array, real: Real, sheet: int = 0, quadratic: int = 1
+    session: Session, run_source: Run, items: list[Object], rays: Array, real: Real, only: int = 0, quadratic: int = 1
 ) -> tuple[Array, Array]:
     """Inverse depths and labels (count,) of a surface for each ray, or of one for all."""
     count = len(rays)
     w, label = empty(session, 8 * count), empty(session, count)
     placed = surface_structs(items, [turned(item) for item in items], real)
     features = {"BOUNDED": 1, "QUADRATIC": quadratic, "LINEAR": 1}
-    numbers = np.int32(len(items) == 1), np.int32(sheet), in_parts(rays.T.ravel(), real), np.int32(count)
+    numbers = np.int32(len(items) == 1), np.int32(only), in_parts(rays.T.ravel(), real), np.int32(count)
     run_source(SOURCE, "roots", real, features, count, placed, *numbers, w, label)
     return whole(session, w, (count,), real), download(session, label, (count,), np.uint8)
 
@@ -85,9 +85,9 @@ def test_one_sheet_or_both_within_bounds(session: Session, run_source: Run, item
     rays, surface = rays_to(4000, 0.1), turned(item)
     assert (surface.constant < 0) == isinstance(item, Quadric)
     found_labels = []
-    for sheet in range(3):
-        w, label = solved(session, run_source, [item], rays, real, sheet)
-        expected_w, expected = twin.solve_sheet(surface, item.bounds, rays, sheet)
+    for only in range(3):
+        w, label = solved(session, run_source, [item], rays, real, only)
+        expected_w, expected = twin.solve_root(surface, item.bounds, rays, only)
         np.testing.assert_array_equal(label, expected)
         np.testing.assert_allclose(w, expected_w, rtol=1e-9, atol=0)
         found_labels.append(label)
@@ -117,7 +117,7 @@ def test_bounds_close_to_the_surface(session: Session, run_source: Run, axis: in
         box[axis] = (bound, 1e4) if low else (-1e4, bound)
         items.append(item.model_copy(update={"bounds": tuple(box)}))
     # The near root is the one that is cut.
-    _, near = solved(session, run_source, items, rays, real, sheet=int(label[0]))
+    _, near = solved(session, run_source, items, rays, real, only=int(label[0]))
     assert (label == label[0]).all()
     np.testing.assert_array_equal(near > 0, np.arange(len(rays)) % 2 == 1)
 

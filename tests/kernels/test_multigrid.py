@@ -36,7 +36,7 @@ Array = NDArray[Any]
 FIGURE = 3e-5
 PSFS = [Psf(edge="sampled"), Psf(), Psf(model="gaussian", edge="sampled"), Psf(model="gaussian")]
 SHAPE = (28, 36)
-WHOLE, BLOCKED = -1, -2  # as in kernels/common/sources.clh
+WHOLE, PARTLY_OCCLUDED = -1, -2  # as in kernels/common/sources.clh
 
 
 def light_of(shape: tuple[int, int], largest: float, channels: int, falls: bool = False) -> Light:
@@ -138,7 +138,7 @@ def test_radii_come_back_from_coordinates(session: Session, psf: Psf, marked: bo
     records[..., 0] = table_coordinate(psf, radius, False, table.first, len(table.intervals))
     records[1, ::4, 0] = -1  # nothing there
     marks = np.full((rows, columns), WHOLE, np.int32)
-    marks[:, 2], marks[:, 7] = 5, BLOCKED
+    marks[:, 2], marks[:, 7] = 5, PARTLY_OCCLUDED
     records[..., 3] = marks.view(np.float32)
     may = records[..., 0] >= 0
     may &= (marks == WHOLE) | (not marked)

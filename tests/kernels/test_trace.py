@@ -51,7 +51,7 @@ MOTION = ObjectMotion(velocity=(3.0, -2.0, 6.0), angular_velocity=(20.0, 15.0, -
 STILL = ObjectMotion()
 GUARD = 4
 MONO = tuple(name for name in TRUTH_BUFFERS if name not in STEREO_NAMES)
-WHOLE, BLOCKED = -1, -2  # in a source's last field, where it holds no slot
+WHOLE, PARTLY_OCCLUDED = -1, -2  # in a source's last field, where it holds no slot
 
 
 def scene(item: Any, moving: ObjectMotion = MOTION, **sections: Any) -> Scene:
@@ -106,7 +106,7 @@ SCENES: dict[str, tuple[Scene, int]] = {
     "bounded paraboloid": (scene(BOWL.model_copy(update={"bounds": BOX})), 3),
     "one column": (scene(BALL, size=(1, 40)), 1),
     "one pixel": (scene(BALL, size=(1, 1)), 1),
-    "nothing in sight": (scene(Sphere(center=(900.0, 0.0, 280.0)), STILL), 1),
+    "nothing in visibility": (scene(Sphere(center=(900.0, 0.0, 280.0)), STILL), 1),
     "three in a row": (scene(ROW, psf=Psf(silhouette_samples=2)), 1),
     "card in a cylinder": (scene((CARD, *ROW[1:]), psf=Psf(silhouette_samples=1)), 3),
     "ball in a tube": (
@@ -118,7 +118,7 @@ SCENES: dict[str, tuple[Scene, int]] = {
 
 # What the tests of all scenes look at; of the others in `make test` whole frames only.
 SOME = ["plane at rest", "card, nearest", "sphere moved, 2 x 2", "cap, 3 x 3, sampled", "cone, axis"]
-SOME += ["bounded paraboloid", "one pixel", "nothing in sight", "ball in a tube"]
+SOME += ["bounded paraboloid", "one pixel", "nothing in visibility", "ball in a tube"]
 
 
 @dataclass
@@ -283,11 +283,13 @@ def test_sources(session: Session, name: str, time: float) -> None:
         limit = 0.3 * (34 * SINGLE if plan.moves else SINGLE) + SINGLE
         np.testing.assert_allclose(found.value, 0.3 * np.moveaxis(expected.radiance, -1, 0), rtol=0, atol=limit)
         assert not found.value[:, ~there].any()
-        blocked = np.zeros_like(there) if expected.sight is None else expected.sight.row.reshape(there.shape) >= 0
+        blocked = (
+            np.zeros_like(there) if expected.visibility is None else expected.visibility.row.reshape(there.shape) >= 0
+        )
         own = found.slot < 0
-        assert (found.slot[own] == np.where(blocked & expected.lit, BLOCKED, WHOLE)[own]).all()
+        assert (found.slot[own] == np.where(blocked & expected.lit, PARTLY_OCCLUDED, WHOLE)[own]).all()
         assert own.all() or plan.silhouettes
-    if name not in ("nothing in sight", "one pixel"):
+    if name not in ("nothing in visibility", "one pixel"):
         assert max(shares) > 0.2
 
 
@@ -298,8 +300,8 @@ def test_scenes_have_sources_of_every_kind() -> None:
         plan = planned(*SCENES[name])
         for layer in plan.layers:
             one = twin.trace(view(plan, 0.55), layer, GUARD)
-            if one.sight is not None:
-                blocked = one.sight.row.reshape(one.lit.shape) >= 0
+            if one.visibility is not None:
+                blocked = one.visibility.row.reshape(one.lit.shape) >= 0
                 kinds = (one.lit & blocked, one.lit & ~blocked, (one.label > 0) & ~one.lit, one.label >= 128)
                 found += [int(kind.sum()) for kind in kinds]
     assert found.min() > 100, found
@@ -365,7 +367,7 @@ def test_range_of_radii_is_noted(session: Session) -> None:
     noted = traced(session, plan, 0.55).statistics[:2].view(np.float32)
     # Rounded to float32; the largest is at the limb, good to the root of 1e-15 of some 60 px.
     np.testing.assert_allclose(noted, [radii.max(), radii.min()], rtol=1e-6)
-    nothing = traced(session, planned(*SCENES["nothing in sight"]), 0.0).statistics
+    nothing = traced(session, planned(*SCENES["nothing in visibility"]), 0.0).statistics
     assert nothing.tolist() == EMPTY_STATISTICS.tolist()
 
 

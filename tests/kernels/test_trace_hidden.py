@@ -16,8 +16,8 @@ from clsco.reference.trace import trace as twin
 from clsco.resources import folder
 from clsco.scene.model import Cylinder, ObjectMotion, Psf
 from tests.kernels.test_trace import (
-    BLOCKED,
     GUARD,
+    PARTLY_OCCLUDED,
     ROW,
     WHOLE,
     assert_truth,
@@ -55,9 +55,9 @@ def test_subpixel_sources_of_all_layers_are_marked(session: Session) -> None:
         records = found.sub_source[found.slot[exact.row, exact.column]]
         np.testing.assert_array_equal(records[..., 0] >= 0, exact.hit)
         blocked = np.zeros(exact.hit.shape, bool)
-        if exact.sight is not None:
-            blocked[exact.hit] = exact.sight.row >= 0
-        np.testing.assert_array_equal(records[..., 3].view(np.int32), np.where(blocked, BLOCKED, WHOLE))
+        if exact.visibility is not None:
+            blocked[exact.hit] = exact.visibility.row >= 0
+        np.testing.assert_array_equal(records[..., 3].view(np.int32), np.where(blocked, PARTLY_OCCLUDED, WHOLE))
         kinds += [int(kind.sum()) for kind in (~exact.hit, exact.hit & blocked, exact.hit & ~blocked)]
     assert kinds.min() > 100, kinds
 

@@ -1,4 +1,4 @@
-"""occlusion.clh and sight.clh against their twin: what single taps of a source see of the lens."""
+"""occlusion.clh and visibility.clh against their twin: what single taps of a source see of the lens."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from clsco.passes.pack import camera_struct, layer_struct, psf_struct, surface_s
 from clsco.plan.plan import make_plan
 from clsco.records import Real
 from clsco.reference.common.geometry import blur_radius, nearest_surface, pixel_ray
-from clsco.reference.common.visibility import CLEAR, PARTLY, look, look_through, tap_share
+from clsco.reference.common.visibility import CLEAR, PARTLY, Points, cell_visibility, check_visibility, tap_share
 from clsco.scene.model import Camera, Cone, Cylinder, Ellipsoid, Object, Plane, Psf, Quadric, Scene, Sphere
 from tests.slow import mostly_slow
 
@@ -28,7 +28,7 @@ Array = NDArray[Any]
 Runner = Callable[..., None]
 KERNEL = """
 // What source i sees of the lens from every tap: place holds (column, row, ox, oy), tap (dx, dy). state: -1 for no
-// source. along: what look_along says of the row of taps through the source.
+// source. along: what row_visibility says of the row of taps through the source.
 __kernel void see_taps(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
                        __constant float *lens, const float width, __global const float4 *place, const int taps,
                        __global const int2 *tap, __global int *state, __global int *edges, __global float *share,
@@ -46,21 +46,22 @@ __kernel void see_taps(const camera_t camera, __constant surface_t *surfaces, co
     if (!label)
         return;
     const real radius = narrow(blur_radius(camera, w));
-    sight_t sight;
+    visibility_t visibility;
     bool edge;
-    state[i] = look(camera, surfaces, layer, ray, w, radius, psf.lens_extent, width, &sight, &edge);
+    const lens_t of_source = lens_of(radius, psf.lens_extent, width);
+    state[i] = check_visibility(camera, surfaces, layer, ray, w, of_source, &visibility, &edge);
     edges[i] = edge;
-    if (!sight.wide)
-        look_through(&sight, lens, radius, psf.lens_extent, place[i].z, place[i].w, SIGHT_MIDDLE);
+    if (!visibility.wide)
+        cell_visibility(&visibility, lens, radius, psf.lens_extent, place[i].z, place[i].w, NARROW_MIDDLE);
     for (int t = 0; t < taps; ++t) {
         const int dx = tap[t].x, dy = tap[t].y;
         const lanes_t x = dx - place[i].z, y = dy - place[i].w;
-        share[i * taps + t] = sight.wide ? FIRST_LANE(free_share(&sight, x, y))
-                                         : sight.share[dy + SIGHT_MIDDLE][dx + SIGHT_MIDDLE];
+        share[i * taps + t] = visibility.wide ? FIRST_LANE(free_share(&visibility, x, y))
+                                         : visibility.share[dy + NARROW_MIDDLE][dx + NARROW_MIDDLE];
     }
 #if GATHER
-    for (int t = 0; t < taps && sight.wide; ++t)
-        along[i * taps + t] = look_along(&sight, tap[t].x - place[i].z, tap[t].y - place[i].w).s0;
+    for (int t = 0; t < taps && visibility.wide; ++t)
+        along[i * taps + t] = row_visibility(&visibility, tap[t].x - place[i].z, tap[t].y - place[i].w).s0;
 #endif
 }
 """
@@ -130,7 +131,7 @@ def see(
     offset = rng.integers(-2, 3, (count, 2)) / 8 if width < 1 else np.zeros((count, 2))
     taps = np.array([(x, y) for y in ROWS for start in (-7, 0) for x in range(start, start + 8)], np.int32)
     features = make_plan(Scene(camera=camera, objects=items, psf=psf), 1, ()).features()
-    features |= {"OCCLUDED": layer.blockers.bit_count(), "SOURCES": count, "GATHER": gather}
+    features |= {"OCCLUDED": layer.occluders.bit_count(), "SOURCES": count, "GATHER": gather}
     buffers = [empty(session, 4 * count * size) for size in (1, 1, len(taps), len(taps))]
     run(
         KERNEL, "see_taps", real, features, count, camera_struct(camera, 0, real),
@@ -146,11 +147,13 @@ def see(
     there = label > 0
     assert ((state >= 0) == there).all()
     w, radius, (x, y) = w[there], blur_radius(camera, w[there]), offset[there].T
-    found, outline, sight = look(camera, surfaces, bounds, layer, psf, rays[there], w, radius, x, y, width)
-    cells, expected, wide = look_through(sight), np.ones((w.size, len(taps))), np.zeros(w.size, dtype=bool)
+    found, outline, visibility = check_visibility(
+        camera, surfaces, bounds, layer, psf, Points(rays[there], w, radius, x, y, width)
+    )
+    cells, expected, wide = cell_visibility(visibility), np.ones((w.size, len(taps))), np.zeros(w.size, dtype=bool)
     for n, (dx, dy) in enumerate(taps.astype(float).tolist()):
-        expected[sight.row >= 0, n] = tap_share(sight, cells, dx, dy)
-    wide[sight.row >= 0] = sight.wide
+        expected[visibility.row >= 0, n] = tap_share(visibility, cells, dx, dy)
+    wide[visibility.row >= 0] = visibility.wide
     return Seen(state[there], edge[there], share[there], along[there], found, outline, expected, wide)
 
 

@@ -17,35 +17,35 @@ from clsco.optics.quadrics import place
 from clsco.optics.visibility import Layer, lens_extent
 from clsco.passes.pack import camera_struct, surface_structs
 from clsco.records import Real, in_parts
-from clsco.reference.common.visibility import CLEAR, HIDDEN, PARTLY, Blocker, look
+from clsco.reference.common.visibility import CLEAR, HIDDEN, PARTLY, Occluder, Points, check_visibility
 from clsco.scene.model import Camera, Cone, Cylinder, Ellipsoid, Object, Plane, Psf, Quadric, Sphere
 
 Array = NDArray[Any]
 Runner = Callable[..., None]
 KERNEL = """
-typedef char as_told[sizeof(blocker_t) == BYTES ? 1 : -1];
+typedef char as_told[sizeof(occluder_t) == BYTES ? 1 : -1];
 
-// What is in the way of point i: place holds (x, y) of its ray and its inverse depth, chosen (surface, own, sheet).
+// What is in the way of point i: place holds (x, y) of its ray and its inverse depth, chosen (surface, own, root).
 __kernel void meet(const camera_t camera, __constant surface_t *surfaces, const real extent, const real width,
                    __global const wide_t *place, __global const int4 *chosen, __global const real *radius,
-                   __global int4 *found, __global float4 *rims, __global uchar *blockers)
+                   __global int4 *found, __global float4 *rims, __global uchar *occluders)
 {
     const int i = get_global_id(0);
     if (i >= POINTS)
         return;
     const wide3_t ray = wide_vector(place[3 * i], place[3 * i + 1], widened(1));
     const layer_t layer = {0, 3, 1, chosen[i].y ? 0 : -1, chosen[i].z};  // of one object: the second bit is no one's
-    sight_t sight;
+    visibility_t visibility;
     bool edge;
-    found[i].x = look(camera, surfaces + chosen[i].x, layer, ray, place[3 * i + 2], radius[i], extent, width, &sight,
-                      &edge);
-    found[i].yzw = (int3)(edge, sight.wide, sight.count);
-    rims[i] = (float4)(sight.rim, sight.rim_scale, sight.rim_shift, 0);
+    found[i].x = check_visibility(camera, surfaces + chosen[i].x, layer, ray, place[3 * i + 2],
+                                  lens_of(radius[i], extent, width), &visibility, &edge);
+    found[i].yzw = (int3)(edge, visibility.wide, visibility.count);
+    rims[i] = (float4)(visibility.rim, visibility.rim_scale, visibility.rim_shift, 0);
     for (int n = 0; n < BYTES; ++n)
-        blockers[BYTES * i + n] = sight.count ? ((const uchar *)sight.blocker)[n] : 0;
+        occluders[BYTES * i + n] = visibility.count ? ((const uchar *)visibility.occluder)[n] : 0;
 }
 """
-# Of a blocker_t, in the order of the struct.
+# Of a occluder_t, in the order of the struct.
 FIELDS = {"h": 3, "root": 1, "f": 5, "slack": 1, "limits": 1, "crossings": 1}
 FIELDS |= {"b": 3, "f0": 1, "c": 6, "d": 6, "soft": 1, "limit": 28}
 CAMERA = Camera(resolution=(144, 120), pixel_pitch=0.04, aperture_diameter=25.0, focus_distance=250.0)
@@ -128,15 +128,15 @@ def some_points(rng: np.random.Generator, surfaces: list[tuple[Object, Pose]], e
     w[3::40] = np.where(nearest < 1, nearest, w)[3::40]
     own = np.arange(points) % 5 == 4
     return {
-        "surface": surface, "own": own, "sheet": surface // 3 % 3 * own, "x": x, "y": y, "w": w, "radius": radius,
+        "surface": surface, "own": own, "root": surface // 3 % 3 * own, "x": x, "y": y, "w": w, "radius": radius,
     }  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Met:
-    """What the device finds for N points, and what the twin does; blockers: of which points, and what it has of them.
+    """What the device finds for N points, and what the twin does; occluders: of which points, and what it has of them.
 
-    rims: (N, 3) of a sight_t; fields: (N, ...) each, of its first blocker.
+    rims: (N, 3) of a visibility_t; fields: (N, ...) each, of its first occluder.
     """
 
     state: Array
@@ -147,20 +147,20 @@ class Met:
     fields: dict[str, Array]
     expected_state: Array
     expected_edge: Array
-    blockers: list[tuple[Array, Blocker]]
+    occluders: list[tuple[Array, Occluder]]
 
 
 def meet(
     session: Session, run: Runner, surfaces: list[tuple[Object, Pose]], given: dict[str, Array], psf: Psf = PILLBOX,
     width: float = 1.0, gather: int = 1, real: Real = "double",
 ) -> Met:  # fmt: skip
-    """given: of points the surface, own, sheet, x, y, w, radius; width: of the sources, px."""
+    """given: of points the surface, own, root, x, y, w, radius; width: of the sources, px."""
     items, placed = [item for item, _ in surfaces], [place(*one) for one in surfaces]
     count, words, extent = given["w"].size, sum(FIELDS.values()), lens_extent(psf)
     features = {"OCCLUDED": 1, "POINTS": count, "BYTES": 4 * words, "GATHER": gather, "BOUNDED": 1, "NAPPE": 1}
     buffers = [empty(session, 4 * count * size) for size in (4, 4, words)]
     number = np.float64 if real == "double" else np.float32
-    chosen = np.stack([given["surface"], given["own"], given["sheet"], 0 * given["own"]], axis=-1)
+    chosen = np.stack([given["surface"], given["own"], given["root"], 0 * given["own"]], axis=-1)
     run(
         KERNEL, "meet", real, features, count, camera_struct(CAMERA, 0, real), surface_structs(items, placed, real),
         number(extent), number(width), in_parts(np.stack([given[k] for k in "xyw"], axis=-1), real),
@@ -172,26 +172,28 @@ def meet(
     for name in ("limits", "crossings"):
         fields[name] = fields[name].view(np.int32)
     fields["limit"] = fields["limit"].reshape(-1, 7, 4)
-    state, edge, blockers = np.zeros(count, np.uint8), np.zeros(count, bool), []
+    state, edge, occluders = np.zeros(count, np.uint8), np.zeros(count, bool), []
     for key in np.unique(chosen, axis=0):
-        (k, own, sheet, _), at = key.tolist(), np.flatnonzero((chosen == key).all(axis=1))
+        (k, own, root, _), at = key.tolist(), np.flatnonzero((chosen == key).all(axis=1))
         rays, nothing = np.stack([given["x"][at], given["y"][at], np.ones(at.size)], axis=-1), np.zeros(at.size)
-        state[at], edge[at], sight = look(
-            CAMERA, placed[k : k + 1], [items[k].bounds], Layer(1, 1, 0 if own else -1, sheet), psf, rays,
-            given["w"][at], given["radius"][at], nothing, nothing, width,
+        state[at], edge[at], visibility = check_visibility(
+            CAMERA, placed[k : k + 1], [items[k].bounds], Layer(1, 1, 0 if own else -1, root), psf,
+            Points(rays, given["w"][at], given["radius"][at], nothing, nothing, width),
         )  # fmt: skip
-        blockers += [(at[sight.row >= 0], blocker) for _, blocker in sight.blockers if (sight.row >= 0).any()]
+        occluders += [
+            (at[visibility.row >= 0], occluder) for _, occluder in visibility.occluders if (visibility.row >= 0).any()
+        ]
     return Met(
-        found[:, 0], found[:, 1] != 0, found[:, 2] != 0, found[:, 3], rims[:, :3], fields, state, edge, blockers
+        found[:, 0], found[:, 1] != 0, found[:, 2] != 0, found[:, 3], rims[:, :3], fields, state, edge, occluders
     )  # fmt: skip
 
 
-def conditions(blocker: Blocker) -> tuple[Array, Array]:
+def conditions(occluder: Occluder) -> tuple[Array, Array]:
     """How many of them are left (N,), and what they are (N, 7, 4), 0 where there are none."""
-    points = blocker.f0.size
+    points = occluder.f0.size
     count, limits = np.zeros(points, np.int64), np.zeros((points, 7, 4))
-    for k, limit in enumerate(blocker.limits):
-        kept = (blocker.kept[k] if blocker.kept else np.ones(points, bool)) & np.isfinite(limit[:, 0])
+    for k, limit in enumerate(occluder.limits):
+        kept = (occluder.kept[k] if occluder.kept else np.ones(points, bool)) & np.isfinite(limit[:, 0])
         limits[kept, count[kept], : limit.shape[1]] = limit[kept]
         count += kept
     return count, limits
@@ -201,24 +203,24 @@ def assert_close(found: Array, expected: Array, limit: float, least: float = 1e-
     np.testing.assert_allclose(found, expected.reshape(found.shape), rtol=limit, atol=least)
 
 
-def assert_same_blockers(met: Met, limit: float = FLOAT) -> None:
+def assert_same_occluders(met: Met, limit: float = FLOAT) -> None:
     """Every number of what is left to be tested for taps."""
     others = 0
-    for at, blocker in met.blockers:
+    for at, occluder in met.occluders:
         found = {name: values[at] for name, values in met.fields.items()}
-        count, limits = conditions(blocker)
+        count, limits = conditions(occluder)
         there = met.state[at] == PARTLY
         same = there & (count == found["limits"][:, 0])
         others += int(np.count_nonzero(there & ~same))
         used = same[:, None] & (np.arange(7) < count[:, None])
         # Those of a plane are differences of floats, of up to some hundred widths of the edge.
-        parts, least = (4, 1e-30) if blocker.kept else (3, 1e-5)
+        parts, least = (4, 1e-30) if occluder.kept else (3, 1e-5)
         assert_close(found["limit"][used, :parts], limits[used, :parts], limit, least)
-        twice, bound = there & (blocker.crossings == 2), same & (count > 0) & (blocker.crossings > 0)
+        twice, bound = there & (occluder.crossings == 2), same & (count > 0) & (occluder.crossings > 0)
         for name in ("h", "root", "f"):
-            assert_close(found[name][twice], getattr(blocker, name)[twice], limit)
+            assert_close(found[name][twice], getattr(occluder, name)[twice], limit)
         for name in ("crossings", "b", "f0", "c", "d", "soft"):
-            assert_close(found[name][bound], getattr(blocker, name)[bound], limit)
+            assert_close(found[name][bound], getattr(occluder, name)[bound], limit)
     assert others <= UNSURE * met.state.size
 
 
@@ -240,9 +242,9 @@ def test_any_surface_before_any_point(session: Session, run_source: Runner, psf:
     assert (met.wide == (across >= 4.0)).all()
     rim = np.maximum(across, 1.0)
     assert_close(met.rims, np.stack([rim / 2, 0.5 / rim, 1 / (3 * rim)], axis=-1), FLOAT)
-    assert_same_blockers(met)
+    assert_same_occluders(met)
     # Twice what a root that is bent as it is at the source leaves of a chord over all taps of a vector, and 1.
-    twice = np.concatenate([at[(blocker.crossings == 2) & (blocker.root > 1e-20)] for at, blocker in met.blockers])
+    twice = np.concatenate([at[(occluder.crossings == 2) & (occluder.root > 1e-20)] for at, occluder in met.occluders])
     twice = twice[met.state[twice] == PARTLY]
     found = {name: met.fields[name][twice].astype(np.float64) for name in ("root", "f", "slack")}
     root = found["root"][:, 0]
@@ -265,13 +267,13 @@ def test_near_bounds_in_single_precision(session: Session, run_source: Runner) -
         behind = corner + np.array([0.0, 0.0, 0.05]) + rng.uniform(-0.02, 0.02, (points, 3))
         spots.append(behind + place(item, pose).rest + pose.shift)
     at, none = np.concatenate(spots), np.zeros(2 * points, np.int64)
-    given = {"surface": np.repeat([0, 1], points), "own": none, "sheet": none, "radius": rng.uniform(5, 9, 2 * points)}
+    given = {"surface": np.repeat([0, 1], points), "own": none, "root": none, "radius": rng.uniform(5, 9, 2 * points)}
     given |= {"x": at[:, 0] / at[:, 2], "y": at[:, 1] / at[:, 2], "w": 1 / at[:, 2]}
     met = meet(session, run_source, surfaces, given, width=0.25, real="float")
     assert (met.state == PARTLY).all()
     assert (met.expected_state == PARTLY).all()
-    for points_of, blocker in met.blockers:
-        count, limits = conditions(blocker)
+    for points_of, occluder in met.occluders:
+        count, limits = conditions(occluder)
         assert (count == 6).all()
         # Of a step 0.1 mm wide; of 180 mm, or of 35 mm, a float leaves 1e-4 of it, or 2e-5.
         assert_close(met.fields["limit"][points_of, :6, :3], limits[:, :6, :3], FLOAT, 2e-6)

@@ -34,7 +34,7 @@ __kernel void hidden_shares(__global const float *number, __global const float *
     if (i >= SURFACES)
         return;
     __global const float *n = number + 26 * i;
-    blocker_t m;
+    occluder_t m;
     m.base = n[0], m.bx = n[1], m.by = n[2], m.root = n[3];
     m.fx = n[4], m.fy = n[5], m.fxx = n[6], m.fxy = n[7], m.fyy = n[8];
     m.b = n[9], m.b_x = n[10], m.b_y = n[11], m.f = n[12];
@@ -54,8 +54,8 @@ __kernel void hidden_shares(__global const float *number, __global const float *
         add_limit(&m, INFINITY, INFINITY, 1, 1);  // none
     for (int t = 0; t < TAPS; t += LANE_COUNT) {
         const int at = i * TAPS + t;
-        *(__global own_lanes_t *)(share + at) = blocked_share(&m, *(__global const own_lanes_t *)(x + at),
-                                                              *(__global const own_lanes_t *)(y + at));
+        *(__global unaligned_lanes_t *)(share + at) = occluded_share(&m, *(__global const unaligned_lanes_t *)(x + at),
+                                                              *(__global const unaligned_lanes_t *)(y + at));
     }
     all[i] = m.limits && m.crossings ? hides_all(&m, MOST) : 0;
     count[i] = m.limits;
@@ -70,20 +70,20 @@ __kernel void hidden_shares(__global const float *number, __global const float *
 class Surfaces:
     """N surfaces, as the twin and the device have them; limits: (N, LIMITS, 4), `count` of which are conditions."""
 
-    blocker: twin.Blocker
+    occluder: twin.Occluder
     limits: Array
     count: Array
     x: Array
     y: Array
 
     def numbers(self) -> Array:
-        m = self.blocker
+        m = self.occluder
         single = (m.h, m.root[:, None], m.f, m.b, m.f0[:, None], m.c, m.d, m.soft[:, None])
         return np.concatenate(single, axis=1).astype(np.float32)
 
     def shares(self) -> Array:
         """Of the twin."""
-        columns = [twin.blocked_share(self.blocker, x, y) for x, y in zip(self.x.T, self.y.T, strict=True)]
+        columns = [twin.occluded_share(self.occluder, x, y) for x, y in zip(self.x.T, self.y.T, strict=True)]
         return np.stack(columns, axis=-1)
 
 
@@ -101,7 +101,7 @@ def surfaces(b: Array, c: Array, f: Array, limits: Array, count: Array, rng: np.
     d = np.concatenate([(b[:, :1] ** 2 - c[:, :1] * f[:, None]), linear, square], axis=-1)
     x, y = rng.integers(-8, 9, (2, points, TAPS)) + rounded(rng.choice([0.0, 0.125, -0.25], (2, points, 1)))
     x[:, 0] = y[:, 0] = 0
-    blocker = twin.Blocker(
+    occluder = twin.Occluder(
         h=rounded(rng.uniform(-1, 1, (points, 3)) * [1, 0.2, 0.2]),
         root=rounded(rng.uniform(0, 1, points) * (rng.random(points) < 0.8)),
         f=rounded(rng.uniform(-1, 1, (points, 5)) * [0.2, 0.2, 0.02, 0.02, 0.02]),
@@ -109,7 +109,7 @@ def surfaces(b: Array, c: Array, f: Array, limits: Array, count: Array, rng: np.
         soft=rounded(rng.uniform(0.03, 0.3, points)),
         limits=tuple(np.moveaxis(limits, 1, 0)), kept=tuple(count > k for k in range(LIMITS)),
     )  # fmt: skip
-    return Surfaces(blocker, limits, count, x, y)
+    return Surfaces(occluder, limits, count, x, y)
 
 
 def drawn(kind: str) -> Surfaces:
@@ -148,7 +148,7 @@ def found(session: Session, run: Runner, given: Surfaces, gather: int) -> Found:
     features = {"OCCLUDED": 1, "BOUNDED": 1, "NAPPE": 1, "GATHER": gather, "SURFACES": points, "TAPS": TAPS}
     sizes = (points * TAPS, points, points * LIMITS * 4, points)
     share, all_hidden, left, count = (empty(session, 4 * size) for size in sizes)
-    integers = (given.count.astype(np.int32), given.blocker.crossings.astype(np.int32))
+    integers = (given.count.astype(np.int32), given.occluder.crossings.astype(np.int32))
     floats = (array.astype(np.float32) for array in (given.x, given.y))
     run(
         SOURCE.replace("MOST", f"{MOST}f"), "hidden_shares", "double", features, points, given.numbers(),
@@ -174,7 +174,7 @@ def at_taps(p: Array, x: Array, y: Array) -> Array:
 
 def independent(given: Surfaces) -> tuple[Array, Array]:
     """Shares (N, T), and B^2 - C F, which is positive inside of outlines: roots, and what changes from tap to tap."""
-    m, far = given.blocker, 1e-4
+    m, far = given.occluder, 1e-4
     own, f, soft = m.f0[:, None] == 0, m.f0[:, None], m.soft[:, None]
 
     def discriminant(x: Array, y: Array) -> Array:
@@ -223,7 +223,7 @@ def test_shares(session: Session, run_source: Runner, kind: str, gather: int) ->
 def test_shares_of_planes(session: Session, run_source: Runner, gather: int) -> None:
     """Each condition is the h of an edge, of which the least share counts."""
     given = drawn("once")
-    planes = replace(given, blocker=replace(given.blocker, crossings=np.zeros(COUNT, int)))
+    planes = replace(given, occluder=replace(given.occluder, crossings=np.zeros(COUNT, int)))
     shares = [step(at_taps(given.limits[:, k, :3], given.x, given.y)) for k in range(LIMITS)]
     there = np.arange(LIMITS)[:, None, None] < given.count[:, None]
     expected = np.where(there, shares, 1).min(axis=0)
@@ -243,8 +243,8 @@ def test_conditions_that_are_needed(session: Session, run_source: Runner, kind: 
     most = np.full(COUNT, MOST)
     answers = []
     for moved in (-1e-3, 0.0, 1e-3):
-        limits = tuple(limit * [1 + moved, 1, 1, 1] for limit in given.blocker.limits)
-        all_hidden, kept = twin.hides_all(replace(given.blocker, limits=limits), most)
+        limits = tuple(limit * [1 + moved, 1, 1, 1] for limit in given.occluder.limits)
+        all_hidden, kept = twin.hides_all(replace(given.occluder, limits=limits), most)
         answers.append(np.stack([all_hidden, *kept], axis=-1))
     sure = np.all((answers[0] == answers[1]) & (answers[2] == answers[1]), axis=-1)
     all_hidden, needed = answers[1][:, 0], answers[1][:, 1:] & (np.arange(LIMITS) < given.count[:, None])
@@ -272,7 +272,7 @@ __kernel void sizes(__global int *size)
 {
     if (get_global_id(0) > 0)
         return;
-    size[0] = SIGHT_MIDDLE, size[1] = SIGHT_ROWS, size[2] = SIGHT_LANES, size[3] = LANE_COUNT;
+    size[0] = NARROW_MIDDLE, size[1] = NARROW_ROWS, size[2] = NARROW_LANES, size[3] = LANE_COUNT;
 }
 """
     run_source(text, "sizes", "double", {"OCCLUDED": 1, "GATHER": 1}, 1, size)

@@ -1,4 +1,4 @@
-"""sight.clh against its twin for made-up blockers, whose numbers reach what few scenes do."""
+"""visibility.clh against its twin for made-up occluders, whose numbers reach what few scenes do."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ from numpy.typing import NDArray
 from clsco.opencl.buffers import download, empty
 from clsco.opencl.session import Session
 from clsco.optics.visibility import lens_cells, lens_extent
-from clsco.reference.common.visibility import SOFT_BOX, Blocker, Sight, look_through, tap_share
+from clsco.reference.common.visibility import SOFT_BOX, Occluder, Visibility, cell_visibility, tap_share
 from clsco.scene.model import Psf
 
 Array = NDArray[Any]
 Runner = Callable[..., None]
 FEATURES = {"OCCLUDED": 2, "BOUNDED": 1, "GATHER": 1}
 ALONG = """
-// What look_along says of rows of taps from place (x, y) on. counts: blockers; per blocker limits and crossings.
-// height: per blocker base, bx, by, slack; limit: per blocker seven of (constant, x, y).
+// What row_visibility says of rows of taps from place (x, y) on. counts: occluders; per occluder limits and crossings.
+// height: per occluder base, bx, by, slack; limit: per occluder seven of (constant, x, y).
 __kernel void say_along(const int rows, __global const float2 *place, __global const int *counts,
                         __global const float *height, __global const float *limit, __global float *state)
 {
     const int i = get_global_id(0);
     if (i >= rows)
         return;
-    sight_t both[2];  // the other one's share is what is before the blockers
-    for (int row = 0; row < SIGHT_ROWS; ++row)
-        for (int lane = 0; lane < SIGHT_LANES; ++lane)
+    visibility_t both[2];  // the other one's share is what is before the occluders
+    for (int row = 0; row < NARROW_ROWS; ++row)
+        for (int lane = 0; lane < NARROW_LANES; ++lane)
             both[0].share[row][lane] = 0;
-    sight_t *sight = both + 1;
-    sight->count = counts[5 * i];
+    visibility_t *visibility = both + 1;
+    visibility->count = counts[5 * i];
     for (int k = 0; k < 2; ++k) {
-        blocker_t *m = sight->blocker + k;
+        occluder_t *m = visibility->occluder + k;
         __global const float *h = height + 4 * (2 * i + k);
         m->base = h[0], m->bx = h[1], m->by = h[2], m->slack = h[3];
         m->root = m->fx = m->fy = m->fxx = m->fxy = m->fyy = 0;
@@ -42,7 +42,7 @@ __kernel void say_along(const int rows, __global const float2 *place, __global c
             for (int c = 0; c < 3; ++c)
                 m->limit[n][c] = limit[3 * (7 * (2 * i + k) + n) + c];
     }
-    *(__global own_lanes_t *)(state + 8 * i) = look_along(sight, place[i].x, place[i].y);
+    *(__global unaligned_lanes_t *)(state + 8 * i) = row_visibility(visibility, place[i].x, place[i].y);
 }
 """
 THROUGH = """
@@ -54,23 +54,23 @@ __kernel void see_through(const int sources, __constant float *lens, const float
     if (i >= sources)
         return;
     __global const float *s = source + 6 * i;
-    sight_t sight;
-    sight.count = 1;
-    sight.wide = false;
-    blocker_t *m = sight.blocker;
+    visibility_t visibility;
+    visibility.count = 1;
+    visibility.wide = false;
+    occluder_t *m = visibility.occluder;
     m->base = s[3], m->bx = s[4], m->by = s[5];
     m->root = m->fx = m->fy = m->fxx = m->fxy = m->fyy = 0;
     m->limits = 0, m->crossings = 0;
-    look_through(&sight, lens, s[0], extent, s[1], s[2], SIGHT_MIDDLE);
-    for (int row = 0; row < SIGHT_ROWS; ++row)
-        for (int column = 0; column < SIGHT_ROWS; ++column)
-            share[(SIGHT_ROWS * i + row) * SIGHT_ROWS + column] = sight.share[row][column];
+    cell_visibility(&visibility, lens, s[0], extent, s[1], s[2], NARROW_MIDDLE);
+    for (int row = 0; row < NARROW_ROWS; ++row)
+        for (int column = 0; column < NARROW_ROWS; ++column)
+            share[(NARROW_ROWS * i + row) * NARROW_ROWS + column] = visibility.share[row][column];
 }
 """
 
 
 def test_vectors_are_decided_where_all_of_them_are_clear_or_hidden(session: Session, run_source: Runner) -> None:
-    """A row of seven vectors of 8 taps: 0 where one blocker hides all of them, 1 where none hides any, else between.
+    """A row of seven vectors of 8 taps: 0 where one occluder hides all of them, 1 where none hides any, else between.
 
     A vector goes from half a px before its first tap to half a px behind its last. Of a card, it is hidden where all
     limits are 1.5 widths of the soft edge away at both ends, and clear where any is: half of the edge, and one for what
@@ -78,7 +78,7 @@ def test_vectors_are_decided_where_all_of_them_are_clear_or_hidden(session: Sess
     """
     rng, count = np.random.default_rng(5), 1500
     place = rng.uniform([-20, -6], [4, 6], (count, 2)).astype(np.float32)
-    blockers = rng.integers(0, 3, count)
+    occluders = rng.integers(0, 3, count)
     kind = rng.choice(["card", "bounded", "whole"], (count, 2), p=[0.5, 0.15, 0.35])
     limits = np.where(kind == "whole", 0, rng.integers(1, 5, (count, 2)))
     crossings = np.where(kind == "bounded", rng.integers(1, 3, (count, 2)), 0)
@@ -91,7 +91,7 @@ def test_vectors_are_decided_where_all_of_them_are_clear_or_hidden(session: Sess
     state = empty(session, 4 * 8 * count)
     run_source(
         ALONG, "say_along", "double", FEATURES, count, np.int32(count), place,
-        np.stack([blockers, limits[:, 0], crossings[:, 0], limits[:, 1], crossings[:, 1]], axis=-1).astype(np.int32),
+        np.stack([occluders, limits[:, 0], crossings[:, 0], limits[:, 1], crossings[:, 1]], axis=-1).astype(np.int32),
         np.concatenate([height, slack], axis=-1).astype(np.float32), edges.astype(np.float32), state,
     )  # fmt: skip
     found = download(session, state, (count, 8), np.float32)[:, :7]
@@ -100,7 +100,7 @@ def test_vectors_are_decided_where_all_of_them_are_clear_or_hidden(session: Sess
     both = np.stack([ends[:, :-1], ends[:, 1:]])[..., None, None]  # (2, rows, vectors, 1, 1)
     y = place[:, 1, None, None, None]
     part = edges[:, None]
-    g = part[..., 0] + part[..., 1] * both + part[..., 2] * y  # (2, rows, vectors, blockers, limits)
+    g = part[..., 0] + part[..., 1] * both + part[..., 2] * y  # (2, rows, vectors, occluders, limits)
     there = np.arange(7) < limits[:, None, :, None]
     card_hides = ((g.min(axis=0) >= 1.5) | ~there).all(axis=-1)
     card_clears = ((g.max(axis=0) <= -1.5) & there).any(axis=-1)
@@ -111,7 +111,7 @@ def test_vectors_are_decided_where_all_of_them_are_clear_or_hidden(session: Sess
     hidden = (whole & (low >= 0.5)) | (card & card_hides)
     clear = (whole & (high <= -0.5)) | (card & card_clears)
     states = np.where(hidden, 0.0, np.where(clear, 1.0, 0.5))
-    expected = np.where(np.arange(2) < blockers[:, None, None], states, 1.0).prod(axis=-1)
+    expected = np.where(np.arange(2) < occluders[:, None, None], states, 1.0).prod(axis=-1)
     for one in (whole, card):
         assert min((states[one] == value).mean() for value in (0.0, 0.5, 1.0)) > 0.1
     np.testing.assert_array_equal(found, expected)
@@ -134,13 +134,13 @@ def test_a_lens_larger_than_the_aperture_through_its_cells(session: Session, run
     found = download(session, shares, (count, 15, 15), np.float32)
 
     zero, none = np.zeros(count), np.zeros((count, 6))
-    edge = Blocker(h, zero, none[:, :5], np.full(count, 2), none[:, :3], zero, none, none, zero, (), ())
+    edge = Occluder(h, zero, none[:, :5], np.full(count, 2), none[:, :3], zero, none, none, zero, (), ())
     there = np.ones(count, dtype=bool)
     x, y = offset.T
-    sight = Sight(np.arange(count), radius, ~there, x, y, ((there, edge),), extent, lens_cells(psf))
-    cells = look_through(sight)
+    visibility = Visibility(np.arange(count), radius, ~there, x, y, ((there, edge),), extent, lens_cells(psf))
+    cells = cell_visibility(visibility)
     taps = range(-7, 8)
-    expected = np.array([[tap_share(sight, cells, float(dx), float(dy)) for dx in taps] for dy in taps])
+    expected = np.array([[tap_share(visibility, cells, float(dx), float(dy)) for dx in taps] for dy in taps])
     assert np.ptp(expected[7, 7]) > 0.5
     # Sums of 256 float32 each.
     np.testing.assert_allclose(found, np.moveaxis(expected, -1, 0), rtol=0, atol=1e-5)

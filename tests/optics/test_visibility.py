@@ -15,7 +15,7 @@ from clsco.optics.quadrics import Extent, place
 from clsco.optics.visibility import LENS_CELLS, Layer, extent, is_hollow, layers, lens_cells, lens_extent, may_hide
 from clsco.plan.plan import Plan, make_plan
 from clsco.reference.common.geometry import nearest_surface, pixel_ray
-from clsco.reference.common.visibility import CLEAR, HIDDEN, look, look_through, tap_share
+from clsco.reference.common.visibility import CLEAR, HIDDEN, Points, cell_visibility, check_visibility, tap_share
 from clsco.scene.model import (
     Camera,
     Cone,
@@ -179,7 +179,7 @@ def test_64_objects() -> None:
     assert plan.layers == (Layer(2**64 - 1, 0),)
     stacked = plan_of(*(Sphere(center=(0.0, 0.0, 200.0 + 10.0 * k), radius=3.0) for k in range(64)))
     assert [layer.members for layer in stacked.layers] == [1 << k for k in range(64)]
-    assert stacked.layers[63].blockers == 2**63 - 1
+    assert stacked.layers[63].occluders == 2**63 - 1
     assert stacked.features()["OCCLUDED"] == 63
 
 
@@ -227,17 +227,21 @@ def blocked(plan: Plan, near: int, far: int, time: float) -> bool:
     rays, w = rays[label > 0], w[label > 0]
     radius, zero = blur_radius(scene.camera, w), np.zeros_like(w)
     layer = Layer(1 << far, 1 << near)
-    state, _, sight = look(scene.camera, surfaces, bounds, layer, scene.psf, rays, w, radius, zero, zero, 1.0)
+    state, _, visibility = check_visibility(
+        scene.camera, surfaces, bounds, layer, scene.psf, Points(rays, w, radius, zero, zero, 1.0)
+    )
     if (state == HIDDEN).any() or (state == CLEAR).all():
         return bool((state == HIDDEN).any())
-    cells = look_through(sight)
+    cells = cell_visibility(visibility)
     turns = [(s * np.cos(a), s * np.sin(a)) for s in (0.0, 0.5, 0.98) for a in np.arange(12) * (pi / 6)]
-    return any(bool((tap_share(sight, cells, x * sight.radius, y * sight.radius) < 0.5).any()) for x, y in turns)
+    return any(
+        bool((tap_share(visibility, cells, x * visibility.radius, y * visibility.radius) < 0.5).any()) for x, y in turns
+    )
 
 
 @pytest.mark.parametrize("seed", mostly_slow(range(24), range(12)))
 def test_no_pair_is_missed(seed: int) -> None:
-    """Whatever hides light of an object, at any moment, is among the blockers of its layer."""
+    """Whatever hides light of an object, at any moment, is among the occluders of its layer."""
     rng = np.random.default_rng([7, seed])
     items = tuple(random_item(rng, f"item {k}") for k in range(4))
     psf = Psf(model="gaussian") if seed % 4 == 1 else Psf()
@@ -247,10 +251,10 @@ def test_no_pair_is_missed(seed: int) -> None:
     for k in range(4):
         holding = [layer for layer in plan.layers if layer.members >> k & 1]
         hollow = is_hollow(items[k]) and plan.occlusion == "visibility"
-        assert [layer.sheet for layer in holding] == ([1, 2] if hollow else [0])
+        assert [layer.root for layer in holding] == ([1, 2] if hollow else [0])
     for near, far in permutations(range(4), 2):
         seen = [layer for layer in plan.layers if layer.members >> far & 1]
-        predicted = all(layer.blockers >> near & 1 for layer in seen)
+        predicted = all(layer.occluders >> near & 1 for layer in seen)
         found = any(blocked(plan, near, far, time) for time in ([0.0, 0.7, 1.5] if scene.moves else [0.0]))
         assert predicted or not found, (items[near], items[far])
 
@@ -262,7 +266,7 @@ def test_random_scenes_have_pairs_of_both_kinds() -> None:
         rng = np.random.default_rng([7, seed])
         plan = plan_of(*(random_item(rng, f"item {k}") for k in range(4)), sequence=Sequence(frames=2))
         pairs = [
-            any(layer.blockers >> near & 1 for layer in plan.layers if layer.members >> far & 1)
+            any(layer.occluders >> near & 1 for layer in plan.layers if layer.members >> far & 1)
             for near, far in permutations(range(4), 2)
         ]
         share.append(np.mean(pairs))

@@ -378,7 +378,7 @@ def test_tiles_are_for_gpus() -> None:
 
 
 def test_what_is_in_the_way_is_tested_by_scatter_on_a_gpu() -> None:
-    assert cards("visibility").layers[1].blockers
+    assert cards("visibility").layers[1].occluders
     told = dict(cards("visibility").passes)["blur"]
     assert told.endswith("scatter: atomic, fixed point, as tiles do not test what is in the way")
     assert [cards(way, gpu=False).blur for way in ("visibility", "layered", "none")] == ["gather"] * 3

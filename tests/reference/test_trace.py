@@ -167,7 +167,7 @@ def test_flow_leads_to_the_same_point_of_the_object(make_scene: SceneMaker, at: 
     w_now, _ = solve_quadric(start, None, now)
     found = np.stack(rest_pixel(end, camera, then, w_then)[:2])
     expected = np.stack(rest_pixel(start, camera, now, w_now)[:2])
-    # Points that turn out of sight come out elsewhere; of the others, those well off the limb must agree to
+    # Points that turn out of visibility come out elsewhere; of the others, those well off the limb must agree to
     # the amplified rounding of the two ray casts.
     facing = truth.mask & (label > 0) & ((truth.normal * now).sum(axis=-1) < -0.4)
     agree = np.abs(found - expected).max(axis=0) < 1e-8

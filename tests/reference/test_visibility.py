@@ -14,7 +14,15 @@ from clsco.optics.motion import Pose, rest_center, rotation_matrix
 from clsco.optics.quadrics import place
 from clsco.optics.visibility import Layer, lens_extent
 from clsco.reference.common.geometry import nearest_surface, solve_quadric, surface_normal
-from clsco.reference.common.visibility import CLEAR, HIDDEN, look, look_through, soft_step, tap_share
+from clsco.reference.common.visibility import (
+    CLEAR,
+    HIDDEN,
+    Points,
+    cell_visibility,
+    check_visibility,
+    soft_step,
+    tap_share,
+)
 from clsco.scene.model import Camera, Cone, Cylinder, Ellipsoid, Object, Plane, Psf, Quadric, Sphere
 
 Array = NDArray[Any]
@@ -112,11 +120,13 @@ def free_shares(
     layer = layer or Layer(0, (1 << len(items)) - 1)
     radius, middle = blur_radius(CAMERA, w), np.zeros_like(w)
     bounds = [item.bounds for item in items]
-    state, _, sight = look(CAMERA, surfaces, bounds, layer, psf, rays, w, radius, middle, middle, 1.0)
-    cells, share = look_through(sight), np.ones((len(lens), w.size))
-    tested = sight.row >= 0
+    state, _, visibility = check_visibility(
+        CAMERA, surfaces, bounds, layer, psf, Points(rays, w, radius, middle, middle, 1.0)
+    )
+    cells, share = cell_visibility(visibility), np.ones((len(lens), w.size))
+    tested = visibility.row >= 0
     for tap, (x, y) in enumerate(lens):
-        share[tap, tested] = tap_share(sight, cells, x * sight.radius, y * sight.radius)
+        share[tap, tested] = tap_share(visibility, cells, x * visibility.radius, y * visibility.radius)
     share[:, state == HIDDEN] = 0.0
     return state, share
 
@@ -250,8 +260,8 @@ def test_points_inside_of_another_object_are_hidden() -> None:
         inside = np.linalg.norm(rays / w[:, None] - other.center, axis=1) < other.radius
         assert 0.02 < inside.mean() < 0.5
         radius, middle = blur_radius(CAMERA, w), np.zeros_like(w)
-        args = ([surface], [None], Layer(0, 1), Psf(), rays, w, radius, middle, middle, 1.0)
-        state, edge, _ = look(CAMERA, *args)
+        args = ([surface], [None], Layer(0, 1), Psf(), Points(rays, w, radius, middle, middle, 1.0))
+        state, edge, _ = check_visibility(CAMERA, *args)
         assert (state[inside] == HIDDEN).all()
         assert (state[~inside] != HIDDEN).any()
         # The change is an outline for sub-pixel sources, whether or not anything can be seen of what is beyond.
@@ -282,9 +292,11 @@ def test_narrow_lenses_are_weighed_cell_by_cell() -> None:
     radius = blur_radius(camera, w)
     assert 0.5 < radius[0] < 2.0
     zero, surfaces = np.zeros(1), [place(item, STILL)]
-    _, _, sight = look(camera, surfaces, [item.bounds], Layer(0, 1), Psf(), rays, w, radius, zero, zero, 0.0)
-    assert (sight.row == 0).all()
-    cells = look_through(sight)
+    _, _, visibility = check_visibility(
+        camera, surfaces, [item.bounds], Layer(0, 1), Psf(), Points(rays, w, radius, zero, zero, 0.0)
+    )
+    assert (visibility.row == 0).all()
+    cells = cell_visibility(visibility)
     fine = (np.arange(400) + 0.5) / 200 - 1
     x, y = np.meshgrid(fine, fine)
     free = 0.5 * 5.0 * x < 0.4  # the line crosses the card's plane half way to the lens point 5 mm x
@@ -292,8 +304,8 @@ def test_narrow_lenses_are_weighed_cell_by_cell() -> None:
         tent = np.maximum(0, 1 - np.abs(x * radius - dx)) * np.maximum(0, 1 - np.abs(y * radius - dy))
         tent = np.where(x * x + y * y <= 1, tent, 0.0)
         # The grid has 16 cells across, and its edge is softened over one of them.
-        assert tap_share(sight, cells, dx, dy)[0] == pytest.approx((tent * free).sum() / tent.sum(), abs=0.02)
-    assert tap_share(sight, cells, 5.0, 0.0)[0] == 1.0  # no light goes there: nothing to divide by
+        assert tap_share(visibility, cells, dx, dy)[0] == pytest.approx((tent * free).sum() / tent.sum(), abs=0.02)
+    assert tap_share(visibility, cells, 5.0, 0.0)[0] == 1.0  # no light goes there: nothing to divide by
 
 
 def test_soft_step_is_a_step() -> None:

@@ -14,13 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from clsco.optics import psf as psf_weights
 from clsco.reference.common.geometry import Array, tilt_slope
-from clsco.reference.common.visibility import Sight, look_through, tap_share
+from clsco.reference.common.visibility import Visibility, cell_visibility, tap_share
 from clsco.reference.trace.trace import Sources, SubpixelSources
 from clsco.scene.model import Psf
 
 Shape = tuple[int, int]
 BLOCK = 16384  # sources at a time: their intermediate results stay in the cache
-SIGHTS = 2048  # the same of sources that something is in the way of, of which there is more to keep
+OCCLUDED_BLOCK = 2048  # the same of sources that something is in the way of, of which there is more to keep
 
 
 def prepare_sources(coc: Array, valid: NDArray[np.bool_]) -> Array:
@@ -60,15 +60,15 @@ def _octant(offset_limit: int) -> Iterator[tuple[int, int, set[tuple[int, int]]]
             yield a, b, {(s * x, t * y) for x, y in ((a, b), (b, a)) for s in (1, -1) for t in (1, -1)}
 
 
-def _alike(sight: Sight) -> list[tuple[NDArray[np.int64], Sight, Array]]:
+def _alike(visibility: Visibility) -> list[tuple[NDArray[np.int64], Visibility, Array]]:
     """Groups of what is partly hidden, of nearly the same radius and so of the same taps, and their cells of the lens.
 
-    Numbers of the sources in a group, its part of `sight`, and what `look_through` makes of it.
+    Numbers of the sources in a group, its part of `visibility`, and what `cell_visibility` makes of it.
     """
-    hidden = np.flatnonzero(sight.row >= 0)
-    hidden = hidden[np.argsort(np.abs(sight.radius[sight.row[hidden]]), kind="stable")]
-    parts = [hidden[start : start + SIGHTS] for start in range(0, hidden.size, SIGHTS)]
-    return [(part, group, look_through(group)) for part in parts for group in [sight.of(part)]]
+    hidden = np.flatnonzero(visibility.row >= 0)
+    hidden = hidden[np.argsort(np.abs(visibility.radius[visibility.row[hidden]]), kind="stable")]
+    parts = [hidden[start : start + OCCLUDED_BLOCK] for start in range(0, hidden.size, OCCLUDED_BLOCK)]
+    return [(part, group, cell_visibility(group)) for part in parts for group in [visibility.of(part)]]
 
 
 def _shares(
@@ -84,7 +84,7 @@ def _shares(
     at = at[np.argsort(size[at], kind="stable")]  # a block's sources have nearly the same taps
     blocks = [at[start : start + BLOCK] for start in range(0, at.size, BLOCK)]
     reaches = [psf_weights.reach(psf, float(size[block[-1]])) for block in blocks]
-    groups = [] if sources.sight is None else _alike(sources.sight)
+    groups = [] if sources.visibility is None else _alike(sources.visibility)
     for a, b, offsets in _octant(max(reaches, default=-1)):
         weight = np.zeros(there.size)
         for block, far in zip(blocks, reaches, strict=True):
@@ -98,11 +98,11 @@ def _shares(
             if not source.size:
                 continue
             share = weight[source] * tilt_factor(dx, dy, slope[source]) if psf.tilt else weight[source]
-            for hidden, sight, cells in groups:
+            for hidden, visibility, cells in groups:
                 place = np.minimum(np.searchsorted(source, hidden), source.size - 1)
                 found = source[place] == hidden
                 if found.any():
-                    share[place[found]] *= tap_share(sight, cells, dx, dy)[found]
+                    share[place[found]] *= tap_share(visibility, cells, dx, dy)[found]
             yield source, target, share
 
 
@@ -118,15 +118,15 @@ def _subpixel_shares(
     pixel, i, j = np.nonzero(sub.hit)
     offset = psf_weights.subpixel_offsets(samples)
     order = np.argsort(np.abs(sub.radius[sub.hit]), kind="stable")  # a block's sources have the same taps
-    size = BLOCK if sub.sight is None else SIGHTS
+    size = BLOCK if sub.visibility is None else OCCLUDED_BLOCK
     for start in range(0, pixel.size, size):
         block = order[start : start + size]
         p, y, x = pixel[block], offset[i[block]], offset[j[block]]
         radius = sub.radius[sub.hit][block]
         slope = tilt_slope(sub.gradient[sub.hit][block], radius)
         far = psf_weights.reach(psf, float(np.abs(radius).max()), subpixel=True)
-        sight = None if sub.sight is None else sub.sight.of(block)
-        cells = np.empty(0) if sight is None else look_through(sight)
+        visibility = None if sub.visibility is None else sub.visibility.of(block)
+        cells = np.empty(0) if visibility is None else cell_visibility(visibility)
         for dy in range(-far, far + 1):
             for dx in range(-far, far + 1):
                 row, column = sub.row[p] - guard + dy, sub.column[p] - guard + dx
@@ -134,9 +134,9 @@ def _subpixel_shares(
                 share = psf_weights.subpixel_weights(psf, dx - x[inside], dy - y[inside], radius[inside])
                 if psf.tilt:
                     share = share * tilt_factor(dx - x, dy - y, slope)[inside]
-                if sight is not None:
+                if visibility is not None:
                     seen = np.ones(p.size)
-                    seen[sight.row >= 0] = tap_share(sight, cells, dx, dy)
+                    seen[visibility.row >= 0] = tap_share(visibility, cells, dx, dy)
                     share = share * seen[inside]
                 lit = share > 0.0
                 target = (row * shape[1] + column)[inside][lit]
@@ -165,7 +165,7 @@ def renormalize(
     inside[guard : guard + m, guard : guard + n] = True
     there = _own_sources(sources, sub) & inside
     kept: Array = np.zeros(there.size)
-    for source, _, share in _shares(psf, replace(sources, sight=None), there, shape, guard):
+    for source, _, share in _shares(psf, replace(sources, visibility=None), there, shape, guard):
         kept[source] += share
     kept = kept.reshape(there.shape)
     scale = np.where(kept > 0.0, 1.0 / np.where(kept > 0.0, kept, 1.0), 0.0)
@@ -174,7 +174,7 @@ def renormalize(
         return sources, None
     sub = replace(sub, hit=sub.hit & inside[sub.row, sub.column][:, None, None])
     kept_sub = np.zeros(int(sub.hit.sum()))
-    for source, _, share in _subpixel_shares(psf, replace(sub, sight=None), shape, guard):
+    for source, _, share in _subpixel_shares(psf, replace(sub, visibility=None), shape, guard):
         np.add.at(kept_sub, source, share)
     # Shares include 1/S^2; what is divided by is the share of the source's own light.
     kept_sub *= sub.hit.shape[1] ** 2

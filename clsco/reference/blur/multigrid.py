@@ -40,8 +40,8 @@ def measure_radii(sources: Sources, sub: SubpixelSources | None) -> tuple[Array,
     may = sources.lit.copy()
     if sub is not None:
         may[sub.row, sub.column] = False
-    if sources.sight is not None:
-        may &= (sources.sight.row < 0).reshape(may.shape)
+    if sources.visibility is not None:
+        may &= (sources.visibility.row < 0).reshape(may.shape)
     return np.where(may, np.abs(sources.radius), np.nan), sources.gradient * sources.radius[..., None]
 
 

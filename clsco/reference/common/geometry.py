@@ -131,16 +131,16 @@ def root_counts(surface: PlacedSurface, bounds: Bounds | None, d: Array, body: A
 
 
 def solve_quadric(surface: PlacedSurface, bounds: Bounds | None, rays: Array) -> tuple[Array, NDArray[np.uint8]]:
-    """`solve_sheet` for both roots."""
-    return solve_sheet(surface, bounds, rays, 0)
+    """`solve_root` for both roots."""
+    return solve_root(surface, bounds, rays, 0)
 
 
-def solve_sheet(
-    surface: PlacedSurface, bounds: Bounds | None, rays: Array, sheet: int
+def solve_root(
+    surface: PlacedSurface, bounds: Bounds | None, rays: Array, only: int
 ) -> tuple[Array, NDArray[np.uint8]]:
     """Inverse depth (...) in 1/mm of the nearest visible root along rays (..., 3), and which root it is.
 
-    bounds: box in the object's own frame, mm; sheet: the label of the only root that counts, 0 for both. Label: 0 no
+    bounds: box in the object's own frame, mm; only: the label of the only root that counts, 0 for both. Label: 0 no
     surface (w = 0), 1 the root (-B + sqrt(D))/C, 2 the root (-B - sqrt(D))/C of C w^2 + 2 B w + A = 0. A root counts
     when it is real, 0 < w < 1e6, on the wanted nappe and within the bounds; nothing is divided by Z, so horizon and
     infinity are the sign of w. Of two equal roots the first counts. Validated against 3.10, 3.16, 3.22, 3.32, 3.36 and
@@ -165,7 +165,7 @@ def solve_sheet(
     for first in (True, False):
         number = np.where(plus_first == first, np.uint8(1), np.uint8(2))
         w = np.where(minus_is_sum == (number == 2), sum_root, product_root)
-        wanted = (label == 0) & (discriminant >= 0.0) & ((sheet == 0) | (number == sheet))
+        wanted = (label == 0) & (discriminant >= 0.0) & ((only == 0) | (number == only))
         counts = wanted & root_counts(surface, bounds, d, body, w)
         inverse_depth = np.where(counts, w, inverse_depth)
         label = np.where(counts, number, label)
@@ -177,14 +177,14 @@ def nearest_surface(
 ) -> tuple[Array, NDArray[np.uint8], NDArray[np.int32]]:
     """Inverse depth (...) in 1/mm of the nearest surface along rays (..., 3), its label, and its number.
 
-    surfaces, bounds: of all objects; layer: which of them count, and which sheet. Label: 0 no surface (w = 0, number
-    -1), else 2 k + the label of `solve_quadric` for object k. Of equally near ones the first counts.
+    surfaces, bounds: of all objects; layer: which of them count, and which of their roots. Label: 0 no surface (w = 0,
+    number -1), else 2 k + the label of `solve_quadric` for object k. Of equally near ones the first counts.
     """
     nearest = np.zeros(rays.shape[:-1])
     label, number = np.zeros(nearest.shape, dtype=np.uint8), np.full(nearest.shape, -1, dtype=np.int32)
     for k, surface in enumerate(surfaces):
         if layer.members >> k & 1:
-            w, root = solve_sheet(surface, bounds[k], rays, layer.sheet)
+            w, root = solve_root(surface, bounds[k], rays, layer.root)
             nearer = w > nearest
             nearest = np.where(nearer, w, nearest)
             label = np.where(nearer, (2 * k + root).astype(np.uint8), label)

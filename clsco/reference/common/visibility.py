@@ -33,7 +33,7 @@ TINY = 1e-30
 
 
 @dataclass(frozen=True, eq=False)
-class Blocker:
+class Occluder:
     """One surface as N points see it against the lens; x, y: offset of a tap in cells, right and down.
 
     h (N, 3): constant, x, y, over the width of the soft edge, without the root; root (N,), f (N, 5): x, y, xx, xy, yy
@@ -54,19 +54,20 @@ class Blocker:
     limits: tuple[Array, ...]
     kept: tuple[Mask, ...]
 
-    def of(self, chosen: NDArray[Any]) -> Blocker:
+    def of(self, chosen: NDArray[Any]) -> Occluder:
         """The same for some of the points."""
         arrays = {k: v[chosen] for k, v in vars(self).items() if k not in ("limits", "kept")}
         limits, kept = (tuple(array[chosen] for array in arrays) for arrays in (self.limits, self.kept))
-        return Blocker(**arrays, limits=limits, kept=kept)
+        return Occluder(**arrays, limits=limits, kept=kept)
 
 
 def _dot(weights: Array, vectors: Array) -> Array:
     return np.asarray(vectors @ weights)
 
 
-def _limits(surface: PlacedSurface, bounds: Bounds | None, w: Array, rays: Array, p: Array, e: Array) -> list[Array]:
-    """Conditions on a crossing: on the right nappe and within the bounds. e: (N, 2) mm per cell, right and down."""
+def _limits(surface: PlacedSurface, bounds: Bounds | None, w: Array, rays: Array, equation: Equation) -> list[Array]:
+    """Conditions on a crossing: on the right nappe and within the bounds."""
+    p, e = equation.point, np.stack([equation.right, -equation.right], axis=-1)  # e: mm per cell, right and down
     found = []
     nappe, o = float(surface.canonical.nappe), surface.offset
     if nappe:
@@ -81,112 +82,248 @@ def _limits(surface: PlacedSurface, bounds: Bounds | None, w: Array, rays: Array
     return found
 
 
-def meet_blocker(
-    camera: Camera, surface: PlacedSurface, bounds: Bounds | None, rays: Array, w: Array, cells: Array, extent: float,
-    wide: Mask, source: float, own: bool = False,
-) -> tuple[NDArray[np.uint8], Mask, Blocker]:  # fmt: skip
-    """How a surface hides the lens from points at inverse depth w (N,) in 1/mm on rays (N, 3).
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Surface points from which the lens is seen: rays (N, 3), inverse depth w (N,) in 1/mm, signed blur radius (N,) in
+    px, place x, y (N,) of the source in its pixel, px, and the width of all sources, px."""
 
-    cells: (N,) per lens radius, signed as the blur radius; extent: of the lens in lens radii; wide: (N,) a cell is a
-    pixel; source: width of the sources, px; own: the points are on the surface itself, of which another part may be
-    between them and the lens. Returns whether the lens is CLEAR, PARTLY or all HIDDEN (N,), which
-    points are on the surface's other side than the lens or near an outline of it that has hardly any width (N,), and
-    what is to be tested per tap.
+    rays: Array
+    w: Array
+    radius: Array
+    x: Array
+    y: Array
+    width: float
+
+
+@dataclass(frozen=True, eq=False)
+class Lens:
+    """How the lens is divided for N sources.
+
+    cells (N,): per lens radius, signed as the blur radius; wide (N,): a cell is a pixel; blur (N,): |R| extent, px;
+    extent: of the lens in lens radii; width: of the sources, px.
     """
+
+    cells: Array
+    blur: Array
+    extent: float
+    width: float
+    wide: Mask
+
+    @property
+    def most(self) -> Array:
+        """Cells (N,) to the farthest tap."""
+        return np.asarray(self.extent * np.abs(self.cells) + 1.5)
+
+
+def lens_of(radius: Array, extent: float, width: float) -> Lens:
+    """Cells for sources of blur radius (N,) px."""
+    blur = np.abs(radius) * extent
+    wide = blur >= WIDE_LENS
+    cells = np.where(wide, radius, np.where(radius < 0, -LENS_CELLS, LENS_CELLS) / extent)
+    return Lens(cells, blur, extent, width, wide)
+
+
+@dataclass(frozen=True, eq=False)
+class Equation:
+    """C v^2 + 2 B v + F = 0 of one surface and N points, in the middle of the lens and with C > 0.
+
+    B, F (N,), C. point (N, 3): times w, in the canonical frame; along_x, along_y (N, 3): way of the lens point per
+    cell, right and down, of `right` (N,) mm; linear (N,): l . point; sign: by which the surface's own equation was
+    multiplied; once (N,): there is one crossing at most; flat: the surface is a plane.
+    """
+
+    B: Array
+    F: Array
+    C: float
+    point: Array
+    along_x: Array
+    along_y: Array
+    right: Array
+    linear: Array
+    sign: float
+    once: Mask
+    flat: bool
+
+
+def equation_of(camera: Camera, surface: PlacedSurface, rays: Array, w: Array, cells: Array, own: bool) -> Equation:
+    """The equation of points on rays (N, 3); own: they are on the surface, F = 0."""
     q, l, k, o = surface.canonical.q, surface.canonical.l, surface.canonical.k, surface.offset  # noqa: E741
-    # The line to lens point l goes over the image by lens_radius l per inverse depth.
+    p = o * w[:, None] + turned(surface.turn, rays)
+    right = lens_radius(camera) / cells
+    along_x, along_y = (way[:, None] * surface.turn[:, i] for i, way in enumerate((right, -right)))
+    sign = -1.0 if surface.constant < 0 else 1.0
+    f = np.zeros_like(w) if own else sign * (_dot(q, p * p) + w * (2 * _dot(l, p) - k * w))
+    b = sign * (_dot(q, p * o) + _dot(l, p) + w * (l @ o - k))
+    flat = not q.any()
+    return Equation(b, f, sign * surface.constant, p, along_x, along_y, right, _dot(l, p), sign, f <= 0, flat)
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """B, C and D = B^2 - C F, which is 0 at the outline, as polynomials of the tap (x, y); (N,) each."""
+
+    D: Array
+    B_x: Array
+    B_y: Array
+    C_x: Array
+    C_y: Array
+    C_xx: Array
+    C_xy: Array
+    C_yy: Array
+    D_x: Array
+    D_y: Array
+    D_xx: Array
+    D_xy: Array
+    D_yy: Array
+
+
+def slopes_of(surface: PlacedSurface, e: Equation, w: Array, d: Array) -> Slopes:
+    """How the coefficients change with the tap; d: D (N,) in the middle of the lens."""
+    q, l, o, side = surface.canonical.q, surface.canonical.l, surface.offset, e.sign  # noqa: E741
+    ex, ey = e.along_x, e.along_y
+    bx, by = (side * (_dot(q, e.point * u) + w * _dot(l, u)) for u in (ex, ey))
+    cx, cy = (side * 2 * (_dot(q, o * u) + _dot(l, u)) for u in (ex, ey))
+    cxx, cyy, cxy = side * _dot(q, ex * ex), side * _dot(q, ey * ey), side * 2 * _dot(q, ex * ey)
+    dx, dy = 2 * e.B * bx - cx * e.F, 2 * e.B * by - cy * e.F
+    dxx, dyy, dxy = bx * bx - cxx * e.F, by * by - cyy * e.F, 2 * bx * by - cxy * e.F
+    return Slopes(d, bx, by, cx, cy, cxx, cxy, cyy, dx, dy, dxx, dxy, dyy)
+
+
+def crossing_place(camera: Camera, e: Equation, d: Array) -> Array:
+    """Where the line meets the surface, or passes it: (N,) px of the image away, per lens radius."""
+    root = np.sqrt(np.maximum(d, 0.0))
+    v = np.where(e.once, np.where(e.B < 0, (root - e.B) / e.C, -e.F / (e.B + root)), -e.B / e.C)
+    return np.maximum(np.abs(blur_scale(camera) * v), TINY)
+
+
+def edge_width(lens: Lens, place: Array) -> Array:
+    """Half width (N,) of the edge of what is hidden, in cells: over the cell, and what the width of a source adds."""
+    away = lens.cells / place
+    return np.asarray(SOFT_BOX * np.hypot(1.0, lens.width * np.where(lens.wide, away - 1, away)))
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """h = -B - sqrt(C F) as `Occluder` keeps it, and what it leaves of the lens."""
+
+    h: Array
+    root: Array
+    f: Array
+    clear: Mask
+    hidden: Mask
+
+
+def outline_of(e: Equation, m: Slopes, soft: Array, most: Array) -> Outline:
+    """Of two crossings, or none: h over the width `soft` (N,) of the edge; most (N,): cells to the farthest tap."""
+    under = np.sqrt(e.C * e.F)
+    h = -e.B - under
+    change = e.F * (np.hypot(m.C_x, m.C_y) + (np.abs(m.C_xx) + np.abs(m.C_xy) + np.abs(m.C_yy)) * most) * most
+    reach = np.minimum(np.where(under > 0, change / under, np.inf), np.sqrt(change))
+    reach = reach + np.hypot(m.B_x, m.B_y) * most
+    # Slope of h = D / (sqrt(C F) - B) at the outline, across which D curves by twice its lower eigenvalue; where there
+    # is no outline, a thousandth of what the range allows, as on devices, which could not hold more.
+    curve = 0.5 * (m.D_xx + m.D_yy - np.hypot(m.D_xx - m.D_yy, m.D_xy))
+    slope = np.sqrt(np.maximum(m.D_x * m.D_x + m.D_y * m.D_y - 4 * m.D * curve, 0.0)) / (2 * np.maximum(under, TINY))
+    scale = 1 / (2 * soft * np.maximum(slope, np.maximum(1e-3 * reach / most, TINY)))
+    area = scale * scale * e.F
+    return Outline(
+        h=np.stack([h * scale, -m.B_x * scale, -m.B_y * scale], axis=-1),
+        root=under * scale,
+        f=np.stack([m.C_x * area, m.C_y * area, m.C_xx * area, m.C_xy * area, m.C_yy * area], axis=-1),
+        clear=(h + reach) * scale <= -0.5,
+        hidden=(h - reach) * scale >= 0.5,
+    )
+
+
+def keep_equation(e: Equation, m: Slopes, soft: Array, outline: Outline, limits: Sequence[Array]) -> Occluder:
+    """What is tested for taps: the outline, and the equation for those that have limits."""
+    zero = np.zeros_like(e.B)
+    return Occluder(
+        h=outline.h,
+        root=outline.root,
+        f=outline.f,
+        crossings=np.where(e.once, 1, 2),
+        b=np.stack([e.B, m.B_x, m.B_y], axis=-1),
+        f0=e.F,
+        c=np.stack([zero + e.C, m.C_x, m.C_y, m.C_xx, m.C_xy, m.C_yy], axis=-1),
+        d=np.stack([m.D, m.D_x, m.D_y, m.D_xx, m.D_xy, m.D_yy], axis=-1),
+        soft=1 / (2 * soft),
+        limits=tuple(limits),
+        kept=tuple(np.ones(e.B.shape, dtype=bool) for _ in limits),
+    )
+
+
+def out_of_the_way(camera: Camera, surface: PlacedSurface, rays: Array, w: Array, extent: float) -> Mask:
+    """Whether (N,) nothing of a surface can be between the points and the lens: the line to lens point l goes over the
+    image by lens_radius l per inverse depth."""
     way = lens_radius(camera) * extent * (surface.seen.w[1] - w)
     far = way <= 0
     for axis, (low, high) in enumerate((surface.seen.x, surface.seen.y)):
         far = far | (rays[:, axis] + way < low) | (rays[:, axis] - way > high)
-    p = o * w[:, None] + turned(surface.turn, rays)
-    e = np.stack([lens_radius(camera) / cells, -lens_radius(camera) / cells], axis=-1)
-    ex, ey = (e[:, i, None] * surface.turn[:, i] for i in (0, 1))
-    side = -1.0 if surface.constant < 0 else 1.0
-    f = np.zeros_like(w) if own else side * (_dot(q, p * p) + w * (2 * _dot(l, p) - k * w))
-    b = side * (_dot(q, p * o) + _dot(l, p) + w * (l @ o - k))
-    c = side * surface.constant
-    once, flat = f <= 0, not q.any()
-    d = difference_of_products(b, b, c, f)
-    most = extent * np.abs(cells) + 1.5
-    limits = _limits(surface, bounds, w, rays, p, e)
+    return np.asarray(far)
+
+
+def meet_occluder(
+    camera: Camera, surface: PlacedSurface, bounds: Bounds | None, points: Points, lens: Lens, own: bool = False
+) -> tuple[NDArray[np.uint8], Mask, Occluder]:
+    """How a surface hides the lens from N points.
+
+    own: the points are on the surface itself, of which another part may be between them and the lens. Returns whether
+    the lens is CLEAR, PARTLY or all HIDDEN (N,), which points are on the surface's other side than the lens or near an
+    outline of it that has hardly any width (N,), and what is to be tested per tap.
+    """
+    rays, w = points.rays, points.w
+    far = out_of_the_way(camera, surface, rays, w, lens.extent)
+    e = equation_of(camera, surface, rays, w, lens.cells, own)
+    d = difference_of_products(e.B, e.B, e.C, e.F)
+    limits = _limits(surface, bounds, w, rays, e)
     with np.errstate(all="ignore"):  # where there is one crossing, what belongs to two is not used, and vice versa
-        # Where the line meets the surface, or passes it: so many px of the image away, per lens radius. The edge of
-        # what is hidden is softened over the cell and over what the width of the source adds to it.
-        root = np.sqrt(np.maximum(d, 0.0))
-        v = np.where(once, np.where(b < 0, (root - b) / c, -f / (b + root)), -b / c)
-        place = np.maximum(np.abs(blur_scale(camera) * v), TINY)
-        soft = SOFT_BOX * np.hypot(1.0, source * np.where(wide, cells / place - 1, cells / place))
-        if flat:
-            state, limits = flatten_limits(limits, _dot(l, p), float(l @ o), ex @ l, ey @ l, soft, most)
-            state = np.where(once & ~far, state, CLEAR)
-            return state.astype(np.uint8), (f < 0) & ~far, _planar(limits, w.size)
-        bx, by = (side * (_dot(q, p * u) + w * _dot(l, u)) for u in (ex, ey))
-        cx, cy = (side * 2 * (_dot(q, o * u) + _dot(l, u)) for u in (ex, ey))
-        cxx, cyy, cxy = side * _dot(q, ex * ex), side * _dot(q, ey * ey), side * 2 * _dot(q, ex * ey)
-        # B^2 - C F, which is 0 at the edge
-        dx, dy = 2 * b * bx - cx * f, 2 * b * by - cy * f
-        dxx, dyy, dxy = bx * bx - cxx * f, by * by - cyy * f, 2 * bx * by - cxy * f
-        under = np.sqrt(c * f)
-        h = -b - under
-        change = f * (np.hypot(cx, cy) + (np.abs(cxx) + np.abs(cxy) + np.abs(cyy)) * most) * most
-        reach = np.minimum(np.where(under > 0, change / under, np.inf), np.sqrt(change))
-        reach = reach + np.hypot(bx, by) * most
-        # Slope of h = D / (sqrt(C F) - B) at the edge, across which D curves by twice its lower eigenvalue; where there
-        # is no edge, a thousandth of what the range allows, as on devices, which could not hold more.
-        curve = 0.5 * (dxx + dyy - np.hypot(dxx - dyy, dxy))
-        slope = np.sqrt(np.maximum(dx * dx + dy * dy - 4 * d * curve, 0.0)) / (2 * np.maximum(under, TINY))
-        scale = 1 / (2 * soft * np.maximum(slope, np.maximum(1e-3 * reach / most, TINY)))
-        clear = far | ~once & ((h + reach) * scale <= -0.5)
-        hidden = once | ((h - reach) * scale >= 0.5)
-        area = scale * scale * f
+        place = crossing_place(camera, e, d)
+        soft = edge_width(lens, place)
+        if e.flat:
+            l = surface.canonical.l  # noqa: E741
+            change = (float(l @ surface.offset), e.along_x @ l, e.along_y @ l)
+            state, limits = flatten_limits(limits, e.linear, change, soft, lens.most)
+            state = np.where(e.once & ~far, state, CLEAR)
+            return state.astype(np.uint8), (e.F < 0) & ~far, _planar(limits, w.size)
+        slopes = slopes_of(surface, e, w, d)
+        outline = outline_of(e, slopes, soft, lens.most)
+        occluder = keep_equation(e, slopes, soft, outline, limits)
+    clear, hidden = far | ~e.once & outline.clear, e.once | outline.hidden
     state = np.where(clear, CLEAR, np.where(hidden & (not limits), HIDDEN, PARTLY))
-    edge = ~far & (once & (f < 0) | ~once & ~clear & ~hidden & (place * extent <= SHARP_EDGE))
-    zero = np.zeros_like(w)
-    blocker = Blocker(
-        h=np.stack([h * scale, -bx * scale, -by * scale], axis=-1),
-        root=under * scale,
-        f=np.stack([cx * area, cy * area, cxx * area, cxy * area, cyy * area], axis=-1),
-        crossings=np.where(once, 1, 2),
-        b=np.stack([b, bx, by], axis=-1),
-        f0=f,
-        c=np.stack([zero + c, cx, cy, cxx, cxy, cyy], axis=-1),
-        d=np.stack([d, dx, dy, dxx, dxy, dyy], axis=-1),
-        soft=1 / (2 * soft),
-        limits=tuple(limits),
-        kept=tuple(np.ones(w.shape, dtype=bool) for _ in limits),
-    )
+    narrow = ~e.once & ~clear & ~hidden & (place * lens.extent <= SHARP_EDGE)
+    edge = ~far & (e.once & (e.F < 0) | narrow)
     if limits:
-        all_hidden, kept = hides_all(blocker, most)
+        all_hidden, kept = hides_all(occluder, lens.most)
         state = np.where(~clear & all_hidden, HIDDEN, state)
-        blocker = replace(blocker, kept=kept)
-    return state.astype(np.uint8), edge, blocker
+        occluder = replace(occluder, kept=kept)
+    return state.astype(np.uint8), edge, occluder
 
 
 def flatten_limits(
-    limits: Sequence[Array], near: Array, far: float, far_x: Array, far_y: Array, soft: Array, most: Array
+    limits: Sequence[Array], near: Array, far: tuple[float, Array, Array], soft: Array, most: Array
 ) -> tuple[NDArray[np.uint8], list[Array]]:
     """Conditions on the one crossing with a plane, linear in the tap: what they leave (N,), and h (N, 3) of each.
 
-    The crossing is at v = -near / (far + far_x x + far_y y). limits: (N, 4) each; soft: half width of the edge (N,);
+    The crossing is at v = -near / (far_0 + far_1 x + far_2 y). limits: (N, 4) each; soft: half width of the edge (N,);
     most: cells to the farthest tap (N,). h: constant, x, y, over the width of the edge.
     """
     state, found = np.full(near.shape, HIDDEN), []
     for limit in limits:
-        base = limit[:, 0] * far - near * limit[:, 1]
-        x, y = limit[:, 0] * far_x - near * limit[:, 2], limit[:, 0] * far_y - near * limit[:, 3]
-        scale = (-1.0 if far < 0 else 1.0) / (2 * soft * np.maximum(np.hypot(x, y), TINY))
+        base = limit[:, 0] * far[0] - near * limit[:, 1]
+        x, y = limit[:, 0] * far[1] - near * limit[:, 2], limit[:, 0] * far[2] - near * limit[:, 3]
+        scale = (-1.0 if far[0] < 0 else 1.0) / (2 * soft * np.maximum(np.hypot(x, y), TINY))
         state = np.where(base * scale - most / (2 * soft) < 0.5, np.minimum(state, PARTLY), state)
         state = np.where(base * scale + most / (2 * soft) <= -0.5, CLEAR, state)
         found.append(np.stack([base * scale, x * scale, y * scale], axis=-1))
     return state, found
 
 
-def _planar(limits: Sequence[Array], points: int) -> Blocker:
+def _planar(limits: Sequence[Array], points: int) -> Occluder:
     """A plane: of its `limits` each is (N, 3), an h."""
     none, zero = np.zeros((points, 6)), np.zeros(points)
     crossings = np.zeros(points, dtype=np.int64)
-    return Blocker(none[:, :3], zero, none[:, :5], crossings, none[:, :3], zero, none, none, zero, tuple(limits), ())
+    return Occluder(none[:, :3], zero, none[:, :5], crossings, none[:, :3], zero, none, none, zero, tuple(limits), ())
 
 
 def soft_step(t: Array) -> Array:
@@ -204,7 +341,7 @@ class Crossing:
     y: Array
 
 
-def crossing_at(m: Blocker, v: Array, b: Array, c: Array, x: Array, y: Array) -> Crossing:
+def crossing_at(m: Occluder, v: Array, b: Array, c: Array, x: Array, y: Array) -> Crossing:
     """The crossing at w + v (N,); b, c, x, y: (N,), at the taps."""
     steep = c * v + b
     scale = -v / np.where(np.abs(steep) > TINY, steep, TINY)
@@ -214,14 +351,14 @@ def crossing_at(m: Blocker, v: Array, b: Array, c: Array, x: Array, y: Array) ->
     return Crossing(v, vx, vy)
 
 
-def limit_share(m: Blocker, limit: Array, at: Crossing, x: Array, y: Array) -> Array:
+def limit_share(m: Occluder, limit: Array, at: Crossing, x: Array, y: Array) -> Array:
     """Share (N,) of the taps' cells over which a crossing meets one condition (N, 4)."""
     slope = limit[:, 1] + limit[:, 2] * x + limit[:, 3] * y
     steep = np.hypot(at.v * limit[:, 2] + slope * at.x, at.v * limit[:, 3] + slope * at.y)
     return soft_step((limit[:, 0] + at.v * slope) * m.soft / (steep + TINY))
 
 
-def crossing_share(m: Blocker, at: Crossing, x: Array, y: Array) -> Array:
+def crossing_share(m: Occluder, at: Crossing, x: Array, y: Array) -> Array:
     """Share (N,) of them from which a crossing blocks: the least that any condition leaves."""
     least = np.ones_like(x)
     for limit, kept in zip(m.limits, m.kept, strict=True):
@@ -230,7 +367,7 @@ def crossing_share(m: Blocker, at: Crossing, x: Array, y: Array) -> Array:
     return np.where((m.f0 == 0) | (at.v > 0), least, 0.0)
 
 
-def find_crossings(m: Blocker, x: Array, y: Array) -> tuple[Crossing, Crossing]:
+def find_crossings(m: Occluder, x: Array, y: Array) -> tuple[Crossing, Crossing]:
     """Both crossings at taps x, y (N,), or the one."""
     b = m.b[:, 0] + m.b[:, 1] * x + m.b[:, 2] * y
     c, d = (p[:, 0] + x * (p[:, 1] + p[:, 3] * x + p[:, 4] * y) + y * (p[:, 2] + p[:, 5] * y) for p in (m.c, m.d))
@@ -240,7 +377,7 @@ def find_crossings(m: Blocker, x: Array, y: Array) -> tuple[Crossing, Crossing]:
     return crossing_at(m, t / c, b, c, x, y), crossing_at(m, m.f0 / t, b, c, x, y)
 
 
-def blocked_height(m: Blocker, x: Array, y: Array) -> Array:
+def occluded_height(m: Occluder, x: Array, y: Array) -> Array:
     """h (N,) of a surface without limits at taps x, y (N,), over the width of the soft edge."""
     fx, fy, fxx, fxy, fyy = m.f.T
     f = x * (fx + fxx * x + fxy * y) + y * (fy + fyy * y)
@@ -248,10 +385,10 @@ def blocked_height(m: Blocker, x: Array, y: Array) -> Array:
     return np.asarray(m.h[:, 0] + m.h[:, 1] * x + m.h[:, 2] * y - f / (under + m.root + TINY))
 
 
-def blocked_share(m: Blocker, x: Array, y: Array) -> Array:
+def occluded_share(m: Occluder, x: Array, y: Array) -> Array:
     """Share (N,) of the lens, over the cells of taps x, y (N,), that one surface blocks."""
     if not m.limits:
-        return soft_step(blocked_height(m, x, y))
+        return soft_step(occluded_height(m, x, y))
     if m.limits[0].shape[1] == 3:  # a plane
         return np.asarray(np.min([soft_step(h[:, 0] + h[:, 1] * x + h[:, 2] * y) for h in m.limits], axis=0))
     with np.errstate(all="ignore"):  # a lens point on the surface itself has an infinite crossing
@@ -261,12 +398,12 @@ def blocked_share(m: Blocker, x: Array, y: Array) -> Array:
     height = d[:, 0] + x * (d[:, 1] + d[:, 3] * x + d[:, 4] * y) + y * (d[:, 2] + d[:, 5] * y)
     slope = np.hypot(d[:, 1] + 2 * d[:, 3] * x + d[:, 4] * y, d[:, 2] + d[:, 4] * x + 2 * d[:, 5] * y)
     twice = np.where(
-        np.any(m.kept, axis=0), share * soft_step(height * m.soft / (slope + TINY)), soft_step(blocked_height(m, x, y))
+        np.any(m.kept, axis=0), share * soft_step(height * m.soft / (slope + TINY)), soft_step(occluded_height(m, x, y))
     )
     return np.where(m.crossings == 1, share, twice)
 
 
-def hides_all(m: Blocker, most: Array) -> tuple[Mask, tuple[Mask, ...]]:
+def hides_all(m: Occluder, most: Array) -> tuple[Mask, tuple[Mask, ...]]:
     """Whether a surface hides the lens (N,) at 16 points all over it, a little beyond its rim, `most` (N,), among them.
 
     Also which conditions (N,) each some crossing there does not meet wholly; others can be dropped, but for one where
@@ -277,7 +414,7 @@ def hides_all(m: Blocker, most: Array) -> tuple[Mask, tuple[Mask, ...]]:
     for radius in (most / np.cos(np.pi / 8), 0.5 * most):
         for angle in np.arange(8) * (np.pi / 4):
             x, y = radius * np.cos(angle), radius * np.sin(angle)
-            hidden &= blocked_share(m, x, y) >= 1.0
+            hidden &= occluded_share(m, x, y) >= 1.0
             with np.errstate(all="ignore"):
                 for at in find_crossings(m, x, y):
                     for k, limit in enumerate(m.limits):
@@ -286,11 +423,11 @@ def hides_all(m: Blocker, most: Array) -> tuple[Mask, tuple[Mask, ...]]:
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
-    """What hides the lens from sources; made by `look`.
+class Visibility:
+    """What hides the lens from sources; made by `check_visibility`.
 
     row: (sources,) where a source is in the other arrays, -1 if nothing hides it or all is hidden. Of the M others:
-    radius px; wide; x, y: place of the source in its pixel, px; blockers: per surface which of them it concerns, and
+    radius px; wide; x, y: place of the source in its pixel, px; occluders: per surface which of them it concerns, and
     how. extent: of the lens in lens radii; cells: light (L, L) through its cells.
     """
 
@@ -299,97 +436,99 @@ class Sight:
     wide: Mask
     x: Array
     y: Array
-    blockers: tuple[tuple[Mask, Blocker], ...]
+    occluders: tuple[tuple[Mask, Occluder], ...]
     extent: float
     cells: Array
 
-    def of(self, chosen: NDArray[Any] | slice) -> Sight:
+    def of(self, chosen: NDArray[Any] | slice) -> Visibility:
         """The same for some of the sources."""
         row = self.row[chosen]
         there = row[row >= 0]
-        blockers = tuple(
-            (mask[there], blocker.of(np.cumsum(mask)[there[mask[there]]] - 1)) for mask, blocker in self.blockers
+        occluders = tuple(
+            (mask[there], occluder.of(np.cumsum(mask)[there[mask[there]]] - 1)) for mask, occluder in self.occluders
         )
         new = np.where(row >= 0, np.cumsum(row >= 0) - 1, -1)
-        return Sight(
-            new, self.radius[there], self.wide[there], self.x[there], self.y[there], blockers, self.extent, self.cells
+        return Visibility(
+            new, self.radius[there], self.wide[there], self.x[there], self.y[there], occluders, self.extent, self.cells
         )
 
 
-def free_share(sight: Sight, x: Array, y: Array) -> Array:
+def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
     """Share (M,) of the lens, over the cells of taps x, y (M,) from the sources, that nothing blocks.
 
     Where the lens is wide, a tap at the rim of the blur sees only the inside of it: with a tent across it, cut at the
     distance s from its middle, the mean of what is left is at -(1 - s)^2 / 3, and below s = 0 at (2 s - 1) / 3.
     """
-    rim = np.maximum(np.abs(sight.radius) * sight.extent, 1.0)
+    rim = np.maximum(np.abs(visibility.radius) * visibility.extent, 1.0)
     s = np.clip(0.5 * rim - (x * x + y * y) / (2 * rim), -1.0, 1.0)
-    inwards = np.where(sight.wide, 1 - np.where(s > 0, (1 - s) ** 2, 1 - 2 * s) / (3 * rim), 1.0)
+    inwards = np.where(visibility.wide, 1 - np.where(s > 0, (1 - s) ** 2, 1 - 2 * s) / (3 * rim), 1.0)
     share = np.ones_like(x)
-    for mask, blocker in sight.blockers:
-        share[mask] *= 1 - blocked_share(blocker, (x * inwards)[mask], (y * inwards)[mask])
+    for mask, occluder in visibility.occluders:
+        share[mask] *= 1 - occluded_share(occluder, (x * inwards)[mask], (y * inwards)[mask])
     return share
 
 
-def look_through(sight: Sight) -> Array:
+def cell_visibility(visibility: Visibility) -> Array:
     """Share (N, L, L) of each cell of the lens that nothing blocks, of the N sources that the lens is not wide for."""
-    narrow = ~sight.wide
-    size, points = 2 * LENS_CELLS, sight.radius.size
+    narrow = ~visibility.wide
+    size, points = 2 * LENS_CELLS, visibility.radius.size
     share = np.ones((np.count_nonzero(narrow), size, size))
     if narrow.any():
         for i in range(size):
             for j in range(size):
                 x, y = (np.full(points, n + 0.5 - LENS_CELLS) for n in (j, i))
-                share[:, i, j] = free_share(sight, x, y)[narrow]
+                share[:, i, j] = free_share(visibility, x, y)[narrow]
     return share
 
 
-def tap_share(sight: Sight, cells: Array, dx: float | Array, dy: float | Array) -> Array:
+def tap_share(visibility: Visibility, cells: Array, dx: float | Array, dy: float | Array) -> Array:
     """Share (M,) of the lens that is free, as seen from the tap (dx, dy) px off each source's pixel.
 
-    cells: (N, L, L) from `look_through`. Where the lens is not wide, the tap's tent weighs its cells.
+    cells: (N, L, L) from `cell_visibility`. Where the lens is not wide, the tap's tent weighs its cells.
     """
-    share = free_share(sight, dx - sight.x, dy - sight.y) if sight.wide.any() else np.ones_like(sight.x)
-    narrow = ~sight.wide
+    share = (
+        free_share(visibility, dx - visibility.x, dy - visibility.y)
+        if visibility.wide.any()
+        else np.ones_like(visibility.x)
+    )
+    narrow = ~visibility.wide
     if narrow.any():
-        step = np.abs(sight.radius[narrow]) * sight.extent / LENS_CELLS
+        step = np.abs(visibility.radius[narrow]) * visibility.extent / LENS_CELLS
         at = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
         across, down = (
             np.maximum(0.0, 1 - np.abs(at * step[:, None] + (place - d)[narrow, None]))
-            for place, d in ((sight.x, dx), (sight.y, dy))
+            for place, d in ((visibility.x, dx), (visibility.y, dy))
         )
-        whole = np.einsum("mi,ij,mj->m", down, sight.cells, across, optimize=True)
-        free = np.einsum("mi,mij,mj->m", down, sight.cells * cells, across, optimize=True)
+        whole = np.einsum("mi,ij,mj->m", down, visibility.cells, across, optimize=True)
+        free = np.einsum("mi,mij,mj->m", down, visibility.cells * cells, across, optimize=True)
         share[narrow] = np.where(whole > 0, free / np.where(whole > 0, whole, 1.0), 1.0)
     return share
 
 
-def look(
+def check_visibility(
     camera: Camera, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], layer: Layer, psf: Psf,
-    rays: Array, w: Array, radius: Array, x: Array, y: Array, width: float,
-) -> tuple[NDArray[np.uint8], Mask, Sight]:  # fmt: skip
-    """What stands between the lens and points at inverse depth w (N,) in 1/mm on rays (N, 3).
+    points: Points,
+) -> tuple[NDArray[np.uint8], Mask, Visibility]:  # fmt: skip
+    """Visibility of the lens from N points.
 
-    surfaces, bounds: of all objects; layer: of them, what can block; radius: (N,) px; x, y: (N,) place of the source in
-    its pixel, px; width: of the sources, px. Returns CLEAR, PARTLY or HIDDEN (N,); what changes where two surfaces
-    meet, and at outlines of what stands close before the point (N,); and what is to be tested for taps.
+    surfaces, bounds: of all objects; layer: of them, what can occlude. Returns CLEAR, PARTLY or HIDDEN (N,); what
+    changes where two surfaces meet, and at outlines of what stands close before the point (N,); and what is to be
+    tested for taps.
     """
-    extent = lens_extent(psf)
-    wide = np.abs(radius) * extent >= WIDE_LENS
-    cells = np.where(wide, radius, np.where(radius < 0, -LENS_CELLS, LENS_CELLS) / extent)
-    state, edge = np.full(w.shape, CLEAR), np.zeros(w.shape, dtype=bool)
+    lens = lens_of(points.radius, lens_extent(psf), points.width)
+    state, edge = np.full(points.w.shape, CLEAR), np.zeros(points.w.shape, dtype=bool)
     found = []
     for k, surface in enumerate(surfaces):
         # The near one of two roots has nothing of its own surface before it.
-        front = k == layer.own and layer.sheet == (2 if surface.constant < 0 else 1)
-        if layer.blockers >> k & 1 and not front:
-            head = (camera, surface, bounds[k], rays, w)
-            one, changes, blocker = meet_blocker(*head, cells, extent, wide, width, k == layer.own)
+        front = k == layer.own and layer.root == (2 if surface.constant < 0 else 1)
+        if layer.occluders >> k & 1 and not front:
+            one, changes, occluder = meet_occluder(camera, surface, bounds[k], points, lens, k == layer.own)
             state, edge = np.maximum(state, one), edge ^ changes
-            found.append((one == PARTLY, blocker))
+            found.append((one == PARTLY, occluder))
     partly = state == PARTLY
     row = np.where(partly, np.cumsum(partly) - 1, -1)
-    blockers = tuple((mask[partly], blocker.of(mask & partly)) for mask, blocker in found)
-    return state, edge, Sight(
-        row, radius[partly], wide[partly], x[partly], y[partly], blockers, extent, lens_cells(psf)
+    occluders = tuple((mask[partly], occluder.of(mask & partly)) for mask, occluder in found)
+    return state, edge, Visibility(
+        row, points.radius[partly], lens.wide[partly], points.x[partly], points.y[partly], occluders, lens.extent,
+        lens_cells(psf),
     )  # fmt: skip

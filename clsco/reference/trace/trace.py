@@ -33,7 +33,7 @@ from clsco.reference.common.geometry import (
     surface_slope,
     turned,
 )
-from clsco.reference.common.visibility import HIDDEN, Sight, look
+from clsco.reference.common.visibility import HIDDEN, Points, Visibility, check_visibility
 from clsco.scene.model import Camera, Scene
 
 SILHOUETTE_RANGE = 2  # px, Chebyshev distance from a silhouette within which pixels get sub-pixel sources
@@ -45,8 +45,8 @@ class Sources:
 
     radiance (H, W, C) linear light; inverse_depth (H, W) 1/mm; label (H, W): 0 no source, else which root of
     which object, and where two surfaces meet; radius (H, W) signed blur radius in px; gradient (H, W, 2) of the
-    radius, px per px, right and down; lit (H, W): light of it reaches the lens; sight: what is in its way, None for
-    nothing at all.
+    radius, px per px, right and down; lit (H, W): some of its light reaches the lens; visibility: its
+    occluders, None for none at all.
     """
 
     radiance: Array
@@ -55,15 +55,15 @@ class Sources:
     radius: Array
     gradient: Array
     lit: NDArray[np.bool_]
-    sight: Sight | None = None
+    visibility: Visibility | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class SubpixelSources:
     """S x S sources in each of M pixels, which replace the pixel's own; each has the weight 1/S^2.
 
-    row, column (M,): padded-grid pixel; hit (M, S, S): there is surface that the lens sees; sight: what is in the way
-    of those, in their order, None for nothing at all; radius (M, S, S) px; gradient (M, S,
+    row, column (M,): padded-grid pixel; hit (M, S, S): there is surface that the lens sees; visibility: the occluders
+    of those, in their order, None for none at all; radius (M, S, S) px; gradient (M, S,
     S, 2) px per px; radiance (M, S, S, C). Source (i, j) is `psf_tables.subpixel_offsets(S)[i]` rows and [j]
     columns off the pixel's center.
     """
@@ -74,7 +74,7 @@ class SubpixelSources:
     radius: Array
     gradient: Array
     radiance: Array
-    sight: Sight | None = None
+    visibility: Visibility | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,21 +183,26 @@ def trace(view: View, layer: Layer, guard: int) -> Sources:
     scene = view.scene
     row, column = padded_grid(scene.camera, guard)
     hit = _cast(view, layer, row, column, (row, column))
-    label, lit, sight = hit.label, hit.label > 0, None
-    if layer.blockers:
+    label, lit, visibility = hit.label, hit.label > 0, None
+    if layer.occluders:
         rays = pixel_ray(scene.camera, row, column)[lit]
         here = np.zeros(len(rays))
         bounds = [item.bounds for item in scene.objects]
-        state, edge, seen = look(
-            scene.camera, view.surfaces, bounds, layer, scene.psf, rays, hit.w[lit], hit.radius[lit], here, here, 1.0
+        state, edge, seen = check_visibility(
+            scene.camera,
+            view.surfaces,
+            bounds,
+            layer,
+            scene.psf,
+            Points(rays, hit.w[lit], hit.radius[lit], here, here, 1.0),
         )
         label = label.copy()
         label[lit] |= edge.astype(np.uint8) << 7
         number = np.full(lit.size, -1)
         number[np.flatnonzero(lit)] = seen.row
-        sight = replace(seen, row=number)
+        visibility = replace(seen, row=number)
         lit[lit] = state != HIDDEN
-    return Sources(hit.radiance, hit.w, label, hit.radius, hit.gradient, lit, sight)
+    return Sources(hit.radiance, hit.w, label, hit.radius, hit.gradient, lit, visibility)
 
 
 def mark_silhouettes(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
@@ -225,19 +230,19 @@ def trace_subpixels(view: View, layer: Layer, guard: int, marked: NDArray[np.boo
     at_column = (column - guard)[:, None, None] + offsets[None, :]
     texel = ((row - guard)[:, None, None], (column - guard)[:, None, None])
     hit = _cast(view, layer, at_row, at_column, texel)
-    lit, sight = hit.label > 0, None
-    if layer.blockers:
+    lit, visibility = hit.label > 0, None
+    if layer.occluders:
         rays = pixel_ray(scene.camera, at_row, at_column)[lit]
         x, y = (np.broadcast_to(n, lit.shape)[lit] for n in (offsets[None, :], offsets[:, None]))
         bounds = [item.bounds for item in scene.objects]
-        state, _, sight = look(
-            scene.camera, view.surfaces, bounds, layer, scene.psf, rays, hit.w[lit], hit.radius[lit], x, y,
-            1.0 / samples,
+        state, _, visibility = check_visibility(
+            scene.camera, view.surfaces, bounds, layer, scene.psf,
+            Points(rays, hit.w[lit], hit.radius[lit], x, y, 1.0 / samples),
         )  # fmt: skip
         seen = state != HIDDEN
         lit[lit] = seen
-        sight = sight.of(seen)
-    return SubpixelSources(row, column, lit, hit.radius, hit.gradient, hit.radiance, sight)
+        visibility = visibility.of(seen)
+    return SubpixelSources(row, column, lit, hit.radius, hit.gradient, hit.radiance, visibility)
 
 
 def _outside(camera: Camera, row: Array, column: Array) -> NDArray[np.bool_]:
