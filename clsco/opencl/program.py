@@ -17,7 +17,8 @@ from clsco.opencl.session import Program, Session
 from clsco.resources import folder
 
 HEADERS = ("common/wide.clh", "common/geometry.clh")
-OCCLUSION_HEADERS = ("common/visibility.clh", "common/visibility_test.clh")  # with the feature OCCLUDED
+# With the feature OCCLUDED.
+OCCLUSION_HEADERS = ("common/occluder.clh", "common/visibility.clh", "common/visibility_test.clh")
 MANY_SOURCES = ("many", "rows", "near", "discs", "quadrants", "gaussians", "columns")  # together: ways of `gather`
 HEADERS_OF = {
     "trace/trace.cl": ("common/sources.clh",),

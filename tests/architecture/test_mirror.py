@@ -61,7 +61,7 @@ WITHOUT_TWIN = {
 }
 
 # Files whose twin is part of another file.
-PART_OF = {"estimate": "mean_median", "visibility_test": "visibility", "sources": "trace", "tiles": "blur"}
+PART_OF = {"estimate": "mean_median", "sources": "trace", "tiles": "blur"}
 PART_OF |= dict.fromkeys(("psf", "many", "rows", "near", "discs", "quadrants", "gaussians", "columns"), "blur")
 
 

@@ -1,4 +1,4 @@
-"""occlusion.clh and visibility.clh against their twin: what single taps of a source see of the lens."""
+"""visibility.clh and visibility_test.clh against their twins: what single taps of a source see of the lens."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ from clsco.passes.pack import camera_struct, layer_struct, psf_struct, surface_s
 from clsco.plan.plan import make_plan
 from clsco.records import Real
 from clsco.reference.common.geometry import blur_radius, nearest_surface, pixel_ray
-from clsco.reference.common.visibility import CLEAR, PARTLY, Points, cell_visibility, check_visibility, tap_share
+from clsco.reference.common.visibility import CLEAR, PARTLY, Points, check_visibility
+from clsco.reference.common.visibility_test import cell_visibility, tap_share
 from clsco.scene.model import Camera, Cone, Cylinder, Ellipsoid, Object, Plane, Psf, Quadric, Scene, Sphere
 from tests.slow import mostly_slow
 

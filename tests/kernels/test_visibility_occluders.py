@@ -1,4 +1,4 @@
-"""occlusion.clh: how single surfaces are found to hide the lens from single points, number by number."""
+"""visibility.clh: how single surfaces are found to hide the lens from single points, number by number."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from clsco.optics.quadrics import place
 from clsco.optics.visibility import Layer, lens_extent
 from clsco.passes.pack import camera_struct, surface_structs
 from clsco.records import Real, in_parts
-from clsco.reference.common.visibility import CLEAR, HIDDEN, PARTLY, Occluder, Points, check_visibility
+from clsco.reference.common.occluder import Occluder
+from clsco.reference.common.visibility import CLEAR, HIDDEN, PARTLY, Points, check_visibility
 from clsco.scene.model import Camera, Cone, Cylinder, Ellipsoid, Object, Plane, Psf, Quadric, Sphere
 
 Array = NDArray[Any]

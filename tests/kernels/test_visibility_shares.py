@@ -1,4 +1,4 @@
-"""occlusion.clh, one surface in the way at a time, of any numbers: what it hides of the lens, tap by tap.
+"""occluder.clh, one occluder at a time, of any numbers: what it hides of the lens, tap by tap.
 
 Of made-up numbers every term counts, while those of a scene's surfaces are often far smaller than others, or 0.
 """
@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from clsco.opencl.buffers import download, empty
 from clsco.opencl.session import Session
-from clsco.reference.common import visibility as twin
+from clsco.reference.common import occluder as twin
+from clsco.reference.common.visibility import PARTLY
 from clsco.scene.model import Plane, Sphere
 from tests.kernels.test_visibility import assert_same, see
 
@@ -259,7 +260,7 @@ def test_outlines_close_before_a_wall(session: Session, run_source: Runner) -> N
     """They ask for sub-pixel sources where the wall is so near behind them that they are blurred by 2 px at most."""
     ball, wall = Sphere(center=(-3.0, 4.0, 300.0), radius=25.0), Plane(distance=331.0, slope_x=0.8)
     seen = see(session, run_source, (ball, wall))
-    partly = seen.state == twin.PARTLY
+    partly = seen.state == PARTLY
     assert_same(seen)
     assert 0.3 < seen.edge[partly].mean() < 0.7
 

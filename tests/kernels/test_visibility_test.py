@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from clsco.opencl.buffers import download, empty
 from clsco.opencl.session import Session
 from clsco.optics.visibility import lens_cells, lens_extent
-from clsco.reference.common.visibility import SOFT_BOX, Occluder, Visibility, cell_visibility, tap_share
+from clsco.reference.common.occluder import Occluder
+from clsco.reference.common.visibility import SOFT_BOX, Visibility
+from clsco.reference.common.visibility_test import cell_visibility, tap_share
 from clsco.scene.model import Psf
 
 Array = NDArray[Any]

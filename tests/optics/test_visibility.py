@@ -15,7 +15,8 @@ from clsco.optics.quadrics import Extent, place
 from clsco.optics.visibility import LENS_CELLS, Layer, extent, is_hollow, layers, lens_cells, lens_extent, may_hide
 from clsco.plan.plan import Plan, make_plan
 from clsco.reference.common.geometry import nearest_surface, pixel_ray
-from clsco.reference.common.visibility import CLEAR, HIDDEN, Points, cell_visibility, check_visibility, tap_share
+from clsco.reference.common.visibility import CLEAR, HIDDEN, Points, check_visibility
+from clsco.reference.common.visibility_test import cell_visibility, tap_share
 from clsco.scene.model import (
     Camera,
     Cone,

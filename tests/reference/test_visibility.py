@@ -14,15 +14,9 @@ from clsco.optics.motion import Pose, rest_center, rotation_matrix
 from clsco.optics.quadrics import place
 from clsco.optics.visibility import Layer, lens_extent
 from clsco.reference.common.geometry import nearest_surface, solve_quadric, surface_normal
-from clsco.reference.common.visibility import (
-    CLEAR,
-    HIDDEN,
-    Points,
-    cell_visibility,
-    check_visibility,
-    soft_step,
-    tap_share,
-)
+from clsco.reference.common.occluder import soft_step
+from clsco.reference.common.visibility import CLEAR, HIDDEN, Points, check_visibility
+from clsco.reference.common.visibility_test import cell_visibility, tap_share
 from clsco.scene.model import Camera, Cone, Cylinder, Ellipsoid, Object, Plane, Psf, Quadric, Sphere
 
 Array = NDArray[Any]

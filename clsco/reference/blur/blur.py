@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from clsco.optics import psf as psf_weights
 from clsco.reference.common.geometry import Array, tilt_slope
-from clsco.reference.common.visibility import Visibility, cell_visibility, tap_share
+from clsco.reference.common.visibility import Visibility
+from clsco.reference.common.visibility_test import cell_visibility, tap_share
 from clsco.reference.trace.trace import Sources, SubpixelSources
 from clsco.scene.model import Psf
 

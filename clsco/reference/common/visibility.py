@@ -21,44 +21,13 @@ from clsco.optics.lens import blur_scale, lens_radius
 from clsco.optics.quadrics import PlacedSurface
 from clsco.optics.visibility import LENS_CELLS, Layer, lens_cells, lens_extent
 from clsco.reference.common.geometry import Array, Bounds, difference_of_products, turned
+from clsco.reference.common.occluder import TINY, Mask, Occluder, hides_all
 from clsco.scene.model import Camera, Psf
-
-Mask = NDArray[np.bool_]
 
 CLEAR, PARTLY, HIDDEN = np.uint8(0), np.uint8(1), np.uint8(2)
 SOFT_BOX = (5.0 / 12.0) ** 0.5  # half width of the cubic step that has the variance of a box 1 wide
 WIDE_LENS = 4.0  # px: a lens at least so wide is looked at once per tap, others on a grid of cells
 SHARP_EDGE = 2.0  # px: a blurred outline this narrow asks for sub-pixel sources
-TINY = 1e-30
-
-
-@dataclass(frozen=True, eq=False)
-class Occluder:
-    """One surface as N points see it against the lens; x, y: offset of a tap in cells, right and down.
-
-    h (N, 3): constant, x, y, over the width of the soft edge, without the root; root (N,), f (N, 5): x, y, xx, xy, yy
-    under it. With limits: crossings (N,) 1 or 2, or 0 for a plane, whose limits are an h (N, 3) each; else b (N, 3),
-    f0 (N,), c, d (N, 6), soft (N,): 1 over the width of the edge; limits: (N, 4) each,
-    limit + v (limit_0 + limit_x x + limit_y y) >= 0; kept: (N,) each, where it is needed.
-    """
-
-    h: Array
-    root: Array
-    f: Array
-    crossings: NDArray[np.int64]
-    b: Array
-    f0: Array
-    c: Array
-    d: Array
-    soft: Array
-    limits: tuple[Array, ...]
-    kept: tuple[Mask, ...]
-
-    def of(self, chosen: NDArray[Any]) -> Occluder:
-        """The same for some of the points."""
-        arrays = {k: v[chosen] for k, v in vars(self).items() if k not in ("limits", "kept")}
-        limits, kept = (tuple(array[chosen] for array in arrays) for arrays in (self.limits, self.kept))
-        return Occluder(**arrays, limits=limits, kept=kept)
 
 
 def _dot(weights: Array, vectors: Array) -> Array:
@@ -326,102 +295,6 @@ def _planar(limits: Sequence[Array], points: int) -> Occluder:
     return Occluder(none[:, :3], zero, none[:, :5], crossings, none[:, :3], zero, none, none, zero, tuple(limits), ())
 
 
-def soft_step(t: Array) -> Array:
-    """Cubic step from 0 at t = -1/2 to 1 at 1/2."""
-    t = np.clip(t + 0.5, 0.0, 1.0)
-    return np.asarray(t * t * (3.0 - 2.0 * t))
-
-
-@dataclass(frozen=True, eq=False)
-class Crossing:
-    """One of the crossings with the lines to taps: w + v, and how v changes with the tap, (N,) each."""
-
-    v: Array
-    x: Array
-    y: Array
-
-
-def crossing_at(m: Occluder, v: Array, b: Array, c: Array, x: Array, y: Array) -> Crossing:
-    """The crossing at w + v (N,); b, c, x, y: (N,), at the taps."""
-    steep = c * v + b
-    scale = -v / np.where(np.abs(steep) > TINY, steep, TINY)
-    _, c_x, c_y, c_xx, c_xy, c_yy = m.c.T
-    vx = scale * (m.b[:, 1] + 0.5 * v * (c_x + 2 * c_xx * x + c_xy * y))
-    vy = scale * (m.b[:, 2] + 0.5 * v * (c_y + c_xy * x + 2 * c_yy * y))
-    return Crossing(v, vx, vy)
-
-
-def limit_share(m: Occluder, limit: Array, at: Crossing, x: Array, y: Array) -> Array:
-    """Share (N,) of the taps' cells over which a crossing meets one condition (N, 4)."""
-    slope = limit[:, 1] + limit[:, 2] * x + limit[:, 3] * y
-    steep = np.hypot(at.v * limit[:, 2] + slope * at.x, at.v * limit[:, 3] + slope * at.y)
-    return soft_step((limit[:, 0] + at.v * slope) * m.soft / (steep + TINY))
-
-
-def crossing_share(m: Occluder, at: Crossing, x: Array, y: Array) -> Array:
-    """Share (N,) of them from which a crossing blocks: the least that any condition leaves."""
-    least = np.ones_like(x)
-    for limit, kept in zip(m.limits, m.kept, strict=True):
-        least = np.where(kept, np.minimum(least, limit_share(m, limit, at, x, y)), least)
-    # Behind a point of the surface itself the tilt lets no light pass; a step there would only be seen in rounding.
-    return np.where((m.f0 == 0) | (at.v > 0), least, 0.0)
-
-
-def find_crossings(m: Occluder, x: Array, y: Array) -> tuple[Crossing, Crossing]:
-    """Both crossings at taps x, y (N,), or the one."""
-    b = m.b[:, 0] + m.b[:, 1] * x + m.b[:, 2] * y
-    c, d = (p[:, 0] + x * (p[:, 1] + p[:, 3] * x + p[:, 4] * y) + y * (p[:, 2] + p[:, 5] * y) for p in (m.c, m.d))
-    root = np.sqrt(np.maximum(d, 0.0))
-    t = np.where(b < 0, root - b, -b - root)
-    t = np.where(np.abs(t) > TINY, t, TINY)
-    return crossing_at(m, t / c, b, c, x, y), crossing_at(m, m.f0 / t, b, c, x, y)
-
-
-def occluded_height(m: Occluder, x: Array, y: Array) -> Array:
-    """h (N,) of a surface without limits at taps x, y (N,), over the width of the soft edge."""
-    fx, fy, fxx, fxy, fyy = m.f.T
-    f = x * (fx + fxx * x + fxy * y) + y * (fy + fyy * y)
-    under = np.sqrt(np.maximum(m.root * m.root + f, 0.0))
-    return np.asarray(m.h[:, 0] + m.h[:, 1] * x + m.h[:, 2] * y - f / (under + m.root + TINY))
-
-
-def occluded_share(m: Occluder, x: Array, y: Array) -> Array:
-    """Share (N,) of the lens, over the cells of taps x, y (N,), that one surface blocks."""
-    if not m.limits:
-        return soft_step(occluded_height(m, x, y))
-    if m.limits[0].shape[1] == 3:  # a plane
-        return np.asarray(np.min([soft_step(h[:, 0] + h[:, 1] * x + h[:, 2] * y) for h in m.limits], axis=0))
-    with np.errstate(all="ignore"):  # a lens point on the surface itself has an infinite crossing
-        one, other = (crossing_share(m, at, x, y) for at in find_crossings(m, x, y))
-    # Without any condition left, a surface that is crossed twice is as one that never had any.
-    share, d = np.where(m.f0 == 0, one, np.maximum(one, other)), m.d
-    height = d[:, 0] + x * (d[:, 1] + d[:, 3] * x + d[:, 4] * y) + y * (d[:, 2] + d[:, 5] * y)
-    slope = np.hypot(d[:, 1] + 2 * d[:, 3] * x + d[:, 4] * y, d[:, 2] + d[:, 4] * x + 2 * d[:, 5] * y)
-    twice = np.where(
-        np.any(m.kept, axis=0), share * soft_step(height * m.soft / (slope + TINY)), soft_step(occluded_height(m, x, y))
-    )
-    return np.where(m.crossings == 1, share, twice)
-
-
-def hides_all(m: Occluder, most: Array) -> tuple[Mask, tuple[Mask, ...]]:
-    """Whether a surface hides the lens (N,) at 16 points all over it, a little beyond its rim, `most` (N,), among them.
-
-    Also which conditions (N,) each some crossing there does not meet wholly; others can be dropped, but for one where
-    there is one crossing.
-    """
-    hidden, kept = np.ones(most.shape, dtype=bool), [np.zeros(most.shape, dtype=bool) for _ in m.limits]
-    kept[0] |= m.crossings == 1
-    for radius in (most / np.cos(np.pi / 8), 0.5 * most):
-        for angle in np.arange(8) * (np.pi / 4):
-            x, y = radius * np.cos(angle), radius * np.sin(angle)
-            hidden &= occluded_share(m, x, y) >= 1.0
-            with np.errstate(all="ignore"):
-                for at in find_crossings(m, x, y):
-                    for k, limit in enumerate(m.limits):
-                        kept[k] |= (at.v > 0) & (limit_share(m, limit, at, x, y) < 1.0)
-    return hidden, tuple(kept)
-
-
 @dataclass(frozen=True, eq=False)
 class Visibility:
     """What hides the lens from sources; made by `check_visibility`.
@@ -451,58 +324,6 @@ class Visibility:
         return Visibility(
             new, self.radius[there], self.wide[there], self.x[there], self.y[there], occluders, self.extent, self.cells
         )
-
-
-def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
-    """Share (M,) of the lens, over the cells of taps x, y (M,) from the sources, that nothing blocks.
-
-    Where the lens is wide, a tap at the rim of the blur sees only the inside of it: with a tent across it, cut at the
-    distance s from its middle, the mean of what is left is at -(1 - s)^2 / 3, and below s = 0 at (2 s - 1) / 3.
-    """
-    rim = np.maximum(np.abs(visibility.radius) * visibility.extent, 1.0)
-    s = np.clip(0.5 * rim - (x * x + y * y) / (2 * rim), -1.0, 1.0)
-    inwards = np.where(visibility.wide, 1 - np.where(s > 0, (1 - s) ** 2, 1 - 2 * s) / (3 * rim), 1.0)
-    share = np.ones_like(x)
-    for mask, occluder in visibility.occluders:
-        share[mask] *= 1 - occluded_share(occluder, (x * inwards)[mask], (y * inwards)[mask])
-    return share
-
-
-def cell_visibility(visibility: Visibility) -> Array:
-    """Share (N, L, L) of each cell of the lens that nothing blocks, of the N sources that the lens is not wide for."""
-    narrow = ~visibility.wide
-    size, points = 2 * LENS_CELLS, visibility.radius.size
-    share = np.ones((np.count_nonzero(narrow), size, size))
-    if narrow.any():
-        for i in range(size):
-            for j in range(size):
-                x, y = (np.full(points, n + 0.5 - LENS_CELLS) for n in (j, i))
-                share[:, i, j] = free_share(visibility, x, y)[narrow]
-    return share
-
-
-def tap_share(visibility: Visibility, cells: Array, dx: float | Array, dy: float | Array) -> Array:
-    """Share (M,) of the lens that is free, as seen from the tap (dx, dy) px off each source's pixel.
-
-    cells: (N, L, L) from `cell_visibility`. Where the lens is not wide, the tap's tent weighs its cells.
-    """
-    share = (
-        free_share(visibility, dx - visibility.x, dy - visibility.y)
-        if visibility.wide.any()
-        else np.ones_like(visibility.x)
-    )
-    narrow = ~visibility.wide
-    if narrow.any():
-        step = np.abs(visibility.radius[narrow]) * visibility.extent / LENS_CELLS
-        at = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
-        across, down = (
-            np.maximum(0.0, 1 - np.abs(at * step[:, None] + (place - d)[narrow, None]))
-            for place, d in ((visibility.x, dx), (visibility.y, dy))
-        )
-        whole = np.einsum("mi,ij,mj->m", down, visibility.cells, across, optimize=True)
-        free = np.einsum("mi,mij,mj->m", down, visibility.cells * cells, across, optimize=True)
-        share[narrow] = np.where(whole > 0, free / np.where(whole > 0, whole, 1.0), 1.0)
-    return share
 
 
 def check_visibility(

@@ -1,0 +1,62 @@
+"""Share of the lens that is free as seen from single taps: V(x, l) of what `visibility.check_visibility` has found."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clsco.optics.visibility import LENS_CELLS
+from clsco.reference.common.geometry import Array
+from clsco.reference.common.occluder import occluded_share
+from clsco.reference.common.visibility import Visibility
+
+
+def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
+    """Share (M,) of the lens, over the cells of taps x, y (M,) from the sources, that nothing blocks.
+
+    Where the lens is wide, a tap at the rim of the blur sees only the inside of it: with a tent across it, cut at the
+    distance s from its middle, the mean of what is left is at -(1 - s)^2 / 3, and below s = 0 at (2 s - 1) / 3.
+    """
+    rim = np.maximum(np.abs(visibility.radius) * visibility.extent, 1.0)
+    s = np.clip(0.5 * rim - (x * x + y * y) / (2 * rim), -1.0, 1.0)
+    inwards = np.where(visibility.wide, 1 - np.where(s > 0, (1 - s) ** 2, 1 - 2 * s) / (3 * rim), 1.0)
+    share = np.ones_like(x)
+    for mask, occluder in visibility.occluders:
+        share[mask] *= 1 - occluded_share(occluder, (x * inwards)[mask], (y * inwards)[mask])
+    return share
+
+
+def cell_visibility(visibility: Visibility) -> Array:
+    """Share (N, L, L) of each cell of the lens that nothing blocks, of the N sources that the lens is not wide for."""
+    narrow = ~visibility.wide
+    size, points = 2 * LENS_CELLS, visibility.radius.size
+    share = np.ones((np.count_nonzero(narrow), size, size))
+    if narrow.any():
+        for i in range(size):
+            for j in range(size):
+                x, y = (np.full(points, n + 0.5 - LENS_CELLS) for n in (j, i))
+                share[:, i, j] = free_share(visibility, x, y)[narrow]
+    return share
+
+
+def tap_share(visibility: Visibility, cells: Array, dx: float | Array, dy: float | Array) -> Array:
+    """Share (M,) of the lens that is free, as seen from the tap (dx, dy) px off each source's pixel.
+
+    cells: (N, L, L) from `cell_visibility`. Where the lens is not wide, the tap's tent weighs its cells.
+    """
+    share = (
+        free_share(visibility, dx - visibility.x, dy - visibility.y)
+        if visibility.wide.any()
+        else np.ones_like(visibility.x)
+    )
+    narrow = ~visibility.wide
+    if narrow.any():
+        step = np.abs(visibility.radius[narrow]) * visibility.extent / LENS_CELLS
+        at = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
+        across, down = (
+            np.maximum(0.0, 1 - np.abs(at * step[:, None] + (place - d)[narrow, None]))
+            for place, d in ((visibility.x, dx), (visibility.y, dy))
+        )
+        whole = np.einsum("mi,ij,mj->m", down, visibility.cells, across, optimize=True)
+        free = np.einsum("mi,mij,mj->m", down, visibility.cells * cells, across, optimize=True)
+        share[narrow] = np.where(whole > 0, free / np.where(whole > 0, whole, 1.0), 1.0)
+    return share
