@@ -17,12 +17,22 @@ from clsco.opencl.session import Program, Session
 from clsco.resources import folder
 
 HEADERS = ("common/wide.clh", "common/geometry.clh")
-# With the feature OCCLUDED.
+# Built before all others: in OpenCL C 1.2, or for a processor in what its compiler makes more of.
+BUILTINS, CPU_BUILTINS = "common/builtins.clh", "common/cpu/builtins.clh"
+# With the feature OCCLUDED, after one of two: taps one by one, or in the vectors of `gather`.
+LANES, GATHER_LANES = "common/lanes.clh", "common/cpu/lanes.clh"
 OCCLUSION_HEADERS = ("common/occluder.clh", "common/visibility.clh", "common/visibility_test.clh")
-MANY_SOURCES = ("many", "rows", "near", "discs", "quadrants", "gaussians", "columns")  # together: ways of `gather`
+GATHER_HEADERS = tuple(
+    f"blur/cpu/{name}.clh" for name in ("vectors", "many", "rows", "near", "discs", "quadrants", "gaussians", "columns")
+)
 HEADERS_OF = {
     "trace/trace.cl": ("common/sources.clh",),
-    "blur/blur.cl": ("common/sources.clh", "common/psf.clh", *(f"blur/cpu/{name}.clh" for name in MANY_SOURCES)),
+    "blur/blur.cl": ("common/sources.clh", "common/psf.clh"),
+    "blur/cpu/gather.cl": (
+        "common/sources.clh",
+        "common/psf.clh",
+        *GATHER_HEADERS,
+    ),
     "blur/multigrid.cl": ("common/sources.clh", "common/psf.clh"),
     "blur/tiles.cl": ("common/sources.clh", "common/psf.clh"),
     "inpainting/fill.cl": ("inpainting/estimate.clh",),
@@ -56,7 +66,9 @@ def build(
     device = session.device
     if real == "double" and not device.has_fp64:
         raise DeviceError(f"precision: double needs a device with fp64, use single; got {device}")
-    headers = [*(OCCLUSION_HEADERS if features.get("OCCLUDED") else ())]
+    headers = [CPU_BUILTINS if device.kind == "cpu" else BUILTINS, *HEADERS]
+    if features.get("OCCLUDED"):
+        headers += [GATHER_LANES if features.get("GATHER") else LANES, *OCCLUSION_HEADERS]
     headers += dict.fromkeys(header for source in sources for header in HEADERS_OF.get(source, ()))
     text = program_text([*headers, *sources], structs, real, device.has_fp64, device.has_int64_atomics)
     options = [f"-D{name}={int(value)}" for name, value in sorted(features.items())]
@@ -132,7 +144,7 @@ def program_text(
     lines += [f"typedef {real}{width} real{width};" for width in ("", 2, 3, 4, 8, 16)]
     lines += [struct_text(name, dtype, structs) for name, dtype in structs.items()]
     kernels = folder("kernels")
-    for source in (*HEADERS, *sources):
+    for source in sources:
         path = kernels / source
         if not path.is_file():
             raise KernelError(f"kernels: must hold every file that is asked for; got no {source}")

@@ -31,7 +31,7 @@ GAIN, GAIN_PER_LOG, TILT_GAIN = 2.6, 2.0, 2.0
 
 # The kernel files of each method in the program that its caller builds; `convolve` builds its own.
 FILES_OF: dict[Blur, tuple[str, ...]] = {
-    "gather": ("blur/blur.cl",),
+    "gather": ("blur/blur.cl", "blur/cpu/gather.cl"),
     "scatter": ("blur/blur.cl",),
     "tiles": ("blur/blur.cl", "blur/tiles.cl"),
     "convolve": (),

@@ -18,18 +18,21 @@
 #if WIDE_SUMS
 #define LOWER_BITS 0
 typedef ulong sum_t;
-typedef ulong sums_t __attribute__((ext_vector_type(16), aligned(8)));
-#define SIGNED(v) as_long16(v)
+typedef ulong16 sums_t;
+#define LOAD_SUMS(p) LOAD(ulong, 16, p)
+#define STORE_SUMS(v, p) STORE(ulong, 16, v, p)
+#define AS_SUMS(v) as_ulong16(v)
+#define AS_LIGHT(v) CONVERT16(float, as_long16(v))
 #else
 #define LOWER_BITS 26  // as in clsco/passes/convolve.py
 typedef uint sum_t;
-typedef uint sums_t __attribute__((ext_vector_type(16), aligned(4)));
-#define SIGNED(v) as_int16(v)
+typedef uint16 sums_t;
+#define LOAD_SUMS(p) LOAD(uint, 16, p)
+#define STORE_SUMS(v, p) STORE(uint, 16, v, p)
+#define AS_SUMS(v) CONVERT16(uint, v)
+#define AS_LIGHT(v) CONVERT16(float, as_int16(v))
 #endif
-// vload16 and vstore16 are calls on PoCL; through such types they are unaligned moves.
-typedef float floats_t __attribute__((ext_vector_type(16), aligned(4)));
-#define FLOATS(p) (*(__global const floats_t *)(p))
-#define SUMS(p) (*(__global sums_t *)(p))
+#define FLOATS(p) LOAD(float, 16, p)
 #define INLINE static inline __attribute__((always_inline))
 
 // Contraction changes no bit from run to run.
@@ -45,18 +48,13 @@ __kernel void sum_across(const int height, const int width, __global const float
     if (y >= height)
         return;
     __global const float *line = value + start + y * width;
-    const long16 zero = 0;
     long before = 0;
     int x = 0;
     for (; x + LANES <= width; x += LANES) {
-        long16 sum = __builtin_convertvector(FLOATS(line + x) * scale, long16);
-        sum += __builtin_shufflevector(zero, sum, 0, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30);
-        sum += __builtin_shufflevector(zero, sum, 0, 0, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29);
-        sum += __builtin_shufflevector(zero, sum, 0, 0, 0, 0, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27);
-        sum += __builtin_shufflevector(zero, sum, 0, 0, 0, 0, 0, 0, 0, 0, 16, 17, 18, 19, 20, 21, 22, 23);
+        long16 sum = running_sums(CONVERT16(long, FLOATS(line + x) * scale));
         sum += before;
         before = sum.sf;
-        SUMS(sums + y * width + x) = __builtin_convertvector(sum >> LOWER_BITS, sums_t);
+        STORE_SUMS(AS_SUMS(sum >> LOWER_BITS), sums + y * width + x);
     }
     for (; x < width; ++x) {
         before += (long)(line[x] * scale);
@@ -79,8 +77,8 @@ __kernel void sum_down(const int height, const int width, __global sum_t *sums)
         #pragma unroll
         for (int v = 0; v < TILE_VECTORS; ++v)
             if (v < vectors) {
-                sum[v] += SUMS(sums + y * width + x + v * LANES);
-                SUMS(sums + y * width + x + v * LANES) = sum[v];
+                sum[v] += LOAD_SUMS(sums + y * width + x + v * LANES);
+                STORE_SUMS(sum[v], sums + y * width + x + v * LANES);
             }
     }
     if (vectors == TILE_VECTORS)
@@ -135,11 +133,11 @@ INLINE void add_rectangles(__global const int4 *pairs, int count, __global sum_t
         __global sum_t *plus = sums + pair.x * pitch + pair.y, *minus = sums + pair.z * pitch + pair.w;
         #pragma unroll
         for (int v = 0; v < TILE_VECTORS; ++v)
-            inside[v] += SUMS(plus + v * LANES) - SUMS(minus + v * LANES);
+            inside[v] += LOAD_SUMS(plus + v * LANES) - LOAD_SUMS(minus + v * LANES);
     }
     #pragma unroll
     for (int v = 0; v < TILE_VECTORS; ++v)
-        row[v * TILE_ROWS] = __builtin_convertvector(SIGNED(inside[v]), float16) * share;
+        row[v * TILE_ROWS] = AS_LIGHT(inside[v]) * share;
 }
 
 // Asks for what the next tile to the right is the first to read: otherwise it would wait for memory, line by line.
@@ -209,7 +207,7 @@ __kernel void convolve(const int rows, const int columns, __global const float *
             float16 before = 0;
             if (!fresh)
                 before = FLOATS(out);
-            *(__global floats_t *)out = before + own[y - first];
+            STORE(float, 16, before + own[y - first], out);
         }
     }
 }

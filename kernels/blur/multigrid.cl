@@ -17,8 +17,6 @@
 #define NOTHING -1.0f  // in a plane of radii: no source that may move
 #define MOVED(u) (-2 - (u))  // its own inverse
 
-typedef float pairs_t __attribute__((ext_vector_type(16), aligned(4)));
-
 // Blur radius in px of a coordinate in the finest table, the inverse of table_coordinate; sampled: of a sampled PSF.
 static inline float8 radius_of(const psf_t psf, float8 u, int sampled)
 {
@@ -57,8 +55,8 @@ __kernel void measure_radii(const camera_t camera, const psf_t psf, __global con
     for (int i = 0; i < count; ++i)
         out[i] = ((const float *)&r)[i];
 #if TILT
-    *(__global taps_t *)(tilt + AT(x, y)) = right * r * r;
-    *(__global taps_t *)(tilt + plane + AT(x, y)) = down * r * r;
+    STORE(float, 8, right * r * r, tilt + AT(x, y));
+    STORE(float, 8, down * r * r, tilt + plane + AT(x, y));
 #endif
 }
 
@@ -83,13 +81,13 @@ __kernel void pick(const camera_t camera, __global const float *radius, __global
         return;
     const int at = y * camera.width + x, place = AT(x, y), plane = (camera.height + 2 * EDGE_ROWS) * pitch;
     const int count = MIN(LANES, camera.width - x);
-    const float8 r = TAPS(radius + place), least = -INFINITY, most = INFINITY, one = 1, none = 0;
+    const float8 r = LOAD(float, 8, radius + place), least = -INFINITY, most = INFINITY, one = 1, none = 0;
     float8 low[2] = {most, most}, high[2] = {least, least};  // of columns from x - 2 and from x + 2 on
     #pragma unroll
     for (int i = -2; i <= 2; ++i) {
         #pragma unroll
         for (int j = 0; j < 2; ++j) {
-            const float8 n = TAPS(radius + place + i * pitch + 4 * j - 2);
+            const float8 n = LOAD(float, 8, radius + place + i * pitch + 4 * j - 2);
             low[j] = LOWER(low[j], n);
             high[j] = HIGHER(high[j], n);
         }
@@ -105,19 +103,19 @@ __kernel void pick(const camera_t camera, __global const float *radius, __global
     t = t > 0 ? t : none;
     t = t < 1 ? t : one;
     const float8 share = (lowest >= r - steepest && highest <= r + steepest) ? t * t * (3 - 2 * t) : none;
-    *(__global taps_t *)(moved + place) = share > 0 ? r : none;
+    STORE(float, 8, share > 0 ? r : none, moved + place);
     for (int k = 0; k < CHANNELS; ++k) {
         const int here = k * camera.height * camera.width + at;
         float8 v = 0;
         if (count == LANES) {
-            v = TAPS(value + here);
-            *(__global taps_t *)(kept + here) = v - share * v;
+            v = LOAD(float, 8, value + here);
+            STORE(float, 8, v - share * v, kept + here);
         } else
             for (int i = 0; i < count; ++i) {
                 ((float *)&v)[i] = value[here + i];
                 kept[here + i] = ((float *)&v)[i] * (1 - ((const float *)&share)[i]);
             }
-        *(__global taps_t *)(light + k * plane + place) = share * v;
+        STORE(float, 8, share * v, light + k * plane + place);
     }
     for (int i = 0; i < count; ++i)
         if (((const float *)&share)[i] == 1)
@@ -125,7 +123,7 @@ __kernel void pick(const camera_t camera, __global const float *radius, __global
 }
 
 // Of LANES nodes, the first of which begins at p: sums (1, 3, 3, 1) along a row.
-static inline float8 along(pairs_t left, pairs_t right)
+static inline float8 along(float16 left, float16 right)
 {
     return (left.even + right.odd) + 3 * (left.odd + right.even);
 }
@@ -143,21 +141,21 @@ __kernel void halve(const camera_t camera, const camera_t next, __global const f
         return;
     const int first = AT(2 * x - 5, 2 * y - 5), plane = (camera.height + 2 * EDGE_ROWS) * pitch;
     const int count = MIN(LANES, next.width - x), place = (y + EDGE_ROWS) * next_pitch + x + EDGE;
-    const pairs_t one = 1, none = 0;
+    const float16 one = 1, none = 0;
     float8 sum = 0, number = 0, right = 0, down = 0;
     #pragma unroll
     for (int i = 0; i < 4; ++i) {
         const float share = i == 0 || i == 3 ? 1 : 3;
         const int row = first + i * pitch;
-        const pairs_t a = *(__global const pairs_t *)(moved + row), b = *(__global const pairs_t *)(moved + row + 2);
-        const pairs_t in_a = a > 0 ? one : none, in_b = b > 0 ? one : none;
+        const float16 a = LOAD(float, 16, moved + row), b = LOAD(float, 16, moved + row + 2);
+        const float16 in_a = a > 0 ? one : none, in_b = b > 0 ? one : none;
         sum += share * along(a, b);
         number += share * along(in_a, in_b);
 #if TILT
-        right += share * along(in_a * *(__global const pairs_t *)(tilt + row),
-                               in_b * *(__global const pairs_t *)(tilt + row + 2));
-        down += share * along(in_a * *(__global const pairs_t *)(tilt + plane + row),
-                              in_b * *(__global const pairs_t *)(tilt + plane + row + 2));
+        right += share * along(in_a * LOAD(float, 16, tilt + row),
+                               in_b * LOAD(float, 16, tilt + row + 2));
+        down += share * along(in_a * LOAD(float, 16, tilt + plane + row),
+                              in_b * LOAD(float, 16, tilt + plane + row + 2));
 #endif
     }
     number = number > 0 ? number : -1;
@@ -167,8 +165,8 @@ __kernel void halve(const camera_t camera, const camera_t next, __global const f
         radius[place + i] = ((const float *)&r)[i];
 #if TILT
     const int next_plane = (next.height + 2 * EDGE_ROWS) * next_pitch;
-    *(__global taps_t *)(next_tilt + place) = right / (2 * number);
-    *(__global taps_t *)(next_tilt + next_plane + place) = down / (2 * number);
+    STORE(float, 8, right / (2 * number), next_tilt + place);
+    STORE(float, 8, down / (2 * number), next_tilt + next_plane + place);
 #endif
     for (int k = 0; k < CHANNELS; ++k) {
         float8 total = 0;
@@ -176,7 +174,7 @@ __kernel void halve(const camera_t camera, const camera_t next, __global const f
         for (int i = 0; i < 4; ++i) {
             __global const float *row = light + k * plane + first + i * pitch;
             total += (i == 0 || i == 3 ? 1.0f : 3.0f) *
-                     along(*(__global const pairs_t *)row, *(__global const pairs_t *)(row + 2));
+                     along(LOAD(float, 16, row), LOAD(float, 16, row + 2));
         }
         total *= 1.0f / 64;
         __global float *out = value + (k * next.height + y) * next.width + x;
@@ -229,12 +227,13 @@ __kernel void enlarge(const camera_t coarse, const int coarse_pitch, const int c
         #pragma unroll
         for (int i = 0; i < 4; ++i) {
             const float share = i == 0 ? down.x : i == 1 ? down.y : i == 2 ? down.z : down.w;
-            left += share * TAPS(at + i * coarse_pitch);
+            left += share * LOAD(float, 8, at + i * coarse_pitch);
         }
         float8 light;
         light.even = w.x * left.lo + w.y * left.s1234 + w.z * left.s2345 + w.w * left.s3456;
         light.odd = w.w * left.lo + w.z * left.s1234 + w.y * left.s2345 + w.x * left.s3456;
-        ADD_TAPS(total + (k * camera.rows + y) * pitch + x + pad, light);
+        __global float *out = total + (k * camera.rows + y) * pitch + x + pad;
+        STORE(float, 8, LOAD(float, 8, out) + light, out);
     }
 }
 

@@ -33,11 +33,8 @@
 
 __constant float TENT[4] = {0.125f, 0.375f, 0.375f, 0.125f};
 
-typedef float eight_t __attribute__((ext_vector_type(8), aligned(4)));
-typedef float four_t __attribute__((ext_vector_type(4), aligned(4)));
-#define EIGHT(p) (*(__global const eight_t *)(p))
-#define EVEN(v) __builtin_shufflevector(v, v, 0, 2, 4, 6)
-#define ODD(v) __builtin_shufflevector(v, v, 1, 3, 5, 7)
+#define EVEN(v) (v).s0246
+#define ODD(v) (v).s1357
 
 static int bin_of(real coc, real low, int bins)
 {
@@ -267,18 +264,18 @@ static inline void push_some(__global const float *from, int fine_rows, int fine
         sum[c] = 0;
     for (int i = MAX(1 - 2 * y, 0); i < MIN(4, fine_rows + 1 - 2 * y); ++i) {
         __global const float *line = from + (2 * y + i - 1) * fine_columns;
-        const float8 left = EIGHT(line + KNOWN * fine_plane) * TENT[i], right = EIGHT(line + KNOWN * fine_plane + 2) * TENT[i];
+        const float8 left = LOAD(float, 8, line + KNOWN * fine_plane) * TENT[i], right = LOAD(float, 8, line + KNOWN * fine_plane + 2) * TENT[i];
         const float4 known[4] = {EVEN(left) * TENT[0], ODD(left) * TENT[1], EVEN(right) * TENT[2], ODD(right) * TENT[3]};
         total += (known[0] + known[1]) + (known[2] + known[3]);
         for (int c = 0; c < CHANNELS; ++c) {
-            const float8 here = EIGHT(line + c * fine_plane), next = EIGHT(line + c * fine_plane + 2);
+            const float8 here = LOAD(float, 8, line + c * fine_plane), next = LOAD(float, 8, line + c * fine_plane + 2);
             sum[c] += (known[0] * EVEN(here) + known[1] * ODD(here)) + (known[2] * EVEN(next) + known[3] * ODD(next));
         }
     }
     const float4 none = 0, whole = 1;
     for (int c = 0; c < CHANNELS; ++c)
-        *(__global four_t *)(to + c * plane) = total > 0 ? sum[c] / total : none;
-    *(__global four_t *)(to + KNOWN * plane) = last ? (total > 0 ? whole : none) : MIN(GROWTH * total, whole);
+        STORE(float, 4, total > 0 ? sum[c] / total : none, to + c * plane);
+    STORE(float, 4, last ? (total > 0 ? whole : none) : MIN(GROWTH * total, whole), to + KNOWN * plane);
 }
 
 // PUSHED pixels of the coarser level (rows, columns) per work-item: means of what is known, under a tent of 4 x 4 pixels of

@@ -150,8 +150,6 @@ __kernel void aim(const camera_t camera, __constant surface_t *surfaces, const l
 #endif
 
 #if SUBPIXELS
-typedef uint four_labels_t __attribute__((aligned(1)));
-
 // Gives a slot to every pixel within 2 px of a change of label. Slots come in any order; what is in them does
 // not. In: label. Out: marks of source, pixels (slots): index of the pixel, statistics.
 __kernel void mark_silhouettes(const camera_t camera, __global const uchar *label, const int capacity,
@@ -167,7 +165,7 @@ __kernel void mark_silhouettes(const camera_t camera, __global const uchar *labe
         // Five labels of a row at a time, four of them as one int.
         for (int i = MAX(y - 2, 0); i <= MIN(y + 2, camera.height - 1); ++i) {
             __global const uchar *line = label + i * camera.width + x - 2;
-            differs |= *(__global const four_labels_t *)line != own * 0x01010101u || line[4] != own;
+            differs |= LOAD_FOUR_BYTES(line) != own * 0x01010101u || line[4] != own;
         }
     } else {
         for (int i = MAX(y - 2, 0); i <= MIN(y + 2, camera.height - 1); ++i)

@@ -11,10 +11,19 @@ import pytest
 from clsco.frame.strips import BAND
 from clsco.inpainting.mean_median import FEATURES
 from clsco.inpainting.mean_median import KERNELS as HOLES
-from clsco.opencl.program import HEADERS, HEADERS_OF, OCCLUSION_HEADERS, build
+from clsco.opencl.program import (
+    BUILTINS,
+    CPU_BUILTINS,
+    GATHER_LANES,
+    HEADERS,
+    HEADERS_OF,
+    LANES,
+    OCCLUSION_HEADERS,
+    build,
+)
 from clsco.opencl.session import Session
 from clsco.optics.psf_tables import NEAR, psf_features
-from clsco.passes.blur import PLAIN, blur_features
+from clsco.passes.blur import FILES_OF, PLAIN, blur_features
 from clsco.passes.warp import KERNELS as FORWARD
 from clsco.passes.warp import forward_features
 from clsco.plan.memory import TRUTH_BUFFERS
@@ -34,15 +43,21 @@ BLUR = (
     *("SAMPLED", "TILT", "GATHER", "ROWS", "SCATTER", "RENORMALIZE", "PREPARE"),
     *("DISC", "SEPARABLE"),
 )
+GATHER, SCATTER = FILES_OF["gather"], FILES_OF["scatter"]
 TRUTH = [f"TRUTH_{name.upper()}" for name in TRUTH_BUFFERS]
 # Files that are built together: feature -> value when off, when on, and others. Structure is all that is compiled in.
 PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     ("trace/trace.cl",): GEOMETRY
     | dict.fromkeys(("MOVED", "TILT", "TRUTH", *TRUTH, "PINHOLE", "LENSES"), ON_OR_OFF)
     | {"SUBPIXELS": (0, 4, 2, 3), "OCCLUDED": (0,)},
-    ("blur/blur.cl",): dict.fromkeys(PLAIN, (0,))
+    GATHER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
-    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (1, BAND), "NEAR": (0, NEAR), "COLUMNS": (0, 0, 1)},
+    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (1, BAND), "NEAR": (0, NEAR), "COLUMNS": (0, 0, 1)}
+    | {"GATHER": (1,)},
+    SCATTER: dict.fromkeys(PLAIN, (0,))
+    | dict.fromkeys(BLUR, ON_OR_OFF)
+    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (BAND,)}
+    | dict.fromkeys(("GATHER", "ROWS", "NEAR", "COLUMNS"), (0,)),
     ("blur/multigrid.cl",): dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(("TILT", "DISC", "SAMPLED", "SEPARABLE"), ON_OR_OFF)
     | {"CHANNELS": (1, 3)},
@@ -59,24 +74,27 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
 }
 PROGRAMS[HOLES] = dict.fromkeys(FEATURES, (0,)) | {"CHANNELS": (1, 3), "CODES": ON_OR_OFF, "ALONE": ON_OR_OFF}
 PROGRAMS[HOLES] |= {"FILL_MEAN_MEDIAN": (1,), "IMAGE": (1,)}
-# What can be in the way of a source: one object, or any other number up to all but one.
-OCCLUSION = ("trace/trace.cl", "blur/blur.cl")
-PROGRAMS[OCCLUSION] = PROGRAMS["blur/blur.cl",] | PROGRAMS["trace/trace.cl",] | {"OCCLUDED": (1, 2, 63)}
+# What can occlude a source: one object, or any other number up to all but one.
+OCCLUSION = tuple(("trace/trace.cl", *files) for files in (GATHER, SCATTER))
 # Features that have to do with it; of the others there is one value, the program being a long one.
 TOLD = {"OCCLUDED", "SEVERAL", "QUADRATIC", "NAPPE", "BOUNDED", "CHANNELS", "SUBPIXELS", "TILT", "GATHER", "SCATTER"}
-PROGRAMS[OCCLUSION] |= {name: values[1:2] for name, values in PROGRAMS[OCCLUSION].items() if name not in TOLD}
 # What goes by columns goes neither by rows nor tap by tap, as sampled discs do.
 NOT_BY_COLUMNS = ("ROWS", "NEAR", "DISC")
-PROGRAMS[OCCLUSION] |= dict.fromkeys((*NOT_BY_COLUMNS, "SEPARABLE"), (0,)) | {"COLUMNS": ON_OR_OFF}
+for FILES in OCCLUSION:
+    PROGRAMS[FILES] = PROGRAMS["trace/trace.cl",] | PROGRAMS[FILES[1:]] | {"OCCLUDED": (1, 2, 63)}
+    PROGRAMS[FILES] |= {name: values[1:2] or values for name, values in PROGRAMS[FILES].items() if name not in TOLD}
+    PROGRAMS[FILES] |= dict.fromkeys((*NOT_BY_COLUMNS, "SEPARABLE"), (0,))
+PROGRAMS[OCCLUSION[0]] |= {"COLUMNS": ON_OR_OFF}
 PROGRAMS["layered/layered.cl",] = dict.fromkeys((*PLAIN, "SAMPLED"), (0,)) | {"CHANNELS": (2, 4), "SCATTER": ON_OR_OFF}
 GIVEN_BY_THE_BUILD = {"REAL_IS_DOUBLE", "HAS_INT64_ATOMICS", "HAS_FP64", "VECTOR_WIDTH", "defined"}
 GIVEN_BY_THE_BUILD |= {"__FMA__", "__SSE4_1__", "__AVX__", "__AVX2__", "__AVX512F__"}
 
 
 def headers(files: tuple[str, ...]) -> tuple[str, ...]:
-    """What is built before files; what can be in the way is tested where they do so together."""
+    """What is built before files; visibility is tested where they do so together."""
     own = tuple(header for name in files for header in HEADERS_OF.get(name, ()))
-    return (*HEADERS, *(OCCLUSION_HEADERS if files == OCCLUSION else ()), *own)
+    occlusion = (LANES, GATHER_LANES, *OCCLUSION_HEADERS) if files in OCCLUSION else ()
+    return (BUILTINS, CPU_BUILTINS, *HEADERS, *occlusion, *own)
 
 
 def asked_for(files: tuple[str, ...]) -> set[str]:
@@ -123,13 +141,13 @@ def test_what_the_host_asks_for_is_what_the_files_know() -> None:
     plan = make_plan(scene, 1, ())
     spreading = blur_features("gather", Psf(), 1.0, True, prepare=True).keys()
     rendering = plan.features().keys() | spreading | {"TRUTH", *TRUTH, "PINHOLE", "LENSES"}
-    assert PROGRAMS["trace/trace.cl",].keys() | PROGRAMS["blur/blur.cl",].keys() == rendering
-    assert asked_for(("blur/blur.cl",)) <= PLAIN.keys() | spreading | {"CHANNELS", "TILT", *psf_features(Psf())}
+    assert PROGRAMS["trace/trace.cl",].keys() | PROGRAMS[GATHER].keys() == rendering
+    assert asked_for(GATHER) <= PLAIN.keys() | spreading | {"CHANNELS", "TILT", *psf_features(Psf())}
     assert forward_features(plan, owned=True).keys() == PROGRAMS[FORWARD].keys()
 
 
 # What takes seconds: programs with most kernels, and files that are built by themselves as well.
-LONG = (OCCLUSION, FORWARD, ("trace/trace.cl",), ("blur/blur.cl",))
+LONG = (*OCCLUSION, FORWARD, ("trace/trace.cl",), GATHER)
 # What hardly any feature of the geometry changes.
 PLAIN_FILES = (("blur/accumulate.cl",), ("blur/convolve.cl",), ("inpainting/fse.cl",), ("inpainting/biharmonic.cl",))
 
@@ -162,7 +180,7 @@ def test_with_all_features_but_one(session: Session, files: tuple[str, ...]) -> 
 
 
 def test_trace_and_blur_are_built_together(session: Session) -> None:
-    files, features = ("trace/trace.cl", "blur/blur.cl"), PROGRAMS["blur/blur.cl",] | PROGRAMS["trace/trace.cl",]
+    files, features = ("trace/trace.cl", *GATHER), PROGRAMS[GATHER] | PROGRAMS["trace/trace.cl",]
     for chosen in variants(features)[:2]:
         assert "trace" in build(session, files, chosen, structs("double"), "double")
 

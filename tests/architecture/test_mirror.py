@@ -10,8 +10,11 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 KERNELS = sorted((ROOT / "kernels").rglob("*.cl"))
-# wide.clh makes of two floats what NumPy has as float64.
-HEADERS = sorted(set((ROOT / "kernels").rglob("*.clh")) - {ROOT / "kernels" / "common/wide.clh"})
+# wide.clh makes of two floats what NumPy has as float64, others are vectors of processors.
+VECTORS = [f"{folder}{name}.clh" for folder in ("", "cpu/") for name in ("builtins", "lanes")]
+HEADERS = sorted(
+    set((ROOT / "kernels").rglob("*.clh")) - {ROOT / "kernels/common" / name for name in ("wide.clh", *VECTORS)}
+)
 # What has no twin of its own, and why.
 WITHOUT_TWIN = {
     "trace": {
@@ -30,10 +33,10 @@ WITHOUT_TWIN = {
     "sources": dict.fromkeys(("get_source", "put_source"), "where the planes of a record are"),
     "visibility_test": {"row_visibility": "finds out which vectors of taps need a test at all"},
     "psf": dict.fromkeys(
-        ("weights", "pixel_spread", "subpixel_spread", "tap", "source_visibility"),
+        ("pixel_spread", "subpixel_spread", "tap", "source_visibility"),
         "reads tables, in whose place the reference has the closed forms",
-    )
-    | dict.fromkeys(("sums_of", "bits_of", "any_of"), "lanes of a vector"),
+    ),
+    "vectors": dict.fromkeys(("weights", "sums_of", "bits_of", "any_of"), "lanes of a vector"),
     "geometry": {"note_radius": "the largest and the smallest of an array"},
     "warp": {"note_radii": "the largest and the smallest of an array"},
     "tiles": {"tiles": "the sum of scatter, which each tile forms for its pixels"},
@@ -61,8 +64,10 @@ WITHOUT_TWIN = {
 }
 
 # Files whose twin is part of another file.
-PART_OF = {"estimate": "mean_median", "sources": "trace", "tiles": "blur"}
-PART_OF |= dict.fromkeys(("psf", "many", "rows", "near", "discs", "quadrants", "gaussians", "columns"), "blur")
+PART_OF = {"gather": "blur", "estimate": "mean_median", "sources": "trace", "tiles": "blur"}
+PART_OF |= dict.fromkeys(
+    ("psf", "vectors", "many", "rows", "near", "discs", "quadrants", "gaussians", "columns"), "blur"
+)
 
 
 def kernel_names(text: str) -> set[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from shutil import copytree
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from clsco.opencl import program as program_module
 from clsco.opencl.buffers import download, upload
-from clsco.opencl.program import HEADERS, OCCLUSION_HEADERS, build, kernel, launch
+from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
 from clsco.optics.motion import Pose, pose_at
 from clsco.optics.quadrics import PlacedSurface, place
@@ -68,9 +69,7 @@ def run_source(session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
     Arrays are uploaded, and stay until the device is done; buffers and scalars are passed on.
     """
-    for header in (*HEADERS, *OCCLUSION_HEADERS):
-        (tmp_path / header).parent.mkdir(exist_ok=True)
-        (tmp_path / header).write_text((folder("kernels") / header).read_text("utf-8"), "utf-8")
+    copytree(str(folder("kernels") / "common"), tmp_path / "common")
     monkeypatch.setattr(program_module, "folder", lambda name: tmp_path)
 
     def run(text: str, name: str, real: Real, features: dict[str, int], count: int, *args: Any) -> None:

@@ -19,7 +19,7 @@ from clsco.optics import psf as psf_weights
 from clsco.optics.psf import reach
 from clsco.optics.psf_tables import MANY, psf_features, psf_table
 from clsco.passes import blur as spread
-from clsco.passes.blur import PIXELS, Spreader
+from clsco.passes.blur import FILES_OF, PIXELS, Spreader
 from clsco.passes.pack import psf_struct
 from clsco.plan.memory import ITEMS_BYTES, TILE, source_bytes
 from clsco.plan.methods import Blur
@@ -443,7 +443,7 @@ def test_prepare_sources(session: Session, psf: Psf, tilt: bool) -> None:
     given = light(psf.model_copy(update={"tilt": tilt}), shape=(19, 23), guard=2)
     coc, valid = given.sources.radius, given.sources.lit
     table = psf_table(psf, 0.0, given.largest)
-    program = build(session, ["blur/blur.cl"], features(given.psf, 1, 0), STRUCTS, "double")
+    program = build(session, FILES_OF["gather"], features(given.psf, 1, 0), STRUCTS, "double")
     struct, out = psf_struct(psf, table, None, "double"), empty(session, source_bytes(coc.size, tilt))
     maps = (upload(session, coc), upload(session, valid.astype(np.uint8)))
     spread.prepare_sources(session, program, given.camera(), struct, *maps, out, [])

@@ -15,7 +15,7 @@ from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
 from clsco.optics.psf_tables import psf_table
 from clsco.passes import blur as spread
-from clsco.passes.blur import PIXELS
+from clsco.passes.blur import FILES_OF, PIXELS
 from clsco.passes.pack import psf_struct
 from clsco.plan.memory import band_scratch, column_bytes, margin
 from clsco.reference.blur import blur as twin
@@ -50,7 +50,7 @@ def test_prepare_sources_writes_those_of_its_work_items(session: Session, tilt: 
     coc = given.sources.radius + 1.0
     valid = RNG(48).random(coc.shape) < 0.98
     valid[-1, -8:] = True
-    program = build(session, ["blur/blur.cl"], features(psf, 1, 2), STRUCTS, "double")
+    program = build(session, FILES_OF["gather"], features(psf, 1, 2), STRUCTS, "double")
     table = psf_table(psf, 0.0, given.largest)
     expected = source_planes(records(given, coc, twin.prepare_sources(coc, valid), valid, False), tilt, True)
     expected[-1] = np.full(coc.shape, -1, np.int32).view(np.float32)
@@ -66,7 +66,7 @@ def test_prepare_sources_writes_those_of_its_work_items(session: Session, tilt: 
 
 def test_resolve_writes_the_frame_alone(session: Session) -> None:
     given = light(Psf(), shape=(5, 70), channels=3)
-    program = build(session, ["blur/blur.cl"], features(given.psf, 3, 0), STRUCTS, "double")
+    program = build(session, FILES_OF["gather"], features(given.psf, 3, 0), STRUCTS, "double")
     sums = RNG(49).integers(0, 2**40, (3, 5, 70))
     total = Amid(session, np.full((3, 5, 88), LEFT_ALONE, np.float32), LEFT_ALONE)
     layout = np.float32(2**40), np.int32(88), np.int32(8), upload(session, sums), total.buffer
@@ -123,7 +123,7 @@ def gathered(
     table = psf_table(psf, given.smallest, given.largest)
     struct = psf_struct(psf, table, None, "double")
     chosen = features(psf, given.channels, 0, given.largest) | kept
-    program = build(session, ["blur/blur.cl"], chosen, STRUCTS, "double")
+    program = build(session, FILES_OF["gather"], chosen, STRUCTS, "double")
     pad, pitch = margin(columns, given.guard, table.reach)
     sources = on_device(session, given, 1.0)
     total = Amid(session, np.zeros((given.channels, rows, pitch), np.float32), LEFT_ALONE)

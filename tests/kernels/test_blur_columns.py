@@ -19,6 +19,7 @@ from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
 from clsco.optics.psf import axis_weights
 from clsco.optics.psf_tables import psf_table
+from clsco.passes.blur import FILES_OF
 from clsco.passes.pack import psf_struct
 from clsco.plan.memory import TILE, band_scratch, column_bytes, margin, row_bytes
 from clsco.records import flat
@@ -83,7 +84,13 @@ def gathered(session: Session, given: Light, group: int = 0, part: Amid | None =
     """
     psf, (rows, columns) = given.psf, given.shape
     table = psf_table(psf, given.smallest, given.largest)
-    program = build(session, ["blur/blur.cl"], features(psf, given.channels, 0, given.largest), STRUCTS, "double")
+    program = build(
+        session,
+        FILES_OF["gather"],
+        features(psf, given.channels, 0, given.largest),
+        STRUCTS,
+        "double",
+    )
     pad, pitch = margin(columns, given.guard, table.reach)
     source = source_planes(
         records(given, given.sources.radius, given.sources.gradient, given.sources.lit, False), psf.tilt, False

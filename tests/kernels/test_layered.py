@@ -15,7 +15,7 @@ from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.optics import slabs
 from clsco.optics.psf import reach
-from clsco.passes.blur import Events, Spreader, image_features
+from clsco.passes.blur import FILES_OF, Events, Spreader, image_features
 from clsco.passes.blur import Sources as Light
 from clsco.passes.layered import Layers
 from clsco.plan.methods import Blur
@@ -75,7 +75,7 @@ class Device:
     def __init__(self, session: Session, view: View, method: Blur = "gather", real: Real = "double") -> None:
         psf, channels = view.psf, view.radiance.shape[2]
         features = image_features(method, psf, view.largest, channels, psf.tilt, session.device.has_fp64)
-        program = build(session, ["blur/blur.cl"], features, structs(real), real)
+        program = build(session, FILES_OF["gather"], features, structs(real), real)
         camera = frame_struct(*view.shape, view.guard, real)
         self.session, self.view = session, view
         self.spreader = Spreader(

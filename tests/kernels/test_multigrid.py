@@ -15,7 +15,7 @@ from clsco.opencl.session import Session
 from clsco.optics.multigrid import coarse_radii
 from clsco.optics.psf import MINIMUM_BLUR
 from clsco.optics.psf_tables import LANES, psf_features, psf_table
-from clsco.passes.blur import BLOCKS, PLAIN, Sources, image_features
+from clsco.passes.blur import BLOCKS, FILES_OF, PLAIN, Sources, image_features
 from clsco.passes.blur import prepare_sources as make_sources
 from clsco.passes.multigrid import Coarse
 from clsco.passes.pack import psf_struct
@@ -62,7 +62,7 @@ def spread(
     size = np.abs(light.radius[light.lit])
     smallest, largest = float(size.min()), float(size.max())
     features = image_features("gather", psf, largest, channels, psf.tilt, session.device.has_fp64)
-    program = build(session, ["blur/blur.cl"], features, structs(real), real)
+    program = build(session, FILES_OF["gather"], features, structs(real), real)
     spreader = Coarse(
         session, program, psf, "gather", camera, channels, smallest, largest, 0, real, 1.0, features, least, places
     )  # fmt: skip

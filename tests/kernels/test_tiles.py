@@ -161,3 +161,23 @@ def test_an_approximation_on_a_gpu(on_a_gpu: list[str]) -> None:
     assert on_a_gpu.count("tiles") > 1  # of the frame and of a coarser grid
     assert "gather" not in on_a_gpu
     assert 1e-4 < np.sqrt(np.mean((found - clsco.defocus(image, coc, method="tiles")) ** 2)) < 1e-2
+
+
+@pytest.mark.parametrize(
+    ("psf", "method", "constant"),
+    [({}, "convolve", True), ({"model": "gaussian"}, "convolve", True), ({"occlusion": "layered"}, "scatter", False)],
+    ids=["convolve", "gaussian", "layered"],
+)
+def test_plain_opencl_has_the_bits_of_processors(
+    session: Session, monkeypatch: pytest.MonkeyPatch, psf: dict[str, Any], method: str, constant: bool
+) -> None:
+    """The builtins of GPUs and those of processors, kernels/common/builtins.clh and its form in cpu/."""
+    image = np.random.default_rng(11).random((41, 75), np.float32)
+    radii = np.full(image.shape, 6.3) if constant else np.where(np.arange(75) < 30, -3.0, 7.0) + np.zeros(image.shape)
+    kinds = []
+    for kind in ("cpu", "gpu"):
+        device = replace(session.device, kind=kind)
+        monkeypatch.setattr(import_module("clsco.opencl.arrays"), "choose", lambda name, device=device: device)
+        kinds.append(clsco.defocus(image, radii, psf, method=method))
+    assert np.ptp(kinds[0]) > 0.01
+    np.testing.assert_array_equal(*kinds)

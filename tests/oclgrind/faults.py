@@ -116,9 +116,9 @@ FAULTS = (
         "exceeds static array size",
     ),
     Fault(
-        "a plain look beside an atomic",
+        "a plain load beside an atomic",
         "layered/layered.cl",
-        "if (LOOK(latest + CLASSES * bins) < sum)",
+        "if (RELAXED_LOAD(latest + CLASSES * bins) < sum)",
         "if (latest[CLASSES * bins] < sum)",
         "slabs",
         "Read-write data race",

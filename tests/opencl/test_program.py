@@ -71,8 +71,9 @@ __kernel void real_size(__global int *out)
 
 @pytest.fixture
 def kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    (tmp_path / "common").mkdir()
-    (tmp_path / "common/wide.clh").write_text("")
+    (tmp_path / "common/cpu").mkdir(parents=True)
+    for name in ("cpu/builtins.clh", "wide.clh"):
+        (tmp_path / "common" / name).write_text("")
     (tmp_path / "common/geometry.clh").write_text(HEADER)
     (tmp_path / "work.cl").write_text(WORK)
     monkeypatch.setattr(program_module, "folder", lambda name: tmp_path)

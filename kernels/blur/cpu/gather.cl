@@ -1,0 +1,171 @@
+// HEAD
+
+#pragma OPENCL FP_CONTRACT ON
+
+// Adds rows -up..down of one source to `out`, the place of its first tap in its own row.
+INLINE void add_rows(spread_t s, int up, int down, float v, float4 source, __global float *out, int pitch)
+{
+    const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
+    for (int b = 0; b < s.lanes; b += LANES) {
+        for (int dy = -up; dy <= down; ++dy) {
+            const float8 w = weights(s, dy, b);
+#if TILT
+            float8 factor = (lane + (b - s.half_width - s.ox)) * source.y + (1 + (dy - s.oy) * source.z);
+            factor = factor > 0 ? factor : (float8)0;
+            ADD_TAPS(out + dy * pitch + b, w * (factor * v));
+#else
+            ADD_TAPS(out + dy * pitch + b, w * v);
+#endif
+        }
+    }
+}
+
+#if OCCLUDED
+// The same for all channels, `apart` apart in `light` and `planes` in `out`, where something stands in the way.
+INLINE void add_seen_rows(spread_t s, const visibility_t *visibility, int up, int down, __global const float *light, int apart,
+                          float4 source, __global float *out, int planes, int pitch)
+{
+    const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
+    for (int dy = -up; dy <= down; ++dy) {
+        const float y = dy - s.oy;
+        float states[LANES];
+        for (int b = 0; b < s.lanes; b += LANES) {
+            const int first = b - s.half_width, block = b / LANES % (LANES - 1);
+            const float8 x = lane + (first - s.ox);
+            float8 share = 1;
+            if (visibility->wide) {
+                if (block == 0)
+                    *(unaligned_lanes_t *)states = row_visibility(visibility, first - s.ox, y);
+                if (states[block] == 0)
+                    continue;
+                if (states[block] < 1)
+                    share = free_share(visibility, x, (float8)y);
+            } else
+                share = *(const unaligned_lanes_t *)(visibility->share[dy + NARROW_MIDDLE] + first + NARROW_MIDDLE);
+            float8 w = weights(s, dy, b) * share;
+#if TILT
+            const float8 factor = x * source.y + (1 + y * source.z);
+            w *= factor > 0 ? factor : (float8)0;
+#endif
+            for (int k = 0; k < CHANNELS; ++k)
+                ADD_TAPS(out + k * planes + dy * pitch + b, w * light[k * apart]);
+        }
+    }
+}
+#endif
+
+// Moves what has come to rows first..last from part, `apart` between its planes and `shift` from a row's place in total.
+static void settle(int first, int last, int apart, int shift, int plane, int pitch, __global float *part,
+                   __global float *total)
+{
+    for (int k = 0; k < CHANNELS; ++k)
+        for (int at = first * pitch; at < (last + 1) * pitch; at += LANES) {
+            ADD_TAPS(total + k * plane + at, TAPS(part + k * apart + shift + at));
+            *(__global taps_t *)(part + k * apart + shift + at) = 0;
+        }
+}
+
+#define BLOCK MANY  // sources of a row that are looked at together
+
+// Each work-item adds to BAND rows of `total`, the first one's band being `start`, all the light that reaches them, row by
+// row of sources. part: BAND rows for each work-item, of which every `group` rows of sources the sum goes on to total; with
+// group 0 it is total. scratch: see rows.clh, near.clh and columns.clh, zeros as well.
+__kernel void gather(const camera_t camera, const psf_t psf, __global const float *source,
+                     __global const float *value, __global const int2 *intervals,
+                     __global const float *coefficients,
+                     __global const float *taps, __global const outline_t *outlines,
+#if ROWS || COLUMNS
+                     __global scratch_t *scratch, const int scratch_size,  // of a work-item
+#endif
+                     const int start, const int group, __global float *part, const int pitch, const int pad,
+                     __global float *total
+#if SUBPIXELS
+                     , __global const float4 *sub_source, __global const float *sub_value, const int capacity,
+                     __global const int2 *sub_intervals, __global const float *sub_coefficients
+#endif
+                     OCCLUSION_ARGUMENTS
+)
+{
+    const int own = get_global_id(0), first = (start + own) * BAND;
+    if (first >= camera.rows)
+        return;
+    const int end = MIN(camera.rows, first + BAND);
+    const int plane = camera.width * camera.height, total_plane = camera.rows * pitch;
+    const int apart = group ? (int)get_global_size(0) * BAND * pitch : total_plane;
+    const int shift = group ? (own * BAND - first) * pitch : 0;  // from a row of the frame to that of part
+    const int from = MAX(first - psf.reach, -camera.above), to = MIN(end + psf.reach, camera.height - camera.above);
+#if ROWS || COLUMNS
+    if (!add_whole(camera, psf, source, value, intervals, taps, outlines, first, end, scratch + own * scratch_size, pitch, pad,
+                   total))
+        return;
+#endif
+    bool added = false;  // anything to `part` since it was settled
+    for (int y = from; y < to; ++y) {
+    const int line = (y + camera.above) * camera.width, place = shift + y * pitch - camera.guard + pad;
+    for (int block = 0; block < camera.width; block += BLOCK) {
+    int single = (1 << MIN(BLOCK, camera.width - block)) - 1;
+#if ROWS || COLUMNS
+    const int16 others = take_sources(psf, source, plane, line, block, camera.width, intervals, outlines).others;
+    single = bits_of(others.lo) | bits_of(UPPER(others)) << LANES;
+#endif
+    added |= single != 0;
+    while (single) {
+        const int x = block + __builtin_ctz(single);
+        single &= single - 1;
+        const int at = line + x;
+        const float4 s = get_source(source, plane, at);
+        __global float *out = part + place + x;
+#if SUBPIXELS
+        const int slot = as_int(s.w);
+        if (slot >= 0) {
+            for (int sub = 0; sub < SUBPIXELS * SUBPIXELS; ++sub) {
+                const int id = slot * SUBPIXELS * SUBPIXELS + sub;
+                const float4 p = sub_source[id];
+                if (p.x < 0)
+                    continue;
+                const spread_t spread = subpixel_spread(psf, sub_intervals, sub_coefficients, p.x, sub);
+                const int half_width = spread.half_width, up = MIN(half_width, y - first), down = MIN(half_width, end - 1 - y);
+#if OCCLUDED
+                if (as_int(p.w) == PARTLY_OCCLUDED) {
+                    visibility_t visibility;
+                    source_visibility(camera, surfaces, layer, psf, lens, camera.top + y + spread.oy, x - camera.guard + spread.ox,
+                        sub_depth[id], spread, (real)1 / SUBPIXELS, &visibility);
+                    add_seen_rows(spread, &visibility, up, down, sub_value + id, capacity * SUBPIXELS * SUBPIXELS, p,
+                                  out - half_width, apart, pitch);
+                    continue;
+                }
+#endif
+                for (int k = 0; k < CHANNELS; ++k)
+                    add_rows(spread, up, down, sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id], p,
+                             out + k * apart - half_width, pitch);
+            }
+            continue;
+        }
+#endif
+        if (s.x < 0)
+            continue;
+        const spread_t spread = pixel_spread(psf, intervals, coefficients, s.x);
+        const int half_width = spread.half_width;
+#if OCCLUDED
+        if (as_int(s.w) == PARTLY_OCCLUDED) {
+            visibility_t visibility;
+            source_visibility(camera, surfaces, layer, psf, lens, camera.top + y, x - camera.guard, depth[at], spread, (real)1, &visibility);
+            add_seen_rows(spread, &visibility, MIN(half_width, y - first), MIN(half_width, end - 1 - y), value + at, plane,
+                          s, out - half_width, apart, pitch);
+            continue;
+        }
+#endif
+        for (int k = 0; k < CHANNELS; ++k)
+            add_rows(spread, MIN(half_width, y - first), MIN(half_width, end - 1 - y), value[k * plane + at], s,
+                     out + k * apart - half_width, pitch);
+    }
+    }
+    if (group && added && ((y + 1 - from) % group == 0 || y + 1 == to)) {
+        settle(MAX(first, y + 1 - group - psf.reach), MIN(end - 1, y + psf.reach), apart, shift, total_plane, pitch, part,
+               total);
+        added = false;
+    }
+    }
+}
+
+#pragma OPENCL FP_CONTRACT OFF

@@ -1,0 +1,60 @@
+"""What is built for a GPU is plain OpenCL C 1.2: no extension of clang, and nothing that knows a processor."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from clsco.opencl import program
+from clsco.opencl.program import build
+from clsco.opencl.session import Session
+from clsco.passes.blur import FILES_OF
+from clsco.records import structs
+from tests.architecture.test_kernels_build import PROGRAMS, variants
+
+TRACE, ROOT = "trace/trace.cl", Path(__file__).resolve().parents[2]
+# Programs of GPUs, with all features and with none. Those with kernels of inpainting have vectors of clang still.
+ON_GPU: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
+    files: PROGRAMS[files] for files in PROGRAMS if not any("/cpu/" in name or "inpainting/" in name for name in files)
+}
+ON_GPU[TRACE, *FILES_OF["tiles"]] = PROGRAMS[TRACE, *FILES_OF["scatter"]] | {"OCCLUDED": (0,)}
+EXTENSIONS = re.compile(r"__builtin_|ext_vector_type|vector_size|__atomic_|__AVX|__SSE|__FMA__|min_vector_width|\(\{")
+# The last line of PoCL's own header has no end.
+PEDANTIC = '#pragma clang diagnostic error "-Wpedantic"\n#pragma clang diagnostic ignored "-Wnewline-eof"\n'
+
+
+def test_every_method_of_a_gpu_is_looked_at() -> None:
+    asked = {name for files in ON_GPU for name in files}
+    assert asked >= {TRACE, *FILES_OF["scatter"], *FILES_OF["tiles"], *FILES_OF["none"]}
+    assert asked >= {f"{name}.cl" for name in ("blur/convolve", "blur/multigrid", "layered/layered")}
+
+
+@pytest.mark.parametrize("files", ON_GPU, ids="+".join)
+def test_programs_of_gpus_are_plain(
+    session: Session, files: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    made, texts = program.program_text, list[str]()
+
+    def pedantic(*given: Any) -> str:
+        texts.append(made(*given))
+        return PEDANTIC + texts[-1]
+
+    monkeypatch.setattr(program, "program_text", pedantic)
+    with Session(replace(session.device, kind="gpu")) as opened:
+        for chosen in variants(ON_GPU[files])[:2]:
+            build(opened, files, chosen, structs("double"), "double")
+            build(opened, files, chosen, structs("float"), "float")
+    assert len(texts) == 4
+    for text in texts:
+        assert {found[0] for found in EXTENSIONS.finditer(text)} == set()
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "kernels/warp").glob("*.cl")), ids=lambda path: path.name)
+def test_files_of_gpus_are_plain(path: Path) -> None:
+    """Of programs in which other files are not."""
+    assert not EXTENSIONS.search(path.read_text("utf-8"))
