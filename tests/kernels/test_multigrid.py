@@ -71,6 +71,7 @@ def spread(
     source = empty(session, source_bytes(height * width, psf.tilt))
     make_sources(session, program, camera, spreader.struct, radii, valid, source, [])
     spreader.clear()
+    session.queue.finish()  # the radii are let go of
     return spreader, Sources(source, value)
 
 
