@@ -20,7 +20,7 @@ HEADERS = ("common/wide.clh", "common/geometry.clh")
 # Built before all others: in OpenCL C 1.2, or for a processor in what its compiler makes more of.
 BUILTINS, CPU_BUILTINS = "common/builtins.clh", "common/cpu/builtins.clh"
 # With the feature OCCLUDED, after one of two: taps one by one, or in the vectors of `gather`.
-LANES, GATHER_LANES = "common/lanes.clh", "common/cpu/lanes.clh"
+SINGLE_TAPS, GATHERED_TAPS = "common/lanes.clh", "common/cpu/lanes.clh"
 OCCLUSION_HEADERS = ("common/occluder.clh", "common/visibility.clh", "common/visibility_test.clh")
 GATHER_HEADERS = tuple(
     f"blur/cpu/{name}.clh" for name in ("vectors", "many", "rows", "near", "discs", "quadrants", "gaussians", "columns")
@@ -68,7 +68,7 @@ def build(
         raise DeviceError(f"precision: double needs a device with fp64, use single; got {device}")
     headers = [CPU_BUILTINS if device.kind == "cpu" else BUILTINS, *HEADERS]
     if features.get("OCCLUDED"):
-        headers += [GATHER_LANES if features.get("GATHER") else LANES, *OCCLUSION_HEADERS]
+        headers += [GATHERED_TAPS if features.get("GATHER") else SINGLE_TAPS, *OCCLUSION_HEADERS]
     headers += dict.fromkeys(header for source in sources for header in HEADERS_OF.get(source, ()))
     text = program_text([*headers, *sources], structs, real, device.has_fp64, device.has_int64_atomics)
     options = [f"-D{name}={int(value)}" for name, value in sorted(features.items())]

@@ -1,18 +1,21 @@
-// Spreads every source over the pixels that its point spread function lights. Twin: clsco/reference/blur/blur.py.
+// Blur by scattering: every source adds its radiance L_s to the pixels around it,
+//     I(x) = sum_s L_s w(x - x_s; R_s) (1 + l . grad R) V,
+// w: the point spread function of the signed blur radius R_s; 1 + l . grad R: the tilt of the surface at lens point
+// l = (x - x_s) / R_s; V: the share of the lens that no occluder hides (common/visibility.clh).
+// Twin: clsco/reference/blur/blur.py. Host: clsco/passes/blur.py.
 //
-//   source: see sources.clh; value, sub_source, sub_value: see trace.cl
-//   intervals, coefficients, taps, outlines: tables of weights, see PsfTable in clsco/optics/psf.py
-//   total   float (CHANNELS, rows, pitch): the frame, or a strip of it, so far; moments of the exposure add up here. The
-//           `pad` columns on both sides of a row are scratch, so that a vector of taps may hang over.
-//   part    the same, zeros: what some rows of sources add, on its way to total. Of thousands of equal small taps added
-//           one by one to one float, each is rounded the same way (benchmarks/optimisation_log.md).
+//   source: common/sources.clh; value, sub_source, sub_value: trace/trace.cl
+//   intervals, coefficients: tables of weights, PsfTable of clsco/optics/psf_tables.py
+//   sums    fixed_t (CHANNELS, rows, columns), in and out: the irradiance of the frame, or a strip of it, in units of
+//           1 / scale
+//   total   float (CHANNELS, rows, pitch), out: the same as floats; `pad` columns on both sides of a row are scratch
 //
-// gather gives every work-item a band of output rows, which it alone writes, and walks the sources that reach it
-// in a fixed order, whole vectors of taps at a time: no atomics, same bits, for CPUs. scatter adds taps one by one in
-// fixed point: any device, any order, same bits; the oracle of gather. For one radius only there is convolve.cl.
-// Features: CHANNELS, TILT, SUBPIXELS, DISC (sampled, one weight), SEPARABLE (weights are products of two), BAND (rows of a
-// band), OCCLUDED (after occlusion.clh), of gather ROWS (whole rows of sources), with NEAR (so many px at most) tap by tap, or
-// COLUMNS of them; GATHER, SCATTER, RENORMALIZE, PREPARE: which kernels are wanted.
+// scatter adds taps one by one in fixed point: any device, any order, the same bits; the oracle of the other methods.
+// The host picks it on a GPU where objects occlude each other; elsewhere it picks `gather` (cpu/gather.cl) on
+// processors, `tiles` (tiles.cl) on GPUs, and `convolve` (convolve.cl) for frames of one radius. renormalize and
+// prepare_sources serve all of them. Features: CHANNELS, TILT, SUBPIXELS, DISC (sampled, one weight), SEPARABLE
+// (weights are products of two), OCCLUDED (after common/visibility_test.clh); SCATTER, RENORMALIZE, PREPARE: which
+// kernels are wanted.
 
 #pragma OPENCL FP_CONTRACT ON
 
@@ -205,8 +208,9 @@ static float4 record_of(const camera_t camera, const psf_t psf, __global const w
 
 #define ALL_VALID(p) (LOAD_EIGHT_BYTES(p) == 0x0101010101010101ul)
 
-// Sources from a map of signed radii, px, instead of from a surface. In: coc wide_t, valid uchar (0 or 1), both (height,
-// width). Out: source. LANES at a time; where all of them and their neighbors are there, in loops that are made vectors.
+// Sources from a map of signed radii, px, instead of from a surface. In: coc wide_t, valid uchar (0 or 1), both
+// (height, width). Out: source. LANES at a time; where all of them and their neighbors are there, in loops that are
+// made vectors.
 __kernel void prepare_sources(const camera_t camera, const psf_t psf, __global const wide_t *restrict coc,
                               __global const uchar *restrict valid, __global float *restrict source)
 {

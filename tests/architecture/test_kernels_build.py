@@ -14,11 +14,11 @@ from clsco.inpainting.mean_median import KERNELS as HOLES
 from clsco.opencl.program import (
     BUILTINS,
     CPU_BUILTINS,
-    GATHER_LANES,
+    GATHERED_TAPS,
     HEADERS,
     HEADERS_OF,
-    LANES,
     OCCLUSION_HEADERS,
+    SINGLE_TAPS,
     build,
 )
 from clsco.opencl.session import Session
@@ -93,7 +93,7 @@ GIVEN_BY_THE_BUILD |= {"__FMA__", "__SSE4_1__", "__AVX__", "__AVX2__", "__AVX512
 def headers(files: tuple[str, ...]) -> tuple[str, ...]:
     """What is built before files; visibility is tested where they do so together."""
     own = tuple(header for name in files for header in HEADERS_OF.get(name, ()))
-    occlusion = (LANES, GATHER_LANES, *OCCLUSION_HEADERS) if files in OCCLUSION else ()
+    occlusion = (SINGLE_TAPS, GATHERED_TAPS, *OCCLUSION_HEADERS) if files in OCCLUSION else ()
     return (BUILTINS, CPU_BUILTINS, *HEADERS, *occlusion, *own)
 
 

@@ -1,4 +1,18 @@
-// HEAD
+// Blur on processors: the sum of blur.cl, by bands of output rows. Twin: clsco/reference/blur/blur.py.
+//
+//   source, value, sub_source, sub_value, intervals, coefficients: as in blur.cl
+//   taps, outlines: the same weights in the order of columns.clh, PsfTable of clsco/optics/psf_tables.py
+//   total   float (CHANNELS, rows, pitch), in and out: the irradiance of the frame, or a strip of it, so far; time samples
+//           of the exposure add up here. `pad` columns on both sides of a row are scratch, so that a vector of taps may
+//           reach beyond
+//   part    the same, 0 at first: what some rows of sources add, on its way to total. Summing thousands of equal taps in
+//           one float accumulates a systematic rounding error: 1.4e-5 of white at R60 without, 1.2e-6 with it
+//
+// Each work-item owns a band of BAND output rows and walks the sources that reach it in a fixed order, whole vectors of
+// taps at a time: no atomics, the same bits in every run. The host picks it on processors. Pointers to unaligned
+// vectors and contraction took it from 131 to 27 ns per pixel at R6 (benchmarks/optimisation_log.md, as all figures).
+// Features: those of blur.cl; BAND; ROWS (whole rows of sources: discs.clh, with NEAR near.clh) or COLUMNS of them
+// (columns.clh).
 
 #pragma OPENCL FP_CONTRACT ON
 
@@ -54,7 +68,8 @@ INLINE void add_seen_rows(spread_t s, const visibility_t *visibility, int up, in
 }
 #endif
 
-// Moves what has come to rows first..last from part, `apart` between its planes and `shift` from a row's place in total.
+// Moves what has come to rows first..last from part, `apart` between its planes and `shift` from a row's place in
+// total.
 static void settle(int first, int last, int apart, int shift, int plane, int pitch, __global float *part,
                    __global float *total)
 {
@@ -67,9 +82,9 @@ static void settle(int first, int last, int apart, int shift, int plane, int pit
 
 #define BLOCK MANY  // sources of a row that are looked at together
 
-// Each work-item adds to BAND rows of `total`, the first one's band being `start`, all the light that reaches them, row by
-// row of sources. part: BAND rows for each work-item, of which every `group` rows of sources the sum goes on to total; with
-// group 0 it is total. scratch: see rows.clh, near.clh and columns.clh, zeros as well.
+// Each work-item adds to BAND rows of `total`, the first one's band being `start`, all the light that reaches them, row
+// by row of sources. part: BAND rows for each work-item, of which every `group` rows of sources the sum goes on to
+// total; with group 0 it is total. scratch: see rows.clh, near.clh and columns.clh, zeros as well.
 __kernel void gather(const camera_t camera, const psf_t psf, __global const float *source,
                      __global const float *value, __global const int2 *intervals,
                      __global const float *coefficients,
