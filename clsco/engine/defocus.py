@@ -19,7 +19,7 @@ from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.optics.lens import LARGEST_BLUR
 from clsco.optics.psf import reach
-from clsco.optics.psf_tables import LANES
+from clsco.optics.psf_tables import TAP_LANES
 from clsco.optics.slabs import Slabs
 from clsco.passes.blur import FILES_OF, Sources, image_features, prepare_sources
 from clsco.passes.layered import Layers
@@ -171,7 +171,7 @@ def _defocus(
 
 
 def _guard(given: _Given, psf: Psf, blur: Blur) -> int:
-    return reach(psf, given.largest) + 2 * LANES if blur == "convolve" else 0
+    return reach(psf, given.largest) + 2 * TAP_LANES if blur == "convolve" else 0
 
 
 def _sizes(

@@ -8,7 +8,7 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.optics.psf_tables import LANES
+from clsco.optics.psf_tables import TAP_LANES
 from clsco.scene.model import Psf
 
 Array = NDArray[np.float64]
@@ -70,4 +70,4 @@ def coarse_frame(rows: int, columns: int, guard: int) -> tuple[int, int, int]:
 
 def plane_shape(width: int, height: int) -> tuple[int, int]:
     """Rows and pitch of a plane of a grid, see coarse.cl."""
-    return height + 2 * EDGE_ROWS, -(-(width + 4 * EDGE) // LANES) * LANES
+    return height + 2 * EDGE_ROWS, -(-(width + 4 * EDGE) // TAP_LANES) * TAP_LANES

@@ -30,7 +30,7 @@ from clsco.scene.model import Psf
 Array = NDArray[np.float64]
 Widths = TypeVar("Widths", int, NDArray[np.int64])
 
-LANES = 8  # a row of weights fills whole vectors of this many floats
+TAP_LANES = 8  # a row of weights fills whole vectors of this many floats
 # Intervals of the tables: so many per octave of the radius and an offset (`octaves_from`), so that they grow with it.
 # The weight of a point source has a kink of order 3/2 where its circle touches a pixel's edge, first at R = 1/8 px, and
 # that of a Gaussian a corner where its cut does; the area forms have these in every weight of a frame.
@@ -43,7 +43,7 @@ FINE_STEPS, FINE_UNTIL = 16, 16
 NODES = 0.5 - 0.5 * np.cos((2 * np.arange(4) + 1) * np.pi / 8)
 POWERS = len(NODES)  # coefficients of a weight
 TO_POWERS = np.linalg.inv(np.vander(NODES, 4, increasing=True))
-MANY = 16  # intervals of which a kernel reads the coefficients of a tap together, from every LANES-th one on
+WIDE_LANES = 16  # intervals of which a kernel reads the coefficients of a tap together, from every TAP_LANES-th one on
 # Sampled discs that reach at most so far, in px to both sides, are added up tap by tap: kernels/blur/cpu/near.clh.
 NEAR = 7
 LARGEST_TABLES = 2**30  # bytes
@@ -54,18 +54,17 @@ RUN = 16  # intervals whose weights are computed at once, of one half-width
 class PsfTable:
     """Weights over a range of blur radii as piecewise cubics, in the layout that the kernels read.
 
-    A source of radius R has the coordinate u (see `table_coordinate`), interval floor(u) and position
-    t = u - floor(u); its weight at (dx, dy) is c0 + t (c1 + t (c2 + t c3)).
-    intervals: int32 (count, 2): start in `coefficients`, half-width in px.
-    coefficients: float32, per interval rows of (POWERS, lanes): row |dy| = 0..half-width (a main table), or
-    rows -half-width..half-width for each of the S/2 x S offsets of a sub-pixel source. first: the interval that
-    `intervals` begins with. reach: largest half-width. taps, outlines: of a main table, else empty. taps: the same
-    weights once more, float32 (taps, count / LANES, POWERS, MANY): of the octant's taps a >= b >= 0 in the order of
-    a (a + 1) / 2 + b or, of what `is_separable`, of those along an axis, the coefficients of MANY intervals from every
-    LANES-th one on; zeros beyond the reach of an interval, and after the last one. outlines: int32, (count, reach + 1,
-    2), see `_outline`, but for what is separable. Of a sampled disc (`is_disc`) coefficients and taps
-    have the one weight of each interval, and outlines the square roots of 0, 1, ... up to the last interval's number,
-    rounded down.
+    A source of radius R has the coordinate u (see `table_coordinate`), interval floor(u) and position t = u - floor(u);
+    its weight at (dx, dy) is c0 + t (c1 + t (c2 + t c3)). intervals: int32 (count, 2): start in `coefficients`,
+    half-width in px. coefficients: float32, per interval rows of (POWERS, lanes): row |dy| = 0..half-width (a main
+    table), or rows -half-width..half-width for each of the S/2 x S offsets of a sub-pixel source. first: the interval
+    that `intervals` begins with. reach: largest half-width. taps, outlines: of a main table, else empty. taps: the same
+    weights once more, float32 (taps, count / TAP_LANES, POWERS, WIDE_LANES): of the octant's taps a >= b >= 0 in the
+    order of a (a + 1) / 2 + b or, of what `is_separable`, of those along an axis, the coefficients of WIDE_LANES
+    intervals from every TAP_LANES-th one on; zeros beyond the reach of an interval, and after the last one. outlines:
+    int32, (count, reach + 1, 2), see `_outline`, but for what is separable. Of a sampled disc (`is_disc`) coefficients
+    and taps have the one weight of each interval, and outlines the square roots of 0, 1, ... up to the last interval's
+    number, rounded down.
     """
 
     first: int
@@ -150,12 +149,12 @@ def _runs(psf: Psf, span: range, subpixel: bool) -> Iterator[tuple[int, int, int
 
 
 def _span(psf: Psf, smallest: float, largest: float, subpixel: bool) -> range:
-    """Intervals that hold the |blur radii| from smallest to largest px, and those before them in their LANES.
+    """Intervals that hold the |blur radii| from smallest to largest px, and those before them in their TAP_LANES.
 
     So windows of intervals begin at the same ones whatever the smallest radius is, on which the order of sums hangs.
     """
     first, last = (floor(float(table_coordinate(psf, np.array(r), subpixel))) for r in (smallest, largest))
-    return range(first // LANES * LANES, last + 1)
+    return range(first // TAP_LANES * TAP_LANES, last + 1)
 
 
 def is_near(psf: Psf, largest: float) -> bool:
@@ -180,7 +179,7 @@ def table_bytes(psf: Psf, smallest: float, largest: float, subpixel: int = 0) ->
         return 16 * len(span) + 4 * span.stop
     widths = _half_widths(psf, span, subpixel > 0)
     widest, each = int(widths[-1]), 4 * POWERS * _lanes(widths)
-    of_taps = 4 * POWERS * MANY * -(-len(span) // LANES)
+    of_taps = 4 * POWERS * WIDE_LANES * -(-len(span) // TAP_LANES)
     if subpixel:
         return int((8 + each * (2 * widths + 1) * subpixel * ((subpixel + 1) // 2)).sum())
     if is_separable(psf):
@@ -262,9 +261,9 @@ def _separable_table(psf: Psf, span: range) -> PsfTable:
 
 
 def _windows(taps: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Coefficients (taps, powers, intervals) in windows of MANY, LANES apart: (taps, windows, powers, MANY)."""
-    padded = np.pad(taps, ((0, 0), (0, 0), (0, -taps.shape[2] % LANES + MANY - LANES)))
-    windows = np.lib.stride_tricks.sliding_window_view(padded, MANY, axis=2)[:, :, ::LANES]
+    """Coefficients (taps, powers, intervals) in windows of WIDE_LANES, TAP_LANES apart: axis 1 of four."""
+    padded = np.pad(taps, ((0, 0), (0, 0), (0, -taps.shape[2] % TAP_LANES + WIDE_LANES - TAP_LANES)))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, WIDE_LANES, axis=2)[:, :, ::TAP_LANES]
     return np.ascontiguousarray(windows.swapaxes(1, 2))
 
 
@@ -289,7 +288,7 @@ def _octant_taps(reach: int) -> int:
 
 def _lanes(half_width: Widths) -> Widths:
     """Floats of a row of weights: whole vectors."""
-    return -(-(2 * half_width + 1) // LANES) * LANES
+    return -(-(2 * half_width + 1) // TAP_LANES) * TAP_LANES
 
 
 def _main_rows(psf: Psf, radii: Array, half_width: int) -> Array:

@@ -13,7 +13,7 @@ from clsco.optics.psf_tables import table_reach
 from clsco.scene.model import Psf
 
 # As in layer.cl.
-JUMP, BIN, CLASSES = 1.0, 0.25, 10  # px, px
+DISCONTINUITY, BIN, CLASSES = 1.0, 0.25, 10  # px, px
 MOST_SLABS = 8
 
 
@@ -34,8 +34,9 @@ def bins_of(largest: float) -> tuple[float, int]:
 def slab_bounds(latest: NDArray[np.int32]) -> list[int]:
     """First bins of the second and each further slab, at most MOST_SLABS - 1 of them, in rising order.
 
-    latest: (CLASSES, bins) from `find_jumps` of layer.cl. From near to far, a jump that no bound splits yet gets one in
-    the middle of where it can be; where that makes too many, the smaller half of the jumps (a class) is left alone.
+    latest: (CLASSES, bins) from `find_discontinuities` of layer.cl. From near to far, a jump that no bound splits yet
+    gets one in the middle of where it can be; where that makes too many, the smaller half of the jumps (a class) is
+    left alone.
     """
     for smallest in range(CLASSES):
         bounds: list[int] = []

@@ -14,7 +14,7 @@ from clsco.frame.strips import BAND
 from clsco.opencl.buffers import empty, mapped, upload
 from clsco.opencl.program import kernel, launch
 from clsco.opencl.session import Program, Session
-from clsco.optics.psf_tables import LANES, NEAR, PsfTable, psf_features, psf_table
+from clsco.optics.psf_tables import NEAR, TAP_LANES, PsfTable, psf_features, psf_table
 from clsco.optics.visibility import lens_cells
 from clsco.passes.convolve import Convolution
 from clsco.passes.pack import psf_struct
@@ -24,8 +24,8 @@ from clsco.records import Real, Struct
 from clsco.scene.model import Psf
 
 PIXELS = (64, 1)  # local size of kernels with a work-item per pixel
-BLOCKS = (8, 1)  # of kernels with one per LANES pixels of a row
-TILE = (16, 8)  # pixels of a group of `tiles`, as in kernels/blur/tiles.cl
+BLOCKS = (8, 1)  # of kernels with one per TAP_LANES pixels of a row
+GROUP = (16, 8)  # pixels of a group of `tiles`, as in kernels/blur/tiles.cl
 # A pixel gets at most 2.6 + 2 ln R times the brightest source from pillboxes; the tilt at most doubles it.
 GAIN, GAIN_PER_LOG, TILT_GAIN = 2.6, 2.0, 2.0
 
@@ -49,9 +49,9 @@ def blur_features(method: Blur, psf: Psf, largest: float, fp64: bool, prepare: b
     kept = band_scratch(psf, largest, fp64) if method == "gather" else "none"
     return {
         "GATHER": int(method == "gather"),
-        "ROWS": int(kept in ("rows", "near")),
+        "BY_ROWS": int(kept in ("rows", "near")),
         "NEAR": NEAR * (kept == "near"),
-        "COLUMNS": int(kept == "columns"),
+        "BY_COLUMNS": int(kept == "columns"),
         "SCATTER": int(method == "scatter"),
         "RENORMALIZE": int(psf.border == "renormalize" and method != "none"),
         "PREPARE": int(prepare and method in MANY_RADII),
@@ -91,7 +91,7 @@ def prepare_sources(
     source: cl.Buffer, events: Events,
 ) -> None:  # fmt: skip
     """Enqueue what makes sources of a map of signed radii; psf: struct of the Spreader that adds them."""
-    size = -(-int(camera["width"]) // LANES), int(camera["height"])
+    size = -(-int(camera["width"]) // TAP_LANES), int(camera["height"])
     args = (camera, psf, coc, valid, source)
     events.append(("prepare_sources", launch(session, kernel(program, "prepare_sources"), size, BLOCKS, *args)))
 
@@ -115,8 +115,8 @@ class Spreader:
         self.sub: PsfTable | None = psf_table(psf, smallest, largest, subpixels) if subpixels else None
         self.struct = psf_struct(psf, self.main, self.sub, real)
         tables = [self.main] if self.sub is None else [self.main, self.sub]
-        kept: Scratch = "near" if features["NEAR"] else "rows" if features["ROWS"] else "none"
-        kept = "columns" if features["COLUMNS"] else kept
+        kept: Scratch = "near" if features["NEAR"] else "rows" if features["BY_ROWS"] else "none"
+        kept = "columns" if features["BY_COLUMNS"] else kept
         self.tables = [(upload(session, t.intervals), upload(session, t.coefficients)) for t in tables]
         self.lens = upload(session, lens_cells(psf).astype(np.float32))
         rows, columns = int(camera["rows"]), int(camera["columns"])
@@ -182,7 +182,7 @@ class Spreader:
                 args = (*head, *self.alike, *self.scratch, np.int32(start), *parts, *layout, *tail)
                 self._launch("gather", (self.bands,), (1,), events, *args)
         elif self.method == "tiles":
-            self._launch("tiles", frame, TILE, events, *head, *layout, *tail)
+            self._launch("tiles", frame, GROUP, events, *head, *layout, *tail)
         else:
             padded = (int(camera["width"]), int(camera["height"]))
             self._launch("scatter", padded, PIXELS, events, *head, np.float32(self.scale), self.sums, *tail)

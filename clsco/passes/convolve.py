@@ -19,7 +19,10 @@ from clsco.scene.model import Psf
 Events = list[tuple[str, cl.Event]]
 
 FEATURES = dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SAMPLED", "CHANNELS"), 0)
-TILE, TILES = (32, 64), 8  # rows and columns of a work-item; so many are made side by side before those below
+CONVOLVED, TILES_ABREAST = (
+    (32, 64),
+    8,
+)  # rows and columns of a work-item; so many are made side by side before those below
 BITS, LOWER_BITS = 56, 26  # of a sum over a disc, and those of them that sums of 32 bits leave out
 # What they leave out is less than a unit of each row of a disc: (2 R + 1) 2^-29 of the brightest light at most, 2e-7 at
 # R = 60, and 1e-8 RMS. With light brighter than so many times white, sums of 64 bits keep that from what is beside it.
@@ -58,7 +61,7 @@ class Convolution:
         for k in range(self.channels):
             source = (value, k * width * height, above * width + guard, width)
             for stencil in first:
-                line = -(-columns // TILE[1]) * TILE[1]
+                line = -(-columns // CONVOLVED[1]) * CONVOLVED[1]
                 grid = (value, k * width * height, guard, width)
                 self._convolve(stencil, (height, columns), grid, 0.0, (self.across, 0, line), True, events)
                 source = (self.across, 0, above * line, line)
@@ -75,7 +78,7 @@ class Convolution:
         shape, (value, start, *_) = tuple(map(np.int32, size)), source
         args = (*shape, value, np.int32(start), np.float32(scale), self.sums)
         self._launch("sum_across", (size[0],), events, *args)
-        self._launch("sum_down", (-(-size[1] // TILE[1]),), events, *shape, self.sums)
+        self._launch("sum_down", (-(-size[1] // CONVOLVED[1]),), events, *shape, self.sums)
         return (1.0 if self.wide else 2.0**LOWER_BITS) / scale
 
     def _convolve(
@@ -92,7 +95,7 @@ class Convolution:
             *map(np.int32, stencil.reach),
             target[0], *map(np.int32, target[1:]), np.int32(fresh),
         )  # fmt: skip
-        tiles = (TILES, -(-size[0] // TILE[0]), -(-size[1] // (TILES * TILE[1])))
+        tiles = (TILES_ABREAST, -(-size[0] // CONVOLVED[0]), -(-size[1] // (TILES_ABREAST * CONVOLVED[1])))
         self._launch("convolve", tiles, events, *args)
 
     def _launch(self, name: str, size: tuple[int, ...], events: Events, *args: object) -> None:

@@ -26,7 +26,7 @@ from clsco.passes.blur import (
 from clsco.plan.memory import pyramid_bytes, source_bytes
 from clsco.records import WIDE_BYTES, Real, Struct, structs
 
-RUN, COLUMNS, PUSHED = 64, 16, 4  # px, as in layer.cl
+REACH_PIXELS, SEED_COLUMNS, PUSH_PIXELS = 64, 16, 4  # px, as in layer.cl
 LINES = (8,)  # local size of kernels with a work-item per row or column
 RUNS = (1, 8)  # of those with a work-item per run of a row
 ZERO = np.zeros(1, np.uint32)
@@ -40,12 +40,13 @@ class Layers:
     larger; brightest: largest |radiance|; tallest: rows of the largest grid of a strip, where it is not the first one.
 
     Pixels are put into slabs of the signed blur radius so that the two sides of every jump between neighbors, beyond
-    JUMP px, fall into different ones; at most MOST_SLABS. A slab takes its surface to go on behind the pixels in front
-    of it at jumps, as deep as the blur of both sides reaches, with values from its own pixels as near by, by push-pull
-    (Gortler et al. 1996). Near jumps its radiance and its coverage are blurred by the PSF as one image, and it gets at
-    each pixel the room that the coverage of nearer slabs leaves; elsewhere light simply adds up. A cut through a
-    continuous surface has no hidden part and shows nowhere; where no neighbors jump there is one slab, and the frame is
-    that of psf.occlusion = "none", to the bit. Where a frame is made in strips, `look` at all of them comes first.
+    DISCONTINUITY px, fall into different ones; at most MOST_SLABS. A slab takes its surface to go on behind the pixels
+    in front of it at jumps, as deep as the blur of both sides reaches, with values from its own pixels as near by, by
+    push-pull (Gortler et al. 1996). Near jumps its radiance and its coverage are blurred by the PSF as one image, and
+    it gets at each pixel the room that the coverage of nearer slabs leaves; elsewhere light simply adds up. A cut
+    through a continuous surface has no hidden part and shows nowhere; where no neighbors jump there is one slab, and
+    the frame is that of psf.occlusion = "none", to the bit. Where a frame is made in strips, `look` at all of them
+    comes first.
 
     Raises DeviceError, KernelError. Validated against `clsco.reference.layered.layered` and the ray tracer.
     """
@@ -89,7 +90,7 @@ class Layers:
         far = np.int32(2 * self.reach + 1)
         args = (self.camera, self._real(self.low), np.int32(self.bins), far, coc, valid, self.latest)
         width, height = self._padded()
-        self._launch("find_jumps", (height + width,), LINES, events, *args)
+        self._launch("find_discontinuities", (height + width,), LINES, events, *args)
 
     def slabs(self) -> Slabs:
         """Slabs of the moment whose strips were looked at since the last call. Waits for the device."""
@@ -139,11 +140,11 @@ class Layers:
         some = (*slabs.bounds, *(0,) * (8 - len(slabs.bounds)))  # at most MOST_SLABS - 1
         bounds = cl.cltypes.make_int8(*some)  # type: ignore[attr-defined]
         head = (self.camera, self._real(self.low), np.int32(self.bins), np.int32(len(slabs.bounds)), bounds)
-        self._launch("label_slabs", self._padded(), PIXELS, events, *head, coc, valid, self.slab)
+        self._launch("label_depth_layers", self._padded(), PIXELS, events, *head, coc, valid, self.slab)
         self._launch("seed_hidden", self._padded(), PIXELS, events, self.camera, coc, self.slab, self.seed)
-        columns = (-(-width // COLUMNS),)
+        columns = (-(-width // SEED_COLUMNS),)
         self._launch("column_seeds", columns, LINES, events, self.camera, self.seed, self.offset)
-        runs = (-(-width // RUN), height)
+        runs = (-(-width // REACH_PIXELS), height)
         args = (self.camera, np.int32(slabs.deep), self.slab, self.seed, self.offset, self.hidden, self.edge)
         self._launch("reach_hidden", runs, RUNS, events, *args)
 
@@ -156,7 +157,7 @@ class Layers:
         """One slab with its hidden part."""
         number = np.int32(which)
         planes = (value, coc, self.slab)
-        self._launch("open_slab", self._padded(), PIXELS, events, self.camera, number, *planes, self.pyramid)
+        self._launch("open_depth_layer", self._padded(), PIXELS, events, self.camera, number, *planes, self.pyramid)
         width, height = self._padded()
         levels = levels_of(height, width, deep, self.channels + 2)
         pairs = list(pairwise(levels))
@@ -164,14 +165,16 @@ class Layers:
             for (rows, columns, start), (half_rows, half_columns, half_start) in chosen:
                 sizes = (np.int32(n) for n in (rows, columns, half_rows, half_columns, start, half_start))
                 if name == "push":
-                    last, grid = np.int32(half_start == levels[-1][2]), (-(-half_columns // PUSHED), half_rows)
+                    last, grid = np.int32(half_start == levels[-1][2]), (-(-half_columns // PUSH_PIXELS), half_rows)
                     self._launch(name, grid, BLOCKS, events, *sizes, last, self.pyramid)
                 else:
                     self._launch(name, (columns, rows), PIXELS, events, *sizes, self.pyramid)
         coarse = (np.int32(n) for n in levels[1])
         out = (self.value, self.coc, self.valid)
         labels = (self.hidden, self.pyramid)
-        self._launch("take_slab", self._padded(), PIXELS, events, self.camera, number, *coarse, *planes, *labels, *out)
+        self._launch(
+            "take_depth_layer", self._padded(), PIXELS, events, self.camera, number, *coarse, *planes, *labels, *out
+        )
 
     def _blur(self, events: Events) -> None:
         """Blur the slab and put it behind those before."""

@@ -33,7 +33,7 @@ from clsco.optics.multigrid import (
     plane_shape,
     second_moment,
 )
-from clsco.optics.psf_tables import LANES, psf_features
+from clsco.optics.psf_tables import TAP_LANES, psf_features
 from clsco.passes.blur import BLOCKS, FILES_OF, PIXELS, PLAIN, Events, Sources, Spreader, image_features
 from clsco.plan.memory import grid_bytes
 from clsco.plan.methods import Blur
@@ -222,8 +222,8 @@ def make_spreader(
 
 
 def _blocks(width: int, height: int) -> tuple[int, int]:
-    """Work-items where each makes LANES numbers of a row."""
-    return -(-width // LANES), height
+    """Work-items where each makes TAP_LANES numbers of a row."""
+    return -(-width // TAP_LANES), height
 
 
 def _filled(session: Session, size: int, value: float) -> cl.Buffer:

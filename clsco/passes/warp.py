@@ -23,7 +23,7 @@ from clsco.records import WIDE, WIDE_BYTES, Real, Struct, in_parts, structs, tog
 
 KERNELS = ("warp/warp.cl", "inpainting/fill.cl", "inpainting/score.cl", "inpainting/mean_median.cl")
 # As in the kernels.
-SEGMENT = 64  # sources of a row that a work-item moves, with OWNED
+ITEM_PIXELS = 64  # sources of a row that a work-item moves, with OWNED
 NO_WINNER = np.array(np.iinfo(np.int32).max, np.int32)
 
 # Bands of rows that reproject_nearest makes of the image: few, since each looks at all segments, but enough
@@ -122,7 +122,7 @@ class ForwardWarp:
         self.maps = (upload(session, in_parts(np.stack(given), real)),) if given else ()
         args = (camera, self.rest_surfaces, np.int32(len(self.items)), members, *self.maps, self.rest, *self.object)
         self._per_pixel("reproject_rest", [], (plan.columns, plan.rows), *args)
-        self.segments = plan.rows * -(-plan.columns // SEGMENT)
+        self.segments = plan.rows * -(-plan.columns // ITEM_PIXELS)
         if self.owned:
             self.bounds = empty(session, 8 * self.segments)
             self.depth = self.filler.coc  # not yet written then
@@ -161,7 +161,7 @@ class ForwardWarp:
         """Enqueue what the winners of the depth test bring: the planes of `filler`, with nothing filled. As `warp`."""
         planes, plan = self.filler, self.plan
         if planes.is_far:
-            chunks = (-(-plan.width // (SEGMENT if self.owned else 1)), plan.height)
+            chunks = (-(-plan.width // (ITEM_PIXELS if self.owned else 1)), plan.height)
             gaps = (self.camera, self.depth, self.winner, planes.valid)
             self._launch("reproject_gaps", events, chunks, (1, *LINES) if self.owned else PIXELS, *gaps)
         head = (self.camera, np.float32(weight), self.texture, self.moved, self.winner)
@@ -172,7 +172,7 @@ class ForwardWarp:
 
     def note_radii(self, statistics: cl.Buffer, events: Events) -> None:
         """Keep the range of the radii that `warp` has found, largest and smallest, in the first two of these ints."""
-        chunks = (-(-self.plan.width // (SEGMENT if self.owned else 1)), self.plan.height)
+        chunks = (-(-self.plan.width // (ITEM_PIXELS if self.owned else 1)), self.plan.height)
         found = (self.filler.coc, self.filler.valid, statistics)
         self._launch("note_radii", events, chunks, (1, *LINES) if self.owned else PIXELS, self.camera, *found)
 

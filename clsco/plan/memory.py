@@ -15,7 +15,7 @@ from clsco.errors import SceneError
 from clsco.frame.strips import BAND, Strip, cut
 from clsco.optics.multigrid import coarse_frame, coarse_psf, coarse_radii, plane_shape
 from clsco.optics.psf import is_disc, is_separable
-from clsco.optics.psf_tables import LANES, MANY, is_near, table_bytes, table_reach
+from clsco.optics.psf_tables import TAP_LANES, WIDE_LANES, is_near, table_bytes, table_reach
 from clsco.optics.slabs import levels_of, margin_of_slabs, most_deep
 from clsco.optics.stencil import is_summed
 from clsco.plan.approximation import METHODS, place_count
@@ -25,7 +25,7 @@ from clsco.records import WIDE_BYTES
 from clsco.scene.model import Psf
 
 Scratch = Literal["none", "columns", "rows", "near"]
-TILE, WINDOW = (
+ROW_TILE, ROW_WINDOW = (
     256,
     16,
 )  # columns that `gather` makes at a time, and rows of small reach, as in kernels/blur/cpu/rows.clh
@@ -137,32 +137,32 @@ def margin(columns: int, guard: int, far: int) -> tuple[int, int]:
     Not near a multiple of PAGE of them, and not an even number: what lies below each other in a few rows would have the
     same place in a processor's cache, and take up to four times as long (benchmarks/optimisation_log.md).
     """
-    pad = ceil((guard + far + LANES) / LANES) * LANES
-    vectors = ceil(columns / LANES) + 2 * pad // LANES | 1
+    pad = ceil((guard + far + TAP_LANES) / TAP_LANES) * TAP_LANES
+    vectors = ceil(columns / TAP_LANES) + 2 * pad // TAP_LANES | 1
     while not BESIDE_PAGE <= vectors % PAGE <= PAGE - BESIDE_PAGE:
         vectors += 2
-    return pad, vectors * LANES
+    return pad, vectors * TAP_LANES
 
 
 def row_bytes(psf: Psf, channels: int, far: int, near: bool) -> int:
     """Scratch of a work-item of `gather` for whole rows of sources, see rows.clh; a whole number of doubles."""
-    beside = (far // LANES + 3) * LANES
-    planes, width = (3 if psf.tilt else 1) * channels, TILE + 2 * beside
+    beside = (far // TAP_LANES + 3) * TAP_LANES
+    planes, width = (3 if psf.tilt else 1) * channels, ROW_TILE + 2 * beside
     if near:
-        return 4 * (channels * WINDOW * TILE + width * (1 + planes))
-    return 8 * channels * BAND * TILE + 4 * width * (1 + 3 * planes)
+        return 4 * (channels * ROW_WINDOW * ROW_TILE + width * (1 + planes))
+    return 8 * channels * BAND * ROW_TILE + 4 * width * (1 + 3 * planes)
 
 
 def column_bytes(psf: Psf, channels: int, far: int) -> int:
     """The same for columns of sources, see kernels/blur/cpu/columns.clh."""
-    tiles, slopes = 8 * channels * BAND * (far // MANY + 2 | 1) * MANY, 2 * psf.tilt
+    tiles, slopes = 8 * channels * BAND * (far // WIDE_LANES + 2 | 1) * WIDE_LANES, 2 * psf.tilt
     if is_separable(psf):
-        item = 4 * MANY * (slopes + channels + far + 1 + MANY)
-        sums = 4 * MANY * SIDE * BAND * (1 + psf.tilt)
-        return sums + tiles + min(max(ITEMS_BYTES // item, 2 * MANY), ITEMS) * (item + 8)
+        item = 4 * WIDE_LANES * (slopes + channels + far + 1 + WIDE_LANES)
+        sums = 4 * WIDE_LANES * SIDE * BAND * (1 + psf.tilt)
+        return sums + tiles + min(max(ITEMS_BYTES // item, 2 * WIDE_LANES), ITEMS) * (item + 8)
     ends, sums = (1 + slopes) * channels, (1 + psf.tilt) * channels
-    items = ITEMS * (4 * MANY * (2 + slopes + 2 * channels) + ITEM_BYTES)
-    return 8 * MANY * ends * (BAND + 1) + 4 * MANY * sums * (BAND + 2 * far) + tiles + items
+    items = ITEMS * (4 * WIDE_LANES * (2 + slopes + 2 * channels) + ITEM_BYTES)
+    return 8 * WIDE_LANES * ends * (BAND + 1) + 4 * WIDE_LANES * sums * (BAND + 2 * far) + tiles + items
 
 
 def spread_bytes(

@@ -17,7 +17,7 @@ from clsco.frame.strips import Strip, cut
 from clsco.optics.lens import LARGEST_BLUR, blur_radius
 from clsco.optics.motion import Eye, Pose, sample_times
 from clsco.optics.psf import psf_extent
-from clsco.optics.psf_tables import LANES, check_tables, psf_features, table_reach
+from clsco.optics.psf_tables import TAP_LANES, check_tables, psf_features, table_reach
 from clsco.optics.quadrics import canonical
 from clsco.optics.slabs import margin_of_slabs
 from clsco.optics.visibility import Layer, extent, is_hollow, layers
@@ -226,7 +226,7 @@ def make_plan(
         approximations = candidates(psf, seen)
         blur = many_radii(gpu, occluded, approximate=True) if approximations else blur
     if blur == "convolve":
-        guard += 2 * LANES
+        guard += 2 * TAP_LANES
     tilt = psf.tilt and not _constant_blur(scene) and blur not in ("convolve", "none")
     moved = forward, still
     passes, left_out = _passes(

@@ -12,7 +12,7 @@ from clsco.errors import SceneError
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center
 from clsco.optics.psf import reach
-from clsco.optics.psf_tables import LANES
+from clsco.optics.psf_tables import TAP_LANES
 from clsco.optics.quadrics import place, predict_inverse_depth
 from clsco.scene.model import Object, Plane, Psf, Scene
 
@@ -27,13 +27,13 @@ MOST_SAMPLES = 4095
 def guard_band(psf: Psf, largest: float) -> int:
     """Width in px of the band around the frame whose surface can light it, and 2 px to see silhouettes in.
 
-    A multiple of LANES, so that vectors of sources begin in the same columns of the frame with every lens: lenses that
-    share a band have the bits that each has by itself.
+    A multiple of TAP_LANES, so that vectors of sources begin in the same columns of the frame with every lens: lenses
+    that share a band have the bits that each has by itself.
     """
     if psf.border == "renormalize":
         return 0
     needed = max(reach(psf, largest), reach(psf, largest, True)) + 2
-    return -(-needed // LANES) * LANES
+    return -(-needed // TAP_LANES) * TAP_LANES
 
 
 def _grid(scene: Scene, guard: int) -> tuple[Array, Array]:

@@ -209,23 +209,23 @@ static float4 record_of(const camera_t camera, const psf_t psf, __global const w
 #define ALL_VALID(p) (LOAD_EIGHT_BYTES(p) == 0x0101010101010101ul)
 
 // Sources from a map of signed radii, px, instead of from a surface. In: coc wide_t, valid uchar (0 or 1), both
-// (height, width). Out: source. LANES at a time; where all of them and their neighbors are there, in loops that are
+// (height, width). Out: source. TAP_LANES at a time; where all of them and their neighbors are there, in loops that are
 // made vectors.
 __kernel void prepare_sources(const camera_t camera, const psf_t psf, __global const wide_t *restrict coc,
                               __global const uchar *restrict valid, __global float *restrict source)
 {
-    const int x = get_global_id(0) * LANES, y = get_global_id(1);
+    const int x = get_global_id(0) * TAP_LANES, y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
         return;
     const int w = camera.width, at = y * w + x, plane = w * camera.height;
-    bool whole = x + LANES <= w && ALL_VALID(valid + at);
+    bool whole = x + TAP_LANES <= w && ALL_VALID(valid + at);
 #if TILT
-    whole &= x > 0 && x + LANES < w && y > 0 && y + 1 < camera.height;
+    whole &= x > 0 && x + TAP_LANES < w && y > 0 && y + 1 < camera.height;
     whole = whole && ALL_VALID(valid + at - 1) && ALL_VALID(valid + at + 1) && ALL_VALID(valid + at - w) &&
             ALL_VALID(valid + at + w);
 #endif
     if (!whole) {
-        for (int i = 0; i < MIN(LANES, w - x); ++i)
+        for (int i = 0; i < MIN(TAP_LANES, w - x); ++i)
             put_source(source, plane, at + i, record_of(camera, psf, coc, valid, x + i, y));
         return;
     }
@@ -233,20 +233,20 @@ __kernel void prepare_sources(const camera_t camera, const psf_t psf, __global c
     __global const wide_t *restrict here = coc + at;
     __global float *restrict coordinate = source + at;
     #pragma unroll
-    for (int i = 0; i < LANES; ++i)
+    for (int i = 0; i < TAP_LANES; ++i)
         coordinate[i] = table_coordinate(psf, here[i], 0);
 #if TILT
     __global const wide_t *restrict above = here - w, *restrict below = here + w;
     __global float *restrict right = coordinate + plane, *restrict down = right + plane;
     #pragma unroll
-    for (int i = 0; i < LANES; ++i)
+    for (int i = 0; i < TAP_LANES; ++i)
         right[i] = tilt_slope((real2)((real)0.5 * narrow(wide_sub(here[i + 1], here[i - 1])), 0), narrow(here[i])).x;
     #pragma unroll
-    for (int i = 0; i < LANES; ++i)
+    for (int i = 0; i < TAP_LANES; ++i)
         down[i] = tilt_slope((real2)(0, (real)0.5 * narrow(wide_sub(below[i], above[i]))), narrow(here[i])).y;
 #endif
 #if SUBPIXELS || OCCLUDED
-    for (int i = 0; i < LANES; ++i)
+    for (int i = 0; i < TAP_LANES; ++i)
         MARKS(source, plane)[at + i] = as_float(WHOLE);
 #endif
 }

@@ -1,16 +1,16 @@
 // Blur with one radius for all sources and no tilt: a plain convolution. Twin: clsco/reference/blur/convolve.py.
 //
-// A PSF is the sum of two parts, which clsco/optics/stencil.py finds. What is the same everywhere inside of a disc is a union
-// of rectangles, taken from sums over rectangles (sum_across, sum_down): whole numbers, so that what is added and taken
-// away again is gone to the last bit, and no sum depends on where a strip begins. All other weights are runs, one below
-// the other, which columns -dx and dx of the PSF have in common. A run keeps its weights in registers, and the sources
-// that they meet, while it goes down the image. Gaussians that are products are two such PSFs, one after the other.
-// Feature: WIDE_SUMS (sums of 64 bits instead of 32).
+// A PSF is the sum of two parts, which clsco/optics/stencil.py finds. What is the same everywhere inside of a disc is a
+// union of rectangles, taken from sums over rectangles (sum_across, sum_down): whole numbers, so that what is added and
+// taken away again is gone to the last bit, and no sum depends on where a strip begins. All other weights are runs, one
+// below the other, which columns -dx and dx of the PSF have in common. A run keeps its weights in registers, and the
+// sources that they meet, while it goes down the image. Gaussians that are products are two such PSFs, one after the
+// other. Feature: WIDE_SUMS (sums of 64 bits instead of 32).
 
-#define LANES 16        // floats in a vector
-#define TILE_ROWS 32    // of a work-item, as in clsco/passes/convolve.py, and
-#define TILE_VECTORS 4  // vectors in each row
-#define TILES 8         // side by side before those below, so that what they read is still in the cache
+#define WIDE_LANES 16        // floats in a vector
+#define CONVOLVED_ROWS 32    // of a work-item, as in clsco/passes/convolve.py, and
+#define CONVOLVED_VECTORS 4  // vectors in each row
+#define TILES_ABREAST 8         // side by side before those below, so that what they read is still in the cache
 #define LONGEST_RUN 8   // weights, as in clsco/optics/stencil.py
 #define RUNS_IN_ONE_SUM 32  // runs that a float adds up before it goes into another sum
 
@@ -50,7 +50,7 @@ __kernel void sum_across(const int height, const int width, __global const float
     __global const float *line = value + start + y * width;
     long before = 0;
     int x = 0;
-    for (; x + LANES <= width; x += LANES) {
+    for (; x + WIDE_LANES <= width; x += WIDE_LANES) {
         long16 sum = running_sums(CONVERT16(long, FLOATS(line + x) * scale));
         sum += before;
         before = sum.sf;
@@ -65,26 +65,26 @@ __kernel void sum_across(const int height, const int width, __global const float
 // Sums of these down each column: of all that is to the left of a pixel or above, itself included.
 __kernel void sum_down(const int height, const int width, __global sum_t *sums)
 {
-    const int x = get_global_id(0) * TILE_VECTORS * LANES;
+    const int x = get_global_id(0) * CONVOLVED_VECTORS * WIDE_LANES;
     if (x >= width)
         return;
-    const int vectors = MIN(TILE_VECTORS, (width - x) / LANES);
-    sums_t sum[TILE_VECTORS];
+    const int vectors = MIN(CONVOLVED_VECTORS, (width - x) / WIDE_LANES);
+    sums_t sum[CONVOLVED_VECTORS];
     #pragma unroll
-    for (int v = 0; v < TILE_VECTORS; ++v)
+    for (int v = 0; v < CONVOLVED_VECTORS; ++v)
         sum[v] = 0;
     for (int y = 0; y < height; ++y) {
         #pragma unroll
-        for (int v = 0; v < TILE_VECTORS; ++v)
+        for (int v = 0; v < CONVOLVED_VECTORS; ++v)
             if (v < vectors) {
-                sum[v] += LOAD_SUMS(sums + y * width + x + v * LANES);
-                STORE_SUMS(sum[v], sums + y * width + x + v * LANES);
+                sum[v] += LOAD_SUMS(sums + y * width + x + v * WIDE_LANES);
+                STORE_SUMS(sum[v], sums + y * width + x + v * WIDE_LANES);
             }
     }
-    if (vectors == TILE_VECTORS)
+    if (vectors == CONVOLVED_VECTORS)
         return;
     for (int y = 1; y < height; ++y)  // columns that fill no vector
-        for (int column = x + vectors * LANES; column < width; ++column)
+        for (int column = x + vectors * WIDE_LANES; column < width; ++column)
             sums[y * width + column] += sums[(y - 1) * width + column];
 }
 
@@ -124,37 +124,37 @@ INLINE void add_run(const int count, __global const float *weights, __global con
 INLINE void add_rectangles(__global const int4 *pairs, int count, __global sum_t *sums, int pitch, float share,
                            float16 *row)
 {
-    sums_t inside[TILE_VECTORS];
+    sums_t inside[CONVOLVED_VECTORS];
     #pragma unroll
-    for (int v = 0; v < TILE_VECTORS; ++v)
+    for (int v = 0; v < CONVOLVED_VECTORS; ++v)
         inside[v] = 0;
     for (int i = 0; i < count; ++i) {
         const int4 pair = pairs[i];
         __global sum_t *plus = sums + pair.x * pitch + pair.y, *minus = sums + pair.z * pitch + pair.w;
         #pragma unroll
-        for (int v = 0; v < TILE_VECTORS; ++v)
-            inside[v] += LOAD_SUMS(plus + v * LANES) - LOAD_SUMS(minus + v * LANES);
+        for (int v = 0; v < CONVOLVED_VECTORS; ++v)
+            inside[v] += LOAD_SUMS(plus + v * WIDE_LANES) - LOAD_SUMS(minus + v * WIDE_LANES);
     }
     #pragma unroll
-    for (int v = 0; v < TILE_VECTORS; ++v)
-        row[v * TILE_ROWS] = AS_LIGHT(inside[v]) * share;
+    for (int v = 0; v < CONVOLVED_VECTORS; ++v)
+        row[v * CONVOLVED_ROWS] = AS_LIGHT(inside[v]) * share;
 }
 
 // Asks for what the next tile to the right is the first to read: otherwise it would wait for memory, line by line.
-INLINE void ask_for(__global const float *value, __global const sum_t *sums, bool summed, int pitch, int rows,
+INLINE void prefetch_tile(__global const float *value, __global const sum_t *sums, bool summed, int pitch, int rows,
                     int vectors)
 {
     for (int y = 0; y < rows; ++y)
         for (int v = 0; v < vectors; ++v) {
-            *(volatile __global const float *)(value + y * pitch + v * LANES);
+            *(volatile __global const float *)(value + y * pitch + v * WIDE_LANES);
             if (summed)
-                *(volatile __global const sum_t *)(sums + y * pitch + v * LANES);
+                *(volatile __global const sum_t *)(sums + y * pitch + v * WIDE_LANES);
         }
 }
 
-// Each work-item makes TILE_ROWS rows of TILE_VECTORS vectors of a frame (rows, columns).
+// Each work-item makes CONVOLVED_ROWS rows of CONVOLVED_VECTORS vectors of a frame (rows, columns).
 //   value   float, rows of `pitch`, pixel (0, 0) at start + origin. What is within reach of the PSF is there, too, and
-//           LANES more columns
+//           WIDE_LANES more columns
 //   runs    (dx, first dy, number of weights, where in `weights` they are)
 //   sums    of sum_down, pixel (0, 0) at origin; pairs: see add_rectangles; share: light of one unit
 //   target  pixel (0, 0) at target_start, rows of target_pitch. fresh: what is there does not count
@@ -165,23 +165,23 @@ __kernel void convolve(const int rows, const int columns, __global const float *
                        const int pair_count, const float share, const int half_width, const int half_height,
                        __global float *target, const int target_start, const int target_pitch, const int fresh)
 {
-    const int first = get_global_id(1) * TILE_ROWS, tile = get_global_id(2) * TILES + get_global_id(0);
-    const int x0 = tile * TILE_VECTORS * LANES;
-    if (get_global_id(0) >= TILES || first >= rows || x0 >= columns)
+    const int first = get_global_id(1) * CONVOLVED_ROWS, tile = get_global_id(2) * TILES_ABREAST + get_global_id(0);
+    const int x0 = tile * CONVOLVED_VECTORS * WIDE_LANES;
+    if (get_global_id(0) >= TILES_ABREAST || first >= rows || x0 >= columns)
         return;
-    const int end = MIN(rows, first + TILE_ROWS);
-    const int next = x0 + TILE_VECTORS * LANES, ahead = origin + (first + half_height) * pitch + next + half_width;
-    ask_for(value + start + ahead, sums + ahead, pair_count > 0, pitch, end - first,
-            MIN(TILE_VECTORS, (columns - next) / LANES));
-    float16 sum[TILE_VECTORS * TILE_ROWS];
+    const int end = MIN(rows, first + CONVOLVED_ROWS);
+    const int next = x0 + CONVOLVED_VECTORS * WIDE_LANES, ahead = origin + (first + half_height) * pitch + next + half_width;
+    prefetch_tile(value + start + ahead, sums + ahead, pair_count > 0, pitch, end - first,
+            MIN(CONVOLVED_VECTORS, (columns - next) / WIDE_LANES));
+    float16 sum[CONVOLVED_VECTORS * CONVOLVED_ROWS];
     for (int y = first; y < end; ++y)
         add_rectangles(pairs, pair_count, sums + origin + y * pitch + x0, pitch, share, sum + (y - first));
-    for (int v = 0; v < TILE_VECTORS && x0 + v * LANES < columns; ++v) {
-        const int x = x0 + v * LANES;
-        float16 *own = sum + v * TILE_ROWS;
+    for (int v = 0; v < CONVOLVED_VECTORS && x0 + v * WIDE_LANES < columns; ++v) {
+        const int x = x0 + v * WIDE_LANES;
+        float16 *own = sum + v * CONVOLVED_ROWS;
         for (int from = 0; from < run_count; from += RUNS_IN_ONE_SUM) {
-            float16 part[TILE_ROWS];
-            for (int r = 0; r < TILE_ROWS; ++r)
+            float16 part[CONVOLVED_ROWS];
+            for (int r = 0; r < CONVOLVED_ROWS; ++r)
                 part[r] = 0;
             for (int i = from; i < MIN(from + RUNS_IN_ONE_SUM, run_count); ++i) {
                 const int4 run = runs[i];

@@ -1,5 +1,6 @@
 // Sources of wide blur on coarser grids: what moves there, its light and radii at half the resolution, the way back.
-// Built with spread.clh. Twin: clsco/reference/blur/multigrid.py; host and choice of what moves: clsco/passes/multigrid.py.
+// Built with spread.clh. Twin: clsco/reference/blur/multigrid.py; host and choice of what moves:
+// clsco/passes/multigrid.py.
 //
 //   grid    of a level: (height, width) as camera has it, px of that level. Node (i, j) of the next one stands at
 //           (2 i - 3.5, 2 j - 3.5), in the middle of four pixels.
@@ -31,19 +32,19 @@ static inline float8 radius_of(const psf_t psf, float8 u, int sampled)
     return (as_float8((127 + octave) << 23) * (1 + (position - convert_float8(octave))) - 1) / (float)psf.octaves_from;
 }
 
-// Radii of the sources that may move: whole ones, with nothing in their way. In: source of the finest grid, marked: with
-// a plane of marks. Out:
-// radius, a plane that is NaN around the grid; tilt, with TILT: planes of R dR/dx and R dR/dy. LANES pixels at a time.
+// Radii of the sources that may move: whole ones, with nothing in their way. In: source of the finest grid, marked:
+// with a plane of marks. Out: radius, a plane that is NaN around the grid; tilt, with TILT: planes of R dR/dx and R
+// dR/dy. TAP_LANES pixels at a time.
 __kernel void measure_radii(const camera_t camera, const psf_t psf, __global const float *source, const int marked,
                             const int sampled, const int pitch, __global float *radius, __global float *tilt)
 {
-    const int x = get_global_id(0) * LANES, y = get_global_id(1);
+    const int x = get_global_id(0) * TAP_LANES, y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
         return;
-    const int count = MIN(LANES, camera.width - x), plane = (camera.height + 2 * EDGE_ROWS) * pitch;
+    const int count = MIN(TAP_LANES, camera.width - x), plane = (camera.height + 2 * EDGE_ROWS) * pitch;
     const int all = camera.width * camera.height;
     float8 u, right = 0, down = 0;
-    for (int i = 0; i < LANES; ++i) {
+    for (int i = 0; i < TAP_LANES; ++i) {
         const int at = y * camera.width + x + MIN(i, count - 1);
         const float4 s = get_source(source, all, at);
         ((float *)&u)[i] = !marked || as_int(MARKS(source, all)[at]) == WHOLE ? s.x : -1;
@@ -71,16 +72,16 @@ __kernel void measure_radii(const camera_t camera, const psf_t psf, __global con
 // Moves the sources of |R| >= from px whose neighbors within 2 px may move too and differ by at most `steepest` px: no
 // node gets light from both sides of a jump. From `from` to `to` px the share that moves rises from 0 to 1, since a
 // PSF's error shows most where its light ends. In: radius; value and, maybe the same, kept: all light, and what stays.
-// In and out: source. Out: moved, radii of those; light, a plane for each channel. LANES pixels at a time.
+// In and out: source. Out: moved, radii of those; light, a plane for each channel. TAP_LANES pixels at a time.
 __kernel void pick(const camera_t camera, __global const float *radius, __global const float *value,
                    const float from, const float to, const float steepest, const int pitch,
                    __global float *source, __global float *kept, __global float *moved, __global float *light)
 {
-    const int x = get_global_id(0) * LANES, y = get_global_id(1);
+    const int x = get_global_id(0) * TAP_LANES, y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
         return;
     const int at = y * camera.width + x, place = AT(x, y), plane = (camera.height + 2 * EDGE_ROWS) * pitch;
-    const int count = MIN(LANES, camera.width - x);
+    const int count = MIN(TAP_LANES, camera.width - x);
     const float8 r = LOAD(float, 8, radius + place), least = -INFINITY, most = INFINITY, one = 1, none = 0;
     float8 low[2] = {most, most}, high[2] = {least, least};  // of columns from x - 2 and from x + 2 on
     #pragma unroll
@@ -107,7 +108,7 @@ __kernel void pick(const camera_t camera, __global const float *radius, __global
     for (int k = 0; k < CHANNELS; ++k) {
         const int here = k * camera.height * camera.width + at;
         float8 v = 0;
-        if (count == LANES) {
+        if (count == TAP_LANES) {
             v = LOAD(float, 8, value + here);
             STORE(float, 8, v - share * v, kept + here);
         } else
@@ -122,7 +123,7 @@ __kernel void pick(const camera_t camera, __global const float *radius, __global
             source[at + i] = MOVED(source[at + i]);
 }
 
-// Of LANES nodes, the first of which begins at p: sums (1, 3, 3, 1) along a row.
+// Of TAP_LANES nodes, the first of which begins at p: sums (1, 3, 3, 1) along a row.
 static inline float8 along(float16 left, float16 right)
 {
     return (left.even + right.odd) + 3 * (left.odd + right.even);
@@ -131,16 +132,16 @@ static inline float8 along(float16 left, float16 right)
 // Light and radii of the next level's nodes: each source is shared among the four around it as bilinear interpolation
 // would take it back, so that its light stays where it is. loss: what of R^2 the way there and back does by itself,
 // px^2. In: moved, light; tilt, with TILT. Out: value of the next grid; radius, its plane, NOTHING where no light is;
-// next_tilt, its planes. LANES nodes at a time.
+// next_tilt, its planes. TAP_LANES nodes at a time.
 __kernel void halve(const camera_t camera, const camera_t next, __global const float *moved,
                     __global const float *light, __global const float *tilt, const float loss, const int pitch,
                     const int next_pitch, __global float *value, __global float *radius, __global float *next_tilt)
 {
-    const int x = get_global_id(0) * LANES, y = get_global_id(1);
+    const int x = get_global_id(0) * TAP_LANES, y = get_global_id(1);
     if (x >= next.width || y >= next.height)
         return;
     const int first = AT(2 * x - 5, 2 * y - 5), plane = (camera.height + 2 * EDGE_ROWS) * pitch;
-    const int count = MIN(LANES, next.width - x), place = (y + EDGE_ROWS) * next_pitch + x + EDGE;
+    const int count = MIN(TAP_LANES, next.width - x), place = (y + EDGE_ROWS) * next_pitch + x + EDGE;
     const float16 one = 1, none = 0;
     float8 sum = 0, number = 0, right = 0, down = 0;
     #pragma unroll
@@ -206,14 +207,14 @@ __kernel void aim_nodes(const camera_t camera, const psf_t psf, __global const f
 }
 
 // Adds a coarser frame to the next finer one: bilinear interpolation of what a filter (-sharp, 1 + 2 sharp, -sharp)
-// along rows and columns makes of it. LANES pixels at a time.
+// along rows and columns makes of it. TAP_LANES pixels at a time.
 __kernel void enlarge(const camera_t coarse, const int coarse_pitch, const int coarse_pad,
                       __global const float *coarse_total, const camera_t camera, const int pitch, const int pad,
                       __global float *total, const float sharp)
 {
     // From an odd pixel of the grid on, pixels 2 n - 3 and 2 n - 2 lie between nodes n and n + 1.
     const int odd = 1 - (camera.guard & 1);
-    const int x = get_global_id(0) * LANES - odd, y = get_global_id(1);
+    const int x = get_global_id(0) * TAP_LANES - odd, y = get_global_id(1);
     if (x >= camera.columns || y >= camera.rows)
         return;
     const int row = y + camera.guard, node = (row + 1) / 2 + 1, column = (x + camera.guard + 1) / 2 + 1;

@@ -3,16 +3,16 @@
 //
 //   source, value, sub_source, sub_value, intervals, coefficients, total: as in blur.cl
 //
-// The group walks the sources around its tile row by row, a chunk of them at a time. Each of its work-items looks up one
-// source, and keeps it in local memory if it reaches the tile; then each adds, in the order of the sources, those that
-// reach its own pixel: no light by atomics, same bits. Nothing stands in the way of a source here.
-// Features: CHANNELS, TILT, SUBPIXELS, DISC, SEPARABLE.
+// The group walks the sources around its tile row by row, a chunk of them at a time. Each of its work-items looks up
+// one source, and keeps it in local memory if it reaches the tile; then each adds, in the order of the sources, those
+// that reach its own pixel: no light by atomics, same bits. Nothing stands in the way of a source here. Features:
+// CHANNELS, TILT, SUBPIXELS, DISC, SEPARABLE.
 
 #pragma OPENCL FP_CONTRACT ON
 
-#define TILE_COLUMNS 16  // as TILE in clsco/passes/blur.py
-#define TILE_ROWS 8
-#define CHUNK (TILE_COLUMNS * TILE_ROWS)  // sources, one for each work-item; as many taps are added up one by one
+#define GROUP_COLUMNS 16  // as TILE in clsco/passes/blur.py
+#define GROUP_ROWS 8
+#define CHUNK (GROUP_COLUMNS * GROUP_ROWS)  // sources, one for each work-item; as many taps are added up one by one
 #define WORD 32
 
 // Sources of a chunk: a bit for each that reaches the tile, and of those the place on the grid, where the weights are,
@@ -36,7 +36,7 @@ typedef struct {
 } tile_t;
 
 #if SUBPIXELS
-#define EACH (SUBPIXELS * SUBPIXELS)
+#define SUBPIXEL_COUNT (SUBPIXELS * SUBPIXELS)
 #define SUBPIXEL_ARGUMENTS \
     , __global const float4 *sub_source, __global const float *sub_value, const int capacity, \
     __global const int2 *sub_intervals, __global const float *sub_coefficients
@@ -58,8 +58,8 @@ static void note_source(const camera_t camera, const psf_t psf, __global const f
 #if SUBPIXELS
     const int slot = as_int(s.w);
     chunk->slot[i] = slot;
-    for (int sub = 0; slot >= 0 && sub < EACH; ++sub) {
-        const float coordinate = sub_source[slot * EACH + sub].x;
+    for (int sub = 0; slot >= 0 && sub < SUBPIXEL_COUNT; ++sub) {
+        const float coordinate = sub_source[slot * SUBPIXEL_COUNT + sub].x;
         if (coordinate >= 0)
             far = MAX(far, sub_intervals[(int)coordinate - psf.sub_first].y);
     }
@@ -83,7 +83,7 @@ static void note_source(const camera_t camera, const psf_t psf, __global const f
 }
 
 // Adds the light of one source in the pixel (dx, dy) from it.
-static void add_tap(spread_t spread, int dx, int dy, float4 source, const float *light, float *sum)
+static void add_source_tap(spread_t spread, int dx, int dy, float4 source, const float *light, float *sum)
 {
     if (MAX(ABS(dx), ABS(dy)) > spread.half_width)
         return;
@@ -100,14 +100,14 @@ static void add_source(const psf_t psf, int x, int y, int i, __local const chunk
     float light[CHANNELS];
 #if SUBPIXELS
     if (chunk->slot[i] >= 0) {
-        for (int sub = 0; sub < EACH; ++sub) {
-            const int id = chunk->slot[i] * EACH + sub;
+        for (int sub = 0; sub < SUBPIXEL_COUNT; ++sub) {
+            const int id = chunk->slot[i] * SUBPIXEL_COUNT + sub;
             const float4 s = sub_source[id];
             if (s.x < 0)
                 continue;
             for (int k = 0; k < CHANNELS; ++k)
-                light[k] = sub_value[k * capacity * EACH + id];
-            add_tap(subpixel_spread(psf, sub_intervals, sub_coefficients, s.x, sub), dx, dy, s, light, sum);
+                light[k] = sub_value[k * capacity * SUBPIXEL_COUNT + id];
+            add_source_tap(subpixel_spread(psf, sub_intervals, sub_coefficients, s.x, sub), dx, dy, s, light, sum);
         }
         return;
     }
@@ -118,21 +118,21 @@ static void add_source(const psf_t psf, int x, int y, int i, __local const chunk
 #endif
     for (int k = 0; k < CHANNELS; ++k)
         light[k] = chunk->light[i][k];
-    add_tap(chunk->spread[i], dx, dy, s, light, sum);
+    add_source_tap(chunk->spread[i], dx, dy, s, light, sum);
 }
 
 // One work-item per pixel, in groups of a tile. Out: added to total.
-__attribute__((reqd_work_group_size(TILE_COLUMNS, TILE_ROWS, 1)))
+__attribute__((reqd_work_group_size(GROUP_COLUMNS, GROUP_ROWS, 1)))
 __kernel void tiles(const camera_t camera, const psf_t psf, __global const float *source, __global const float *value,
                     __global const int2 *intervals, __global const float *coefficients, const int pitch, const int pad,
                     __global float *total SUBPIXEL_ARGUMENTS)
 {
     __local chunk_t chunk;
     const int column = get_global_id(0), row = get_global_id(1);
-    const int item = get_local_id(1) * TILE_COLUMNS + get_local_id(0);
+    const int item = get_local_id(1) * GROUP_COLUMNS + get_local_id(0);
     const int x = column + camera.guard, y = row + camera.above;
     const int left = x - (int)get_local_id(0), top = y - (int)get_local_id(1);
-    const tile_t tile = {left, left + TILE_COLUMNS - 1, top, top + TILE_ROWS - 1};
+    const tile_t tile = {left, left + GROUP_COLUMNS - 1, top, top + GROUP_ROWS - 1};
     const int first_x = MAX(tile.left - psf.reach, 0), across = MIN(tile.right + psf.reach + 1, camera.width) - first_x;
     const int first_y = MAX(tile.top - psf.reach, 0), down = MIN(tile.bottom + psf.reach + 1, camera.height) - first_y;
     float sum[CHANNELS], over[CHANNELS];

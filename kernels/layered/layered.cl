@@ -1,35 +1,35 @@
-// Occlusion from what the pinhole alone sees: slabs of blur radius, each blurred together with its coverage by the
-// kernels of blur.cl. Twin: clsco/reference/layered/layered.py. Features: CHANNELS, of the image and 1; SCATTER, whether the blur
-// adds in fixed point.
+// Occlusion from what the pinhole alone sees: depth layers of blur radius, each blurred together with its coverage by
+// the kernels of blur.cl. Twin: clsco/reference/layered/layered.py. Features: CHANNELS, of the image and 1; SCATTER,
+// whether the blur adds in fixed point.
 //
 // On the padded grid (height, width), row-major; a smaller signed radius is nearer:
 //   value    float (CHANNELS - 1, height, width): radiance times the weight of the moment
 //   coc      wide_t: signed radius of the blur in px
 //   valid    uchar: whether there is surface
-//   slab     uchar: 1 is the nearest, 0 no surface
-//   seed     uchar: at an edge, the slab that goes on behind the pixel, else 0
+//   layer     uchar: 1 is the nearest, 0 no surface
+//   seed     uchar: at an edge, the layer that goes on behind the pixel, else 0
 //   offset   int: rows to the nearest seed of the same column, NO_SEED for none
-//   hidden   uchar: the slab that is taken to go on behind the pixel, else 0
+//   hidden   uchar: the layer that is taken to go on behind the pixel, else 0
 //   edge     uchar: whether an edge is so near that coverage counts; light from elsewhere simply adds up
-// and of the slab that is being blurred
+// and of the layer that is being blurred
 //   pyramid  float, level by level from the finest on, each (CHANNELS + 1, rows, columns): radiance, radius, and how far
 //            they are known, 0 to 1
-//   slab_value float (CHANNELS, height, width): radiance and coverage; slab_coc, slab_valid: as coc and valid
+//   layer_value float (CHANNELS, height, width): radiance and coverage; layer_coc, layer_valid: as coc and valid
 // All is whole numbers, or sums in a fixed order: the same bits every time.
 
 #pragma OPENCL FP_CONTRACT ON  // as where light is summed in blur.cl
 
-#define JUMP ((real)1)     // px, as in the twin
+#define DISCONTINUITY ((real)1)     // px, as in the twin
 #define BIN ((real)0.25)   // px
-#define CLASSES 10         // of jumps: beyond JUMP, 2 JUMP, 4 JUMP ... px
+#define CLASSES 10         // of discontinuities: beyond DISCONTINUITY, 2 DISCONTINUITY, 4 DISCONTINUITY ... px
 #define NO_SEED (1 << 14)  // farther than any blur reaches
 #define NEVER (1 << 24)    // beyond the last pixel of any frame
-#define RUN 64             // pixels of a row that a work-item looks at together
+#define REACH_PIXELS 64             // pixels of a row that a work-item looks at together
 #define RADIUS (CHANNELS - 1)  // plane of the pyramid
 #define KNOWN CHANNELS
 #define GROWTH 4.0f
-#define COLUMNS 16  // that a work-item walks down
-#define PUSHED 4    // pixels of a coarser level that one makes
+#define SEED_COLUMNS 16  // that a work-item walks down
+#define PUSH_PIXELS 4    // pixels of a coarser level that one makes
 
 __constant float TENT[4] = {0.125f, 0.375f, 0.375f, 0.125f};
 
@@ -42,10 +42,10 @@ static int bin_of(real coc, real low, int bins)
     return at < 0 ? 0 : at < bins ? (int)at : bins - 1;
 }
 
-// One row or column per work-item. In and out: latest int (CLASSES, bins): of jumps of a class, beyond JUMP 2^class,
-// whose far side is in a bin, 1 + the largest bin of the near side, 0 for none; after it the largest sum of the two
-// radii of a jump, without their signs, px, rounded up.
-__kernel void find_jumps(const camera_t camera, const real low, const int bins, const int far,
+// One row or column per work-item. In and out: latest int (CLASSES, bins): of discontinuities of a class, beyond
+// DISCONTINUITY 2^class, whose far side is in a bin, 1 + the largest bin of the near side, 0 for none; after it the
+// largest sum of the two radii of a discontinuity, without their signs, px, rounded up.
+__kernel void find_discontinuities(const camera_t camera, const real low, const int bins, const int far,
                          __global const wide_t *coc, __global const uchar *valid, __global int *latest)
 {
     const int line = get_global_id(0);
@@ -61,9 +61,9 @@ __kernel void find_jumps(const camera_t camera, const real low, const int bins, 
         if (!valid[at])
             continue;
         const real now = narrow(coc[at]), size = ABS(now - before);
-        if (size > JUMP && i - last <= far && last >= 0) {
+        if (size > DISCONTINUITY && i - last <= far && last >= 0) {
             int class = 0;
-            while (class < CLASSES - 1 && size > JUMP * (2 << class))
+            while (class < CLASSES - 1 && size > DISCONTINUITY * (2 << class))
                 ++class;
             __global int *entry = latest + class * bins + bin_of(MAX(now, before), low, bins);
             const int begin = bin_of(MIN(now, before), low, bins) + 1;
@@ -78,10 +78,10 @@ __kernel void find_jumps(const camera_t camera, const real low, const int bins, 
     }
 }
 
-// bounds: first bins of the second and each further slab, `count` of them. Out: slab.
-__kernel void label_slabs(const camera_t camera, const real low, const int bins, const int count,
+// bounds: first bins of the second and each further layer, `count` of them. Out: layer.
+__kernel void label_depth_layers(const camera_t camera, const real low, const int bins, const int count,
                           const int8 bounds, __global const wide_t *coc, __global const uchar *valid,
-                          __global uchar *slab)
+                          __global uchar *layer)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
@@ -90,32 +90,32 @@ __kernel void label_slabs(const camera_t camera, const real low, const int bins,
     int label = 1;
     while (label <= count && bin >= ((const int *)&bounds)[label - 1])
         ++label;
-    slab[at] = valid[at] ? label : 0;
+    layer[at] = valid[at] ? label : 0;
 }
 
-// In: coc, slab. Out: seed.
-__kernel void seed_hidden(const camera_t camera, __global const wide_t *coc, __global const uchar *slab,
+// In: coc, layer. Out: seed.
+__kernel void seed_hidden(const camera_t camera, __global const wide_t *coc, __global const uchar *layer,
                           __global uchar *seed)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
         return;
-    const int at = y * camera.width + x, own = slab[at];
+    const int at = y * camera.width + x, own = layer[at];
     const int near[4] = {y > 0 ? at - camera.width : at, y + 1 < camera.height ? at + camera.width : at,
                          x > 0 ? at - 1 : at, x + 1 < camera.width ? at + 1 : at};
     int found = 0;
     for (int k = 0; k < 4 && own; ++k) {
-        const int other = slab[near[k]];
-        if (other > own && narrow(coc[near[k]]) - narrow(coc[at]) > JUMP && (!found || other < found))
+        const int other = layer[near[k]];
+        if (other > own && narrow(coc[near[k]]) - narrow(coc[at]) > DISCONTINUITY && (!found || other < found))
             found = other;
     }
     seed[at] = found;
 }
 
-// `count` columns from x on, up to COLUMNS.
+// `count` columns from x on, up to SEED_COLUMNS.
 static inline void seeds_of(const camera_t camera, __global const uchar *seed, __global int *offset, int x, const int count)
 {
-    int last[COLUMNS];
+    int last[SEED_COLUMNS];
     for (int k = 0; k < count; ++k)
         last[k] = -NEVER;
     for (int y = 0; y < camera.height; ++y)
@@ -134,17 +134,18 @@ static inline void seeds_of(const camera_t camera, __global const uchar *seed, _
         }
 }
 
-// COLUMNS columns per work-item; of two seeds the upper one. In: seed. Out: offset.
+// SEED_COLUMNS columns per work-item; of two seeds the upper one. In: seed. Out: offset.
 __kernel void column_seeds(const camera_t camera, __global const uchar *restrict seed, __global int *restrict offset)
 {
-    const int x = get_global_id(0) * COLUMNS;
-    if (x + COLUMNS <= camera.width)
-        seeds_of(camera, seed, offset, x, COLUMNS);
+    const int x = get_global_id(0) * SEED_COLUMNS;
+    if (x + SEED_COLUMNS <= camera.width)
+        seeds_of(camera, seed, offset, x, SEED_COLUMNS);
     else if (x < camera.width)
         seeds_of(camera, seed, offset, x, camera.width - x);
 }
 
-// Flags the pixels of a run that are within `far` px of a seed, rows and columns counted separately; whether there are any.
+// Flags the pixels of a run that are within `far` px of a seed, rows and columns counted separately; whether there are
+// any.
 static bool flag_near(__global const int *offset, int begin, int end, int width, int far, __global uchar *flags)
 {
     const int first = MAX(begin - far, 0), stop = MIN(end + far, width);
@@ -175,18 +176,18 @@ static bool flag_near(__global const int *offset, int begin, int end, int width,
 // offset: of the first pixel; of all columns up to `deep` px away there are some.
 static inline void nearest_seeds(__global const int *offset, int deep, int *restrict best, int *restrict away)
 {
-    for (int i = 0; i < RUN; ++i) {
+    for (int i = 0; i < REACH_PIXELS; ++i) {
         best[i] = deep * deep + 1;
         away[i] = 0;
     }
     for (int dx = 0; dx <= deep; ++dx) {
         int farthest = 0;
-        for (int i = 0; dx % 8 == 0 && i < RUN; ++i)
+        for (int i = 0; dx % 8 == 0 && i < REACH_PIXELS; ++i)
             farthest = MAX(farthest, best[i]);
         if (dx % 8 == 0 && dx * dx >= farthest)
             break;
         for (int side = -dx; side <= dx; side += MAX(2 * dx, 1))
-            for (int i = 0; i < RUN; ++i) {
+            for (int i = 0; i < REACH_PIXELS; ++i) {
                 const int dy = offset[i + side], square = dx * dx + dy * dy;
                 away[i] = square < best[i] ? side : away[i];
                 best[i] = MIN(best[i], square);
@@ -206,22 +207,22 @@ static int2 nearest_seed(__global const int *offset, int x, int width, int deep)
     return found;
 }
 
-// A run of a row per work-item. deep: px, the farthest seed. In: slab, seed, offset. Out: hidden, edge.
-__kernel void reach_hidden(const camera_t camera, const int deep, __global const uchar *slab,
+// A run of a row per work-item. deep: px, the farthest seed. In: layer, seed, offset. Out: hidden, edge.
+__kernel void reach_hidden(const camera_t camera, const int deep, __global const uchar *layer,
                            __global const uchar *seed, __global const int *offset, __global uchar *hidden,
                            __global uchar *edge)
 {
-    const int begin = get_global_id(0) * RUN, y = get_global_id(1);
+    const int begin = get_global_id(0) * REACH_PIXELS, y = get_global_id(1);
     if (begin >= camera.width || y >= camera.height)
         return;
-    const int end = MIN(begin + RUN, camera.width), line = y * camera.width;
+    const int end = MIN(begin + REACH_PIXELS, camera.width), line = y * camera.width;
     if (!flag_near(offset + line, begin, end, camera.width, 2 * deep, edge + line)) {
         for (int x = begin; x < end; ++x)
             hidden[line + x] = 0;
         return;
     }
-    int best[RUN], away[RUN];
-    if (begin >= deep && begin + RUN + deep <= camera.width)
+    int best[REACH_PIXELS], away[REACH_PIXELS];
+    if (begin >= deep && begin + REACH_PIXELS + deep <= camera.width)
         nearest_seeds(offset + line + begin, deep, best, away);
     else
         for (int x = begin; x < end; ++x) {
@@ -230,7 +231,7 @@ __kernel void reach_hidden(const camera_t camera, const int deep, __global const
             away[x - begin] = found.y;
         }
     for (int x = begin; x < end; ++x) {
-        const int own = slab[line + x], column = x + away[x - begin];
+        const int own = layer[line + x], column = x + away[x - begin];
         int label = 0;
         if (best[x - begin] <= deep * deep)
             label = seed[line + offset[line + column] * camera.width + column];
@@ -238,23 +239,23 @@ __kernel void reach_hidden(const camera_t camera, const int deep, __global const
     }
 }
 
-// Out: the finest level of the pyramid, of the pixels of slab `which`.
-__kernel void open_slab(const camera_t camera, const int which, __global const float *value, __global const wide_t *coc,
-                        __global const uchar *slab, __global float *pyramid)
+// Out: the finest level of the pyramid, of the pixels of layer `which`.
+__kernel void open_depth_layer(const camera_t camera, const int which, __global const float *value, __global const wide_t *coc,
+                        __global const uchar *layer, __global float *pyramid)
 {
     const int x = get_global_id(0), y = get_global_id(1), plane = camera.height * camera.width;
     if (x >= camera.width || y >= camera.height)
         return;
     const int at = y * camera.width + x;
-    const bool known = slab[at] == which;
+    const bool known = layer[at] == which;
     for (int c = 0; c < CHANNELS - 1; ++c)
         pyramid[c * plane + at] = known ? value[c * plane + at] : 0;
     pyramid[RADIUS * plane + at] = known ? (float)narrow(coc[at]) : 0;
     pyramid[KNOWN * plane + at] = known;
 }
 
-// PUSHED pixels of a row y of the coarser level, of planes of `plane` px, amid the row. from: in the finer one's first
-// row, before the first pixel under them.
+// PUSH_PIXELS pixels of a row y of the coarser level, of planes of `plane` px, amid the row. from: in the finer one's
+// first row, before the first pixel under them.
 static inline void push_some(__global const float *from, int fine_rows, int fine_columns, int y, int plane, int last,
                              __global float *to)
 {
@@ -278,23 +279,23 @@ static inline void push_some(__global const float *from, int fine_rows, int fine
     STORE(float, 4, last ? (total > 0 ? whole : none) : MIN(GROWTH * total, whole), to + KNOWN * plane);
 }
 
-// PUSHED pixels of the coarser level (rows, columns) per work-item: means of what is known, under a tent of 4 x 4 pixels of
-// the finer one (fine_rows, fine_columns). fine, coarse: where the levels are in the pyramid; last: there is no coarser one
-// to ask, so what is known in part is taken as it is.
+// PUSH_PIXELS pixels of the coarser level (rows, columns) per work-item: means of what is known, under a tent of 4 x 4
+// pixels of the finer one (fine_rows, fine_columns). fine, coarse: where the levels are in the pyramid; last: there is
+// no coarser one to ask, so what is known in part is taken as it is.
 __kernel void push(const int fine_rows, const int fine_columns, const int rows, const int columns, const int fine,
                    const int coarse, const int last, __global float *pyramid)
 {
-    const int begin = get_global_id(0) * PUSHED, y = get_global_id(1);
+    const int begin = get_global_id(0) * PUSH_PIXELS, y = get_global_id(1);
     if (begin >= columns || y >= rows)
         return;
     const int fine_plane = fine_rows * fine_columns, plane = rows * columns;
     __global const float *from = pyramid + fine;
     __global float *to = pyramid + coarse + y * columns;
-    if (begin > 0 && 2 * begin + 2 * PUSHED < fine_columns) {
+    if (begin > 0 && 2 * begin + 2 * PUSH_PIXELS < fine_columns) {
         push_some(from + 2 * begin - 1, fine_rows, fine_columns, y, plane, last, to + begin);
         return;
     }
-    for (int x = begin; x < MIN(begin + PUSHED, columns); ++x) {
+    for (int x = begin; x < MIN(begin + PUSH_PIXELS, columns); ++x) {
         float total = 0, sum[CHANNELS];
         for (int c = 0; c < CHANNELS; ++c)
             sum[c] = 0;
@@ -315,8 +316,8 @@ __kernel void push(const int fine_rows, const int fine_columns, const int rows, 
     }
 }
 
-// Places of the four pixels of a coarser level around one of the finer level, and the shares of those that are known: of
-// the nearest and the others along a row, and the same in the other row.
+// Places of the four pixels of a coarser level around one of the finer level, and the shares of those that are known:
+// of the nearest and the others along a row, and the same in the other row.
 typedef struct {
     int4 place;
     float4 share;
@@ -363,29 +364,29 @@ __kernel void pull(const int fine_rows, const int fine_columns, const int rows, 
 }
 
 // Slab `which` with its hidden part, which comes from the second level (rows, columns) of the pyramid, at `coarse`.
-__kernel void take_slab(const camera_t camera, const int which, const int rows, const int columns, const int coarse,
-                        __global const float *value, __global const wide_t *coc, __global const uchar *slab,
+__kernel void take_depth_layer(const camera_t camera, const int which, const int rows, const int columns, const int coarse,
+                        __global const float *value, __global const wide_t *coc, __global const uchar *layer,
                         __global const uchar *hidden, __global const float *pyramid,
-                        __global float *slab_value, __global wide_t *slab_coc, __global uchar *slab_valid)
+                        __global float *layer_value, __global wide_t *layer_coc, __global uchar *layer_valid)
 {
     const int x = get_global_id(0), y = get_global_id(1), plane = camera.height * camera.width;
     if (x >= camera.width || y >= camera.height)
         return;
     const int at = y * camera.width + x;
-    const bool own = slab[at] == which, there = own || hidden[at] == which;
+    const bool own = layer[at] == which, there = own || hidden[at] == which;
     __global const float *behind = pyramid + coarse;
-    slab_value[(CHANNELS - 1) * plane + at] = there;
-    slab_valid[at] = there;
+    layer_value[(CHANNELS - 1) * plane + at] = there;
+    layer_valid[at] = there;
     if (own || !there) {
         for (int c = 0; c < CHANNELS - 1; ++c)
-            slab_value[c * plane + at] = own ? value[c * plane + at] : 0;
-        slab_coc[at] = own ? coc[at] : widened(0);
+            layer_value[c * plane + at] = own ? value[c * plane + at] : 0;
+        layer_coc[at] = own ? coc[at] : widened(0);
         return;
     }
     const around_t near = around(behind + KNOWN * rows * columns, rows, columns, y, x);
     for (int c = 0; c < CHANNELS - 1; ++c)
-        slab_value[c * plane + at] = between(behind + c * rows * columns, near);
-    slab_coc[at] = widened(between(behind + RADIUS * rows * columns, near));
+        layer_value[c * plane + at] = between(behind + c * rows * columns, near);
+    layer_coc[at] = widened(between(behind + RADIUS * rows * columns, near));
 }
 
 // Leaves only the sources near edges, or only the others. In: edge. In and out: source.
@@ -400,7 +401,7 @@ __kernel void keep_sources(const camera_t camera, const int near_edges, __global
         source[at] = -1;
 }
 
-// Adds a blurred slab behind those before. It gets the room that they have left, all of it: at a cut through a
+// Adds a blurred layer behind those before. It gets the room that they have left, all of it: at a cut through a
 // continuous surface the two coverages add up to that of the whole, and nothing is lost. In: blurred float (CHANNELS,
 // rows, from_pitch), with scratch columns as `total` in blur.cl. In and out: covered float (rows, columns), total.
 __kernel void composite(const camera_t camera, const int from_pitch, const int from_pad,

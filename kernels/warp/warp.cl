@@ -17,8 +17,8 @@
 // Features besides geometry.clh's: OWNED, MAPPED, FILL_FAR (surfaces at several depths).
 
 // The position p of a source in px is snapped to 1/4096 px and then rounded half up, so that errors far below a step
-// cannot move it across a pixel's edge. Both roundings in one are floor(p + ROUND).
-#define ROUND ((real)(0.5 + 0.5 / 4096))
+// cannot move it across a pixel's edge. Both roundings in one are floor(p + ROUNDING).
+#define ROUNDING ((real)(0.5 + 0.5 / 4096))
 #define NO_WINNER INT_MAX
 #define NO_OBJECT 255
 #define SAME_DEPTH 1.02f  // relative: neighbors at rest that differ by less are one surface
@@ -26,9 +26,9 @@
 
 // Sources of a row that a work-item moves. PoCL vectorizes a loop over them, but not work-items of one source each.
 #if OWNED
-#define SEGMENT 64
+#define ITEM_PIXELS 64
 #else
-#define SEGMENT 1
+#define ITEM_PIXELS 1
 #endif
 
 // Inverse depth and object of every source; `surfaces` are at rest; maps real (depth maps, rows, columns): inverse
@@ -96,8 +96,8 @@ static inline int2 move_sources(const camera_t camera, __constant surface_t *sur
     const real middle = (real)0.5 * (camera.columns - 1);
     const wide_t inverse_step = wide_div(widened(1), step);
     // Where a position is 0 on the padded grid, and one more, so that what is negative is below 1.
-    const wide_t right = widened(middle + (camera.guard + 1) + ROUND);
-    const wide_t down = widened((real)0.5 * (camera.rows - 1) + (camera.guard + 1) + ROUND);
+    const wide_t right = widened(middle + (camera.guard + 1) + ROUNDING);
+    const wide_t down = widened((real)0.5 * (camera.rows - 1) + (camera.guard + 1) + ROUNDING);
     const wide_t first = widened(1), bottom = widened(camera.height + 1), edge = widened(camera.width + 1);
     int lowest = INT_MAX, highest = -1;
     for (int column = begin; column < end; ++column) {
@@ -130,8 +130,8 @@ static inline int2 move_sources(const camera_t camera, __constant surface_t *sur
     return (int2)(lowest, highest);
 }
 
-// Moves every source with its object. In: rest, object. Out: target, moved, and with OWNED bounds int2 per SEGMENT of a
-// row: lowest and highest target there, (INT_MAX, -1) for none.
+// Moves every source with its object. In: rest, object. Out: target, moved, and with OWNED bounds int2 per ITEM_PIXELS
+// of a row: lowest and highest target there, (INT_MAX, -1) for none.
 __kernel void reproject_targets(const camera_t camera, __constant surface_t *surfaces, __constant pose_t *poses,
                                 __global const wide_t *restrict rest, __global int *restrict target,
                                 __global wide_t *restrict moved
@@ -143,10 +143,10 @@ __kernel void reproject_targets(const camera_t camera, __constant surface_t *sur
 #endif
 )
 {
-    const int id = get_global_id(0), each = (camera.columns + SEGMENT - 1) / SEGMENT, row = id / each;
+    const int id = get_global_id(0), each = (camera.columns + ITEM_PIXELS - 1) / ITEM_PIXELS, row = id / each;
     if (row >= camera.rows)
         return;
-    const int begin = id % each * SEGMENT, end = MIN(begin + SEGMENT, camera.columns);
+    const int begin = id % each * ITEM_PIXELS, end = MIN(begin + ITEM_PIXELS, camera.columns);
 #if SEVERAL
     ulong present = 0;
     for (int column = begin; column < end; ++column)
@@ -168,8 +168,8 @@ __kernel void reproject_targets(const camera_t camera, __constant surface_t *sur
 }
 
 #if OWNED
-// The whole depth test: each work-item owns `band` rows of the padded grid. In: target, moved, bounds. Out: winner; with
-// FILL_FAR depth, as reproject_depth gives it.
+// The whole depth test: each work-item owns `band` rows of the padded grid. In: target, moved, bounds. Out: winner;
+// with FILL_FAR depth, as reproject_depth gives it.
 __kernel void reproject_nearest(const camera_t camera, __global const int *target, __global const wide_t *moved,
                                 __global const int2 *bounds, const int band, __global int *winner
 #if FILL_FAR
@@ -181,15 +181,15 @@ __kernel void reproject_nearest(const camera_t camera, __global const int *targe
     if (first >= camera.height)
         return;
     const int begin = first * camera.width, end = MIN(first + band, camera.height) * camera.width;
-    const int each = (camera.columns + SEGMENT - 1) / SEGMENT;
+    const int each = (camera.columns + ITEM_PIXELS - 1) / ITEM_PIXELS;
     for (int to = begin; to < end; ++to)
         winner[to] = NO_WINNER;
     for (int segment = 0; segment < camera.rows * each; ++segment) {
         const int2 range = bounds[segment];
         if (range.x >= end || range.y < begin)
             continue;
-        const int row = segment / each, column = segment % each * SEGMENT;
-        const int from = row * camera.columns + column, sources = MIN(SEGMENT, camera.columns - column);
+        const int row = segment / each, column = segment % each * ITEM_PIXELS;
+        const int from = row * camera.columns + column, sources = MIN(ITEM_PIXELS, camera.columns - column);
         for (int i = from; i < from + sources; ++i) {
             const int to = target[i];
             if (to < begin || to >= end)
@@ -266,15 +266,15 @@ static bool shows_through(const camera_t camera, __global const int *depth, __gl
     return false;
 }
 
-// Leaves out what only shows through another surface, SEGMENT pixels per work-item. In: depth, winner. Out: valid uchar
-// per pixel of the padded grid, what is known.
+// Leaves out what only shows through another surface, ITEM_PIXELS pixels per work-item. In: depth, winner. Out: valid
+// uchar per pixel of the padded grid, what is known.
 __kernel void reproject_gaps(const camera_t camera, __global const int *restrict depth, __global const int *winner,
                              __global uchar *restrict valid)
 {
-    const int begin = get_global_id(0) * SEGMENT, y = get_global_id(1);
+    const int begin = get_global_id(0) * ITEM_PIXELS, y = get_global_id(1);
     if (begin >= camera.width || y >= camera.height)
         return;
-    const int end = MIN(begin + SEGMENT, camera.width);
+    const int end = MIN(begin + ITEM_PIXELS, camera.width);
     __global const int *line = depth + y * camera.width;
     for (int x = begin; x < end; ++x)
         valid[y * camera.width + x] = line[x] > 0;
@@ -296,9 +296,9 @@ __kernel void reproject_gaps(const camera_t camera, __global const int *restrict
 
 // What the winners bring. In: texture float (textures, CHANNELS, rows, columns), of which each surface names its own;
 // moved, winner, object; weight of this moment in the exposure. Out, on the padded grid: value float (CHANNELS, height,
-// width), radiance times weight; w wide_t, inverse depth in 1/mm; coc wide_t, signed radius in px; valid uchar, there is a
-// winner; status uchar, 0; seen uchar, with SEVERAL, its object. All 0 without one, and seen NO_OBJECT. With FILL_FAR
-// valid is from reproject_gaps, and winners of other pixels do not count.
+// width), radiance times weight; w wide_t, inverse depth in 1/mm; coc wide_t, signed radius in px; valid uchar, there
+// is a winner; status uchar, 0; seen uchar, with SEVERAL, its object. All 0 without one, and seen NO_OBJECT. With
+// FILL_FAR valid is from reproject_gaps, and winners of other pixels do not count.
 __kernel void reproject_gather(const camera_t camera, const float weight, __global const float *texture,
                                __global const wide_t *moved, __global const int *winner,
 #if SEVERAL
@@ -364,10 +364,10 @@ __kernel void extend_border(const camera_t camera, __global float *value, __glob
 __kernel void note_radii(const camera_t camera, __global const wide_t *coc, __global const uchar *valid,
                          __global int *statistics)
 {
-    const int begin = get_global_id(0) * SEGMENT, y = get_global_id(1);
+    const int begin = get_global_id(0) * ITEM_PIXELS, y = get_global_id(1);
     if (begin >= camera.width || y >= camera.height)
         return;
-    for (int x = begin; x < MIN(begin + SEGMENT, camera.width); ++x)
+    for (int x = begin; x < MIN(begin + ITEM_PIXELS, camera.width); ++x)
         if (valid[y * camera.width + x])
             note_radius(statistics, narrow(coc[y * camera.width + x]));
 }

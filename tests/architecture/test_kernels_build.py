@@ -40,7 +40,7 @@ GEOMETRY: dict[str, tuple[int, ...]] = {
     "FILTER": (0, 2, 1),
 }
 BLUR = (
-    *("SAMPLED", "TILT", "GATHER", "ROWS", "SCATTER", "RENORMALIZE", "PREPARE"),
+    *("SAMPLED", "TILT", "GATHER", "BY_ROWS", "SCATTER", "RENORMALIZE", "PREPARE"),
     *("DISC", "SEPARABLE"),
 )
 GATHER, SCATTER = FILES_OF["gather"], FILES_OF["scatter"]
@@ -52,12 +52,12 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | {"SUBPIXELS": (0, 4, 2, 3), "OCCLUDED": (0,)},
     GATHER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
-    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (1, BAND), "NEAR": (0, NEAR), "COLUMNS": (0, 0, 1)}
+    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (1, BAND), "NEAR": (0, NEAR), "BY_COLUMNS": (0, 0, 1)}
     | {"GATHER": (1,)},
     SCATTER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (BAND,)}
-    | dict.fromkeys(("GATHER", "ROWS", "NEAR", "COLUMNS"), (0,)),
+    | dict.fromkeys(("GATHER", "BY_ROWS", "NEAR", "BY_COLUMNS"), (0,)),
     ("blur/multigrid.cl",): dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(("TILT", "DISC", "SAMPLED", "SEPARABLE"), ON_OR_OFF)
     | {"CHANNELS": (1, 3)},
@@ -79,12 +79,12 @@ OCCLUSION = tuple(("trace/trace.cl", *files) for files in (GATHER, SCATTER))
 # Features that have to do with it; of the others there is one value, the program being a long one.
 TOLD = {"OCCLUDED", "SEVERAL", "QUADRATIC", "NAPPE", "BOUNDED", "CHANNELS", "SUBPIXELS", "TILT", "GATHER", "SCATTER"}
 # What goes by columns goes neither by rows nor tap by tap, as sampled discs do.
-NOT_BY_COLUMNS = ("ROWS", "NEAR", "DISC")
+NOT_BY_COLUMNS = ("BY_ROWS", "NEAR", "DISC")
 for FILES in OCCLUSION:
     PROGRAMS[FILES] = PROGRAMS["trace/trace.cl",] | PROGRAMS[FILES[1:]] | {"OCCLUDED": (1, 2, 63)}
     PROGRAMS[FILES] |= {name: values[1:2] or values for name, values in PROGRAMS[FILES].items() if name not in TOLD}
     PROGRAMS[FILES] |= dict.fromkeys((*NOT_BY_COLUMNS, "SEPARABLE"), (0,))
-PROGRAMS[OCCLUSION[0]] |= {"COLUMNS": ON_OR_OFF}
+PROGRAMS[OCCLUSION[0]] |= {"BY_COLUMNS": ON_OR_OFF}
 PROGRAMS["layered/layered.cl",] = dict.fromkeys((*PLAIN, "SAMPLED"), (0,)) | {"CHANNELS": (2, 4), "SCATTER": ON_OR_OFF}
 GIVEN_BY_THE_BUILD = {"REAL_IS_DOUBLE", "HAS_INT64_ATOMICS", "HAS_FP64", "VECTOR_WIDTH", "defined"}
 GIVEN_BY_THE_BUILD |= {"__FMA__", "__SSE4_1__", "__AVX__", "__AVX2__", "__AVX512F__"}
@@ -112,7 +112,7 @@ def variants(features: dict[str, tuple[int, ...]]) -> list[dict[str, int]]:
     on = {name: values[min(1, len(values) - 1)] for name, values in features.items()}
     others = [on | {name: value} for name, values in features.items() for value in values if value != on[name]]
     none = dict.fromkeys(NOT_BY_COLUMNS, 0)
-    return [one | none if one.get("COLUMNS") or one.get("DISC") == 0 else one for one in (off, on, *others)]
+    return [one | none if one.get("BY_COLUMNS") or one.get("DISC") == 0 else one for one in (off, on, *others)]
 
 
 def test_every_file_is_built() -> None:
@@ -160,7 +160,7 @@ def test_with_all_features_and_none(
 ) -> None:
     chosen = variants(PROGRAMS[files])[:2]
     if real == "float":  # ROWS are doubles
-        chosen = [one | {"ROWS": 0} for one in chosen]
+        chosen = [one | {"BY_ROWS": 0} for one in chosen]
     kernels = [set(build(session, files, features, structs(real), real)) for features in chosen]
     defined = {
         name for file in files for name in re.findall(r"__kernel void (\w+)\(", (KERNELS / file).read_text("utf-8"))
@@ -189,4 +189,4 @@ def test_a_device_with_less(session: Session) -> None:
     lesser = replace(session.device, has_fp64=False, has_int64_atomics=False, correctly_rounded=False)
     with Session(lesser) as opened:
         for files, features in PROGRAMS.items():
-            assert build(opened, files, variants(features)[1] | {"ROWS": 0}, structs("float"), "float")
+            assert build(opened, files, variants(features)[1] | {"BY_ROWS": 0}, structs("float"), "float")

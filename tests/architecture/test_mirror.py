@@ -41,7 +41,7 @@ WITHOUT_TWIN = {
     "warp": {"note_radii": "the largest and the smallest of an array"},
     "tiles": {"tiles": "the sum of scatter, which each tile forms for its pixels"},
     "many": dict.fromkeys(
-        ["lowest_lane", "lowest", "some_taps", "values_at", "tap_weight", "take_sources", "rest_of", "take_together"],
+        ["lowest_lane", "lowest", "some_taps", "values_at", "tap_weight", "take_sources", "ungrouped_of", "take_group"],
         "which sources of a row go together, and their weights",
     ),
     "rows": dict.fromkeys(
@@ -49,18 +49,21 @@ WITHOUT_TWIN = {
         "rows of sources at once, where scatter takes taps",
     ),
     "discs": dict.fromkeys(
-        ["note_keys", "bounds_of", "finish_row", "ends_of", "add_ends", "add_row", "add_segment", "add_whole"],
+        ["note_keys", "bounds_of", "finish_row", "ends_of", "add_row_ends", "add_row", "add_segment", "add_disc_rows"],
         "sums instead of taps",
     ),
-    "near": dict.fromkeys(["add_taps", "finish_sums", "add_whole"], "the sum of scatter, row by row"),
+    "near": dict.fromkeys(["add_near_taps", "finish_near_sums", "add_near_rows"], "the sum of scatter, row by row"),
     "quadrants": dict.fromkeys(
-        ["column_of", "add_tap", "add_rim", "add_ends", "finish_sums", "spread_items", "put_items"],
+        (
+            *("quadrant_column_of", "add_tap", "add_rim", "add_column_ends", "finish_quadrant_sums"),
+            *("spread_quadrant_items", "put_quadrant_items"),
+        ),
         "the sum of scatter, column by column",
     ),
     "gaussians": dict.fromkeys(
-        ["column_of", "add_block", "spread_items", "weigh", "put_items"], "one axis after the other"
+        ("axis_column_of", "add_block", "spread_axis_items", "weigh", "put_axis_items"), "one axis after the other"
     ),
-    "columns": dict.fromkeys(["finish_tile", "add_whole"], "the sum of scatter, column by column"),
+    "columns": dict.fromkeys(["finish_tile", "add_columns"], "the sum of scatter, column by column"),
 }
 
 # Files whose twin is part of another file.

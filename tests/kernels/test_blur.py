@@ -17,11 +17,11 @@ from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
 from clsco.optics import psf as psf_weights
 from clsco.optics.psf import reach
-from clsco.optics.psf_tables import MANY, psf_features, psf_table
+from clsco.optics.psf_tables import WIDE_LANES, psf_features, psf_table
 from clsco.passes import blur as spread
 from clsco.passes.blur import FILES_OF, PIXELS, Spreader
 from clsco.passes.pack import psf_struct
-from clsco.plan.memory import ITEMS_BYTES, TILE, source_bytes
+from clsco.plan.memory import ITEMS_BYTES, ROW_TILE, source_bytes
 from clsco.plan.methods import Blur
 from clsco.records import Struct, flat, structs
 from clsco.reference.blur import blur as twin
@@ -222,7 +222,7 @@ def test_wide_discs(session: Session, psf: Psf, channels: int) -> None:
     shape = (3 * strips.BAND // 2, 61)
     largest = 44.0 if psf.edge == "sampled" else 26.0
     given = light(psf, shape=shape, guard=3, largest=largest, steepest=0.2, channels=channels, samples=2)
-    assert features(psf, channels, 2, largest)["ROWS" if psf.edge == "sampled" else "COLUMNS"]
+    assert features(psf, channels, 2, largest)["BY_ROWS" if psf.edge == "sampled" else "BY_COLUMNS"]
     rows, columns = np.indices(given.sources.lit.shape)
     alone = (columns > 40) | (RNG(45).random(rows.shape) < 0.02)
     radius = np.where(alone, given.sources.radius, 0.55 * largest + 0.11 * rows + 0.02 * columns)
@@ -257,7 +257,7 @@ def test_more_rows_of_wide_gaussians_than_are_kept_at_a_time(session: Session, t
     rows, columns = np.indices(given.sources.lit.shape)
     radius = np.where(given.sources.lit, 55.0 + 0.05 * rows - 0.1 * columns, 0.0)
     given = replace(given, sources=replace(given.sources, radius=radius))
-    item = 4 * MANY * reach(psf, 55.0)
+    item = 4 * WIDE_LANES * reach(psf, 55.0)
     assert item * min(strips.BAND + reach(psf, 55.0), shape[0] + 2 * guard) > ITEMS_BYTES
     assert_close(blurred(session, given, "gather"), blurred(session, given, "scatter"), ROUNDING)
 
@@ -271,7 +271,7 @@ def test_more_rows_of_wide_gaussians_than_are_kept_at_a_time(session: Session, t
 )
 def test_rows_of_several_tiles(session: Session, psf: Psf, tilt: bool, channels: int) -> None:
     """Level, steep, jumping, thin and single places in several tiles and bands; much brighter ones among them."""
-    psf, shape = psf.model_copy(update={"tilt": tilt}), (strips.BAND + 7, 2 * TILE + 45)
+    psf, shape = psf.model_copy(update={"tilt": tilt}), (strips.BAND + 7, 2 * ROW_TILE + 45)
     given = light(psf, shape=shape, guard=5, largest=21.0, steepest=0.05, channels=channels)
     rows, columns = np.indices(given.sources.lit.shape)
     radius = 0.02 * columns + 0.05 * rows + np.where(columns > 300, 5.0, 0.0)

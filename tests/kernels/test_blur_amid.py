@@ -142,7 +142,7 @@ def test_gather_source_by_source(session: Session, group: int, start: int) -> No
     given = given.constant(4.0)
     _, pitch = margin(17, 5, psf_table(psf, 4.0, 4.0).reach)
     part = Amid(session, np.zeros((2, 2 * BAND, pitch), np.float32), 1.0)
-    found = gathered(session, given, group, start, {"ROWS": 0, "NEAR": 0}, (), part)
+    found = gathered(session, given, group, start, {"BY_ROWS": 0, "NEAR": 0}, (), part)
     expected = np.moveaxis(given.expected(), -1, 0)
     assert_close(found[:, start * BAND :], expected[:, start * BAND :], ROUNDING)
     assert not found[:, : start * BAND].any()
@@ -180,5 +180,5 @@ def test_gather_without_doubles(session: Session, monkeypatch: pytest.MonkeyPatc
     given = light(Psf(edge="sampled"), shape=(9, 27), guard=5, largest=26.0, channels=2)
     expected = blurred(session, given, "scatter")
     monkeypatch.setattr(spread, "band_scratch", lambda psf, largest, fp64: "none")
-    assert not features(given.psf, 2, 0, given.largest)["ROWS"]
+    assert not features(given.psf, 2, 0, given.largest)["BY_ROWS"]
     assert_close(blurred(session, given, "gather"), expected, ROUNDING)

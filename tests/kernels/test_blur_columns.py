@@ -21,7 +21,7 @@ from clsco.optics.psf import axis_weights
 from clsco.optics.psf_tables import psf_table
 from clsco.passes.blur import FILES_OF
 from clsco.passes.pack import psf_struct
-from clsco.plan.memory import TILE, band_scratch, column_bytes, margin, row_bytes
+from clsco.plan.memory import ROW_TILE, band_scratch, column_bytes, margin, row_bytes
 from clsco.records import flat
 from clsco.reference.blur.blur import tilt_factor
 from clsco.reference.common.geometry import tilt_slope
@@ -49,10 +49,10 @@ LEFT_ALONE = 7.0
 
 def test_small_discs_in_several_tiles(session: Session) -> None:
     """Two whole tiles and a part of one, colors, any tilt; very bright sources where the second tile's row begins."""
-    given = light(Psf(edge="sampled"), shape=(9, 2 * TILE + 45), guard=7, largest=7.4, steepest=1.0, channels=2)
+    given = light(Psf(edge="sampled"), shape=(9, 2 * ROW_TILE + 45), guard=7, largest=7.4, steepest=1.0, channels=2)
     assert band_scratch(given.psf, given.largest, True) == "near"
     radiance = given.sources.radiance.copy()
-    radiance[:, TILE - 32 : TILE - 25] *= 1e5
+    radiance[:, ROW_TILE - 32 : ROW_TILE - 25] *= 1e5
     given = replace(given, sources=replace(given.sources, radiance=radiance))
     expected = given.expected()
     dim = expected < 2.0
@@ -116,7 +116,7 @@ def gathered(session: Session, given: Light, group: int = 0, part: Amid | None =
     return np.moveaxis(total.now()[..., pad : pad + columns], 0, -1)
 
 
-@pytest.mark.parametrize(("shape", "guard"), [((9, 45), 3), ((3, TILE + 40), 9), ((5, TILE), 0)])
+@pytest.mark.parametrize(("shape", "guard"), [((9, 45), 3), ((3, ROW_TILE + 40), 9), ((5, ROW_TILE), 0)])
 def test_small_discs_amid_others(session: Session, shape: tuple[int, int], guard: int) -> None:
     """Of rows above and below the grid nothing comes, nor anything to what is beyond the frame."""
     given = light(DISC, shape=shape, guard=guard, largest=7.4)

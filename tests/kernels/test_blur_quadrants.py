@@ -24,7 +24,7 @@ def test_columns_of_any_guard_band_have_the_same_bits(session: Session, model: s
     found = []
     for guard in (0, 5, 18):
         given = light(psf, shape=shape, guard=guard, largest=largest)
-        assert features(psf, 1, 0, largest)["COLUMNS"]
+        assert features(psf, 1, 0, largest)["BY_COLUMNS"]
         frame = slice(guard, guard + shape[0]), slice(guard, guard + shape[1])
         size, rng = given.sources.lit.shape, RNG(51)
         lit, radius, radiance = np.zeros(size, dtype=bool), np.zeros(size), np.zeros((*size, 1))

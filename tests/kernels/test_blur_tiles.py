@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from clsco.opencl.session import Session
 from clsco.optics.psf_tables import NEAR
-from clsco.plan.memory import TILE
+from clsco.plan.memory import ROW_TILE
 from clsco.scene.model import Psf
 from tests.kernels.test_blur import RNG, ROUNDING, Light, assert_close, blurred, features, light, on_device, spreader
 from tests.kernels.test_blur_columns import Signed
 
 Array = NDArray[Any]
-SEGMENT = 64  # columns, as in rows.clh
+BOUND_COLUMNS = 64  # columns, as in rows.clh
 DISCS = Psf(edge="sampled", tilt=False)
 
 
@@ -26,7 +26,7 @@ def discs(shape: tuple[int, int], guard: int, largest: float, channels: int = 1,
     psf = DISCS.model_copy(update={"tilt": tilt})
     given = light(psf, shape=shape, guard=guard, largest=largest, channels=channels, steepest=0.1)
     chosen = features(psf, channels, 0, largest)
-    assert chosen["ROWS"]
+    assert chosen["BY_ROWS"]
     assert not chosen["NEAR"]
     return given
 
@@ -39,7 +39,7 @@ def with_radius(given: Light, radius: Array, lit: Array | None = None) -> Light:
 @pytest.mark.parametrize("tilt", [False, True])
 def test_color_and_coverage(session: Session, tilt: bool) -> None:
     """Four channels, of which a segment has registers for one vector at a time."""
-    given = discs((9, 2 * SEGMENT + 11), 5, 21.0, 4, tilt)
+    given = discs((9, 2 * BOUND_COLUMNS + 11), 5, 21.0, 4, tilt)
     rows, columns = np.indices(given.sources.lit.shape)
     given = with_radius(given, np.asarray(14.0 + 0.1 * rows + 0.03 * columns))
     assert_close(blurred(session, given, "gather"), blurred(session, given, "scatter"), ROUNDING)
@@ -47,23 +47,23 @@ def test_color_and_coverage(session: Session, tilt: bool) -> None:
 
 def test_wide_frames_with_a_wide_guard_band(session: Session) -> None:
     """Each tile begins at its own columns of the grid, and lights nothing beyond the frame."""
-    given = discs((3, TILE + 45), 40, 21.0)
+    given = discs((3, ROW_TILE + 45), 40, 21.0)
     assert_close(blurred(session, given, "gather"), blurred(session, given, "scatter"), ROUNDING)
 
 
 @pytest.mark.parametrize("radius", [16, 17, 18, 19, 20, 21, 22, 23])
 def test_a_source_just_so_far_from_a_segment(session: Session, radius: int) -> None:
     """On both sides it ends in the first and the last column of a segment, where nothing else is."""
-    given = discs((3, 3 * SEGMENT), 2, 24.0)
+    given = discs((3, 3 * BOUND_COLUMNS), 2, 24.0)
     sources = given.sources
     lit = np.zeros_like(sources.lit)
     for beside in (0, 4):  # one alone would not be taken with its row
-        lit[3, 2 + SEGMENT - radius - beside] = lit[3, 1 + 2 * SEGMENT + radius + beside] = True
+        lit[3, 2 + BOUND_COLUMNS - radius - beside] = lit[3, 1 + 2 * BOUND_COLUMNS + radius + beside] = True
     sources = replace(sources, radiance=np.ones_like(sources.radiance))
     given = with_radius(replace(given, sources=sources), np.full(lit.shape, float(radius)), lit)
     found = blurred(session, given, "gather")
-    assert found[1, SEGMENT] > 0
-    assert found[1, 2 * SEGMENT - 1] > 0
+    assert found[1, BOUND_COLUMNS] > 0
+    assert found[1, 2 * BOUND_COLUMNS - 1] > 0
     assert_close(found, given.expected(), ROUNDING)
 
 
@@ -78,7 +78,7 @@ def test_rows_in_focus(session: Session) -> None:
 @pytest.mark.parametrize("largest", [2.0, 21.0])
 def test_nothing_is_added_behind_the_last_row(session: Session, largest: float) -> None:
     """Not even 0, which would be lost light where another work-item adds to the same place."""
-    given = light(DISCS, shape=(1, TILE + 45), guard=5, largest=largest)
+    given = light(DISCS, shape=(1, ROW_TILE + 45), guard=5, largest=largest)
     owner = spreader(session, given, "gather")
     total = Signed(session, (1, owner.pitch))
     owner.total = total.buffer
@@ -93,7 +93,7 @@ def test_nothing_is_added_behind_the_last_row(session: Session, largest: float) 
 def test_shorter_vectors_change_no_bit(session: Session, monkeypatch: pytest.MonkeyPatch, psf: Psf, tilt: bool) -> None:
     """How many of them go together hangs on what the device has registers for; the result does not."""
     psf = psf.model_copy(update={"tilt": tilt})
-    given = light(psf, shape=(20, 2 * SEGMENT + 11), guard=5, largest=21.0, steepest=0.05, channels=2)
+    given = light(psf, shape=(20, 2 * BOUND_COLUMNS + 11), guard=5, largest=21.0, steepest=0.05, channels=2)
     found = []
     for width in (4, 16):
         monkeypatch.setattr(session, "device", replace(session.device, vector_width=width))

@@ -14,7 +14,7 @@ from clsco.opencl.buffers import download, empty
 from clsco.opencl.program import launch
 from clsco.opencl.session import Session
 from clsco.optics.psf import reach
-from clsco.optics.psf_tables import LANES
+from clsco.optics.psf_tables import TAP_LANES
 from clsco.optics.stencil import SUMMED
 from clsco.passes import convolve as convolution
 from clsco.passes.blur import Sources, Spreader, blur_features
@@ -35,7 +35,7 @@ def name_of(psf: Psf) -> str:
 
 
 def guard_of(psf: Psf, radius: float) -> int:
-    return reach(psf, abs(radius)) + 2 * LANES
+    return reach(psf, abs(radius)) + 2 * TAP_LANES
 
 
 def lit(psf: Psf, radius: float, shape: tuple[int, ...]) -> Array:

@@ -138,11 +138,13 @@ def test_labels_are_those_of_the_twin(session: Session) -> None:
     _, count = device.image()
     low, bins = twin.bins_of(view.largest)
     assert (device.layers.low, device.layers.bins) == (low, bins)
-    latest, largest_sum = twin.find_jumps(view.coc, view.valid, low, bins, 2 * reach(view.psf, view.largest) + 1)
+    latest, largest_sum = twin.find_discontinuities(
+        view.coc, view.valid, low, bins, 2 * reach(view.psf, view.largest) + 1
+    )
     device.layers.look(device.coc, device.valid, [])
     found = download(session, device.layers.latest, (latest.size + 1,), np.int32)
     np.testing.assert_array_equal(found, [*latest.ravel(), largest_sum])
-    slab = twin.label_slabs(view.coc, view.valid, low, bins, twin.slab_bounds(latest))
+    slab = twin.label_depth_layers(view.coc, view.valid, low, bins, twin.slab_bounds(latest))
     seed = twin.seed_hidden(view.coc, slab)
     offset = twin.column_seeds(seed)
     hidden, edge = twin.reach_hidden(slab, seed, offset, twin.depth_of_hidden(view.psf, largest_sum))
@@ -184,7 +186,9 @@ def test_the_last_slab_is_extended_as_by_the_twin(session: Session) -> None:
     device = Device(session, view)
     device.image()
     slab, hidden = device.read("slab", np.uint8), device.read("hidden", np.uint8)
-    _, largest_sum = twin.find_jumps(view.coc, view.valid, *twin.bins_of(4.5), 2 * reach(view.psf, view.largest) + 1)
+    _, largest_sum = twin.find_discontinuities(
+        view.coc, view.valid, *twin.bins_of(4.5), 2 * reach(view.psf, view.largest) + 1
+    )
     deep = twin.depth_of_hidden(view.psf, largest_sum)
     value, radius, there = twin.extend_slab(view.radiance, view.coc, slab, hidden, int(slab.max()), deep)
     assert [twin.level_count(n) for n in range(1, 99)] == [slabs.level_count(n) for n in range(1, 99)]
@@ -198,13 +202,13 @@ def test_the_last_slab_is_extended_as_by_the_twin(session: Session) -> None:
 
 def test_bounds_of_the_host_are_those_of_the_twin() -> None:
     rng = RNG(12)
-    assert (slabs.MOST_SLABS, slabs.JUMP, slabs.BIN) == (twin.MOST_SLABS, twin.JUMP, twin.BIN)
+    assert (slabs.MOST_SLABS, slabs.DISCONTINUITY, slabs.BIN) == (twin.MOST_SLABS, twin.DISCONTINUITY, twin.BIN)
     low, bins = twin.bins_of(30.0)
     assert slabs.bins_of(30.0) == (low, bins)
     counts = set()
     for surfaces in (1, 2, 3, 6, 12, 40):
         coc = rng.uniform(-30, 30, surfaces)[rng.integers(0, surfaces, (20, 20))]
-        latest, _ = twin.find_jumps(coc, rng.random((20, 20)) < 0.9, low, bins, 5)
+        latest, _ = twin.find_discontinuities(coc, rng.random((20, 20)) < 0.9, low, bins, 5)
         bounds = slabs.slab_bounds(latest.astype(np.int32))
         assert bounds == twin.slab_bounds(latest)
         counts.add(len(bounds))

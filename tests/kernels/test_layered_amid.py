@@ -58,14 +58,14 @@ def test_jumps_are_added_to_those_known(session: Session) -> None:
         shape = (int(rng.integers(1, 5)), int(rng.integers(1, 6)))
         coc = rng.choice(pools[number % 3], shape) * rng.choice([-1.0, 1.0])
         valid, far = rng.random(shape) < rng.choice([0.5, 1.0]), int(rng.choice([1, 2, 3]))
-        expected, largest_sum = twin.find_jumps(coc, valid, low, bins, far)
+        expected, largest_sum = twin.find_discontinuities(coc, valid, low, bins, far)
         whole = np.append(expected, largest_sum)
         before = np.where(rng.random(whole.size) < 0.3, rng.integers(0, 9, whole.size), 0)
         before[0], before[-1] = 9000, number % 2  # no jump's number is as large, but another place's
         latest = plane(session, before, 1 << 20, np.int32)
         head = grid(shape), np.float64(low), np.int32(bins), np.int32(far)
         maps = plane(session, coc, 77.0, np.float64), plane(session, valid, 1, np.uint8)
-        run(session, "find_jumps", (sum(shape),), *head, *maps, latest)
+        run(session, "find_discontinuities", (sum(shape),), *head, *maps, latest)
         np.testing.assert_array_equal(latest.now(), np.maximum(before, whole), err_msg=f"{coc} {valid} {far}")
         above = above | (expected > 0).any(axis=1)
     assert above.all()
@@ -76,13 +76,13 @@ def test_labels_of_radii_beyond_the_bins(session: Session, count: int) -> None:
     rng, shape, low, bins = RNG(62), (5, 19), -2.0, 16
     coc, valid = rng.integers(-14, 15, shape) / 4, rng.random(shape) < 0.8
     bounds = sorted([1, 15, *rng.permutation(np.arange(2, 15))[: max(count - 2, 0)].tolist()])[:count]
-    expected = twin.label_slabs(coc, valid, low, bins, bounds)
+    expected = twin.label_depth_layers(coc, valid, low, bins, bounds)
     assert expected.max() == count + 1
     slab = plane(session, np.full(shape, 99), 99, np.uint8)
     some = cl.cltypes.make_int8(*bounds, *(0,) * (8 - count))  # type: ignore[attr-defined]
     head = grid(shape), np.float64(low), np.int32(bins), np.int32(count), some
     maps = plane(session, coc, 0.0, np.float64), plane(session, valid, 1, np.uint8)
-    run(session, "label_slabs", shape[::-1], *head, *maps, slab)
+    run(session, "label_depth_layers", shape[::-1], *head, *maps, slab)
     np.testing.assert_array_equal(slab.now(), expected)
 
 
@@ -205,8 +205,8 @@ def test_slabs_are_opened_and_taken(session: Session, shape: tuple[int, int]) ->
         plane(session, slab, which, np.uint8),
     )  # fmt: skip
     finest = plane(session, np.full((CHANNELS + 2, *shape), 7.5), 7.5)
-    run(session, "open_slab", shape[::-1], grid(shape), np.int32(which), *maps, finest)
-    opened = twin.open_slab(radiance, coc, slab, which)
+    run(session, "open_depth_layer", shape[::-1], grid(shape), np.int32(which), *maps, finest)
+    opened = twin.open_depth_layer(radiance, coc, slab, which)
     np.testing.assert_array_equal(finest.now(), flat(opened.astype(np.float32), np.float32))
 
     half = (-(-shape[0] // 2), -(-shape[1] // 2))
@@ -216,8 +216,8 @@ def test_slabs_are_opened_and_taken(session: Session, shape: tuple[int, int]) ->
     radius, there = plane(session, np.full(shape, 7.5), 7.5, np.float64), plane(session, np.full(shape, 9), 9, np.uint8)
     sizes = (np.int32(n) for n in (which, *half, at))
     behind = plane(session, hidden, which, np.uint8)
-    run(session, "take_slab", shape[::-1], grid(shape), *sizes, *maps, behind, levels, light, radius, there)
-    expected = twin.take_slab(radiance, coc, slab, hidden, coarse, which)
+    run(session, "take_depth_layer", shape[::-1], grid(shape), *sizes, *maps, behind, levels, light, radius, there)
+    expected = twin.take_depth_layer(radiance, coc, slab, hidden, coarse, which)
     np.testing.assert_allclose(light.now(), flat(expected[0], np.float64), rtol=0, atol=ROUNDING)
     np.testing.assert_allclose(radius.now(), expected[1], rtol=0, atol=ROUNDING)
     np.testing.assert_array_equal(there.now(), expected[2])

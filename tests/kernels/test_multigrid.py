@@ -14,7 +14,7 @@ from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
 from clsco.optics.multigrid import coarse_radii
 from clsco.optics.psf import MINIMUM_BLUR
-from clsco.optics.psf_tables import LANES, psf_features, psf_table
+from clsco.optics.psf_tables import TAP_LANES, psf_features, psf_table
 from clsco.passes.blur import BLOCKS, FILES_OF, PLAIN, Sources, image_features
 from clsco.passes.blur import prepare_sources as make_sources
 from clsco.passes.multigrid import Coarse
@@ -151,7 +151,7 @@ def test_radii_come_back_from_coordinates(session: Session, psf: Psf, marked: bo
         upload(session, source_planes(records, False, True)), np.int32(marked), np.int32(sampled), np.int32(pitch),
         plane, plane,
     )  # fmt: skip
-    launch(session, kernel(program, "measure_radii"), (-(-columns // LANES), rows), BLOCKS, *args)
+    launch(session, kernel(program, "measure_radii"), (-(-columns // TAP_LANES), rows), BLOCKS, *args)
     found = download(session, plane, (rows + 2 * edge, pitch), np.float32)[edge:-edge, edge : edge + columns]
     assert (found[~may] < 0).all()
     np.testing.assert_allclose(found[may], radius[may], rtol=2e-6)

@@ -14,7 +14,7 @@ from clsco.opencl.buffers import download, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Program, Session
 from clsco.optics.multigrid import EDGE, EDGE_ROWS, coarse_frame, plane_shape
-from clsco.optics.psf_tables import LANES, psf_features, psf_table
+from clsco.optics.psf_tables import TAP_LANES, psf_features, psf_table
 from clsco.passes.blur import BLOCKS, PIXELS, PLAIN
 from clsco.passes.pack import psf_struct
 from clsco.plan.memory import margin
@@ -63,7 +63,7 @@ def assert_grid(session: Session, buffer: cl.Buffer, expected: Array, around: fl
     found = download(session, buffer, (*expected.shape[:-2], *plane_shape(width, height)), np.float32)
     inside = found[..., EDGE_ROWS : EDGE_ROWS + height, EDGE:]
     np.testing.assert_allclose(inside[..., :width], expected, rtol=2e-6, atol=1e-5)
-    end = -(-width // LANES) * LANES if lanes else width
+    end = -(-width // TAP_LANES) * TAP_LANES if lanes else width
     assert np.isfinite(inside[..., width:end]).all()
     inside[..., :end] = around
     np.testing.assert_array_equal(found, np.float32(around))
@@ -71,12 +71,12 @@ def assert_grid(session: Session, buffer: cl.Buffer, expected: Array, around: fl
 
 def ends_with(values: Array) -> Array:
     """A buffer's content and some more floats."""
-    return np.append(values.ravel(), np.full(2 * LANES, UNTOUCHED)).astype(np.float32)
+    return np.append(values.ravel(), np.full(2 * TAP_LANES, UNTOUCHED)).astype(np.float32)
 
 
 def assert_ends(session: Session, buffer: cl.Buffer, expected: Array) -> None:
     """What is in a buffer made by `ends_with`: these values, and the same after them as before."""
-    found = download(session, buffer, (expected.size + 2 * LANES,), np.float32)
+    found = download(session, buffer, (expected.size + 2 * TAP_LANES,), np.float32)
     np.testing.assert_allclose(found[: expected.size].reshape(expected.shape), expected, rtol=2e-6, atol=1e-5)
     assert (found[expected.size :] == UNTOUCHED).all()
 
@@ -96,7 +96,7 @@ def test_radii_and_slopes(session: Session, program: Program, width: int) -> Non
         upload(session, source_planes(records, True, True)), np.int32(1), np.int32(0),
         np.int32(plane_shape(width, ROWS)[1]), radii, tilt,
     )  # fmt: skip
-    run(session, program, "measure_radii", (-(-width // LANES), ROWS), BLOCKS, *args)
+    run(session, program, "measure_radii", (-(-width // TAP_LANES), ROWS), BLOCKS, *args)
     assert_grid(session, radii, radius, np.nan, False)
     assert_grid(session, tilt, slope * radius**2, UNTOUCHED, True)
 
@@ -117,7 +117,7 @@ def test_shares(session: Session, program: Program, width: int) -> None:
         upload(session, ends_with(value)), *map(np.float32, limits), np.int32(plane_shape(width, ROWS)[1]), source,
         kept, moved, light,
     )  # fmt: skip
-    run(session, program, "pick", (-(-width // LANES), ROWS), BLOCKS, *args)
+    run(session, program, "pick", (-(-width // TAP_LANES), ROWS), BLOCKS, *args)
     assert_ends(session, source, np.where(share == 1.0, -2.0 - coordinate, coordinate))
     assert_ends(session, kept, (1.0 - share) * value)
     assert_grid(session, moved, np.where(share > 0.0, radius, 0.0), UNTOUCHED, True)
@@ -142,7 +142,7 @@ def test_light_and_radii_of_nodes(session: Session, program: Program, width: int
         np.float32(loss), np.int32(plane_shape(fine[1], ROWS)[1]), np.int32(plane_shape(width, ROWS)[1]),
         found, radii, tilt,
     )  # fmt: skip
-    run(session, program, "halve", (-(-width // LANES), ROWS), BLOCKS, *args)
+    run(session, program, "halve", (-(-width // TAP_LANES), ROWS), BLOCKS, *args)
     assert_ends(session, found, np.moveaxis(light, -1, 0))
     assert_grid(session, radii, np.where(np.isnan(small), -1.0, small), np.nan, False)
     assert_grid(session, tilt, np.moveaxis(turned, -1, 0), UNTOUCHED, True)
@@ -179,7 +179,7 @@ def test_the_way_back(session: Session, program: Program, columns: int, guard: i
         upload(session, coarse.astype(np.float32)), frame_struct(ROWS, columns, guard, "double"), np.int32(pitch),
         np.int32(pad), total, np.float32(sharp),
     )  # fmt: skip
-    run(session, program, "enlarge", (-(-(columns + 1) // LANES), ROWS), BLOCKS, *args)
+    run(session, program, "enlarge", (-(-(columns + 1) // TAP_LANES), ROWS), BLOCKS, *args)
     found = download(session, total, (CHANNELS, ROWS, pitch), np.float32)
     frame = np.moveaxis(coarse[..., coarse_pad : coarse_pad + nodes], 0, -1)
     expected = twin.enlarge(frame, around, (ROWS, columns), guard, sharp)
@@ -187,6 +187,6 @@ def test_the_way_back(session: Session, program: Program, columns: int, guard: i
         found[..., pad : pad + columns], UNTOUCHED + np.moveaxis(expected, -1, 0), rtol=2e-6, atol=1e-5
     )
     odd = 1 - guard % 2
-    end = -(-(columns + odd) // LANES) * LANES - odd
+    end = -(-(columns + odd) // TAP_LANES) * TAP_LANES - odd
     assert (found[..., : pad - odd] == UNTOUCHED).all()
     assert (found[..., pad + end :] == UNTOUCHED).all()

@@ -15,7 +15,7 @@ from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Program, Session
 from clsco.passes.pack import pose_structs
-from clsco.passes.warp import SEGMENT, forward_features
+from clsco.passes.warp import ITEM_PIXELS, forward_features
 from clsco.records import flat, structs
 from clsco.reference.warp.warp import (
     NO_WINNER,
@@ -70,7 +70,7 @@ class Kernels:
 
     def targets(self, rest: Array, whose: Array, local: int = 8) -> tuple[Array, Array, Array]:
         """Target, moved, and bounds where there are any."""
-        each = -(-rest.shape[1] // SEGMENT) if self.owned else rest.shape[1]
+        each = -(-rest.shape[1] // ITEM_PIXELS) if self.owned else rest.shape[1]
         segments = rest.shape[0] * each
         target, moved = self.out(np.int32, rest.size), self.out(np.float64, rest.size)
         bounds = self.out(np.int32, 2 * segments)
@@ -108,7 +108,7 @@ class Kernels:
     def gaps(self, winner: Array, depth: Array, local: tuple[int, int] = (1, 8)) -> Array:
         """What is known without what shows through."""
         height, width = self.case.shape
-        size = (-(-width // (SEGMENT if self.owned else 1)), height)
+        size = (-(-width // (ITEM_PIXELS if self.owned else 1)), height)
         valid = self.out(np.uint8, height * width, 9)
         self.run("reproject_gaps", size, local, upload(self.session, depth), upload(self.session, winner), valid)
         return download(self.session, valid, (height, width), np.uint8)
@@ -140,7 +140,7 @@ def test_each_kernel_is_its_twin(session: Session, any_warp: Warp, make_case: Ma
     if owned:
         for row, rows in enumerate(target.reshape(rest.shape)):
             for i, (low, high) in enumerate(bounds.reshape(rest.shape[0], -1, 2)[row]):
-                some = rows[i * SEGMENT : (i + 1) * SEGMENT]
+                some = rows[i * ITEM_PIXELS : (i + 1) * ITEM_PIXELS]
                 some = some[some >= 0]
                 assert (low, high) == ((some.min(), some.max()) if some.size else (NONE, -1))
         for band in (1, 5, 1000):
@@ -246,7 +246,7 @@ def test_range_of_radii(session: Session, make_case: Maker, owned: bool) -> None
     case = make_case((Plane(),), (9, 70))
     kernels, (height, width) = Kernels(session, case, owned), case.shape
     rng = np.random.default_rng(11)
-    size = (-(-width // (SEGMENT if owned else 1)), height)
+    size = (-(-width // (ITEM_PIXELS if owned else 1)), height)
     for known in (0.0, 0.05, 0.9):
         coc, valid = rng.normal(0, 7, (height, width)), (rng.random((height, width)) < known).astype(np.uint8)
         if known:

@@ -22,9 +22,9 @@ from clsco.optics.psf import (
     weights,
 )
 from clsco.optics.psf_tables import (
-    LANES,
-    MANY,
     POWERS,
+    TAP_LANES,
+    WIDE_LANES,
     PsfTable,
     _table_radius,
     psf_table,
@@ -293,7 +293,7 @@ def test_reach_is_exact(psf: Psf) -> None:
 def read(table: PsfTable, coordinate: float, row: int, powers: int = POWERS) -> Array:
     """Weights (2 half-width + 1,) of a row as a kernel reads them."""
     start, half_width = (int(v) for v in table.intervals[int(coordinate) - table.first, :2])
-    lanes = (2 * half_width // LANES + 1) * LANES
+    lanes = (2 * half_width // TAP_LANES + 1) * TAP_LANES
     t, at = coordinate - int(coordinate), start + row * powers * lanes
     found = table.coefficients[at : at + powers * lanes].reshape(powers, lanes).astype(np.float64)
     assert not found[:, 2 * half_width + 1 :].any()  # what a whole vector adds beyond the PSF is nothing
@@ -320,13 +320,13 @@ def stored_taps(table: PsfTable, coordinate: float) -> Array:
     """Weights of all taps as many neighbors read them: from both windows that have the interval, which agree."""
     number = int(coordinate) - table.first
     windows = table.taps.shape[1]
-    assert windows == -(-len(table.intervals) // LANES)
+    assert windows == -(-len(table.intervals) // TAP_LANES)
     powers = (coordinate - int(coordinate)) ** np.arange(POWERS)
     found = [
-        (table.taps[:, window, :, number - LANES * window].astype(np.float64) * powers).sum(axis=-1)
-        for window in range(number // LANES, max(number - MANY, -1) // LANES, -1)
+        (table.taps[:, window, :, number - TAP_LANES * window].astype(np.float64) * powers).sum(axis=-1)
+        for window in range(number // TAP_LANES, max(number - WIDE_LANES, -1) // TAP_LANES, -1)
     ]
-    assert len(found) == min(MANY // LANES, number // LANES + 1)
+    assert len(found) == min(WIDE_LANES // TAP_LANES, number // TAP_LANES + 1)
     for other in found[1:]:
         np.testing.assert_array_equal(found[0], other)
     return np.asarray(found[0])

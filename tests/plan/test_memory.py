@@ -16,7 +16,7 @@ import clsco
 from clsco.cli.main import main
 from clsco.errors import SceneError
 from clsco.frame.strips import BAND, Strip
-from clsco.optics.psf_tables import LANES
+from clsco.optics.psf_tables import TAP_LANES
 from clsco.plan import memory
 from clsco.plan.approximation import METHODS, Told
 from clsco.plan.memory import Limit, free_bytes, limit_of, margin, parse_size, rows_that_fit
@@ -57,12 +57,12 @@ def test_the_limit_is_given_or_half_of_what_is_free(monkeypatch: pytest.MonkeyPa
 @pytest.mark.parametrize("guard", [0, 3, 24])
 @pytest.mark.parametrize("far", [0, 7, 22, 60])
 def test_rows_of_the_frame_do_not_lie_below_each_other_in_the_cache(guard: int, far: int) -> None:
-    """Vectors hang over by up to `far` and LANES more; 45 rows of 8 doubles a vector share no place in 4 KiB."""
-    for columns in range(1, 2200, LANES):
+    """Vectors hang over by up to `far` and TAP_LANES more; 45 rows of 8 doubles a vector share no place in 4 KiB."""
+    for columns in range(1, 2200, TAP_LANES):
         pad, pitch = margin(columns, guard, far)
-        assert pad % LANES == pitch % LANES == 0
-        assert pad >= guard + far + LANES
-        assert columns + 2 * pad <= pitch <= columns + 2 * pad + 12 * LANES
+        assert pad % TAP_LANES == pitch % TAP_LANES == 0
+        assert pad >= guard + far + TAP_LANES
+        assert columns + 2 * pad <= pitch <= columns + 2 * pad + 12 * TAP_LANES
         places = np.arange(45) * pitch * 8 % 4096
         assert len(set(places.tolist())) == 45
         step = pitch * 8 % 4096

@@ -12,7 +12,7 @@ from clsco.errors import SceneError
 from clsco.frame.frame import TRUTH_NAMES
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
 from clsco.optics.psf import reach
-from clsco.optics.psf_tables import LANES
+from clsco.optics.psf_tables import TAP_LANES
 from clsco.plan.memory import device_bytes
 from clsco.plan.methods import MANY_RADII, is_sharp
 from clsco.plan.plan import Plan, exposure, make_plan, widened
@@ -286,13 +286,13 @@ def test_guard_band_holds_every_source_that_lights_the_frame(model: Any, edge: A
     held = given.guard_px
     assert held == guard_band(psf, given.largest_blur)
     assert held >= max(reach(psf, given.largest_blur), reach(psf, given.largest_blur, True))
-    assert held % LANES == 0
-    assert held < reach(psf, given.largest_blur, True) + 3 + LANES  # 2 px to see silhouettes in
+    assert held % TAP_LANES == 0
+    assert held < reach(psf, given.largest_blur, True) + 3 + TAP_LANES  # 2 px to see silhouettes in
     assert (given.width, given.height) == (64 + 2 * held, 48 + 2 * held)
     assert guard_band(psf.model_copy(update={"border": "renormalize"}), 5.0) == 0
     flat = plan(STILL, psf=psf)
     assert flat.blur == "convolve"
-    assert flat.guard_px == guard_band(psf, flat.largest_blur) + 2 * LANES  # two vectors of sources may hang over
+    assert flat.guard_px == guard_band(psf, flat.largest_blur) + 2 * TAP_LANES  # two vectors of sources may hang over
 
 
 def test_widened() -> None:

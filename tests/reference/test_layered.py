@@ -12,18 +12,18 @@ from clsco.optics.psf import reach
 from clsco.reference.blur.blur import prepare_sources, scatter
 from clsco.reference.layered.layered import (
     BIN,
-    JUMP,
+    DISCONTINUITY,
     MOST_SLABS,
     NO_SEED,
     bins_of,
     column_seeds,
     composite,
     extend_slab,
-    find_jumps,
-    label_slabs,
+    find_discontinuities,
+    label_depth_layers,
     layered,
     level_count,
-    open_slab,
+    open_depth_layer,
     pull,
     push,
     reach_hidden,
@@ -46,7 +46,7 @@ def blob(shape: tuple[int, int]) -> Array:
 
 
 def cuts(coc: Array, valid: Mask, largest: float) -> list[int]:
-    return slab_bounds(find_jumps(coc, valid, *bins_of(largest), 2 * reach(Psf(), largest) + 1)[0])
+    return slab_bounds(find_discontinuities(coc, valid, *bins_of(largest), 2 * reach(Psf(), largest) + 1)[0])
 
 
 def unsliced(radiance: Array, coc: Array, shape: tuple[int, int], guard: int) -> Array:
@@ -60,17 +60,17 @@ def test_jumps_lie_between_neighbors_of_a_line() -> None:
     there = np.ones((1, 4), dtype=bool)
 
     def found(coc: list[float], valid: Array = there, far: int = 9) -> Array:
-        return np.argwhere(find_jumps(np.array([coc]), valid, low, bins, far)[0])
+        return np.argwhere(find_discontinuities(np.array([coc]), valid, low, bins, far)[0])
 
-    assert found([0.0, 0.0, JUMP, JUMP]).size == 0  # as much as allowed
+    assert found([0.0, 0.0, DISCONTINUITY, DISCONTINUITY]).size == 0  # as much as allowed
     ((kind, far_bin),) = found([0.1, 0.1, 1.2, 1.2])
     assert (kind, far_bin) == (0, (1.2 - low) // BIN)
-    assert found([3.0, 3.0, -3.0, -3.0])[0, 0] == 2  # beyond 4 JUMP
+    assert found([3.0, 3.0, -3.0, -3.0])[0, 0] == 2  # beyond 4 DISCONTINUITY
     assert len(found([-6.0, 0.0, 7.0, 7.0])) == 2
     gap = np.array([[True, False, True, False]])
     assert len(found([0.0, 99.0, 5.0, 0.0], gap)) == 1
     assert len(found([0.0, 99.0, 5.0, 0.0], gap, far=1)) == 0
-    latest, largest_sum = find_jumps(np.array([[0.0], [-0.5], [2.2], [2.9]]), there.T, low, bins, 9)
+    latest, largest_sum = find_discontinuities(np.array([[0.0], [-0.5], [2.2], [2.9]]), there.T, low, bins, 9)
     assert latest.any()
     assert largest_sum == 3  # 0.5 + 2.2, rounded up
 
@@ -78,7 +78,7 @@ def test_jumps_lie_between_neighbors_of_a_line() -> None:
 def test_jumps_of_a_class_are_remembered_by_the_latest_near_side() -> None:
     low, bins = bins_of(8.0)
     coc = np.array([[0.0, 3.0], [0.9, 3.0]])
-    latest, _ = find_jumps(coc, np.ones((2, 2), dtype=bool), low, bins, 9)
+    latest, _ = find_discontinuities(coc, np.ones((2, 2), dtype=bool), low, bins, 9)
     ((_, far_bin),) = np.argwhere(latest)
     assert latest.max() - 1 == (0.9 - low) // BIN
     assert far_bin == (3.0 - low) // BIN
@@ -93,9 +93,9 @@ def test_bounds_split_every_jump_and_are_few() -> None:
         valid = rng.random(coc.shape) < 0.9
         bounds = cuts(coc, valid, 16.0)
         assert len(bounds) == surfaces - 1
-        slab = label_slabs(coc, valid, low, bins, bounds)
+        slab = label_depth_layers(coc, valid, low, bins, bounds)
         for axis in (0, 1):
-            jump = (np.abs(np.diff(coc, axis=axis)) > JUMP) & valid.take(range(1, coc.shape[axis]), axis)
+            jump = (np.abs(np.diff(coc, axis=axis)) > DISCONTINUITY) & valid.take(range(1, coc.shape[axis]), axis)
             jump &= valid.take(range(coc.shape[axis] - 1), axis)
             assert (np.diff(slab.astype(int), axis=axis)[jump] != 0).all()
         assert (slab[~valid] == 0).all()
@@ -110,10 +110,10 @@ def test_without_a_jump_there_is_one_slab() -> None:
 
 def test_too_many_jumps_leave_the_smallest_alone() -> None:
     coc = np.repeat(np.array([-20.0, -18.5] * 8 + [0.0, 5.0, 6.5, 8.0, 9.5, 11, 12.5, 14, 15.5, 17]), 2)[None]
-    bounds = slab_bounds(find_jumps(coc, np.ones(coc.shape, dtype=bool), *bins_of(20.0), 9)[0])
+    bounds = slab_bounds(find_discontinuities(coc, np.ones(coc.shape, dtype=bool), *bins_of(20.0), 9)[0])
     assert 0 < len(bounds) < MOST_SLABS
     low, bins = bins_of(20.0)
-    slab = label_slabs(coc, np.ones(coc.shape, dtype=bool), low, bins, bounds)[0]
+    slab = label_depth_layers(coc, np.ones(coc.shape, dtype=bool), low, bins, bounds)[0]
     assert slab[30] < slab[32] < slab[34]  # -18.5, 0, 5
     noise = RNG(5).uniform(-20, 20, (30, 30))
     assert len(cuts(noise, np.ones(noise.shape, dtype=bool), 20.0)) < MOST_SLABS
@@ -164,7 +164,7 @@ def test_a_pyramid_interpolates_what_is_missing(shape: tuple[int, int]) -> None:
     slab = (rng.random(shape) < 0.3).astype(np.uint8)
     slab.ravel()[0] = 1
     radiance, coc = rng.uniform(2, 3, (*shape, 2)), rng.uniform(4, 5, shape)
-    levels = [open_slab(radiance, coc, slab, 1)]
+    levels = [open_depth_layer(radiance, coc, slab, 1)]
     while max(levels[-1].shape[:2]) > 1:
         levels.append(push(levels[-1], last=max(levels[-1].shape[:2]) == 2))
         assert levels[-1].shape[:2] == tuple(-(-n // 2) for n in levels[-2].shape[:2])

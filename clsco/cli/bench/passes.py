@@ -14,7 +14,7 @@ from clsco.opencl.buffers import empty, upload
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.optics.psf import reach
-from clsco.optics.psf_tables import LANES
+from clsco.optics.psf_tables import TAP_LANES
 from clsco.passes.blur import FILES_OF, Events, Sources, image_features, prepare_sources
 from clsco.passes.convolve import Convolution
 from clsco.passes.multigrid import Coarse, Level, make_spreader
@@ -49,7 +49,7 @@ class Pass:
         smallest, self.largest = float(size.min()), float(size.max())
         constant, least = method == "convolve", METHODS.get(method)
         blur = many_radii(session.device.kind == "gpu", approximate=True) if least else cast(Blur, method)
-        guard = reach(psf, self.largest) + 2 * LANES if constant else 0
+        guard = reach(psf, self.largest) + 2 * TAP_LANES if constant else 0
         features = image_features(blur, psf, self.largest, channels, psf.tilt, session.device.has_fp64)
         self.session, self.camera = session, frame_struct(rows, columns, guard, real)
         self.program = {} if constant else build(session, FILES_OF[blur], features, structs(real), real)

@@ -22,9 +22,9 @@ Mask = NDArray[np.bool_]
 Labels = NDArray[np.uint8]
 Integers = NDArray[np.int64]
 
-JUMP = 1.0  # px: over the lens two points shift by |R1 - R2| against each other; less hides no pixel
+DISCONTINUITY = 1.0  # px: over the lens two points shift by |R1 - R2| against each other; less hides no pixel
 BIN = 0.25  # px: slabs end at multiples of it
-CLASSES = 10  # of jumps: beyond JUMP, 2 JUMP, 4 JUMP ... px
+CLASSES = 10  # of jumps: beyond DISCONTINUITY, 2 DISCONTINUITY, 4 DISCONTINUITY ... px
 MOST_SLABS = 8
 NO_SEED = 1 << 14  # px: farther than any blur reaches
 NEVER = 1 << 24  # beyond the last pixel of any frame
@@ -43,23 +43,23 @@ def bins_of(largest: float) -> tuple[float, int]:
     return -half * BIN, 2 * half
 
 
-def find_jumps(coc: Array, valid: Mask, low: float, bins: int, far: int) -> tuple[Integers, int]:
+def find_discontinuities(coc: Array, valid: Mask, low: float, bins: int, far: int) -> tuple[Integers, int]:
     """Where jumps of the radius begin: (CLASSES, bins), 1 + the largest bin of the near side, 0 for no jump.
 
-    And the largest sum of the two radii of a jump, without their signs, px, rounded up.
-    coc: (H, W) px; valid: (H, W); low px, bins: from `bins_of`; far: px. A jump is between two valid pixels of a row or
-    a column with none between them, at most `far` px apart. Entry (k, b): jumps of class k, beyond JUMP 2^k px, whose
-    far side is in bin b.
+    And the largest sum of the two radii of a jump, without their signs, px, rounded up. coc: (H, W) px; valid: (H, W);
+    low px, bins: from `bins_of`; far: px. A jump is between two valid pixels of a row or a column with none between
+    them, at most `far` px apart. Entry (k, b): jumps of class k, beyond DISCONTINUITY 2^k px, whose far side is in bin
+    b.
     """
     latest, largest_sum = np.zeros((CLASSES, bins), dtype=np.int64), 0
     for radius, there in ((coc, valid), (coc.T, valid.T)):
         line, at = np.nonzero(there)
         value = radius[line, at]
         near, away = np.minimum(value[:-1], value[1:]), np.maximum(value[:-1], value[1:])
-        pair = (line[1:] == line[:-1]) & (np.diff(at) <= far) & (away - near > JUMP)
+        pair = (line[1:] == line[:-1]) & (np.diff(at) <= far) & (away - near > DISCONTINUITY)
         near, away = near[pair], away[pair]
         largest_sum = max(largest_sum, int(np.ceil(np.abs(near) + np.abs(away)).max(initial=0)))
-        size = np.clip(np.ceil(np.log2((away - near) / JUMP)) - 1, 0, CLASSES - 1).astype(np.int64)
+        size = np.clip(np.ceil(np.log2((away - near) / DISCONTINUITY)) - 1, 0, CLASSES - 1).astype(np.int64)
         np.maximum.at(latest, (size, _bin(away, low, bins)), _bin(near, low, bins) + 1)
     return latest, largest_sum
 
@@ -67,8 +67,8 @@ def find_jumps(coc: Array, valid: Mask, low: float, bins: int, far: int) -> tupl
 def slab_bounds(latest: Integers) -> list[int]:
     """First bins of the second and each further slab, at most MOST_SLABS - 1 of them, in rising order.
 
-    latest: (CLASSES, bins) from `find_jumps`. From near to far, a jump that no bound splits yet gets one in the middle
-    of where it can be; where that makes too many, the jumps of the smallest class are left alone.
+    latest: (CLASSES, bins) from `find_discontinuities`. From near to far, a jump that no bound splits yet gets one in
+    the middle of where it can be; where that makes too many, the jumps of the smallest class are left alone.
     """
     for smallest in range(CLASSES):
         bounds: list[int] = []
@@ -80,8 +80,8 @@ def slab_bounds(latest: Integers) -> list[int]:
     return bounds[: MOST_SLABS - 1]
 
 
-def label_slabs(coc: Array, valid: Mask, low: float, bins: int, bounds: list[int]) -> Labels:
-    """Slab (H, W) of every pixel. Arguments as for `find_jumps`; bounds: from `slab_bounds`."""
+def label_depth_layers(coc: Array, valid: Mask, low: float, bins: int, bounds: list[int]) -> Labels:
+    """Slab (H, W) of every pixel. Arguments as for `find_discontinuities`; bounds: from `slab_bounds`."""
     slab = 1 + np.searchsorted(np.asarray(bounds, np.int64), _bin(coc, low, bins), side="right")
     return np.where(valid, slab, 0).astype(np.uint8)
 
@@ -93,7 +93,7 @@ def seed_hidden(coc: Array, slab: Labels) -> Labels:
     rows, columns = slab.shape
     for i, j in ((0, 1), (2, 1), (1, 0), (1, 2)):
         near = (slice(i, i + rows), slice(j, j + columns))
-        behind = (slab > 0) & (padded[near] > slab) & (radius[near] - coc > JUMP)
+        behind = (slab > 0) & (padded[near] > slab) & (radius[near] - coc > DISCONTINUITY)
         seed = np.where(behind & ((seed == 0) | (padded[near] < seed)), padded[near], seed)
     return seed
 
@@ -129,7 +129,7 @@ def reach_hidden(slab: Labels, seed: Labels, offset: Integers, deep: int) -> tup
     return np.where((slab > 0) & (found > slab), found, 0).astype(np.uint8), edge
 
 
-def open_slab(radiance: Array, coc: Array, slab: Labels, which: int) -> Array:
+def open_depth_layer(radiance: Array, coc: Array, slab: Labels, which: int) -> Array:
     """Finest level (H, W, C + 2) of a pyramid: radiance and radius of one slab's pixels, and whether they are known."""
     known = slab == which
     return np.concatenate([radiance, coc[..., None], known[..., None]], axis=-1) * known[..., None]
@@ -180,7 +180,7 @@ def pull(fine: Array, coarse: Array) -> Array:
     return np.concatenate([values, np.where((known > 0) | found, 1.0, 0.0)], axis=-1)
 
 
-def take_slab(
+def take_depth_layer(
     radiance: Array, coc: Array, slab: Labels, hidden: Labels, coarse: Array, which: int
 ) -> tuple[Array, Array, Mask]:
     """One slab to be blurred: radiance with coverage (H, W, C + 1), radius (H, W), and where it is (H, W).
@@ -215,18 +215,18 @@ def composite(total: Array, covered: Array, blurred: Array) -> tuple[Array, Arra
 def extend_slab(
     radiance: Array, coc: Array, slab: Labels, hidden: Labels, which: int, deep: int
 ) -> tuple[Array, Array, Mask]:
-    """One slab with its hidden part; result as of `take_slab`. Push-pull over a pyramid (Gortler et al. 1996).
+    """One slab with its hidden part; result as of `take_depth_layer`. Push-pull over a pyramid (Gortler et al. 1996).
 
     It has as few levels as show each pixel what is deep + 1 px away: hidden pixels are no farther from their slab. So
     strips of a frame need no more than what is near by.
     """
-    levels, count = [open_slab(radiance, coc, slab, which)], level_count(deep)
+    levels, count = [open_depth_layer(radiance, coc, slab, which)], level_count(deep)
     for level in range(1, count + 1):
         levels.append(push(levels[-1], last=level == count))
     coarse = levels[-1]
     for fine in levels[-2:0:-1]:
         coarse = pull(fine, coarse)
-    return take_slab(radiance, coc, slab, hidden, coarse, which)
+    return take_depth_layer(radiance, coc, slab, hidden, coarse, which)
 
 
 def level_count(deep: int) -> int:
@@ -250,8 +250,8 @@ def layered(
     its closed form, one brightness stays so, and against the ray tracer.
     """
     low, bins = bins_of(largest)
-    latest, largest_sum = find_jumps(coc, valid, low, bins, 2 * reach(psf, largest) + 1)
-    slab = label_slabs(coc, valid, low, bins, slab_bounds(latest))
+    latest, largest_sum = find_discontinuities(coc, valid, low, bins, 2 * reach(psf, largest) + 1)
+    slab = label_depth_layers(coc, valid, low, bins, slab_bounds(latest))
     return spread_slabs(psf, radiance, coc, slab, shape, guard, depth_of_hidden(psf, largest_sum))
 
 

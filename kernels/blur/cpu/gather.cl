@@ -11,8 +11,8 @@
 // Each work-item owns a band of BAND output rows and walks the sources that reach it in a fixed order, whole vectors of
 // taps at a time: no atomics, the same bits in every run. The host picks it on processors. Pointers to unaligned
 // vectors and contraction took it from 131 to 27 ns per pixel at R6 (benchmarks/optimisation_log.md, as all figures).
-// Features: those of blur.cl; BAND; ROWS (whole rows of sources: discs.clh, with NEAR near.clh) or COLUMNS of them
-// (columns.clh).
+// Features: those of blur.cl; BAND; BY_ROWS (whole rows of sources: discs.clh, with NEAR near.clh) or BY_COLUMNS of
+// them (columns.clh).
 
 #pragma OPENCL FP_CONTRACT ON
 
@@ -20,7 +20,7 @@
 INLINE void add_rows(spread_t s, int up, int down, float v, float4 source, __global float *out, int pitch)
 {
     const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
-    for (int b = 0; b < s.lanes; b += LANES) {
+    for (int b = 0; b < s.lanes; b += TAP_LANES) {
         for (int dy = -up; dy <= down; ++dy) {
             const float8 w = weights(s, dy, b);
 #if TILT
@@ -36,15 +36,15 @@ INLINE void add_rows(spread_t s, int up, int down, float v, float4 source, __glo
 
 #if OCCLUDED
 // The same for all channels, `apart` apart in `light` and `planes` in `out`, where something stands in the way.
-INLINE void add_seen_rows(spread_t s, const visibility_t *visibility, int up, int down, __global const float *light, int apart,
+INLINE void add_occluded_rows(spread_t s, const visibility_t *visibility, int up, int down, __global const float *light, int apart,
                           float4 source, __global float *out, int planes, int pitch)
 {
     const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
     for (int dy = -up; dy <= down; ++dy) {
         const float y = dy - s.oy;
-        float states[LANES];
-        for (int b = 0; b < s.lanes; b += LANES) {
-            const int first = b - s.half_width, block = b / LANES % (LANES - 1);
+        float states[TAP_LANES];
+        for (int b = 0; b < s.lanes; b += TAP_LANES) {
+            const int first = b - s.half_width, block = b / TAP_LANES % (TAP_LANES - 1);
             const float8 x = lane + (first - s.ox);
             float8 share = 1;
             if (visibility->wide) {
@@ -74,13 +74,21 @@ static void settle(int first, int last, int apart, int shift, int plane, int pit
                    __global float *total)
 {
     for (int k = 0; k < CHANNELS; ++k)
-        for (int at = first * pitch; at < (last + 1) * pitch; at += LANES) {
-            ADD_TAPS(total + k * plane + at, TAPS(part + k * apart + shift + at));
-            *(__global taps_t *)(part + k * apart + shift + at) = 0;
+        for (int at = first * pitch; at < (last + 1) * pitch; at += TAP_LANES) {
+            ADD_TAPS(total + k * plane + at, TAPS_OF(part + k * apart + shift + at));
+            *(__global tap_lanes_t *)(part + k * apart + shift + at) = 0;
         }
 }
 
-#define BLOCK MANY  // sources of a row that are looked at together
+// Adds all sources that fit in; gives whether there are others.
+#if BY_COLUMNS
+#define ADD_ALIKE add_columns
+#elif NEAR
+#define ADD_ALIKE add_near_rows
+#else
+#define ADD_ALIKE add_disc_rows
+#endif
+#define SOURCE_BLOCK WIDE_LANES  // sources of a row that are looked at together
 
 // Each work-item adds to BAND rows of `total`, the first one's band being `start`, all the light that reaches them, row
 // by row of sources. part: BAND rows for each work-item, of which every `group` rows of sources the sum goes on to
@@ -89,7 +97,7 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
                      __global const float *value, __global const int2 *intervals,
                      __global const float *coefficients,
                      __global const float *taps, __global const outline_t *outlines,
-#if ROWS || COLUMNS
+#if BY_ROWS || BY_COLUMNS
                      __global scratch_t *scratch, const int scratch_size,  // of a work-item
 #endif
                      const int start, const int group, __global float *part, const int pitch, const int pad,
@@ -109,19 +117,19 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
     const int apart = group ? (int)get_global_size(0) * BAND * pitch : total_plane;
     const int shift = group ? (own * BAND - first) * pitch : 0;  // from a row of the frame to that of part
     const int from = MAX(first - psf.reach, -camera.above), to = MIN(end + psf.reach, camera.height - camera.above);
-#if ROWS || COLUMNS
-    if (!add_whole(camera, psf, source, value, intervals, taps, outlines, first, end, scratch + own * scratch_size, pitch, pad,
-                   total))
+#if BY_ROWS || BY_COLUMNS
+    if (!ADD_ALIKE(camera, psf, source, value, intervals, taps, outlines, first, end, scratch + own * scratch_size,
+                   pitch, pad, total))
         return;
 #endif
     bool added = false;  // anything to `part` since it was settled
     for (int y = from; y < to; ++y) {
     const int line = (y + camera.above) * camera.width, place = shift + y * pitch - camera.guard + pad;
-    for (int block = 0; block < camera.width; block += BLOCK) {
-    int single = (1 << MIN(BLOCK, camera.width - block)) - 1;
-#if ROWS || COLUMNS
+    for (int block = 0; block < camera.width; block += SOURCE_BLOCK) {
+    int single = (1 << MIN(SOURCE_BLOCK, camera.width - block)) - 1;
+#if BY_ROWS || BY_COLUMNS
     const int16 others = take_sources(psf, source, plane, line, block, camera.width, intervals, outlines).others;
-    single = bits_of(others.lo) | bits_of(UPPER(others)) << LANES;
+    single = bits_of(others.lo) | bits_of(UPPER(others)) << TAP_LANES;
 #endif
     added |= single != 0;
     while (single) {
@@ -145,7 +153,7 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
                     visibility_t visibility;
                     source_visibility(camera, surfaces, layer, psf, lens, camera.top + y + spread.oy, x - camera.guard + spread.ox,
                         sub_depth[id], spread, (real)1 / SUBPIXELS, &visibility);
-                    add_seen_rows(spread, &visibility, up, down, sub_value + id, capacity * SUBPIXELS * SUBPIXELS, p,
+                    add_occluded_rows(spread, &visibility, up, down, sub_value + id, capacity * SUBPIXELS * SUBPIXELS, p,
                                   out - half_width, apart, pitch);
                     continue;
                 }
@@ -165,7 +173,7 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
         if (as_int(s.w) == PARTLY_OCCLUDED) {
             visibility_t visibility;
             source_visibility(camera, surfaces, layer, psf, lens, camera.top + y, x - camera.guard, depth[at], spread, (real)1, &visibility);
-            add_seen_rows(spread, &visibility, MIN(half_width, y - first), MIN(half_width, end - 1 - y), value + at, plane,
+            add_occluded_rows(spread, &visibility, MIN(half_width, y - first), MIN(half_width, end - 1 - y), value + at, plane,
                           s, out - half_width, apart, pitch);
             continue;
         }
