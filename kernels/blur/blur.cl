@@ -87,7 +87,8 @@ __kernel void scatter(const camera_t camera, const psf_t psf, __global const flo
             visibility_t seen;
             const visibility_t *visibility = as_int(p.w) == PARTLY_OCCLUDED ? &seen : 0;
             if (visibility)
-                source_visibility(camera, surfaces, layer, psf, lens, camera.top + row + spread.oy, column + spread.ox, sub_depth[id],
+                source_visibility(camera, surfaces, layer, psf, lens, camera.top + row + spread.oy, column + spread.ox,
+                                  sub_depth[id],
                     spread, (real)1 / SUBPIXELS, &seen);
 #endif
             for (int k = 0; k < CHANNELS; ++k)
@@ -104,10 +105,12 @@ __kernel void scatter(const camera_t camera, const psf_t psf, __global const flo
     visibility_t seen;
     const visibility_t *visibility = as_int(s.w) == PARTLY_OCCLUDED ? &seen : 0;
     if (visibility)
-        source_visibility(camera, surfaces, layer, psf, lens, camera.top + row, column, depth[at], spread, (real)1, &seen);
+        source_visibility(camera, surfaces, layer, psf, lens, camera.top + row, column, depth[at], spread, (real)1,
+                          &seen);
 #endif
     for (int k = 0; k < CHANNELS; ++k)
-        scatter_source(camera, spread, s, value[k * plane + at], scale, row, column, sums + k * sums_plane VISIBILITY_VALUE);
+        scatter_source(camera, spread, s, value[k * plane + at], scale, row, column,
+                       sums + k * sums_plane VISIBILITY_VALUE);
 }
 
 // Fixed point to float: sums / scale, in the layout of total.
@@ -177,7 +180,8 @@ __kernel void renormalize(const camera_t camera, const psf_t psf, __global const
 
 #if PREPARE
 // Difference of the radius to the neighbors along one axis: central, one-sided at an edge, else 0.
-static real difference(__global const wide_t *coc, __global const uchar *valid, int at, int step, bool before, bool after)
+static real difference(__global const wide_t *coc, __global const uchar *valid, int at, int step, bool before,
+                       bool after)
 {
     before = before && valid[at - step];
     after = after && valid[at + step];

@@ -142,7 +142,7 @@ INLINE void add_rectangles(__global const int4 *pairs, int count, __global sum_t
 
 // Asks for what the next tile to the right is the first to read: otherwise it would wait for memory, line by line.
 INLINE void prefetch_tile(__global const float *value, __global const sum_t *sums, bool summed, int pitch, int rows,
-                    int vectors)
+                          int vectors)
 {
     for (int y = 0; y < rows; ++y)
         for (int v = 0; v < vectors; ++v) {
@@ -170,7 +170,8 @@ __kernel void convolve(const int rows, const int columns, __global const float *
     if (get_global_id(0) >= TILES_ABREAST || first >= rows || x0 >= columns)
         return;
     const int end = MIN(rows, first + CONVOLVED_ROWS);
-    const int next = x0 + CONVOLVED_VECTORS * WIDE_LANES, ahead = origin + (first + half_height) * pitch + next + half_width;
+    const int next = x0 + CONVOLVED_VECTORS * WIDE_LANES;
+    const int ahead = origin + (first + half_height) * pitch + next + half_width;
     prefetch_tile(value + start + ahead, sums + ahead, pair_count > 0, pitch, end - first,
             MIN(CONVOLVED_VECTORS, (columns - next) / WIDE_LANES));
     float16 sum[CONVOLVED_VECTORS * CONVOLVED_ROWS];

@@ -73,9 +73,9 @@ __kernel void measure_radii(const camera_t camera, const psf_t psf, __global con
 // node gets light from both sides of a jump. From `from` to `to` px the share that moves rises from 0 to 1, since a
 // PSF's error shows most where its light ends. In: radius; value and, maybe the same, kept: all light, and what stays.
 // In and out: source. Out: moved, radii of those; light, a plane for each channel. TAP_LANES pixels at a time.
-__kernel void pick(const camera_t camera, __global const float *radius, __global const float *value,
-                   const float from, const float to, const float steepest, const int pitch,
-                   __global float *source, __global float *kept, __global float *moved, __global float *light)
+__kernel void pick(const camera_t camera, __global const float *radius, __global const float *value, const float from,
+                   const float to, const float steepest, const int pitch, __global float *source, __global float *kept,
+                   __global float *moved, __global float *light)
 {
     const int x = get_global_id(0) * TAP_LANES, y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)

@@ -48,9 +48,8 @@ typedef struct {
 
 // Notes source (x, y) of the grid as the i-th of a chunk, if it reaches the tile.
 static void note_source(const camera_t camera, const psf_t psf, __global const float *source,
-                        __global const float *value, __global const int2 *intervals,
-                        __global const float *coefficients, tile_t tile, int x, int y, int i,
-                        __local chunk_t *chunk SUBPIXEL_ARGUMENTS)
+                        __global const float *value, __global const int2 *intervals, __global const float *coefficients,
+                        tile_t tile, int x, int y, int i, __local chunk_t *chunk SUBPIXEL_ARGUMENTS)
 {
     const int at = y * camera.width + x, plane = camera.width * camera.height;
     const float4 s = get_source(source, plane, at);

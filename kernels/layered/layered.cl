@@ -46,7 +46,7 @@ static int bin_of(real coc, real low, int bins)
 // DISCONTINUITY 2^class, whose far side is in a bin, 1 + the largest bin of the near side, 0 for none; after it the
 // largest sum of the two radii of a discontinuity, without their signs, px, rounded up.
 __kernel void find_discontinuities(const camera_t camera, const real low, const int bins, const int far,
-                         __global const wide_t *coc, __global const uchar *valid, __global int *latest)
+                                   __global const wide_t *coc, __global const uchar *valid, __global int *latest)
 {
     const int line = get_global_id(0);
     if (line >= camera.height + camera.width)
@@ -80,8 +80,8 @@ __kernel void find_discontinuities(const camera_t camera, const real low, const 
 
 // bounds: first bins of the second and each further layer, `count` of them. Out: layer.
 __kernel void label_depth_layers(const camera_t camera, const real low, const int bins, const int count,
-                          const int8 bounds, __global const wide_t *coc, __global const uchar *valid,
-                          __global uchar *layer)
+                                 const int8 bounds, __global const wide_t *coc, __global const uchar *valid,
+                                 __global uchar *layer)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
@@ -113,7 +113,8 @@ __kernel void seed_hidden(const camera_t camera, __global const wide_t *coc, __g
 }
 
 // `count` columns from x on, up to SEED_COLUMNS.
-static inline void seeds_of(const camera_t camera, __global const uchar *seed, __global int *offset, int x, const int count)
+static inline void seeds_of(const camera_t camera, __global const uchar *seed, __global int *offset, int x,
+                            const int count)
 {
     int last[SEED_COLUMNS];
     for (int k = 0; k < count; ++k)
@@ -240,8 +241,8 @@ __kernel void reach_hidden(const camera_t camera, const int deep, __global const
 }
 
 // Out: the finest level of the pyramid, of the pixels of layer `which`.
-__kernel void open_depth_layer(const camera_t camera, const int which, __global const float *value, __global const wide_t *coc,
-                        __global const uchar *layer, __global float *pyramid)
+__kernel void open_depth_layer(const camera_t camera, const int which, __global const float *value,
+                               __global const wide_t *coc, __global const uchar *layer, __global float *pyramid)
 {
     const int x = get_global_id(0), y = get_global_id(1), plane = camera.height * camera.width;
     if (x >= camera.width || y >= camera.height)
@@ -265,8 +266,10 @@ static inline void push_some(__global const float *from, int fine_rows, int fine
         sum[c] = 0;
     for (int i = MAX(1 - 2 * y, 0); i < MIN(4, fine_rows + 1 - 2 * y); ++i) {
         __global const float *line = from + (2 * y + i - 1) * fine_columns;
-        const float8 left = LOAD(float, 8, line + KNOWN * fine_plane) * TENT[i], right = LOAD(float, 8, line + KNOWN * fine_plane + 2) * TENT[i];
-        const float4 known[4] = {EVEN(left) * TENT[0], ODD(left) * TENT[1], EVEN(right) * TENT[2], ODD(right) * TENT[3]};
+        __global const float *shares = line + KNOWN * fine_plane;
+        const float8 left = LOAD(float, 8, shares) * TENT[i], right = LOAD(float, 8, shares + 2) * TENT[i];
+        const float4 known[4] = {EVEN(left) * TENT[0], ODD(left) * TENT[1], EVEN(right) * TENT[2],
+                                 ODD(right) * TENT[3]};
         total += (known[0] + known[1]) + (known[2] + known[3]);
         for (int c = 0; c < CHANNELS; ++c) {
             const float8 here = LOAD(float, 8, line + c * fine_plane), next = LOAD(float, 8, line + c * fine_plane + 2);
@@ -364,10 +367,10 @@ __kernel void pull(const int fine_rows, const int fine_columns, const int rows, 
 }
 
 // Slab `which` with its hidden part, which comes from the second level (rows, columns) of the pyramid, at `coarse`.
-__kernel void take_depth_layer(const camera_t camera, const int which, const int rows, const int columns, const int coarse,
-                        __global const float *value, __global const wide_t *coc, __global const uchar *layer,
-                        __global const uchar *hidden, __global const float *pyramid,
-                        __global float *layer_value, __global wide_t *layer_coc, __global uchar *layer_valid)
+__kernel void take_depth_layer(const camera_t camera, const int which, const int rows, const int columns,
+                               const int coarse, __global const float *value, __global const wide_t *coc,
+                               __global const uchar *layer, __global const uchar *hidden, __global const float *pyramid,
+                               __global float *layer_value, __global wide_t *layer_coc, __global uchar *layer_valid)
 {
     const int x = get_global_id(0), y = get_global_id(1), plane = camera.height * camera.width;
     if (x >= camera.width || y >= camera.height)

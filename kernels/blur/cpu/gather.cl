@@ -2,11 +2,11 @@
 //
 //   source, value, sub_source, sub_value, intervals, coefficients: as in blur.cl
 //   taps, outlines: the same weights in the order of columns.clh, PsfTable of clsco/optics/psf_tables.py
-//   total   float (CHANNELS, rows, pitch), in and out: the irradiance of the frame, or a strip of it, so far; time samples
-//           of the exposure add up here. `pad` columns on both sides of a row are scratch, so that a vector of taps may
-//           reach beyond
-//   part    the same, 0 at first: what some rows of sources add, on its way to total. Summing thousands of equal taps in
-//           one float accumulates a systematic rounding error: 1.4e-5 of white at R60 without, 1.2e-6 with it
+//   total   float (CHANNELS, rows, pitch), in and out: the irradiance of the frame, or a strip of it, so far; time
+//           samples of the exposure add up here. `pad` columns on both sides of a row are scratch, so that a vector of
+//           taps may reach beyond
+//   part    the same, 0 at first: what some rows of sources add, on its way to total. Summing thousands of equal taps
+//           in one float accumulates a systematic rounding error: 1.4e-5 of white at R60 without, 1.2e-6 with it
 //
 // Each work-item owns a band of BAND output rows and walks the sources that reach it in a fixed order, whole vectors of
 // taps at a time: no atomics, the same bits in every run. The host picks it on processors. Pointers to unaligned
@@ -36,8 +36,8 @@ INLINE void add_rows(spread_t s, int up, int down, float v, float4 source, __glo
 
 #if OCCLUDED
 // The same for all channels, `apart` apart in `light` and `planes` in `out`, where something stands in the way.
-INLINE void add_occluded_rows(spread_t s, const visibility_t *visibility, int up, int down, __global const float *light, int apart,
-                          float4 source, __global float *out, int planes, int pitch)
+INLINE void add_occluded_rows(spread_t s, const visibility_t *visibility, int up, int down, __global const float *light,
+                              int apart, float4 source, __global float *out, int planes, int pitch)
 {
     const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
     for (int dy = -up; dy <= down; ++dy) {
@@ -147,13 +147,16 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
                 if (p.x < 0)
                     continue;
                 const spread_t spread = subpixel_spread(psf, sub_intervals, sub_coefficients, p.x, sub);
-                const int half_width = spread.half_width, up = MIN(half_width, y - first), down = MIN(half_width, end - 1 - y);
+                const int half_width = spread.half_width;
+                const int up = MIN(half_width, y - first), down = MIN(half_width, end - 1 - y);
 #if OCCLUDED
                 if (as_int(p.w) == PARTLY_OCCLUDED) {
                     visibility_t visibility;
-                    source_visibility(camera, surfaces, layer, psf, lens, camera.top + y + spread.oy, x - camera.guard + spread.ox,
+                    source_visibility(camera, surfaces, layer, psf, lens, camera.top + y + spread.oy,
+                                      x - camera.guard + spread.ox,
                         sub_depth[id], spread, (real)1 / SUBPIXELS, &visibility);
-                    add_occluded_rows(spread, &visibility, up, down, sub_value + id, capacity * SUBPIXELS * SUBPIXELS, p,
+                    add_occluded_rows(spread, &visibility, up, down, sub_value + id, capacity * SUBPIXELS * SUBPIXELS,
+                                      p,
                                   out - half_width, apart, pitch);
                     continue;
                 }
@@ -172,8 +175,10 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
 #if OCCLUDED
         if (as_int(s.w) == PARTLY_OCCLUDED) {
             visibility_t visibility;
-            source_visibility(camera, surfaces, layer, psf, lens, camera.top + y, x - camera.guard, depth[at], spread, (real)1, &visibility);
-            add_occluded_rows(spread, &visibility, MIN(half_width, y - first), MIN(half_width, end - 1 - y), value + at, plane,
+            source_visibility(camera, surfaces, layer, psf, lens, camera.top + y, x - camera.guard, depth[at], spread,
+                              (real)1, &visibility);
+            add_occluded_rows(spread, &visibility, MIN(half_width, y - first), MIN(half_width, end - 1 - y),
+                              value + at, plane,
                           s, out - half_width, apart, pitch);
             continue;
         }
@@ -184,7 +189,8 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
     }
     }
     if (group && added && ((y + 1 - from) % group == 0 || y + 1 == to)) {
-        settle(MAX(first, y + 1 - group - psf.reach), MIN(end - 1, y + psf.reach), apart, shift, total_plane, pitch, part,
+        settle(MAX(first, y + 1 - group - psf.reach), MIN(end - 1, y + psf.reach), apart, shift, total_plane, pitch,
+               part,
                total);
         added = false;
     }
