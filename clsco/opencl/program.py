@@ -35,9 +35,12 @@ HEADERS_OF = {
     ),
     "blur/multigrid.cl": ("common/sources.clh", "common/psf.clh"),
     "blur/tiles.cl": ("common/sources.clh", "common/psf.clh"),
-    "inpainting/fill.cl": ("inpainting/estimate.clh",),
-    "inpainting/holes.cl": ("inpainting/estimate.clh",),
+    "inpainting/fill.cl": ("inpainting/lanes.clh", "inpainting/estimate.clh"),
+    "inpainting/holes.cl": ("inpainting/lanes.clh", "inpainting/estimate.clh"),
+    "inpainting/fse.cl": ("inpainting/lanes.clh",),
 }
+# What processors have in a form of their own.
+CPU_FORMS = {BUILTINS: CPU_BUILTINS, "inpainting/lanes.clh": "inpainting/cpu/lanes.clh"}
 _C_TYPES = {
     "f4": "float", "f8": "double",
     "i1": "char", "i2": "short", "i4": "int", "i8": "long",
@@ -66,10 +69,12 @@ def build(
     device = session.device
     if real == "double" and not device.has_fp64:
         raise DeviceError(f"precision: double needs a device with fp64, use single; got {device}")
-    headers = [CPU_BUILTINS if device.kind == "cpu" else BUILTINS, *HEADERS]
+    headers = [BUILTINS, *HEADERS]
     if features.get("OCCLUDED"):
         headers += [GATHERED_TAPS if features.get("GATHER") else SINGLE_TAPS, *OCCLUSION_HEADERS]
     headers += dict.fromkeys(header for source in sources for header in HEADERS_OF.get(source, ()))
+    if device.kind == "cpu":
+        headers = [CPU_FORMS.get(header, header) for header in headers]
     text = program_text([*headers, *sources], structs, real, device.has_fp64, device.has_int64_atomics)
     options = [f"-D{name}={int(value)}" for name, value in sorted(features.items())]
     options.append("-cl-std=CL1.2")

@@ -8,16 +8,12 @@
 #define BLOCK 2
 #define PIXELS (BLOCK * BLOCK)
 #define BEFORE ((SIDE - BLOCK) / 2)  // pixels of the window before the block, along an axis
-#define LANES 8
 #define PITCH (SIDE + HALF)  // a spectrum's columns -HALF to SIDE - 1, so that a shifted one is read in a row
 
 // Contraction changes no bit from run to run, and halves the time of the loops below.
 #pragma OPENCL FP_CONTRACT ON
 
-// vload8 and vstore8 are calls on PoCL; through this type they are one unaligned move.
-typedef float floats_t __attribute__((ext_vector_type(8), aligned(4)));
-#define FLOATS(p) (*(floats_t *)(p))
-#define TABLE(p) (*(__global const floats_t *)(p))
+#define TABLE(p) LOAD(float, 8, p)
 
 // Spectrum (SIDE, HALF) of a real window (SIDE, SIDE), columns 0 to HALF - 1, and column HALF as `middle`.
 // cosines, sines: (SIDE, HALF) of 2 pi a v / SIDE.
@@ -39,10 +35,10 @@ static void transform(const float *window, __global const float *cosines, __glob
             }
             alternating += window[i * SIDE + j] - window[i * SIDE + j + 1];
         }
-        FLOATS(row_re + i * HALF) = re_low;
-        FLOATS(row_re + i * HALF + LANES) = re_high;
-        FLOATS(row_im + i * HALF) = im_low;
-        FLOATS(row_im + i * HALF + LANES) = im_high;
+        STORE_PRIVATE(re_low, row_re + i * HALF);
+        STORE_PRIVATE(re_high, row_re + i * HALF + LANES);
+        STORE_PRIVATE(im_low, row_im + i * HALF);
+        STORE_PRIVATE(im_high, row_im + i * HALF + LANES);
         middle[i] = alternating;
     }
     // Rows a and a + HALF: the sum of the even terms, plus and minus that of the odd ones.
@@ -52,15 +48,15 @@ static void transform(const float *window, __global const float *cosines, __glob
             for (int i = 0; i < SIDE; i += 2)
                 for (int odd = 0; odd < 2; ++odd) {
                     const float c = cosines[(i + odd) * HALF + a], s = sines[(i + odd) * HALF + a];
-                    const float8 g_re = FLOATS(row_re + (i + odd) * HALF + h);
-                    const float8 g_im = FLOATS(row_im + (i + odd) * HALF + h);
+                    const float8 g_re = LOAD_PRIVATE(row_re + (i + odd) * HALF + h);
+                    const float8 g_im = LOAD_PRIVATE(row_im + (i + odd) * HALF + h);
                     sum_re[odd] += g_re * c + g_im * s;
                     sum_im[odd] += g_im * c - g_re * s;
                 }
-            FLOATS(re + a * HALF + h) = sum_re[0] + sum_re[1];
-            FLOATS(im + a * HALF + h) = sum_im[0] + sum_im[1];
-            FLOATS(re + (a + HALF) * HALF + h) = sum_re[0] - sum_re[1];
-            FLOATS(im + (a + HALF) * HALF + h) = sum_im[0] - sum_im[1];
+            STORE_PRIVATE(sum_re[0] + sum_re[1], re + a * HALF + h);
+            STORE_PRIVATE(sum_im[0] + sum_im[1], im + a * HALF + h);
+            STORE_PRIVATE(sum_re[0] - sum_re[1], re + (a + HALF) * HALF + h);
+            STORE_PRIVATE(sum_im[0] - sum_im[1], im + (a + HALF) * HALF + h);
         }
         float even_re = 0, even_im = 0, odd_re = 0, odd_im = 0;
         for (int i = 0; i < SIDE; i += 2) {
@@ -160,17 +156,17 @@ __kernel void extrapolate_blocks(const int rows, const int columns, __global con
         for (int a = 0; a < SIDE; ++a) {
             const int one = ((a - u) & (SIDE - 1)) * PITCH + HALF - v, other = ((a + u) & (SIDE - 1)) * PITCH + HALF + v;
             for (int h = 0; h < HALF; h += LANES) {
-                const float8 one_re = FLOATS(W_re + one + h), one_im = FLOATS(W_im + one + h);
-                const float8 other_re = FLOATS(W_re + other + h), other_im = FLOATS(W_im + other + h);
+                const float8 one_re = LOAD_PRIVATE(W_re + one + h), one_im = LOAD_PRIVATE(W_im + one + h);
+                const float8 other_re = LOAD_PRIVATE(W_re + other + h), other_im = LOAD_PRIVATE(W_im + other + h);
                 const float8 sum_re = one_re + other_re, sum_im = one_im + other_im;
                 const float8 difference_re = one_re - other_re, difference_im = one_im - other_im;
                 float8 energy = 0;
                 for (int c = 0; c < CHANNELS; ++c) {
                     float *r = R_re + c * SIDE * HALF + a * HALF + h, *i = R_im + c * SIDE * HALF + a * HALF + h;
-                    const float8 left_re = FLOATS(r) - q_re[c] * sum_re + q_im[c] * difference_im;
-                    const float8 left_im = FLOATS(i) - q_re[c] * sum_im - q_im[c] * difference_re;
-                    FLOATS(r) = left_re;
-                    FLOATS(i) = left_im;
+                    const float8 left_re = LOAD_PRIVATE(r) - q_re[c] * sum_re + q_im[c] * difference_im;
+                    const float8 left_im = LOAD_PRIVATE(i) - q_re[c] * sum_im - q_im[c] * difference_re;
+                    STORE_PRIVATE(left_re, r);
+                    STORE_PRIVATE(left_im, i);
                     energy += left_re * left_re + left_im * left_im;
                 }
                 energy *= TABLE(preference + a * HALF + h);

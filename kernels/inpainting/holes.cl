@@ -22,7 +22,7 @@
 
 #define UNKNOWN(v) ((v) == (real)INFINITY)
 // Values of the neighbors of all lanes in the plane of a channel; row: their own numbers in the middle, those above and
-// below. What is in a row comes in one move.
+// below.
 #define GATHER_NEAR(plane) \
     { \
         float8 in_row[3][3]; \
@@ -32,22 +32,6 @@
         for (int k = 0; k < 8; ++k) \
             near[k] = (real8)EACH(in_row[1 + NEIGHBOR_Y[k]][1 + NEIGHBOR_X[k]]); \
     }
-
-typedef float four_t __attribute__((ext_vector_type(4), aligned(4)));
-#define FOUR(lane) (*(__global const four_t *)(plane + row[lane][k] - 1))
-#define EIGHT(lane) __builtin_shufflevector(FOUR(lane), FOUR(lane + 4), 0, 1, 2, 3, 4, 5, 6, 7)
-#define PAIRS(a, b) __builtin_shufflevector(a, b, 0, 8, 1, 9, 4, 12, 5, 13)
-#define LAST_PAIRS(a, b) __builtin_shufflevector(a, b, 2, 10, 3, 11, 6, 14, 7, 15)
-
-// Values left of the numbers in row k, there, and right of them.
-static void gather_row(float8 *out, int row[LANES][3], int k, __global const float *plane)
-{
-    const float8 a = EIGHT(0), b = EIGHT(1), c = EIGHT(2), d = EIGHT(3);
-    const float8 ab = PAIRS(a, b), cd = PAIRS(c, d);
-    out[0] = __builtin_shufflevector(ab, cd, 0, 1, 8, 9, 4, 5, 12, 13);
-    out[1] = __builtin_shufflevector(ab, cd, 2, 3, 10, 11, 6, 7, 14, 15);
-    out[2] = __builtin_shufflevector(LAST_PAIRS(a, b), LAST_PAIRS(c, d), 0, 1, 8, 9, 4, 5, 12, 13);
-}
 
 static void rows_of(int row[3], int at, __global const int2 *beside)
 {
@@ -61,7 +45,7 @@ static void count_near(around_t *around, const real8 *near, int median_wins)
 {
     int8 count = 0;
     for (int k = 0; k < 8; ++k)
-        count -= __builtin_convertvector(near[k] < (real)INFINITY, int8);
+        count -= INTS(near[k] < (real)INFINITY);
     const int8 lower = (count - 1) / 2, upper = count / 2, by_median = (int8)median_wins >> count & 1;
     around->count = (real8)EACH(count);
     around->lower = (real8)EACH(lower);
@@ -189,12 +173,14 @@ static void smooth_vector(const int slots, int id, __global const int2 *run, int
         rows_of(row, run[id].x, beside);
         for (int c = 0; c < CHANNELS; ++c) {
             UNROLL
-            for (int k = 0; k < 8; ++k)
-                near[k] = (real8)EACH(FLOATS(value + c * slots + row[1 + NEIGHBOR_Y[k]] + NEIGHBOR_X[k]));
+            for (int k = 0; k < 8; ++k) {
+                const float8 one = LOAD(float, 8, value + c * slots + row[1 + NEIGHBOR_Y[k]] + NEIGHBOR_X[k]);
+                near[k] = (real8)EACH(one);
+            }
             const real8 result = median_of(near);
             __global float *out = found + c * slots + row[1];
             if (count == LANES)
-                *(__global floats_t *)out = (float8)EACH(result);
+                STORE(float, 8, (float8)EACH(result), out);
             else
                 for (int lane = 0; lane < count; ++lane)
                     out[lane] = ((const real *)&result)[lane];

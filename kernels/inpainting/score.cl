@@ -24,23 +24,19 @@ typedef uchar16 values_t;
 typedef short part_t;
 typedef short16 parts_t;
 typedef int8 sums_t;
-typedef uchar elements_t __attribute__((ext_vector_type(16), aligned(1)));
-typedef elements_t whole_t;
-#define WHOLE(v) __builtin_convertvector(v, parts_t)
+typedef uchar16 whole_t;
+#define ELEMENTS(p) LOAD(uchar, 16, p)
+#define WHOLE_AT(p) LOAD(uchar, 16, p)
+#define WHOLE(v) SHORTS(v)
 #define STEPS ((long)(scale * scale))  // in a product of codes
-#ifdef __AVX2__
-#define PRODUCTS(a, b) __builtin_ia32_pmaddwd256(a, b)  // in one instruction, which the compiler does not find
-#else
-#define PRODUCTS(a, b) \
-    (__builtin_convertvector((a).even, sums_t) * __builtin_convertvector((b).even, sums_t) \
-     + __builtin_convertvector((a).odd, sums_t) * __builtin_convertvector((b).odd, sums_t))
-#endif
+#define PRODUCTS(a, b) PAIRED_PRODUCTS(a, b)
 #else
 #define WIDTH 8
 typedef float element_t;
 typedef float8 values_t;
-typedef floats_t elements_t;
-typedef uchars_t whole_t;
+typedef uchar8 whole_t;
+#define ELEMENTS(p) LOAD(float, 8, p)
+#define WHOLE_AT(p) LOAD(uchar, 8, p)
 #if HAS_FP64
 typedef double part_t;
 typedef double8 parts_t;
@@ -56,8 +52,6 @@ typedef parts_t sums_t;
 #define PRODUCTS(a, b) ((a) * (b))
 #define STEPS 1
 #endif
-#define ELEMENTS(p) (*(__global const elements_t *)(p))
-#define WHOLE_AT(p) (*(__global const whole_t *)(p))
 
 // Stage 0: sums over all pixels of a row with eight valid neighbors, and all channels, from which the host has the
 // squared errors of mean and median of all 163 subsets of k = 4..8 neighbors. With d the sorted differences of the

@@ -13,7 +13,7 @@ from clsco.inpainting.mean_median import FEATURES
 from clsco.inpainting.mean_median import KERNELS as HOLES
 from clsco.opencl.program import (
     BUILTINS,
-    CPU_BUILTINS,
+    CPU_FORMS,
     GATHERED_TAPS,
     HEADERS,
     HEADERS_OF,
@@ -92,9 +92,10 @@ GIVEN_BY_THE_BUILD |= {"__FMA__", "__SSE4_1__", "__AVX__", "__AVX2__", "__AVX512
 
 def headers(files: tuple[str, ...]) -> tuple[str, ...]:
     """What is built before files; visibility is tested where they do so together."""
-    own = tuple(header for name in files for header in HEADERS_OF.get(name, ()))
+    own = [header for name in files for header in HEADERS_OF.get(name, ())]
+    own += [CPU_FORMS[header] for header in (BUILTINS, *own) if header in CPU_FORMS]
     occlusion = (SINGLE_TAPS, GATHERED_TAPS, *OCCLUSION_HEADERS) if files in OCCLUSION else ()
-    return (BUILTINS, CPU_BUILTINS, *HEADERS, *occlusion, *own)
+    return (BUILTINS, *HEADERS, *occlusion, *own)
 
 
 def asked_for(files: tuple[str, ...]) -> set[str]:

@@ -11,9 +11,13 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 KERNELS = sorted((ROOT / "kernels").rglob("*.cl"))
 # wide.clh makes of two floats what NumPy has as float64, others are vectors of processors.
-VECTORS = [f"{folder}{name}.clh" for folder in ("", "cpu/") for name in ("builtins", "lanes")]
+VECTORS = [
+    f"{group}/{folder}{name}.clh"
+    for group, name in (("common", "builtins"), ("common", "lanes"), ("inpainting", "lanes"))
+    for folder in ("", "cpu/")
+]
 HEADERS = sorted(
-    set((ROOT / "kernels").rglob("*.clh")) - {ROOT / "kernels/common" / name for name in ("wide.clh", *VECTORS)}
+    set((ROOT / "kernels").rglob("*.clh")) - {ROOT / "kernels" / name for name in ("common/wide.clh", *VECTORS)}
 )
 # What has no twin of its own, and why.
 WITHOUT_TWIN = {

@@ -17,9 +17,9 @@ from clsco.records import structs
 from tests.architecture.test_kernels_build import PROGRAMS, variants
 
 TRACE, ROOT = "trace/trace.cl", Path(__file__).resolve().parents[2]
-# Programs of GPUs, with all features and with none. Those with kernels of inpainting have vectors of clang still.
+# Programs of GPUs, with all features and with none.
 ON_GPU: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
-    files: PROGRAMS[files] for files in PROGRAMS if not any("/cpu/" in name or "inpainting/" in name for name in files)
+    files: PROGRAMS[files] for files in PROGRAMS if not any("/cpu/" in name for name in files)
 }
 ON_GPU[TRACE, *FILES_OF["tiles"]] = PROGRAMS[TRACE, *FILES_OF["scatter"]] | {"OCCLUDED": (0,)}
 EXTENSIONS = re.compile(r"__builtin_|ext_vector_type|vector_size|__atomic_|__AVX|__SSE|__FMA__|min_vector_width|\(\{")
@@ -54,7 +54,6 @@ def test_programs_of_gpus_are_plain(
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "kernels/warp").glob("*.cl")), ids=lambda path: path.name)
-def test_files_of_gpus_are_plain(path: Path) -> None:
-    """Of programs in which other files are not."""
-    assert not EXTENSIONS.search(path.read_text("utf-8"))
+@pytest.mark.parametrize("path", sorted((ROOT / "kernels").rglob("*.cl*")), ids=lambda path: path.name)
+def test_extensions_stay_with_processors(path: Path) -> None:
+    assert path.parent.name == "cpu" or not EXTENSIONS.search(path.read_text("utf-8"))

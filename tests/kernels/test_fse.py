@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -147,3 +148,14 @@ def test_channels_far_apart_in_size_count_alike(session: Session) -> None:
     scale = np.array([1.0, 4096.0], np.float32)
     found = filled(session, fill_texture, image * scale, missing)
     assert np.allclose(found / scale, filled(session, fill_texture, image, missing), atol=1e-5)
+
+
+def test_what_gpus_build_agrees_with_the_reference(session: Session) -> None:
+    """Vectors in plain OpenCL C."""
+    image, missing = picture(40, 40, 2), np.zeros((40, 40), bool)
+    missing[17, 22] = missing[0, 39] = True
+    low, high = image[~missing].min(axis=0), image[~missing].max(axis=0)
+    expected = reference.fill_texture((image.astype(np.float64) - low) / (high - low), missing) * (high - low) + low
+    with Session(replace(session.device, kind="gpu")) as opened:
+        found = filled(opened, fill_texture, image, missing)
+    assert np.abs(found - expected)[missing].max() < 1e-5

@@ -31,7 +31,7 @@ from clsco.inpainting.mean_median import (
     group_size,
     score_image,
 )
-from clsco.inpainting.rules import bits_of, most_sweeps, score_of_sums
+from clsco.inpainting.rules import MeanMedian, bits_of, most_sweeps, score_of_sums
 from clsco.opencl import program as program_module
 from clsco.opencl.buffers import copied, download, empty, upload
 from clsco.opencl.program import build, kernel, launch
@@ -357,3 +357,22 @@ def test_scores_of_images_are_exact(session: Session, dtype: Any, monkeypatch: p
             assert found == expected
     with Session(lesser) as opened:
         assert score_image(opened, program(opened, 2, codes), image, missing, scale, lambda share: None) == expected
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_what_gpus_build_gives_the_same_bits(session: Session, dtype: Any) -> None:
+    """Vectors in plain OpenCL C, atomics and groups of many work-items."""
+    rng = np.random.default_rng(29)
+    image = rng.integers(0, 256, (61, 150, 3)).astype(dtype)
+    missing = rng.random((61, 150)) < 0.2
+    missing[20:45, 30:90] = True
+    with Session(replace(session.device, kind="gpu")) as opened:
+        stages = [
+            mean_median.fill_mean_median(one, image, missing, 255.0, MeanMedian(), lambda share: None)
+            for one in (session, opened)
+        ]
+    one, other = stages
+    assert one.score == other.score
+    assert one.sweeps == other.sweeps
+    for name in ("filled", "smoothed", "gradients", "blended"):
+        assert np.array_equal(getattr(one, name), getattr(other, name)), name
