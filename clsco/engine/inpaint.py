@@ -51,7 +51,7 @@ def inpaint(
     Returns an image of the same type and shape, of which known pixels are those that were given (but for those that
     stage 3 of mean-median blends), and the report. An image without missing pixels is copied. Raises ImageError for
     images and masks that cannot be, such as without any known pixel, SceneError, DeviceError.
-    Validated bit by bit against `clsco.reference.inpainting.holes` (tests/test_inpaint.py).
+    Validated bit by bit against `clsco.reference.inpainting.mean_median` (tests/test_inpaint.py).
     """
     session, host, as_given = on_host(device, image, missing)
     with session.telling():

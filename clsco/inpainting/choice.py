@@ -11,7 +11,7 @@ from clsco.inpainting.biharmonic import fill_biharmonic
 from clsco.inpainting.fse import fill_texture
 from clsco.opencl.session import Session
 
-WINDOW = 96  # px, of the parts of the image that are looked at
+WINDOW = 96  # px, of the parts of the image that are examined
 MOST_WINDOWS = 4
 SHIFT = (24, 24)  # px, from the holes to where they are tried
 RIM = 8  # px of a window where nothing is tried, as its neighbor is another part of the image
@@ -48,7 +48,7 @@ def choose_method(
 
 
 def _windows(missing: NDArray[np.bool_]) -> list[tuple[slice, slice]]:
-    """Those that are looked at; an image that is smaller along an axis gives its whole size."""
+    """Those that are examined; an image that is smaller along an axis gives its whole size."""
     rows, columns = (range(0, max(size - WINDOW, 0) + 1, WINDOW) for size in missing.shape)
     places = [(slice(i, i + WINDOW), slice(j, j + WINDOW)) for i in rows for j in columns]
     with_holes = [place for place in places if missing[place].any()]

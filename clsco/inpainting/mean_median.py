@@ -38,7 +38,7 @@ Floats = NDArray[np.float32]
 Pixels = NDArray[np.int64]
 Progress = Callable[[float], object]
 
-KERNELS = ("inpainting/score.cl", "inpainting/holes.cl")
+KERNELS = ("inpainting/score.cl", "inpainting/mean_median.cl")
 FEATURES = dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SAMPLED"), 0)
 FEATURES |= {"FILL_MEAN_MEDIAN": 1, "IMAGE": 1}
 # As in the kernels.
@@ -94,7 +94,7 @@ def fill_mean_median(
     image: (rows, columns, K), codes or floats, of which those of missing pixels do not matter; missing: (rows,
     columns), some but not all; span: range of the values; progress: gets the share that is done, from 0 to 1.
     Takes 100 to 200 bytes per missing pixel and known one beside it, and up to 8 per pixel of the image.
-    Raises DeviceError. Validated against `clsco.reference.inpainting.holes`, bit by bit.
+    Raises DeviceError. Validated against `clsco.reference.inpainting.mean_median`, bit by bit.
     """
     program = _program(session, image.shape[2], image.dtype == np.uint8)
     layout = Layout(missing)
@@ -113,21 +113,21 @@ def fill_mean_median(
 
     wins = np.int32(bits_of(Score((0,) * 9, (0,) * 9, 0, 1.0).median_wins(constants.estimator)))
     if constants.estimator == "scored":
-        with stage("score") as tell:
-            stages.score = score_image(session, program, image, missing, score_scale(span), tell)
+        with stage("score") as reported:
+            stages.score = score_image(session, program, image, missing, score_scale(span), reported)
         wins = np.int32(bits_of(stages.score.median_wins()))
     holes = Holes(session, program, layout, image)
-    with stage("fill") as tell:
-        stages.sweeps = holes.fill(wins, constants.minimum, most_sweeps(*missing.shape), tell)
+    with stage("fill") as reported:
+        stages.sweeps = holes.fill(wins, constants.minimum, most_sweeps(*missing.shape), reported)
         stages.filled = holes.values()
-    with stage("smooth") as tell:
+    with stage("smooth") as reported:
         stages.smoothed = (
-            holes.smooth(constants.smoothing_rounds, tell) if constants.smoothing_rounds else stages.filled
+            holes.smooth(constants.smoothing_rounds, reported) if constants.smoothing_rounds else stages.filled
         )
     del holes
     if layout.border.size and constants.border_share:
-        with stage("blend") as tell:
-            blend_border(session, program, layout.border, image, missing, stages, tell)
+        with stage("blend") as reported:
+            blend_border(session, program, layout.border, image, missing, stages, reported)
         stages.histogram = border_histogram(stages.gradients, span / 255, constants.border_share)
     return stages
 
@@ -250,7 +250,7 @@ def score_image(
 
 
 class Holes:
-    """Owns what the device holds of holes, as holes.cl has it, and fills them."""
+    """Owns what the device holds of holes, as mean_median.cl has it, and fills them."""
 
     def __init__(self, session: Session, program: Program, layout: Layout, image: NDArray[Any]) -> None:
         self.session, self.program, self.channels = session, program, image.shape[2]

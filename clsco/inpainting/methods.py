@@ -24,7 +24,7 @@ THESIS = "mean-median"
 class Task:
     """An image (rows, columns, K) of codes or floats with missing pixels (rows, columns), some but not all.
 
-    span: range of the values; constants: of the thesis' method; progress: to be told the share that is done.
+    span: range of the values; constants: of the thesis' method; progress: gets the share that is done.
     """
 
     image: NDArray[Any]

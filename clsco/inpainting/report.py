@@ -1,4 +1,4 @@
-"""What inpainting tells: figures, plots and images of the stages, as the thesis shows them (chapter 5)."""
+"""The report of inpainting: figures, plots and images of the stages, as the thesis shows them (chapter 5)."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ def fill_in_tiles(
     """Values (N, K) of the N missing pixels (H, W) of an image (H, W, K) of any type, row by row.
 
     fill: takes a part of the image, scaled so that what is known in it runs from 0 to 1 in each channel, and its
-    holes; what it returns is kept within that range. progress: told after each tile which part is done. Tiles go row by
+    holes; what it returns is kept within that range. progress: gets the share that is done after each tile. Tiles go row by
     row, each with MARGIN px around it, in which what former tiles have filled is known; those that see nothing known
     wait. Only one tile at a time is made floats. Raises ImageError where nothing is known.
     """

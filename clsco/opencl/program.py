@@ -36,7 +36,7 @@ HEADERS_OF = {
     "blur/multigrid.cl": ("common/sources.clh", "common/psf.clh"),
     "blur/tiles.cl": ("common/sources.clh", "common/psf.clh"),
     "inpainting/fill.cl": ("inpainting/lanes.clh", "inpainting/estimate.clh"),
-    "inpainting/holes.cl": ("inpainting/lanes.clh", "inpainting/estimate.clh"),
+    "inpainting/mean_median.cl": ("inpainting/lanes.clh", "inpainting/estimate.clh"),
     "inpainting/fse.cl": ("inpainting/lanes.clh",),
 }
 # What processors have in a form of their own.

@@ -21,7 +21,7 @@ from clsco.passes.pack import pose_structs, surface_structs
 from clsco.plan.plan import Plan
 from clsco.records import WIDE, WIDE_BYTES, Real, Struct, in_parts, structs, together
 
-KERNELS = ("warp/warp.cl", "inpainting/fill.cl", "inpainting/score.cl", "inpainting/mean_median.cl")
+KERNELS = ("warp/warp.cl", "inpainting/fill.cl", "inpainting/score.cl", "inpainting/fill_mean_median.cl")
 # As in the kernels.
 ITEM_PIXELS = 64  # sources of a row that a work-item moves, with OWNED
 NO_WINNER = np.array(np.iinfo(np.int32).max, np.int32)

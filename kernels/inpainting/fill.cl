@@ -1,8 +1,8 @@
-// Missing pixels: which there are, and adaptive interpolation (thesis, 4.3.5). mean_median.cl, which is built after this
-// file, has the other way of filling them. Twin: clsco/reference/inpainting/fill.py.
+// Missing pixels: which there are, and adaptive interpolation (thesis, 4.3.5). fill_mean_median.cl,
+// which is built after this file, has the other way of filling them. Twin: clsco/reference/inpainting/fill.py.
 //
 // On the padded grid, row-major:
-//   value    float (CHANNELS, height, width): radiance times the weight of the moment
+//   value    float (CHANNELS, height, width): radiance times the weight of the time sample
 //   w, coc   wide_t: inverse depth in 1/mm and signed radius of the blur in px
 //   valid    uchar: 1 known or filled, else 0
 //   status   uchar: 0 known or not missing, 1 filled, 2 missing

@@ -1,125 +1,261 @@
-// Missing pixels: mean/median filling (thesis, chapter 5). Built after fill.cl, which has the planes, the lists and what
-// the features mean; holes.cl does the same to images with a mask. Twin: clsco/reference/inpainting/mean_median.py.
+// Images with a mask: mean/median filling of their holes and blending of their border (thesis, chapter 5). The device holds
+// what is in and around holes only. Twin: clsco/reference/inpainting/mean_median.py.
+//
+// Missing pixels and all beside them are numbered in the order of rows, `slots` of them; around the image is a frame of
+// pixels, too. So the numbers of the eight neighbors of a missing pixel follow one another in each row.
+//   value      float (CHANNELS, slots): infinite beyond the image, and where nothing has been filled yet
+//   found      the same: what a sweep or a round makes of them
+//   beside     int2 (slots): of missing pixels, the numbers of those above and below
+//   near       int (slots): how many valid neighbors a missing pixel has; of the others more than 8
+//   lists      int (minimum, missing): list k - 1 has the missing pixels that have come to k valid neighbors, one after
+//              another; the last one those that had more in the beginning, too
+//   state      int2 (minimum + 1): sweeps and filled pixels; and of each list what has been swept, and where it ends
+//
+// A sweep takes the new entries of the last list that has any: those of the list for k < minimum are there when no
+// missing pixel has more than k valid neighbors. Some may have been filled since, and stay.
 
-#if FILL_MEAN_MEDIAN
-// LANES pixels of a list, with the neighbors that serve them.
-static around_t look_around(const camera_t camera, __global const uchar *valid, __global const int *list, int entries,
-                            int median_wins
-#if FILL_FAR
-                            , __global const wide_t *w, __global const float *far, int minimum
+#if ALONE  // one work-item at a time settles: on processors, where atomics take longer than all the rest
+#define COUNTED(p) ((*(p))++)
+#else
+#define COUNTED(p) atomic_inc(p)
 #endif
-)
-{
-    around_t around;
-    for (int lane = 0; lane < LANES; ++lane) {
-        // The last pixel fills up the last vector.
-        const int at = list[MIN((int)get_global_id(0) * LANES + lane, entries - 1)];
-        const int x = at % camera.width, y = at / camera.width;
-        const bool inner = x > 0 && y > 0 && x < camera.width - 1 && y < camera.height - 1;
-        int bits = 0, count = 0;
-#if FILL_FAR
-        const float bound = minimum ? far[at] : INFINITY;
-#endif
-        UNROLL
-        for (int k = 0; k < 8; ++k) {
-            const int i = y + NEIGHBOR_Y[k], j = x + NEIGHBOR_X[k], from = i * camera.width + j;
-            const bool inside = inner || (i >= 0 && i < camera.height && j >= 0 && j < camera.width);
-            const int known = inside ? serves(valid, w, from, bound) : 0;
-            bits |= known << k;
-            count += known;
-            around.from[lane][k] = from;
-        }
-        around.at[lane] = at;
-        use_neighbors(&around, lane, bits, count, median_wins);
+
+#define UNKNOWN(v) ((v) == (real)INFINITY)
+// Values of the neighbors of all lanes in the plane of a channel; row: their own numbers in the middle, those above and
+// below.
+#define GATHER_NEAR(plane) \
+    { \
+        float8 in_row[3][3]; \
+        for (int k = 0; k < 3; ++k) \
+            gather_row(in_row[k], row, k, plane); \
+        UNROLL \
+        for (int k = 0; k < 8; ++k) \
+            near[k] = (real8)EACH(in_row[1 + NEIGHBOR_Y[k]][1 + NEIGHBOR_X[k]]); \
     }
-    return around;
+
+static void rows_of(int row[3], int at, __global const int2 *beside)
+{
+    row[0] = beside[at].x;
+    row[1] = at;
+    row[2] = beside[at].y;
 }
 
-// Writes the estimates of all planes; of lanes with fewer than `minimum` neighbors nothing.
-static void write_estimates(const camera_t camera, const around_t around, int minimum, __global const float *value_in,
-                            __global const wide_t *w_in, __global float *value_out, __global wide_t *w_out,
-                            __global wide_t *coc)
+// How many of the neighbors of all lanes are valid, and what that means.
+static void count_near(around_t *around, const real8 *near, int median_wins)
 {
+    int8 count = 0;
+    for (int k = 0; k < 8; ++k)
+        count -= INTS(near[k] < (real)INFINITY);
+    const int8 lower = (count - 1) / 2, upper = count / 2, by_median = (int8)median_wins >> count & 1;
+    around->count = (real8)EACH(count);
+    around->lower = (real8)EACH(lower);
+    around->upper = (real8)EACH(upper);
+    around->by_median = (real8)EACH(by_median);
+}
+
+// Finds values for LANES missing pixels of a list from the `first` on, before `end`; the last one fills up the vector.
+static void fill_vector(const int slots, __global const int *list, int first, int end, int median_wins,
+                        __global const int2 *beside, __global const float *value, __global float *found)
+{
+    int row[LANES][3], open = 0;
+    for (int lane = 0; lane < LANES; ++lane) {
+        rows_of(row[lane], list[MIN(first + lane, end - 1)], beside);
+        open |= UNKNOWN(value[row[lane][1]]);
+    }
+    if (!open)
+        return;
+    around_t around;
     real8 near[8], result;
-    const real *count = (const real *)&around.count, *found = (const real *)&result;
     for (int c = 0; c < CHANNELS; ++c) {
-        const int plane = c * camera.height * camera.width;
-        NEAR(near, value_in[plane + from])
+        GATHER_NEAR(value + c * slots)
+        if (!c)
+            count_near(&around, near, median_wins);
         estimate(&around, near, &result);
         for (int lane = 0; lane < LANES; ++lane)
-            if (count[lane] >= minimum)
-                value_out[plane + around.at[lane]] = (float)found[lane];
+            found[c * slots + row[lane][1]] = ((const real *)&result)[lane];
     }
-    NEAR(near, narrow(w_in[from]))
-    estimate(&around, near, &result);
-    for (int lane = 0; lane < LANES; ++lane)
-        if (count[lane] >= minimum) {
-            w_out[around.at[lane]] = widened(found[lane]);
-            coc[around.at[lane]] = blur_radius(camera, widened(found[lane]));
+}
+
+// What becomes of an entry that a sweep has taken: it gets its value, and those beside it come into the next list.
+static void settle_entry(const int slots, int at, __global const int2 *beside, int missing, int minimum,
+                         __global const float *found, __global float *value, __global int *near, __global int *lists,
+                         __global int *state)
+{
+    if (!UNKNOWN(value[at]))
+        return;
+    for (int c = 0; c < CHANNELS; ++c)
+        value[c * slots + at] = found[c * slots + at];
+    COUNTED(state + 1);
+    int row[3];
+    rows_of(row, at, beside);
+    UNROLL
+    for (int k = 0; k < 8; ++k) {
+        const int n = row[1 + NEIGHBOR_Y[k]] + NEIGHBOR_X[k], count = COUNTED(near + n) + 1;
+        if (count <= minimum)
+            lists[(count - 1) * missing + COUNTED(state + 2 * count + 1)] = n;
+    }
+}
+
+// Stage 1: one sweep over what the lists have from `begin` to before `end`, LANES per work-item. Bit k of median_wins:
+// of k neighbors the median is the better estimator. In: lists, beside, value. Out: found.
+__kernel void fill_holes(const int slots, const int begin, const int end, const int median_wins,
+                         __global const int *lists, __global const int2 *beside, __global const float *value,
+                         __global float *found)
+{
+    const int first = begin + get_global_id(0) * LANES;
+    if (first < end)
+        fill_vector(slots, lists, first, end, median_wins, beside, value, found);
+}
+
+// Ends such a sweep; ALONE it is a single work-item. In: beside; missing, their number; found. In and out: value, near,
+// lists, state.
+__kernel void settle_holes(const int slots, const int begin, const int end, __global const int2 *beside,
+                           const int missing, const int minimum, __global const float *found, __global float *value,
+                           __global int *near, __global int *lists, __global int *state)
+{
+    for (int i = begin + get_global_id(0); i < end; i += get_global_size(0))
+        settle_entry(slots, lists[i], beside, missing, minimum, found, value, near, lists, state);
+}
+
+// Stage 1 sweep after sweep by a single work-group, which takes less than launches for few pixels, while no sweep has
+// more than `most` entries, until there have been `limit` sweeps. Buffers as above.
+__kernel void sweep_holes(const int slots, const int most, const int limit, const int median_wins, __global const int2 *beside,
+                          const int missing, const int minimum, __global float *found, __global float *value,
+                          __global int *near, __global int *lists, __global int *state)
+{
+    const int item = get_local_id(0), items = get_local_size(0);
+    while (true) {
+        int k = minimum;
+        while (k && state[2 * k] == state[2 * k + 1])
+            --k;
+        const int begin = state[2 * k], end = state[2 * k + 1], before = state[1];
+        barrier(CLK_GLOBAL_MEM_FENCE);
+        if (!k || end - begin > most || state[0] >= limit)
+            return;
+        __global const int *list = lists + (k - 1) * missing;
+        for (int first = begin + item * LANES; first < end; first += items * LANES)
+            fill_vector(slots, list, first, end, median_wins, beside, value, found);
+        barrier(CLK_GLOBAL_MEM_FENCE);
+        for (int i = begin + item; i < end; i += items)
+            settle_entry(slots, list[i], beside, missing, minimum, found, value, near, lists, state);
+        barrier(CLK_GLOBAL_MEM_FENCE);
+        if (!item) {
+            state[2 * k] = end;
+            state[0] += state[1] > before;
         }
-}
-
-#if FILL_FAR
-#define BOUNDED_BY(w, far, minimum) , w, far, minimum
-#else
-#define BOUNDED_BY(w, far, minimum)
-#endif
-
-// Stage 1: one sweep, LANES entries per work-item. Bit k of median_wins: of k neighbors the median is the better
-// estimator; a pixel needs `minimum` of them, with FILL_FAR and 0 any single one. The object is that of the first one.
-// In: list of `count`, valid, far. In and out: value, w, coc, status, object.
-__kernel void fill_mean_median(const camera_t camera, __global const int *list, const int count, const int median_wins,
-                               const int minimum,
-#if FILL_FAR
-                               __global const float *far,
-#endif
-                               __global const uchar *valid, __global float *value, __global wide_t *w,
-                               __global wide_t *coc, __global uchar *status
-#if SEVERAL
-                               , __global uchar *object
-#endif
-)
-{
-    if (get_global_id(0) * LANES >= count)
-        return;
-    const around_t around = look_around(camera, valid, list, count, median_wins BOUNDED_BY(w, far, minimum));
-    const int least = MAX(minimum, 1);
-    write_estimates(camera, around, least, value, w, value, w, coc);
-    for (int lane = 0; lane < LANES; ++lane) {
-        if (((const real *)&around.count)[lane] < least)
-            continue;
-        status[around.at[lane]] = 1;
-#if SEVERAL
-        int k = 0;
-        while (!(around.bits[lane] >> k & 1))
-            ++k;
-        object[around.at[lane]] = object[around.from[lane][k]];
-#endif
+        barrier(CLK_GLOBAL_MEM_FENCE);
     }
 }
 
-// Stage 2: one round of the 3x3 median without the center over the filled pixels, LANES entries per work-item; a pixel
-// that no neighbor serves stays. In: done, list of `count`; valid, far; value_in, w_in, which hold all pixels. Out: the
-// same of the filled pixels, coc.
-__kernel void smooth_median(const camera_t camera, __global const int *done, const int count,
-#if FILL_FAR
-                            __global const float *far,
-#endif
-                            __global const uchar *valid, __global const float *value_in, __global const wide_t *w_in,
-                            __global float *value_out, __global wide_t *w_out, __global wide_t *coc)
+// The median of neighbors, those that are infinite not counted; sorts them.
+static real8 median_of(real8 *near)
 {
-    if (get_global_id(0) * LANES >= count)
-        return;
-    const around_t around = look_around(camera, valid, done, count, ~0 BOUNDED_BY(w_in, far, 1));
-    write_estimates(camera, around, 1, value_in, w_in, value_out, w_out, coc);
-#if FILL_FAR
-    for (int lane = 0; lane < LANES; ++lane) {
-        const int at = around.at[lane];
-        for (int c = 0; c < CHANNELS && !around.bits[lane]; ++c)
-            value_out[c * camera.height * camera.width + at] = value_in[c * camera.height * camera.width + at];
-        if (!around.bits[lane])
-            w_out[at] = w_in[at];
+    SORT(real8, near)
+    if (any(UNKNOWN(near[7]))) {  // at the border of the image
+        around_t around;
+        real8 result;
+        count_near(&around, near, ~0);
+        estimate(&around, near, &result);
+        return result;
     }
-#endif
+    return (real)0.5 * (near[3] + near[4]);
 }
-#endif
+
+// One of `runs` missing pixels that follow one another, or LANES of the others: see smooth_holes.
+static void smooth_vector(const int slots, int id, __global const int2 *run, int runs, __global const int *single,
+                          int singles, __global const int2 *beside, __global const float *value,
+                          __global float *found)
+{
+    real8 near[8];
+    if (id < runs) {
+        const int count = run[id].y;
+        int row[3];
+        rows_of(row, run[id].x, beside);
+        for (int c = 0; c < CHANNELS; ++c) {
+            UNROLL
+            for (int k = 0; k < 8; ++k) {
+                const float8 one = LOAD(float, 8, value + c * slots + row[1 + NEIGHBOR_Y[k]] + NEIGHBOR_X[k]);
+                near[k] = (real8)EACH(one);
+            }
+            const real8 result = median_of(near);
+            __global float *out = found + c * slots + row[1];
+            if (count == LANES)
+                STORE(float, 8, (float8)EACH(result), out);
+            else
+                for (int lane = 0; lane < count; ++lane)
+                    out[lane] = ((const real *)&result)[lane];
+        }
+        return;
+    }
+    const int first = (id - runs) * LANES;
+    if (first >= singles)
+        return;
+    int row[LANES][3];
+    for (int lane = 0; lane < LANES; ++lane)
+        rows_of(row[lane], single[MIN(first + lane, singles - 1)], beside);
+    for (int c = 0; c < CHANNELS; ++c) {
+        GATHER_NEAR(value + c * slots)
+        const real8 result = median_of(near);
+        for (int lane = 0; lane < LANES; ++lane)
+            found[c * slots + row[lane][1]] = ((const real *)&result)[lane];
+    }
+}
+
+// Stage 2: rounds of the 3x3 median without the center over missing pixels, all of which are filled; one round, or any
+// number by a single work-item. Of work-items those before `runs` take one of `run`: the number of its first pixel, and
+// how many follow one another, up to LANES; the others LANES of `single`, numbers of `singles` pixels. In: beside. In
+// and out: value, found, to and fro; the first round writes `found`.
+__kernel void smooth_holes(const int slots, const int rounds, __global const int2 *run, const int runs,
+                           __global const int *single, const int singles, __global const int2 *beside,
+                           __global float *value, __global float *found)
+{
+    const int items = runs + (singles + LANES - 1) / LANES;
+    for (int n = 0; n < rounds; ++n)
+        for (int id = get_global_id(0); id < items; id += get_global_size(0))
+            smooth_vector(slots, id, run, runs, single, singles, beside, n % 2 ? found : value, n % 2 ? value : found);
+}
+
+// Sorts the middle one of nine into its place, with the fewest exchanges.
+#define MIDDLE(T, s) \
+    ORDER(T, s[1], s[2]) ORDER(T, s[4], s[5]) ORDER(T, s[7], s[8]) ORDER(T, s[0], s[1]) ORDER(T, s[3], s[4]) \
+    ORDER(T, s[6], s[7]) ORDER(T, s[1], s[2]) ORDER(T, s[4], s[5]) ORDER(T, s[7], s[8]) ORDER(T, s[0], s[3]) \
+    ORDER(T, s[5], s[8]) ORDER(T, s[4], s[7]) ORDER(T, s[3], s[6]) ORDER(T, s[1], s[4]) ORDER(T, s[2], s[5]) \
+    ORDER(T, s[4], s[7]) ORDER(T, s[4], s[2]) ORDER(T, s[6], s[4]) ORDER(T, s[4], s[2])
+
+// Stage 3, of the known pixels around holes: Sobel's gradient and the 3x3 median, LANES pixels per work-item; beyond
+// the image its edge goes on. In: list of `count` pixels of value (height, width, CHANNELS), all of which are known or
+// filled. Out: steepness (count), the largest square of a gradient's magnitude among the channels; blended (count,
+// CHANNELS), the medians.
+__kernel void blend_border(const camera_t camera, __global const int *list, const int count,
+                           __global const float *value, __global float *steepness, __global float *blended)
+{
+    const int first = get_global_id(0) * LANES;
+    if (first >= count)
+        return;
+    int from[9][LANES];
+    for (int lane = 0; lane < LANES; ++lane) {
+        const int at = list[MIN(first + lane, count - 1)], x = at % camera.width, y = at / camera.width;
+        UNROLL
+        for (int k = 0; k < 9; ++k) {
+            const int i = MIN(MAX(y + k / 3 - 1, 0), camera.height - 1);
+            const int j = MIN(MAX(x + k % 3 - 1, 0), camera.width - 1);
+            from[k][lane] = (i * camera.width + j) * CHANNELS;
+        }
+    }
+    float8 steepest = 0;
+    for (int c = 0; c < CHANNELS; ++c) {
+        float8 p[9];
+        for (int k = 0; k < 9; ++k)
+            for (int lane = 0; lane < LANES; ++lane)
+                ((float *)(p + k))[lane] = value[from[k][lane] + c];
+        const float8 across = (p[2] + 2 * p[5] + p[8]) - (p[0] + 2 * p[3] + p[6]);
+        const float8 down = (p[6] + 2 * p[7] + p[8]) - (p[0] + 2 * p[1] + p[2]);
+        const float8 square = across * across + down * down;
+        steepest = MAX(steepest, square);
+        MIDDLE(float8, p)
+        for (int lane = 0; lane < LANES && first + lane < count; ++lane)
+            blended[(first + lane) * CHANNELS + c] = ((const float *)(p + 4))[lane];
+    }
+    for (int lane = 0; lane < LANES && first + lane < count; ++lane)
+        steepness[first + lane] = ((const float *)&steepest)[lane];
+}

@@ -71,7 +71,7 @@ WITHOUT_TWIN = {
 }
 
 # Files whose twin is part of another file.
-PART_OF = {"gather": "blur", "estimate": "mean_median", "sources": "trace", "tiles": "blur"}
+PART_OF = {"gather": "blur", "sources": "trace", "tiles": "blur"}
 PART_OF |= dict.fromkeys(
     ("psf", "vectors", "many", "rows", "near", "discs", "quadrants", "gaussians", "columns"), "blur"
 )

@@ -17,8 +17,8 @@ from clsco.files.images import read_image
 from clsco.inpainting.report import write_report
 from clsco.inpainting.rules import MeanMedian, as_stored, value_span
 from clsco.opencl.session import Session
-from clsco.reference.inpainting.holes import Inpainted
-from clsco.reference.inpainting.holes import inpaint as reference
+from clsco.reference.inpainting.mean_median import Inpainted
+from clsco.reference.inpainting.mean_median import inpaint as reference
 from tests.slow import combined
 
 Array = NDArray[Any]
@@ -30,11 +30,11 @@ def picture(shape: tuple[int, ...], dtype: Any, seed: int = 1) -> Array:
     """Smooth shades with an edge and noise; floats are HDR, and some of them negative."""
     rng = np.random.default_rng(seed)
     i, j = np.indices(shape[:2])
-    light = 0.5 + 0.3 * np.sin(i / 9.0) * np.cos(j / 7.0) + 0.2 * (j > shape[1] // 2)
-    light = light.reshape(light.shape + (1,) * (len(shape) - 2)) + 0.1 * rng.normal(size=shape)
+    radiance = 0.5 + 0.3 * np.sin(i / 9.0) * np.cos(j / 7.0) + 0.2 * (j > shape[1] // 2)
+    radiance = radiance.reshape(radiance.shape + (1,) * (len(shape) - 2)) + 0.1 * rng.normal(size=shape)
     if np.dtype(dtype).kind == "f":
-        return (5.0 * light - 1.0).astype(dtype)
-    return as_stored((light * np.iinfo(dtype).max).astype(np.float32), np.dtype(dtype))
+        return (5.0 * radiance - 1.0).astype(dtype)
+    return as_stored((radiance * np.iinfo(dtype).max).astype(np.float32), np.dtype(dtype))
 
 
 def damage(shape: tuple[int, ...], seed: int = 2) -> Mask:
@@ -124,11 +124,11 @@ def test_the_same_bits_every_time_in_bands_of_any_height(monkeypatch: pytest.Mon
 
 
 def test_auto_fills_and_progress_comes_to_its_end() -> None:
-    image, missing, told = picture((40, 50), np.uint8), damage((40, 50)), list[float]()
-    filled, report = clsco.inpaint(image, missing, progress=told.append)
-    assert told == sorted(told)
-    assert told[0] >= 0.0
-    assert told[-1] == pytest.approx(1.0)
+    image, missing, shares = picture((40, 50), np.uint8), damage((40, 50)), list[float]()
+    filled, report = clsco.inpaint(image, missing, progress=shares.append)
+    assert shares == sorted(shares)
+    assert shares[0] >= 0.0
+    assert shares[-1] == pytest.approx(1.0)
     assert report.missing_pixels == missing.sum()
     assert filled.shape == image.shape
 

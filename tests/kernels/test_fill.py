@@ -34,7 +34,7 @@ from clsco.reference.inpainting.fill import (
     mark_missing,
     settle_sweep,
 )
-from clsco.reference.inpainting.mean_median import fill_mean_median, smooth_median
+from clsco.reference.inpainting.fill_mean_median import fill_mean_median, smooth_median
 from clsco.reference.inpainting.score import score_mean_median
 from clsco.reference.trace.trace import padded_grid
 from clsco.scene.model import Camera, Fill, Motion, Object, ObjectMotion, Plane, Scene, Sphere
@@ -70,7 +70,7 @@ class Planes:
         features |= {"FILL_AIT": int(method == "ait"), "FILL_MEAN_MEDIAN": int(method == "mean_median")}
         self.program = build(
             session,
-            ["inpainting/fill.cl", "inpainting/score.cl", "inpainting/mean_median.cl"],
+            ["inpainting/fill.cl", "inpainting/score.cl", "inpainting/fill_mean_median.cl"],
             features,
             structs(real),
             real,

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.reference.inpainting.fill import Method, far_bounds, fill, fill_ait, fill_objects, mark_missing
-from clsco.reference.inpainting.mean_median import fill_mean_median, smooth_median
+from clsco.reference.inpainting.fill_mean_median import fill_mean_median, smooth_median
 from clsco.reference.inpainting.score import score_mean_median
 
 Array = NDArray[np.float64]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from clsco.inpainting.rules import MeanMedian, score_scale
 from clsco.reference.common.geometry import Array
-from clsco.reference.inpainting.mean_median import fill_mean_median, smooth_median
+from clsco.reference.inpainting.fill_mean_median import fill_mean_median, smooth_median
 from clsco.reference.inpainting.neighbors import NEIGHBORS, Bounds, Mask, Pixels, known_neighbors, neighbor_numbers
 from clsco.reference.inpainting.score import score_mean_median
 

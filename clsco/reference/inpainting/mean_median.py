@@ -1,76 +1,122 @@
-"""Missing pixels: mean/median filling (thesis, chapter 5).
+"""Images with a mask: mean/median filling of their holes, all stages (thesis, chapter 5), over whole images.
 
-Values are arrays (H, W, K) of any channels, radiance and inverse depth alike, in float32 or float64, in which all is
-computed: in float32 every step is rounded as on a device.
+Values are arrays (H, W, K) in float32, in which all is computed, rounded step by step as on a device.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
-from clsco.inpainting.rules import COUNTS
+from clsco.inpainting.rules import Histogram, MeanMedian, Score, border_histogram, most_sweeps, score_scale
 from clsco.reference.common.geometry import Array
-from clsco.reference.inpainting.neighbors import Bounds, Mask, Pixels, known_neighbors, neighbor_numbers
+from clsco.reference.inpainting.fill_mean_median import fill_mean_median, smooth_median
+from clsco.reference.inpainting.neighbors import NEIGHBORS, Mask
+from clsco.reference.inpainting.score import score_mean_median
 
 
-def _median_of_known(near: Array, near_known: Mask) -> Array:
-    """Median (N, K) over the first axis of values (8, N, K) that are known (8, N); of an even count the mean
-    of the middle two. At least one is known."""
-    ordered = np.sort(np.where(near_known[..., None], near, np.inf), axis=0)
-    count = near_known.sum(axis=0)
-    pixel = np.arange(count.size)
-    return np.asarray(0.5 * (ordered[(count - 1) // 2, pixel] + ordered[count // 2, pixel]))
+def fill_holes(values: Array, known: Mask, missing: Mask, wins: Mask, minimum: int) -> tuple[Array, Mask]:
+    """Stage 1: one sweep; values (H, W, K) with what could be filled, and which pixels those are (H, W).
 
-
-def _mean_of_known(near: Array, near_known: Mask) -> Array:
-    """Mean (N, K) over the first axis of values (8, N, K) that are known (8, N). At least one is known."""
-    total = np.zeros_like(near[0])
-    for value, used in zip(near, near_known, strict=True):  # one after another: sum() may take another order
-        total += np.where(used[:, None], value, 0.0)
-    return np.asarray(total / near_known.sum(axis=0)[:, None].astype(near.dtype))
-
-
-def estimate(near: Array, near_known: Mask, median_wins: Mask) -> Array:
-    """Mean or median (N, K) over the first axis of values (8, N, K) that are known (8, N), at least one.
-
-    median_wins: (9,), per count of known ones; below 4 of them the mean is taken.
+    known, missing: (H, W), before the sweep; wins: (9,), where the median is taken; minimum: known neighbors that a
+    pixel needs.
     """
-    take_median = (median_wins & (np.arange(9) >= COUNTS.start))[near_known.sum(axis=0)]
-    return np.where(take_median[:, None], _median_of_known(near, near_known), _mean_of_known(near, near_known))
+    swept, filled, _ = fill_mean_median(values, known, missing, wins, minimum)
+    return swept, filled
 
 
-def fill_mean_median(
-    values: Array, known: Mask, missing: Mask, median_wins: Mask, minimum: int, bounds: Bounds = None
-) -> tuple[Array, Mask, Pixels]:
-    """Stage 1: one sweep; values (H, W, K) with what could be filled, which pixels those are (H, W), and from where.
+def settle_holes(known: Mask, missing: Mask, filled: Mask) -> tuple[Mask, Mask, NDArray[np.uint8]]:
+    """Known and missing pixels (H, W) after a sweep that has filled some, and how many known neighbors each has (H, W).
 
-    values: (H, W, K), inverse depth last; known, missing: (H, W), before the sweep; median_wins: (9,), per count of
-    known neighbors; minimum: known neighbors that a pixel needs; bounds: on the inverse depth of those. Below 4 of
-    them the mean is taken. From where: (H, W), number of the first of them, the pixel's own elsewhere.
+    known, missing: (H, W), before the sweep; filled: (H, W).
     """
-    row, column = np.nonzero(missing)
-    near, near_known = known_neighbors(values, known, row, column, bounds)
-    count = near_known.sum(axis=0)
-    use = count >= max(minimum, 1)
-    row, column, near, near_known, count = row[use], column[use], near[:, use], near_known[:, use], count[use]
-    value = estimate(near, near_known, median_wins)
-    result, filled, source = values.copy(), np.zeros_like(known), np.arange(known.size).reshape(known.shape)
-    result[row, column] = value
-    filled[row, column] = True
-    source[row, column] = neighbor_numbers(near_known.argmax(axis=0), row, column, known.shape[1])
-    return result, filled, source
+    valid, padded, (rows, columns) = known | filled, np.pad(known | filled, 1), known.shape
+    near = np.zeros(known.shape, np.uint8)
+    for i, j in NEIGHBORS:
+        near += padded[1 + i : 1 + i + rows, 1 + j : 1 + j + columns]
+    return valid, missing & ~filled, near
 
 
-def smooth_median(values: Array, filled: Mask, valid: Mask, bounds: Bounds = None) -> Array:
-    """Stage 2: one round of the 3x3 median without the center over the filled pixels.
+def sweep_holes(values: Array, known: Mask, missing: Mask, wins: Mask, minimum: int) -> tuple[Array, int]:
+    """Stage 1: sweeps until nothing is missing; values (H, W, K), and how many have filled something.
 
-    values: (H, W, K), inverse depth last; filled: (H, W), only these change; valid: (H, W), known or filled, only
-    these serve, with bounds on their inverse depth.
-    All pixels read the former round.
+    Arguments as of `fill_holes`; from every missing pixel a way through others leads to a known one. Where a sweep
+    fills nothing, the next one relaxes the minimum by one, and the first that does takes it back; after `most_sweeps`
+    it is one.
     """
-    row, column = np.nonzero(filled)
-    near, near_known = known_neighbors(values, valid, row, column, bounds)
-    some = near_known.any(axis=0)
-    result = values.copy()
-    result[row[some], column[some]] = _median_of_known(near[:, some], near_known[:, some])
-    return result
+    sweeps, least, limit = 0, minimum, most_sweeps(*missing.shape)
+    known, missing, near = settle_holes(known, missing, np.zeros_like(missing))
+    while missing.any():
+        values, filled = fill_holes(values, known, missing & (near >= least), wins, least)
+        known, missing, near = settle_holes(known, missing, filled)
+        sweeps, least = (sweeps + 1, minimum) if filled.any() else (sweeps, least - 1)
+        least = least if sweeps < limit else 1
+    return values, sweeps
+
+
+def smooth_holes(values: Array, missing: Mask) -> Array:
+    """Stage 2: one round of the 3x3 median without the center over missing pixels (H, W), all of which are filled."""
+    return smooth_median(values, missing, np.ones_like(missing))
+
+
+def blend_border(values: Array, border: Mask) -> tuple[Array, Array]:
+    """Stage 3: squared magnitude of Sobel's gradient (N,), of the channels the largest, and 3x3 medians (N, K).
+
+    values: (H, W, K), border: (H, W), N pixels of it, in the order of rows. Beyond the image its edge goes on.
+    Validated against scipy.ndimage.
+    """
+    row, column = np.nonzero(border)
+    padded = np.pad(values, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    p = [padded[row + i, column + j] for i in range(3) for j in range(3)]
+    across = (p[2] + 2 * p[5] + p[8]) - (p[0] + 2 * p[3] + p[6])
+    down = (p[6] + 2 * p[7] + p[8]) - (p[0] + 2 * p[1] + p[2])
+    square = across * across + down * down
+    return square.max(axis=1, initial=0), np.sort(np.stack(p), axis=0)[4]
+
+
+@dataclass(frozen=True, eq=False)
+class Inpainted:
+    """Images (H, W, K) after stages 1, 2 and 3, and what they were made by; border: (H, W), known pixels beside holes;
+    histogram: None where there are none."""
+
+    filled: Array
+    smoothed: Array
+    blended: Array
+    score: Score
+    sweeps: int
+    border: Mask
+    histogram: Histogram | None
+
+
+def inpaint(image: NDArray[Any], missing: Mask, span: float, constants: MeanMedian) -> Inpainted:
+    """Fill missing pixels of an image.
+
+    image: (H, W, K) float32, what missing pixels hold does not matter; missing: (H, W), not all of it; span: range of
+    the values (`clsco.inpainting.rules.value_span`).
+    """
+    values = np.where(missing[..., None], np.float32(0), image)
+    score = score_mean_median(values, ~missing, score_scale(span))
+    wins = score.median_wins(constants.estimator)
+    filled, sweeps = sweep_holes(values, ~missing, missing, wins, constants.minimum)
+    smoothed = filled
+    for _ in range(constants.smoothing_rounds):
+        smoothed = smooth_holes(smoothed, missing)
+    border, histogram, blended = beside(missing), None, smoothed.copy()
+    if border.any():
+        steepness, medians = blend_border(smoothed, border)
+        gradients = np.sqrt(steepness.astype(np.float64))
+        histogram = border_histogram(gradients, span / 255, constants.border_share)
+        if histogram.threshold is not None:
+            taken = gradients >= histogram.threshold
+            blended[tuple(np.argwhere(border)[taken].T)] = medians[taken]
+    return Inpainted(filled, smoothed, blended, score, sweeps, border, histogram)
+
+
+def beside(missing: Mask) -> Mask:
+    """Known pixels (H, W) with a missing one among their 8 neighbors."""
+    padded, (rows, columns) = np.pad(missing, 1), missing.shape
+    near = [padded[1 + i : 1 + i + rows, 1 + j : 1 + j + columns] for i, j in NEIGHBORS]
+    return np.logical_or.reduce(near) & ~missing

@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from clsco.errors import SceneError
 from clsco.inpainting.rules import MeanMedian, border_histogram, score_scale, value_span
-from clsco.reference.inpainting.holes import beside, blend_border, inpaint, sweep_holes
+from clsco.reference.inpainting.mean_median import beside, blend_border, inpaint, sweep_holes
 
 
 def test_gradients_and_medians_are_those_of_scipy() -> None:

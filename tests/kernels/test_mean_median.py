@@ -1,4 +1,4 @@
-"""holes.cl and score.cl against their twins, bit by bit: each kernel, and fillings of every mask."""
+"""mean_median.cl and score.cl against their twins, bit by bit: each kernel, and fillings of every mask."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ from clsco.opencl.buffers import copied, download, empty, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Program, Session
 from clsco.records import structs
-from clsco.reference.inpainting import holes as twin
-from clsco.reference.inpainting.mean_median import smooth_median
+from clsco.reference.inpainting import mean_median as twin
+from clsco.reference.inpainting.fill_mean_median import smooth_median
 from clsco.reference.inpainting.score import score_mean_median
 from tests.slow import mostly_slow
 

@@ -1,0 +1,35 @@
+"""Mean and median of the neighbors of a pixel that are known (thesis, chapter 5)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clsco.inpainting.rules import COUNTS
+from clsco.reference.common.geometry import Array
+from clsco.reference.inpainting.neighbors import Mask
+
+
+def median_of_known(near: Array, near_known: Mask) -> Array:
+    """Median (N, K) over the first axis of values (8, N, K) that are known (8, N); of an even count the mean
+    of the middle two. At least one is known."""
+    ordered = np.sort(np.where(near_known[..., None], near, np.inf), axis=0)
+    count = near_known.sum(axis=0)
+    pixel = np.arange(count.size)
+    return np.asarray(0.5 * (ordered[(count - 1) // 2, pixel] + ordered[count // 2, pixel]))
+
+
+def _mean_of_known(near: Array, near_known: Mask) -> Array:
+    """Mean (N, K) over the first axis of values (8, N, K) that are known (8, N). At least one is known."""
+    total = np.zeros_like(near[0])
+    for value, used in zip(near, near_known, strict=True):  # one after another: sum() may take another order
+        total += np.where(used[:, None], value, 0.0)
+    return np.asarray(total / near_known.sum(axis=0)[:, None].astype(near.dtype))
+
+
+def estimate(near: Array, near_known: Mask, median_wins: Mask) -> Array:
+    """Mean or median (N, K) over the first axis of values (8, N, K) that are known (8, N), at least one.
+
+    median_wins: (9,), per count of known ones; below 4 of them the mean is taken.
+    """
+    take_median = (median_wins & (np.arange(9) >= COUNTS.start))[near_known.sum(axis=0)]
+    return np.where(take_median[:, None], median_of_known(near, near_known), _mean_of_known(near, near_known))
