@@ -28,9 +28,9 @@ def fill_in_tiles(
     """Values (N, K) of the N missing pixels (H, W) of an image (H, W, K) of any type, row by row.
 
     fill: takes a part of the image, scaled so that what is known in it runs from 0 to 1 in each channel, and its
-    holes; what it returns is kept within that range. progress: gets the share that is done after each tile. Tiles go row by
-    row, each with MARGIN px around it, in which what former tiles have filled is known; those that see nothing known
-    wait. Only one tile at a time is made floats. Raises ImageError where nothing is known.
+    holes; what it returns is kept within that range. progress: gets the share that is done after each tile. Tiles go
+    row by row, each with MARGIN px around it, in which what former tiles have filled is known; those that have nothing
+    known in there wait. Only one tile at a time is made floats. Raises ImageError where nothing is known.
     """
     if missing.all():
         raise ImageError(f"missing: must leave a pixel known; got all {missing.size} missing")

@@ -1,5 +1,6 @@
-// Missing pixels of warped frames: mean/median filling (thesis, chapter 5). Built after fill.cl, which has the planes, the lists and what
-// the features mean; mean_median.cl does the same to images with a mask. Twin: clsco/reference/inpainting/fill_mean_median.py.
+// Missing pixels of warped frames: mean/median filling (thesis, chapter 5). Built after fill.cl, which has the planes,
+// the lists and what the features mean; mean_median.cl does the same to images with a mask. Twin:
+// clsco/reference/inpainting/fill_mean_median.py.
 
 #if FILL_MEAN_MEDIAN
 // LANES pixels of a list, with the neighbors that serve them.

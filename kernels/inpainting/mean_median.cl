@@ -1,5 +1,6 @@
-// Images with a mask: mean/median filling of their holes and blending of their border (thesis, chapter 5). The device holds
-// what is in and around holes only. Twin: clsco/reference/inpainting/mean_median.py.
+// Images with a mask: mean/median filling of their holes and blending of their border (thesis, chapter 5). The device
+// holds what is in and around holes only. fill_mean_median.cl does the same to warped frames. Twin:
+// clsco/reference/inpainting/mean_median.py.
 //
 // Missing pixels and all beside them are numbered in the order of rows, `slots` of them; around the image is a frame of
 // pixels, too. So the numbers of the eight neighbors of a missing pixel follow one another in each row.
@@ -119,9 +120,9 @@ __kernel void settle_holes(const int slots, const int begin, const int end, __gl
 
 // Stage 1 sweep after sweep by a single work-group, which takes less than launches for few pixels, while no sweep has
 // more than `most` entries, until there have been `limit` sweeps. Buffers as above.
-__kernel void sweep_holes(const int slots, const int most, const int limit, const int median_wins, __global const int2 *beside,
-                          const int missing, const int minimum, __global float *found, __global float *value,
-                          __global int *near, __global int *lists, __global int *state)
+__kernel void sweep_holes(const int slots, const int most, const int limit, const int median_wins,
+                          __global const int2 *beside, const int missing, const int minimum, __global float *found,
+                          __global float *value, __global int *near, __global int *lists, __global int *state)
 {
     const int item = get_local_id(0), items = get_local_size(0);
     while (true) {
