@@ -173,7 +173,7 @@ class Coarse(Spreader):
     def image(self, events: Events, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
         """The frame as of `Spreader.image`, of which there are no strips; of a frame once."""
         if self.levels:
-            self._look_up(-1.0, events)
+            self._sample_frame(-1.0, events)
         sharp = np.float32(SHARPENING[self.psf.model])
         for coarse, fine in pairwise(reversed(self.levels)):
             layouts = [
@@ -184,7 +184,7 @@ class Coarse(Spreader):
             rows, columns = int(fine.camera["rows"]), int(fine.camera["columns"])
             self._run("enlarge", _blocks(columns + 1, rows), BLOCKS, events, *layouts, sharp)
         if self.levels:
-            self._look_up(1.0, events)
+            self._sample_frame(1.0, events)
         return super().image(events, out)
 
     def missed(self) -> NDArray[np.float32]:
@@ -194,11 +194,11 @@ class Coarse(Spreader):
             return np.zeros((count, self.channels), np.float32)
         return download(self.session, self.misses, (count, self.channels), np.float32)
 
-    def _look_up(self, sign: float, events: Events) -> None:
+    def _sample_frame(self, sign: float, events: Events) -> None:
         if self.places is not None:
             layout = (self.total, np.int32(self.pitch), np.int32(self.pad), np.float32(sign))
             args = (self.camera, *layout, np.int32(len(self.places)), self.pixels, self.misses)
-            self._run("look_up", (len(self.places),), (8,), events, *args)
+            self._run("sample_frame", (len(self.places),), (8,), events, *args)
 
     def _run(self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: object) -> None:
         events.append((name, launch(self.session, kernel(self.tools, name), size, local, *args)))  # type: ignore[arg-type]

@@ -1,9 +1,11 @@
-// Averages intermediate frames. Twin: clsco/reference/blur/accumulate.py.
+// Average of sub-frames, I(x) = sum_t L(x, t) of radiances that have the weight of their time sample in the exposure
+// already. Twin: clsco/reference/blur/accumulate.py.
 //
-// The blur kernels add to `total` themselves; this one serves scenes in focus, where there is nothing to blur.
+// The kernels of the blur add to `total` themselves; the host picks this one for scenes in focus, where nothing is
+// blurred.
 
-// In: value float (CHANNELS, height, width), already times the weight of its moment. In and out: total, the frame's
-// part, float (CHANNELS, rows, pitch) with `pad` columns before and after the frame's own.
+// In: value float (CHANNELS, height, width), already times the weight of its time sample. In and out: total, the
+// frame's part, float (CHANNELS, rows, pitch) with `pad` columns before and after the frame's own.
 __kernel void accumulate(const camera_t camera, __global const float *value, const int pitch, const int pad,
                          __global float *total)
 {

@@ -1,11 +1,13 @@
-// Blur with one radius for all sources and no tilt: a plain convolution. Twin: clsco/reference/blur/convolve.py.
+// Blur with one radius for all sources and no tilt: a plain convolution, I(x) = sum_d w(d) L(x - d). Twin:
+// clsco/reference/blur/convolve.py. Host: clsco/passes/convolve.py, which picks it for frames of one blur radius.
 //
 // A PSF is the sum of two parts, which clsco/optics/stencil.py finds. What is the same everywhere inside of a disc is a
-// union of rectangles, taken from sums over rectangles (sum_across, sum_down): whole numbers, so that what is added and
-// taken away again is gone to the last bit, and no sum depends on where a strip begins. All other weights are runs, one
-// below the other, which columns -dx and dx of the PSF have in common. A run keeps its weights in registers, and the
-// sources that they meet, while it goes down the image. Gaussians that are products are two such PSFs, one after the
-// other. Feature: WIDE_SUMS (sums of 64 bits instead of 32).
+// union of rectangles, taken from sums over rectangles (sum_across, sum_down) in whole numbers: what is added and taken
+// away again cancels to the last bit, and no sum depends on where a strip begins. All other weights are runs, one below
+// the other, which columns -dx and dx of the PSF have in common; a run keeps its weights in registers, and the sources
+// that they meet, while it goes down the image. Gaussians that are products are two such PSFs, one after the other.
+// Common columns and runs took R6 from 7.2 to 2.5 ns per pixel, sums over rectangles R20 from 39 to 11 and R60 from 250
+// to 29 (benchmarks/optimisation_log.md). Feature: WIDE_SUMS (sums of 64 bits instead of 32).
 
 #define WIDE_LANES 16        // floats in a vector
 #define CONVOLVED_ROWS 32    // of a work-item, as in clsco/passes/convolve.py, and
@@ -22,7 +24,7 @@ typedef ulong16 sums_t;
 #define LOAD_SUMS(p) LOAD(ulong, 16, p)
 #define STORE_SUMS(v, p) STORE(ulong, 16, v, p)
 #define AS_SUMS(v) as_ulong16(v)
-#define AS_LIGHT(v) CONVERT16(float, as_long16(v))
+#define AS_RADIANCE(v) CONVERT16(float, as_long16(v))
 #else
 #define LOWER_BITS 26  // as in clsco/passes/convolve.py
 typedef uint sum_t;
@@ -30,7 +32,7 @@ typedef uint16 sums_t;
 #define LOAD_SUMS(p) LOAD(uint, 16, p)
 #define STORE_SUMS(v, p) STORE(uint, 16, v, p)
 #define AS_SUMS(v) CONVERT16(uint, v)
-#define AS_LIGHT(v) CONVERT16(float, as_int16(v))
+#define AS_RADIANCE(v) CONVERT16(float, as_int16(v))
 #endif
 #define FLOATS(p) LOAD(float, 16, p)
 #define INLINE static inline __attribute__((always_inline))
@@ -38,7 +40,7 @@ typedef uint16 sums_t;
 // Contraction changes no bit from run to run.
 #pragma OPENCL FP_CONTRACT ON
 
-// Sums along each row: of a pixel's light and all that is to the left of it, in units of 1 / scale. Those of 32 bits
+// Sums along each row: of a pixel's radiance and all that is to the left of it, in units of 1 / scale. Those of 32 bits
 // are the upper bits: it is not pixels that are rounded, but sums, so that no error adds up along a row.
 // In: value float (height, width) from `start` on; out: sums (height, width).
 __kernel void sum_across(const int height, const int width, __global const float *value, const int start,
@@ -120,7 +122,8 @@ INLINE void add_run(const int count, __global const float *weights, __global con
     }
 }
 
-// Light of the rectangles for one row of a tile: pairs of sums (dy, dx), one that is added and one that is taken away.
+// Radiance of the rectangles for one row of a tile: pairs of sums (dy, dx), one that is added and one that is taken
+// away.
 INLINE void add_rectangles(__global const int4 *pairs, int count, __global sum_t *sums, int pitch, float share,
                            float16 *row)
 {
@@ -137,10 +140,10 @@ INLINE void add_rectangles(__global const int4 *pairs, int count, __global sum_t
     }
     #pragma unroll
     for (int v = 0; v < CONVOLVED_VECTORS; ++v)
-        row[v * CONVOLVED_ROWS] = AS_LIGHT(inside[v]) * share;
+        row[v * CONVOLVED_ROWS] = AS_RADIANCE(inside[v]) * share;
 }
 
-// Asks for what the next tile to the right is the first to read: otherwise it would wait for memory, line by line.
+// Prefetches the first reads of the next tile to the right, which would wait for memory line by line otherwise.
 INLINE void prefetch_tile(__global const float *value, __global const sum_t *sums, bool summed, int pitch, int rows,
                           int vectors)
 {
@@ -156,7 +159,7 @@ INLINE void prefetch_tile(__global const float *value, __global const sum_t *sum
 //   value   float, rows of `pitch`, pixel (0, 0) at start + origin. What is within reach of the PSF is there, too, and
 //           WIDE_LANES more columns
 //   runs    (dx, first dy, number of weights, where in `weights` they are)
-//   sums    of sum_down, pixel (0, 0) at origin; pairs: see add_rectangles; share: light of one unit
+//   sums    of sum_down, pixel (0, 0) at origin; pairs: see add_rectangles; share: radiance of one unit
 //   target  pixel (0, 0) at target_start, rows of target_pitch. fresh: what is there does not count
 //   half_width, half_height: of what the runs reach
 __kernel void convolve(const int rows, const int columns, __global const float *value, const int start,

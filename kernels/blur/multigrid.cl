@@ -1,14 +1,18 @@
-// Sources of wide blur on coarser grids: what moves there, its light and radii at half the resolution, the way back.
-// Built with spread.clh. Twin: clsco/reference/blur/multigrid.py; host and choice of what moves:
-// clsco/passes/multigrid.py.
+// An approximation: sources of wide blur are blurred on coarser grids, and their frames enlarged,
+//     I = I_0 + E(I_1 + E(I_2 + ...)),  I_k = sum of the sources that have moved to grid k, E: bilinear enlargement.
+// Here: which sources move, their radiance and radii at half the resolution, and the way back. Twin:
+// clsco/reference/blur/multigrid.py. Host, and which radii move: clsco/passes/multigrid.py.
 //
 //   grid    of a level: (height, width) as camera has it, px of that level. Node (i, j) of the next one stands at
 //           (2 i - 3.5, 2 j - 3.5), in the middle of four pixels.
 //   plane   float (height + 2 EDGE_ROWS, pitch) of a grid, with EDGE columns on the left and at least as many on
-//           the right: radii, light of moved sources, ...; 0 all around.
-//   source: see sources.clh; value, total: see blur.cl. A source that has moved keeps its coordinate u as -2 - u, for which
-//           gather leaves it out.
-// Features: CHANNELS, TILT, DISC (of the finest table), SAMPLED (of the coarser tables).
+//           the right: radii, radiance of moved sources, ...; 0 all around.
+//   source: common/sources.clh; value, total: blur.cl. A source that has moved keeps its coordinate u as -2 - u, so
+//           that gather leaves it out.
+//
+// The host picks it for the methods coarse2 to coarse16 only, with `gather` or `tiles` on each grid. Eight pixels at
+// a time took `pick` from 60 to 100 to 4 ns per pixel (benchmarks/optimisation_log.md). Features: CHANNELS, TILT, DISC
+// (of the finest table), SAMPLED (of the coarser tables).
 
 #pragma OPENCL FP_CONTRACT ON
 
@@ -32,7 +36,7 @@ static inline float8 radius_of(const psf_t psf, float8 u, int sampled)
     return (as_float8((127 + octave) << 23) * (1 + (position - convert_float8(octave))) - 1) / (float)psf.octaves_from;
 }
 
-// Radii of the sources that may move: whole ones, with nothing in their way. In: source of the finest grid, marked:
+// Radii of the sources that may move: whole ones, without occluders. In: source of the finest grid, marked:
 // with a plane of marks. Out: radius, a plane that is NaN around the grid; tilt, with TILT: planes of R dR/dx and R
 // dR/dy. TAP_LANES pixels at a time.
 __kernel void measure_radii(const camera_t camera, const psf_t psf, __global const float *source, const int marked,
@@ -70,12 +74,13 @@ __kernel void measure_radii(const camera_t camera, const psf_t psf, __global con
 #define HIGHER(a, b) ((b) > (a) ? (b) : (a))
 
 // Moves the sources of |R| >= from px whose neighbors within 2 px may move too and differ by at most `steepest` px: no
-// node gets light from both sides of a jump. From `from` to `to` px the share that moves rises from 0 to 1, since a
-// PSF's error shows most where its light ends. In: radius; value and, maybe the same, kept: all light, and what stays.
-// In and out: source. Out: moved, radii of those; light, a plane for each channel. TAP_LANES pixels at a time.
+// node gets radiance from both sides of a depth discontinuity. From `from` to `to` px the share that moves rises from 0
+// to 1, since a PSF's error shows most where its radiance ends. In: radius; value and, maybe the same, kept: all
+// radiance, and what stays. In and out: source. Out: moved, radii of those; radiance, a plane for each channel.
+// TAP_LANES pixels at a time.
 __kernel void pick(const camera_t camera, __global const float *radius, __global const float *value, const float from,
                    const float to, const float steepest, const int pitch, __global float *source, __global float *kept,
-                   __global float *moved, __global float *light)
+                   __global float *moved, __global float *radiance)
 {
     const int x = get_global_id(0) * TAP_LANES, y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
@@ -116,7 +121,7 @@ __kernel void pick(const camera_t camera, __global const float *radius, __global
                 ((float *)&v)[i] = value[here + i];
                 kept[here + i] = ((float *)&v)[i] * (1 - ((const float *)&share)[i]);
             }
-        STORE(float, 8, share * v, light + k * plane + place);
+        STORE(float, 8, share * v, radiance + k * plane + place);
     }
     for (int i = 0; i < count; ++i)
         if (((const float *)&share)[i] == 1)
@@ -129,12 +134,12 @@ static inline float8 along(float16 left, float16 right)
     return (left.even + right.odd) + 3 * (left.odd + right.even);
 }
 
-// Light and radii of the next level's nodes: each source is shared among the four around it as bilinear interpolation
-// would take it back, so that its light stays where it is. loss: what of R^2 the way there and back does by itself,
-// px^2. In: moved, light; tilt, with TILT. Out: value of the next grid; radius, its plane, NOTHING where no light is;
-// next_tilt, its planes. TAP_LANES nodes at a time.
+// Radiance and radii of the next level's nodes: each source is shared among the four around it as bilinear
+// interpolation would take it back, so that its radiance stays where it is. loss: what of R^2 the way there and back
+// does by itself, px^2. In: moved, radiance; tilt, with TILT. Out: value of the next grid; radius, its plane, NOTHING
+// where no radiance is; next_tilt, its planes. TAP_LANES nodes at a time.
 __kernel void halve(const camera_t camera, const camera_t next, __global const float *moved,
-                    __global const float *light, __global const float *tilt, const float loss, const int pitch,
+                    __global const float *radiance, __global const float *tilt, const float loss, const int pitch,
                     const int next_pitch, __global float *value, __global float *radius, __global float *next_tilt)
 {
     const int x = get_global_id(0) * TAP_LANES, y = get_global_id(1);
@@ -173,7 +178,7 @@ __kernel void halve(const camera_t camera, const camera_t next, __global const f
         float8 total = 0;
         #pragma unroll
         for (int i = 0; i < 4; ++i) {
-            __global const float *row = light + k * plane + first + i * pitch;
+            __global const float *row = radiance + k * plane + first + i * pitch;
             total += (i == 0 || i == 3 ? 1.0f : 3.0f) *
                      along(LOAD(float, 16, row), LOAD(float, 16, row + 2));
         }
@@ -198,7 +203,7 @@ __kernel void aim_nodes(const camera_t camera, const psf_t psf, __global const f
     if (r >= 0) {
         record.x = table_coordinate(psf, widened(r), 0);
 #if TILT
-        // The first moment of the light is half the change of its second one: so level light stays level.
+        // The first moment of the radiance is half the change of its second one: so level radiance stays level.
         record.y = tilt[place] / (r * r + blunt);
         record.z = tilt[plane + place] / (r * r + blunt);
 #endif
@@ -230,17 +235,18 @@ __kernel void enlarge(const camera_t coarse, const int coarse_pitch, const int c
             const float share = i == 0 ? down.x : i == 1 ? down.y : i == 2 ? down.z : down.w;
             left += share * LOAD(float, 8, at + i * coarse_pitch);
         }
-        float8 light;
-        light.even = w.x * left.lo + w.y * left.s1234 + w.z * left.s2345 + w.w * left.s3456;
-        light.odd = w.w * left.lo + w.z * left.s1234 + w.y * left.s2345 + w.x * left.s3456;
+        float8 radiance;
+        radiance.even = w.x * left.lo + w.y * left.s1234 + w.z * left.s2345 + w.w * left.s3456;
+        radiance.odd = w.w * left.lo + w.z * left.s1234 + w.y * left.s2345 + w.x * left.s3456;
         __global float *out = total + (k * camera.rows + y) * pitch + x + pad;
-        STORE(float, 8, LOAD(float, 8, out) + light, out);
+        STORE(float, 8, LOAD(float, 8, out) + radiance, out);
     }
 }
 
-// Takes from `missed` what light that has left the finest grid would have sent to some pixels by the exact way. place:
-// (count) row and column in the frame. In: light, planes. In and out: missed float (count, CHANNELS).
-__kernel void probe(const camera_t camera, const psf_t psf, __global const float *source, __global const float *light,
+// Takes from `missed` what radiance that has left the finest grid would have sent to some pixels by the exact way.
+// place: (count) row and column in the frame. In: radiance, planes. In and out: missed float (count, CHANNELS).
+__kernel void probe(const camera_t camera, const psf_t psf, __global const float *source,
+                    __global const float *radiance,
                     const int pitch, __global const int2 *intervals, __global const float *coefficients,
                     const int count, __global const int2 *place, __global float *missed)
 {
@@ -265,7 +271,7 @@ __kernel void probe(const camera_t camera, const psf_t psf, __global const float
                 continue;
             const float w = tap(spread, column - x, row - y, s);
             for (int k = 0; k < CHANNELS; ++k)
-                part[k] += w * light[k * plane + AT(x, y)];
+                part[k] += w * radiance[k * plane + AT(x, y)];
         }
         for (int k = 0; k < CHANNELS; ++k)
             sum[k] += part[k];
@@ -274,8 +280,8 @@ __kernel void probe(const camera_t camera, const psf_t psf, __global const float
         missed[n * CHANNELS + k] -= sum[k];
 }
 
-// Adds `sign` times the frame at these pixels to `missed`: before light comes from coarser grids, and after.
-__kernel void look_up(const camera_t camera, __global const float *total, const int pitch, const int pad,
+// Adds `sign` times the frame at these pixels to `missed`: before radiance comes from coarser grids, and after.
+__kernel void sample_frame(const camera_t camera, __global const float *total, const int pitch, const int pad,
                       const float sign, const int count, __global const int2 *place, __global float *missed)
 {
     const int n = get_global_id(0);

@@ -1,30 +1,35 @@
-// Occlusion from what the pinhole alone sees: depth layers of blur radius, each blurred together with its coverage by
-// the kernels of blur.cl. Twin: clsco/reference/layered/layered.py. Features: CHANNELS, of the image and 1; SCATTER,
-// whether the blur adds in fixed point.
+// Layered occlusion, from what the pinhole alone sees: depth layers k of the blur radius, from the nearest on, each
+// blurred together with its coverage by the kernels of the blur, and composited,
+//     I = sum_k B(L_k) share_k,  share_k = min(1, room that nearer layers have left / B(1_k)).
+// Twin: clsco/reference/layered/layered.py. Host: clsco/passes/layered.py, which picks it for psf.occlusion =
+// "layered".
 //
 // On the padded grid (height, width), row-major; a smaller signed radius is nearer:
-//   value    float (CHANNELS - 1, height, width): radiance times the weight of the moment
-//   coc      wide_t: signed radius of the blur in px
+//   value    float (CHANNELS - 1, height, width): radiance times the weight of the time sample
+//   coc      wide_t: signed blur radius in px
 //   valid    uchar: whether there is surface
-//   layer     uchar: 1 is the nearest, 0 no surface
-//   seed     uchar: at an edge, the layer that goes on behind the pixel, else 0
+//   layer    uchar: 1 is the nearest, 0 no surface
+//   seed     uchar: at an edge, the layer that is extrapolated behind the pixel, else 0
 //   offset   int: rows to the nearest seed of the same column, NO_SEED for none
-//   hidden   uchar: the layer that is taken to go on behind the pixel, else 0
-//   edge     uchar: whether an edge is so near that coverage counts; light from elsewhere simply adds up
+//   hidden   uchar: the layer that is extrapolated behind the pixel, else 0
+//   edge     uchar: whether an edge is so near that coverage counts; radiance from elsewhere simply adds up
 // and of the layer that is being blurred
-//   pyramid  float, level by level from the finest on, each (CHANNELS + 1, rows, columns): radiance, radius, and how far
-//            they are known, 0 to 1
+//   pyramid  float, level by level from the finest on, each (CHANNELS + 1, rows, columns): radiance, radius, and how
+//            far they are known, 0 to 1
 //   layer_value float (CHANNELS, height, width): radiance and coverage; layer_coc, layer_valid: as coc and valid
-// All is whole numbers, or sums in a fixed order: the same bits every time.
+// All is whole numbers, or sums in a fixed order: the same bits every time. Seeds of 64 pixels of a row at once took
+// reach_hidden from 31 to 11 ns per pixel, vectors `push` from 14 to 4, columns of 16 column_seeds from 8 to 2
+// (benchmarks/optimisation_log.md). Features: CHANNELS, of the image and 1; SCATTER, whether the blur adds in fixed
+// point.
 
-#pragma OPENCL FP_CONTRACT ON  // as where light is summed in blur.cl
+#pragma OPENCL FP_CONTRACT ON  // as where radiance is summed in the blur
 
 #define DISCONTINUITY ((real)1)     // px, as in the twin
 #define BIN ((real)0.25)   // px
 #define CLASSES 10         // of discontinuities: beyond DISCONTINUITY, 2 DISCONTINUITY, 4 DISCONTINUITY ... px
 #define NO_SEED (1 << 14)  // farther than any blur reaches
 #define NEVER (1 << 24)    // beyond the last pixel of any frame
-#define REACH_PIXELS 64             // pixels of a row that a work-item looks at together
+#define REACH_PIXELS 64             // pixels of a row that a work-item takes at once
 #define RADIUS (CHANNELS - 1)  // plane of the pyramid
 #define KNOWN CHANNELS
 #define GROWTH 4.0f
@@ -284,7 +289,7 @@ static inline void push_some(__global const float *from, int fine_rows, int fine
 
 // PUSH_PIXELS pixels of the coarser level (rows, columns) per work-item: means of what is known, under a tent of 4 x 4
 // pixels of the finer one (fine_rows, fine_columns). fine, coarse: where the levels are in the pyramid; last: there is
-// no coarser one to ask, so what is known in part is taken as it is.
+// no coarser one, so what is known in part is taken as it is.
 __kernel void push(const int fine_rows, const int fine_columns, const int rows, const int columns, const int fine,
                    const int coarse, const int last, __global float *pyramid)
 {
@@ -343,8 +348,8 @@ static around_t around(__global const float *known, int rows, int columns, int y
 // Mean of what is known there; 0 where nothing is.
 static float between(__global const float *plane, around_t near)
 {
-    const float4 light = {plane[near.place.x], plane[near.place.y], plane[near.place.z], plane[near.place.w]};
-    return near.sum > 0 ? dot(near.share, light) / near.sum : 0;
+    const float4 radiance = {plane[near.place.x], plane[near.place.y], plane[near.place.z], plane[near.place.w]};
+    return near.sum > 0 ? dot(near.share, radiance) / near.sum : 0;
 }
 
 // One pixel of the finer level per work-item: what it does not know, in part or whole, comes from the coarser one.
@@ -366,7 +371,7 @@ __kernel void pull(const int fine_rows, const int fine_columns, const int rows, 
     to[KNOWN * plane] = known > 0 || near.sum > 0;
 }
 
-// Slab `which` with its hidden part, which comes from the second level (rows, columns) of the pyramid, at `coarse`.
+// Layer `which` with its hidden part, which comes from the second level (rows, columns) of the pyramid, at `coarse`.
 __kernel void take_depth_layer(const camera_t camera, const int which, const int rows, const int columns,
                                const int coarse, __global const float *value, __global const wide_t *coc,
                                __global const uchar *layer, __global const uchar *hidden, __global const float *pyramid,
@@ -419,17 +424,17 @@ __kernel void composite(const camera_t camera, const int from_pitch, const int f
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= camera.columns || row >= camera.rows)
         return;
-    __global const float *light = blurred + row * from_pitch + column + from_pad;
+    __global const float *irradiance = blurred + row * from_pitch + column + from_pad;
     const int at = row * camera.columns + column, plane = camera.rows * from_pitch;
-    const float coverage = light[(CHANNELS - 1) * plane], before = covered[at];
+    const float coverage = irradiance[(CHANNELS - 1) * plane], before = covered[at];
     const float room = MIN(coverage, MAX(coverage, 1.0f) - before), seen = MAX(room, 0.0f);
     const float share = seen < coverage ? seen / coverage : 1;
     for (int c = 0; c < CHANNELS - 1; ++c) {
 #if SCATTER
-        const float fixed = floor(light[c * plane] * share * scale + 0.5f);
+        const float fixed = floor(irradiance[c * plane] * share * scale + 0.5f);
         total[c * camera.rows * camera.columns + at] += (fixed_t)fixed;
 #else
-        total[(c * camera.rows + row) * pitch + column + pad] += light[c * plane] * share;
+        total[(c * camera.rows + row) * pitch + column + pad] += irradiance[c * plane] * share;
 #endif
     }
     covered[at] = before + seen;

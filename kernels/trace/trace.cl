@@ -1,21 +1,25 @@
-// Casts rays against the surface: the sources of light of one moment, and the ground truth of a frame.
-// Twin: clsco/reference/trace/trace.py.
+// Casts rays against analytic surfaces: the sources of one time sample, and the ground truth of a frame. Along a ray r
+// w = 1/Z solves C w^2 + 2 B w + A = 0 (common/geometry.clh); the blur radius is R = blur_scale (focus_power - w)
+// (2.33). Twin: clsco/reference/trace/trace.py. Host: clsco/engine/renderer.py, for all scenes of analytic surfaces.
 //
-// Sources live on the frame, or a strip of its rows, and what around it may light it: (height, width), row-major.
-//   source  planes, see sources.clh
-//   value   float (CHANNELS, height, width): radiance times the weight of this moment in the exposure
-//   label   uchar (height, width): 0 no surface, else which root of which object was met, and on which side of others
+// Sources lie on the frame, or a strip of its rows, and on the apron around it that contributes to it: (height, width),
+// row-major.
+//   source  planes, see common/sources.clh
+//   value   float (CHANNELS, height, width): radiance times the weight of the time sample in the exposure
+//   label   uchar (height, width): 0 no surface, else which root of which object was hit, and on which side of others
 //   depth   wide_t (height, width): inverse depth, with OCCLUDED
 //   texture float (textures, CHANNELS, frame_rows, columns); surface_t names its object's
-// Features besides geometry.clh's: MOVED (not all is where it was at rest), TILT, SUBPIXELS (sources per axis in a
+// Features besides geometry.clh's: MOVED (not all is in its reference pose), TILT, SUBPIXELS (sources per axis in a
 // pixel at a silhouette, 0 none), SAMPLED, OCCLUDED, PINHOLE, LENSES, and TRUTH_* for the outputs of ground_truth.
+// Square roots and floors as instructions took a plane from 36 to 12 ns per pixel, one cast for all lenses of a sweep
+// the prepass from 31 to 6 and 20 per lens (benchmarks/optimisation_log.md).
 
 // Statistics of a frame, ints, beside those of geometry.clh.
-#define SLOTS 2       // taken at this moment
-#define MOST_SLOTS 3  // taken at any moment
+#define SLOTS 2       // taken at this time sample
+#define MOST_SLOTS 3  // taken at any time sample
 
-// Where a hit takes its radiance from in the texture: (column, row, in front of the lens). At rest a pixel shows its
-// own texel.
+// Where a hit takes its radiance from in the texture: (column, row, in front of the lens). In the reference pose a
+// pixel shows its own texel.
 static wide3_t texture_point(__constant surface_t *surface, const camera_t camera, wide3_t ray, wide_t w, int row,
                              int column)
 {
@@ -26,7 +30,7 @@ static wide3_t texture_point(__constant surface_t *surface, const camera_t camer
 #endif
 }
 
-// 0 for what was behind the lens at rest: the texture knows nothing of it.
+// 0 for what is behind the lens in the reference pose, which the texture does not hold.
 static float radiance(__global const float *texture, __constant surface_t *surface, const camera_t camera, int channel,
                       wide3_t point)
 {
@@ -40,8 +44,8 @@ static float radiance(__global const float *texture, __constant surface_t *surfa
 #endif
 }
 
-// What the lens makes of a hit: its record; below 0 where its light does not reach the lens. subpixel: the source is
-// one of SUBPIXELS^2. In and out: label, statistics.
+// What the lens makes of a hit: its record; below 0 where none of its radiance reaches the lens. subpixel: the source
+// is one of SUBPIXELS^2. In and out: label, statistics.
 static float4 source_record(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
                             wide3_t ray, wide_t w, int subpixel, uchar *label, __global int *statistics)
 {
@@ -81,7 +85,7 @@ static void take_radiance(const camera_t camera, __constant surface_t *surfaces,
         values[c * plane] = label ? weight * radiance(texture, surface, camera, c, point) : 0;
 }
 
-// One source per pixel of frame and guard band, on the nearest of the layer's objects. Out: source, value, label,
+// One source per pixel of frame and apron, on the nearest of the layer's objects. Out: source, value, label,
 // statistics, depth.
 __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
                     const float weight, __global const float *texture, __global float *source, __global float *value,
@@ -113,7 +117,7 @@ __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const
 
 #if LENSES
 // The part of trace that all lenses have in common. Out: value, depth, and hit uchar (height, width), the label before
-// any lens looks.
+// any visibility test.
 __kernel void cast(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const float weight,
                    __global const float *texture, __global float *value, __global wide_t *depth, __global uchar *hit)
 {
@@ -267,9 +271,9 @@ static bool covered(wide_t seen, wide_t ratio, wide_t w)
 
 // Ground truth of a strip at pixel centers, (rows, columns[, components]), never anti-aliased: depth mm (+inf:
 // nothing), coc signed px (0: nothing), mask, object (-1: nothing), normal, flow px to the pose `next`, hidden (the
-// pinhole did not see the point at rest), sharp radiance; of a stereo pair disparity px and occluded (the other view
-// does not see the point). `still` are the surfaces at rest, `opposite` those that the other view sees, in poses
-// `there`; to_left: 1 for the right view, -1 for the left one.
+// pinhole did not see the point in the reference pose), sharp radiance; of a stereo pair disparity px and occluded (the
+// other view does not see the point). `still` are the surfaces in the reference pose, `opposite` those that the other
+// view sees, in poses `there`; to_left: 1 for the right view, -1 for the left one.
 #if TRUTH
 __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces, __constant surface_t *still,
                            __constant pose_t *next, const layer_t layer, __global const float *texture,
@@ -340,7 +344,7 @@ __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces
     hidden[at] = 0;
     if (root) {
         const wide3_t from = rest_pixel(surface, camera, ray, w);
-        // 1 / depth at rest of this point, against what the pinhole saw there
+        // 1 / depth in the reference pose of this point, against what the pinhole saw there
         uchar other;
         const wide_t seen = solve_quadric(still + object, pixel_ray(camera, from.y, from.x), &other);
         hidden[at] = outside_frame(camera, from) || covered(seen, from.z, w);

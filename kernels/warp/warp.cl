@@ -1,19 +1,22 @@
-// Forward warp: the pixels of the frame at rest move and are projected to the nearest pixel of the padded grid
-// (thesis, 4.3.3). Twin: clsco/reference/warp/warp.py.
+// Forward warp: the pixels of the frame in its reference pose move with their objects, P' = R (P - c) + c + t, and are
+// projected to the nearest pixel of the padded grid (thesis, 4.3.3). Twin: clsco/reference/warp/warp.py. Host:
+// clsco/passes/warp.py, for motion.warp = "forward" where something moves, and for depth maps that move.
 //
-//   rest     wide_t per source (pixel of the frame, row-major): inverse depth at rest, 1/mm, 0 for no surface
+//   rest     wide_t per source (pixel of the frame, row-major): inverse depth in the reference pose, 1/mm, 0 for no
+//            surface
 //   target   int per source: pixel of the padded grid that it moves to, -1 for none
 //   moved    wide_t per source: its inverse depth after the move, 1/mm, 0 for none
 //   winner   int per pixel of the padded grid: lowest source among the nearest that come there, NO_WINNER for none
 //   object   uchar per source, with SEVERAL: which object it belongs to, 0 where there is none
 //
-// The source in a pixel at rest is the nearest of all surfaces there; it moves with its object. `count` objects have a
-// surface, a pose and a texture each. Those in `members` are met by rays; the others are depth maps (MAPPED), whose
-// surface_t has only the center.
+// The source in a pixel is the nearest of all surfaces there in the reference pose; it moves with its object. `count`
+// objects have a surface, a pose and a texture each. Those in `members` are analytic; the others are depth maps
+// (MAPPED), whose surface_t has only the center.
 //
 // Depths are compared as floats, so that rounding in the last digit of a double decides nothing: of equal ones the
 // first source wins. On CPUs (OWNED) a work-item owns a band of the padded grid and walks the sources that come there
-// in their order, without atomics; elsewhere two passes of atomics find the same winners.
+// in their order, without atomics: 5.3 -> 1.0 ns per pixel against atomics, which elsewhere find the same winners in
+// two passes. Targets by one floor and one division, vectorized: 42 -> 2.6 ns (benchmarks/optimisation_log.md).
 // Features besides geometry.clh's: OWNED, MAPPED, FILL_FAR (surfaces at several depths).
 
 // The position p of a source in px is snapped to 1/4096 px and then rounded half up, so that errors far below a step
@@ -21,7 +24,7 @@
 #define ROUNDING ((real)(0.5 + 0.5 / 4096))
 #define NO_WINNER INT_MAX
 #define NO_OBJECT 255
-#define SAME_DEPTH 1.02f  // relative: neighbors at rest that differ by less are one surface
+#define SAME_DEPTH 1.02f  // relative: neighbors in the reference pose that differ by less are one surface
 #define WIDEST_GAP 3      // px on each side: surfaces may grow to four times their size
 
 // Sources of a row that a work-item moves. PoCL vectorizes a loop over them, but not work-items of one source each.
@@ -31,8 +34,8 @@
 #define ITEM_PIXELS 1
 #endif
 
-// Inverse depth and object of every source; `surfaces` are at rest; maps real (depth maps, rows, columns): inverse
-// depths at rest. Of equally near objects the first counts. Out: rest, object.
+// Inverse depth and object of every source; `surfaces` are in the reference pose; maps real (depth maps, rows,
+// columns): inverse depths in the reference pose. Of equally near objects the first counts. Out: rest, object.
 __kernel void reproject_rest(const camera_t camera, __constant surface_t *surfaces, const int count,
                              const ulong members,
 #if MAPPED
@@ -72,8 +75,8 @@ __kernel void reproject_rest(const camera_t camera, __constant surface_t *surfac
 #endif
 }
 
-// Moves the sources of object k in columns begin to end of a row by its pose, about the center of its surface at rest.
-// Gives the lowest and highest target, (INT_MAX, -1) for none.
+// Moves the sources of object k in columns begin to end of a row by its pose, about the center of its surface in the
+// reference pose. Gives the lowest and highest target, (INT_MAX, -1) for none.
 static inline int2 move_sources(const camera_t camera, __constant surface_t *surface, __constant pose_t *pose, int row,
                                 int begin, int end, __global const wide_t *restrict rest, __global int *restrict target,
                                 __global wide_t *restrict moved
@@ -247,7 +250,7 @@ static int nearer_pixel(const camera_t camera, __global const int *depth, int x,
 }
 
 // Whether a winner is seen only through a surface that has grown: on opposite sides are nearer ones that were neighbors
-// at rest, on one surface, which was closed between them.
+// in the reference pose, on one surface, which was closed between them.
 static bool shows_through(const camera_t camera, __global const int *depth, __global const int *winner, int x, int y)
 {
     const float bound = SAME_DEPTH * as_float(depth[y * camera.width + x]);
@@ -295,9 +298,9 @@ __kernel void reproject_gaps(const camera_t camera, __global const int *restrict
 #endif
 
 // What the winners bring. In: texture float (textures, CHANNELS, rows, columns), of which each surface names its own;
-// moved, winner, object; weight of this moment in the exposure. Out, on the padded grid: value float (CHANNELS, height,
-// width), radiance times weight; w wide_t, inverse depth in 1/mm; coc wide_t, signed radius in px; valid uchar, there
-// is a winner; status uchar, 0; seen uchar, with SEVERAL, its object. All 0 without one, and seen NO_OBJECT. With
+// moved, winner, object; weight of the time sample in the exposure. Out, on the padded grid: value float (CHANNELS,
+// height, width), radiance times weight; w wide_t, inverse depth in 1/mm; coc wide_t, signed radius in px; valid uchar,
+// there is a winner; status uchar, 0; seen uchar, with SEVERAL, its object. All 0 without one, and seen NO_OBJECT. With
 // FILL_FAR valid is from reproject_gaps, and winners of other pixels do not count.
 __kernel void reproject_gather(const camera_t camera, const float weight, __global const float *texture,
                                __global const wide_t *moved, __global const int *winner,
@@ -360,7 +363,7 @@ __kernel void extend_border(const camera_t camera, __global float *value, __glob
 }
 #endif
 
-// Keeps the range of the radii of a moment. In: coc, valid, as in reproject_gather. In and out: statistics.
+// Keeps the range of the radii of a time sample. In: coc, valid, as in reproject_gather. In and out: statistics.
 __kernel void note_radii(const camera_t camera, __global const wide_t *coc, __global const uchar *valid,
                          __global int *statistics)
 {

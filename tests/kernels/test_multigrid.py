@@ -107,12 +107,12 @@ def test_the_device_does_what_the_twin_does(session: Session, psf: Psf, guard: i
     found, missed = approximate(session, psf, light, guard, 2.0, places)
     assert_close(found, expected, FIGURE)
     exact = scatter(psf, light, None, SHAPE, guard)
-    off = twin.look_up(found - exact, places)
+    off = twin.sample_frame(found - exact, places)
     assert np.abs(off).max() > 10 * FIGURE  # there is an error to be measured
     assert_close(missed.astype(np.float64), off, FIGURE)
     share = twin.shares(psf, twin.measure_radii(light, None)[0], 2.0, 0)
     moved = twin.probe(psf, light, share, SHAPE, guard, places)
-    assert_close(twin.look_up(wide, places) - moved, off, FIGURE)
+    assert_close(twin.sample_frame(wide, places) - moved, off, FIGURE)
 
 
 def test_shares_in_what_is_left_of_a_row(session: Session) -> None:

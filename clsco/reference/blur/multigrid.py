@@ -106,7 +106,7 @@ def enlarge(coarse: Array, coarse_guard: int, shape: Shape, guard: int, sharp: f
     return coarse
 
 
-def look_up(frame: Array, places: Places) -> Array:
+def sample_frame(frame: Array, places: Places) -> Array:
     """Pixels (places, C) of a frame."""
     return np.asarray(frame[places[:, 0], places[:, 1]])
 
@@ -114,7 +114,7 @@ def look_up(frame: Array, places: Places) -> Array:
 def probe(psf: Psf, sources: Sources, share: Array, shape: Shape, guard: int, places: Places) -> Array:
     """What the light that moves would have sent to some pixels (places, C) by the exact way; share: of `pick`."""
     moved = replace(sources, lit=sources.lit & (share > 0.0), radiance=sources.radiance * share[..., None])
-    return look_up(scatter(psf, moved, None, shape, guard), places)
+    return sample_frame(scatter(psf, moved, None, shape, guard), places)
 
 
 def coarse(

@@ -35,8 +35,9 @@ INLINE void add_rows(spread_t s, int up, int down, float v, float4 source, __glo
 }
 
 #if OCCLUDED
-// The same for all channels, `apart` apart in `light` and `planes` in `out`, where something stands in the way.
-INLINE void add_occluded_rows(spread_t s, const visibility_t *visibility, int up, int down, __global const float *light,
+// The same for all channels, `apart` apart in `radiance` and `planes` in `out`, where something stands in the way.
+INLINE void add_occluded_rows(spread_t s, const visibility_t *visibility, int up, int down,
+                              __global const float *radiance,
                               int apart, float4 source, __global float *out, int planes, int pitch)
 {
     const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
@@ -62,7 +63,7 @@ INLINE void add_occluded_rows(spread_t s, const visibility_t *visibility, int up
             w *= factor > 0 ? factor : (float8)0;
 #endif
             for (int k = 0; k < CHANNELS; ++k)
-                ADD_TAPS(out + k * planes + dy * pitch + b, w * light[k * apart]);
+                ADD_TAPS(out + k * planes + dy * pitch + b, w * radiance[k * apart]);
         }
     }
 }
@@ -80,7 +81,7 @@ static void settle(int first, int last, int apart, int shift, int plane, int pit
         }
 }
 
-// Adds all sources that fit in; gives whether there are others.
+// Adds all sources that fit in; returns whether there are others.
 #if BY_COLUMNS
 #define ADD_ALIKE add_columns
 #elif NEAR
@@ -88,10 +89,10 @@ static void settle(int first, int last, int apart, int shift, int plane, int pit
 #else
 #define ADD_ALIKE add_disc_rows
 #endif
-#define SOURCE_BLOCK WIDE_LANES  // sources of a row that are looked at together
+#define SOURCE_BLOCK WIDE_LANES  // sources of a row that are classified at once
 
-// Each work-item adds to BAND rows of `total`, the first one's band being `start`, all the light that reaches them, row
-// by row of sources. part: BAND rows for each work-item, of which every `group` rows of sources the sum goes on to
+// Each work-item adds to BAND rows of `total`, the first one's band being `start`, all the radiance that reaches them,
+// row by row of sources. part: BAND rows for each work-item, of which every `group` rows of sources the sum goes on to
 // total; with group 0 it is total. scratch: see rows.clh, near.clh and columns.clh, zeros as well.
 __kernel void gather(const camera_t camera, const psf_t psf, __global const float *source,
                      __global const float *value, __global const int2 *intervals,
