@@ -40,7 +40,7 @@ class Session:
         """Kernels and launch shapes that the driver has compiled already, kept by `program.launch`."""
         if device.is_pocl:
             poclcache.check()
-            poclcpu.ensure_known(device.handle.version, device.handle.int_ptr)
+            poclcpu.ensure_known(device.handle)
         try:
             if queue is not None:
                 self.context, self._queue = queue.context, queue
