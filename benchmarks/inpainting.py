@@ -56,7 +56,7 @@ def on_device(session: Session, method: str, image: Image, missing: Mask) -> Ima
 
 def thesis(image: Image, missing: Mask) -> Image:
     """Chapter 5, with all stages."""
-    return np.asarray(clsco.inpaint(image, missing, method="mean-median")[0])
+    return np.asarray(clsco.inpaint(image, missing, method="mean-median"))
 
 
 def opencv(flag: int, image: Image, missing: Mask) -> Image:

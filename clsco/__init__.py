@@ -1,8 +1,49 @@
 """Images of moving objects out of focus, with their ground truth, computed with OpenCL.
 
-`load_scene` and `parse_scene` read a scene, `render` computes its frames, `defocus` blurs one image by its
-radius map, `inpaint` fills missing pixels of one, and `reference` renders in NumPy float64 without OpenCL. Each is
-imported when it is first used: without OpenCL everything but `render`, `defocus` and `inpaint` works.
+A scene is built from its types, or read from a file, and rendered frame by frame::
+
+    import clsco
+
+    ball = clsco.Sphere(center=(0, 0, 280), radius=30, texture="bricks")
+    frame = clsco.render_frame(clsco.Scene(objects=(ball,)))
+    frame.color, frame.depth, frame.blur_radius         # NumPy arrays (rows, columns[, channels])
+
+    scene = clsco.load_scene("ball.toml").replace("camera.f_number", 4)
+    for frame in clsco.render(scene, truth=("depth", "flow")):
+        ...
+
+The two engines work on any arrays, of NumPy or pyopencl::
+
+    blurred = clsco.defocus(image, blur_radius, "gaussian")   # signed radius per pixel, px
+    filled = clsco.inpaint(image, mask)                       # True = missing
+
+Functions
+---------
+render, render_frame, render_sweep
+    All frames of a scene, one frame, the frames of several scenes.
+defocus, inpaint
+    Blur an image by its map of blur radii; fill its missing pixels.
+load_scene, parse_scene, load_sweep
+    A scene from a file or a mapping; all scenes of a file in which keys have several values.
+list_devices
+    The OpenCL devices, and which one is used.
+reference
+    A module: `reference.render` renders in NumPy float64 without OpenCL.
+
+Types
+-----
+Scene, Camera, Psf, Plane, Sphere, Cylinder, Cone, Ellipsoid, Quadric, DepthMap
+    What a scene holds, frozen and validated; lengths in mm, angles in degrees, times in s.
+Frame
+    A rendered image with its ground truth.
+MeanMedian
+    Options of one method of `inpaint`.
+ClscoError
+    Base of all errors that are raised on purpose: SceneError, ImageError, DeviceError, KernelError.
+
+`device=` takes a part of a device's name, "cpu", "gpu", or a Device, Context or CommandQueue of pyopencl. Each name is
+imported when it is first used: without OpenCL everything but `render`, `render_frame`, `render_sweep`, `defocus`,
+`inpaint` and `list_devices` works.
 """
 
 from __future__ import annotations
@@ -15,21 +56,54 @@ if TYPE_CHECKING:
     from clsco.engine.defocus import defocus as defocus
     from clsco.engine.inpaint import inpaint as inpaint
     from clsco.engine.sequence import render as render
+    from clsco.engine.sequence import render_frame as render_frame
+    from clsco.engine.sequence import render_sweep as render_sweep
+    from clsco.errors import ClscoError as ClscoError
+    from clsco.errors import DeviceError as DeviceError
+    from clsco.errors import ImageError as ImageError
+    from clsco.errors import KernelError as KernelError
+    from clsco.errors import SceneError as SceneError
+    from clsco.frame.frame import Frame as Frame
+    from clsco.inpainting.rules import MeanMedian as MeanMedian
+    from clsco.opencl.device import list_devices as list_devices
     from clsco.scene.file import load_scene as load_scene
     from clsco.scene.file import parse_scene as parse_scene
+    from clsco.scene.model import Camera as Camera
+    from clsco.scene.model import Cone as Cone
+    from clsco.scene.model import Cylinder as Cylinder
+    from clsco.scene.model import DepthMap as DepthMap
+    from clsco.scene.model import Ellipsoid as Ellipsoid
+    from clsco.scene.model import Plane as Plane
+    from clsco.scene.model import Psf as Psf
+    from clsco.scene.model import Quadric as Quadric
+    from clsco.scene.model import Scene as Scene
+    from clsco.scene.model import Sphere as Sphere
     from clsco.scene.sweep import load_sweep as load_sweep
 
 __version__ = "0.1.0"
-__all__ = ["__version__", "defocus", "inpaint", "load_scene", "load_sweep", "parse_scene", "reference", "render"]
 
-_HOME = {
-    "defocus": "clsco.engine.defocus",
-    "inpaint": "clsco.engine.inpaint",
-    "load_scene": "clsco.scene.file",
-    "load_sweep": "clsco.scene.sweep",
-    "parse_scene": "clsco.scene.file",
-    "render": "clsco.engine.sequence",
+_NAMES = {
+    "clsco.engine.sequence": ("render", "render_frame", "render_sweep"),
+    "clsco.engine.defocus": ("defocus",),
+    "clsco.engine.inpaint": ("inpaint",),
+    "clsco.scene.file": ("load_scene", "parse_scene"),
+    "clsco.scene.sweep": ("load_sweep",),
+    "clsco.opencl.device": ("list_devices",),
+    "clsco.scene.model": (
+        *("Scene", "Camera", "Psf"),
+        *("Plane", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap"),
+    ),
+    "clsco.frame.frame": ("Frame",),
+    "clsco.inpainting.rules": ("MeanMedian",),
+    "clsco.errors": ("ClscoError", "SceneError", "ImageError", "DeviceError", "KernelError"),
 }
+_HOME = {name: module for module, names in _NAMES.items() for name in names}
+__all__ = [  # noqa: RUF022, verbs and then types
+    "render", "render_frame", "render_sweep", "defocus", "inpaint", "load_scene", "parse_scene", "load_sweep",
+    "list_devices", "reference",
+    "Scene", "Camera", "Psf", "Plane", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Frame",
+    "MeanMedian", "ClscoError", "SceneError", "ImageError", "DeviceError", "KernelError",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

@@ -21,7 +21,7 @@ FIGURES: dict[str, tuple[str, float]] = {
     "color": ("of white", 1e-5),
     "sharp": ("of white", 1e-5),
     "depth": ("relative", 1e-6),
-    "coc": ("px", 1e-4),
+    "blur_radius": ("px", 1e-4),
     "normal": ("", 1e-5),
     "flow": ("px", 1e-4),
     "mask": ("", 0.0),

@@ -50,14 +50,16 @@ def views(frames: Sequence[Frame]) -> dict[str, Picture]:
     """
     frame = frames[0]
     assert frame.depth is not None
-    assert frame.coc is not None
+    assert frame.blur_radius is not None
     assert frame.mask is not None
     assert frame.normal is not None
     assert frame.flow is not None
     assert frame.sharp is not None
     seen = frame.mask
     near, far = float(frame.depth[seen].min()), float(frame.depth[seen].max())
-    least, most = (round(float(limit), 1) + 0.0 for limit in (frame.coc[seen].min(), frame.coc[seen].max()))
+    least, most = (
+        round(float(limit), 1) + 0.0 for limit in (frame.blur_radius[seen].min(), frame.blur_radius[seen].max())
+    )
     bound = max(abs(least), abs(most), 1e-6)
     longest = float(np.linalg.norm(frame.flow[seen], axis=-1).max())
     depth = scaled(np.where(seen, frame.depth, far), near, far, SEQUENTIAL)
@@ -68,7 +70,7 @@ def views(frames: Sequence[Frame]) -> dict[str, Picture]:
         covered = np.where(frame.occluded[..., None], OCCLUDED, photograph(frame.sharp))
         maps |= {label: scaled(frame.disparity, low, high, SEQUENTIAL), "red: not in the right view": covered}
     else:
-        maps[f"blur radius R, {least:.1f} to {most:.1f} px"] = scaled(frame.coc, -bound, bound, DIVERGING)
+        maps[f"blur radius R, {least:.1f} to {most:.1f} px"] = scaled(frame.blur_radius, -bound, bound, DIVERGING)
         maps["normal"] = (127.5 * (1 + frame.normal * np.array([1, 1, -1]))).round().astype(np.uint8)
     if longest > 0:
         maps[f"flow, up to {longest:.0f} px"] = flow_colors(frame.flow, longest)

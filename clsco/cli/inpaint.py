@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError
+from clsco.errors import ImageError, SceneError
 from clsco.files.atomic import refuse, same_place, writable_folder
 from clsco.files.images import WRITERS, ImageWriter, image_size, read_image, writer_for
+from clsco.inpainting.rules import MeanMedian
 
 
 def read_pair(image: Path, mask: Path, threshold: float | None = None) -> tuple[NDArray[Any], NDArray[np.bool_]]:
@@ -73,6 +74,23 @@ def prepare_out(out: Path, image: Path, mask: Path, is_float: bool | None = None
         refuse(out, f"{writer.label} holds floats; for codes it must end in {fitting}", f"the codes of {image}")
     writable_folder(out.parent)
     return writer
+
+
+def mean_median_options(method: str, given: Mapping[str, Any]) -> MeanMedian | None:
+    """Constants of mean-median where any is given, None else. Raises SceneError with the name of the option."""
+    from clsco.inpainting.methods import THESIS
+
+    constants = {name: value for name, value in given.items() if value is not None}
+    if not constants:
+        return None
+    option = f"--{next(iter(constants)).replace('_', '-')}"
+    if method != THESIS:
+        raise SceneError(f"{option}: belongs to --method {THESIS}; got {method}")
+    try:
+        return MeanMedian(**constants)
+    except SceneError as error:
+        name, _, rest = str(error).partition(":")
+        raise SceneError(f"--{name.replace('_', '-')}:{rest}") from None
 
 
 def _listed(suffixes: Iterable[str]) -> str:

@@ -157,7 +157,7 @@ def devices(device: str | None, tested: bool) -> None:
     from clsco.opencl.device import list_devices
     from clsco.opencl.self_test import self_test
 
-    found, choice = list_devices(device)
+    found, choice = list_devices(device, "--device")
     checks = {item: self_test(item) for item in found} if tested else {}
     if found:
         print_tables(*device_tables(found, choice.device, checks))
@@ -300,7 +300,7 @@ def defocus(
     with progress(1, quiet) as advance:
         for frame in render_frames(scenes[0], truth=(), device=device, precision=precision, memory=memory, **blur):
             write_color(out, frame, frame.metadata["bits"], scenes[0].image.transfer)
-            _tell_approximation(out, frame)
+            _report_approximation(out, frame)
             advance()
 
 
@@ -332,7 +332,7 @@ def inpaint(
 
     8 and 16 bits, gray and color, and floats, of which missing ones may be no numbers. OUT has the type of IMAGE.
     """
-    from clsco.cli.inpaint import prepare_out, read_pair
+    from clsco.cli.inpaint import mean_median_options, prepare_out, read_pair
 
     prepare_out(out, image, mask)
     pixels, missing = read_pair(image, mask, threshold)
@@ -346,9 +346,11 @@ def inpaint(
     if folder is not None:
         require_matplotlib()
         writable_folder(folder)
-    given = {name: value for name, value in constants.items() if value is not None}
+    chosen = mean_median_options(method, constants)
     with shares(quiet) as progress:
-        filled, report = fill(pixels, missing, method=method, device=device, progress=progress, **given)
+        filled, report = fill(
+            pixels, missing, method=method, device=device, progress=progress, options=chosen, return_report=True
+        )
     writer.write(out, filled)
     if folder is not None:
         write_report(folder, report, pixels, missing, filled)
@@ -373,13 +375,14 @@ def _blur(method: str, tolerance: float | None) -> dict[str, Any]:
     return {"method": method, "tolerance": tolerance}
 
 
-def _tell_approximation(where: Path, frame: Frame) -> None:
+def _report_approximation(where: Path, frame: Frame) -> None:
     """On stderr, of a frame whose blur was or could have been approximated."""
-    from clsco.plan.approximation import Told
+    from clsco.plan.approximation import ApproximationReport
 
-    if told := frame.metadata["approximation"]:
+    if values := frame.metadata["approximation"]:
         view = f" ({frame.eye})" if frame.eye else ""
-        click.echo(f"{click.format_filename(where)}: frame {frame.index}{view}: {Told(**told).line()}", err=True)
+        line = ApproximationReport(**values).line()
+        click.echo(f"{click.format_filename(where)}: frame {frame.index}{view}: {line}", err=True)
 
 
 def _render_to_folders(
@@ -402,7 +405,7 @@ def _render_to_folders(
     with progress(sum(len(job.frames) for job in jobs), quiet) as advance:
         for job, frames in batch.run(jobs, device, precision, memory):
             for frame in frames:
-                _tell_approximation(job.folder, frame)
+                _report_approximation(job.folder, frame)
             advance()
 
 
@@ -431,4 +434,4 @@ def _require_device(name: str | None) -> None:
     _require_opencl()
     from clsco.opencl.device import choose
 
-    choose(name)
+    choose(name, "--device")

@@ -111,9 +111,9 @@ def prepare(
         if any(content.get(key) != about[key] for key in ("version", "scene_sha256")):
             return False
         whole = frame_files(index, scene.stereo is not None, files) <= set(content["files"])
-        told = content["views"].values() if scene.stereo is not None else [content]
-        alike = all(asked_alike(view.get("approximation"), method, tolerance) for view in told)
-        return whole and alike and all(precision in (None, view.get("precision")) for view in told)
+        views = content["views"].values() if scene.stereo is not None else [content]
+        alike = all(asked_alike(view.get("approximation"), method, tolerance) for view in views)
+        return whole and alike and all(precision in (None, view.get("precision")) for view in views)
 
     left = tuple(index for index in frames if not (resume and is_there(index)))
     return Job(scene, about, folder, left, files, method, tolerance)

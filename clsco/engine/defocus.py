@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, overload
+from functools import wraps
+from typing import Any, Literal, ParamSpec, TypeVar, overload
 
 import numpy as np
 import pyopencl as cl
@@ -12,11 +14,12 @@ import pyopencl.array as cl_array
 from numpy.typing import NDArray
 
 from clsco.errors import DeviceError, ImageError, SceneError
+from clsco.files.transfer import decode, encode
 from clsco.frame.strips import BAND, Strip, frame_struct
-from clsco.opencl.arrays import check_image, on_host
+from clsco.opencl.arrays import check_image, on_host, without_mask
 from clsco.opencl.buffers import empty
 from clsco.opencl.program import build
-from clsco.opencl.session import Session
+from clsco.opencl.session import DeviceLike, Session
 from clsco.optics.lens import LARGEST_BLUR
 from clsco.optics.psf import reach
 from clsco.optics.psf_tables import TAP_LANES
@@ -24,7 +27,15 @@ from clsco.optics.slabs import Slabs
 from clsco.passes.blur import FILES_OF, Sources, image_features, prepare_sources
 from clsco.passes.layered import Layers
 from clsco.passes.multigrid import Coarse, make_spreader
-from clsco.plan.approximation import METHODS, Told, candidates, check_border, checked_tolerance, estimate, sample_places
+from clsco.plan.approximation import (
+    METHODS,
+    ApproximationReport,
+    candidates,
+    check_border,
+    checked_tolerance,
+    estimate,
+    sample_places,
+)
 from clsco.plan.memory import (
     Limit,
     defocus_bytes,
@@ -35,57 +46,121 @@ from clsco.plan.memory import (
     rows_that_fit,
     source_bytes,
 )
-from clsco.plan.methods import MANY_RADII, Blur, is_sharp, many_radii
+from clsco.plan.methods import MANY_RADII, Blur, check_method, is_sharp, many_radii
 from clsco.records import WIDE_BYTES, Real, Struct, flat, in_parts, structs
-from clsco.scene.file import parse_psf
+from clsco.scene.file import PsfLike, psf_of
 from clsco.scene.model import Psf
 
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
+
+def _with_old_name(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """The function, with `coc=` for `blur_radius=`, for one release."""
+
+    @wraps(function)
+    def call(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+        if "coc" in kwargs:
+            warnings.warn("coc: the argument is blur_radius; coc goes with the next release", DeprecationWarning, 2)
+            kwargs["blur_radius"] = kwargs.pop("coc")
+        return function(*args, **kwargs)
+
+    return call
+
 
 @overload
 def defocus(
-    image: NDArray[Any], coc: NDArray[Any], psf: Psf | Mapping[str, Any] | None = None,
-    *, device: str | None = None, method: str = "auto", tolerance: float | None = None, told: list[Told] | None = None,
-    memory: str | int | None = None,
-) -> NDArray[np.float32]: ...  # fmt: skip
+    image: NDArray[Any], blur_radius: NDArray[Any], psf: PsfLike = None, *, device: DeviceLike = None,
+    method: str = "auto", tolerance: float | None = None, memory: str | int | None = None,
+    return_report: Literal[False] = False,
+) -> NDArray[Any]: ...  # fmt: skip
 @overload
 def defocus(
-    image: cl_array.Array, coc: cl_array.Array, psf: Psf | Mapping[str, Any] | None = None,
-    *, device: str | None = None, method: str = "auto", tolerance: float | None = None, told: list[Told] | None = None,
-    memory: str | int | None = None,
+    image: NDArray[Any], blur_radius: NDArray[Any], psf: PsfLike = None, *, device: DeviceLike = None,
+    method: str = "auto", tolerance: float | None = None, memory: str | int | None = None,
+    return_report: Literal[True],
+) -> tuple[NDArray[Any], ApproximationReport]: ...  # fmt: skip
+@overload
+def defocus(
+    image: cl_array.Array, blur_radius: cl_array.Array, psf: PsfLike = None, *, device: DeviceLike = None,
+    method: str = "auto", tolerance: float | None = None, memory: str | int | None = None,
+    return_report: Literal[False] = False,
 ) -> cl_array.Array: ...  # fmt: skip
+@overload
+def defocus(
+    image: cl_array.Array, blur_radius: cl_array.Array, psf: PsfLike = None, *, device: DeviceLike = None,
+    method: str = "auto", tolerance: float | None = None, memory: str | int | None = None,
+    return_report: Literal[True],
+) -> tuple[cl_array.Array, ApproximationReport]: ...  # fmt: skip
+@_with_old_name
 def defocus(
     image: NDArray[Any] | cl_array.Array,
-    coc: NDArray[Any] | cl_array.Array,
-    psf: Psf | Mapping[str, Any] | None = None,
+    blur_radius: NDArray[Any] | cl_array.Array,
+    psf: PsfLike = None,
     *,
-    device: str | None = None,
+    device: DeviceLike = None,
     method: str = "auto",
     tolerance: float | None = None,
-    told: list[Told] | None = None,
     memory: str | int | None = None,
-) -> NDArray[np.float32] | cl_array.Array:
-    """Blur an image by a map of signed blur radii, each pixel by its own PSF.
+    return_report: bool = False,
+) -> Any:
+    """Blur an image by a map of signed blur radii, each pixel by its own PSF (equation 2.40).
 
-    image: linear light, (rows, columns) or (rows, columns, channels), up to 16 channels; coc: signed R in px, (rows,
-    columns), positive behind the focal surface; psf: keys of the scene file's [psf]; device: part of an OpenCL
-    device's name; method: "auto", "gather", "scatter", "tiles", "convolve" (one radius) or an approximation
-    (`approximation.METHODS`); tolerance: RMS error of white up to which an approximation may be taken where it is
-    faster, None for the exact blur; told: gets an entry of which it was and its measured error. NumPy arrays, or
-    pyopencl arrays of one queue, which is then worked in; memory: most that buffers on the device may take, bytes or a
-    size like "1.5GiB", by default half of what is free: an image that needs more is done in horizontal strips, with the
-    same bits, but for an approximation, which needs the whole image (where a tolerance leaves the choice, the exact
-    blur is taken). With occlusion = "layered" smaller signed radii, which are nearer, hide larger ones where the map
-    jumps (`clsco.passes.layered.Layers`); with any other nothing hides anything.
-    Returns float32 of the image's shape, as NumPy or pyopencl array as given. Nothing is known outside of the image,
-    so with border = "lose" it darkens where light leaves it; sources have their pixel's center, and the gradient for
-    `tilt` comes from differences of `coc`. Raises ImageError, SceneError, DeviceError.
-    Validated against `clsco.reference.blur.blur.scatter` and `clsco.reference.layered.layered.layered` to 1e-5
-    (tests/test_defocus.py). Equation 2.40.
+    Parameters
+    ----------
+    image : array (rows, columns) or (rows, columns, 1 to 16)
+        Floats are linear radiance. uint8 and uint16 are sRGB codes, which are decoded, blurred and encoded again. NumPy
+        arrays, or pyopencl arrays of one queue, which are copied through the host.
+    blur_radius : array (rows, columns), px
+        Signed R, at most 512 px, positive behind the focal surface.
+    psf : Psf, mapping or str, optional
+        Keys of the scene file's [psf] with their values, or its `model` alone: "pillbox" or "gaussian".
+    device : str, pyopencl.Device, Context or CommandQueue, optional
+        Part of a device's name, "cpu" or "gpu", or where to work. The queue of pyopencl arrays is worked in.
+    method : str
+        "auto"; "gather", "scatter", "tiles", "convolve" (one radius for all pixels); or an approximation: "coarse2",
+        "coarse4", "coarse8", "coarse16".
+    tolerance : float, optional
+        RMS error of white up to which an approximation is taken where it is faster; None for the exact blur.
+    memory : int or str, optional
+        Most that buffers on the device take, in bytes or like "1.5GiB"; by default half of what is free.
+    return_report : bool
+        Return an `ApproximationReport` besides.
+
+    Returns
+    -------
+    array of the image's shape
+        float32, or codes of the image's dtype; NumPy or pyopencl as given.
+    ApproximationReport
+        Only with `return_report`.
+
+    Raises
+    ------
+    ImageError
+        Arrays that cannot be, such as of masked or infinite values.
+    SceneError
+        Other arguments that cannot be.
+    DeviceError
+        There is no such device, or it fails.
+
+    Notes
+    -----
+    Nothing is known outside of the image, so with border = "lose" it darkens where light leaves it. Sources have their
+    pixel's center, and the gradient for `tilt` comes from differences of `blur_radius`. With occlusion = "layered"
+    smaller signed radii, which are nearer, hide larger ones at depth discontinuities; with any other nothing hides
+    anything. An image that needs more than `memory` is blurred in horizontal strips, with the same bits, but for an
+    approximation, which needs the whole image (where a tolerance leaves the choice, the exact blur is taken).
+    Validated against `clsco.reference.blur.blur.scatter` and `clsco.reference.layered.layered.layered` to 1e-5.
     """
-    model = psf if isinstance(psf, Psf) else parse_psf(psf or {})
-    session, host, as_given = on_host(device, image, coc)
+    model = psf_of(psf)
+    session, (picture, radii), as_given = on_host(device, image=image, blur_radius=blur_radius)
+    picture, radii = without_mask("image", picture), without_mask("blur_radius", radii)
+    codes = picture.dtype in (np.uint8, np.uint16)
+    linear = decode(picture, "srgb").astype(np.float32) if codes else picture
     with session.telling():
-        return as_given(_defocus(session, _checked(*host), model, (method, tolerance), memory, told))
+        result, report = _defocus(session, _checked(linear, radii), model, (method, tolerance), memory, return_report)
+        blurred = as_given(encode(result, 8 * picture.dtype.itemsize, "srgb") if codes else result)
+    return (blurred, report) if return_report else blurred
 
 
 @dataclass(frozen=True)
@@ -106,19 +181,20 @@ class _Given:
 def _checked(picture: NDArray[Any], radii: NDArray[Any]) -> _Given:
     check_image(picture)
     if radii.shape != picture.shape[:2]:
-        raise ImageError(f"coc: must have the rows and columns of the image, {picture.shape[:2]}; got {radii.shape}")
+        rule = f"must have the rows and columns of the image, {picture.shape[:2]}"
+        raise ImageError(f"blur_radius: {rule}; got {radii.shape}")
     ends = []
-    for name, array in (("image", picture), ("coc", radii)):
+    for name, array in (("image", picture), ("blur_radius", radii)):
         if array.dtype.kind not in "fiu":
             raise ImageError(f"{name}: must hold real numbers; got {array.dtype}")
         ends.append((float(array.min()), float(array.max())))  # as NaN and infinity are, and without a plane of its own
         if not np.isfinite(ends[-1]).all():
             raise ImageError(f"{name}: must be finite; got {int((~np.isfinite(array)).sum())} values that are not")
     if picture.dtype.kind != "f":
-        raise ImageError(f"image: must be linear light in floats; got {picture.dtype}")
+        raise ImageError(f"image: must be floats, uint8 or uint16; got {picture.dtype}")
     brightest, largest = (max(abs(low), abs(high)) for low, high in ends)
     if largest > LARGEST_BLUR:
-        raise ImageError(f"coc: radii must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
+        raise ImageError(f"blur_radius: must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
     smallest = min(
         float(np.abs(radii[first : first + BAND].astype(np.float64)).min()) for first in range(0, len(radii), BAND)
     )
@@ -126,9 +202,7 @@ def _checked(picture: NDArray[Any], radii: NDArray[Any]) -> _Given:
 
 
 def _choose(psf: Psf, method: str, smallest: float, largest: float, gpu: bool) -> Blur:
-    known = ("auto", *MANY_RADII, "convolve", *METHODS)
-    if method not in known:
-        raise SceneError(f"method: must be one of {', '.join(known)}; got {method}")
+    check_method(method)
     constant = smallest == largest and psf.border == "lose"
     if method == "convolve" and not constant:
         raise SceneError('method: convolve needs one radius for all pixels and border = "lose"; got many radii')
@@ -142,9 +216,9 @@ def _choose(psf: Psf, method: str, smallest: float, largest: float, gpu: bool) -
 
 def _defocus(
     session: Session, given: _Given, psf: Psf, method: tuple[str, float | None], memory: str | int | None,
-    told: list[Told] | None,
-) -> NDArray[np.float32]:  # fmt: skip
-    """By the method, or the first one that is within the tolerance."""
+    measures: bool,
+) -> tuple[NDArray[np.float32], ApproximationReport]:  # fmt: skip
+    """By the method, or the first one that is within the tolerance; the error is only measured where it is needed."""
     device = session.device
     limit = limit_of(memory, device.global_mem, device.max_alloc, device.compute_units, device.unified_memory)
     name, tolerance = method
@@ -157,17 +231,15 @@ def _defocus(
         blur, least = _choose(psf, each, *which), METHODS.get(each)
         if least is not None and tolerance is not None and not fits(_sizes(given, psf, blur, least, limit), limit):
             continue  # approximations need the whole image
-        measured = each in METHODS and (told is not None or tolerance is not None)
+        measured = each in METHODS and (measures or tolerance is not None)
         places = sample_places(*given.coc.shape) if measured else None
         result, missed = _blurred(session, given, psf, blur, least, places, limit)
         rms, at_most = (0.0, 0.0) if missed is None else estimate(missed)
         if each not in METHODS or tolerance is None or at_most <= tolerance:
             break
         tried += ((each, at_most),)
-    if told is not None and (each in METHODS or tolerance is not None):
-        label, count = (each, 0 if missed is None else len(missed)) if each in METHODS else ("exact", 0)
-        told.append(Told(label, tolerance, rms, at_most, count, tried))
-    return result
+    label, count = (each, 0 if missed is None else len(missed)) if each in METHODS else ("exact", 0)
+    return result, ApproximationReport(label, tolerance, rms, at_most, count, tried)
 
 
 def _guard(given: _Given, psf: Psf, blur: Blur) -> int:
@@ -211,7 +283,7 @@ def _blurred(
         try:
             with session.telling():
                 return in_strips(tallest)
-        except DeviceError as error:  # in smaller strips where the device has less memory than it told
+        except DeviceError as error:  # in smaller strips where the device has less memory than it reports
             half = replace(limit, total=sum(sizes(tallest).values()) // 2, given=False)
             less = rows_that_fit(rows, half, sizes, whole)
             if not error.short_of_memory or less == tallest:

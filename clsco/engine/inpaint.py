@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from time import perf_counter
-from typing import Any, overload
+from typing import Any, Literal, overload
 
 import numpy as np
 import pyopencl.array as cl_array
@@ -14,49 +14,94 @@ from clsco.errors import ImageError, SceneError
 from clsco.inpainting.methods import METHODS, THESIS, Filled, Task, check_method, method_for
 from clsco.inpainting.report import Report
 from clsco.inpainting.rules import MeanMedian, as_stored, value_span
-from clsco.opencl.arrays import check_image, on_host
-from clsco.opencl.session import Session
+from clsco.opencl.arrays import check_image, on_host, without_mask
+from clsco.opencl.session import DeviceLike, Session
 
 LARGEST = 2.0**60  # in size: squares of differences are then finite in float32
 
 
 @overload
 def inpaint(
-    image: NDArray[Any], missing: NDArray[Any], *, method: str = "auto", device: str | None = None,
-    progress: Callable[[float], object] | None = None, **constants: Any,
+    image: NDArray[Any], mask: NDArray[Any], *, method: str = "auto", device: DeviceLike = None,
+    progress: Callable[[float], object] | None = None, options: MeanMedian | None = None,
+    return_report: Literal[False] = False,
+) -> NDArray[Any]: ...  # fmt: skip
+@overload
+def inpaint(
+    image: NDArray[Any], mask: NDArray[Any], *, method: str = "auto", device: DeviceLike = None,
+    progress: Callable[[float], object] | None = None, options: MeanMedian | None = None,
+    return_report: Literal[True],
 ) -> tuple[NDArray[Any], Report]: ...  # fmt: skip
 @overload
 def inpaint(
-    image: cl_array.Array, missing: cl_array.Array, *, method: str = "auto", device: str | None = None,
-    progress: Callable[[float], object] | None = None, **constants: Any,
+    image: cl_array.Array, mask: cl_array.Array, *, method: str = "auto", device: DeviceLike = None,
+    progress: Callable[[float], object] | None = None, options: MeanMedian | None = None,
+    return_report: Literal[False] = False,
+) -> cl_array.Array: ...  # fmt: skip
+@overload
+def inpaint(
+    image: cl_array.Array, mask: cl_array.Array, *, method: str = "auto", device: DeviceLike = None,
+    progress: Callable[[float], object] | None = None, options: MeanMedian | None = None,
+    return_report: Literal[True],
 ) -> tuple[cl_array.Array, Report]: ...  # fmt: skip
 def inpaint(
     image: NDArray[Any] | cl_array.Array,
-    missing: NDArray[Any] | cl_array.Array,
+    mask: NDArray[Any] | cl_array.Array,
     *,
     method: str = "auto",
-    device: str | None = None,
+    device: DeviceLike = None,
     progress: Callable[[float], object] | None = None,
-    **constants: Any,
-) -> tuple[NDArray[Any] | cl_array.Array, Report]:
-    """Fill the missing pixels of an image.
+    options: MeanMedian | None = None,
+    return_report: bool = False,
+) -> Any:
+    """Fill the missing pixels of an image from those around them.
 
-    image: (rows, columns) or (rows, columns, channels), up to 16 channels, uint8, uint16 or floats; what missing pixels
-    hold does not matter. missing: (rows, columns), bool, or uint8 of 0 and 255 = missing. method: "mean-median", the
-    thesis' (chapter 5), "biharmonic" (`clsco.inpainting.biharmonic`), "texture" (`clsco.inpainting.fse`), or
-    "auto", the better of these two (`clsco.inpainting.choice`). device: part of an OpenCL device's name; progress: is
-    called with the share that is done, from 0 to 1. constants: of mean-median, as `rules.MeanMedian` names
-    them, such as smoothing_rounds=0.
-    NumPy arrays, or pyopencl arrays of one queue, which is then worked in.
-    Returns an image of the same type and shape, of which known pixels are those that were given (but for those that
-    stage 3 of mean-median blends), and the report. An image without missing pixels is copied. Raises ImageError for
-    images and masks that cannot be, such as without any known pixel, SceneError, DeviceError.
-    Validated bit by bit against `clsco.reference.inpainting.mean_median` (tests/test_inpaint.py).
+    Parameters
+    ----------
+    image : array (rows, columns) or (rows, columns, 1 to 16)
+        Floats are linear radiance; uint8 and uint16 are sRGB codes, and are filled as codes. What missing pixels hold
+        does not matter; a pixel is missing, too, where any of its channels is masked in a masked array. NumPy arrays,
+        or pyopencl arrays of one queue, which are copied through the host.
+    mask : array (rows, columns)
+        True = missing; or uint8 of 0 and 255 = missing.
+    method : str
+        "biharmonic", "texture", or "auto", the better of these two; or "mean-median", that of the thesis (chapter 5).
+    device : str, pyopencl.Device, Context or CommandQueue, optional
+        Part of a device's name, "cpu" or "gpu", or where to work. The queue of pyopencl arrays is worked in.
+    progress : callable, optional
+        Is called with the share that is done, from 0 to 1.
+    options : clsco.inpainting.rules.MeanMedian, optional
+        Constants of "mean-median", such as `MeanMedian(smoothing_rounds=0)`.
+    return_report : bool
+        Return a `clsco.inpainting.report.Report` besides.
+
+    Returns
+    -------
+    array of the image's shape and dtype
+        NumPy or pyopencl as given. Known pixels stay as they are, but for those that stage 3 of mean-median blends;
+        without missing pixels it is a copy.
+    Report
+        Only with `return_report`: the method that was used, and figures of its stages.
+
+    Raises
+    ------
+    ImageError
+        Arrays that cannot be, such as an image without any known pixel.
+    SceneError
+        Other arguments that cannot be.
+    DeviceError
+        There is no such device, or it fails.
+
+    Notes
+    -----
+    Validated bit by bit against `clsco.reference.inpainting` (tests/inpainting).
     """
-    session, host, as_given = on_host(device, image, missing)
+    session, (picture, holes), as_given = on_host(device, image=image, mask=mask)
+    checked = _checked(picture, without_mask("mask", holes))
     with session.telling():
-        filled, report = _inpaint(session, *_checked(*host), method, progress, constants)
-        return as_given(filled), report
+        filled, report = _inpaint(session, *checked, method, progress, options)
+        result = as_given(filled)
+    return (result, report) if return_report else result
 
 
 def _checked(picture: NDArray[Any], holes: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
@@ -64,18 +109,19 @@ def _checked(picture: NDArray[Any], holes: NDArray[Any]) -> tuple[NDArray[Any], 
     if picture.dtype not in (np.uint8, np.uint16, np.float16, np.float32, np.float64):
         raise ImageError(f"image: must be uint8, uint16, float16, float32 or float64; got {picture.dtype}")
     if holes.shape != picture.shape[:2]:
-        raise ImageError(
-            f"missing: must have the rows and columns of the image, {picture.shape[:2]}; got {holes.shape}"
-        )
+        raise ImageError(f"mask: must have the rows and columns of the image, {picture.shape[:2]}; got {holes.shape}")
     if holes.dtype == np.uint8:
         other = (holes != 0) & (holes != 255)
         if other.any():
-            raise ImageError(f"missing: must be 0 or 255 where it is uint8; got {int(other.sum())} other values")
+            raise ImageError(f"mask: must be 0 or 255 where it is uint8; got {int(other.sum())} other values")
         holes = holes == 255
     if holes.dtype != np.bool_:
-        raise ImageError(f"missing: must be bool, or uint8 of 0 and 255; got {holes.dtype}")
+        raise ImageError(f"mask: must be bool, or uint8 of 0 and 255; got {holes.dtype}")
+    if isinstance(picture, np.ma.MaskedArray):
+        masked = np.ma.getmaskarray(picture)
+        picture, holes = picture.data, holes | (masked.any(axis=2) if masked.ndim == 3 else masked)
     if holes.all():
-        raise ImageError("missing: some pixel must be known; got none that is")
+        raise ImageError("mask: some pixel must be known; got none that is")
     if picture.dtype.kind == "f":
         most = min(LARGEST, float(np.finfo(picture.dtype).max))
         usable = np.abs(picture) <= most  # false for what is not a number
@@ -87,16 +133,14 @@ def _checked(picture: NDArray[Any], holes: NDArray[Any]) -> tuple[NDArray[Any], 
 
 def _inpaint(
     session: Session, image: NDArray[Any], missing: NDArray[np.bool_], method: str,
-    progress: Callable[[float], object] | None, constants: dict[str, Any],
+    progress: Callable[[float], object] | None, options: MeanMedian | None,
 ) -> tuple[NDArray[Any], Report]:  # fmt: skip
     check_method(method)
-    if constants and method != THESIS:
-        raise SceneError(f"{next(iter(constants))}: belongs to method {THESIS}; got {method}")
-    unknown = constants.keys() - MeanMedian.__dataclass_fields__.keys()
-    if unknown:
-        wanted = ", ".join(MeanMedian.__dataclass_fields__)
-        raise SceneError(f"constants: must be some of {wanted}; got {min(unknown)}")
-    chosen, before = MeanMedian(**constants), perf_counter()
+    if options is not None and method != THESIS:
+        raise SceneError(f"options: belong to method {THESIS}; got {method}")
+    if not isinstance(options, MeanMedian | None):
+        raise SceneError(f"options: must be a MeanMedian; got {type(options).__name__}")
+    chosen, before = options or MeanMedian(), perf_counter()
     result, done, name = image.copy(), Filled(np.empty(0, np.int64), np.empty((0, 1), np.float32)), method
     if missing.any():
         planes = np.ascontiguousarray(image).reshape(*missing.shape, -1)

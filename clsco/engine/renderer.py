@@ -30,7 +30,7 @@ from clsco.passes.multigrid import Coarse, make_spreader
 from clsco.passes.pack import camera_struct, layer_struct, pose_structs, surface_structs, texture_planes
 from clsco.passes.static_image import StillMap
 from clsco.passes.warp import ForwardWarp
-from clsco.plan.approximation import METHODS, Told, estimate, sample_places
+from clsco.plan.approximation import METHODS, ApproximationReport, estimate, sample_places
 from clsco.plan.memory import TRUTH_BUFFERS, Limit, device_bytes, fitted, source_bytes
 from clsco.plan.methods import MANY_RADII
 from clsco.plan.plan import Plan, exposure, widened
@@ -354,21 +354,21 @@ class Renderer:
 
     def _too_far_off(self) -> bool:
         """Whether the frame's error passes the tolerance; if so, takes the next better approximation."""
-        told = self._told()
-        if told is None or told.tolerance is None or told.at_most <= told.tolerance:
+        report = self._approximation_report()
+        if report is None or report.tolerance is None or report.at_most <= report.tolerance:
             return False
-        self.tried += ((told.method, told.at_most),)
+        self.tried += ((report.method, report.at_most),)
         self.approximations = self.approximations[1:]
         self._allocate()
         return True
 
-    def _told(self) -> Told | None:
-        """What is told of the frame's approximation, None where none was asked for."""
+    def _approximation_report(self) -> ApproximationReport | None:
+        """Report of the frame's approximation, None where none was requested."""
         tolerance = self.plan.tolerance
         if isinstance(self.spreader, Coarse):
             missed = self.spreader.missed()
-            return Told(self.approximations[0], tolerance, *estimate(missed), len(missed), self.tried)
-        return None if tolerance is None else Told("exact", tolerance, 0.0, 0.0, 0, self.tried)
+            return ApproximationReport(self.approximations[0], tolerance, *estimate(missed), len(missed), self.tried)
+        return None if tolerance is None else ApproximationReport("exact", tolerance, 0.0, 0.0, 0, self.tried)
 
     def _ground_truth(self, index: int, events: Events) -> dict[str, NDArray[Any]]:
         plan = self.plan
@@ -438,7 +438,7 @@ class Renderer:
         for name, event in events:
             spent = 1e-9 * (event.profile.end - event.profile.start)
             seconds[name] = seconds.get(name, 0.0) + spent
-        device, told = self.session.device, self._told()
+        device, report = self.session.device, self._approximation_report()
         return {
             "frame": index,
             "intermediate": moments,
@@ -446,7 +446,7 @@ class Renderer:
             "guard_px": self.plan.guard_px,
             "strips": len(self.strips),
             "blur_method": self.plan.blur,
-            "approximation": None if told is None else asdict(told),
+            "approximation": None if report is None else asdict(report),
             "bits": self.bits,
             "device": str(device),
             "precision": "double" if self.real == "double" else "single",

@@ -2,85 +2,193 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, SupportsIndex
 
 from clsco.engine.renderer import Hits, Renderer, expose
-from clsco.errors import DeviceError
-from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES, Frame
+from clsco.errors import DeviceError, SceneError
+from clsco.frame.frame import ALL_TRUTH, Frame, truth_names
 from clsco.inputs.depth_maps import load_scene_depths
 from clsco.inputs.textures import Texture, load_scene_textures
-from clsco.opencl.device import choose
-from clsco.opencl.session import Session, session_on
+from clsco.opencl.session import DeviceLike, Session, session_for
 from clsco.optics.motion import Eye
+from clsco.plan.approximation import checked_tolerance
 from clsco.plan.memory import Limit, device_bytes, fitted, hit_bytes, limit_of, parse_size
+from clsco.plan.methods import check_method
 from clsco.plan.plan import Plan, make_plan
 from clsco.plan.predict import Maps
+from clsco.scene.file import SceneLike, scene_of, shown
 from clsco.scene.model import Scene
+from clsco.scene.sweep import Sweep
 
 # Keys of the camera that change what a lens makes of a hit, and not what a ray hits.
 LENS_KEYS = ("f_number", "aperture_diameter", "focus_distance", "sensor_distance")
 
 
 def render(
-    scene: Scene,
+    scene: SceneLike,
     *,
-    truth: Sequence[str] = (*TRUTH_NAMES, *STEREO_NAMES),
-    device: str | None = None,
+    truth: str | Iterable[str] = ALL_TRUTH,
+    device: DeviceLike = None,
     precision: str | None = None,
     method: str = "auto",
     tolerance: float | None = None,
-    frames: Iterable[int] | None = None,
+    frames: Iterable[SupportsIndex] | None = None,
     memory: str | int | None = None,
 ) -> Iterator[Frame]:
-    """Render frames of a scene.
+    """Render the frames of a scene.
 
-    truth: names of the outputs besides color (`clsco.frame.frame`), none of which costs anything when it is
-    left out; device: part of the name of an OpenCL device; precision: "double" or "single" for geometry, by default
-    double where the device has it; method: of the blur, see `plan.make_plan`; tolerance: RMS error of white up to
-    which an approximation may be taken where it is faster, None for the exact blur (its name and the error measured are
-    in `Frame.metadata["approximation"]`, see `approximation.Told`); frames: numbers of the frames wanted, by default
-    all; memory: most that the buffers on the device may take, bytes or a size like "1.5GiB", by default half of what is
-    free: a frame that needs more is made in horizontal strips, with the same bits, but for an approximation, which
-    needs the whole frame (where a tolerance leaves the choice, the exact blur is taken).
-    Yields frames in order, of a stereo pair the left and then the right one. Raises SceneError, ImageError,
-    DeviceError, KernelError.
+    Parameters
+    ----------
+    scene : Scene, mapping or path
+        A scene, the content of a scene file, or the file.
+    truth : str or iterable of str
+        Names of the outputs besides color, which are attributes of `Frame`; by default, and by "all", all of them.
+        Those that are left out cost nothing.
+    device : str, pyopencl.Device, Context or CommandQueue, optional
+        Part of a device's name, "cpu" or "gpu", or where to work.
+    precision : {"double", "single"}, optional
+        Of the geometry; by default double where the device has it.
+    method : str
+        Of the blur: "auto"; "gather", "scatter", "tiles" or "convolve" where it can blur the scene; or an
+        approximation: "coarse2", "coarse4", "coarse8", "coarse16".
+    tolerance : float, optional
+        RMS error of white up to which an approximation is taken where it is faster; None for the exact blur.
+        `Frame.metadata["approximation"]` says which it was, with its measured error.
+    frames : iterable of int, optional
+        Numbers of the wanted frames, from 0; by default all.
+    memory : int or str, optional
+        Most that buffers on the device take, in bytes or like "1.5GiB"; by default half of what is free.
+
+    Returns
+    -------
+    iterator of Frame
+        Frames in order, of a stereo pair the left and then the right one; each is rendered when it is requested.
+
+    Raises
+    ------
+    SceneError, DeviceError
+        At the call, for arguments that cannot be.
+    ImageError, SceneError, DeviceError, KernelError
+        From the iterator, for files that cannot be read and what a device or a method cannot do.
+
+    Notes
+    -----
+    A frame that needs more than `memory` is made in horizontal strips, with the same bits, but for an approximation,
+    which needs the whole frame (where a tolerance leaves the choice, the exact blur is taken).
     Validated against `clsco.reference.render` on every scene in examples/ and a ray tracer (benchmarks/accuracy.py).
     """
     options: dict[str, Any] = {"truth": truth, "device": device, "precision": precision, "method": method}
-    for _, frame in render_sweep((scene,), **options, tolerance=tolerance, frames=frames, memory=memory):
-        yield frame
+    found = render_sweep((scene_of(scene),), **options, tolerance=tolerance, frames=frames, memory=memory)
+    return (frame for _, frame in found)
 
 
-def render_sweep(
-    scenes: Sequence[Scene],
+def render_frame(
+    scene: SceneLike,
+    index: int = 0,
     *,
-    truth: Sequence[str] = (*TRUTH_NAMES, *STEREO_NAMES),
-    device: str | None = None,
+    truth: str | Iterable[str] = ALL_TRUTH,
+    device: DeviceLike = None,
     precision: str | None = None,
     method: str = "auto",
     tolerance: float | None = None,
-    frames: Iterable[int] | None = None,
+    memory: str | int | None = None,
+) -> Frame:
+    """Render one frame of a scene.
+
+    Parameters
+    ----------
+    scene : Scene, mapping or path
+        As for `render`; no stereo pair, of which a frame has two views.
+    index : int
+        Number of the frame, from 0.
+    truth, device, precision, method, tolerance, memory
+        As for `render`.
+
+    Returns
+    -------
+    Frame
+
+    Raises
+    ------
+    SceneError, ImageError, DeviceError, KernelError
+        As `render`, all at the call.
+    """
+    known = scene_of(scene)
+    if known.stereo is not None:
+        raise SceneError(f"scene: must have one view; got a stereo pair, which render(scene, frames=[{index}]) gives")
+    options: dict[str, Any] = {"truth": truth, "device": device, "precision": precision, "method": method}
+    (frame,) = render(known, **options, tolerance=tolerance, frames=(index,), memory=memory)
+    return frame
+
+
+def render_sweep(
+    scenes: Sweep | Iterable[SceneLike],
+    *,
+    truth: str | Iterable[str] = ALL_TRUTH,
+    device: DeviceLike = None,
+    precision: str | None = None,
+    method: str = "auto",
+    tolerance: float | None = None,
+    frames: Iterable[SupportsIndex] | None = None,
     memory: str | int | None = None,
 ) -> Iterator[tuple[int, Frame]]:
-    """Render frames of several scenes, such as those of `clsco.load_sweep`.
+    """Render the frames of several scenes, such as those of `clsco.load_sweep`.
 
-    Arguments as for `render`. Where scenes that follow each other differ in nothing but the lens, rays are cast at
-    their surfaces once for all of them (at sub-pixels near silhouettes once for each). Yields (number of the scene,
-    frame): scene by scene, and where rays are shared frame by frame. Raises as `render`.
-    Validated: the same bits as from `render` for each scene (tests/pipeline/test_sweep.py).
+    Parameters
+    ----------
+    scenes : Sweep or iterable of Scene, mapping or path
+    truth, device, precision, method, tolerance, frames, memory
+        As for `render`; `frames` of every scene.
+
+    Returns
+    -------
+    iterator of (int, Frame)
+        Number of the scene and a frame of it: scene by scene, and where rays are shared frame by frame.
+
+    Raises
+    ------
+    SceneError, ImageError, DeviceError, KernelError
+        As `render`.
+
+    Notes
+    -----
+    Where scenes that follow each other differ in nothing but the lens, rays are cast at their surfaces once for all of
+    them (at sub-pixels near silhouettes once for each). Validated: the same bits as from `render` for each scene
+    (tests/cli/test_sweep.py).
     """
-    chosen = None if frames is None else list(frames)
+    found = [scene_of(scene) for scene in (scenes.scenes if isinstance(scenes, Sweep) else scenes)]
+    names, chosen = truth_names(truth), None if frames is None else _frame_numbers(found, frames)
+    if precision not in (None, "single", "double"):
+        raise SceneError(f"precision: must be single or double; got {precision}")
+    check_method(method)
+    if tolerance is not None:
+        checked_tolerance(tolerance, method)
     if memory is not None:
         parse_size(memory)
-    session = session_on(choose(device))
+    return _render_scenes(session_for(device), found, (names, precision, (method, tolerance), chosen, memory))
+
+
+def _frame_numbers(scenes: Sequence[Scene], frames: Iterable[SupportsIndex]) -> list[int]:
+    """The numbers of frames, which every scene must have. Raises SceneError."""
+    count = min((scene.sequence.frames for scene in scenes), default=0)
+    try:
+        found = [operator.index(number) for number in frames]
+    except TypeError:
+        raise SceneError(f"frames: must be whole numbers from 0 to {count - 1}; got {shown(frames)}") from None
+    wrong = [number for number in found if not 0 <= number < count]
+    if wrong and scenes:
+        raise SceneError(f"frames: must lie from 0 to {count - 1}; got {wrong[0]}")
+    return found
+
+
+def _render_scenes(session: Session, scenes: Sequence[Scene], options: Any) -> Iterator[tuple[int, Frame]]:
     with session.telling():
         for group in _groups(scenes):
-            members = [scenes[k] for k in group]
-            options = (tuple(truth), precision, (method, tolerance), chosen, memory)
-            for k, frame in _render_group(session, members, *options):
+            for k, frame in _render_group(session, [scenes[k] for k in group], *options):
                 yield group[k], frame
 
 
@@ -153,7 +261,7 @@ def _in_strips(
     session: Session, of_eyes: Sequence[Plan], textures: Sequence[Texture], maps: Maps, limit: Limit,
     precision: str | None, wanted: Sequence[int],
 ) -> Iterator[list[Frame]]:  # fmt: skip
-    """The views of each frame of one scene; in smaller strips where the device has less memory than it told."""
+    """The views of each frame of one scene; in smaller strips where the device has less memory than it reports."""
     renderers: list[Renderer] = []
     fitting = [fitted(plan, limit) for plan in of_eyes]
     for index in wanted:

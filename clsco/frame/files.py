@@ -17,7 +17,7 @@ from clsco.errors import ImageError
 from clsco.files.atomic import remove, sha256, together
 from clsco.files.images import write_exr, write_json, write_npz, write_png
 from clsco.files.transfer import encode
-from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES, Frame
+from clsco.frame.frame import FILE_NAMES, Frame
 
 
 def exr_channels(frame: Frame) -> dict[str, NDArray[Any]]:
@@ -32,7 +32,7 @@ def exr_channels(frame: Frame) -> dict[str, NDArray[Any]]:
             return {}
         return {layer + name: array if array.ndim == 2 else array[..., n] for n, name in enumerate(names)}
 
-    single: dict[str, NDArray[Any] | None] = {"Z": frame.depth, "coc": frame.coc, "id": frame.object_id}
+    single: dict[str, NDArray[Any] | None] = {"Z": frame.depth, "coc": frame.blur_radius, "id": frame.object_id}
     single |= {"mask": frame.mask, "filled": frame.filled, "hidden": frame.hidden}
     single |= {"disparity": frame.disparity, "occluded": frame.occluded}
     return {
@@ -47,7 +47,7 @@ def exr_channels(frame: Frame) -> dict[str, NDArray[Any]]:
 
 def _write_npz(path: Path, views: Sequence[Frame]) -> None:
     (frame,) = views
-    arrays = {name: getattr(frame, name) for name in ("color", *TRUTH_NAMES, *STEREO_NAMES)}
+    arrays = {in_file: getattr(frame, name) for name, in_file in FILE_NAMES.items()}
     write_npz(path, {name: array for name, array in arrays.items() if array is not None})
 
 

@@ -2,48 +2,90 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import warnings
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-TRUTH_NAMES = ("sharp", "depth", "coc", "mask", "filled", "object_id", "normal", "flow", "hidden")
+from clsco.errors import SceneError
+
+TRUTH_NAMES = ("sharp", "depth", "blur_radius", "mask", "filled", "object_id", "normal", "flow", "hidden")
 STEREO_NAMES = ("disparity", "occluded")  # besides, of a stereo pair
+ALL_TRUTH = (*TRUTH_NAMES, *STEREO_NAMES)
+FILE_NAMES = {name: name for name in ("color", *ALL_TRUTH)} | {"blur_radius": "coc"}
+"""Names of the arrays in files, by attribute."""
+
+
+def truth_names(truth: str | Iterable[str]) -> tuple[str, ...]:
+    """Names of outputs besides color that users give: some of `ALL_TRUTH`, one of them, or "all".
+
+    `coc` is a former name of `blur_radius`, for one release. Raises SceneError for other names.
+    """
+    if truth == "all":
+        return ALL_TRUTH
+    if not isinstance(truth, Iterable):
+        raise SceneError(f"truth: must be names of outputs; got {truth!r}")
+    names = tuple(dict.fromkeys([truth] if isinstance(truth, str) else truth))
+    if "coc" in names:
+        warnings.warn("truth: coc is blur_radius; coc goes with the next release", DeprecationWarning, 4)
+        names = tuple("blur_radius" if name == "coc" else name for name in names)
+    for name in names:
+        if name not in ALL_TRUTH:
+            raise SceneError(f'truth: must be "all" or some of {", ".join(ALL_TRUTH)}; got {name!r}')
+    return names
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
     """A rendered frame: the photograph, and what nobody can see in a photograph.
 
-    Row 0 is on top, column 0 on the left, pixel centers at integer coordinates. Channels are red, green,
-    blue; arrays of a gray scene have none. Truth that nobody asked for is None. `sharp`, `depth`, `coc`,
-    `mask`, `object_id`, `normal` and `flow` belong to the middle of the shutter and are never anti-aliased.
+    Row 0 is on top, column 0 on the left, pixel centers at integer coordinates. Channels are red, green, blue; arrays
+    of a gray scene have none. Truth that was not requested is None. `sharp`, `depth`, `blur_radius`, `mask`,
+    `object_id`, `normal` and `flow` belong to the middle of the shutter and are never anti-aliased.
 
-    index      number of the frame in its sequence, from 0
-    color      float32 (rows, columns[, 3]), linear light, 1 = white: blurred by defocus and motion
-    sharp      float32 (rows, columns[, 3]), linear light: all in focus
-    depth      float32 (rows, columns), mm: planar Z at the pixel center, +inf where nothing is
-    coc        float32 (rows, columns), px: signed blur radius R, positive behind the focal surface
-    mask       bool (rows, columns): a surface is there
-    filled     uint8 (rows, columns): 0 known, 1 filled, 2 could not be filled
-    object_id  int32 (rows, columns): position in the scene's list of objects, -1 none
-    normal     float32 (rows, columns, 3): unit vector in the camera frame, x right, y up, z into the scene
-    flow       float32 (rows, columns, 2), px: x right, y down, to the next frame
-    hidden     bool (rows, columns): the point was not seen at rest, so its radiance is extrapolated
-    disparity  float32 (rows, columns), px: column in the left view less column in the right one of the surface point;
-               0 where nothing is. Only of a stereo pair, as the next
-    occluded   bool (rows, columns): the other view does not see the point: something is before it, or it is outside
-    eye        "left" or "right" of a stereo pair, else ""
-    metadata   what made the frame; JSON-able
+    Attributes
+    ----------
+    index : int
+        Number of the frame in its sequence, from 0.
+    color : float32 (rows, columns[, 3])
+        Linear radiance, 1 = white: blurred by defocus and motion.
+    sharp : float32 (rows, columns[, 3])
+        Linear radiance: all in focus.
+    depth : float32 (rows, columns), mm
+        Planar Z at the pixel center, +inf where nothing is.
+    blur_radius : float32 (rows, columns), px
+        Signed blur radius R, positive behind the focal surface; `coc` in files.
+    mask : bool (rows, columns)
+        A surface is there.
+    filled : uint8 (rows, columns)
+        0 known, 1 filled, 2 could not be filled.
+    object_id : int32 (rows, columns)
+        Position in the scene's objects, -1 none.
+    normal : float32 (rows, columns, 3)
+        Unit vector in the camera frame, x right, y up, z into the scene.
+    flow : float32 (rows, columns, 2), px
+        x right, y down, to the next frame.
+    hidden : bool (rows, columns)
+        The point is hidden in the reference pose, so its radiance is extrapolated.
+    disparity : float32 (rows, columns), px
+        Column in the left view less column in the right one of the surface point; 0 where nothing is. Of a stereo pair
+        only, as `occluded`.
+    occluded : bool (rows, columns)
+        The point is not in the other view: it is behind something, or outside.
+    eye : str
+        "left" or "right" of a stereo pair, else "".
+    metadata : mapping
+        What made the frame; values that JSON can hold.
     """
 
     index: int
     color: NDArray[np.float32]
     sharp: NDArray[np.float32] | None = None
     depth: NDArray[np.float32] | None = None
-    coc: NDArray[np.float32] | None = None
+    blur_radius: NDArray[np.float32] | None = None
     mask: NDArray[np.bool_] | None = None
     filled: NDArray[np.uint8] | None = None
     object_id: NDArray[np.int32] | None = None
@@ -54,3 +96,9 @@ class Frame:
     occluded: NDArray[np.bool_] | None = None
     eye: str = ""
     metadata: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def coc(self) -> NDArray[np.float32] | None:
+        """Former name of `blur_radius`, for one release."""
+        warnings.warn("Frame.coc: the name is blur_radius; coc goes with the next release", DeprecationWarning, 2)
+        return self.blur_radius

@@ -11,26 +11,38 @@ import pyopencl.array as cl_array
 from numpy.typing import NDArray
 
 from clsco.errors import DeviceError, ImageError
-from clsco.opencl.device import choose
-from clsco.opencl.session import Session, session_of, session_on
+from clsco.opencl.session import DeviceLike, Session, session_for, session_of
 
 MOST_CHANNELS = 16
 
 
-def on_host(device: str | None, *arrays: Any) -> tuple[Session, list[NDArray[Any]], Callable[[NDArray[Any]], Any]]:
-    """Where to work with arrays of any shape, the arrays as NumPy's, and what makes the result one of their kind.
+def on_host(device: DeviceLike, **arrays: Any) -> tuple[Session, list[NDArray[Any]], Callable[[NDArray[Any]], Any]]:
+    """Session for arrays of any shape, the arrays as NumPy's, and what makes the result one of their kind.
 
-    Where one of them is pyopencl's it is their queue, and the result goes there; else it is the device whose name
-    contains `device`. Raises DeviceError for an array without a queue and where there is no such device.
+    arrays: by the name that messages use. Where one of them is pyopencl's, the session is that of its queue, and the
+    result goes there; else it is that of `device`. The arrays of NumPy stay what they are: masked ones keep their mask.
+    Raises DeviceError for an array without a queue and where there is no such device, ImageError for pyopencl arrays
+    with gaps.
     """
-    there = [array for array in arrays if isinstance(array, cl_array.Array)]
+    there = {name: array for name, array in arrays.items() if isinstance(array, cl_array.Array)}
     if not there:
-        return session_on(choose(device)), [np.asarray(array) for array in arrays], lambda result: result
-    queue = there[0].queue
+        return session_for(device), [np.asanyarray(array) for array in arrays.values()], lambda result: result
+    first, queue = next((name, array.queue) for name, array in there.items())
     if queue is None:
-        raise DeviceError("image: a pyopencl array must have a queue; got one without")
-    host = [array.get(queue) if isinstance(array, cl_array.Array) else np.asarray(array) for array in arrays]
+        raise DeviceError(f"{first}: a pyopencl array must have a queue; got one without")
+    for name, array in there.items():
+        if not array.flags.forc:
+            raise ImageError(f"{name}: a pyopencl array must be contiguous; got strides {array.strides}")
+    host = [array.get(queue) if name in there else np.asanyarray(array) for name, array in arrays.items()]
     return session_of(queue), host, partial(cl_array.to_device, queue)
+
+
+def without_mask(name: str, array: NDArray[Any]) -> NDArray[Any]:
+    """The array itself, or the values of a masked one. Raises ImageError where any is masked."""
+    masked = int(np.count_nonzero(np.ma.getmaskarray(array))) if isinstance(array, np.ma.MaskedArray) else 0
+    if masked:
+        raise ImageError(f"{name}: must have no masked values; got {masked} of them (clsco.inpaint fills an image's)")
+    return np.asarray(array)
 
 
 def check_image(image: NDArray[Any]) -> None:

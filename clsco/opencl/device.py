@@ -66,26 +66,42 @@ class Choice:
     reason: str
 
 
-def list_devices(name: str | None = None) -> tuple[tuple[Device, ...], Choice]:
-    """All OpenCL devices in the platforms' order, and which one `choose(name)` would use and why.
+def list_devices(name: str | None = None, source: str = "device") -> tuple[tuple[Device, ...], Choice]:
+    """List the OpenCL devices, and say which one would be used and why.
 
-    Raises nothing: where no device can be chosen, the reason says so.
+    Parameters
+    ----------
+    name : str, optional
+        As `device` of `clsco.render`: a part of a name, "cpu" or "gpu".
+    source : str
+        What the reason calls `name`.
+
+    Returns
+    -------
+    devices : tuple of Device
+        In the platforms' order.
+    choice : Choice
+        `choice.device` (None where none can be chosen) and `choice.reason` in words.
+
+    Notes
+    -----
+    Nothing is raised where no device can be chosen: the reason says so.
     """
     devices = _devices()
     try:
-        return devices, pick(devices, name, os.environ, _by_pyopencl)
+        return devices, pick(devices, name, os.environ, _by_pyopencl, source)
     except DeviceError as error:
         return devices, Choice(None, str(error))
 
 
-def choose(name: str | None = None) -> Device:
+def choose(name: str | None = None, source: str = "device") -> Device:
     """The device to use: `name` > CLSCO_DEVICE > PYOPENCL_CTX > a GPU > PoCL > any other processor.
 
     Never prompts.
-    `name` is a part of the device's or platform's name or version in any case, or "gpu" or "cpu".
-    Raises DeviceError when no device is there or none matches.
+    `name` is a part of the device's or platform's name or version in any case, or "gpu" or "cpu"; source: what messages
+    call it. Raises DeviceError when no device is there or none matches.
     """
-    chosen = pick(_devices(), name, os.environ, _by_pyopencl).device
+    chosen = pick(_devices(), name, os.environ, _by_pyopencl, source).device
     if chosen is None:
         raise DeviceError(NO_DEVICE)
     return chosen
@@ -96,11 +112,15 @@ def pick(
     name: str | None,
     environ: Mapping[str, str],
     by_pyopencl: Callable[[str], cl.Device],
+    origin: str = "device",
 ) -> Choice:
-    """The rule of `choose`, on a given list and environment; `by_pyopencl` resolves a PYOPENCL_CTX."""
+    """The rule of `choose`, on a given list and environment; `by_pyopencl` resolves a PYOPENCL_CTX.
+
+    origin: what messages call `name`.
+    """
     if not devices:
         return Choice(None, NO_DEVICE)
-    for source, wanted in (("--device", name), ("CLSCO_DEVICE", environ.get("CLSCO_DEVICE"))):
+    for source, wanted in ((origin, name), ("CLSCO_DEVICE", environ.get("CLSCO_DEVICE"))):
         if wanted:
             return Choice(_matching(devices, source, wanted), f'{source} is "{wanted}"')
     if specification := environ.get("PYOPENCL_CTX"):

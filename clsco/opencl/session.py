@@ -15,7 +15,12 @@ import pyopencl as cl
 from clsco.errors import DeviceError
 from clsco.opencl import pocl_cache as poclcache
 from clsco.opencl import pocl_cpu as poclcpu
-from clsco.opencl.device import Device, _not_forked, described, failure
+from clsco.opencl.device import Device, _not_forked, choose, described, failure
+
+_TIMED = cl.command_queue_properties.PROFILING_ENABLE
+
+DeviceLike: TypeAlias = str | cl.Device | cl.Context | cl.CommandQueue | None
+"""What users give as `device`: a part of a name, "cpu", "gpu", an object of pyopencl, or None for the default."""
 
 Program: TypeAlias = dict[str, cl.Kernel]
 """A built program: its kernels by name. Looking a kernel up in OpenCL costs 0.2 ms, so they are kept."""
@@ -26,11 +31,12 @@ class Session:
     released by `close` or `with`.
 
     Not to be carried over a fork: PoCL would wait for ever, even with a new session, so that DeviceError is raised.
-    Start processes by spawning. Safe to share between threads. `queue`: work in this queue and its context, for arrays
-    that live there. Raises DeviceError when the device refuses a context.
+    Start processes by spawning. Safe to share between threads. `queue`: work in this queue, or where it is out of order
+    or does not time its commands, in one beside it in its context; `context`: work in this one. Raises DeviceError when
+    the device refuses a context.
     """
 
-    def __init__(self, device: Device, queue: cl.CommandQueue | None = None) -> None:
+    def __init__(self, device: Device, queue: cl.CommandQueue | None = None, context: cl.Context | None = None) -> None:
         _not_forked()
         self.device = device
         self.lock = threading.RLock()
@@ -39,15 +45,16 @@ class Session:
         self.compiled: set[tuple[cl.Kernel, tuple[int, ...], bool]] = set()
         """Kernels and launch shapes that the driver has compiled already, kept by `program.launch`."""
         if device.is_pocl:
+            poclcache.prepare()  # where the user has opened a queue before clsco asked for any device
             poclcache.check()
             poclcpu.ensure_known(device.handle)
         try:
             if queue is not None:
-                self.context, self._queue = queue.context, queue
-                return
-            self.context = cl.Context([device.handle])
-            timed = cl.command_queue_properties.PROFILING_ENABLE
-            self._queue = cl.CommandQueue(self.context, properties=timed)
+                context = queue.context
+            self.context = cl.Context([device.handle]) if context is None else context
+            if queue is None or not _is_usable(queue):
+                queue = cl.CommandQueue(self.context, device.handle, properties=_TIMED)
+            self._queue = queue
         except cl.Error as error:
             raise failure(device, "open a context and a queue", error) from error
 
@@ -126,3 +133,28 @@ def session_on(device: Device) -> Session:
 def session_of(queue: cl.CommandQueue) -> Session:
     """A session that works in a queue, the same one as long as it is among the last four."""
     return Session(described(queue.device), queue=queue)
+
+
+@lru_cache(maxsize=4)
+def session_in(context: cl.Context) -> Session:
+    """A session in a context, on its first device, the same one as long as it is among the last four."""
+    return Session(described(context.devices[0]), context=context)
+
+
+def session_for(device: DeviceLike) -> Session:
+    """The session of what users give as `device`. Raises DeviceError for what is none."""
+    if device is None or isinstance(device, str):
+        return session_on(choose(device))
+    if isinstance(device, cl.CommandQueue):
+        return session_of(device)
+    if isinstance(device, cl.Context):
+        return session_in(device)
+    if isinstance(device, cl.Device):
+        return session_on(described(device))
+    rule = "must be a part of a name, or a Device, Context or CommandQueue of pyopencl"
+    raise DeviceError(f"device: {rule}; got {type(device).__name__}")
+
+
+def _is_usable(queue: cl.CommandQueue) -> bool:
+    timed, unordered = _TIMED, cl.command_queue_properties.OUT_OF_ORDER_EXEC_MODE_ENABLE
+    return bool(queue.properties & timed) and not queue.properties & unordered

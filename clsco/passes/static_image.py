@@ -62,7 +62,7 @@ class StillMap:
             "sharp": np.where(seen, self.radiance, np.float32(0)),
             "filled": np.where(self.missing, np.uint8(2), np.uint8(0)),
             "depth": np.where(there, 1.0 / np.where(there, w, 1.0), np.inf),
-            "coc": np.where(there, blur_radius(self.camera, w), 0.0).astype(np.float32),
+            "blur_radius": np.where(there, blur_radius(self.camera, w), 0.0).astype(np.float32),
             "mask": there,
             "object_id": np.where(there, 0, -1).astype(np.int32),
         }

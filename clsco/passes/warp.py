@@ -183,11 +183,11 @@ class ForwardWarp:
 
         "sharp": radiance after the move; "filled": uint8, as `Warped.status`. Of a scene with a depth map, at which no
         ray can be cast, also what is known of the pixels' surface, filled ones included: "depth" in mm, +inf for none,
-        float64, for normals come from its differences; "coc" in px, 0 for none; "mask", bool; "object_id", int32, -1
-        for none. These are the values of the source that came to the pixel, up to half a pixel from its center.
+        float64, for normals come from its differences; "blur_radius" in px, 0 for none; "mask", bool; "object_id",
+        int32, -1 for none. These are values of the source that came to the pixel, up to half a pixel from its center.
         """
         plan = self.plan
-        names = {"sharp", "filled"} | ({"depth", "coc", "mask", "object_id"} if self.maps else set())
+        names = {"sharp", "filled"} | ({"depth", "blur_radius", "mask", "object_id"} if self.maps else set())
         if not names & set(wanted):
             return {}
         warped = self.warp(poses, surfaces, 1.0, events)
@@ -201,7 +201,7 @@ class ForwardWarp:
         if self.maps:
             w = together(self._frame(warped.w, wide), self.real)
             found["depth"] = np.where(valid, 1.0 / np.where(valid, w, 1.0), np.inf)
-            found["coc"] = together(self._frame(warped.coc, wide), self.real).astype(np.float32)
+            found["blur_radius"] = together(self._frame(warped.coc, wide), self.real).astype(np.float32)
             seen = np.zeros(valid.shape, np.int32)
             if warped.object is not None:
                 seen = self._frame(warped.object, np.uint8).astype(np.int32)

@@ -28,12 +28,23 @@ PIXELS_PER_PLACE, FEWEST_PLACES, MOST_PLACES = 1024, 256, 512  # where errors ar
 
 
 @dataclass(frozen=True)
-class Told:
-    """What is told of an approximated frame.
+class ApproximationReport:
+    """How the blur of an image was computed, and the measured error of an approximation.
 
-    method: name in METHODS, or "exact"; tolerance: that was asked for; rms_error: of white, against the exact way;
-    at_most: that and two standard errors more, which is what is held against the tolerance; pixels: at which the error
-    was measured; tried: (method, at_most) of what was too far off before.
+    Attributes
+    ----------
+    method : str
+        Name in METHODS, or "exact".
+    tolerance : float or None
+        The requested one.
+    rms_error : float
+        Of white, against the exact blur.
+    at_most : float
+        The RMS error and two standard errors more, which is compared with the tolerance.
+    pixels : int
+        At which the error was measured.
+    tried : tuple of (str, float)
+        Method and `at_most` of each approximation that exceeded the tolerance.
     """
 
     method: str
@@ -52,11 +63,11 @@ class Told:
         return f"{self.method}: RMS error {self.rms_error:.2g} of white, measured at {self.pixels} pixels"
 
 
-def asked_alike(told: Mapping[str, Any] | None, method: str, tolerance: float | None) -> bool:
-    """Whether a frame of which `told` (`Told` as a mapping, or None) is written was asked for in the same way."""
-    if told is None:
+def asked_alike(report: Mapping[str, Any] | None, method: str, tolerance: float | None) -> bool:
+    """Whether a frame with this report (an `ApproximationReport` as a mapping, or None) has the same request."""
+    if report is None:
         return tolerance is None and method not in METHODS
-    return told.get("tolerance") == tolerance and (tolerance is not None or told.get("method") == method)
+    return report.get("tolerance") == tolerance and (tolerance is not None or report.get("method") == method)
 
 
 def checked_tolerance(tolerance: float, method: str) -> float:

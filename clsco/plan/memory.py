@@ -43,7 +43,7 @@ MOST_IN_ONE_SUM = 256  # taps of `gather` that a float adds up before it goes in
 TRUTH_BUFFERS: dict[str, tuple[type[np.generic], int]] = {
     "object_id": (np.int32, 1),
     "depth": (np.float32, 1),
-    "coc": (np.float32, 1),
+    "blur_radius": (np.float32, 1),
     "normal": (np.float32, 3),
     "flow": (np.float32, 2),
     "hidden": (np.uint8, 1),

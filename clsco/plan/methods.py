@@ -36,7 +36,15 @@ def many_radii(gpu: bool, occluded: bool = False, approximate: bool = False) -> 
     return "scatter" if gpu and not approximate else "gather"
 
 
+def check_method(method: str) -> None:
+    """Raises SceneError where no method of the blur has this name."""
+    known = ("auto", *MANY_RADII, "convolve", *METHODS)
+    if method not in known:
+        raise SceneError(f"method: must be one of {', '.join(known)}; got {method}")
+
+
 def _choose_blur(method: str, sharp: bool, constant: bool, gpu: bool, occluded: bool) -> Blur:
+    check_method(method)
     if method in METHODS:
         return "none" if sharp else many_radii(gpu, occluded, approximate=True)
     if method == "convolve" and not constant:
@@ -46,9 +54,6 @@ def _choose_blur(method: str, sharp: bool, constant: bool, gpu: bool, occluded: 
     for known in MANY_RADII:
         if method == known:
             return known
-    if method not in ("auto", "convolve"):
-        known_names = ", ".join(("auto", *MANY_RADII, "convolve", *METHODS))
-        raise SceneError(f"method: must be one of {known_names}; got {method}")
     if sharp:
         return "none"
     return "convolve" if constant else many_radii(gpu, occluded)

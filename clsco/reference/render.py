@@ -208,7 +208,7 @@ def _map_truth(plan: Plan, textures: tuple[Array, ...], maps: Maps, middle: _War
         stereo = dict(zip(("disparity", "occluded"), map_stereo(*args), strict=True))
     return stereo | {
         "depth": depth,
-        "coc": _crop(middle.sources.radius, guard),
+        "blur_radius": _crop(middle.sources.radius, guard),
         "mask": valid,
         "object_id": number,
         "normal": map_normal(scene.camera, depth),

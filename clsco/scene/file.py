@@ -24,6 +24,8 @@ MAX_MESSAGES = 100
 MAX_OUTPUTS = 4096  # of a sweep
 MAX_DOTS = 100  # per line: tomllib needs memory with the square of the parts of a dotted key
 
+SceneLike = Scene | Mapping[str, Any] | str | os.PathLike[str]
+PsfLike = Psf | Mapping[str, Any] | str | None
 Location = tuple[str | int, ...]  # of a key: ("object", 0, "motion", "velocity")
 
 _SHAPES: dict[str, type[BaseModel]] = {shape.model_fields["shape"].default: shape for shape in get_args(AnyShape)}
@@ -220,10 +222,26 @@ def at_most(where: str, messages: Iterable[str]) -> list[str]:
     return [f"{where}: {message}" for message in told]
 
 
-def parse_psf(mapping: Mapping[str, Any]) -> Psf:
-    """Validate a PSF given as a mapping with the keys of a scene file's [psf]; raises SceneError as `parse_scene`."""
+def scene_of(scene: SceneLike) -> Scene:
+    """The scene that users give: itself, a mapping as for `parse_scene`, or a path as for `load_scene`."""
+    if isinstance(scene, Scene):
+        return scene
+    if isinstance(scene, str | os.PathLike):
+        return load_scene(scene)
+    if isinstance(scene, Mapping):
+        return parse_scene(scene)
+    raise SceneError(f"scene: must be a Scene, a mapping or the path of a file; got {type(scene).__name__}")
+
+
+def psf_of(psf: PsfLike) -> Psf:
+    """The PSF that users give: itself, its model, or a mapping with the keys of [psf]; raises as `parse_scene`."""
+    if isinstance(psf, Psf):
+        return psf
+    given = {"model": psf} if isinstance(psf, str) else {} if psf is None else psf
+    if not isinstance(given, Mapping):
+        raise SceneError(f"psf: must be a Psf, a mapping or the name of a model; got {type(given).__name__}")
     try:
-        return Psf.model_validate(dict(mapping))
+        return Psf.model_validate(dict(given))
     except ValidationError as error:
         messages = [_message({**fault, "loc": ("psf", *fault["loc"])}) for fault in _faults(error)]
     raise SceneError(messages)

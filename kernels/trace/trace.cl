@@ -284,7 +284,7 @@ __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces
 #if TRUTH_DEPTH
                            , __global float *depth
 #endif
-#if TRUTH_COC
+#if TRUTH_BLUR_RADIUS
                            , __global float *coc
 #endif
 #if TRUTH_NORMAL
@@ -326,7 +326,7 @@ __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces
 #if TRUTH_DEPTH
     depth[at] = root ? (float)narrow(wide_div(widened(1), w)) : INFINITY;
 #endif
-#if TRUTH_COC
+#if TRUTH_BLUR_RADIUS
     coc[at] = root ? (float)narrow(blur_radius(camera, w)) : 0;
 #endif
 #if TRUTH_NORMAL

@@ -64,7 +64,7 @@ def shipped() -> set[str]:
     """What the wheel has to hold, as its names: the package, the kernels, and the example scenes."""
     suffixes = {"clsco": (".py",), "kernels": (".py", ".cl", ".clh"), "examples": (".py", ".toml", ".png")}
     names = [path.relative_to(ROOT) for path in repository_files()]
-    wanted = [name for name in names if name.suffix in suffixes.get(name.parts[0], ())]
+    wanted = [name for name in names if name.suffix in suffixes.get(name.parts[0], ()) or name.name == "py.typed"]
     return {name.as_posix() if name.parts[0] == "clsco" else f"clsco/{name.as_posix()}" for name in wanted}
 
 
@@ -120,7 +120,7 @@ def test_the_front_door_offers_what_type_checkers_see() -> None:
     lines = [line for line in block.body if isinstance(line, ast.ImportFrom)]
     seen = {alias.name: line.module for line in lines for alias in line.names}
     assert seen == clsco._HOME | {"reference": "clsco"}
-    assert sorted(clsco.__all__) == sorted([*seen, "__version__"])
+    assert sorted(clsco.__all__) == sorted(seen)
     for name in clsco.__all__:
         assert name in dir(clsco)
         assert getattr(clsco, name) is not None

@@ -12,7 +12,7 @@ import pytest
 
 import clsco
 from clsco.cli.main import main
-from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES
+from clsco.frame.frame import FILE_NAMES
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = {path.relative_to(ROOT).as_posix(): path.read_text("utf-8") for path in sorted((ROOT / "docs").glob("*.md"))}
@@ -54,7 +54,7 @@ def test_the_python_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capture
 def test_commands_and_outputs_are_all_named() -> None:
     assert set(re.findall(r"^\| `clsco (\w+)", PAGES["docs/commands.md"], re.MULTILINE)) == set(main.commands)
     named = re.findall(r"^\| `(\w+)` \| (?:float32|bool|u?int\d+)", PAGES["docs/outputs.md"], re.MULTILINE)
-    assert sorted(named) == sorted(["color", *TRUTH_NAMES, *STEREO_NAMES])
+    assert sorted(named) == sorted(FILE_NAMES.values())
 
 
 def test_options_and_examples_of_files_exist() -> None:

@@ -70,7 +70,7 @@ def test_files_are_filled_as_arrays_are(
     image, mask = save(name, data), save("mask.png", MASK)
     result = run(image, mask, "-o", tmp_path / "made" / out, "--method", "mean-median")
     assert result.exit_code == 0, result.output
-    expected, report = clsco.inpaint(data, MISSING, method="mean-median")
+    expected, report = clsco.inpaint(data, MISSING, method="mean-median", return_report=True)
     found = read_image(tmp_path / "made" / out).data
     if out.endswith(".exr") and channels == 1:
         assert (found[..., :1] == found).all()
@@ -88,10 +88,10 @@ def test_options_are_the_constants(save: Save, tmp_path: Path) -> None:
     words = ["--estimator", "median", "--minimum", "2", "--smoothing-rounds", "3", "--border-share", "0.7"]
     assert run(image, mask, "-o", out, "--method", "mean-median", *words).exit_code == 0
     constants: dict[str, Any] = {"estimator": "median", "minimum": 2, "smoothing_rounds": 3, "border_share": 0.7}
-    expected, _ = clsco.inpaint(CODES, MISSING, method="mean-median", **constants)
+    expected = clsco.inpaint(CODES, MISSING, method="mean-median", options=clsco.MeanMedian(**constants))
     assert (read_image(out).data == expected).all()
     result = run(image, mask, "-o", out, *words)
-    assert (result.exit_code, result.stderr) == (1, "error: estimator: belongs to method mean-median; got auto\n")
+    assert (result.exit_code, result.stderr) == (1, "error: --estimator: belongs to --method mean-median; got auto\n")
 
 
 def test_the_report_is_written(save: Save, tmp_path: Path) -> None:

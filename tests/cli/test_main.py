@@ -24,7 +24,7 @@ from clsco.engine import batch
 from clsco.errors import ImageError
 from clsco.files.images import read_image
 from clsco.frame.files import read_complete
-from clsco.frame.frame import TRUTH_NAMES, Frame
+from clsco.frame.frame import FILE_NAMES, TRUTH_NAMES, Frame
 from clsco.opencl import device, self_test
 from clsco.plan.prepare import planned
 from clsco.scene import examples
@@ -81,9 +81,9 @@ def test_render_writes_frames_and_says_nothing(ball: Path, tmp_path: Path) -> No
     assert (picture.data.shape, picture.bits) == ((24, 40), 8)
     frame = next(clsco.render(clsco.load_scene(ball), frames=[1]))
     with np.load(tmp_path / "new/out/frame_0001.npz") as arrays:
-        assert set(arrays) == {"color", *TRUTH_NAMES}
-        for name in arrays:
-            np.testing.assert_array_equal(arrays[name], getattr(frame, name), strict=True)
+        assert set(arrays) == {FILE_NAMES[name] for name in ("color", *TRUTH_NAMES)}
+        for name in ("color", *TRUTH_NAMES):
+            np.testing.assert_array_equal(arrays[FILE_NAMES[name]], getattr(frame, name), strict=True)
 
 
 def test_the_json_tells_every_parameter_and_what_became_of_it(ball: Path, tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from clsco.cli.main import main
 from clsco.engine import batch
 from clsco.engine.sequence import render_sweep
 from clsco.frame.files import read_complete
-from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES
+from clsco.frame.frame import FILE_NAMES
 from tests.slow import mostly_slow
 
 PAIR = """
@@ -70,9 +70,9 @@ def test_both_views_are_written_as_they_are_rendered(scene: Path, tmp_path: Path
     assert [frame.eye for frame in frames] == [part.header["view"] for part in parts] == ["left", "right"]
     for frame, part in zip(frames, parts, strict=True):
         with np.load(out / f"frame_0001_{frame.eye}.npz") as arrays:
-            assert set(arrays) == {"color", *TRUTH_NAMES, *STEREO_NAMES}
-            for name in arrays:
-                np.testing.assert_array_equal(arrays[name], getattr(frame, name), strict=True)
+            assert set(arrays) == set(FILE_NAMES.values())
+            for name, in_file in FILE_NAMES.items():
+                np.testing.assert_array_equal(arrays[in_file], getattr(frame, name), strict=True)
         assert frame.disparity is not None
         np.testing.assert_array_equal(part.channels["disparity"].pixels, frame.disparity)
         # baseline s0 / (p Z): 6 mm * 20 mm / (0.1 mm * 380 mm) of the wall, the farthest.

@@ -170,12 +170,12 @@ ONES = np.ones((4, 5), np.float32)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((ONES, np.ones((5, 4))), "coc: must have the rows and columns of the image, (4, 5); got (5, 4)"),
+        ((ONES, np.ones((5, 4))), "blur_radius: must have the rows and columns of the image, (4, 5); got (5, 4)"),
         ((ONES[0], np.ones(5)), "image: must have the shape"),
-        ((ONES, np.full((4, 5), np.nan)), "coc: must be finite; got 20 values that are not"),
+        ((ONES, np.full((4, 5), np.nan)), "blur_radius: must be finite; got 20 values that are not"),
         ((np.full((4, 5), np.inf, np.float32), ONES), "image: must be finite"),
-        ((np.ones((4, 5), np.uint8), ONES), "image: must be linear light in floats; got uint8"),
-        ((ONES, np.full((4, 5), 1e4)), "coc: radii must be at most 512 px; got 1e+04 px"),
+        ((np.ones((4, 5), np.int32), ONES), "image: must be floats, uint8 or uint16; got int32"),
+        ((ONES, np.full((4, 5), 1e4)), "blur_radius: must be at most 512 px; got 1e+04 px"),
         ((ONES, ONES, {"edge": "sharp"}), "psf.edge"),
         ((ONES, ONES, {"sigma_ratio": 1.0}), "psf.sigma_ratio"),
     ],

@@ -131,9 +131,9 @@ CALLS: dict[str, Any] = {
     "defocus": lambda: clsco.defocus(IMAGE, COC),
     "layered": lambda: clsco.defocus(IMAGE, COC, {"occlusion": "layered"}),
     "convolve": lambda: clsco.defocus(IMAGE, np.full_like(COC, 3)),
-    "mean-median": lambda: clsco.inpaint(IMAGE, HOLES, method="mean-median")[0],
-    "biharmonic": lambda: clsco.inpaint(IMAGE, HOLES, method="biharmonic")[0],
-    "texture": lambda: clsco.inpaint(IMAGE, HOLES, method="texture")[0],
+    "mean-median": lambda: clsco.inpaint(IMAGE, HOLES, method="mean-median"),
+    "biharmonic": lambda: clsco.inpaint(IMAGE, HOLES, method="biharmonic"),
+    "texture": lambda: clsco.inpaint(IMAGE, HOLES, method="texture"),
 }
 
 

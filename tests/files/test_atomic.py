@@ -23,7 +23,7 @@ from clsco.files.atomic import remove_stale, writable_folder
 from clsco.files.images import read_image, write_exr, write_json, write_npz, write_png
 from clsco.files.transfer import encode
 from clsco.frame.files import exr_channels, frame_files, read_complete, write_frame
-from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES, Frame
+from clsco.frame.frame import FILE_NAMES, TRUTH_NAMES, Frame
 
 GRAY = np.arange(256, dtype=np.uint8).reshape(8, 32)
 COLOR = np.random.default_rng(7).integers(0, 65536, (300, 300, 3), "u2")
@@ -40,7 +40,7 @@ def frame(channels: int) -> Frame:
         color=(generator.random(shape) * 1.5 - 0.2).astype("f4"),
         sharp=generator.random(shape).astype("f4"),
         depth=depth,
-        coc=(generator.random((6, 8)) - 0.5).astype("f4"),
+        blur_radius=(generator.random((6, 8)) - 0.5).astype("f4"),
         mask=generator.random((6, 8)) < 0.5,
         filled=generator.integers(0, 3, (6, 8), "u1"),
         object_id=generator.integers(-1, 3, (6, 8), "i4"),
@@ -64,9 +64,9 @@ def test_frame_files_hold_the_frame(tmp_path: Path, channels: int) -> None:
     image = read_image(tmp_path / "frame_0003.png")
     np.testing.assert_array_equal(image.data, encode(shown.color, 16, "srgb"), strict=True)
     with np.load(tmp_path / "frame_0003.npz", allow_pickle=False) as truth:
-        assert set(truth.files) == {"color", *TRUTH_NAMES}
-        for name in truth.files:
-            np.testing.assert_array_equal(truth[name], getattr(shown, name), strict=True)
+        assert set(truth.files) == {FILE_NAMES[name] for name in ("color", *TRUTH_NAMES)} > {"coc"}
+        for name in ("color", *TRUTH_NAMES):
+            np.testing.assert_array_equal(truth[FILE_NAMES[name]], getattr(shown, name), strict=True)
 
     stored = OpenEXR.File(str(tmp_path / "frame_0003.exr"), separate_channels=True).channels()
     wanted = exr_channels(shown)
@@ -118,9 +118,9 @@ def test_a_stereo_pair_has_files_of_each_view_and_one_exr(tmp_path: Path) -> Non
         stem = f"frame_0003_{shown.eye}"
         np.testing.assert_array_equal(read_image(tmp_path / f"{stem}.png").data, encode(shown.color, 8, "linear"))
         with np.load(tmp_path / f"{stem}.npz", allow_pickle=False) as truth:
-            assert set(truth.files) == {"color", *TRUTH_NAMES, *STEREO_NAMES}
-            for name in truth.files:
-                np.testing.assert_array_equal(truth[name], getattr(shown, name), strict=True)
+            assert set(truth.files) == set(FILE_NAMES.values())
+            for name, in_file in FILE_NAMES.items():
+                np.testing.assert_array_equal(truth[in_file], getattr(shown, name), strict=True)
 
     (tmp_path / "frame_0003_right.png").write_bytes((tmp_path / "frame_0003_left.png").read_bytes())
     assert read_complete(tmp_path, 3) is None

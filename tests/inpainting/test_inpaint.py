@@ -56,7 +56,7 @@ def expected_of(image: Array, missing: Mask, **constants: Any) -> tuple[Array, I
 
 def check(image: Array, missing: Mask, **constants: Any) -> Any:
     """Fill an image by the thesis' method, and compare all stages with the reference; its report."""
-    filled, report = clsco.inpaint(image, missing, **THESIS, **constants)
+    filled, report = clsco.inpaint(image, missing, **THESIS, options=MeanMedian(**constants), return_report=True)
     blended, expected = expected_of(image, missing, **constants)
     stages = report.stages
     assert stages is not None
@@ -86,7 +86,7 @@ def test_images_of_every_kind_are_those_of_the_reference(shape: tuple[int, ...],
     if np.dtype(dtype).kind == "f":
         hidden = image.copy()
         hidden[missing] = np.nan
-        assert (clsco.inpaint(hidden, missing, **THESIS)[0] == clsco.inpaint(image, missing, **THESIS)[0]).all()
+        assert (clsco.inpaint(hidden, missing, **THESIS) == clsco.inpaint(image, missing, **THESIS)).all()
 
 
 @pytest.mark.parametrize("shape", [(1, 2), (2, 1), (1, 40), (40, 1), (2, 2, 1), (3, 3, 16), (8, 70, 2), (5, 600)])
@@ -115,17 +115,17 @@ def test_the_same_bits_every_time_in_bands_of_any_height(monkeypatch: pytest.Mon
     from clsco.inpainting import mean_median
 
     image, missing = picture((90, 110, 3), np.uint8), damage((90, 110))
-    first, _ = clsco.inpaint(image, missing, **THESIS)
+    first = clsco.inpaint(image, missing, **THESIS)
     for values in (mean_median.BAND_VALUES, 1000):
         monkeypatch.setattr(mean_median, "BAND_VALUES", values)
-        again, report = clsco.inpaint(image, missing, **THESIS)
+        again, report = clsco.inpaint(image, missing, **THESIS, return_report=True)
         assert (again == first).all()
         assert report.figures()["missing_pixels"] == missing.sum()
 
 
 def test_auto_fills_and_progress_comes_to_its_end() -> None:
     image, missing, shares = picture((40, 50), np.uint8), damage((40, 50)), list[float]()
-    filled, report = clsco.inpaint(image, missing, progress=shares.append)
+    filled, report = clsco.inpaint(image, missing, progress=shares.append, return_report=True)
     assert shares == sorted(shares)
     assert shares[0] >= 0.0
     assert shares[-1] == pytest.approx(1.0)
@@ -135,11 +135,11 @@ def test_auto_fills_and_progress_comes_to_its_end() -> None:
 
 def test_a_mask_of_codes_and_arrays_on_the_device(session: Session) -> None:
     image, missing = picture((20, 30, 3), np.float32), damage((20, 30))
-    expected, _ = clsco.inpaint(image, missing, **THESIS)
+    expected = clsco.inpaint(image, missing, **THESIS)
     codes = np.where(missing, 255, 0).astype(np.uint8)
-    assert (clsco.inpaint(image, codes, **THESIS)[0] == expected).all()
+    assert (clsco.inpaint(image, codes, **THESIS) == expected).all()
     on_device = [cl_array.to_device(session.queue, array) for array in (image, codes)]
-    filled, _ = clsco.inpaint(*on_device, **THESIS)
+    filled = clsco.inpaint(*on_device, **THESIS)
     assert isinstance(filled, cl_array.Array)
     assert (filled.get() == expected).all()
     with pytest.raises(DeviceError, match=r"^image: a pyopencl array must have a queue"):
@@ -148,7 +148,7 @@ def test_a_mask_of_codes_and_arrays_on_the_device(session: Session) -> None:
 
 def test_an_image_without_missing_pixels_is_copied() -> None:
     image = picture((5, 6), np.uint8)
-    filled, report = clsco.inpaint(image, np.zeros((5, 6), np.bool_))
+    filled, report = clsco.inpaint(image, np.zeros((5, 6), np.bool_), return_report=True)
     assert (filled == image).all()
     assert filled is not image
     assert (report.missing_pixels, report.stages) == (0, None)
@@ -163,17 +163,16 @@ GRAY, NOTHING = np.zeros((4, 5), np.float32), np.zeros((4, 5), np.bool_)
         (np.zeros((4, 5, 17), np.uint8), NOTHING, {}, "image: must have the shape (rows, columns) or"),
         (np.zeros((0, 5), np.uint8), NOTHING, {}, "image: must have the shape"),
         (np.zeros((4, 5), np.int32), NOTHING, {}, "image: must be uint8, uint16, float16, float32 or float64; got"),
-        (GRAY, NOTHING.T, {}, "missing: must have the rows and columns of the image, (4, 5); got (5, 4)"),
-        (GRAY, NOTHING.astype(np.int8), {}, "missing: must be bool, or uint8 of 0 and 255; got int8"),
-        (GRAY, np.full((4, 5), 7, np.uint8), {}, "missing: must be 0 or 255 where it is uint8; got 20 other values"),
-        (GRAY, ~NOTHING, {}, "missing: some pixel must be known; got none that is"),
+        (GRAY, NOTHING.T, {}, "mask: must have the rows and columns of the image, (4, 5); got (5, 4)"),
+        (GRAY, NOTHING.astype(np.int8), {}, "mask: must be bool, or uint8 of 0 and 255; got int8"),
+        (GRAY, np.full((4, 5), 7, np.uint8), {}, "mask: must be 0 or 255 where it is uint8; got 20 other values"),
+        (GRAY, ~NOTHING, {}, "mask: some pixel must be known; got none that is"),
         (np.full((4, 5), np.nan), NOTHING, {}, "image: known pixels must be finite, and at most 2^60 in size; got 20"),
         (np.full((4, 5), np.inf, np.float16), NOTHING, {}, "image: known pixels must be finite"),
         (np.full((4, 5, 3), -2e18), NOTHING, {}, "image: known pixels must be finite, and at most 2^60 in size"),
         (GRAY, NOTHING, {"method": "best"}, "method: must be one of auto, mean-median, biharmonic, texture; got best"),
-        (GRAY, NOTHING, {"minimum": 3}, "minimum: belongs to method mean-median; got auto"),
-        (GRAY, NOTHING, THESIS | {"rounds": 3}, "constants: must be some of estimator, minimum, smoothing_rounds"),
-        (GRAY, NOTHING, THESIS | {"minimum": 9}, "minimum: must be a whole number from 1 to 8; got 9"),
+        (GRAY, NOTHING, {"options": MeanMedian(minimum=3)}, "options: belong to method mean-median; got auto"),
+        (GRAY, NOTHING, THESIS | {"options": {"rounds": 3}}, "options: must be a MeanMedian; got dict"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_filled_is_refused(image: Array, missing: Array, options: dict[str, Any], message: str) -> None:
@@ -190,7 +189,7 @@ def test_what_cannot_be_filled_is_refused(image: Array, missing: Array, options:
 def test_the_report_tells_what_the_thesis_shows(tmp_path: Path, shape: tuple[int, ...], dtype: Any) -> None:
     image, missing = picture(shape, dtype), damage(shape)
     image = np.abs(image)
-    filled, report = clsco.inpaint(image, missing, **THESIS)
+    filled, report = clsco.inpaint(image, missing, **THESIS, return_report=True)
     names = write_report(tmp_path / "report", report, image, missing, filled)
     stages = ["1_filled.png", "2_smoothed.png", "3_blended.png"]
     assert names == [*stages, "before_mask_after.png", "gradients.png", "mse.png", "report.json"]
@@ -220,7 +219,7 @@ def test_the_report_tells_what_the_thesis_shows(tmp_path: Path, shape: tuple[int
 def test_the_report_leaves_out_what_was_turned_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     image, missing = picture((20, 30), np.uint8), damage((20, 30))
     off: dict[str, Any] = {"estimator": "mean", "smoothing_rounds": 0, "border_share": 0}
-    filled, report = clsco.inpaint(image, missing, **THESIS, **off)
+    filled, report = clsco.inpaint(image, missing, **THESIS, options=MeanMedian(**off), return_report=True)
     names = write_report(tmp_path, report, image, missing, filled)
     assert names == ["1_filled.png", "before_mask_after.png", "report.json"]
     assert "mse" not in report.figures()
@@ -234,6 +233,6 @@ def test_large_sheets_are_reduced(tmp_path: Path) -> None:
     image = np.tile(np.arange(1100, dtype=np.uint8), (3, 1))
     missing = np.zeros(image.shape, np.bool_)
     missing[1, 5] = True
-    filled, report = clsco.inpaint(image, missing, **THESIS)
+    filled, report = clsco.inpaint(image, missing, **THESIS, return_report=True)
     write_report(tmp_path, report, image, missing, filled)
     assert read_image(tmp_path / "before_mask_after.png").data.shape == (2, 3 * 550 + 16, 3)

@@ -211,7 +211,7 @@ def test_any_rigid_motion_is_that_of_its_points(session: Session, make_case: Mak
 @pytest.mark.parametrize("name", ["map alone", "map and ball"])
 def test_truth_of_a_depth_map(session: Session, make_case: Maker, warps: Warps, name: str) -> None:
     """Depth, radius, mask and object are those of the planes; nothing is given that is not asked for."""
-    names = ("sharp", "filled", "depth", "coc", "mask", "object_id", "normal")
+    names = ("sharp", "filled", "depth", "blur_radius", "mask", "object_id", "normal")
     case = make_case(*warps[name], guard=4, channels=3, method="ait")
     poses, placed, warp = case.poses, case.placed(case.poses), case.forward(session)
     truth, found = warp.truth(poses, placed, names, []), case.warp(session)
@@ -223,7 +223,7 @@ def test_truth_of_a_depth_map(session: Session, make_case: Maker, warps: Warps, 
     assert (truth["sharp"] == found["value"][frame]).all()
     assert (truth["depth"][~mask] == np.inf).all()
     assert (truth["depth"][mask] == 1 / found["w"][frame][mask]).all()
-    assert (truth["coc"] == found["coc"][frame].astype(np.float32)).all()
+    assert (truth["blur_radius"] == found["coc"][frame].astype(np.float32)).all()
     seen = found.get("object", np.zeros(case.shape))[frame].astype(np.int32)
     assert (truth["object_id"] == np.where(mask, seen, -1)).all()
     assert truth["object_id"].dtype == np.int32

@@ -18,7 +18,7 @@ from clsco.scene.model import Sequence as Exposure
 COLUMNS, ROWS = 24, 20
 LIGHT = (-4, 1, 3)  # powers of two by which textures are brighter
 SOME, MANY = 4, 500  # examples of each law for a quick look, and in `make laws`
-NAMES = ("depth", "coc", "mask", "object_id", "normal", "flow")
+NAMES = ("depth", "blur_radius", "mask", "object_id", "normal", "flow")
 # Radii stay below 1 px: tables for larger ones, made anew for each scene, take longer than all the rest.
 CAMERA = {
     "focal_length": 20.0, "aperture_diameter": 2.5, "sensor_distance": 21.739, "normalization_distance": 20.0,

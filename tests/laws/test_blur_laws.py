@@ -130,7 +130,7 @@ def test_filling_does_not_know_units_of_light(seed: int, exponent: int, count: i
     missing = (rng.permutation(image.size) < count).reshape(image.shape)
     factor = np.float32(2.0**exponent)
     one, other = (
-        clsco.inpaint(given, missing, method="mean-median", border_share=0.0, device="pocl")[0]
+        clsco.inpaint(given, missing, method="mean-median", options=clsco.MeanMedian(border_share=0.0), device="pocl")
         for given in (image, image * factor)
     )
     assert same_bits(one * factor, other)

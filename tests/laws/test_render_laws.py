@@ -77,7 +77,7 @@ def test_another_unit_of_length_changes_no_bit(light: Path, objects: tuple[Objec
     one = rendered(scene(light, objects))
     other = rendered(scene(light, tuple(scaled(item, factor) for item in objects), camera=camera))
     assert same_bits(one.color, other.color)
-    assert same_bits(one.coc, other.coc)
+    assert same_bits(one.blur_radius, other.blur_radius)
     assert same_bits(one.normal, other.normal)
     assert same_bits(one.depth * np.float32(factor), other.depth)  # type: ignore[operator]
 

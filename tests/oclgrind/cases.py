@@ -272,7 +272,7 @@ def _inpainting_case(number: int, method: str, shape: tuple[int, int], codes: bo
     changes: dict[str, Any] = {"kind": "gpu"} if number % 3 == 0 else {}
     about = f"{method} {shape} codes={codes} channels={channels} {changes}"
     return Case(
-        f"inpainting {number}", changes, lambda: [inpaint(image, missing, method=method, device="oclgrind")[0]], about
+        f"inpainting {number}", changes, lambda: [inpaint(image, missing, method=method, device="oclgrind")], about
     )
 
 
@@ -298,7 +298,7 @@ def long_cases() -> Iterator[Case]:
 
     def filled(method: str) -> list[Array]:
         with patch("clsco.engine.inpaint.mean_median.MOST_ENTRIES", 4):  # of a sweep that one work-group does
-            return [inpaint(holes, missing, method=method, device="oclgrind")[0]]
+            return [inpaint(holes, missing, method=method, device="oclgrind")]
 
     for light in (1.0, 10.0):
         yield Case(f"sums, light {light}", {}, partial(summed, light))
@@ -338,7 +338,7 @@ def fault_cases() -> Iterator[Case]:
     def blurred(method: str, radii: Array, psf: Psf) -> Callable[[], list[Array]]:
         return lambda: [defocus(image, radii, psf, device="oclgrind", method=method)]
 
-    yield Case("solver", {}, lambda: [inpaint(codes, missing, method="biharmonic", device="oclgrind")[0]])
+    yield Case("solver", {}, lambda: [inpaint(codes, missing, method="biharmonic", device="oclgrind")])
     yield Case("tiles", {}, blurred("tiles", coc, Psf()))
     yield Case("scatter", {}, blurred("scatter", coc, Psf()))
     yield Case("slabs", {}, blurred("scatter", jump, Psf(occlusion="layered")))

@@ -80,13 +80,14 @@ def test_order(devices: list[Device], name: str | None, environ: Mapping[str, st
 
 def test_reason_names_what_decided() -> None:
     assert pick([POCL, GPU], None, {}, never).reason == "the first GPU"
-    assert pick([POCL], "pocl", {}, never).reason == '--device is "pocl"'
+    assert pick([POCL], "pocl", {}, never).reason == 'device is "pocl"'
+    assert pick([POCL], "pocl", {}, never, "--device").reason == '--device is "pocl"'
     assert pick([POCL], None, {"CLSCO_DEVICE": "pocl"}, never).reason == 'CLSCO_DEVICE is "pocl"'
 
 
 @pytest.mark.parametrize(("name", "environ"), [("amd", {}), (None, {"CLSCO_DEVICE": "amd"})])
 def test_a_name_that_matches_nothing(name: str | None, environ: Mapping[str, str]) -> None:
-    source = "--device" if name else "CLSCO_DEVICE"
+    source = "device" if name else "CLSCO_DEVICE"
     with pytest.raises(DeviceError, match=rf'^{source}: .*GeForce 1 \(NVIDIA CUDA\); got "amd"$'):
         pick([POCL, GPU], name, environ, never)
 

@@ -42,8 +42,8 @@ Start = Callable[[Path], subprocess.Popen[str]]
 def start(tmp_path_factory: pytest.TempPathFactory) -> Start:
     """Starts a process that builds and launches two kernels with its cache below a given folder."""
     kernels = tmp_path_factory.mktemp("kernels")
-    (kernels / "common").mkdir()
-    for header in ("common/wide.clh", "common/geometry.clh"):
+    (kernels / "common/cpu").mkdir(parents=True)
+    for header in ("common/cpu/builtins.clh", "common/wide.clh", "common/geometry.clh"):
         (kernels / header).write_text("")
     (kernels / "work.cl").write_text(WORK)
     environ = {name: value for name, value in os.environ.items() if name not in ("POCL_CACHE_DIR", "PYOPENCL_CTX")}

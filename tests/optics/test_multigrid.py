@@ -17,7 +17,7 @@ from clsco.cli.main import main
 from clsco.errors import SceneError
 from clsco.optics.multigrid import coarse_frame, coarse_radius
 from clsco.optics.psf import weights
-from clsco.plan.approximation import METHODS, Told, candidates, estimate, sample_places
+from clsco.plan.approximation import METHODS, ApproximationReport, candidates, estimate, sample_places
 from clsco.reference.blur.blur import scatter
 from clsco.reference.blur.multigrid import coarse
 from clsco.reference.trace.trace import Sources
@@ -102,10 +102,8 @@ def test_the_method_follows_the_tolerance(scene: tuple[Any, Any, Any]) -> None:
     image, coc, exact = scene
     chosen = []
     for tolerance in (1e-2, 2e-3, 1e-3, 1e-6):
-        told: list[Told] = []
-        found = clsco.defocus(image, coc, tolerance=tolerance, told=told)
+        found, one = clsco.defocus(image, coc, tolerance=tolerance, return_report=True)
         off = float(np.sqrt(np.mean((found.astype(np.float64) - exact) ** 2)))
-        (one,) = told
         assert off <= tolerance
         assert one.rms_error == pytest.approx(off, rel=0.3, abs=1e-9)  # of 256 pixels
         assert one.tolerance == tolerance
@@ -120,13 +118,11 @@ def test_the_method_follows_the_tolerance(scene: tuple[Any, Any, Any]) -> None:
 
 def test_errors_are_measured_where_they_are(scene: tuple[Any, Any, Any]) -> None:
     image, coc, exact = scene
-    told: list[Told] = []
-    found = clsco.defocus(image, coc, method="coarse2", told=told)
+    found, one = clsco.defocus(image, coc, method="coarse2", return_report=True)
     place = sample_places(*image.shape)
     off = (found - exact)[place[:, 0], place[:, 1]]
     rms, at_most = estimate(off[:, None])
     assert rms > 1e-4
-    (one,) = told
     assert (one.method, one.tolerance, one.pixels, one.tried) == ("coarse2", None, len(place), ())
     assert (one.rms_error, one.at_most) == pytest.approx((rms, at_most), rel=1e-2)
     assert np.array_equal(found, clsco.defocus(image, coc, method="coarse2"))  # measured or not
@@ -166,11 +162,11 @@ def test_what_is_too_narrow_is_not_approximated() -> None:
     assert candidates(Psf(edge="sampled"), np.array([12.0])) == ()
     assert candidates(Psf(model="gaussian"), np.array([12.0])) == ("coarse2", "coarse4")
     assert candidates(Psf(border="renormalize"), np.array([60.0])) == ()
-    told: list[Told] = []
     image, coc = np.ones((16, 16)), np.full((16, 16), 3.0)
-    assert np.array_equal(clsco.defocus(image, coc, tolerance=1.0, told=told), clsco.defocus(image, coc))
-    assert told == [Told("exact", 1.0, 0.0, 0.0, 0)]
-    assert told[0].line() == "exact: nothing that fits the memory is faster"
+    found, report = clsco.defocus(image, coc, tolerance=1.0, return_report=True)
+    assert np.array_equal(found, clsco.defocus(image, coc))
+    assert report == ApproximationReport("exact", 1.0, 0.0, 0.0, 0)
+    assert report.line() == "exact: nothing that fits the memory is faster"
 
 
 def test_a_radius_shrinks_with_its_grid() -> None:

@@ -179,8 +179,8 @@ def test_none_spreads_what_the_pinhole_sees() -> None:
     psf = {"occlusion": "none", "silhouette_samples": 1, "tilt": False, "border": "renormalize"}
     frame = image(scene({"object": [BALL, COLUMN, WALL]}, **psf))
     assert frame.sharp is not None
-    assert frame.coc is not None
-    expected = clsco.defocus(frame.sharp, frame.coc, psf)
+    assert frame.blur_radius is not None
+    expected = clsco.defocus(frame.sharp, frame.blur_radius, psf)
     # Radii rounded to float32 on their way: 1e-6 px, of weights that change by a few tenths per px.
     np.testing.assert_allclose(frame.color, expected, rtol=0, atol=3e-6)
 
@@ -246,7 +246,7 @@ def test_every_pixel_belongs_to_the_nearest_object() -> None:
     assert set(np.unique(whole.object_id)) == {0, 1, 2}
     depths = np.stack([frame.depth for frame in alone if frame.depth is not None])
     np.testing.assert_array_equal(whole.object_id, depths.argmin(axis=0))
-    for name in ("depth", "coc", "normal", "sharp"):
+    for name in ("depth", "blur_radius", "normal", "sharp"):
         planes = np.stack([getattr(frame, name) for frame in alone])
         row, column = np.indices(whole.object_id.shape)
         np.testing.assert_array_equal(getattr(whole, name), planes[whole.object_id, row, column])

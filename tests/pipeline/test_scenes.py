@@ -78,7 +78,7 @@ def test_color_is_three_gray_scenes(method: str, warp: str, picture: Path) -> No
         # The same sums, but for the fixed point of `scatter`, whose unit depends on the brightest light.
         atol = 0.0 if method == "gather" else 1e-6
         np.testing.assert_allclose(frame.color[..., channel], alone.color, rtol=0, atol=atol)
-        for name in ("depth", "coc", "mask", "normal", "flow", "filled", "object_id", "hidden"):
+        for name in ("depth", "blur_radius", "mask", "normal", "flow", "filled", "object_id", "hidden"):
             np.testing.assert_array_equal(getattr(frame, name), getattr(alone, name), strict=True)
 
 
@@ -277,8 +277,8 @@ def test_wrong_calls(tmp_path: Path) -> None:
     for options, error, rule in (
         ({"method": "fft"}, SceneError, "method: must be one of auto, gather, scatter, tiles, convolve, "),
         ({"method": "convolve"}, SceneError, "method: convolve needs one blur radius"),
-        ({"precision": "half"}, DeviceError, "precision: must be single or double; got half"),
-        ({"device": "abacus"}, DeviceError, '--device: must be a part of .*; got "abacus"'),
+        ({"precision": "half"}, SceneError, "precision: must be single or double; got half"),
+        ({"device": "abacus"}, DeviceError, '^device: must be a part of .*; got "abacus"'),
     ):  # fmt: skip
         with pytest.raises(error, match=rule):
             rendered(ball, **options)

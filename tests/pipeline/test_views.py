@@ -162,10 +162,10 @@ def test_a_depth_map_of_a_scene_gives_its_frame(waves: str, tmp_path: Path) -> N
     (frame,) = clsco.render(analytic)
     assert frame.depth is not None
     assert frame.sharp is not None
-    assert frame.coc is not None
+    assert frame.blur_radius is not None
     np.save(tmp_path / "sharp.npy", frame.sharp)
     bend = 10.0 * 20.0 / (2 * 0.05)  # px mm: what a change of inverse depth does to R
-    for unit, depth in (("mm", frame.depth), ("inverse_mm", 1 / frame.depth), ("coc", frame.coc)):
+    for unit, depth in (("mm", frame.depth), ("inverse_mm", 1 / frame.depth), ("coc", frame.blur_radius)):
         np.save(tmp_path / "depth.npy", depth)
         item = {"shape": "depth_map", "depth": str(tmp_path / "depth.npy"), "unit": unit}
         (mapped,) = clsco.render(scene(str(tmp_path / "sharp.npy"), item))
@@ -196,4 +196,4 @@ def test_sweeps_over_the_lens_have_the_bits_of_single_scenes(waves: str, key: st
     assert "trace" not in casts[0]
     for one, other in zip(together, alone, strict=True):
         np.testing.assert_array_equal(one.color, other.color)
-        np.testing.assert_array_equal(one.coc, other.coc)
+        np.testing.assert_array_equal(one.blur_radius, other.blur_radius)

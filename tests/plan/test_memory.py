@@ -18,7 +18,7 @@ from clsco.errors import SceneError
 from clsco.frame.strips import BAND, Strip
 from clsco.optics.psf_tables import TAP_LANES
 from clsco.plan import memory
-from clsco.plan.approximation import METHODS, Told
+from clsco.plan.approximation import METHODS
 from clsco.plan.memory import Limit, free_bytes, limit_of, margin, parse_size, rows_that_fit
 
 
@@ -178,8 +178,8 @@ def test_a_tolerance_is_kept_by_the_exact_blur_where_memory_is_short() -> None:
     rng = np.random.default_rng(6)
     image, coc = rng.random(SHAPE, np.float32), 30.0 + rng.random(SHAPE)
     exact = clsco.defocus(image, coc)
-    told: list[Told] = []
-    assert (clsco.defocus(image, coc, tolerance=0.1, told=told) != exact).any()
+    approximated, approximation = clsco.defocus(image, coc, tolerance=0.1, return_report=True)
+    assert (approximated != exact).any()
     needed = []
     for method in METHODS:
         with pytest.raises(SceneError) as refused:
@@ -187,9 +187,10 @@ def test_a_tolerance_is_kept_by_the_exact_blur_where_memory_is_short() -> None:
         needed += re.findall(r"at least (\d+) MiB for this frame, as an approximation", str(refused.value))
     assert len(needed) == len(METHODS)
     least = min(map(int, needed))
-    np.testing.assert_array_equal(clsco.defocus(image, coc, tolerance=0.1, told=told, memory=f"{least - 1}MiB"), exact)
-    assert [one.method[:6] for one in told] == ["coarse", "exact"]
-    assert told[1].line() == "exact: nothing that fits the memory is faster"
+    found, report = clsco.defocus(image, coc, tolerance=0.1, return_report=True, memory=f"{least - 1}MiB")
+    np.testing.assert_array_equal(found, exact)
+    assert [approximation.method[:6], report.method] == ["coarse", "exact"]
+    assert report.line() == "exact: nothing that fits the memory is faster"
 
 
 PLANE = '[camera]\nresolution = [100, 500]\n[[object]]\nshape = "plane"\ndistance = 300.0\nslope_y = 0.2\n'

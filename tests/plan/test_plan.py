@@ -127,7 +127,7 @@ SCENES = [
     ),
     (
         "some truth",
-        plan(TILTED, truth=("depth", "coc")),
+        plan(TILTED, truth=("depth", "blur_radius")),
         {"trace", "blur", "tilt", "guard band", "ground truth"},
         {"other outputs": "sharp, mask, filled, object_id, normal, flow, hidden"},
     ),

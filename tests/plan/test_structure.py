@@ -145,4 +145,4 @@ def test_why_scatter_is_only_told_where_tiles_would_do_but_for_what_is_in_the_wa
 def test_outputs_that_nobody_asked_for_are_told_beside_some_that_are_wanted() -> None:
     for truth in ((), TRUTH_NAMES):
         assert "other outputs" not in dict(plan(STILL, truth=truth).left_out)
-    assert "depth" in dict(plan(STILL, truth=("coc",)).left_out)["other outputs"]
+    assert "depth" in dict(plan(STILL, truth=("blur_radius",)).left_out)["other outputs"]

@@ -83,6 +83,7 @@ def test_the_span_is_that_of_known_pixels() -> None:
     [
         ({"estimator": "best"}, "estimator: must be scored, mean or median; got best"),
         ({"minimum": 0}, "minimum: must be a whole number from 1 to 8; got 0"),
+        ({"minimum": 9}, "minimum: must be a whole number from 1 to 8; got 9"),
         ({"minimum": 4.0}, "minimum: must be a whole number from 1 to 8; got 4.0"),
         ({"smoothing_rounds": -1}, "smoothing_rounds: must be a whole number from 0 to 1000; got -1"),
         ({"border_share": 1.5}, "border_share: must be from 0 to 1; got 1.5"),

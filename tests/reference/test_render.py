@@ -46,8 +46,8 @@ def test_plane_in_focus_is_its_texture(make_scene: SceneMaker) -> None:
 
 def test_facing_plane_is_one_convolution(make_scene: SceneMaker) -> None:
     frame = only(make_scene(Plane(distance=280.0), SHAPE))
-    radius = float(truth(frame, "coc")[0, 0])
-    assert np.ptp(truth(frame, "coc")) == 0
+    radius = float(truth(frame, "blur_radius")[0, 0])
+    assert np.ptp(truth(frame, "blur_radius")) == 0
     assert 4 < radius < 5
     sharp = truth(frame, "sharp").reshape(*SHAPE, -1)
     wide = np.pad(sharp, ((6, 6), (6, 6), (0, 0)), mode="symmetric")
@@ -94,7 +94,7 @@ def test_warps_agree_where_nothing_was_hidden(method: Method, make_scene: SceneM
     forward = only(
         make_scene(item, (48, 64), sequence=sequence, motion=Motion(warp="forward"), fill=Fill(method=method))
     )
-    for name in ("depth", "coc", "mask", "normal", "flow", "hidden"):
+    for name in ("depth", "blur_radius", "mask", "normal", "flow", "hidden"):
         assert (truth(inverse, name) == truth(forward, name)).all()
     steps = forward.metadata["intermediate"]
     assert sum(step["filled_pixels"] for step in steps) > 100

@@ -134,7 +134,7 @@ def test_truth_of_a_plane(make_scene: SceneMaker) -> None:
     truth = ground_truth(scene, (random_texture(),), 0)
     middle = 250.0 + 17.5
     np.testing.assert_allclose(truth.depth, middle, rtol=8 * EPS)
-    np.testing.assert_allclose(truth.coc, blur_radius(scene.camera, 1 / middle), atol=1e-11)
+    np.testing.assert_allclose(truth.blur_radius, blur_radius(scene.camera, 1 / middle), atol=1e-11)
     assert truth.mask.all()
     assert not truth.object_id.any()
     np.testing.assert_allclose(truth.normal, np.broadcast_to([0.0, 0.0, -1.0], truth.normal.shape), atol=EPS)
@@ -183,7 +183,7 @@ def test_nothing_flows_and_nothing_is_hidden_at_rest(make_scene: SceneMaker) -> 
     assert np.abs(truth.flow).max() < 1e-10
     assert not truth.hidden.any()
     assert np.isinf(truth.depth[~truth.mask]).all()
-    assert not truth.coc[~truth.mask].any()
+    assert not truth.blur_radius[~truth.mask].any()
     assert (truth.object_id == np.where(truth.mask, 0, -1)).all()
 
 

@@ -266,7 +266,7 @@ def _outcome(name: str, target: Target, frame: Frame, real: Real) -> Outcome:
     assert mask is not None
     assert frame.depth is not None
     arrays = {"color": frame.color, "depth where there is something": frame.depth[mask]}
-    arrays |= {key: getattr(frame, key) for key in ("sharp", "coc", "normal", "flow")}
+    arrays |= {key: getattr(frame, key) for key in ("sharp", "blur_radius", "normal", "flow")}
     lost = sum(int((~np.isfinite(array)).sum()) for array in arrays.values())
     lost += int((frame.depth[~mask] != np.inf).sum())
     wrong, edge = _wrong(target, mask, real)

@@ -83,7 +83,7 @@ class Truth:
 
     sharp: Array
     depth: Array
-    coc: Array
+    blur_radius: Array
     mask: NDArray[np.bool_]
     object_id: NDArray[np.int32]
     normal: Array
@@ -327,7 +327,7 @@ def ground_truth(scene: Scene, textures: tuple[Array, ...], frame: int, eye: Eye
     return Truth(
         sharp=hit.radiance,
         depth=np.where(mask, 1.0 / np.where(mask, w, 1.0), np.inf),
-        coc=hit.radius,
+        blur_radius=hit.radius,
         mask=mask,
         object_id=hit.number,
         normal=normal,

@@ -1,0 +1,118 @@
+"""`clsco.render`, `clsco.render_frame` and `clsco.render_sweep`: what they take, and what they refuse at the call."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clsco
+from clsco.errors import ClscoError, SceneError
+from clsco.frame.frame import ALL_TRUTH, Frame
+from clsco.opencl.session import DeviceLike, Session
+
+SMALL = {"resolution": [24, 16], "pixel_pitch": 0.1}
+DATA: dict[str, Any] = {"camera": SMALL, "sequence": {"frames": 2}, "object": [{"shape": "sphere"}]}
+SCENE = clsco.parse_scene(DATA)
+STEREO = clsco.parse_scene(DATA | {"stereo": {"baseline": 10.0}})
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"truth": ["depht"]}, 'truth: must be "all" or some of sharp, depth, blur_radius, '),
+        ({"truth": "depths"}, "got 'depths'"),
+        ({"truth": 5}, "truth: must be names of outputs; got 5"),
+        ({"frames": [5]}, "frames: must lie from 0 to 1; got 5"),
+        ({"frames": [-1]}, "frames: must lie from 0 to 1; got -1"),
+        ({"frames": [1.5]}, "frames: must be whole numbers from 0 to 1; got [1.5]"),
+        ({"frames": "0"}, "frames: must be whole numbers from 0 to 1; got"),
+        ({"frames": 0}, "frames: must be whole numbers from 0 to 1; got 0"),
+        ({"precision": "half"}, "precision: must be single or double; got half"),
+        ({"method": "best"}, "method: must be one of auto, gather"),
+        ({"tolerance": 0.0}, "tolerance: must be a number above 0"),
+        ({"tolerance": 0.1, "method": "gather"}, "tolerance: chooses the method"),
+        ({"memory": "much"}, "memory: must be a size"),
+        ({"device": "no such device"}, "device: must be a part of the name of one of"),
+        ({"device": 7}, "device: must be a part of a name, or a Device, Context or CommandQueue of pyopencl; got int"),
+    ],
+)
+def test_wrong_arguments_are_refused_at_the_call(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ClscoError) as caught:
+        clsco.render(SCENE, **options)
+    assert message in str(caught.value)
+
+
+def test_what_is_no_scene_is_refused_at_the_call(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match=r"^scene: must be a Scene, a mapping or the path of a file; got int"):
+        clsco.render(5)  # type: ignore[arg-type]
+    with pytest.raises(SceneError, match=r"cannot be read"):
+        clsco.render(tmp_path / "none.toml")
+    with pytest.raises(SceneError, match=r"object\[0\]\.radius"):
+        clsco.render({"object": [{"shape": "sphere", "radius": -1.0}]})
+
+
+def same(one: Frame, other: Frame) -> bool:
+    pairs = [(getattr(one, name), getattr(other, name)) for name in ("color", *ALL_TRUTH)]
+    return all(a is b is None or np.array_equal(a, b) for a, b in pairs)
+
+
+def test_scenes_mappings_and_paths_are_rendered_alike(tmp_path: Path) -> None:
+    path = tmp_path / "ball.toml"
+    path.write_text('camera = {resolution = [24, 16], pixel_pitch = 0.1}\n[[object]]\nshape = "sphere"\n', "utf-8")
+    first, second = clsco.render(SCENE)
+    for given in (DATA, path, str(path)):
+        assert same(next(clsco.render(given)), first)
+    assert same(clsco.render_frame(SCENE, 1), second)
+    assert same(clsco.render_frame(DATA), first)
+    found = dict(clsco.render_sweep([DATA, path], frames=[np.int64(0)]))
+    assert found.keys() == {0, 1}
+    assert same(found[1], first)
+    assert [k for k, _ in clsco.render_sweep(clsco.load_sweep(path))] == [0]
+
+
+def test_truth_is_named_one_by_one_or_all_at_once() -> None:
+    def names(truth: Any) -> set[str]:
+        frame = clsco.render_frame(SCENE, truth=truth)
+        return {name for name in ALL_TRUTH if getattr(frame, name) is not None}
+
+    assert names("depth") == {"depth"}
+    assert names(iter(["depth", "flow"])) == {"depth", "flow"}
+    assert names(()) == set()
+    assert names("all") == set(ALL_TRUTH) - {"disparity", "occluded"}
+
+
+def test_the_former_name_of_the_blur_radius_works_with_a_warning() -> None:
+    with pytest.warns(DeprecationWarning, match="blur_radius"):
+        frame = clsco.render_frame(SCENE, truth=["coc"])
+    assert frame.blur_radius is not None
+    with pytest.warns(DeprecationWarning, match="blur_radius"):
+        assert frame.coc is frame.blur_radius
+    image = np.ones((5, 6), np.float32)
+    with pytest.warns(DeprecationWarning, match="blur_radius"):
+        found = clsco.defocus(image, coc=image)  # type: ignore[call-overload]
+    assert np.array_equal(found, clsco.defocus(image, image))
+
+
+def test_one_frame_of_a_stereo_pair_is_refused() -> None:
+    with pytest.raises(SceneError, match=r"^scene: must have one view; got a stereo pair"):
+        clsco.render_frame(STEREO)
+    with pytest.raises(SceneError, match=r"^frames: must lie from 0 to 1; got 2"):
+        clsco.render_frame(SCENE, 2)
+
+
+def test_devices_contexts_and_queues_of_pyopencl_are_worked_on(session: Session) -> None:
+    import pyopencl as cl
+
+    expected = clsco.render_frame(SCENE)
+    image = np.random.default_rng(3).random((12, 9)).astype(np.float32)
+    radii, holes = np.full(image.shape, 2.5), np.eye(12, 9, dtype=np.bool_)
+    unordered = cl.command_queue_properties.OUT_OF_ORDER_EXEC_MODE_ENABLE
+    queues = [cl.CommandQueue(session.context), cl.CommandQueue(session.context, properties=unordered)]
+    places: list[DeviceLike] = [session.context.devices[0], session.context, session.queue, *queues]
+    for place in places:
+        assert same(clsco.render_frame(SCENE, device=place), expected)
+        assert np.array_equal(clsco.defocus(image, radii, device=place), clsco.defocus(image, radii))
+        assert np.array_equal(clsco.inpaint(image, holes, device=place), clsco.inpaint(image, holes))
