@@ -172,7 +172,7 @@ def devices(device: str | None, tested: bool) -> None:
 @main.command()
 def schema() -> None:
     """Print the JSON Schema of a scene file."""
-    from clsco.scene.file import scene_schema
+    from clsco.scene.schema import scene_schema
 
     click.echo(json.dumps(scene_schema(), indent=2))
 

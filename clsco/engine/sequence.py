@@ -20,9 +20,10 @@ from clsco.plan.memory import Limit, device_bytes, fitted, hit_bytes, limit_of, 
 from clsco.plan.methods import check_method
 from clsco.plan.plan import Plan, make_plan
 from clsco.plan.predict import Maps
-from clsco.scene.file import SceneLike, scene_of, shown
+from clsco.scene.file import SceneLike, scene_of
 from clsco.scene.model import Scene
 from clsco.scene.sweep import Sweep
+from clsco.scene.text import shown
 
 # Keys of the camera that change what a lens makes of a hit, and not what a ray hits.
 LENS_KEYS = ("f_number", "aperture_diameter", "focus_distance", "sensor_distance")

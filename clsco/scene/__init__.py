@@ -1,1 +1,1 @@
-"""What a user means: scenes, their files, sweeps. Knows nothing of how they are rendered."""
+"""Scenes as users write them: models, scene files, sweeps. Independent of how they are rendered."""

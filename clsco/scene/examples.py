@@ -1,4 +1,4 @@
-"""Example scenes that come with the package."""
+"""Example scenes shipped with the package."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from clsco.resources import folder
 from clsco.scene.file import load_scene
 from clsco.scene.model import Scene
 
-# Name of the example -> what its image shows. The first lines of the files say the same in figures.
+# Name of the example -> what its image shows. The first lines of each file give the same in numbers.
 EXAMPLES = {
     "plane_tilted_both": "tilted plane, in focus along its diagonal",
     "sphere": "sphere, in focus at its nearest point",
@@ -26,6 +26,21 @@ EXAMPLES = {
 
 
 def example(name: str) -> Scene:
-    """An example scene by its name. Raises SceneError where there is none."""
+    """Load an example scene.
+
+    Parameters
+    ----------
+    name : str
+        A key of `EXAMPLES`.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    SceneError
+        No example has this name.
+    """
     with as_file(folder("examples") / f"{name}.toml") as path:
         return load_scene(path)

@@ -6,7 +6,6 @@ import difflib
 import json
 import os
 import re
-import reprlib
 import stat
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,6 +17,7 @@ from pydantic import BaseModel, ValidationError
 from clsco.errors import SceneError
 from clsco.scene.model import BUILT_IN_TEXTURES, AnyShape, CameraMotion, DepthMap, ObjectMotion, Psf, Scene
 from clsco.scene.shapes import repeated_names
+from clsco.scene.text import brief, key_name, shown
 
 MAX_FILE_BYTES = 2**20
 MAX_MESSAGES = 100
@@ -28,25 +28,25 @@ SceneLike = Scene | Mapping[str, Any] | str | os.PathLike[str]
 PsfLike = Psf | Mapping[str, Any] | str | None
 Location = tuple[str | int, ...]  # of a key: ("object", 0, "motion", "velocity")
 
-_SHAPES: dict[str, type[BaseModel]] = {shape.model_fields["shape"].default: shape for shape in get_args(AnyShape)}
+SHAPES: dict[str, type[BaseModel]] = {shape.model_fields["shape"].default: shape for shape in get_args(AnyShape)}
 _SCENE_KEYS = [str(field.validation_alias or name) for name, field in Scene.model_fields.items()]
-_SECTIONS: dict[str, type[BaseModel]] = {
+SECTIONS: dict[str, type[BaseModel]] = {
     name: part
     for name, field in Scene.model_fields.items()
     for part in (field.annotation, *get_args(field.annotation))
     if isinstance(part, type) and issubclass(part, BaseModel)
 }
 _PLACES: list[tuple[str, type[BaseModel]]] = [
-    *_SECTIONS.items(),
-    *(("object[0]", shape) for shape in _SHAPES.values()),
+    *SECTIONS.items(),
+    *(("object[0]", shape) for shape in SHAPES.values()),
     ("object[0].motion", ObjectMotion),
     ("camera.motion", CameraMotion),
 ]
 
-# What can have several values in a scene file, in the keys that hold no tables.
-_SWEEPABLE = ("camera", "sequence", "motion")
+# Sections whose keys may have several values, except keys that hold tables.
+SWEEPABLE = ("camera", "sequence", "motion")
 
-# (key, its new value or None for any, key that the file may hold and that would contradict it)
+# (key, its new value or None for any, key of the file that would contradict it)
 _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
     ("camera.f_number", None, "camera.aperture_diameter"),
     ("camera.aperture_diameter", None, "camera.f_number"),
@@ -57,20 +57,6 @@ _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
     ("motion.warp", "forward", "motion.texture_filter"),
     ("motion.warp", "inverse", "fill"),
 )
-
-_END = {"anyOf": [{"type": "number"}, {"type": "array", "items": {"type": "number"}}]}
-_RANGE_SCHEMA = {
-    "title": "Range",
-    "description": "Values at equal distances, both ends among them; one output each.",
-    "type": "object",
-    "properties": {
-        "from": {"description": "First value.", **_END},
-        "to": {"description": "Last value.", **_END},
-        "steps": {"description": "Number of values.", "type": "integer", "minimum": 2, "maximum": MAX_OUTPUTS},
-    },
-    "required": ["from", "to", "steps"],
-    "additionalProperties": False,
-}
 
 _RULES = {
     "bool_type": "must be true or false",
@@ -86,26 +72,29 @@ _RULES = {
     "invalid_key": "keys must be text",
 }
 
-_SHORT = reprlib.Repr()
-_SHORT.maxlevel, _SHORT.maxlist, _SHORT.maxtuple, _SHORT.maxdict, _SHORT.maxother = 3, 6, 6, 4, 60
-
 
 def load_scene(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
     """Read a scene from a .toml or .json file.
 
-    Args:
-        path: the file, at most 1 MiB.
-        overrides: settings that replace the file's, like "camera.f_number=4" or "object.0.radius=30"; a
-            value is written as in TOML, a bare word is text. The other of a pair (f_number and
-            aperture_diameter, focus_distance and sensor_distance) and keys of the model or warp that is
-            left are dropped.
+    Parameters
+    ----------
+    path : str or os.PathLike
+        The file, at most 1 MiB.
+    overrides : sequence of str
+        Settings that replace the file's, like "camera.f_number=4" or "object.0.radius=30". A value is written as in
+        TOML; a bare word is text. The other key of a pair (f_number and aperture_diameter, focus_distance and
+        sensor_distance), and keys of a model or warp that is no longer chosen, are dropped.
 
-    Returns:
-        The scene; relative paths of textures and depths have become absolute, starting at the file's folder.
+    Returns
+    -------
+    Scene
+        Paths of textures and depth maps are absolute; relative ones start at the folder of the file.
 
-    Raises:
-        SceneError: one message per fault, `file: key: rule; got value`; keys with several values, which only
-            `clsco.load_sweep` reads, are faults.
+    Raises
+    ------
+    SceneError
+        One message per fault, `file: key: rule; got value`. Keys with several values, which only `clsco.load_sweep`
+        reads, are faults.
     """
     where = os.fspath(path)
     data = read_mapping(where, overrides)
@@ -121,9 +110,17 @@ def load_scene(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
 
 
 def swept_keys(mapping: Mapping[str, Any]) -> list[tuple[Location, Any]]:
-    """Keys that have a list or a range of values in place of one: (location, what is given), in their order.
+    """Find keys that have a list or a range of values in place of one value.
 
-    mapping: what a scene file holds, valid or not.
+    Parameters
+    ----------
+    mapping : mapping
+        Content of a scene file, valid or not.
+
+    Returns
+    -------
+    list of (location, value)
+        In the order of the file.
     """
     found: list[tuple[Location, Any]] = []
 
@@ -139,8 +136,8 @@ def swept_keys(mapping: Mapping[str, Any]) -> list[tuple[Location, Any]]:
                 found.append(((*location, key), value))
 
     for section, table in mapping.items():
-        if section in _SWEEPABLE:
-            search(table, _SECTIONS[section], (section,))
+        if section in SWEEPABLE:
+            search(table, SECTIONS[section], (section,))
         elif section == "object":
             for index, item in enumerate(_items(mapping)):
                 search(item.get("motion"), ObjectMotion, ("object", index, "motion"))
@@ -148,11 +145,23 @@ def swept_keys(mapping: Mapping[str, Any]) -> list[tuple[Location, Any]]:
 
 
 def _is_vector(annotation: Any) -> bool:
+    """Whether a key holds several numbers, so that a flat list is one value."""
     return get_origin(annotation) is tuple or any(map(_is_vector, get_args(annotation)))
 
 
 def absolute(scene: Scene, folder: Path) -> Scene:
-    """The scene with absolute paths of textures and depths; relative ones start at `folder`."""
+    """Make the paths of textures and depth maps absolute.
+
+    Parameters
+    ----------
+    scene : Scene
+    folder : Path
+        Start of relative paths.
+
+    Returns
+    -------
+    Scene
+    """
 
     def placed(item: AnyShape) -> AnyShape:
         paths = {} if item.texture in BUILT_IN_TEXTURES else {"texture": str(folder / item.texture)}
@@ -164,7 +173,7 @@ def absolute(scene: Scene, folder: Path) -> Scene:
 
 
 def missing_files(data: Mapping[str, Any], folder: Path, where: str) -> list[str]:
-    """Faults of files that are not there, for a scene that has others: a valid one has its files read."""
+    """Messages on files that do not exist, for a scene with other faults: files of a valid scene are read anyway."""
     rules = {"texture": "must be an existing file or a built-in pattern", "depth": "must be an existing file"}
     return [
         f"{where}: object[{index}].{key}: {rule}; got {shown(name)}"
@@ -176,54 +185,77 @@ def missing_files(data: Mapping[str, Any], folder: Path, where: str) -> list[str
 
 
 def _items(data: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """The tables of objects, an empty one in place of what is no table."""
+    """Tables of objects, with an empty one in place of what is not a table."""
     items = data.get("object")
     return [item if isinstance(item, Mapping) else {} for item in items] if isinstance(items, list) else []
 
 
 def _exists(folder: Path, name: str) -> bool:
+    """Whether a file of this name exists."""
     try:
         return (folder / name).exists()
-    except (OSError, ValueError):  # no name of a file: too long, or with a null character
+    except (OSError, ValueError):  # not a file name: too long, or with a null character
         return False
 
 
 def parse_scene(mapping: Mapping[str, Any], where: str = "scene") -> Scene:
     """Validate a scene given as nested mappings and lists with the keys of a scene file.
 
-    Args:
-        mapping: what a scene file would hold; not changed.
-        where: name for the messages.
+    Parameters
+    ----------
+    mapping : mapping
+        Content of a scene file; not changed.
+    where : str
+        Name for messages.
 
-    Returns:
-        The scene; paths of textures stay as they are.
+    Returns
+    -------
+    Scene
+        Paths of textures stay as they are.
 
-    Raises:
-        SceneError: one message per fault, `where: key: rule; got value`.
+    Raises
+    ------
+    SceneError
+        One message per fault, `where: key: rule; got value`.
     """
     if not isinstance(mapping, Mapping):
         raise SceneError(f"{where}: must be a table; got {shown(mapping)}")
     try:
         return Scene.model_validate(dict(mapping), by_alias=True, by_name=False)
     except ValidationError as error:
-        told = [_message(fault) for fault in _faults(error)]
+        messages = [_message(fault) for fault in _faults(error)]
     names = [name if isinstance(name := item.get("name"), str) else None for item in _items(mapping)]
     for index, fault, name in repeated_names(names):
         message = f"object[{index}].name: {fault.message()}; got {shown(name)}"
-        told += [message] if message not in told else []
-    raise SceneError(at_most(where, told))
+        messages += [message] if message not in messages else []
+    raise SceneError(at_most(where, messages))
 
 
 def at_most(where: str, messages: Iterable[str]) -> list[str]:
-    """The messages as `where: message`; of very many the first 100 and the number of the others."""
-    told = list(messages)
-    if len(told) > MAX_MESSAGES:
-        told[MAX_MESSAGES:] = [f"and {len(told) - MAX_MESSAGES} more faults"]
-    return [f"{where}: {message}" for message in told]
+    """Messages as `where: message`; of more than MAX_MESSAGES the first ones, and the number of the others."""
+    listed = list(messages)
+    if len(listed) > MAX_MESSAGES:
+        listed[MAX_MESSAGES:] = [f"and {len(listed) - MAX_MESSAGES} more faults"]
+    return [f"{where}: {message}" for message in listed]
 
 
 def scene_of(scene: SceneLike) -> Scene:
-    """The scene that users give: itself, a mapping as for `parse_scene`, or a path as for `load_scene`."""
+    """Scene of any form that users may pass.
+
+    Parameters
+    ----------
+    scene : Scene, mapping, str or os.PathLike
+        A mapping as for `parse_scene`, a path as for `load_scene`.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    SceneError
+        As `parse_scene` and `load_scene`, and for other types.
+    """
     if isinstance(scene, Scene):
         return scene
     if isinstance(scene, str | os.PathLike):
@@ -234,7 +266,22 @@ def scene_of(scene: SceneLike) -> Scene:
 
 
 def psf_of(psf: PsfLike) -> Psf:
-    """The PSF that users give: itself, its model, or a mapping with the keys of [psf]; raises as `parse_scene`."""
+    """PSF of any form that users may pass.
+
+    Parameters
+    ----------
+    psf : Psf, mapping, str or None
+        A mapping with the keys of [psf], or the name of a model; None: the default PSF.
+
+    Returns
+    -------
+    Psf
+
+    Raises
+    ------
+    SceneError
+        As `parse_scene`, and for other types.
+    """
     if isinstance(psf, Psf):
         return psf
     given = {"model": psf} if isinstance(psf, str) else {} if psf is None else psf
@@ -248,12 +295,15 @@ def psf_of(psf: PsfLike) -> Psf:
 
 
 def dump(scene: Scene) -> dict[str, Any]:
-    """The scene as a scene file would hold it, all keys that apply to it spelled out.
+    """Content of the scene file that describes a scene, with all keys that apply to it written out.
 
-    Args:
-        scene: a valid scene.
+    Parameters
+    ----------
+    scene : Scene
 
-    Returns:
+    Returns
+    -------
+    dict
         Plain dicts, lists, strings, numbers and booleans; `parse_scene` makes an equal scene of them.
     """
     data: dict[str, Any] = scene.model_dump(mode="json", by_alias=True, exclude_none=True)
@@ -263,45 +313,26 @@ def dump(scene: Scene) -> dict[str, Any]:
         del data["camera"]["sensor_distance"]
     for key, value in (("psf.model", scene.psf.model), ("motion.warp", scene.motion.warp)):
         _displace(data, key, value)
-    if scene.psf.occlusion == "visibility" and not scene.met_by_rays:
+    if scene.psf.occlusion == "visibility" and not scene.is_ray_castable:
         del data["psf"]["occlusion"]  # the default, which only the plan can resolve
     return data
 
 
-def scene_schema() -> dict[str, Any]:
-    """JSON Schema (draft 2020-12) of a scene file, with units in the descriptions."""
-    schema = Scene.model_json_schema(by_alias=True)
-    definitions = schema["$defs"]
-    for shape in _SHAPES.values():
-        definition = definitions[shape.__name__]
-        definition["required"] = ["shape", *definition.get("required", [])]
-    swept: list[type[BaseModel]] = [CameraMotion, ObjectMotion, *(_SECTIONS[name] for name in _SWEEPABLE)]
-    for model in swept:
-        for key, entry in definitions[model.__name__]["properties"].items():
-            annotation = model.model_fields[key].annotation
-            if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
-                about = {name: entry.pop(name) for name in ("title", "description", "default") if name in entry}
-                several = {"type": "array", "items": entry, "minItems": 1, "description": "All of them in turn."}
-                choice = {"anyOf": [entry, several, {"$ref": "#/$defs/Range"}]}
-                definitions[model.__name__]["properties"][key] = about | choice
-    definitions["Range"] = _RANGE_SCHEMA
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "required": ["object"]}
-
-
 def read_mapping(where: str, overrides: Sequence[str]) -> dict[str, Any]:
-    """What a scene file holds, with the overrides in place; see `load_scene`. Raises SceneError."""
+    """Content of a scene file with overrides applied, see `load_scene`; raises SceneError."""
     data = _read(where)
     override(data, overrides, where)
     return data
 
 
 def _read(where: str) -> dict[str, Any]:
+    """Content of a scene file, unchecked but for its size, form and repeated keys."""
     kind = Path(where).suffix.lower()
     if kind not in (".toml", ".json"):
         raise SceneError(f"{where}: a scene file must end in .toml or .json")
     try:
         mode = Path(where).stat().st_mode
-        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # to open a pipe would block for ever
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # opening a pipe would block for ever
             raise SceneError(f"{where}: must be a file; got a device or a pipe")
         with open(where, "rb") as file:
             content = file.read(MAX_FILE_BYTES + 1)
@@ -335,7 +366,7 @@ def _read(where: str) -> dict[str, Any]:
 
 
 def override(data: dict[str, Any], overrides: Sequence[str], where: str) -> None:
-    """Apply the overrides to `data` in their order, see `load_scene`; raises SceneError for what is no KEY=VALUE."""
+    """Apply overrides to `data` in their order, see `load_scene`; raises SceneError for text that is not KEY=VALUE."""
     messages = []
     for text in overrides:
         key, equals, value = text.partition("=")
@@ -346,13 +377,13 @@ def override(data: dict[str, Any], overrides: Sequence[str], where: str) -> None
         parsed = _value(value.strip())
         _displace(data, ".".join(parts), parsed)
         if (fault := _put(data, parts, parsed)) is not None:
-            messages.append(f"{where}: override {_brief(text)}: {fault}")
+            messages.append(f"{where}: override {brief(text)}: {fault}")
     if messages:
         raise SceneError(messages)
 
 
 def _value(text: str) -> Any:
-    """A TOML value, or the text itself where it is none."""
+    """The TOML value of a text, or the text itself where it is not one."""
     try:
         parsed = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):
@@ -361,21 +392,21 @@ def _value(text: str) -> Any:
 
 
 def _put(data: dict[str, Any], parts: list[str], value: Any) -> str | None:
-    """Set the entry at `parts`, making tables on the way; tell why that cannot be."""
+    """Set the entry at `parts`, making tables on the way; returns the reason where that is impossible."""
     node: Any = data
     for position, part in enumerate(parts):
         last = position == len(parts) - 1
         if isinstance(node, list):
             if not (part.isdecimal() and len(part) < 10 and int(part) < len(node)):
-                place = _brief(".".join(parts[:position]))
-                return f"{place} has {len(node)} entries, counted from 0; got {_brief(part)}"
+                place = brief(".".join(parts[:position]))
+                return f"{place} has {len(node)} entries, counted from 0; got {brief(part)}"
             key: Any = int(part)
         elif isinstance(node, dict):
             key = part
             if not last:
                 node.setdefault(key, {})
         else:
-            return f"{_brief('.'.join(parts[:position]))} must be a table; got {shown(node)}"
+            return f"{brief('.'.join(parts[:position]))} must be a table; got {shown(node)}"
         if last:
             node[key] = value
         else:
@@ -384,7 +415,7 @@ def _put(data: dict[str, Any], parts: list[str], value: Any) -> str | None:
 
 
 def _displace(data: dict[str, Any], key: str, value: Any) -> None:
-    """Remove what would contradict `key` = `value`."""
+    """Remove the keys that contradict `key` = `value`."""
     for cause, condition, other in _DISPLACED:
         if key == cause and condition in (None, value):
             section, _, entry = other.partition(".")
@@ -395,17 +426,17 @@ def _displace(data: dict[str, Any], key: str, value: Any) -> None:
 
 
 def _faults(error: ValidationError) -> list[Mapping[str, Any]]:
-    """Faults that pydantic found, without defaults that could not be formed for want of another key."""
+    """Faults that pydantic found, except defaults that could not be formed because another key is at fault."""
     return [fault for fault in error.errors(include_url=False) if fault["type"] != "default_factory_not_called"]
 
 
 def _message(fault: Mapping[str, Any]) -> str:
-    """`key: rule; got value` for one fault that pydantic found."""
+    """Message `key: rule; got value` of one fault that pydantic found."""
     kind, given, context = fault["type"], fault["input"], fault.get("ctx", {})
     loc, shape = tuple(fault["loc"]), None
-    if kind == "rule" and loc == ("objects",):  # how pydantic calls it where the default is at fault
+    if kind == "rule" and loc == ("objects",):  # pydantic's name where the default is at fault
         loc = ("object",)
-    if len(loc) > 2 and loc[0] == "object" and loc[2] in _SHAPES:
+    if len(loc) > 2 and loc[0] == "object" and loc[2] in SHAPES:
         shape, loc = loc[2], loc[:2] + loc[3:]
     if kind == "missing":
         return f"{key_name(loc)}: must be given; got nothing"
@@ -421,15 +452,15 @@ def _message(fault: Mapping[str, Any]) -> str:
 
 
 def _unknown(loc: tuple[Any, ...], shape: str | None) -> str:
-    """Rule for an unknown key: where it belongs, or which key may be meant."""
+    """Rule for an unknown key: the shapes that it belongs to, or the key that is probably meant."""
     key = str(loc[-1])
     if shape is not None and len(loc) == 3:
-        known = list(_SHAPES[shape].model_fields)
-        homes = [name for name, model in _SHAPES.items() if key in model.model_fields]
+        known = list(SHAPES[shape].model_fields)
+        homes = [name for name, model in SHAPES.items() if key in model.model_fields]
         if homes:
             return f"belongs to {_listed(homes)}, not to {shape}"
     elif shape is not None:
-        known = list(_SHAPES[shape].model_fields[loc[-2]].annotation.model_fields)  # type: ignore[union-attr]
+        known = list(SHAPES[shape].model_fields[loc[-2]].annotation.model_fields)  # type: ignore[union-attr]
     else:
         known = list(_model_at(loc[:-1]).model_fields) if len(loc) > 1 else _SCENE_KEYS
     near = difflib.get_close_matches(key[:64], known, n=1)
@@ -438,8 +469,8 @@ def _unknown(loc: tuple[Any, ...], shape: str | None) -> str:
 
 
 def _model_at(loc: Sequence[str]) -> type[BaseModel]:
-    """Model of a section, or of a table in it."""
-    model = _SECTIONS[loc[0]]
+    """Model of a section, or of a table inside it."""
+    model = SECTIONS[loc[0]]
     for part in loc[1:]:
         model = model.model_fields[part].annotation  # type: ignore[assignment]
     return model
@@ -447,36 +478,3 @@ def _model_at(loc: Sequence[str]) -> type[BaseModel]:
 
 def _listed(words: Sequence[str]) -> str:
     return " or ".join(filter(None, (", ".join(words[:-1]), words[-1])))
-
-
-def key_name(loc: Sequence[Any]) -> str:
-    """Key as it is written in a file: object[0].motion.velocity[2]."""
-    name = ""
-    for part in loc:
-        if isinstance(part, int):
-            name += f"[{part}]"
-        else:
-            bare = re.fullmatch(r"[A-Za-z0-9_-]{1,64}", str(part)) is not None
-            name += ("." if name else "") + (str(part) if bare else shown(str(part)))
-    return name or "scene"
-
-
-def shown(value: Any) -> str:
-    """A value on one short line, as a scene file would write it where that is possible."""
-    if isinstance(value, str):
-        return json.dumps(_brief(value), ensure_ascii=not value.isprintable())
-    if value is None or isinstance(value, bool):
-        return json.dumps(value)
-    if isinstance(value, int) and value.bit_length() > 128:
-        return f"an integer of about {int(value.bit_length() * 0.30103) + 1} digits"
-    if isinstance(value, list | tuple) and len(value) <= 10 and not any(isinstance(v, list | dict) for v in value):
-        return f"[{', '.join(shown(entry) for entry in value)}]"
-    if isinstance(value, dict):
-        return f"a table of {len(value)} keys"
-    if isinstance(value, list | tuple):
-        return f"a list of {len(value)} entries"
-    return " ".join(_SHORT.repr(value).split())
-
-
-def _brief(text: str) -> str:
-    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,8 +1,8 @@
-"""What a scene says: frozen, validated models in millimeters, seconds and degrees.
+"""Models of a scene: frozen and validated, in millimeters, seconds and degrees.
 
-Attribute names are the keys of the scene file, except that the array of tables `object` is `Scene.objects`.
-Every rule that a scene can break is stated here, in `clsco.scene.shapes` and in `clsco.scene.quantities`;
-`clsco.scene.file` turns broken rules into messages.
+Attribute names are the keys of the scene file, except that the array of tables `object` is `Scene.objects`. Every
+rule for scenes is stated here, in `clsco.scene.shapes` and in `clsco.scene.quantities`; `clsco.scene.file` turns
+violated rules into messages.
 """
 
 from __future__ import annotations
@@ -72,16 +72,18 @@ __all__ = [
 
 
 def _aperture_mm(data: dict[str, Any]) -> float:
+    """Default of the aperture diameter D, mm."""
     return 10.0 if data["f_number"] is None else float(data["focal_length"] / data["f_number"])
 
 
 def _sensor_distance_mm(data: dict[str, Any]) -> float:
+    """Default of the sensor distance s, mm; 1/s = 1/f - 1/u."""
     f, u = data["focal_length"], data["focus_distance"]
     return 21.739 if u is None else float(f * u / (u - f))
 
 
 class CameraMotion(ObjectMotion):
-    """Constant velocities of the camera; it turns about the center of its lens."""
+    """Constant velocities of the camera, which rotates about the center of its lens."""
 
     velocity: Velocity = (0.0, 0.0, 0.0)
     """Right, up, forwards; mm/s."""
@@ -109,7 +111,7 @@ class Camera(Strict):
     resolution: Resolution | None = None
     """Columns and rows, px. Default: size of the first object's texture."""
     motion: CameraMotion = CameraMotion()
-    """Velocities of the camera itself; at rest if none are given."""
+    """Velocities of the camera itself; static if none are given."""
 
     @field_validator("f_number")
     @classmethod
@@ -141,7 +143,7 @@ class Camera(Strict):
 
 
 class Psf(Strict):
-    """Point spread function and how exactly it is evaluated."""
+    """Point spread function, and how exactly it is evaluated."""
 
     model: Literal["pillbox", "gaussian"] = "pillbox"
     """A disc of radius |R|, or a Gaussian of standard deviation sigma_ratio |R|."""
@@ -152,8 +154,8 @@ class Psf(Strict):
     silhouette_samples: Annotated[int, Within(1, 16)] = 4
     """Sources per pixel and axis near silhouettes; 1: off."""
     occlusion: Literal["visibility", "layered", "none"] = "visibility"
-    """How nearer surface hides farther: rays to the lens, layers of the image, or not at all. Default, where surfaces
-    are not met by rays (depth maps, forward warp): layered."""
+    """How nearer surfaces hide farther ones: visibility tests towards the lens, depth layers of the image, or not at
+    all. Default, where surfaces are not analytic (depth maps, forward warp): layered."""
     sigma_ratio: Annotated[float, Within(1e-6, 10.0)] = math.sqrt(0.5)
     """sigma / |R|; only with model = "gaussian"."""
     truncation: Annotated[float, Within(1.0, 6.0)] = Field(
@@ -161,7 +163,7 @@ class Psf(Strict):
     )
     """Cut of the Gaussian, in sigma; only with model = "gaussian". Default 3, with edge = "sampled" 2."""
     border: Literal["lose", "renormalize"] = "lose"
-    """Light that would fall outside the image is lost, or given back to the pixels inside."""
+    """Irradiance outside the image is lost, or returned to the pixels inside."""
 
     @field_validator("sigma_ratio", "truncation")
     @classmethod
@@ -172,7 +174,7 @@ class Psf(Strict):
 
 
 class Sequence(Strict):
-    """Video frames and the intermediate frames that sample each exposure."""
+    """Video frames, and the time samples (sub-frames) of each exposure."""
 
     frames: Annotated[int, Within(1, 1_000_000)] = 1
     """Number of frames."""
@@ -181,9 +183,9 @@ class Sequence(Strict):
     shutter: Duration = Field(default_factory=lambda data: data["interval"])
     """Time that the shutter is open, s, at most interval. Default: interval."""
     samples: Samples = 5
-    """Intermediate frames per frame, or "auto": about one per 1 to 2 px of the largest motion."""
+    """Time samples per frame, or "auto": about one per 1 to 2 px of the largest motion."""
     sampling: Literal["midpoint", "endpoint"] = "midpoint"
-    """Where in its share of the exposure a sample lies."""
+    """Position of each time sample in its share of the exposure."""
 
     @field_validator("shutter")
     @classmethod
@@ -195,14 +197,14 @@ class Sequence(Strict):
 
 
 class Motion(Strict):
-    """How moved surface gets its radiance, and what an angular velocity means."""
+    """How the radiance of a moved surface is found, and what an angular velocity means."""
 
     warp: Literal["inverse", "forward"] = "inverse"
-    """Cast rays at the moved surface, or move the pixels at rest."""
+    """Cast rays at the moved surface, or move the pixels of the reference pose."""
     rotation: Literal["euler", "axis"] = "euler"
     """Euler angles, or a constant angular velocity vector."""
     texture_filter: Literal["bicubic", "bilinear", "nearest"] = "bicubic"
-    """Sampling of the texture between pixels; only with warp = "inverse"."""
+    """Interpolation of the texture between pixels; only with warp = "inverse"."""
 
     @field_validator("texture_filter")
     @classmethod
@@ -238,12 +240,12 @@ class ImageOptions(Strict):
 
 
 class Scene(Strict):
-    """A camera, what it looks at, and how the images are made."""
+    """A camera, the objects in front of it, and how the images are made."""
 
     model_config = ConfigDict(validate_by_name=True, validate_by_alias=True)
 
     title: Text = ""
-    """Title; only told back."""
+    """Title; recorded in the metadata, used nowhere else."""
     camera: Camera = Camera()
     psf: Psf = Psf()
     sequence: Sequence = Sequence()
@@ -259,7 +261,7 @@ class Scene(Strict):
         validate_default=True,
         json_schema_extra={"minItems": 1, "maxItems": MAX_OBJECTS},
     )
-    """What the camera sees: 1 to 64 objects of different names. Where two are equally near, the first is seen."""
+    """1 to 64 objects of different names. Where two are equally near, the first one is visible."""
 
     @field_validator("fill")
     @classmethod
@@ -273,18 +275,18 @@ class Scene(Strict):
     @model_validator(mode="after")
     def _visibility_needs_rays(self) -> Self:
         explicit = "occlusion" in self.psf.model_fields_set and self.psf.occlusion == "visibility"
-        if explicit and not self.met_by_rays:
-            rule = '"visibility" needs analytic surfaces seen by rays; use "layered" or "none"'
+        if explicit and not self.is_ray_castable:
+            rule = '"visibility" needs analytic surfaces, which rays can be cast at; use "layered" or "none"'
             raise at_keys([(("psf", "occlusion"), fault(rule), self.psf.occlusion)])
         return self
 
     @property
     def moves(self) -> bool:
-        """Whether anything moves: an object, or the camera."""
+        """Whether an object or the camera moves."""
         return self.camera.motion.moves or any(item.motion.moves for item in self.objects)
 
     @property
-    def met_by_rays(self) -> bool:
-        """Whether rays can meet every surface at any moment: no depth map, and no pixels moved by a forward warp."""
+    def is_ray_castable(self) -> bool:
+        """Whether every surface is analytic at any time: no depth map, and no pixels moved by a forward warp."""
         mapped = any(isinstance(item, DepthMap) for item in self.objects)
         return not mapped and not (self.moves and self.motion.warp == "forward")

@@ -1,4 +1,4 @@
-"""Quantities of a scene: types with units and limits, and faults that state the rule that was broken."""
+"""Quantities of a scene: types with units and limits, and faults that state the violated rule."""
 
 from __future__ import annotations
 
@@ -27,20 +27,52 @@ Vector = tuple[float, float, float]
 
 
 def fault(rule: str, got: str | None = None) -> PydanticCustomError:
-    """Error that states a rule; `got` replaces the input where that would show too much."""
+    """Build the error that states a violated rule.
+
+    Parameters
+    ----------
+    rule : str
+        "must be ...".
+    got : str, optional
+        Replaces the input in the message, where the input is too long to be shown.
+
+    Returns
+    -------
+    PydanticCustomError
+    """
     context = {"rule": rule} if got is None else {"rule": rule, "got": got}
     return PydanticCustomError("rule", "{rule}", context)
 
 
 def at_keys(found: list[tuple[tuple[str | int, ...], PydanticCustomError, Any]]) -> ValidationError:
-    """One error for several (location, fault, value), each reported at its own key."""
+    """Combine several faults into one error, each reported at its own key.
+
+    Parameters
+    ----------
+    found : list of (location, fault, value)
+        Location of the key, fault from `fault`, and the value given there.
+
+    Returns
+    -------
+    ValidationError
+    """
     details = [InitErrorDetails(type=fault, loc=loc, input=value) for loc, fault, value in found]
     return ValidationError.from_exception_data("scene", details)
 
 
 @dataclass(frozen=True)
 class Within:
-    """Constraint on a number: finite and between `low` and `high` in `unit`; `ends` are included or not: "[]"."""
+    """Constraint on a number: finite and inside an interval.
+
+    Attributes
+    ----------
+    low, high : float
+        Ends of the interval, in `unit`.
+    unit : str
+        Unit for messages; empty for a pure number.
+    ends : {"[]", "[)", "()"}
+        Whether the ends belong to the interval.
+    """
 
     low: float
     high: float
@@ -48,6 +80,7 @@ class Within:
     ends: Literal["[]", "[)", "()"] = "[]"
 
     def check(self, value: float) -> float:
+        """The value itself where it satisfies the constraint; raises the fault that states the constraint otherwise."""
         unit = f" {self.unit}" if self.unit else ""
         if isinstance(value, float) and not math.isfinite(value):
             raise fault("must be a finite number")
@@ -80,36 +113,42 @@ def _list_of(count: int, what: str) -> Callable[[Any], Any]:
 
 
 def _single_line(value: str) -> str:
+    """Refuse text with line breaks or control characters."""
     if any(unicodedata.category(character) in ("Cc", "Cs") for character in value):
         raise fault("must be one line of text without control characters")
     return value
 
 
 def _increasing(value: tuple[float, float]) -> tuple[float, float]:
+    """Refuse an empty interval."""
     if value[0] >= value[1]:
         raise fault("lower bound must be less than the upper bound")
     return value
 
 
 def _not_zero(value: Vector) -> Vector:
+    """Refuse a vector without a direction."""
     if max(abs(component) for component in value) < MIN_LENGTH_MM:
         raise fault(f"must not be the zero vector (one component of {MIN_LENGTH_MM:g} at least)")
     return value
 
 
 def _surface(value: tuple[float, ...]) -> tuple[float, ...]:
+    """Refuse coefficients of a constant, which have no surface."""
     if not any(value[:9]):
         raise fault("must not all be 0, or all but a000")
     return value
 
 
 def _count_or_auto(value: Any) -> Any:
+    """Refuse all but a number of samples and "auto"."""
     if (type(value) is int and 1 <= value <= 4096) or (type(value) is str and value == "auto"):
         return value
     raise fault('must be an integer between 1 and 4096, or "auto"')
 
 
 def _few_enough(value: tuple[int, int]) -> tuple[int, int]:
+    """Refuse resolutions above MAX_PIXELS."""
     if value[0] * value[1] > MAX_PIXELS:
         raise fault(f"must have at most {MAX_PIXELS} pixels in all")
     return value
@@ -146,6 +185,6 @@ Samples = Annotated[Annotated[int, Within(1, 4096)] | Literal["auto"], BeforeVal
 
 
 class Strict(BaseModel):
-    """No conversions, no unknown keys, no changes after validation."""
+    """Base of all models of a scene: no conversions, no unknown keys, no changes after validation."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, use_attribute_docstrings=True)

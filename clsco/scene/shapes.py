@@ -1,4 +1,4 @@
-"""The objects of a scene: shapes with their textures and motions, in millimeters, seconds and degrees."""
+"""Objects of a scene: shapes with textures and motions, in millimeters, seconds and degrees."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ IN_FRONT = "must leave part of the object in front of the lens (z > 0)"
 
 
 def _reaching(center: Vector, reach: float | None) -> Vector:
-    """Refuse a body that reaches at most to the lens; `reach` in mm along z, None if it is not known."""
+    """Refuse a body that ends at or behind the lens; `reach`: extent from its center along z, mm, None if unknown."""
     if reach is not None and center[2] + reach <= 0.0:
         raise fault(IN_FRONT)
     return center
 
 
 class ObjectMotion(Strict):
-    """Constant velocities of an object; it turns about its origin."""
+    """Constant velocities of an object, which rotates about its origin."""
 
     velocity: Velocity = (0.0, 0.0, 0.0)
     """Right, up, away from the camera; mm/s."""
@@ -55,10 +55,10 @@ class ObjectMotion(Strict):
 
 
 class _Object(Strict):
-    """What every shape has."""
+    """Keys that every shape has."""
 
     shape: str
-    """Which surface it is."""
+    """Kind of surface."""
     name: Name = Field(default_factory=lambda data: data["shape"])
     """Name in messages and metadata. Default: shape."""
     texture: Name = "bricks"
@@ -66,7 +66,7 @@ class _Object(Strict):
     bounds: Box | None = None
     """Box [[x0, x1], [y0, y1], [z0, z1]] about the object's origin before rotation, mm; cuts the surface."""
     motion: ObjectMotion = ObjectMotion()
-    """Velocities; at rest if none are given."""
+    """Velocities; static if none are given."""
 
 
 class Plane(_Object):
@@ -164,15 +164,15 @@ class DepthMap(_Object):
     depth: Name
     """File of depths: PNG, TIFF, EXR, PFM, .npy or .npz; a path, relative to the scene file."""
     unit: Literal["mm", "m", "inverse_mm", "inverse_m", "disparity", "coc"] = "mm"
-    """What the file holds: Z in mm or m, 1/Z in 1/mm or 1/m, disparity in px, or signed blur radius R in px."""
+    """Quantity in the file: Z in mm or m, 1/Z in 1/mm or 1/m, disparity in px, or signed blur radius R in px."""
     scale: Annotated[float, Within(1e-12, 1e12)] = 1.0
-    """What 1 in the file is worth in `unit`, such as 0.001."""
+    """Factor from numbers in the file to `unit`, such as 0.001."""
     baseline: Length | None = Field(default=None, validate_default=True)
     """Distance B between the views, mm: Z = B s0 / (p disparity); only with unit = "disparity"."""
     offset: Annotated[float, Within(0.0, 1e6, "px")] | None = None
     """Added to the disparity, px: `doffs` of Middlebury's calibrations; only with unit = "disparity"."""
     center: Point = (0.0, 0.0, 0.0)
-    """Point about which it turns, mm; the origin. Default: in the lens."""
+    """Center of rotation, mm; the origin. Default: in the lens."""
 
     @field_validator("bounds")
     @classmethod
@@ -196,19 +196,31 @@ AnyShape = Plane | Cylinder | Sphere | Cone | Ellipsoid | Quadric | DepthMap
 
 
 def origin(shape: AnyShape) -> Vector:
-    """Origin of an object's own frame in the camera frame, mm: about it the object turns and is bounded."""
+    """Origin of an object's own frame: the object rotates about it, and its bounds are relative to it.
+
+    Parameters
+    ----------
+    shape : AnyShape
+
+    Returns
+    -------
+    tuple of three float
+        Camera frame, mm: the apex of a cone, (0, 0, distance) of a plane, else the center.
+    """
     if isinstance(shape, Plane):
         return (0.0, 0.0, shape.distance)
     return shape.apex if isinstance(shape, Cone) else shape.center
 
 
 def _bounds_in_front(shape: AnyShape) -> AnyShape:
+    """Refuse bounds that end at or behind the lens."""
     if shape.bounds is not None and origin(shape)[2] + shape.bounds[2][1] <= 0.0:
         raise at_keys([(("bounds", 2), fault(IN_FRONT), shape.bounds[2])])
     return shape
 
 
 def _known_shape(value: Any) -> Any:
+    """Refuse a table whose `shape` is unknown, before its other keys are checked."""
     if isinstance(value, dict):
         shape = value.get("shape")
         if not isinstance(shape, str) or shape not in SHAPES:
@@ -218,6 +230,7 @@ def _known_shape(value: Any) -> Any:
 
 
 def _objects(value: Any) -> Any:
+    """Turn the array of tables into a tuple; refuse too few and too many objects."""
     if not isinstance(value, list | tuple):
         raise fault("must be an array of tables, [[object]]")
     if not 1 <= len(value) <= MAX_OBJECTS:
@@ -226,7 +239,18 @@ def _objects(value: Any) -> Any:
 
 
 def repeated_names(names: Iterable[str | None]) -> list[tuple[int, PydanticCustomError, str]]:
-    """Faults of names given before: (position, fault, name); None is a name not given."""
+    """Find names that an earlier object has already.
+
+    Parameters
+    ----------
+    names : iterable of str or None
+        Name of each object; None where none was given.
+
+    Returns
+    -------
+    list of (int, PydanticCustomError, str)
+        Position, fault and name of each repetition.
+    """
     first: dict[str, int] = {}
     found = []
     for index, name in enumerate(names):
@@ -236,7 +260,7 @@ def repeated_names(names: Iterable[str | None]) -> list[tuple[int, PydanticCusto
 
 
 def _named(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
-    """Objects of different names: shapes without one are numbered from the second on, "sphere 2"."""
+    """Objects with distinct names: unnamed ones get that of their shape, numbered from the second on, "sphere 2"."""
     given = [item.name if "name" in item.model_fields_set else None for item in objects]
     if faults := repeated_names(given):
         raise at_keys([((index, "name"), rule, name) for index, rule, name in faults])

@@ -1,4 +1,4 @@
-"""Sweeps: scene files in which keys have several values, and the scenes that these give."""
+"""Sweeps: scene files with several values for some keys, and the scenes of all their combinations."""
 
 from __future__ import annotations
 
@@ -16,21 +16,27 @@ from clsco.scene.file import (
     Location,
     absolute,
     at_most,
-    key_name,
     missing_files,
     parse_scene,
     read_mapping,
-    shown,
     swept_keys,
 )
 from clsco.scene.model import Scene
+from clsco.scene.text import key_name, shown
 
 RANGE = ("from", "to", "steps")
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """Scenes of one file, and a label for each that names the keys with their values and can name a folder."""
+    """Scenes of one file.
+
+    Attributes
+    ----------
+    labels : tuple of str
+        One per scene: its keys with their values, in a form that can name a folder; "" for the only scene of a file.
+    scenes : tuple of Scene
+    """
 
     labels: tuple[str, ...]
     scenes: tuple[Scene, ...]
@@ -38,22 +44,23 @@ class Sweep:
 
 @dataclass(frozen=True)
 class _Axis:
-    """A key with its values as a scene file would give them one by one."""
+    """A swept key with its values, each as a scene file would give it alone."""
 
     location: Location
     values: tuple[Any, ...]
 
     @property
     def name(self) -> str:
+        """The key as written in messages."""
         return key_name(self.location)
 
     def words(self) -> list[str]:
-        """A word for each value, as short as tells them apart."""
+        """A word for each value, as short as distinguishes them."""
         short = [_word(value, exact=False) for value in self.values]
         return short if len(set(short)) == len(short) else [_word(value, exact=True) for value in self.values]
 
     def label(self) -> str:
-        """The key in labels: short, and different for every key that can have several values."""
+        """The key as written in labels: short, and different for every key that may be swept."""
         section, *inner, key = (str(part) for part in self.location)
         return "_".join([section, *inner[:-1], key] if inner else [key])  # without "motion"
 
@@ -61,21 +68,30 @@ class _Axis:
 def load_sweep(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Sweep:
     """Read all scenes of a .toml or .json file in which keys may have several values.
 
-    Keys of [camera], [motion], [sequence], [camera.motion] and [object.motion] can be a list of values, or a range
-    { from = 200, to = 400, steps = 9 } with both ends; for a vector a list of vectors, or a range of vectors.
+    Parameters
+    ----------
+    path : str or os.PathLike
+        The file, at most 1 MiB.
+    overrides : sequence of str
+        As for `clsco.load_scene`; a value may also be a list or a range.
+
+    Returns
+    -------
+    Sweep
+        At most 4096 scenes with labels like "focus_distance_200__f_number_4"; one scene with the label "" where no key
+        has several values. Paths are absolute, as from `clsco.load_scene`.
+
+    Raises
+    ------
+    SceneError
+        One message per fault, `file: key: rule; got value`. A swept key is named with the position of the value,
+        counted from 0: camera.f_number[2].
+
+    Notes
+    -----
+    Keys of [camera], [motion], [sequence], [camera.motion] and [object.motion] may be a list of values, or a range
+    { from = 200, to = 400, steps = 9 } that includes both ends; for a vector a list of vectors, or a range of vectors.
     Several such keys give all combinations, the first key of the file changing slowest.
-
-    Args:
-        path: the file, at most 1 MiB.
-        overrides: as in `clsco.load_scene`; a value may be a list or a range, too.
-
-    Returns:
-        At most 4096 scenes with labels like "focus_distance_200__f_number_4"; one with the label "" where no key has
-        several values. Paths are absolute, as in `clsco.load_scene`.
-
-    Raises:
-        SceneError: one message per fault, `file: key: rule; got value`; a key of several values is told with the
-            position of the value, counted from 0: camera.f_number[2].
     """
     where = os.fspath(path)
     data = read_mapping(where, overrides)
@@ -88,7 +104,19 @@ def load_sweep(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
 
 
 def load_sweeps(paths: Sequence[Path], overrides: Sequence[str] = ()) -> list[tuple[Path, Sweep | SceneError]]:
-    """The sweeps of files, as of `load_sweep`, or what is wrong with them."""
+    """Read the sweeps of several files.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+    overrides : sequence of str
+        As for `load_sweep`.
+
+    Returns
+    -------
+    list of (Path, Sweep or SceneError)
+        The error of a file that is not valid in place of its sweep.
+    """
     loaded: list[tuple[Path, Sweep | SceneError]] = []
     for path in paths:
         try:
@@ -99,9 +127,23 @@ def load_sweeps(paths: Sequence[Path], overrides: Sequence[str] = ()) -> list[tu
 
 
 def parse_sweep(mapping: Mapping[str, Any], where: str = "scene") -> Sweep:
-    """Validate all scenes of nested mappings and lists with the keys of a scene file; see `load_sweep`.
+    """Validate all scenes of nested mappings and lists with the keys of a scene file, as `load_sweep` does.
 
-    mapping: not changed; paths stay as they are. where: name for the messages. Raises SceneError.
+    Parameters
+    ----------
+    mapping : mapping
+        Not changed; paths stay as they are.
+    where : str
+        Name for messages.
+
+    Returns
+    -------
+    Sweep
+
+    Raises
+    ------
+    SceneError
+        As `load_sweep`.
     """
     if not isinstance(mapping, Mapping) or not (given := swept_keys(mapping)):
         return Sweep(("",), (parse_scene(mapping, where),))
@@ -111,7 +153,7 @@ def parse_sweep(mapping: Mapping[str, Any], where: str = "scene") -> Sweep:
     if count > MAX_OUTPUTS:
         names = ", ".join(axis.name for axis in axes[:4]) + (f" and {len(axes) - 4} more" if len(axes) > 4 else "")
         faults.append(f"{names}: must give at most {MAX_OUTPUTS} scenes in all; got {count}")
-    if faults:  # the rest of the file has its faults told, with the first value of every key that has one
+    if faults:  # faults in the rest of the file are reported too, with the first value of every swept key
         faults += _faults(mapping, axes, [(0,) * len(axes)])[1]
         raise SceneError(at_most(where, dict.fromkeys(faults)))
     choices = list(product(*(range(len(axis.values)) for axis in axes)))
@@ -126,24 +168,24 @@ def parse_sweep(mapping: Mapping[str, Any], where: str = "scene") -> Sweep:
 def _faults(
     mapping: Mapping[str, Any], axes: Sequence[_Axis], choices: Sequence[tuple[int, ...]]
 ) -> tuple[list[Scene], list[str]]:
-    """The scenes that are valid, and the faults of the others, each told once."""
+    """The valid scenes, and the faults of the others, each reported once."""
     scenes: list[Scene] = []
     seen: dict[str, list[tuple[int, ...]]] = {}
-    still = all(axis.location[0] != "object" for axis in axes)
+    same_objects = all(axis.location[0] != "object" for axis in axes)
     for choice in choices:
         data: Any = mapping
         for axis, index in zip(axes, choice, strict=True):
             data = _with(data, axis.location, axis.values[index : index + 1])
         try:
             scenes.append(parse_scene(data, ""))
-            if still:  # valid objects need no further look
+            if same_objects:  # valid objects are not validated again
                 mapping = {**mapping, "object": scenes[0].objects}
         except SceneError as error:
             for message in error.messages:
                 seen.setdefault(_at_value(message.removeprefix(": "), axes, choice), []).append(choice)
     faults = []
     for message, found in seen.items():
-        # What belongs to one value comes back with every value of the other keys; anything else needs all told.
+        # A fault of one value occurs with every value of the other keys; any other fault is reported with all values.
         alone = any(
             message.startswith(f"{axis.name}[{found[0][k]}]") and len(found) * len(axis.values) == len(choices)
             for k, axis in enumerate(axes)
@@ -157,7 +199,7 @@ def _faults(
 
 
 def _at_value(message: str, axes: Sequence[_Axis], choice: tuple[int, ...]) -> str:
-    """The message with the position of the value after the name of a key that has several."""
+    """The message with the position of the value after the name of a swept key."""
     for axis, index in zip(axes, choice, strict=True):
         if message.startswith(axis.name) and message[len(axis.name)] in ":[":
             return f"{axis.name}[{index}]{message[len(axis.name) :]}"
@@ -178,7 +220,7 @@ def _with(node: Any, location: Location, value: tuple[Any, ...]) -> Any:
 
 
 def _values(name: str, given: Any, faults: list[str]) -> tuple[Any, ...]:
-    """The values of a list or a range; none, and messages in `faults`, where it is not valid."""
+    """Values of a list or a range; none, and messages in `faults`, where it is not valid."""
     if isinstance(given, Mapping):
         return _range(name, given, faults)
     if not 1 <= len(given) <= MAX_OUTPUTS:
@@ -197,6 +239,7 @@ def _values(name: str, given: Any, faults: list[str]) -> tuple[Any, ...]:
 
 
 def _range(name: str, given: Mapping[str, Any], faults: list[str]) -> tuple[Any, ...]:
+    """Values of a range; none, and messages in `faults`, where it is not valid."""
     before = len(faults)
     for key in given:
         if key not in RANGE:
@@ -227,17 +270,19 @@ def _range(name: str, given: Mapping[str, Any], faults: list[str]) -> tuple[Any,
 
 
 def _components(value: Any) -> list[Any]:
+    """Components of a vector, or the number itself."""
     return value if isinstance(value, list) else [value]
 
 
 def _is_finite(value: Any) -> bool:
+    """Whether a value is a number whose differences are finite."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
-    return abs(value) < 1e300  # so that differences are finite, too
+    return abs(value) < 1e300  # so that differences are finite as well
 
 
 def _between(low: float, high: float, step: int, last: int) -> float:
-    """The number at `step` of `last` equal steps, both ends exact; an integer where it is one between integers."""
+    """The number after `step` of `last` equal steps, both ends exact; an integer between integers where it is one."""
     if step == last:
         return high
     if isinstance(low, int) and isinstance(high, int) and (high - low) * step % last == 0:
@@ -246,7 +291,7 @@ def _between(low: float, high: float, step: int, last: int) -> float:
 
 
 def _word(value: Any, *, exact: bool) -> str:
-    """A value in a label; six digits of a float, or all."""
+    """A value as written in a label: six digits of a float, or all."""
     if isinstance(value, list):
         return "_".join(_word(entry, exact=exact) for entry in value)
     if isinstance(value, float):

@@ -25,8 +25,8 @@ from clsco.errors import ClscoError, ImageError, SceneError
 from clsco.files.images import read_image
 from clsco.inputs.depth_files import read_depth
 from clsco.plan.prepare import planned_sweep
-from clsco.scene.file import key_name
 from clsco.scene.sweep import Sweep, load_sweep, parse_sweep
+from clsco.scene.text import key_name
 from tests.hostile.mutate import Case, make_case
 from tests.hostile.pictures import damaged
 from tests.hostile.watch import faults_of, keys_of, start_watching, watched

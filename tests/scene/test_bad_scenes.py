@@ -395,7 +395,7 @@ def test_objects(text: str, message: str) -> None:
     ],
 )
 def test_visibility_needs_rays(rest: str) -> None:
-    rule = '"visibility" needs analytic surfaces seen by rays; use "layered" or "none"'
+    rule = '"visibility" needs analytic surfaces, which rays can be cast at; use "layered" or "none"'
     message = f'bad.toml: psf.occlusion: {rule}; got "visibility"'
     assert messages_of(f'psf.occlusion = "visibility"\n{rest}') == (message,)
     for fine in ("", 'psf.occlusion = "layered"\n', 'psf.occlusion = "none"\n'):

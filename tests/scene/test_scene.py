@@ -176,10 +176,10 @@ def test_a_scene_moves_where_anything_does() -> None:
 
 def test_rays_meet_what_is_analytic_and_not_warped_forward() -> None:
     forward, moving = Motion(warp="forward"), ObjectMotion(velocity=(0.0, 1.0, 0.0))
-    assert Scene(objects=(Sphere(), Plane()), motion=forward).met_by_rays
-    assert Scene(objects=(Sphere(motion=moving), Plane())).met_by_rays
-    assert not Scene(objects=(Sphere(motion=moving), Plane()), motion=forward).met_by_rays
-    assert not Scene(objects=(Plane(), DepthMap(depth="z.npy"))).met_by_rays
+    assert Scene(objects=(Sphere(), Plane()), motion=forward).is_ray_castable
+    assert Scene(objects=(Sphere(motion=moving), Plane())).is_ray_castable
+    assert not Scene(objects=(Sphere(motion=moving), Plane()), motion=forward).is_ray_castable
+    assert not Scene(objects=(Plane(), DepthMap(depth="z.npy"))).is_ray_castable
 
 
 @pytest.mark.parametrize(

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 
 import clsco
 from clsco.errors import SceneError
-from clsco.scene.file import MAX_OUTPUTS, dump, load_scene, parse_scene, scene_schema, swept_keys
+from clsco.scene.file import MAX_OUTPUTS, dump, load_scene, parse_scene, swept_keys
 from clsco.scene.model import Camera, Motion, ObjectMotion, Scene, Sequence
+from clsco.scene.schema import scene_schema
 from clsco.scene.sweep import load_sweep, parse_sweep
 
 BALL = '[[object]]\nshape = "sphere"\n'

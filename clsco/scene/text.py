@@ -1,0 +1,46 @@
+"""Keys and values of a scene as messages show them."""
+
+from __future__ import annotations
+
+import json
+import re
+import reprlib
+from collections.abc import Sequence
+from typing import Any
+
+_SHORT = reprlib.Repr()
+_SHORT.maxlevel, _SHORT.maxlist, _SHORT.maxtuple, _SHORT.maxdict, _SHORT.maxother = 3, 6, 6, 4, 60
+
+
+def key_name(loc: Sequence[Any]) -> str:
+    """Key as written in a file: object[0].motion.velocity[2]."""
+    name = ""
+    for part in loc:
+        if isinstance(part, int):
+            name += f"[{part}]"
+        else:
+            bare = re.fullmatch(r"[A-Za-z0-9_-]{1,64}", str(part)) is not None
+            name += ("." if name else "") + (str(part) if bare else shown(str(part)))
+    return name or "scene"
+
+
+def shown(value: Any) -> str:
+    """A value on one short line, as a scene file would write it where possible."""
+    if isinstance(value, str):
+        return json.dumps(brief(value), ensure_ascii=not value.isprintable())
+    if value is None or isinstance(value, bool):
+        return json.dumps(value)
+    if isinstance(value, int) and value.bit_length() > 128:
+        return f"an integer of about {int(value.bit_length() * 0.30103) + 1} digits"
+    if isinstance(value, list | tuple) and len(value) <= 10 and not any(isinstance(v, list | dict) for v in value):
+        return f"[{', '.join(shown(entry) for entry in value)}]"
+    if isinstance(value, dict):
+        return f"a table of {len(value)} keys"
+    if isinstance(value, list | tuple):
+        return f"a list of {len(value)} entries"
+    return " ".join(_SHORT.repr(value).split())
+
+
+def brief(text: str) -> str:
+    """The first 60 characters of a text."""
+    return text if len(text) <= 60 else text[:57] + "..."
