@@ -21,7 +21,7 @@ from clsco.opencl.buffers import empty
 from clsco.opencl.program import build
 from clsco.opencl.session import DeviceLike, Session
 from clsco.optics.lens import LARGEST_BLUR
-from clsco.optics.psf import reach
+from clsco.optics.psf import reach, shape_of
 from clsco.optics.psf_tables import TAP_LANES
 from clsco.optics.slabs import Slabs
 from clsco.passes.blur import FILES_OF, Sources, image_features, prepare_sources
@@ -203,10 +203,10 @@ def _checked(picture: NDArray[Any], radii: NDArray[Any]) -> _Given:
 
 def _choose(psf: Psf, method: str, smallest: float, largest: float, gpu: bool) -> Blur:
     check_method(method)
-    constant = smallest == largest and psf.border == "lose"
+    constant = smallest == largest and psf.border == "lose" and shape_of(psf).kind != "general"
+    check_border(psf, method)
     if method == "convolve" and not constant:
         raise SceneError('method: convolve needs one radius for all pixels and border = "lose"; got many radii')
-    check_border(psf, method)
     if is_sharp(psf, largest) and (method == "auto" or method in METHODS):
         return "none"
     if method == "convolve" or (method == "auto" and constant):

@@ -39,7 +39,7 @@ Pixels = NDArray[np.int64]
 Progress = Callable[[float], object]
 
 KERNELS = ("inpainting/score.cl", "inpainting/mean_median.cl")
-FEATURES = dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SAMPLED"), 0)
+FEATURES = dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SAMPLED", "GENERAL"), 0)
 FEATURES |= {"FILL_MEAN_MEDIAN": 1, "IMAGE": 1}
 # As in the kernels.
 LANES, MOST_LANES, SUMS, SCORED = 8, 16, 13, 128

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from math import exp, pi, sqrt
-from statistics import NormalDist
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.optics.psf import shape_of
 from clsco.optics.psf_tables import TAP_LANES
 from clsco.scene.model import Psf
 
@@ -20,32 +20,24 @@ STEEPEST = 1.0  # px to neighbors 2 px away: with more the radii of what shares 
 SHARING = 0.75  # px^2 per axis: what bilinear sharing among nodes adds to a PSF's second moment, and taking back again
 # Of the coarse frame before it is enlarged: for discs as much as gives back what sharing adds, so that less of their
 # edge is lost; a Gaussian has nothing to lose, and is nearest without.
-SHARPENING = {"pillbox": 3 / 16, "gaussian": 0.0}
-PIXEL_MOMENT = {"sampled": 0.0, "area": 1 / 12, "integrated": 1 / 6}  # px^2 per axis: what `edge` adds to it
+SHARPENING = 3 / 16
 
 
-def second_moment(psf: Psf) -> float:
-    """Second moment per axis of a PSF of R = 1 px, without what `edge` adds; px^2."""
-    if psf.model == "pillbox":
-        return 0.25
-    cut = psf.truncation
-    if psf.edge == "sampled":  # cut off at a circle
-        lost = exp(-0.5 * cut * cut)
-        return psf.sigma_ratio**2 * (1.0 - 0.5 * cut * cut * lost / (1.0 - lost))
-    inside = 2.0 * NormalDist().cdf(cut) - 1.0  # at a square
-    return psf.sigma_ratio**2 * (1.0 - 2.0 * cut * exp(-0.5 * cut * cut) / sqrt(2.0 * pi) / inside)
+def sharpening(psf: Psf) -> float:
+    """Of the coarse frame before it is enlarged."""
+    return 0.0 if shape_of(psf).soft else SHARPENING
 
 
 def coarse_psf(psf: Psf) -> Psf:
     """The PSF on coarser grids: over a node's own area, which rounds off least; a cut Gaussian keeps its circle."""
-    return psf if psf.model == "gaussian" and psf.edge == "sampled" else psf.model_copy(update={"edge": "area"})
+    return psf if shape_of(psf).soft and shape_of(psf).sampled else psf.model_copy(update={"edge": "area"})
 
 
 def loss(psf: Psf, finest: bool) -> float:
     """What of R^2 in px^2 the way to the next coarser grid and back does by itself; finest: from the frame's own."""
-    own = PIXEL_MOMENT[psf.edge if finest else coarse_psf(psf).edge]
-    added = 2 * SHARING - 8 * SHARPENING[psf.model] + 4 * PIXEL_MOMENT[coarse_psf(psf).edge]
-    return (added - own) / second_moment(psf)
+    own = shape_of(psf if finest else coarse_psf(psf)).pixel_moment
+    added = 2 * SHARING - 8 * sharpening(psf) + 4 * shape_of(coarse_psf(psf)).pixel_moment
+    return (added - own) / shape_of(psf).second_moment
 
 
 def coarse_radius(psf: Psf, radius: float, finest: bool) -> float:

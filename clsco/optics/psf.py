@@ -6,15 +6,119 @@ hold the same weights as piecewise cubics in the blur radius, which is what a de
 
 from __future__ import annotations
 
-from math import ceil, erf, floor, sqrt
+from dataclasses import dataclass
+from functools import lru_cache
+from math import ceil, cos, erf, exp, floor, pi, sqrt
+from statistics import NormalDist
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.optics import polygon
 from clsco.scene.model import Psf
 
 Array = NDArray[np.float64]
 MINIMUM_BLUR = 0.5  # px; sampled PSFs leave smaller radii alone (thesis, 2.2)
+
+
+Kind = Literal["disc", "separable", "symmetric", "general"]
+Mask = tuple[tuple[float, float, float], ...]
+
+
+@dataclass(frozen=True)
+class PsfShape:
+    """What the weights of a PSF are like: all that methods and kernels ask of it, from `shape_of`.
+
+    Attributes
+    ----------
+    kind : str
+        "disc": every lit pixel gets the same (the sampled pillbox), so no table is needed. "separable": a weight is
+        the product of one along each axis (Gaussians cut at a square). "symmetric": the octants are alike. "general":
+        nothing is alike; whole rows of weights, for single sources.
+    extent : float
+        Distance at which the PSF of R = 1 px ends, px; so it is the radius of the lens that it stands for, in aperture
+        radii, as light that leaves at R l comes from l.
+    sampled : bool
+        Weights are taken at pixel centers, and jump where R passes one.
+    soft : bool
+        The PSF falls off towards its rim, instead of ending there (a Gaussian).
+    second_moment : float
+        Per axis, of R = 1 px, without what `pixel_moment` adds; px^2.
+    pixel_moment : float
+        What the pixels of source and detector add to it per axis, px^2.
+    mask : tuple of (x, y, distance)
+        Edges of the opening of "general", see `polygon.lens_mask`; empty for a circle.
+    name : str
+        For reports.
+    """
+
+    kind: Kind
+    extent: float
+    sampled: bool
+    soft: bool
+    second_moment: float
+    pixel_moment: float
+    mask: Mask
+    name: str
+
+    @property
+    def signed(self) -> bool:
+        """Whether the weights of -R differ from those of R."""
+        return self.kind == "general"
+
+    @property
+    def lens_mask(self) -> Array:
+        """`mask` as an array (edges, 3), x to the right and y down."""
+        return np.array(self.mask, np.float64).reshape(-1, 3)
+
+    def is_sharp(self, largest: float) -> bool:
+        """Whether the PSF of the |blur radius| `largest` px keeps all light in its pixel."""
+        if self.sampled:
+            return largest < MINIMUM_BLUR or self.extent * largest < 1.0
+        area_only = self.pixel_moment < PIXEL_MOMENT["integrated"]
+        return largest == 0.0 or (area_only and self.extent * largest <= 0.5)
+
+
+PIXEL_MOMENT = {"sampled": 0.0, "area": 1 / 12, "integrated": 1 / 6}  # px^2 per axis: what `edge` adds
+
+
+def _second_moment(psf: Psf) -> float:
+    if psf.aperture.shape == "polygon":
+        return (2.0 + cos(2.0 * pi / psf.aperture.blades)) / 12.0
+    if psf.model == "pillbox":
+        return 0.25
+    cut = psf.truncation
+    if psf.edge == "sampled":  # cut off at a circle
+        lost = exp(-0.5 * cut * cut)
+        return psf.sigma_ratio**2 * (1.0 - 0.5 * cut * cut * lost / (1.0 - lost))
+    inside = 2.0 * NormalDist().cdf(cut) - 1.0  # at a square
+    return psf.sigma_ratio**2 * (1.0 - 2.0 * cut * exp(-0.5 * cut * cut) / sqrt(2.0 * pi) / inside)
+
+
+@lru_cache(maxsize=64)
+def shape_of(psf: Psf) -> PsfShape:
+    """The `PsfShape` of a PSF and its aperture."""
+    sampled, gaussian, mask = psf.edge == "sampled", psf.model == "gaussian", Mask()
+    kind: Kind = "symmetric"
+    name = f"{psf.model}, {psf.edge}"
+    if psf.aperture.shape == "polygon":
+        kind, name = "general", f"{name}, {psf.aperture.blades} blades"
+        mask = tuple((float(x), float(y), float(distance)) for x, y, distance in _edges(psf))
+    elif gaussian and not sampled:
+        kind = "separable"
+    elif sampled and not gaussian:
+        kind = "disc"
+    extent = psf.sigma_ratio * psf.truncation if gaussian else 1.0
+    return PsfShape(kind, extent, sampled, gaussian, _second_moment(psf), PIXEL_MOMENT[psf.edge], mask, name)
+
+
+def _edges(psf: Psf) -> Array:
+    return polygon.lens_mask(psf.aperture.blades, psf.aperture.rotation)
+
+
+def _corners(psf: Psf) -> Array:
+    return polygon.vertices(psf.aperture.blades, psf.aperture.rotation)
 
 
 def _ramp_pieces(b: Array, level: Array, sign: float, tent: bool) -> tuple[Array, Array, Array]:
@@ -102,7 +206,7 @@ def _gaussian_axis(offset: Array, sigma: Array, cut: float, tent: bool) -> Array
 
 def psf_extent(psf: Psf, radius: Array | float) -> Array:
     """Distance in px at which the PSF of |blur radius| `radius` px ends: the radius, or the cut of the Gaussian."""
-    return np.asarray(radius) * (1.0 if psf.model == "pillbox" else psf.sigma_ratio * psf.truncation)
+    return np.asarray(radius) * shape_of(psf).extent
 
 
 def reach(psf: Psf, radius: float, subpixel: bool = False) -> int:
@@ -116,11 +220,14 @@ def reach(psf: Psf, radius: float, subpixel: bool = False) -> int:
 
 
 def weights(psf: Psf, dx: Array, dy: Array, radius: Array) -> Array:
-    """Share of a source's light at integer offsets (dx, dy) px for |blur radius| `radius` px; sums to 1.
+    """Share of a source's light at integer offsets (dx, dy) px for blur radius `radius` px; sums to 1.
 
-    The three broadcast. Pillbox (2.26) and Gaussian (2.27, sigma = sigma_ratio R) in the `edge` forms of the
+    The three broadcast; the sign of the radius matters where the shape is `signed`. Pillbox (2.26), through
+    its aperture, and Gaussian (2.27, sigma = sigma_ratio R) in the `edge` forms of the
     scene file. A radius of 0 is the limit: all light stays. Validated: energy 1 to 1e-12, quadrature, continuity.
     """
+    if shape_of(psf).kind == "general":
+        return _polygon_weights(psf, dx, dy, np.asarray(radius, np.float64), psf.edge == "integrated")
     dx, dy, r = (np.asarray(v, dtype=np.float64) for v in np.broadcast_arrays(dx, dy, np.abs(radius)))
     if psf.edge == "sampled":
         return _sampled_weights(psf, dx, dy, r)
@@ -135,8 +242,17 @@ def weights(psf: Psf, dx: Array, dy: Array, radius: Array) -> Array:
     return np.where(tiny, center, share)
 
 
+def _polygon_weights(psf: Psf, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
+    return polygon.polygon_share(_corners(psf), dx, dy, radius, tent)
+
+
+def polygon_rows(psf: Psf, radii: Array, dx: Array, dy: Array, tent: bool) -> Array:
+    """Weights (radii, dy, dx) of a polygon for positive radii, where dx and dy rise by 1 px."""
+    return polygon.polygon_grid(_corners(psf), radii, dx, dy, tent)
+
+
 def axis_weights(psf: Psf, offset: Array, radius: Array) -> Array:
-    """Weights of a Gaussian along one axis, whose products are those of `weights`: for what `is_separable`."""
+    """Weights of a Gaussian along one axis, whose products are those of `weights`: for what is separable."""
     tiny = np.asarray(radius) < 1e-9
     sigma = psf.sigma_ratio * np.where(tiny, 1.0, radius)
     return np.where(tiny, offset == 0.0, _gaussian_axis(offset, sigma, psf.truncation, psf.edge == "integrated"))
@@ -171,6 +287,8 @@ def subpixel_weights(psf: Psf, dx: Array, dy: Array, radius: Array) -> Array:
 
     Serves the sub-pixel sources at silhouettes, for every `edge`; arguments as for `weights`.
     """
+    if shape_of(psf).kind == "general":
+        return _polygon_weights(psf, dx, dy, np.asarray(radius, np.float64), tent=False)
     dx, dy, r = (np.asarray(v, dtype=np.float64) for v in np.broadcast_arrays(dx, dy, np.abs(radius)))
     safe = np.maximum(r, 1e-9)
     if psf.model == "pillbox":
@@ -178,16 +296,6 @@ def subpixel_weights(psf: Psf, dx: Array, dy: Array, radius: Array) -> Array:
     sigma = psf.sigma_ratio * safe
     cut = psf.truncation
     return _gaussian_axis(dx, sigma, cut, tent=False) * _gaussian_axis(dy, sigma, cut, tent=False)
-
-
-def is_disc(psf: Psf) -> bool:
-    """Whether all pixels that a source lights get the same: the sampled pillbox, which needs no table of weights."""
-    return psf.edge == "sampled" and psf.model == "pillbox"
-
-
-def is_separable(psf: Psf) -> bool:
-    """Whether every weight is the product of one along each axis: the Gaussians whose cut is a square."""
-    return psf.model == "gaussian" and psf.edge != "sampled"
 
 
 def subpixel_offsets(samples: int) -> Array:

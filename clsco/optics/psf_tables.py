@@ -16,11 +16,11 @@ from clsco.errors import SceneError
 from clsco.optics.psf import (
     MINIMUM_BLUR,
     axis_weights,
-    is_disc,
-    is_separable,
+    polygon_rows,
     psf_extent,
     reach,
     sampled_key,
+    shape_of,
     subpixel_offsets,
     subpixel_weights,
     weights,
@@ -47,6 +47,7 @@ WIDE_LANES = 16  # intervals of which a kernel reads the coefficients of a tap t
 # Sampled discs that reach at most so far, in px to both sides, are added up tap by tap: kernels/blur/cpu/near.clh.
 NEAR = 7
 LARGEST_TABLES = 2**30  # bytes
+PADDING = 8  # bytes of a general table's taps and outlines, which a buffer cannot be without
 RUN = 16  # intervals whose weights are computed at once, of one half-width
 
 
@@ -54,23 +55,27 @@ RUN = 16  # intervals whose weights are computed at once, of one half-width
 class PsfTable:
     """Weights over a range of blur radii as piecewise cubics, in the layout that the kernels read.
 
-    A source of radius R has the coordinate u (see `table_coordinate`), interval floor(u) and position t = u - floor(u);
-    its weight at (dx, dy) is c0 + t (c1 + t (c2 + t c3)). intervals: int32 (count, 2): start in `coefficients`,
-    half-width in px. coefficients: float32, per interval rows of (POWERS, lanes): row |dy| = 0..half-width (a main
-    table), or rows -half-width..half-width for each of the S/2 x S offsets of a sub-pixel source. first: the interval
-    that `intervals` begins with. reach: largest half-width. taps, outlines: of a main table, else empty. taps: the same
-    weights once more, float32 (taps, count / TAP_LANES, POWERS, WIDE_LANES): of the octant's taps a >= b >= 0 in the
-    order of a (a + 1) / 2 + b or, of what `is_separable`, of those along an axis, the coefficients of WIDE_LANES
-    intervals from every TAP_LANES-th one on; zeros beyond the reach of an interval, and after the last one. outlines:
-    int32, (count, reach + 1, 2), see `_outline`, but for what is separable. Of a sampled disc (`is_disc`) coefficients
-    and taps have the one weight of each interval, and outlines the square roots of 0, 1, ... up to the last interval's
-    number, rounded down.
+    A source of radius R has the coordinate u (see `table_coordinate`), interval floor(u) and position
+    t = u - floor(u); its weight at (dx, dy) is c0 + t (c1 + t (c2 + t c3)).
+    intervals: int32 (count, 2): start in `coefficients`, half-width in px.
+    coefficients: float32, per interval rows of (POWERS, lanes): row |dy| = 0..half-width (a main table), or
+    rows -half-width..half-width for each of the S/2 x S offsets of a sub-pixel source. Of a general shape all rows of
+    either, for all S x S offsets.
+    first: the interval that `intervals` begins with; count: how many there are, and of a signed shape so many again, of
+    the negative radii, whose coordinates are larger by count. reach: largest half-width.
+    taps, outlines: of a main table, else empty, as for a general shape. taps: the same weights once more, float32
+    (taps, count / TAP_LANES, POWERS, WIDE_LANES): of the octant's taps a >= b >= 0 in the order of a (a + 1) / 2 + b
+    or, of what is separable, of those along an axis, the coefficients of WIDE_LANES intervals from every TAP_LANES-th
+    one on; zeros beyond the reach of an interval, and after the last one. outlines: int32, (count, reach + 1, 2), see
+    `_outline`, but for what is separable. Of a sampled disc coefficients and taps have the one weight of each interval,
+    and outlines the square roots of 0, 1, ... up to the last interval's number, rounded down.
     """
 
     first: int
     intervals: NDArray[np.int32]
     coefficients: NDArray[np.float32]
     reach: int
+    count: int
     taps: NDArray[np.float32]
     outlines: NDArray[np.int32]
 
@@ -159,12 +164,14 @@ def _span(psf: Psf, smallest: float, largest: float, subpixel: bool) -> range:
 
 def is_near(psf: Psf, largest: float) -> bool:
     """Whether sampled discs up to `largest` px reach so little that each tap of a row of sources is added by itself."""
-    return is_disc(psf) and table_reach(psf, largest) <= NEAR
+    return shape_of(psf).kind == "disc" and table_reach(psf, largest) <= NEAR
 
 
 def psf_features(psf: Psf) -> dict[str, int]:
-    """What the kernels are told of a PSF's kind."""
-    return {"SAMPLED": int(psf.edge == "sampled"), "DISC": int(is_disc(psf)), "SEPARABLE": int(is_separable(psf))}
+    """What programs are compiled for: the kind of a PSF; GENERAL is the number of edges of its lens mask."""
+    shape = shape_of(psf)
+    features = {"SAMPLED": shape.sampled, "DISC": shape.kind == "disc", "SEPARABLE": shape.kind == "separable"}
+    return {name: int(value) for name, value in features.items()} | {"GENERAL": len(shape.mask)}
 
 
 def table_reach(psf: Psf, largest: float, subpixel: bool = False) -> int:
@@ -175,14 +182,16 @@ def table_reach(psf: Psf, largest: float, subpixel: bool = False) -> int:
 def table_bytes(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> int:
     """Size of `psf_table` of the same arguments."""
     span = _span(psf, smallest, largest, subpixel > 0)
-    if is_disc(psf) and not subpixel:
+    if shape_of(psf).kind == "disc" and not subpixel:
         return 16 * len(span) + 4 * span.stop
     widths = _half_widths(psf, span, subpixel > 0)
     widest, each = int(widths[-1]), 4 * POWERS * _lanes(widths)
     of_taps = 4 * POWERS * WIDE_LANES * -(-len(span) // TAP_LANES)
+    if shape_of(psf).kind == "general":
+        return 2 * int((8 + each * (2 * widths + 1) * max(subpixel, 1) ** 2).sum()) + PADDING
     if subpixel:
         return int((8 + each * (2 * widths + 1) * subpixel * ((subpixel + 1) // 2)).sum())
-    if is_separable(psf):
+    if shape_of(psf).kind == "separable":
         return int((8 + each).sum()) + of_taps * (widest + 1)
     outlines = 8 * len(span) * (widest + 1)
     return int((8 + each * (widths + 1)).sum()) + of_taps * _octant_taps(widest) + outlines
@@ -204,9 +213,11 @@ def psf_table(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> P
     """Table for |blur radii| in [smallest, largest] px; subpixel > 0: for that many sub-pixel sources per axis."""
     fine = subpixel > 0
     span = _span(psf, smallest, largest, fine)
-    if is_disc(psf) and not fine:
+    if shape_of(psf).kind == "general":
+        return _general_table(psf, span, subpixel)
+    if shape_of(psf).kind == "disc" and not fine:
         return _disc_table(psf, span)
-    if is_separable(psf) and not fine:
+    if shape_of(psf).kind == "separable" and not fine:
         return _separable_table(psf, span)
     intervals, blocks, start = list[tuple[int, int]](), [], 0
     reach = _half_width(psf, span[-1], fine)
@@ -228,7 +239,34 @@ def psf_table(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> P
             blocks.append(block.ravel())
             start += block.size
     table = np.array(intervals, dtype=np.int32)
-    return PsfTable(span.start, table, np.concatenate(blocks), reach, _windows(taps), outlines)
+    return PsfTable(span.start, table, np.concatenate(blocks), reach, len(span), _windows(taps), outlines)
+
+
+def _general_table(psf: Psf, span: range, samples: int) -> PsfTable:
+    """Table of whole rows, for radii and then for negative ones, whose blur is mirrored in its center.
+
+    samples: sub-pixel sources per axis, 0 for those of whole pixels.
+    """
+    fine, intervals, blocks, start = samples > 0, list[tuple[int, int]](), list[NDArray[np.float32]](), 0
+    offsets = subpixel_offsets(samples) if fine else np.zeros(1)
+    for sign in (1, -1):
+        for first, count, half_width in _runs(psf, span, fine):
+            radii = _table_radius(psf, (span[first] + np.arange(count)[:, None] + NODES).ravel(), fine)
+            taps, tent = np.arange(-half_width, half_width + 1.0), psf.edge == "integrated" and not fine
+            squares = [polygon_rows(psf, radii, taps - ox, taps - oy, tent) for oy in offsets for ox in offsets]
+            if sign < 0:
+                squares = [square[:, ::-1, ::-1] for square in reversed(squares)]
+            values = np.concatenate(squares, axis=1)
+            found = np.tensordot(values.reshape(count, len(NODES), *values.shape[1:]), TO_POWERS, axes=(1, 1))
+            for powers in np.moveaxis(found, -1, 2):
+                block = np.zeros((*powers.shape[:2], _lanes(half_width)), dtype=np.float32)
+                block[:, :, : 2 * half_width + 1] = powers
+                intervals.append((start, half_width))
+                blocks.append(block.ravel())
+                start += block.size
+    table, none = np.array(intervals, dtype=np.int32), np.zeros(1, dtype=np.float32)
+    widest = int(table[:, 1].max())
+    return PsfTable(span.start, table, np.concatenate(blocks), widest, len(span), none, none.astype(np.int32))
 
 
 def _disc_table(psf: Psf, span: range) -> PsfTable:
@@ -238,7 +276,7 @@ def _disc_table(psf: Psf, span: range) -> PsfTable:
     center = np.zeros(1)
     each = weights(psf, center, center, _table_radius(psf, np.array(span) + 0.5, False)).astype(np.float32)
     roots = np.floor(np.sqrt(np.arange(span.stop))).astype(np.int32)
-    return PsfTable(span.start, intervals, each, int(half_width[-1]), each, roots)
+    return PsfTable(span.start, intervals, each, int(half_width[-1]), len(span), each, roots)
 
 
 def _separable_table(psf: Psf, span: range) -> PsfTable:
@@ -257,7 +295,7 @@ def _separable_table(psf: Psf, span: range) -> PsfTable:
             rows.append(block.ravel())
             start += block.size
     table, none = np.array(intervals, dtype=np.int32), np.zeros(0, dtype=np.int32)
-    return PsfTable(span.start, table, np.concatenate(rows), reach, _windows(sides), none)
+    return PsfTable(span.start, table, np.concatenate(rows), reach, len(span), _windows(sides), none)
 
 
 def _windows(taps: NDArray[np.float32]) -> NDArray[np.float32]:

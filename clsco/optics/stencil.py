@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.optics.psf import axis_weights, is_separable, reach, weights
+from clsco.optics.psf import axis_weights, reach, shape_of, weights
 from clsco.scene.model import Psf
 
 LONGEST_RUN = 8  # weights that a kernel keeps in registers
@@ -68,7 +68,7 @@ class Stencil:
 
 def is_summed(psf: Psf, half_width: int) -> bool:
     """Whether PSFs of this half-width in px use rectangles."""
-    return psf.model == "pillbox" and half_width >= SUMMED
+    return not shape_of(psf).soft and half_width >= SUMMED
 
 
 @lru_cache(maxsize=64)
@@ -88,7 +88,7 @@ def stencils(psf: Psf, radius: float) -> tuple[Stencil, ...]:
     """
     far = reach(psf, radius)
     offset = np.arange(far + 1.0)
-    if is_separable(psf):
+    if shape_of(psf).kind == "separable":
         line = axis_weights(psf, offset, np.asarray(radius)).astype(np.float32)
         return Stencil(*_runs(line[None, :])), Stencil(*_runs(line[:, None]))
     quadrant = weights(psf, offset[None, :], offset[:, None], np.asarray(radius)).astype(np.float32)

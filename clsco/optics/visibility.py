@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from clsco.optics.lens import lens_radius
 from clsco.optics.motion import Pose
-from clsco.optics.psf import disc_coverage
+from clsco.optics.psf import disc_coverage, shape_of, subpixel_weights
 from clsco.optics.quadrics import Extent, place
 from clsco.scene.model import Camera, Object, Psf
 
@@ -41,18 +41,33 @@ class Layer:
 
 def lens_extent(psf: Psf) -> float:
     """Radius of the lens that a PSF stands for, in aperture radii: light that leaves at R l comes from l."""
-    return 1.0 if psf.model == "pillbox" else psf.sigma_ratio * psf.truncation
+    return shape_of(psf).extent
 
 
 def lens_cells(psf: Psf) -> Array:
-    """Light (2 LENS_CELLS, 2 LENS_CELLS) through each cell of a square around the lens, up to a factor."""
+    """Light (2 LENS_CELLS, 2 LENS_CELLS) through each cell of a square around the lens, up to a factor.
+
+    Cells as the image of a positive blur radius shows them; of a negative one they are mirrored where the shape of the
+    PSF is `signed`.
+    """
     at = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
     x, y = np.meshgrid(at, at)
+    if shape_of(psf).signed:
+        return subpixel_weights(psf, x, y, np.asarray(float(LENS_CELLS)))
     area = disc_coverage(x, y, np.asarray(float(LENS_CELLS)), tent=False)
-    if psf.model == "pillbox":
+    if not shape_of(psf).soft:
         return area
     spread = psf.truncation / LENS_CELLS
     return np.asarray(area * np.exp(-0.5 * (x * x + y * y) * spread**2))
+
+
+def lens_floats(psf: Psf) -> Array:
+    """What kernels look up of a lens: its cells; where the shape is `signed`, mirrored ones and the lens mask after
+    them."""
+    cells = lens_cells(psf)
+    if not shape_of(psf).signed:
+        return cells
+    return np.concatenate([cells.ravel(), cells[::-1, ::-1].ravel(), shape_of(psf).lens_mask.ravel()])
 
 
 def extent(item: Object, poses: Sequence[Pose], seen: Array) -> Extent:

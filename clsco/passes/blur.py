@@ -15,7 +15,7 @@ from clsco.opencl.buffers import empty, mapped, upload
 from clsco.opencl.program import kernel, launch
 from clsco.opencl.session import Program, Session
 from clsco.optics.psf_tables import NEAR, TAP_LANES, PsfTable, psf_features, psf_table
-from clsco.optics.visibility import lens_cells
+from clsco.optics.visibility import lens_floats
 from clsco.passes.convolve import Convolution
 from clsco.passes.pack import psf_struct
 from clsco.plan.memory import MOST_IN_ONE_SUM, Scratch, band_scratch, bands_at_a_time, margin, spread_bytes
@@ -118,7 +118,7 @@ class Spreader:
         kept: Scratch = "near" if features["NEAR"] else "rows" if features["BY_ROWS"] else "none"
         kept = "columns" if features["BY_COLUMNS"] else kept
         self.tables = [(upload(session, t.intervals), upload(session, t.coefficients)) for t in tables]
-        self.lens = upload(session, lens_cells(psf).astype(np.float32))
+        self.lens = upload(session, lens_floats(psf).astype(np.float32))
         rows, columns = int(camera["rows"]), int(camera["columns"])
         far, cores = int(self.struct["reach"]), session.device.compute_units
         self.pad, self.pitch = margin(columns, int(camera["guard"]), far)

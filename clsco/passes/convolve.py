@@ -18,7 +18,8 @@ from clsco.scene.model import Psf
 
 Events = list[tuple[str, cl.Event]]
 
-FEATURES = dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SAMPLED", "CHANNELS"), 0)
+SHAPES = ("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED")
+FEATURES = dict.fromkeys((*SHAPES, "FILTER", "SAMPLED", "GENERAL", "CHANNELS"), 0)
 CONVOLVED, TILES_ABREAST = (
     (32, 64),
     8,

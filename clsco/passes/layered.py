@@ -61,7 +61,7 @@ class Layers:
         chosen = image_features(method, psf, largest, planes, tilt, session.device.has_fp64)
         blur = build(session, FILES_OF[method], chosen, structs(real), real)
         # By itself, since nothing else changes its eleven kernels.
-        layer = PLAIN | {"SAMPLED": 0, "CHANNELS": planes, "SCATTER": chosen["SCATTER"]}
+        layer = PLAIN | {"SAMPLED": 0, "GENERAL": 0, "CHANNELS": planes, "SCATTER": chosen["SCATTER"]}
         self.program = blur | build(session, ["layered/layered.cl"], layer, structs(real), real)
         self.inner = Spreader(
             session, blur, psf, method, self.camera, planes, 0.0, largest, 0, real, max(brightest, 1.0), chosen

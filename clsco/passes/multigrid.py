@@ -23,16 +23,15 @@ from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Program, Session
 from clsco.optics.multigrid import (
     FADE,
-    PIXEL_MOMENT,
-    SHARPENING,
     STEEPEST,
     coarse_frame,
     coarse_psf,
     coarse_radii,
     loss,
     plane_shape,
-    second_moment,
+    sharpening,
 )
+from clsco.optics.psf import shape_of
 from clsco.optics.psf_tables import TAP_LANES, psf_features
 from clsco.passes.blur import BLOCKS, FILES_OF, PIXELS, PLAIN, Events, Sources, Spreader, image_features
 from clsco.plan.memory import grid_bytes
@@ -92,7 +91,7 @@ class Coarse(Spreader):
             return
         coarse = coarse_psf(psf)
         tools = PLAIN | psf_features(psf) | {"CHANNELS": channels, "TILT": int(self.tilt)}
-        tools["SAMPLED"] = int(coarse.edge == "sampled")
+        tools["SAMPLED"] = int(shape_of(coarse).sampled)
         self.tools = build(session, ["blur/multigrid.cl"], tools, structs(real), real)
         for radius in radii:
             plain = image_features(method, coarse, radius, channels, self.tilt, session.device.has_fp64)
@@ -139,7 +138,7 @@ class Coarse(Spreader):
 
     def _move(self, sources: Sources, events: Events) -> None:
         finest = replace(self.levels[0], value=sources.value, source=sources.source)
-        sampled, pitch = np.int32(self.psf.edge == "sampled"), np.int32(finest.pitch)
+        sampled, pitch = np.int32(shape_of(self.psf).sampled), np.int32(finest.pitch)
         self._run(
             "measure_radii", _blocks(*finest.size), BLOCKS, events,
             self.camera, self.struct, finest.source, self.marked, sampled, pitch, finest.radius, finest.tilt,
@@ -158,7 +157,7 @@ class Coarse(Spreader):
                 "halve", _blocks(*coarse.size), BLOCKS, events, fine.camera, coarse.camera, *planes, fine.tilt,
                 np.float32(lost), *pitches, coarse.value, coarse.radius, coarse.tilt,
             )  # fmt: skip
-            blunt = np.float32(PIXEL_MOMENT[coarse.spreader.psf.edge] / second_moment(self.psf))
+            blunt = np.float32(shape_of(coarse.spreader.psf).pixel_moment / shape_of(self.psf).second_moment)
             self._run(
                 "aim_nodes", coarse.size, PIXELS, events,
                 coarse.camera, coarse.spreader.struct, coarse.radius, coarse.tilt, blunt, pitches[1], coarse.source,
@@ -174,7 +173,7 @@ class Coarse(Spreader):
         """The frame as of `Spreader.image`, of which there are no strips; of a frame once."""
         if self.levels:
             self._sample_frame(-1.0, events)
-        sharp = np.float32(SHARPENING[self.psf.model])
+        sharp = np.float32(sharpening(self.psf))
         for coarse, fine in pairwise(reversed(self.levels)):
             layouts = [
                 argument

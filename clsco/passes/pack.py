@@ -83,7 +83,7 @@ def psf_struct(psf: Psf, table: PsfTable, subpixel: PsfTable | None, real: Real)
     """psf_t for a main table and, where there are sub-pixel sources, theirs."""
     values: dict[str, Any] = {
         "first": table.first,
-        "count": len(table.intervals),
+        "count": table.count,
         "reach": max(table.reach, subpixel.reach if subpixel else 0),
         "key": sampled_key(psf),
         "minimum_blur": MINIMUM_BLUR,
@@ -94,7 +94,7 @@ def psf_struct(psf: Psf, table: PsfTable, subpixel: PsfTable | None, real: Real)
     }
     values["fine_steps"], values["fine_until"] = sampled_steps(psf)
     if subpixel:
-        values |= {"sub_first": subpixel.first, "sub_count": len(subpixel.intervals)}
+        values |= {"sub_first": subpixel.first, "sub_count": subpixel.count}
     return filled("psf_t", real, values)
 
 

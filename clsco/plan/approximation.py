@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from clsco.errors import SceneError
 from clsco.optics.multigrid import FADE, MOST_LEVELS, loss
-from clsco.optics.psf import is_disc, psf_extent
+from clsco.optics.psf import psf_extent, shape_of
 from clsco.scene.model import Psf
 
 Array = NDArray[np.float64]
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 # Methods by name, the fastest first, with the smallest radius that a coarser grid holds, in its own px.
 METHODS = {"coarse2": 2.0, "coarse4": 4.0, "coarse8": 8.0, "coarse16": 16.0}
 # Taps per pixel that the way to coarser grids and back costs as much as; the more, the faster the exact way is at them.
-DISC_TAPS, MOVING_TAPS = 1200.0, {"pillbox": 450.0, "gaussian": 400.0}
+DISC_TAPS, MOVING_TAPS, SOFT_TAPS = 1200.0, 450.0, 400.0
 PIXELS_PER_PLACE, FEWEST_PLACES, MOST_PLACES = 1024, 256, 512  # where errors are sampled
 
 
@@ -80,7 +80,9 @@ def checked_tolerance(tolerance: float, method: str) -> float:
 
 
 def check_border(psf: Psf, method: str) -> None:
-    """Raises SceneError where a method cannot keep the light within the frame."""
+    """Raises SceneError where a method cannot keep the light within the frame, or take the shape of the lens."""
+    if method in (*METHODS, "convolve") and shape_of(psf).kind == "general":
+        raise SceneError(f'method: {method} needs aperture.shape = "circle"; got {psf.aperture.shape}')
     if method in METHODS and psf.border != "lose":
         raise SceneError(f'method: {method} needs psf.border = "lose"; got {psf.border}')
 
@@ -88,12 +90,14 @@ def check_border(psf: Psf, method: str) -> None:
 def candidates(psf: Psf, radii: Array) -> tuple[str, ...]:
     """Names in METHODS that are faster than the exact way for |blur radii| in px (any shape), the fastest first.
 
-    By the number of taps: per pixel they must be fewer by at least DISC_TAPS for sampled discs, MOVING_TAPS for others
-    (measured: benchmarks/optimisation_log.md).
+    By the number of taps: per pixel they must be fewer by at least DISC_TAPS for sampled discs, SOFT_TAPS for
+    Gaussians, MOVING_TAPS for others; there is none for a polygon (measured: benchmarks/optimisation_log.md).
     """
-    if psf.border != "lose" or radii.size == 0:
+    shape = shape_of(psf)
+    if psf.border != "lose" or radii.size == 0 or shape.kind == "general":
         return ()
-    exact, least_saved = _taps(psf, radii), DISC_TAPS if is_disc(psf) else MOVING_TAPS[psf.model]
+    moving = SOFT_TAPS if shape.soft else MOVING_TAPS
+    exact, least_saved = _taps(psf, radii), DISC_TAPS if shape.kind == "disc" else moving
     return tuple(
         name for name, least in METHODS.items() if (exact - _coarse_taps(psf, radii, least)).mean() >= least_saved
     )

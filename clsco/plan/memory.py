@@ -14,7 +14,7 @@ import numpy as np
 from clsco.errors import SceneError
 from clsco.frame.strips import BAND, Strip, cut
 from clsco.optics.multigrid import coarse_frame, coarse_psf, coarse_radii, plane_shape
-from clsco.optics.psf import is_disc, is_separable
+from clsco.optics.psf import shape_of
 from clsco.optics.psf_tables import TAP_LANES, WIDE_LANES, is_near, table_bytes, table_reach
 from clsco.optics.slabs import levels_of, margin_of_slabs, most_deep
 from clsco.optics.stencil import is_summed
@@ -121,9 +121,9 @@ def band_scratch(psf: Psf, largest: float, fp64: bool) -> Scratch:
     of small reach ("near") or any ("rows"), and of others columns of them."""
     if is_near(psf, largest):
         return "near"
-    if is_disc(psf):
+    if shape_of(psf).kind == "disc":
         return "rows" if fp64 else "none"
-    return "columns"
+    return "none" if shape_of(psf).kind == "general" else "columns"
 
 
 def source_bytes(sources: int, tilt: bool, marked: bool = False) -> int:
@@ -156,7 +156,7 @@ def row_bytes(psf: Psf, channels: int, far: int, near: bool) -> int:
 def column_bytes(psf: Psf, channels: int, far: int) -> int:
     """The same for columns of sources, see kernels/blur/cpu/columns.clh."""
     tiles, slopes = 8 * channels * BAND * (far // WIDE_LANES + 2 | 1) * WIDE_LANES, 2 * psf.tilt
-    if is_separable(psf):
+    if shape_of(psf).kind == "separable":
         item = 4 * WIDE_LANES * (slopes + channels + far + 1 + WIDE_LANES)
         sums = 4 * WIDE_LANES * SIDE * BAND * (1 + psf.tilt)
         return sums + tiles + min(max(ITEMS_BYTES // item, 2 * WIDE_LANES), ITEMS) * (item + 8)
@@ -185,7 +185,7 @@ def spread_bytes(
         sizes["sums"] = 8 * channels * rows * columns
     if method == "convolve" and is_summed(psf, far):
         sizes["sums"] = 8 * ((rows + 2 * guard) * (columns + 2 * guard) + SUMS_BEYOND)
-    if method == "convolve" and is_separable(psf):
+    if method == "convolve" and shape_of(psf).kind == "separable":
         sizes["across"] = 4 * (rows + 2 * guard) * ceil(columns / 64) * 64
     return sizes
 

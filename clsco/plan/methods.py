@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import SceneError
-from clsco.optics.psf import MINIMUM_BLUR, psf_extent
+from clsco.optics.psf import shape_of
 from clsco.plan.approximation import METHODS
 from clsco.scene.model import Psf
 
@@ -20,9 +20,7 @@ MANY_RADII: tuple[Blur, ...] = ("gather", "scatter", "tiles")  # methods for sou
 
 def is_sharp(psf: Psf, largest: float) -> bool:
     """Whether the PSF of the |blur radius| `largest` px keeps all light in its pixel."""
-    if psf.edge == "sampled":
-        return largest < MINIMUM_BLUR or float(psf_extent(psf, largest)) < 1.0
-    return largest == 0.0 or (psf.edge == "area" and float(psf_extent(psf, largest)) <= 0.5)
+    return shape_of(psf).is_sharp(largest)
 
 
 def many_radii(gpu: bool, occluded: bool = False, approximate: bool = False) -> Blur:

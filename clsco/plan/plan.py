@@ -16,7 +16,7 @@ from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES
 from clsco.frame.strips import Strip, cut
 from clsco.optics.lens import LARGEST_BLUR, blur_radius
 from clsco.optics.motion import Eye, Pose, sample_times
-from clsco.optics.psf import psf_extent
+from clsco.optics.psf import psf_extent, shape_of
 from clsco.optics.psf_tables import TAP_LANES, check_tables, psf_features, table_reach
 from clsco.optics.quadrics import canonical
 from clsco.optics.slabs import margin_of_slabs
@@ -214,7 +214,7 @@ def make_plan(
     silhouettes = psf.silhouette_samples if psf.silhouette_samples > 1 and rays and not slabs else 0
     if silhouettes and _fills_view(scene, w):
         silhouettes = 0
-    constant = _constant_blur(scene) and not silhouettes and psf.border == "lose"
+    constant = _constant_blur(scene) and not silhouettes and psf.border == "lose" and shape_of(psf).kind != "general"
     sharp = is_sharp(psf, largest) and not silhouettes
     check_border(psf, method)
     occlusion, found = _occlusion(scene, rays, sharp, moments, each)
@@ -281,7 +281,7 @@ def _passes(
     if gpu and occlusion == "visibility":
         how["scatter"] += ", as tiles do not test what is in the way"
     either(
-        blur != "none", "blur", f"{psf.model}, {psf.edge}, R up to {largest:.3g} px, {blur}: {how.get(blur, '')}",
+        blur != "none", "blur", f"{shape_of(psf).name}, R up to {largest:.3g} px, {blur}: {how.get(blur, '')}",
         f"in focus: R up to {largest:.3g} px stays within its pixel",
     )  # fmt: skip
     either(psf.border == "renormalize", "renormalize", "light over the border is given back", 'border = "lose"')

@@ -34,6 +34,7 @@ def unused_keys(plan: Plan) -> list[tuple[str, str]]:
     if plan.blur == "none":
         keys = [key for key in type(scene.psf).model_fields if key != "silhouette_samples"]
         give("psf", keys, "everything is in focus")
+        give("aperture", type(scene.aperture).model_fields, "everything is in focus")
     left_out = dict(plan.left_out)
     if not plan.tilt and scene.psf.tilt:
         give("psf", ("tilt",), left_out["tilt"])
@@ -41,7 +42,8 @@ def unused_keys(plan: Plan) -> list[tuple[str, str]]:
         give("psf", ("silhouette_samples",), left_out["silhouettes"])
     if "occlusion" in left_out:
         give("psf", ("occlusion",), left_out["occlusion"])
-    sections: list[tuple[str, Any]] = [(name, getattr(scene, name)) for name in ("psf", "sequence", "motion", "fill")]
+    named = ("aperture", "psf", "sequence", "motion", "fill")
+    sections: list[tuple[str, Any]] = [(name, getattr(scene, name)) for name in named]
     for index, item in enumerate(scene.objects):
         if isinstance(item, DepthMap) and not any(item.motion.angular_velocity):
             give(f"object[{index}]", ("center",), "the depth map does not turn")

@@ -52,6 +52,8 @@ _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
     ("camera.aperture_diameter", None, "camera.f_number"),
     ("camera.focus_distance", None, "camera.sensor_distance"),
     ("camera.sensor_distance", None, "camera.focus_distance"),
+    ("aperture.shape", "circle", "aperture.blades"),
+    ("aperture.shape", "circle", "aperture.rotation"),
     ("psf.model", "pillbox", "psf.sigma_ratio"),
     ("psf.model", "pillbox", "psf.truncation"),
     ("motion.warp", "forward", "motion.texture_filter"),
@@ -311,8 +313,8 @@ def dump(scene: Scene) -> dict[str, Any]:
         del data["camera"]["aperture_diameter"]
     if scene.camera.focus_distance is not None:
         del data["camera"]["sensor_distance"]
-    for key, value in (("psf.model", scene.psf.model), ("motion.warp", scene.motion.warp)):
-        _displace(data, key, value)
+    for key, section in (("aperture.shape", "aperture"), ("psf.model", "psf"), ("motion.warp", "motion")):
+        _displace(data, key, data[section][key.rpartition(".")[2]])
     if scene.psf.occlusion == "visibility" and not scene.is_ray_castable:
         del data["psf"]["occlusion"]  # the default, which only the plan can resolve
     return data

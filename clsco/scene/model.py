@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
+from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
 from clsco.scene.quantities import (
     MAX_LENGTH_MM,
@@ -48,6 +48,7 @@ from clsco.scene.shapes import (
 __all__ = [
     "BUILT_IN_TEXTURES",
     "AnyShape",
+    "Aperture",
     "Camera",
     "CameraMotion",
     "Cone",
@@ -142,6 +143,25 @@ class Camera(Strict):
         return value
 
 
+class Aperture(Strict):
+    """Opening of the lens: a circle, or a regular polygon inscribed in it; the light through it is the same."""
+
+    shape: Literal["circle", "polygon"] = "circle"
+    """A circle, or straight blades."""
+    blades: Annotated[int, Within(3, 32)] = 6
+    """Number of blades; only with shape = "polygon"."""
+    rotation: Annotated[float, Within(-360.0, 360.0, "deg")] = 0.0
+    """Turn, counter-clockwise in the image of a far light, deg; at 0 an edge faces right; only with
+    shape = "polygon"."""
+
+    @field_validator("blades", "rotation")
+    @classmethod
+    def _of_the_polygon(cls, value: float, info: ValidationInfo) -> float:
+        if info.data.get("shape") == "circle":
+            raise fault('belongs to aperture.shape = "polygon", not "circle"')
+        return value
+
+
 class Psf(Strict):
     """Point spread function, and how exactly it is evaluated."""
 
@@ -171,6 +191,24 @@ class Psf(Strict):
         if info.data.get("model") == "pillbox":
             raise fault('belongs to psf.model = "gaussian", not "pillbox"')
         return value
+
+    _aperture: Aperture = PrivateAttr(default=Aperture())
+
+    @property
+    def aperture(self) -> Aperture:
+        """The opening whose blur this is; a circle, but for what `through` gives."""
+        return self._aperture
+
+    def through(self, aperture: Aperture) -> Self:
+        """The PSF of another aperture; a polygon needs a pillbox that is not sampled."""
+        if aperture.shape == "polygon" and self.model == "gaussian":
+            raise at_keys([(("aperture", "shape"), fault('"polygon" needs psf.model = "pillbox"'), aperture.shape)])
+        if aperture.shape == "polygon" and self.edge == "sampled":
+            rule = '"polygon" needs psf.edge = "integrated" or "area"'
+            raise at_keys([(("aperture", "shape"), fault(rule), aperture.shape)])
+        changed = self.model_copy()
+        changed._aperture = aperture
+        return changed
 
 
 class Sequence(Strict):
@@ -247,6 +285,7 @@ class Scene(Strict):
     title: Text = ""
     """Title; recorded in the metadata, used nowhere else."""
     camera: Camera = Camera()
+    aperture: Aperture = Aperture()
     psf: Psf = Psf()
     sequence: Sequence = Sequence()
     motion: Motion = Motion()
@@ -271,6 +310,12 @@ class Scene(Strict):
             rule = fault('belongs to motion.warp = "forward", not "inverse"')
             raise at_keys([((key,), rule, getattr(value, key)) for key in sorted(value.model_fields_set)])
         return value
+
+    @model_validator(mode="after")
+    def _psf_of_the_aperture(self) -> Self:
+        if self.psf.aperture != self.aperture:
+            self.__dict__["psf"] = self.psf.through(self.aperture)  # frozen for everybody else
+        return self
 
     @model_validator(mode="after")
     def _visibility_needs_rays(self) -> Self:

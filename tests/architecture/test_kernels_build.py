@@ -36,9 +36,12 @@ KERNELS = Path(__file__).resolve().parents[2] / "kernels"
 ON_OR_OFF: tuple[int, ...] = (0, 1)
 GEOMETRY: dict[str, tuple[int, ...]] = {
     **dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "SAMPLED"), ON_OR_OFF),
+    "GENERAL": (0,),
     "CHANNELS": (1, 3),
     "FILTER": (0, 2, 1),
 }
+GENERAL = {"GENERAL": (0, 0, 6)}  # not with what is alike in all octants
+
 BLUR = (
     *("SAMPLED", "TILT", "GATHER", "BY_ROWS", "SCATTER", "RENORMALIZE", "PREPARE"),
     *("DISC", "SEPARABLE"),
@@ -53,23 +56,26 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     GATHER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (1, BAND), "NEAR": (0, NEAR), "BY_COLUMNS": (0, 0, 1)}
-    | {"GATHER": (1,)},
+    | {"GATHER": (1,)}
+    | GENERAL,
     SCATTER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (BAND,)}
-    | dict.fromkeys(("GATHER", "BY_ROWS", "NEAR", "BY_COLUMNS"), (0,)),
+    | dict.fromkeys(("GATHER", "BY_ROWS", "NEAR", "BY_COLUMNS"), (0,))
+    | GENERAL,
     ("blur/multigrid.cl",): dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(("TILT", "DISC", "SAMPLED", "SEPARABLE"), ON_OR_OFF)
-    | {"CHANNELS": (1, 3)},
+    | {"CHANNELS": (1, 3), "GENERAL": (0,)},
     ("blur/tiles.cl",): dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(("SAMPLED", "TILT", "DISC", "SEPARABLE"), ON_OR_OFF)
-    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 3)},
+    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 3)}
+    | GENERAL,
     ("blur/accumulate.cl",): GEOMETRY,
     ("blur/convolve.cl",): GEOMETRY | {"WIDE_SUMS": ON_OR_OFF},
     ("inpainting/fse.cl",): GEOMETRY,
     ("inpainting/biharmonic.cl",): GEOMETRY,
     FORWARD: GEOMETRY
-    | dict.fromkeys(("FILTER", "SAMPLED", "IMAGE", "CODES"), (0,))
+    | dict.fromkeys(("FILTER", "SAMPLED", "GENERAL", "IMAGE", "CODES"), (0,))
     | dict.fromkeys(("OWNED", "MAPPED", "FILL_AIT", "FILL_MEAN_MEDIAN", "FILL_FAR", "DOMAIN_SURFACE"), ON_OR_OFF),
 }
 PROGRAMS[HOLES] = dict.fromkeys(FEATURES, (0,)) | {"CHANNELS": (1, 3), "CODES": ON_OR_OFF, "ALONE": ON_OR_OFF}
@@ -78,6 +84,7 @@ PROGRAMS[HOLES] |= {"FILL_MEAN_MEDIAN": (1,), "IMAGE": (1,)}
 OCCLUSION = tuple(("trace/trace.cl", *files) for files in (GATHER, SCATTER))
 # Features that have to do with it; of the others there is one value, the program being a long one.
 TOLD = {"OCCLUDED", "SEVERAL", "QUADRATIC", "NAPPE", "BOUNDED", "CHANNELS", "SUBPIXELS", "TILT", "GATHER", "SCATTER"}
+TOLD |= {"GENERAL"}
 # What goes by columns goes neither by rows nor tap by tap, as sampled discs do.
 NOT_BY_COLUMNS = ("BY_ROWS", "NEAR", "DISC")
 for FILES in OCCLUSION:
@@ -85,7 +92,10 @@ for FILES in OCCLUSION:
     PROGRAMS[FILES] |= {name: values[1:2] or values for name, values in PROGRAMS[FILES].items() if name not in TOLD}
     PROGRAMS[FILES] |= dict.fromkeys((*NOT_BY_COLUMNS, "SEPARABLE"), (0,))
 PROGRAMS[OCCLUSION[0]] |= {"BY_COLUMNS": ON_OR_OFF}
-PROGRAMS["layered/layered.cl",] = dict.fromkeys((*PLAIN, "SAMPLED"), (0,)) | {"CHANNELS": (2, 4), "SCATTER": ON_OR_OFF}
+PROGRAMS["layered/layered.cl",] = dict.fromkeys((*PLAIN, "SAMPLED", "GENERAL"), (0,)) | {
+    "CHANNELS": (2, 4),
+    "SCATTER": ON_OR_OFF,
+}
 GIVEN_BY_THE_BUILD = {"REAL_IS_DOUBLE", "HAS_INT64_ATOMICS", "HAS_FP64", "VECTOR_WIDTH", "defined"}
 GIVEN_BY_THE_BUILD |= {"__FMA__", "__SSE4_1__", "__AVX__", "__AVX2__", "__AVX512F__"}
 
@@ -113,6 +123,8 @@ def variants(features: dict[str, tuple[int, ...]]) -> list[dict[str, int]]:
     on = {name: values[min(1, len(values) - 1)] for name, values in features.items()}
     others = [on | {name: value} for name, values in features.items() for value in values if value != on[name]]
     none = dict.fromkeys(NOT_BY_COLUMNS, 0)
+    alone = dict.fromkeys((*NOT_BY_COLUMNS, "SEPARABLE", "SAMPLED", "BY_COLUMNS"), 0)
+    others = [one | dict.fromkeys(alone.keys() & one.keys(), 0) if one.get("GENERAL") else one for one in others]
     return [one | none if one.get("BY_COLUMNS") or one.get("DISC") == 0 else one for one in (off, on, *others)]
 
 

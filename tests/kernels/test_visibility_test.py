@@ -139,7 +139,8 @@ def test_a_lens_larger_than_the_aperture_through_its_cells(session: Session, run
     edge = Occluder(h, zero, none[:, :5], np.full(count, 2), none[:, :3], zero, none, none, zero, (), ())
     there = np.ones(count, dtype=bool)
     x, y = offset.T
-    visibility = Visibility(np.arange(count), radius, ~there, x, y, ((there, edge),), extent, lens_cells(psf))
+    lens = extent, lens_cells(psf), none[:0, :3]
+    visibility = Visibility(np.arange(count), radius, ~there, x, y, ((there, edge),), *lens)
     cells = cell_visibility(visibility)
     taps = range(-7, 8)
     expected = np.array([[tap_share(visibility, cells, float(dx), float(dy)) for dx in taps] for dy in taps])

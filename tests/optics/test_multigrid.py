@@ -180,13 +180,13 @@ def test_a_radius_shrinks_with_its_grid() -> None:
 
 @pytest.mark.parametrize("psf", [Psf(), Psf(edge="sampled"), GAUSSIAN, Psf(model="gaussian", edge="sampled")])
 def test_second_moments_are_those_of_the_weights(psf: Psf) -> None:
-    from clsco.optics.multigrid import PIXEL_MOMENT, second_moment
+    from clsco.optics.psf import shape_of
 
     offset, radius = np.arange(-40.0, 41.0), 12.0
     table = weights(psf, offset[None, :], offset[:, None], np.asarray(radius))
     found = float((table * offset[None, :] ** 2).sum())
     # A circle of pixel centers is not round, by up to 3 % at 12 px.
-    assert found == pytest.approx(second_moment(psf) * radius**2 + PIXEL_MOMENT[psf.edge], rel=3e-2)
+    assert found == pytest.approx(shape_of(psf).second_moment * radius**2 + shape_of(psf).pixel_moment, rel=3e-2)
 
 
 @pytest.mark.parametrize(

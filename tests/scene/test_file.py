@@ -303,6 +303,7 @@ def test_schema_documents_every_key() -> None:
     assert list(schema["properties"]) == [
         "title",
         "camera",
+        "aperture",
         "psf",
         "sequence",
         "motion",

@@ -54,11 +54,15 @@ def tilt_factor(dx: ArrayLike, dy: ArrayLike, slope: Array) -> Array:
     return np.maximum(0.0, 1.0 + (np.asarray(dx) * slope[..., 0] + np.asarray(dy) * slope[..., 1]))
 
 
-def _octant(offset_limit: int) -> Iterator[tuple[int, int, set[tuple[int, int]]]]:
-    """Offsets a <= b with all the offsets that share their weight: signs changed, axes swapped."""
+def _alike_offsets(offset_limit: int, alone: bool) -> Iterator[tuple[int, int, set[tuple[int, int]]]]:
+    """An offset, and all that share its weight: signs changed, axes swapped; alone: none does."""
+    if alone:
+        span = range(-offset_limit, offset_limit + 1)
+        yield from ((dx, dy, {(dx, dy)}) for dy in span for dx in span)
+        return
     for b in range(offset_limit + 1):
         for a in range(b + 1):
-            yield a, b, {(s * x, t * y) for x, y in ((a, b), (b, a)) for s in (1, -1) for t in (1, -1)}
+            yield b, a, {(s * x, t * y) for x, y in ((a, b), (b, a)) for s in (1, -1) for t in (1, -1)}
 
 
 def _alike(visibility: Visibility) -> list[tuple[NDArray[np.int64], Visibility, Array]]:
@@ -80,17 +84,20 @@ def _shares(
     Targets outside of the frame are left out.
     """
     size, slope = np.abs(sources.radius).ravel(), tilt_slope(sources.gradient, sources.radius).reshape(-1, 2)
+    signed = sources.radius.ravel()
     row, column = (axis.ravel() - guard for axis in np.indices(there.shape))
     at = np.flatnonzero(there)
     at = at[np.argsort(size[at], kind="stable")]  # a block's sources have nearly the same taps
     blocks = [at[start : start + BLOCK] for start in range(0, at.size, BLOCK)]
     reaches = [psf_weights.reach(psf, float(size[block[-1]])) for block in blocks]
     groups = [] if sources.visibility is None else _alike(sources.visibility)
-    for a, b, offsets in _octant(max(reaches, default=-1)):
+    alone = psf_weights.shape_of(psf).kind == "general"
+    for right, down, offsets in _alike_offsets(max(reaches, default=-1), alone):
         weight = np.zeros(there.size)
         for block, far in zip(blocks, reaches, strict=True):
-            if far >= b:
-                weight[block] = psf_weights.weights(psf, np.asarray(float(b)), np.asarray(float(a)), size[block])
+            if far >= max(abs(right), abs(down)):
+                offset = np.asarray(float(right)), np.asarray(float(down))
+                weight[block] = psf_weights.weights(psf, *offset, signed[block])
         lit = np.flatnonzero(weight)
         for dx, dy in sorted(offsets):
             y, x = row[lit] + dy, column[lit] + dx

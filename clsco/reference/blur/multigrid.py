@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 from clsco.optics.multigrid import (
     FADE,
     MOST_LEVELS,
-    PIXEL_MOMENT,
-    SHARPENING,
     STEEPEST,
     coarse_frame,
     coarse_psf,
     loss,
-    second_moment,
+    sharpening,
 )
+from clsco.optics.psf import shape_of
 from clsco.reference.blur.blur import Shape, scatter
 from clsco.reference.common.geometry import Array
 from clsco.reference.trace.trace import Sources, SubpixelSources
@@ -149,7 +148,7 @@ def _blurred(
     nodes = m + 2 * around, n + 2 * around
     light, small, turned = halve(radius, share, sources.radiance, tilt, loss(psf, level == 0), nodes)
     there = ~np.isnan(small)
-    blunt = PIXEL_MOMENT[coarse_psf(psf).edge] / second_moment(psf)
+    blunt = shape_of(coarse_psf(psf)).pixel_moment / shape_of(psf).second_moment
     sources = Sources(
         light,
         np.ones(nodes),
@@ -159,5 +158,5 @@ def _blurred(
         there,
     )
     below, _ = _blurred(psf, sources, None, (m, n), around, least, level + 1, (small, turned))
-    wide = enlarge(below, around, shape, guard, SHARPENING[psf.model])
+    wide = enlarge(below, around, shape, guard, sharpening(psf))
     return frame + wide, wide

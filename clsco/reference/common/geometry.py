@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clsco.optics.lens import blur_scale, focus_power, ray_step
+from clsco.optics.psf import shape_of
 from clsco.optics.psf_tables import table_coordinate as coordinate_of_radius
 from clsco.optics.quadrics import PlacedSurface
 from clsco.optics.visibility import Layer
@@ -326,9 +327,14 @@ def table_coordinate(psf: Psf, radius: Array, subpixel: bool, first: int, count:
     u = np.maximum(coordinate_of_radius(psf, radius, subpixel), first)
     rounded = u.astype(np.float32)
     highest = np.full(u.shape, first + count)
-    jumps = psf.edge == "sampled" and not subpixel
+    jumps = shape_of(psf).sampled and not subpixel
     ceiling = (np.minimum(np.floor(u) + 1.0, highest) if jumps else highest).astype(np.float32)
-    return np.where(rounded < ceiling, rounded, np.nextafter(ceiling, np.float32(0.0)))
+    found = np.where(rounded < ceiling, rounded, np.nextafter(ceiling, np.float32(0.0)))
+    if not shape_of(psf).signed:
+        return found
+    turned, end = found + np.float32(count), ceiling + np.float32(count)
+    turned = np.where(turned < end, turned, np.nextafter(end, np.float32(0.0)))
+    return np.where(np.asarray(radius) < 0.0, turned, found)
 
 
 def tilt_slope(gradient: Array, radius: ArrayLike) -> Array:

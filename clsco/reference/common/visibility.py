@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.optics.lens import blur_scale, lens_radius
+from clsco.optics.psf import shape_of
 from clsco.optics.quadrics import PlacedSurface
 from clsco.optics.visibility import LENS_CELLS, Layer, lens_cells, lens_extent
 from clsco.reference.common.geometry import Array, Bounds, difference_of_products, turned
@@ -301,7 +302,8 @@ class Visibility:
 
     row: (sources,) where a source is in the other arrays, -1 if nothing hides it or all is hidden. Of the M others:
     radius px; wide; x, y: place of the source in its pixel, px; occluders: per surface which of them it concerns, and
-    how. extent: of the lens in lens radii; cells: light (L, L) through its cells.
+    how. extent: of the lens in lens radii; cells: light (L, L) through its cells;
+    mask: edges (n, 3) of `lens_mask`, none where the lens is round.
     """
 
     row: NDArray[np.int64]
@@ -312,6 +314,7 @@ class Visibility:
     occluders: tuple[tuple[Mask, Occluder], ...]
     extent: float
     cells: Array
+    mask: Array
 
     def of(self, chosen: NDArray[Any] | slice) -> Visibility:
         """The same for some of the sources."""
@@ -322,7 +325,15 @@ class Visibility:
         )
         new = np.where(row >= 0, np.cumsum(row >= 0) - 1, -1)
         return Visibility(
-            new, self.radius[there], self.wide[there], self.x[there], self.y[there], occluders, self.extent, self.cells
+            new,
+            self.radius[there],
+            self.wide[there],
+            self.x[there],
+            self.y[there],
+            occluders,
+            self.extent,
+            self.cells,
+            self.mask,
         )
 
 
@@ -351,5 +362,5 @@ def check_visibility(
     occluders = tuple((mask[partly], occluder.of(mask & partly)) for mask, occluder in found)
     return state, edge, Visibility(
         row, points.radius[partly], lens.wide[partly], points.x[partly], points.y[partly], occluders, lens.extent,
-        lens_cells(psf),
+        lens_cells(psf), shape_of(psf).lens_mask,
     )  # fmt: skip

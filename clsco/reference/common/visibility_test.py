@@ -9,6 +9,8 @@ from clsco.reference.common.geometry import Array
 from clsco.reference.common.occluder import occluded_share
 from clsco.reference.common.visibility import Visibility
 
+MOST_INWARDS = 0.7  # px along an axis, at the corners of a lens mask
+
 
 def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
     """Share (M,) of the lens, over the cells of taps x, y (M,) from the sources, that nothing blocks.
@@ -19,10 +21,24 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
     rim = np.maximum(np.abs(visibility.radius) * visibility.extent, 1.0)
     s = np.clip(0.5 * rim - (x * x + y * y) / (2 * rim), -1.0, 1.0)
     inwards = np.where(visibility.wide, 1 - np.where(s > 0, (1 - s) ** 2, 1 - 2 * s) / (3 * rim), 1.0)
+    x, y = (x * inwards, y * inwards) if visibility.mask.size == 0 else _inside(visibility, x, y)
     share = np.ones_like(x)
     for mask, occluder in visibility.occluders:
-        share[mask] *= 1 - occluded_share(occluder, (x * inwards)[mask], (y * inwards)[mask])
+        share[mask] *= 1 - occluded_share(occluder, x[mask], y[mask])
     return share
+
+
+def _inside(visibility: Visibility, x: Array, y: Array) -> tuple[Array, Array]:
+    """Taps of wide lenses, moved to the mean of what is left of them by each edge of the lens mask."""
+    right, down = np.zeros_like(x), np.zeros_like(y)
+    turn = np.where(visibility.radius < 0, -1.0, 1.0)
+    for nx, ny, distance in visibility.mask:
+        s = np.clip(distance * np.abs(visibility.radius) - turn * (nx * x + ny * y), -1.0, 1.0)
+        inwards = np.where(s > 0, (1 - s) ** 2, 1 - 2 * s) / 3 * turn
+        right += nx * inwards
+        down += ny * inwards
+    right, down = (np.where(visibility.wide, np.clip(v, -MOST_INWARDS, MOST_INWARDS), 0.0) for v in (right, down))
+    return x - right, y - down
 
 
 def cell_visibility(visibility: Visibility) -> Array:
@@ -56,7 +72,13 @@ def tap_share(visibility: Visibility, cells: Array, dx: float | Array, dy: float
             np.maximum(0.0, 1 - np.abs(at * step[:, None] + (place - d)[narrow, None]))
             for place, d in ((visibility.x, dx), (visibility.y, dy))
         )
-        whole = np.einsum("mi,ij,mj->m", down, visibility.cells, across, optimize=True)
-        free = np.einsum("mi,mij,mj->m", down, visibility.cells * cells, across, optimize=True)
+        light = visibility.cells
+        if visibility.mask.size:
+            mirrored = visibility.radius[narrow, None, None] < 0
+            light = np.where(mirrored, light[::-1, ::-1], light)
+            whole = np.einsum("mi,mij,mj->m", down, light, across, optimize=True)
+        else:
+            whole = np.einsum("mi,ij,mj->m", down, light, across, optimize=True)
+        free = np.einsum("mi,mij,mj->m", down, light * cells, across, optimize=True)
         share[narrow] = np.where(whole > 0, free / np.where(whole > 0, whole, 1.0), 1.0)
     return share
