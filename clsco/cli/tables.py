@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -14,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
+from clsco.plan.buffers import ThisMachine
 from clsco.plan.memory import device_bytes
 from clsco.plan.plan import Plan
 from clsco.plan.unused_keys import unused_keys
@@ -61,7 +61,7 @@ def plan_tables(plans: Sequence[Plan]) -> list[RenderableType]:
 
 
 def _figures(plan: Plan) -> list[tuple[str, str]]:
-    memory = f"{device_bytes(plan, os.cpu_count() or 1) / 2**20:.1f} MiB"
+    memory = f"{device_bytes(plan, ThisMachine()) / 2**20:.1f} MiB"
     return [
         ("blur radius |R|", f"{plan.smallest_blur:.2f} to {plan.largest_blur:.2f} px, predicted with a margin"),
         ("guard band", f"{plan.guard_px} px on every side"),

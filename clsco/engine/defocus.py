@@ -15,18 +15,17 @@ from numpy.typing import NDArray
 
 from clsco.errors import DeviceError, ImageError, SceneError
 from clsco.files.transfer import decode, encode
-from clsco.frame.strips import BAND, Strip, frame_struct
+from clsco.frame.strips import BAND, Grid, Strip, frame_struct
 from clsco.opencl.arrays import check_image, on_host, without_mask
-from clsco.opencl.buffers import empty
-from clsco.opencl.program import build
+from clsco.opencl.buffers import allocate
 from clsco.opencl.session import DeviceLike, Session
 from clsco.optics.lens import LARGEST_BLUR
 from clsco.optics.psf import reach, shape_of
 from clsco.optics.psf_tables import TAP_LANES
 from clsco.optics.slabs import Slabs
-from clsco.passes.blur import FILES_OF, Sources, image_features, prepare_sources
-from clsco.passes.layered import Layers
-from clsco.passes.multigrid import Coarse, make_spreader
+from clsco.passes.blur import Sources, image_target, prepare_sources
+from clsco.passes.layered import DepthLayers
+from clsco.passes.multigrid import Multigrid, make_blur
 from clsco.plan.approximation import (
     METHODS,
     ApproximationReport,
@@ -36,18 +35,10 @@ from clsco.plan.approximation import (
     estimate,
     sample_places,
 )
-from clsco.plan.memory import (
-    Limit,
-    defocus_bytes,
-    defocus_strips,
-    fits,
-    is_layered,
-    limit_of,
-    rows_that_fit,
-    source_bytes,
-)
-from clsco.plan.methods import MANY_RADII, Blur, check_method, is_sharp, many_radii
-from clsco.records import WIDE_BYTES, Real, Struct, flat, in_parts, structs
+from clsco.plan.buffers import image_buffers
+from clsco.plan.memory import Limit, defocus_bytes, defocus_strips, fits, is_layered, limit_of, rows_that_fit
+from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, check_method, is_sharp, many_radii
+from clsco.records import Real, Struct, flat, in_parts
 from clsco.scene.file import PsfLike, psf_of
 from clsco.scene.model import Psf
 
@@ -220,7 +211,7 @@ def _defocus(
 ) -> tuple[NDArray[np.float32], ApproximationReport]:  # fmt: skip
     """By the method, or the first one that is within the tolerance; the error is only measured where it is needed."""
     device = session.device
-    limit = limit_of(memory, device.global_mem, device.max_alloc, device.compute_units, device.unified_memory)
+    limit = limit_of(memory, device)
     name, tolerance = method
     which = given.smallest, given.largest, device.kind == "gpu"
     tried: tuple[tuple[str, float], ...] = ()
@@ -229,11 +220,13 @@ def _defocus(
         names = [*(() if _choose(psf, name, *which) == "none" else candidates(psf, np.abs(given.coc))), name]
     for each in names:
         blur, least = _choose(psf, each, *which), METHODS.get(each)
-        if least is not None and tolerance is not None and not fits(_sizes(given, psf, blur, least, limit), limit):
-            continue  # approximations need the whole image
+        spec = _spec(given, psf, blur, least)
         measured = each in METHODS and (measures or tolerance is not None)
         places = sample_places(*given.coc.shape) if measured else None
-        result, missed = _blurred(session, given, psf, blur, least, places, limit)
+        count = 0 if places is None else len(places)
+        if least is not None and tolerance is not None and not fits(_sizes(given, spec, limit, count), limit):
+            continue  # approximations need the whole image
+        result, missed = _blurred(session, given, spec, places, limit)
         rms, at_most = (0.0, 0.0) if missed is None else estimate(missed)
         if each not in METHODS or tolerance is None or at_most <= tolerance:
             break
@@ -246,32 +239,43 @@ def _guard(given: _Given, psf: Psf, blur: Blur) -> int:
     return reach(psf, given.largest) + 2 * TAP_LANES if blur == "convolve" else 0
 
 
-def _sizes(
-    given: _Given, psf: Psf, blur: Blur, least: float | None, limit: Limit, tallest: int | None = None
-) -> dict[str, int]:
-    """Buffers for strips of up to `tallest` rows, by default the whole image."""
-    rows, columns = given.coc.shape
-    about = (given.channels, (rows, columns), _guard(given, psf, blur), (given.smallest, given.largest))
-    return defocus_bytes(psf, blur, *about, least, limit.cores, tallest or rows)
+def _spec(given: _Given, psf: Psf, blur: Blur, least: float | None) -> BlurSpec:
+    ends = given.smallest, given.largest
+    return BlurSpec(psf, blur, *ends, tilt=psf.tilt, brightest=given.brightest, least=least)
+
+
+def _strips(given: _Given, spec: BlurSpec, tallest: int) -> tuple[Strip, ...]:
+    """Strips of up to `tallest` rows."""
+    guard = _guard(given, spec.psf, spec.method)
+    return defocus_strips(spec.psf, spec.method, len(given.coc), guard, given.largest, tallest)
+
+
+def _grid(given: _Given, spec: BlurSpec, strips: Sequence[Strip]) -> Grid:
+    return Grid.of(strips, given.coc.shape[1], _guard(given, spec.psf, spec.method), given.channels)
+
+
+def _sizes(given: _Given, spec: BlurSpec, limit: Limit, places: int, tallest: int | None = None) -> dict[str, int]:
+    """Buffers for strips of up to `tallest` rows, by default the whole image; places: where its error is measured."""
+    strips = _strips(given, spec, tallest or len(given.coc))
+    return defocus_bytes(spec, _grid(given, spec, strips), limit.device, places)
 
 
 def _blurred(
-    session: Session, given: _Given, psf: Psf, blur: Blur, least: float | None, places: NDArray[np.int32] | None,
-    limit: Limit,
-) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:  # fmt: skip
-    """The image, and its error at places; least: of an approximation, None for the exact way."""
-    if blur == "none":
+    session: Session, given: _Given, spec: BlurSpec, places: NDArray[np.int32] | None, limit: Limit
+) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+    """The image, and its error at places."""
+    if spec.method == "none":
         return given.image.astype(np.float32), None
     shape, rows = given.image.shape, len(given.coc)
-    guard = _guard(given, psf, blur)
-    whole = None if least is None else "an approximation"
+    whole = None if spec.least is None else "an approximation"
+    count = 0 if places is None else len(places)
 
     def sizes(tall: int) -> dict[str, int]:
-        return _sizes(given, psf, blur, least, limit, tall)
+        return _sizes(given, spec, limit, count, tall)
 
     def in_strips(tall: int) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-        strips = defocus_strips(psf, blur, rows, guard, given.largest, tall)
-        engine = _Engine(session, given, psf, blur, guard, strips, least, places)
+        strips = _strips(given, spec, tall)
+        engine = _Engine(session, given, spec, strips, places)
         out = np.empty(shape, np.float32)
         for strip in strips:
             rows_of = (strip.inside, ..., 0) if shape[2:] == (1,) else strip.inside
@@ -292,71 +296,59 @@ def _blurred(
 
 
 class _Engine:
-    """Owns the buffers and the program for the strips of one image; least, places: as for `make_spreader`."""
+    """Owns the buffers and the program for the strips of one image; places: as for `make_blur`."""
 
     def __init__(
-        self, session: Session, given: _Given, psf: Psf, blur: Blur, guard: int, strips: Sequence[Strip],
-        least: float | None, places: NDArray[np.int32] | None,
+        self, session: Session, given: _Given, spec: BlurSpec, strips: Sequence[Strip],
+        places: NDArray[np.int32] | None,
     ) -> None:  # fmt: skip
-        self.session, self.given, self.psf, self.blur, self.guard = session, given, psf, blur, guard
-        fp64 = session.device.has_fp64
-        self.real: Real = "double" if fp64 else "float"
-        channels, columns = given.channels, given.coc.shape[1]
-        features = image_features(blur, psf, given.largest, channels, psf.tilt, fp64)
-        constant = blur == "convolve"
-        self.program = {} if constant else build(session, FILES_OF[blur], features, structs(self.real), self.real)
-        self.spreader = make_spreader(
-            session, self.program, psf, blur, self._camera(strips[0]), channels, given.smallest, given.largest, 0,
-            self.real, given.brightest, features, least, places,
-        )  # fmt: skip
-        tallest = max(strip.height for strip in strips)
-        area = tallest * (columns + 2 * guard)
-        self.value = empty(session, 4 * channels * area)
-        if constant:
+        self.given, self.guard = given, _guard(given, spec.psf, spec.method)
+        real: Real = "double" if session.device.has_fp64 else "float"
+        self.target = image_target(session, spec, given.channels, real)
+        grid = _grid(given, spec, strips)
+        self.blur = make_blur(self.target, spec, grid, self._camera(strips[0]), places)
+        layered = is_layered(spec.psf, spec.method)  # which has a plane of its own
+        buffers = allocate(session, image_buffers(spec, grid, layered))
+        self.value, self.source = buffers["value"], buffers.get("source")
+        self.layers: DepthLayers | None = None
+        if spec.method == "convolve":
             return
-        layered = is_layered(psf, blur)  # which has a plane of its own
-        self.source = empty(session, 0 if layered else source_bytes(area, psf.tilt))
-        self.coc = empty(session, WIDE_BYTES * area)
-        self.valid = empty(session, area)
-        cl.enqueue_fill_buffer(session.queue, self.valid, np.ones(1, np.uint8), 0, area)
-        self.layers: Layers | None = None
+        self.coc, self.valid = buffers["coc"], buffers["valid"]
+        cl.enqueue_fill_buffer(session.queue, self.valid, np.ones(1, np.uint8), 0, self.valid.size)
         if layered:
-            how = (psf.tilt, given.largest, self.real, given.brightest, tallest)
-            self.layers = Layers(session, self.spreader, *how)
+            self.layers = DepthLayers(self.blur, self.target, grid)
             self.slabs = self._slabs(self.layers, strips) if len(strips) > 1 else None
 
     def _camera(self, strip: Strip) -> Struct:
         rows, columns = self.given.coc.shape
-        return frame_struct(rows, columns, self.guard, self.real, strip)
+        return frame_struct(rows, columns, self.guard, self.target.real, strip)
 
-    def _slabs(self, layers: Layers, strips: Sequence[Strip]) -> Slabs:
-        """Slabs of the image, from all strips."""
+    def _slabs(self, layers: DepthLayers, strips: Sequence[Strip]) -> Slabs:
+        """Depth layers of the image, from all strips."""
         for strip in strips:
-            self.spreader.camera = self._camera(strip)
+            self.blur.camera = self._camera(strip)
             self._send_radii(strip)
-            layers.look(self.coc, self.valid, [])
-        return layers.slabs()
+            layers.find(self.coc, self.valid, [])
+        return layers.labels.found()
 
     def defocus(self, strip: Strip, out: NDArray[np.float32]) -> None:
         """Blur one strip into out, (rows, columns[, channels])."""
-        spreader, camera = self.spreader, self._camera(strip)
-        spreader.camera = camera
+        blur, camera = self.blur, self._camera(strip)
+        blur.camera = camera
         self._send(strip)
-        spreader.clear()
-        if self.blur == "convolve":
-            spreader.add(Sources(None, self.value), self.given.largest, [])
-        elif self.layers is not None:
-            self.layers.add(self.value, self.coc, self.valid, [], self.slabs)
+        blur.clear()
+        if self.layers is not None:
+            self.layers.add((self.value, self.coc, self.valid), [], self.slabs)
         else:
-            maps = (self.coc, self.valid, self.source)
-            prepare_sources(self.session, self.program, camera, spreader.struct, *maps, [])
-            spreader.add(Sources(self.source, self.value), 0.0, [])
-        spreader.image([], out)
+            if self.source is not None:
+                prepare_sources(self.target, camera, blur.struct, (self.coc, self.valid), self.source, [])
+            blur.add(Sources(self.source, self.value, radius=self.given.largest), [])
+        blur.image([], out)
 
     def missed(self) -> NDArray[np.float32] | None:
         """Error at the places, where it was asked for."""
-        if isinstance(self.spreader, Coarse) and self.spreader.places is not None:
-            return self.spreader.missed()
+        if isinstance(self.blur, Multigrid) and self.blur.places is not None:
+            return self.blur.missed()
         return None
 
     def _send(self, strip: Strip) -> None:
@@ -368,12 +360,12 @@ class _Engine:
             missing = top - (strip.top - strip.above)
             widths = ((0, 0), (missing, strip.height - missing - (end - top)), (guard, guard))
             planes = np.pad(planes, widths)
-        cl.enqueue_copy(self.session.queue, self.value, planes)
-        if self.blur != "convolve":
+        cl.enqueue_copy(self.target.session.queue, self.value, planes)
+        if self.source is not None or self.layers is not None:
             self._send_radii(strip)
 
     def _send_radii(self, strip: Strip) -> None:
         """The radii around a strip to the device."""
         near = slice(max(strip.top - strip.above, 0), strip.top + strip.rows + strip.below)
         radii = self.given.coc[near].astype(np.float64, order="C")  # that of a transposed array is not
-        cl.enqueue_copy(self.session.queue, self.coc, in_parts(radii, self.real))
+        cl.enqueue_copy(self.target.session.queue, self.coc, in_parts(radii, self.target.real))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -24,15 +24,16 @@ from clsco.optics.motion import Pose, middle_time, poses_at, rest_poses
 from clsco.optics.quadrics import PlacedSurface, place
 from clsco.optics.slabs import Slabs
 from clsco.optics.visibility import Layer
-from clsco.passes.blur import FILES_OF, PIXELS, Events, Sources, blur_features, image_features, prepare_sources
-from clsco.passes.layered import Layers
-from clsco.passes.multigrid import Coarse, make_spreader
+from clsco.passes.blur import FILES_OF, PIXELS, Events, Sources, Target, blur_features, image_features, prepare_sources
+from clsco.passes.layered import DepthLayers
+from clsco.passes.multigrid import Multigrid, make_blur
 from clsco.passes.pack import camera_struct, layer_struct, pose_structs, surface_structs, texture_planes
 from clsco.passes.static_image import StillMap
 from clsco.passes.warp import ForwardWarp
 from clsco.plan.approximation import METHODS, ApproximationReport, estimate, sample_places
-from clsco.plan.memory import TRUTH_BUFFERS, Limit, device_bytes, fitted, source_bytes
-from clsco.plan.methods import MANY_RADII
+from clsco.plan.buffers import TRUTH_BUFFERS, source_bytes
+from clsco.plan.memory import Limit, device_bytes, fitted
+from clsco.plan.methods import MANY_RADII, BlurSpec
 from clsco.plan.plan import Plan, exposure, widened
 from clsco.plan.predict import Maps
 from clsco.records import WIDE_BYTES, Real, Struct, structs
@@ -41,7 +42,7 @@ from clsco.scene.model import DepthMap
 BOOLEAN = ("hidden", "occluded")
 Planes = tuple[cl.Buffer, cl.Buffer, cl.Buffer]  # value, coc, valid on the padded grid, as in layers.py
 OUTGROWN = (
-    "spreader", "source", "value", "label", "pixels", "sub_source", "depth", "sub_depth", "sub_value", "slabs", "coc",
+    "blur", "source", "value", "label", "pixels", "sub_source", "depth", "sub_depth", "sub_value", "slabs", "coc",
     "valid",
 )  # fmt: skip
 SLACK = 1.0 + 1e-6  # the host's float64 and the device's float round differently
@@ -84,7 +85,7 @@ class Renderer:
         device = session.device
         if precision not in (None, "single", "double"):
             raise DeviceError(f"precision: must be single or double; got {precision}")
-        if (needed := device_bytes(plan, device.compute_units)) > device.global_mem:
+        if (needed := device_bytes(plan, device)) > device.global_mem:
             raise DeviceError(f"device {device}: the scene needs {needed >> 20} MiB; got {device.global_mem >> 20} MiB")
         wants_double = precision == "double" or (precision is None and device.has_fp64)
         self.real: Real = "double" if wants_double else "float"
@@ -123,16 +124,22 @@ class Renderer:
         """Outputs of ground_truth; a forward warp makes its own focused image."""
         return [n for n in TRUTH_BUFFERS if n in self.plan.truth and not (n == "sharp" and self.plan.forward)]
 
+    def _spec(self) -> BlurSpec:
+        """What the blur is made for, with the range of radii met so far and the approximations that are left."""
+        least = METHODS[self.approximations[0]] if self.approximations else None
+        spec = replace(self.plan.spec, smallest=self.smallest, largest=self.largest)
+        return replace(spec, brightest=self.brightest, least=least)
+
     def _build(self) -> dict[str, int]:
         """The program for the range of radii, again where a larger one needs other kernels; what it is built with."""
-        plan, psf, fp64 = self.plan, self.plan.scene.psf, self.session.device.has_fp64
+        plan, spec, fp64 = self.plan, self._spec(), self.session.device.has_fp64
         files = FILES_OF[plan.blur]
         if plan.still_map:
-            features = image_features(plan.blur, psf, self.largest, plan.channels, plan.tilt, fp64)
+            features = image_features(spec, plan.channels, fp64)
         else:
             files = ("trace/trace.cl", *files)
             prepare = plan.forward or plan.occlusion == "layered"
-            features = plan.features() | blur_features(plan.blur, psf, self.largest, fp64, prepare)
+            features = plan.features() | blur_features(spec, fp64, prepare)
             features |= {"TRUTH": int(bool(plan.truth)), "LENSES": self.lenses}
             features["PINHOLE"] = int(plan.occlusion == "layered" and not plan.forward)
             features |= {f"TRUTH_{name.upper()}": int(name in self._truth_names()) for name in TRUTH_BUFFERS}
@@ -149,12 +156,9 @@ class Renderer:
         self.strips = plan.strips
         self.camera = self._camera(self.strips[0])
         area, features = plan.width * plan.tallest, self._build()
-        least = METHODS[self.approximations[0]] if self.approximations else None
-        self.spreader = make_spreader(
-            session, self.program, plan.scene.psf, plan.blur, self.camera, plan.channels, self.smallest, self.largest,
-            plan.silhouettes, self.real, self.brightest, features, least,
-            sample_places(plan.rows, plan.columns),
-        )  # fmt: skip
+        self.target = Target(session, self.program, self.real)
+        places = sample_places(plan.rows, plan.columns)
+        self.blur = make_blur(self.target, self._spec(), plan.grid, self.camera, places)
         marked = bool(features["SUBPIXELS"] or features["OCCLUDED"])
         layered = plan.occlusion == "layered"  # which has a plane of its own
         self.source = empty(session, 0 if layered else source_bytes(area, bool(features["TILT"]), marked))
@@ -167,10 +171,9 @@ class Renderer:
         occluded = WIDE_BYTES * bool(features["OCCLUDED"])
         self.depth, self.sub_depth = empty(session, occluded * area), empty(session, occluded * self.slots * each)
         self.sub_value = empty(session, 4 * plan.channels * self.slots * each)
-        self.slabs: Layers | None = None
+        self.slabs: DepthLayers | None = None
         if layered:
-            how = (plan.tilt, self.largest, self.real, self.brightest, plan.tallest)
-            self.slabs = Layers(session, self.spreader, *how)
+            self.slabs = DepthLayers(self.blur, self.target, plan.grid)
         if layered or plan.still_map:
             self.coc, self.valid = empty(session, WIDE_BYTES * area), empty(session, area)
 
@@ -210,18 +213,18 @@ class Renderer:
         for strip in self.strips:
             self._turn_to(strip)
             _, coc, valid = self._look(time, 0.0, self.events)
-            self.slabs.look(coc, valid, self.events)
-        return self.slabs.slabs()
+            self.slabs.find(coc, valid, self.events)
+        return self.slabs.labels.found()
 
     def _turn_to(self, strip: Strip) -> None:
         self.strip = strip
-        self.camera = self.spreader.camera = self._camera(strip)
+        self.camera = self.blur.camera = self._camera(strip)
 
     def begin_strip(self, strip: Strip) -> None:
         """Begin one of the strips of the frame."""
         self._turn_to(strip)
         self.moments: list[dict[str, Any]] = []  # the same for every strip
-        self.spreader.clear()
+        self.blur.clear()
 
     def add_moment(self, time: float, weight: float) -> None:
         """Add one intermediate frame to the strip."""
@@ -229,7 +232,7 @@ class Renderer:
 
     def end_strip(self, strip: Strip) -> None:
         """Read back a strip of which all intermediate frames have been added."""
-        self.spreader.image(self.events, self.color[strip.inside])
+        self.blur.image(self.events, self.color[strip.inside])
 
     def finish(self, index: int) -> Frame:
         """The frame of this number, of the strips added: again with larger buffers where the plan was too small."""
@@ -262,18 +265,17 @@ class Renderer:
         surfaces = self._placed(self._surfaces(time))
         for layer in self.plan.layers:
             sources = self._trace(surfaces, layer, time, weight, events)
-            self.spreader.add(sources, self._central_radius(time), events)
+            self.blur.add(replace(sources, radius=self._central_radius(time)), events)
         return report
 
     def _add_planes(self, planes: Planes, time: float, events: Events) -> dict[str, int]:
         """Light of an image with its blur radii; how many slabs it took where occlusion is layered."""
         value, coc, valid = planes
         if self.slabs is not None:
-            return {"slabs": self.slabs.add(value, coc, valid, events, self.slabs_at.get(time))}
+            return {"slabs": self.slabs.add(planes, events, self.slabs_at.get(time))}
         if self.plan.blur in MANY_RADII:
-            maps = (coc, valid, self.source)
-            prepare_sources(self.session, self.program, self.camera, self.spreader.struct, *maps, events)
-        self.spreader.add(Sources(self.source, value), self._central_radius(time), events)
+            prepare_sources(self.target, self.camera, self.blur.struct, (coc, valid), self.source, events)
+        self.blur.add(Sources(self.source, value, radius=self._central_radius(time)), events)
         return {}
 
     def _look(self, time: float, weight: float, events: Events) -> Planes:
@@ -301,7 +303,7 @@ class Renderer:
     def _trace(self, surfaces: cl.Buffer, layer: Layer, time: float, weight: float, events: Events) -> Sources:
         """Sources of one layer; its buffers are those of the layer before, which the queue is done with by then."""
         plan, camera = self.plan, self.camera
-        head = (camera, surfaces, layer_struct(layer, len(self.items)), self.spreader.struct)
+        head = (camera, surfaces, layer_struct(layer, len(self.items)), self.blur.struct)
         occluded = bool(plan.features()["OCCLUDED"])
         share, slots = np.float32(weight), np.int32(self.slots)
         if plan.silhouettes:
@@ -365,8 +367,8 @@ class Renderer:
     def _approximation_report(self) -> ApproximationReport | None:
         """Report of the frame's approximation, None where none was requested."""
         tolerance = self.plan.tolerance
-        if isinstance(self.spreader, Coarse):
-            missed = self.spreader.missed()
+        if isinstance(self.blur, Multigrid):
+            missed = self.blur.missed()
             return ApproximationReport(self.approximations[0], tolerance, *estimate(missed), len(missed), self.tried)
         return None if tolerance is None else ApproximationReport("exact", tolerance, 0.0, 0.0, 0, self.tried)
 

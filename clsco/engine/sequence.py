@@ -225,9 +225,7 @@ def _render_group(
         how = (maps[-1], method[1], session.device.kind == "gpu")
         plans.append(tuple(make_plan(sized, channels, truth, method[0], eye, *how) for eye in eyes))
     wanted = range(first.sequence.frames) if frames is None else frames
-    device = session.device
-    whole = limit_of(memory, device.global_mem, device.max_alloc, device.compute_units, device.unified_memory)
-    limit = replace(whole, views=len(eyes))
+    limit = replace(limit_of(memory, session.device), views=len(eyes))
     numbers, done = list(wanted), 0
     try:
         with session.telling():
@@ -274,7 +272,7 @@ def _in_strips(
                     views = [_together([renderer], index)[0] for renderer in renderers]
             except DeviceError as error:
                 renderers = []  # before those for smaller strips take memory
-                taken = device_bytes(fitting[0], limit.cores, limit.views)
+                taken = device_bytes(fitting[0], limit.device, limit.views)
                 limit = replace(limit, total=min(limit.total, taken) // 2, given=False)
                 before, fitting = fitting, [fitted(plan, limit) for plan in of_eyes]
                 if not error.short_of_memory or fitting == before:
@@ -290,7 +288,7 @@ def _in_lockstep(plans: Sequence[tuple[Plan, ...]], limit: Limit) -> list[list[P
     for of_lenses in zip(*plans, strict=True):
         guard = max(plan.guard_px for plan in of_lenses)
         alike = [replace(plan, guard_px=guard) for plan in of_lenses]
-        needed = sum(device_bytes(plan, limit.cores) for plan in alike) + hit_bytes(alike[0])
+        needed = sum(device_bytes(plan, limit.device) for plan in alike) + hit_bytes(alike[0])
         if needed * limit.views > limit.total or any(fitted(plan, limit).strip_rows < plan.rows for plan in alike):
             return []
         found.append(alike)

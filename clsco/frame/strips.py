@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 from clsco.records import Real, Struct, filled
 
@@ -65,6 +67,48 @@ def cut(rows: int, tallest: int, guard: int, reach: int, step: int = 1) -> tuple
         above, below = (min(max(guard, reach), left + guard) for left in (top, rows - end))
         found.append(Strip(top, end - top, above + (top + guard - above) % step, below))
     return tuple(found)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Sizes that buffers are made for: of a frame, or of the tallest of its strips, with the apron of sources.
+
+    Attributes
+    ----------
+    rows, columns : int
+        Of the frame, or the strip, px.
+    guard : int
+        Width of the apron, px.
+    channels : int
+    height : int
+        Rows of the tallest grid of sources.
+    """
+
+    rows: int
+    columns: int
+    guard: int
+    channels: int
+    height: int
+
+    @classmethod
+    def of(cls, strips: Sequence[Strip], columns: int, guard: int, channels: int) -> Self:
+        """For strips of a frame, of which the first one is the tallest."""
+        return cls(strips[0].rows, columns, guard, channels, max(strip.height for strip in strips))
+
+    @classmethod
+    def whole(cls, rows: int, columns: int, guard: int, channels: int) -> Self:
+        """For a frame that is made at once."""
+        return cls(rows, columns, guard, channels, rows + 2 * guard)
+
+    @property
+    def width(self) -> int:
+        """Columns of the grid of sources."""
+        return self.columns + 2 * self.guard
+
+    @property
+    def sources(self) -> int:
+        """Pixels of the grid of sources."""
+        return self.width * self.height
 
 
 def frame_struct(

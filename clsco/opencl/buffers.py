@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import mmap
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
 
@@ -65,6 +65,33 @@ def empty(session: Session, size: int) -> cl.Buffer:
         return cl.Buffer(session.context, flags, max(size, 1))  # OpenCL knows no empty buffer
     except (cl.Error, OSError) as error:
         raise failure(session.device, f"have memory for a buffer of {size} bytes", error) from error
+
+
+class Refilled:
+    """A buffer that the host fills again while launches in the queue still read it: each copy waits for its turn."""
+
+    def __init__(self, session: Session, size: int) -> None:
+        self.session, self.buffer = session, empty(session, size)
+        self._copy: cl.Event | None = None
+
+    def fill(self, array: NDArray[Any]) -> cl.Buffer:
+        """Enqueue a copy of an array, which the caller must not write to; waits for the copy before it."""
+        queue, packed = self.session.queue, np.ascontiguousarray(array)
+        # pyopencl waits for a copy before its event goes.
+        self._copy = cl.enqueue_copy(queue, self.buffer, packed, is_blocking=False) if packed.nbytes else None
+        return self.buffer
+
+
+def allocate(session: Session, sizes: Mapping[str, int]) -> dict[str, cl.Buffer]:
+    """A buffer for each name of a table of sizes in bytes. Raises DeviceError as `upload`."""
+    return {name: empty(session, size) for name, size in sizes.items()}
+
+
+def filled_with(session: Session, size: int, value: float = 0.0) -> cl.Buffer:
+    """A buffer of so many bytes, all floats of one value."""
+    buffer = empty(session, size)
+    cl.enqueue_fill_buffer(session.queue, buffer, np.array([value], np.float32), 0, size)
+    return buffer
 
 
 def _in_large_pages(size: int) -> NDArray[np.uint8]:

@@ -47,7 +47,6 @@ WIDE_LANES = 16  # intervals of which a kernel reads the coefficients of a tap t
 # Sampled discs that reach at most so far, in px to both sides, are added up tap by tap: kernels/blur/cpu/near.clh.
 NEAR = 7
 LARGEST_TABLES = 2**30  # bytes
-PADDING = 8  # bytes of a general table's taps and outlines, which a buffer cannot be without
 RUN = 16  # intervals whose weights are computed at once, of one half-width
 
 
@@ -179,22 +178,30 @@ def table_reach(psf: Psf, largest: float, subpixel: bool = False) -> int:
     return _half_width(psf, _span(psf, largest, largest, subpixel)[-1], subpixel)
 
 
-def table_bytes(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> int:
-    """Size of `psf_table` of the same arguments."""
+def table_sizes(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> dict[str, int]:
+    """Bytes of each array of `psf_table` of the same arguments, by its name."""
     span = _span(psf, smallest, largest, subpixel > 0)
     if shape_of(psf).kind == "disc" and not subpixel:
-        return 16 * len(span) + 4 * span.stop
+        each = 4 * len(span)
+        return {"intervals": 2 * each, "coefficients": each, "taps": each, "outlines": 4 * span.stop}
     widths = _half_widths(psf, span, subpixel > 0)
-    widest, each = int(widths[-1]), 4 * POWERS * _lanes(widths)
+    widest, row = int(widths[-1]), 4 * POWERS * _lanes(widths)
+    sizes = {"intervals": 8 * len(span), "taps": 0, "outlines": 0}
     of_taps = 4 * POWERS * WIDE_LANES * -(-len(span) // TAP_LANES)
     if shape_of(psf).kind == "general":
-        return 2 * int((8 + each * (2 * widths + 1) * max(subpixel, 1) ** 2).sum()) + PADDING
+        coefficients = 2 * int((row * (2 * widths + 1) * max(subpixel, 1) ** 2).sum())
+        return {"intervals": 16 * len(span), "coefficients": coefficients, "taps": 0, "outlines": 0}
     if subpixel:
-        return int((8 + each * (2 * widths + 1) * subpixel * ((subpixel + 1) // 2)).sum())
+        return sizes | {"coefficients": int((row * (2 * widths + 1) * subpixel * ((subpixel + 1) // 2)).sum())}
     if shape_of(psf).kind == "separable":
-        return int((8 + each).sum()) + of_taps * (widest + 1)
-    outlines = 8 * len(span) * (widest + 1)
-    return int((8 + each * (widths + 1)).sum()) + of_taps * _octant_taps(widest) + outlines
+        return sizes | {"coefficients": int(row.sum()), "taps": of_taps * (widest + 1)}
+    sizes |= {"taps": of_taps * _octant_taps(widest), "outlines": 8 * len(span) * (widest + 1)}
+    return sizes | {"coefficients": int((row * (widths + 1)).sum())}
+
+
+def table_bytes(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> int:
+    """Size of `psf_table` of the same arguments."""
+    return sum(table_sizes(psf, smallest, largest, subpixel).values())
 
 
 def check_tables(psf: Psf, smallest: float, largest: float, silhouettes: int) -> None:
@@ -264,7 +271,7 @@ def _general_table(psf: Psf, span: range, samples: int) -> PsfTable:
                 intervals.append((start, half_width))
                 blocks.append(block.ravel())
                 start += block.size
-    table, none = np.array(intervals, dtype=np.int32), np.zeros(1, dtype=np.float32)
+    table, none = np.array(intervals, dtype=np.int32), np.zeros(0, dtype=np.float32)
     widest = int(table[:, 1].max())
     return PsfTable(span.start, table, np.concatenate(blocks), widest, len(span), none, none.astype(np.int32))
 

@@ -71,6 +71,19 @@ def is_summed(psf: Psf, half_width: int) -> bool:
     return not shape_of(psf).soft and half_width >= SUMMED
 
 
+def stencil_sizes(psf: Psf, far: int) -> dict[str, int]:
+    """Most bytes of the arrays of `stencils` for PSFs that reach at most `far` px, by their names and numbers.
+
+    A column of a disc has at most two pieces, above and below what rectangles cover, each of which is cut into runs.
+    """
+    half, row = far + 1, 2 * far + 1
+    runs = -(-row // LONGEST_RUN)
+    if shape_of(psf).kind == "separable":
+        return {"runs 0": 16 * half, "weights 0": 4 * half, "runs 1": 16 * runs, "weights 1": 4 * row}
+    sizes = {"runs 0": 16 * half * (runs + 1), "weights 0": 4 * half * row}
+    return sizes | ({"pairs 0": 16 * (4 * half - 2)} if is_summed(psf, far) else {})
+
+
 @lru_cache(maxsize=64)
 def stencils(psf: Psf, radius: float) -> tuple[Stencil, ...]:
     """Stencils whose convolution is the PSF of one radius.

@@ -1,27 +1,25 @@
-"""Host side of the blur: PSF tables on the device, launches of its kernels, and the frame that they add up to."""
+"""Host side of the blur: one class per method adds the radiance of time samples to a frame, or a strip of it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from math import log
+from typing import Protocol
 
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clsco.frame.strips import BAND
-from clsco.opencl.buffers import empty, mapped, upload
-from clsco.opencl.program import kernel, launch
+from clsco.frame.strips import BAND, Grid
+from clsco.opencl.buffers import empty, filled_with, mapped, upload
+from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Program, Session
 from clsco.optics.psf_tables import NEAR, TAP_LANES, PsfTable, psf_features, psf_table
 from clsco.optics.visibility import lens_floats
-from clsco.passes.convolve import Convolution
 from clsco.passes.pack import psf_struct
-from clsco.plan.memory import MOST_IN_ONE_SUM, Scratch, band_scratch, bands_at_a_time, margin, spread_bytes
-from clsco.plan.methods import MANY_RADII, Blur
-from clsco.records import Real, Struct
-from clsco.scene.model import Psf
+from clsco.plan.buffers import MOST_IN_ONE_SUM, Sizes, band_scratch, bands_at_a_time, margin
+from clsco.plan.methods import MANY_RADII, Blur, BlurSpec
+from clsco.records import Real, Struct, structs
 
 PIXELS = (64, 1)  # local size of kernels with a work-item per pixel
 BLOCKS = (8, 1)  # of kernels with one per TAP_LANES pixels of a row
@@ -44,14 +42,29 @@ PLAIN = dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FI
 Events = list[tuple[str, cl.Event]]
 
 
-def blur_features(method: Blur, psf: Psf, largest: float, fp64: bool, prepare: bool) -> dict[str, int]:
-    """Which kernels of blur.cl are compiled, and for what; largest: |R| in px; fp64: the device has doubles."""
-    kept = band_scratch(psf, largest, fp64) if method == "gather" else "none"
+def blur_features(spec: BlurSpec, fp64: bool, prepare: bool) -> dict[str, int]:
+    """Which kernels of the blur are compiled, and for what.
+
+    Parameters
+    ----------
+    spec : BlurSpec
+    fp64 : bool
+        The device has doubles.
+    prepare : bool
+        Sources are made of a map of radii.
+
+    Returns
+    -------
+    dict
+        Features for `clsco.opencl.program.build`.
+    """
+    method, psf = spec.method, spec.psf
+    scratch = band_scratch(psf, spec.largest, fp64) if method == "gather" else "none"
     return {
         "GATHER": int(method == "gather"),
-        "BY_ROWS": int(kept in ("rows", "near")),
-        "NEAR": NEAR * (kept == "near"),
-        "BY_COLUMNS": int(kept == "columns"),
+        "BY_ROWS": int(scratch in ("rows", "near")),
+        "NEAR": NEAR * (scratch == "near"),
+        "BY_COLUMNS": int(scratch == "columns"),
         "SCATTER": int(method == "scatter"),
         "RENORMALIZE": int(psf.border == "renormalize" and method != "none"),
         "PREPARE": int(prepare and method in MANY_RADII),
@@ -59,20 +72,51 @@ def blur_features(method: Blur, psf: Psf, largest: float, fp64: bool, prepare: b
     }
 
 
-def image_features(blur: Blur, psf: Psf, largest: float, channels: int, tilt: bool, fp64: bool) -> dict[str, int]:
-    """Features of a program that spreads an image with radii up to `largest` px, whatever surfaces it shows: the same
-    one for all scenes that agree in these."""
-    found = PLAIN | psf_features(psf) | blur_features(blur, psf, largest, fp64, prepare=True)
-    return found | {"CHANNELS": channels, "TILT": int(tilt and blur != "convolve")}
+def image_features(spec: BlurSpec, channels: int, fp64: bool) -> dict[str, int]:
+    """Features of a program that blurs an image, whatever surfaces it shows: the same one for all scenes that agree in
+    these. Arguments as for `blur_features`."""
+    found = PLAIN | psf_features(spec.psf) | blur_features(spec, fp64, prepare=True)
+    return found | {"CHANNELS": channels, "TILT": int(spec.tilt and spec.method != "convolve")}
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where passes run: on a session's device, with the kernels of a program, in the precision of its geometry."""
+
+    session: Session
+    program: Program
+    real: Real
+
+    def run(
+        self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: object
+    ) -> None:  # fmt: skip
+        """Enqueue a kernel as `clsco.opencl.program.launch` does; events gets its name and event."""
+        events.append((name, launch(self.session, kernel(self.program, name), size, local, *args)))  # type: ignore[arg-type]
+
+
+def image_target(session: Session, spec: BlurSpec, channels: int, real: Real) -> Target:
+    """Where an image is blurred: with a program of `image_features`; none for `convolve`, which builds its own."""
+    files = FILES_OF[spec.method]
+    features = image_features(spec, channels, session.device.has_fp64)
+    return Target(session, build(session, files, features, structs(real), real) if files else {}, real)
 
 
 @dataclass(frozen=True)
 class Sources:
-    """Light sources of one moment on the device, in the layout of trace.cl.
+    """Sources of one time sample on the device, in the layout of trace.cl.
 
-    source: planes of frame and guard band (sources.clh), None for `convolve` and `none`; value: radiance times
-    weight; sub_source, sub_value: of `capacity` pixels near silhouettes, None without them. surfaces, layer, depth,
-    sub_depth: what stands in the way, and of what; None where nothing does.
+    Attributes
+    ----------
+    source : Buffer, optional
+        Planes of frame and apron (sources.clh); None for "convolve" and "none".
+    value : Buffer
+        Radiance times weight.
+    sub_source, sub_value : Buffer, optional
+        Of `capacity` pixels near silhouettes.
+    surfaces, layer, depth, sub_depth : optional
+        Occluders, and the depth of sources; None where nothing is in their way.
+    radius : float
+        |R| of all sources in px, for "convolve" only.
     """
 
     source: cl.Buffer | None
@@ -84,130 +128,213 @@ class Sources:
     layer: Struct | None = None
     depth: cl.Buffer | None = None
     sub_depth: cl.Buffer | None = None
+    radius: float = 0.0
 
 
 def prepare_sources(
-    session: Session, program: Program, camera: Struct, psf: Struct, coc: cl.Buffer, valid: cl.Buffer,
-    source: cl.Buffer, events: Events,
-) -> None:  # fmt: skip
-    """Enqueue what makes sources of a map of signed radii; psf: struct of the Spreader that adds them."""
+    target: Target, camera: Struct, psf: Struct, maps: tuple[cl.Buffer, cl.Buffer], source: cl.Buffer, events: Events
+) -> None:
+    """Enqueue what makes sources of a map of signed radii.
+
+    Parameters
+    ----------
+    target : Target
+    camera, psf : numpy.void
+        camera_t of the grid, and psf_t of the blur that adds the sources.
+    maps : (Buffer, Buffer)
+        Signed R in px, wide_t (height, width), and where there is a source, uchar (height, width).
+    source : Buffer
+        Gets the records.
+    events : list
+    """
     size = -(-int(camera["width"]) // TAP_LANES), int(camera["height"])
-    args = (camera, psf, coc, valid, source)
-    events.append(("prepare_sources", launch(session, kernel(program, "prepare_sources"), size, BLOCKS, *args)))
+    target.run("prepare_sources", size, BLOCKS, events, camera, psf, *maps, source)
 
 
-class Spreader:
-    """Adds the blurred light of moments to a frame, or a strip of it; owns its buffers and the PSF tables.
+class FrameBlur(Protocol):
+    """Adds the blurred radiance of time samples to a frame, or a strip of it: what each method does.
 
-    camera: of the frame, or of the strip that it begins with, which is the tallest; another one can be set. Holds for
-    |R| in [smallest, largest] px; other radii are clamped to it (`convolve` makes the PSF of its radius, and has a
-    program of its own).
-    brightest: largest |radiance|, which sets the fixed point of `scatter`; features: those of the program.
+    camera: camera_t of the strip, which can be set to that of another one; struct: psf_t; spec: what it is made for.
     """
 
-    def __init__(
-        self, session: Session, program: Program, psf: Psf, method: Blur, camera: Struct, channels: int,
-        smallest: float, largest: float, subpixels: int, real: Real, brightest: float, features: Mapping[str, int],
-    ) -> None:  # fmt: skip
-        self.session, self.program, self.psf, self.method = session, program, psf, method
-        self.camera, self.channels = camera, channels
-        self.main = psf_table(psf, smallest, largest)
-        self.sub: PsfTable | None = psf_table(psf, smallest, largest, subpixels) if subpixels else None
-        self.struct = psf_struct(psf, self.main, self.sub, real)
-        tables = [self.main] if self.sub is None else [self.main, self.sub]
-        kept: Scratch = "near" if features["NEAR"] else "rows" if features["BY_ROWS"] else "none"
-        kept = "columns" if features["BY_COLUMNS"] else kept
-        self.tables = [(upload(session, t.intervals), upload(session, t.coefficients)) for t in tables]
-        self.lens = upload(session, lens_floats(psf).astype(np.float32))
-        rows, columns = int(camera["rows"]), int(camera["columns"])
-        far, cores = int(self.struct["reach"]), session.device.compute_units
-        self.pad, self.pitch = margin(columns, int(camera["guard"]), far)
-        sizes = spread_bytes(psf, method, channels, rows, columns, int(camera["guard"]), far, kept, cores)
-        self.total = empty(session, sizes["total"])
-        row_taps = 2 * far + 1
-        # Rows of sources after which sums go on to the frame, 0 where they are short.
-        self.group = max(MOST_IN_ONE_SUM // row_taps, 1) if "part" in sizes else 0
-        self.part, self.scratch = self.total, tuple[object, ...]()
-        self.alike = tuple(upload(session, array) for array in (self.main.taps, self.main.outlines))
-        self.bands = -(-rows // BAND)
-        if {"part", "scratch"} & sizes.keys():
-            # Some bands at a time, so that a large frame does not take several times its size.
-            self.bands = bands_at_a_time(rows, cores)
-            if "part" in sizes:
-                self.part = _zeros(session, sizes["part"])
-            if "scratch" in sizes:
-                number = sizes["scratch"] // (4 if kept == "near" else 8)  # of floats, or doubles
-                self.scratch = (_zeros(session, sizes["scratch"]), np.int32(number // self.bands))
-        if method == "convolve":
-            self.convolution = Convolution(session, psf, channels, brightest, sizes)
-        self.scale = 1.0
-        if method == "scatter":
-            wide = session.device.has_int64_atomics
-            gain = TILT_GAIN * (GAIN + GAIN_PER_LOG * log(max(largest, 1.0)))
-            most = 2.0 ** (40 if wide else 31) / (max(brightest, 1e-30) * (1.0 if wide else gain))
-            self.scale = min(most, 2.0**126)  # a float32, also where there is no light at all
-            self.sums = empty(session, sizes["sums"])
+    camera: Struct
+
+    @property
+    def spec(self) -> BlurSpec: ...
+
+    @property
+    def channels(self) -> int: ...
+
+    @property
+    def struct(self) -> Struct: ...
+
+    @property
+    def layout(self) -> tuple[object, ...]:
+        """Kernel arguments of the frame: pitch, pad, buffer."""
+
+    @property
+    def sink(self) -> tuple[object, ...]:
+        """Kernel arguments of where radiance is added."""
 
     def clear(self) -> None:
         """Begin a frame, or a strip of it."""
-        if self.method == "convolve":
-            self.convolution.fresh = True
-            return
-        buffer = self.sums if self.method == "scatter" else self.total
-        cl.enqueue_fill_buffer(self.session.queue, buffer, np.zeros(1, np.uint32), 0, buffer.size)
 
-    def add(self, sources: Sources, radius: float, events: Events) -> None:
-        """Add the light of one moment; radius: |R| in px, for `convolve` only."""
-        camera, value = self.camera, sources.value
-        frame = (int(camera["columns"]), int(camera["rows"]))
-        layout = (np.int32(self.pitch), np.int32(self.pad), self.total)
-        if self.method == "none":
-            self._launch("accumulate", frame, PIXELS, events, camera, value, *layout)
-            return
-        if self.method == "convolve":
-            self.convolution.add(camera, value, radius, self.total, self.pitch, self.pad, events)
-            return
-        head = (camera, self.struct, sources.source, value, *self.tables[0])
-        tail: tuple[object, ...] = ()
-        if self.sub is not None:
-            tail = (sources.sub_source, sources.sub_value, np.int32(sources.capacity), *self.tables[1])
-        if self.psf.border == "renormalize":
-            self._launch("renormalize", (frame[0], int(camera["height"])), PIXELS, events, *head, *tail)
-        if sources.layer is not None:
-            tail += (sources.surfaces, sources.layer, self.lens, sources.depth)
-            tail += () if self.sub is None else (sources.sub_depth,)
-        if self.method == "gather":
-            parts = np.int32(self.group), self.part
-            for start in range(0, -(-frame[1] // BAND), self.bands):
-                args = (*head, *self.alike, *self.scratch, np.int32(start), *parts, *layout, *tail)
-                self._launch("gather", (self.bands,), (1,), events, *args)
-        elif self.method == "tiles":
-            self._launch("tiles", frame, GROUP, events, *head, *layout, *tail)
-        else:
-            padded = (int(camera["width"]), int(camera["height"]))
-            self._launch("scatter", padded, PIXELS, events, *head, np.float32(self.scale), self.sums, *tail)
+    def add(self, sources: Sources, events: Events) -> None:
+        """Add the radiance of one time sample."""
+
+    def resolve(self, events: Events) -> None:
+        """Enqueue what leaves the frame in the buffer of `layout`."""
 
     def image(self, events: Events, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
         """The frame, or its strip, (rows, columns[, channels]), in `out` where it is given; waits for the device."""
-        rows, columns = int(self.camera["rows"]), int(self.camera["columns"])
-        if self.method == "scatter":
-            args = (np.float32(self.scale), np.int32(self.pitch), np.int32(self.pad), self.sums, self.total)
-            self._launch("resolve", (columns, rows), PIXELS, events, self.camera, *args)
+
+
+class FrameSum:
+    """A frame of sums, and what all methods share; by itself method "none", which adds radiance where it is.
+
+    Parameters
+    ----------
+    target : Target
+    spec : BlurSpec
+    grid : Grid
+        Of the frame, or the tallest of its strips.
+    camera : numpy.void
+        camera_t of the strip that it begins with.
+    sizes : dict
+        Of the buffers, by `clsco.plan.buffers.blur_buffers`.
+    """
+
+    def __init__(self, target: Target, spec: BlurSpec, grid: Grid, camera: Struct, sizes: Sizes) -> None:
+        self.target, self.spec, self.camera, self.channels = target, spec, camera, grid.channels
+        self.struct = psf_struct(spec.psf, *tables_of(spec), target.real)
+        self.pad, self.pitch = margin(grid.columns, grid.guard, spec.reach)
+        self.total = empty(target.session, sizes["total"])
+
+    @property
+    def layout(self) -> tuple[object, ...]:
+        return np.int32(self.pitch), np.int32(self.pad), self.total
+
+    @property
+    def sink(self) -> tuple[object, ...]:
+        return self.layout
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Columns and rows of the strip."""
+        return int(self.camera["columns"]), int(self.camera["rows"])
+
+    def clear(self) -> None:
+        cl.enqueue_fill_buffer(self.target.session.queue, self.total, np.zeros(1, np.uint32), 0, self.total.size)
+
+    def add(self, sources: Sources, events: Events) -> None:
+        self.target.run("accumulate", self.size, PIXELS, events, self.camera, sources.value, *self.layout)
+
+    def resolve(self, events: Events) -> None:
+        pass
+
+    def image(self, events: Events, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+        self.resolve(events)
+        (columns, rows), channels = self.size, self.channels
         if out is None:
-            out = np.empty((rows, columns) if self.channels == 1 else (rows, columns, self.channels), np.float32)
-        with mapped(self.session, self.total, (self.channels, rows, self.pitch)) as total:
+            out = np.empty((rows, columns) if channels == 1 else (rows, columns, channels), np.float32)
+        with mapped(self.target.session, self.total, (channels, rows, self.pitch)) as total:
             planes = total[:, :, self.pad : self.pad + columns]
-            out[...] = planes[0] if self.channels == 1 else np.moveaxis(planes, 0, -1)
-        if self.method == "convolve":
-            self.convolution.held.clear()
+            out[...] = planes[0] if channels == 1 else np.moveaxis(planes, 0, -1)
         return out
 
-    def _launch(self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: object) -> None:
-        events.append((name, launch(self.session, kernel(self.program, name), size, local, *args)))  # type: ignore[arg-type]
+
+def tables_of(spec: BlurSpec) -> tuple[PsfTable, PsfTable | None]:
+    """Tables of weights of pixels and, where there are such, of sub-pixel sources."""
+    main = psf_table(spec.psf, spec.smallest, spec.largest)
+    return main, psf_table(spec.psf, spec.smallest, spec.largest, spec.subpixels) if spec.subpixels else None
 
 
-def _zeros(session: Session, size: int) -> cl.Buffer:
-    """A buffer of so many bytes, all 0."""
-    buffer = empty(session, size)
-    cl.enqueue_fill_buffer(session.queue, buffer, np.zeros(1, np.uint32), 0, size)
-    return buffer
+class TableBlur(FrameSum):
+    """A blur of sources of any radius each, with weights from tables; arguments as for `FrameSum`."""
+
+    def __init__(self, target: Target, spec: BlurSpec, grid: Grid, camera: Struct, sizes: Sizes) -> None:
+        super().__init__(target, spec, grid, camera, sizes)
+        session = target.session
+        self.tables = [
+            (upload(session, table.intervals), upload(session, table.coefficients))
+            for table in tables_of(spec)
+            if table is not None
+        ]
+        self.lens = upload(session, lens_floats(spec.psf).astype(np.float32)) if spec.occluded else None
+
+    def add(self, sources: Sources, events: Events) -> None:
+        head = (self.camera, self.struct, sources.source, sources.value, *self.tables[0])
+        tail: tuple[object, ...] = ()
+        if self.spec.subpixels:
+            tail = (sources.sub_source, sources.sub_value, np.int32(sources.capacity), *self.tables[1])
+        if self.spec.psf.border == "renormalize":
+            size = int(self.camera["columns"]), int(self.camera["height"])
+            self.target.run("renormalize", size, PIXELS, events, *head, *tail)
+        if sources.layer is not None:
+            tail += (sources.surfaces, sources.layer, self.lens, sources.depth)
+            tail += (sources.sub_depth,) if self.spec.subpixels else ()
+        self.spread(head, tail, events)
+
+    def spread(self, head: tuple[object, ...], tail: tuple[object, ...], events: Events) -> None:
+        """Enqueue the kernels; head, tail: arguments that all methods have in common."""
+        raise NotImplementedError
+
+
+class Tiles(TableBlur):
+    """Each work-item gathers what reaches its pixel, for groups of pixels that share their sources."""
+
+    def spread(self, head: tuple[object, ...], tail: tuple[object, ...], events: Events) -> None:
+        self.target.run("tiles", self.size, GROUP, events, *head, *self.layout, *tail)
+
+
+class Scatter(TableBlur):
+    """Each work-item adds a source to all pixels that it reaches, by atomics on whole numbers."""
+
+    def __init__(self, target: Target, spec: BlurSpec, grid: Grid, camera: Struct, sizes: Sizes) -> None:
+        super().__init__(target, spec, grid, camera, sizes)
+        wide = target.session.device.has_int64_atomics
+        gain = TILT_GAIN * (GAIN + GAIN_PER_LOG * log(max(spec.largest, 1.0)))
+        most = 2.0 ** (40 if wide else 31) / (max(spec.brightest, 1e-30) * (1.0 if wide else gain))
+        self.scale = min(most, 2.0**126)  # a float32, also where there is no radiance at all
+        self.sums = empty(target.session, sizes["sums"])
+
+    @property
+    def sink(self) -> tuple[object, ...]:
+        return np.float32(self.scale), self.sums
+
+    def clear(self) -> None:
+        cl.enqueue_fill_buffer(self.target.session.queue, self.sums, np.zeros(1, np.uint32), 0, self.sums.size)
+
+    def spread(self, head: tuple[object, ...], tail: tuple[object, ...], events: Events) -> None:
+        padded = (int(self.camera["width"]), int(self.camera["height"]))
+        self.target.run("scatter", padded, PIXELS, events, *head, *self.sink, *tail)
+
+    def resolve(self, events: Events) -> None:
+        layout = np.int32(self.pitch), np.int32(self.pad), self.sums, self.total
+        self.target.run("resolve", self.size, PIXELS, events, self.camera, np.float32(self.scale), *layout)
+
+
+class Gather(TableBlur):
+    """Each work-item walks the sources that reach a band of rows; some bands at a time, so that a large frame does not
+    take several times its size."""
+
+    def __init__(self, target: Target, spec: BlurSpec, grid: Grid, camera: Struct, sizes: Sizes) -> None:
+        super().__init__(target, spec, grid, camera, sizes)
+        session, table = target.session, tables_of(spec)[0]
+        self.alike = tuple(upload(session, a) if a.size else None for a in (table.taps, table.outlines))
+        # Rows of sources after which sums go on to the frame, 0 where they are short.
+        self.group = max(MOST_IN_ONE_SUM // (2 * spec.reach + 1), 1) if "part" in sizes else 0
+        self.part = filled_with(session, sizes["part"]) if "part" in sizes else self.total
+        self.scratch, self.bands = tuple[object, ...](), -(-grid.rows // BAND)
+        if {"part", "scratch"} & sizes.keys():
+            self.bands = bands_at_a_time(grid.rows, session.device.compute_units)
+        if "scratch" in sizes:
+            near = band_scratch(spec.psf, spec.largest, session.device.has_fp64) == "near"
+            number = sizes["scratch"] // (4 if near else 8)  # of floats, or doubles
+            self.scratch = (filled_with(session, sizes["scratch"]), np.int32(number // self.bands))
+
+    def spread(self, head: tuple[object, ...], tail: tuple[object, ...], events: Events) -> None:
+        parts = np.int32(self.group), self.part
+        for start in range(0, -(-int(self.camera["rows"]) // BAND), self.bands):
+            args = (*head, *self.alike, *self.scratch, np.int32(start), *parts, *self.layout, *tail)
+            self.target.run("gather", (self.bands,), (1,), events, *args)

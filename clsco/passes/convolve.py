@@ -2,103 +2,101 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from math import floor, log2
 
 import numpy as np
 import pyopencl as cl
 
-from clsco.opencl.buffers import empty, upload
-from clsco.opencl.program import build, kernel, launch
-from clsco.opencl.session import Session
+from clsco.frame.strips import Grid
+from clsco.opencl.buffers import Refilled, empty
+from clsco.opencl.program import build
 from clsco.optics.stencil import Stencil, stencils
-from clsco.plan.memory import SUMS_BEYOND
+from clsco.passes.blur import Events, FrameSum, Sources, Target
+from clsco.plan.buffers import CONVOLVED_COLUMNS, CONVOLVED_ROWS, SUMS_BEYOND, Sizes
+from clsco.plan.methods import BlurSpec
 from clsco.records import Struct, structs
-from clsco.scene.model import Psf
-
-Events = list[tuple[str, cl.Event]]
 
 SHAPES = ("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED")
 FEATURES = dict.fromkeys((*SHAPES, "FILTER", "SAMPLED", "GENERAL", "CHANNELS"), 0)
-CONVOLVED, TILES_ABREAST = (
-    (32, 64),
-    8,
-)  # rows and columns of a work-item; so many are made side by side before those below
+TILES_ABREAST = 8  # so many are made side by side before those below
 BITS, LOWER_BITS = 56, 26  # of a sum over a disc, and those of them that sums of 32 bits leave out
-# What they leave out is less than a unit of each row of a disc: (2 R + 1) 2^-29 of the brightest light at most, 2e-7 at
-# R = 60, and 1e-8 RMS. With light brighter than so many times white, sums of 64 bits keep that from what is beside it.
+# What they leave out is less than a unit of each row of a disc: (2 R + 1) 2^-29 of the brightest source at most, 2e-7
+# at R = 60, and 1e-8 RMS. Of radiance above so many times white, sums of 64 bits keep that from what is beside it.
 BRIGHTEST = 4.0
 
+Plane = tuple[cl.Buffer | None, int, int, int]  # buffer, where a plane begins in it, pixel (0, 0) there, pitch
 
-class Convolution:
-    """Adds frames that are blurred with one radius to a frame; owns what they need besides value and total.
 
-    brightest: largest |light| of a pixel; sizes: of its buffers in bytes, see `clsco.plan.memory.spread_bytes`.
+class Convolve(FrameSum):
+    """Adds frames that are blurred with one radius; arguments as for `FrameSum`, of whose target it needs no program.
+
+    It makes the PSF of the sources' radius, up to `spec.largest`. Validated against
+    `clsco.reference.blur.convolve`.
     """
 
-    def __init__(self, session: Session, psf: Psf, channels: int, brightest: float, sizes: Mapping[str, int]) -> None:
-        self.session, self.psf, self.channels = session, psf, channels
-        self.wide, self.brightest = brightest > BRIGHTEST, max(brightest, 1e-20)
-        self.program = build(
-            session, ["blur/convolve.cl"], FEATURES | {"WIDE_SUMS": self.wide}, structs("float"), "float"
-        )
-        self.sums, self.across = (empty(session, sizes.get(name, 0)) for name in ("sums", "across"))
+    def __init__(self, target: Target, spec: BlurSpec, grid: Grid, camera: Struct, sizes: Sizes) -> None:
+        session, self.wide = target.session, spec.brightest > BRIGHTEST
+        features = FEATURES | {"WIDE_SUMS": self.wide}
+        program = build(session, ["blur/convolve.cl"], features, structs("float"), "float")
+        super().__init__(Target(session, program, target.real), spec, grid, camera, sizes)
+        self.across = empty(session, sizes["across"]) if "across" in sizes else None
+        self.sums: cl.Buffer | None = None
         if "sums" in sizes:
+            self.sums = empty(session, sizes["sums"])
             unit = 8 if self.wide else 4
             end = unit * (sizes["sums"] // 8 - SUMS_BEYOND)
             cl.enqueue_fill_buffer(session.queue, self.sums, np.zeros(1, np.uint32), end, unit * SUMS_BEYOND)
         self.fresh = True  # nothing has been added to the frame yet: what is there does not count
-        # Tables that queued launches still read: the host runs ahead of the device.
-        self.held: list[tuple[cl.Buffer, ...]] = []
+        arrays = [name for name in sizes if name[-1].isdecimal()]
+        self.stencils = {name: Refilled(session, sizes[name]) for name in arrays}
 
-    def add(
-        self, camera: Struct, value: cl.Buffer, radius: float, total: cl.Buffer, pitch: int, pad: int, events: Events
-    ) -> None:
-        """Add value (channels, height, width), blurred by |R| = radius px, to total (channels, rows, pitch)."""
-        rows, columns, width, height, above, guard = (
-            int(camera[name]) for name in ("rows", "columns", "width", "height", "above", "guard")
+    def clear(self) -> None:
+        self.fresh = True
+
+    def add(self, sources: Sources, events: Events) -> None:
+        columns, rows, width, height, above, guard = (
+            int(self.camera[name]) for name in ("columns", "rows", "width", "height", "above", "guard")
         )
-        *first, last = stencils(self.psf, radius)
+        found = stencils(self.spec.psf, sources.radius)
+        tables = [self._tables(number, stencil) for number, stencil in enumerate(found)]
+        *first, last = zip(found, tables, strict=True)
         for k in range(self.channels):
-            source = (value, k * width * height, above * width + guard, width)
-            for stencil in first:
-                line = -(-columns // CONVOLVED[1]) * CONVOLVED[1]
-                grid = (value, k * width * height, guard, width)
-                self._convolve(stencil, (height, columns), grid, 0.0, (self.across, 0, line), True, events)
+            source: Plane = (sources.value, k * width * height, above * width + guard, width)
+            for across in first:
+                line = -(-columns // CONVOLVED_COLUMNS) * CONVOLVED_COLUMNS
+                rows_of = (sources.value, k * width * height, guard, width)
+                self._convolve(across, (height, columns), rows_of, 0.0, (self.across, 0, line), True, events)
                 source = (self.across, 0, above * line, line)
-            unit = self._sum(last, (height, width), source, events) if last.rectangles else 0.0
-            target = (total, k * rows * pitch + pad, pitch)
-            self._convolve(last, (rows, columns), source, last.share * unit, target, self.fresh, events)
+            unit = self._sum(last[0], (height, width), source, events) if last[0].rectangles else 0.0
+            target = (self.total, k * rows * self.pitch + self.pad, self.pitch)
+            self._convolve(last, (rows, columns), source, last[0].share * unit, target, self.fresh, events)
         self.fresh = False
 
-    def _sum(
-        self, stencil: Stencil, size: tuple[int, int], source: tuple[cl.Buffer, int, int, int], events: Events
-    ) -> float:
-        """Make the sums of a plane; the light of a unit of them."""
-        scale = 2.0 ** floor(BITS - log2(stencil.area * self.brightest))
+    def _tables(self, number: int, stencil: Stencil) -> list[cl.Buffer | None]:
+        """Runs, weights and pairs of a stencil on the device; launches in the queue may still read those before."""
+        arrays = {"runs": stencil.runs, "weights": stencil.weights, "pairs": stencil.pairs}
+        return [self.stencils[f"{k} {number}"].fill(a) if a.size else None for k, a in arrays.items()]
+
+    def _sum(self, stencil: Stencil, size: tuple[int, int], source: Plane, events: Events) -> float:
+        """Make the sums of a plane; the radiance of a unit of them."""
+        scale = 2.0 ** floor(BITS - log2(stencil.area * max(self.spec.brightest, 1e-20)))
         shape, (value, start, *_) = tuple(map(np.int32, size)), source
         args = (*shape, value, np.int32(start), np.float32(scale), self.sums)
-        self._launch("sum_across", (size[0],), events, *args)
-        self._launch("sum_down", (-(-size[1] // CONVOLVED[1]),), events, *shape, self.sums)
+        self.target.run("sum_across", (size[0],), (1,), events, *args)
+        self.target.run("sum_down", (-(-size[1] // CONVOLVED_COLUMNS),), (1,), events, *shape, self.sums)
         return (1.0 if self.wide else 2.0**LOWER_BITS) / scale
 
     def _convolve(
-        self, stencil: Stencil, size: tuple[int, int], source: tuple[cl.Buffer, int, int, int], share: float,
-        target: tuple[cl.Buffer, int, int], fresh: bool, events: Events,
+        self, stencil: tuple[Stencil, list[cl.Buffer | None]], size: tuple[int, int], source: Plane, share: float,
+        target: tuple[cl.Buffer | None, int, int], fresh: bool, events: Events,
     ) -> None:  # fmt: skip
-        """One launch; source: buffer, its plane, pixel (0, 0) there, pitch; target: buffer, pixel (0, 0), pitch."""
-        tables = tuple(upload(self.session, array) for array in (stencil.runs, stencil.weights, stencil.pairs))
-        self.held.append(tables)
-        runs, weights, pairs = tables
+        """One launch; target: buffer, pixel (0, 0), pitch."""
+        found, (runs, weights, pairs) = stencil
         args = (
-            *map(np.int32, size), source[0], *map(np.int32, source[1:]), runs, np.int32(len(stencil.runs)), weights,
-            self.sums, pairs, np.int32(len(stencil.pairs)), np.float32(share),
-            *map(np.int32, stencil.reach),
+            *map(np.int32, size), source[0], *map(np.int32, source[1:]), runs, np.int32(len(found.runs)), weights,
+            self.sums, pairs, np.int32(len(found.pairs)), np.float32(share),
+            *map(np.int32, found.reach),
             target[0], *map(np.int32, target[1:]), np.int32(fresh),
         )  # fmt: skip
-        tiles = (TILES_ABREAST, -(-size[0] // CONVOLVED[0]), -(-size[1] // (TILES_ABREAST * CONVOLVED[1])))
-        self._launch("convolve", tiles, events, *args)
-
-    def _launch(self, name: str, size: tuple[int, ...], events: Events, *args: object) -> None:
-        one = (1,) * len(size)
-        events.append((name, launch(self.session, kernel(self.program, name), size, one, *args)))  # type: ignore[arg-type]
+        tiles = (TILES_ABREAST, -(-size[0] // CONVOLVED_ROWS), -(-size[1] // (TILES_ABREAST * CONVOLVED_COLUMNS)))
+        self.target.run("convolve", tiles, (1, 1, 1), events, *args)

@@ -1,7 +1,8 @@
-"""Choice of the blur method."""
+"""Choice of the blur method, and what a blur is made for."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from clsco.errors import SceneError
 from clsco.optics.psf import shape_of
+from clsco.optics.psf_tables import table_reach
 from clsco.plan.approximation import METHODS
 from clsco.scene.model import Psf
 
@@ -16,6 +18,49 @@ Array = NDArray[np.float64]
 Blur = Literal["gather", "scatter", "tiles", "convolve", "none"]
 
 MANY_RADII: tuple[Blur, ...] = ("gather", "scatter", "tiles")  # methods for sources of any radius each
+
+
+@dataclass(frozen=True)
+class BlurSpec:
+    """A blur by the PSF of each source: what its programs are built for, and its buffers are made for.
+
+    Attributes
+    ----------
+    psf : Psf
+    method : Blur
+    smallest, largest : float
+        Range of |R| in px; other radii are clamped to it ("convolve" makes the PSF of its radius).
+    subpixels : int
+        Sub-pixel sources per axis at silhouettes, 0 for none.
+    tilt : bool
+        Whether sources have the gradient of R.
+    occluded : bool
+        Whether something may stand in the way of a source.
+    brightest : float
+        Largest |radiance|, which sets the unit of sums of whole numbers.
+    least : float, optional
+        A source moves to a coarser grid while its radius is at least so many px there; None for the exact blur.
+    """
+
+    psf: Psf
+    method: Blur
+    smallest: float
+    largest: float
+    subpixels: int = 0
+    tilt: bool = False
+    occluded: bool = False
+    brightest: float = 1.0
+    least: float | None = None
+
+    @property
+    def marked(self) -> bool:
+        """Whether sources say what they are: whole, in sub-pixel sources, or partly occluded."""
+        return self.subpixels > 0 or self.occluded
+
+    @property
+    def reach(self) -> int:
+        """Largest half-width of a row of weights in the tables, px."""
+        return max(table_reach(self.psf, self.largest, fine) for fine in {False, self.subpixels > 0})
 
 
 def is_sharp(psf: Psf, largest: float) -> bool:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from clsco.errors import SceneError
 from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES
-from clsco.frame.strips import Strip, cut
+from clsco.frame.strips import Grid, Strip, cut
 from clsco.optics.lens import LARGEST_BLUR, blur_radius
 from clsco.optics.motion import Eye, Pose, sample_times
 from clsco.optics.psf import psf_extent, shape_of
@@ -22,7 +22,7 @@ from clsco.optics.quadrics import canonical
 from clsco.optics.slabs import margin_of_slabs
 from clsco.optics.visibility import Layer, extent, is_hollow, layers
 from clsco.plan.approximation import METHODS, candidates, check_border, checked_tolerance
-from clsco.plan.methods import MANY_RADII, Blur, _choose_blur, is_sharp, many_radii
+from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, _choose_blur, is_sharp, many_radii
 from clsco.plan.predict import Maps, _blur_range, _constant_blur, _fills_view, _moments, _samples, displaced, guard_band
 from clsco.scene.model import Scene
 
@@ -98,6 +98,19 @@ class Plan:
     def tallest(self) -> int:
         """Rows of the largest grid of a strip."""
         return max(strip.height for strip in self.strips)
+
+    @property
+    def grid(self) -> Grid:
+        """Sizes of the frame, or of the tallest of its strips."""
+        return Grid.of(self.strips, self.columns, self.guard_px, self.channels)
+
+    @property
+    def spec(self) -> BlurSpec:
+        """What the blur is made for; with approximations, for the first one."""
+        occluded = any(layer.occluders for layer in self.layers)
+        least = METHODS[self.approximations[0]] if self.approximations else None
+        ends = self.smallest_blur, self.largest_blur
+        return BlurSpec(self.scene.psf, self.blur, *ends, self.silhouettes, self.tilt, occluded, least=least)
 
     @property
     def slots(self) -> int:

@@ -38,7 +38,8 @@ from clsco.cli.bench.roofline import Roof, intensity, multiply_add_rate, tap_rat
 from clsco.cli.main import main
 from clsco.errors import ClscoError, ImageError
 from clsco.opencl.session import Session
-from clsco.plan.memory import row_bytes
+from clsco.passes.blur import Gather
+from clsco.plan.buffers import row_bytes
 from clsco.plan.methods import Blur
 from clsco.scene.model import Psf
 
@@ -143,10 +144,11 @@ def test_bytes_on_the_device_are_those_of_its_buffers(session: Session) -> None:
     radii = np.zeros((16, 16))
     psf = Psf(edge="sampled")
     one = Pass(session, np.zeros((16, 16), np.float32), radii, psf, "gather", "double")
-    spreader = one.spreader
-    margins = 4 * 16 * spreader.pitch
-    held = [buffer for table in (*spreader.tables, spreader.alike) for buffer in table]
-    tables = sum(buffer.size for buffer in held) + spreader.lens.size
+    blur = one.blur
+    assert isinstance(blur, Gather)
+    margins = 4 * 16 * blur.pitch
+    held = [buffer for table in (*blur.tables, blur.alike) for buffer in table]
+    tables = sum(buffer.size for buffer in held if buffer is not None)
     assert one.bytes == 256 * (12 + 1 + 4 + 8) + margins + tables + row_bytes(psf, 1, 0, near=True)
 
 

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.frame import strips
-from clsco.frame.strips import frame_struct
+from clsco.frame.strips import Grid, frame_struct
 from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
@@ -19,10 +19,11 @@ from clsco.optics import psf as psf_weights
 from clsco.optics.psf import reach
 from clsco.optics.psf_tables import WIDE_LANES, psf_features, psf_table
 from clsco.passes import blur as spread
-from clsco.passes.blur import FILES_OF, PIXELS, Spreader
+from clsco.passes.blur import FILES_OF, PIXELS, FrameSum, TableBlur
+from clsco.passes.exact import exact_blur
 from clsco.passes.pack import psf_struct
-from clsco.plan.memory import ITEMS_BYTES, ROW_TILE, source_bytes
-from clsco.plan.methods import Blur
+from clsco.plan.buffers import ITEMS_BYTES, ROW_TILE, source_bytes
+from clsco.plan.methods import Blur, BlurSpec
 from clsco.records import Struct, flat, structs
 from clsco.reference.blur import blur as twin
 from clsco.reference.common.geometry import table_coordinate, tilt_slope
@@ -160,31 +161,30 @@ def copied(session: Session, array: Array) -> Any:
 
 def features(psf: Psf, channels: int, samples: int, largest: float = 0.0) -> dict[str, int]:
     """All kernels in one program, so that few have to be compiled; tests/architecture builds them one by one."""
-    kernels = spread.blur_features("gather", psf, largest, True, prepare=True)
+    kernels = spread.blur_features(BlurSpec(psf, "gather", 0.0, largest), True, prepare=True)
     kernels |= dict.fromkeys(("GATHER", "SCATTER", "RENORMALIZE", "PREPARE"), 1)
     chosen = {"CHANNELS": channels, "SUBPIXELS": samples, "TILT": int(psf.tilt), "BAND": strips.BAND}
     return SHAPES | kernels | chosen | psf_features(psf)
 
 
-def spreader(session: Session, given: Light, method: Blur) -> Spreader:
-    psf = given.psf
+def blur_of(session: Session, given: Light, method: Blur) -> FrameSum:
+    psf, ends = given.psf, (given.smallest, given.largest)
+    spec = BlurSpec(psf, method, *ends, given.samples, psf.tilt)
     chosen = features(psf, given.channels, given.samples, given.largest)
     if method == "tiles":  # in a file of its own
-        chosen |= spread.blur_features(method, psf, given.largest, True, prepare=False) | {"RENORMALIZE": 1}
+        chosen |= spread.blur_features(spec, True, prepare=False) | {"RENORMALIZE": 1}
     program = build(session, spread.FILES_OF[method], chosen, STRUCTS, "double")
-    ends = (given.smallest, given.largest)
-    return Spreader(
-        session, program, psf, method, given.camera(), given.channels, *ends, given.samples, "double", 1.0, chosen
-    )  # fmt: skip
+    grid = Grid.whole(*given.shape, given.guard, given.channels)
+    return exact_blur(spread.Target(session, program, "double"), spec, grid, given.camera())
 
 
 def blurred(session: Session, given: Light, method: Blur, moments: int = 1) -> Array:
     """Frame (rows, columns, channels) of a method; moments: that many equal shares of the light."""
-    owner = spreader(session, given, method)
+    owner = blur_of(session, given, method)
     owner.clear()
     sources = on_device(session, given, 1.0 / moments)
     for _ in range(moments):
-        owner.add(sources, given.largest, [])
+        owner.add(replace(sources, radius=given.largest), [])
     image = owner.image([])
     return image if given.channels > 1 else image[..., None]
 
@@ -348,14 +348,15 @@ def test_renormalized_borders(session: Session, samples: int, method: Blur) -> N
 def test_renormalize_divides_by_what_stays(session: Session) -> None:
     """The kernel itself: values after it against the twin's radiance."""
     given = light(Psf(border="renormalize"), shape=(24, 31), guard=0, channels=3, samples=2)
-    owner = spreader(session, given, "gather")
+    owner = blur_of(session, given, "gather")
     sources = on_device(session, given, 1.0)
     assert sources.source is not None
     assert sources.sub_source is not None
     assert sources.sub_value is not None
+    assert isinstance(owner, TableBlur)
     head = (given.camera(), owner.struct, sources.source, sources.value, *owner.tables[0])
     tail = (sources.sub_source, sources.sub_value, np.int32(sources.capacity), *owner.tables[1])
-    launch(session, kernel(owner.program, "renormalize"), (31, 24), PIXELS, *head, *tail)
+    launch(session, kernel(owner.target.program, "renormalize"), (31, 24), PIXELS, *head, *tail)
     value = download(session, sources.value, (3, 24, 31), np.float32)
     scaled, _ = twin.renormalize(given.psf, given.sources, given.sub, given.shape, 0)
     assert given.sub is not None
@@ -446,7 +447,8 @@ def test_prepare_sources(session: Session, psf: Psf, tilt: bool) -> None:
     program = build(session, FILES_OF["gather"], features(given.psf, 1, 0), STRUCTS, "double")
     struct, out = psf_struct(psf, table, None, "double"), empty(session, source_bytes(coc.size, tilt))
     maps = (upload(session, coc), upload(session, valid.astype(np.uint8)))
-    spread.prepare_sources(session, program, given.camera(), struct, *maps, out, [])
+    target = spread.Target(session, program, "double")
+    spread.prepare_sources(target, given.camera(), struct, maps, out, [])
     found = download_sources(session, out, coc.shape, tilt, False)
     expected = records(given, coc, twin.prepare_sources(coc, valid), valid, False)
     assert np.abs(expected[..., 1:3]).max() > 1.0

@@ -15,9 +15,10 @@ from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
 from clsco.optics.psf_tables import psf_table
 from clsco.passes import blur as spread
-from clsco.passes.blur import FILES_OF, PIXELS
+from clsco.passes.blur import FILES_OF, PIXELS, TableBlur
 from clsco.passes.pack import psf_struct
-from clsco.plan.memory import band_scratch, column_bytes, margin
+from clsco.plan import buffers
+from clsco.plan.buffers import band_scratch, column_bytes, margin
 from clsco.reference.blur import blur as twin
 from clsco.scene.model import Psf
 from tests.kernels.conftest import source_planes
@@ -28,12 +29,12 @@ from tests.kernels.test_blur import (
     STRUCTS,
     Light,
     assert_close,
+    blur_of,
     blurred,
     features,
     light,
     on_device,
     records,
-    spreader,
 )
 from tests.kernels.test_reproject_planes import Amid
 
@@ -86,15 +87,16 @@ def test_renormalized_subpixel_sources(session: Session) -> None:
     gradient = np.where(edge[:, None, None, None], -40.0, given.sub.gradient)
     given = replace(given, sub=replace(given.sub, radius=radius, gradient=gradient))
     assert given.sub is not None
-    owner, sources = spreader(session, given, "scatter"), on_device(session, given, 1.0)
+    owner, sources = blur_of(session, given, "scatter"), on_device(session, given, 1.0)
     assert sources.source is not None
     assert sources.sub_source is not None
     assert sources.sub_value is not None
     shape = (3, sources.capacity, 2, 2)
     before = download(session, sources.sub_value, shape, np.float32)
+    assert isinstance(owner, TableBlur)
     head = (given.camera(), owner.struct, sources.source, sources.value, *owner.tables[0])
     tail = (sources.sub_source, sources.sub_value, np.int32(sources.capacity), *owner.tables[1])
-    launch(session, kernel(owner.program, "renormalize"), (11, 9), PIXELS, *head, *tail)
+    launch(session, kernel(owner.target.program, "renormalize"), (11, 9), PIXELS, *head, *tail)
     found = download(session, sources.sub_value, shape, np.float32)
     _, scaled = twin.renormalize(given.psf, given.sources, given.sub, given.shape, 0)
     assert scaled is not None
@@ -179,6 +181,7 @@ def test_gather_without_doubles(session: Session, monkeypatch: pytest.MonkeyPatc
     """Sampled discs of any radius one by one, in rows that end amid a block."""
     given = light(Psf(edge="sampled"), shape=(9, 27), guard=5, largest=26.0, channels=2)
     expected = blurred(session, given, "scatter")
-    monkeypatch.setattr(spread, "band_scratch", lambda psf, largest, fp64: "none")
+    for module in (spread, buffers):
+        monkeypatch.setattr(module, "band_scratch", lambda psf, largest, fp64: "none")
     assert not features(given.psf, 2, 0, given.largest)["BY_ROWS"]
     assert_close(blurred(session, given, "gather"), expected, ROUNDING)

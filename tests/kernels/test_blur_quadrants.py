@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clsco.frame.strips import BAND, frame_struct
+from clsco.frame.strips import BAND, Grid, frame_struct
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.optics.psf_tables import psf_table
-from clsco.passes.blur import FILES_OF, Spreader
+from clsco.passes.blur import FILES_OF, Target
+from clsco.passes.exact import exact_blur
+from clsco.plan.methods import BlurSpec
 from clsco.records import structs
 from clsco.scene.model import Psf
 from tests.kernels.test_blur import RNG, ROUNDING, assert_close, blurred, features, light, on_device
@@ -67,9 +69,10 @@ def test_a_device_without_doubles(session: Session, monkeypatch: pytest.MonkeyPa
     chosen = features(given.psf, 1, 0, given.largest)
     program = build(session, FILES_OF["gather"], chosen, structs("float"), "float")
     camera = frame_struct(*given.shape, given.guard, "float")
-    ends = given.smallest, given.largest
-    owner = Spreader(session, program, given.psf, "gather", camera, 1, *ends, 0, "float", 1.0, chosen)
+    spec = BlurSpec(given.psf, "gather", given.smallest, given.largest, tilt=tilt)
+    grid = Grid.whole(*given.shape, given.guard, 1)
+    owner = exact_blur(Target(session, program, "float"), spec, grid, camera)
     owner.clear()
     sources = on_device(session, given, 1.0)
-    owner.add(sources, given.largest, [])
+    owner.add(sources, [])
     assert_close(owner.image([])[..., None], expected, ROUNDING)

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from clsco.opencl.session import Session
 from clsco.optics.psf_tables import NEAR
-from clsco.plan.memory import ROW_TILE
+from clsco.plan.buffers import ROW_TILE
 from clsco.scene.model import Psf
-from tests.kernels.test_blur import RNG, ROUNDING, Light, assert_close, blurred, features, light, on_device, spreader
+from tests.kernels.test_blur import RNG, ROUNDING, Light, assert_close, blur_of, blurred, features, light, on_device
 from tests.kernels.test_blur_columns import Signed
 
 Array = NDArray[Any]
@@ -79,11 +79,11 @@ def test_rows_in_focus(session: Session) -> None:
 def test_nothing_is_added_behind_the_last_row(session: Session, largest: float) -> None:
     """Not even 0, which would be lost light where another work-item adds to the same place."""
     given = light(DISCS, shape=(1, ROW_TILE + 45), guard=5, largest=largest)
-    owner = spreader(session, given, "gather")
+    owner = blur_of(session, given, "gather")
     total = Signed(session, (1, owner.pitch))
     owner.total = total.buffer
     sources = on_device(session, given, 1.0)  # kept until the device is done
-    owner.add(sources, largest, [])
+    owner.add(replace(sources, radius=largest), [])
     row = total.now()[:, owner.pad : owner.pad + given.shape[1]]
     assert_close(row[..., None], given.expected(), ROUNDING)
 

@@ -9,16 +9,20 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
-from clsco.frame.strips import frame_struct
+from clsco.frame.strips import Grid, frame_struct
 from clsco.opencl.buffers import download, empty
 from clsco.opencl.program import launch
 from clsco.opencl.session import Session
 from clsco.optics.psf import reach
 from clsco.optics.psf_tables import TAP_LANES
 from clsco.optics.stencil import SUMMED
+from clsco.passes import blur
 from clsco.passes import convolve as convolution
-from clsco.passes.blur import Sources, Spreader, blur_features
-from clsco.plan.memory import SUMS_BEYOND
+from clsco.passes.blur import Sources, Target
+from clsco.passes.convolve import Convolve
+from clsco.passes.exact import exact_blur
+from clsco.plan.buffers import SUMS_BEYOND
+from clsco.plan.methods import BlurSpec
 from clsco.records import flat
 from clsco.reference.blur.convolve import convolve
 from clsco.scene.model import Psf
@@ -46,33 +50,25 @@ def lit(psf: Psf, radius: float, shape: tuple[int, ...]) -> Array:
 
 
 class Convolver:
-    """A Spreader for one image and PSF."""
+    """The blur of one image with one PSF."""
 
     def __init__(self, session: Session, psf: Psf, light: Array, radius: float, brightest: float = 1.0) -> None:
         guard, size = guard_of(psf, radius), abs(radius)
         camera = frame_struct(light.shape[0] - 2 * guard, light.shape[1] - 2 * guard, guard, "double")
-        self.spreader = Spreader(
-            session,
-            {},
-            psf,
-            "convolve",
-            camera,
-            light.shape[2],
-            size,
-            size,
-            0,
-            "double",
-            brightest,
-            blur_features("convolve", psf, size, True, prepare=False),
-        )
+        spec = BlurSpec(psf, "convolve", size, size, brightest=brightest)
+        rows, columns, channels = light.shape
+        grid = Grid.whole(rows - 2 * guard, columns - 2 * guard, guard, channels)
+        blur = exact_blur(Target(session, {}, "double"), spec, grid, camera)
+        assert isinstance(blur, Convolve)
+        self.blur = blur
         self.session, self.radius, self.value = session, size, empty(session, 4 * light.size)
         cl.enqueue_copy(session.queue, self.value, flat(light, np.float32))
 
     def __call__(self, moments: int = 1) -> Array:
-        self.spreader.clear()
+        self.blur.clear()
         for _ in range(moments):
-            self.spreader.add(Sources(None, self.value), self.radius, [])
-        image = self.spreader.image([])
+            self.blur.add(Sources(None, self.value, radius=self.radius), [])
+        image = self.blur.image([])
         return image if image.ndim == 3 else image[..., None]
 
 
@@ -140,7 +136,7 @@ def test_sums_of_either_width(session: Session) -> None:
     expected = convolve(psf, light.astype(np.float32).astype(np.float64), radius, guard_of(psf, radius))
     for brightest in (convolution.BRIGHTEST, 1e3 * convolution.BRIGHTEST):
         found = Convolver(session, psf, light, radius, brightest)
-        assert found.spreader.convolution.wide == (brightest > convolution.BRIGHTEST)
+        assert found.blur.wide == (brightest > convolution.BRIGHTEST)
         error = np.abs(found() - expected)
         assert error.max() < 1e-7 * (4.0 if brightest == convolution.BRIGHTEST else 2.0)
     assert reach(psf, radius) > SUMMED
@@ -170,7 +166,8 @@ def test_no_sums_beyond_the_last_row(session: Session) -> None:
     light = lit(psf, radius, (20, 41, 1))
     found = Convolver(session, psf, light, radius)
     found()
-    sums = download(session, found.spreader.convolution.sums, (light.size + SUMS_BEYOND,), np.uint32)
+    assert found.blur.sums is not None
+    sums = download(session, found.blur.sums, (light.size + SUMS_BEYOND,), np.uint32)
     assert sums[: light.size].any()
     assert not sums[light.size :].any()
 
@@ -184,7 +181,7 @@ def test_same_bits_again_and_in_other_groups(session: Session, psf: Psf, monkeyp
     def other(session: Any, kernel: Any, size: Any, usual: Any, *args: Any) -> Any:
         return launch(session, kernel, size, (3, 2, 1)[: len(usual)], *args)
 
-    monkeypatch.setattr(convolution, "launch", other)
+    monkeypatch.setattr(blur, "launch", other)
     assert found().tobytes() == first
 
 
@@ -193,11 +190,11 @@ def test_tables_outlive_their_launches(session: Session) -> None:
     found = Convolver(session, Psf(), lit(Psf(), 15.0, (200, 300, 1)), 15.0)
 
     def total(wait: bool) -> Array:
-        found.spreader.clear()
+        found.blur.clear()
         for radius in np.linspace(9.0, 15.0, 60).tolist():
-            found.spreader.add(Sources(None, found.value), radius, [])
+            found.blur.add(Sources(None, found.value, radius=radius), [])
             if wait:
                 session.queue.finish()
-        return found.spreader.image([])
+        return found.blur.image([])
 
     assert (total(False) == total(True)).all()

@@ -9,17 +9,17 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
-from clsco.frame.strips import frame_struct
+from clsco.frame.strips import Grid, frame_struct
 from clsco.opencl.buffers import download, empty, upload
-from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.optics import slabs
 from clsco.optics.psf import reach
-from clsco.passes.blur import FILES_OF, Events, Spreader, image_features
+from clsco.passes.blur import Events, image_target
 from clsco.passes.blur import Sources as Light
-from clsco.passes.layered import Layers
-from clsco.plan.methods import Blur
-from clsco.records import Real, flat, in_parts, structs
+from clsco.passes.exact import exact_blur
+from clsco.passes.layered import DepthLayers
+from clsco.plan.methods import Blur, BlurSpec
+from clsco.records import Real, flat, in_parts
 from clsco.reference.blur.blur import prepare_sources, scatter
 from clsco.reference.layered import layered as twin
 from clsco.reference.trace.trace import Sources
@@ -74,14 +74,13 @@ class Device:
 
     def __init__(self, session: Session, view: View, method: Blur = "gather", real: Real = "double") -> None:
         psf, channels = view.psf, view.radiance.shape[2]
-        features = image_features(method, psf, view.largest, channels, psf.tilt, session.device.has_fp64)
-        program = build(session, FILES_OF["gather"], features, structs(real), real)
+        spec = BlurSpec(psf, method, 0.0, view.largest, tilt=psf.tilt)
+        target = image_target(session, spec, channels, real)
         camera = frame_struct(*view.shape, view.guard, real)
         self.session, self.view = session, view
-        self.spreader = Spreader(
-            session, program, psf, method, camera, channels, 0.0, view.largest, 0, real, 1.0, features
-        )  # fmt: skip
-        self.layers = Layers(session, self.spreader, psf.tilt, view.largest, real, 1.0)
+        grid = Grid.whole(*view.shape, view.guard, channels)
+        self.blur = exact_blur(target, spec, grid, camera)
+        self.layers = DepthLayers(self.blur, target, grid)
         self.coc, self.valid = upload(session, in_parts(view.coc, real)), upload(session, view.valid.astype(np.uint8))
 
     def image(self, moments: int = 1) -> tuple[Array, int]:
@@ -89,15 +88,16 @@ class Device:
         light = flat(self.view.radiance / moments, np.float32)
         value = empty(self.session, light.nbytes)
         events: Events = []
-        self.spreader.clear()
+        self.blur.clear()
         for _ in range(moments):
             cl.enqueue_copy(self.session.queue, value, light)  # "renormalize" writes to it
-            count = self.layers.add(value, self.coc, self.valid, events)
-        image = self.spreader.image(events)
+            count = self.layers.add((value, self.coc, self.valid), events)
+        image = self.blur.image(events)
         return image.reshape(*self.view.shape, -1), count
 
     def read(self, name: str, dtype: Any) -> Array:
-        return download(self.session, getattr(self.layers, name), self.view.coc.shape, dtype)
+        owner = self.layers if name in ("coc", "valid") else self.layers.labels
+        return download(self.session, getattr(owner, name), self.view.coc.shape, dtype)
 
 
 def assert_close(found: Array, expected: Array, limit: float = FIGURE) -> None:
@@ -137,12 +137,12 @@ def test_labels_are_those_of_the_twin(session: Session) -> None:
     device = Device(session, view)
     _, count = device.image()
     low, bins = twin.bins_of(view.largest)
-    assert (device.layers.low, device.layers.bins) == (low, bins)
+    assert (device.layers.labels.low, device.layers.labels.bins) == (low, bins)
     latest, largest_sum = twin.find_discontinuities(
         view.coc, view.valid, low, bins, 2 * reach(view.psf, view.largest) + 1
     )
-    device.layers.look(device.coc, device.valid, [])
-    found = download(session, device.layers.latest, (latest.size + 1,), np.int32)
+    device.layers.find(device.coc, device.valid, [])
+    found = download(session, device.layers.labels.latest, (latest.size + 1,), np.int32)
     np.testing.assert_array_equal(found, [*latest.ravel(), largest_sum])
     slab = twin.label_depth_layers(view.coc, view.valid, low, bins, twin.slab_bounds(latest))
     seed = twin.seed_hidden(view.coc, slab)
@@ -256,8 +256,8 @@ def test_one_slab_is_plain_scattering_to_the_bit(session: Session, method: Blur)
     found, count = device.image()
     assert count == 1
     assert_close(found, view.expected()[0])
-    plain = Device(session, view, method).spreader
+    plain = Device(session, view, method).blur
     plain.clear()
     value = upload(session, flat(view.radiance, np.float32))
-    plain.add(Light(device.layers.source, value), 0.0, [])
+    plain.add(Light(device.layers.source, value), [])
     assert plain.image([]).tobytes() == found.tobytes()

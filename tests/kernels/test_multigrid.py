@@ -8,19 +8,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.frame.strips import frame_struct
+from clsco.frame.strips import Grid, frame_struct
 from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
 from clsco.optics.multigrid import coarse_radii
 from clsco.optics.psf import MINIMUM_BLUR
 from clsco.optics.psf_tables import TAP_LANES, psf_features, psf_table
-from clsco.passes.blur import BLOCKS, FILES_OF, PLAIN, Sources, image_features
+from clsco.passes.blur import BLOCKS, PLAIN, Sources, image_target
 from clsco.passes.blur import prepare_sources as make_sources
-from clsco.passes.multigrid import Coarse
+from clsco.passes.multigrid import Multigrid, make_blur
 from clsco.passes.pack import psf_struct
 from clsco.plan.approximation import sample_places
-from clsco.plan.memory import source_bytes
+from clsco.plan.buffers import source_bytes
+from clsco.plan.methods import BlurSpec
 from clsco.records import Real, flat, in_parts, structs
 from clsco.reference.blur import multigrid as twin
 from clsco.reference.blur.blur import prepare_sources, scatter
@@ -55,34 +56,34 @@ def light_of(shape: tuple[int, int], largest: float, channels: int, falls: bool 
 
 def spread(
     session: Session, psf: Psf, light: Light, guard: int, least: float, places: Array | None, real: Real = "double"
-) -> tuple[Coarse, Sources]:
+) -> tuple[Multigrid, Sources]:
     """What blurs a frame and measures its error at places, and the light as it takes it."""
     height, width, channels = light.radiance.shape
     camera = frame_struct(height - 2 * guard, width - 2 * guard, guard, real)
     size = np.abs(light.radius[light.lit])
     smallest, largest = float(size.min()), float(size.max())
-    features = image_features("gather", psf, largest, channels, psf.tilt, session.device.has_fp64)
-    program = build(session, FILES_OF["gather"], features, structs(real), real)
-    spreader = Coarse(
-        session, program, psf, "gather", camera, channels, smallest, largest, 0, real, 1.0, features, least, places
-    )  # fmt: skip
+    spec = BlurSpec(psf, "gather", smallest, largest, tilt=psf.tilt, least=least)
+    target = image_target(session, spec, channels, real)
+    grid = Grid.whole(height - 2 * guard, width - 2 * guard, guard, channels)
+    blur = make_blur(target, spec, grid, camera, places)
+    assert isinstance(blur, Multigrid)
     value = upload(session, flat(light.radiance, np.float32))
     radii, valid = upload(session, in_parts(light.radius, real)), upload(session, light.lit.astype(np.uint8))
     source = empty(session, source_bytes(height * width, psf.tilt))
-    make_sources(session, program, camera, spreader.struct, radii, valid, source, [])
-    spreader.clear()
+    make_sources(target, camera, blur.struct, (radii, valid), source, [])
+    blur.clear()
     session.queue.finish()  # the radii are let go of
-    return spreader, Sources(source, value)
+    return blur, Sources(source, value)
 
 
 def approximate(
     session: Session, psf: Psf, light: Light, guard: int, least: float, places: Array | None, real: Real = "double"
 ) -> tuple[Array, Array]:
     """Frame (m, n, C) on the device, and its error at places."""
-    spreader, sources = spread(session, psf, light, guard, least, places, real)
-    spreader.add(sources, 0.0, [])
-    frame = spreader.image([])
-    return (frame if spreader.channels > 1 else frame[..., None]).astype(np.float64), spreader.missed()
+    blur, sources = spread(session, psf, light, guard, least, places, real)
+    blur.add(sources, [])
+    frame = blur.image([])
+    return (frame if blur.channels > 1 else frame[..., None]).astype(np.float64), blur.missed()
 
 
 def assert_close(got: Array, expected: Array, figure: float) -> None:
@@ -185,11 +186,11 @@ def test_errors_are_measured_at_these_places_only(session: Session) -> None:
     """Another one, which is there in memory but not counted, is left alone."""
     places, found = sample_places(*SHAPE)[:14], []
     for count in (14, 13):
-        spreader, sources = spread(session, PSFS[0], light_of(SHAPE, 11.0, 3), 0, 2.0, places)
-        spreader.places = places[:count]
-        spreader.add(sources, 0.0, [])
-        spreader.image([])
-        found.append(download(session, spreader.misses, (14, 3), np.float32))
+        blur, sources = spread(session, PSFS[0], light_of(SHAPE, 11.0, 3), 0, 2.0, places)
+        blur.places = places[:count]
+        blur.add(sources, [])
+        blur.image([])
+        found.append(download(session, blur.misses, (14, 3), np.float32))
     assert found[0].all()
     assert np.array_equal(found[1][:13], found[0][:13])
     assert not found[1][13:].any()

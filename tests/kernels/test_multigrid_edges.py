@@ -17,7 +17,7 @@ from clsco.optics.multigrid import EDGE, EDGE_ROWS, coarse_frame, plane_shape
 from clsco.optics.psf_tables import TAP_LANES, psf_features, psf_table
 from clsco.passes.blur import BLOCKS, PIXELS, PLAIN
 from clsco.passes.pack import psf_struct
-from clsco.plan.memory import margin
+from clsco.plan.buffers import margin
 from clsco.records import structs
 from clsco.reference.blur import multigrid as twin
 from clsco.reference.common.geometry import table_coordinate

@@ -112,8 +112,9 @@ BALL = {
 @pytest.fixture
 def on_a_gpu(session: Session, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """PoCL taken for a graphics card; gives the names of the kernels of the blur that are launched."""
-    for module in ("clsco.engine.sequence", "clsco.opencl.arrays"):
-        monkeypatch.setattr(import_module(module), "choose", lambda name: replace(session.device, kind="gpu"))
+    monkeypatch.setattr(
+        import_module("clsco.opencl.session"), "choose", lambda name: replace(session.device, kind="gpu")
+    )
     names: list[str] = []
     spread = import_module("clsco.passes.blur")
     launch = spread.launch
@@ -177,7 +178,7 @@ def test_plain_opencl_has_the_bits_of_processors(
     kinds = []
     for kind in ("cpu", "gpu"):
         device = replace(session.device, kind=kind)
-        monkeypatch.setattr(import_module("clsco.opencl.arrays"), "choose", lambda name, device=device: device)
+        monkeypatch.setattr(import_module("clsco.opencl.session"), "choose", lambda name, device=device: device)
         kinds.append(clsco.defocus(image, radii, psf, method=method))
     assert np.ptp(kinds[0]) > 0.01
     np.testing.assert_array_equal(kinds[0], kinds[1])

@@ -20,7 +20,7 @@ from clsco.optics.psf_tables import psf_table
 from clsco.optics.quadrics import place
 from clsco.optics.visibility import Layer
 from clsco.passes.pack import camera_struct, layer_struct, pose_structs, psf_struct, surface_structs
-from clsco.plan.memory import TRUTH_BUFFERS, source_bytes
+from clsco.plan.buffers import TRUTH_BUFFERS, source_bytes
 from clsco.plan.plan import Plan, make_plan
 from clsco.records import Real, flat, structs
 from clsco.reference.common.geometry import table_coordinate, tilt_slope

@@ -18,7 +18,7 @@ from clsco.optics.motion import middle_time, poses_at, rest_poses
 from clsco.optics.psf_tables import psf_table
 from clsco.optics.visibility import Layer
 from clsco.passes.pack import camera_struct, layer_struct, pose_structs, psf_struct
-from clsco.plan.memory import TRUTH_BUFFERS, source_bytes
+from clsco.plan.buffers import TRUTH_BUFFERS, source_bytes
 from clsco.plan.plan import Plan
 from clsco.records import structs
 from clsco.reference.trace import trace as twin

@@ -154,7 +154,7 @@ def features_of(drawn: Drawn) -> dict[str, Any]:
     for plan in plans_of(drawn):
         fp64 = drawn["device"].get("has_fp64", True)
         prepare = plan.forward or plan.occlusion == "layered"
-        found |= plan.features() | blur_features(plan.blur, plan.scene.psf, plan.largest_blur, fp64, prepare)
+        found |= plan.features() | blur_features(plan.spec, fp64, prepare)
         found |= {"OCCLUDED": min(found["OCCLUDED"], 2), "blur": plan.blur, "occlusion": plan.occlusion}
         found["truth"] = drawn["truth"]
         found["coarse"] = bool(plan.approximations)

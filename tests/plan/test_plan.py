@@ -13,6 +13,7 @@ from clsco.frame.frame import TRUTH_NAMES
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
 from clsco.optics.psf import reach
 from clsco.optics.psf_tables import TAP_LANES
+from clsco.plan.buffers import ThisMachine
 from clsco.plan.memory import device_bytes
 from clsco.plan.methods import MANY_RADII, is_sharp
 from clsco.plan.plan import Plan, exposure, make_plan, widened
@@ -34,6 +35,7 @@ from clsco.scene.model import (
 
 STILL = Plane(distance=280.0)
 TILTED = Plane(distance=280.0, slope_x=0.5)
+TWO_CORES = ThisMachine(compute_units=2)
 BALL = Sphere()
 RIGHT = ObjectMotion(velocity=(0.5, 0.0, 0.0))
 TURN = ObjectMotion(angular_velocity=(0.0, 20.0, 0.0))
@@ -418,10 +420,10 @@ def test_what_stays_sharp(psf: Psf, largest: float, sharp: bool) -> None:
 
 def test_memory_and_work_grow_with_what_is_done() -> None:
     small, large = plan(BALL, size=(64, 48)), plan(BALL, size=(640, 480))
-    assert 0 < device_bytes(small, 2) < device_bytes(large, 2)
+    assert 0 < device_bytes(small, TWO_CORES) < device_bytes(large, TWO_CORES)
     assert small.taps < large.taps
     gray, color, truth = (plan(BALL, c, t) for c, t in ((1, ()), (3, ()), (3, TRUTH_NAMES)))
-    assert device_bytes(gray, 2) < device_bytes(color, 2) < device_bytes(truth, 2)
+    assert device_bytes(gray, TWO_CORES) < device_bytes(color, TWO_CORES) < device_bytes(truth, TWO_CORES)
     moved = plan(moving(BALL, RIGHT), sequence=Sequence(samples=7))
     assert moved.taps == pytest.approx(7 * small.taps, rel=0.1)  # the ball goes 4 px
     # Pixels of frame and guard band, each spread over its disc of about pi (R + 0.7)^2 px.

@@ -175,7 +175,7 @@ def _renderer(session: Session, scene: Scene, texture: Texture, psf: Psf) -> Cal
     """Rendering of a frame from its scene to linear light on the host; warm, with programs and tables made."""
     plan = make_plan(scene.model_copy(update={"psf": psf}), 1, ())
     device = session.device
-    limit = limit_of(None, device.global_mem, device.max_alloc, device.compute_units, device.unified_memory)
+    limit = limit_of(None, device)
     renderer = Renderer(session, fitted(plan, limit), (texture,), (None,), limit)
 
     def frame(_: int) -> Array:

@@ -1,0 +1,35 @@
+"""The exact blur by its method."""
+
+from __future__ import annotations
+
+from clsco.frame.strips import Grid
+from clsco.passes.blur import FrameSum, Gather, Scatter, Target, Tiles
+from clsco.passes.convolve import Convolve
+from clsco.plan.buffers import blur_buffers
+from clsco.plan.methods import Blur, BlurSpec
+from clsco.records import Struct
+
+METHODS: dict[Blur, type[FrameSum]] = {
+    "gather": Gather, "scatter": Scatter, "tiles": Tiles, "convolve": Convolve, "none": FrameSum,
+}  # fmt: skip
+
+
+def exact_blur(target: Target, spec: BlurSpec, grid: Grid, camera: Struct) -> FrameSum:
+    """The blur of a frame, or its strips, without approximation.
+
+    Parameters
+    ----------
+    target : Target
+        Its program has the kernels of `FILES_OF[spec.method]`.
+    spec : BlurSpec
+    grid : Grid
+        Of the frame, or the tallest of its strips.
+    camera : numpy.void
+        camera_t of the strip that it begins with.
+
+    Returns
+    -------
+    FrameSum
+    """
+    sizes = blur_buffers(spec, grid, target.session.device)
+    return METHODS[spec.method](target, spec, grid, camera, sizes)

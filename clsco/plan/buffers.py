@@ -1,0 +1,416 @@
+"""Buffers on the device: for each pass a table, name -> bytes. The plan sums them, and the passes allocate them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
+from math import ceil
+from typing import Literal, Protocol
+
+import numpy as np
+
+from clsco.frame.strips import BAND, Grid
+from clsco.optics.multigrid import coarse_frame, coarse_psf, coarse_radii, plane_shape
+from clsco.optics.psf import shape_of
+from clsco.optics.psf_tables import TAP_LANES, WIDE_LANES, is_near, table_sizes
+from clsco.optics.slabs import CLASSES, bins_of, levels_of, most_deep
+from clsco.optics.stencil import is_summed, stencil_sizes
+from clsco.optics.visibility import lens_floats
+from clsco.plan.methods import MANY_RADII, BlurSpec
+from clsco.records import WIDE_BYTES, structs
+from clsco.scene.model import DepthMap, Psf, Scene
+
+Sizes = dict[str, int]
+Scratch = Literal["none", "columns", "rows", "near"]
+ROW_TILE, ROW_WINDOW = 256, 16  # columns that `gather` makes at a time, and rows of small reach
+BANDS_PER_CORE = 4  # of `gather` at a time, where they need memory of their own
+SUMS_BEYOND = 64  # sums of `convolve` beyond the last row that a vector there reads, and that are used for nothing
+PAGE, BESIDE_PAGE = 64, 5  # vectors of 8 doubles in 4 KiB, and how far from a multiple of it rows should be long
+# Groups of sources of columns that are kept at a time, in so many bytes or more; bytes beside the vectors of each, and
+# columns of a block of Gaussians.
+MOST_ITEMS, ITEMS_BYTES, ITEM_BYTES, SIDE = 256, 2**18, 20, 5
+MOST_IN_ONE_SUM = 256  # taps of `gather` that a float adds up before it goes into another sum
+CONVOLVED_ROWS, CONVOLVED_COLUMNS = 32, 64  # of a work-item of `convolve`
+ITEM_PIXELS = 64  # sources of a row that a work-item moves, where work-items own bands of the image
+UNKNOWN = 2**62  # bytes, of a limit that is not known
+LANES, SUMS, SCORED, COUNTERS = 8, 13, 128, 5  # of filling: floats of a vector, sums, columns of a work-item, counters
+STATISTICS = 4  # ints: largest and smallest |R|, slots taken at a time sample and at any
+# Outputs that ground_truth writes, with what one pixel of each takes: dtype and components (0: the channels).
+TRUTH_BUFFERS: dict[str, tuple[type[np.generic], int]] = {
+    "object_id": (np.int32, 1),
+    "depth": (np.float32, 1),
+    "blur_radius": (np.float32, 1),
+    "normal": (np.float32, 3),
+    "flow": (np.float32, 2),
+    "hidden": (np.uint8, 1),
+    "sharp": (np.float32, 0),
+    "disparity": (np.float32, 1),
+    "occluded": (np.uint8, 1),
+}
+
+
+class DeviceFacts(Protocol):
+    """What of a device the sizes of buffers depend on, and what they may take; `clsco.opencl.device.Device` has it."""
+
+    @property
+    def kind(self) -> str:
+        """ "gpu", "cpu" or "accelerator"."""
+
+    @property
+    def has_fp64(self) -> bool:
+        """Whether it computes in double precision."""
+
+    @property
+    def compute_units(self) -> int:
+        """Cores, which work at a time."""
+
+    @property
+    def global_mem(self) -> int:
+        """Its memory in bytes."""
+
+    @property
+    def max_alloc(self) -> int:
+        """Bytes of its largest buffer."""
+
+    @property
+    def unified_memory(self) -> bool:
+        """Whether it works in the machine's memory."""
+
+
+@dataclass(frozen=True)
+class ThisMachine:
+    """The processor, for a plan that is made before a device is opened."""
+
+    kind: str = "cpu"
+    has_fp64: bool = True
+    compute_units: int = field(default_factory=lambda: os.cpu_count() or 1)
+    global_mem: int = UNKNOWN
+    max_alloc: int = UNKNOWN
+    unified_memory: bool = True
+
+
+def bands_at_a_time(rows: int, cores: int) -> int:
+    """Bands of a strip of so many rows that are worked on together where each needs memory of its own."""
+    return min(ceil(rows / BAND), BANDS_PER_CORE * cores)
+
+
+def band_scratch(psf: Psf, largest: float, fp64: bool) -> Scratch:
+    """What `gather` keeps for each band of a frame with radii up to `largest` px: of sampled discs whole rows of them,
+    of small reach ("near") or any ("rows"), and of others columns of them."""
+    if is_near(psf, largest):
+        return "near"
+    if shape_of(psf).kind == "disc":
+        return "rows" if fp64 else "none"
+    return "none" if shape_of(psf).kind == "general" else "columns"
+
+
+def source_bytes(sources: int, tilt: bool, marked: bool = False) -> int:
+    """Planes of sources.clh for so many sources; marked: with sub-pixel sources, or something in their way."""
+    return 4 * (1 + 2 * tilt + marked) * sources
+
+
+def margin(columns: int, guard: int, far: int) -> tuple[int, int]:
+    """Scratch columns on both sides of a row of the blurred frame, and the length of the row, in whole vectors.
+
+    Not near a multiple of PAGE of them, and not an even number: what lies below each other in a few rows would have the
+    same place in a processor's cache, and take up to four times as long (benchmarks/optimisation_log.md).
+    """
+    pad = ceil((guard + far + TAP_LANES) / TAP_LANES) * TAP_LANES
+    vectors = ceil(columns / TAP_LANES) + 2 * pad // TAP_LANES | 1
+    while not BESIDE_PAGE <= vectors % PAGE <= PAGE - BESIDE_PAGE:
+        vectors += 2
+    return pad, vectors * TAP_LANES
+
+
+def row_bytes(psf: Psf, channels: int, far: int, near: bool) -> int:
+    """Scratch of a work-item of `gather` for whole rows of sources, see rows.clh; a whole number of doubles."""
+    beside = (far // TAP_LANES + 3) * TAP_LANES
+    planes, width = (3 if psf.tilt else 1) * channels, ROW_TILE + 2 * beside
+    if near:
+        return 4 * (channels * ROW_WINDOW * ROW_TILE + width * (1 + planes))
+    return 8 * channels * BAND * ROW_TILE + 4 * width * (1 + 3 * planes)
+
+
+def column_bytes(psf: Psf, channels: int, far: int) -> int:
+    """The same for columns of sources, see kernels/blur/cpu/columns.clh."""
+    tiles, slopes = 8 * channels * BAND * (far // WIDE_LANES + 2 | 1) * WIDE_LANES, 2 * psf.tilt
+    if shape_of(psf).kind == "separable":
+        item = 4 * WIDE_LANES * (slopes + channels + far + 1 + WIDE_LANES)
+        sums = 4 * WIDE_LANES * SIDE * BAND * (1 + psf.tilt)
+        return sums + tiles + min(max(ITEMS_BYTES // item, 2 * WIDE_LANES), MOST_ITEMS) * (item + 8)
+    ends, sums = (1 + slopes) * channels, (1 + psf.tilt) * channels
+    items = MOST_ITEMS * (4 * WIDE_LANES * (2 + slopes + 2 * channels) + ITEM_BYTES)
+    return 8 * WIDE_LANES * ends * (BAND + 1) + 4 * WIDE_LANES * sums * (BAND + 2 * far) + tiles + items
+
+
+def blur_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
+    """Buffers of a blur (`clsco.passes.blur.make_blur`) on the frame's own grid.
+
+    Parameters
+    ----------
+    spec : BlurSpec
+    grid : Grid
+    device : DeviceFacts
+
+    Returns
+    -------
+    dict
+        "total": the frame, in rows of `margin`; the others are of single methods.
+    """
+    reach, channels, rows, columns = spec.reach, grid.channels, grid.rows, grid.columns
+    _, pitch = margin(columns, grid.guard, reach)
+    sizes = {"total": 4 * channels * rows * pitch}
+    if spec.method in MANY_RADII:
+        sizes |= _table_buffers(spec)
+    if spec.method == "gather":
+        bands = bands_at_a_time(rows, device.compute_units)
+        scratch = band_scratch(spec.psf, spec.largest, device.has_fp64)
+        if (2 * reach + 1) ** 2 > MOST_IN_ONE_SUM:
+            sizes["part"] = 4 * channels * bands * BAND * pitch
+        if scratch == "columns":
+            sizes["scratch"] = bands * column_bytes(spec.psf, channels, reach)
+        elif scratch != "none":
+            sizes["scratch"] = bands * row_bytes(spec.psf, channels, reach, scratch == "near")
+    if spec.method == "scatter":
+        sizes["sums"] = 8 * channels * rows * columns
+    if spec.method == "convolve":
+        height, width = rows + 2 * grid.guard, columns + 2 * grid.guard
+        if is_summed(spec.psf, reach):
+            sizes["sums"] = 8 * (height * width + SUMS_BEYOND)
+        if shape_of(spec.psf).kind == "separable":
+            sizes["across"] = 4 * height * ceil(columns / CONVOLVED_COLUMNS) * CONVOLVED_COLUMNS
+        sizes |= stencil_sizes(spec.psf, reach)
+    return sizes
+
+
+def _table_buffers(spec: BlurSpec) -> Sizes:
+    """Tables of weights; "taps" and "outlines" are for `gather`."""
+    main = table_sizes(spec.psf, spec.smallest, spec.largest)
+    names = main.keys() if spec.method == "gather" else ("intervals", "coefficients")
+    sizes = {name: main[name] for name in names}
+    if spec.subpixels:
+        sub = table_sizes(spec.psf, spec.smallest, spec.largest, spec.subpixels)
+        sizes |= {f"subpixel {name}": sub[name] for name in ("intervals", "coefficients")}
+    if spec.occluded:
+        sizes["lens"] = 4 * lens_floats(spec.psf).size
+    return sizes
+
+
+def coarser_grid(grid: Grid) -> Grid:
+    """The next coarser grid: the nodes that pixels of the frame need."""
+    return Grid.whole(*coarse_frame(grid.rows, grid.columns, grid.guard), grid.channels)
+
+
+def coarser_spec(spec: BlurSpec, radius: float) -> BlurSpec:
+    """The blur of sources on a coarser grid, up to `radius` px of its own."""
+    assert spec.least is not None
+    return BlurSpec(
+        coarse_psf(spec.psf), spec.method, spec.least, radius, tilt=spec.tilt, brightest=spec.brightest
+    )  # fmt: skip
+
+
+def level_buffers(spec: BlurSpec, grid: Grid, finest: bool) -> Sizes:
+    """Buffers of a grid of `clsco.passes.multigrid.Multigrid` besides those of its blur."""
+    plane = 4 * int(np.prod(plane_shape(grid.width, grid.height)))
+    sizes = {"radius": plane, "moved": plane, "light": grid.channels * plane, "kept": 4 * grid.channels * grid.sources}
+    if spec.tilt:
+        sizes["tilt"] = 2 * plane
+    return sizes if finest else sizes | {"source": source_bytes(grid.sources, spec.tilt)}
+
+
+def multigrid_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts, places: int = 0) -> Sizes:
+    """What coarser grids take besides `blur_buffers` of the frame's own.
+
+    Parameters
+    ----------
+    spec : BlurSpec
+        With its `least` radius.
+    grid : Grid
+        Of the whole frame.
+    device : DeviceFacts
+    places : int
+        Number of pixels at which the error is measured.
+
+    Returns
+    -------
+    dict
+        "grid 0 ...": of the frame's own grid; "grid 1 ..." and so on: of coarser ones, with their blur; none where no
+        source is wide enough to move.
+    """
+    if spec.least is None or not (radii := coarse_radii(spec.psf, spec.largest, spec.least)):
+        return {}
+    found = {f"grid 0 {name}": size for name, size in level_buffers(spec, grid, True).items()}
+    for level, radius in enumerate(radii, 1):
+        grid = coarser_grid(grid)
+        sizes = blur_buffers(coarser_spec(spec, radius), grid, device) | level_buffers(spec, grid, False)
+        found |= {f"grid {level} {name}": size for name, size in sizes.items()}
+    return found | ({"places": 8 * places, "misses": 4 * grid.channels * places} if places else {})
+
+
+def depth_layer_spec(spec: BlurSpec) -> BlurSpec:
+    """The blur of a depth layer and its coverage, for that of the frame."""
+    return replace(spec, smallest=0.0, subpixels=0, occluded=False, brightest=max(spec.brightest, 1.0), least=None)
+
+
+def pyramid_bytes(psf: Psf, channels: int, width: int, height: int, largest: float) -> int:
+    """Pyramid of `clsco.passes.layered.DepthLayers` over a grid, for radii up to `largest` px."""
+    planes = channels + 2  # radius, and how far it is known
+    rows, columns, start = levels_of(height, width, most_deep(psf, largest), planes)[-1]
+    return 4 * (start + planes * rows * columns)
+
+
+def layered_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
+    """Buffers of layered occlusion (`clsco.passes.layered.DepthLayers`) besides those of the frame's blur.
+
+    Parameters
+    ----------
+    spec : BlurSpec
+        Of the frame.
+    grid : Grid
+    device : DeviceFacts
+
+    Returns
+    -------
+    dict
+        Planes of a depth layer and of where it is, its pyramid, and "blur ..." of its own.
+    """
+    pixels, values = grid.sources, grid.channels + 1  # with coverage
+    sizes = {
+        "latest": 4 * (CLASSES * bins_of(spec.largest)[1] + 1),
+        "source": source_bytes(pixels, spec.tilt),
+        "offset": 4 * pixels,
+        "slab": pixels,
+        "seed": pixels,
+        "hidden": pixels,
+        "edge": pixels,
+        "pyramid": pyramid_bytes(spec.psf, grid.channels, grid.width, grid.height, spec.largest),
+        "value": 4 * values * pixels,
+        "coc": WIDE_BYTES * pixels,
+        "valid": pixels,
+        "covered": 4 * grid.rows * grid.columns,
+    }
+    inner = blur_buffers(depth_layer_spec(spec), replace(grid, channels=values), device)
+    return sizes | {f"blur {name}": size for name, size in inner.items()}
+
+
+def warp_buffers(scene: Scene, grid: Grid, device: DeviceFacts) -> Sizes:
+    """Buffers of `clsco.passes.warp.ForwardWarp` besides those of its filling.
+
+    Parameters
+    ----------
+    scene : Scene
+    grid : Grid
+        Of the whole frame.
+    device : DeviceFacts
+
+    Returns
+    -------
+    dict
+    """
+    pixels, objects = grid.rows * grid.columns, len(scene.objects)
+    maps = sum(isinstance(item, DepthMap) for item in scene.objects)
+    surfaces = objects * structs("double")["surface_t"].itemsize
+    sizes = {"rest": WIDE_BYTES * pixels, "moved": WIDE_BYTES * pixels}
+    sizes |= {"rest surfaces": surfaces, "surfaces": surfaces, "poses": objects * structs("double")["pose_t"].itemsize}
+    if objects > 1:
+        sizes["object"] = pixels
+    if maps:
+        sizes["maps"] = WIDE_BYTES * maps * pixels
+    if device.kind == "cpu":
+        sizes["bounds"] = 8 * grid.rows * ceil(grid.columns / ITEM_PIXELS)
+    else:
+        sizes["depth"] = 4 * grid.sources
+    return sizes
+
+
+def fill_buffers(scene: Scene, grid: Grid) -> Sizes:
+    """Buffers of `clsco.passes.fill.Filler`.
+
+    Parameters
+    ----------
+    scene : Scene
+    grid : Grid
+        Of the whole frame.
+
+    Returns
+    -------
+    dict
+    """
+    pixels, lines = grid.sources, grid.width + grid.height
+    several, mapped = len(scene.objects) > 1, any(isinstance(item, DepthMap) for item in scene.objects)
+    sizes = {
+        "value": 4 * (grid.channels * pixels + LANES),
+        "w": WIDE_BYTES * pixels,
+        "coc": WIDE_BYTES * pixels,
+        "valid": pixels + LANES,
+        "status": pixels,
+        "list": 4 * pixels,
+        "next list": 4 * pixels,
+        "spans": 8 * lines,
+        "grown": 8 * lines,
+        "counters": 4 * COUNTERS,
+    }
+    sizes |= {"object": pixels} if several else {}
+    sizes |= {"far": 4 * pixels} if several or mapped else {}
+    if scene.fill.method == "mean_median":
+        sizes |= {"done": 4 * pixels, "sums": 8 * SUMS * grid.height * ceil(grid.width / SCORED)}
+        sizes |= {"other value": sizes["value"], "other w": sizes["w"]}
+    return sizes
+
+
+def trace_buffers(spec: BlurSpec, grid: Grid, slots: int = 0) -> Sizes:
+    """Sources of one time sample of an occlusion group, as trace.cl writes them; and statistics of a frame.
+
+    Parameters
+    ----------
+    spec : BlurSpec
+    grid : Grid
+    slots : int
+        Pixels near silhouettes that there is room for.
+
+    Returns
+    -------
+    dict
+    """
+    pixels, subs = grid.sources, slots * spec.subpixels**2
+    sizes = {
+        "source": source_bytes(pixels, spec.tilt, spec.marked),
+        "value": 4 * grid.channels * pixels,
+        "statistics": 4 * STATISTICS,
+    }
+    if spec.subpixels:
+        sizes |= {"label": pixels, "pixels": 4 * slots, "sub_source": 16 * subs, "sub_value": 4 * grid.channels * subs}
+    if spec.occluded:
+        sizes["depth"] = WIDE_BYTES * pixels
+        sizes |= {"sub_depth": WIDE_BYTES * subs} if subs else {}
+    return sizes
+
+
+def image_buffers(spec: BlurSpec, grid: Grid, layered: bool) -> Sizes:
+    """An image with its map of signed radii, and their sources.
+
+    Parameters
+    ----------
+    spec : BlurSpec
+    grid : Grid
+    layered : bool
+        Sources are those of `layered_buffers`.
+
+    Returns
+    -------
+    dict
+    """
+    sizes = {"value": 4 * grid.channels * grid.sources}
+    if spec.method in MANY_RADII:
+        sizes |= {"coc": WIDE_BYTES * grid.sources, "valid": grid.sources}
+        sizes |= {} if layered else {"source": source_bytes(grid.sources, spec.tilt)}
+    return sizes
+
+
+def truth_buffers(names: Collection[str], grid: Grid) -> Sizes:
+    """Outputs of ground truth (of TRUTH_BUFFERS) with the mask, of one strip; they are there only while it is made."""
+    pixels = grid.rows * grid.columns
+    kinds = {name: TRUTH_BUFFERS[name] for name in names}
+    sizes = {name: np.dtype(kind).itemsize * (n or grid.channels) * pixels for name, (kind, n) in kinds.items()}
+    return {"mask": pixels} | sizes
