@@ -84,7 +84,7 @@ def prepare_image(scenes: Sequence[Scene], out: Path) -> None:
     if count != 1:
         raise SceneError(f"{out}: a file takes one image, a folder takes more; got {count}")
     for item in scenes[0].objects:
-        for path in (item.texture, item.depth if isinstance(item, DepthMap) else item.texture):
+        for path in item.files().values():
             if same_place(out, path):
                 raise ImageError(f"{out}: must not be the image or the depth that it is made of; got {path}")
     writer_for(out)

@@ -114,12 +114,15 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
 @memory_option
 @click.option("--gpu", is_flag=True, help="On a graphics card instead of a processor.")
 def plan(scene: Path, overrides: tuple[str, ...], files: tuple[str, ...], memory: int | None, gpu: bool) -> None:
-    """Tell what rendering a scene takes; runs nothing, and needs no OpenCL."""
-    first = _first(scene, overrides, files, memory=memory, gpu=gpu)
+    """Report what rendering a scene takes; runs nothing, and needs no OpenCL."""
+    from clsco.plan.buffers import ThisMachine
+
+    device = ThisMachine(kind="gpu") if gpu else None
+    first = _first(scene, overrides, files, memory=memory, device=device)
     from clsco.cli.tables import plan_tables, print_tables
     from clsco.plan.prepare import planned
 
-    right = [] if first.scene.stereo is None else [planned(first.scene, first.truth, "right", memory, gpu)]
+    right = [] if first.scene.stereo is None else [planned(first.scene, first.truth, "right", memory, device)]
     print_tables(*plan_tables([first, *right]))
 
 

@@ -13,8 +13,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
-from clsco.plan.buffers import ThisMachine
+from clsco.plan.buffers import Sizes
 from clsco.plan.memory import device_bytes
+from clsco.plan.passes import Pass
 from clsco.plan.plan import Plan
 from clsco.plan.unused_keys import unused_keys
 
@@ -52,7 +53,7 @@ def plan_tables(plans: Sequence[Plan]) -> list[RenderableType]:
     figures += _of_views([_figures(each) for each in plans])
     tables: list[RenderableType] = [
         _table(f"Plan: {scene.title or scene.objects[0].name}", ("what", "how much"), figures),
-        _table("Passes that are run", ("pass", "how"), _of_views([each.passes for each in plans])),
+        _table("Passes, in order", ("pass", "times", "MiB", "what", "how"), _passes(plans), ("times", "MiB")),
         _table("Left out", ("pass", "why"), _of_views([each.left_out for each in plans])),
     ]
     if unused := unused_keys(plan):
@@ -60,8 +61,30 @@ def plan_tables(plans: Sequence[Plan]) -> list[RenderableType]:
     return tables
 
 
+def _passes(plans: Sequence[Plan]) -> list[tuple[str, str, str, str, str]]:
+    """Rows of what is run, those of all occlusion groups together; of a stereo pair, of each view. A buffer counts for
+    the first pass that works with it."""
+    found = []
+    for plan in plans:
+        counted: Sizes = {}
+        view = f" ({plan.eye})" if plan.scene.stereo is not None else ""
+        groups: dict[str, list[Pass]] = {}
+        for each in plan.passes:
+            groups.setdefault(each.kind, []).append(each)
+        for kind, members in groups.items():
+            times = 1 if kind == "ground truth" else plan.samples * len(members)
+            sizes = {name: size for each in members for name, size in each.buffers.items() if name not in counted}
+            counted |= sizes
+            names = (
+                (f"{kind}{view}", f"{times}", f"{sum(sizes.values()) / 2**20:.1f}"),
+                *(("", "", ""),) * (len(members[0].parameters) - 1),
+            )
+            found += [(*name, *row) for name, row in zip(names, members[0].parameters, strict=True)]
+    return found
+
+
 def _figures(plan: Plan) -> list[tuple[str, str]]:
-    memory = f"{device_bytes(plan, ThisMachine()) / 2**20:.1f} MiB"
+    memory = f"{device_bytes(plan) / 2**20:.1f} MiB"
     return [
         ("blur radius |R|", f"{plan.smallest_blur:.2f} to {plan.largest_blur:.2f} px, predicted with a margin"),
         ("guard band", f"{plan.guard_px} px on every side"),

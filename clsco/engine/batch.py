@@ -18,7 +18,7 @@ from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES, Frame
 from clsco.frame.provenance import file_digests, record
 from clsco.plan.approximation import asked_alike
 from clsco.plan.prepare import PlannedFile
-from clsco.scene.model import DepthMap, Scene
+from clsco.scene.model import Scene
 
 Span = tuple[int | None, int | None]
 TOGETHER, PIXELS_TOGETHER = 16, 2**24  # scenes of a sweep that are on the device at a time, and pixels of all of them
@@ -99,8 +99,7 @@ def prepare(
     writable_folder(folder)
     remove_stale(folder)
     for item in scene.objects:
-        for what, name in (("texture", item.texture), ("depth", item.depth if isinstance(item, DepthMap) else "")):
-            path = Path(name)
+        for what, path in ((key, Path(name)) for key, name in item.files().items()):
             if path.stem.startswith("frame_") and same_place(path.parent, folder):
                 raise ImageError(f"{path}: a {what} must not lie where frames are written; got {folder}")
 

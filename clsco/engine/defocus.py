@@ -18,6 +18,7 @@ from clsco.files.transfer import decode, encode
 from clsco.frame.strips import BAND, Grid, Strip, frame_struct
 from clsco.opencl.arrays import check_image, on_host, without_mask
 from clsco.opencl.buffers import allocate
+from clsco.opencl.device import Device
 from clsco.opencl.session import DeviceLike, Session
 from clsco.optics.lens import LARGEST_BLUR
 from clsco.optics.psf import reach, shape_of
@@ -224,7 +225,7 @@ def _defocus(
         measured = each in METHODS and (measures or tolerance is not None)
         places = sample_places(*given.coc.shape) if measured else None
         count = 0 if places is None else len(places)
-        if least is not None and tolerance is not None and not fits(_sizes(given, spec, limit, count), limit):
+        if least is not None and tolerance is not None and not fits(_sizes(given, spec, device, count), limit):
             continue  # approximations need the whole image
         result, missed = _blurred(session, given, spec, places, limit)
         rms, at_most = (0.0, 0.0) if missed is None else estimate(missed)
@@ -254,10 +255,10 @@ def _grid(given: _Given, spec: BlurSpec, strips: Sequence[Strip]) -> Grid:
     return Grid.of(strips, given.coc.shape[1], _guard(given, spec.psf, spec.method), given.channels)
 
 
-def _sizes(given: _Given, spec: BlurSpec, limit: Limit, places: int, tallest: int | None = None) -> dict[str, int]:
+def _sizes(given: _Given, spec: BlurSpec, device: Device, places: int, tallest: int | None = None) -> dict[str, int]:
     """Buffers for strips of up to `tallest` rows, by default the whole image; places: where its error is measured."""
     strips = _strips(given, spec, tallest or len(given.coc))
-    return defocus_bytes(spec, _grid(given, spec, strips), limit.device, places)
+    return defocus_bytes(spec, _grid(given, spec, strips), device, places)
 
 
 def _blurred(
@@ -271,7 +272,7 @@ def _blurred(
     count = 0 if places is None else len(places)
 
     def sizes(tall: int) -> dict[str, int]:
-        return _sizes(given, spec, limit, count, tall)
+        return _sizes(given, spec, session.device, count, tall)
 
     def in_strips(tall: int) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
         strips = _strips(given, spec, tall)

@@ -8,13 +8,14 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import Any, SupportsIndex
 
-from clsco.engine.renderer import Hits, Renderer, expose
+from clsco.engine.renderer import Pixels, Renderer, expose
 from clsco.errors import DeviceError, SceneError
 from clsco.frame.frame import ALL_TRUTH, Frame, truth_names
 from clsco.inputs.depth_maps import load_scene_depths
 from clsco.inputs.textures import Texture, load_scene_textures
 from clsco.opencl.session import DeviceLike, Session, session_for
 from clsco.optics.motion import Eye
+from clsco.passes.trace import Hits
 from clsco.plan.approximation import checked_tolerance
 from clsco.plan.memory import Limit, device_bytes, fitted, hit_bytes, limit_of, parse_size
 from clsco.plan.methods import check_method
@@ -222,7 +223,7 @@ def _render_group(
         camera = scene.camera.model_copy(update={"resolution": first.camera.resolution})
         sized = scene.model_copy(update={"camera": camera})
         maps.append(load_scene_depths(sized))
-        how = (maps[-1], method[1], session.device.kind == "gpu")
+        how = (maps[-1], method[1], session.device)
         plans.append(tuple(make_plan(sized, channels, truth, method[0], eye, *how) for eye in eyes))
     wanted = range(first.sequence.frames) if frames is None else frames
     limit = replace(limit_of(memory, session.device), views=len(eyes))
@@ -250,7 +251,7 @@ def _in_turns(
     for of_lenses in lockstep:
         hits = Hits(session)
         pairs = zip(of_lenses, maps, strict=True)
-        together.append([Renderer(session, plan, textures, m, limit, precision, hits) for plan, m in pairs])
+        together.append([Renderer(session, plan, Pixels(textures, m), limit, precision, hits) for plan, m in pairs])
     for index in wanted if together else ():
         rendered = [_together(renderers, index) for renderers in together]
         yield [(k, frame) for k, views in enumerate(zip(*rendered, strict=True)) for frame in views]
@@ -262,17 +263,18 @@ def _in_strips(
 ) -> Iterator[list[Frame]]:  # fmt: skip
     """The views of each frame of one scene; in smaller strips where the device has less memory than it reports."""
     renderers: list[Renderer] = []
+    pixels = Pixels(textures, maps)
     fitting = [fitted(plan, limit) for plan in of_eyes]
     for index in wanted:
         views: list[Frame] = []
         while not views:
             try:
                 with session.telling():
-                    renderers = renderers or [Renderer(session, p, textures, maps, limit, precision) for p in fitting]
+                    renderers = renderers or [Renderer(session, p, pixels, limit, precision) for p in fitting]
                     views = [_together([renderer], index)[0] for renderer in renderers]
             except DeviceError as error:
                 renderers = []  # before those for smaller strips take memory
-                taken = device_bytes(fitting[0], limit.device, limit.views)
+                taken = device_bytes(fitting[0], limit.views)
                 limit = replace(limit, total=min(limit.total, taken) // 2, given=False)
                 before, fitting = fitting, [fitted(plan, limit) for plan in of_eyes]
                 if not error.short_of_memory or fitting == before:
@@ -288,7 +290,7 @@ def _in_lockstep(plans: Sequence[tuple[Plan, ...]], limit: Limit) -> list[list[P
     for of_lenses in zip(*plans, strict=True):
         guard = max(plan.guard_px for plan in of_lenses)
         alike = [replace(plan, guard_px=guard) for plan in of_lenses]
-        needed = sum(device_bytes(plan, limit.device) for plan in alike) + hit_bytes(alike[0])
+        needed = sum(device_bytes(plan) for plan in alike) + hit_bytes(alike[0])
         if needed * limit.views > limit.total or any(fitted(plan, limit).strip_rows < plan.rows for plan in alike):
             return []
         found.append(alike)
@@ -299,7 +301,7 @@ def _shares_rays(one: tuple[Plan, ...], other: tuple[Plan, ...]) -> bool:
     """Whether what rays hit for one lens serves another one."""
     return all(
         a.blur == b.blur in ("gather", "tiles")
-        and not (a.forward or b.forward or a.still_map or b.still_map)
+        and not (a.forward or b.forward or a.static_map or b.static_map)
         and "layered" not in (a.occlusion, b.occlusion)
         and (a.layers, a.silhouettes, a.samples) == (b.layers, b.silhouettes, b.samples)
         for a, b in zip(one, other, strict=True)

@@ -12,7 +12,7 @@ from clsco import __version__
 from clsco.files.atomic import refuse, sha256
 from clsco.optics.motion import Eye
 from clsco.scene.file import dump
-from clsco.scene.model import BUILT_IN_TEXTURES, DepthMap, Scene, Within
+from clsco.scene.model import Scene, Within
 
 # Units of derived parameters and of a frame's metadata, where the name does not say them.
 DERIVED_UNITS = {"derived.aperture_diameter": "mm", "derived.sensor_distance": "mm"}
@@ -69,9 +69,7 @@ def file_digests(scenes: Iterable[Scene]) -> dict[str, str]:
     ImageError
         A file cannot be read.
     """
-    items = [item for scene in scenes for item in scene.objects]
-    paths = [item.texture for item in items if item.texture not in BUILT_IN_TEXTURES]
-    paths += [item.depth for item in items if isinstance(item, DepthMap)]
+    paths = [path for scene in scenes for item in scene.objects for path in item.files().values()]
     return {path: _digest(path) for path in dict.fromkeys(paths)}
 
 
@@ -134,8 +132,7 @@ def record(scene: Scene, digests: Mapping[str, str] | None = None) -> dict[str, 
     """
     camera = scene.camera
     known = file_digests([scene]) if digests is None else digests
-    textures = [item.texture for item in scene.objects]
-    depths = [item.depth for item in scene.objects if isinstance(item, DepthMap)]
+    files = [item.files() for item in scene.objects]
     return {
         "version": __version__,
         "scene_sha256": scene_sha256(scene, known),
@@ -144,7 +141,7 @@ def record(scene: Scene, digests: Mapping[str, str] | None = None) -> dict[str, 
             "aperture_diameter": camera.aperture_diameter,
             "sensor_distance": camera.sensor_distance,
         },
-        "textures_sha256": {name: known[name] for name in textures if name not in BUILT_IN_TEXTURES},
-        "depths_sha256": {name: known[name] for name in depths},
+        "textures_sha256": {each["texture"]: known[each["texture"]] for each in files if "texture" in each},
+        "depths_sha256": {each["depth"]: known[each["depth"]] for each in files if "depth" in each},
         "units": units(scene) | _record_units(scene),
     }

@@ -1,4 +1,4 @@
-"""A depth map at rest as the only surface: its own pixels are what the pinhole sees, strip by strip from the host."""
+"""A static depth map as the only surface: its own pixels are what the pinhole sees, strip by strip from the host."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from clsco.scene.model import Camera
 Array = NDArray[np.float64]
 
 
-class StillMap:
+class StaticMap:
     """Image and depth map of a scene where nothing moves, and which is seen from where they were made.
 
     camera: of the scene; radiance: float32 (rows, columns[, channels]); inverse_depth: (rows, columns) in 1/mm, 0 where
-    nothing is; guard: px of the band around the frame, where both go on as their mirror images, as textures do.
+    nothing is; guard: px of the apron around the frame, where both go on as their mirror images, as textures do.
     Validated against `clsco.reference.render`, which moves every pixel to its own place.
     """
 
@@ -33,7 +33,8 @@ class StillMap:
         self.guard, self.real = guard, real
 
     def send(self, session: Session, strip: Strip, value: cl.Buffer) -> None:
-        """Write the radiance of a strip, on its padded grid: as for `clsco.passes.layered.Layers.add`, of weight 1."""
+        """Write the radiance of a strip on its padded grid, of weight 1: as `clsco.passes.layered.DepthLayers.add`
+        takes it."""
         cl.enqueue_copy(session.queue, value, flat(self._around(self.radiance, strip), np.float32))
 
     def send_radii(self, session: Session, strip: Strip, coc: cl.Buffer, valid: cl.Buffer) -> None:

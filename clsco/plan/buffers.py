@@ -19,7 +19,7 @@ from clsco.optics.stencil import is_summed, stencil_sizes
 from clsco.optics.visibility import lens_floats
 from clsco.plan.methods import MANY_RADII, BlurSpec
 from clsco.records import WIDE_BYTES, structs
-from clsco.scene.model import DepthMap, Psf, Scene
+from clsco.scene.model import Psf, Scene
 
 Sizes = dict[str, int]
 Scratch = Literal["none", "columns", "rows", "near"]
@@ -309,10 +309,9 @@ def warp_buffers(scene: Scene, grid: Grid, device: DeviceFacts) -> Sizes:
     dict
     """
     pixels, objects = grid.rows * grid.columns, len(scene.objects)
-    maps = sum(isinstance(item, DepthMap) for item in scene.objects)
+    maps = sum(not item.is_analytic for item in scene.objects)
     surfaces = objects * structs("double")["surface_t"].itemsize
-    sizes = {"rest": WIDE_BYTES * pixels, "moved": WIDE_BYTES * pixels}
-    sizes |= {"rest surfaces": surfaces, "surfaces": surfaces, "poses": objects * structs("double")["pose_t"].itemsize}
+    sizes = {"rest": WIDE_BYTES * pixels, "moved": WIDE_BYTES * pixels, "rest surfaces": surfaces}
     if objects > 1:
         sizes["object"] = pixels
     if maps:
@@ -338,7 +337,7 @@ def fill_buffers(scene: Scene, grid: Grid) -> Sizes:
     dict
     """
     pixels, lines = grid.sources, grid.width + grid.height
-    several, mapped = len(scene.objects) > 1, any(isinstance(item, DepthMap) for item in scene.objects)
+    several, mapped = len(scene.objects) > 1, not scene.is_analytic
     sizes = {
         "value": 4 * (grid.channels * pixels + LANES),
         "w": WIDE_BYTES * pixels,
@@ -359,36 +358,43 @@ def fill_buffers(scene: Scene, grid: Grid) -> Sizes:
     return sizes
 
 
-def trace_buffers(spec: BlurSpec, grid: Grid, slots: int = 0) -> Sizes:
-    """Sources of one time sample of an occlusion group, as trace.cl writes them; and statistics of a frame.
+def trace_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
+    """Sources of one time sample of an occlusion group, as trace.cl writes them; and statistics of a frame."""
+    sizes = source_buffers(spec, grid) | {"value": 4 * grid.channels * grid.sources, "statistics": 4 * STATISTICS}
+    return sizes | ({"depth": WIDE_BYTES * grid.sources} if spec.occluded else {})
 
-    Parameters
-    ----------
-    spec : BlurSpec
-    grid : Grid
-    slots : int
-        Pixels near silhouettes that there is room for.
 
-    Returns
-    -------
-    dict
-    """
-    pixels, subs = grid.sources, slots * spec.subpixels**2
-    sizes = {
-        "source": source_bytes(pixels, spec.tilt, spec.marked),
-        "value": 4 * grid.channels * pixels,
-        "statistics": 4 * STATISTICS,
-    }
-    if spec.subpixels:
-        sizes |= {"label": pixels, "pixels": 4 * slots, "sub_source": 16 * subs, "sub_value": 4 * grid.channels * subs}
-    if spec.occluded:
-        sizes["depth"] = WIDE_BYTES * pixels
-        sizes |= {"sub_depth": WIDE_BYTES * subs} if subs else {}
-    return sizes
+def silhouette_buffers(spec: BlurSpec, grid: Grid, slots: int) -> Sizes:
+    """Sub-pixel sources, in `slots` pixels near silhouettes."""
+    subs = slots * spec.subpixels**2
+    sizes = {"label": grid.sources, "pixels": 4 * slots, "sub_source": 16 * subs, "sub_value": 4 * grid.channels * subs}
+    return sizes | ({"sub_depth": WIDE_BYTES * subs} if spec.occluded else {})
+
+
+def texture_buffers(scene: Scene, channels: int) -> Sizes:
+    """The textures of a scene with a resolution, each once."""
+    columns, rows = scene.camera.resolution or (0, 0)
+    return {"texture": 4 * channels * len({item.texture for item in scene.objects}) * rows * columns}
+
+
+def source_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
+    """Records of sources, one per pixel."""
+    return {"source": source_bytes(grid.sources, spec.tilt, spec.marked)}
+
+
+def hit_buffers(grid: Grid) -> Sizes:
+    """What rays of an occlusion group hit, for all lenses (`clsco.passes.trace.Hits`)."""
+    pixels = grid.sources
+    return {"value": 4 * grid.channels * pixels, "depth": WIDE_BYTES * pixels, "hit": pixels}
+
+
+def map_buffers(grid: Grid) -> Sizes:
+    """An image with its map of signed radii."""
+    return {"value": 4 * grid.channels * grid.sources, "coc": WIDE_BYTES * grid.sources, "valid": grid.sources}
 
 
 def image_buffers(spec: BlurSpec, grid: Grid, layered: bool) -> Sizes:
-    """An image with its map of signed radii, and their sources.
+    """An image with its map of signed radii, and their sources, for a blur by itself.
 
     Parameters
     ----------
@@ -401,11 +407,9 @@ def image_buffers(spec: BlurSpec, grid: Grid, layered: bool) -> Sizes:
     -------
     dict
     """
-    sizes = {"value": 4 * grid.channels * grid.sources}
-    if spec.method in MANY_RADII:
-        sizes |= {"coc": WIDE_BYTES * grid.sources, "valid": grid.sources}
-        sizes |= {} if layered else {"source": source_bytes(grid.sources, spec.tilt)}
-    return sizes
+    if spec.method not in MANY_RADII:
+        return {"value": map_buffers(grid)["value"]}
+    return map_buffers(grid) | ({} if layered else source_buffers(spec, grid))
 
 
 def truth_buffers(names: Collection[str], grid: Grid) -> Sizes:

@@ -12,24 +12,19 @@ from clsco.errors import SceneError
 from clsco.frame.strips import BAND, Grid, Strip, cut
 from clsco.optics.psf_tables import table_reach
 from clsco.optics.slabs import margin_of_slabs
-from clsco.plan.approximation import place_count
 from clsco.plan.buffers import (
-    TRUTH_BUFFERS,
     UNKNOWN,
     DeviceFacts,
+    Sizes,
     ThisMachine,
     blur_buffers,
-    fill_buffers,
+    hit_buffers,
     image_buffers,
     layered_buffers,
     multigrid_buffers,
-    trace_buffers,
-    truth_buffers,
-    warp_buffers,
 )
 from clsco.plan.methods import Blur, BlurSpec
 from clsco.plan.plan import Plan
-from clsco.records import WIDE_BYTES
 from clsco.scene.model import Psf
 
 _UNITS = {"": 1, "b": 1} | {f"{p}b": 1000**n for n, p in enumerate("kmgt", 1)}
@@ -40,13 +35,12 @@ _UNITS |= {f"{p}ib": 1024**n for n, p in enumerate("kmgt", 1)}
 class Limit:
     """What the buffers of a frame may take, in bytes.
 
-    total: all of them; buffer: each of them; device: where they are; given: by the user, so that it is an error where
-    nothing fits; views: that are on the device together and share `total`, as those of a stereo pair.
+    total: all of them; buffer: each of them; given: by the user, so that it is an error where nothing fits; views: that
+    are on the device together and share `total`, as those of a stereo pair.
     """
 
     total: int
     buffer: int
-    device: DeviceFacts
     given: bool
     views: int = 1
 
@@ -85,40 +79,17 @@ def limit_of(memory: str | int | None, device: DeviceFacts | None = None) -> Lim
     total = total if total == UNKNOWN else total // 2
     if memory is not None:
         total = parse_size(memory)
-    return Limit(total, known.max_alloc, known, memory is not None)
+    return Limit(total, known.max_alloc, memory is not None)
 
 
-def buffer_bytes(plan: Plan, device: DeviceFacts) -> dict[str, int]:
+def buffer_bytes(plan: Plan) -> Sizes:
     """Buffers on the device while a frame of a plan is made, in the strips that the plan has.
 
     Those of ground truth, "truth ...", are there only while it is made.
     """
-    scene, grid, spec = plan.scene, plan.grid, plan.spec
-    layered = plan.occlusion == "layered"
-    sizes: dict[str, int] = {}
-    if not plan.still_map:
-        textures = len({item.texture for item in scene.objects})
-        sizes["texture"] = 4 * plan.channels * textures * plan.rows * plan.columns
-
-    def take(prefix: str, found: Mapping[str, int]) -> None:
-        sizes.update({f"{prefix} {name}".strip(): size for name, size in found.items()})
-
-    take("", trace_buffers(spec, grid, plan.slots))
-    if layered:
-        del sizes["source"]  # its own
-    take("blur", blur_buffers(spec, grid, device))
-    if plan.approximations:  # the first one has the most grids
-        take("", multigrid_buffers(spec, grid, device, place_count(plan.rows, plan.columns)))
-    if layered or plan.still_map:
-        sizes |= {"coc": WIDE_BYTES * grid.sources, "valid": grid.sources}
-    if layered:
-        take("depth layer", layered_buffers(spec, grid, device))
-    if plan.forward:
-        take("warp", warp_buffers(scene, grid, device))
-        take("fill", fill_buffers(scene, grid))
-    if plan.truth and all(item.shape != "depth_map" for item in scene.objects):  # no ray is cast at one
-        names = [name for name in TRUTH_BUFFERS if name in plan.truth and not (name == "sharp" and plan.forward)]
-        take("truth", truth_buffers(names, grid))
+    sizes: Sizes = {}
+    for each in plan.passes:
+        sizes |= each.buffers
     return sizes
 
 
@@ -145,13 +116,13 @@ def defocus_bytes(spec: BlurSpec, grid: Grid, device: DeviceFacts, places: int =
 
 
 def hit_bytes(plan: Plan) -> int:
-    """Planes of `clsco.engine.renderer.Hits`, which lenses share."""
-    return len(plan.layers) * (4 * plan.channels + WIDE_BYTES + 1) * plan.width * plan.height
+    """Planes of `clsco.passes.trace.Hits`, which lenses share."""
+    return len(plan.layers) * sum(hit_buffers(plan.grid).values())
 
 
-def device_bytes(plan: Plan, device: DeviceFacts, views: int = 1) -> int:
+def device_bytes(plan: Plan, views: int = 1) -> int:
     """All of `buffer_bytes` for one view, or several that are on the device together."""
-    return _sum(buffer_bytes(plan, device), views)
+    return _sum(buffer_bytes(plan), views)
 
 
 def _sum(sizes: Mapping[str, int], views: int) -> int:
@@ -171,7 +142,7 @@ def fitted(plan: Plan, limit: Limit) -> Plan:
     """
     if plan.tolerance is not None:
         tried = (replace(plan, approximations=(name,)) for name in plan.approximations)
-        names = (each.approximations[0] for each in tried if fits(buffer_bytes(each, limit.device), limit))
+        names = (each.approximations[0] for each in tried if fits(buffer_bytes(each), limit))
         plan = replace(plan, approximations=tuple(names))
     needs_whole = {
         "the forward warp": plan.forward,
@@ -180,7 +151,7 @@ def fitted(plan: Plan, limit: Limit) -> Plan:
     why = next((what for what, needed in needs_whole.items() if needed), None)
 
     def sizes(rows: int) -> Mapping[str, int]:
-        return buffer_bytes(replace(plan, strip_rows=rows), limit.device)
+        return buffer_bytes(replace(plan, strip_rows=rows))
 
     return replace(plan, strip_rows=rows_that_fit(plan.rows, limit, sizes, why))
 

@@ -86,7 +86,7 @@ def check_method(method: str) -> None:
         raise SceneError(f"method: must be one of {', '.join(known)}; got {method}")
 
 
-def _choose_blur(method: str, sharp: bool, constant: bool, gpu: bool, occluded: bool) -> Blur:
+def choose_blur(method: str, sharp: bool, constant: bool, gpu: bool, occluded: bool) -> Blur:
     check_method(method)
     if method in METHODS:
         return "none" if sharp else many_radii(gpu, occluded, approximate=True)

@@ -1,11 +1,14 @@
 """From a scene to the passes that it needs, with their sizes and cost; pure Python, without OpenCL.
 
-A pass that a scene has no use for is neither compiled nor run nor stored: `Plan.left_out` says which and why.
+The engine runs `Plan.passes`, `clsco plan` prints them, and the memory of a frame is that of their buffers. A pass that
+a scene has no use for is neither compiled nor run nor stored: `Plan.left_out` says which and why.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -21,8 +24,27 @@ from clsco.optics.psf_tables import TAP_LANES, check_tables, psf_features, table
 from clsco.optics.quadrics import canonical
 from clsco.optics.slabs import margin_of_slabs
 from clsco.optics.visibility import Layer, extent, is_hollow, layers
-from clsco.plan.approximation import METHODS, candidates, check_border, checked_tolerance
-from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, _choose_blur, is_sharp, many_radii
+from clsco.plan.approximation import METHODS, candidates, check_border, checked_tolerance, place_count
+from clsco.plan.buffers import (
+    STATISTICS,
+    TRUTH_BUFFERS,
+    DeviceFacts,
+    Sizes,
+    ThisMachine,
+    blur_buffers,
+    fill_buffers,
+    layered_buffers,
+    map_buffers,
+    multigrid_buffers,
+    silhouette_buffers,
+    source_buffers,
+    texture_buffers,
+    trace_buffers,
+    truth_buffers,
+    warp_buffers,
+)
+from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, choose_blur, is_sharp, many_radii
+from clsco.plan.passes import HOW, Kind, Parameters, Pass
 from clsco.plan.predict import Maps, _blur_range, _constant_blur, _fills_view, _moments, _samples, displaced, guard_band
 from clsco.scene.model import Scene
 
@@ -36,17 +58,52 @@ SILHOUETTE_SLOTS = 12  # pixels near silhouettes per row and column of the frame
 class Plan:
     """What rendering a scene takes.
 
-    scene: with its resolution; channels: 1 or 3; rows, columns px; samples: intermediate frames per frame;
-    guard_px: width of the band around the frame whose surface lights it; smallest_blur, largest_blur: predicted
-    range of |R| in px over the whole sequence, with a margin; blur: how light is spread; silhouettes: sub-pixel
-    sources per axis, 0 none; tilt, forward, still_map, moves: whether these passes are taken; eye: of a stereo pair;
-    occlusion: as it is done; layers: what is spread one after the other; truth: outputs besides color; passes,
-    left_out: (name, what or why); taps: predicted weights per frame; strip_rows: of the frame that are worked on at a
-    time, 0 for all; tolerance: that was asked for; approximations: what is taken instead of the exact blur
-    (`clsco.plan.approximation.METHODS`), in this order until the error is within the tolerance.
+    Attributes
+    ----------
+    scene : Scene
+        With its resolution.
+    device : DeviceFacts
+        Where it is to run.
+    eye : {"left", "right"}
+        Of a stereo pair.
+    channels, rows, columns : int
+        Of the frame: 1 or 3, px, px.
+    samples : int
+        Time samples per frame.
+    guard_px : int
+        Width of the apron around the frame whose surface lights it.
+    smallest_blur, largest_blur : float
+        Predicted range of |R| in px over the whole sequence, with a margin.
+    blur : Blur
+        How radiance is spread.
+    silhouettes : int
+        Sub-pixel sources per axis, 0 for none.
+    tilt : bool
+        Whether weights depend on the gradient of R.
+    forward, static_map, moves : bool
+        Whether pixels of the reference pose are moved; taken as they are; whether anything moves.
+    occlusion : Occlusion
+        As it is done.
+    layers : tuple of Layer
+        Occlusion groups, which are spread one after the other.
+    truth : tuple of str
+        Outputs besides color.
+    taps : float
+        Predicted weights per frame.
+    strip_rows : int
+        Rows of the frame that are worked on at a time, 0 for all.
+    least_slots : int
+        Pixels near silhouettes that there must be room for.
+    tolerance : float, optional
+        That was requested.
+    approximations : tuple of str
+        What is taken instead of the exact blur (`clsco.plan.approximation.METHODS`), in this order until the error is
+        within the tolerance.
     """
 
     scene: Scene
+    device: DeviceFacts
+    eye: Eye
     channels: int
     rows: int
     columns: int
@@ -58,46 +115,40 @@ class Plan:
     silhouettes: int
     tilt: bool
     forward: bool
-    still_map: bool
+    static_map: bool
     moves: bool
-    eye: Eye
     occlusion: Occlusion
     layers: tuple[Layer, ...]
     truth: tuple[str, ...]
-    passes: tuple[tuple[str, str], ...]
-    left_out: tuple[tuple[str, str], ...]
     taps: float
     strip_rows: int = 0
+    least_slots: int = 0
     tolerance: float | None = None
     approximations: tuple[str, ...] = ()
 
     @property
     def width(self) -> int:
-        """Columns of frame and guard band."""
+        """Columns of frame and apron."""
         return self.columns + 2 * self.guard_px
 
     @property
     def height(self) -> int:
-        """Rows of frame and guard band."""
+        """Rows of frame and apron."""
         return self.rows + 2 * self.guard_px
 
     @property
     def reach_px(self) -> int:
-        """How far away in px a source may matter to a pixel: the reach of the PSF, and 2 px to see silhouettes in."""
+        """Distance in px at which a source may matter to a pixel: the reach of the PSF, and 2 px to find silhouettes
+        in."""
         each = (table_reach(self.scene.psf, self.largest_blur, subpixel) for subpixel in (False, True))
         return max(each) + 2
 
-    @property
+    @cached_property
     def strips(self) -> tuple[Strip, ...]:
         """The strips that the frame is made in, one after the other; the first one is the tallest."""
         layered = self.occlusion == "layered"
         reach, step = margin_of_slabs(self.scene.psf, self.largest_blur) if layered else (self.reach_px, 1)
         return cut(self.rows, self.strip_rows or self.rows, self.guard_px, reach, step)
-
-    @property
-    def tallest(self) -> int:
-        """Rows of the largest grid of a strip."""
-        return max(strip.height for strip in self.strips)
 
     @property
     def grid(self) -> Grid:
@@ -114,18 +165,36 @@ class Plan:
 
     @property
     def slots(self) -> int:
-        """Pixels near silhouettes that there is room for at first; the device asks for more where needed."""
-        return SILHOUETTE_SLOTS * (self.width + self.tallest) if self.silhouettes else 0
+        """Pixels near silhouettes that there is room for."""
+        predicted = SILHOUETTE_SLOTS * (self.width + self.grid.height) if self.silhouettes else 0
+        return max(predicted, self.least_slots)
 
     @property
     def eye_moved(self) -> bool:
         """Whether the frame is seen from elsewhere than the textures."""
         return displaced(self.scene, self.eye)
 
+    @property
+    def device_truth(self) -> tuple[str, ...]:
+        """Outputs of ground truth that rays give; a forward warp makes its own focused image."""
+        if not self.scene.is_analytic:
+            return ()
+        return tuple(n for n in TRUTH_BUFFERS if n in self.truth and not (n == "sharp" and self.forward))
+
+    @cached_property
+    def passes(self) -> tuple[Pass, ...]:
+        """What is run: for each time sample in this order, and "ground truth" once for a frame."""
+        return _passes(self)
+
+    @property
+    def left_out(self) -> tuple[tuple[str, str], ...]:
+        """What the scene has no use for: (name, reason)."""
+        return _left_out(self)
+
     def features(self) -> dict[str, int]:
         """Structure that the kernels are compiled for."""
         scene = self.scene
-        analytic = [item for item in scene.objects if item.shape != "depth_map"]
+        analytic = [item for item in scene.objects if item.is_analytic]
         shapes = [canonical(item) for item in analytic]
         quadratic = any(shape.q.any() for shape in shapes)
         return {
@@ -143,36 +212,37 @@ class Plan:
         } | psf_features(scene.psf)
 
 
-def is_still_map(scene: Scene) -> bool:
+def is_static_map(scene: Scene) -> bool:
     """Whether every pixel shows what it does in a depth map and its image: nothing else is there, and nothing moves."""
-    alone = len(scene.objects) == 1 and scene.objects[0].shape == "depth_map"
-    return alone and not scene.moves and scene.stereo is None
+    return len(scene.objects) == 1 and not scene.is_analytic and not scene.moves and scene.stereo is None
 
 
 def is_forward(scene: Scene, eye: Eye) -> bool:
-    """Whether the pixels at rest are moved: with the forward warp what moves, and depth maps unless all is still."""
-    if any(item.shape == "depth_map" for item in scene.objects):
-        return not is_still_map(scene)
+    """Whether pixels of the reference pose are moved: with the forward warp what moves, and depth maps unless all is
+    static."""
+    if not scene.is_analytic:
+        return not is_static_map(scene)
     return scene.motion.warp == "forward" and (scene.moves or displaced(scene, eye))
 
 
 def exposure(plan: Plan, frame: int) -> tuple[Array, Array]:
-    """Times in s and weights of the intermediate frames of a frame; one at rest where nothing moves."""
+    """Times in s and weights of the time samples of a frame; one in the reference pose where nothing moves."""
     if not plan.moves:
         return np.zeros(1), np.ones(1)
     return sample_times(plan.scene.sequence, frame, plan.samples)
 
 
-def widened(plan: Plan, largest: float) -> Plan:
-    """The plan for a larger |R| in px than it predicted. Raises SceneError beyond LARGEST_BLUR."""
+def widened(plan: Plan, smallest: float, largest: float) -> Plan:
+    """The plan for a wider range of |R| in px than it predicted. Raises SceneError beyond LARGEST_BLUR."""
     if largest > LARGEST_BLUR:
         raise SceneError(f"camera: the blur radius must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
-    return replace(plan, largest_blur=largest, guard_px=max(plan.guard_px, guard_band(plan.scene.psf, largest)))
+    guard = max(plan.guard_px, guard_band(plan.scene.psf, largest))
+    return replace(plan, smallest_blur=smallest, largest_blur=largest, guard_px=guard)
 
 
 def _hides_nothing(scene: Scene) -> bool:
     """Whether the lens sees all that the pinhole sees: a single surface, without an inside and not of a map."""
-    return len(scene.objects) == 1 and scene.objects[0].shape != "depth_map" and not is_hollow(scene.objects[0])
+    return len(scene.objects) == 1 and scene.is_analytic and not is_hollow(scene.objects[0])
 
 
 def _occlusion(
@@ -198,32 +268,55 @@ def make_plan(
     eye: Eye = "left",
     maps: Maps | None = None,
     tolerance: float | None = None,
-    gpu: bool = False,
+    device: DeviceFacts | None = None,
 ) -> Plan:
     """The passes that a scene needs.
 
-    scene: with a resolution (`textures.load_scene_textures`); channels: of its textures; truth: names of the
-    outputs that are wanted besides color; method: "auto", or one of "gather", "scatter", "tiles", "convolve" where it
-    can do the scene, or an approximation (`approximation.METHODS`); eye: of a stereo pair; maps: inverse depth
-    (rows, columns) in 1/mm of every object that is a depth map, 0 where nothing is, None for others
-    (`depth_maps.load_scene_depths`); tolerance: RMS error of white up to which an approximation is taken, None for
-    none; gpu: it is to run on a GPU, see `many_radii`. Raises SceneError where the blur radius passes LARGEST_BLUR or
-    the method cannot do it.
+    Parameters
+    ----------
+    scene : Scene
+        With a resolution (`clsco.inputs.textures.load_scene_textures`).
+    channels : int
+        Of its textures.
+    truth : tuple of str
+        Names of the outputs that are wanted besides color.
+    method : str
+        "auto", or one of "gather", "scatter", "tiles", "convolve" where it can do the scene, or an approximation
+        (`clsco.plan.approximation.METHODS`).
+    eye : {"left", "right"}
+        Of a stereo pair.
+    maps : sequence of ndarray of float64 (rows, columns) or None, optional
+        Inverse depth in 1/mm of every object that is a depth map, 0 where nothing is; None for others
+        (`clsco.inputs.depth_maps.load_scene_depths`).
+    tolerance : float, optional
+        RMS error of white up to which an approximation is taken; None for none.
+    device : DeviceFacts, optional
+        Where it is to run; by default this machine's processor.
+
+    Returns
+    -------
+    Plan
+
+    Raises
+    ------
+    SceneError
+        The blur radius passes LARGEST_BLUR, or the method cannot do the scene.
     """
     if scene.stereo is None:
         truth = tuple(name for name in truth if name not in STEREO_NAMES)
     if scene.camera.resolution is None:
         raise SceneError("camera.resolution: must be known before a scene is planned; got None")
     columns, rows = scene.camera.resolution
-    psf, moves = scene.psf, scene.moves
-    forward, still = is_forward(scene, eye), is_still_map(scene)
+    device = device or ThisMachine()
+    gpu, psf = device.kind == "gpu", scene.psf
+    forward, static = is_forward(scene, eye), is_static_map(scene)
     maps = maps or (None,) * len(scene.objects)
     samples = _samples(scene, maps)
     moments = _moments(scene, eye)
     smallest, largest, each, guard = _blur_range(scene, moments, maps)
     w = each.max(axis=0)
     slabs = psf.occlusion == "layered" and not _hides_nothing(scene)
-    rays = not (forward or still)
+    rays = not (forward or static)
     silhouettes = psf.silhouette_samples if psf.silhouette_samples > 1 and rays and not slabs else 0
     if silhouettes and _fills_view(scene, w):
         silhouettes = 0
@@ -232,7 +325,7 @@ def make_plan(
     check_border(psf, method)
     occlusion, found = _occlusion(scene, rays, sharp, moments, each)
     occluded = any(layer.occluders for layer in found)
-    blur = _choose_blur(method, sharp, constant, gpu, occluded)
+    blur = choose_blur(method, sharp, constant, gpu, occluded)
     approximations: tuple[str, ...] = (method,) if method in METHODS and blur != "none" else ()
     seen = np.abs(blur_radius(scene.camera, w[w > 0]))
     if tolerance is not None and checked_tolerance(tolerance, method) and blur != "none":
@@ -241,75 +334,143 @@ def make_plan(
     if blur == "convolve":
         guard += 2 * TAP_LANES
     tilt = psf.tilt and not _constant_blur(scene) and blur not in ("convolve", "none")
-    moved = forward, still
-    passes, left_out = _passes(
-        scene, eye, moved, samples, largest, blur, silhouettes, tilt, truth, channels, occlusion, len(found), gpu
-    )
     if blur in MANY_RADII:
         check_tables(psf, smallest, largest, silhouettes)
     area = (rows + 2 * guard) * (columns + 2 * guard)
     lit = np.pi * (psf_extent(psf, seen) + 0.7) ** 2
     taps = float((w > 0).mean() * area * samples * (lit.mean() if lit.size else 0.0)) if blur != "none" else 0.0
     return Plan(
-        scene, channels, rows, columns, samples, guard, smallest, largest, blur, silhouettes, tilt, forward,
-        still, moves, eye, occlusion, found, truth, passes, left_out, taps, 0, tolerance, approximations,
+        scene, device, eye, channels, rows, columns, samples, guard, smallest, largest, blur, silhouettes, tilt,
+        forward, static, scene.moves, occlusion, found, truth, taps, tolerance=tolerance, approximations=approximations,
     )  # fmt: skip
 
 
-def _passes(
-    scene: Scene, eye: Eye, pixels: tuple[bool, bool], samples: int, largest: float, blur: Blur, silhouettes: int,
-    tilt: bool, truth: tuple[str, ...], channels: int, occlusion: Occlusion, layers: int, gpu: bool,
-) -> tuple[tuple[tuple[str, str], ...], tuple[tuple[str, str], ...]]:  # fmt: skip
-    """What is done, and what is left out with the reason; pixels: whether they are moved, or taken as they are."""
-    forward, still = pixels
-    psf, moves = scene.psf, scene.moves
-    shapes = ", ".join(dict.fromkeys(item.shape for item in scene.objects))
-    done: list[tuple[str, str]] = []
-    out: list[tuple[str, str]] = []
+def _passes(plan: Plan) -> tuple[Pass, ...]:
+    """See `Plan.passes`."""
+    scene, spec, grid = plan.scene, plan.spec, plan.grid
+    layered, rays = plan.occlusion == "layered", not (plan.forward or plan.static_map)
+    found: list[Pass] = []
+    if plan.static_map:
+        found.append(Pass("static image", (("pixels", "as the depth map and its image have them"),), map_buffers(grid)))
+    if plan.forward:
+        moved = f"every pixel of the {_shapes(scene)} to its nearest pixel, with a depth test"
+        sizes = warp_buffers(scene, grid, plan.device)
+        found.append(Pass("reproject", (("pixels", moved), *_of_frame(plan)), _named("warp", sizes) | _of_scene(plan)))
+        kind: Kind = "fill" if scene.fill.method != "none" else "count missing"
+        rule = f"{scene.fill.method}, domain {scene.fill.domain}" if kind == "fill" else "pixels are counted"
+        found.append(Pass(kind, (("missing", rule),), _named("fill", fill_buffers(scene, grid))))
+    if rays and layered:
+        found.append(Pass("pinhole", _of_rays(plan), map_buffers(grid) | _of_scene(plan)))
+    if rays and not layered:
+        for group in plan.layers:
+            found += _group_passes(plan, group)
+    elif layered:
+        sizes = _named("depth layer", layered_buffers(spec, grid, plan.device))
+        found.append(Pass("depth layers", _of_blur(plan), sizes | _blur_sizes(plan)))
+    else:
+        if plan.blur in MANY_RADII:
+            slope = (("gradient", "from differences of R"),) if plan.tilt else ()
+            found.append(
+                Pass("sources", (("R", "from the inverse depth of every pixel"), *slope), source_buffers(spec, grid))
+            )
+        found.append(_blur_pass(plan))
+    if plan.truth:
+        what = (("outputs", ", ".join(plan.truth)),)
+        sizes = _named("truth", truth_buffers(plan.device_truth, grid)) if scene.is_analytic else {}
+        found.append(Pass("ground truth", what, sizes))
+    return tuple(found)
 
-    def either(wanted: bool, name: str, what: str, why_not: str) -> None:
-        (done if wanted else out).append((name, what if wanted else why_not))
 
-    plural = "s" if samples > 1 else ""
-    either(moves, "motion", f"{samples} intermediate frame{plural} per exposure", "nothing moves: one sample, at rest")
-    why = "a depth map at rest: its own pixels" if still else "replaced by the forward warp"
-    either(not (forward or still), "trace", f"rays against the {shapes}, one per pixel", why)
-    either(
-        (moves or displaced(scene, eye)) and not forward, "texture sampling", scene.motion.texture_filter,
-        "the forward warp moves whole pixels" if forward else "nothing moves: every pixel shows its own texel",
-    )  # fmt: skip
-    either(forward, "reproject", "every pixel at rest to its nearest pixel, with a depth test", "no forward warp")
-    fills = forward and scene.fill.method != "none"
-    either(
-        fills, "fill", f"{scene.fill.method}, domain {scene.fill.domain}",
-        "fill.method is none" if forward else "only a forward warp leaves pixels missing",
-    )  # fmt: skip
-    why = "silhouette_samples = 1" if psf.silhouette_samples == 1 else "no silhouette in sight"
-    why = "a depth map has whole pixels" if still else "the forward warp moves whole pixels" if forward else why
-    either(bool(silhouettes), "silhouettes", f"{silhouettes} x {silhouettes} sub-pixel sources within 2 px", why)
-    why = "tilt = false" if not psf.tilt else "one radius for all pixels, or none"
-    either(tilt, "tilt", "weights by the gradient of the blur radius", why)
-    how = {"gather": "many radii", "scatter": "atomic, fixed point", "convolve": "one PSF for the whole frame"}
-    how["tiles"] = "many radii, a work-item per pixel"
-    if gpu and occlusion == "visibility":
-        how["scatter"] += ", as tiles do not test what is in the way"
-    either(
-        blur != "none", "blur", f"{shape_of(psf).name}, R up to {largest:.3g} px, {blur}: {how.get(blur, '')}",
-        f"in focus: R up to {largest:.3g} px stays within its pixel",
-    )  # fmt: skip
-    either(psf.border == "renormalize", "renormalize", "light over the border is given back", 'border = "lose"')
-    either(psf.border == "lose", "guard band", "surface outside the frame lights it", "light stays inside the frame")
-    either(channels > 1, "color", f"{channels} channels", "gray texture: one channel")
-    how_hidden = {
-        "visibility": f"{layers} layer{'s' if layers > 1 else ''}, taps tested where something is in the way",
-        "layered": "slabs of what the pinhole sees, front to back",
-        "none": "",
+def _group_passes(plan: Plan, group: Layer) -> Iterator[Pass]:
+    """The passes of one occlusion group."""
+    spec, grid = plan.spec, plan.grid
+    yield Pass("trace", _of_rays(plan), trace_buffers(spec, grid) | _of_scene(plan), group)
+    if plan.silhouettes:
+        what = f"{plan.silhouettes} x {plan.silhouettes} per pixel within 2 px of a silhouette"
+        yield Pass("silhouettes", (("sub-pixel sources", what),), silhouette_buffers(spec, grid, plan.slots), group)
+    yield _blur_pass(plan, group)
+
+
+def _blur_pass(plan: Plan, group: Layer | None = None) -> Pass:
+    return Pass("accumulate" if plan.blur == "none" else "blur", _of_blur(plan), _blur_sizes(plan), group)
+
+
+def _named(owner: str, sizes: Sizes) -> Sizes:
+    return {f"{owner} {name}": size for name, size in sizes.items()}
+
+
+def _of_scene(plan: Plan) -> Sizes:
+    return texture_buffers(plan.scene, plan.channels) | {"statistics": 4 * STATISTICS}
+
+
+def _blur_sizes(plan: Plan) -> Sizes:
+    places = place_count(plan.rows, plan.columns)
+    return _named("blur", blur_buffers(plan.spec, plan.grid, plan.device)) | multigrid_buffers(
+        plan.spec, plan.grid, plan.device, places
+    )
+
+
+def _shapes(scene: Scene) -> str:
+    return ", ".join(dict.fromkeys(item.shape for item in scene.objects))
+
+
+def _of_rays(plan: Plan) -> Parameters:
+    scene = plan.scene
+    moved = (("texture sampling", scene.motion.texture_filter),) if plan.features()["MOVED"] else ()
+    return (("rays", f"against the {_shapes(scene)}, one per pixel"), *moved, *_of_frame(plan))
+
+
+def _of_frame(plan: Plan) -> Parameters:
+    apron = (("guard band", "surface outside the frame lights it"),) if plan.scene.psf.border == "lose" else ()
+    return (*apron, *((("color", f"{plan.channels} channels"),) if plan.channels > 1 else ()))
+
+
+def _of_blur(plan: Plan) -> Parameters:
+    psf, groups = plan.scene.psf, len(plan.layers)
+    if plan.blur == "none":
+        return (("radiance", "every pixel keeps its own"),)
+    how = HOW[plan.blur]
+    if plan.device.kind == "gpu" and plan.occlusion == "visibility" and plan.blur == "scatter":
+        how += ", as tiles do not test what is in the way"
+    found = [("PSF", f"{shape_of(psf).name}, R up to {plan.largest_blur:.3g} px"), ("method", f"{plan.blur}: {how}")]
+    if plan.tilt:
+        found.append(("tilt", "weights by the gradient of the blur radius"))
+    if psf.border == "renormalize":
+        found.append(("renormalize", "light over the border is given back"))
+    if plan.occlusion == "visibility":
+        plural = "s" if groups > 1 else ""
+        found.append(("occlusion", f"{groups} occlusion group{plural}, visibility tests where something is in the way"))
+    if plan.occlusion == "layered":
+        found.append(("occlusion", "depth layers of what the pinhole sees, front to back"))
+    return tuple(found)
+
+
+def _left_out(plan: Plan) -> tuple[tuple[str, str], ...]:
+    """See `Plan.left_out`."""
+    scene, psf, forward, static = plan.scene, plan.scene.psf, plan.forward, plan.static_map
+    wide = "the forward warp moves whole pixels"
+    only_warp = "only a forward warp leaves pixels missing"
+    no_rays = "a static depth map: its own pixels" if static else "replaced by the forward warp"
+    alike = "nothing moves: every pixel shows its own texel"
+    whole = "a depth map has whole pixels" if static else wide if forward else "no silhouette in sight"
+    hidden = "one object" if len(scene.objects) == 1 else "no object hides another within its blur"
+    hidden = "everything is in focus" if plan.blur == "none" else hidden
+    reasons = {
+        "motion": None if plan.moves else "nothing moves: one sample, in the reference pose",
+        "trace": no_rays if forward or static else None,
+        "texture sampling": None if plan.features()["MOVED"] else wide if forward else alike,
+        "reproject": None if forward else "no forward warp",
+        "fill": (None if scene.fill.method != "none" else "fill.method is none") if forward else only_warp,
+        "silhouettes": None if plan.silhouettes else "silhouette_samples = 1" if psf.silhouette_samples == 1 else whole,
+        "tilt": None if plan.tilt else "one radius for all pixels, or none" if psf.tilt else "tilt = false",
+        "blur": None if plan.blur != "none" else f"in focus: R up to {plan.largest_blur:.3g} px stays within its pixel",
+        "renormalize": None if psf.border == "renormalize" else 'border = "lose"',
+        "guard band": None if psf.border == "lose" else "light stays inside the frame",
+        "color": None if plan.channels > 1 else "gray texture: one channel",
+        "occlusion": None if plan.occlusion != "none" else 'occlusion = "none"' if psf.occlusion == "none" else hidden,
+        "ground truth": None if plan.truth else "nobody asked for it",
     }
-    why = "one object" if len(scene.objects) == 1 else "no object hides another within its blur"
-    why = 'occlusion = "none"' if psf.occlusion == "none" else "everything is in focus" if blur == "none" else why
-    either(occlusion != "none", "occlusion", how_hidden[occlusion], why)
-    either(bool(truth), "ground truth", ", ".join(truth), "nobody asked for it")
-    missing = [name for name in TRUTH_NAMES if name not in truth]
-    if truth and missing:
-        out.append(("other outputs", f"nobody asked for {', '.join(missing)}"))
-    return tuple(done), tuple(out)
+    missing = [name for name in TRUTH_NAMES if name not in plan.truth]
+    if plan.truth and missing:
+        reasons["other outputs"] = f"nobody asked for {', '.join(missing)}"
+    return tuple((name, why) for name, why in reasons.items() if why is not None)

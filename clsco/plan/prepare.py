@@ -16,6 +16,7 @@ from clsco.inputs.depth_files import read_depth
 from clsco.inputs.depth_maps import map_inverse_depth
 from clsco.inputs.textures import texture_size
 from clsco.optics.motion import Eye
+from clsco.plan.buffers import DeviceFacts
 from clsco.plan.memory import fitted, limit_of
 from clsco.plan.plan import Plan, make_plan
 from clsco.plan.predict import Maps
@@ -27,28 +28,31 @@ PlannedFile = tuple[Path, tuple[str, ...], tuple[Plan, ...]]  # with the labels 
 
 
 def planned(
-    scene: Scene, truth: tuple[str, ...], eye: Eye = "left", memory: int | None = None, gpu: bool = False
+    scene: Scene,
+    truth: tuple[str, ...],
+    eye: Eye = "left",
+    memory: int | None = None,
+    device: DeviceFacts | None = None,
 ) -> Plan:
     """The plan of a scene for the outputs `truth` besides color; reads its textures and depths, computes nothing.
 
-    eye: of a stereo pair; memory: as for `clsco.render`, on a device like this machine's processor; gpu: as for
-    `clsco.plan.plan.make_plan`.
+    eye: of a stereo pair; memory: as for `clsco.render`, device: as for `clsco.plan.plan.make_plan`.
 
     The plan's scene has its resolution, which the first texture gives where the scene does not, and three channels
     where any texture has color. Raises SceneError, all textures' and depths' faults at once, and what
     `clsco.plan.plan.make_plan` raises.
     """
-    (plan,) = planned_sweep(Sweep(("",), (scene,)), truth, eye, memory, gpu=gpu)
+    (plan,) = planned_sweep(Sweep(("",), (scene,)), truth, eye, memory, device=device)
     return plan
 
 
 def planned_sweep(
     sweep: Sweep, truth: tuple[str, ...], eye: Eye = "left", memory: int | None = None, method: str = "auto",
-    tolerance: float | None = None, gpu: bool = False,
+    tolerance: float | None = None, device: DeviceFacts | None = None,
 ) -> tuple[Plan, ...]:  # fmt: skip
     """The plans of all scenes of a sweep, as `planned`; each file is read once. Raises SceneError for all of them.
 
-    method, tolerance: as for `clsco.render`; gpu: as for `planned`.
+    method, tolerance: as for `clsco.render`; device: as for `planned`.
     """
     files = _read_files(sweep.scenes[0])  # the same for all: no key of theirs can have several values
     plans, faults = [], dict[str, None]()
@@ -60,10 +64,10 @@ def planned_sweep(
         try:
             maps = _inverse_depths(sized, files.depths)
             views = {
-                view: make_plan(sized, files.channels, truth, method, view, maps, tolerance, gpu)
+                view: make_plan(sized, files.channels, truth, method, view, maps, tolerance, device)
                 for view in _views(scene)
             }
-            limit = replace(limit_of(memory), views=len(views))
+            limit = replace(limit_of(memory, device), views=len(views))
             plans.append({view: fitted(plan, limit) for view, plan in views.items()}[eye])
         except SceneError as error:
             faults.update(dict.fromkeys(f"{message}{label and f' (with {label})'}" for message in error.messages))
@@ -74,7 +78,7 @@ def planned_sweep(
 
 def planned_files(
     loaded: Sequence[tuple[Path, Sweep | SceneError]], truth: tuple[str, ...] = (), memory: int | None = None,
-    method: str = "auto", tolerance: float | None = None, gpu: bool = False,
+    method: str = "auto", tolerance: float | None = None, device: DeviceFacts | None = None,
 ) -> list[PlannedFile]:  # fmt: skip
     """The plans of files that `clsco.scene.sweep.load_sweeps` gives; raises SceneError for all of them."""
     found: list[PlannedFile] = []
@@ -84,7 +88,7 @@ def planned_files(
             messages.extend(sweep.messages)
             continue
         try:
-            plans = planned_sweep(sweep, truth, memory=memory, method=method, tolerance=tolerance, gpu=gpu)
+            plans = planned_sweep(sweep, truth, memory=memory, method=method, tolerance=tolerance, device=device)
             found.append((path, sweep.labels, plans))
         except SceneError as error:
             messages.extend(at_most(str(path), error.messages))

@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from typing import Any
 
 from clsco.plan.plan import Plan
-from clsco.scene.model import DepthMap
 
 
 def unused_keys(plan: Plan) -> list[tuple[str, str]]:
@@ -20,14 +19,14 @@ def unused_keys(plan: Plan) -> list[tuple[str, str]]:
     motions = [scene.camera.motion, *(item.motion for item in scene.objects)]
     if not plan.moves:
         give("sequence", ("samples", "sampling", "shutter"), "nothing moves")
-        mapped = plan.forward or plan.still_map
+        mapped = plan.forward or plan.static_map
         used = ["warp"] * mapped + ["texture_filter"] * (scene.stereo is not None)
         give("motion", [key for key in type(scene.motion).model_fields if key not in used], "nothing moves")
         if not mapped:
             give("fill", type(scene.fill).model_fields, "nothing moves")
     elif all(sum(map(bool, motion.angular_velocity)) < 2 for motion in motions):
         give("motion", ("rotation",), "euler and axis differ only for turns about several axes")
-    if plan.still_map:
+    if plan.static_map:
         give("fill", ("domain",), "nothing moves")
     if plan.forward and scene.fill.method == "none":
         give("fill", ("domain",), "fill.method is none")
@@ -45,7 +44,7 @@ def unused_keys(plan: Plan) -> list[tuple[str, str]]:
     named = ("aperture", "psf", "sequence", "motion", "fill")
     sections: list[tuple[str, Any]] = [(name, getattr(scene, name)) for name in named]
     for index, item in enumerate(scene.objects):
-        if isinstance(item, DepthMap) and not any(item.motion.angular_velocity):
+        if not item.is_analytic and not any(item.motion.angular_velocity):
             give(f"object[{index}]", ("center",), "the depth map does not turn")
             sections.append((f"object[{index}]", item))
     given = [f"{place}.{key}" for place, model in sections for key in sorted(model.model_fields_set)]

@@ -35,7 +35,7 @@ from clsco.reference.trace.trace import (
     view_at,
 )
 from clsco.reference.warp.warp import extend_border, reproject
-from clsco.scene.model import DepthMap, Scene
+from clsco.scene.model import Scene
 
 
 def _cast_sources(view: View, layer: Layer, guard: int) -> tuple[Sources, SubpixelSources | None]:
@@ -83,7 +83,7 @@ def _warped_sources(
 def _placed(scene: Scene, poses: Sequence[Pose]) -> tuple[PlacedSurface | None, ...]:
     """The objects in their poses, None for depth maps."""
     pairs = zip(scene.objects, poses, strict=True)
-    return tuple(None if isinstance(item, DepthMap) else place(item, pose) for item, pose in pairs)
+    return tuple(place(item, pose) if item.is_analytic else None for item, pose in pairs)
 
 
 def _sources(scene: Scene, radiance: Array, w: Array, valid: NDArray[np.bool_]) -> Sources:
@@ -139,7 +139,7 @@ def _with_channels(radiance: NDArray[np.float32], channels: int) -> Array:
 
 def _moves_pixels(plan: Plan) -> bool:
     """Whether pixels at rest are moved, those of a depth map where nothing moves to their own places."""
-    return plan.forward or plan.still_map
+    return plan.forward or plan.static_map
 
 
 def _moment(plan: Plan, textures: tuple[Array, ...], maps: Maps, time: float) -> tuple[Array, dict[str, int]]:

@@ -15,7 +15,7 @@ from typing import Any, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 
 from clsco.errors import SceneError
-from clsco.scene.model import BUILT_IN_TEXTURES, AnyShape, CameraMotion, DepthMap, ObjectMotion, Psf, Scene
+from clsco.scene.model import BUILT_IN_TEXTURES, AnyShape, CameraMotion, ObjectMotion, Psf, Scene
 from clsco.scene.shapes import repeated_names
 from clsco.scene.text import brief, key_name, shown
 
@@ -166,10 +166,7 @@ def absolute(scene: Scene, folder: Path) -> Scene:
     """
 
     def placed(item: AnyShape) -> AnyShape:
-        paths = {} if item.texture in BUILT_IN_TEXTURES else {"texture": str(folder / item.texture)}
-        if isinstance(item, DepthMap):
-            paths["depth"] = str(folder / item.depth)
-        return item.model_copy(update=paths)
+        return item.model_copy(update={key: str(folder / path) for key, path in item.files().items()})
 
     return scene.model_copy(update={"objects": tuple(map(placed, scene.objects))})
 

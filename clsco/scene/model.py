@@ -333,5 +333,9 @@ class Scene(Strict):
     @property
     def is_ray_castable(self) -> bool:
         """Whether every surface is analytic at any time: no depth map, and no pixels moved by a forward warp."""
-        mapped = any(isinstance(item, DepthMap) for item in self.objects)
-        return not mapped and not (self.moves and self.motion.warp == "forward")
+        return self.is_analytic and not (self.moves and self.motion.warp == "forward")
+
+    @property
+    def is_analytic(self) -> bool:
+        """Whether every object is: there is no depth map."""
+        return all(item.is_analytic for item in self.objects)

@@ -68,6 +68,15 @@ class _Object(Strict):
     motion: ObjectMotion = ObjectMotion()
     """Velocities; static if none are given."""
 
+    @property
+    def is_analytic(self) -> bool:
+        """Whether the surface has an equation, so that rays can be cast at it."""
+        return True
+
+    def files(self) -> dict[str, str]:
+        """Paths of the files that the object is made of, by the keys that name them."""
+        return {} if self.texture in BUILT_IN_TEXTURES else {"texture": self.texture}
+
 
 class Plane(_Object):
     """Plane Z = distance + slope_x X + slope_y Y (3.7); origin (0, 0, distance)."""
@@ -173,6 +182,13 @@ class DepthMap(_Object):
     """Added to the disparity, px: `doffs` of Middlebury's calibrations; only with unit = "disparity"."""
     center: Point = (0.0, 0.0, 0.0)
     """Center of rotation, mm; the origin. Default: in the lens."""
+
+    @property
+    def is_analytic(self) -> bool:
+        return False
+
+    def files(self) -> dict[str, str]:
+        return super().files() | {"depth": self.depth}
 
     @field_validator("bounds")
     @classmethod

@@ -137,7 +137,7 @@ def test_stages_of_the_forward_warp(name: str, session: Session) -> None:
     numba = warp.numba_depth_tests(scene)["numba, one thread"]()
     assert np.array_equal(winners, numba)
     rest, whose = warp.rest_inverse_depth(scene), np.zeros(winners.shape, np.uint8)
-    target, moved = reproject_targets(scene, stages.poses, rest, whose, 0)
+    target, moved = reproject_targets(scene, stages.sample.poses, rest, whose, 0)
     key = moved.astype(np.float32)
     exact = reproject_winner(target, key, reproject_depth(target, key, winners.size))
     assert np.array_equal(winners, np.minimum(exact, NO_WINNER).reshape(winners.shape))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -303,8 +304,9 @@ def test_plan(ball: Path) -> None:
     text = " ".join(result.output.split())
     assert "3, 40 x 24 px, gray" in text
     assert "intermediate frames 3 per frame" in text
-    for name, _ in planned(clsco.load_scene(ball), ()).passes:
-        assert name in text
+    for each in planned(clsco.load_scene(ball), ()).passes:
+        what, how = each.parameters[0]
+        assert re.search(rf"{each.kind} 3 \d+\.\d {what} {re.escape(how[:12])}", text)
     assert "ground truth nobody asked for it" in text
     assert "psf.occlusion one object" in text
     assert "motion.rotation euler and axis differ only for turns about several axes" in text

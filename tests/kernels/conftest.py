@@ -13,6 +13,7 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
+from clsco.inputs.textures import Texture
 from clsco.opencl import program as program_module
 from clsco.opencl.buffers import download, upload
 from clsco.opencl.program import build, kernel, launch
@@ -20,9 +21,10 @@ from clsco.opencl.session import Session
 from clsco.optics.motion import Pose, pose_at
 from clsco.optics.quadrics import PlacedSurface, place
 from clsco.passes.pack import camera_struct
+from clsco.passes.placed import PlacedScene
 from clsco.passes.warp import ForwardWarp
 from clsco.plan.plan import Plan, make_plan
-from clsco.records import Real, flat, structs
+from clsco.records import Real, structs
 from clsco.reference.warp.warp import Reprojected, reproject
 from clsco.resources import folder
 from clsco.scene.model import (
@@ -116,6 +118,12 @@ WARPS: dict[str, tuple[tuple[Object, ...], tuple[int, int]]] = {
 }
 
 
+def gray(texture: Array) -> NDArray[np.float32]:
+    """A texture (rows, columns, channels) as `Texture` has it."""
+    image = texture.astype(np.float32)
+    return np.ascontiguousarray(image[..., 0] if image.shape[2] == 1 else image)
+
+
 @dataclass(frozen=True)
 class Case:
     """A scene with its textures (objects, rows, columns, channels) and its structs on the device."""
@@ -165,12 +173,15 @@ class Case:
         return reproject(self.plan.scene, textures, self.rest, self.maps, self.poses, self.guard)
 
     def forward(self, session: Session, owned: bool | None = None) -> ForwardWarp:
-        texture = upload(session, np.stack([flat(texture, np.float32) for texture in self.textures]))
-        return ForwardWarp(session, self.plan, self.camera, texture, self.rest, self.maps, self.real, owned)
+        textures = [Texture(gray(texture), 8, f"{number}") for number, texture in enumerate(self.textures)]
+        return ForwardWarp(
+            self.plan, PlacedScene(session, self.plan.scene, textures, self.real), self.maps, owned
+        )  # fmt: skip
 
     def warp(self, session: Session, owned: bool | None = None) -> dict[str, Array]:
         """Valid, value, w, coc and object from the device, nothing filled."""
-        done = self.forward(session, owned).warp(self.poses, self.placed(self.poses), 1.0, [])
+        forward = self.forward(session, owned)
+        done = forward.warp(forward.scene.posed(self.poses), [])
         channels = self.plan.channels
         seen = {} if done.object is None else {"object": download(session, done.object, self.shape, np.uint8)}
         return seen | {

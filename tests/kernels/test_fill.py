@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.inpainting.rules import score_of_sums
+from clsco.inputs.textures import Texture
 from clsco.opencl.buffers import download, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
@@ -20,6 +21,7 @@ from clsco.optics.quadrics import place
 from clsco.passes import fill
 from clsco.passes.fill import LANES, SCORED, Filler
 from clsco.passes.pack import camera_struct, surface_structs
+from clsco.passes.placed import PlacedScene
 from clsco.passes.warp import ForwardWarp
 from clsco.plan.plan import make_plan
 from clsco.records import Real, flat, in_parts, structs
@@ -455,11 +457,10 @@ def test_missing_pixels_of_the_thesis(
     lens, method = Camera(resolution=(512, 512)), Fill(method="ait", domain="span")
     scene = Scene(camera=lens, objects=(item,), motion=Motion(warp="forward"), fill=method)
     plan = make_plan(scene, 1)
-    texture = upload(session, np.random.default_rng(3).random((1, 1, 512, 512)).astype(np.float32))
-    rest, pose = (pose_at(motion, time, "euler") for time in (0.0, 1.0))
-    camera = camera_struct(lens, plan.guard_px, real)
-    warp = ForwardWarp(session, plan, camera, texture, [place(item, rest)], [None], real)
-    counters = warp.warp([pose], [place(item, pose)], 1.0, []).counters
+    texture = Texture(np.random.default_rng(3).random((512, 512)).astype(np.float32), 8, "noise")
+    placed = PlacedScene(session, scene, [texture], real)
+    warp = ForwardWarp(plan, placed, [None])
+    counters = warp.warp(placed.posed([pose_at(motion, 1.0, "euler")]), []).counters
     assert counters["filled_first_sweep"] == count
     # The crossings of 20 missing rows with 20 missing columns wait for the second sweep.
     assert counters["missing_pixels"] == counters["filled_pixels"] == count + crossings

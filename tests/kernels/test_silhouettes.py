@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clsco.engine.renderer import EMPTY_STATISTICS
 from clsco.frame.strips import frame_struct
 from clsco.opencl.buffers import copied, download, empty, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Program, Session
+from clsco.passes.trace import EMPTY_STATISTICS
 from clsco.plan.plan import make_plan
 from clsco.records import structs
 from clsco.reference.trace import trace as twin

@@ -136,7 +136,8 @@ def test_a_scene_agrees_with_the_reference(on_a_gpu: list[str]) -> None:
     for each in (frame, chosen):
         assert each.metadata["blur_method"] == "tiles"
         assert [difference for difference in compare(each, exact) if difference.count] == []
-    assert set(on_a_gpu) == {"tiles"}
+    assert "tiles" in on_a_gpu
+    assert not {"gather", "scatter"} & set(on_a_gpu)
     assert chosen.color.tobytes() == frame.color.tobytes()
 
 

@@ -10,7 +10,6 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
-from clsco.engine.renderer import EMPTY_STATISTICS
 from clsco.frame.frame import STEREO_NAMES
 from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.program import build, kernel, launch
@@ -20,6 +19,7 @@ from clsco.optics.psf_tables import psf_table
 from clsco.optics.quadrics import place
 from clsco.optics.visibility import Layer
 from clsco.passes.pack import camera_struct, layer_struct, pose_structs, psf_struct, surface_structs
+from clsco.passes.trace import EMPTY_STATISTICS
 from clsco.plan.buffers import TRUTH_BUFFERS, source_bytes
 from clsco.plan.plan import Plan, make_plan
 from clsco.records import Real, flat, structs

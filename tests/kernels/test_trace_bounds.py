@@ -9,7 +9,6 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
-from clsco.engine.renderer import EMPTY_STATISTICS
 from clsco.frame.strips import Strip
 from clsco.opencl.buffers import copied, download
 from clsco.opencl.program import build, kernel, launch
@@ -18,6 +17,7 @@ from clsco.optics.motion import middle_time, poses_at, rest_poses
 from clsco.optics.psf_tables import psf_table
 from clsco.optics.visibility import Layer
 from clsco.passes.pack import camera_struct, layer_struct, pose_structs, psf_struct
+from clsco.passes.trace import EMPTY_STATISTICS
 from clsco.plan.buffers import TRUTH_BUFFERS, source_bytes
 from clsco.plan.plan import Plan
 from clsco.records import structs

@@ -10,17 +10,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from clsco.opencl.buffers import download, upload
+from clsco.inputs.textures import Texture
+from clsco.opencl.buffers import download
 from clsco.opencl.session import Session
 from clsco.optics.motion import Pose, rest_center
+from clsco.passes.placed import PlacedScene
 from clsco.passes.warp import ForwardWarp
-from clsco.records import Real, flat
+from clsco.records import Real
 from clsco.reference.common.geometry import Array, pixel_ray, solve_quadric
 from clsco.reference.inpainting.fill import Method, fill_objects
 from clsco.reference.inpainting.neighbors import Mask
 from clsco.reference.trace.trace import padded_grid
 from clsco.reference.warp.warp import extend_border, nearest_pixel, reproject_rest
 from clsco.scene.model import DepthMap, Object, ObjectMotion, Plane, Sphere
+from tests.kernels.conftest import gray
 
 pytestmark = pytest.mark.slow  # whole frames of it are looked at in tests/pipeline
 Maker = Callable[..., Any]
@@ -88,7 +91,7 @@ def test_filled_warp_is_its_twin(
     filled, objects, status, report = fill_objects(values, new.object, new.known, allowed, method, case.guard)
     assert (status == 1).sum() > 50
     warp = case.forward(session)
-    done = warp.warp(case.poses, placed, 1.0, [])
+    done = warp.warp(warp.scene.posed(case.poses), [])
     assert done.object is not None
     filled, valid = bordered(case, filled, new.known | (status == 1))
     assert (download(session, done.valid, case.shape, np.bool_) == valid).all()
@@ -104,9 +107,9 @@ def test_filled_warp_is_its_twin(
 def test_objects_may_share_textures(session: Session, make_case: Maker, warps: Warps) -> None:
     case = make_case(*warps["near and far"])
     shared = replace(case, textures=np.stack([case.textures[0], case.textures[0]]))
-    texture = upload(session, flat(case.textures[0], np.float32)[None])
-    args = (case.plan, case.camera, texture, case.rest, case.maps)
-    done = ForwardWarp(session, *args, "double", textures=[0, 0]).warp(case.poses, case.placed(case.poses), 1.0, [])
+    texture = Texture(gray(case.textures[0]), 8, "both")
+    placed = PlacedScene(session, case.plan.scene, [texture, texture], "double")
+    done = ForwardWarp(case.plan, placed, case.maps).warp(placed.posed(case.poses), [])
     value = download(session, done.value, case.shape, np.float32)
     assert (value == shared.warp(session)["value"][..., 0]).all()
     assert (value != case.warp(session)["value"][..., 0]).any()
@@ -184,7 +187,8 @@ def test_any_rigid_motion_is_that_of_its_points(session: Session, make_case: Mak
         turn, _ = np.linalg.qr(np.eye(3) + 0.01 * rng.standard_normal((3, 3)))
         turn *= np.sign(np.diag(turn))
         poses.append(Pose(turn, (turn - np.eye(3)) @ rest_center(item) + rng.uniform(-1.0, 1.0, 3)))
-    done = case.forward(session).warp(poses, case.placed(poses), 1.0, [])
+    forward = case.forward(session)
+    done = forward.warp(forward.scene.posed(poses), [])
     assert done.object is not None
     seen = download(session, done.object, case.shape, np.uint8)
     w, value = download(session, done.w, case.shape, np.float64), download(session, done.value, case.shape, np.float32)
@@ -213,8 +217,9 @@ def test_truth_of_a_depth_map(session: Session, make_case: Maker, warps: Warps, 
     """Depth, radius, mask and object are those of the planes; nothing is given that is not asked for."""
     names = ("sharp", "filled", "depth", "blur_radius", "mask", "object_id", "normal")
     case = make_case(*warps[name], guard=4, channels=3, method="ait")
-    poses, placed, warp = case.poses, case.placed(case.poses), case.forward(session)
-    truth, found = warp.truth(poses, placed, names, []), case.warp(session)
+    warp = case.forward(session)
+    sample = warp.scene.posed(case.poses)
+    truth, found = warp.truth(sample, names, []), case.warp(session)
     assert set(truth) == set(names) - {"normal"}
     frame = (slice(4, -4), slice(4, -4))
     mask = found["valid"][frame]
@@ -227,8 +232,8 @@ def test_truth_of_a_depth_map(session: Session, make_case: Maker, warps: Warps, 
     seen = found.get("object", np.zeros(case.shape))[frame].astype(np.int32)
     assert (truth["object_id"] == np.where(mask, seen, -1)).all()
     assert truth["object_id"].dtype == np.int32
-    assert warp.truth(poses, placed, ("mask",), []).keys() == {"mask"}
-    assert not warp.truth(poses, placed, ("normal",), [])
+    assert warp.truth(sample, ("mask",), []).keys() == {"mask"}
+    assert not warp.truth(sample, ("normal",), [])
 
 
 def test_a_map_of_a_surface_moves_as_the_surface(session: Session, make_case: Maker) -> None:
@@ -236,9 +241,9 @@ def test_a_map_of_a_surface_moves_as_the_surface(session: Session, make_case: Ma
     case = make_case((item,), (64, 64))
     depth = reproject_rest(case.plan.scene, case.rest, case.maps)[0]
     mapped = make_case((DepthMap(depth="ball.npy", center=item.center, motion=MOTION),), (64, 64))
-    texture = upload(session, flat(case.textures[0], np.float32)[None])
-    warp = ForwardWarp(session, mapped.plan, case.camera, texture, [None], [depth], "double")
-    done, expected = warp.warp(case.poses, [None], 1.0, []), case.warp(session)
+    placed = PlacedScene(session, mapped.plan.scene, [Texture(gray(case.textures[0]), 8, "ball")], "double")
+    warp = ForwardWarp(replace(mapped.plan, guard_px=case.guard), placed, [depth])
+    done, expected = warp.warp(placed.posed(case.poses), []), case.warp(session)
     assert 100 < expected["valid"].sum() < 4000
     frame = (slice(case.guard, -case.guard), slice(case.guard, -case.guard))
     assert (download(session, done.valid, case.shape, np.bool_) == expected["valid"])[frame].all()

@@ -61,7 +61,7 @@ def memory_for(scene: Scene, rows: int, truth: tuple[str, ...] = TRUTH, method: 
     """Just as much as strips of so many rows need."""
     eyes = ("left",) if scene.stereo is None else ("left", "right")
     plans = [replace(plan_of(scene, truth, method, eye), strip_rows=rows) for eye in eyes]
-    return max(device_bytes(plan, choose(), len(eyes)) for plan in plans)
+    return max(device_bytes(replace(plan, device=choose()), len(eyes)) for plan in plans)
 
 
 def plan_of(scene: Scene, truth: tuple[str, ...], method: str, eye: Any) -> Plan:

@@ -49,10 +49,10 @@ def test_the_limit_is_given_or_half_of_what_is_free(monkeypatch: pytest.MonkeyPa
     assert free > 2**20
     monkeypatch.setattr(memory, "free_bytes", lambda: 1000)
     large, small = (ThisMachine(global_mem=size, max_alloc=700) for size in (3000, 600))
-    assert limit_of(None, large) == Limit(500, 700, large, given=False)
+    assert limit_of(None, large) == Limit(500, 700, given=False)
     assert limit_of(None, small).total == 300
     assert limit_of(None, replace(large, unified_memory=False)).total == 1500
-    assert limit_of("2kB", small) == Limit(2000, 700, small, given=True)
+    assert limit_of("2kB", small) == Limit(2000, 700, given=True)
     monkeypatch.setattr(memory, "free_bytes", lambda: None)
     assert limit_of(None).total > 2**60
 
@@ -77,7 +77,7 @@ def test_the_tallest_strips_that_fit() -> None:
         return {"fixed": 1000, "strip": 10 * rows, "truth": 2 * rows}
 
     def rows(total: int, buffer: int = 2**40, given: bool = True, views: int = 1, whole: str | None = None) -> int:
-        return rows_that_fit(500, Limit(total, buffer, ThisMachine(), given, views), sizes, whole)
+        return rows_that_fit(500, Limit(total, buffer, given, views), sizes, whole)
 
     assert rows(7000) == 500
     assert rows(6999) == 7 * BAND

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -35,7 +36,7 @@ from clsco.scene.model import (
 
 STILL = Plane(distance=280.0)
 TILTED = Plane(distance=280.0, slope_x=0.5)
-TWO_CORES = ThisMachine(compute_units=2)
+TWO_CORES, GPU = ThisMachine(compute_units=2), ThisMachine(kind="gpu")
 BALL = Sphere()
 RIGHT = ObjectMotion(velocity=(0.5, 0.0, 0.0))
 TURN = ObjectMotion(angular_velocity=(0.0, 20.0, 0.0))
@@ -144,15 +145,18 @@ SCENES = [
 
 @pytest.mark.parametrize(("given", "taken", "left"), [case[1:] for case in SCENES], ids=[case[0] for case in SCENES])
 def test_passes_taken_and_left_out(given: Plan, taken: set[str], left: dict[str, str]) -> None:
-    assert {name for name, _ in given.passes} == taken
+    every = {"motion", "trace", "texture sampling", "reproject", "fill", "silhouettes", "tilt", "blur", "renormalize"}
+    every |= {"guard band", "color", "occlusion", "ground truth"}
+    parameters = {name for each in given.passes for name, _ in each.parameters}
+    names = {each.kind for each in given.passes} | parameters | ({"motion"} if given.moves else set())
+    assert names & every == taken
     reasons = dict(given.left_out)
     for name, why in left.items():
         assert why in reasons[name]
     assert taken & reasons.keys() == set()
-    every = {"motion", "trace", "texture sampling", "reproject", "fill", "silhouettes", "tilt", "blur", "renormalize"}
-    every |= {"guard band", "color", "occlusion", "ground truth"}
     assert taken | reasons.keys() - {"other outputs"} == every
-    assert all(text for _, text in (*given.passes, *given.left_out))
+    assert all(text for each in given.passes for _, text in each.parameters)
+    assert all(text for _, text in given.left_out)
 
 
 @pytest.mark.parametrize(("given", "taken"), [case[1:3] for case in SCENES], ids=[case[0] for case in SCENES])
@@ -299,12 +303,13 @@ def test_guard_band_holds_every_source_that_lights_the_frame(model: Any, edge: A
 
 def test_widened() -> None:
     given = plan(BALL, size=(640, 480))
-    wider = widened(given, given.largest_blur + 7.0)
+    wider = widened(given, 0.25, given.largest_blur + 7.0)
+    assert wider.smallest_blur == 0.25
     assert wider.largest_blur == given.largest_blur + 7.0
     assert wider.guard_px == guard_band(Psf(), wider.largest_blur) > given.guard_px
-    assert widened(given, 0.1).guard_px == given.guard_px
+    assert widened(given, 0.0, 0.1).guard_px == given.guard_px
     with pytest.raises(SceneError, match=r"^camera: the blur radius must be at most 512 px; got 600 px$"):
-        widened(given, 600.0)
+        widened(given, 0.0, 600.0)
 
 
 def test_too_large_a_blur_is_refused_with_its_number() -> None:
@@ -366,27 +371,33 @@ CARD = Plane(distance=230.0, bounds=((-2.0, 2.0), (-2.0, 2.0), (-1.0, 1.0)))
 def cards(occlusion: Any, method: str = "auto", tolerance: float | None = None, gpu: bool = True) -> Plan:
     """Of a card before a plane."""
     pair = scene(CARD, psf=Psf(occlusion=occlusion)).model_copy(update={"objects": (CARD, TILTED)})
-    return make_plan(pair, 1, (), method, tolerance=tolerance, gpu=gpu)
+    return make_plan(pair, 1, (), method, tolerance=tolerance, device=GPU if gpu else None)
+
+
+def method_of(given: Plan) -> str:
+    """What is said of the blur's method."""
+    return next(dict(each.parameters)["method"] for each in given.passes if each.kind == "blur")
 
 
 def test_tiles_are_for_gpus() -> None:
     for item, gpu, expected in ((TILTED, False, "gather"), (TILTED, True, "tiles"), (STILL, True, "convolve")):
-        assert make_plan(scene(item), 1, (), gpu=gpu).blur == expected
-    assert make_plan(scene(TILTED), 1, (), "coarse2", gpu=True).blur == "tiles"
+        assert make_plan(scene(item), 1, (), device=GPU if gpu else None).blur == expected
+    assert make_plan(scene(TILTED), 1, (), "coarse2", device=GPU).blur == "tiles"
     assert (
-        make_plan(scene(STILL, camera={"focus_distance": 280.0}, psf=Psf(edge="sampled")), 1, (), gpu=True).blur
+        make_plan(scene(STILL, camera={"focus_distance": 280.0}, psf=Psf(edge="sampled")), 1, (), device=GPU).blur
         == "none"
     )
 
 
 def test_what_is_in_the_way_is_tested_by_scatter_on_a_gpu() -> None:
     assert cards("visibility").layers[1].occluders
-    told = dict(cards("visibility").passes)["blur"]
-    assert told.endswith("scatter: atomic, fixed point, as tiles do not test what is in the way")
+    assert method_of(cards("visibility")).endswith(
+        "scatter: atomic, fixed point, as tiles do not test what is in the way"
+    )
     assert [cards(way, gpu=False).blur for way in ("visibility", "layered", "none")] == ["gather"] * 3
     assert [cards(way).blur for way in ("layered", "none")] == ["tiles"] * 2
     assert cards("visibility", "coarse2").blur == "gather"  # whose grids add up in floats
-    assert dict(cards("none").passes)["blur"].endswith("tiles: many radii, a work-item per pixel")
+    assert method_of(cards("none")).endswith("tiles: many radii, a work-item per pixel")
     with pytest.raises(SceneError, match=r"^method: tiles needs sources with nothing in their way; got objects that"):
         cards("visibility", "tiles")
 
@@ -419,11 +430,14 @@ def test_what_stays_sharp(psf: Psf, largest: float, sharp: bool) -> None:
 
 
 def test_memory_and_work_grow_with_what_is_done() -> None:
+    def memory(given: Plan) -> int:
+        return device_bytes(replace(given, device=TWO_CORES))
+
     small, large = plan(BALL, size=(64, 48)), plan(BALL, size=(640, 480))
-    assert 0 < device_bytes(small, TWO_CORES) < device_bytes(large, TWO_CORES)
+    assert 0 < memory(small) < memory(large)
     assert small.taps < large.taps
     gray, color, truth = (plan(BALL, c, t) for c, t in ((1, ()), (3, ()), (3, TRUTH_NAMES)))
-    assert device_bytes(gray, TWO_CORES) < device_bytes(color, TWO_CORES) < device_bytes(truth, TWO_CORES)
+    assert memory(gray) < memory(color) < memory(truth)
     moved = plan(moving(BALL, RIGHT), sequence=Sequence(samples=7))
     assert moved.taps == pytest.approx(7 * small.taps, rel=0.1)  # the ball goes 4 px
     # Pixels of frame and guard band, each spread over its disc of about pi (R + 0.7)^2 px.

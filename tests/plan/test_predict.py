@@ -80,7 +80,7 @@ def test_nothing_in_sight_is_not_blurred_and_takes_no_work() -> None:
 
 
 def test_the_largest_radius_that_is_allowed_is_taken() -> None:
-    assert widened(plan(Sphere()), LARGEST_BLUR).largest_blur == LARGEST_BLUR
+    assert widened(plan(Sphere()), 0.0, LARGEST_BLUR).largest_blur == LARGEST_BLUR
 
 
 def test_a_refused_blur_tells_of_the_nearest_point() -> None:
@@ -195,7 +195,7 @@ def test_room_for_the_pixels_along_the_limb_of_a_ball_that_fills_the_frame() -> 
     """Those within 2 px of it, on both sides."""
     given = plan(Sphere(), size=(480, 480))
     assert isinstance(given.slots, int)
-    assert given.slots >= 4 * 3.15 * given.tallest
+    assert given.slots >= 4 * 3.15 * given.grid.height
 
 
 def test_work_is_counted_where_something_is_seen() -> None:

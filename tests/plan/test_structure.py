@@ -12,6 +12,7 @@ from clsco.frame.frame import TRUTH_NAMES
 from clsco.frame.strips import BAND
 from clsco.optics.lens import blur_scale, focus_power
 from clsco.optics.psf import reach
+from clsco.plan.buffers import ThisMachine
 from clsco.plan.methods import is_sharp
 from clsco.plan.plan import Plan, is_forward, make_plan
 from clsco.plan.predict import displaced, guard_band
@@ -24,10 +25,10 @@ from clsco.scene.model import (
     Plane,
     Psf,
     Scene,
-    Sequence,
     Sphere,
     Stereo,
 )
+from tests.plan.test_plan import method_of
 
 STILL = Plane(distance=280.0)
 TILTED = Plane(distance=280.0, slope_x=0.5)
@@ -43,7 +44,8 @@ def scene(*items: Any, size: tuple[int, int] = (64, 48), **sections: Any) -> Sce
 
 
 def plan(*items: Any, truth: tuple[str, ...] = (), method: str = "auto", gpu: bool = False, **sections: Any) -> Plan:
-    return make_plan(scene(*items, **sections), 1, truth, method, gpu=gpu)
+    device = ThisMachine(kind="gpu") if gpu else None
+    return make_plan(scene(*items, **sections), 1, truth, method, device=device)
 
 
 @pytest.mark.parametrize(
@@ -129,20 +131,15 @@ def test_strips_have_as_many_rows_around_them_as_may_matter(radius: float, edge:
 # Words
 
 
-def test_numbers_of_intermediate_frames_are_told() -> None:
-    for samples, told in ((1, "1 intermediate frame per"), (2, "2 intermediate frames per")):
-        assert dict(plan(MOVING, sequence=Sequence(samples=samples)).passes)["motion"].startswith(told)
-
-
-def test_why_scatter_is_only_told_where_tiles_would_do_but_for_what_is_in_the_way() -> None:
+def test_why_scatter_is_only_reported_where_tiles_would_do_but_for_what_is_in_the_way() -> None:
     why = "as tiles do not test what is in the way"
     visible, plain = Psf(occlusion="visibility"), Psf(occlusion="none")
     for psf, gpu in ((visible, True), (visible, False), (plain, True), (plain, False)):
-        told = dict(plan(CARD, TILTED, method="scatter", gpu=gpu, psf=psf).passes)["blur"]
-        assert (why in told) == (gpu and psf is visible)
+        reported = method_of(plan(CARD, TILTED, method="scatter", gpu=gpu, psf=psf))
+        assert (why in reported) == (gpu and psf is visible)
 
 
-def test_outputs_that_nobody_asked_for_are_told_beside_some_that_are_wanted() -> None:
+def test_outputs_that_nobody_asked_for_are_reported_beside_some_that_are_wanted() -> None:
     for truth in ((), TRUTH_NAMES):
         assert "other outputs" not in dict(plan(STILL, truth=truth).left_out)
     assert "depth" in dict(plan(STILL, truth=("blur_radius",)).left_out)["other outputs"]

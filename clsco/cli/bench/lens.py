@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.cli.bench import mitsuba
-from clsco.engine.renderer import Renderer, expose
+from clsco.engine.renderer import Pixels, Renderer, expose
 from clsco.inputs.textures import Texture, load_scene_textures
 from clsco.opencl.device import Device
 from clsco.opencl.session import Session
@@ -176,7 +176,7 @@ def _renderer(session: Session, scene: Scene, texture: Texture, psf: Psf) -> Cal
     plan = make_plan(scene.model_copy(update={"psf": psf}), 1, ())
     device = session.device
     limit = limit_of(None, device)
-    renderer = Renderer(session, fitted(plan, limit), (texture,), (None,), limit)
+    renderer = Renderer(session, fitted(plan, limit), Pixels((texture,), (None,)), limit)
 
     def frame(_: int) -> Array:
         expose([renderer], 0)

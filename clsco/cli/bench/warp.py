@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.inputs.textures import load_scene_textures
-from clsco.opencl.buffers import download, upload
+from clsco.inputs.textures import Texture, load_scene_textures
+from clsco.opencl.buffers import download
 from clsco.opencl.device import Device
 from clsco.opencl.session import Session
 from clsco.optics.motion import Pose, poses_at, rest_center, rest_poses
 from clsco.optics.quadrics import place
-from clsco.passes.pack import camera_struct
+from clsco.passes.placed import PlacedScene
 from clsco.passes.warp import ForwardWarp
 from clsco.plan.plan import make_plan
 from clsco.records import Real
@@ -59,17 +59,14 @@ class Stages:
         plan = make_plan(scene, 1, ())
         real = real or ("double" if session.device.has_fp64 else "float")
         self.session, self.scene = session, scene
-        self.poses = poses_at(scene, scene.sequence.shutter, "left")
-        self.surfaces = [place(item, pose) for item, pose in zip(scene.objects, self.poses, strict=True)]
-        at_rest = [place(item, pose) for item, pose in zip(scene.objects, rest_poses(scene), strict=True)]
-        camera = camera_struct(scene.camera, plan.guard_px, real)
-        image = upload(session, np.ascontiguousarray(texture, np.float32))
-        self.warp = ForwardWarp(session, plan, camera, image, at_rest, [None], real)
+        placed = PlacedScene(session, scene, [Texture(np.ascontiguousarray(texture, np.float32), 8, "")], real)
+        self.sample = placed.at(scene.sequence.shutter)
+        self.warp = ForwardWarp(plan, placed, [None])
         self.shape, self.guard = (plan.height, plan.width), plan.guard_px
 
     def depth_test(self) -> None:
         """Find the nearest pixel that comes to each."""
-        self.warp.nearest(self.poses, self.surfaces, [])
+        self.warp.nearest(self.sample, [])
         self.session.queue.finish()
 
     def gather(self) -> None:
@@ -79,7 +76,7 @@ class Stages:
 
     def fill(self) -> None:
         """Find missing pixels and fill them; after `gather`."""
-        self.warp.filler.fill(self.warp.placed[1], 1, [])
+        self.warp.filler.fill(self.sample.surfaces, 1, [])
         self.session.queue.finish()
 
     def winners(self) -> Array:

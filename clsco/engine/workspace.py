@@ -1,0 +1,205 @@
+"""What the passes of a plan work with on a device, and the table of what runs for each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import pyopencl as cl
+
+from clsco.opencl.buffers import allocate
+from clsco.opencl.program import build
+from clsco.optics.lens import blur_radius
+from clsco.passes.blur import FILES_OF, FrameBlur, Sources, Target, blur_features, image_features, prepare_sources
+from clsco.passes.layered import DepthLayers
+from clsco.passes.multigrid import make_blur
+from clsco.passes.placed import PlacedScene, TimeSample
+from clsco.passes.static_image import StaticMap
+from clsco.passes.trace import Hits, Tracer, Work
+from clsco.passes.warp import ForwardWarp
+from clsco.plan.approximation import sample_places
+from clsco.plan.buffers import TRUTH_BUFFERS
+from clsco.plan.passes import Kind, Pass
+from clsco.plan.plan import Plan
+from clsco.records import Struct, structs
+
+# Buffers that passes share; the others are owned by what works with them.
+SHARED = (
+    "statistics",
+    "value",
+    "coc",
+    "valid",
+    "source",
+    "depth",
+    "label",
+    "pixels",
+    "sub_source",
+    "sub_value",
+    "sub_depth",
+)
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """Programs and buffers of a plan on a device.
+
+    Attributes
+    ----------
+    plan : Plan
+    scene : PlacedScene
+    target : Target
+    buffers : mapping
+        Those of `SHARED` that the plan has.
+    blur : FrameBlur
+    tracer : Tracer
+    layers : DepthLayers, optional
+    pixels : ForwardWarp or StaticMap, optional
+        What moves the pixels of the reference pose, or has them as they are.
+    """
+
+    plan: Plan
+    scene: PlacedScene
+    target: Target
+    buffers: Mapping[str, cl.Buffer]
+    blur: FrameBlur
+    tracer: Tracer
+    layers: DepthLayers | None
+    pixels: ForwardWarp | StaticMap | None
+
+    def run(self, step: Pass, work: Work) -> None:
+        """Enqueue a pass of a time sample."""
+        work.group = step.group
+        RUN[step.kind](self, work)
+
+    def radii(self, work: Work) -> None:
+        """Only what `layers` needs to find depth layers: the radii of the image of a pinhole, or of a depth map."""
+        if isinstance(self.pixels, StaticMap):
+            _send_radii(self, self.pixels, work)
+        else:
+            self.tracer.pinhole(work, 0.0)
+
+
+def features_of(plan: Plan, shares_rays: bool, fp64: bool) -> dict[str, int]:
+    """What the program of a plan is built for."""
+    if plan.static_map:
+        return image_features(plan.spec, plan.channels, fp64)
+    layered = plan.occlusion == "layered"
+    features = plan.features() | blur_features(plan.spec, fp64, prepare=plan.forward or layered)
+    features |= {
+        "TRUTH": int(bool(plan.truth)),
+        "LENSES": int(shares_rays),
+        "PINHOLE": int(layered and not plan.forward),
+    }
+    return features | {f"TRUTH_{name.upper()}": int(name in plan.device_truth) for name in TRUTH_BUFFERS}
+
+
+def make_workspace(
+    plan: Plan, scene: PlacedScene, pixels: ForwardWarp | StaticMap | None, hits: Hits | None, camera: Struct,
+    shares_rays: bool,
+) -> Workspace:  # fmt: skip
+    """A workspace for a plan, whose first strip has this camera_t; shares_rays: what its program is built for.
+
+    Raises DeviceError, KernelError.
+    """
+    session, real = scene.session, scene.real
+    files = FILES_OF[plan.blur] if plan.static_map else ("trace/trace.cl", *FILES_OF[plan.blur])
+    features = features_of(plan, shares_rays, session.device.has_fp64)
+    target = Target(session, build(session, files, features, structs(real), real), real)
+    spec = replace(plan.spec, brightest=scene.brightest)
+    blur = make_blur(target, spec, plan.grid, camera, sample_places(plan.rows, plan.columns))
+    sizes = {name: size for each in plan.passes for name, size in each.buffers.items()}
+    buffers = allocate(session, {name: sizes[name] for name in SHARED if name in sizes})
+    tracer = Tracer(plan, scene, target, buffers, blur.struct, hits)
+    layers = DepthLayers(blur, target, plan.grid) if plan.occlusion == "layered" else None
+    return Workspace(plan, scene, target, buffers, blur, tracer, layers, pixels)
+
+
+def _trace(space: Workspace, work: Work) -> None:
+    space.tracer.trace(work)
+
+
+def _silhouettes(space: Workspace, work: Work) -> None:
+    space.tracer.silhouettes(work)
+
+
+def _pinhole(space: Workspace, work: Work) -> None:
+    space.tracer.pinhole(work, work.sample.weight)
+
+
+def _static_image(space: Workspace, work: Work) -> None:
+    static = space.pixels
+    assert isinstance(static, StaticMap)
+    missing = int(static.missing.sum())
+    work.report |= {"missing_pixels": missing, "unfilled_pixels": missing}
+    static.send(space.target.session, work.strip, space.buffers["value"])
+    _send_radii(space, static, work)
+
+
+def _send_radii(space: Workspace, static: StaticMap, work: Work) -> None:
+    value, coc, valid = (space.buffers[name] for name in ("value", "coc", "valid"))
+    static.send_radii(space.target.session, work.strip, coc, valid)
+    work.planes = value, coc, valid
+
+
+def _reproject(space: Workspace, work: Work) -> None:
+    warp = space.pixels
+    assert isinstance(warp, ForwardWarp)
+    warp.nearest(work.sample, work.events)
+    warp.gather(work.sample.weight, work.events)
+
+
+def _fill(space: Workspace, work: Work) -> None:
+    warp = space.pixels
+    assert isinstance(warp, ForwardWarp)
+    warped = warp.fill(work.sample, work.events)
+    warp.note_radii(space.buffers["statistics"], work.events)
+    work.report |= warped.counters
+    work.planes = warped.value, warped.coc, warped.valid
+
+
+def _sources(space: Workspace, work: Work) -> None:
+    assert work.planes is not None
+    value, coc, valid = work.planes
+    source = space.buffers["source"]
+    prepare_sources(space.target, work.camera, space.blur.struct, (coc, valid), source, work.events)
+    work.sources = Sources(source, value)
+
+
+def _depth_layers(space: Workspace, work: Work) -> None:
+    assert space.layers is not None
+    assert work.planes is not None
+    work.report["slabs"] = space.layers.add(work.planes, work.events, work.depth_layers.get(work.sample.time))
+
+
+def _blur(space: Workspace, work: Work) -> None:
+    sources = work.sources
+    if sources is None:  # an image whose pixels all have one radius, or none
+        assert work.planes is not None
+        sources = Sources(None, work.planes[0])
+    if space.plan.blur == "convolve":
+        sources = replace(sources, radius=_central_radius(space, work.sample))
+    space.blur.add(sources, work.events)
+
+
+def _central_radius(space: Workspace, sample: TimeSample) -> float:
+    """|R| on the axis in px, which is that of every pixel where the blur is a convolution."""
+    surface = sample.placed[0]
+    assert surface is not None
+    inverse_depth = -2.0 * float(surface.canonical.l @ surface.turn[:, 2]) / surface.constant
+    return abs(float(blur_radius(space.plan.scene.camera, inverse_depth)))
+
+
+# What runs for a pass of each time sample; ground truth is made once for a frame (`clsco.passes.truth`).
+RUN: dict[Kind, Callable[[Workspace, Work], None]] = {
+    "static image": _static_image,
+    "trace": _trace,
+    "silhouettes": _silhouettes,
+    "pinhole": _pinhole,
+    "reproject": _reproject,
+    "fill": _fill,
+    "count missing": _fill,
+    "sources": _sources,
+    "depth layers": _depth_layers,
+    "blur": _blur,
+    "accumulate": _blur,
+}

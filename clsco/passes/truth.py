@@ -1,0 +1,121 @@
+"""Ground truth of a frame, at the middle of its exposure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.frame.frame import STEREO_NAMES
+from clsco.frame.strips import Strip
+from clsco.opencl.buffers import allocate, download_into
+from clsco.optics.depth_truth import map_flow, map_normal, map_stereo
+from clsco.optics.motion import Eye, middle_time
+from clsco.passes.blur import PIXELS, Events, Target
+from clsco.passes.pack import camera_struct, pose_structs
+from clsco.passes.placed import PlacedScene
+from clsco.passes.static_image import StaticMap
+from clsco.passes.trace import everything
+from clsco.passes.warp import ForwardWarp
+from clsco.plan.buffers import TRUTH_BUFFERS, truth_buffers
+from clsco.plan.plan import Plan
+
+BOOLEAN = ("hidden", "occluded")
+Arrays = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class GroundTruth:
+    """Makes the outputs of a plan besides color.
+
+    Attributes
+    ----------
+    plan : Plan
+    scene : PlacedScene
+    target : Target
+        With the kernel `ground_truth`, where rays give any output.
+    pixels : ForwardWarp or StaticMap, optional
+        What moves the pixels of the reference pose, or has them as they are.
+    """
+
+    plan: Plan
+    scene: PlacedScene
+    target: Target
+    pixels: ForwardWarp | StaticMap | None
+
+    def of_frame(self, index: int, events: Events) -> Arrays:
+        """The outputs of the frame of this number that are wanted: (rows, columns[, 3]), as `Frame` has them."""
+        plan = self.plan
+        if not plan.truth:
+            return {}
+        now, later = self._middles(index)
+        found = self._of_rays(now, later, events) if plan.scene.is_analytic else self._of_maps(now, later, events)
+        return {name: array for name, array in found.items() if name in plan.truth}
+
+    def _middles(self, index: int) -> tuple[float, float]:
+        """Times of the ground truth of a frame and of the next one."""
+        if not self.plan.moves:
+            return 0.0, 0.0
+        sequence = self.plan.scene.sequence
+        return middle_time(sequence, index), middle_time(sequence, index + 1)
+
+    @property
+    def _opposite(self) -> Eye:
+        return "left" if self.plan.eye == "right" else "right"
+
+    def _of_rays(self, time: float, later: float, events: Events) -> Arrays:
+        """By rays at analytic surfaces, strip by strip."""
+        plan, scene, names = self.plan, self.scene, self.plan.device_truth
+        buffers = allocate(self.target.session, truth_buffers(names, plan.grid))
+        sample, reference = scene.at(time), scene.in_reference_pose()
+        poses = scene.poses(scene.at(later))
+        head = (sample.surfaces, reference.surfaces, poses, everything(plan), scene.texture, buffers["mask"])
+        args: list[Any] = [buffers[name] for name in names if name not in STEREO_NAMES]
+        if set(STEREO_NAMES) & set(names):
+            there = scene.at(time, eye=self._opposite)
+            args += [there.surfaces, scene.hold(pose_structs(there.poses, scene.real))]
+            args += [np.int32(1 if plan.eye == "right" else -1)]
+            args += [buffers[name] for name in STEREO_NAMES if name in names]
+        out = self._arrays(names)
+        for strip in plan.strips:
+            camera = camera_struct(plan.scene.camera, plan.guard_px, scene.real, strip)
+            self.target.run("ground_truth", (plan.columns, strip.rows), PIXELS, events, camera, *head, *args)
+            self._download(strip, buffers, out)
+        if isinstance(self.pixels, ForwardWarp):
+            out |= self.pixels.truth(sample, plan.truth, events)
+        return {"filled": np.zeros((plan.rows, plan.columns), np.uint8)} | out
+
+    def _arrays(self, names: Sequence[str]) -> Arrays:
+        plan = self.plan
+        out: Arrays = {"mask": np.empty((plan.rows, plan.columns), np.bool_)}
+        for name in names:
+            kind, count = TRUTH_BUFFERS[name]
+            depth = count or plan.channels
+            shape = (plan.rows, plan.columns) if depth == 1 else (plan.rows, plan.columns, depth)
+            out[name] = np.empty(shape, np.bool_ if name in BOOLEAN else kind)
+        return out
+
+    def _download(self, strip: Strip, buffers: dict[str, Any], out: Arrays) -> None:
+        for name, array in out.items():
+            download_into(self.target.session, buffers[name], array[strip.inside])
+
+    def _of_maps(self, time: float, later: float, events: Events) -> Arrays:
+        """Of a scene with depth maps, which no ray can be cast at: of the pixels in their new places."""
+        scene, plan, camera, pixels = self.scene, self.plan, self.plan.scene.camera, self.pixels
+        now, then = scene.at(time), scene.at(later)
+        if isinstance(pixels, StaticMap):
+            out = pixels.truth()
+        else:
+            assert pixels is not None
+            out = pixels.truth(now, {"depth", "object_id", "filled", *plan.truth}, events)  # three for the others
+        where = (camera, plan.scene.objects, out["depth"], out["object_id"])
+        out |= {"normal": map_normal(camera, out["depth"]), "flow": map_flow(*where, now.poses, then.poses)}
+        out["hidden"] = out["filled"] > 0
+        if isinstance(pixels, ForwardWarp) and plan.scene.stereo is not None:
+            there = scene.at(time, eye=self._opposite)
+            opposite = pixels.truth(there, ("depth",), events)["depth"]
+            out["disparity"], out["occluded"] = map_stereo(*where, now.poses, there.poses, opposite, plan.eye)
+        return out | {"depth": out["depth"].astype(np.float32)}

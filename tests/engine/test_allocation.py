@@ -1,0 +1,84 @@
+"""The memory of a plan is what its frames allocate, to the byte."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+from collections import Counter
+from typing import Any
+
+import pyopencl as cl
+import pytest
+
+import clsco
+from clsco.engine.renderer import Pixels, Renderer, expose
+from clsco.inputs.depth_maps import load_scene_depths
+from clsco.inputs.textures import load_scene_textures
+from clsco.opencl.session import Session
+from clsco.plan.memory import buffer_bytes, fitted, limit_of
+from clsco.plan.plan import make_plan
+from clsco.scene.model import Scene
+from tests.slow import mostly_slow
+
+PLANE: dict[str, Any] = {"shape": "plane", "distance": 280.0, "slope_x": 0.4}
+BALL: dict[str, Any] = {"shape": "sphere", "radius": 8.0, "center": [0.0, 0.0, 240.0], "texture": "checkerboard"}
+MOVING: dict[str, Any] = {"motion": {"velocity": [2.0, 0.0, 0.0]}}
+CAMERA: dict[str, Any] = {"resolution": [96, 64], "pixel_pitch": 0.1, "aperture_diameter": 30.0}
+SCENES: dict[str, tuple[dict[str, Any], str]] = {
+    "plane": ({"object": [PLANE]}, "auto"),
+    "constant radius": ({"object": [{"shape": "plane", "distance": 280.0}]}, "auto"),
+    "gaussian": ({"object": [PLANE], "psf": {"model": "gaussian"}}, "auto"),
+    "sampled": ({"object": [PLANE], "psf": {"edge": "sampled"}}, "auto"),
+    "polygon": ({"object": [PLANE], "aperture": {"shape": "polygon"}}, "auto"),
+    "ball before a plane": ({"object": [BALL, PLANE]}, "auto"),
+    "layered": ({"object": [BALL, PLANE], "psf": {"occlusion": "layered"}}, "auto"),
+    "scatter": ({"object": [BALL, PLANE]}, "scatter"),
+    "tiles": ({"object": [PLANE]}, "tiles"),
+    "coarse": ({"object": [PLANE], "camera": CAMERA | {"aperture_diameter": 90.0}}, "coarse2"),
+    "forward": ({"object": [PLANE | MOVING], "motion": {"warp": "forward"}}, "auto"),
+    "forward, several": ({"object": [BALL | MOVING, PLANE], "motion": {"warp": "forward"}}, "auto"),
+    "forward, ait": ({"object": [PLANE | MOVING], "motion": {"warp": "forward"}, "fill": {"method": "ait"}}, "auto"),
+    "forward, not filled": (
+        {"object": [PLANE | MOVING], "motion": {"warp": "forward"}, "fill": {"method": "none"}},
+        "auto",
+    ),
+}
+
+
+@pytest.fixture
+def allocated(monkeypatch: pytest.MonkeyPatch) -> list[weakref.ref[Any]]:
+    """Weak references to all buffers that are made."""
+    found: list[weakref.ref[Any]] = []
+
+    class Recorded(cl.Buffer):
+        def __init__(self, *args: Any, **kwargs: Any) -> None:
+            super().__init__(*args, **kwargs)
+            found.append(weakref.ref(self))
+
+    monkeypatch.setattr(cl, "Buffer", Recorded)
+    return found
+
+
+def scene_of(data: dict[str, Any]) -> Scene:
+    sequence = {"samples": 2, "frames": 1, "interval": 0.1, "shutter": 0.05}
+    return clsco.parse_scene({"camera": CAMERA, "sequence": sequence} | data)
+
+
+@pytest.mark.parametrize(
+    "name", mostly_slow(list(SCENES), ["plane", "gaussian", "ball before a plane", "layered", "forward"])
+)
+def test_the_plan_is_what_is_allocated(session: Session, allocated: list[weakref.ref[Any]], name: str) -> None:
+    data, method = SCENES[name]
+    scene, textures = load_scene_textures(scene_of(data))
+    plan = make_plan(scene, 1, ("depth",), method, device=session.device)
+    limit = limit_of(None, session.device)
+    expected = {name: size for name, size in buffer_bytes(plan).items() if not name.startswith("truth")}
+    gc.collect()
+    allocated.clear()
+    renderer = Renderer(session, fitted(plan, limit), Pixels(textures, load_scene_depths(scene)), limit)
+    expose([renderer], 0)
+    renderer.finish(0)
+    gc.collect()
+    alive = [buffer.size for buffer in (reference() for reference in allocated) if buffer is not None]
+    found, wanted = Counter(alive), Counter(size for size in expected.values() if size)
+    assert (found - wanted, wanted - found) == (Counter(), Counter()), expected
