@@ -58,9 +58,9 @@ lint: .venv/dev.stamp
 
 bench: .venv/bench.stamp
 	$(BIN)/python -m benchmarks.defocus_speed
-	$(BIN)/python -m benchmarks.convolve_speed
-	$(BIN)/python -m benchmarks.accuracy
-	$(BIN)/python -m benchmarks.occlusion
+	$(BIN)/python -m benchmarks.speed.convolve_speed
+	$(BIN)/python -m benchmarks.truth.accuracy
+	$(BIN)/python -m benchmarks.truth.occlusion
 	$(BIN)/clsco bench --compare -o benchmarks/results/bench
 
 .venv/%.stamp: pyproject.toml

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.speed.direct import THREADS, axis_table, dense_table, gaussian_bands, scatter
 from clsco.cli.bench.cases import radius_map
-from clsco.cli.bench.direct import THREADS, axis_table, dense_table, gaussian_bands, scatter
 from clsco.cli.bench.passes import Pass
 from clsco.opencl.device import choose
 from clsco.opencl.session import Session

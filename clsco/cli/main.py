@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,16 +18,18 @@ from clsco import __version__
 from clsco.cli.options import (
     PATH,
     Commands,
+    Computation,
+    Extent,
+    bench_extent,
+    computation_options,
     device_option,
     memory_option,
-    method_option,
     one_scene,
     parse_span,
     precision_option,
     quiet_option,
     scenes_wanted,
     set_option,
-    tolerance_option,
     truth_option,
 )
 from clsco.errors import ClscoError, DeviceError, SceneError
@@ -54,18 +56,19 @@ def main() -> None:
     "--frames", "span", metavar="A:B", type=parse_span, default=":", help="Frames A to B - 1, counted from 0."
 )
 @set_option
-@device_option
-@precision_option
-@memory_option
-@method_option
-@tolerance_option
+@computation_options
 @click.option("--resume", is_flag=True, help="Leave out frames that are in DIR already, whole and of this scene.")
 @quiet_option
 def render(
-    scenes: tuple[Path, ...], out: Path, files: tuple[str, ...], span: Span, overrides: tuple[str, ...],
-    device: str | None, precision: str | None, memory: int | None, method: str, tolerance: float | None, resume: bool,
+    scenes: tuple[Path, ...],
+    out: Path,
+    files: tuple[str, ...],
+    span: Span,
+    overrides: tuple[str, ...],
+    computation: Computation,
+    resume: bool,
     quiet: bool,
-) -> None:  # fmt: skip
+) -> None:
     """Render the frames of scenes to files.
 
     A frame is frame_0000.png, and frame_0000.json with everything that made it. Of several scenes, each has a
@@ -73,8 +76,7 @@ def render(
     """
     from clsco.scene.sweep import load_sweeps
 
-    how = (files, span, device, precision, _blur(method, tolerance), memory, resume, quiet)
-    _render_to_folders(load_sweeps(scenes, overrides), out, *how)
+    _render_to_folders(load_sweeps(scenes, overrides), out, files, computation, quiet, span, resume)
 
 
 @main.command()
@@ -194,30 +196,23 @@ def validate(scenes: tuple[Path, ...]) -> None:
 
 @main.command()
 @click.option("-o", "out", metavar="DIR", required=True, type=PATH, help="Folder for the figures and plots.")
-@click.option("--quick", is_flag=True, help="A small grid: a minute or two on a slow machine.")
-@click.option("--compare", is_flag=True, help="Also measure numba, OpenCV and Mitsuba, as far as they are installed.")
-@click.option("--size", "sizes", metavar="PX", type=int, multiple=True, help="Pixels a side; may be given again.")
-@click.option("--radius", "radii", metavar="PX", type=float, multiple=True, help="Largest radius; may be given again.")
-@click.option("--minutes", metavar="M", type=float, help="Begin no case later, and leave out what is left.")
+@bench_extent
 @click.option("--stability", is_flag=True, help="Measure errors of hard cases of numerics instead.")
 @device_option
 @quiet_option
-def bench(
-    out: Path, quick: bool, compare: bool, sizes: tuple[int, ...], radii: tuple[float, ...], minutes: float | None,
-    stability: bool, device: str | None, quiet: bool,
-) -> None:  # fmt: skip
+def bench(out: Path, extent: Extent, stability: bool, device: str | None, quiet: bool) -> None:
     """Measure speed against error of the defocus pass: bench.json, bench.csv and plots in DIR.
 
     Time is process CPU time, on a graphics card that of its kernels; from radii on the device to the frame on the host.
     Errors are those of a crop, against the NumPy reference. Cases with long calls are left out, and named in the JSON.
-    Whole frames of a sphere are compared with a ray-traced lens, and --compare adds Mitsuba's, and the forward warp
-    beside numba's; not where only some sizes or radii are asked for.
+    In a checkout, --compare adds the blur of numba and OpenCV; whole frames beside a ray-traced lens and Mitsuba's, and
+    the forward warp beside numba's, but not where only some sizes or radii are asked for.
     With --stability errors against an oracle of 106 bits: stability.json, CSV files and a plot.
     """
     from clsco.cli.bench.command import make_task
     from clsco.files.atomic import writable_folder
 
-    task = make_task(stability, quick, compare, sizes, radii, minutes)
+    task = make_task(extent, stability)
     _require_device(device)
     from clsco.cli.tables import print_tables, progress
     from clsco.opencl.device import choose
@@ -266,17 +261,18 @@ def _number(name: str, text: str) -> Callable[[Callable[..., None]], Callable[..
 @click.option("--occlusion", metavar="METHOD", help="How near hides far: layered (default) or none.")
 @truth_option
 @set_option
-@device_option
-@precision_option
-@memory_option
-@method_option
-@tolerance_option
+@computation_options
 @quiet_option
 def defocus(
-    image: Path, depth: Path, out: Path, files: tuple[str, ...], overrides: tuple[str, ...], device: str | None,
-    precision: str | None, memory: int | None, method: str, tolerance: float | None, quiet: bool,
+    image: Path,
+    depth: Path,
+    out: Path,
+    files: tuple[str, ...],
+    overrides: tuple[str, ...],
+    computation: Computation,
+    quiet: bool,
     **options: str | float | None,
-) -> None:  # fmt: skip
+) -> None:
     """Defocus IMAGE by its depth map DEPTH, a file of the same size.
 
     DEPTH is a PNG, TIFF, EXR, PFM, NPY or NPZ. All else is as in a scene with this one object, whose other keys
@@ -285,23 +281,23 @@ def defocus(
     from clsco.cli.defocus import depth_report, is_image_file, prepare_image, scenes_from_files, write_color
     from clsco.plan.prepare import planned_files
 
-    alone, blur = is_image_file(out), _blur(method, tolerance)
+    alone, blur, memory = is_image_file(out), computation.blur, computation.memory
     if alone and files:
         raise click.UsageError(f"--truth: OUT must be a folder; got {click.format_filename(out)}")
     sweep = scenes_from_files(image, depth, options, overrides)
     for line in depth_report(sweep.scenes[0]):
         click.echo(line, err=True)
     if not alone:
-        _render_to_folders([(image, sweep)], out, files, (None, None), device, precision, blur, memory, False, quiet)
+        _render_to_folders([(image, sweep)], out, files, computation, quiet)
         return
     scenes = [plan.scene for _, _, plans in planned_files([(image, sweep)], (), memory, **blur) for plan in plans]
     prepare_image(scenes, out)
-    _require_device(device)
+    _require_device(computation.device)
     from clsco.cli.tables import progress
     from clsco.engine.sequence import render as render_frames
 
     with progress(1, quiet) as advance:
-        for frame in render_frames(scenes[0], truth=(), device=device, precision=precision, memory=memory, **blur):
+        for frame in render_frames(scenes[0], truth=(), **asdict(computation)):
             write_color(out, frame, frame.metadata["bits"], scenes[0].image.transfer)
             _report_approximation(out, frame)
             advance()
@@ -328,9 +324,15 @@ def defocus(
 @device_option
 @quiet_option
 def inpaint(
-    image: Path, mask: Path, out: Path, folder: Path | None, method: str, threshold: float | None, device: str | None,
-    quiet: bool, **constants: str | float | None,
-) -> None:  # fmt: skip
+    image: Path,
+    mask: Path,
+    out: Path,
+    folder: Path | None,
+    threshold: float | None,
+    device: str | None,
+    quiet: bool,
+    **options: Any,
+) -> None:
     """Fill the missing pixels of IMAGE: those that are white (255) in MASK, a file of the same size.
 
     8 and 16 bits, gray and color, and floats, of which missing ones may be no numbers. OUT has the type of IMAGE.
@@ -349,7 +351,8 @@ def inpaint(
     if folder is not None:
         require_matplotlib()
         writable_folder(folder)
-    chosen = mean_median_options(method, constants)
+    method = options.pop("method")
+    chosen = mean_median_options(method, options)
     with shares(quiet) as progress:
         filled, report = fill(
             pixels, missing, method=method, device=device, progress=progress, options=chosen, return_report=True
@@ -367,17 +370,6 @@ def _truth(files: tuple[str, ...]) -> tuple[str, ...]:
     return (*TRUTH_NAMES, *STEREO_NAMES) if files else ()
 
 
-def _blur(method: str, tolerance: float | None) -> dict[str, Any]:
-    """What is asked of the blur."""
-    from clsco.plan.approximation import METHODS
-
-    if method not in ("auto", *METHODS):
-        raise click.UsageError(f"--method: must be one of auto, {', '.join(METHODS)}; got {method}")
-    if tolerance is not None and method != "auto":
-        raise click.UsageError(f"--tolerance: chooses the method, which must then be auto; got --method {method}")
-    return {"method": method, "tolerance": tolerance}
-
-
 def _report_approximation(where: Path, frame: Frame) -> None:
     """On stderr, of a frame whose blur was or could have been approximated."""
     from clsco.plan.approximation import ApproximationReport
@@ -389,9 +381,14 @@ def _report_approximation(where: Path, frame: Frame) -> None:
 
 
 def _render_to_folders(
-    loaded: Sequence[tuple[Path, Sweep | SceneError]], out: Path, files: tuple[str, ...], span: Span,
-    device: str | None, precision: str | None, blur: dict[str, Any], memory: int | None, resume: bool, quiet: bool,
-) -> None:  # fmt: skip
+    loaded: Sequence[tuple[Path, Sweep | SceneError]],
+    out: Path,
+    files: tuple[str, ...],
+    computation: Computation,
+    quiet: bool,
+    span: Span = (None, None),
+    resume: bool = False,
+) -> None:
     """Plan scenes, and render those of each file into its folder."""
     if files:
         from clsco.frame.files import require_truth_formats
@@ -400,13 +397,14 @@ def _render_to_folders(
     from clsco.cli.tables import progress
     from clsco.plan.prepare import planned_files
 
+    blur, precision, memory = computation.blur, computation.precision, computation.memory
     planned = planned_files(loaded, _truth(files), memory, **blur)
-    _require_device(device)
+    _require_device(computation.device)
     from clsco.engine import batch
 
     jobs = batch.prepare_all(planned, out, files, span, precision, resume, **blur)
     with progress(sum(len(job.frames) for job in jobs), quiet) as advance:
-        for job, frames in batch.run(jobs, device, precision, memory):
+        for job, frames in batch.run(jobs, computation.device, precision, memory):
             for frame in frames:
                 _report_approximation(job.folder, frame)
             advance()

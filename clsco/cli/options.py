@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -13,6 +16,7 @@ from clsco.errors import ClscoError, DeviceError, SceneError
 if TYPE_CHECKING:
     from clsco.engine.batch import Span
 
+Command = TypeVar("Command", bound=Callable[..., Any])
 USER_ERROR, NO_DEVICE, INTERRUPTED = 1, 3, 130
 
 
@@ -68,6 +72,68 @@ def parse_memory(text: str) -> int:
         raise click.BadParameter(str(error).removeprefix("memory: ")) from None
 
 
+def one_value(name: str, kind: type[Any], *options: Callable[[Command], Command]) -> Callable[[Command], Command]:
+    """Give a command one argument for a group of options.
+
+    Parameters
+    ----------
+    name : str
+        Argument of the command.
+    kind : type
+        Dataclass with a field for each option, of the option's name.
+    *options : decorators
+        Options of click, in the order of the help text.
+    """
+    names = [field.name for field in fields(kind)]
+
+    def decorate(command: Command) -> Command:
+        @wraps(command)
+        def call(**values: Any) -> Any:
+            value = kind(**{field: values.pop(field) for field in names})
+            return command(**values, **{name: value})
+
+        found: Any = call
+        for option in reversed(options):
+            found = option(found)
+        return found
+
+    return decorate
+
+
+@dataclass(frozen=True)
+class Extent:
+    """How much `clsco bench` measures: options of these names."""
+
+    quick: bool = False
+    compare: bool = False
+    sizes: tuple[int, ...] = ()
+    radii: tuple[float, ...] = ()
+    minutes: float | None = None
+
+
+@dataclass(frozen=True)
+class Computation:
+    """Where and how frames are computed: options of `render` and `defocus`."""
+
+    device: str | None
+    precision: str | None
+    memory: int | None
+    method: str
+    tolerance: float | None
+
+    @property
+    def blur(self) -> dict[str, Any]:
+        """What is asked of the blur, as keyword arguments. Raises click.UsageError where the two disagree."""
+        from clsco.plan.approximation import METHODS
+
+        if self.method not in ("auto", *METHODS):
+            raise click.UsageError(f"--method: must be one of auto, {', '.join(METHODS)}; got {self.method}")
+        if self.tolerance is not None and self.method != "auto":
+            rule = "chooses the method, which must then be auto"
+            raise click.UsageError(f"--tolerance: {rule}; got --method {self.method}")
+        return {"method": self.method, "tolerance": self.tolerance}
+
+
 PATH = click.Path(path_type=Path)
 one_scene = click.argument("scene", type=PATH)
 scenes_wanted = click.argument("scenes", metavar="SCENE...", nargs=-1, required=True, type=PATH)
@@ -100,3 +166,21 @@ tolerance_option = click.option(
     help="Take the fastest method whose RMS error is at most E of white, measured at some of the pixels.",
 )  # fmt: skip
 quiet_option = click.option("--quiet", is_flag=True, help="Show no progress.")
+computation_options = one_value(
+    "computation", Computation, device_option, precision_option, memory_option, method_option, tolerance_option
+)
+bench_extent = one_value(
+    "extent",
+    Extent,
+    click.option("--quick", is_flag=True, help="A small grid: a minute or two on a slow machine."),
+    click.option(
+        "--compare",
+        is_flag=True,
+        help="Also measure numba, OpenCV and Mitsuba, as far as they are installed; needs a checkout of clsco.",
+    ),
+    click.option("--size", "sizes", metavar="PX", type=int, multiple=True, help="Pixels a side; may be given again."),
+    click.option(
+        "--radius", "radii", metavar="PX", type=float, multiple=True, help="Largest radius; may be given again."
+    ),
+    click.option("--minutes", metavar="M", type=float, help="Begin no case later, and leave out what is left."),
+)

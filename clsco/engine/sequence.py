@@ -81,7 +81,8 @@ def render(
     -----
     A frame that needs more than `memory` is made in horizontal strips, with the same bits, but for an approximation,
     which needs the whole frame (where a tolerance leaves the choice, the exact blur is taken).
-    Validated against `clsco.reference.render` on every scene in examples/ and a ray tracer (benchmarks/accuracy.py).
+    Validated against `clsco.reference.render` on every scene in examples/, and a ray tracer
+    (benchmarks/truth/accuracy.py).
     """
     options: dict[str, Any] = {"truth": truth, "device": device, "precision": precision, "method": method}
     found = render_sweep((scene_of(scene),), **options, tolerance=tolerance, frames=frames, memory=memory)

@@ -39,7 +39,7 @@ def fill_biharmonic(
     bits on every run of a device. Memory beside the image: a byte per pixel, per missing one 8 and the result; per
     pixel of a tile (`clsco.inpainting.tiles`) 12 channels + 6 bytes, per missing one of it 43 channels + 5.
     Raises ImageError where nothing is known, DeviceError. Validated against `clsco.reference.inpainting.biharmonic`
-    (tests/kernels/test_biharmonic.py) and scikit-image's direct solution (benchmarks/inpainting.py).
+    (tests/kernels/test_biharmonic.py) and scikit-image's direct solution (benchmarks/inpainting).
     """
     real: Real = "double" if session.device.has_fp64 else "float"
     features = {"CHANNELS": image.shape[2], "SAMPLED": 0, "GENERAL": 0}

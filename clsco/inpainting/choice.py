@@ -29,7 +29,7 @@ def choose_method(
     taken from those that have holes, the holes are moved by SHIFT, out at one side and in at the other, and filled
     together with the true ones by each method; the windows lie below each other in one image, so that few launches do.
     Where nothing can be tried it is `texture`. The same answer on every run of a device; the cost does not grow with
-    the image. What it gains and loses: benchmarks/inpainting.py.
+    the image. What it gains and loses: benchmarks/inpainting.
     """
     windows = _windows(missing)
     if not windows:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 SIDE = 32  # of the window, px; the kernel's
 BLOCK = 2  # of what is filled from it, px; the kernel's
 BEFORE = (SIDE - BLOCK) // 2  # pixels of the window before the block
-# The following were chosen on the cases of benchmarks/inpainting.py: each is flat within 0.1 dB around its value.
+# The following were chosen on the cases of benchmarks/inpainting: each is flat within 0.1 dB around its value.
 DECAY = 0.65  # by which a pixel counts less per px from the block's center
 STEP = 0.7  # part of a wave's amplitude that is taken out at a time: less than all, as waves are not orthogonal
 WAVES_PER_CONTRAST = 400.0  # waves per standard deviation of the window, the known range being 1

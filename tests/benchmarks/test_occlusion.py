@@ -12,9 +12,9 @@ import pytest
 from numpy.typing import NDArray
 
 import clsco
-from benchmarks.occlusion import EXAMPLES, MODES, Judged, compare, markdown, near_edges, pinhole_view, scene_of
-from benchmarks.truth import decibels, rms, update
-from clsco.cli.bench.raytracer import trace
+from benchmarks.truth.occlusion import EXAMPLES, MODES, Judged, compare, markdown, near_edges, pinhole_view, scene_of
+from benchmarks.truth.raytracer import trace
+from benchmarks.truth.traced import decibels, rms, update
 from tests.slow import mostly_slow
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from clsco.cli.bench.raytracer import pinhole_depth, prepare, rotation_matrix, trace, trace_converged
+from benchmarks.truth.raytracer import pinhole_depth, prepare, rotation_matrix, trace, trace_converged
 
 PITCH, S0, APERTURE = 0.01, 20.0, 10.0
 FOCUS_TERM = 1 / 20.0 - 1 / 21.739

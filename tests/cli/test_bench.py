@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from clsco.cli.bench import measure, peers, report
+from clsco.cli.bench import measure, report
 from clsco.cli.bench.cases import (
     FULL,
     PSFS,
@@ -362,38 +362,23 @@ def without(monkeypatch: pytest.MonkeyPatch, *missing: str) -> None:
         return None if name in missing else there(name, package)
 
     monkeypatch.setattr(report, "find_spec", find_spec)
-    monkeypatch.setattr(peers, "find_spec", find_spec)
 
 
-def test_missing_extras_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    without(monkeypatch, "matplotlib", "numba", "cv2", "mitsuba")
-    lacking = "--compare: needs numba or OpenCV or Mitsuba"
-    for words, what in (((), "bench: needs matplotlib"), (("--compare",), lacking)):
-        result = bench_("-o", tmp_path / "out", "--quick", *words)
-        message = f"error: {what}: pip install 'clsco[bench]'; got no such module"
-        assert (result.exit_code, result.stdout, result.stderr.splitlines()) == (1, "", [message])
+def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    without(monkeypatch, "matplotlib")
+    result = bench_("-o", tmp_path / "out", "--quick")
+    message = "error: bench: needs matplotlib: pip install 'clsco[bench]'; got no such module"
+    assert (result.exit_code, result.stdout, result.stderr.splitlines()) == (1, "", [message])
     assert not (tmp_path / "out").exists()
-    without(monkeypatch, "cv2", "mitsuba")
-    assert peers.require_peers() == (["numba"], dict.fromkeys(("OpenCV", "Mitsuba"), peers.NOT_INSTALLED))
 
 
-# Numba compiles each for seconds.
-@pytest.mark.parametrize(
-    "peer",
-    [pytest.param(peer, marks=pytest.mark.slow if peer in peers.PEERS[:4] else ()) for peer in peers.PEERS],
-    ids=lambda peer: "-".join(peer),
-)
-def test_peers_do_the_same(peer: tuple[str, str, Any, str]) -> None:
-    tool, method, scene, psf = peer
-    pytest.importorskip(peers.MODULES[tool])
-    radii = radius_map(40, 3.3) if scene == "varying" else np.full((40, 40), 3.3)
-    image = np.random.default_rng(0).random((40, 40), dtype=np.float32)
-    found = peers.set_up(tool, method, psf, image, radii)()
-    exact = measure.reference(image[..., None], radii, PSFS[psf])[..., 0]
-    error = np.abs(found - exact).max()
-    # GaussianBlur samples where clsco integrates; a table of floats is linear between its radii.
-    assert error < (5e-3 if method == "GaussianBlur" else 2e-5)
-    assert np.abs(found - image).max() > 0.1
+def test_an_installed_package_cannot_compare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is without the benchmarks, which only a checkout has."""
+    monkeypatch.setattr("clsco.__file__", str(tmp_path / "site-packages/clsco/__init__.py"))
+    result = bench_("-o", tmp_path / "out", "--compare")
+    message = "error: --compare: needs a checkout of clsco, with its folder benchmarks; got an installed package"
+    assert (result.exit_code, result.stdout, result.stderr.splitlines()) == (1, "", [message])
+    assert not (tmp_path / "out").exists()
 
 
 def test_grids_of_the_options() -> None:
@@ -401,7 +386,5 @@ def test_grids_of_the_options() -> None:
     assert make_grid(True, [], []) == QUICK
     asked = make_grid(True, [64, 32, 64], [3.0])
     assert (asked.sizes, asked.radii, asked.rounds) == ((32, 64), (3.0,), QUICK.rounds)
-    assert (asked.lens_size, asked.samples, asked.warp_size) == (0, (), 0)
-    assert 0 not in (QUICK.lens_size, QUICK.warp_size, len(QUICK.samples))
     image = np.zeros((4, 5, 3), np.float32)
     assert (channels_of(image, 1).shape, channels_of(image, 3).shape) == ((4, 5), (4, 5, 3))

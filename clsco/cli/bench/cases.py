@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import inf
@@ -69,8 +69,6 @@ class Grid:
     once_s: longer calls are timed once; slowest: ways of clsco that take so many times as long as its fastest one, on a
     crop or at a smaller size, are left out; both_to: above so many px a side only the first precision is measured, as
     the blur itself is the same; minutes: after which no case is begun.
-    lens_size, samples: px a side of the frames that are compared with a traced one, and rays per pixel of Mitsuba's;
-    warp_size: px a side of forward warps. 0: none of these.
     """
 
     sizes: tuple[int, ...] = (512, 1024, 2048, 4096, 8192)
@@ -83,17 +81,34 @@ class Grid:
     slowest: float = 10.0
     both_to: int = 2048
     minutes: float | None = None
-    lens_size: int = 0
-    samples: tuple[int, ...] = ()
-    warp_size: int = 0
 
 
-# Of Mitsuba's rays per pixel the errors are 0.04 to 0.0005.
-FULL = Grid(lens_size=512, samples=(1, 4, 16, 64, 256, 1024, 2500), warp_size=2048)
-QUICK = Grid(
-    sizes=(256, 512), radii=(2.0, 6.0, 20.0), channels=(1,), precisions=("double",), longest_s=0.2, lens_size=512,
-    samples=(4, 16, 64, 256), warp_size=2048,
-)  # fmt: skip
+FULL = Grid()
+QUICK = Grid(sizes=(256, 512), radii=(2.0, 6.0, 20.0), channels=(1,), precisions=("double",), longest_s=0.2)
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A tool of others that blurs as well.
+
+    Attributes
+    ----------
+    tool, method : str
+        Its name, and that of its way.
+    scene : str
+        That it can do, "varying" or "constant".
+    psf : str
+        Name in PSFS.
+    set_up : callable
+        From linear radiance (rows, columns[, channels]), float32, and radii (rows, columns) in px to the call that is
+        timed, which returns the blurred image. Makes its tables.
+    """
+
+    tool: str
+    method: str
+    scene: Scene
+    psf: str
+    set_up: Callable[[Array, Array], Callable[[], Array]]
 
 
 def make_grid(quick: bool, sizes: Sequence[int], radii: Sequence[float], minutes: float | None = None) -> Grid:
@@ -110,10 +125,8 @@ def make_grid(quick: bool, sizes: Sequence[int], radii: Sequence[float], minutes
     if minutes is not None and not 0.0 < minutes < inf:
         raise ClscoError(f"--minutes: must be above 0; got {minutes:g}")
     base = replace(QUICK if quick else FULL, minutes=minutes)
-    if not sizes and not radii:
-        return base
     sides, largest = tuple(sorted(set(sizes))) or base.sizes, tuple(sorted(set(radii))) or base.radii
-    return replace(base, sizes=sides, radii=largest, lens_size=0, samples=(), warp_size=0)
+    return replace(base, sizes=sides, radii=largest)
 
 
 def methods(scene: Scene) -> tuple[str, ...]:
@@ -128,11 +141,8 @@ def approximations(scene: Scene, psf: Psf, largest: float) -> tuple[str, ...]:
     return tuple(name for name, least in known.items() if coarse_radii(psf, largest, least))
 
 
-def grid_cases(grid: Grid, has_fp64: bool, peers: Sequence[tuple[str, str, Scene, str]] = ()) -> list[Case]:
-    """The cases of a grid, those with the same scene side by side.
-
-    peers: (tool, method, scene, name of the PSF) of what else there is; those take floats.
-    """
+def grid_cases(grid: Grid, has_fp64: bool, peers: Sequence[Peer] = ()) -> list[Case]:
+    """The cases of a grid, those with the same scene side by side; those of `peers` take floats."""
     known = [precision for precision in grid.precisions if precision == "single" or has_fp64]
     found: list[Case] = []
     for size in grid.sizes:
@@ -152,10 +162,10 @@ def grid_cases(grid: Grid, has_fp64: bool, peers: Sequence[tuple[str, str, Scene
                         for method in approximations(scene, PSFS[psf], radius)
                     ]
                     found += [
-                        Case(size, radius, scene, psf, channels, "single", tool, method)
+                        Case(size, radius, scene, psf, channels, "single", peer.tool, peer.method)
                         for channels in grid.channels
-                        for tool, method, on_scene, of_psf in peers
-                        if (on_scene, of_psf) == (scene, psf)
+                        for peer in peers
+                        if (peer.scene, peer.psf) == (scene, psf)
                     ]
     return found
 

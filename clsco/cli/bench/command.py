@@ -2,50 +2,59 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import sys
+from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any, Protocol
 
 from rich.console import RenderableType
 
+import clsco
 from clsco.cli.bench.cases import Grid, make_grid
-from clsco.cli.bench.peers import require_peers
+from clsco.cli.options import Extent
 from clsco.errors import ClscoError
 from clsco.opencl.device import Device
 
 Advance = Callable[[], object]
 
 
-@dataclass(frozen=True)
-class Speed:
-    """Speed against error of the blur, see `bench.measure`; tools: peers; missing: why others are not there."""
-
-    grid: Grid
-    tools: Sequence[str]
-    missing: Mapping[str, str]
+class Task(Protocol):
+    """A run of the command."""
 
     def notices(self) -> list[str]:
-        """What is left out, a line each. Raises ClscoError where plots could not be made."""
-        from clsco.cli.bench import lens, report
-
-        report.require_matplotlib()
-        lines = [f"{tool}: left out, as {why}" for tool, why in self.missing.items()]
-        if self.grid.lens_size and (absent := lens.missing()):
-            lines.append(f"traced frames: left out, as they need {absent}: pip install 'clsco[bench]'")
-        return lines
+        """What is left out, a line each. Raises ClscoError where an extra is missing."""
 
     def steps(self, device: Device) -> int:
         """How often `run` calls `advance`."""
-        from clsco.cli.bench import measure
-
-        return measure.steps(self.grid, device, self.tools)
 
     def run(self, device: Device, folder: Path, advance: Advance) -> tuple[list[RenderableType], str]:
-        """Measure, and write the files: tables, and what falls short, which speed does not."""
+        """Measure, and write the files: tables, and what falls short of its bound in one line, or ""."""
+
+
+@dataclass(frozen=True)
+class Speed:
+    """Speed against error of the blur, see `clsco.cli.bench.measure`."""
+
+    grid: Grid
+
+    def notices(self) -> list[str]:
+        from clsco.cli.bench import report
+
+        report.require_matplotlib()
+        return []
+
+    def steps(self, device: Device) -> int:
+        from clsco.cli.bench import measure
+
+        return measure.steps(self.grid, device, ())
+
+    def run(self, device: Device, folder: Path, advance: Advance) -> tuple[list[RenderableType], str]:
         from clsco.cli.bench import measure, report
 
-        measured = measure.run(self.grid, device, self.tools, advance)
+        measured = measure.run(self.grid, device, (), advance)
         report.write(folder, measured)
         return report.tables(measured), ""
 
@@ -57,7 +66,6 @@ class Stability:
     quick: bool
 
     def notices(self) -> list[str]:
-        """As of Speed; nothing is left out. Raises ClscoError where the oracle or plots are missing."""
         from clsco.cli.bench import report
 
         report.require_matplotlib()
@@ -66,14 +74,12 @@ class Stability:
         return []
 
     def steps(self, device: Device) -> int:
-        """How often `run` calls `advance`."""
         from clsco.cli.bench import stabilityreport
 
         del device
         return stabilityreport.steps(self.quick)
 
     def run(self, device: Device, folder: Path, advance: Advance) -> tuple[list[RenderableType], str]:
-        """Measure, and write the files: tables, and what falls short of its bound in one line."""
         from clsco.cli.bench import stabilityreport
 
         found = stabilityreport.run(device, self.quick, advance)
@@ -83,15 +89,28 @@ class Stability:
         return stabilityreport.tables(found), line
 
 
-def make_task(
-    stability: bool, quick: bool, compare: bool, sizes: Sequence[int], radii: Sequence[float], minutes: float | None
-) -> Speed | Stability:
+def make_task(extent: Extent, stability: bool) -> Task:
     """What the command's options ask for. Raises ClscoError where they do not go together, or a peer is missing."""
     if stability:
-        if compare or sizes or radii or minutes is not None:
+        if extent != Extent(quick=extent.quick):
             rule = "must stand without --compare, --size, --radius and --minutes"
             raise ClscoError(f"--stability: {rule}; got one of them")
-        return Stability(quick)
-    grid = make_grid(quick, sizes, radii, minutes)
-    tools, missing = require_peers() if compare else ([], {})
-    return Speed(grid, tools, missing)
+        return Stability(extent.quick)
+    grid = make_grid(extent.quick, extent.sizes, extent.radii, extent.minutes)
+    if not extent.compare:
+        return Speed(grid)
+    task: Task = _comparison().comparison(grid, extent.quick, not (extent.sizes or extent.radii))
+    return task
+
+
+def _comparison() -> Any:
+    """The module of the developers' benchmarks, which are no part of the package. Raises ClscoError without them."""
+    root = Path(clsco.__file__).resolve().parents[1]
+    if not (root / "benchmarks" / "speed" / "compare.py").is_file():
+        raise ClscoError("--compare: needs a checkout of clsco, with its folder benchmarks; got an installed package")
+    if str(root) not in sys.path:
+        sys.path.append(str(root))
+    try:
+        return import_module("benchmarks.speed.compare")
+    except ModuleNotFoundError as error:
+        raise ClscoError(f"--compare: needs {error.name}: pip install 'clsco[bench]'; got no such module") from None

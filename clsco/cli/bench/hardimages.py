@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clsco.cli.bench.oracle import DIGITS
 from clsco.cli.bench.stability import Compared, HardCase, Measured, hard_case, ns_per_value
-from clsco.cli.bench.warp import Stages
+from clsco.cli.bench.stages import Stages
 from clsco.engine.defocus import defocus
 from clsco.engine.inpaint import inpaint
 from clsco.engine.sequence import render

@@ -8,7 +8,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from itertools import groupby
@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco import __version__
-from clsco.cli.bench import lens, peers, warp
 from clsco.cli.bench.cases import (
     PSFS,
     Case,
     Grid,
+    Peer,
     Scene,
     channels_of,
     crop_of,
@@ -33,11 +33,9 @@ from clsco.cli.bench.cases import (
     picture,
     scene_radii,
 )
-from clsco.cli.bench.lens import Lens
 from clsco.cli.bench.paces import Paces
 from clsco.cli.bench.passes import Pass
 from clsco.cli.bench.roofline import Roof, intensity, measure_roof, tap_rate
-from clsco.cli.bench.warp import WarpRow
 from clsco.errors import DeviceError, SceneError
 from clsco.opencl.device import Device
 from clsco.opencl.session import Session
@@ -90,10 +88,7 @@ class Row(Case):
 
 @dataclass(frozen=True)
 class Bench:
-    """A whole run: device and versions, ceilings, rows, and cases that were left out, with the reason.
-
-    lens: whole frames against a traced one; warp: depth test and filling. Not where only some sizes or radii are asked.
-    """
+    """A whole run: device and versions, ceilings, rows, and cases that were left out, with the reason."""
 
     device: dict[str, Any]
     versions: dict[str, str]
@@ -102,8 +97,6 @@ class Bench:
     rows: list[Row]
     left_out: list[dict[str, Any]]
     peak_rss_bytes: int | None
-    lens: Lens | None = None
-    warp: list[WarpRow] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -137,8 +130,8 @@ class _Ready:
         return own + 4 * self.case.channels * pixels
 
 
-def run(grid: Grid, device: Device, tools: Sequence[str], advance: Callable[[], object]) -> Bench:
-    """Measure a grid on a device, beside the peers of `tools`.
+def run(grid: Grid, device: Device, peers: Sequence[Peer], advance: Callable[[], object]) -> Bench:
+    """Measure a grid on a device, beside its peers.
 
     advance: called `steps` times on the way. Raises DeviceError, KernelError.
     """
@@ -148,8 +141,8 @@ def run(grid: Grid, device: Device, tools: Sequence[str], advance: Callable[[], 
     paces = Paces(grid)
     with Session(device) as session:
         roof = measure_roof(session)
-        for case in _cases(grid, device, tools):
-            ready = paces.objection(case) or _ready(case, session, grid.longest_s, paces)
+        for case in grid_cases(grid, device.has_fp64, peers):
+            ready = paces.objection(case) or _ready(case, session, grid.longest_s, paces, peers)
             advance()
             if isinstance(ready, str):
                 left_out.append(asdict(case) | {"why": ready})
@@ -161,32 +154,13 @@ def run(grid: Grid, device: Device, tools: Sequence[str], advance: Callable[[], 
                 rows += _timed(batch, grid, roof, device, advance)
                 batch = []
         rows += _timed(batch, grid, roof, device, advance)
-    makes_frames, makes_warps = _also(grid, device, tools)
-    whole, warps = None, []
-    if makes_frames:
-        whole = lens.run(device, grid.lens_size, _samples(grid, tools), advance, lens.cache_folder())
-    if makes_warps:
-        warps = warp.run(device, grid.warp_size, advance)
-    settings = asdict(grid) | {"psfs": {name: psf.model_dump() for name, psf in PSFS.items()}, "compare": list(tools)}
-    about = described(device)
-    return Bench(about, versions(tools), settings, roof, with_fronts(rows), left_out, _peak_rss(), whole, warps)
+    settings = asdict(grid) | {"psfs": {name: psf.model_dump() for name, psf in PSFS.items()}}
+    return Bench(described(device), versions(), settings, roof, with_fronts(rows), left_out, _peak_rss())
 
 
-def steps(grid: Grid, device: Device, tools: Sequence[str]) -> int:
+def steps(grid: Grid, device: Device, peers: Sequence[Peer]) -> int:
     """How often `run` calls `advance`."""
-    makes_frames, makes_warps = _also(grid, device, tools)
-    others = makes_frames * lens.steps(_samples(grid, tools)) + makes_warps * warp.steps()
-    return len(_cases(grid, device, tools)) * (1 + grid.rounds) + others
-
-
-def _also(grid: Grid, device: Device, tools: Sequence[str]) -> tuple[bool, bool]:
-    """Whether whole frames are compared with a traced one, and whether forward warps with numba, by CPU time."""
-    makes_warps = grid.warp_size > 0 and "numba" in tools and device.kind == "cpu"
-    return grid.lens_size > 0 and lens.missing() is None, makes_warps
-
-
-def _samples(grid: Grid, tools: Sequence[str]) -> tuple[int, ...]:
-    return grid.samples if "Mitsuba" in tools else ()
+    return len(grid_cases(grid, device.has_fp64, peers)) * (1 + grid.rounds)
 
 
 def front(costs: Sequence[float], errors: Sequence[float]) -> list[bool]:
@@ -210,18 +184,17 @@ def with_fronts(rows: Sequence[Row]) -> list[Row]:
     return found
 
 
-def _cases(grid: Grid, device: Device, tools: Sequence[str]) -> list[Case]:
-    return grid_cases(grid, device.has_fp64, [peer for peer in peers.PEERS if peer[0] in tools])
-
-
-def _set_up(case: Case, image: Array, radii: Array, session: Session) -> Callable[[Events], Array]:
+def _set_up(
+    case: Case, image: Array, radii: Array, session: Session, peers: Sequence[Peer]
+) -> Callable[[Events], Array]:
     if case.tool == "clsco":
         return Pass(session, image, radii, PSFS[case.psf], case.method, REALS[case.precision])
-    call = peers.set_up(case.tool, case.method, case.psf, image, radii)
+    (peer,) = (one for one in peers if (one.tool, one.method, one.psf) == (case.tool, case.method, case.psf))
+    call = peer.set_up(image, radii)
     return lambda _: call()
 
 
-def _first(case: Case, session: Session, first_call_s: float | None) -> _First:
+def _first(case: Case, session: Session, first_call_s: float | None, peers: Sequence[Peer] = ()) -> _First:
     """Run a case on its crop, the first time with nothing made before, and compare it with the reference.
 
     first_call_s: of the same at another size, which is not measured again.
@@ -234,9 +207,9 @@ def _first(case: Case, session: Session, first_call_s: float | None) -> _First:
         stencils.cache_clear()
         start = time.perf_counter()
         with Session(session.device) as alone:
-            _set_up(case, image, radii, alone)([])
+            _set_up(case, image, radii, alone, peers)([])
             first_call_s = time.perf_counter() - start
-    call = _set_up(case, image, radii, session)
+    call = _set_up(case, image, radii, session, peers)
     found = call([])
     warm = min(_seconds(call), _seconds(call))  # what slows the machine for a moment must not leave a case out
     exact = _exact(case.size, case.radius, case.scene, case.psf)
@@ -260,9 +233,9 @@ def reference(image: Array, radii: Array, psf: Psf) -> Array:
     return scatter(psf, light, None, (image.shape[0], image.shape[1]), 0)
 
 
-def _ready(case: Case, session: Session, longest_s: float, paces: Paces) -> _Ready | str:
+def _ready(case: Case, session: Session, longest_s: float, paces: Paces, peers: Sequence[Peer] = ()) -> _Ready | str:
     """Set a case up in full size and call it a first time; or why it is left out."""
-    first = _first(case, session, paces.first_call_s.get(case.kind))
+    first = _first(case, session, paces.first_call_s.get(case.kind), peers)
     paces.first_call_s[case.kind] = first.first_call_s
     if why_not := paces.crop_objection(case, first.warm_s):
         return why_not
@@ -274,7 +247,7 @@ def _ready(case: Case, session: Session, longest_s: float, paces: Paces) -> _Rea
     try:
         if case.method in METHODS:  # before the pass that is timed: two at once may be too large
             first = replace(first, **_sampled(case, image, session))
-        call = _set_up(case, image, scene_radii(case.size, case.radius, case.scene), session)
+        call = _set_up(case, image, scene_radii(case.size, case.radius, case.scene), session, peers)
         warm = _seconds(call)
         if warm > longest_s:
             warm = _seconds(call)  # the first one may compile
@@ -368,12 +341,10 @@ def described(device: Device) -> dict[str, Any]:
     return {name: getattr(device, name) for name in names}
 
 
-def versions(tools: Sequence[str]) -> dict[str, str]:
-    """Versions of what a benchmark used, beside Python also those of `tools` of peers."""
+def versions(packages: Sequence[str] = ()) -> dict[str, str]:
+    """Versions of what a benchmark used: Python, NumPy, pyopencl, and `packages` as far as they are installed."""
     found = {"clsco": __version__, "python": platform.python_version()}
-    packages: dict[str, tuple[str, ...]] = {"numba": ("numba",), "Mitsuba": ("mitsuba", "drjit")}
-    packages["OpenCV"] = ("opencv-contrib-python-headless", "opencv-python-headless", "opencv-python")
-    for package in ("numpy", "pyopencl", *(name for tool in tools for name in packages[tool])):
+    for package in ("numpy", "pyopencl", *packages):
         with suppress(PackageNotFoundError):
             found[package] = version(package)
     return found

@@ -18,10 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from clsco.cli.bench.cases import PSFS
-from clsco.cli.bench.lens import LensRow
-from clsco.cli.bench.lensreport import lens_plot, lens_table
 from clsco.cli.bench.measure import Bench, Row
-from clsco.cli.bench.warp import WarpRow
 from clsco.errors import ClscoError
 from clsco.files.atomic import together
 
@@ -41,8 +38,8 @@ def require_matplotlib() -> None:
         raise ClscoError("bench: needs matplotlib: pip install 'clsco[bench]'; got no such module")
 
 
-def write(folder: Path, bench: Bench) -> None:
-    """Write bench.json, bench.csv and the plots, and lens.csv and warp.csv where there are such rows: all or none.
+def write(folder: Path, bench: Bench, also: Callable[[Path], None] = lambda _: None) -> None:
+    """Write bench.json, bench.csv and the plots, and what `also` writes into the folder it is given: all or none.
 
     Raises ImageError where the folder cannot be written, ClscoError where all cases were left out.
     """
@@ -52,11 +49,7 @@ def write(folder: Path, bench: Bench) -> None:
     with together(folder, "bench") as made:
         (made / "bench.json").write_text(json.dumps(content, indent=1) + "\n", "utf-8")
         write_csv(made / "bench.csv", COLUMNS, content["rows"])
-        if bench.lens is not None:
-            write_csv(made / "lens.csv", [field.name for field in fields(LensRow)], content["lens"]["rows"])
-            lens_plot(bench.lens).savefig(made / "lens.png", dpi=100)
-        if bench.warp:
-            write_csv(made / "warp.csv", [field.name for field in fields(WarpRow)], content["warp"])
+        also(made)
         for name, plot in PLOTS.items():
             plot(bench).savefig(made / name, dpi=100)
 
@@ -96,19 +89,7 @@ def tables(bench: Bench) -> list[RenderableType]:
             "*" if row.on_front else "",
         )  # fmt: skip
     lines = [Text(f"{len(bench.left_out)} cases left out: left_out in bench.json")] if bench.left_out else []
-    frames = [lens_table(bench.lens)] if bench.lens else []
-    return [shown, *lines, *frames, *([warp_table(bench)] if bench.warp else [])]
-
-
-def warp_table(bench: Bench) -> RenderableType:
-    """Depth test and filling, with how many times the fastest of the others takes."""
-    shown = Table(title=Text("Forward warp; ns per pixel"), title_justify="left", box=SIMPLE, pad_edge=False)
-    for name in ("plane", "px", "stage", "ns", "peer", "its ns", "times"):
-        shown.add_column(name, justify="left" if name in ("plane", "stage", "peer") else "right")
-    for row in bench.warp:
-        figures = (f"{row.cpu_ns:.1f}", row.peer, f"{row.peer_ns:.1f}", f"{row.times:.2f}")
-        shown.add_row(row.scene, f"{row.size}", row.stage, *figures)
-    return shown
+    return [shown, *lines]
 
 
 def _number(value: float | None, form: str, unit: str, scale: float = 1.0) -> str:

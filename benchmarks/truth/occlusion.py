@@ -1,6 +1,6 @@
 """Blurred edges of near things before far ones: error and cost of each psf.occlusion, against the ray tracer.
 
-    python -m benchmarks.occlusion [--only NAME] [--mode NAME] [--size 512] [--engine device|reference]
+    python -m benchmarks.truth.occlusion [--only NAME] [--mode NAME] [--size 512] [--engine device|reference]
 
 The scenes are examples/occlusion_*.toml, and examples/sphere.toml, where nothing overlaps. Each is traced once
 (kept under build/) and rendered in each mode; figures go to the terminal and to benchmarks/results/occlusion.json
@@ -26,13 +26,13 @@ from rich.table import Table
 from scipy import ndimage
 
 import clsco
-from benchmarks.truth import decibels, rms, trace_twice, update
-from clsco.cli.bench.raytracer import pinhole_depth
+from benchmarks.truth.raytracer import pinhole_depth
+from benchmarks.truth.traced import decibels, rms, trace_twice, update
 from clsco.files.images import write_png
 from clsco.files.transfer import encode
 from clsco.inputs.textures import load_scene_textures
 
-ROOT = Path(__file__).resolve().parent
+ROOT = Path(__file__).resolve().parents[1]
 FULL_SIZE = 512
 EXAMPLES = {
     "near_sphere": "occlusion_near_sphere",

@@ -7,19 +7,26 @@ import importlib.util
 import json
 import sys
 from dataclasses import replace
+from math import inf
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
-from clsco.cli.bench import lens, measure, mitsuba, peers, report, warp
-from clsco.cli.bench.cases import Grid
-from clsco.cli.bench.lens import Lens, LensRow, compared, sized, time_for
-from clsco.cli.bench.lensreport import lens_table
-from clsco.cli.bench.measure import Bench, Row
+from benchmarks.speed import compare, lens, peers, warp
+from benchmarks.speed.compare import Compared, Comparison
+from benchmarks.speed.lens import Lens, LensRow, compared, sized, time_for
+from benchmarks.speed.lensreport import lens_table
+from benchmarks.speed.warp import WarpRow
+from benchmarks.truth import mitsuba
+from clsco.cli.bench import measure, report
+from clsco.cli.bench.cases import PSFS, Grid, Peer, radius_map
+from clsco.cli.bench.measure import Row
 from clsco.cli.bench.roofline import Roof
-from clsco.cli.bench.warp import WarpRow
+from clsco.cli.bench.stages import Stages
+from clsco.cli.main import main
 from clsco.inputs.textures import load_scene_textures
 from clsco.opencl.session import Session
 from clsco.passes.warp import NO_WINNER
@@ -102,7 +109,7 @@ def test_mitsuba_sees_the_same() -> None:
     """Noise of 256 rays is some 1e-2 at most; what is turned over or mirrored is far from that."""
     pytest.importorskip("numba")
     pytest.importorskip("scipy")
-    from clsco.cli.bench.raytracer import trace
+    from benchmarks.truth.raytracer import trace
 
     scene, (texture,) = load_scene_textures(sized(64))
     found = mitsuba.set_up(scene, texture.radiance)(256, 0)
@@ -131,7 +138,7 @@ def test_stages_of_the_forward_warp(name: str, session: Session) -> None:
     """The device's winners are numba's and the reference's, and filling fills what the thesis' captions say."""
     pytest.importorskip("numba")
     scene, texture = warp.scene_at(name, 128)
-    stages = warp.Stages(session, scene, texture)
+    stages = Stages(session, scene, texture)
     stages.depth_test()
     winners = stages.winners()
     numba = warp.numba_depth_tests(scene)["numba, one thread"]()
@@ -150,7 +157,7 @@ def test_stages_of_the_forward_warp(name: str, session: Session) -> None:
 
 def test_a_copy_of_neighborhoods() -> None:
     pytest.importorskip("numba")
-    from clsco.cli.bench.zbuffer import copy_neighborhoods
+    from benchmarks.speed.zbuffer import copy_neighborhoods
 
     planes = [np.arange(1.0, 49.0).reshape(6, 8) + k for k in range(3)]
     copies = [np.zeros((6, 8)) for _ in planes]
@@ -185,8 +192,8 @@ def test_the_report_has_frames_and_warps(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(report, "PLOTS", {})  # tests/cli/test_bench.py has these
     frames = Lens("sphere", 512, 2e-4, compared(ROWS))
     device = {"name": "one", "platform": "some"}
-    bench = Bench(device, {}, {}, Roof(10.0, 60.0), [row], [], None, frames, WARPS)
-    report.write(tmp_path, bench)
+    bench = Compared(device, {}, {}, Roof(10.0, 60.0), [row], [], None, frames, WARPS)
+    compare.write(tmp_path, bench)
     content = json.loads((tmp_path / "bench.json").read_text())
     assert (tmp_path / "lens.png").stat().st_size > 10_000
     for name, key, rows, count in (
@@ -197,7 +204,7 @@ def test_the_report_has_frames_and_warps(tmp_path: Path, monkeypatch: pytest.Mon
             lines = list(csv.DictReader(file))
         assert len(lines) == len(rows) == count
         assert [float(line[key]) for line in lines] == [row[key] for row in rows]
-    assert len(report.tables(bench)) == 3
+    assert len(compare.tables(bench)) == 3
 
 
 def test_tables_mark_what_was_not_measured(capsys: pytest.CaptureFixture[str]) -> None:
@@ -210,6 +217,60 @@ def test_tables_mark_what_was_not_measured(capsys: pytest.CaptureFixture[str]) -
 
 
 def test_what_is_asked_for_alone_has_no_frames(session: Session) -> None:
-    grid = Grid(sizes=(16,), radii=(0.0,))
-    assert measure.steps(replace(grid, warp_size=64), session.device, []) == measure.steps(grid, session.device, [])
-    assert measure.steps(replace(grid, lens_size=64), session.device, []) > measure.steps(grid, session.device, [])
+    pytest.importorskip("numba")
+    pytest.importorskip("scipy")
+    grid, device = Grid(sizes=(16,), radii=(0.0,)), session.device
+    alone, whole = (Comparison(grid, frames, ["numba"], {}) for frames in (None, compare.QUICK))
+    cases = measure.steps(grid, device, [peer for peer in peers.PEERS if peer.tool == "numba"])
+    assert alone.steps(device) == cases > measure.steps(grid, device, [])
+    assert whole.steps(device) == cases + lens.steps(()) + warp.steps() * (device.kind == "cpu")
+    assert replace(whole, tools=["Mitsuba"]).steps(device) == measure.steps(grid, device, []) + lens.steps(
+        compare.QUICK.samples
+    )
+
+
+def test_a_comparison_has_the_rows_of_its_peers(session: Session) -> None:
+    pytest.importorskip("cv2")
+    grid = replace(Grid(), sizes=(24,), radii=(2.0,), channels=(1,), rounds=1, longest_s=100.0, slowest=inf)
+    task = Comparison(grid, None, ["OpenCV"], {})
+    calls: list[int] = []
+    found = task.measured(session.device, lambda: calls.append(1))
+    assert len(calls) == task.steps(session.device)
+    assert {(row.method, row.psf) for row in found.rows if row.tool == "OpenCV"} == {
+        (peer.method, peer.psf) for peer in peers.PEERS if peer.tool == "OpenCV"
+    }
+    assert (found.lens, found.warp, found.settings["compare"]) == (None, [], ["OpenCV"])
+    assert any(name.startswith("opencv") for name in found.versions)
+
+
+def test_missing_peers_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    there = importlib.util.find_spec
+
+    def without(*missing: str) -> None:
+        monkeypatch.setattr(peers, "find_spec", lambda name: None if name in missing else there(name))
+
+    without("numba", "cv2", "mitsuba")
+    result = CliRunner().invoke(main, ["bench", "-o", str(tmp_path / "out"), "--quick", "--compare"])
+    message = "error: --compare: needs numba or OpenCV or Mitsuba: pip install 'clsco[bench]'; got no such module"
+    assert (result.exit_code, result.stdout, result.stderr.splitlines()) == (1, "", [message])
+    assert not (tmp_path / "out").exists()
+    without("cv2", "mitsuba")
+    assert peers.require_peers() == (["numba"], dict.fromkeys(("OpenCV", "Mitsuba"), peers.NOT_INSTALLED))
+
+
+# Numba compiles each for seconds.
+@pytest.mark.parametrize(
+    "peer",
+    [pytest.param(peer, marks=pytest.mark.slow if peer.tool == "numba" else ()) for peer in peers.PEERS],
+    ids=lambda peer: f"{peer.tool}-{peer.method}-{peer.psf}",
+)
+def test_peers_do_the_same(peer: Peer) -> None:
+    pytest.importorskip(peers.MODULES[peer.tool])
+    radii = radius_map(40, 3.3) if peer.scene == "varying" else np.full((40, 40), 3.3)
+    image = np.random.default_rng(0).random((40, 40), dtype=np.float32)
+    found = peer.set_up(image, radii)()
+    exact = measure.reference(image[..., None], radii, PSFS[peer.psf])[..., 0]
+    error = np.abs(found - exact).max()
+    # GaussianBlur samples where clsco integrates; a table of floats is linear between its radii.
+    assert error < (5e-3 if peer.method == "GaussianBlur" else 2e-5)
+    assert np.abs(found - image).max() > 0.1

@@ -1,4 +1,4 @@
-"""Time and memory of large frames, with a limit of memory: python -m benchmarks.sizes
+"""Time and memory of large frames, with a limit of memory: python -m benchmarks.speed.sizes
 
 One gray channel, R from 0 to 20 px at every size, the defaults of the PSF. `render`: a plane tilted in both directions,
 rays included; `defocus`: an image and its radii, as arrays, where nothing hides anything; `layered`: the same with near
@@ -31,7 +31,7 @@ from clsco.scene.file import parse_scene
 from clsco.scene.model import Scene
 
 Plane = NDArray[np.float32]
-RESULTS = Path(__file__).parent / "results"
+RESULTS = Path(__file__).parents[1] / "results"
 LARGEST = 20.0  # px
 PARTS = ("render", "defocus", "layered", "command", "map")
 
@@ -140,10 +140,10 @@ def main() -> None:
     for part in PARTS:
         for size in given.size:
             options = ["--part", part, "--size", str(size), "--memory", given.memory]
-            command = [sys.executable, "-m", "benchmarks.sizes", *options]
+            command = [sys.executable, "-m", "benchmarks.speed.sizes", *options]
             done = subprocess.run(command, check=True, capture_output=True, text=True)
             rows.append(json.loads(done.stdout.splitlines()[-1]))
-    lines = [f"R up to {LARGEST:g} px, gray, `--memory {given.memory}` (`python -m benchmarks.sizes`)", ""]
+    lines = [f"R up to {LARGEST:g} px, gray, `--memory {given.memory}` (`python -m benchmarks.speed.sizes`)", ""]
     lines += ["| | size, px | CPU ns per px | CPU s | wall s | peak MiB |", "|---|---|---|---|---|---|"]
     for row in rows:
         figures = (1e9 * row["cpu_s"] / row["size"] ** 2, row["cpu_s"], row["wall_s"], row["peak_bytes"] / 2**20)

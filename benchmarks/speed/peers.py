@@ -1,19 +1,20 @@
 """What else blurs by a radius map or by one radius: numba's direct scatter and OpenCV; the extra `bench` has both.
 
-Mitsuba, the other peer, makes whole frames (`clsco.cli.bench.lens`).
+Mitsuba, the other peer, makes whole frames (`benchmarks.speed.lens`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.cli.bench import mitsuba
-from clsco.cli.bench.cases import PSFS, Scene
+from benchmarks.truth import mitsuba
+from clsco.cli.bench.cases import PSFS, Peer
 from clsco.errors import ClscoError
 from clsco.optics.psf import reach, weights
 from clsco.scene.model import Psf
@@ -22,12 +23,11 @@ Array = NDArray[Any]
 
 MODULES = {"numba": "numba", "OpenCV": "cv2", "Mitsuba": "mitsuba"}
 NOT_INSTALLED = "it is not installed: pip install 'clsco[bench]'"
-# Tool, method, scene and PSF.
-PEERS: tuple[tuple[str, str, Scene, str], ...] = (
-    *(("numba", way, "varying", psf) for psf in ("sampled", "integrated, tilt") for way in ("private", "bands")),
-    *(("OpenCV", "filter2D", "constant", psf) for psf in PSFS),
-    ("OpenCV", "GaussianBlur", "constant", "gaussian"),
-)
+PACKAGES = {
+    "numba": ("numba",),
+    "OpenCV": ("opencv-contrib-python-headless", "opencv-python-headless", "opencv-python"),
+    "Mitsuba": ("mitsuba", "drjit"),
+}
 # Of numba's table per px of radius, fewer for large radii, where weights change slowly and tables grow with R^3.
 MOST_STEPS, TABLE_WEIGHTS = 128, 2.0e6
 
@@ -42,18 +42,17 @@ def require_peers() -> tuple[list[str], dict[str, str]]:
     return [tool for tool in MODULES if tool not in absent], absent
 
 
-def set_up(tool: str, method: str, psf: str, image: Array, radii: Array) -> Callable[[], Array]:
-    """A peer's pass over linear light (rows, columns[, channels]), float32, by radii in px (rows, columns); makes its
-    tables."""
-    if tool == "numba":
-        light = image.reshape(*radii.shape, -1)
-        call = _numba(method, psf, light, radii)
-        return lambda: call().reshape(image.shape)
+def _set_up_numba(way: str, psf: str, image: Array, radii: Array) -> Callable[[], Array]:
+    call = _numba(way, psf, image.reshape(*radii.shape, -1), radii)
+    return lambda: call().reshape(image.shape)
+
+
+def _set_up_opencv(method: str, psf: str, image: Array, radii: Array) -> Callable[[], Array]:
     return opencv(method, PSFS[psf], image, float(radii[0, 0]))
 
 
 def _numba(way: str, psf: str, image: Array, radii: Array) -> Callable[[], Array]:
-    from clsco.cli.bench.direct import THREADS, dense_table, scatter
+    from benchmarks.speed.direct import THREADS, dense_table, scatter
 
     single, ways = radii.astype(np.float32), scatter(image.shape[2])
     if psf == "sampled":
@@ -68,7 +67,7 @@ def _numba(way: str, psf: str, image: Array, radii: Array) -> Callable[[], Array
 
 
 def opencv(method: str, psf: Psf, image: Array, radius: float) -> Callable[[], Array]:
-    """filter2D with a radius' weights, or GaussianBlur with its sigma; linear light (rows, columns[, channels])."""
+    """filter2D with a radius' weights, or GaussianBlur with its sigma; linear radiance (rows, columns[, channels])."""
     import cv2
 
     far = reach(psf, radius)
@@ -78,3 +77,14 @@ def opencv(method: str, psf: Psf, image: Array, radius: float) -> Callable[[], A
     offset = np.arange(-far, far + 1.0)
     kernel = weights(psf, offset[None, :], offset[:, None], np.asarray(radius)).astype(np.float32)
     return lambda: cv2.filter2D(image, -1, kernel, borderType=cv2.BORDER_CONSTANT)
+
+
+PEERS = (
+    *(
+        Peer("numba", way, "varying", psf, partial(_set_up_numba, way, psf))
+        for psf in ("sampled", "integrated, tilt")
+        for way in ("private", "bands")
+    ),
+    *(Peer("OpenCV", "filter2D", "constant", psf, partial(_set_up_opencv, "filter2D", psf)) for psf in PSFS),
+    Peer("OpenCV", "GaussianBlur", "constant", "gaussian", partial(_set_up_opencv, "GaussianBlur", "gaussian")),
+)

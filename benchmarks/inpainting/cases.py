@@ -1,4 +1,4 @@
-"""Images of scikit-image and masks for them: what benchmarks/inpainting.py fills."""
+"""Images of scikit-image and masks for them: what benchmarks/inpainting fills."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The thesis' method beside OpenCV's Navier-Stokes: python -m benchmarks.inpainting_speed [--images NAME...]
+"""The thesis' method beside OpenCV's Navier-Stokes: python -m benchmarks.inpainting.speed [--images NAME...]
 
 Warm calls of `clsco.inpaint(image, missing, method="mean-median")`, with all stages and the report's figures, and of
 `cv2.inpaint(image, mask, 3, cv2.INPAINT_NS)`, on the same 8-bit images and masks, in one process in turns: programs are
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import clsco
-from benchmarks.inpainting_cases import IMAGES, MASKS, Case, cases
+from benchmarks.inpainting.cases import IMAGES, MASKS, Case, cases
 
 Times = tuple[float, float]
 

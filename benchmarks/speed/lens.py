@@ -20,7 +20,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.cli.bench import mitsuba
+from benchmarks.truth import mitsuba
 from clsco.engine.renderer import Pixels, Renderer, expose
 from clsco.inputs.textures import Texture, load_scene_textures
 from clsco.opencl.device import Device
@@ -109,7 +109,7 @@ def run(device: Device, size: int, samples: Sequence[int], advance: Callable[[],
 
     cache: folder that keeps the traced frame, or None. Raises DeviceError, KernelError.
     """
-    from clsco.cli.bench.raytracer import trace_converged
+    from benchmarks.truth.raytracer import trace_converged
 
     scene, (texture,) = load_scene_textures(sized(size))
     truth, noise = trace_converged(scene, texture.radiance, size, size, NOISE, cache=cache, tell=lambda _: None)

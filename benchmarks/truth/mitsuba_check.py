@@ -7,7 +7,7 @@ texture coordinates are the pinhole projection of its vertices; it glows by its 
 With Mitsuba 3.9.1 and the defaults below both differ by 3.95e-4 RMS (68.1 dB, peak 1.0), where the noise of
 both together is 3.93e-4; their means differ by 5e-6.
 
-    python -m benchmarks.mitsuba_check [--size 128] [--samples 4096] [--seeds 4]
+    python -m benchmarks.truth.mitsuba_check [--size 128] [--samples 4096] [--seeds 4]
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.cli.bench.raytracer import trace_converged
+from benchmarks.truth.raytracer import trace_converged
 
 FRAME = 512
 PITCH, S0, APERTURE, FOCAL_LENGTH, SENSOR = 0.01, 20.0, 10.0, 20.0, 21.739

@@ -1,4 +1,6 @@
-"""Approximations of the blur that clsco does not offer, beside one that it does: `python -m benchmarks.approximations`.
+"""Approximations of the blur that clsco does not offer, beside one that it does.
+
+    python -m benchmarks.speed.approximations
 
 Layered convolution: an image split by radius into levels, each blurred by one PSF, linear in between. Stacked
 pillboxes: a Gaussian as discs of equal light. Rao transform: the blur as moments of its PSFs up to the second and the

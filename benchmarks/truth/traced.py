@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.cli.bench.raytracer import Textures, trace_converged
+from benchmarks.truth.raytracer import Textures, trace_converged
 
 Array = NDArray[np.float64]
 

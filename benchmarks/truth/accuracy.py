@@ -1,6 +1,6 @@
 """Error of a rendered frame per setting, against the thin-lens ray tracer.
 
-    python -m benchmarks.accuracy [--only NAME] [--setting NAME] [--size 512] [--engine device|reference]
+    python -m benchmarks.truth.accuracy [--only NAME] [--setting NAME] [--size 512] [--engine device|reference]
 
 Every scene is traced once (kept under build/) and rendered with each setting; a table per scene goes to the
 terminal and all figures to benchmarks/results/accuracy.json and accuracy.md. PSNR has the peak 1.0, white;
@@ -23,11 +23,11 @@ from rich.table import Table
 from scipy import ndimage
 
 import clsco
-from benchmarks.truth import decibels, rms, trace_twice, update
-from clsco.cli.bench.raytracer import pinhole_depth
+from benchmarks.truth.raytracer import pinhole_depth
+from benchmarks.truth.traced import decibels, rms, trace_twice, update
 from clsco.inputs.textures import load_texture
 
-ROOT = Path(__file__).resolve().parent
+ROOT = Path(__file__).resolve().parents[1]
 FULL_SIZE = 512
 INSIDE_PX = 16
 NOISE = 1e-4

@@ -6,24 +6,24 @@ The scenes are those of the thesis' figures 4.14 and 4.15, where a plane comes n
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.box import SIMPLE
+from rich.console import RenderableType
+from rich.table import Table
+from rich.text import Text
 
-from clsco.inputs.textures import Texture, load_scene_textures
-from clsco.opencl.buffers import download
+from clsco.cli.bench.stages import Stages
+from clsco.inputs.textures import load_scene_textures
 from clsco.opencl.device import Device
 from clsco.opencl.session import Session
 from clsco.optics.motion import Pose, poses_at, rest_center, rest_poses
 from clsco.optics.quadrics import place
-from clsco.passes.placed import PlacedScene
-from clsco.passes.warp import ForwardWarp
-from clsco.plan.plan import make_plan
-from clsco.records import Real
 from clsco.scene.examples import example
 from clsco.scene.model import Scene
 
@@ -52,45 +52,6 @@ class WarpRow:
     times: float
 
 
-class Stages:
-    """The stages of the forward warp of one scene on the device; real: by default double where that has it."""
-
-    def __init__(self, session: Session, scene: Scene, texture: Array, real: Real | None = None) -> None:
-        plan = make_plan(scene, 1, ())
-        real = real or ("double" if session.device.has_fp64 else "float")
-        self.session, self.scene = session, scene
-        placed = PlacedScene(session, scene, [Texture(np.ascontiguousarray(texture, np.float32), 8, "")], real)
-        self.sample = placed.at(scene.sequence.shutter)
-        self.warp = ForwardWarp(plan, placed, [None])
-        self.shape, self.guard = (plan.height, plan.width), plan.guard_px
-
-    def depth_test(self) -> None:
-        """Find the nearest pixel that comes to each."""
-        self.warp.nearest(self.sample, [])
-        self.session.queue.finish()
-
-    def gather(self) -> None:
-        """Bring what the nearest ones are, with nothing filled."""
-        self.warp.gather(1.0, [])
-        self.session.queue.finish()
-
-    def fill(self) -> None:
-        """Find missing pixels and fill them; after `gather`."""
-        self.warp.filler.fill(self.sample.surfaces, 1, [])
-        self.session.queue.finish()
-
-    def winners(self) -> Array:
-        """Number of the nearest pixel at rest that comes to each of the frame, (rows, columns); after `depth_test`."""
-        found = download(self.session, self.warp.winner, self.shape, np.int32)
-        inside = slice(self.guard, -self.guard or None)
-        return found[inside, inside]
-
-    def filled(self) -> Array:
-        """Row and column (n, 2) of the filled pixels that are not on the padded grid's outermost rows and columns."""
-        status = download(self.session, self.warp.filler.status, self.shape, np.uint8)
-        return (np.argwhere(status[1:-1, 1:-1] == 1) + 1).astype(np.int32)
-
-
 def scene_at(name: str, size: int) -> tuple[Scene, Array]:
     """A scene of SCENES at size x size px with the field of view that it has at 512, and its texture."""
     scene = example(SCENES[name])
@@ -102,7 +63,7 @@ def scene_at(name: str, size: int) -> tuple[Scene, Array]:
 
 def numba_depth_tests(scene: Scene) -> dict[str, Callable[[], Array]]:
     """Numba's depth tests of a scene of one object, with one thread and with all."""
-    from clsco.cli.bench import direct, zbuffer
+    from benchmarks.speed import direct, zbuffer
 
     (item,), (pose,) = scene.objects, poses_at(scene, scene.sequence.shutter, "left")
     step = scene.camera.pixel_pitch / scene.camera.normalization_distance
@@ -162,7 +123,7 @@ def _measured(calls: list[Callable[[], object]], advance: Callable[[], object]) 
 
 def _copy(missing: Array, shape: tuple[int, int]) -> Callable[[], object]:
     """A copy of the neighborhoods of missing pixels in planes of `shape`: radiance, inverse depth and blur radius."""
-    from clsco.cli.bench import zbuffer
+    from benchmarks.speed import zbuffer
 
     types = (np.float32, np.float64, np.float64)
     planes = [np.ones(shape, dtype) for dtype in (*types, *types)]
@@ -171,3 +132,14 @@ def _copy(missing: Array, shape: tuple[int, int]) -> Callable[[], object]:
 
 def _flat(pose: Pose) -> Array:
     return np.concatenate([np.ravel(pose.rotation), pose.shift])
+
+
+def warp_table(rows: Sequence[WarpRow]) -> RenderableType:
+    """Depth test and filling, with how many times the fastest of the others takes."""
+    shown = Table(title=Text("Forward warp; ns per pixel"), title_justify="left", box=SIMPLE, pad_edge=False)
+    for name in ("plane", "px", "stage", "ns", "peer", "its ns", "times"):
+        shown.add_column(name, justify="left" if name in ("plane", "stage", "peer") else "right")
+    for row in rows:
+        figures = (f"{row.cpu_ns:.1f}", row.peer, f"{row.peer_ns:.1f}", f"{row.times:.2f}")
+        shown.add_row(row.scene, f"{row.size}", row.stage, *figures)
+    return shown

@@ -414,7 +414,7 @@ def trace(
     `texture`: linear radiance (rows, columns[, channels]), or a sequence of one per object; `samples`: rays
     per pixel, at least 2, best a power of two. Returns the linear image (rows, columns[, channels]) and its
     noise (RMS, same unit). Raises ValueError as `prepare` does. Validated against closed forms
-    (tests/benchmarks/test_raytracer.py) and against Mitsuba 3 (benchmarks/mitsuba_check.py).
+    (tests/benchmarks/test_raytracer.py) and against Mitsuba 3 (benchmarks/truth/mitsuba_check.py).
     """
     if samples < 2:
         raise ValueError(f"trace: samples must be at least 2, one for each half; got {samples}")

@@ -1,7 +1,8 @@
 """Two versions of clsco on one machine, in turn: warm frames, and `clsco render` with an empty and a filled cache.
 
 Run it with the Python of each version; scenes come from a folder that both can read:
-    .venv/bin/python benchmarks/versions.py --old OLD/.venv/bin/python --new .venv/bin/python --examples OLD/examples
+    .venv/bin/python benchmarks/speed/versions.py --old OLD/.venv/bin/python --new .venv/bin/python \
+        --examples OLD/examples
 It prints medians of processor time and of the ratio new / old, pair by pair.
 """
 

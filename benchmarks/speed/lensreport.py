@@ -9,7 +9,7 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from clsco.cli.bench.lens import EDGES, PSFS, Lens
+from benchmarks.speed.lens import EDGES, PSFS, Lens
 
 EDGE_COLORS = dict(zip(EDGES, ("#d55e00", "#e69f00", "#0072b2"), strict=True))
 # With tilt or not, with sources at silhouettes or not.

@@ -1,4 +1,4 @@
-"""Speed of the blur with one radius against OpenCV, in one run: python -m benchmarks.convolve_speed
+"""Speed of the blur with one radius against OpenCV, in one run: python -m benchmarks.speed.convolve_speed
 
 White noise, one gray channel, whole passes with the copy of the result. Process CPU time, medians of interleaved
 repetitions, ns per pixel. OpenCV's filter2D has the same weights, and takes a DFT for more than a few; its GaussianBlur
@@ -19,14 +19,14 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.defocus_speed import measured
+from benchmarks.speed.peers import opencv
 from clsco.cli.bench.passes import Pass
-from clsco.cli.bench.peers import opencv
 from clsco.opencl.device import choose
 from clsco.opencl.session import Session
 from clsco.optics.psf import reach, weights
 from clsco.scene.model import Psf
 
-RESULTS = Path(__file__).parent / "results"
+RESULTS = Path(__file__).parents[1] / "results"
 PSFS = {
     "sampled": Psf(edge="sampled"),
     "area": Psf(edge="area"),

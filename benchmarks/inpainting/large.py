@@ -1,4 +1,4 @@
-"""Time and memory of filling 1 % of a large color image: python -m benchmarks.inpainting_large [--size 8192].
+"""Time and memory of filling 1 % of a large color image: python -m benchmarks.inpainting.large [--size 8192].
 
 The image is noise on shades, as hard to compress as a photograph; the holes are single pixels, scratches from one
 border to the other, or blocks of 16 x 16 px. `clsco inpaint` runs with each method in a process of its own, whose peak

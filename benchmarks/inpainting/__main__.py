@@ -3,7 +3,7 @@
 PSNR and SSIM in the holes, and process CPU time (median of three where it takes less than a second), on 8-bit images
 of scikit-image with five kinds of holes. Ours (auto, texture, biharmonic, and the thesis' mean/median with all its
 stages) on the OpenCL device, kernels compiled before; OpenCV's Telea and NS (radius 3), xphoto's FSR and SHIFTMAP;
-scikit-image's biharmonic. python -m benchmarks.inpainting_speed times the thesis' method and NS in turns.
+scikit-image's biharmonic. python -m benchmarks.inpainting.speed times the thesis' method and NS in turns.
 FSR best takes 10 to 40 times as long as FSR fast, SHIFTMAP up to 15 times: they fill the cases of --slow only, with
 --slow all every one, which takes most of an hour. Figures go to the terminal and to benchmarks/results/NAME.json and
 NAME.md. --images takes any picture of skimage.data by name.
@@ -29,7 +29,7 @@ from skimage.metrics import structural_similarity
 from skimage.restoration import inpaint_biharmonic
 
 import clsco
-from benchmarks.inpainting_cases import IMAGES, MASKS, Case, cases
+from benchmarks.inpainting.cases import IMAGES, MASKS, Case, cases
 from clsco.inpainting.biharmonic import fill_biharmonic
 from clsco.inpainting.choice import choose_method
 from clsco.inpainting.fse import fill_texture
@@ -39,7 +39,7 @@ from clsco.opencl.session import Session
 Image = NDArray[Any]
 Mask = NDArray[np.bool_]
 Fill = Callable[[Image, Mask], Image]
-RESULTS = Path(__file__).parent / "results"
+RESULTS = Path(__file__).parents[1] / "results"
 REPETITIONS = 3
 QUICK = 1.0  # s, of process CPU time: what takes less is repeated
 SLOW = ("FSR best", "SHIFTMAP")
