@@ -102,7 +102,7 @@ def run_map_command(size: int, memory: str) -> Callable[[], object]:
 def run_command(size: int, memory: str) -> Callable[[], object]:
     """What runs `clsco render` on a scene file."""
     from clsco.cli.main import main
-    from clsco.scene.file import dump
+    from clsco.scene.changes import dump
 
     folder = Path(tempfile.mkdtemp(prefix="clsco-sizes-"))
     path = folder / "scene.json"

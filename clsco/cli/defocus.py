@@ -13,7 +13,7 @@ from clsco.files.transfer import encode
 from clsco.frame.frame import Frame
 from clsco.inputs.depth_files import read_depth
 from clsco.inputs.depth_maps import check_sizes, inverse_depth
-from clsco.scene.file import override
+from clsco.scene.changes import override
 from clsco.scene.model import DepthMap, Scene
 from clsco.scene.sweep import Sweep, parse_sweep
 

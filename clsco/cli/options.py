@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -134,7 +135,17 @@ class Computation:
         return {"method": self.method, "tolerance": self.tolerance}
 
 
-PATH = click.Path(path_type=Path)
+class _Path(click.Path):
+    """A path that is not empty: Path("") would be the current folder."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path; click fails for none."""
+        if os.fspath(value) == "":
+            self.fail('must be a path; got ""', param, ctx)
+        return super().convert(value, param, ctx)
+
+
+PATH = _Path(path_type=Path)
 one_scene = click.argument("scene", type=PATH)
 scenes_wanted = click.argument("scenes", metavar="SCENE...", nargs=-1, required=True, type=PATH)
 set_option = click.option(

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from rich.box import SIMPLE
-from rich.console import Console, RenderableType
+from rich.console import Console, Group, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
     from clsco.opencl.self_test import Check
 
 
-def _table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], right: Sequence[str] = ()) -> Table:
+def _table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], right: Sequence[str] = ()) -> Group:
     """A table of plain text; columns named in `right` hold numbers."""
-    table = Table(title=Text(title), title_justify="left", box=SIMPLE, pad_edge=False)
+    table = Table(box=SIMPLE, pad_edge=False)
     for name in columns:
         table.add_column(Text(name), justify="right" if name in right else "left", overflow="fold")
     for row in rows:
         table.add_row(*(Text(cell) for cell in row))
-    return table
+    return Group(Text(title, no_wrap=True, overflow="ignore", style="italic"), table)  # a table would wrap its own
 
 
 def plan_tables(plans: Sequence[Plan]) -> list[RenderableType]:
@@ -202,7 +202,7 @@ def print_tables(*things: RenderableType) -> None:
     if sys.stdout is None:
         return
     width = None if sys.stdout.isatty() else 160
-    Console(width=width, markup=False, highlight=False, emoji=False).print(*things, sep="\n")
+    Console(width=width, markup=False, highlight=False, emoji=False).print(*things, sep="\n", crop=False)
 
 
 @contextmanager

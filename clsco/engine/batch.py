@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 from clsco.engine.sequence import render_sweep
 from clsco.errors import ImageError, SceneError
 from clsco.files.atomic import remove_stale, same_place, writable_folder
-from clsco.frame.files import frame_files, read_complete, write_frame
+from clsco.frame.files import frame_files, frame_json, read_complete, write_frame
 from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES, Frame
 from clsco.frame.provenance import file_digests, record
 from clsco.plan.approximation import asked_alike
@@ -39,6 +39,8 @@ class Job:
     files: tuple[str, ...]
     method: str = "auto"
     tolerance: float | None = None
+    before: Mapping[int, int | None] = field(default_factory=dict)
+    """When each frame in the folder was written, ns; None for none."""
 
 
 def folders(scenes: Sequence[Path], out: Path) -> list[Path]:
@@ -115,7 +117,8 @@ def prepare(
         return whole and alike and all(precision in (None, view.get("precision")) for view in views)
 
     left = tuple(index for index in frames if not (resume and is_there(index)))
-    return Job(scene, about, folder, left, files, method, tolerance)
+    before = {index: _written(folder, index) for index in left}
+    return Job(scene, about, folder, left, files, method, tolerance, before)
 
 
 def prepare_all(
@@ -136,6 +139,14 @@ def prepare_all(
     ]
     digests = file_digests(scene for scene, _, _ in chosen)
     return [prepare(*what, files, precision, resume, digests, method, tolerance) for what in chosen]
+
+
+def _written(folder: Path, index: int) -> int | None:
+    """When a frame was written, ns; None where it is not there."""
+    try:
+        return frame_json(folder, index).stat().st_mtime_ns
+    except OSError:
+        return None
 
 
 def run(
@@ -171,6 +182,9 @@ def _run_together(
             left = frame
             continue
         job, views = jobs[number], (frame,) if left is None else (left, frame)
+        if _written(job.folder, frame.index) != job.before[frame.index]:
+            where = frame_json(job.folder, frame.index)
+            raise ImageError(f"{where}: frames must have one writer at a time; got one that another process wrote")
         write_frame(job.folder, views, frame.metadata["bits"], job.scene.image.transfer, job.files, job.record)
         left = None
         yield job, views

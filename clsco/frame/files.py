@@ -117,6 +117,11 @@ def frame_files(index: int, stereo: bool, truth: Sequence[str] = ()) -> set[str]
     return names
 
 
+def frame_json(folder: str | os.PathLike[str], index: int) -> Path:
+    """The file that describes a frame, which is written last."""
+    return Path(folder) / f"frame_{index:04d}.json"
+
+
 def write_frame(
     folder: str | os.PathLike[str], views: Sequence[Frame], bits: int, transfer: str, truth: Sequence[str] = (),
     about: Mapping[str, Any] | None = None,
@@ -155,7 +160,7 @@ def write_frame(
     """
     index, stereo = views[0].index, len(views) > 1
     stem, apart = f"frame_{index:04d}", _stems(index, [frame.eye for frame in views])
-    described = Path(folder) / f"{stem}.json"
+    described = frame_json(folder, index)
     with together(Path(folder), stem) as made:
         for own, frame in zip(apart, views, strict=True):
             write_png(made / f"{own}.png", encode(frame.color, min(bits, 16), transfer))
@@ -176,7 +181,7 @@ def write_frame(
 
 def read_complete(folder: str | os.PathLike[str], index: int) -> dict[str, Any] | None:
     """JSON content of a frame on disk if all files that it names are there, unchanged; else None."""
-    described = Path(folder) / f"frame_{index:04d}.json"
+    described = frame_json(folder, index)
 
     def is_as_recorded(name: str, digest: str) -> bool:
         path = described.parent / name  # to open a pipe would block for ever

@@ -11,7 +11,7 @@ from typing import Any, get_args
 from clsco import __version__
 from clsco.files.atomic import refuse, sha256
 from clsco.optics.motion import Eye
-from clsco.scene.file import dump
+from clsco.scene.changes import dump
 from clsco.scene.model import Scene, Within
 
 # Units of derived parameters and of a frame's metadata, where the name does not say them.

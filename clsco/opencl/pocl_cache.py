@@ -14,6 +14,7 @@ import json
 import os
 import shutil
 import stat
+import sys
 import tempfile
 import time
 import zlib
@@ -50,14 +51,21 @@ def prepare(environ: MutableMapping[str, str] = os.environ) -> None:
     """Point PoCL at its own, versioned cache folder; to be called before the first query of the platforms.
 
     A POCL_CACHE_DIR that the user has set stays. The folder is `clsco/pocl-<versions>` in the user's cache
-    folder, or, where that cannot be written, a temporary one that is removed when the process ends.
+    folder, or, where that cannot be written, or others may write to it, a temporary one that is removed when the
+    process ends.
     """
     if environ.get(VARIABLE):
         return
     try:
         root = Path(environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        folder = _made(root / "clsco" / f"pocl-{_versions()}")
-        if has_room(folder):
+        root.mkdir(mode=0o700, parents=True, exist_ok=True)
+        folder = root / "clsco" / f"pocl-{_versions()}"
+        for made in (folder.parent, folder):  # one by one: the mode is not that of parents
+            made.mkdir(mode=0o700, exist_ok=True)
+        if (exposed := _exposed(root, folder.parent, folder)) is not None:
+            rule = "must belong to you, and be writable by you alone, as what is in it is executed"
+            print(f"clsco: {exposed}: {rule}; kernels go to a temporary folder", file=sys.stderr)
+        elif has_room(_made(folder)):
             environ[VARIABLE] = str(folder)
             return
     except (OSError, RuntimeError):  # read-only, full, or a user without a home
@@ -65,6 +73,30 @@ def prepare(environ: MutableMapping[str, str] = os.environ) -> None:
     root = Path(tempfile.mkdtemp(prefix="clsco-"))
     atexit.register(shutil.rmtree, root, ignore_errors=True)
     environ[VARIABLE] = str(_made(root / "clsco" / "pocl"))
+
+
+def _exposed(root: Path, *ours: Path) -> Path | None:
+    """The first folder in which another user could put kernels; `ours`: those that are made in `root`, from its top."""
+    if not hasattr(os, "geteuid"):
+        return None
+    user = os.geteuid()
+    above = root.stat()
+    swappable = above.st_mode & stat.S_IWOTH and not above.st_mode & stat.S_ISVTX  # a folder in it could be replaced
+    if above.st_uid not in (user, 0) or swappable:
+        return root
+    for folder in ours:
+        found = folder.lstat()
+        if not stat.S_ISDIR(found.st_mode) or found.st_uid != user or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+            return folder
+    return None
+
+
+def is_on_disk() -> bool:
+    """Whether PoCL's folder is where files can be, which /proc is not."""
+    try:
+        return shutil.disk_usage(_folder()).total > 0
+    except OSError:  # a folder of the user's that is not there yet
+        return True
 
 
 def has_room(folder: Path | None = None) -> bool:

@@ -71,6 +71,9 @@ class Session:
         """
         if not self.device.is_pocl:
             return nullcontext()
+        if not poclcache.is_on_disk():
+            got = os.environ[poclcache.VARIABLE]
+            raise DeviceError(f"{poclcache.VARIABLE}: must be a folder on a disk, for kernels; got {got}")
         if not poclcache.has_room():
             rule = f"the folder {os.environ[poclcache.VARIABLE]} must have {poclcache.ROOM >> 20} MiB for kernels"
             raise DeviceError(f"device {self.device}: {rule}; got a full disk")

@@ -20,7 +20,7 @@ from clsco.plan.buffers import DeviceFacts
 from clsco.plan.memory import fitted, limit_of
 from clsco.plan.plan import Plan, make_plan
 from clsco.plan.predict import Maps
-from clsco.scene.file import at_most
+from clsco.scene.faults import at_most
 from clsco.scene.model import BUILT_IN_TEXTURES, DepthMap, Scene
 from clsco.scene.sweep import Sweep
 

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
+from clsco.scene.changes import replaced
 from clsco.scene.quantities import (
     MAX_LENGTH_MM,
     MIN_LENGTH_MM,
@@ -220,8 +221,8 @@ class Sequence(Strict):
     """Time from frame to frame, s."""
     shutter: Duration = Field(default_factory=lambda data: data["interval"])
     """Time that the shutter is open, s, at most interval. Default: interval."""
-    samples: Samples = 5
-    """Time samples per frame, or "auto": about one per 1 to 2 px of the largest motion."""
+    samples: Samples = "auto"
+    """Time samples per frame, or "auto": about one per px of the largest motion."""
     sampling: Literal["midpoint", "endpoint"] = "midpoint"
     """Position of each time sample in its share of the exposure."""
 
@@ -324,6 +325,31 @@ class Scene(Strict):
             rule = '"visibility" needs analytic surfaces, which rays can be cast at; use "layered" or "none"'
             raise at_keys([(("psf", "occlusion"), fault(rule), self.psf.occlusion)])
         return self
+
+    def replace(self, path: str, value: Any) -> Self:
+        """The scene with another value of one key, without what contradicts it: "camera.f_number" removes an aperture.
+
+        Parameters
+        ----------
+        path : str
+            Key of the scene file, such as "camera.f_number" or "object.0.radius".
+        value
+            Of the key; a table or a list of them as mappings, or as objects of this package.
+
+        Returns
+        -------
+        Scene
+
+        Raises
+        ------
+        SceneError
+            There is no such key, or the value cannot be.
+
+        Notes
+        -----
+        `model_copy(update=...)` of pydantic checks nothing, and leaves what was derived from the old value.
+        """
+        return replaced(self, path, value)
 
     @property
     def moves(self) -> bool:

@@ -6,7 +6,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from clsco.scene.file import MAX_OUTPUTS, SECTIONS, SHAPES, SWEEPABLE
+from clsco.scene.faults import SHAPES
+from clsco.scene.file import MAX_OUTPUTS, SECTIONS, SWEEPABLE
 from clsco.scene.model import CameraMotion, ObjectMotion, Scene
 
 _END = {"anyOf": [{"type": "number"}, {"type": "array", "items": {"type": "number"}}]}

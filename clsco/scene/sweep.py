@@ -11,16 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from clsco.errors import SceneError
-from clsco.scene.file import (
-    MAX_OUTPUTS,
-    Location,
-    absolute,
-    at_most,
-    missing_files,
-    parse_scene,
-    read_mapping,
-    swept_keys,
-)
+from clsco.scene.faults import at_most
+from clsco.scene.file import MAX_OUTPUTS, Location, absolute, missing_files, parse_scene, read_mapping, swept_keys
 from clsco.scene.model import Scene
 from clsco.scene.text import key_name, shown
 

@@ -19,7 +19,8 @@ from clsco.cli.main import main
 from clsco.errors import ClscoError, ImageError, SceneError
 from clsco.files.images import read_image, write_png
 from clsco.frame.frame import Frame
-from clsco.scene.file import dump, parse_scene
+from clsco.scene.changes import dump
+from clsco.scene.file import parse_scene
 from clsco.scene.model import DepthMap, Scene, Stereo
 
 CODES = np.arange(12 * 9, dtype=np.uint8).reshape(9, 12)

@@ -472,3 +472,17 @@ def test_a_killed_run_leaves_whole_frames_and_is_resumed(kill: signal.Signals, b
     assert list(out.glob(".*")) == []
     assert read_complete(out, done + 1) is not None
     assert {name: mark for name, mark in marks(out).items() if name in kept} == kept
+
+
+@pytest.mark.parametrize("command", ["render", "defocus", "inpaint"])
+def test_an_empty_path_is_not_the_current_folder(command: str, ball: Path) -> None:
+    files = [ball] if command == "render" else [ball, ball]
+    result = clsco_(command, *files, "-o", "")
+    assert result.exit_code == 2
+    assert 'must be a path; got ""' in result.output
+
+
+def test_a_long_title_is_one_line(ball: Path) -> None:
+    title = "A ball that is described in more words than any of the tables below it is wide, by far " * 2
+    lines = clsco_("plan", ball, "--set", f"title={title.strip()}").output.splitlines()
+    assert lines[0].rstrip() == f"Plan: {title.strip()}"

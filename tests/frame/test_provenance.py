@@ -12,7 +12,8 @@ from clsco.errors import ImageError, SceneError
 from clsco.frame.provenance import file_digests, record, scene_sha256, units
 from clsco.plan.prepare import planned, planned_sweep
 from clsco.plan.unused_keys import unused_keys
-from clsco.scene.file import dump, parse_scene
+from clsco.scene.changes import dump
+from clsco.scene.file import parse_scene
 from clsco.scene.model import Scene
 from clsco.scene.sweep import parse_sweep
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from clsco.errors import SceneError
-from clsco.scene import file as scenefile
+from clsco.scene import faults
 from tests.hostile import fuzz
 from tests.hostile.commands import bomb
 from tests.hostile.mutate import Case, make_case
@@ -102,7 +102,7 @@ class TestPlanted:
         error = SceneError("x")
         error.messages = ("scene: a: must be b; got \x1b[2J",)
         assert faults_of(error, "scene")
-        assert scenefile.MAX_MESSAGES * 2000 < 2**20
+        assert faults.MAX_MESSAGES * 2000 < 2**20
         assert os.linesep not in str(SceneError("scene: a\nb"))
 
     def test_what_is_not_watched_is_not_seen(self, tmp_path: Path) -> None:

@@ -14,7 +14,8 @@ from clsco.optics.psf import weights
 from clsco.plan.methods import Blur
 from clsco.plan.plan import make_plan
 from clsco.reference.layered.layered import layered
-from clsco.scene.file import dump, parse_scene
+from clsco.scene.changes import dump
+from clsco.scene.file import parse_scene
 from clsco.scene.model import Aperture, Psf
 from tests.engine.test_defocus import picture
 from tests.engine.test_defocus import reference as blurred_by_reference

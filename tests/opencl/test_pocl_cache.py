@@ -233,3 +233,49 @@ def test_folders_that_did_not_change_are_not_read_again(folder: Path, monkeypatc
     assert poclcache.check() == 0
     (folder / "AB/two/kernel/work.so").write_text("Compiled")  # in place, as no folder tells
     assert poclcache.check() == 1
+
+
+def chosen(root: Path) -> str:
+    """The folder for kernels below `root`, or a temporary one."""
+    environ = {"XDG_CACHE_HOME": str(root)}
+    poclcache.prepare(environ)
+    return environ[poclcache.VARIABLE]
+
+
+@pytest.mark.parametrize("place", ["clsco", "clsco/{versions}"])
+@pytest.mark.parametrize("mode", [0o777, 0o775, 0o702])
+def test_a_folder_that_others_may_write_to_is_not_used(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], place: str, mode: int
+) -> None:
+    """What is in it is executed."""
+    ours = tmp_path / "clsco" / f"pocl-{poclcache._versions()}"
+    planted = ours / "AB/one/work.so"
+    planted.parent.mkdir(parents=True)
+    planted.write_text("planted")
+    for folder in (ours.parent, ours):
+        folder.chmod(0o700)
+    assert chosen(tmp_path) == str(ours)
+    assert capsys.readouterr().err == ""
+    (tmp_path / place.format(versions=ours.name)).chmod(mode)
+    assert not chosen(tmp_path).startswith(str(tmp_path))
+    assert "must belong to you, and be writable by you alone" in capsys.readouterr().err
+
+
+def test_a_folder_of_another_user_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tmp_path.chmod(0o700)
+    user = os.geteuid()
+    assert chosen(tmp_path).startswith(str(tmp_path))
+    monkeypatch.setattr(os, "geteuid", lambda: user + 1)
+    assert not chosen(tmp_path).startswith(str(tmp_path))
+
+
+def test_a_link_is_not_used(tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir(mode=0o700)
+    (tmp_path / "clsco").symlink_to(tmp_path / "elsewhere")
+    assert not chosen(tmp_path).startswith(str(tmp_path))
+
+
+@pytest.mark.parametrize(("mode", "used"), [(0o777, False), (0o1777, True), (0o755, True)])
+def test_where_the_folder_itself_could_be_replaced(tmp_path: Path, mode: int, used: bool) -> None:
+    tmp_path.chmod(mode)
+    assert chosen(tmp_path).startswith(str(tmp_path)) == used

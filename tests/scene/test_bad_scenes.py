@@ -7,7 +7,8 @@ import tomllib
 import pytest
 
 from clsco.errors import SceneError
-from clsco.scene.file import dump, parse_scene
+from clsco.scene.changes import dump
+from clsco.scene.file import parse_scene
 
 # A line of a scene file whose object is valid, and the message.
 SCENES: list[tuple[str, str]] = [

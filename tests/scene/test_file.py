@@ -12,7 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clsco.errors import SceneError
-from clsco.scene.file import MAX_DOTS, MAX_FILE_BYTES, MAX_MESSAGES, dump, load_scene, parse_scene
+from clsco.scene.changes import dump
+from clsco.scene.faults import MAX_MESSAGES
+from clsco.scene.file import MAX_DOTS, MAX_FILE_BYTES, load_scene, parse_scene
 from clsco.scene.model import AnyShape, Cone, Cylinder, DepthMap, Ellipsoid, Plane, Quadric, Scene, Sphere
 from clsco.scene.schema import scene_schema
 from clsco.scene.sweep import load_sweep

@@ -64,7 +64,7 @@ COEFFICIENTS = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0)
         ),
         (
             Sequence(),
-            {"frames": 1, "interval": 1.0, "shutter": 1.0, "samples": 5, "sampling": "midpoint"},
+            {"frames": 1, "interval": 1.0, "shutter": 1.0, "samples": "auto", "sampling": "midpoint"},
         ),
         (Motion(), {"warp": "inverse", "rotation": "euler", "texture_filter": "bicubic"}),
         (Fill(), {"method": "ait", "domain": "surface"}),

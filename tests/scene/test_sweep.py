@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 import clsco
 from clsco.errors import SceneError
-from clsco.scene.file import MAX_OUTPUTS, dump, load_scene, parse_scene, swept_keys
+from clsco.scene.changes import dump
+from clsco.scene.file import MAX_OUTPUTS, load_scene, parse_scene, swept_keys
 from clsco.scene.model import Camera, Motion, ObjectMotion, Scene, Sequence
 from clsco.scene.schema import scene_schema
 from clsco.scene.sweep import load_sweep, parse_sweep

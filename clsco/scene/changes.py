@@ -1,0 +1,137 @@
+"""Changes of single keys of a scene's mapping."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Sequence
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, TypeAdapter
+
+from clsco.errors import SceneError
+from clsco.scene.faults import parsed
+from clsco.scene.text import brief, shown
+
+# (key, its new value or None for any, key of the file that would contradict it)
+_DISPLACED: tuple[tuple[str, str | None, str], ...] = (
+    ("camera.f_number", None, "camera.aperture_diameter"),
+    ("camera.aperture_diameter", None, "camera.f_number"),
+    ("camera.focus_distance", None, "camera.sensor_distance"),
+    ("camera.sensor_distance", None, "camera.focus_distance"),
+    ("aperture.shape", "circle", "aperture.blades"),
+    ("aperture.shape", "circle", "aperture.rotation"),
+    ("psf.model", "pillbox", "psf.sigma_ratio"),
+    ("psf.model", "pillbox", "psf.truncation"),
+    ("motion.warp", "forward", "motion.texture_filter"),
+    ("motion.warp", "inverse", "fill"),
+)
+
+
+_ANYTHING = TypeAdapter(Any)
+Root = TypeVar("Root", bound=BaseModel)
+
+
+def key_parts(key: str) -> list[str]:
+    """Parts of a key like object.0.radius, or object[0].radius."""
+    return re.sub(r"\[(\d+)\]", r".\1", key).split(".")
+
+
+def override(data: dict[str, Any], overrides: Sequence[str], where: str) -> None:
+    """Apply overrides to `data` in their order, see `load_scene`; raises SceneError for text that is not KEY=VALUE."""
+    messages = []
+    for text in overrides:
+        key, equals, value = text.partition("=")
+        parts = key_parts(key.strip())
+        if not equals or not all(parts):
+            messages.append(f"{where}: override must be KEY=VALUE, like camera.f_number=4; got {shown(text)}")
+            continue
+        parsed = _value(value.strip())
+        displace(data, ".".join(parts), parsed)
+        if (fault := put(data, parts, parsed)) is not None:
+            messages.append(f"{where}: override {brief(text)}: {fault}")
+    if messages:
+        raise SceneError(messages)
+
+
+def _value(text: str) -> Any:
+    """The TOML value of a text, or the text itself where it is not one."""
+    try:
+        parsed = tomllib.loads(f"value = {text}")
+    except (ValueError, RecursionError):
+        return text
+    return parsed["value"] if len(parsed) == 1 else text
+
+
+def put(data: dict[str, Any], parts: list[str], value: Any) -> str | None:
+    """Set the entry at `parts`, making tables on the way; returns the reason where that is impossible."""
+    node: Any = data
+    for position, part in enumerate(parts):
+        last = position == len(parts) - 1
+        if isinstance(node, list):
+            if not (part.isdecimal() and len(part) < 10 and int(part) < len(node)):
+                place = brief(".".join(parts[:position]))
+                return f"{place} has {len(node)} entries, counted from 0; got {brief(part)}"
+            key: Any = int(part)
+        elif isinstance(node, dict):
+            key = part
+            if not last:
+                node.setdefault(key, {})
+        else:
+            return f"{brief('.'.join(parts[:position]))} must be a table; got {shown(node)}"
+        if last:
+            node[key] = value
+        else:
+            node = node[key]
+    return None
+
+
+def displace(data: dict[str, Any], key: str, value: Any) -> None:
+    """Remove the keys that contradict `key` = `value`."""
+    for cause, condition, other in _DISPLACED:
+        if key == cause and condition in (None, value):
+            section, _, entry = other.partition(".")
+            if not entry:
+                data.pop(section, None)
+            elif isinstance(data.get(section), dict):
+                data[section].pop(entry, None)
+
+
+def dump(scene: Any) -> dict[str, Any]:
+    """Content of the scene file that describes a scene, with all keys that apply to it written out.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    dict
+        Plain dicts, lists, strings, numbers and booleans; `parse_scene` makes an equal scene of them.
+    """
+    data: dict[str, Any] = scene.model_dump(mode="json", by_alias=True, exclude_none=True)
+    if scene.camera.f_number is not None:
+        del data["camera"]["aperture_diameter"]
+    if scene.camera.focus_distance is not None:
+        del data["camera"]["sensor_distance"]
+    for key, section in (("aperture.shape", "aperture"), ("psf.model", "psf"), ("motion.warp", "motion")):
+        displace(data, key, data[section][key.rpartition(".")[2]])
+    if scene.psf.occlusion == "visibility" and not scene.is_ray_castable:
+        del data["psf"]["occlusion"]  # the default, which only the plan can resolve
+    return data
+
+
+def replaced(scene: Root, path: str, value: Any) -> Root:
+    """A scene with another value of one key. Raises SceneError where that cannot be."""
+    data, parts = dump(scene), key_parts(path)
+    parts = ["object", *parts[1:]] if parts[0] == "objects" else parts
+    plain = _ANYTHING.dump_python(value, mode="json", by_alias=True, exclude_none=True, fallback=_plain)
+    displace(data, ".".join(parts), plain)
+    if (fault := put(data, parts, plain)) is not None:
+        raise SceneError(f"scene: {brief(path)}: {fault}")
+    return parsed(type(scene), data, "scene")
+
+
+def _plain(value: Any) -> Any:
+    """NumPy's numbers and arrays as Python's; what is none of them is refused by its text."""
+    return value.tolist() if hasattr(value, "tolist") else repr(value)

@@ -1,0 +1,143 @@
+"""Faults of a scene's mapping: one message each, `where: key: rule; got value`."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
+from typing import Any, TypeVar, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from clsco.errors import SceneError
+from clsco.scene.shapes import AnyShape, ObjectMotion, repeated_names
+from clsco.scene.text import key_name, shown
+
+MAX_MESSAGES = 100
+SHAPES: dict[str, type[BaseModel]] = {shape.model_fields["shape"].default: shape for shape in get_args(AnyShape)}
+
+Root = TypeVar("Root", bound=BaseModel)
+
+_RULES = {
+    "bool_type": "must be true or false",
+    "float_type": "must be a number",
+    "int_type": "must be an integer",
+    "string_type": "must be text",
+    "string_unicode": "must be valid Unicode text",
+    "string_too_short": "must not be empty",
+    "string_too_long": "must have at most {max_length} characters",
+    "literal_error": "must be {expected}",
+    "model_type": "must be a table",
+    "model_attributes_type": "must be a table",
+    "invalid_key": "keys must be text",
+}
+
+
+@lru_cache(maxsize=1)
+def sections(root: type[BaseModel]) -> dict[str, type[BaseModel]]:
+    """Models of the tables of a scene, by their keys; root: the scene's model."""
+    return {
+        name: part
+        for name, field in root.model_fields.items()
+        for part in (field.annotation, *get_args(field.annotation))
+        if isinstance(part, type) and issubclass(part, BaseModel)
+    }
+
+
+@lru_cache(maxsize=1)
+def _places(root: type[BaseModel]) -> list[tuple[str, type[BaseModel]]]:
+    """All tables by where they are."""
+    known = sections(root)
+    shapes = (("object[0]", shape) for shape in SHAPES.values())
+    moving: Any = known["camera"].model_fields["motion"].annotation
+    return [*known.items(), *shapes, ("object[0].motion", ObjectMotion), ("camera.motion", moving)]
+
+
+def parsed(root: type[Root], mapping: Any, where: str) -> Root:
+    """Validate the mapping of a scene; root: its model. Raises SceneError, one message per fault."""
+    if not isinstance(mapping, Mapping):
+        raise SceneError(f"{where}: must be a table; got {shown(mapping)}")
+    try:
+        return root.model_validate(dict(mapping), by_alias=True, by_name=False)
+    except ValidationError as error:
+        found = messages(error, root)
+    names = [name if isinstance(name := item.get("name"), str) else None for item in items(mapping)]
+    for index, fault, name in repeated_names(names):
+        message = f"object[{index}].name: {fault.message()}; got {shown(name)}"
+        found += [message] if message not in found else []
+    raise SceneError(at_most(where, found))
+
+
+def messages(error: ValidationError, root: type[BaseModel], place: tuple[str, ...] = ()) -> list[str]:
+    """Messages on the faults that pydantic found in a scene, or in the table of it at `place`."""
+    return [_message({**fault, "loc": (*place, *fault["loc"])}, root) for fault in _faults(error)]
+
+
+def at_most(where: str, messages: Iterable[str]) -> list[str]:
+    """Messages as `where: message`; of more than MAX_MESSAGES the first ones, and the number of the others."""
+    listed = list(messages)
+    if len(listed) > MAX_MESSAGES:
+        listed[MAX_MESSAGES:] = [f"and {len(listed) - MAX_MESSAGES} more faults"]
+    return [f"{where}: {message}" for message in listed]
+
+
+def items(data: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Tables of objects, with an empty one in place of what is not a table."""
+    items = data.get("object")
+    return [item if isinstance(item, Mapping) else {} for item in items] if isinstance(items, list) else []
+
+
+def _faults(error: ValidationError) -> list[Mapping[str, Any]]:
+    """Faults that pydantic found, except defaults that could not be formed because another key is at fault."""
+    return [fault for fault in error.errors(include_url=False) if fault["type"] != "default_factory_not_called"]
+
+
+def _message(fault: Mapping[str, Any], root: type[BaseModel]) -> str:
+    """Message `key: rule; got value` of one fault that pydantic found."""
+    kind, given, context = fault["type"], fault["input"], fault.get("ctx", {})
+    loc, shape = tuple(fault["loc"]), None
+    if kind == "rule" and loc == ("objects",):  # pydantic's name where the default is at fault
+        loc = ("object",)
+    if len(loc) > 2 and loc[0] == "object" and loc[2] in SHAPES:
+        shape, loc = loc[2], loc[:2] + loc[3:]
+    if kind == "missing":
+        return f"{key_name(loc)}: must be given; got nothing"
+    if kind == "extra_forbidden":
+        rule = _unknown(loc, shape, root)
+    elif kind == "rule":
+        rule = context["rule"]
+    elif kind == "float_type" and type(given) is int:
+        rule = "must be a finite number"  # an integer beyond float64
+    else:
+        rule = _RULES[kind].format(**context).replace("'", "") if kind in _RULES else fault["msg"]
+    return f"{key_name(loc)}: {rule}; got {context.get('got') or shown(given)}"
+
+
+def _unknown(loc: tuple[Any, ...], shape: str | None, root: type[BaseModel]) -> str:
+    """Rule for an unknown key: the shapes that it belongs to, or the key that is probably meant."""
+    key = str(loc[-1])
+    if shape is not None and len(loc) == 3:
+        known = list(SHAPES[shape].model_fields)
+        homes = [name for name, model in SHAPES.items() if key in model.model_fields]
+        if homes:
+            return f"belongs to {_listed(homes)}, not to {shape}"
+    elif shape is not None:
+        known = list(SHAPES[shape].model_fields[loc[-2]].annotation.model_fields)  # type: ignore[union-attr]
+    else:
+        keys = [str(field.validation_alias or name) for name, field in root.model_fields.items()]
+        known = list(_model_at(loc[:-1], root).model_fields) if len(loc) > 1 else keys
+    near = difflib.get_close_matches(key[:64], known, n=1)
+    near += [f"{path}.{key}" for path, model in _places(root) if key in model.model_fields]
+    return f"unknown key (did you mean {near[0]}?)" if near else "unknown key"
+
+
+def _model_at(loc: Sequence[str], root: type[BaseModel]) -> type[BaseModel]:
+    """Model of a section, or of a table inside it."""
+    model = sections(root)[loc[0]]
+    for part in loc[1:]:
+        model = model.model_fields[part].annotation  # type: ignore[assignment]
+    return model
+
+
+def _listed(words: Sequence[str]) -> str:
+    return " or ".join(filter(None, (", ".join(words[:-1]), words[-1])))
