@@ -72,4 +72,4 @@ bench: .venv/bench.stamp
 comma := ,
 
 clean:
-	rm -rf .venv build dist clsco.egg-info
+	rm -rf .venv .mutation build dist clsco.egg-info

@@ -1,11 +1,11 @@
-"""Whether the tests notice small faults: each mutant of a file is run against the tests that look at it.
+"""Whether the tests kill small faults: each mutant of a file is run against the tests that reach it.
 
     python -m tests.mutation --against quick slow simulator --share 20 -o mutation.json
 
 Works in copies of the tree, which are gone at the end, whatever ends it. Of the tests of a kernel file those run that
 have the mutant in what they launch. Fails where a mutant survives that survivors.toml does not give a reason for. All
-of them take hours: noticed.json remembers which were noticed for as long as the code of their file stays the same, and
---new leaves these out, and those with a reason.
+of them take hours: `.mutation`, outside of git, keeps which were killed for as long as the code of their function stays
+the same, and --new leaves these out, and those with a reason.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from typing import Any
 
 from tests.mutation import simulated
 from tests.mutation.copies import Copy, copies
-from tests.mutation.memory import NOTICED, Memory, reasons
+from tests.mutation.memory import Killed, reason, reasons
 from tests.mutation.mutants import ROOT, Mutant, mutants
 from tests.mutation.switched import Switches
 from tests.mutation.tests import Tests, files, tests_of
@@ -70,7 +70,7 @@ def asked() -> argparse.Namespace:
     return options
 
 
-def selected(options: argparse.Namespace, memory: Memory) -> list[Mutant]:
+def selected(options: argparse.Namespace, killed: Killed) -> list[Mutant]:
     """Mutants that the options ask for, those of a file together."""
     found = chosen(options.files, options.share, options.part)
     if options.survivors:
@@ -79,7 +79,7 @@ def selected(options: argparse.Namespace, memory: Memory) -> list[Mutant]:
         found = [mutant for mutant in found if mutant.name in survived]
     if options.new:
         known = reasons()
-        found = [mutant for mutant in found if not memory.has(mutant) and mutant.name not in known]
+        found = [mutant for mutant in found if not killed.has(mutant) and reason(mutant, known) is None]
     return sorted(found, key=lambda mutant: options.files.index(mutant.file))  # tests are collected once for each
 
 
@@ -113,7 +113,7 @@ class Trial:
         pool.shutdown()
 
     def tried(self, mutant: Mutant, end: float) -> Result | None:
-        """What came of one: `outcome` is killed, survived, timeout or not built; `by`: the test that noticed it."""
+        """What came of one: `outcome` is killed, survived, timeout or not built; `by`: the test that killed it."""
         if self.stopped.is_set() or time.monotonic() > end:
             return None
         copy, begun = self.free.get(), time.monotonic()
@@ -129,19 +129,19 @@ class Trial:
             seeing = [*seeing, *cases]
             outcome, test = simulated.tried(mutant, cases, self.timeout) if cases else (outcome, "")
         if test:
-            self.tests.noticed[mutant.file][test] += 1
+            self.tests.killers[mutant.file][test] += 1
         return {
-            "mutant": mutant.name, "row": mutant.row, "outcome": outcome, "by": test, "tests": len(seeing),
-            "seconds": round(time.monotonic() - begun, 1),
-            "reason": self.reasons.get(mutant.name) if outcome == "survived" else None,
+            "mutant": mutant.name, "file": mutant.file, "row": mutant.row, "outcome": outcome, "by": test,
+            "tests": len(seeing), "seconds": round(time.monotonic() - begun, 1),
+            "reason": reason(mutant, self.reasons) if outcome == "survived" else None,
         }  # fmt: skip
 
 
 def main() -> int:
-    options, memory = asked(), Memory(NOTICED)
+    options, killed = asked(), Killed()
     # Kernels of a few pixels take longer to optimize than to run.
     os.environ["PYOPENCL_BUILD_OPTIONS"] = "-cl-opt-disable"
-    wanted, end = selected(options, memory), time.monotonic() + 60 * options.until
+    wanted, end = selected(options, killed), time.monotonic() + 60 * options.until
     marked = " or ".join(AGAINST[name] for name in options.against if AGAINST[name])
     found: list[Result] = []
     written = time.monotonic()
@@ -152,36 +152,36 @@ def main() -> int:
             with closing(trial.results(wanted, end)) as results:
                 for mutant, result in results:
                     if result["outcome"] != "survived":
-                        memory.keep(mutant)
+                        killed.keep(mutant)
                     found.append(result)
                     print(f"{result['outcome']:9} {result['seconds']:6} s  {result['mutant']}", flush=True)
                     if time.monotonic() > written + SECONDS:
                         write(options, found)
-                        memory.write()
+                        killed.write()
                         written = time.monotonic()
     finally:
         write(options, found)
-        memory.write()
-    return told(found, memory)
+        killed.write()
+    return report(found, killed)
 
 
-def told(found: Sequence[Result], memory: Memory) -> int:
+def report(found: Sequence[Result], killed: Killed) -> int:
     """Prints what came of all; exit status, 1 where some survive without a reason."""
     unexplained = [result for result in found if result["outcome"] == "survived" and result["reason"] is None]
     print(dict(Counter(result["outcome"] for result in found)), f"{len(unexplained)} survive without a reason")
     everything, known = [mutant for name in files() for mutant in mutants(ROOT, name)], reasons()
-    others = [mutant for mutant in everything if not memory.has(mutant)]
-    noticed, explained = len(everything) - len(others), sum(mutant.name in known for mutant in others)
-    print(f"of all {len(everything)} mutants {noticed} are noticed, and {explained} others have a reason")
+    others = [mutant for mutant in everything if not killed.has(mutant)]
+    dead, explained = len(everything) - len(others), sum(reason(mutant, known) is not None for mutant in others)
+    print(f"of all {len(everything)} mutants {dead} are known to be killed, and {explained} others have a reason")
     for result in unexplained:
-        print(f"{result['mutant']} (row {result['row']})")
+        print(f"{result['file']}, row {result['row']}: {result['mutant']}")
     return 1 if unexplained else 0
 
 
 def write(options: argparse.Namespace, found: Sequence[Result]) -> None:
     by_file: dict[str, Counter[str]] = {}
     for result in found:
-        by_file.setdefault(result["mutant"].split(":")[0], Counter())[result["outcome"]] += 1
+        by_file.setdefault(result["file"], Counter())[result["outcome"]] += 1
     table = {
         "share": options.share,
         "part": options.part,

@@ -32,8 +32,8 @@ class Forks:
     PoCL reads its library of functions once for all forks, 0.4 s; its device `basic` has no threads that a fork misses.
     """
 
-    def __init__(self, asked: Connection, told: BinaryIO, switches: Switches | None, programs: Programs) -> None:
-        self.asked, self.told, self.switches, self.programs = asked, told, switches, programs
+    def __init__(self, asked: Connection, output: BinaryIO, switches: Switches | None, programs: Programs) -> None:
+        self.asked, self.output, self.switches, self.programs = asked, output, switches, programs
 
     def pytest_runtestloop(self, session: pytest.Session) -> None:
         """Fork for each list of tests, or for each file to record all of them in; go on in the fork."""
@@ -41,8 +41,8 @@ class Forks:
         _build_once(queue.context, self.programs)
         while True:
             wanted, number = self.asked.recv()
-            self.told.seek(0)
-            self.told.truncate()
+            self.output.seek(0)
+            self.output.truncate()
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", DeprecationWarning)  # threads of NumPy, which are idle here
                 child = os.fork()
@@ -111,7 +111,7 @@ def _kernels(context: cl.Context, options: list[str], text: str) -> list[cl.Kern
 def collect(
     tree: Path,
     cache: Path,
-    told: Path,
+    output: Path,
     arguments: list[str],
     asked: Connection,
     switches: Switches | None,
@@ -122,7 +122,7 @@ def collect(
     os.chdir(tree)
     os.environ["POCL_CACHE_DIR"], os.environ["PYTHONPATH"] = str(cache), str(tree)
     os.environ["POCL_DEVICES"] = "basic"
-    with open(told, "wb", buffering=0) as file:
+    with open(output, "wb", buffering=0) as file:
         os.dup2(file.fileno(), 1)
         os.dup2(file.fileno(), 2)
         for name in [name for name in sys.modules if name.split(".")[0] == "tests"]:
@@ -147,7 +147,7 @@ class Collected:
         self,
         tree: Path,
         cache: Path,
-        told: Path,
+        output: Path,
         files: Sequence[str],
         marked: str,
         switches: Switches | None,
@@ -156,7 +156,7 @@ class Collected:
         plugins = ["-p", "no:cacheprovider", "-p", "no:hypothesispytest"]  # which is read by each fork, 1 s
         options = ["-x", "-q", "--tb=line", "-rf", "-n", "0", *plugins, "-m", marked]
         self.pipe, theirs = STARTED.Pipe()
-        arguments = (tree, cache, told, [*options, *files], theirs, switches, programs)
+        arguments = (tree, cache, output, [*options, *files], theirs, switches, programs)
         self.process = STARTED.Process(target=collect, args=arguments, daemon=True)
         self.process.start()
         theirs.close()

@@ -30,7 +30,7 @@ class Copy:
 
     def __init__(self, folder: Path, cache: Path, marked: str, switches: Switches) -> None:
         self.shared, self.marked, self.switches = cache, marked, switches
-        self.tree, self.cache, self.told = folder / "tree", folder / "cache", folder / "told"
+        self.tree, self.cache, self.output = folder / "tree", folder / "cache", folder / "output"
         self.records = folder / "records.json"
         self.collected: tuple[object, Collected] | None = None
         for name in COPIED:
@@ -50,7 +50,7 @@ class Copy:
             for file, text in (self.switches.texts if switched else self.switches.plain).items():
                 (self.tree / file).write_text(text, "utf-8")
             cache, switches = (self.shared, self.switches) if switched else (self.cache, None)
-            self.collected = kind, Collected(self.tree, cache, self.told, files, self.marked, switches, programs)
+            self.collected = kind, Collected(self.tree, cache, self.output, files, self.marked, switches, programs)
         return self.collected[1]
 
     def stop(self) -> None:
@@ -64,7 +64,7 @@ class Copy:
         status = self._tests([file], switched).run(self.records, 0, timeout)
         self.stop()
         if status not in (0, pytest.ExitCode.NO_TESTS_COLLECTED):  # none that are not slow
-            out = self.told.read_text("utf-8", "replace")
+            out = self.output.read_text("utf-8", "replace")
             raise RuntimeError(f"{file} must pass without a change; got {status}\n{out[-3000:]}")
         found: dict[str, Any] = json.loads(self.records.read_text("utf-8"))
         self.programs[file] = found["programs"]
@@ -81,7 +81,7 @@ class Copy:
             status = self._tests(files, True, programs).run(tests, self.switches.numbers[mutant], timeout)
         else:
             status = self._tried_alone(mutant, files, tests, timeout)
-        out = self.told.read_text("utf-8", "replace")
+        out = self.output.read_text("utf-8", "replace")
         outcome = "survived" if status == 0 else "timeout" if status is None else "killed"
         if outcome == "killed" and any(words in out for words in NOT_BUILT):
             outcome = "not built"

@@ -1,53 +1,59 @@
-"""What is known of mutants: which were noticed, and why others survive."""
+"""What is known of mutants: which were killed, and why others survive."""
 
 from __future__ import annotations
 
 import json
 import tomllib
+from collections.abc import Iterable
 from hashlib import sha256
 from pathlib import Path
 
-from tests.mutation.mutants import ROOT, Mutant, code_of
-from tests.mutation.tests import files
+from tests.mutation.mutants import ROOT, Mutant
 
 REASONS = Path(__file__).with_name("survivors.toml")
-NOTICED = Path(__file__).with_name("noticed.json")
+KILLED = ROOT / ".mutation" / "killed.json"
+"""A cache outside of git, which `make clean` removes."""
 
 
-def reasons() -> dict[str, str]:
-    """Mutant -> why it is no gap of the tests that it survives."""
-    entries = tomllib.loads(REASONS.read_text("utf-8"))["survivor"]
-    return {name: entry["reason"] for entry in entries for name in entry["mutants"]}
+def reasons() -> dict[str, dict[str, str]]:
+    """Function -> mutant of it -> why it is no gap of the tests that it survives."""
+    return tomllib.loads(REASONS.read_text("utf-8"))
 
 
-def short(text: str) -> str:
-    return sha256(text.encode()).hexdigest()[:12]
+def reason(mutant: Mutant, known: dict[str, dict[str, str]]) -> str | None:
+    return known.get(mutant.owner.name, {}).get(mutant.change)
 
 
-class Memory:
-    """Which mutants were noticed: of each file a hash of its code, and hashes of their names."""
+def unmatched(found: Iterable[Mutant], known: dict[str, dict[str, str]]) -> list[str]:
+    """Reasons of which there is no mutant any more, by their names."""
+    names = {mutant.name for mutant in found}
+    every = [f"{owner}: {change}" for owner, changes in known.items() for change in changes]
+    return [name for name in every if name not in names]
 
-    def __init__(self, path: Path) -> None:
+
+class Killed:
+    """Which mutants were killed: hashes of the code of their function and of what they change there.
+
+    So one that has changed is tried again, alone. What it calls, and tests, may have changed nevertheless: without the
+    file all are tried again.
+    """
+
+    def __init__(self, path: Path = KILLED) -> None:
         self.path = path
-        found = json.loads(path.read_text("utf-8")) if path.exists() else {}
-        self.code = {name: short(code_of(ROOT, name)) for name in files()}
-        self.noticed = {
-            name: set(found[name]["noticed"]) if found.get(name, {}).get("code") == code else set[str]()
-            for name, code in self.code.items()
-        }
+        self.hashes: set[str] = set(json.loads(path.read_text("utf-8"))) if path.exists() else set()
 
     def has(self, mutant: Mutant) -> bool:
-        return short(mutant.name) in self.noticed[mutant.file]
+        return _hash(mutant) in self.hashes
 
     def keep(self, mutant: Mutant) -> None:
-        self.noticed[mutant.file].add(short(mutant.name))
+        self.hashes.add(_hash(mutant))
 
     def write(self) -> None:
-        kept = {
-            name: {"code": self.code[name], "noticed": sorted(hashes)}
-            for name, hashes in self.noticed.items()
-            if hashes
-        }
+        self.path.parent.mkdir(exist_ok=True)
         partial = self.path.with_suffix(".part")
-        partial.write_text(json.dumps(kept, indent=0) + "\n", "utf-8")
+        partial.write_text(json.dumps(sorted(self.hashes), indent=0) + "\n", "utf-8")
         partial.replace(self.path)
+
+
+def _hash(mutant: Mutant) -> str:
+    return sha256(f"{mutant.owner.code} {mutant.name}".encode()).hexdigest()[:16]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import io
 import keyword
 import re
@@ -9,6 +10,8 @@ import tokenize
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from hashlib import sha256
+from itertools import pairwise
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -32,29 +35,48 @@ C_TOKEN = re.compile(
     r"|(?P<space>\\\n|\s)",
     re.DOTALL,
 )
-# Of the preprocessor: which text there is at all. A `#define` is what stands in its place. What is asked for ahead
-# (SOON) changes the time alone.
-NOT_TEXT = re.compile(r"\s*(?:#\s*(?:if|ifdef|ifndef|elif|else|endif|include|pragma|undef)|SOON)\b")
-DEFINED = re.compile(r"\s*#\s*define\s+\w+(?:\([^)]*\))?")
+LINE = re.compile(r"^(?:.*\\\n)*.*$", re.MULTILINE)  # with those that it goes on in
+# Of the preprocessor: which text there is at all. A `#define` is what stands in its place. PREFETCH changes the time
+# alone.
+NOT_TEXT = re.compile(r"\s*(?:#\s*(?:if|ifdef|ifndef|elif|else|endif|include|pragma|undef)|PREFETCH)\b")
+DEFINED = re.compile(r"\s*#\s*define\s+(\w+)(?:\([^)]*\))?")
+
+
+@dataclass(frozen=True)
+class Owner:
+    """A definition of a file: a function, a macro or a constant. code: a hash of its tokens."""
+
+    name: str
+    start: int
+    stop: int
+    code: str
 
 
 @dataclass(frozen=True)
 class Mutant:
-    """One change: from `old` to `new` at `start` of a file's text; the `number`-th place of its kind in its line."""
+    """One change: from `old` to `new` at `start` of a file's text.
+
+    line: the tokens of the line that it is in; number: of the places of its kind in such lines of its owner.
+    """
 
     file: str
     start: int
     row: int
+    owner: Owner
     line: str
     old: str
     new: str
     number: int
 
     @property
-    def name(self) -> str:
-        """The same after the file has changed elsewhere."""
+    def change(self) -> str:
+        """The same wherever its function is, and whatever else changes there."""
         again = f" ({self.number})" if self.number else ""
-        return f"{self.file}: {self.line} # {self.old} -> {self.new}{again}"
+        return f"{self.line} # {self.old} -> {self.new}{again}"
+
+    @property
+    def name(self) -> str:
+        return f"{self.owner.name}: {self.change}"
 
     def of(self, text: str) -> str:
         """The text with the change."""
@@ -64,25 +86,109 @@ class Mutant:
 def mutants(root: Path, file: str) -> list[Mutant]:
     """All changes of a file, each operator, number and function once."""
     text = (root / file).read_text("utf-8")
-    lines, found = text.split("\n"), []
-    seen: Counter[tuple[str, str]] = Counter()
-    for start, old, new in _python(text) if file.endswith(".py") else _opencl(text):
+    python = file.endswith(".py")
+    lines, owners, found = text.split("\n"), list(_owners(text, python)), []
+    seen: Counter[tuple[str, str, str]] = Counter()
+    for start, old, new in _python(text) if python else _opencl(text):
         row = text.count("\n", 0, start)
-        line = lines[row].strip()
-        found.append(Mutant(file, start, row + 1, line, old, new, seen[line, old]))
-        seen[line, old] += 1
+        owner = next((owner for owner in owners if owner.start <= start < owner.stop), Owner("", 0, 0, ""))
+        line = _joined(_tokens(lines[row], python))
+        found.append(Mutant(file, start, row + 1, owner, line, old, new, seen[owner.name, line, old]))
+        seen[owner.name, line, old] += 1
     return found
 
 
-def code_of(root: Path, file: str) -> str:
-    """The tokens of a file, without comments and where lines end."""
-    text = (root / file).read_text("utf-8")
-    if file.endswith(".py"):
-        left_out = (tokenize.COMMENT, tokenize.NL)
-        tokens = tokenize.generate_tokens(io.StringIO(text).readline)
-        return " ".join(token.string for token in tokens if token.type not in left_out)
+def owners_of(root: Path, file: str) -> list[Owner]:
+    """The functions, macros and constants of a file, in their order."""
+    return list(_owners((root / file).read_text("utf-8"), file.endswith(".py")))
+
+
+def _owners(text: str, python: bool) -> Iterator[Owner]:
+    for name, start, stop in _python_owners(text) if python else _opencl_owners(text):
+        code = sha256(" ".join(_tokens(text[start:stop], python)).encode()).hexdigest()
+        yield Owner(name, start, stop, code)
+
+
+def _python_owners(text: str) -> Iterator[tuple[str, int, int]]:
+    starts = _starts(text)
+
+    def inside(body: list[ast.stmt], prefix: str) -> Iterator[tuple[str, int, int]]:
+        for node in body:
+            first = min([node.lineno, *(one.lineno for one in getattr(node, "decorator_list", ()))])
+            if isinstance(node, ast.ClassDef):
+                yield from inside(node.body, f"{node.name}.")
+            else:
+                targets = [node.target] if isinstance(node, ast.AnnAssign) else getattr(node, "targets", ())
+                name = getattr(node, "name", ", ".join(map(ast.unparse, targets)))
+                yield prefix + name, starts[first - 1], starts[node.end_lineno or first]
+
+    yield from inside(ast.parse(text).body, "")
+
+
+def _opencl_owners(text: str) -> Iterator[tuple[str, int, int]]:
+    depth, begin, tokens, is_function = 0, 0, list[str](), False
+    for line in LINE.finditer(text):
+        if line[0].lstrip().startswith("#"):
+            if head := DEFINED.match(line[0]):
+                yield head[1], line.start(), line.end()
+            continue
+        for match in C_TOKEN.finditer(text, line.start(), line.end()):
+            if match.lastgroup in (None, "space"):
+                continue
+            if not tokens:
+                begin = match.start()
+            if match[0] == "{" and depth == 0:
+                is_function = tokens[-1:] == [")"]
+            tokens.append(match[0])
+            depth += {"(": 1, "{": 1, ")": -1, "}": -1}.get(match[0], 0)
+            if depth == 0 and (match[0] == ";" or (match[0] == "}" and is_function)):
+                yield _named(tokens), begin, match.end()
+                tokens = []
+
+
+def _named(tokens: list[str]) -> str:
+    """What a definition defines: the name before its arguments, its lengths or its value, attributes apart."""
+    words = " ".join(tokens)
+    words = re.sub(r"__attribute__ \( \( (?:[^()]|\( [^()]* \))*\) \)", "", words)
+    found = re.search(r"(\w+) (?:[(\[=]|;)", words)
+    return found[1] if found else ""
+
+
+def _tokens(text: str, python: bool) -> list[str]:
+    """Without comments, and without what a line ends with."""
+    found = list[str]()
+    if python:
+        left_out = (
+            tokenize.COMMENT,
+            tokenize.NL,
+            tokenize.NEWLINE,
+            tokenize.INDENT,
+            tokenize.DEDENT,
+            tokenize.ENDMARKER,
+        )
+        try:
+            for token in tokenize.generate_tokens(io.StringIO(text).readline):
+                if token.type not in left_out:
+                    found.append(token.string)
+        except tokenize.TokenError:  # a line that goes on, which ends within brackets
+            pass
+        return found
     matches = C_TOKEN.finditer(text)
-    return " ".join(m[0] for m in matches if m.lastgroup != "space" and not m[0].startswith(("//", "/*")))
+    return [m[0] for m in matches if m.lastgroup != "space" and not m[0].startswith(("//", "/*"))]
+
+
+def _joined(tokens: list[str]) -> str:
+    """Tokens as one text, with spaces between words alone."""
+    words = [" " if re.match(r"\w{2}", before[-1] + after) else "" for before, after in pairwise([";", *tokens])]
+    return "".join(space + token for space, token in zip(words, tokens, strict=True))
+
+
+def _starts(text: str) -> list[int]:
+    """Where lines begin, and the text ends."""
+    starts = [0]
+    for line in text.splitlines(keepends=True):
+        starts.append(starts[-1] + len(line))
+    return starts
 
 
 def _number(text: str) -> str:
@@ -109,7 +215,7 @@ def _changed(kind: str, old: str, closes: bool) -> str | None:
 
 def _opencl(text: str) -> Iterator[tuple[int, str, str]]:
     skipped: list[range] = []
-    for match in re.finditer(r"^.*(?:\\\n.*)*$", text, re.MULTILINE):
+    for match in LINE.finditer(text):
         if NOT_TEXT.match(match[0]) or "__attribute__" in match[0] or "typedef" in match[0]:
             skipped.append(range(match.start(), match.end()))
         elif head := DEFINED.match(match[0]):
@@ -139,10 +245,7 @@ def _casts(text: str, end: int) -> bool:
 
 
 def _python(text: str) -> Iterator[tuple[int, str, str]]:
-    starts = [0]
-    for line in text.splitlines(keepends=True):
-        starts.append(starts[-1] + len(line))
-    before = ""
+    starts, before = _starts(text), ""
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
         at, old = starts[token.start[0] - 1] + token.start[1], token.string
         if token.type not in (tokenize.NUMBER, tokenize.NAME, tokenize.OP):

@@ -21,7 +21,7 @@ CONDITION, GIVEN = re.compile(r"^\s*#\s*(?:el)?if.*", re.MULTILINE), re.compile(
 
 
 class Launches:
-    """Notes from now on which kernels of which programs are launched; now: by whom.
+    """Records from now on which kernels of which programs are launched; now: by whom.
 
     plain: of a program's text that which `clsco.program.program_text` has made.
     """
@@ -35,20 +35,20 @@ class Launches:
         places: dict[cl.Kernel, int] = {}
         built, call = program._built, cl.Kernel.__call__
 
-        def noted_program(session: Any, where: str, text: str, options: list[str]) -> Any:
+        def recorded_program(session: Any, where: str, text: str, options: list[str]) -> Any:
             found = built(session, where, text, options)
             asked = [*options, *_defined(session, text)]
             place = self.programs.setdefault(json.dumps([asked, plain(text)]), len(self.programs))
             places.update(dict.fromkeys(found.values(), place))
             return found
 
-        def noted_launch(kernel: Any, *args: Any, **options: Any) -> Any:
+        def recorded_launch(kernel: Any, *args: Any, **options: Any) -> Any:
             if kernel in places:
                 self.launched[self.now].add((places[kernel], kernel.function_name))
             return call(kernel, *args, **options)
 
-        program._built = noted_program
-        cl.Kernel.__call__ = noted_launch  # type: ignore[method-assign,assignment]
+        program._built = recorded_program
+        cl.Kernel.__call__ = recorded_launch  # type: ignore[method-assign,assignment]
 
     def write(self, path: Path, tests: dict[str, dict[str, Any]], left_out: Sequence[int] = ()) -> None:
         """tests: `slow`, `seconds`, `elsewhere`, `launched`; left_out: see `Recorder`."""
@@ -73,11 +73,11 @@ class Recorder:
         self.elsewhere: set[str] = set()
         popen = subprocess.Popen.__init__
 
-        def noted_process(process: Any, *args: Any, **options: Any) -> None:
+        def recorded_process(process: Any, *args: Any, **options: Any) -> None:
             self.elsewhere.add(self.launches.now)
             popen(process, *args, **options)
 
-        subprocess.Popen.__init__ = noted_process  # type: ignore[method-assign,assignment]
+        subprocess.Popen.__init__ = recorded_process  # type: ignore[method-assign,assignment]
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, object, object]:

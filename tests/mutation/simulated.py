@@ -1,7 +1,7 @@
 """Mutants on Oclgrind, which sees what they read and write; a process of its own for each.
 
 python -m tests.mutation.simulated record FILE: what each case launches, as `tests.mutation.recorder.Recorder` has it.
-python -m tests.mutation.simulated try: a mutant of the standard input; prints the first case that notices it.
+python -m tests.mutation.simulated try: a mutant of the standard input; prints the first case that kills it.
 """
 
 from __future__ import annotations
@@ -44,25 +44,25 @@ def recorded() -> dict[str, Any]:
 
 
 def tried(mutant: Mutant, cases: Sequence[str], timeout: float) -> tuple[str, str]:
-    """What came of a mutant, and the case that noticed it, of those named."""
+    """What came of a mutant, and the case that killed it, of those named."""
     text = mutant.of((ROOT / mutant.file).read_text("utf-8"))
     try:
-        told = _process(["try"], json.dumps([Path(mutant.file).name, text, cases]), timeout).strip()
+        by = _process(["try"], json.dumps([mutant.file.removeprefix("kernels/"), text, cases]), timeout).strip()
     except subprocess.TimeoutExpired:
         return "timeout", ""
-    return ("killed", told) if told else ("survived", "")
+    return ("killed", by) if by else ("survived", "")
 
 
 def _record(path: Path) -> None:
     last = [""]
     made = simulator._program_text
 
-    def noted(*given: Any) -> str:
+    def recorded_text(*given: Any) -> str:
         last[0] = made(*given)
         return last[0]
 
     launches, tests = Launches(lambda _: last[0]), dict[str, dict[str, Any]]()
-    with patch.object(simulator, "_program_text", noted):
+    with patch.object(simulator, "_program_text", recorded_text):
         for case in all_cases():
             launches.now = case.name
             found = worker.run(case, Path(os.environ["OCLGRIND_LOG"]))

@@ -1,4 +1,4 @@
-"""Which tests look at which file, and which of them can notice a mutant."""
+"""Which tests look at which file, and which of them can kill a mutant."""
 
 from __future__ import annotations
 
@@ -13,58 +13,69 @@ from typing import Any
 from tests.mutation import simulated
 from tests.mutation.copies import Copy
 from tests.mutation.mutants import ROOT, Mutant
-from tests.mutation.seen import Sight
+from tests.mutation.reach import Reach
 from tests.mutation.switched import Switches
 
 SIMULATOR = "tests/oclgrind"
 RECORDING = 1800.0  # seconds that the tests of a file may take without a change
 MOST_CASES = 6  # of the simulator, the quickest that see a mutant
 TESTS = {
-    "clsco/optics.py": "test_optics test_plan reference/test_geometry",
-    "clsco/motion.py": "test_motion test_surfaces test_plan reference/test_geometry",
-    "clsco/plan.py": "test_plan test_plan_prediction test_plan_structure test_coarsening test_describe test_memory "
-    "pipeline/test_strips pipeline/test_scenes",
-    "accumulate.cl": "kernels/test_accumulate pipeline/test_scenes",
-    "biharmonic.cl": "kernels/test_biharmonic",
-    "blur.cl": "kernels/test_blur_amid kernels/test_blur test_defocus kernels/test_layer kernels/test_occlusion "
+    "clsco/optics/lens.py": "optics/test_lens plan/test_plan reference/test_geometry",
+    "clsco/optics/motion.py": "optics/test_motion optics/test_quadrics plan/test_plan reference/test_geometry",
+    "clsco/plan/plan.py": "plan/test_plan plan/test_predict plan/test_structure plan/test_memory "
+    "engine/test_allocation pipeline/test_strips pipeline/test_scenes",
+    "clsco/plan/predict.py": "plan/test_predict plan/test_plan pipeline/test_scenes",
+    "blur/accumulate.cl": "kernels/test_accumulate pipeline/test_scenes",
+    "blur/blur.cl": "kernels/test_blur_amid kernels/test_blur engine/test_defocus kernels/test_layered "
+    "kernels/test_visibility pipeline/test_occlusion",
+    "blur/convolve.cl": "kernels/test_convolve",
+    "blur/multigrid.cl": "kernels/test_multigrid_edges kernels/test_multigrid",
+    "blur/tiles.cl": "kernels/test_tiles",
+    "blur/cpu/columns.clh": "kernels/test_blur_quadrants kernels/test_blur engine/test_defocus kernels/test_layered",
+    "blur/cpu/discs.clh": "kernels/test_blur_tiles kernels/test_blur engine/test_defocus",
+    "blur/cpu/gather.cl": "kernels/test_blur_amid kernels/test_blur engine/test_defocus pipeline/test_occlusion",
+    "blur/cpu/gaussians.clh": "kernels/test_blur_columns kernels/test_blur engine/test_defocus",
+    "blur/cpu/many.clh": "kernels/test_blur_columns kernels/test_blur engine/test_defocus",
+    "blur/cpu/near.clh": "kernels/test_blur_tiles kernels/test_blur_columns kernels/test_blur engine/test_defocus",
+    "blur/cpu/quadrants.clh": "kernels/test_blur_quadrants kernels/test_blur engine/test_defocus kernels/test_layered",
+    "blur/cpu/rows.clh": "kernels/test_blur engine/test_defocus",
+    "blur/cpu/vectors.clh": "kernels/test_blur_columns kernels/test_blur engine/test_defocus",
+    "common/builtins.clh": "kernels/test_tiles",
+    "common/cpu/builtins.clh": "kernels/test_blur kernels/test_trace",
+    "common/cpu/lanes.clh": "kernels/test_convolve kernels/test_layered",
+    "common/geometry.clh": "kernels/test_geometry kernels/test_bounds kernels/test_ray_surface "
+    "kernels/test_trace kernels/test_trace_hidden pipeline/test_views pipeline/test_strips",
+    "common/lanes.clh": "kernels/test_tiles",
+    "common/occluder.clh": "kernels/test_visibility_occluders kernels/test_visibility pipeline/test_occlusion",
+    "common/psf.clh": "kernels/test_blur kernels/test_polygon kernels/test_tiles engine/test_defocus",
+    "common/sources.clh": "kernels/test_blur kernels/test_trace kernels/test_visibility pipeline/test_occlusion",
+    "common/visibility.clh": "kernels/test_visibility_shares kernels/test_visibility kernels/test_blur "
     "pipeline/test_occlusion",
-    "coarse.cl": "kernels/test_coarse_edges kernels/test_coarse test_coarsening",
-    "columns.clh": "kernels/test_blur_quadrants kernels/test_blur test_defocus kernels/test_layer",
-    "convolve.cl": "kernels/test_convolve",
-    "discs.clh": "kernels/test_blur_tiles kernels/test_blur test_defocus",
-    "estimate.clh": "kernels/test_fill kernels/test_holes",
-    "fill.cl": "kernels/test_fill kernels/test_forward",
-    "gaussians.clh": "kernels/test_blur_columns kernels/test_blur test_defocus",
-    "geometry.clh": "kernels/test_geometry kernels/test_bounds kernels/test_ray_surface kernels/test_trace "
-    "kernels/test_trace_hidden pipeline/test_views pipeline/test_strips",
-    "holes.cl": "kernels/test_holes test_inpainting",
-    "layer.cl": "kernels/test_layer_amid kernels/test_layer test_defocus",
-    "many.clh": "kernels/test_blur_columns kernels/test_blur test_defocus",
-    "mean_median.cl": "kernels/test_fill kernels/test_forward",
-    "near.clh": "kernels/test_blur_tiles kernels/test_blur_columns kernels/test_blur test_defocus",
-    "quadrants.clh": "kernels/test_blur_quadrants kernels/test_blur test_defocus kernels/test_layer",
-    "occlusion.clh": "kernels/test_occlusion_shares kernels/test_occlusion_blockers kernels/test_occlusion "
-    "pipeline/test_occlusion",
-    "reproject.cl": "kernels/test_reproject_planes kernels/test_reproject kernels/test_forward pipeline/test_scenes",
-    "rows.clh": "kernels/test_blur test_defocus",
-    "score.cl": "kernels/test_holes kernels/test_fill",
-    "sight.clh": "kernels/test_sight kernels/test_occlusion kernels/test_blur pipeline/test_occlusion",
-    "sources.clh": "kernels/test_blur kernels/test_trace kernels/test_occlusion pipeline/test_occlusion",
-    "spread.clh": "kernels/test_blur kernels/test_tiles test_defocus kernels/test_occlusion",
-    "texture.cl": "kernels/test_texture",
-    "tiles.cl": "kernels/test_tiles",
-    "trace.cl": "kernels/test_silhouettes kernels/test_trace_hidden kernels/test_trace_bounds kernels/test_trace "
-    "kernels/test_geometry pipeline/test_views pipeline/test_scenes",
-    "wide.clh": "kernels/test_wide kernels/test_ray_surface kernels/test_geometry kernels/test_trace",
+    "common/visibility_test.clh": "kernels/test_visibility_test kernels/test_visibility pipeline/test_occlusion",
+    "common/wide.clh": "kernels/test_wide kernels/test_ray_surface kernels/test_geometry kernels/test_trace",
+    "inpainting/biharmonic.cl": "kernels/test_biharmonic",
+    "inpainting/cpu/lanes.clh": "kernels/test_fill kernels/test_mean_median",
+    "inpainting/estimate.clh": "kernels/test_fill kernels/test_mean_median",
+    "inpainting/fill.cl": "kernels/test_fill kernels/test_warp",
+    "inpainting/fill_mean_median.cl": "kernels/test_fill kernels/test_warp",
+    "inpainting/fse.cl": "kernels/test_fse",
+    "inpainting/lanes.clh": "kernels/test_fill",
+    "inpainting/mean_median.cl": "kernels/test_mean_median inpainting/test_inpaint",
+    "inpainting/score.cl": "kernels/test_mean_median kernels/test_fill",
+    "layered/layered.cl": "kernels/test_layered_amid kernels/test_layered engine/test_defocus",
+    "trace/trace.cl": "kernels/test_silhouettes kernels/test_trace_hidden kernels/test_trace_bounds "
+    "kernels/test_trace kernels/test_geometry pipeline/test_views pipeline/test_scenes",
+    "warp/warp.cl": "kernels/test_reproject_planes kernels/test_reproject kernels/test_warp pipeline/test_scenes",
 }
-"""File -> tests that look at it, the quickest first; kernels without their folder."""
+"""File -> tests that reach it, the quickest first; kernels by their folder there."""
 
 
 def files() -> list[str]:
     """What is changed: all kernels, and the host's arithmetic."""
-    kernels = sorted(path.name for path in (ROOT / "kernels").glob("*.cl*"))
-    assert set(kernels) == {name for name in TESTS if "/" not in name}, "a kernel file without tests in TESTS"
-    return [*(f"kernels/{name}" for name in kernels), *(name for name in TESTS if "/" in name)]
+    folder = ROOT / "kernels"
+    kernels = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*.cl*"))
+    assert set(kernels) == {name for name in TESTS if not name.startswith("clsco/")}, "a kernel file without tests"
+    return [*(f"kernels/{name}" for name in kernels), *(name for name in TESTS if name.startswith("clsco/"))]
 
 
 def tests_of(file: str) -> list[str]:
@@ -72,16 +83,16 @@ def tests_of(file: str) -> list[str]:
 
 
 class Tests:
-    """Which tests can notice a mutant, as they were seen to run without a change."""
+    """Which tests can kill a mutant, as they were seen to run without a change."""
 
     def __init__(self, switches: Switches) -> None:
         self.switches = switches
         self.seconds: dict[str, float] = {}
-        self.noticed: dict[str, Counter[str]] = {name: Counter() for name in files()}  # by which tests
-        self._seen: dict[str, dict[Mutant, list[str]]] = {}  # test file -> mutant -> tests
+        self.killers: dict[str, Counter[str]] = {name: Counter() for name in files()}  # by which tests
+        self._reaching: dict[str, dict[Mutant, list[str]]] = {}  # test file -> mutant -> tests
         self._tests: dict[str, list[str]] = {}  # test file -> tests
         self._slow: set[str] = set()
-        self._sight = Sight(ROOT, [name for name in files() if name.startswith("kernels/")])
+        self._reach = Reach(ROOT, [name for name in files() if name.startswith("kernels/")])
         self._lock = threading.Lock()
 
     def record(self, changed: Iterable[str], made: Sequence[Copy]) -> None:
@@ -113,25 +124,25 @@ class Tests:
             self._keep(test, what)
 
     def seeing(self, mutant: Mutant) -> list[str]:
-        """Tests in the order in which they are to run: those first that noticed most of the file in their time."""
+        """Tests in the order in which they are to run: those first that killed most of the file in their time."""
         found = []
         for file in tests_of(mutant.file):
-            found += self._seen[file].get(mutant, []) if mutant.file.startswith("kernels/") else self._tests[file]
+            found += self._reaching[file].get(mutant, []) if mutant.file.startswith("kernels/") else self._tests[file]
         return self._often_first(mutant, sorted(found, key=self._slow.__contains__))
 
     def cases(self, mutant: Mutant) -> list[str]:
         """Some cases of the simulator that see a mutant, in the order in which they are to run."""
         with self._lock:
-            if SIMULATOR not in self._seen:
+            if SIMULATOR not in self._reaching:
                 self._keep(SIMULATOR, simulated.recorded())
-        found = sorted(self._seen[SIMULATOR].get(mutant, []), key=self.seconds.__getitem__)
+        found = sorted(self._reaching[SIMULATOR].get(mutant, []), key=self.seconds.__getitem__)
         return self._often_first(mutant, found)[:MOST_CASES]
 
     def _often_first(self, mutant: Mutant, found: list[str]) -> list[str]:
-        often = {test: count / (0.5 + self.seconds[test]) for test, count in self.noticed[mutant.file].items()}
+        often = {test: count / (0.5 + self.seconds[test]) for test, count in self.killers[mutant.file].items()}
         return sorted(found, key=lambda test: -often.get(test, 0.0))
 
     def _keep(self, file: str, recorded: dict[str, Any]) -> None:
         self.seconds |= {name: what["seconds"] for name, what in recorded["tests"].items()}
         self._slow |= {name for name, what in recorded["tests"].items() if what["slow"]}
-        self._seen[file], self._tests[file] = self._sight.seen(recorded), list(recorded["tests"])
+        self._reaching[file], self._tests[file] = self._reach.tests(recorded), list(recorded["tests"])

@@ -1,4 +1,4 @@
-"""Which tests can notice a mutant of a kernel: those that launch a kernel that has it, as the compiler sees it."""
+"""Which tests can kill a mutant of a kernel: those that launch a kernel that has it after the preprocessor."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ IN_CONDITIONS = re.compile(r"^\s*#\s*(?:el)?if\b(.*)$", re.MULTILINE)
 CONSTANT = re.compile(r"\s*#\s*define\s+(\w+)\s")
 
 
-class Sight:
+class Reach:
     """All mutants of kernel files, each with a mark that stands before it in the files' texts."""
 
     def __init__(self, root: Path, files: Iterable[str]) -> None:
@@ -31,7 +31,7 @@ class Sight:
             changed, self.always[text] = text, set()
             numbered = list(enumerate(mutants(root, file), len(self.mutants)))
             for number, mutant in reversed(numbered):
-                constant = CONSTANT.match(mutant.line)
+                constant = CONSTANT.match(text, mutant.owner.start)
                 if constant and constant[1] in asked:
                     self.always[text].add(number)
                 else:
@@ -39,15 +39,15 @@ class Sight:
             self.marked[text] = changed
             self.mutants += [mutant for _, mutant in numbered]
 
-    def seen(self, recorded: Mapping[str, Any]) -> dict[Mutant, list[str]]:
-        """Tests that see a mutant, in their order, of what `Recorder` has written; without mutants that none sees."""
+    def tests(self, recorded: Mapping[str, Any]) -> dict[Mutant, list[str]]:
+        """Tests that reach a mutant, in their order, of what `Recorder` has written; without mutants of no test."""
         in_kernels = [self.in_kernels(options, text) for options, text in recorded["programs"]]
         found: dict[Mutant, list[str]] = {}
         for test, what in recorded["tests"].items():
-            visible = set(range(len(self.mutants))) if what["elsewhere"] else set[int]()
+            found_in = set(range(len(self.mutants))) if what["elsewhere"] else set[int]()
             for place, kernel in what["launched"]:
-                visible |= in_kernels[place][kernel]
-            for number in sorted(visible):
+                found_in |= in_kernels[place][kernel]
+            for number in sorted(found_in):
                 found.setdefault(self.mutants[number], []).append(test)
         return found
 
