@@ -21,12 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.truth import mitsuba
-from clsco.engine.renderer import Pixels, Renderer, expose
-from clsco.inputs.textures import Texture, load_scene_textures
+from clsco.engine.renderer import Renderer, expose
+from clsco.inputs.textures import load_scene_textures
 from clsco.opencl.device import Device
 from clsco.opencl.session import Session
-from clsco.plan.memory import fitted, limit_of
-from clsco.plan.plan import make_plan
+from clsco.plan.memory import limit_of
+from clsco.plan.prepare import prepare
 from clsco.scene.examples import example
 from clsco.scene.model import Psf, Scene
 
@@ -52,7 +52,7 @@ class LensRow:
 
     cpu_s, wall_s: of a warm frame, process CPU and wall time, medians; rms_error: of white, over the whole frame, the
     traced frame's noise taken off; mitsuba_cpu_s: what Mitsuba takes for that error; extrapolated: it lies outside of
-    what was measured, and is from the law of chance, a quarter of the time for twice the error; times_less: CPU time.
+    what was measured, and assumes a quarter of the time for twice the error; times_less: CPU time.
     """
 
     tool: str
@@ -112,10 +112,10 @@ def run(device: Device, size: int, samples: Sequence[int], advance: Callable[[],
     from benchmarks.truth.raytracer import trace_converged
 
     scene, (texture,) = load_scene_textures(sized(size))
-    truth, noise = trace_converged(scene, texture.radiance, size, size, NOISE, cache=cache, tell=lambda _: None)
+    truth, noise = trace_converged(scene, texture.radiance, size, size, NOISE, cache=cache, report=lambda _: None)
     advance()
     with Session(device) as session:
-        ways = [_Timed("clsco", name, _renderer(session, scene, texture, psf), FRAMES) for name, psf in PSFS.items()]
+        ways = [_Timed("clsco", name, _renderer(session, scene, psf), FRAMES) for name, psf in PSFS.items()]
         if samples:
             render = mitsuba.set_up(scene, texture.radiance)
             ways += [_Timed("Mitsuba", f"{n}", partial(render, n), 1) for n in samples]
@@ -171,12 +171,10 @@ def time_for(error: float, curve: Sequence[tuple[float, float]]) -> tuple[float,
     return between * (inside / error) ** 2, inside != error
 
 
-def _renderer(session: Session, scene: Scene, texture: Texture, psf: Psf) -> Call:
-    """Rendering of a frame from its scene to linear light on the host; warm, with programs and tables made."""
-    plan = make_plan(scene.model_copy(update={"psf": psf}), 1, ())
-    device = session.device
-    limit = limit_of(None, device)
-    renderer = Renderer(session, fitted(plan, limit), Pixels((texture,), (None,)), limit)
+def _renderer(session: Session, scene: Scene, psf: Psf) -> Call:
+    """Rendering of a frame from its scene to linear radiance on the host; warm, with programs and tables made."""
+    prepared = prepare(scene.model_copy(update={"psf": psf}), device=session.device)
+    renderer = Renderer(session, prepared.plan, prepared, limit_of(None, session.device))
 
     def frame(_: int) -> Array:
         expose([renderer], 0)

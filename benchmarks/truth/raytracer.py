@@ -3,10 +3,11 @@
 It shares no code with the package. A scene is read by attribute names only (`scene.camera.focal_length`, ...), every
 shape becomes ten coefficients in its own frame, and a ray meets it by the textbook formula.
 
-The ray. The detector position x' (mm, in the plane of the normalization distance s0) sees through the lens point l
-(unit disc) the surface point whose pinhole projection is x = x' - R(Z) l, with the blur radius R(Z) = (s0 D/2) (K -
-1/Z), K = 1/f - 1/s (2.33). Hence X(Z) = x Z / s0 = (x'/s0 - (D/2) K l) Z + (D/2) l: a straight line from the point
-(D/2) l of the lens through the point in focus, Z = 1/K, X = x' / (s0 K). The ray's parameter is the depth Z itself.
+The ray. The detector position x' (mm, in the plane of the normalization distance s0) receives through the lens point l
+(unit disc) the radiance of the surface point whose pinhole projection is x = x' - R(Z) l, with the blur radius R(Z) =
+(s0 D/2) (K - 1/Z), K = 1/f - 1/s (2.33). Hence X(Z) = x Z / s0 = (x'/s0 - (D/2) K l) Z + (D/2) l: a straight line from
+the point (D/2) l of the lens through the point in focus, Z = 1/K, X = x' / (s0 K). The ray's parameter is the depth Z
+itself.
 
 The samples. Two independent Owen-scrambled Sobol sets (pixel x, pixel y, lens, lens, time) give two images: their
 mean is the result, the root mean square of half their difference its noise. Each pixel shifts the set over its own
@@ -36,6 +37,7 @@ Textures = NDArray[Any] | Sequence[NDArray[Any]]
 
 CACHE_FORMAT = 1  # part of the key of cached images; a change of what is computed must change it
 LEAST_SAMPLES = 64
+MOST_SAMPLES = 1 << 17  # per pixel
 BLOCK = 128  # samples that stay in the fastest cache while all pixels of a row use them
 STEP = np.uint64(0x9E3779B97F4A7C15)
 
@@ -206,11 +208,11 @@ def _turn(m, x, y, z):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, inline="always")
 def _meet(lens_x, lens_y, slope_x, slope_y, m, k, box):  # type: ignore[no-untyped-def]
-    """First hit of the ray (lens + slope Z, Z) with one surface: depth, 0 for none, and the point at rest.
+    """First hit of the ray (lens + slope Z, Z) with a surface: depth, 0 for none, and the point in the reference pose.
 
     `m`: inverse rotation and center (12); `k`: coefficients (10); `box`: bounds (6). All about the center.
     """
-    # Back to rest: the ray's parameter stays the depth in the camera at the sampled time.
+    # Back to the reference pose: the ray's parameter stays the depth in the camera at the sampled time.
     ox, oy, oz = _turn(m, lens_x - m[9], lens_y - m[10], -m[11])
     dx, dy, dz = _turn(m, slope_x, slope_y, 1.0)
     a = k[0] * dx * dx + k[1] * dy * dy + k[2] * dz * dz + k[3] * dx * dy + k[4] * dy * dz + k[5] * dx * dz
@@ -265,7 +267,7 @@ def _cast(hits, rays, count, turn, corner, optics, surface, texture):  # type: i
         nearest, texel = hits[s], hits[s + BLOCK]
         nearer = (depth > 0.0) & (depth < nearest)
         hits[s] = depth if nearer else nearest
-        # A point behind the lens at rest has no projection: the focused image has no value for it.
+        # A point behind the lens in the reference pose has no projection: the focused image has no value for it.
         rest = z + center_z
         scale = 1.0 / (pitch_ratio * rest)
         j = _mirror(np.floor((x + center_x) * scale + 0.5 * columns), columns)
@@ -423,8 +425,8 @@ def trace(
     return _shaped(image, texture), noise
 
 
-def _cache_file(folder: Path, problem: Problem, noise: float, seed: int, most_samples: int) -> Path:
-    digest = hashlib.sha256(f"{CACHE_FORMAT} {noise!r} {seed} {most_samples}".encode())
+def _cache_file(folder: Path, problem: Problem, noise: float, seed: int) -> Path:
+    digest = hashlib.sha256(f"{CACHE_FORMAT} {noise!r} {seed} {MOST_SAMPLES}".encode())
     for field in fields(problem):
         value = np.asarray(getattr(problem, field.name))
         digest.update(f"{field.name} {value.dtype} {value.shape}".encode() + value.tobytes())
@@ -445,21 +447,19 @@ def trace_converged(
     columns: int,
     noise: float = 2e-4,
     seed: int = 0,
-    frame: int = 0,
-    most_samples: int = 1 << 17,
     cache: Path | None = None,
-    tell: Callable[[str], object] = print,
+    report: Callable[[str], object] = print,
 ) -> tuple[Array, float]:
-    """Trace a frame with ever more samples until the RMS noise over it is below `noise`, and tell what it took.
+    """Trace a frame with ever more samples until the RMS noise over it is below `noise`, and report what it took.
 
     A pilot with samples of its own, which are then thrown away, fixes each pixel's share of the samples: flat
     and empty pixels get few. The shares do not depend on the samples that are averaged, so the estimate stays
-    unbiased (Kirk and Arvo 1991). Ends at `most_samples` per pixel at the latest. `cache`: folder of earlier
+    unbiased (Kirk and Arvo 1991). Ends at MOST_SAMPLES per pixel at the latest. `cache`: folder of earlier
     results, keyed by what the scene contains, textures, size, noise and seed. Arguments and result otherwise
     as `trace`.
     """
-    problem = prepare(scene, texture, rows, columns, frame)
-    path = None if cache is None else _cache_file(cache, problem, noise, seed, most_samples)
+    problem = prepare(scene, texture, rows, columns)
+    path = None if cache is None else _cache_file(cache, problem, noise, seed)
     if path is not None and path.exists():
         with np.load(path, allow_pickle=False) as stored:
             return _shaped(stored["image"], texture), float(stored["noise"])
@@ -467,12 +467,12 @@ def trace_converged(
     pilot_seed, final_seed = (int(word) for word in np.random.SeedSequence(seed).generate_state(2))
     shares = sample_shares(extend(start(problem, pilot_seed), np.full((rows, columns), LEAST_SAMPLES)))
     halves, full, reached = start(problem, final_seed), LEAST_SAMPLES // 2, math.inf
-    while reached >= noise and 4 * full <= most_samples:
+    while reached >= noise and 4 * full <= MOST_SAMPLES:
         full *= 2
         halves = extend(halves, np.maximum(full * shares, LEAST_SAMPLES).astype(np.int64))
         image, reached = estimate(halves)
     mean, seconds = 2 * halves.counts.mean(), time.perf_counter() - began
-    tell(f"traced {rows} x {columns}: {2 * full} samples, mean {mean:.0f}, {reached:.2e} RMS, {seconds:.1f} s")
+    report(f"traced {rows} x {columns}: {2 * full} samples, mean {mean:.0f}, {reached:.2e} RMS, {seconds:.1f} s")
     if path is not None:
         _write_cache(path, image, reached)
     return _shaped(image, texture), reached
@@ -490,11 +490,11 @@ def pinhole_depth(scene: Any, rows: int, columns: int, times: Sequence[float]) -
 def _pinhole(x, y, poses, coefficients, bounds):  # type: ignore[no-untyped-def]
     """Depth of the nearest hit along (x, y, 1) for x (columns,), y (rows,) and poses (times, objects, 12)."""
     depth = np.full((len(poses), len(y), len(x)), np.inf)
-    for moment in range(len(poses)):
+    for sample in range(len(poses)):
         for row in range(len(y)):
             for column in range(len(x)):
                 for n in range(len(coefficients)):
-                    hit = _meet(0.0, 0.0, x[column], y[row], poses[moment, n], coefficients[n], bounds[n])
-                    if 0.0 < hit[0] < depth[moment, row, column]:
-                        depth[moment, row, column] = hit[0]
+                    hit = _meet(0.0, 0.0, x[column], y[row], poses[sample, n], coefficients[n], bounds[n])
+                    if 0.0 < hit[0] < depth[sample, row, column]:
+                        depth[sample, row, column] = hit[0]
     return depth

@@ -1,13 +1,13 @@
 """The command `clsco`: words to calls, results to tables, errors to one line each and an exit status.
 
-Exit status: 0 done; 1 a user's error, told on stderr; 2 wrong usage; 3 no usable device; 130 interrupted.
+Exit status: 0 done; 1 a user's error, reported on stderr; 2 wrong usage; 3 no usable device; 130 interrupted.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -38,7 +38,9 @@ from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES
 if TYPE_CHECKING:
     from clsco.engine.batch import Span
     from clsco.frame.frame import Frame
-    from clsco.plan.plan import Plan
+    from clsco.plan.buffers import DeviceFacts
+    from clsco.plan.prepare import Prepared
+    from clsco.plan.request import Request
     from clsco.scene.sweep import Sweep
 
 
@@ -89,17 +91,18 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
     from clsco.cli.demo import write_contact_sheet
     from clsco.cli.tables import progress
     from clsco.engine import batch
-    from clsco.plan.prepare import planned
+    from clsco.plan.prepare import prepare
     from clsco.scene.examples import EXAMPLES, example
 
-    scenes = {name: planned(example(name), ()).scene for name in EXAMPLES}
+    files = ("npz",)
+    scenes = {name: prepare(example(name), _request(files)) for name in EXAMPLES}
     jobs = {
-        name: batch.prepare(scene, out / name, range(scene.sequence.frames), ("npz",), None, False)
-        for name, scene in scenes.items()
+        name: batch.prepare(each, out / name, range(each.scene.sequence.frames), files, False)
+        for name, each in scenes.items()
     }
     shown = {}
     with progress(sum(len(job.frames) for job in jobs.values()), quiet) as advance:
-        for job, frames in batch.run(list(jobs.values()), device, None):
+        for job, frames in batch.run(list(jobs.values()), device):
             shown[job.folder.name] = frames  # the last one of a sequence
             advance()
     write_contact_sheet(out / "contact_sheet.png", shown)
@@ -120,12 +123,10 @@ def plan(scene: Path, overrides: tuple[str, ...], files: tuple[str, ...], memory
     from clsco.plan.buffers import ThisMachine
 
     device = ThisMachine(kind="gpu") if gpu else None
-    first = _first(scene, overrides, files, memory=memory, device=device)
+    first = _first(scene, overrides, _request(files, memory=memory), device)
     from clsco.cli.tables import plan_tables, print_tables
-    from clsco.plan.prepare import planned
 
-    right = [] if first.scene.stereo is None else [planned(first.scene, first.truth, "right", memory, device)]
-    print_tables(*plan_tables([first, *right]))
+    print_tables(*plan_tables(first.plans))
 
 
 @main.command()
@@ -138,12 +139,12 @@ def check(scene: Path, overrides: tuple[str, ...], device: str | None, precision
 
     Fails where color differs by more than 1e-5 of white, in either precision.
     """
-    planned = _first(scene, overrides)
+    first = _first(scene, overrides, _request((), precision=precision))
     _require_device(device)
     from clsco.cli.check import compare_frames
     from clsco.cli.tables import check_tables, print_tables
 
-    for checked in compare_frames(planned.scene, device, precision):
+    for checked in compare_frames(first.scene, device, precision):
         print_tables(*check_tables(checked))
         color = checked.differences[0]
         if color.count:
@@ -185,11 +186,11 @@ def schema() -> None:
 @main.command()
 @scenes_wanted
 def validate(scenes: tuple[Path, ...]) -> None:
-    """Check scene files and their textures without rendering; tells all faults of all files."""
-    from clsco.plan.prepare import planned_files
+    """Check scene files and their textures without rendering; reports all faults of all files."""
+    from clsco.plan.prepare import prepare_files
     from clsco.scene.sweep import load_sweeps
 
-    for path, labels, _ in planned_files(load_sweeps(scenes)):
+    for path, labels, _ in prepare_files(load_sweeps(scenes)):
         count = f", {len(labels)} scenes" if labels != ("",) else ""
         click.echo(f"{click.format_filename(path)}: valid{count}")
 
@@ -279,9 +280,9 @@ def defocus(
     --set reaches. Where --set gives a key of the camera several values, each has a folder in OUT.
     """
     from clsco.cli.defocus import depth_report, is_image_file, prepare_image, scenes_from_files, write_color
-    from clsco.plan.prepare import planned_files
+    from clsco.plan.prepare import prepare_files
 
-    alone, blur, memory = is_image_file(out), computation.blur, computation.memory
+    alone, request = is_image_file(out), _request((), computation)
     if alone and files:
         raise click.UsageError(f"--truth: OUT must be a folder; got {click.format_filename(out)}")
     sweep = scenes_from_files(image, depth, options, overrides)
@@ -290,15 +291,16 @@ def defocus(
     if not alone:
         _render_to_folders([(image, sweep)], out, files, computation, quiet)
         return
-    scenes = [plan.scene for _, _, plans in planned_files([(image, sweep)], (), memory, **blur) for plan in plans]
-    prepare_image(scenes, out)
+    found = [each for _, _, prepared in prepare_files([(image, sweep)], request) for each in prepared]
+    prepare_image([each.scene for each in found], out)
     _require_device(computation.device)
     from clsco.cli.tables import progress
-    from clsco.engine.sequence import render as render_frames
+    from clsco.engine.sequence import render_prepared
+    from clsco.opencl.session import session_for
 
     with progress(1, quiet) as advance:
-        for frame in render_frames(scenes[0], truth=(), **asdict(computation)):
-            write_color(out, frame, frame.metadata["bits"], scenes[0].image.transfer)
+        for _, frame in render_prepared(session_for(computation.device), found):
+            write_color(out, frame, frame.metadata["bits"], found[0].scene.image.transfer)
             _report_approximation(out, frame)
             advance()
 
@@ -365,9 +367,13 @@ def inpaint(
         click.echo(f"no pixel is missing: {click.format_filename(out)} is a copy of {click.format_filename(image)}")
 
 
-def _truth(files: tuple[str, ...]) -> tuple[str, ...]:
-    """The outputs that files of ground truth hold: all, or none without such files."""
-    return (*TRUTH_NAMES, *STEREO_NAMES) if files else ()
+def _request(files: tuple[str, ...], computation: Computation | None = None, **options: Any) -> Request:
+    """What is requested for these files of ground truth: all outputs, or without such files none."""
+    from clsco.plan.request import Request
+
+    if computation is not None:
+        options |= computation.blur | {"precision": computation.precision, "memory": computation.memory}
+    return Request((*TRUTH_NAMES, *STEREO_NAMES) if files else (), **options)
 
 
 def _report_approximation(where: Path, frame: Frame) -> None:
@@ -395,34 +401,35 @@ def _render_to_folders(
 
         require_truth_formats(files)
     from clsco.cli.tables import progress
-    from clsco.plan.prepare import planned_files
+    from clsco.plan.prepare import prepare_files
 
-    blur, precision, memory = computation.blur, computation.precision, computation.memory
-    planned = planned_files(loaded, _truth(files), memory, **blur)
+    prepared = prepare_files(loaded, _request(files, computation))
     _require_device(computation.device)
     from clsco.engine import batch
 
-    jobs = batch.prepare_all(planned, out, files, span, precision, resume, **blur)
+    jobs = batch.prepare_all(prepared, out, files, span, resume)
     with progress(sum(len(job.frames) for job in jobs), quiet) as advance:
-        for job, frames in batch.run(jobs, computation.device, precision, memory):
+        for job, frames in batch.run(jobs, computation.device):
             for frame in frames:
                 _report_approximation(job.folder, frame)
             advance()
 
 
-def _first(path: Path, overrides: tuple[str, ...], files: tuple[str, ...] = (), **options: Any) -> Plan:
-    """The plan of a file's only scene; of several the first one, which is told."""
-    from clsco.plan.prepare import planned_files
+def _first(
+    path: Path, overrides: tuple[str, ...], request: Request, device: DeviceFacts | None = None
+) -> Prepared:  # fmt: skip
+    """A file's only scene; of several the first one, whose label is printed."""
+    from clsco.plan.prepare import prepare_files
     from clsco.scene.sweep import load_sweeps
 
     ((path, sweep),) = load_sweeps([path], overrides)
     if isinstance(sweep, SceneError):
         raise sweep
     alone = replace(sweep, labels=sweep.labels[:1], scenes=sweep.scenes[:1])
-    ((_, (label,), (planned,)),) = planned_files([(path, alone)], _truth(files), **options)
+    ((_, (label,), (first,)),) = prepare_files([(path, alone)], request, device)
     if label:
         click.echo(f"the first of {len(sweep.labels)} scenes, {label}:")
-    return planned
+    return first
 
 
 def _require_opencl() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,14 +9,15 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from clsco.engine.sequence import render_sweep
+from clsco.engine.sequence import render_prepared
 from clsco.errors import ImageError, SceneError
 from clsco.files.atomic import remove_stale, same_place, writable_folder
 from clsco.frame.files import frame_files, frame_json, read_complete, write_frame
-from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES, Frame
+from clsco.frame.frame import Frame
 from clsco.frame.provenance import file_digests, record
+from clsco.opencl.session import Session, session_for
 from clsco.plan.approximation import asked_alike
-from clsco.plan.prepare import PlannedFile
+from clsco.plan.prepare import Prepared, PreparedFile
 from clsco.scene.model import Scene
 
 Span = tuple[int | None, int | None]
@@ -28,17 +28,14 @@ TOGETHER, PIXELS_TOGETHER = 16, 2**24  # scenes of a sweep that are on the devic
 class Job:
     """One scene to render: what its frames' JSON files say of it, the folder, and the frames still to do.
 
-    files: of "npz" and "exr", what is written besides PNG and JSON; method, tolerance: of the blur, as of
-    `clsco.render`.
+    files: of "npz" and "exr", what is written besides PNG and JSON.
     """
 
-    scene: Scene
+    prepared: Prepared
     record: dict[str, Any]
     folder: Path
     frames: tuple[int, ...]
     files: tuple[str, ...]
-    method: str = "auto"
-    tolerance: float | None = None
     before: Mapping[int, int | None] = field(default_factory=dict)
     """When each frame in the folder was written, ns; None for none."""
 
@@ -80,23 +77,20 @@ def wanted(scene: Scene, span: Span, where: str) -> range:
 
 
 def prepare(
-    scene: Scene,
+    prepared: Prepared,
     folder: Path,
     frames: Sequence[int],
     files: tuple[str, ...],
-    precision: str | None,
     resume: bool,
     digests: Mapping[str, str] | None = None,
-    method: str = "auto",
-    tolerance: float | None = None,
 ) -> Job:
     """Make the folder, and with `resume` take out the frames that are in it, whole and of this scene.
 
-    scene: with its resolution. digests: of its files, as `provenance.file_digests` gives them, where they are
-    known. method, tolerance: see `Job`. A frame is whole where its JSON file, written last, names the scene's hash,
-    this version, an approximation that was asked for alike, all files asked for, and each file's SHA-256.
-    Raises ImageError where a texture or depth cannot be read or the folder written.
+    digests: of its files, as `provenance.file_digests` gives them, where they are known. A frame is whole where its
+    JSON file, written last, names the scene's hash, this version, an approximation that was requested alike, all files
+    wanted, and each file's SHA-256. Raises ImageError where a texture or depth cannot be read or the folder written.
     """
+    scene, request = prepared.scene, prepared.request
     about = record(scene, digests)
     writable_folder(folder)
     remove_stale(folder)
@@ -113,17 +107,16 @@ def prepare(
             return False
         whole = frame_files(index, scene.stereo is not None, files) <= set(content["files"])
         views = content["views"].values() if scene.stereo is not None else [content]
-        alike = all(asked_alike(view.get("approximation"), method, tolerance) for view in views)
-        return whole and alike and all(precision in (None, view.get("precision")) for view in views)
+        alike = all(asked_alike(view.get("approximation"), request.method, request.tolerance) for view in views)
+        return whole and alike and all(request.precision in (None, view.get("precision")) for view in views)
 
     left = tuple(index for index in frames if not (resume and is_there(index)))
     before = {index: _written(folder, index) for index in left}
-    return Job(scene, about, folder, left, files, method, tolerance, before)
+    return Job(prepared, about, folder, left, files, before)
 
 
 def prepare_all(
-    planned: Sequence[PlannedFile], out: Path, files: tuple[str, ...], span: Span, precision: str | None, resume: bool,
-    method: str, tolerance: float | None,
+    planned: Sequence[PreparedFile], out: Path, files: tuple[str, ...], span: Span, resume: bool
 ) -> list[Job]:  # fmt: skip
     """`prepare` for every scene of files, each file with its folder of `folders`. Raises as these and `wanted`."""
     places = list(zip(planned, folders([path for path, *_ in planned], out), strict=True))
@@ -133,12 +126,12 @@ def prepare_all(
         for label in filter(None, labels):
             _require_inside(folder / label, folder, path)
     chosen = [
-        (plan.scene, folder / label, wanted(plan.scene, span, str(path)))
-        for (path, labels, plans), folder in places
-        for label, plan in zip(labels, plans, strict=True)
+        (each, folder / label, wanted(each.scene, span, str(path)))
+        for (path, labels, prepared), folder in places
+        for label, each in zip(labels, prepared, strict=True)
     ]
-    digests = file_digests(scene for scene, _, _ in chosen)
-    return [prepare(*what, files, precision, resume, digests, method, tolerance) for what in chosen]
+    digests = file_digests(each.scene for each, _, _ in chosen)
+    return [prepare(*what, files, resume, digests) for what in chosen]
 
 
 def _written(folder: Path, index: int) -> int | None:
@@ -149,35 +142,27 @@ def _written(folder: Path, index: int) -> int | None:
         return None
 
 
-def run(
-    jobs: Sequence[Job], device: str | None, precision: str | None, memory: int | None = None
-) -> Iterator[tuple[Job, tuple[Frame, ...]]]:
+def run(jobs: Sequence[Job], device: str | None) -> Iterator[tuple[Job, tuple[Frame, ...]]]:
     """Render the frames of jobs, write each one, and then yield it: one frame, or the two views of a stereo pair.
 
-    jobs: of scenes with their resolutions, in the order in which they are rendered; those of one sweep follow each
-    other, and up to `TOGETHER` of them share their rays where they can. Truth is computed only where a file asks for
-    it. Raises as `clsco.render` and `clsco.frame.files.write_frame`.
+    jobs: in the order in which they are rendered; those of one sweep follow each other, and up to `TOGETHER` of them
+    share their rays where they can. Raises as `clsco.render` and `clsco.frame.files.write_frame`.
     """
+    session = session_for(device)
     for _, alike in groupby(
-        (job for job in jobs if job.frames), key=lambda job: (job.frames, job.files, job.method, job.tolerance)
+        (job for job in jobs if job.frames), key=lambda job: (job.frames, job.files, job.prepared.request)
     ):
         members = list(alike)
-        largest = max(math.prod(job.scene.camera.resolution or ()) for job in members)
+        largest = max(job.prepared.plan.rows * job.prepared.plan.columns for job in members)
         count = max(1, min(TOGETHER, PIXELS_TOGETHER // largest))
         for start in range(0, len(members), count):
-            yield from _run_together(members[start : start + count], device, precision, memory)
+            yield from _run_together(session, members[start : start + count])
 
 
-def _run_together(
-    jobs: Sequence[Job], device: str | None, precision: str | None, memory: int | None
-) -> Iterator[tuple[Job, tuple[Frame, ...]]]:
-    """As `run`, of jobs with the same frames and the same files."""
-    truth = (*TRUTH_NAMES, *STEREO_NAMES) if jobs[0].files else ()  # nothing that no file asks for
-    scenes, wanted = [job.scene for job in jobs], jobs[0].frames
+def _run_together(session: Session, jobs: Sequence[Job]) -> Iterator[tuple[Job, tuple[Frame, ...]]]:
+    """As `run`, of jobs with the same frames, files and request."""
     left: Frame | None = None
-    options: dict[str, Any] = {"method": jobs[0].method, "tolerance": jobs[0].tolerance, "memory": memory}
-    options |= {"truth": truth, "device": device, "precision": precision, "frames": wanted}
-    for number, frame in render_sweep(scenes, **options):
+    for number, frame in render_prepared(session, [job.prepared for job in jobs], jobs[0].frames):
         if frame.eye == "left":
             left = frame
             continue
@@ -185,6 +170,7 @@ def _run_together(
         if _written(job.folder, frame.index) != job.before[frame.index]:
             where = frame_json(job.folder, frame.index)
             raise ImageError(f"{where}: frames must have one writer at a time; got one that another process wrote")
-        write_frame(job.folder, views, frame.metadata["bits"], job.scene.image.transfer, job.files, job.record)
+        transfer = job.prepared.scene.image.transfer
+        write_frame(job.folder, views, frame.metadata["bits"], transfer, job.files, job.record)
         left = None
         yield job, views

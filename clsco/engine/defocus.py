@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import wraps
 from typing import Any, Literal, ParamSpec, TypeVar, overload
 
@@ -13,7 +13,8 @@ import pyopencl as cl
 import pyopencl.array as cl_array
 from numpy.typing import NDArray
 
-from clsco.errors import DeviceError, ImageError, SceneError
+from clsco.engine.shrinking import Shrinking
+from clsco.errors import ImageError
 from clsco.files.transfer import decode, encode
 from clsco.frame.strips import BAND, Grid, Strip, frame_struct
 from clsco.opencl.arrays import check_image, on_host, without_mask
@@ -21,7 +22,7 @@ from clsco.opencl.buffers import allocate
 from clsco.opencl.device import Device
 from clsco.opencl.session import DeviceLike, Session
 from clsco.optics.lens import LARGEST_BLUR
-from clsco.optics.psf import reach, shape_of
+from clsco.optics.psf import reach
 from clsco.optics.psf_tables import TAP_LANES
 from clsco.optics.slabs import Slabs
 from clsco.passes.blur import Sources, image_target, prepare_sources
@@ -30,6 +31,7 @@ from clsco.passes.multigrid import Multigrid, make_blur
 from clsco.plan.approximation import (
     METHODS,
     ApproximationReport,
+    can_convolve,
     candidates,
     check_border,
     checked_tolerance,
@@ -38,7 +40,7 @@ from clsco.plan.approximation import (
 )
 from clsco.plan.buffers import image_buffers
 from clsco.plan.memory import Limit, defocus_bytes, defocus_strips, fits, is_layered, limit_of, rows_that_fit
-from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, check_method, is_sharp, many_radii
+from clsco.plan.methods import Blur, BlurSpec, choose_blur, is_sharp
 from clsco.records import Real, Struct, flat, in_parts
 from clsco.scene.file import PsfLike, psf_of
 from clsco.scene.model import Psf
@@ -149,7 +151,7 @@ def defocus(
     picture, radii = without_mask("image", picture), without_mask("blur_radius", radii)
     codes = picture.dtype in (np.uint8, np.uint16)
     linear = decode(picture, "srgb").astype(np.float32) if codes else picture
-    with session.telling():
+    with session.reporting():
         result, report = _defocus(session, _checked(linear, radii), model, (method, tolerance), memory, return_report)
         blurred = as_given(encode(result, 8 * picture.dtype.itemsize, "srgb") if codes else result)
     return (blurred, report) if return_report else blurred
@@ -193,17 +195,10 @@ def _checked(picture: NDArray[Any], radii: NDArray[Any]) -> _Given:
     return _Given(picture, radii, smallest, largest, float(np.float32(brightest)))
 
 
-def _choose(psf: Psf, method: str, smallest: float, largest: float, gpu: bool) -> Blur:
-    check_method(method)
-    constant = smallest == largest and psf.border == "lose" and shape_of(psf).kind != "general"
+def _choose(psf: Psf, method: str, given: _Given, gpu: bool) -> Blur:
     check_border(psf, method)
-    if method == "convolve" and not constant:
-        raise SceneError('method: convolve needs one radius for all pixels and border = "lose"; got many radii')
-    if is_sharp(psf, largest) and (method == "auto" or method in METHODS):
-        return "none"
-    if method == "convolve" or (method == "auto" and constant):
-        return "convolve"
-    return next((name for name in MANY_RADII if name == method), many_radii(gpu))
+    constant = given.smallest == given.largest and can_convolve(psf)
+    return choose_blur(method, is_sharp(psf, given.largest), constant, gpu)
 
 
 def _defocus(
@@ -214,13 +209,13 @@ def _defocus(
     device = session.device
     limit = limit_of(memory, device)
     name, tolerance = method
-    which = given.smallest, given.largest, device.kind == "gpu"
+    gpu = device.kind == "gpu"
     tried: tuple[tuple[str, float], ...] = ()
     names = [name]
     if tolerance is not None and checked_tolerance(tolerance, name):
-        names = [*(() if _choose(psf, name, *which) == "none" else candidates(psf, np.abs(given.coc))), name]
+        names = [*(() if _choose(psf, name, given, gpu) == "none" else candidates(psf, np.abs(given.coc))), name]
     for each in names:
-        blur, least = _choose(psf, each, *which), METHODS.get(each)
+        blur, least = _choose(psf, each, given, gpu), METHODS.get(each)
         spec = _spec(given, psf, blur, least)
         measured = each in METHODS and (measures or tolerance is not None)
         places = sample_places(*given.coc.shape) if measured else None
@@ -283,17 +278,13 @@ def _blurred(
             engine.defocus(strip, out[rows_of])
         return out, engine.missed()
 
-    tallest = rows_that_fit(rows, limit, sizes, whole)
-    while True:
-        try:
-            with session.telling():
-                return in_strips(tallest)
-        except DeviceError as error:  # in smaller strips where the device has less memory than it reports
-            half = replace(limit, total=sum(sizes(tallest).values()) // 2, given=False)
-            less = rows_that_fit(rows, half, sizes, whole)
-            if not error.short_of_memory or less == tallest:
-                raise
-            tallest = less
+    memory = Shrinking(
+        session,
+        limit,
+        lambda known: rows_that_fit(rows, known, sizes, whole),
+        lambda tall: sum(sizes(tall).values()),
+    )
+    return memory.run(in_strips)
 
 
 class _Engine:

@@ -98,7 +98,7 @@ def inpaint(
     """
     session, (picture, holes), as_given = on_host(device, image=image, mask=mask)
     checked = _checked(picture, without_mask("mask", holes))
-    with session.telling():
+    with session.reporting():
         filled, report = _inpaint(session, *checked, method, progress, options)
         result = as_given(filled)
     return (result, report) if return_report else result

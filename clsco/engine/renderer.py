@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,6 @@ from clsco.engine.workspace import Workspace, make_workspace
 from clsco.errors import DeviceError
 from clsco.frame.frame import Frame
 from clsco.frame.strips import Strip
-from clsco.inputs.textures import Texture
 from clsco.opencl.buffers import download
 from clsco.opencl.session import Session
 from clsco.optics.slabs import Slabs
@@ -29,27 +28,11 @@ from clsco.passes.warp import ForwardWarp
 from clsco.plan.approximation import ApproximationReport, estimate
 from clsco.plan.memory import Limit, device_bytes, fitted
 from clsco.plan.plan import Plan, exposure, widened
-from clsco.plan.predict import Maps
+from clsco.plan.prepare import Prepared
 from clsco.records import Real, Struct
 
 SLACK = 1.0 + 1e-6  # the host's float64 and the device's float round differently
 NOTHING_MISSING = {"missing_pixels": 0, "filled_pixels": 0, "unfilled_pixels": 0, "sweeps": 0}
-
-
-@dataclass(frozen=True)
-class Pixels:
-    """What a scene looks like.
-
-    Attributes
-    ----------
-    textures : sequence of Texture
-        Of every object, as `clsco.inputs.textures.load_scene_textures` gives them.
-    maps : sequence of ndarray or None
-        Of every object, as `clsco.inputs.depth_maps.load_scene_depths` gives them.
-    """
-
-    textures: Sequence[Texture]
-    maps: Maps
 
 
 class Renderer:
@@ -60,11 +43,10 @@ class Renderer:
     session : Session
     plan : Plan
         Fitted to the limit.
-    pixels : Pixels
+    prepared : Prepared
+        What the plan was made from.
     limit : Limit
         Where the plan turns out to be too small, the larger one is fitted to it.
-    precision : {"single", "double"}, optional
-        Of the geometry; by default double where the device has it.
     hits : Hits, optional
         Shared with the renderers of other lenses, whose plans have the same apron.
 
@@ -74,29 +56,29 @@ class Renderer:
     """
 
     def __init__(
-        self, session: Session, plan: Plan, pixels: Pixels, limit: Limit, precision: str | None = None,
-        hits: Hits | None = None,
-    ) -> None:  # fmt: skip
-        device = session.device
+        self, session: Session, plan: Plan, prepared: Prepared, limit: Limit, hits: Hits | None = None
+    ) -> None:
+        device, precision = session.device, prepared.request.precision
         if (needed := device_bytes(plan)) > device.global_mem:
             raise DeviceError(f"device {device}: the scene needs {needed >> 20} MiB; got {device.global_mem >> 20} MiB")
         wants_double = precision == "double" or (precision is None and device.has_fp64)
         real: Real = "double" if wants_double else "float"
-        self.plan, self.limit, self.maps, self.hits = plan, limit, pixels.maps, hits
+        self.plan, self.limit, self.prepared, self.hits = plan, limit, prepared, hits
         self.shares_rays = hits is not None
-        self.scene = PlacedScene(session, plan.scene, pixels.textures, real, plan.eye)
+        self.scene = PlacedScene(session, plan.scene, prepared.textures, real, plan.eye)
         self.approximations = plan.approximations  # of every frame, before any of them is tried
         self.tried: tuple[tuple[str, float], ...] = ()
         self.space: Workspace | None = None
-        self.moved = self._pixels(pixels.textures)
+        self.moved = self._pixels()
         self.space = self._workspace()
 
-    def _pixels(self, textures: Sequence[Texture]) -> ForwardWarp | StaticMap | None:
-        plan = self.plan
+    def _pixels(self) -> ForwardWarp | StaticMap | None:
+        plan, maps = self.plan, self.prepared.maps
         if plan.static_map:
-            assert self.maps[0] is not None
-            return StaticMap(plan.scene.camera, textures[0].radiance, self.maps[0], plan.guard_px, self.scene.real)
-        return ForwardWarp(plan, self.scene, self.maps) if plan.forward else None
+            assert maps[0] is not None
+            radiance = self.prepared.textures[0].radiance
+            return StaticMap(plan.scene.camera, radiance, maps[0], plan.guard_px, self.scene.real)
+        return ForwardWarp(plan, self.scene, maps) if plan.forward else None
 
     def _workspace(self) -> Workspace:
         camera = self._camera(self.plan.strips[0])
@@ -176,7 +158,7 @@ class Renderer:
         if isinstance(self.moved, ForwardWarp) and plan.guard_px != self.plan.guard_px:
             self.moved = None
             self.plan = plan
-            self.moved = ForwardWarp(plan, self.scene, self.maps)
+            self.moved = ForwardWarp(plan, self.scene, self.prepared.maps)
         self.plan = plan
         self.space = self._workspace()
 

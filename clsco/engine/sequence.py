@@ -5,22 +5,22 @@ from __future__ import annotations
 import operator
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from typing import Any, SupportsIndex
 
-from clsco.engine.renderer import Pixels, Renderer, expose
+from clsco.engine.renderer import Renderer, expose
+from clsco.engine.shrinking import Shrinking
 from clsco.errors import DeviceError, SceneError
 from clsco.frame.frame import ALL_TRUTH, Frame, truth_names
-from clsco.inputs.depth_maps import load_scene_depths
-from clsco.inputs.textures import Texture, load_scene_textures
 from clsco.opencl.session import DeviceLike, Session, session_for
-from clsco.optics.motion import Eye
 from clsco.passes.trace import Hits
 from clsco.plan.approximation import checked_tolerance
 from clsco.plan.memory import Limit, device_bytes, fitted, hit_bytes, limit_of, parse_size
 from clsco.plan.methods import check_method
-from clsco.plan.plan import Plan, make_plan
-from clsco.plan.predict import Maps
+from clsco.plan.plan import Plan
+from clsco.plan.prepare import Prepared, prepare_sweep
+from clsco.plan.request import Request
 from clsco.scene.file import SceneLike, scene_of
 from clsco.scene.model import Scene
 from clsco.scene.sweep import Sweep
@@ -164,7 +164,7 @@ def render_sweep(
     (tests/cli/test_sweep.py).
     """
     found = [scene_of(scene) for scene in (scenes.scenes if isinstance(scenes, Sweep) else scenes)]
-    names, chosen = truth_names(truth), None if frames is None else _frame_numbers(found, frames)
+    chosen = None if frames is None else _frame_numbers(found, frames)
     if precision not in (None, "single", "double"):
         raise SceneError(f"precision: must be single or double; got {precision}")
     check_method(method)
@@ -172,7 +172,28 @@ def render_sweep(
         checked_tolerance(tolerance, method)
     if memory is not None:
         parse_size(memory)
-    return _render_scenes(session_for(device), found, (names, precision, (method, tolerance), chosen, memory))
+    request = Request(truth_names(truth), method, tolerance, precision, memory)
+    return _render_scenes(session_for(device), found, request, chosen)
+
+
+def render_prepared(
+    session: Session, prepared: Sequence[Prepared], frames: Sequence[int] | None = None
+) -> Iterator[tuple[int, Frame]]:
+    """`render_sweep` for scenes that are prepared, in the session, with one request for all of them."""
+    with session.reporting():
+        for group in _groups([each.scene for each in prepared]):
+            for k, frame in _render_group(session, [prepared[k] for k in group], frames):
+                yield group[k], frame
+
+
+def _render_scenes(
+    session: Session, scenes: Sequence[Scene], request: Request, frames: Sequence[int] | None
+) -> Iterator[tuple[int, Frame]]:
+    """As `render_prepared`; scenes that share their rays are prepared together, when their turn comes."""
+    for group in _groups(scenes):
+        sweep = Sweep(("",) * len(group), tuple(scenes[k] for k in group))
+        for k, frame in render_prepared(session, prepare_sweep(sweep, request, session.device), frames):
+            yield group[k], frame
 
 
 def _frame_numbers(scenes: Sequence[Scene], frames: Iterable[SupportsIndex]) -> list[int]:
@@ -186,13 +207,6 @@ def _frame_numbers(scenes: Sequence[Scene], frames: Iterable[SupportsIndex]) -> 
     if wrong and scenes:
         raise SceneError(f"frames: must lie from 0 to {count - 1}; got {wrong[0]}")
     return found
-
-
-def _render_scenes(session: Session, scenes: Sequence[Scene], options: Any) -> Iterator[tuple[int, Frame]]:
-    with session.telling():
-        for group in _groups(scenes):
-            for k, frame in _render_group(session, [scenes[k] for k in group], *options):
-                yield group[k], frame
 
 
 def _groups(scenes: Sequence[Scene]) -> list[list[int]]:
@@ -211,76 +225,59 @@ def _without_lens(scene: Scene) -> Scene:
 
 
 def _render_group(
-    session: Session, scenes: Sequence[Scene], truth: tuple[str, ...], precision: str | None,
-    method: tuple[str, float | None], frames: Sequence[int] | None, memory: str | int | None,
-) -> Iterator[tuple[int, Frame]]:  # fmt: skip
-    """method: with the tolerance."""
-    first, textures = load_scene_textures(scenes[0])
-    channels = max(texture.radiance.shape[2] if texture.radiance.ndim == 3 else 1 for texture in textures)
-    eyes: tuple[Eye, ...] = ("left",) if first.stereo is None else ("left", "right")
-    plans: list[tuple[Plan, ...]] = []
-    maps = []
-    for scene in scenes:
-        camera = scene.camera.model_copy(update={"resolution": first.camera.resolution})
-        sized = scene.model_copy(update={"camera": camera})
-        maps.append(load_scene_depths(sized))
-        how = (maps[-1], method[1], session.device)
-        plans.append(tuple(make_plan(sized, channels, truth, method[0], eye, *how) for eye in eyes))
-    wanted = range(first.sequence.frames) if frames is None else frames
-    limit = replace(limit_of(memory, session.device), views=len(eyes))
+    session: Session, prepared: Sequence[Prepared], frames: Sequence[int] | None
+) -> Iterator[tuple[int, Frame]]:
+    """Frames of scenes that differ in the lens only."""
+    request, views = prepared[0].request, len(prepared[0].plans)
+    wanted = range(prepared[0].scene.sequence.frames) if frames is None else frames
+    limit = replace(limit_of(request.memory, session.device), views=views)
     numbers, done = list(wanted), 0
     try:
-        with session.telling():
-            for found in _in_turns(session, _in_lockstep(plans, limit), textures, maps, limit, precision, numbers):
+        with session.reporting():
+            for found in _in_turns(session, prepared, limit, numbers):
                 done += 1
                 yield from found
     except DeviceError as error:
         if not error.short_of_memory:
             raise
     left = numbers[done:]
-    for k, of_eyes in enumerate(plans if left else ()):
-        for views in _in_strips(session, of_eyes, textures, maps[k], limit, precision, left):
-            yield from ((k, frame) for frame in views)
+    for k, each in enumerate(prepared if left else ()):
+        for of_views in _in_strips(session, each, limit, left):
+            yield from ((k, frame) for frame in of_views)
 
 
 def _in_turns(
-    session: Session, lockstep: Sequence[Sequence[Plan]], textures: Sequence[Texture], maps: Sequence[Maps],
-    limit: Limit, precision: str | None, wanted: Sequence[int],
-) -> Iterator[list[tuple[int, Frame]]]:  # fmt: skip
-    """Of plans per eye and lens that share their rays, all frames of each number; of no plans none."""
+    session: Session, prepared: Sequence[Prepared], limit: Limit, wanted: Sequence[int]
+) -> Iterator[list[tuple[int, Frame]]]:
+    """All frames of each number, of scenes that share their rays; none where they cannot."""
     together = []
-    for of_lenses in lockstep:
+    for of_lenses in _in_lockstep([each.plans for each in prepared], limit):
         hits = Hits(session)
-        pairs = zip(of_lenses, maps, strict=True)
-        together.append([Renderer(session, plan, Pixels(textures, m), limit, precision, hits) for plan, m in pairs])
+        pairs = zip(of_lenses, prepared, strict=True)
+        together.append([Renderer(session, plan, each, limit, hits) for plan, each in pairs])
     for index in wanted if together else ():
         rendered = [_together(renderers, index) for renderers in together]
         yield [(k, frame) for k, views in enumerate(zip(*rendered, strict=True)) for frame in views]
 
 
-def _in_strips(
-    session: Session, of_eyes: Sequence[Plan], textures: Sequence[Texture], maps: Maps, limit: Limit,
-    precision: str | None, wanted: Sequence[int],
-) -> Iterator[list[Frame]]:  # fmt: skip
+def _in_strips(session: Session, prepared: Prepared, limit: Limit, wanted: Sequence[int]) -> Iterator[list[Frame]]:
     """The views of each frame of one scene; in smaller strips where the device has less memory than it reports."""
     renderers: list[Renderer] = []
-    pixels = Pixels(textures, maps)
-    fitting = [fitted(plan, limit) for plan in of_eyes]
+
+    def views(plans: list[Plan], index: int) -> list[Frame]:
+        try:
+            renderers[:] = renderers or [Renderer(session, plan, prepared, memory.limit) for plan in plans]
+            return [_together([renderer], index)[0] for renderer in renderers]
+        except DeviceError:
+            renderers.clear()  # before those for smaller strips take memory
+            raise
+
+    def fit(limit: Limit) -> list[Plan]:
+        return [fitted(plan, limit) for plan in prepared.plans]
+
+    memory = Shrinking(session, limit, fit, lambda plans: device_bytes(plans[0], limit.views))
     for index in wanted:
-        views: list[Frame] = []
-        while not views:
-            try:
-                with session.telling():
-                    renderers = renderers or [Renderer(session, p, pixels, limit, precision) for p in fitting]
-                    views = [_together([renderer], index)[0] for renderer in renderers]
-            except DeviceError as error:
-                renderers = []  # before those for smaller strips take memory
-                taken = device_bytes(fitting[0], limit.views)
-                limit = replace(limit, total=min(limit.total, taken) // 2, given=False)
-                before, fitting = fitting, [fitted(plan, limit) for plan in of_eyes]
-                if not error.short_of_memory or fitting == before:
-                    raise
-        yield views
+        yield memory.run(partial(views, index=index))
 
 
 def _in_lockstep(plans: Sequence[tuple[Plan, ...]], limit: Limit) -> list[list[Plan]]:
@@ -310,6 +307,6 @@ def _shares_rays(one: tuple[Plan, ...], other: tuple[Plan, ...]) -> bool:
 
 
 def _together(renderers: Sequence[Renderer], index: int) -> list[Frame]:
-    """One frame of each renderer, moment by moment."""
+    """One frame of each renderer, time sample by time sample."""
     expose(renderers, index)
     return [renderer.finish(index) for renderer in renderers]

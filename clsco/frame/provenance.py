@@ -19,7 +19,8 @@ DERIVED_UNITS = {"derived.aperture_diameter": "mm", "derived.sensor_distance": "
 FRAME_UNITS = {"intermediate[].time": "s", "seconds": "s, by pass on the device"}
 
 
-def _views(scene: Scene) -> tuple[Eye, ...]:
+def views(scene: Scene) -> tuple[Eye, ...]:
+    """The views of a scene: one, or two of a stereo pair."""
     return ("left",) if scene.stereo is None else ("left", "right")
 
 
@@ -40,8 +41,8 @@ def units(scene: Scene) -> dict[str, str]:
 
 def _record_units(scene: Scene) -> dict[str, str]:
     """Units of what a frame's JSON file holds besides the scene's parameters; of a stereo pair those of each view."""
-    views = [""] if scene.stereo is None else [f"views.{view}." for view in _views(scene)]
-    return DERIVED_UNITS | {view + key: unit for view in views for key, unit in FRAME_UNITS.items()}
+    places = [""] if scene.stereo is None else [f"views.{view}." for view in views(scene)]
+    return DERIVED_UNITS | {place + key: unit for place in places for key, unit in FRAME_UNITS.items()}
 
 
 def _unit(parts: Iterable[Any]) -> str:

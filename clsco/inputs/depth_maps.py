@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,7 +27,7 @@ ROUNDING = 1e-6  # of the radius at infinity: float32 files reach it, and pass i
 
 @dataclass(frozen=True, eq=False)
 class DepthValues:
-    """What a depth map says, in the units of the program.
+    """Depths of a map, in the units of the program.
 
     inverse_depth: (rows, columns), 1/mm, > 0; 0 where the map has no surface.
     zero, negative, nan, infinite: pixels without a surface, by the value that the file has there.
@@ -157,19 +158,25 @@ def _across(w: Array) -> tuple[Array, Array]:
     return np.where(on_left | on_right, between, 0.0), width
 
 
-def load_scene_depths(scene: Scene) -> tuple[Array | None, ...]:
+def load_scene_depths(
+    scene: Scene, load: Callable[[Scene, DepthMap], Array] | None = None
+) -> tuple[Array | None, ...]:  # fmt: skip
     """Inverse depth (rows, columns) in 1/mm of every object that is a depth map, None for others.
 
-    scene: with its resolution. Raises ImageError where a file cannot be read, has another size than the frame, or
-    does not fit the camera.
+    Parameters
+    ----------
+    scene : Scene
+        With its resolution.
+    load : callable, optional
+        What gives it for an object, by default from its file.
+
+    Raises
+    ------
+    ImageError
+        A file cannot be read, has another size than the frame, or does not fit the camera; of several the first one.
     """
-    found: list[Array | None] = []
-    for item in scene.objects:
-        if not isinstance(item, DepthMap):
-            found.append(None)
-            continue
-        found.append(map_inverse_depth(scene, item, read_depth(item.depth)))
-    return tuple(found)
+    of_map = load or (lambda scene, item: map_inverse_depth(scene, item, read_depth(item.depth)))
+    return tuple(of_map(scene, item) if isinstance(item, DepthMap) else None for item in scene.objects)
 
 
 def map_inverse_depth(scene: Scene, item: DepthMap, raw: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Textures in linear light: built-in patterns, or image files resampled to the frame (pure).
+"""Textures in linear radiance: built-in patterns, or image files resampled to the frame (pure).
 
 Computed in float64, some rows at a time, and kept in float32: what a frame of 8192 x 8192 takes besides is little.
 """
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import ImageError
-from clsco.files.images import image_size, read_image
+from clsco.files.images import Picture, image_size, read_image
 from clsco.files.transfer import decode, encode
 from clsco.scene.model import Scene
 
@@ -30,7 +30,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """What a surface looks like, in linear light.
+    """Radiance of a surface.
 
     radiance: float32 (rows, columns) or (rows, columns, 3), 1 = white, >= 0; row 0 on top.
     bits: 8, 16 or 32 per value, as it was stored. source: name of the pattern, or path of the file.
@@ -42,7 +42,7 @@ class Texture:
 
 
 def load_texture(name_or_path: str | os.PathLike[str], transfer: str, size: tuple[int, int] | None = None) -> Texture:
-    """Load a built-in pattern or an image file as linear light.
+    """Load a built-in pattern or an image file as linear radiance.
 
     name_or_path: bricks, checkerboard, slanted_edge, siemens_star, or a path. transfer: "srgb" or "linear",
     of patterns, which have 8 bits, and of files with 8 and 16 bits; floats are linear.
@@ -52,16 +52,29 @@ def load_texture(name_or_path: str | os.PathLike[str], transfer: str, size: tupl
     """
     source = os.fspath(name_or_path)
     if source in PATTERNS:
-        rows, columns = size or (DEFAULT_SIDE, DEFAULT_SIDE)
-        draw = PATTERNS[source]
-        return Texture(_by_rows((rows, columns), lambda a, b: decode(draw(rows, columns, a, b), transfer)), 8, source)
-    _require_suffix(source)
+        return Texture(radiance_of(source, transfer, size), 8, source)
+    require_suffix(source)
     picture = read_image(source)
-    stored, bits = picture.data, picture.bits
+    return Texture(radiance_of(picture, transfer, size), picture.bits, source)
+
+
+def radiance_of(picture: Picture | str, transfer: str, size: tuple[int, int] | None = None) -> NDArray[np.float32]:
+    """Linear radiance of a picture, or of a built-in pattern by its name; see `load_texture`.
+
+    Returns
+    -------
+    ndarray of float32, (rows, columns) or (rows, columns, 3)
+        Not to be written to: several scenes may have it.
+    """
+    if isinstance(picture, str):
+        rows, columns = size or (DEFAULT_SIDE, DEFAULT_SIDE)
+        draw = PATTERNS[picture]
+        return _by_rows((rows, columns), lambda a, b: decode(draw(rows, columns, a, b), transfer))
+    stored = picture.data
     if size is None or stored.shape[:2] == size:
-        return Texture(_by_rows(stored.shape, lambda a, b: decode(stored[a:b], transfer)), bits, source)
+        return _by_rows(stored.shape, lambda a, b: decode(stored[a:b], transfer))
     linear, shape = decode(stored, transfer), (*size, *stored.shape[2:])
-    return Texture(_by_rows(shape, lambda a, b: resample(linear, size, a, b)), bits, source)
+    return _by_rows(shape, lambda a, b: resample(linear, size, a, b))
 
 
 def _by_rows(shape: tuple[int, ...], rows_of: Callable[[int, int], Floats]) -> NDArray[np.float32]:
@@ -72,6 +85,7 @@ def _by_rows(shape: tuple[int, ...], rows_of: Callable[[int, int], Floats]) -> N
     for first in range(0, shape[0], ROWS_AT_A_TIME):
         end = min(first + ROWS_AT_A_TIME, shape[0])
         aligned[first:end] = rows_of(first, end)
+    aligned.flags.writeable = False
     return aligned
 
 
@@ -80,24 +94,40 @@ def texture_size(name_or_path: str | os.PathLike[str]) -> tuple[int, int]:
     source = os.fspath(name_or_path)
     if source in PATTERNS:
         return DEFAULT_SIDE, DEFAULT_SIDE
-    _require_suffix(source)
+    require_suffix(source)
     return image_size(source)
 
 
-def load_scene_textures(scene: Scene) -> tuple[Scene, tuple[Texture, ...]]:
+def load_scene_textures(scene: Scene, load: Callable[..., Texture] = load_texture) -> tuple[Scene, tuple[Texture, ...]]:
     """Load the textures of all objects in the size of the frame, each file once.
 
-    Returns the scene with its resolution, which the first object's texture gives where the scene does not,
-    and a texture per object. Raises ImageError as `load_texture` does.
+    Parameters
+    ----------
+    scene : Scene
+    load : callable
+        `load_texture`, or what stands for it.
+
+    Returns
+    -------
+    Scene
+        With its resolution, which the first object's texture gives where the scene does not.
+    tuple of Texture
+        One per object.
+
+    Raises
+    ------
+    ImageError
+        As `load_texture`.
     """
     columns, rows = scene.camera.resolution or texture_size(scene.objects[0].texture)
     camera = scene.camera.model_copy(update={"resolution": (columns, rows)})
     names = [item.texture for item in scene.objects]
-    loaded = {name: load_texture(name, scene.image.transfer, (rows, columns)) for name in dict.fromkeys(names)}
+    loaded = {name: load(name, scene.image.transfer, (rows, columns)) for name in dict.fromkeys(names)}
     return scene.model_copy(update={"camera": camera}), tuple(loaded[name] for name in names)
 
 
-def _require_suffix(source: str) -> None:
+def require_suffix(source: str) -> None:
+    """Raise ImageError for a name that is neither a pattern nor has an extension."""
     if not Path(source).suffix:
         raise ImageError(f"texture: must be one of {', '.join(PATTERNS)}, or an image file; got {source!r}")
 
@@ -105,8 +135,8 @@ def _require_suffix(source: str) -> None:
 def resample(linear: Floats, size: tuple[int, ...], first: int = 0, end: int | None = None) -> Floats:
     """Resample an image to another size with the same outer borders, without aliasing.
 
-    linear: (rows, columns[, channels]), linear light. size: (rows, columns). first, end: which rows of it are wanted,
-    by default all. Returns size[, channels], >= 0.
+    linear: (rows, columns[, channels]), linear. size: (rows, columns). first, end: which rows of it are wanted, by
+    default all. Returns size[, channels], >= 0.
     Separable Catmull-Rom cubic (Catmull and Rom 1974; a = -1/2 of Keys 1981), as wide as an output pixel
     where the image shrinks. Each output pixel's weights sum to 1; beyond the border the nearest pixel
     repeats; what rings below 0 is 0. Validated on constants, cosines, mirrored images, and by the mean.
@@ -182,7 +212,7 @@ def bricks(rows: int, columns: int, first: int = 0, end: int | None = None) -> C
     clay = shade + 0.10 * stain + 0.11 * streaks + 0.13 * sand + 0.08 * grain + 0.55 * flecks
     mortar = 0.66 + 0.10 * stain + 0.20 * sand + 0.13 * grain
 
-    # Light from the upper left: relief on the faces, and the shadow that they cast into the joints.
+    # Illumination from the upper left: relief on the faces, and the shadow that they cast into the joints.
     relief = 1.3 * np.clip(inside / 3.5, -0.4, 1) + 0.55 * sand * face + 0.8 * flecks * face
     light = np.zeros_like(relief)
     light[1:, 1:] = np.clip((relief[1:, 1:] - relief[:-1, :-1]) / max(scale, 0.35), -1, 1)
@@ -228,7 +258,7 @@ def checkerboard(rows: int, columns: int, first: int = 0, end: int | None = None
 def slanted_edge(rows: int, columns: int, first: int = 0, end: int | None = None) -> Codes:
     """Draw a straight edge through the center, 5 degrees from the vertical, for an MTF after ISO 12233.
 
-    Returns sRGB codes (rows, columns): light 0.2 on the left, 0.8 on the right, 4 : 1, and in each pixel on
+    Returns sRGB codes (rows, columns): radiance 0.2 on the left, 0.8 on the right, 4 : 1, and in each pixel on
     the edge the mean by exact area, to the nearest code.
     """
     angle = np.deg2rad(5.0)
@@ -238,7 +268,7 @@ def slanted_edge(rows: int, columns: int, first: int = 0, end: int | None = None
 
 
 def siemens_star(rows: int, columns: int, first: int = 0, end: int | None = None) -> Codes:
-    """Draw 36 bright and 36 dark spokes, light 0.8 and 0.05, around the center.
+    """Draw 36 bright and 36 dark spokes, radiance 0.8 and 0.05, around the center.
 
     Returns sRGB codes (rows, columns). A pixel that one edge crosses has the mean by exact area, to
     the nearest code; near the center, where several cross, the mean of 16 x 16 samples.

@@ -93,17 +93,17 @@ class Session:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if error is None:
-            with self.telling():
+            with self.reporting():
                 self.close()
             return
-        with suppress(cl.Error, DeviceError):  # what came first is told
+        with suppress(cl.Error, DeviceError):  # the first error is raised
             self.close()
         if isinstance(error, cl.Error):
             raise failure(self.device, "go on", error) from error
 
     @contextmanager
-    def telling(self) -> Iterator[None]:
-        """Have what OpenCL raises in the block told as a DeviceError, when nothing runs any more that reads arrays.
+    def reporting(self) -> Iterator[None]:
+        """Errors of OpenCL in the block are raised as DeviceError, once nothing runs any more that reads arrays.
 
         After an error other than a want of memory the context may be lost, so that `session_on` opens another one.
         """
@@ -111,11 +111,11 @@ class Session:
             yield
         except BaseException as error:
             self.settle()
-            told = failure(self.device, "go on", error) if isinstance(error, cl.Error) else error
-            if isinstance(told, DeviceError) and not told.short_of_memory:
+            raised = failure(self.device, "go on", error) if isinstance(error, cl.Error) else error
+            if isinstance(raised, DeviceError) and not raised.short_of_memory:
                 session_on.cache_clear()
-            if told is not error:
-                raise told from error
+            if raised is not error:
+                raise raised from error
             raise
 
     def settle(self) -> None:

@@ -1,6 +1,6 @@
 """Point spread functions of a thin lens: weights in closed form and their tables (float64, pure).
 
-A weight is the share of one source's light that one detector pixel gets. The closed forms are exact; the tables
+A weight is the share of one source's energy that one detector pixel gets. The closed forms are exact; the tables
 hold the same weights as piecewise cubics in the blur radius, which is what a device reads.
 """
 
@@ -33,12 +33,12 @@ class PsfShape:
     Attributes
     ----------
     kind : str
-        "disc": every lit pixel gets the same (the sampled pillbox), so no table is needed. "separable": a weight is
+        "disc": every covered pixel gets the same (the sampled pillbox), so no table is needed. "separable": a weight is
         the product of one along each axis (Gaussians cut at a square). "symmetric": the octants are alike. "general":
         nothing is alike; whole rows of weights, for single sources.
     extent : float
         Distance at which the PSF of R = 1 px ends, px; so it is the radius of the lens that it stands for, in aperture
-        radii, as light that leaves at R l comes from l.
+        radii, as a ray through lens point l arrives at offset R l.
     sampled : bool
         Weights are taken at pixel centers, and jump where R passes one.
     soft : bool
@@ -73,7 +73,7 @@ class PsfShape:
         return np.array(self.mask, np.float64).reshape(-1, 3)
 
     def is_sharp(self, largest: float) -> bool:
-        """Whether the PSF of the |blur radius| `largest` px keeps all light in its pixel."""
+        """Whether the PSF of the |blur radius| `largest` px is 1 in its own pixel and 0 elsewhere."""
         if self.sampled:
             return largest < MINIMUM_BLUR or self.extent * largest < 1.0
         area_only = self.pixel_moment < PIXEL_MOMENT["integrated"]
@@ -144,7 +144,7 @@ def disc_coverage(dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
     """Integral over a disc at the origin of the response of a pixel at (dx, dy), in px^2.
 
     dx, dy, radius > 0: px, broadcast against each other. tent=False: the unit square (area of the disc in the
-    pixel); tent=True: the square convolved with itself (the disc seen from a square source by a square
+    pixel); tent=True: the square convolved with itself (the disc between a square source and a square
     detector). Closed form: along each chord the response integrates to a quadratic in the chord's half-length
     h = sqrt(R^2 - x^2); the integrals over x of 1, h, h^2 and x times these are elementary between breakpoints.
     Validated against adaptive quadrature to 1e-10; sums over the integers to pi R^2.
@@ -210,7 +210,7 @@ def psf_extent(psf: Psf, radius: Array | float) -> Array:
 
 
 def reach(psf: Psf, radius: float, subpixel: bool = False) -> int:
-    """Largest |dx| or |dy| in px of a pixel that a source of blur radius `radius` px may light."""
+    """Largest |dx| or |dy| in px of a pixel that a source of blur radius `radius` px may contribute to."""
     extent = float(psf_extent(psf, radius))
     if subpixel:
         return max(ceil(extent + 1.0) - 1, 0)
@@ -220,11 +220,11 @@ def reach(psf: Psf, radius: float, subpixel: bool = False) -> int:
 
 
 def weights(psf: Psf, dx: Array, dy: Array, radius: Array) -> Array:
-    """Share of a source's light at integer offsets (dx, dy) px for blur radius `radius` px; sums to 1.
+    """Share of a source's energy at integer offsets (dx, dy) px for blur radius `radius` px; sums to 1.
 
     The three broadcast; the sign of the radius matters where the shape is `signed`. Pillbox (2.26), through
     its aperture, and Gaussian (2.27, sigma = sigma_ratio R) in the `edge` forms of the
-    scene file. A radius of 0 is the limit: all light stays. Validated: energy 1 to 1e-12, quadrature, continuity.
+    scene file. A radius of 0 is the limit: all energy stays. Validated: energy 1 to 1e-12, quadrature, continuity.
     """
     if shape_of(psf).kind == "general":
         return _polygon_weights(psf, dx, dy, np.asarray(radius, np.float64), psf.edge == "integrated")
@@ -278,12 +278,12 @@ def _sampled_weights(psf: Psf, dx: Array, dy: Array, r: Array) -> Array:
 
 
 def sampled_key(psf: Psf) -> float:
-    """A sampled PSF lights the pixel centers with dx^2 + dy^2 <= key R^2; the table is indexed by that product."""
+    """A sampled PSF covers the pixel centers with dx^2 + dy^2 <= key R^2; the table is indexed by that product."""
     return 1.0 if psf.model == "pillbox" else (psf.truncation * psf.sigma_ratio) ** 2
 
 
 def subpixel_weights(psf: Psf, dx: Array, dy: Array, radius: Array) -> Array:
-    """Share of a point source's light at (dx, dy) px, not necessarily integers: exact circle-square coverage.
+    """Share of a point source's energy at (dx, dy) px, not necessarily integers: exact circle-square coverage.
 
     Serves the sub-pixel sources at silhouettes, for every `edge`; arguments as for `weights`.
     """

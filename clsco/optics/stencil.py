@@ -71,6 +71,11 @@ def is_summed(psf: Psf, half_width: int) -> bool:
     return not shape_of(psf).soft and half_width >= SUMMED
 
 
+def is_by_axes(psf: Psf) -> bool:
+    """Whether a PSF has two stencils, for its rows and then its columns."""
+    return shape_of(psf).kind == "separable"
+
+
 def stencil_sizes(psf: Psf, far: int) -> dict[str, int]:
     """Most bytes of the arrays of `stencils` for PSFs that reach at most `far` px, by their names and numbers.
 
@@ -78,7 +83,7 @@ def stencil_sizes(psf: Psf, far: int) -> dict[str, int]:
     """
     half, row = far + 1, 2 * far + 1
     runs = -(-row // LONGEST_RUN)
-    if shape_of(psf).kind == "separable":
+    if is_by_axes(psf):
         return {"runs 0": 16 * half, "weights 0": 4 * half, "runs 1": 16 * runs, "weights 1": 4 * row}
     sizes = {"runs 0": 16 * half * (runs + 1), "weights 0": 4 * half * row}
     return sizes | ({"pairs 0": 16 * (4 * half - 2)} if is_summed(psf, far) else {})
@@ -101,7 +106,7 @@ def stencils(psf: Psf, radius: float) -> tuple[Stencil, ...]:
     """
     far = reach(psf, radius)
     offset = np.arange(far + 1.0)
-    if shape_of(psf).kind == "separable":
+    if is_by_axes(psf):
         line = axis_weights(psf, offset, np.asarray(radius)).astype(np.float32)
         return Stencil(*_runs(line[None, :])), Stencil(*_runs(line[:, None]))
     quadrant = weights(psf, offset[None, :], offset[:, None], np.asarray(radius)).astype(np.float32)

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pyopencl as cl
 
 from clsco.inpainting.rules import MeanMedian, bits_of, score_of_sums, score_scale
-from clsco.opencl.buffers import download, empty
-from clsco.opencl.program import kernel, launch
-from clsco.opencl.session import Program, Session
-from clsco.passes.blur import Events
-from clsco.records import WIDE_BYTES, Struct
+from clsco.opencl.buffers import allocate, download
+from clsco.opencl.session import Session
+from clsco.passes.blur import Events, Target
+from clsco.plan.buffers import COUNTERS, LANES, SCORED, SUMS, Sizes
+from clsco.records import Struct
 
-COUNTERS = 5
-SUMS, SCORED = 13, 128  # sums of score_mean_median, and columns per work-item there
 LEFT, LEFT_INSIDE, FILLED, FILLED_INSIDE, DONE = range(COUNTERS)
 CHUNK = 64  # pixels per work-item where it counts
-LANES = 8  # pixels of a vector; score_mean_median may read so many beyond the end
 ZERO = np.array(0, np.int32)
 LISTED = (64,)  # local size of kernels with a work-item per source or per entry of a list
 OWNERS = (1,)  # of those with few, large work-items
@@ -26,36 +25,88 @@ LINES = (8,)  # of those with a work-item per row, column, segment, chunk or vec
 CHAPTER5 = MeanMedian()
 
 
-class Filler:
-    """Owns planes with missing pixels on one device, and fills them (4.3.5, chapter 5).
+@dataclass
+class FillPlanes:
+    """Buffers of a filling on the padded grid, as in fill.cl; the first six are for the caller to write before it.
 
-    program: with fill.cl; camera: camera_t, whose padded grid the planes have; features: of the program. value, w, coc,
-    valid, status and object (None without SEVERAL) are as in fill.cl, for the caller to write
-    before `fill`; indices are two buffers of ints per pixel that only `fill` itself needs.
-    Raises DeviceError. Validated against `clsco.reference.inpainting.fill`.
+    Attributes
+    ----------
+    value : Buffer
+        float (CHANNELS, height, width), radiance.
+    w, coc : Buffer
+        wide_t, inverse depth in 1/mm and signed R in px.
+    valid, status : Buffer
+        uchar.
+    object : Buffer, optional
+        uchar, of scenes with several objects.
+    indices : (Buffer, Buffer)
+        Lists of pixels, an int per pixel, that only the filling itself needs.
+    spans, grown, counters : Buffer
+    far : tuple of Buffer
+        Bounds on the depth of neighbors, where holes are filled from the far side.
+    done, sums, other_value, other_w : Buffer, optional
+        Of mean/median filling.
     """
 
-    def __init__(self, session: Session, program: Program, camera: Struct, features: dict[str, int]) -> None:
-        self.session, self.program, self.camera = session, program, camera
+    value: cl.Buffer
+    w: cl.Buffer
+    coc: cl.Buffer
+    valid: cl.Buffer
+    status: cl.Buffer
+    object: cl.Buffer | None
+    indices: tuple[cl.Buffer, cl.Buffer]
+    spans: cl.Buffer
+    grown: cl.Buffer
+    counters: cl.Buffer
+    far: tuple[cl.Buffer, ...]
+    done: Any
+    sums: Any
+    other_value: Any
+    other_w: Any
+
+    @classmethod
+    def allocated(cls, session: Session, sizes: Sizes) -> FillPlanes:
+        """Buffers of these sizes (`clsco.plan.buffers.fill_buffers`). Raises DeviceError."""
+        found = allocate(session, sizes)
+        for name, bytes_of_lane in (("value", 4), ("valid", 1)):  # read beyond the end, and used for nothing
+            tail = bytes_of_lane * LANES
+            cl.enqueue_copy(session.queue, found[name], np.zeros(tail, np.uint8), dst_offset=sizes[name] - tail)
+        indices = found.pop("list"), found.pop("next list")
+        far = (found.pop("far"),) if "far" in found else ()
+        given = {name.replace(" ", "_"): buffer for name, buffer in found.items()}
+        absent: dict[str, Any] = dict.fromkeys(("object", "done", "sums", "other_value", "other_w"))
+        return cls(indices=indices, far=far, **absent | given)
+
+
+class Filler:
+    """Fills missing pixels of planes on one device (4.3.5, chapter 5).
+
+    Parameters
+    ----------
+    target : Target
+        With fill.cl, and for mean/median filling score.cl and fill_mean_median.cl.
+    camera : numpy.void
+        camera_t, whose padded grid the planes have.
+    features : dict
+        Of the program.
+    sizes : dict
+        Of the buffers, by `clsco.plan.buffers.fill_buffers`.
+
+    Raises
+    ------
+    DeviceError
+
+    Notes
+    -----
+    Validated against `clsco.reference.inpainting.fill`.
+    """
+
+    def __init__(self, target: Target, camera: Struct, features: Mapping[str, int], sizes: Sizes) -> None:
+        self.target, self.session, self.camera = target, target.session, camera
         self.interpolates, self.smooths = bool(features["FILL_AIT"]), bool(features["FILL_MEAN_MEDIAN"])
-        self.is_far, channels = bool(features["FILL_FAR"]), features["CHANNELS"]
+        self.is_far = bool(features["FILL_FAR"])
         self.rows, self.columns = int(camera["height"]), int(camera["width"])
-        self.lines, pixels = self.rows + self.columns, self.rows * self.columns
-        self.value, self.w = empty(session, 4 * (channels * pixels + LANES)), empty(session, WIDE_BYTES * pixels)
-        self.valid, self.status = empty(session, pixels + LANES), empty(session, pixels)
-        self.coc = empty(session, WIDE_BYTES * pixels)
-        tail = np.zeros(4 * LANES, np.uint8)  # read beyond the end, and used for nothing
-        cl.enqueue_copy(session.queue, self.value, tail, dst_offset=4 * channels * pixels)
-        cl.enqueue_copy(session.queue, self.valid, tail[:LANES], dst_offset=pixels)
-        self.indices = empty(session, 4 * pixels), empty(session, 4 * pixels)
-        self.spans, self.grown = empty(session, 8 * self.lines), empty(session, 8 * self.lines)
-        self.counters = empty(session, 4 * COUNTERS)
-        self.object = empty(session, pixels) if features["SEVERAL"] else None
-        self.far: tuple[cl.Buffer, ...] = (empty(session, 4 * pixels),) if self.is_far else ()
-        if self.smooths:
-            self.scored = self.rows * -(-self.columns // SCORED)
-            self.done, self.sums = empty(session, 4 * pixels), empty(session, 8 * SUMS * self.scored)
-            self.other_value, self.other_w = empty(session, self.value.size), empty(session, self.w.size)
+        self.planes = FillPlanes.allocated(self.session, sizes)
 
     def fill(self, surfaces: cl.Buffer, count: int, events: Events, brightest: float = 1.0) -> dict[str, int]:
         """Fill missing pixels sweep by sweep; returns the fields of `clsco.reference.inpainting.fill.FillReport`.
@@ -63,9 +114,9 @@ class Filler:
         surfaces: `count` of surface_t, where pixels may be missing with domain "surface"; brightest: what radiance is
         at most. Waits once per sweep.
         """
-        cl.enqueue_fill_buffer(self.session.queue, self.counters, ZERO, 0, self.counters.size)
-        source, left = self.indices
-        placed = (self.camera, surfaces, np.int32(count), self.valid)
+        cl.enqueue_fill_buffer(self.session.queue, self.planes.counters, ZERO, 0, self.planes.counters.size)
+        source, left = self.planes.indices
+        placed = (self.camera, surfaces, np.int32(count), self.planes.valid)
         found = self._mark(placed, source, events)
         wins = self._score(brightest, events) if self.smooths and found[LEFT] else 0
         sweeps = filled = first = 0
@@ -95,62 +146,65 @@ class Filler:
 
     def _mark(self, placed: tuple[Any, ...], source: cl.Buffer, events: Events) -> list[int]:
         """List all missing pixels."""
-        chunks, head = (-(-self.columns // CHUNK), self.rows), (self.camera, self.valid)
-        self._launch("find_spans", events, (self.lines,), LINES, *head, self.spans, self.grown)
-        args = (*placed, self.spans, self.status, source, self.counters, *self._depths())
-        self._launch("mark_missing", events, chunks, (1, *LINES), *args)
+        chunks, head = (-(-self.columns // CHUNK), self.rows), (self.camera, self.planes.valid)
+        self._run("find_spans", events, (self.rows + self.columns,), LINES, *head, self.planes.spans, self.planes.grown)
+        args = (*placed, self.planes.spans, self.planes.status, source, self.planes.counters, *self._depths())
+        self._run("mark_missing", events, chunks, (1, *LINES), *args)
         return self._found()
 
     def _depths(self) -> tuple[cl.Buffer, ...]:
         """What the bound on the depth of neighbors is made from, and kept in."""
-        return (self.w, *self.far) if self.is_far else ()
+        return (self.planes.w, *self.planes.far) if self.is_far else ()
 
     def _sweep(self, source: cl.Buffer, count: int, wins: np.int32, minimum: np.int32, events: Events) -> None:
         """Fill what can be filled of a list of `count` missing pixels; wins: of the median, by count of neighbors."""
-        seen = () if self.object is None else (self.object,)
-        planes = (*self.far, self.valid, self.value, self.w, self.coc, self.status, *seen)
+        p = self.planes
+        seen = () if p.object is None else (p.object,)
+        planes = (*p.far, p.valid, p.value, p.w, p.coc, p.status, *seen)
         head = (self.camera, source, np.int32(count))
         if self.interpolates:
             rule = (minimum,) if self.is_far else ()
-            self._launch("fill_ait", events, (count,), LISTED, *head, *rule, *planes)
+            self._run("fill_ait", events, (count,), LISTED, *head, *rule, *planes)
         else:
             vectors = (-(-count // LANES),)
-            self._launch("fill_mean_median", events, vectors, LINES, *head, wins, minimum, *planes)
+            self._run("fill_mean_median", events, vectors, LINES, *head, wins, minimum, *planes)
 
     def _settle(
         self, placed: tuple[Any, ...], source: cl.Buffer, left: cl.Buffer, count: int, events: Events
     ) -> list[int]:
         """End a sweep over the list `source`; lists in `left` what is missing now."""
-        cl.enqueue_fill_buffer(self.session.queue, self.counters, ZERO, 0, 4 * DONE)
-        lines = (self.spans, self.grown)
-        args = (self.camera, source, np.int32(count), *lines, self.status, self.valid, left, self.counters)
-        done = (self.done,) if self.smooths else ()
-        self._launch("settle_sweep", events, (-(-count // CHUNK),), LINES, *args, *done)
-        grown = (*placed, *lines, self.status, left, self.counters, *self._depths())
-        self._launch("mark_grown", events, (self.lines,), LISTED, *grown)
+        p = self.planes
+        cl.enqueue_fill_buffer(self.session.queue, p.counters, ZERO, 0, 4 * DONE)
+        lines = (p.spans, p.grown)
+        args = (self.camera, source, np.int32(count), *lines, p.status, p.valid, left, p.counters)
+        done = (p.done,) if self.smooths else ()
+        self._run("settle_sweep", events, (-(-count // CHUNK),), LINES, *args, *done)
+        grown = (*placed, *lines, p.status, left, p.counters, *self._depths())
+        self._run("mark_grown", events, (self.rows + self.columns,), LISTED, *grown)
         return self._found()
 
     def _score(self, brightest: float, events: Events) -> int:
         """For which counts of neighbors the median is the better estimator: bit k for k of them."""
-        scale = score_scale(brightest)
-        args = (self.camera, np.float32(scale), self.value, self.valid, self.sums)
-        self._launch("score_mean_median", events, (self.scored,), OWNERS, *args)
-        score = score_of_sums(download(self.session, self.sums, (self.scored, SUMS), np.int64), scale)
+        scale, scored = score_scale(brightest), self.rows * -(-self.columns // SCORED)
+        args = (self.camera, np.float32(scale), self.planes.value, self.planes.valid, self.planes.sums)
+        self._run("score_mean_median", events, (scored,), OWNERS, *args)
+        score = score_of_sums(download(self.session, self.planes.sums, (scored, SUMS), np.int64), scale)
         return bits_of(score.median_wins())
 
     def _smooth(self, count: int, events: Events) -> None:
         """Rounds of the median over the filled pixels, to and fro between two sets of planes."""
-        here, there = (self.value, self.w), (self.other_value, self.other_w)
+        p = self.planes
+        here, there = (p.value, p.w), (p.other_value, p.other_w)
         for source, target in zip(here, there, strict=True):
             cl.enqueue_copy(self.session.queue, target, source, byte_count=source.size)
-        vectors, head = (-(-count // LANES),), (self.camera, self.done, np.int32(count), *self.far, self.valid)
+        vectors, head = (-(-count // LANES),), (self.camera, p.done, np.int32(count), *p.far, p.valid)
         for _ in range(CHAPTER5.smoothing_rounds):  # an even number: the last one writes to the first set
-            self._launch("smooth_median", events, vectors, LINES, *head, *here, *there, self.coc)
+            self._run("smooth_median", events, vectors, LINES, *head, *here, *there, p.coc)
             here, there = there, here
 
     def _found(self) -> list[int]:
-        found: list[int] = download(self.session, self.counters, (COUNTERS,), np.int32).tolist()
+        found: list[int] = download(self.session, self.planes.counters, (COUNTERS,), np.int32).tolist()
         return found
 
-    def _launch(self, name: str, events: Events, size: tuple[int, ...], local: tuple[int, ...], *args: Any) -> None:
-        events.append((name, launch(self.session, kernel(self.program, name), size, local, *args)))
+    def _run(self, name: str, events: Events, size: tuple[int, ...], local: tuple[int, ...], *args: Any) -> None:
+        self.target.run(name, size, local, events, *args)

@@ -17,7 +17,7 @@ from clsco.passes.fill import LINES, LISTED, OWNERS, ZERO, Filler
 from clsco.passes.pack import camera_struct
 from clsco.passes.placed import PlacedScene, TimeSample
 from clsco.plan.buffers import warp_buffers
-from clsco.plan.plan import Plan
+from clsco.plan.plan import Plan, fill_sizes
 from clsco.records import WIDE, in_parts, structs, together
 
 KERNELS = ("warp/warp.cl", "inpainting/fill.cl", "inpainting/score.cl", "inpainting/fill_mean_median.cl")
@@ -104,9 +104,9 @@ class ForwardWarp:
         self.owned = session.device.kind == "cpu" if owned is None else owned
         features = forward_features(plan, self.owned)
         self.kernels = Target(session, build(session, KERNELS, features, structs(real), real), real)
-        self.filler = Filler(session, self.kernels.program, self.camera, features)
+        self.filler = Filler(self.kernels, self.camera, features, fill_sizes(plan))
         # Once the pixels are in their places, the filling may have these for its lists.
-        self.target, self.winner = self.filler.indices
+        self.target, self.winner = self.filler.planes.indices
         sizes = warp_buffers(plan.scene, plan.grid, session.device)
         self.rest, self.moved = (empty(session, sizes[name]) for name in ("rest", "moved"))
         self.object = (empty(session, sizes["object"]),) if "object" in sizes else ()
@@ -117,7 +117,7 @@ class ForwardWarp:
         self.maps = (upload(session, in_parts(np.stack(given), real)),) if given else ()
         self.bounds = empty(session, sizes["bounds"]) if self.owned else None
         # The filling writes its radii later.
-        self.depth = self.filler.coc if self.owned else empty(session, self.winner.size)
+        self.depth = self.filler.planes.coc if self.owned else empty(session, self.winner.size)
         reference = scene.in_reference_pose()
         self.rest_surfaces = reference.surfaces
         members = np.uint64(sum(1 << k for k, surface in enumerate(reference.placed) if surface is not None))
@@ -144,9 +144,9 @@ class ForwardWarp:
 
     def fill(self, sample: TimeSample, events: Events) -> Warped:
         """Fill what is missing after `gather`; arguments and what is returned as for `warp`."""
-        planes, plan = self.filler, self.plan
+        planes, plan = self.filler.planes, self.plan
         brightest = self.scene.brightest * sample.weight
-        counters = planes.fill(sample.surfaces, len(sample.placed), events, brightest)
+        counters = self.filler.fill(sample.surfaces, len(sample.placed), events, brightest)
         if self.maps:
             out = (planes.value, planes.w, planes.coc, planes.valid)
             self._per_pixel("extend_border", events, (plan.width, plan.height), self.camera, *out)
@@ -164,8 +164,8 @@ class ForwardWarp:
 
     def gather(self, weight: float, events: Events) -> None:
         """Enqueue what the winners of the depth test bring: the planes of `filler`, with nothing filled. As `warp`."""
-        planes, plan = self.filler, self.plan
-        if planes.is_far:
+        planes, plan = self.filler.planes, self.plan
+        if self.filler.is_far:
             chunks = (-(-plan.width // (ITEM_PIXELS if self.owned else 1)), plan.height)
             gaps = (self.camera, self.depth, self.winner, planes.valid)
             self.kernels.run("reproject_gaps", chunks, (1, *LINES) if self.owned else PIXELS, events, *gaps)
@@ -178,7 +178,7 @@ class ForwardWarp:
     def note_radii(self, statistics: cl.Buffer, events: Events) -> None:
         """Keep the range of the radii that `warp` has found, largest and smallest, in the first two of these ints."""
         chunks = (-(-self.plan.width // (ITEM_PIXELS if self.owned else 1)), self.plan.height)
-        found = (self.filler.coc, self.filler.valid, statistics)
+        found = (self.filler.planes.coc, self.filler.planes.valid, statistics)
         self.kernels.run("note_radii", chunks, (1, *LINES) if self.owned else PIXELS, events, self.camera, *found)
 
     def truth(self, sample: TimeSample, wanted: Collection[str], events: Events) -> dict[str, NDArray[Any]]:

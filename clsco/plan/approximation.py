@@ -79,9 +79,14 @@ def checked_tolerance(tolerance: float, method: str) -> float:
     return tolerance
 
 
+def can_convolve(psf: Psf) -> bool:
+    """Whether `convolve` and coarser grids can blur by this PSF: the same one everywhere, and for -R."""
+    return psf.border == "lose" and not shape_of(psf).signed
+
+
 def check_border(psf: Psf, method: str) -> None:
     """Raises SceneError where a method cannot keep the light within the frame, or take the shape of the lens."""
-    if method in (*METHODS, "convolve") and shape_of(psf).kind == "general":
+    if method in (*METHODS, "convolve") and shape_of(psf).signed:
         raise SceneError(f'method: {method} needs aperture.shape = "circle"; got {psf.aperture.shape}')
     if method in METHODS and psf.border != "lose":
         raise SceneError(f'method: {method} needs psf.border = "lose"; got {psf.border}')
@@ -94,7 +99,7 @@ def candidates(psf: Psf, radii: Array) -> tuple[str, ...]:
     Gaussians, MOVING_TAPS for others; there is none for a polygon (measured: benchmarks/optimisation_log.md).
     """
     shape = shape_of(psf)
-    if psf.border != "lose" or radii.size == 0 or shape.kind == "general":
+    if radii.size == 0 or not can_convolve(psf):
         return ()
     moving = SOFT_TAPS if shape.soft else MOVING_TAPS
     exact, least_saved = _taps(psf, radii), DISC_TAPS if shape.kind == "disc" else moving

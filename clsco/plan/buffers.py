@@ -15,7 +15,7 @@ from clsco.optics.multigrid import coarse_frame, coarse_psf, coarse_radii, plane
 from clsco.optics.psf import shape_of
 from clsco.optics.psf_tables import TAP_LANES, WIDE_LANES, is_near, table_sizes
 from clsco.optics.slabs import CLASSES, bins_of, levels_of, most_deep
-from clsco.optics.stencil import is_summed, stencil_sizes
+from clsco.optics.stencil import is_by_axes, is_summed, stencil_sizes
 from clsco.optics.visibility import lens_floats
 from clsco.plan.methods import MANY_RADII, BlurSpec
 from clsco.records import WIDE_BYTES, structs
@@ -100,9 +100,8 @@ def band_scratch(psf: Psf, largest: float, fp64: bool) -> Scratch:
     of small reach ("near") or any ("rows"), and of others columns of them."""
     if is_near(psf, largest):
         return "near"
-    if shape_of(psf).kind == "disc":
-        return "rows" if fp64 else "none"
-    return "none" if shape_of(psf).kind == "general" else "columns"
+    found: dict[str, Scratch] = {"disc": "rows" if fp64 else "none", "general": "none"}
+    return found.get(shape_of(psf).kind, "columns")
 
 
 def source_bytes(sources: int, tilt: bool, marked: bool = False) -> int:
@@ -178,7 +177,7 @@ def blur_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
         height, width = rows + 2 * grid.guard, columns + 2 * grid.guard
         if is_summed(spec.psf, reach):
             sizes["sums"] = 8 * (height * width + SUMS_BEYOND)
-        if shape_of(spec.psf).kind == "separable":
+        if is_by_axes(spec.psf):
             sizes["across"] = 4 * height * ceil(columns / CONVOLVED_COLUMNS) * CONVOLVED_COLUMNS
         sizes |= stencil_sizes(spec.psf, reach)
     return sizes
@@ -323,21 +322,25 @@ def warp_buffers(scene: Scene, grid: Grid, device: DeviceFacts) -> Sizes:
     return sizes
 
 
-def fill_buffers(scene: Scene, grid: Grid) -> Sizes:
+def fill_buffers(grid: Grid, several: bool, far: bool, smooths: bool) -> Sizes:
     """Buffers of `clsco.passes.fill.Filler`.
 
     Parameters
     ----------
-    scene : Scene
     grid : Grid
         Of the whole frame.
+    several : bool
+        There are several objects.
+    far : bool
+        Holes are filled from the far side.
+    smooths : bool
+        By mean/median.
 
     Returns
     -------
     dict
     """
     pixels, lines = grid.sources, grid.width + grid.height
-    several, mapped = len(scene.objects) > 1, not scene.is_analytic
     sizes = {
         "value": 4 * (grid.channels * pixels + LANES),
         "w": WIDE_BYTES * pixels,
@@ -351,8 +354,8 @@ def fill_buffers(scene: Scene, grid: Grid) -> Sizes:
         "counters": 4 * COUNTERS,
     }
     sizes |= {"object": pixels} if several else {}
-    sizes |= {"far": 4 * pixels} if several or mapped else {}
-    if scene.fill.method == "mean_median":
+    sizes |= {"far": 4 * pixels} if far else {}
+    if smooths:
         sizes |= {"done": 4 * pixels, "sums": 8 * SUMS * grid.height * ceil(grid.width / SCORED)}
         sizes |= {"other value": sizes["value"], "other w": sizes["w"]}
     return sizes

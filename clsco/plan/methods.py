@@ -86,12 +86,36 @@ def check_method(method: str) -> None:
         raise SceneError(f"method: must be one of {', '.join(known)}; got {method}")
 
 
-def choose_blur(method: str, sharp: bool, constant: bool, gpu: bool, occluded: bool) -> Blur:
+def choose_blur(method: str, sharp: bool, constant: bool, gpu: bool, occluded: bool = False) -> Blur:
+    """The way a blur is computed.
+
+    Parameters
+    ----------
+    method : str
+        "auto", one of MANY_RADII, "convolve", or an approximation.
+    sharp : bool
+        All light stays in its pixel (`is_sharp`).
+    constant : bool
+        All pixels have one radius, and `can_convolve`.
+    gpu : bool
+        The device is a GPU.
+    occluded : bool
+        Something may stand in the way of a source.
+
+    Returns
+    -------
+    Blur
+
+    Raises
+    ------
+    SceneError
+        There is no such method, or it cannot do this blur.
+    """
     check_method(method)
     if method in METHODS:
         return "none" if sharp else many_radii(gpu, occluded, approximate=True)
     if method == "convolve" and not constant:
-        raise SceneError("method: convolve needs one blur radius for the whole frame; got a scene with many")
+        raise SceneError('method: convolve needs one blur radius for all pixels and border = "lose"; got many radii')
     if method == "tiles" and occluded:
         raise SceneError("method: tiles needs sources with nothing in their way; got objects that hide each other")
     for known in MANY_RADII:

@@ -24,7 +24,7 @@ from clsco.optics.psf_tables import TAP_LANES, check_tables, psf_features, table
 from clsco.optics.quadrics import canonical
 from clsco.optics.slabs import margin_of_slabs
 from clsco.optics.visibility import Layer, extent, is_hollow, layers
-from clsco.plan.approximation import METHODS, candidates, check_border, checked_tolerance, place_count
+from clsco.plan.approximation import METHODS, can_convolve, candidates, check_border, checked_tolerance, place_count
 from clsco.plan.buffers import (
     STATISTICS,
     TRUTH_BUFFERS,
@@ -240,6 +240,12 @@ def widened(plan: Plan, smallest: float, largest: float) -> Plan:
     return replace(plan, smallest_blur=smallest, largest_blur=largest, guard_px=guard)
 
 
+def fill_sizes(plan: Plan) -> Sizes:
+    """Buffers of the filling after a forward warp."""
+    scene, several = plan.scene, len(plan.scene.objects) > 1
+    return fill_buffers(plan.grid, several, several or not scene.is_analytic, scene.fill.method == "mean_median")
+
+
 def _hides_nothing(scene: Scene) -> bool:
     """Whether the lens sees all that the pinhole sees: a single surface, without an inside and not of a map."""
     return len(scene.objects) == 1 and scene.is_analytic and not is_hollow(scene.objects[0])
@@ -320,7 +326,7 @@ def make_plan(
     silhouettes = psf.silhouette_samples if psf.silhouette_samples > 1 and rays and not slabs else 0
     if silhouettes and _fills_view(scene, w):
         silhouettes = 0
-    constant = _constant_blur(scene) and not silhouettes and psf.border == "lose" and shape_of(psf).kind != "general"
+    constant = _constant_blur(scene) and not silhouettes and can_convolve(psf)
     sharp = is_sharp(psf, largest) and not silhouettes
     check_border(psf, method)
     occlusion, found = _occlusion(scene, rays, sharp, moments, each)
@@ -358,7 +364,7 @@ def _passes(plan: Plan) -> tuple[Pass, ...]:
         found.append(Pass("reproject", (("pixels", moved), *_of_frame(plan)), _named("warp", sizes) | _of_scene(plan)))
         kind: Kind = "fill" if scene.fill.method != "none" else "count missing"
         rule = f"{scene.fill.method}, domain {scene.fill.domain}" if kind == "fill" else "pixels are counted"
-        found.append(Pass(kind, (("missing", rule),), _named("fill", fill_buffers(scene, grid))))
+        found.append(Pass(kind, (("missing", rule),), _named("fill", fill_sizes(plan))))
     if rays and layered:
         found.append(Pass("pinhole", _of_rays(plan), map_buffers(grid) | _of_scene(plan)))
     if rays and not layered:

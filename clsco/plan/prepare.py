@@ -1,95 +1,128 @@
-"""Plans of scenes and sweeps, with the files that they name read once."""
+"""Scenes and sweeps with their plans, and the files that they name read once: what `plan`, `render`, `check` and
+`batch` work with."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import ImageError, SceneError
-from clsco.files.images import read_image
-from clsco.frame.provenance import _views
-from clsco.inputs.depth_files import read_depth
-from clsco.inputs.depth_maps import map_inverse_depth
-from clsco.inputs.textures import texture_size
-from clsco.optics.motion import Eye
+from clsco.frame.provenance import views
+from clsco.inputs.files import InputFiles, Maps, shared_files
+from clsco.inputs.textures import PATTERNS, Texture, texture_size
 from clsco.plan.buffers import DeviceFacts
 from clsco.plan.memory import fitted, limit_of
 from clsco.plan.plan import Plan, make_plan
-from clsco.plan.predict import Maps
+from clsco.plan.request import Request
 from clsco.scene.faults import at_most
-from clsco.scene.model import BUILT_IN_TEXTURES, DepthMap, Scene
+from clsco.scene.model import DepthMap, Scene
 from clsco.scene.sweep import Sweep
 
-PlannedFile = tuple[Path, tuple[str, ...], tuple[Plan, ...]]  # with the labels of its scenes
 
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A scene that is ready to be rendered.
 
-def planned(
-    scene: Scene,
-    truth: tuple[str, ...],
-    eye: Eye = "left",
-    memory: int | None = None,
-    device: DeviceFacts | None = None,
-) -> Plan:
-    """The plan of a scene for the outputs `truth` besides color; reads its textures and depths, computes nothing.
-
-    eye: of a stereo pair; memory: as for `clsco.render`, device: as for `clsco.plan.plan.make_plan`.
-
-    The plan's scene has its resolution, which the first texture gives where the scene does not, and three channels
-    where any texture has color. Raises SceneError, all textures' and depths' faults at once, and what
-    `clsco.plan.plan.make_plan` raises.
+    Attributes
+    ----------
+    scene : Scene
+        With its resolution, which the first texture gives where the scene does not.
+    plans : tuple of Plan
+        For its view, or for the left and the right one; with three channels where any texture has color.
+    request : Request
+    files : InputFiles
     """
-    (plan,) = planned_sweep(Sweep(("",), (scene,)), truth, eye, memory, device=device)
-    return plan
+
+    scene: Scene
+    plans: tuple[Plan, ...]
+    request: Request
+    files: InputFiles
+
+    @cached_property
+    def textures(self) -> tuple[Texture, ...]:
+        """Of every object."""
+        return self.files.textures(self.scene)
+
+    @cached_property
+    def maps(self) -> Maps:
+        """Of every object, see `InputFiles.maps`."""
+        return self.files.maps(self.scene)
+
+    @property
+    def plan(self) -> Plan:
+        """The plan of the view, or of the left one."""
+        return self.plans[0]
 
 
-def planned_sweep(
-    sweep: Sweep, truth: tuple[str, ...], eye: Eye = "left", memory: int | None = None, method: str = "auto",
-    tolerance: float | None = None, device: DeviceFacts | None = None,
-) -> tuple[Plan, ...]:  # fmt: skip
-    """The plans of all scenes of a sweep, as `planned`; each file is read once. Raises SceneError for all of them.
+PreparedFile = tuple[Path, tuple[str, ...], tuple[Prepared, ...]]  # with the labels of its scenes
 
-    method, tolerance: as for `clsco.render`; device: as for `planned`.
+
+def prepare(
+    scene: Scene, request: Request | None = None, device: DeviceFacts | None = None, files: InputFiles | None = None
+) -> Prepared:
+    """Read the files of a scene and plan its rendering; computes nothing.
+
+    Parameters
+    ----------
+    scene : Scene
+    request : Request, optional
+        By default the color alone.
+    device : DeviceFacts, optional
+        As for `clsco.plan.plan.make_plan`.
+    files : InputFiles, optional
+        By default those that all renderings share.
+
+    Returns
+    -------
+    Prepared
+
+    Raises
+    ------
+    SceneError
+        All textures' and depths' faults at once, and as `clsco.plan.plan.make_plan`.
     """
-    files = _read_files(sweep.scenes[0])  # the same for all: no key of theirs can have several values
-    plans, faults = [], dict[str, None]()
+    (found,) = prepare_sweep(Sweep(("",), (scene,)), request, device, files)
+    return found
+
+
+def prepare_sweep(
+    sweep: Sweep, request: Request | None = None, device: DeviceFacts | None = None, files: InputFiles | None = None
+) -> tuple[Prepared, ...]:
+    """`prepare` for all scenes of a sweep. Raises SceneError with the faults of all of them."""
+    wanted, known = request or Request(), files or shared_files()
+    found, faults, channels = [], dict[str, None](), dict[str, int]()
     for label, scene in zip(sweep.labels, sweep.scenes, strict=True):
-        camera = scene.camera
-        if camera.resolution is None:
-            camera = camera.model_copy(update={"resolution": files.size})
-        sized = scene.model_copy(update={"camera": camera})
+        names = repr([(item.texture, item.files()) for item in scene.objects])
+        if names not in channels:  # all scenes of a sweep have the same files
+            channels[names] = _channels(scene, known)
         try:
-            maps = _inverse_depths(sized, files.depths)
-            views = {
-                view: make_plan(sized, files.channels, truth, method, view, maps, tolerance, device)
-                for view in _views(scene)
-            }
-            limit = replace(limit_of(memory, device), views=len(views))
-            plans.append({view: fitted(plan, limit) for view, plan in views.items()}[eye])
+            found.append(_planned(scene, channels[names], wanted, device, known))
         except SceneError as error:
             faults.update(dict.fromkeys(f"{message}{label and f' (with {label})'}" for message in error.messages))
     if faults:
         raise SceneError(list(faults))
-    return tuple(plans)
+    return tuple(found)
 
 
-def planned_files(
-    loaded: Sequence[tuple[Path, Sweep | SceneError]], truth: tuple[str, ...] = (), memory: int | None = None,
-    method: str = "auto", tolerance: float | None = None, device: DeviceFacts | None = None,
-) -> list[PlannedFile]:  # fmt: skip
-    """The plans of files that `clsco.scene.sweep.load_sweeps` gives; raises SceneError for all of them."""
-    found: list[PlannedFile] = []
+def prepare_files(
+    loaded: Sequence[tuple[Path, Sweep | SceneError]], request: Request | None = None,
+    device: DeviceFacts | None = None,
+) -> list[PreparedFile]:  # fmt: skip
+    """`prepare_sweep` for files that `clsco.scene.sweep.load_sweeps` gives. Raises SceneError for all of them."""
+    found: list[PreparedFile] = []
     messages: list[str] = []
     for path, sweep in loaded:
         if isinstance(sweep, SceneError):
             messages.extend(sweep.messages)
             continue
         try:
-            plans = planned_sweep(sweep, truth, memory=memory, method=method, tolerance=tolerance, device=device)
-            found.append((path, sweep.labels, plans))
+            found.append((path, sweep.labels, prepare_sweep(sweep, request, device)))
         except SceneError as error:
             messages.extend(at_most(str(path), error.messages))
     if messages:
@@ -97,47 +130,47 @@ def planned_files(
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class _Files:
-    """Of a scene's files: size of the first texture in px, channels of the image, and depths by their paths."""
+def _planned(scene: Scene, channels: int, request: Request, device: DeviceFacts | None, files: InputFiles) -> Prepared:
+    camera = scene.camera
+    if camera.resolution is None:
+        camera = camera.model_copy(update={"resolution": texture_size(scene.objects[0].texture)})
+    sized = scene.model_copy(update={"camera": camera})
+    maps = _maps(sized, files)
+    options = (request.truth, request.method)
+    plans = [make_plan(sized, channels, *options, eye, maps, request.tolerance, device) for eye in views(scene)]
+    limit = replace(limit_of(request.memory, device), views=len(plans))
+    return Prepared(sized, tuple(fitted(plan, limit) for plan in plans), request, files)
 
-    size: tuple[int, int]
-    channels: int
-    depths: dict[str, NDArray[np.float64]]
 
-
-def _read_files(scene: Scene) -> _Files:
-    faults: list[str] = []
-    depths: dict[str, NDArray[np.float64]] = {}
-    gray = True
-    size = (0, 0)
+def _channels(scene: Scene, files: InputFiles) -> int:
+    """Channels of the image, from all files of a scene, whose faults are raised together."""
+    faults, gray = list[str](), True
     for index, item in enumerate(scene.objects):
-        try:
-            found = texture_size(item.texture)
-            gray = gray and (item.texture in BUILT_IN_TEXTURES or read_image(item.texture).data.ndim == 2)
-            size = size if index else found
-        except ImageError as error:
-            faults.append(f"object[{index}].texture: {error}")
-        if isinstance(item, DepthMap) and item.depth not in depths:
-            try:
-                depths[item.depth] = read_depth(item.depth)
-            except ImageError as error:
-                faults.append(f"object[{index}].depth: {error}")
+        with _collected(faults, f"object[{index}].texture"):
+            texture_size(item.texture)
+            gray = gray and (item.texture in PATTERNS or files.picture(item.texture).data.ndim == 2)
+        if "depth" in item.files():
+            with _collected(faults, f"object[{index}].depth"):
+                files.depth(item.files()["depth"])
     if faults:
         raise SceneError(faults)
-    return _Files(size, 1 if gray else 3, depths)
+    return 1 if gray else 3
 
 
-def _inverse_depths(scene: Scene, depths: Mapping[str, NDArray[np.float64]]) -> Maps:
+def _maps(scene: Scene, files: InputFiles) -> Maps:
     """Inverse depth of the objects that are depth maps; refuses what does not fit the frame or the camera."""
-    faults: list[str] = []
-    maps: list[NDArray[np.float64] | None] = [None] * len(scene.objects)
+    faults, found = list[str](), list[NDArray[np.float64] | None]()
     for index, item in enumerate(scene.objects):
-        if isinstance(item, DepthMap):
-            try:
-                maps[index] = map_inverse_depth(scene, item, depths[item.depth])
-            except ImageError as error:
-                faults.append(f"object[{index}].depth: {error}")
+        with _collected(faults, f"object[{index}].depth"):
+            found.append(files.map(scene, item) if isinstance(item, DepthMap) else None)
     if faults:
         raise SceneError(faults)
-    return tuple(maps)
+    return tuple(found)
+
+
+@contextmanager
+def _collected(faults: list[str], where: str) -> Iterator[None]:
+    try:
+        yield
+    except ImageError as error:
+        faults.append(f"{where}: {error}")

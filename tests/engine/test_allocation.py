@@ -11,12 +11,11 @@ import pyopencl as cl
 import pytest
 
 import clsco
-from clsco.engine.renderer import Pixels, Renderer, expose
-from clsco.inputs.depth_maps import load_scene_depths
-from clsco.inputs.textures import load_scene_textures
+from clsco.engine.renderer import Renderer, expose
 from clsco.opencl.session import Session
 from clsco.plan.memory import buffer_bytes, fitted, limit_of
-from clsco.plan.plan import make_plan
+from clsco.plan.prepare import prepare
+from clsco.plan.request import Request
 from clsco.scene.model import Scene
 from tests.slow import mostly_slow
 
@@ -69,13 +68,13 @@ def scene_of(data: dict[str, Any]) -> Scene:
 )
 def test_the_plan_is_what_is_allocated(session: Session, allocated: list[weakref.ref[Any]], name: str) -> None:
     data, method = SCENES[name]
-    scene, textures = load_scene_textures(scene_of(data))
-    plan = make_plan(scene, 1, ("depth",), method, device=session.device)
+    prepared = prepare(scene_of(data), Request(("depth",), method), session.device)
+    plan = prepared.plan
     limit = limit_of(None, session.device)
     expected = {name: size for name, size in buffer_bytes(plan).items() if not name.startswith("truth")}
     gc.collect()
     allocated.clear()
-    renderer = Renderer(session, fitted(plan, limit), Pixels(textures, load_scene_depths(scene)), limit)
+    renderer = Renderer(session, fitted(plan, limit), prepared, limit)
     expose([renderer], 0)
     renderer.finish(0)
     gc.collect()

@@ -1,4 +1,4 @@
-"""What is told of a scene: units of its parameters, its hash, and keys that it has no use for."""
+"""What is reported of a scene: units of its parameters, its hash, and keys that it has no use for."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import pytest
 
 from clsco.errors import ImageError, SceneError
 from clsco.frame.provenance import file_digests, record, scene_sha256, units
-from clsco.plan.prepare import planned, planned_sweep
+from clsco.plan.prepare import prepare, prepare_sweep
+from clsco.plan.request import Request
 from clsco.plan.unused_keys import unused_keys
 from clsco.scene.changes import dump
 from clsco.scene.file import parse_scene
@@ -26,7 +27,7 @@ def test_every_number_has_a_unit_or_needs_none(shape: str) -> None:
         item = {"shape": shape, "depth": "z.npy", "unit": "disparity", "baseline": 60.0}
     stereo = {"baseline": 65.0, "toe_in": 1.0}
     scene = parse_scene({"object": [item], "psf": {"model": "gaussian"}, "stereo": stereo})
-    told = units(scene)
+    found = units(scene)
     without = {"camera.f_number", "sequence.frames", "sequence.samples", "psf.silhouette_samples"}
     without |= {"psf.sigma_ratio", "psf.truncation", "object[0].coefficients", "object[0].axis", "object[0].scale"}
     numbers: set[str] = set()
@@ -42,17 +43,17 @@ def test_every_number_has_a_unit_or_needs_none(shape: str) -> None:
 
     walk("", dump(scene))
     assert len(numbers) > 15
-    assert numbers - without <= set(told)
-    assert told["camera.focal_length"] == "mm"
-    assert told["object[0].motion.angular_velocity"] == told["camera.motion.angular_velocity"] == "deg/s"
-    assert (told["stereo.baseline"], told["stereo.toe_in"]) == ("mm", "deg")
-    assert without & set(told) == set()
+    assert numbers - without <= set(found)
+    assert found["camera.focal_length"] == "mm"
+    assert found["object[0].motion.angular_velocity"] == found["camera.motion.angular_velocity"] == "deg/s"
+    assert (found["stereo.baseline"], found["stereo.toe_in"]) == ("mm", "deg")
+    assert without & set(found) == set()
 
 
 def keys(**sections: Any) -> dict[str, str]:
     shape = sections.pop("item", {"shape": "plane"})
     scene = parse_scene({"object": [shape], "camera": {"resolution": [32, 32], "pixel_pitch": 0.2}, **sections})
-    return dict(unused_keys(planned(scene, ())))
+    return dict(unused_keys(prepare(scene).plan))
 
 
 def two(*items: dict[str, Any], **motion: Any) -> Scene:
@@ -69,9 +70,9 @@ def test_keys_without_use_are_those_given_and_no_others() -> None:
     turning = {"shape": "sphere", "motion": {"angular_velocity": [1.0, 2.0, 0.0]}}
     assert keys(item=turning, motion={"rotation": "axis"}) == {}
     still = {"shape": "plane", "distance": 900.0}
-    assert dict(unused_keys(planned(two(still, turning, rotation="axis"), ()))) == {}
+    assert dict(unused_keys(prepare(two(still, turning, rotation="axis")).plan)) == {}
     one_axis = {"shape": "sphere", "motion": {"angular_velocity": [1.0, 0.0, 0.0]}}
-    assert dict(unused_keys(planned(two(still, one_axis, rotation="axis"), ()))).keys() == {"motion.rotation"}
+    assert dict(unused_keys(prepare(two(still, one_axis, rotation="axis")).plan)).keys() == {"motion.rotation"}
     assert keys(motion={"texture_filter": "nearest"}) == {"motion.texture_filter": "nothing moves"}
     assert keys(motion={"texture_filter": "nearest"}, stereo={"baseline": 9.0}) == {}
     forward = {"warp": "forward"}
@@ -89,7 +90,7 @@ def test_keys_without_use_are_those_given_and_no_others() -> None:
 def test_depth_maps_are_filled_at_rest(tmp_path: Path) -> None:
     options = {"motion": {"warp": "forward"}, "fill": {"method": "none"}, "camera": {"resolution": [8, 8]}}
     scene = parse_scene({"object": [files_of_a_map(tmp_path)], **options})
-    assert unused_keys(planned(scene, ())) == []
+    assert unused_keys(prepare(scene).plan) == []
 
 
 def test_the_hash_is_of_what_decides_the_image(tmp_path: Path) -> None:
@@ -119,10 +120,10 @@ def test_the_record_names_textures_that_are_files(tmp_path: Path) -> None:
 def test_a_plan_takes_size_and_channels_from_the_texture(tmp_path: Path) -> None:
     np.save(tmp_path / "texture.npy", np.zeros((30, 40, 3), np.float32))
     scene = parse_scene({"object": [{"shape": "plane", "texture": str(tmp_path / "texture.npy")}]})
-    plan = planned(scene, ("depth",))
+    plan = prepare(scene, Request(("depth",))).plan
     assert (plan.columns, plan.rows, plan.channels, plan.truth) == (40, 30, 3, ("depth",))
     camera = scene.camera.model_copy(update={"resolution": (9, 7)})
-    plan = planned(scene.model_copy(update={"camera": camera}), ())
+    plan = prepare(scene.model_copy(update={"camera": camera})).plan
     assert (plan.columns, plan.rows, plan.channels) == (9, 7, 3)
 
 
@@ -142,10 +143,10 @@ def test_the_hash_and_the_record_have_the_content_of_depths(tmp_path: Path) -> N
     moved.mkdir()
     assert scene_sha256(parse_scene({"object": [files_of_a_map(moved), {"shape": "plane"}]})) == first
     scene = parse_scene({"object": [files_of_a_map(tmp_path), {"shape": "plane"}]})
-    told = record(scene)
-    assert list(told["depths_sha256"]) == [str(tmp_path / "z.npy")]
-    assert told["textures_sha256"] == {}
-    assert record(scene, file_digests([scene, scene])) == told
+    found = record(scene)
+    assert list(found["depths_sha256"]) == [str(tmp_path / "z.npy")]
+    assert found["textures_sha256"] == {}
+    assert record(scene, file_digests([scene, scene])) == found
     (tmp_path / "z.npy").unlink()
     with pytest.raises(ImageError, match=r"z.npy: must be a file that can be read"):
         record(scene)
@@ -157,13 +158,13 @@ def test_a_frame_has_color_where_any_texture_has(tmp_path: Path) -> None:
 
     def channels(*textures: str) -> int:
         items = [{"shape": "plane", "texture": text} for text in textures]
-        return planned(parse_scene({"camera": {"pixel_pitch": 0.1}, "object": items}), ()).channels
+        return prepare(parse_scene({"camera": {"pixel_pitch": 0.1}, "object": items})).plan.channels
 
     gray, color = str(tmp_path / "gray.npy"), str(tmp_path / "color.npy")
     assert [channels(gray, "bricks"), channels(gray, color), channels(color, gray)] == [1, 3, 3]
 
 
-def test_faults_of_all_files_are_told(tmp_path: Path) -> None:
+def test_faults_of_all_files_are_reported(tmp_path: Path) -> None:
     (tmp_path / "none.npy").touch()
     items = [
         {"shape": "plane", "texture": "brick"},
@@ -171,7 +172,7 @@ def test_faults_of_all_files_are_told(tmp_path: Path) -> None:
         {"shape": "depth_map", "depth": str(tmp_path / "none.npy")},
     ]
     with pytest.raises(SceneError) as caught:
-        planned(parse_scene({"object": items}), ())
+        prepare(parse_scene({"object": items}))
     starts = ("object[0].texture: ", "object[1].texture: ", "object[1].depth: ", "object[2].depth: ")
     assert len(caught.value.messages) == len(starts)
     for message, start in zip(caught.value.messages, starts, strict=True):
@@ -183,7 +184,7 @@ def test_depths_fit_the_frame_and_the_camera(tmp_path: Path) -> None:
         item = files_of_a_map(tmp_path, depth=depth)
         scene = parse_scene({"object": [{"shape": "plane"}, item], "camera": {"resolution": [8, 8], **camera}})
         with pytest.raises(SceneError) as caught:
-            planned(scene, ())
+            prepare(scene)
         return caught.value.messages
 
     place = f"object[1].depth: {tmp_path / 'z.npy'}: "
@@ -199,12 +200,12 @@ def test_a_sweep_is_planned_with_all_its_faults() -> None:
     camera: dict[str, Any] = {"resolution": [[8, 8], [9, 7]], "f_number": [2.0, 1e-3]}
     data = {"object": [{"shape": "plane", "distance": 300.0}], "camera": camera}
     with pytest.raises(SceneError) as caught:
-        planned_sweep(parse_sweep(data), ())
+        prepare_sweep(parse_sweep(data))
     assert [message.split(" (with ")[1] for message in caught.value.messages] == [
         "resolution_8_8__f_number_0.001)",
         "resolution_9_7__f_number_0.001)",
     ]
     camera["f_number"] = [2.0, 4.0]
-    plans = planned_sweep(parse_sweep(data), ())
+    plans = [each.plan for each in prepare_sweep(parse_sweep(data))]
     assert [(plan.columns, plan.scene.camera.f_number) for plan in plans] == [(8, 2.0), (8, 4.0), (9, 2.0), (9, 4.0)]
-    assert plans[1] == planned(plans[1].scene, ())
+    assert plans[1] == prepare(plans[1].scene).plan

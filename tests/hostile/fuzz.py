@@ -24,7 +24,7 @@ from pathlib import Path
 from clsco.errors import ClscoError, ImageError, SceneError
 from clsco.files.images import read_image
 from clsco.inputs.depth_files import read_depth
-from clsco.plan.prepare import planned_sweep
+from clsco.plan.prepare import prepare_sweep
 from clsco.scene.sweep import Sweep, load_sweep, parse_sweep
 from clsco.scene.text import key_name
 from tests.hostile.mutate import Case, make_case
@@ -104,7 +104,7 @@ def outcome(case: Case, folder: Path, number: int, tally: dict[str, int]) -> lis
             sweep = load_sweep(path) if case.text is not None else parse_sweep(case.mapping or {})
             if number // 64 % PLANNED == 0 and (planned := _is_small(sweep)):
                 where = ""
-                planned_sweep(Sweep(sweep.labels[:2], sweep.scenes[:2]), ())
+                prepare_sweep(Sweep(sweep.labels[:2], sweep.scenes[:2]))
             tally["valid"] += 1
         except SceneError as error:
             tally["refused"] += 1

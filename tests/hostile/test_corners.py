@@ -24,7 +24,8 @@ from clsco.files.images import read_image
 from clsco.frame.files import read_complete
 from clsco.inputs.depth_files import read_depth
 from clsco.plan.memory import parse_size
-from clsco.plan.prepare import planned_sweep
+from clsco.plan.prepare import prepare as planned
+from clsco.plan.prepare import prepare_sweep
 from clsco.scene.sweep import parse_sweep
 from tests.hostile.pictures import exr
 
@@ -64,7 +65,7 @@ def test_a_cone_whose_apex_turns_in_the_lens_is_planned_without_a_warning() -> N
     sweep = parse_sweep({"object": [{"shape": "cone", "apex": [0, 0, 0], "half_angle": 50.0, "motion": motion}]})
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        planned_sweep(sweep, ())
+        prepare_sweep(sweep)
 
 
 def test_a_frame_is_not_taken_for_whole_by_what_its_json_names(tmp_path: Path) -> None:
@@ -88,7 +89,7 @@ def test_resuming_in_a_folder_of_another_kind_of_scene(tmp_path: Path) -> None:
     """A pair where a single frame has been rendered: its JSON file tells of no views."""
     (scene,) = parse_sweep({"stereo": {"baseline": 6}, "object": [{"shape": "plane"}]}).scenes
     (tmp_path / "frame_0000.json").write_text('{"files": {}}')
-    assert prepare(scene, tmp_path, [0], (), None, resume=True).frames == (0,)
+    assert prepare(planned(scene), tmp_path, [0], (), resume=True).frames == (0,)
 
 
 def test_a_scene_file_is_not_overwritten_by_its_frames(tmp_path: Path) -> None:

@@ -151,7 +151,7 @@ def sessions(**changes: Any) -> Iterator[None]:
         patch.object(cl, "enqueue_fill_buffer", _fill),
         patch.object(cl, "enqueue_copy", _copy),
         patch.object(cl, "Buffer", _buffer),
-        patch.object(render, "session_on", session),
-        patch.object(arrays, "session_on", session),
+        patch.object(render, "session_for", session),
+        patch.object(arrays, "session_for", session),
     ):
         yield

@@ -14,7 +14,6 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from importlib import import_module
 from importlib.resources import as_file
 from itertools import islice
 from pathlib import Path
@@ -23,7 +22,9 @@ from unittest.mock import patch
 
 import pyopencl as cl
 
+from clsco.inputs.files import InputFiles
 from clsco.opencl import program
+from clsco.plan import prepare
 from clsco.resources import folder
 from tests.oclgrind import simulator
 from tests.oclgrind.cases import Case, all_cases, depths_of, fault_cases, textures_of
@@ -44,11 +45,10 @@ def run(case: Case, log: Path) -> dict[str, Any]:
     with ExitStack() as stack:
         stack.enter_context(simulator.sessions(**case.device))
         stack.enter_context(patch.object(cl.Kernel, "__call__", noted))
-        render = import_module("clsco.engine.sequence")
-        stack.enter_context(
-            patch.object(render, "load_scene_textures", lambda scene: textures_of(scene, case.channels))
-        )
-        stack.enter_context(patch.object(render, "load_scene_depths", depths_of))
+        stack.enter_context(patch.object(prepare, "_channels", lambda *_: case.channels))
+        stack.enter_context(patch.object(prepare, "_maps", lambda scene, _: depths_of(scene)))
+        stack.enter_context(patch.object(InputFiles, "textures", lambda _, scene: textures_of(scene, case.channels)[1]))
+        stack.enter_context(patch.object(InputFiles, "maps", lambda _, scene: depths_of(scene)))
         try:
             case.run()
         except Exception as error:

@@ -167,7 +167,7 @@ def test_renders_share_a_session_and_its_programs() -> None:
 @pytest.mark.parametrize(("error", "kept"), [("OUT_OF_RESOURCES", True), ("DEVICE_NOT_AVAILABLE", False)])
 def test_a_session_whose_device_fails_is_not_used_again(error: str, kept: bool) -> None:
     session = session_on(choose())
-    with pytest.raises(DeviceError, match=error), session.telling():
+    with pytest.raises(DeviceError, match=error), session.reporting():
         raise cl.RuntimeError(f"clFinish failed: {error}")
     assert (session_on(choose()) is session) == kept
 

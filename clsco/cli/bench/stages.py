@@ -1,4 +1,4 @@
-"""The stages of the forward warp by themselves, to be timed and looked at (see `clsco.passes.warp`)."""
+"""The stages of the forward warp by themselves, to be timed and inspected (see `clsco.passes.warp`)."""
 
 from __future__ import annotations
 
@@ -47,12 +47,13 @@ class Stages:
         self.session.queue.finish()
 
     def winners(self) -> Array:
-        """Number of the nearest pixel at rest that comes to each of the frame, (rows, columns); after `depth_test`."""
+        """Number of the nearest pixel of the reference pose that comes to each of the frame, (rows, columns); after
+        `depth_test`."""
         found = download(self.session, self.warp.winner, self.shape, np.int32)
         inside = slice(self.guard, -self.guard or None)
         return found[inside, inside]
 
     def filled(self) -> Array:
         """Row and column (n, 2) of the filled pixels that are not on the padded grid's outermost rows and columns."""
-        status = download(self.session, self.warp.filler.status, self.shape, np.uint8)
+        status = download(self.session, self.warp.filler.planes.status, self.shape, np.uint8)
         return (np.argwhere(status[1:-1, 1:-1] == 1) + 1).astype(np.int32)

@@ -1,0 +1,47 @@
+"""Work in strips that fit the memory, again in smaller ones where the device has less than it reports."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Generic, TypeVar
+
+from clsco.errors import DeviceError
+from clsco.opencl.session import Session
+from clsco.plan.memory import Limit
+
+F = TypeVar("F")  # what fits: plans, or the height of strips
+T = TypeVar("T")
+
+
+class Shrinking(Generic[F]):
+    """Runs what fits a limit of memory; where the device is short of it, what fits half of what was taken.
+
+    Parameters
+    ----------
+    session : Session
+    limit : Limit
+    fit : callable
+        What fits a limit.
+    taken : callable
+        Bytes of it on the device.
+    """
+
+    def __init__(
+        self, session: Session, limit: Limit, fit: Callable[[Limit], F], taken: Callable[[F], int]
+    ) -> None:  # fmt: skip
+        self.session, self.limit, self.fit, self.taken = session, limit, fit, taken
+        self.fitting = fit(limit)
+
+    def run(self, work: Callable[[F], T]) -> T:
+        """What `work` gives. Raises DeviceError where nothing smaller fits, and for all other errors of the device."""
+        while True:
+            try:
+                with self.session.reporting():
+                    return work(self.fitting)
+            except DeviceError as error:
+                total = min(self.limit.total, self.taken(self.fitting)) // 2
+                self.limit = replace(self.limit, total=total, given=False)
+                before, self.fitting = self.fitting, self.fit(self.limit)
+                if not error.short_of_memory or self.fitting == before:
+                    raise

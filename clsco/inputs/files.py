@@ -1,0 +1,148 @@
+"""Textures and depth maps of scenes, each file decoded once: kept by its content."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Hashable
+from functools import cache
+from pathlib import Path
+from stat import S_ISREG
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.files.atomic import sha256
+from clsco.files.images import Picture, read_image
+from clsco.inputs.depth_files import read_depth
+from clsco.inputs.depth_maps import load_scene_depths, map_inverse_depth
+from clsco.inputs.textures import PATTERNS, Texture, load_scene_textures, radiance_of, require_suffix
+from clsco.kept import Kept
+from clsco.scene.model import DepthMap, Scene
+
+KEPT_BYTES = 2**29  # a depth map of 8192 x 8192
+MOST_BYTES = 2**31  # of a file whose content is looked at before its header is
+SETTLED_NS = 10**8  # a file that has changed less than so long ago may change again with the same times
+V = TypeVar("V")
+Maps = tuple[NDArray[np.float64] | None, ...]
+
+
+class InputFiles:
+    """What scenes name on disk, decoded. Safe to share between threads.
+
+    Parameters
+    ----------
+    limit : int
+        Most bytes that are kept in memory; the least recently used files go.
+
+    Notes
+    -----
+    A file is what it contains: a copy of it elsewhere is the same, and one that has changed is read again.
+    """
+
+    def __init__(self, limit: int = KEPT_BYTES) -> None:
+        self.kept = Kept(limit)
+        self._digests: dict[str, tuple[tuple[int, ...], str]] = {}
+
+    def textures(self, scene: Scene) -> tuple[Texture, ...]:
+        """The textures of all objects in the size of the frame, each with the radiance of its file or pattern.
+
+        Raises
+        ------
+        ImageError
+            As `clsco.inputs.textures.load_texture`.
+        """
+        return load_scene_textures(scene, self.texture)[1]
+
+    def maps(self, scene: Scene) -> Maps:
+        """Inverse depth (rows, columns) in 1/mm of every object that is a depth map, None for others.
+
+        Parameters
+        ----------
+        scene : Scene
+            With its resolution.
+
+        Raises
+        ------
+        ImageError
+            As `clsco.inputs.depth_maps.load_scene_depths`.
+        """
+        return load_scene_depths(scene, self.map)
+
+    def texture(self, source: str, transfer: str, size: tuple[int, int] | None = None) -> Texture:
+        """`clsco.inputs.textures.load_texture`, once per content, transfer and size."""
+        if source in PATTERNS:
+            key: Hashable = source
+            bits = 8
+        else:
+            require_suffix(source)
+            picture = self.picture(source)
+            key, bits = self._content(source), picture.bits
+            if key is None:
+                return Texture(radiance_of(picture, transfer, size), bits, source)
+        drawn = source if source in PATTERNS else None
+        radiance = self.kept.get(
+            ("radiance", key, transfer, size),
+            lambda: radiance_of(drawn if drawn is not None else self.picture(source), transfer, size),
+            lambda array: array.nbytes,
+        )
+        return Texture(radiance, bits, source)
+
+    def picture(self, path: str) -> Picture:
+        """`clsco.files.images.read_image`, once per content."""
+        return self._once("picture", path, lambda: read_image(path), lambda picture: picture.data.nbytes)
+
+    def depth(self, path: str) -> NDArray[np.float64]:
+        """`clsco.inputs.depth_files.read_depth`, once per content."""
+        return self._once("depth", path, lambda: read_depth(path), lambda array: array.nbytes)
+
+    def map(self, scene: Scene, item: DepthMap) -> NDArray[np.float64]:
+        """`clsco.inputs.depth_maps.map_inverse_depth` of an object, once per content and camera."""
+        content = self._content(item.depth)
+        if content is None:
+            return map_inverse_depth(scene, item, read_depth(item.depth))
+        numbers = (item.unit, item.scale, item.baseline, item.offset, scene.fill.method == "none")
+        return self.kept.get(
+            ("inverse depth", content, numbers, scene.camera.model_dump_json()),
+            lambda: map_inverse_depth(scene, item, self.depth(item.depth)),
+            lambda array: array.nbytes,
+        )
+
+    def digest(self, path: str) -> str:
+        """SHA-256 of a file, computed once while it does not change. Raises OSError where it cannot be read."""
+        stamp, known = _stamp(path), self._digests.get(path)
+        if known is not None and known[0] == stamp:
+            return known[1]
+        found = sha256(Path(path))
+        if stamp == _stamp(path) and time.time_ns() - max(stamp[-2:]) > SETTLED_NS:
+            self._digests[path] = stamp, found
+        return found
+
+    def _once(self, what: str, path: str, read: Callable[[], V], size: Callable[[V], int]) -> V:
+        content = self._content(path)
+        if content is None:
+            return read()
+        beyond = self.kept.limit + 1  # what was read from a file that has just changed is not kept
+        return self.kept.get((what, content), read, lambda v: size(v) if self._content(path) == content else beyond)
+
+    def _content(self, path: str) -> Hashable | None:
+        """What identifies the content of a file, and how it is read; None where there is none, as of a pipe."""
+        try:
+            found = Path(path).stat()
+            if not S_ISREG(found.st_mode) or found.st_size > MOST_BYTES:
+                return None
+            return self.digest(path), Path(path).suffix.lower()
+        except (OSError, ValueError):
+            return None  # reading it says what is wrong
+
+
+@cache
+def shared_files() -> InputFiles:
+    """The files of all renderings in this process that have none of their own."""
+    return InputFiles()
+
+
+def _stamp(path: str) -> tuple[int, ...]:
+    """What changes where a file does; the last two are times in ns."""
+    found = Path(path).stat()
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns

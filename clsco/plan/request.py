@@ -1,0 +1,30 @@
+"""What is requested of a rendering besides its scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Request:
+    """Outputs, and how they are computed.
+
+    Attributes
+    ----------
+    truth : tuple of str
+        Names of the outputs besides color.
+    method : str
+        Of the blur: "auto", a method by name, or an approximation (`clsco.plan.methods.check_method`).
+    tolerance : float, optional
+        RMS error of white up to which an approximation is taken; None for the exact blur.
+    precision : {"single", "double"}, optional
+        Of the geometry; by default double where the device has it.
+    memory : int or str, optional
+        Most that buffers on the device take; by default half of what is free.
+    """
+
+    truth: tuple[str, ...] = ()
+    method: str = "auto"
+    tolerance: float | None = None
+    precision: str | None = None
+    memory: str | int | None = None
