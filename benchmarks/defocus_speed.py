@@ -11,7 +11,6 @@ into its own. Channels share the weights of taps.
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -25,6 +24,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.speed.direct import THREADS, axis_table, dense_table, gaussian_bands, scatter
+from benchmarks.tables import write_table
 from clsco.cli.bench.cases import radius_map
 from clsco.cli.bench.passes import Pass
 from clsco.opencl.device import choose
@@ -76,7 +76,7 @@ def cases_of(image: Array, radius: Array) -> dict[str, tuple[Psf, list[Callable[
 
 
 def main() -> None:
-    """Measure, print a table, write benchmarks/results/defocus_speed.json."""
+    """Measure, print a table, write benchmarks/results/defocus_speed.md."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--radius", type=float, nargs="*", default=[2.0, 6.0, 20.0])
     parser.add_argument("--channels", type=int, nargs="*", default=[1, 3])
@@ -111,8 +111,8 @@ def main() -> None:
                 table.add_row(f"{largest:g}", name, str(channels), *shown, f"{error:.1e}")
         device = str(session.device)
     console.print(table)
-    RESULTS.mkdir(exist_ok=True)
-    (RESULTS / "defocus_speed.json").write_text(json.dumps({"device": device, "rows": rows}, indent=1) + "\n")
+    heading = f"{device}: process CPU time, ns per pixel (`python -m benchmarks.defocus_speed`)"
+    write_table(RESULTS / "defocus_speed.md", heading, rows)
 
 
 if __name__ == "__main__":

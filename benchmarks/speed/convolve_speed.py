@@ -8,7 +8,6 @@ has samples of the Gaussian for weights. Errors: RMS and largest of white, again
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -20,6 +19,7 @@ from rich.table import Table
 
 from benchmarks.defocus_speed import measured
 from benchmarks.speed.peers import opencv
+from benchmarks.tables import write_table
 from clsco.cli.bench.passes import Pass
 from clsco.opencl.device import choose
 from clsco.opencl.session import Session
@@ -47,7 +47,7 @@ def error_of(psf: Psf, side: int, radius: float, session: Session) -> tuple[floa
 
 
 def main() -> None:
-    """Measure, print a table, write benchmarks/results/convolve_speed.json."""
+    """Measure, print a table, write benchmarks/results/convolve_speed.md."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--radius", type=float, nargs="*", default=[2.0, 6.0, 20.0, 60.0])
     parser.add_argument("--side", type=int, nargs="*", default=[512, 2048])
@@ -83,8 +83,8 @@ def main() -> None:
                     )  # fmt: skip
         device = str(session.device)
     Console(width=120).print(table)
-    RESULTS.mkdir(exist_ok=True)
-    (RESULTS / "convolve_speed.json").write_text(json.dumps({"device": device, "rows": rows}, indent=1) + "\n")
+    heading = f"{device}: process CPU time, ns per pixel (`python -m benchmarks.speed.convolve_speed`)"
+    write_table(RESULTS / "convolve_speed.md", heading, rows)
 
 
 if __name__ == "__main__":

@@ -119,15 +119,15 @@ def measured(part: str, size: int, memory: str) -> dict[str, Any]:
     if part not in ("command", "map"):
         call()
     wall, cpu = time.perf_counter(), time.process_time()
-    told = call()
+    result = call()
     seconds = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
-    about = told if isinstance(told, dict) else {}
+    about = result if isinstance(result, dict) else {}
     return {"part": part, "size": size, "memory": memory, **seconds, "peak_bytes": peak, **about}
 
 
 def main() -> None:
-    """Measure, print a table, write benchmarks/results/sizes.json and sizes.md."""
+    """Measure, print a table, write benchmarks/results/sizes.md."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", type=int, nargs="*", default=[512, 1024, 2048, 4096, 8192])
     parser.add_argument("--memory", default="512MiB")
@@ -150,7 +150,6 @@ def main() -> None:
         lines.append(f"| {row['part']} | {row['size']} | " + " | ".join(f"{figure:.4g}" for figure in figures) + " |")
     print("\n".join(lines))
     (RESULTS / "sizes.md").write_text("\n".join(lines) + "\n")
-    (RESULTS / "sizes.json").write_text(json.dumps(rows, indent=2) + "\n")
 
 
 if __name__ == "__main__":
