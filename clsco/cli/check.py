@@ -100,8 +100,8 @@ def compare_frames(scene: Scene, device: str | None, precision: str | None) -> I
         middle = time.perf_counter()
         exact = next(exacts)
         end = time.perf_counter()
-        told = frame.metadata
+        metadata = frame.metadata
         yield Checked(
-            frame.index, frame.eye, compare(frame, exact), told["device"], told["precision"],
-            sum(told["seconds"].values()), middle - start, end - middle,
+            frame.index, frame.eye, compare(frame, exact), metadata["device"], metadata["precision"],
+            sum(metadata["seconds"].values()), middle - start, end - middle,
         )  # fmt: skip

@@ -48,7 +48,7 @@ def scenes_from_files(image: Path, depth: Path, options: Mapping[str, Any], over
 
 
 def depth_report(scene: Scene) -> list[str]:
-    """Read the depth maps of a scene, and tell of each in one line what it has no depth for, if anything.
+    """Read the depth maps of a scene, and report in one line for each which of its pixels have no depth, if any.
 
     Raises ImageError where a map and its image differ in size, and as `clsco.inputs.depth_files.read_depth` and
     `clsco.inputs.depth_maps.inverse_depth` do.

@@ -35,7 +35,7 @@ def scaled(values: NDArray[Any], low: float, high: float, anchors: Sequence[tupl
 
 
 def flow_colors(flow: NDArray[np.float32], longest: float) -> Picture:
-    """Color displacements (rows, columns, 2) by direction (hue) and length (saturation); still is white."""
+    """Color displacements (rows, columns, 2) by direction (hue) and length (saturation); no motion is white."""
     turn = np.arctan2(flow[..., 1], flow[..., 0]) / (2 * np.pi)
     strength = np.clip(np.linalg.norm(flow, axis=-1) / max(longest, 1e-9), 0.0, 1.0)
     hue = np.stack([np.abs((turn + shift) % 1.0 * 6 - 3) - 1 for shift in (0.0, 2 / 3, 1 / 3)], axis=-1)
@@ -81,9 +81,9 @@ def views(frames: Sequence[Frame]) -> dict[str, Picture]:
     return {**photographs, "sharp": photograph(frame.sharp), **on_gray}
 
 
-def photograph(light: NDArray[np.float32]) -> Picture:
-    """Linear light, gray or color, as 8-bit sRGB with three channels."""
-    codes = encode(light, 8, "srgb").astype(np.uint8)
+def photograph(radiance: NDArray[np.float32]) -> Picture:
+    """Linear radiance, gray or color, as 8-bit sRGB with three channels."""
+    codes = encode(radiance, 8, "srgb").astype(np.uint8)
     return codes if codes.ndim == 3 else np.repeat(codes[..., None], 3, axis=2)
 
 

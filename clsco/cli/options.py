@@ -124,7 +124,7 @@ class Computation:
 
     @property
     def blur(self) -> dict[str, Any]:
-        """What is asked of the blur, as keyword arguments. Raises click.UsageError where the two disagree."""
+        """Options of the blur, as keyword arguments. Raises click.UsageError where the two disagree."""
         from clsco.plan.approximation import METHODS
 
         if self.method not in ("auto", *METHODS):

@@ -219,7 +219,7 @@ def progress(total: int, quiet: bool, what: str = "frames") -> Iterator[Callable
 
 @contextmanager
 def shares(quiet: bool) -> Iterator[Callable[[float], object]]:
-    """A bar as of `progress` for work that tells the share that is done, from 0 to 1."""
+    """A bar as of `progress` for work that reports the share that is done, from 0 to 1."""
     shown = 0
     with progress(100, quiet, "percent") as advance:
 

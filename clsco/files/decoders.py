@@ -188,7 +188,7 @@ def _jpeg_size(file: BinaryIO) -> tuple[int, int]:
             break
     rows, columns = struct.unpack(">HH", body[1:5])
     if columns * rows > MAX_PIXELS:
-        return columns, rows  # refused by the caller, so nothing else looks at it
+        return columns, rows  # refused by the caller, so nothing else reads it
     file.seek(0)
     laid_down = _by_imageio("immeta", file.read(), ".jpg", exclude_applied=False).get("Orientation", 1) >= 5
     return (rows, columns) if laid_down else (columns, rows)

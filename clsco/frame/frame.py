@@ -40,7 +40,7 @@ def truth_names(truth: str | Iterable[str]) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A rendered frame: the photograph, and what nobody can see in a photograph.
+    """A rendered frame: the image and its ground truth.
 
     Row 0 is on top, column 0 on the left, pixel centers at integer coordinates. Channels are red, green, blue; arrays
     of a gray scene have none. Truth that was not requested is None. `sharp`, `depth`, `blur_radius`, `mask`,
@@ -74,7 +74,7 @@ class Frame:
         Column in the left view less column in the right one of the surface point; 0 where nothing is. Of a stereo pair
         only, as `occluded`.
     occluded : bool (rows, columns)
-        The point is not in the other view: it is behind something, or outside.
+        The point is not visible in the other view: an occluder hides it, or it is outside.
     eye : str
         "left" or "right" of a stereo pair, else "".
     metadata : mapping

@@ -53,7 +53,7 @@ def cut(rows: int, tallest: int, guard: int, reach: int, step: int = 1) -> tuple
     guard : int
         Rows of the apron before the first and after the last row of the frame.
     reach : int
-        Distance in rows at which a source may still light a pixel.
+        Distance in rows at which a source may still contribute to a pixel.
     step : int
         Grids begin at multiples of this many rows.
 

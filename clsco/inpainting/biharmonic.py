@@ -26,7 +26,7 @@ from clsco.records import Real, structs
 
 LOCAL = (64,)
 SEGMENT = 256  # as in kernels/inpainting/biharmonic.cl
-CHECK_EVERY = 10  # steps between two looks at the residual, which wait for the device
+CHECK_EVERY = 10  # steps between two tests of the residual, which wait for the device
 
 
 def fill_biharmonic(

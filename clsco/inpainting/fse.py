@@ -1,6 +1,6 @@
 """Texture and structure across holes, on the device: frequency-selective extrapolation, coarse to fine.
 
-The image around a block of pixels is taken apart into a few waves, which also say how it goes on in the block: the
+The image around a block of pixels is taken apart into a few waves, which are extrapolated into the block: the
 weighted residual's strongest wave is taken out, again and again (Seiler and Kaup 2010, doi:10.1109/LSP.2010.2052560;
 number of waves and preference of low frequencies: Genser et al. 2017 and 2018; OpenCV's xphoto has it as FSR). Here the
 channels share their waves, blocks are 2 x 2 px, and all that are equally far from what is known are computed at once.

@@ -83,26 +83,26 @@ def write_report(
     Raises ClscoError without matplotlib, ImageError where the folder cannot be written.
     """
     require_matplotlib()
-    look, stages = Look(image, missing), report.stages
+    display, stages = Display(image, missing), report.stages
     mask = np.repeat(np.where(missing, 255, 0).astype(np.uint8)[..., None], 3, axis=-1)
     with together(writable_folder(folder), "report") as made:
         write_json(made / "report.json", report.figures())
-        sheet = [_small(look.codes(image)), _small(mask), _small(look.codes(filled))]
+        sheet = [_small(display.codes(image)), _small(mask), _small(display.codes(filled))]
         write_png(made / "before_mask_after.png", beside_each_other(sheet))
         if stages is not None:
             values = {"1_filled": stages.filled}
             if report.constants.smoothing_rounds:
                 values["2_smoothed"] = stages.smoothed
             for name, some in values.items():
-                write_png(made / f"{name}.png", look.codes(_with(image, stages.pixels, some)))
+                write_png(made / f"{name}.png", display.codes(_with(image, stages.pixels, some)))
             if stages.histogram is not None:
-                write_png(made / "3_blended.png", look.codes(filled))
+                write_png(made / "3_blended.png", display.codes(filled))
         for name, figure in plots(report).items():
             figure.savefig(made / name, dpi=100)
         return sorted(path.name for path in made.iterdir())
 
 
-class Look:
+class Display:
     """How an image of any kind is shown in 8 bits: codes as they are, floats as sRGB, relative to white or what is
     brighter."""
 

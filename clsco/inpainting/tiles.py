@@ -15,11 +15,11 @@ Mask = NDArray[np.bool_]
 Progress = Callable[[float], None]
 
 TILE = 832
-MARGIN = 96  # of what is seen around a tile, px; an image of up to TILE + 2 MARGIN px is one tile
+MARGIN = 96  # around a tile, px, which its filling reads; an image of up to TILE + 2 MARGIN px is one tile
 
 
 def no_progress(done: float) -> None:
-    """For those who do not ask."""
+    """Progress that is not shown."""
 
 
 def fill_in_tiles(
@@ -70,7 +70,7 @@ def _within(
 
 
 def _tiles(shape: tuple[int, ...]) -> list[tuple[tuple[slice, ...], tuple[slice, ...]]]:
-    """Rows and columns of the tiles and of what is seen around each."""
+    """Rows and columns of the tiles, and of each with its margin."""
     axes: list[list[tuple[slice, slice]]] = []
     for size in shape:
         step = TILE if size > TILE + 2 * MARGIN else size

@@ -186,7 +186,7 @@ def scene_radii(size: int, largest: float, scene: Scene) -> Array:
 
 @lru_cache(maxsize=1)
 def picture(size: int) -> Array:
-    """Linear light (size, size, 3), float32: uniform random numbers, of which nothing averages out."""
+    """Linear radiance (size, size, 3), float32: uniform random numbers, of which nothing averages out."""
     return np.random.default_rng(0).random((size, size, 3), dtype=np.float32)
 
 

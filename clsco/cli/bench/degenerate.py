@@ -227,7 +227,7 @@ def _wrong(target: Target, hit: NDArray[np.bool_], real: Real) -> tuple[int, int
 
 
 def scene_of(target: Target) -> Scene:
-    """A frame of the rays of a target, one second after rest."""
+    """A frame of the rays of a target, one second after its reference pose."""
     # Nearly a pinhole, so that what is 1e-5 mm away can be shown, too.
     camera = Camera(resolution=(ACROSS, ACROSS), pixel_pitch=20.0 * STEP, f_number=1e6, focus_distance=250.0)
     item = target.item.model_copy(update={"motion": target.motion})

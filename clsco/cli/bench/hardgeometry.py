@@ -190,7 +190,7 @@ def horizon(rays: Rays, quick: bool) -> HardCase:
     vanishes = 1.0 / item.slope_x
     for exponent in (2, 9, 16) if quick else range(2, 17):
         step = 2.0**-exponent * vanishes / 64
-        window = Window(step, -32, round(vanishes / step) - 66)  # the last two columns see nothing
+        window = Window(step, -32, round(vanishes / step) - 66)  # the last two columns miss the plane
         found.append((2.0**exponent, rays.measure(Target(item, STILL, window))))
     target = Target(item, STILL, _around(0.2, TIMED_SIDE))
     remedy = "w is linear: no division, no singularity"

@@ -97,8 +97,8 @@ def _by_radius(radii: Array, errors: Mapping[str, Array]) -> list[tuple[float, M
     ]
 
 
-def jumps(session: Session, psf: Psf, name: str, ratio: float) -> HardCase:
-    """How far a PSF changes from one radius to the next, which a ramp in depth shows as a line."""
+def steps_of_radius(session: Session, psf: Psf, name: str, ratio: float) -> HardCase:
+    """How far a PSF changes from one radius to the next, which a ramp in depth shows as an edge."""
     step = 0.01
     radii = np.arange(0.05, 6.0, step)
     errors = {
@@ -110,18 +110,18 @@ def jumps(session: Session, psf: Psf, name: str, ratio: float) -> HardCase:
     return hard_case(name, "R, px", "L1 / px", found, (4.0, 4.0), remedy, times, classes=False)
 
 
-def gaussian_jumps(session: Session) -> HardCase:
+def gaussian_steps(session: Session) -> HardCase:
     """The rule that |R| < 0.5 px is no blur, with a Gaussian cut at 2 sigma = 2 sqrt(2) R."""
-    return jumps(session, GAUSSIAN, "|R| < 0.5 rule, 2 sigma cut", 2.0**0.5)
+    return steps_of_radius(session, GAUSSIAN, "|R| < 0.5 rule, 2 sigma cut", 2.0**0.5)
 
 
-def pillbox_jumps(session: Session) -> HardCase:
+def pillbox_steps(session: Session) -> HardCase:
     """Pixel centers that come into a disc one by one."""
-    return jumps(session, PILLBOX, "pillbox on the lattice, jumps", 1.0)
+    return steps_of_radius(session, PILLBOX, "pillbox on the lattice, jumps", 1.0)
 
 
 def pillbox_energy(session: Session) -> HardCase:
-    """1 / (pi R^2) at the pixel centers within R: from none to 1.59 times the light."""
+    """1 / (pi R^2) at the pixel centers within R: from none to 1.59 times the energy."""
     radii = np.arange(0.5, 12.0, 0.05)
     forms = _forms(session, PILLBOX, radii, 1.0, False)
     errors = {form: np.abs(one.sum(axis=(1, 2)) - 1.0) for form, one in forms.items()}
@@ -210,7 +210,7 @@ def pillbox_truth(session: Session) -> HardCase:
 
 
 def float_sums(session: Session) -> HardCase:
-    """Sums of one pixel's light in whatever order it arrives, and an image blurred again and again."""
+    """Sums of one pixel's irradiance in whatever order it arrives, and an image blurred again and again."""
     rng, found, runs = np.random.default_rng(9), [], 10
     for side in (16, 64, 256):
         image, radii = rng.random((side, side)).astype(np.float32), rng.uniform(0.0, 5.0, (side, side))
@@ -273,7 +273,7 @@ def depth_ties(session: Session) -> HardCase:
 
         def last_writer(place: NDArray[np.intp] = place, order: NDArray[np.intp] = order) -> NDArray[np.intp]:
             last = np.full(side * side, np.iinfo(np.int32).max)
-            last[place[order]] = order  # all have met the smallest depth
+            last[place[order]] = order  # all tie at the smallest depth
             return last
 
         forms = {"naive": last_writer()}
@@ -329,7 +329,7 @@ def long_motion(session: Session) -> HardCase:
 
 
 def stalled_filling(session: Session) -> HardCase:
-    """The rule of four known neighbors on random 4 x 4 masks, which most of them never meet again."""
+    """The rule of four known neighbors on random 4 x 4 masks, which most of them never satisfy again."""
     rng, found = np.random.default_rng(5), []
     for count in range(4, 16, 2):
         chosen = rng.choice(comb(16, count), 40) if comb(16, count) < 40 else range(40)
@@ -399,6 +399,6 @@ def near_objects(session: Session) -> HardCase:
 
 
 CASES: Sequence[Callable[[Session], HardCase]] = (
-    gaussian_jumps, pillbox_jumps, pillbox_energy, gaussian_cut, gaussian_reference, pillbox_truth, float_sums,
+    gaussian_steps, pillbox_steps, pillbox_energy, gaussian_cut, gaussian_reference, pillbox_truth, float_sums,
     half_pixel_shift, depth_ties, long_motion, stalled_filling, large_angles, near_objects,
 )  # fmt: skip

@@ -46,7 +46,7 @@ from clsco.passes.blur import Events
 from clsco.plan.approximation import METHODS, estimate, sample_places
 from clsco.records import Real
 from clsco.reference.blur.blur import prepare_sources, scatter
-from clsco.reference.trace.trace import Sources as Light
+from clsco.reference.trace.trace import Sources
 from clsco.scene.model import Psf
 
 Array = NDArray[Any]
@@ -101,7 +101,7 @@ class Bench:
 
 @dataclass(frozen=True)
 class _First:
-    """What the crop tells of a case."""
+    """What was measured of a case on its crop."""
 
     first_call_s: float
     crop_px: int
@@ -211,7 +211,7 @@ def _first(case: Case, session: Session, first_call_s: float | None, peers: Sequ
             first_call_s = time.perf_counter() - start
     call = _set_up(case, image, radii, session, peers)
     found = call([])
-    warm = min(_seconds(call), _seconds(call))  # what slows the machine for a moment must not leave a case out
+    warm = min(_seconds(call), _seconds(call))  # what slows the machine briefly must not leave a case out
     exact = _exact(case.size, case.radius, case.scene, case.psf)
     error = found.astype(np.float64) - channels_of(exact, case.channels)
     rms, largest = float(np.sqrt(np.mean(error**2))), float(np.abs(error).max())
@@ -226,11 +226,11 @@ def _exact(size: int, radius: float, scene: Scene, psf: str) -> Array:
 
 
 def reference(image: Array, radii: Array, psf: Psf) -> Array:
-    """Linear light (rows, columns, channels) blurred by radii in px (rows, columns), in float64."""
+    """Linear radiance (rows, columns, channels) blurred by radii in px (rows, columns), in float64."""
     valid = np.ones(radii.shape, bool)
     gradient = prepare_sources(radii, valid)
-    light = Light(image.astype(np.float64), np.ones(radii.shape), valid.astype(np.uint8), radii, gradient, valid)
-    return scatter(psf, light, None, (image.shape[0], image.shape[1]), 0)
+    sources = Sources(image.astype(np.float64), np.ones(radii.shape), valid.astype(np.uint8), radii, gradient, valid)
+    return scatter(psf, sources, None, (image.shape[0], image.shape[1]), 0)
 
 
 def _ready(case: Case, session: Session, longest_s: float, paces: Paces, peers: Sequence[Peer] = ()) -> _Ready | str:
@@ -260,7 +260,7 @@ def _ready(case: Case, session: Session, longest_s: float, paces: Paces, peers: 
 
 
 def _by_crop(case: Case, first: _First) -> float:
-    """About how long a call in full size takes: light that leaves the crop costs as much, or nothing."""
+    """About how long a call in full size takes: taps that leave the crop cost as much, or nothing."""
     psf, crop = PSFS[case.psf], first.crop_px
     if case.method in TAP_BY_TAP:
         return first.warm_s * (case.size / crop) ** 2 * max(1.0, mean_taps(psf, case.radius, case.scene) / crop**2)
@@ -336,7 +336,7 @@ def _row(ready: _Ready, roof: Roof, device: Device) -> Row:
 
 
 def described(device: Device) -> dict[str, Any]:
-    """What reports tell of a device."""
+    """Entries of a report on a device."""
     names = ("name", "platform", "platform_version", "driver", "kind", "compute_units", "global_mem", "has_fp64")
     return {name: getattr(device, name) for name in names}
 
@@ -351,7 +351,7 @@ def versions(packages: Sequence[str] = ()) -> dict[str, str]:
 
 
 def _peak_rss() -> int | None:
-    """Most memory in bytes that the process has had at a time; None on Windows, which does not tell it this way."""
+    """Most memory in bytes that the process has had at a time; None on Windows, which does not report it this way."""
     if sys.platform == "win32":
         return None
     import resource

@@ -20,7 +20,7 @@ from clsco.scene.model import Object, ObjectMotion
 
 Array = NDArray[Any]
 DIGITS = 80
-LOST = 2.0**-98  # of B^2, below which 106 bits cannot tell B^2 - A C from 0
+LOST = 2.0**-98  # of B^2, below which B^2 - A C is 0 to 106 bits
 NEAREST = 1e6  # 1/mm: nearer than 1e-6 mm is nothing
 
 

@@ -44,7 +44,7 @@ class Paces:
         return self._too_slow(case, pace, beside, f"{size} px")
 
     def crop_objection(self, case: Case, seconds: float) -> str:
-        """The same of one that took so long on its crop, most of whose light goes beyond it where PSFs are wide."""
+        """The same of one that took so long on its crop, most of whose taps leave it where PSFs are wide."""
         self.crops[case.kind] = seconds
         # What approximations take there is mostly to set them up.
         return "" if case.method in METHODS else self._too_slow(case, seconds, self.crops, "its crop")

@@ -65,7 +65,7 @@ class Target:
     window: Window
 
     def placed(self) -> PlacedSurface:
-        """Where the package sees it."""
+        """The surface as the package places it."""
         return place(self.item, pose_at(self.motion, 1.0, "euler"))
 
 
@@ -155,7 +155,7 @@ def certain(target: Target, of: oracle.Surface, exact: oracle.Depths, band: floa
 def _size_and_place(rng: np.random.Generator, ratio: float) -> tuple[float, Vector, float]:
     """Size in mm, center at `ratio` sizes, and half the width of a window that shows it, as a slope."""
     size, half = float(np.exp(rng.uniform(-4.0, 6.0))), float(rng.uniform(0.8, 1.6)) / ratio
-    # Pixels are numbered from the axis, so what is to be looked at from close by cannot be far off it.
+    # Pixels are numbered from the axis, so what is measured from close by cannot be far off it.
     off_axis = min(0.7, 2.0 * half / SIDE * FARTHEST_PIXEL / NEARER ** float(rng.uniform(0.0, MOST_ZOOMS)))
     towards = np.array([*rng.uniform(-off_axis, off_axis, 2), 1.0])
     x, y, z = (towards * (size * ratio / np.linalg.norm(towards))).tolist()

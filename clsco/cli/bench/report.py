@@ -257,7 +257,7 @@ def _ticks(panel: Any, values: Sequence[float]) -> None:
 
 
 def _legend(figure: Any, colors: dict[str, str], styles: dict[str, dict[str, Any]]) -> None:
-    """Methods by color and what else marks tell, beside the panels."""
+    """Key of the colors (methods) and marks of the panels, beside them."""
     from matplotlib.lines import Line2D
 
     handles = [Line2D([], [], color=color, linewidth=3, label=name) for name, color in colors.items()]

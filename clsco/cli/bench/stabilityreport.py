@@ -140,10 +140,10 @@ def tables(stability: Stability) -> list[RenderableType]:
             f"{one.misclassified}", f"{one.misclassified_in_band}", f"{one.oracle_bits:.0f}",
             "ok" if one.reached else "SHORT",
         )  # fmt: skip
-    return [cases, rays, Text("\n".join(_told(stability)))]
+    return [cases, rays, Text("\n".join(_notes(stability)))]
 
 
-def _told(stability: Stability) -> Iterable[str]:
+def _notes(stability: Stability) -> Iterable[str]:
     for how, found in (("cast", stability.degenerate), ("rendered", stability.rendered)):
         if found:
             refused = sum(bool(one.refused) for one in found)

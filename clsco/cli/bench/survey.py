@@ -85,7 +85,7 @@ def run(session: Session, rays: int, advance: Callable[[], object], seed: int = 
 def _window(
     target: Target, casters: list[Caster], rows: list[Found], rng: np.random.Generator
 ) -> tuple[list[Found], Target | None]:
-    """The rows with one more window, and the window to look at next."""
+    """The rows with one more window, and the window to measure next."""
     of = oracle.surface(target.item, target.motion)
     x, y = target.window.slopes()
     exact = oracle.solve(of, x, y)
