@@ -105,7 +105,7 @@ def pose_at(motion: ObjectMotion, time: float, rotation: str) -> Pose:
 
 
 def rest_center(item: Object) -> NDArray[np.float64]:
-    """Center (3,) of an object at rest in mm, about which it turns: the apex of a cone, (0, 0, a) of a plane."""
+    """Center of rotation (3,) of an object in its reference pose, mm: the apex of a cone, (0, 0, a) of a plane."""
     if item.shape == "plane":
         return np.array([0.0, 0.0, item.distance])
     return np.asarray(item.apex if item.shape == "cone" else item.center, dtype=np.float64)

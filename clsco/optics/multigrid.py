@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 EDGE, EDGE_ROWS = 8, 8  # around planes, as in kernels/blur/multigrid.cl
 MOST_LEVELS = 5
-FADE = 1.25  # from the smallest radius that moves to where all light does
+FADE = 1.25  # from the smallest radius that moves to the one from which sources move as a whole
 STEEPEST = 1.0  # px to neighbors 2 px away: with more the radii of what shares a node would be too different
 SHARING = 0.75  # px^2 per axis: what bilinear sharing among nodes adds to a PSF's second moment, and taking back again
 # Of the coarse frame before it is enlarged: for discs as much as gives back what sharing adds, so that less of their
@@ -55,11 +55,11 @@ def coarse_radii(psf: Psf, largest: float, least: float) -> tuple[float, ...]:
 
 
 def coarse_frame(rows: int, columns: int, guard: int) -> tuple[int, int, int]:
-    """Rows, columns and guard band of the next coarser grid: the nodes that pixels of the frame need."""
+    """Rows, columns and apron of the next coarser grid: the nodes that pixels of the frame need."""
     first = (guard + 1) // 2
     return (guard + rows) // 2 + 4 - first, (guard + columns) // 2 + 4 - first, first
 
 
 def plane_shape(width: int, height: int) -> tuple[int, int]:
-    """Rows and pitch of a plane of a grid, see coarse.cl."""
+    """Rows and pitch of a plane of a grid, see kernels/blur/multigrid.cl."""
     return height + 2 * EDGE_ROWS, -(-(width + 4 * EDGE) // TAP_LANES) * TAP_LANES

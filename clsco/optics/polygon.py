@@ -1,7 +1,7 @@
 """Blur of a polygonal iris: exact areas by Green's theorem along its edges (float64, pure).
 
-Axes of an image: x to the right, y down. The polygon of one lens radius is scaled by the signed blur radius R, as light
-from lens point l arrives at x' = x + R l; a negative R mirrors it in its center.
+Axes of an image: x to the right, y down. The polygon of one lens radius is scaled by the signed blur radius R, as a ray
+through lens point l arrives at x' = x + R l; a negative R mirrors it in its center.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def lens_mask(blades: int, rotation: float) -> Array:
     blades : int
         Number of edges.
     rotation : float
-        deg, counter-clockwise as the image is seen; at 0 an edge faces to the right.
+        deg, counter-clockwise in the image; at 0 an edge faces to the right.
 
     Returns
     -------
@@ -56,7 +56,7 @@ def running_integral(corners: Array, radius: Array, x: Array, y: Array, tent: bo
     H(x, y; R) = (1 / A) times the integral of (x - u)_+^k (y - v)_+^k du dv, k = 0, or 1 for the tent. By Green's
     theorem a sum over edges, of polynomials up to the third degree between where an edge passes x and y: two Gauss
     nodes are exact. First differences of H over a pixel are its area in the polygon, second differences the polygon
-    seen from a square source by a square detector.
+    between a square source and a square detector.
 
     Parameters
     ----------
@@ -100,8 +100,8 @@ def _held(radius: Array, tent: bool) -> tuple[Array, Array]:
 def _shrunk(share: Array, across: Array, down: Array, center_x: Array, center_y: Array, part: Array) -> Array:
     """Weights of `part` of a radius within SMALL from its own, and their sums per column and row.
 
-    Over |u| < 1 the tents at -1, 0, 1 are linear for either sign of u, so that a tent A seen by a polygon smaller by s
-    is (1 - s) of a point's and s of the tent seen by the whole one, along each axis.
+    Over |u| < 1 the tents at -1, 0, 1 are linear for either sign of u, so that the weight of a polygon smaller by s is
+    (1 - s) of that of a point and s of that of the whole polygon, along each axis.
     """
     rest = 1.0 - part
     inner = rest * (center_x * down + center_y * across) + part * share
@@ -137,7 +137,7 @@ def _share(corners: Array, dx: Array, dy: Array, radius: Array, tent: bool) -> A
 
 
 def polygon_share(corners: Array, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
-    """Share of the polygon's light in a pixel at (dx, dy) px, see `running_integral`; sums to 1 over the pixels.
+    """Share of the polygon's energy in a pixel at (dx, dy) px, see `running_integral`; sums to 1 over the pixels.
 
     With the tent the offsets are whole numbers; else pixel edges are at least SMALL_POINT px away, or the radius is.
     """

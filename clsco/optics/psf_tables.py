@@ -124,7 +124,7 @@ def _table_radius(psf: Psf, coordinate: Array, subpixel: bool) -> Array:
 
 
 def _sampled_reach(psf: Psf, coordinate: Array) -> Array:
-    """dx^2 + dy^2 up to which pixel centers are lit, from the coordinate of a sampled PSF."""
+    """dx^2 + dy^2 up to which pixel centers are covered, from the coordinate of a sampled PSF."""
     steps, until = sampled_steps(psf)
     return np.where(coordinate < until * steps, coordinate / steps, until + coordinate - until * steps)
 
@@ -155,7 +155,7 @@ def _runs(psf: Psf, span: range, subpixel: bool) -> Iterator[tuple[int, int, int
 def _span(psf: Psf, smallest: float, largest: float, subpixel: bool) -> range:
     """Intervals that hold the |blur radii| from smallest to largest px, and those before them in their TAP_LANES.
 
-    So windows of intervals begin at the same ones whatever the smallest radius is, on which the order of sums hangs.
+    So windows of intervals begin at the same ones whatever the smallest radius is, on which the order of sums depends.
     """
     first, last = (floor(float(table_coordinate(psf, np.array(r), subpixel))) for r in (smallest, largest))
     return range(first // TAP_LANES * TAP_LANES, last + 1)
@@ -316,7 +316,7 @@ def _outline(block: NDArray[np.float32]) -> NDArray[np.int32]:
     """Where the weights of an interval are, and where they are all the same: int32 (half-width + 1, 2).
 
     block: coefficients (|dy|, powers, |dx|). Of the column |dx| = n: the first |dy| whose weight is not the one in the
-    middle, where those of all columns nearer the middle are, too, and the last |dy| with any light.
+    middle, where those of all columns nearer the middle are, too, and the last |dy| with a weight above 0.
     """
     same = (block == block[:1, :, :1]).all(axis=1)
     first = np.where(same.all(axis=0), len(same), same.argmin(axis=0))

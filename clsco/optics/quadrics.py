@@ -78,7 +78,7 @@ class PlacedSurface:
     constant : float
         The quadric's value at the lens center.
     seen : Extent
-        No part of the surface is elsewhere.
+        Bounds of the surface in the image and in depth.
     """
 
     canonical: Canonical

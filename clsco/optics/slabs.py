@@ -1,4 +1,4 @@
-"""Slabs of signed blur radius for layered occlusion: where they begin, and what around a row matters; pure Python."""
+"""Depth layers of layered occlusion (slabs): bounds in signed blur radius, and which rows a strip needs (pure)."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from clsco.optics.psf import psf_extent
 from clsco.optics.psf_tables import table_reach
 from clsco.scene.model import Psf
 
-# As in layer.cl.
+# As in kernels/layered/layered.cl.
 DISCONTINUITY, BIN, CLASSES = 1.0, 0.25, 10  # px, px
 MOST_SLABS = 8
 
 
 @dataclass(frozen=True)
 class Slabs:
-    """Of one moment: first bins of the second and each further slab; px behind an edge where surface may be seen."""
+    """Of one time sample: first bins of the second and each further depth layer; how far behind an edge surface may be
+    visible, px."""
 
     bounds: tuple[int, ...]
     deep: int
@@ -32,10 +33,10 @@ def bins_of(largest: float) -> tuple[float, int]:
 
 
 def slab_bounds(latest: NDArray[np.int32]) -> list[int]:
-    """First bins of the second and each further slab, at most MOST_SLABS - 1 of them, in rising order.
+    """First bins of the second and each further depth layer, at most MOST_SLABS - 1 of them, in rising order.
 
-    latest: (CLASSES, bins) from `find_discontinuities` of layer.cl. From near to far, a jump that no bound splits yet
-    gets one in the middle of where it can be; where that makes too many, the smaller half of the jumps (a class) is
+    latest: (CLASSES, bins) from `find_discontinuities` of layered.cl. From near to far, a discontinuity that no bound
+    splits yet gets one in the middle of where it can be; where that makes too many, those of the smallest class are
     left alone.
     """
     for smallest in range(CLASSES):
@@ -51,15 +52,15 @@ def slab_bounds(latest: NDArray[np.int32]) -> list[int]:
 
 
 def depth_of_hidden(psf: Psf, largest_sum: int) -> int:
-    """How far behind an edge surface may be seen, px: as far as the blurs of both sides reach together.
+    """How far behind an edge surface may be visible, px: as far as the blurs of both sides reach together.
 
-    largest_sum: of the |radii| on both sides of a jump, px.
+    largest_sum: of the |radii| on both sides of a discontinuity, px.
     """
     return ceil(float(psf_extent(psf, largest_sum))) + 2
 
 
 def level_count(deep: int) -> int:
-    """Levels of a pyramid above the finest one: a pixel of the last one has seen all that is deep + 1 px away."""
+    """Levels of a pyramid above the finest one: a pixel of the last one depends on all that is deep + 1 px away."""
     return (deep + 1).bit_length()
 
 
@@ -81,8 +82,9 @@ def most_deep(psf: Psf, largest: float) -> int:
 def margin_of_slabs(psf: Psf, largest: float) -> tuple[int, int]:
     """Rows beyond those of a strip that may matter to it, and a number of rows that its grid begins at a multiple of.
 
-    largest: px, no |radius| is larger. A hidden pixel that lights the strip is between pixels of the last level of the
-    pyramid up to three of them away, each of which has seen one more; these begin where they do in the whole frame.
+    largest: px, no |radius| is larger. A hidden pixel that contributes to the strip is between pixels of the last level
+    of the pyramid up to three of them away, each of which depends on one more; these begin where they do in the
+    whole frame.
     """
     step = 1 << level_count(most_deep(psf, largest))
     return table_reach(psf, largest) + 2 + 4 * step, step

@@ -1,7 +1,8 @@
-"""Which objects can stand between others and the lens: layers that are spread one by one (float64, pure).
+"""Which objects can occlude others: groups of objects that are blurred one after the other (float64, pure).
 
-Every object of a scene scatters its own light, also what the pinhole does not see of it. Objects that cannot hide each
-other share a layer, and only what can stand in a layer's way is tested for it.
+Every object of a scene scatters its own radiance, including parts that are hidden in the pinhole image. Objects that
+cannot hide each other share an occlusion group (`Layer`), and its visibility tests take only objects that can occlude a
+member.
 """
 
 from __future__ import annotations
@@ -22,15 +23,15 @@ from clsco.scene.model import Camera, Object, Psf
 
 Array = NDArray[np.float64]
 
-LENS_CELLS = 8  # of the lens per half axis, where it is looked at on a grid of its own (kernels/common/visibility.clh)
+LENS_CELLS = 8  # of the lens per half axis, where it is tested on a grid of its own (kernels/common/visibility.clh)
 
 
 @dataclass(frozen=True)
 class Layer:
-    """Objects that are seen together, as the nearest of them along each ray, and what may hide them.
+    """An occlusion group: objects of which the nearest one along each ray counts, and what may occlude them.
 
     members, occluders: bit k is object k of the scene. own: number of an object that may hide itself, -1 for none;
-    root: which of its roots the layer has (`solve_quadric`), 0 for both.
+    root: which of its roots the group has (`solve_quadric`), 0 for both.
     """
 
     members: int
@@ -40,12 +41,12 @@ class Layer:
 
 
 def lens_extent(psf: Psf) -> float:
-    """Radius of the lens that a PSF stands for, in aperture radii: light that leaves at R l comes from l."""
+    """Radius of the lens that a PSF stands for, in aperture radii: a ray through lens point l arrives at offset R l."""
     return shape_of(psf).extent
 
 
 def lens_cells(psf: Psf) -> Array:
-    """Light (2 LENS_CELLS, 2 LENS_CELLS) through each cell of a square around the lens, up to a factor.
+    """Weights (2 LENS_CELLS, 2 LENS_CELLS) of the cells of a square around the lens, up to a factor.
 
     Cells as the image of a positive blur radius shows them; of a negative one they are mirrored where the shape of the
     PSF is `signed`.
@@ -62,7 +63,7 @@ def lens_cells(psf: Psf) -> Array:
 
 
 def lens_floats(psf: Psf) -> Array:
-    """What kernels look up of a lens: its cells; where the shape is `signed`, mirrored ones and the lens mask after
+    """Array that kernels read of a lens: its cells; where the shape is `signed`, mirrored ones and the lens mask after
     them."""
     cells = lens_cells(psf)
     if not shape_of(psf).signed:
@@ -94,21 +95,21 @@ def may_hide(near: Extent, far: Extent, camera: Camera, reach: float) -> bool:
     depth = near.w[1] - far.w[0]
     if depth <= 0.0:
         return False
-    # A line to lens point l goes over the image by (D / 2) l per inverse depth.
+    # In the image a line to lens point l moves by (D / 2) l per inverse depth.
     way = lens_radius(camera) * reach * depth
     axes = ((near.x, far.x), (near.y, far.y))
     return all(a[0] - way <= b[1] and b[0] - way <= a[1] for a, b in axes)
 
 
 def is_hollow(item: Object) -> bool:
-    """Whether the lens may see the inside of a surface past its own edge: it is curved, and cut by bounds."""
+    """Whether the inside of a surface may be visible past its own edge: it is curved, and cut by bounds."""
     return item.bounds is not None and item.shape != "plane"
 
 
 def layers(items: Sequence[Object], extents: Sequence[Extent], camera: Camera, psf: Psf) -> tuple[Layer, ...]:
-    """Few layers for objects at `extents`, in the order of the scene, so that none hides another of its layer.
+    """Few occlusion groups for objects at `extents`, in the order of the scene: no member hides another.
 
-    Of a hollow one each of its two roots is a layer. One layer and no occluders where nothing is hidden.
+    Each of the two roots of a hollow object is a group. One group and no occluders where nothing is hidden.
     """
     count, reach = len(extents), lens_extent(psf)
     hides = [[m != k and may_hide(extents[m], extents[k], camera, reach) for m in range(count)] for k in range(count)]
@@ -120,13 +121,13 @@ def layers(items: Sequence[Object], extents: Sequence[Extent], camera: Camera, p
         else:
             group.append(k)
     occluders = [{m for k in group for m in range(count) if hides[k][m]} for group in groups]
-    sheets = [
+    hollow = [
         Layer(1 << k, 1 << k | sum(1 << m for m in range(count) if hides[k][m]), k, root)
         for k in range(count)
         if is_hollow(items[k])
         for root in (1, 2)
     ]
-    return (*sheets, *(
+    return (*hollow, *(
         Layer(sum(1 << k for k in group), sum(1 << m for m in found))
         for group, found in zip(groups, occluders, strict=True)
     ))  # fmt: skip

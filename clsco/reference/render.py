@@ -39,7 +39,7 @@ from clsco.scene.model import Scene
 
 
 def _cast_sources(view: View, layer: Layer, guard: int) -> tuple[Sources, SubpixelSources | None]:
-    """Sources of one layer from rays cast at its objects: the inverse warp, and every scene at rest."""
+    """Sources of one occlusion group from rays cast at its objects: the inverse warp, and every static scene."""
     sources = trace(view, layer, guard)
     if view.scene.psf.silhouette_samples == 1:
         return sources, None
@@ -60,10 +60,10 @@ class _Warped:
 def _warped_sources(
     scene: Scene, textures: tuple[Array, ...], maps: Maps, guard: int, time: float, eye: Eye
 ) -> _Warped:
-    """Sources at one moment from the pixels at rest: the forward warp, with its holes filled."""
+    """Sources of one time sample from the pixels of the reference pose: the forward warp, with its holes filled."""
     poses, mapped = poses_at(scene, time, eye), any(depth is not None for depth in maps)
-    at_rest = _placed(scene, rest_poses(scene))
-    new = reproject(scene, textures, at_rest, maps, poses, guard)
+    reference_pose = _placed(scene, rest_poses(scene))
+    new = reproject(scene, textures, reference_pose, maps, poses, guard)
     allowed = None
     if scene.fill.domain == "surface" and not mapped:
         view = view_at(scene, textures, time, eye, True)
@@ -96,7 +96,7 @@ def _sources(scene: Scene, radiance: Array, w: Array, valid: NDArray[np.bool_]) 
 def _image_of_planes(
     scene: Scene, plan: Plan, sources: Sources, shape: tuple[int, int]
 ) -> tuple[Array, dict[str, int]]:
-    """The blurred image (m, n, C) of what the pinhole sees, and what is told of it."""
+    """Blur a pinhole image: (m, n, C), and with `layered` occlusion the number of depth layers for the metadata."""
     if plan.occlusion != "layered":
         return scatter(scene.psf, sources, None, shape, plan.guard_px), {}
     planes = (sources.radiance, sources.radius, sources.lit)
@@ -117,8 +117,8 @@ def _crop(array: NDArray[Any], guard: int) -> NDArray[Any]:
 def render(scene: Scene) -> Iterator[Frame]:
     """Frames of a scene, each with all its ground truth; float arrays are float64.
 
-    Errors: those of the plan and of the textures. Metadata: {"intermediate": [...]}, one mapping per
-    intermediate frame with its time in s, its weight and the counts of `clsco.reference.inpainting.fill.FillReport`.
+    Errors: those of the plan and of the textures. Metadata: {"intermediate": [...]}, one mapping per time
+    sample with its time in s, its weight and the counts of `clsco.reference.inpainting.fill.FillReport`.
     """
     scene, loaded = load_scene_textures(scene)
     channels = max(texture.radiance.shape[2] if texture.radiance.ndim == 3 else 1 for texture in loaded)
@@ -138,22 +138,22 @@ def _with_channels(radiance: NDArray[np.float32], channels: int) -> Array:
 
 
 def _moves_pixels(plan: Plan) -> bool:
-    """Whether pixels at rest are moved, those of a depth map where nothing moves to their own places."""
+    """Whether pixels of the reference pose are warped forward; those of a static depth map stay where they are."""
     return plan.forward or plan.static_map
 
 
-def _moment(plan: Plan, textures: tuple[Array, ...], maps: Maps, time: float) -> tuple[Array, dict[str, int]]:
-    """The blurred image (m, n, C) of one moment, and what is told of it."""
+def _time_sample(plan: Plan, textures: tuple[Array, ...], maps: Maps, time: float) -> tuple[Array, dict[str, int]]:
+    """The blurred image (m, n, C) of one time sample, and its metadata."""
     scene, guard, shape = plan.scene, plan.guard_px, textures[0].shape[:2]
     if _moves_pixels(plan):
         warped = _warped_sources(scene, textures, maps, guard, time, plan.eye)
-        image, told = _image_of_planes(scene, plan, warped.sources, shape)
-        return image, asdict(warped.report) | told
+        image, count = _image_of_planes(scene, plan, warped.sources, shape)
+        return image, asdict(warped.report) | count
     view = view_at(scene, textures, time, plan.eye, plan.moves or plan.eye_moved)
     if plan.occlusion == "layered":
-        seen = trace(view, plan.layers[0], guard)
-        image, told = _image_of_planes(scene, plan, seen, shape)
-        return image, asdict(FillReport()) | told
+        visible = trace(view, plan.layers[0], guard)
+        image, count = _image_of_planes(scene, plan, visible, shape)
+        return image, asdict(FillReport()) | count
     image = np.zeros(textures[0].shape)
     for layer in plan.layers:
         sources, sub = _cast_sources(view, layer, guard)
@@ -163,11 +163,11 @@ def _moment(plan: Plan, textures: tuple[Array, ...], maps: Maps, time: float) ->
 
 def _frame(plan: Plan, textures: tuple[Array, ...], maps: Maps, index: int) -> Frame:
     scene, guard = plan.scene, plan.guard_px
-    color, told = np.zeros(textures[0].shape), []
+    color, samples = np.zeros(textures[0].shape), []
     for time, weight in zip(*(values.tolist() for values in exposure(plan, index)), strict=True):
-        image, report = _moment(plan, textures, maps, time)
+        image, report = _time_sample(plan, textures, maps, time)
         color = accumulate(color, image, weight)
-        told.append({"time": time, "weight": weight, **report})
+        samples.append({"time": time, "weight": weight, **report})
     arrays = _truth(plan, textures, maps, index) | {"filled": np.zeros(color.shape[:2], dtype=np.uint8)}
     if _moves_pixels(plan):
         time = middle_time(scene.sequence, index) if plan.moves else 0.0
@@ -177,12 +177,12 @@ def _frame(plan: Plan, textures: tuple[Array, ...], maps: Maps, index: int) -> F
             arrays |= _map_truth(plan, textures, maps, middle, index)
     sharp = _without_channel(arrays.pop("sharp"))
     eye = plan.eye if scene.stereo else ""
-    about = {"intermediate": told}
+    about = {"intermediate": samples}
     return Frame(index=index, color=_without_channel(color), sharp=sharp, metadata=about, eye=eye, **arrays)
 
 
 def _truth(plan: Plan, textures: tuple[Array, ...], maps: Maps, index: int) -> dict[str, Any]:
-    """Ground truth from rays, where there are surfaces that they can meet."""
+    """Ground truth from rays; empty where the scene has depth maps, which are not ray-castable."""
     if any(depth is not None for depth in maps):
         return {}
     return dict(vars(ground_truth(plan.scene, textures, index, plan.eye)))

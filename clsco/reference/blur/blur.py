@@ -1,7 +1,7 @@
-"""Defocus: every source spreads its light over the pixels around it (2.25), in NumPy float64.
+"""Defocus: every source spreads its radiance over the pixels around it (2.25), in NumPy float64.
 
 Sources stand on the padded grid (H, W), which has `guard` rows and columns around the frame (m, n). Offsets
-(dx, dy) go right and down from a source to the pixel that it lights.
+(dx, dy) go right and down from a source to a pixel that it contributes to.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from clsco.scene.model import Psf
 
 Shape = tuple[int, int]
 BLOCK = 16384  # sources at a time: their intermediate results stay in the cache
-OCCLUDED_BLOCK = 2048  # the same of sources that something is in the way of, of which there is more to keep
+OCCLUDED_BLOCK = 2048  # the same of sources with occluders, which take more memory
 
 
 def prepare_sources(coc: Array, valid: NDArray[np.bool_]) -> Array:
@@ -46,7 +46,7 @@ def prepare_sources(coc: Array, valid: NDArray[np.bool_]) -> Array:
 
 
 def tilt_factor(dx: ArrayLike, dy: ArrayLike, slope: Array) -> Array:
-    """Weight 1 + l . grad R of the light that a tilted surface sends through lens point l = (dx, dy) / R.
+    """Weight 1 + l . grad R of the radiance that a tilted surface sends through lens point l = (dx, dy) / R.
 
     dx, dy: px, right and down; slope: grad R / R (..., 2) in 1/px, the same way, of `tilt_slope`. They
     broadcast. The factor is never below 0.
@@ -79,7 +79,7 @@ def _alike(visibility: Visibility) -> list[tuple[NDArray[np.int64], Visibility, 
 def _shares(
     psf: Psf, sources: Sources, there: NDArray[np.bool_], shape: Shape, guard: int
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Array]]:
-    """For every offset: source numbers, frame pixel numbers, and the share of each source's light that goes there.
+    """For every offset: source numbers, frame pixel numbers, and the share of each source's radiance that goes there.
 
     Targets outside of the frame are left out.
     """
@@ -117,7 +117,7 @@ def _shares(
 def _subpixel_shares(
     psf: Psf, sub: SubpixelSources, shape: Shape, guard: int
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Array]]:
-    """For blocks of sub-pixel sources and every offset: source numbers, frame pixel numbers, share of light.
+    """For blocks of sub-pixel sources and every offset: source numbers, frame pixel numbers, share of radiance.
 
     Sources are numbered in the order of `hit`; the share includes the source's weight 1/S^2. Targets outside
     of the frame are left out.
@@ -162,10 +162,10 @@ def _own_sources(sources: Sources, sub: SubpixelSources | None) -> NDArray[np.bo
 def renormalize(
     psf: Psf, sources: Sources, sub: SubpixelSources | None, shape: Shape, guard: int
 ) -> tuple[Sources, SubpixelSources | None]:
-    """Sources whose light, as far as it would fall outside of the frame, is given back to the frame.
+    """Sources whose radiance, as far as it would fall outside of the frame, is given back to the frame.
 
     Arguments as for `scatter`. The radiance is divided by the share of the source's PSF (with tilt) that falls inside
-    the frame, whatever is in its way; sources outside of the frame (the guard band) end. Validated: a constant image
+    the frame, whatever its occluders; sources outside of the frame (the apron) are dropped. Validated: a constant image
     stays constant in sum up to the border.
     """
     m, n = shape
@@ -184,7 +184,7 @@ def renormalize(
     kept_sub = np.zeros(int(sub.hit.sum()))
     for source, _, share in _subpixel_shares(psf, replace(sub, visibility=None), shape, guard):
         np.add.at(kept_sub, source, share)
-    # Shares include 1/S^2; what is divided by is the share of the source's own light.
+    # Shares include 1/S^2; what is divided by is the share of the source's own radiance.
     kept_sub *= sub.hit.shape[1] ** 2
     scale_sub = np.zeros(sub.hit.shape)
     scale_sub[sub.hit] = np.where(kept_sub > 0.0, 1.0 / np.where(kept_sub > 0.0, kept_sub, 1.0), 0.0)
@@ -196,7 +196,7 @@ def scatter(psf: Psf, sources: Sources, sub: SubpixelSources | None, shape: Shap
 
     sources: on the padded grid (m + 2 guard, n + 2 guard); sub: sub-pixel sources that replace their pixels'
     own, or None; shape: (m, n) of the frame; guard: px. PSF: `clsco.optics.psf.weights`, and `subpixel_weights` for
-    sub-pixel sources. border = "renormalize": see `renormalize`. Validated: light is conserved, a constant
+    sub-pixel sources. border = "renormalize": see `renormalize`. Validated: energy is conserved, a constant
     facing plane stays constant, linear, equal to direct sums.
     """
     m, n = shape
@@ -205,7 +205,7 @@ def scatter(psf: Psf, sources: Sources, sub: SubpixelSources | None, shape: Shap
     color = np.zeros((m * n, sources.radiance.shape[2]))
     radiance = sources.radiance.reshape(-1, color.shape[1])
     for source, target, share in _shares(psf, sources, _own_sources(sources, sub), shape, guard):
-        color[target] += share[:, None] * radiance[source]  # of one offset, so no target is met twice
+        color[target] += share[:, None] * radiance[source]  # of one offset, so no target occurs twice
     if sub is not None:
         radiance = sub.radiance[sub.hit]
         for source, target, share in _subpixel_shares(psf, sub, shape, guard):
@@ -214,9 +214,9 @@ def scatter(psf: Psf, sources: Sources, sub: SubpixelSources | None, shape: Shap
 
 
 def resolve(sums: NDArray[np.int64], scale: float) -> Array:
-    """Light of sums in fixed point, which a device's `scatter` forms so that their order does not matter.
+    """Irradiance from sums in fixed point, which a device's `scatter` forms so that their order does not matter.
 
-    sums: any shape, light x scale rounded half up. The reference adds in float64 and has no use for it.
+    sums: any shape, irradiance x scale, rounded half up. The reference adds in float64 and has no use for it.
     """
     return np.asarray(sums / scale)
 

@@ -34,7 +34,7 @@ TENT = np.array([0.25, 0.75, 0.75, 0.25])  # share of a node in the four pixels 
 def measure_radii(sources: Sources, sub: SubpixelSources | None) -> tuple[Array, Array]:
     """|R| in px (H, W) of sources that may move, NaN of others, and R grad R in px (H, W, 2).
 
-    Those may that are whole and have nothing in their way.
+    Those may that are whole and have no occluders.
     """
     may = sources.lit.copy()
     if sub is not None:
@@ -68,7 +68,7 @@ def _nodes(plane: Array, shape: Shape) -> Array:
 def halve(
     radius: Array, share: Array, radiance: Array, tilt: Array, loss: float, shape: Shape
 ) -> tuple[Array, Array, Array]:
-    """Light (H', W', C), |R| (H', W') in px of the next grid, NaN without light, and R grad R (H', W', 2) there.
+    """Radiance (H', W', C), |R| (H', W') in px of the next grid, NaN for no source, and R grad R (H', W', 2) there.
 
     share: of `pick`; radiance: (H, W, C); tilt: (H, W, 2); loss: px^2, see the kernel; shape: (H', W').
     """
@@ -79,12 +79,13 @@ def halve(
     mean = _nodes(np.where(moves, radius, 0.0), shape) / number
     small = np.where(there, 0.5 * np.sqrt(np.maximum(mean * mean - loss, 0.0)), np.nan)
     turned = [_nodes(np.where(moves, tilt[..., k], 0.0), shape) / (2.0 * number) for k in range(2)]
-    light = [_nodes(share * radiance[..., k], shape) / 4.0 for k in range(radiance.shape[2])]
-    return np.stack(light, axis=-1), small, np.stack(turned, axis=-1)
+    moved = [_nodes(share * radiance[..., k], shape) / 4.0 for k in range(radiance.shape[2])]
+    return np.stack(moved, axis=-1), small, np.stack(turned, axis=-1)
 
 
 def aim_nodes(radius: Array, tilt: Array, blunt: float) -> Array:
-    """Gradient (H, W, 2) of the radius in px per px that makes the light's first moment half the change of its second.
+    """Gradient (H, W, 2) of the radius in px per px that makes the radiance's first moment half the change of its
+    second.
 
     radius: px, NaN for no source; tilt: R grad R; blunt: px^2, see the kernel.
     """
@@ -111,7 +112,7 @@ def sample_frame(frame: Array, places: Places) -> Array:
 
 
 def probe(psf: Psf, sources: Sources, share: Array, shape: Shape, guard: int, places: Places) -> Array:
-    """What the light that moves would have sent to some pixels (places, C) by the exact way; share: of `pick`."""
+    """Irradiance (places, C) of some pixels by the exact way, from the radiance that moves; share: of `pick`."""
     moved = replace(sources, lit=sources.lit & (share > 0.0), radiance=sources.radiance * share[..., None])
     return sample_frame(scatter(psf, moved, None, shape, guard), places)
 
@@ -146,11 +147,11 @@ def _blurred(
         return frame, np.zeros_like(frame)
     m, n, around = coarse_frame(*shape, guard)
     nodes = m + 2 * around, n + 2 * around
-    light, small, turned = halve(radius, share, sources.radiance, tilt, loss(psf, level == 0), nodes)
+    radiance, small, turned = halve(radius, share, sources.radiance, tilt, loss(psf, level == 0), nodes)
     there = ~np.isnan(small)
     blunt = shape_of(coarse_psf(psf)).pixel_moment / shape_of(psf).second_moment
     sources = Sources(
-        light,
+        radiance,
         np.ones(nodes),
         there.astype(np.uint8),
         np.where(there, small, 0.0),

@@ -25,7 +25,7 @@ Filter = Literal["nearest", "bilinear", "bicubic"]
 
 BOUNDS_SLACK = 1e-14  # relative
 NEAREST_INVERSE_DEPTH = 1e6  # 1/mm: nearer than 1e-6 mm is nothing
-FARTHEST_TEXEL = 1e9  # px: texture positions beyond are not told apart
+FARTHEST_TEXEL = 1e9  # px: texture positions beyond are not distinguished
 SMALLEST_RADIUS = 1.0  # px: below, the lens offset of a touched pixel is formed with this radius
 STEEPEST_TILT = 1e6  # 1/px: far beyond where a weight is clamped, and finite on a limb
 
@@ -178,8 +178,8 @@ def nearest_surface(
 ) -> tuple[Array, NDArray[np.uint8], NDArray[np.int32]]:
     """Inverse depth (...) in 1/mm of the nearest surface along rays (..., 3), its label, and its number.
 
-    surfaces, bounds: of all objects; layer: which of them count, and which of their roots. Label: 0 no surface (w = 0,
-    number -1), else 2 k + the label of `solve_quadric` for object k. Of equally near ones the first counts.
+    surfaces, bounds: of all objects; layer: the occlusion group, whose members and roots count. Label: 0 no surface
+    (w = 0, number -1), else 2 k + the label of `solve_quadric` for object k. Of equally near ones the first counts.
     """
     nearest = np.zeros(rays.shape[:-1])
     label, number = np.zeros(nearest.shape, dtype=np.uint8), np.full(nearest.shape, -1, dtype=np.int32)
@@ -254,18 +254,18 @@ def body_point(surface: PlacedSurface, rays: Array, w: Array) -> Array:
 
 
 def rest_position(surface: PlacedSurface, rays: Array, w: Array) -> Array:
-    """w times the position at rest (..., 3) of the surface point that a ray meets, camera frame, no unit.
+    """w times the position in the reference pose (..., 3) of the surface point that a ray meets, camera frame, no unit.
 
-    rays: (..., 3); w: (...) 1/mm. The third component is positive where the point was before the lens.
+    rays: (..., 3); w: (...) 1/mm. The third component is positive where the point was in front of the lens.
     """
     return np.asarray(surface.rest * w[..., None] + body_point(surface, rays, w))
 
 
 def rest_pixel(surface: PlacedSurface, camera: Camera, rays: Array, w: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Row and column (...) in px where the camera saw a surface point at rest, and whether it did.
+    """Row and column (...) in px of the projection of surface points in the reference pose, and whether there is one.
 
     rays: (..., 3); w: (...) 1/mm. False, and row = column = 0, where no surface is or where the point was
-    behind the lens. Validated: the pixel itself for the pose at rest, 80 px for 10 mm at 250 mm.
+    behind the lens. Validated: the pixel itself for the reference pose, 80 px for 10 mm at 250 mm.
     """
     position = rest_position(surface, rays, w)
     valid = (w > 0.0) & (position[..., 2] > 0.0)

@@ -21,7 +21,7 @@ TINY = 1e-30
 
 @dataclass(frozen=True, eq=False)
 class Occluder:
-    """One surface as N points see it against the lens; x, y: offset of a tap in cells, right and down.
+    """One surface between N points and the lens; x, y: offset of a tap in cells, right and down.
 
     h (N, 3): constant, x, y, over the width of the soft edge, without the root; root (N,), f (N, 5): x, y, xx, xy, yy
     under it. With limits: crossings (N,) 1 or 2, or 0 for a plane, whose limits are an h (N, 3) each; else b (N, 3),
@@ -81,11 +81,11 @@ def limit_share(m: Occluder, limit: Array, at: Crossing, x: Array, y: Array) -> 
 
 
 def crossing_share(m: Occluder, at: Crossing, x: Array, y: Array) -> Array:
-    """Share (N,) of them from which a crossing blocks: the least that any condition leaves."""
+    """Share (N,) of them from which a crossing occludes: the least that any condition leaves."""
     least = np.ones_like(x)
     for limit, kept in zip(m.limits, m.kept, strict=True):
         least = np.where(kept, np.minimum(least, limit_share(m, limit, at, x, y)), least)
-    # Behind a point of the surface itself the tilt lets no light pass; a step there would only be seen in rounding.
+    # Behind a point of the surface itself the tilt lets no radiance pass; a step there would only show in rounding.
     return np.where((m.f0 == 0) | (at.v > 0), least, 0.0)
 
 
@@ -108,7 +108,7 @@ def occluded_height(m: Occluder, x: Array, y: Array) -> Array:
 
 
 def occluded_share(m: Occluder, x: Array, y: Array) -> Array:
-    """Share (N,) of the lens, over the cells of taps x, y (N,), that one surface blocks."""
+    """Share (N,) of the lens, over the cells of taps x, y (N,), that one surface hides."""
     if not m.limits:
         return soft_step(occluded_height(m, x, y))
     if m.limits[0].shape[1] == 3:  # a plane

@@ -1,10 +1,10 @@
-"""What stands between surface points and the lens: the factor V(x, l) of the physics, in NumPy float64.
+"""Visibility of the lens from surface points: the factor V(x, l) of the physics, in NumPy float64.
 
 The line from a point at inverse depth w to lens point l meets a quadric Q at inverse depths w + v, v > 0, with
 C v^2 + 2 B v + F = 0, C = Q(lens point), F = w^2 Q(point). F does not depend on l. Where its sign differs from C's
 there is one crossing for every l; else two or none, and two exactly where h = -B - sqrt(C F) > 0, with signs such that
 C > 0.
-Taps stand for cells of the lens; over them the edge of what is blocked is softened by a cubic step of the same
+Taps stand for cells of the lens; over them the edge of what is hidden is softened by a cubic step of the same
 variance as the boxes that overlap there, so that V is continuous.
 """
 
@@ -27,8 +27,8 @@ from clsco.scene.model import Camera, Psf
 
 CLEAR, PARTLY, HIDDEN = np.uint8(0), np.uint8(1), np.uint8(2)
 SOFT_BOX = (5.0 / 12.0) ** 0.5  # half width of the cubic step that has the variance of a box 1 wide
-WIDE_LENS = 4.0  # px: a lens at least so wide is looked at once per tap, others on a grid of cells
-SHARP_EDGE = 2.0  # px: a blurred outline this narrow asks for sub-pixel sources
+WIDE_LENS = 4.0  # px: a lens at least so wide is tested once per tap, others on a grid of cells
+SHARP_EDGE = 2.0  # px: a blurred outline this narrow needs sub-pixel sources
 
 
 def _dot(weights: Array, vectors: Array) -> Array:
@@ -54,8 +54,8 @@ def _limits(surface: PlacedSurface, bounds: Bounds | None, w: Array, rays: Array
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Surface points from which the lens is seen: rays (N, 3), inverse depth w (N,) in 1/mm, signed blur radius (N,) in
-    px, place x, y (N,) of the source in its pixel, px, and the width of all sources, px."""
+    """Surface points of visibility tests: rays (N, 3), inverse depth w (N,) in 1/mm, signed blur radius (N,) in px,
+    place x, y (N,) of the source in its pixel, px, and the width of all sources, px."""
 
     rays: Array
     w: Array
@@ -160,7 +160,7 @@ def slopes_of(surface: PlacedSurface, e: Equation, w: Array, d: Array) -> Slopes
 
 
 def crossing_place(camera: Camera, e: Equation, d: Array) -> Array:
-    """Where the line meets the surface, or passes it: (N,) px of the image away, per lens radius."""
+    """Where the line meets the surface, or passes it: (N,) distance in the image, px per lens radius."""
     root = np.sqrt(np.maximum(d, 0.0))
     v = np.where(e.once, np.where(e.B < 0, (root - e.B) / e.C, -e.F / (e.B + root)), -e.B / e.C)
     return np.maximum(np.abs(blur_scale(camera) * v), TINY)
@@ -302,7 +302,7 @@ class Visibility:
 
     row: (sources,) where a source is in the other arrays, -1 if nothing hides it or all is hidden. Of the M others:
     radius px; wide; x, y: place of the source in its pixel, px; occluders: per surface which of them it concerns, and
-    how. extent: of the lens in lens radii; cells: light (L, L) through its cells;
+    how. extent: of the lens in lens radii; cells: weights (L, L) of its cells;
     mask: edges (n, 3) of `lens_mask`, none where the lens is round.
     """
 
@@ -343,9 +343,9 @@ def check_visibility(
 ) -> tuple[NDArray[np.uint8], Mask, Visibility]:  # fmt: skip
     """Visibility of the lens from N points.
 
-    surfaces, bounds: of all objects; layer: of them, what can occlude. Returns CLEAR, PARTLY or HIDDEN (N,); what
-    changes where two surfaces meet, and at outlines of what stands close before the point (N,); and what is to be
-    tested for taps.
+    surfaces, bounds: of all objects; layer: the occlusion group, whose occluders are tested. Returns CLEAR, PARTLY or
+    HIDDEN (N,); what changes where two surfaces meet, and at outlines of occluders close to the point (N,); and what is
+    to be tested for taps.
     """
     lens = lens_of(points.radius, lens_extent(psf), points.width)
     state, edge = np.full(points.w.shape, CLEAR), np.zeros(points.w.shape, dtype=bool)

@@ -13,10 +13,11 @@ MOST_INWARDS = 0.7  # px along an axis, at the corners of a lens mask
 
 
 def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
-    """Share (M,) of the lens, over the cells of taps x, y (M,) from the sources, that nothing blocks.
+    """Share (M,) of the lens, over the cells of taps x, y (M,) from the sources, that nothing hides.
 
-    Where the lens is wide, a tap at the rim of the blur sees only the inside of it: with a tent across it, cut at the
-    distance s from its middle, the mean of what is left is at -(1 - s)^2 / 3, and below s = 0 at (2 s - 1) / 3.
+    Where the lens is wide, only the inside of it is visible from a tap at the rim of the blur: with a tent across it,
+    cut at the distance s from its middle, the mean of what is left is at -(1 - s)^2 / 3, and below s = 0 at
+    (2 s - 1) / 3.
     """
     rim = np.maximum(np.abs(visibility.radius) * visibility.extent, 1.0)
     s = np.clip(0.5 * rim - (x * x + y * y) / (2 * rim), -1.0, 1.0)
@@ -42,7 +43,7 @@ def _inside(visibility: Visibility, x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def cell_visibility(visibility: Visibility) -> Array:
-    """Share (N, L, L) of each cell of the lens that nothing blocks, of the N sources that the lens is not wide for."""
+    """Share (N, L, L) of each cell of the lens that nothing hides, of the N sources that the lens is not wide for."""
     narrow = ~visibility.wide
     size, points = 2 * LENS_CELLS, visibility.radius.size
     share = np.ones((np.count_nonzero(narrow), size, size))
@@ -72,13 +73,13 @@ def tap_share(visibility: Visibility, cells: Array, dx: float | Array, dy: float
             np.maximum(0.0, 1 - np.abs(at * step[:, None] + (place - d)[narrow, None]))
             for place, d in ((visibility.x, dx), (visibility.y, dy))
         )
-        light = visibility.cells
+        weights = visibility.cells
         if visibility.mask.size:
             mirrored = visibility.radius[narrow, None, None] < 0
-            light = np.where(mirrored, light[::-1, ::-1], light)
-            whole = np.einsum("mi,mij,mj->m", down, light, across, optimize=True)
+            weights = np.where(mirrored, weights[::-1, ::-1], weights)
+            whole = np.einsum("mi,mij,mj->m", down, weights, across, optimize=True)
         else:
-            whole = np.einsum("mi,ij,mj->m", down, light, across, optimize=True)
-        free = np.einsum("mi,mij,mj->m", down, light * cells, across, optimize=True)
+            whole = np.einsum("mi,ij,mj->m", down, weights, across, optimize=True)
+        free = np.einsum("mi,mij,mj->m", down, weights * cells, across, optimize=True)
         share[narrow] = np.where(whole > 0, free / np.where(whole > 0, whole, 1.0), 1.0)
     return share

@@ -213,7 +213,7 @@ def fill_objects(
     values: Array, objects: NDArray[np.uint8], known: Mask, allowed: Mask | None, method: Method, guard: int,
     far: bool = True, brightest: float = 1.0,
 ) -> tuple[Array, NDArray[np.uint8], NDArray[np.uint8], FillReport]:  # fmt: skip
-    """As `fill`, with the number of the object that is seen (H, W), which follows the first pixel that serves.
+    """As `fill`, with the number of the visible object (H, W), which follows the first pixel that serves.
 
     far: holes are filled from their farther side (`far_bounds`, when a pixel becomes a missing one). Where that fills
     nothing more, the nearer ones serve for one sweep as well. brightest: what radiance is at most, for scores.

@@ -1,7 +1,8 @@
-"""Layered occlusion in NumPy float64: slabs of blur radius, each blurred with its coverage, composited front to back.
+"""Layered occlusion in NumPy float64: depth layers, each blurred with its coverage, composited front to back.
 
-All that is known is what the pinhole sees: the radiance and the signed blur radius of each pixel of the padded grid
-(H, W). A smaller signed radius is nearer. Slabs are numbered from 1, the nearest; 0 stands for no surface.
+All that is known is the pinhole image: the radiance and the signed blur radius of each pixel of the padded grid (H, W).
+A smaller signed radius is nearer. A depth layer (`slab`) is a range of it; they are numbered from 1, the nearest; 0
+stands for no surface.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ Labels = NDArray[np.uint8]
 Integers = NDArray[np.int64]
 
 DISCONTINUITY = 1.0  # px: over the lens two points shift by |R1 - R2| against each other; less hides no pixel
-BIN = 0.25  # px: slabs end at multiples of it
-CLASSES = 10  # of jumps: beyond DISCONTINUITY, 2 DISCONTINUITY, 4 DISCONTINUITY ... px
+BIN = 0.25  # px: depth layers end at multiples of it
+CLASSES = 10  # of discontinuities: beyond DISCONTINUITY, 2 DISCONTINUITY, 4 DISCONTINUITY ... px
 MOST_SLABS = 8
 NO_SEED = 1 << 14  # px: farther than any blur reaches
 NEVER = 1 << 24  # beyond the last pixel of any frame
@@ -44,12 +45,12 @@ def bins_of(largest: float) -> tuple[float, int]:
 
 
 def find_discontinuities(coc: Array, valid: Mask, low: float, bins: int, far: int) -> tuple[Integers, int]:
-    """Where jumps of the radius begin: (CLASSES, bins), 1 + the largest bin of the near side, 0 for no jump.
+    """Discontinuities of the radius: (CLASSES, bins), 1 + the largest bin of the near side, 0 for none.
 
-    And the largest sum of the two radii of a jump, without their signs, px, rounded up. coc: (H, W) px; valid: (H, W);
-    low px, bins: from `bins_of`; far: px. A jump is between two valid pixels of a row or a column with none between
-    them, at most `far` px apart. Entry (k, b): jumps of class k, beyond DISCONTINUITY 2^k px, whose far side is in bin
-    b.
+    And the largest sum of the two radii of a discontinuity, without their signs, px, rounded up. coc: (H, W) px; valid:
+    (H, W); low px, bins: from `bins_of`; far: px. A discontinuity is between two valid pixels of a row or a column with
+    none between them, at most `far` px apart. Entry (k, b): those of class k, beyond DISCONTINUITY 2^k px, whose far
+    side is in bin b.
     """
     latest, largest_sum = np.zeros((CLASSES, bins), dtype=np.int64), 0
     for radius, there in ((coc, valid), (coc.T, valid.T)):
@@ -65,10 +66,10 @@ def find_discontinuities(coc: Array, valid: Mask, low: float, bins: int, far: in
 
 
 def slab_bounds(latest: Integers) -> list[int]:
-    """First bins of the second and each further slab, at most MOST_SLABS - 1 of them, in rising order.
+    """First bins of the second and each further depth layer, at most MOST_SLABS - 1 of them, in rising order.
 
-    latest: (CLASSES, bins) from `find_discontinuities`. From near to far, a jump that no bound splits yet gets one in
-    the middle of where it can be; where that makes too many, the jumps of the smallest class are left alone.
+    latest: (CLASSES, bins) from `find_discontinuities`. From near to far, a discontinuity that no bound splits yet
+    gets one in the middle of where it can be; where that makes too many, those of the smallest class are left alone.
     """
     for smallest in range(CLASSES):
         bounds: list[int] = []
@@ -81,13 +82,14 @@ def slab_bounds(latest: Integers) -> list[int]:
 
 
 def label_depth_layers(coc: Array, valid: Mask, low: float, bins: int, bounds: list[int]) -> Labels:
-    """Slab (H, W) of every pixel. Arguments as for `find_discontinuities`; bounds: from `slab_bounds`."""
+    """Depth layer (H, W) of every pixel. Arguments as for `find_discontinuities`; bounds: from `slab_bounds`."""
     slab = 1 + np.searchsorted(np.asarray(bounds, np.int64), _bin(coc, low, bins), side="right")
     return np.where(valid, slab, 0).astype(np.uint8)
 
 
 def seed_hidden(coc: Array, slab: Labels) -> Labels:
-    """The slab (H, W) that goes on behind a pixel at an edge: the nearest of its four neighbors' behind a jump."""
+    """The depth layer (H, W) that is extrapolated behind a pixel at an edge: the nearest of those of its four neighbors
+    that are beyond a discontinuity."""
     padded, radius = np.pad(slab, 1), np.pad(coc, 1)
     seed = np.zeros_like(slab)
     rows, columns = slab.shape
@@ -108,12 +110,12 @@ def column_seeds(seed: Labels) -> Integers:
 
 
 def reach_hidden(slab: Labels, seed: Labels, offset: Integers, deep: int) -> tuple[Labels, Mask]:
-    """The slab that is taken to go on behind each pixel, that of its nearest seed, 0 for none; where edges count.
+    """The depth layer that is extrapolated behind each pixel, that of its nearest seed, 0 for none; where edges count.
 
     Both (H, W). offset: (H, W) from `column_seeds`; deep: px, no seed is farther. Of seeds at the same distance the one
-    of the nearest column counts, of two such columns the left one. Only what is behind the pixel's own slab counts.
-    Edges count up to 2 `deep` px away, rows and columns counted separately: from beyond, no light falls where hidden
-    surface may be seen.
+    of the nearest column counts, of two such columns the left one. Only layers behind the pixel's own one count.
+    Edges count up to 2 `deep` px away, rows and columns counted separately: sources beyond do not reach pixels where
+    hidden surface may be visible.
     """
     columns, wide = slab.shape[1], 2 * deep
     best, found = np.full(slab.shape, deep * deep + 1), np.zeros_like(slab)
@@ -130,7 +132,7 @@ def reach_hidden(slab: Labels, seed: Labels, offset: Integers, deep: int) -> tup
 
 
 def open_depth_layer(radiance: Array, coc: Array, slab: Labels, which: int) -> Array:
-    """Finest level (H, W, C + 2) of a pyramid: radiance and radius of one slab's pixels, and whether they are known."""
+    """Finest level (H, W, C + 2) of a pyramid: radiance and radius of one depth layer, and whether they are known."""
     known = slab == which
     return np.concatenate([radiance, coc[..., None], known[..., None]], axis=-1) * known[..., None]
 
@@ -138,7 +140,7 @@ def open_depth_layer(radiance: Array, coc: Array, slab: Labels, which: int) -> A
 def push(fine: Array, last: bool = False) -> Array:
     """The next coarser level (ceil(H / 2), ceil(W / 2), C + 2): means of what is known, under a tent of 4 x 4.
 
-    last: there is no coarser one to ask, so what is known in part is taken as it is.
+    last: there is no coarser one, so what is known in part is taken as it is.
     """
     rows, columns = -(-fine.shape[0] // 2), -(-fine.shape[1] // 2)
     known = fine[..., -1:]
@@ -183,9 +185,9 @@ def pull(fine: Array, coarse: Array) -> Array:
 def take_depth_layer(
     radiance: Array, coc: Array, slab: Labels, hidden: Labels, coarse: Array, which: int
 ) -> tuple[Array, Array, Mask]:
-    """One slab to be blurred: radiance with coverage (H, W, C + 1), radius (H, W), and where it is (H, W).
+    """One depth layer to be blurred: radiance with coverage (H, W, C + 1), radius (H, W), and where it is (H, W).
 
-    coarse: the pulled second level of the slab's pyramid, from which the hidden part comes.
+    coarse: the pulled second level of the layer's pyramid, from which the hidden part comes.
     """
     behind, _ = _around(coarse, slab.shape)
     own, extended = slab == which, hidden == which
@@ -201,10 +203,10 @@ def keep_sources(sources: Sources, edge: Mask, near_edges: bool) -> Sources:
 
 
 def composite(total: Array, covered: Array, blurred: Array) -> tuple[Array, Array]:
-    """Frame (m, n, C) and the coverage so far (m, n) with one more slab behind those before.
+    """Frame (m, n, C) and the coverage so far (m, n) with one more depth layer behind those before.
 
-    blurred: (m, n, C + 1), light and coverage of the slab. It gets the room that nearer slabs have left, all of it: at
-    a cut through a continuous surface the two coverages add up to that of the whole, and nothing is lost.
+    blurred: (m, n, C + 1), irradiance and coverage of the layer. It gets the room that nearer layers have left, all of
+    it: at a cut through a continuous surface the two coverages add up to that of the whole, and nothing is lost.
     """
     coverage = blurred[..., -1]
     seen = np.maximum(np.minimum(coverage, np.maximum(coverage, 1.0) - covered), 0.0)
@@ -215,10 +217,10 @@ def composite(total: Array, covered: Array, blurred: Array) -> tuple[Array, Arra
 def extend_slab(
     radiance: Array, coc: Array, slab: Labels, hidden: Labels, which: int, deep: int
 ) -> tuple[Array, Array, Mask]:
-    """One slab with its hidden part; result as of `take_depth_layer`. Push-pull over a pyramid (Gortler et al. 1996).
+    """One depth layer with its hidden part; result as of `take_depth_layer`.
 
-    It has as few levels as show each pixel what is deep + 1 px away: hidden pixels are no farther from their slab. So
-    strips of a frame need no more than what is near by.
+    Push-pull over a pyramid (Gortler et al. 1996). It has as few levels as show each pixel what is deep +
+    1 px away: hidden pixels are no farther from their layer. So strips of a frame need no more than what is near by.
     """
     levels, count = [open_depth_layer(radiance, coc, slab, which)], level_count(deep)
     for level in range(1, count + 1):
@@ -242,10 +244,10 @@ def depth_of_hidden(psf: Psf, largest_sum: int) -> int:
 def layered(
     psf: Psf, radiance: Array, coc: Array, valid: Mask, shape: tuple[int, int], guard: int, largest: float
 ) -> tuple[Array, int]:
-    """Defocused image (m, n, C) with occlusion from the pinhole's view alone, and the number of slabs that it took.
+    """Defocused image (m, n, C) with occlusion from the pinhole's view alone, and its number of depth layers.
 
-    radiance: (H, W, C) on the padded grid, linear light; coc: (H, W) signed blur radius in px; valid: (H, W) there is
-    surface; shape: (m, n) of the frame; guard: px; largest: px, no |coc| is larger. Without a jump of the radius it is
+    radiance: (H, W, C) on the padded grid, linear; coc: (H, W) signed blur radius in px; valid: (H, W) there is
+    surface; shape: (m, n) of the frame; guard: px; largest: px, no |coc| is larger. Without a discontinuity it is
     `blur.scatter`. Validated: a cut through a slanted plane leaves no seam, an edge before a plane is
     its closed form, one brightness stays so, and against the ray tracer.
     """
@@ -258,17 +260,17 @@ def layered(
 def spread_slabs(
     psf: Psf, radiance: Array, coc: Array, slab: Labels, shape: tuple[int, int], guard: int, deep: int
 ) -> tuple[Array, int]:
-    """As `layered`, for given slabs (H, W) that go on up to `deep` px behind an edge."""
+    """As `layered`, for given depth layers (H, W), which are extrapolated up to `deep` px behind an edge."""
 
-    def light(value: Array, radius: Array, there: Mask, near_edges: bool) -> Array:
+    def blurred_sum(value: Array, radius: Array, there: Mask, near_edges: bool) -> Array:
         label, gradient = there.astype(np.uint8), prepare_sources(radius, there)
         sources = Sources(value, np.ones(coc.shape), label, radius, gradient, there)
         return scatter(psf, keep_sources(sources, edge, near_edges), None, shape, guard)
 
     count, seed = int(slab.max(initial=0)), seed_hidden(coc, slab)
     hidden, edge = reach_hidden(slab, seed, column_seeds(seed), deep)
-    total, covered = light(radiance, coc, slab > 0, near_edges=False), np.zeros(shape)
+    total, covered = blurred_sum(radiance, coc, slab > 0, near_edges=False), np.zeros(shape)
     for which in range(1, count + 1):
-        blurred = light(*extend_slab(radiance, coc, slab, hidden, which, deep), near_edges=True)
+        blurred = blurred_sum(*extend_slab(radiance, coc, slab, hidden, which, deep), near_edges=True)
         total, covered = composite(total, covered, blurred)
     return total, count

@@ -1,6 +1,6 @@
-"""Rays cast at the surface: sources of light, sub-pixel sources at silhouettes, ground truth.
+"""Rays cast at the surface: sources, sub-pixel sources at silhouettes, ground truth.
 
-The padded grid has `guard` rows and columns on each side of the frame: surface outside the frame lights it.
+The padded grid has `guard` rows and columns on each side of the frame: surface outside the frame contributes to it.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ SILHOUETTE_RANGE = 2  # px, Chebyshev distance from a silhouette within which pi
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """Sources of light, one per pixel of the padded grid (H, W).
+    """Sources, one per pixel of the padded grid (H, W).
 
-    radiance (H, W, C) linear light; inverse_depth (H, W) 1/mm; label (H, W): 0 no source, else which root of
+    radiance (H, W, C) linear; inverse_depth (H, W) 1/mm; label (H, W): 0 no source, else which root of
     which object, and where two surfaces meet; radius (H, W) signed blur radius in px; gradient (H, W, 2) of the
-    radius, px per px, right and down; lit (H, W): some of its light reaches the lens; visibility: its
-    occluders, None for none at all.
+    radius, px per px, right and down; lit (H, W): some of its radiance reaches the lens; visibility:
+    its occluders, None for none at all.
     """
 
     radiance: Array
@@ -62,9 +62,9 @@ class Sources:
 class SubpixelSources:
     """S x S sources in each of M pixels, which replace the pixel's own; each has the weight 1/S^2.
 
-    row, column (M,): padded-grid pixel; hit (M, S, S): there is surface that the lens sees; visibility: the occluders
-    of those, in their order, None for none at all; radius (M, S, S) px; gradient (M, S,
-    S, 2) px per px; radiance (M, S, S, C). Source (i, j) is `psf_tables.subpixel_offsets(S)[i]` rows and [j]
+    row, column (M,): padded-grid pixel; hit (M, S, S): there is surface that is visible from the lens; visibility: the
+    occluders of those, in their order, None for none at all; radius (M, S, S) px; gradient (M, S, S, 2) px per px;
+    radiance (M, S, S, C). Source (i, j) is `psf_tables.subpixel_offsets(S)[i]` rows and [j]
     columns off the pixel's center.
     """
 
@@ -102,10 +102,10 @@ def padded_grid(camera: Camera, guard: int) -> tuple[NDArray[np.int64], NDArray[
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """All objects at one moment, as the camera sees them.
+    """All objects at one time, in the frame of the camera.
 
-    surfaces: one per object; textures: (rows, columns, channels) of the frame's size, one per object; moved: not
-    everything is exactly where it is at rest, or the camera is not.
+    surfaces: one per object; textures: (rows, columns, channels) of the frame's size, one per object; moved: an
+    object or the camera is not exactly in its reference pose.
     """
 
     scene: Scene
@@ -121,7 +121,7 @@ def view_at(scene: Scene, textures: tuple[Array, ...], time: float, eye: Eye, mo
 
 
 def everything(scene: Scene) -> Layer:
-    """All objects, as the pinhole sees them."""
+    """All objects in one occlusion group without occluders: the pinhole image."""
     return Layer((1 << len(scene.objects)) - 1, 0)
 
 
@@ -142,7 +142,7 @@ def _cast(
 ) -> _Cast:
     """The nearest of some objects along rays through (row, column) px, 0 where none is.
 
-    texel: row and column of the pixel whose texel a ray shows at rest.
+    texel: row and column of the pixel whose texel a ray shows in the reference pose.
     """
     scene, rays = view.scene, pixel_ray(view.scene.camera, row, column)
     w, label, number = nearest_surface(view.surfaces, [item.bounds for item in scene.objects], layer, rays)
@@ -163,7 +163,7 @@ def _cast(
 
 
 def _moved_radiance(scene: Scene, surface: PlacedSurface, texture: Array, rays: Array, w: Array) -> Array:
-    """Texture where the camera saw the surface points at rest; 0 where they were behind the lens."""
+    """Texture at the projections of the surface points in the reference pose; 0 where they were behind the lens."""
     row, column, valid = rest_pixel(surface, scene.camera, rays, w)
     radiance = sample_texture(texture, row, column, scene.motion.texture_filter)
     return np.where(valid[..., None], radiance, 0.0)
@@ -175,10 +175,10 @@ def _texels(texture: Array, row: NDArray[np.int64], column: NDArray[np.int64]) -
 
 
 def trace(view: View, layer: Layer, guard: int) -> Sources:
-    """Sources of light on the padded grid, from one ray through each pixel's center to a layer's objects.
+    """Sources on the padded grid, from one ray through each pixel's center to the objects of an occlusion group.
 
-    guard: px. At rest the radiance is the texel itself, else the texture is sampled where the camera saw the point at
-    rest. Validated against the thesis' depth formulas and the texture at rest.
+    guard: px. In the reference pose the radiance is the texel itself, else the texture is sampled at the projection of
+    the point in the reference pose. Validated against the thesis' depth formulas and the texture itself.
     """
     scene = view.scene
     row, column = padded_grid(scene.camera, guard)
@@ -208,7 +208,7 @@ def trace(view: View, layer: Layer, guard: int) -> Sources:
 def mark_silhouettes(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Pixels (H, W) with a different label anywhere within 2 px, rows and columns counted separately.
 
-    label: (H, W) from `trace`. There the blur radius runs away or jumps between two neighbors.
+    label: (H, W) from `trace`. There the blur radius is steep or discontinuous.
     """
     padded = np.pad(label, SILHOUETTE_RANGE, mode="edge")
     size = 2 * SILHOUETTE_RANGE + 1
@@ -219,7 +219,7 @@ def mark_silhouettes(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
 def trace_subpixels(view: View, layer: Layer, guard: int, marked: NDArray[np.bool_]) -> SubpixelSources:
     """Sub-pixel sources of the marked pixels (H, W) of the padded grid; other arguments as for `trace`.
 
-    Their number per axis is psf.silhouette_samples. At rest they share their pixel's own texel, else each
+    Their number per axis is psf.silhouette_samples. In the reference pose they share their pixel's own texel, else each
     samples the texture at its own position.
     """
     scene = view.scene
@@ -252,7 +252,7 @@ def _outside(camera: Camera, row: Array, column: Array) -> NDArray[np.bool_]:
 
 
 def _hidden(view: View, rest: PlacedSurface, number: int, rays: Array, w: Array) -> NDArray[np.bool_]:
-    """Points of an object's surface that the camera did not see of it at rest."""
+    """Points of an object's surface that were not visible in its reference pose."""
     scene, surface = view.scene, view.surfaces[number]
     row, column, valid = rest_pixel(surface, scene.camera, rays, w)
     w_rest, _ = solve_quadric(rest, scene.objects[number].bounds, pixel_ray(scene.camera, row, column))
@@ -280,7 +280,7 @@ def _moved_pixel(
 def _stereo(
     scene: Scene, textures: tuple[Array, ...], view: View, eye: Eye, time: float, hit: _Cast, rays: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Disparity in px, and what the other view does not see."""
+    """Disparity in px, and which points are not visible in the other view."""
     opposite: Eye = "left" if eye == "right" else "right"
     other, poses = view_at(scene, textures, time, opposite, True), poses_at(scene, time, opposite)
     disparity, occluded = np.zeros(hit.w.shape), np.zeros(hit.w.shape, dtype=bool)
@@ -300,9 +300,9 @@ def ground_truth(scene: Scene, textures: tuple[Array, ...], frame: int, eye: Eye
     """Ground truth (rows, columns[, ...]) of a frame at the middle of its shutter, at pixel centers.
 
     textures: as for `View`. `flow` goes from a pixel to where its surface point is at the middle of the next
-    frame's shutter; 0 where that is behind the lens. `hidden`: the point is outside of the frame at rest, or
-    another point of its object hides it there (nearer by more than 1e-6 of its depth). Validated: flow
-    against the thesis' 80 and 70 px, normals and radius against closed forms.
+    frame's shutter; 0 where that is behind the lens. `hidden`: in the reference pose the point is outside of the frame,
+    or another point of its object hides it there (nearer by more than 1e-6 of its depth). Validated: flow against
+    the thesis' 80 and 70 px, normals and radius against closed forms.
     """
     moves, camera = scene.moves, scene.camera
     now, then = (middle_time(scene.sequence, k) if moves else 0.0 for k in (frame, frame + 1))

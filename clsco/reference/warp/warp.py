@@ -1,4 +1,4 @@
-"""Forward warp: the pixels of the frame at rest move and are projected to the nearest pixel (4.3.3)."""
+"""Forward warp: the pixels of the frame in its reference pose move and are projected to the nearest pixel (4.3.3)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from clsco.scene.model import Scene
 
 NO_WINNER = np.iinfo(np.int64).max
 NO_OBJECT = np.uint8(255)
-SAME_DEPTH = np.float32(1.02)  # relative: neighbors at rest that differ by less are one surface
+SAME_DEPTH = np.float32(1.02)  # relative: neighbors in the reference pose that differ by less are one surface
 WIDEST_GAP = 3  # px on each side: surfaces may grow to four times their size
 SNAP = 4096  # steps per px: rounding errors far below it cannot move a position across a pixel's edge
 
@@ -28,8 +28,8 @@ Maps = Sequence[Array | None]
 class Reprojected:
     """Pixels of the padded grid (H, W) after a move.
 
-    known: some source came there; radiance (H, W, C); inverse_depth (H, W) 1/mm; object (H, W): number of the object
-    that is seen. All 0, and object 255, where nothing is known.
+    known: some source came there; radiance (H, W, C); inverse_depth (H, W) 1/mm; object (H, W): number of the
+    visible object. All 0, and object 255, where nothing is known.
     """
 
     known: NDArray[np.bool_]
@@ -124,10 +124,10 @@ def reproject_nearest(target: NDArray[np.int64], key: NDArray[np.float32], pixel
 def reproject_gaps(winner: NDArray[np.int64], depth: NDArray[np.float32], columns: int) -> NDArray[np.bool_]:
     """What is known (H, W) without winners that only show through a nearer surface, which has grown and left gaps.
 
-    winner, depth: (H, W), from `reproject_winner` and `reproject_depth`; columns: of the frame at rest. On opposite
+    winner, depth: (H, W), from `reproject_winner` and `reproject_depth`; columns: of the frame. On opposite
     sides of such a pixel, in its row, its column or on a diagonal, and at most 3 px away, the first winners that are
-    more than 1.02 times nearer were neighbors at rest and differ by less: the surface was closed between them.
-    Validated on a card that comes nearer before a plane.
+    more than 1.02 times nearer were neighbors in the reference pose and differ by less: the surface was closed between
+    them. Validated on a card that comes nearer before a plane.
     """
     height, width = winner.shape
     known = winner != NO_WINNER
@@ -168,7 +168,7 @@ def reproject(
     """What is known of the padded grid after the objects' move to `poses`.
 
     textures: (rows, columns, C) of the frame's size, one per object; surfaces, maps: as for `reproject_rest`; guard:
-    px. Sources are the pixels of the frame itself, with what the pinhole sees there; the nearest wins, of equals the
+    px. Sources are the pixels of the frame itself, with its pinhole image; the nearest wins, of equals the
     first in row order. With several objects, or a depth map, what only shows through a surface that has grown is not
     known. Validated: a shift by half a pixel leaves no holes; 19680 and 36993 missing pixels (thesis,
     figures 4.14 and 4.15); a depth map made from a surface moves as the surface does.
