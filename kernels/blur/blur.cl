@@ -41,7 +41,7 @@ static float tap_share(const visibility_t *visibility, int dx, int dy, spread_t 
 #define VISIBILITY_VALUE
 #endif
 
-// Adds one source tap by tap, rounded to multiples of 1 / scale. visibility: what is in the way, if anything.
+// Adds one source tap by tap, rounded to multiples of 1 / scale. visibility: its occluders, if any.
 static void scatter_source(const camera_t camera, spread_t spread, float4 source, float v, float scale, int row,
                            int column, __global fixed_t *sums VISIBILITY_ARGUMENT)
 {
@@ -127,7 +127,7 @@ __kernel void resolve(const camera_t camera, const float scale, const int pitch,
 #endif
 
 #if RENORMALIZE
-// Share of a source's light that falls inside of the frame.
+// Share of a source's radiance that falls inside of the frame.
 static float share_inside(const camera_t camera, spread_t spread, float4 source, int row, int column)
 {
     const int half_width = spread.half_width;
@@ -138,7 +138,7 @@ static float share_inside(const camera_t camera, spread_t spread, float4 source,
     return sum;
 }
 
-// border = "renormalize": no light is lost over the border of the frame; there is no guard band then.
+// border = "renormalize": no radiance is lost over the border of the frame; there is no apron then.
 // In and out: value, sub_value.
 __kernel void renormalize(const camera_t camera, const psf_t psf, __global const float *source,
                           __global float *value, __global const int2 *intervals,

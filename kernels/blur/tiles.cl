@@ -5,7 +5,7 @@
 //
 // The group walks the sources around its tile row by row, a chunk of them at a time. Each of its work-items looks up
 // one source, and keeps it in local memory if it reaches the tile; then each adds, in the order of the sources, those
-// that reach its own pixel: no light by atomics, same bits. Nothing stands in the way of a source here. Features:
+// that reach its own pixel: no sums by atomics, same bits. Sources have no occluders here. Features:
 // CHANNELS, TILT, SUBPIXELS, DISC, SEPARABLE.
 
 #pragma OPENCL FP_CONTRACT ON
@@ -16,7 +16,7 @@
 #define WORD 32
 
 // Sources of a chunk: a bit for each that reaches the tile, and of those the place on the grid, where the weights are,
-// what else of the record is needed (sources.clh), and the light.
+// what else of the record is needed (sources.clh), and the radiance (`light`).
 typedef struct {
     uint reaching[CHUNK / WORD];
     int x[CHUNK], y[CHUNK];
@@ -81,7 +81,7 @@ static void note_source(const camera_t camera, const psf_t psf, __global const f
         chunk->light[i][k] = value[k * plane + at];
 }
 
-// Adds the light of one source in the pixel (dx, dy) from it.
+// Adds the radiance of one source to the pixel (dx, dy) from it.
 static void add_source_tap(spread_t spread, int dx, int dy, float4 source, const float *light, float *sum)
 {
     if (MAX(ABS(dx), ABS(dy)) > spread.half_width)
@@ -91,7 +91,7 @@ static void add_source_tap(spread_t spread, int dx, int dy, float4 source, const
         sum[k] += weight * light[k];
 }
 
-// Adds the light of the i-th source of a chunk in pixel (x, y) of the grid.
+// Adds the radiance of the i-th source of a chunk to pixel (x, y) of the grid.
 static void add_source(const psf_t psf, int x, int y, int i, __local const chunk_t *chunk,
                        float *sum SUBPIXEL_ARGUMENTS)
 {

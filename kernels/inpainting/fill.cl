@@ -10,16 +10,18 @@
 //   grown    the same after a sweep; where they differ, the sweep has made lines longer
 //   list     int per missing pixel, in any order: its number
 //   far      float per missing pixel of the grid, with FILL_FAR: largest inverse depth of neighbors that may serve it
-//   object   uchar, with SEVERAL: which object is seen, 255 for none
+//   object   uchar, with SEVERAL: which object is visible, 255 for none
 //   counters ints, see below
 //
-// A sweep writes to missing pixels, which nobody reads before settle_sweep has made them valid: all of it sees what was
-// known before it, in any order. Features besides geometry.clh's: FILL_AIT, FILL_MEAN_MEDIAN, FILL_FAR, DOMAIN_SURFACE.
+// A sweep writes to missing pixels, which nobody reads before settle_sweep has made them valid: all of it reads what
+// was known before it, in any order. Features besides geometry.clh's: FILL_AIT, FILL_MEAN_MEDIAN, FILL_FAR,
+// DOMAIN_SURFACE.
 //
 // FILL_FAR: what a moving edge uncovers lies behind it, and is filled from the farther side only. The nearest pair of
-// known pixels on opposite sides of a missing one says how far its surface is: as far as the farther of the two. Known
+// known pixels on opposite sides of a missing one gives the depth of its surface: that of the farther of the two. Known
 // neighbors that are more than FAR_SLACK nearer than that do not serve, and a pixel that has only such ones waits for
-// others to be filled, until nothing else can be. In the gap that a growing surface leaves, both sides are near, and serve.
+// others to be filled, until nothing else can be. In the gap that a growing surface leaves, both sides are near, and
+// serve.
 
 #define LEFT 0           // missing pixels: entries of the list
 #define LEFT_INSIDE 1    // of them inside the frame

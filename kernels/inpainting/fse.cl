@@ -150,7 +150,7 @@ __kernel void extrapolate_blocks(const int rows, const int columns, __global con
         q_re[c] = q_im[c] = 0;
     int u = 0, v = 0;
     for (int wave = 0; wave < waves; ++wave) {
-        // Take the wave (u, v) and its mirror out of the residual, and look for the strongest that is left.
+        // Take the wave (u, v) and its mirror out of the residual, and find the strongest that is left.
         float8 strongest = -1;
         int8 where = 0;
         for (int a = 0; a < SIDE; ++a) {

@@ -1,4 +1,4 @@
-// Layered occlusion, from what the pinhole alone sees: depth layers k of the blur radius, from the nearest on, each
+// Layered occlusion, from the pinhole image alone: depth layers k of the blur radius, from the nearest on, each
 // blurred together with its coverage by the kernels of the blur, and composited,
 //     I = sum_k B(L_k) share_k,  share_k = min(1, room that nearer layers have left / B(1_k)).
 // Twin: clsco/reference/layered/layered.py. Host: clsco/passes/layered.py, which picks it for psf.occlusion =

@@ -85,8 +85,8 @@ static void take_radiance(const camera_t camera, __constant surface_t *surfaces,
         values[c * plane] = label ? weight * radiance(texture, surface, camera, c, point) : 0;
 }
 
-// One source per pixel of frame and apron, on the nearest of the layer's objects. Out: source, value, label,
-// statistics, depth.
+// One source per pixel of frame and apron, on the nearest object of the occlusion group `layer`. Out: source, value,
+// label, statistics, depth.
 __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
                     const float weight, __global const float *texture, __global float *source, __global float *value,
                     __global uchar *label, __global int *statistics
@@ -219,8 +219,8 @@ __kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfa
 #endif
 
 #if PINHOLE
-// What the pinhole sees of the layer's objects, for `layered` occlusion. Out: value as in trace; coc wide_t, signed R
-// in px, and valid uchar, (height, width); statistics.
+// The pinhole image of the occlusion group `layer`, for `layered` occlusion. Out: value as in trace; coc wide_t, signed
+// R in px, and valid uchar, (height, width); statistics.
 __kernel void pinhole(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const float weight,
                       __global const float *texture, __global float *value, __global wide_t *coc, __global uchar *valid,
                       __global int *statistics)
@@ -262,7 +262,7 @@ static bool outside_frame(const camera_t camera, wide3_t whole)
              at.y < camera.frame_rows - (real)0.5);
 }
 
-// Whether what is seen at inverse depth `seen` hides a point at w here, w / ratio there.
+// Whether a surface at inverse depth `seen` hides a point at inverse depth w here, w / ratio there.
 static bool covered(wide_t seen, wide_t ratio, wide_t w)
 {
     return wide_less(wide_mul(w, wide_add(widened(1), widened((real)1e-6))), wide_mul(seen, ratio));
@@ -271,9 +271,9 @@ static bool covered(wide_t seen, wide_t ratio, wide_t w)
 
 // Ground truth of a strip at pixel centers, (rows, columns[, components]), never anti-aliased: depth mm (+inf:
 // nothing), coc signed px (0: nothing), mask, object (-1: nothing), normal, flow px to the pose `next`, hidden (the
-// pinhole did not see the point in the reference pose), sharp radiance; of a stereo pair disparity px and occluded (the
-// other view does not see the point). `still` are the surfaces in the reference pose, `opposite` those that the other
-// view sees, in poses `there`; to_left: 1 for the right view, -1 for the left one.
+// point is not visible from the pinhole in the reference pose), sharp radiance; of a stereo pair disparity px and
+// occluded (the point is not visible in the other view). `still` are the surfaces in the reference pose, `opposite`
+// those in the frame of the other view, in poses `there`; to_left: 1 for the right view, -1 for the left one.
 #if TRUTH
 __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces, __constant surface_t *still,
                            __constant pose_t *next, const layer_t layer, __global const float *texture,
@@ -344,7 +344,7 @@ __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces
     hidden[at] = 0;
     if (root) {
         const wide3_t from = rest_pixel(surface, camera, ray, w);
-        // 1 / depth in the reference pose of this point, against what the pinhole saw there
+        // 1 / depth in the reference pose of this point, against the depth in that pixel of the pinhole image
         uchar other;
         const wide_t seen = solve_quadric(still + object, pixel_ray(camera, from.y, from.x), &other);
         hidden[at] = outside_frame(camera, from) || covered(seen, from.z, w);

@@ -249,8 +249,8 @@ static int nearer_pixel(const camera_t camera, __global const int *depth, int x,
     return -1;
 }
 
-// Whether a winner is seen only through a surface that has grown: on opposite sides are nearer ones that were neighbors
-// in the reference pose, on one surface, which was closed between them.
+// Whether a winner is visible only through a surface that has grown: on opposite sides are nearer ones that were
+// neighbors in the reference pose, on one surface, which was closed between them.
 static bool shows_through(const camera_t camera, __global const int *depth, __global const int *winner, int x, int y)
 {
     const float bound = SAME_DEPTH * as_float(depth[y * camera.width + x]);

@@ -35,7 +35,7 @@ INLINE void add_rows(spread_t s, int up, int down, float v, float4 source, __glo
 }
 
 #if OCCLUDED
-// The same for all channels, `apart` apart in `radiance` and `planes` in `out`, where something stands in the way.
+// The same for all channels, `apart` apart in `radiance` and `planes` in `out`, for a source with occluders.
 INLINE void add_occluded_rows(spread_t s, const visibility_t *visibility, int up, int down,
                               __global const float *radiance,
                               int apart, float4 source, __global float *out, int planes, int pitch)
