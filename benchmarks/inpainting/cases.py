@@ -32,7 +32,7 @@ class Case(NamedTuple):
 
 
 def cases(images: Iterable[str] = IMAGES, masks: Iterable[str] = MASKS, size: int | None = None) -> Iterator[Case]:
-    """Every image with every mask; the masks of an image hang on its place in the list only.
+    """Every image with every mask; the masks of an image depend on its place in the list only.
 
     size: take the middle of the images only, so many px wide and high.
     """

@@ -2,7 +2,7 @@
 
 The image is noise on shades, as hard to compress as a photograph; the holes are single pixels, scratches from one
 border to the other, or blocks of 16 x 16 px. `clsco inpaint` runs with each method in a process of its own, whose peak
-of memory is told.
+of memory is printed.
 """
 
 from __future__ import annotations

@@ -3,10 +3,10 @@
     python -m benchmarks.speed.approximations
 
 Layered convolution: an image split by radius into levels, each blurred by one PSF, linear in between. Stacked
-pillboxes: a Gaussian as discs of equal light. Rao transform: the blur as moments of its PSFs up to the second and the
-fourth order (Subbarao), here of the light on its way from its source: g = sum of (-1)^n / n! d^n (m_n f). Errors are
-RMS of white against `gather`, without the borders; times process CPU time of whole passes, ns per pixel. The Rao
-transform is NumPy, to see its error.
+pillboxes: a Gaussian as discs of equal energy. Rao transform: the blur as moments of its PSFs up to the second and the
+fourth order (Subbarao), here of the scattered radiance: g = sum of (-1)^n / n! d^n (m_n f). Errors are RMS of white
+against `gather`, without the borders; times process CPU time of whole passes, ns per pixel. The Rao transform is NumPy,
+for its error only.
 """
 
 from __future__ import annotations
@@ -57,12 +57,12 @@ def layered(session: Session, image: Array, radii: Array, psf: Psf, count: int) 
 
 
 def disc_ratios(psf: Psf, count: int) -> list[float]:
-    """Radii over R of discs with the same light each that add up to a Gaussian's profile, with its second moments."""
+    """Radii over R of discs with the same energy each that add up to a Gaussian's profile, with its second moments."""
     sigma, r = psf.sigma_ratio, np.linspace(0.0, psf.truncation * psf.sigma_ratio * 1.15, 4001)
-    light = r**3 / (2.0 * sigma**4) * np.exp(-(r**2) / (2.0 * sigma**2))  # of discs of radius r in a Gaussian
-    share = np.cumsum(light) / light.sum()
+    energy = r**3 / (2.0 * sigma**4) * np.exp(-(r**2) / (2.0 * sigma**2))  # of discs of radius r in a Gaussian
+    share = np.cumsum(energy) / energy.sum()
     which = np.minimum((share * count).astype(int), count - 1)
-    return [float(np.sqrt(np.average(r[which == k] ** 2, weights=light[which == k]))) for k in range(count)]
+    return [float(np.sqrt(np.average(r[which == k] ** 2, weights=energy[which == k]))) for k in range(count)]
 
 
 def stacked(session: Session, image: Array, radii: Array, psf: Psf, count: int) -> tuple[Array, float]:

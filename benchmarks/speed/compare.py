@@ -53,7 +53,7 @@ class Compared(Bench):
 
 @dataclass(frozen=True)
 class Comparison:
-    """A run of `clsco bench --compare`; frames: None where only some sizes or radii are asked for."""
+    """A run of `clsco bench --compare`; frames: None where only some sizes or radii are measured."""
 
     grid: Grid
     frames: Frames | None

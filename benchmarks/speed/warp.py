@@ -75,11 +75,11 @@ def numba_depth_tests(scene: Scene) -> dict[str, Callable[[], Array]]:
 
 
 def rest_inverse_depth(scene: Scene) -> Array:
-    """Inverse depth (rows, columns) in 1/mm of the plane at rest."""
+    """Inverse depth (rows, columns) in 1/mm of the plane in its reference pose."""
     from clsco.reference.warp.warp import reproject_rest
 
-    at_rest = [place(item, pose) for item, pose in zip(scene.objects, rest_poses(scene), strict=True)]
-    return np.ascontiguousarray(reproject_rest(scene, at_rest, [None])[0])
+    surfaces = [place(item, pose) for item, pose in zip(scene.objects, rest_poses(scene), strict=True)]
+    return np.ascontiguousarray(reproject_rest(scene, surfaces, [None])[0])
 
 
 def run(device: Device, size: int, advance: Callable[[], object]) -> list[WarpRow]:

@@ -31,7 +31,7 @@ ROOT = Path(__file__).resolve().parents[1]
 FULL_SIZE = 512
 INSIDE_PX = 16
 NOISE = 1e-4
-MOMENTS = 9
+TIME_SAMPLES = 9
 
 Mask = NDArray[np.bool_]
 Array = NDArray[np.float64]
@@ -113,7 +113,7 @@ class Figures:
 
 @dataclass(frozen=True)
 class Judged:
-    """What a scene should look like: the traced image, the pixels well inside it, and its RMS noise there."""
+    """The truth of a scene: the traced image, the pixels well inside it, and its RMS noise there."""
 
     image: Array
     inside: Mask
@@ -144,7 +144,7 @@ def judge(name: str, size: int, noise: float, cache: Path | None) -> Judged:
     scene = scene_of(name, {}, size)
     texture = load_texture("bricks", "srgb", (size, size)).radiance
     image, half = trace_twice(scene, texture, size, noise, cache)
-    depth = pinhole_depth(scene, size, size, list(np.linspace(0.0, scene.sequence.shutter, MOMENTS)))
+    depth = pinhole_depth(scene, size, size, list(np.linspace(0.0, scene.sequence.shutter, TIME_SAMPLES)))
     inside = well_inside(np.asarray(np.isfinite(depth).all(axis=0)))
     return Judged(image, inside, rms(half), rms(half[inside]))
 

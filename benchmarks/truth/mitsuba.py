@@ -1,10 +1,10 @@
-"""The sphere scene in Mitsuba 3: a thin lens, light by a texture, and as many rays per pixel as one asks for.
+"""The sphere scene in Mitsuba 3: a thin lens, a texture that emits, and as many rays per pixel as one asks for.
 
 Mitsuba knows no blur radius and no normalization distance: its `thinlens` gets the aperture's radius, the distance in
-focus, and the field of view of the frame at the distance s0. Its axis x runs to the left. The texture is the frame as
-the pinhole sees it, looked up at the projection of the point that a ray meets; this takes half the time of a fine mesh
-with texture coordinates. Needs the extra `bench`, and LLVM's shared library (Debian: libllvm19), which
-DRJIT_LIBLLVM_PATH names where it is not found.
+focus, and the field of view of the frame at the distance s0. Its axis x runs to the left. The texture is the pinhole
+image, sampled at the projection of the point that a ray meets; this takes half the time of a fine mesh with texture
+coordinates. Needs the extra `bench`, and LLVM's shared library (Debian: libllvm19), which DRJIT_LIBLLVM_PATH names
+where it is not found.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def in_focus(camera: Camera) -> float:
 
 
 def set_up(scene: Scene, texture: Array) -> Callable[[int, int], Array]:
-    """Prepare a scene of one sphere at rest; the result renders (rows, columns) by (rays per pixel, seed).
+    """Prepare a scene of one static sphere; the result renders (rows, columns) by (rays per pixel, seed).
 
     scene: examples/sphere.toml, or with another lens, center or radius; texture: linear radiance (rows, columns) of
     the frame's size.
@@ -61,7 +61,7 @@ def set_up(scene: Scene, texture: Array) -> Callable[[int, int], Array]:
     width, height = (n * camera.pixel_pitch / camera.normalization_distance for n in (columns, rows))
 
     class Projected(mi.Texture):
-        """A bitmap at the pinhole projection of the point that is seen."""
+        """A bitmap at the pinhole projection of the point that a ray meets."""
 
         def __init__(self, properties: Any) -> None:
             super().__init__(properties)
@@ -100,6 +100,6 @@ def set_up(scene: Scene, texture: Array) -> Callable[[int, int], Array]:
         "type": "sphere", "center": [-x, y, z], "radius": ball.radius,
         "emitter": {"type": "area", "radiance": {"type": "projected"}},
     }  # fmt: skip
-    integrator = {"type": "path", "max_depth": 1}  # what a ray meets first, and no light from elsewhere
+    integrator = {"type": "path", "max_depth": 1}  # radiance of the first hit, and no indirect illumination
     world = mi.load_dict({"type": "scene", "integrator": integrator, "sensor": lens, "ball": glowing})
     return lambda samples, seed: np.asarray(mi.render(world, spp=samples, seed=seed))[:, :, 0]

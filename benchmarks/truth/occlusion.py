@@ -4,8 +4,8 @@
 
 The scenes are examples/occlusion_*.toml, and examples/sphere.toml, where nothing overlaps. Each is traced once
 (kept under build/) and rendered in each mode; figures go to the terminal and to benchmarks/results/occlusion.json
-and occlusion.md. PSNR has the peak 1.0, white. An occlusion edge runs between neighboring pixel centers that see
-different objects, or depths that differ by more than 2 %, at any of nine moments of the exposure. The cost is the
+and occlusion.md. PSNR has the peak 1.0, white. An occlusion edge runs between neighboring pixel centers with
+different visible objects, or depths that differ by more than 2 %, at any of nine times in the exposure. The cost is the
 time of the device's passes without ground truth, the least of some repetitions that take turns with other modes.
 """
 
@@ -51,7 +51,7 @@ MODES = ("none", "layered", "visibility")
 EDGE_PX = 32
 DEPTH_STEP = 0.02
 NOISE = 2e-4
-MOMENTS = 9
+TIME_SAMPLES = 9
 REPETITIONS = 3
 ERROR_GAIN = 10.0  # of the pictures of errors, about gray
 
@@ -72,7 +72,7 @@ class Figures:
 
 @dataclass(frozen=True)
 class Judged:
-    """What a scene should look like: the traced image, the pixels near its edges, and its RMS noise there."""
+    """The truth of a scene: the traced image, the pixels near its edges, and its RMS noise there."""
 
     image: Array
     edges: Mask
@@ -104,7 +104,7 @@ def pinhole_view(scene: Any, size: int, times: Sequence[float]) -> tuple[NDArray
 
 
 def near_edges(objects: NDArray[np.int64], depth: Array, px: int = EDGE_PX) -> Mask:
-    """Pixels within `px` px, by row and column, of one beside an occlusion edge at any moment.
+    """Pixels within `px` px, by row and column, of one beside an occlusion edge at any time sample.
 
     `objects`, `depth`: (times, rows, columns), as of `pinhole_view`.
     """
@@ -123,7 +123,8 @@ def judge(name: str, size: int, noise: float, cache: Path | None) -> Judged:
     """Trace the scene `name`, size x size px, to the RMS `noise`."""
     scene, textures = load_scene_textures(scene_of(name, "none", size))
     image, half = trace_twice(scene, [texture.radiance for texture in textures], size, noise, cache)
-    times = np.linspace(0.0, scene.sequence.shutter, MOMENTS) if any(o.motion.moves for o in scene.objects) else [0.0]
+    moves = any(item.motion.moves for item in scene.objects)
+    times = np.linspace(0.0, scene.sequence.shutter, TIME_SAMPLES) if moves else [0.0]
     edges = near_edges(*pinhole_view(scene, size, list(times)))
     return Judged(image, edges, rms(half), rms(half[edges]))
 
