@@ -1,4 +1,4 @@
-"""Host side of the forward warp: every pixel at rest to its place at one moment, holes filled."""
+"""Host side of the forward warp: every pixel of the reference pose to its place at a time sample, holes filled."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ SHAPE_FEATURES = ("CHANNELS", "SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDE
 
 @dataclass(frozen=True)
 class Warped:
-    """One moment on the device, on the padded grid (height, width); overwritten by the next one.
+    """One time sample on the device, on the padded grid (height, width); overwritten by the next one.
 
     value: float (CHANNELS, height, width), radiance times weight; w: wide_t, inverse depth in 1/mm; coc: wide_t, signed
     radius of the blur in px; valid: uchar, known or filled (elsewhere value, w and coc are 0); status: uchar, 0 known

@@ -45,7 +45,16 @@ from clsco.plan.buffers import (
 )
 from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, choose_blur, is_sharp, many_radii
 from clsco.plan.passes import HOW, Kind, Parameters, Pass
-from clsco.plan.predict import Maps, _blur_range, _constant_blur, _fills_view, _moments, _samples, displaced, guard_band
+from clsco.plan.predict import (
+    Maps,
+    _blur_range,
+    _constant_blur,
+    _fills_view,
+    _predicted_poses,
+    _samples,
+    displaced,
+    guard_band,
+)
 from clsco.scene.model import Scene
 
 Array = NDArray[np.float64]
@@ -252,7 +261,7 @@ def _hides_nothing(scene: Scene) -> bool:
 
 
 def _occlusion(
-    scene: Scene, rays: bool, sharp: bool, moments: list[tuple[Pose, ...]], w: Array
+    scene: Scene, rays: bool, sharp: bool, poses_at_times: list[tuple[Pose, ...]], w: Array
 ) -> tuple[Occlusion, tuple[Layer, ...]]:
     """How what hides what is dealt with, and the layers of objects that follow."""
     together = (Layer((1 << len(scene.objects)) - 1, 0),)
@@ -261,7 +270,7 @@ def _occlusion(
         return "none", together
     if wanted == "layered" or not rays:
         return "layered", together
-    extents = [extent(item, [poses[k] for poses in moments], w[k]) for k, item in enumerate(scene.objects)]
+    extents = [extent(item, [poses[k] for poses in poses_at_times], w[k]) for k, item in enumerate(scene.objects)]
     found = layers(scene.objects, extents, scene.camera, scene.psf)
     return ("visibility", found) if any(layer.occluders for layer in found) else ("none", together)
 
@@ -318,8 +327,8 @@ def make_plan(
     forward, static = is_forward(scene, eye), is_static_map(scene)
     maps = maps or (None,) * len(scene.objects)
     samples = _samples(scene, maps)
-    moments = _moments(scene, eye)
-    smallest, largest, each, guard = _blur_range(scene, moments, maps)
+    poses_at_times = _predicted_poses(scene, eye)
+    smallest, largest, each, guard = _blur_range(scene, poses_at_times, maps)
     w = each.max(axis=0)
     slabs = psf.occlusion == "layered" and not _hides_nothing(scene)
     rays = not (forward or static)
@@ -329,7 +338,7 @@ def make_plan(
     constant = _constant_blur(scene) and not silhouettes and can_convolve(psf)
     sharp = is_sharp(psf, largest) and not silhouettes
     check_border(psf, method)
-    occlusion, found = _occlusion(scene, rays, sharp, moments, each)
+    occlusion, found = _occlusion(scene, rays, sharp, poses_at_times, each)
     occluded = any(layer.occluders for layer in found)
     blur = choose_blur(method, sharp, constant, gpu, occluded)
     approximations: tuple[str, ...] = (method,) if method in METHODS and blur != "none" else ()

@@ -19,7 +19,7 @@ from clsco.scene.model import Object, Plane, Psf, Scene
 Array = NDArray[np.float64]
 Maps = Sequence[Array | None]
 GRID = 65  # rays per axis that predict the range of the blur radius
-PREDICTED_MOMENTS = 33  # of the whole sequence at most
+PREDICTED_TIMES = 33  # of the whole sequence at most
 PIXELS_PER_SAMPLE = 1.0  # of the largest motion, with samples = "auto": 2 lose 5 to 9 dB, fewer gain little
 MOST_SAMPLES = 4095
 
@@ -51,25 +51,25 @@ def displaced(scene: Scene, eye: Eye) -> bool:
     return scene.stereo is not None and (eye == "right" or scene.stereo.toe_in > 0.0)
 
 
-def _moments(scene: Scene, eye: Eye) -> list[tuple[Pose, ...]]:
+def _predicted_poses(scene: Scene, eye: Eye) -> list[tuple[Pose, ...]]:
     """Poses of the objects over the whole sequence, few enough to be looked at before every rendering."""
     sequence = scene.sequence
     if not scene.moves:
         return [poses_at(scene, 0.0, eye)]
     assert sequence.shutter is not None
     end = (sequence.frames - 1) * sequence.interval + sequence.shutter
-    count = min(4 * sequence.frames + 1, PREDICTED_MOMENTS)
+    count = min(4 * sequence.frames + 1, PREDICTED_TIMES)
     return [poses_at(scene, t, eye) for t in np.linspace(0.0, end, count).tolist()]
 
 
-def _inverse_depths(scene: Scene, moments: list[tuple[Pose, ...]], maps: Maps, guard: int) -> Array:
-    """Predicted inverse depths (objects, moments, GRID, GRID) in 1/mm, 0 where nothing is hit."""
+def _inverse_depths(scene: Scene, samples: list[tuple[Pose, ...]], maps: Maps, guard: int) -> Array:
+    """Predicted inverse depths (objects, times, GRID, GRID) in 1/mm, 0 where nothing is hit."""
     grid, found = _grid(scene, guard), []
     for k, (item, depth) in enumerate(zip(scene.objects, maps, strict=True)):
         if depth is None:
-            found.append([predict_inverse_depth(item, place(item, poses[k]), *grid) for poses in moments])
+            found.append([predict_inverse_depth(item, place(item, poses[k]), *grid) for poses in samples])
         else:
-            found.append([_moved_map(scene, item, depth, poses[k]) for poses in moments])
+            found.append([_moved_map(scene, item, depth, poses[k]) for poses in samples])
     return np.array(found)
 
 
@@ -139,7 +139,7 @@ def _fills_view(scene: Scene, w: Array) -> bool:
 
 
 def _constant_blur(scene: Scene) -> bool:
-    """Whether every pixel has the same radius at any moment: a plane that stays parallel to the detector."""
+    """Whether every pixel has the same radius at any time: a plane that stays parallel to the detector."""
     item, camera = scene.objects[0], scene.camera.motion
     turns = any((*item.motion.angular_velocity[:2], *camera.angular_velocity[:2]))
     turned = scene.stereo is not None and scene.stereo.toe_in > 0.0
@@ -147,11 +147,11 @@ def _constant_blur(scene: Scene) -> bool:
     return len(scene.objects) == 1 and flat
 
 
-def _blur_range(scene: Scene, moments: list[tuple[Pose, ...]], maps: Maps) -> tuple[float, float, Array, int]:
+def _blur_range(scene: Scene, samples: list[tuple[Pose, ...]], maps: Maps) -> tuple[float, float, Array, int]:
     """Smallest and largest |R| with a margin, the inverse depths of the objects, and the guard band that follows."""
     psf, guard = scene.psf, 0
     for _ in range(2):  # the second time with the guard band that the first asked for
-        w = _inverse_depths(scene, moments, maps, guard)
+        w = _inverse_depths(scene, samples, maps, guard)
         radii = np.abs(blur_radius(scene.camera, w[w > 0]))
         largest, smallest = (float(radii.max()), float(radii.min())) if radii.size else (0.0, 0.0)
         if largest > LARGEST_BLUR:

@@ -15,8 +15,8 @@ PACKAGE = Path(__file__).resolve().parents[2] / "clsco"
 
 # A package or module imports only what stands before it.
 ORDER = (
-    "errors", "kept", "resources", "records", "scene", "optics", "files", "frame", "inputs", "plan", "opencl", "inpainting",
-    "passes", "engine", "reference", "cli",
+    "errors", "kept", "resources", "records", "scene", "optics", "files", "frame", "inputs", "plan", "opencl",
+    "inpainting", "passes", "engine", "reference", "cli",
 )  # fmt: skip
 # Narrower than the order: what knows OpenCL knows no scenes, and codecs know none either.
 ONLY = {"files": {"errors"}, "opencl": {"errors", "kept", "resources", "records"}, "records": set[str]()}

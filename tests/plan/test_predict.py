@@ -11,22 +11,15 @@ import pytest
 from clsco.errors import SceneError
 from clsco.optics.lens import LARGEST_BLUR, blur_radius
 from clsco.optics.motion import poses_at
-from clsco.plan.plan import Plan, make_plan, widened
-from clsco.plan.predict import PREDICTED_MOMENTS, _moments, _moved_map, image_displacement
-from clsco.scene.model import Camera, DepthMap, ObjectMotion, Plane, Psf, Scene, Sequence, Sphere
+from clsco.plan.plan import make_plan, widened
+from clsco.plan.predict import PREDICTED_TIMES, _predicted_poses, _moved_map, image_displacement
+from clsco.scene.model import DepthMap, ObjectMotion, Plane, Psf, Scene, Sequence, Sphere
+from tests.scenes import plan_of, scene_of
 
 STEP = 0.01 / 20.0  # slope between the rays of neighbors: pixel pitch over normalization distance
 RIGHT = ObjectMotion(velocity=(10.0, 0.0, 0.0))
 MAP = DepthMap(depth="map.npy")
 SIDES = [("slope_x", 1), ("slope_x", -1), ("slope_y", 1), ("slope_y", -1)]
-
-
-def scene(*items: Any, size: tuple[int, int] = (64, 48), aperture: float = 10.0, **sections: Any) -> Scene:
-    return Scene(camera=Camera(resolution=size, aperture_diameter=aperture), objects=items, **sections)
-
-
-def plan(*items: Any, **sections: Any) -> Plan:
-    return make_plan(scene(*items, **sections), 1, ())
 
 
 def radius(given: Scene, depth: float) -> float:
@@ -41,7 +34,11 @@ def test_radii_are_predicted_out_to_the_surface_that_lights_the_frame_from_outsi
     """A plane that is sharp on one side; on the other, R px beyond the edge with its R, radii are larger still."""
     slope = 2.5
     distance = 250.0 * (1.0 - slope * 31.5 * STEP)
-    blurred = scene(Plane.model_validate({"distance": distance, axis: side * slope}), size=(64, 64), aperture=90.0)
+    blurred = scene_of(
+        Plane.model_validate({"distance": distance, axis: side * slope}),
+        size=(64, 64),
+        camera={"aperture_diameter": 90.0},
+    )
 
     def at(px: float) -> float:
         return radius(blurred, distance / (1.0 + slope * px * STEP))
@@ -55,7 +52,7 @@ def test_radii_are_predicted_out_to_the_surface_that_lights_the_frame_from_outsi
 
 def test_radii_are_predicted_to_the_end_of_the_last_exposure() -> None:
     leaving = Plane(distance=280.0, motion=ObjectMotion(velocity=(0.0, 0.0, 20.0)))
-    given = plan(leaving, sequence=Sequence(frames=3, interval=0.5, shutter=0.25))
+    given = plan_of(leaving, sequence=Sequence(frames=3, interval=0.5, shutter=0.25))
     end = 280.0 + 20.0 * (2 * 0.5 + 0.25)
     assert given.smallest_blur == pytest.approx(radius(given.scene, 280.0), rel=1e-12)
     assert given.largest_blur == pytest.approx(radius(given.scene, end), rel=1e-12)
@@ -63,31 +60,31 @@ def test_radii_are_predicted_to_the_end_of_the_last_exposure() -> None:
 
 @pytest.mark.parametrize("frames", [1, 2, 9, 300])
 def test_few_moments_are_looked_at_however_long_the_sequence_is(frames: int) -> None:
-    moments = _moments(scene(Sphere(motion=RIGHT), sequence=Sequence(frames=frames)), "left")
-    assert 1 < len(moments) <= PREDICTED_MOMENTS
+    moments = _predicted_poses(scene_of(Sphere(motion=RIGHT), sequence=Sequence(frames=frames)), "left")
+    assert 1 < len(moments) <= PREDICTED_TIMES
     shifts = [poses[0].shift.tolist() for poses in moments]
     assert (shifts[0], shifts[-1]) == ([0.0, 0.0, 0.0], [10.0 * frames, 0.0, 0.0])
 
 
 def test_nothing_in_sight_is_not_blurred_and_takes_no_work() -> None:
     aside = ((900.0, 910.0), (-1.0, 1.0), (-1.0, 1.0))
-    card = plan(Plane(distance=280.0, bounds=aside))
+    card = plan_of(Plane(distance=280.0, bounds=aside))
     assert (card.smallest_blur, card.largest_blur, card.taps) == (0.0, 0.0, 0.0)
-    tilted = plan(Plane(distance=280.0, slope_x=0.1, bounds=aside))
+    tilted = plan_of(Plane(distance=280.0, slope_x=0.1, bounds=aside))
     assert tilted.smallest_blur == 0.0
     assert tilted.largest_blur <= 1.0
     assert tilted.taps == 0.0
 
 
 def test_the_largest_radius_that_is_allowed_is_taken() -> None:
-    assert widened(plan(Sphere()), 0.0, LARGEST_BLUR).largest_blur == LARGEST_BLUR
+    assert widened(plan_of(Sphere()), 0.0, LARGEST_BLUR).largest_blur == LARGEST_BLUR
 
 
 def test_a_refused_blur_tells_of_the_nearest_point() -> None:
     card = Plane(distance=0.5, bounds=((-0.004, 0.004), (-1.0, 1.0), (-1.0, 1.0)))
     for items in ((card,), (card, Plane(distance=900.0))):
         with pytest.raises(SceneError, match=r"the surface comes as near as 0\.5 mm;"):
-            plan(*items)
+            plan_of(*items)
 
 
 # Depth maps
@@ -109,7 +106,7 @@ def test_every_point_of_a_small_map_is_moved_as_it_is_in_the_scene(turn: tuple[f
     inverse_depth[5, 7] = 0.0
     wanted = 1.0 / moved
     wanted[5, 7] = 0.0
-    given = scene(item)
+    given = scene_of(item)
     found = _moved_map(given, item, inverse_depth, poses_at(given, 1.0)[0])
     apart = np.abs(found.reshape(-1, 1) - wanted.reshape(1, -1))
     assert apart.min(axis=0).max() < 1e-12
@@ -119,7 +116,7 @@ def test_every_point_of_a_small_map_is_moved_as_it_is_in_the_scene(turn: tuple[f
 @pytest.mark.parametrize(("depth", "expected"), [(0.5, 2.0), (0.0, 0.0), (-0.5, 0.0)])
 def test_a_map_is_seen_up_to_the_lens_and_no_farther(depth: float, expected: float) -> None:
     item = DepthMap(depth="map.npy", motion=ObjectMotion(velocity=(0.0, 0.0, depth - 256.0)))
-    given = scene(item)
+    given = scene_of(item)
     found = _moved_map(given, item, np.full((48, 64), 1.0 / 256.0), poses_at(given, 1.0)[0])
     assert np.unique(found).tolist() == [expected]
 
@@ -133,12 +130,12 @@ def test_ways_are_looked_at_out_to_the_outermost_pixels(axis: str, side: int) ->
     item = Plane.model_validate({"distance": 280.0, axis: side * 1.5, "motion": RIGHT})
     out = 31.5 if axis == "slope_x" else 23.5
     nearest = (1.0 + 1.5 * out * STEP) / 280.0
-    assert image_displacement(scene(item)) == pytest.approx(10.0 * nearest / STEP, rel=1e-9)
+    assert image_displacement(scene_of(item)) == pytest.approx(10.0 * nearest / STEP, rel=1e-9)
 
 
 def test_the_way_of_what_is_seen_of_a_ball() -> None:
     """Its nearest point, at 250 mm, goes 10 mm to the right: 80 px; beside the ball is nothing."""
-    assert image_displacement(scene(Sphere(motion=RIGHT), size=(640, 480))) == pytest.approx(80.0, rel=1e-3)
+    assert image_displacement(scene_of(Sphere(motion=RIGHT), size=(640, 480))) == pytest.approx(80.0, rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -147,14 +144,14 @@ def test_the_way_of_what_is_seen_of_a_ball() -> None:
 def test_the_largest_way_of_a_sequence_is_in_its_first_or_last_frame(speed: float, opens: float, closes: float) -> None:
     """The corner of a plane that goes along the axis, 10 mm per frame in four frames: near the lens it goes farther."""
     item = Plane(distance=250.0, motion=ObjectMotion(velocity=(0.0, 0.0, speed)))
-    way = image_displacement(scene(item, sequence=Sequence(frames=4, interval=0.5)))
+    way = image_displacement(scene_of(item, sequence=Sequence(frames=4, interval=0.5)))
     assert way == pytest.approx(hypot(31.5, 23.5) * abs(opens / closes - 1.0), rel=1e-9)
 
 
 def test_the_way_of_the_fastest_of_several_objects() -> None:
     still, moving = Plane(distance=300.0), Plane(distance=250.0, motion=RIGHT)
     for items in ((still, moving), (moving, still)):
-        assert image_displacement(scene(*items)) == pytest.approx(80.0, rel=1e-9)
+        assert image_displacement(scene_of(*items)) == pytest.approx(80.0, rel=1e-9)
 
 
 def test_the_way_of_a_map_of_which_little_is_seen() -> None:
@@ -162,14 +159,14 @@ def test_the_way_of_a_map_of_which_little_is_seen() -> None:
     inverse_depth = np.zeros((48, 64))
     inverse_depth[20, 10:20] = 1.0 / 250.0
     item = MAP.model_copy(update={"motion": RIGHT})
-    assert image_displacement(scene(item), (inverse_depth,)) == pytest.approx(80.0, rel=1e-9)
+    assert image_displacement(scene_of(item), (inverse_depth,)) == pytest.approx(80.0, rel=1e-9)
 
 
 def test_automatic_samples_are_a_pixel_apart_at_most() -> None:
     for speed in (0.3, 1.0, 3.3, 10.0):
         item = Plane(distance=250.0, motion=ObjectMotion(velocity=(speed, 0.0, 0.0)))
         way = speed / 250.0 / STEP
-        assert way <= plan(item, sequence=Sequence(samples="auto")).samples < way + 2
+        assert way <= plan_of(item, sequence=Sequence(samples="auto")).samples < way + 2
 
 
 # Silhouettes and work
@@ -188,12 +185,12 @@ BOX = ((-60.0, 60.0), (-60.0, 60.0), (-60.0, 60.0))
     ids=["cut by bounds", "two surfaces", "a ball that leaves"],
 )
 def test_silhouettes_may_be_in_sight_of_what_fills_the_view_at_rest(items: tuple[Any, ...]) -> None:
-    assert plan(*items).silhouettes == 4
+    assert plan_of(*items).silhouettes == 4
 
 
 def test_room_for_the_pixels_along_the_limb_of_a_ball_that_fills_the_frame() -> None:
     """Those within 2 px of it, on both sides."""
-    given = plan(Sphere(), size=(480, 480))
+    given = plan_of(Sphere(), size=(480, 480))
     assert isinstance(given.slots, int)
     assert given.slots >= 4 * 3.15 * given.grid.height
 
@@ -204,12 +201,12 @@ def test_work_is_counted_where_something_is_seen() -> None:
         Plane(distance=280.0, bounds=((low, high), (-60.0, 60.0), (-1.0, 1.0)))
         for low, high in ((-60.0, 60.0), (-60.0, 0.0), (0.0, 60.0))
     )
-    all_of_it = plan(whole).taps
-    assert plan(left).taps == pytest.approx(0.5 * all_of_it, rel=0.05)
-    assert plan(right).taps == pytest.approx(0.5 * all_of_it, rel=0.05)
-    assert plan(left, right).taps == pytest.approx(all_of_it, rel=0.05)
+    all_of_it = plan_of(whole).taps
+    assert plan_of(left).taps == pytest.approx(0.5 * all_of_it, rel=0.05)
+    assert plan_of(right).taps == pytest.approx(0.5 * all_of_it, rel=0.05)
+    assert plan_of(left, right).taps == pytest.approx(all_of_it, rel=0.05)
 
 
 def test_what_is_in_focus_takes_no_work() -> None:
-    given = plan(Plane(distance=250.0), psf=Psf(edge="sampled"))
+    given = plan_of(Plane(distance=250.0), psf=Psf(edge="sampled"))
     assert (given.blur, given.taps) == ("none", 0.0)
