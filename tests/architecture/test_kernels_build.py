@@ -28,9 +28,9 @@ from clsco.passes.warp import KERNELS as FORWARD
 from clsco.passes.warp import forward_features
 from clsco.plan.buffers import TRUTH_BUFFERS
 from clsco.plan.methods import BlurSpec
-from clsco.plan.plan import make_plan
 from clsco.records import Real, structs
-from clsco.scene.model import Camera, Psf, Scene, Sphere
+from clsco.scene.model import Psf, Sphere
+from tests.scenes import plan_of
 from tests.slow import mostly_slow
 
 KERNELS = Path(__file__).resolve().parents[2] / "kernels"
@@ -151,8 +151,7 @@ def test_every_feature_is_known(files: tuple[str, ...]) -> None:
 
 
 def test_what_the_host_asks_for_is_what_the_files_know() -> None:
-    scene = Scene(camera=Camera(resolution=(64, 48)), objects=(Sphere(),))
-    plan = make_plan(scene, 1, ())
+    plan = plan_of(Sphere())
     spreading = blur_features(BlurSpec(Psf(), "gather", 0.0, 1.0), True, prepare=True).keys()
     rendering = plan.features().keys() | spreading | {"TRUTH", *TRUTH, "PINHOLE", "LENSES"}
     assert PROGRAMS["trace/trace.cl",].keys() | PROGRAMS[GATHER].keys() == rendering

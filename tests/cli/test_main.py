@@ -27,10 +27,11 @@ from clsco.files.images import read_image
 from clsco.frame.files import read_complete
 from clsco.frame.frame import FILE_NAMES, TRUTH_NAMES, Frame
 from clsco.opencl import device, self_test
-from clsco.plan.prepare import planned
+from clsco.plan.prepare import prepare
 from clsco.scene import examples
 from clsco.scene.file import parse_scene
 from clsco.scene.model import Scene
+from tests.scenes import PLANE, scene_file
 from tests.slow import mostly_slow
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -48,7 +49,6 @@ shape = "sphere"
 [object.motion]
 velocity = [3.0, 0.0, 0.0]
 """
-PLANE = '[camera]\nresolution = [12, 9]\n[[object]]\nshape = "plane"\n'
 
 
 def clsco_(*words: object) -> Result:
@@ -64,9 +64,7 @@ def messages(result: Result, status: int) -> list[str]:
 
 @pytest.fixture
 def ball(tmp_path: Path) -> Path:
-    path = tmp_path / "ball.toml"
-    path.write_text(BALL)
-    return path
+    return scene_file(tmp_path / "ball.toml", BALL)
 
 
 def names(folder: Path) -> list[str]:
@@ -110,9 +108,8 @@ def test_the_json_tells_every_parameter_and_what_became_of_it(ball: Path, tmp_pa
 
 
 def test_several_scenes_have_folders(ball: Path, tmp_path: Path) -> None:
-    (tmp_path / "plane.toml").write_text(PLANE)
-    out = tmp_path / "out"
-    assert clsco_("render", ball, tmp_path / "plane.toml", "-o", out).exit_code == 0
+    plane, out = scene_file(tmp_path / "plane.toml", PLANE), tmp_path / "out"
+    assert clsco_("render", ball, plane, "-o", out).exit_code == 0
     wanted = [f"ball/frame_000{n}.{suffix}" for n in range(3) for suffix in ("json", "png")]
     assert names(out) == [*wanted, "plane/frame_0000.json", "plane/frame_0000.png"]
 
@@ -131,8 +128,8 @@ def test_frames_stay_inside_the_folder(ball: Path, tmp_path: Path) -> None:
     picture = tmp_path / "out" / "frame_0007.png"
     assert clsco_("render", ball, "-o", picture.parent, "--frames", "0:1").exit_code == 0
     (picture.parent / "frame_0000.png").rename(picture)
-    scene = picture.parent / "scene.toml"
-    scene.write_text(f'[[object]]\nshape = "plane"\ntexture = "{picture.name}"\n')
+    text = f'[[object]]\nshape = "plane"\ntexture = "{picture.name}"\n'
+    scene = scene_file(picture.parent / "scene.toml", text)
     (line,) = messages(clsco_("render", scene, "-o", picture.parent), 1)
     assert "a texture must not lie where frames are written" in line
     assert picture.exists()
@@ -172,8 +169,8 @@ def test_resume_renders_what_is_missing_damaged_or_of_another_scene(ball: Path, 
 def test_resume_notices_another_texture_of_the_same_name(tmp_path: Path) -> None:
     for value in (0.25, 0.75):
         np.save(tmp_path / "texture.npy", np.full((9, 12), value, np.float32))
-        (tmp_path / "plane.toml").write_text(PLANE + 'texture = "texture.npy"\n')
-        assert clsco_("render", tmp_path / "plane.toml", "-o", tmp_path, "--resume").exit_code == 0
+        plane = scene_file(tmp_path / "plane.toml", PLANE + 'texture = "texture.npy"\n')
+        assert clsco_("render", plane, "-o", tmp_path, "--resume").exit_code == 0
         light = read_image(tmp_path / "frame_0000.png").data[4, 6] / 65535
         # sRGB of 1/4 and 3/4 (IEC 61966-2-1): 1.055 x^(1/2.4) - 0.055, to half a code of 16 bits.
         assert light == pytest.approx(1.055 * value ** (1 / 2.4) - 0.055, abs=1e-4)
@@ -186,9 +183,9 @@ def test_a_depth_map_lies_outside_the_frames(tmp_path: Path) -> None:
             "object": [{"shape": "depth_map", "depth": str(tmp_path / "frame_0000.npz")}],
         }
     )
-    (tmp_path / "frame_0000.npz").touch()
+    np.savez(tmp_path / "frame_0000.npz", depth=np.full((3, 4), 280.0))
     with pytest.raises(ImageError, match="a depth must not lie where frames are written"):
-        batch.prepare(scene, tmp_path, [0], (), None, False)
+        batch.prepare(prepare(scene), tmp_path, [0], (), False)
 
 
 BAD_SCENES = {
@@ -207,8 +204,7 @@ BAD_SCENES = {
 
 @pytest.fixture
 def bad(tmp_path: Path) -> Path:
-    whole = tmp_path / "whole.toml"
-    whole.write_text(PLANE)
+    whole = scene_file(tmp_path / "whole.toml", PLANE)
     assert clsco_("render", whole, "-o", tmp_path).exit_code == 0
     picture = (tmp_path / "frame_0000.png").read_bytes()
     for path in tmp_path.iterdir():
@@ -304,7 +300,7 @@ def test_plan(ball: Path) -> None:
     text = " ".join(result.output.split())
     assert "3, 40 x 24 px, gray" in text
     assert "intermediate frames 3 per frame" in text
-    for each in planned(clsco.load_scene(ball), ()).passes:
+    for each in prepare(clsco.load_scene(ball)).plan.passes:
         what, how = each.parameters[0]
         assert re.search(rf"{each.kind} 3 \d+\.\d {what} {re.escape(how[:12])}", text)
     assert "ground truth nobody asked for it" in text

@@ -18,6 +18,7 @@ from clsco.engine import batch
 from clsco.engine.sequence import render_sweep
 from clsco.frame.files import read_complete
 from clsco.frame.frame import FILE_NAMES
+from tests.scenes import scene_file
 from tests.slow import mostly_slow
 
 PAIR = """
@@ -51,9 +52,7 @@ def clsco_(*words: object) -> Result:
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
-    path = tmp_path / "pair.toml"
-    path.write_text(PAIR)
-    return path
+    return scene_file(tmp_path / "pair.toml", PAIR)
 
 
 def marks(folder: Path) -> dict[str, int]:
@@ -185,8 +184,7 @@ def test_views_turned_inwards_agree_with_the_reference(scene: Path, warp: str) -
 def test_a_fault_of_the_right_view_alone_is_told_before_anything_is_written(tmp_path: Path) -> None:
     # The plane falls towards the right: 250 - 2.497 * 100 = 0.3 mm before the right camera.
     wall = '[camera]\nresolution = [40, 24]\n[[object]]\nshape = "plane"\nslope_x = -2.497\n'
-    path = tmp_path / "wall.toml"
-    path.write_text(wall)
+    path = scene_file(tmp_path / "wall.toml", wall)
     assert clsco_("validate", path).exit_code == 0
     path.write_text(f"[stereo]\nbaseline = 100.0\n{wall}")
     for words in (("validate", path), ("render", path, "-o", tmp_path / "out")):

@@ -9,8 +9,8 @@ import pytest
 from click.testing import CliRunner, Result
 
 from clsco.cli.main import main
+from tests.scenes import PLANE, scene_file
 
-PLANE = '[camera]\nresolution = [12, 9]\n[[object]]\nshape = "plane"\n'
 PLACE = 'distance = 300.0\ntexture = "texture.npy"\n'
 STACK = PLANE.replace("[camera]", "[camera]\nf_number = { from = 2, to = 4, steps = 3 }") + PLACE
 
@@ -35,17 +35,13 @@ def marks(folder: Path) -> dict[str, int]:
 
 @pytest.fixture
 def still(tmp_path: Path) -> Path:
-    path = tmp_path / "still.toml"
-    path.write_text(PLANE)
-    return path
+    return scene_file(tmp_path / "still.toml", PLANE)
 
 
 @pytest.fixture
 def stack(tmp_path: Path) -> Path:
     np.save(tmp_path / "texture.npy", np.random.default_rng(3).random((9, 12), np.float32))
-    path = tmp_path / "stack.toml"
-    path.write_text(STACK)
-    return path
+    return scene_file(tmp_path / "stack.toml", STACK)
 
 
 def test_every_value_of_a_sweep_has_a_folder(stack: Path, still: Path, tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ from clsco.files.atomic import sha256
 from clsco.frame.files import read_complete
 from clsco.opencl.session import session_on
 from tests.faults.opencl import ERRORS, Counter, failing
+from tests.scenes import scene_file
 
 CAMERA = "[camera]\nresolution = [20, 150]\n"
 SPHERE = '[[object]]\nshape = "sphere"\nradius = 30.0\n'
@@ -40,11 +41,9 @@ IMAGE, COC = RNG.random((150, 20), np.float32), RNG.random((150, 20)) * 3
 
 @pytest.fixture
 def scene(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
-    path = tmp_path / "scene.toml"
-    path.write_text(SCENES[request.param])
     np.save(tmp_path / "i.npy", IMAGE)
     np.save(tmp_path / "z.npy", 300.0 + 20.0 * COC)
-    return path
+    return scene_file(tmp_path / "scene.toml", SCENES[request.param])
 
 
 def rendered(scene: Path, out: Path, counter: Counter) -> tuple[int, dict[str, str]]:

@@ -28,7 +28,6 @@ from clsco.records import Real, structs
 from clsco.reference.warp.warp import Reprojected, reproject
 from clsco.resources import folder
 from clsco.scene.model import (
-    Camera,
     Cone,
     Cylinder,
     DepthMap,
@@ -39,10 +38,10 @@ from clsco.scene.model import (
     ObjectMotion,
     Plane,
     Quadric,
-    Scene,
     Sphere,
 )
 from tests.kernels.wide_numbers import whole
+from tests.scenes import scene_of
 from tests.slow import mostly_slow
 
 Array = NDArray[Any]
@@ -195,12 +194,8 @@ class Case:
 def warp_case(
     items: tuple[Object, ...], shape: tuple[int, int], guard: int = 3, channels: int = 1, **fill: Any
 ) -> Case:
-    scene = Scene(
-        camera=Camera(resolution=(shape[1], shape[0])),
-        objects=items,
-        motion=Motion(warp="forward"),
-        fill=Fill(**{"method": "none", "domain": "span"} | fill),
-    )
+    filled = Fill(**{"method": "none", "domain": "span"} | fill)
+    scene = scene_of(*items, size=shape[::-1], motion=Motion(warp="forward"), fill=filled)
     textures = np.random.default_rng(41).random((len(items), *shape, channels)).astype(np.float32)
     # One band for every guard that a test asks for, whatever the blur of the scene needs.
     plan = make_plan(scene.model_copy(update={"objects": (FAR,)}), channels, ())

@@ -10,6 +10,7 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
+from clsco.frame.strips import Grid
 from clsco.inpainting.rules import score_of_sums
 from clsco.inputs.textures import Texture
 from clsco.opencl.buffers import download, upload
@@ -19,10 +20,12 @@ from clsco.optics.lens import blur_radius
 from clsco.optics.motion import pose_at
 from clsco.optics.quadrics import place
 from clsco.passes import fill
-from clsco.passes.fill import LANES, SCORED, Filler
+from clsco.passes.blur import Target
+from clsco.passes.fill import Filler
 from clsco.passes.pack import camera_struct, surface_structs
 from clsco.passes.placed import PlacedScene
 from clsco.passes.warp import ForwardWarp
+from clsco.plan.buffers import COUNTERS, LANES, SCORED, SUMS, fill_buffers
 from clsco.plan.plan import make_plan
 from clsco.records import Real, flat, in_parts, structs
 from clsco.reference.common.geometry import pixel_ray, solve_quadric
@@ -39,8 +42,9 @@ from clsco.reference.inpainting.fill import (
 from clsco.reference.inpainting.fill_mean_median import fill_mean_median, smooth_median
 from clsco.reference.inpainting.score import score_mean_median
 from clsco.reference.trace.trace import padded_grid
-from clsco.scene.model import Camera, Fill, Motion, Object, ObjectMotion, Plane, Scene, Sphere
+from clsco.scene.model import Camera, Fill, Motion, Object, ObjectMotion, Plane, Sphere
 from tests.kernels.wide_numbers import whole
+from tests.scenes import scene_of
 from tests.slow import combined, mostly_slow
 
 Array = NDArray[Any]
@@ -77,43 +81,44 @@ class Planes:
             structs(real),
             real,
         )
-        self.filler = Filler(session, self.program, self.camera, features)
+        sizes = fill_buffers(Grid.whole(rows, columns, guard, self.channels), far, far, method == "mean_median")
+        self.filler = Filler(Target(session, self.program, real), self.camera, features, sizes)
         self.write("value", flat(np.where(known[..., None], values, 0.0)[..., :-1], np.float32))
         self.write("w", in_parts(np.where(known, values[..., -1], 0.0), real))
         self.write("valid", known.astype(np.uint8))
         for name in ("coc", "status", "spans", "grown", "counters"):
-            self.write(name, np.zeros(getattr(self.filler, name).size, np.uint8))
+            self.write(name, np.zeros(getattr(self.filler.planes, name).size, np.uint8))
         if far:
             self.write("object", objects_of(known))
 
     def write(self, name: str, array: Array) -> None:
-        cl.enqueue_copy(self.session.queue, getattr(self.filler, name), np.ascontiguousarray(array))
+        cl.enqueue_copy(self.session.queue, getattr(self.filler.planes, name), np.ascontiguousarray(array))
 
     def read(self, name: str, dtype: Any = np.uint8, shape: tuple[int, ...] | None = None) -> Array:
-        return download(self.session, getattr(self.filler, name), self.shape if shape is None else shape, dtype)
+        return download(self.session, getattr(self.filler.planes, name), self.shape if shape is None else shape, dtype)
 
     def values(self) -> Array:
         """Values (H, W, K) as they are now."""
         radiance = self.read("value", np.float32, (self.channels, *self.shape)).astype(np.float64)
-        w = whole(self.session, self.filler.w, self.shape, self.real)
+        w = whole(self.session, self.filler.planes.w, self.shape, self.real)
         return np.concatenate([np.moveaxis(radiance, 0, -1), w[..., None]], axis=-1)
 
     def listed(self, mask: Mask) -> tuple[cl.Buffer, np.int32]:
         """A list of the pixels of a mask, not in their order."""
         pixels = np.random.default_rng(1).permutation(np.flatnonzero(mask)).astype(np.int32)
-        cl.enqueue_copy(self.session.queue, self.filler.indices[0], pixels)
-        return self.filler.indices[0], np.int32(pixels.size)
+        cl.enqueue_copy(self.session.queue, self.filler.planes.indices[0], pixels)
+        return self.filler.planes.indices[0], np.int32(pixels.size)
 
     @property
     def seen(self) -> tuple[cl.Buffer, ...]:
-        return () if self.filler.object is None else (self.filler.object,)
+        return () if self.filler.planes.object is None else (self.filler.planes.object,)
 
     def bounded(self, bounds: NDArray[np.float32] | None, *before: Any) -> tuple[Any, ...]:
         """Arguments of a kernel with bounds on the inverse depth of neighbors, and without."""
         if bounds is None:
             return ()
-        cl.enqueue_copy(self.session.queue, self.filler.far[0], np.ascontiguousarray(bounds))
-        return (*before, *self.filler.far)
+        cl.enqueue_copy(self.session.queue, self.filler.planes.far[0], np.ascontiguousarray(bounds))
+        return (*before, *self.filler.planes.far)
 
     def run(self, name: str, size: int, *args: Any, local: int = 8) -> None:
         launch(self.session, kernel(self.program, name), (size,), (local,), self.camera, *args)
@@ -165,7 +170,7 @@ def test_missing_pixels_are_listed(session: Session, domain: str) -> None:
         report = planes.filler.fill(planes.surface, 1, [])
         assert (planes.read("spans", np.int32, (sum(known.shape), 2)) == spans_of(known)).all()
         assert (planes.read("status") == np.where(missing, 2, 0)).all()
-        pixels = download(session, planes.filler.indices[0], (int(missing.sum()),), np.int32)
+        pixels = download(session, planes.filler.planes.indices[0], (int(missing.sum()),), np.int32)
         assert (np.sort(pixels) == np.flatnonzero(missing)).all()
         inside = missing[guard : known.shape[0] - guard, guard : known.shape[1] - guard]
         assert report["missing_pixels"] == report["unfilled_pixels"] == inside.sum()
@@ -190,7 +195,7 @@ def test_spans_and_lists_end_where_they_should(session: Session) -> None:
     known = np.random.default_rng(7).random((9, 70)) < 0.5
     lines, missing = sum(known.shape), mark_missing(known, None)
     planes = Planes(session, np.ones((9, 70, 2)), known, "none")
-    f = planes.filler
+    f = planes.filler.planes
     f.spans, f.grown = (upload(session, np.full((lines + 8, 2), -9, np.int32)) for _ in range(2))
     f.indices = upload(session, np.full(known.size, -9, np.int32)), f.indices[1]
     planes.fill()
@@ -208,7 +213,7 @@ def test_the_first_pixel_of_all_serves_as_any_other(session: Session) -> None:
     known[0, [0, 2]] = missing[1, 1] = True
     planes = Planes(session, np.arange(24.0).reshape(3, 4, 2) + 1.0, known, "ait")
     pixels, count = planes.listed(missing)
-    f, given = planes.filler, planes.values()
+    f, given = planes.filler.planes, planes.values()
     planes.run("fill_ait", 1, pixels, count, f.valid, f.value, f.w, f.coc, f.status)
     assert (planes.values()[1, 1] == given[0, 0]).all()
 
@@ -221,7 +226,7 @@ def test_only_the_eight_neighbors_serve(session: Session) -> None:
         known[3, 3] = west
         planes = Planes(session, np.random.default_rng(9).random((7, 9, 2)), known, "ait")
         pixels, count = planes.listed(listed)
-        f, expected = planes.filler, planes.values()
+        f, expected = planes.filler.planes, planes.values()
         planes.run("fill_ait", 1, pixels, count, f.valid, f.value, f.w, f.coc, f.status)
         expected[listed] = expected[3, 3] if west else expected[listed]
         assert (planes.values() == expected).all()
@@ -238,7 +243,7 @@ def test_a_sweep_of_ait_is_its_twin(session: Session, channels: int, far: int | 
             continue
         planes = Planes(session, values, known, "ait", far=far is not None)
         pixels, count = planes.listed(missing)
-        f, given = planes.filler, np.where(known[..., None], values, 0.0)
+        f, given = planes.filler.planes, np.where(known[..., None], values, 0.0)
         bounds = None if far is None else far_bounds(given[..., -1], known, missing)
         rule = planes.bounded(bounds, np.int32(far or 0))
         planes.run("fill_ait", int(count), pixels, count, *rule, f.valid, f.value, f.w, f.coc, f.status, *planes.seen)
@@ -273,21 +278,21 @@ def test_settling_a_sweep_lists_what_is_missing_then(session: Session, method: s
         for name in ("spans", "grown"):
             planes.write(name, spans_of(known))
         planes.write("status", np.where(filled, 1, np.where(missing, 2, 0)).astype(np.uint8))
-        f, left = planes.filler, planes.filler.indices[1]
+        f, left = planes.filler.planes, planes.filler.planes.indices[1]
         args = [pixels, count, f.spans, f.grown, f.status, f.valid, left, f.counters]
-        planes.run("settle_sweep", -(-int(count) // 64), *args, *([f.done] if f.smooths else []))
+        planes.run("settle_sweep", -(-int(count) // 64), *args, *([f.done] if planes.filler.smooths else []))
         grown_args = (planes.surface, np.int32(1), f.valid, f.spans, f.grown, f.status, left, f.counters)
         planes.run("mark_grown", sum(known.shape), *grown_args)
         after, rest = settle_sweep(known, missing, filled)
         expected = mark_grown(after, rest, allowed)
         assert (planes.read("valid") == after).all()
         assert (planes.read("spans", np.int32, (sum(known.shape), 2)) == spans_of(after)).all()
-        counters = planes.read("counters", np.int32, (fill.COUNTERS,)).tolist()
-        done = [int(filled.sum())] * 2 + [int(filled.sum()) if f.smooths else 0]
+        counters = planes.read("counters", np.int32, (COUNTERS,)).tolist()
+        done = [int(filled.sum())] * 2 + [int(filled.sum()) if planes.filler.smooths else 0]
         assert counters == [int(expected.sum())] * 2 + done
         found = download(session, left, (int(expected.sum()),), np.int32)
         assert (np.sort(found) == np.flatnonzero(expected)).all()
-        if f.smooths:
+        if planes.filler.smooths:
             finished = download(session, f.done, (int(filled.sum()),), np.int32)
             assert (np.sort(finished) == np.flatnonzero(filled)).all()
         grown += int((expected & ~rest).sum())
@@ -301,10 +306,10 @@ def test_scores_are_those_of_its_twin(session: Session, channels: int) -> None:
         values = rng.random((*shape, channels + 1)).astype(np.float32).astype(np.float64)
         known = rng.random(shape) < 0.97
         planes = Planes(session, values, known, "mean_median")
-        f = planes.filler
+        f = planes.filler.planes
         count = shape[0] * -(-shape[1] // SCORED)
         planes.run("score_mean_median", count, np.float32(2**16), f.value, f.valid, f.sums, local=1)
-        found = score_of_sums(download(session, f.sums, (count, fill.SUMS), np.int64), 2**16)
+        found = score_of_sums(download(session, f.sums, (count, SUMS), np.int64), 2**16)
         assert found == score_mean_median(values[..., :-1], known, 2**16)
         assert found.samples or min(shape) < 4
 
@@ -323,7 +328,7 @@ def test_a_sweep_of_mean_median_is_its_twin(session: Session, channels: int, far
             planes, wins = Planes(session, values, known, "mean_median", far=far), rng.random(9) < 0.5
             wins[:4] = False
             pixels, count = planes.listed(missing)
-            f, bits = planes.filler, np.int32((wins << np.arange(9)).sum())
+            f, bits = planes.filler.planes, np.int32((wins << np.arange(9)).sum())
             planes_out = (f.valid, f.value, f.w, f.coc, f.status, *planes.seen)
             args = (pixels, count, bits, np.int32(minimum), *planes.bounded(bounds), *planes_out)
             planes.run("fill_mean_median", -(-int(count) // LANES), *args)
@@ -348,7 +353,7 @@ def test_a_round_of_smoothing_is_its_twin(session: Session, channels: int, far: 
         if not filled.any():
             continue
         planes = Planes(session, values, valid, "mean_median", far=far)
-        f = planes.filler
+        f = planes.filler.planes
         bounds = rng.random(valid.shape).astype(np.float32) if far else None
         for source, target in ((f.value, f.other_value), (f.w, f.other_w)):
             cl.enqueue_copy(session.queue, target, source, byte_count=source.size)
@@ -367,7 +372,7 @@ def test_smoothing_writes_all_that_is_listed(session: Session) -> None:
     rng = np.random.default_rng(73)
     values, filled = rng.random((9, 11, 2)).astype(np.float32).astype(np.float64), rng.random((9, 11)) < 0.6
     planes = Planes(session, values, np.ones_like(filled), "mean_median", far=True)
-    f, bounds = planes.filler, np.where(rng.random((9, 11)) < 0.5, 0.0, 0.7).astype(np.float32)
+    f, bounds = planes.filler.planes, np.where(rng.random((9, 11)) < 0.5, 0.0, 0.7).astype(np.float32)
     pixels, count = planes.listed(filled)
     out = f.other_value, f.other_w
     for buffer in out:
@@ -454,8 +459,8 @@ def test_missing_pixels_of_the_thesis(
     session: Session, motion: ObjectMotion, count: int, crossings: int, real: Real
 ) -> None:
     item: Object = Plane(motion=motion)
-    lens, method = Camera(resolution=(512, 512)), Fill(method="ait", domain="span")
-    scene = Scene(camera=lens, objects=(item,), motion=Motion(warp="forward"), fill=method)
+    method = Fill(method="ait", domain="span")
+    scene = scene_of(item, size=(512, 512), motion=Motion(warp="forward"), fill=method)
     plan = make_plan(scene, 1)
     texture = Texture(np.random.default_rng(3).random((512, 512)).astype(np.float32), 8, "noise")
     placed = PlacedScene(session, scene, [texture], real)

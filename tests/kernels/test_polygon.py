@@ -15,11 +15,11 @@ from clsco.plan.methods import Blur
 from clsco.plan.plan import make_plan
 from clsco.reference.layered.layered import layered
 from clsco.scene.changes import dump
-from clsco.scene.file import parse_scene
 from clsco.scene.model import Aperture, Psf
 from tests.engine.test_defocus import picture
 from tests.engine.test_defocus import reference as blurred_by_reference
 from tests.kernels.test_blur import ROUNDING, assert_close, blurred, light
+from tests.scenes import scene_from
 from tests.slow import mostly_slow
 
 FIGURE = 1e-5  # of white
@@ -88,16 +88,16 @@ OBJECTS = [
 ]
 
 
-def scene(objects: list[dict[str, object]], **psf: object) -> clsco.Scene:
-    camera = {"focus_distance": 250.0, "pixel_pitch": 0.04, "resolution": [40, 28]}
-    aperture = {"shape": "polygon", "blades": 5, "rotation": 8.0}
-    return parse_scene({"camera": camera, "aperture": aperture, "psf": psf, "object": objects})
+POLYGON = {
+    "camera": {"focus_distance": 250.0, "pixel_pitch": 0.04, "resolution": [40, 28]},
+    "aperture": {"shape": "polygon", "blades": 5, "rotation": 8.0},
+}
 
 
 @pytest.mark.parametrize("method", METHODS[:2])
 @pytest.mark.parametrize("psf", [{}, {"occlusion": "layered"}], ids=str)
 def test_scenes_of_several_objects(psf: dict[str, object], method: str) -> None:
-    wanted = scene(OBJECTS, **psf)
+    wanted = scene_from(POLYGON, *OBJECTS, psf=psf)
     (found,), (exact,) = clsco.render(wanted, method=method), reference.render(wanted)
     assert np.abs(found.color - exact.color).max() < FIGURE
     (round_one,) = clsco.render(wanted.model_validate(dump(wanted) | {"aperture": {}}), method=method)
@@ -106,7 +106,7 @@ def test_scenes_of_several_objects(psf: dict[str, object], method: str) -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_ball_and_its_silhouette(method: str) -> None:
-    wanted = scene(OBJECTS[:1])
+    wanted = scene_from(POLYGON, *OBJECTS[:1])
     (found,), (exact,) = clsco.render(wanted, method=method), reference.render(wanted)
     assert np.abs(found.color - exact.color).max() < FIGURE
 
@@ -117,5 +117,5 @@ def test_approximations_and_convolution_are_refused() -> None:
         with pytest.raises(SceneError, match=f'method: {method} needs aperture.shape = "circle"; got polygon'):
             defocus(image, np.full(image.shape, 5.0), iris(), method=method)
         with pytest.raises(SceneError, match=f'method: {method} needs aperture.shape = "circle"; got polygon'):
-            make_plan(scene(OBJECTS[2:]), 1, method=method)
-    assert make_plan(scene(OBJECTS[2:]), 1).blur in METHODS
+            make_plan(scene_from(POLYGON, *OBJECTS[2:]), 1, method=method)
+    assert make_plan(scene_from(POLYGON, *OBJECTS[2:]), 1).blur in METHODS

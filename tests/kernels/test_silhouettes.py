@@ -5,19 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from clsco.frame.frame import TRUTH_NAMES
 from clsco.frame.strips import frame_struct
 from clsco.opencl.buffers import copied, download, empty, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Program, Session
 from clsco.passes.trace import EMPTY_STATISTICS
-from clsco.plan.plan import make_plan
 from clsco.records import structs
 from clsco.reference.trace import trace as twin
-from clsco.scene.model import Camera, Scene, Sphere
+from clsco.scene.model import Sphere
+from tests.scenes import plan_of
 
 
 def marks_program(session: Session) -> Program:
-    plan = make_plan(Scene(camera=Camera(resolution=(16, 16)), objects=(Sphere(),)), 1)
+    plan = plan_of(Sphere(), size=(16, 16), truth=TRUTH_NAMES)
     features = plan.features() | {"SUBPIXELS": 2, "TRUTH": 0, "PINHOLE": 0, "LENSES": 0, "GATHER": 0}
     return build(session, ["trace/trace.cl"], features, structs("double"), "double")
 

@@ -26,7 +26,6 @@ from clsco.records import Real, flat, structs
 from clsco.reference.common.geometry import table_coordinate, tilt_slope
 from clsco.reference.trace import trace as twin
 from clsco.scene.model import (
-    Camera,
     Cone,
     Cylinder,
     Ellipsoid,
@@ -42,6 +41,7 @@ from clsco.scene.model import (
     Stereo,
 )
 from tests.kernels.conftest import download_sources
+from tests.scenes import scene_of
 from tests.slow import mostly_slow
 
 Array = NDArray[Any]
@@ -49,6 +49,8 @@ SINGLE = 2.0**-24  # largest relative error of a rounding to float32
 BOX = ((-26.0, 20.0), (-15.0, 22.0), (-40.0, 40.0))
 MOTION = ObjectMotion(velocity=(3.0, -2.0, 6.0), angular_velocity=(20.0, 15.0, -40.0))
 STILL = ObjectMotion()
+LENS = {"pixel_pitch": 0.12, "aperture_diameter": 25.0}
+SEQUENCE = Sequence(frames=2, interval=0.4, shutter=0.3)
 GUARD = 4
 MONO = tuple(name for name in TRUTH_BUFFERS if name not in STEREO_NAMES)
 WHOLE, PARTLY_OCCLUDED = -1, -2  # in a source's last field, where it holds no slot
@@ -56,11 +58,9 @@ WHOLE, PARTLY_OCCLUDED = -1, -2  # in a source's last field, where it holds no s
 
 def scene(item: Any, moving: ObjectMotion = MOTION, **sections: Any) -> Scene:
     """A scene of some 40 x 50 px that sees the whole object: pixels eight times as wide as usual."""
-    size = sections.pop("size", (50, 40))
-    camera = Camera(resolution=size, pixel_pitch=0.12, aperture_diameter=25.0)
-    sections.setdefault("sequence", Sequence(frames=2, interval=0.4, shutter=0.3))
     items = item if isinstance(item, tuple) else (item.model_copy(update={"motion": moving}),)
-    return Scene(camera=camera, objects=items, **sections)
+    shown: dict[str, Any] = {"size": (50, 40), "camera": LENS, "sequence": SEQUENCE} | sections
+    return scene_of(*items, **shown)
 
 
 BALL = Sphere(center=(3.0, -2.0, 280.0))

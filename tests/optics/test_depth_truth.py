@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,20 +13,18 @@ from clsco.optics.depth_truth import map_flow, map_normal, map_stereo
 from clsco.optics.motion import Eye, Pose, middle_time, poses_at
 from clsco.reference.trace.trace import Truth, ground_truth
 from clsco.scene.model import Camera, CameraMotion, ObjectMotion, Plane, Scene, Sequence, Sphere, Stereo
+from tests.scenes import scene_of
 
 Array = NDArray[Any]
 SHAPE = (40, 52)
-CAMERA = Camera(resolution=(52, 40), pixel_pitch=0.1)
+LENS: dict[str, Any] = {"pixel_pitch": 0.1}
+CAMERA = Camera(resolution=(52, 40), **LENS)
 GOING = ObjectMotion(velocity=(8.0, -4.0, 10.0), angular_velocity=(3.0, -8.0, 12.0))
 BALL = Sphere(center=(-8.0, 3.0, 200.0), radius=16.0, motion=GOING)
 WALL = Plane(distance=300.0, slope_x=0.5, slope_y=-0.3)
 CARD = Plane(distance=260.0, slope_x=-0.4, bounds=((-14.0, 30.0), (-20.0, 12.0), (-60.0, 60.0)))
 STILL = Pose(np.eye(3), np.zeros(3))
-
-
-def scene(*items: Any, **sections: Any) -> Scene:
-    sections.setdefault("camera", CAMERA)
-    return Scene(objects=items, sequence=Sequence(shutter=0.5, interval=0.6), **sections)
+scene = partial(scene_of, size=(52, 40), camera=LENS, sequence=Sequence(shutter=0.5, interval=0.6))
 
 
 def truth_of(wanted: Scene, eye: Eye = "left") -> Truth:
@@ -72,7 +71,7 @@ def test_a_normal_without_neighbors_points_to_the_lens() -> None:
 
 @pytest.mark.parametrize("camera", [CameraMotion(), CameraMotion(velocity=(-5.0, 2.0, 20.0))], ids=["still", "moving"])
 def test_flow_is_that_of_the_surfaces(camera: CameraMotion) -> None:
-    wanted = scene(BALL, WALL, camera=CAMERA.model_copy(update={"motion": camera}))
+    wanted = scene(BALL, WALL, camera=LENS | {"motion": camera})
     truth = truth_of(wanted)
     found = map_flow(CAMERA, wanted.objects, truth.depth, truth.object_id, poses(wanted, 0), poses(wanted, 1))
     assert np.abs(truth.flow[truth.object_id == 0]).max() > 3.0

@@ -23,7 +23,6 @@ from clsco.optics.motion import (
 )
 from clsco.scene.model import (
     AnyShape,
-    Camera,
     CameraMotion,
     Cone,
     Ellipsoid,
@@ -37,6 +36,7 @@ from clsco.scene.model import (
     Sphere,
     Stereo,
 )
+from tests.scenes import scene_of
 
 Array = NDArray[np.float64]
 EPS = np.finfo(np.float64).eps
@@ -232,7 +232,7 @@ def seen_from(scene: Scene, number: int, point: Array, time: float) -> Array:
 
 
 def camera_scene(going: CameraMotion, **sections: Any) -> Scene:
-    return Scene(camera=Camera(resolution=(8, 8), motion=going), objects=ITEMS, **sections)
+    return scene_of(*ITEMS, size=(8, 8), camera={"motion": going}, **sections)
 
 
 @pytest.mark.parametrize("rotation", ROTATIONS)

@@ -22,6 +22,7 @@ from clsco.reference.blur.blur import scatter
 from clsco.reference.blur.multigrid import coarse
 from clsco.reference.trace.trace import Sources
 from clsco.scene.model import Psf
+from tests.scenes import scene_file
 
 PILLBOX, GAUSSIAN = Psf(tilt=False), Psf(model="gaussian", tilt=False)
 
@@ -218,8 +219,7 @@ texture = "bricks"
 
 @pytest.mark.slow
 def test_the_commands_tell_what_was_taken(tmp_path: Path) -> None:
-    path, out = tmp_path / "scene.toml", tmp_path / "out"
-    path.write_text(SCENE, "utf-8")
+    path, out = scene_file(tmp_path / "scene.toml", SCENE), tmp_path / "out"
 
     def told(*arguments: str) -> dict[str, Any]:
         result = CliRunner().invoke(main, ["render", str(path), "-o", str(out), "--quiet", *arguments])
@@ -254,8 +254,7 @@ def test_the_commands_tell_what_was_taken(tmp_path: Path) -> None:
     ],
 )
 def test_what_the_commands_refuse(tmp_path: Path, arguments: tuple[str, ...], status: int, message: str) -> None:
-    path, out = tmp_path / "scene.toml", tmp_path / "out"
-    path.write_text(SCENE, "utf-8")
+    path, out = scene_file(tmp_path / "scene.toml", SCENE), tmp_path / "out"
     result = CliRunner().invoke(main, ["render", str(path), "-o", str(out), *arguments])
     assert result.exit_code == status
     assert message in result.stderr

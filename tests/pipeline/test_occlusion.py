@@ -16,8 +16,8 @@ from clsco.cli.check import compare
 from clsco.files.images import write_png
 from clsco.frame.frame import Frame
 from clsco.plan.plan import make_plan
-from clsco.scene.file import parse_scene
 from clsco.scene.model import Scene
+from tests.scenes import scene_from
 from tests.slow import mostly_slow
 
 CAMERA = {"resolution": [60, 44], "pixel_pitch": 0.08, "aperture_diameter": 24.0, "focus_distance": 250.0}
@@ -55,7 +55,7 @@ SOME = [("row, sampled", "visibility"), ("bowl", "layered")]
 
 
 def scene(sections: dict[str, Any], **psf: Any) -> Scene:
-    return parse_scene({"camera": CAMERA} | sections | {"psf": sections.get("psf", {}) | psf})
+    return scene_from({"camera": CAMERA} | sections, psf=psf)
 
 
 def image(wanted: Scene, **options: Any) -> Frame:

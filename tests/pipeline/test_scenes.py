@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import pytest
 import clsco
 from clsco import reference
 from clsco.cli.check import compare
-from clsco.errors import DeviceError, ImageError, SceneError
+from clsco.errors import DeviceError, SceneError
 from clsco.files.images import read_image, write_png
 from clsco.files.transfer import decode
 from clsco.frame.files import write_frame
@@ -22,6 +23,7 @@ from clsco.frame.frame import TRUTH_NAMES, Frame
 from clsco.plan.plan import Plan
 from clsco.scene.file import parse_scene
 from clsco.scene.model import Scene
+from tests.scenes import scene_from
 from tests.slow import combined, mostly_slow
 
 CAMERA = {"resolution": [56, 40], "pixel_pitch": 0.08, "aperture_diameter": 30.0}
@@ -32,8 +34,7 @@ ODD: Any = np.random.default_rng(5)
 PLAIN = {"edge": "sampled", "tilt": False, "silhouette_samples": 1}
 
 
-def scene(item: dict[str, Any], **sections: Any) -> Scene:
-    return parse_scene({"camera": CAMERA, **sections, "object": [item]})
+scene = partial(scene_from, {"camera": CAMERA})
 
 
 def rendered(wanted: Scene, **options: Any) -> list[Frame]:
@@ -261,7 +262,7 @@ def test_passes_that_a_scene_has_no_use_for_are_not_run() -> None:
         (frame,) = rendered(wanted, truth=())
         return set(frame.metadata["seconds"])
 
-    in_focus = {**CAMERA, "focus_distance": 250.0}
+    in_focus = {"focus_distance": 250.0}
     sharp = scene({"shape": "plane"}, camera=in_focus, psf={"edge": "area"})
     assert passes(sharp) == {"trace", "accumulate"}
     assert passes(scene({"shape": "plane", "distance": 260.0})) == {"trace", "convolve"}
@@ -283,13 +284,13 @@ def test_wrong_calls(tmp_path: Path) -> None:
         with pytest.raises(error, match=rule):
             rendered(ball, **options)
     missing = scene({**BALL, "texture": str(tmp_path / "none.png")})
-    with pytest.raises(ImageError, match=r"none.png: must be a file that can be read"):
+    with pytest.raises(SceneError, match=r"object\[0\].texture: .*none.png: must be a file that can be read"):
         rendered(missing)
 
 
 def test_radii_beyond_the_prediction_are_rendered_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     """Kernels are built anew where a wider blur needs others; buffers and tables grow."""
-    rendering = import_module("clsco.engine.sequence")
+    rendering = import_module("clsco.plan.prepare")
     predict = rendering.make_plan
 
     def too_little(*args: Any, **options: Any) -> Plan:
@@ -298,7 +299,7 @@ def test_radii_beyond_the_prediction_are_rendered_all_the_same(monkeypatch: pyte
         return replace(plan, smallest_blur=1.0, largest_blur=3.0, guard_px=4)
 
     monkeypatch.setattr(rendering, "make_plan", too_little)
-    wide = CAMERA | {"aperture_diameter": 80.0}
+    wide = {"aperture_diameter": 80.0}
     plane = {"shape": "plane", "distance": 380.0, "slope_x": 0.4, "texture": "slanted_edge"}
     (frame,) = assert_agrees(scene(plane, camera=wide, psf=PLAIN))
     assert frame.metadata["guard_px"] > 13

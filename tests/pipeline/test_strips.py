@@ -16,13 +16,13 @@ from clsco.engine.sequence import render_sweep
 from clsco.errors import SceneError
 from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES, Frame
 from clsco.frame.strips import BAND, cut
-from clsco.inputs.depth_maps import load_scene_depths
 from clsco.opencl.device import choose
 from clsco.plan.memory import device_bytes
 from clsco.plan.plan import Plan, make_plan
-from clsco.plan.prepare import planned
-from clsco.scene.file import parse_scene
+from clsco.plan.prepare import prepare
+from clsco.plan.request import Request
 from clsco.scene.model import Scene
+from tests.scenes import scene_from
 
 TRUTH = (*TRUTH_NAMES, *STEREO_NAMES)
 ROWS, COLUMNS = 3 * BAND + 23, 50
@@ -50,11 +50,11 @@ SCENES: dict[str, tuple[str, dict[str, Any]]] = {
 SLOW = ("pair", "fixed point", "fixed point, card", "tiles")
 
 
-def scene_of(name: str) -> Scene:
-    data = SCENES[name][1]
-    camera = {"resolution": [COLUMNS, ROWS], "pixel_pitch": 0.04, "aperture_diameter": 45.0} | data.get("camera", {})
-    psf = {"silhouette_samples": 2} | data.get("psf", {})
-    return parse_scene(data | {"camera": camera, "psf": psf})
+CAMERA = {"resolution": [COLUMNS, ROWS], "pixel_pitch": 0.04, "aperture_diameter": 45.0}
+
+
+def named(name: str) -> Scene:
+    return scene_from({"camera": CAMERA, "psf": {"silhouette_samples": 2}}, **SCENES[name][1])
 
 
 def memory_for(scene: Scene, rows: int, truth: tuple[str, ...] = TRUTH, method: str = "auto") -> int:
@@ -65,8 +65,8 @@ def memory_for(scene: Scene, rows: int, truth: tuple[str, ...] = TRUTH, method: 
 
 
 def plan_of(scene: Scene, truth: tuple[str, ...], method: str, eye: Any) -> Plan:
-    known = planned(scene, truth, eye)
-    return make_plan(known.scene, known.channels, truth, method, eye, load_scene_depths(known.scene))
+    known = prepare(scene, Request(truth, method))
+    return known.plans[eye == "right"]
 
 
 def assert_same(frames: list[Frame], others: list[Frame]) -> None:
@@ -102,7 +102,7 @@ def peak(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     "name", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in SCENES]
 )
 def test_strips_have_the_bits_of_the_whole_frame(name: str, peak: list[int]) -> None:
-    scene, method = scene_of(name), SCENES[name][0]
+    scene, method = named(name), SCENES[name][0]
     whole = list(clsco.render(scene, method=method))
     assert {frame.metadata["strips"] for frame in whole} == {1}
     assert len(np.unique(whole[0].color)) > 100
@@ -132,8 +132,7 @@ CARDS = [CARD | {"bounds": [[-5.0, 4.0], [-75.0 + k, 75.0], [-1.0, 1.0]], "dista
 def test_slabs_in_strips(method: str, sections: dict[str, Any], peak: list[int]) -> None:
     """Where slabs begin is for all strips to say; what goes on behind an edge is made from what is near."""
     camera = {"resolution": [COLUMNS, TALL], "pixel_pitch": 0.04, "aperture_diameter": 8.0}
-    psf = {"occlusion": "layered"} | sections.get("psf", {})
-    scene = parse_scene({"camera": camera} | sections | {"psf": psf})
+    scene = scene_from({"camera": camera, "psf": {"occlusion": "layered"}}, **sections)
     whole = list(clsco.render(scene, method=method))
     assert {frame.metadata["strips"] for frame in whole} == {1}
     assert whole[0].metadata["intermediate"][0]["slabs"] > 1
@@ -160,7 +159,7 @@ def test_a_depth_map_in_strips(occlusion: str, holes: bool, tmp_path: Path, peak
     item = {"shape": "depth_map", "texture": str(tmp_path / "image.npy"), "depth": str(tmp_path / "depth.npy")}
     camera = {"pixel_pitch": 0.04, "aperture_diameter": 7.0}
     fill = {"motion": {"warp": "forward"}, "fill": {"method": "none"}} if holes else {}
-    scene = parse_scene({"camera": camera, "psf": {"occlusion": occlusion}, "object": [item]} | fill)
+    scene = scene_from(fill, item, camera=camera, psf={"occlusion": occlusion})
     whole = list(clsco.render(scene))
     assert whole[0].mask is not None
     assert whole[0].mask.all() == (not holes)
@@ -175,17 +174,17 @@ def test_a_depth_map_in_strips(occlusion: str, holes: bool, tmp_path: Path, peak
 
 def test_a_plan_that_was_too_small(monkeypatch: pytest.MonkeyPatch, peak: list[int]) -> None:
     """Radii beyond the prediction: the whole frame again, in strips of the wider plan."""
-    scene, least = scene_of("moving ball"), 2.0
+    scene, least = named("moving ball"), 2.0
+    limit = memory_for(scene, BAND)
 
     def short(*args: Any, **options: Any) -> Plan:
         plan = make_plan(*args, **options)
         assert plan.largest_blur > 2 * least
         return replace(plan, largest_blur=least, guard_px=0)
 
-    monkeypatch.setattr(sys.modules["clsco.engine.sequence"], "make_plan", short)
+    monkeypatch.setattr(sys.modules["clsco.plan.prepare"], "make_plan", short)
     whole = list(clsco.render(scene, frames=[0]))
-    limit, before = memory_for(scene, BAND), peak[0]
-    peak[1] = before
+    before = peak[1] = peak[0]
     tiled = list(clsco.render(scene, frames=[0], memory=limit))
     assert peak[1] - before < 1.05 * limit
     assert whole[0].metadata["strips"] == 1
@@ -196,7 +195,7 @@ def test_a_plan_that_was_too_small(monkeypatch: pytest.MonkeyPatch, peak: list[i
 
 def test_a_sweep_in_strips() -> None:
     """Lenses share their rays where there is memory for all of them at a time, and else do not."""
-    base = scene_of("moving ball")
+    base = named("moving ball")
     cameras = [base.camera.model_copy(update={"aperture_diameter": opening}) for opening in (45.0, 44.0)]
     scenes = [base.model_copy(update={"camera": camera}) for camera in cameras]
     whole = [frame for _, frame in render_sweep(scenes, truth=(), frames=[0])]
@@ -221,8 +220,7 @@ def test_a_sweep_in_strips() -> None:
     ],
 )
 def test_what_needs_the_whole_frame(sections: dict[str, Any], method: str, why: str, peak: list[int]) -> None:
-    camera = {"resolution": [COLUMNS, ROWS], "pixel_pitch": 0.04, "aperture_diameter": 45.0}
-    scene = parse_scene({"camera": camera, "object": [BALL]} | sections)
+    scene = scene_from({"camera": CAMERA, "object": [BALL]}, **sections)
     needed, before = memory_for(scene, ROWS, (), method), peak[0]
     with pytest.raises(
         SceneError, match=rf"^memory: must be at least \d+ MiB for this frame, as {why} needs the whole"
@@ -235,7 +233,7 @@ def test_what_needs_the_whole_frame(sections: dict[str, Any], method: str, why: 
 
 
 def test_too_little_memory() -> None:
-    scene = scene_of("card before a floor")
+    scene = named("card before a floor")
     with pytest.raises(
         SceneError, match=r"^memory: must be at least \d+ MiB for this frame, in strips of 64 rows; got"
     ):

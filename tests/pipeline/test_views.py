@@ -14,8 +14,8 @@ from clsco import reference
 from clsco.engine.sequence import render_sweep
 from clsco.frame.frame import Frame
 from clsco.optics.lens import focus_power
-from clsco.scene.file import parse_scene
 from clsco.scene.model import Scene
+from tests.scenes import scene_from
 
 SIZE = 96
 CAMERA = {"resolution": [SIZE, SIZE], "pixel_pitch": 0.05, "focus_distance": 250.0}
@@ -39,7 +39,7 @@ def waves(tmp_path: Path) -> str:
 
 def scene(texture: str, *items: dict[str, Any], **sections: Any) -> Scene:
     objects = [{"texture": texture, **item} for item in items]
-    return parse_scene({"camera": {**CAMERA, **sections.pop("camera", {})}, **sections, "object": objects})
+    return scene_from({"camera": CAMERA}, *objects, **sections)
 
 
 def fetched(image: NDArray[Any], row: NDArray[Any], column: NDArray[Any]) -> NDArray[Any]:

@@ -22,6 +22,7 @@ from clsco.plan import memory
 from clsco.plan.approximation import METHODS
 from clsco.plan.buffers import ThisMachine, margin
 from clsco.plan.memory import Limit, free_bytes, limit_of, parse_size, rows_that_fit
+from tests.scenes import scene_file
 
 
 @pytest.mark.parametrize(
@@ -197,7 +198,7 @@ def test_a_tolerance_is_kept_by_the_exact_blur_where_memory_is_short() -> None:
     assert report.line() == "exact: nothing that fits the memory is faster"
 
 
-PLANE = '[camera]\nresolution = [100, 500]\n[[object]]\nshape = "plane"\ndistance = 300.0\nslope_y = 0.2\n'
+FLOOR = '[camera]\nresolution = [100, 500]\n[[object]]\nshape = "plane"\ndistance = 300.0\nslope_y = 0.2\n'
 
 
 def clsco_(*words: object) -> Result:
@@ -205,8 +206,7 @@ def clsco_(*words: object) -> Result:
 
 
 def test_commands_take_a_limit(tmp_path: Path) -> None:
-    scene, out = tmp_path / "plane.toml", tmp_path / "out"
-    scene.write_text(PLANE)
+    scene, out = scene_file(tmp_path / "plane.toml", FLOOR), tmp_path / "out"
     assert "1, the whole frame" in clsco_("plan", scene).stdout
     told = clsco_("plan", scene, "--memory", "2MiB")
     assert "3 of up to 192 rows, with up to 16 more on either side" in told.stdout

@@ -33,6 +33,7 @@ from clsco.scene.model import (
     Sequence,
     Sphere,
 )
+from tests.scenes import plan_of, scene_of
 
 STILL = Plane(distance=280.0)
 TILTED = Plane(distance=280.0, slope_x=0.5)
@@ -44,25 +45,15 @@ SPIN = ObjectMotion(angular_velocity=(0.0, 0.0, 20.0))
 AWAY = ObjectMotion(velocity=(0.0, 0.0, 20.0))
 
 
-def scene(item: Any, **sections: Any) -> Scene:
-    camera = sections.pop("camera", {})
-    size = sections.pop("size", (64, 48))
-    return Scene(camera=Camera(resolution=size, **camera), objects=(item,), **sections)
-
-
 def moving(item: Any, motion: ObjectMotion) -> Any:
     return item.model_copy(update={"motion": motion})
-
-
-def plan(item: Any, channels: int = 1, truth: tuple[str, ...] = (), method: str = "auto", **sections: Any) -> Plan:
-    return make_plan(scene(item, **sections), channels, truth, method)
 
 
 # name, plan, passes taken, passes left out with a word of the reason
 SCENES = [
     (
         "plane at rest",
-        plan(STILL),
+        plan_of(STILL),
         {"trace", "blur", "guard band"},
         {
             "motion": "nothing moves",
@@ -77,66 +68,76 @@ SCENES = [
             "ground truth": "nobody asked",
         },
     ),
-    ("tilted plane", plan(TILTED), {"trace", "blur", "tilt", "guard band"}, {"silhouettes": "no silhouette in sight"}),
-    ("tilt off", plan(TILTED, psf=Psf(tilt=False)), {"trace", "blur", "guard band"}, {"tilt": "tilt = false"}),
-    ("color", plan(TILTED, 3), {"trace", "blur", "tilt", "guard band", "color"}, {"motion": "nothing moves"}),
+    (
+        "tilted plane",
+        plan_of(TILTED),
+        {"trace", "blur", "tilt", "guard band"},
+        {"silhouettes": "no silhouette in sight"},
+    ),
+    ("tilt off", plan_of(TILTED, psf=Psf(tilt=False)), {"trace", "blur", "guard band"}, {"tilt": "tilt = false"}),
+    (
+        "color",
+        plan_of(TILTED, channels=3),
+        {"trace", "blur", "tilt", "guard band", "color"},
+        {"motion": "nothing moves"},
+    ),
     (
         "sphere with its limb",
-        plan(BALL, size=(640, 480)),
+        plan_of(BALL, size=(640, 480)),
         {"trace", "blur", "tilt", "silhouettes", "guard band"},
         {"motion": "nothing moves"},
     ),
-    ("sphere filling the view", plan(BALL), {"trace", "blur", "tilt", "guard band"}, {"silhouettes": "in sight"}),
+    ("sphere filling the view", plan_of(BALL), {"trace", "blur", "tilt", "guard band"}, {"silhouettes": "in sight"}),
     (
         "silhouettes off",
-        plan(BALL, size=(640, 480), psf=Psf(silhouette_samples=1)),
+        plan_of(BALL, size=(640, 480), psf=Psf(silhouette_samples=1)),
         {"trace", "blur", "tilt", "guard band"},
         {"silhouettes": "silhouette_samples = 1"},
     ),
     (
         "moving sphere",
-        plan(moving(BALL, RIGHT), size=(640, 480)),
+        plan_of(moving(BALL, RIGHT), size=(640, 480)),
         {"motion", "trace", "texture sampling", "blur", "tilt", "silhouettes", "guard band"},
         {"reproject": "no forward warp", "fill": "only a forward warp"},
     ),
     (
         "forward warp",
-        plan(moving(BALL, TURN), size=(640, 480), motion=Motion(warp="forward")),
+        plan_of(moving(BALL, TURN), size=(640, 480), motion=Motion(warp="forward")),
         {"motion", "reproject", "fill", "blur", "tilt", "guard band"},
         {"trace": "replaced by the forward warp", "texture sampling": "whole pixels", "silhouettes": "whole pixels"},
     ),
     (
         "forward warp without filling",
-        plan(
+        plan_of(
             moving(BALL, TURN), size=(640, 480), motion=Motion(warp="forward"),
             fill=Fill(method="none"),
         ),
         {"motion", "reproject", "blur", "tilt", "guard band"},
         {"fill": "fill.method is none"},
     ),
-    ("forward warp of nothing", plan(STILL, motion=Motion(warp="forward")), {"trace", "blur", "guard band"},
+    ("forward warp of nothing", plan_of(STILL, motion=Motion(warp="forward")), {"trace", "blur", "guard band"},
      {"reproject": "no forward warp"}),
     (
         "plane in focus",
-        plan(Plane(distance=280.0), camera={"focus_distance": 280.0}, psf=Psf(edge="area")),
+        plan_of(Plane(distance=280.0), camera={"focus_distance": 280.0}, psf=Psf(edge="area")),
         {"trace", "guard band"},
         {"blur": "in focus"},
     ),
     (
         "light given back",
-        plan(TILTED, psf=Psf(border="renormalize")),
+        plan_of(TILTED, psf=Psf(border="renormalize")),
         {"trace", "blur", "tilt", "renormalize"},
         {"guard band": "light stays inside"},
     ),
     (
         "some truth",
-        plan(TILTED, truth=("depth", "blur_radius")),
+        plan_of(TILTED, truth=("depth", "blur_radius")),
         {"trace", "blur", "tilt", "guard band", "ground truth"},
         {"other outputs": "sharp, mask, filled, object_id, normal, flow, hidden"},
     ),
     (
         "plane that turns in itself",
-        plan(moving(STILL, SPIN)),
+        plan_of(moving(STILL, SPIN)),
         {"motion", "trace", "texture sampling", "blur", "guard band"},
         {"tilt": "one radius"},
     ),
@@ -186,17 +187,17 @@ def test_only_what_is_taken_is_compiled_and_stored(given: Plan, taken: set[str])
     ids=["plane", "sphere", "cone", "ellipsoid", "paraboloid", "plane as a quadric", "card"],
 )
 def test_geometry_is_compiled_for_the_shape(item: Any, needed: set[str]) -> None:
-    features = plan(item).features()
+    features = plan_of(item).features()
     assert {name for name in ("QUADRATIC", "LINEAR", "NAPPE", "BOUNDED") if features[name]} == needed
 
 
 @pytest.mark.parametrize(("name", "number"), [("nearest", 0), ("bilinear", 1), ("bicubic", 2)])
 def test_texture_filter_and_table_form(name: Any, number: int) -> None:
-    given = plan(moving(BALL, RIGHT), motion=Motion(texture_filter=name), psf=Psf(edge="sampled")).features()
+    given = plan_of(moving(BALL, RIGHT), motion=Motion(texture_filter=name), psf=Psf(edge="sampled")).features()
     assert (given["FILTER"], given["SAMPLED"], given["DISC"]) == (number, 1, 1)
-    assert plan(BALL).features()["DISC"] == 0
-    assert plan(BALL, psf=Psf(model="gaussian", edge="sampled")).features()["DISC"] == 0
-    assert plan(BALL).features()["SAMPLED"] == 0
+    assert plan_of(BALL).features()["DISC"] == 0
+    assert plan_of(BALL, psf=Psf(model="gaussian", edge="sampled")).features()["DISC"] == 0
+    assert plan_of(BALL).features()["SAMPLED"] == 0
 
 
 # Samples
@@ -206,23 +207,23 @@ def test_texture_filter_and_table_form(name: Any, number: int) -> None:
 def test_displacement_of_the_thesis(distance: float, expected: float) -> None:
     """10 mm at 250 and 285 mm: 80 and 70 px (4.3.3; 70.175 exactly)."""
     item = Plane(distance=distance, motion=ObjectMotion(velocity=(10.0, 0.0, 0.0)))
-    assert image_displacement(scene(item)) == pytest.approx(expected, abs=0.03)
-    assert image_displacement(scene(item, sequence=Sequence(shutter=0.5))) == pytest.approx(expected / 2, abs=0.03)
+    assert image_displacement(scene_of(item)) == pytest.approx(expected, abs=0.03)
+    assert image_displacement(scene_of(item, sequence=Sequence(shutter=0.5))) == pytest.approx(expected / 2, abs=0.03)
 
 
 def test_displacement_counts_a_way_there_and_back() -> None:
     # A full turn in the plane of the image: the corner, 39.3 px out (31.5 and 23.5 px), goes around in 8 chords.
     item = moving(STILL, ObjectMotion(angular_velocity=(0.0, 0.0, 360.0)))
     out = (31.5**2 + 23.5**2) ** 0.5
-    assert image_displacement(scene(item)) == pytest.approx(out * 8 * 2 * 0.3826834324, rel=1e-6)  # sin(22.5 deg)
+    assert image_displacement(scene_of(item)) == pytest.approx(out * 8 * 2 * 0.3826834324, rel=1e-6)  # sin(22.5 deg)
     nothing = Sphere(center=(900.0, 0.0, 280.0), motion=RIGHT)
-    assert image_displacement(scene(nothing)) == 0.0
+    assert image_displacement(scene_of(nothing)) == 0.0
 
 
 @pytest.mark.parametrize("speed", [0.05, 0.2, 0.5, 1.0, 3.3, 10.0])
 def test_automatic_samples_are_odd_and_about_one_per_pixel(speed: float) -> None:
     item = moving(STILL, ObjectMotion(velocity=(speed, 0.0, 0.0)))
-    given = plan(item, sequence=Sequence(samples="auto"))
+    given = plan_of(item, sequence=Sequence(samples="auto"))
     way = image_displacement(given.scene)
     assert way > 0.3
     assert given.samples % 2 == 1
@@ -230,18 +231,18 @@ def test_automatic_samples_are_odd_and_about_one_per_pixel(speed: float) -> None
 
 
 def test_samples_as_asked_and_one_at_rest() -> None:
-    assert plan(moving(STILL, RIGHT), sequence=Sequence(samples=4)).samples == 4
-    still = plan(STILL, sequence=Sequence(samples="auto"))
-    assert still.samples == plan(STILL).samples == 1
+    assert plan_of(moving(STILL, RIGHT), sequence=Sequence(samples=4)).samples == 4
+    still = plan_of(STILL, sequence=Sequence(samples="auto"))
+    assert still.samples == plan_of(STILL).samples == 1
     times, weights = exposure(still, 3)
     assert (times.tolist(), weights.tolist()) == ([0.0], [1.0])
-    times, weights = exposure(plan(moving(STILL, RIGHT), sequence=Sequence(samples=2)), 3)
+    times, weights = exposure(plan_of(moving(STILL, RIGHT), sequence=Sequence(samples=2)), 3)
     assert (times.tolist(), weights.tolist()) == ([3.25, 3.75], [0.5, 0.5])
 
 
 def test_very_fast_motion_does_not_ask_for_endless_samples() -> None:
     item = moving(STILL, ObjectMotion(velocity=(1e6, 0.0, 0.0)))
-    given = plan(item, sequence=Sequence(samples="auto"))
+    given = plan_of(item, sequence=Sequence(samples="auto"))
     assert given.samples == 4095
 
 
@@ -249,15 +250,15 @@ def test_very_fast_motion_does_not_ask_for_endless_samples() -> None:
 
 
 def test_radii_of_a_constant_plane_are_exact_and_others_have_a_margin() -> None:
-    given = plan(STILL)
+    given = plan_of(STILL)
     radius = abs(float(blur_radius(given.scene.camera, 1.0 / 280.0)))
     assert given.smallest_blur == pytest.approx(radius, rel=1e-12)
     assert given.largest_blur == pytest.approx(radius, rel=1e-12)
-    given = plan(moving(STILL, AWAY))
+    given = plan_of(moving(STILL, AWAY))
     ends = [abs(float(blur_radius(given.scene.camera, 1.0 / z))) for z in (280.0, 300.0)]
     assert given.smallest_blur == pytest.approx(ends[0], rel=1e-12)
     assert given.largest_blur == pytest.approx(ends[1], rel=1e-12)
-    ball = plan(BALL, size=(640, 480))
+    ball = plan_of(BALL, size=(640, 480))
     nearest = abs(float(blur_radius(ball.scene.camera, 1.0 / 250.0)))
     assert 0.0 <= ball.smallest_blur < nearest < ball.largest_blur
 
@@ -265,7 +266,7 @@ def test_radii_of_a_constant_plane_are_exact_and_others_have_a_margin() -> None:
 @pytest.mark.parametrize(("axis", "side"), [("slope_x", 1), ("slope_x", -1), ("slope_y", 1), ("slope_y", -1)])
 def test_radii_are_predicted_up_to_the_edges_of_the_frame(axis: str, side: int) -> None:
     """A plane that is sharp on one side and less and less towards the other."""
-    given = plan(STILL.model_copy(update={axis: 1.5 * side}), size=(640, 640))
+    given = plan_of(STILL.model_copy(update={axis: 1.5 * side}), size=(640, 640))
     camera = given.scene.camera
     inverse_depth = (1.0 - 1.5 * 319.5 * ray_step(camera)) / 280.0
     assert given.largest_blur > abs(float(blur_radius(camera, inverse_depth)))
@@ -279,7 +280,7 @@ def test_no_depth_of_a_map_is_missed(depth: float) -> None:
     inverse_depth[200:] = 0.0
     inverse_depth[13, 27] = 1.0 / depth
     item = DepthMap(depth="map.npy", center=(0.0, 0.0, 280.0))
-    given = make_plan(scene(item, size=(300, 300)), 1, maps=(inverse_depth,))
+    given = make_plan(scene_of(item, size=(300, 300)), 1, maps=(inverse_depth,))
     radius = abs(float(blur_radius(given.scene.camera, 1.0 / depth)))
     assert radius < given.largest_blur <= 1.1 * radius + 1.0
 
@@ -288,7 +289,7 @@ def test_no_depth_of_a_map_is_missed(depth: float) -> None:
 @pytest.mark.parametrize("model", ["pillbox", "gaussian"])
 def test_guard_band_holds_every_source_that_lights_the_frame(model: Any, edge: Any) -> None:
     psf = Psf(model=model, edge=edge)
-    given = plan(TILTED, psf=psf)
+    given = plan_of(TILTED, psf=psf)
     held = given.guard_px
     assert held == guard_band(psf, given.largest_blur)
     assert held >= max(reach(psf, given.largest_blur), reach(psf, given.largest_blur, True))
@@ -296,13 +297,13 @@ def test_guard_band_holds_every_source_that_lights_the_frame(model: Any, edge: A
     assert held < reach(psf, given.largest_blur, True) + 3 + TAP_LANES  # 2 px to see silhouettes in
     assert (given.width, given.height) == (64 + 2 * held, 48 + 2 * held)
     assert guard_band(psf.model_copy(update={"border": "renormalize"}), 5.0) == 0
-    flat = plan(STILL, psf=psf)
+    flat = plan_of(STILL, psf=psf)
     assert flat.blur == "convolve"
     assert flat.guard_px == guard_band(psf, flat.largest_blur) + 2 * TAP_LANES  # two vectors of sources may hang over
 
 
 def test_widened() -> None:
-    given = plan(BALL, size=(640, 480))
+    given = plan_of(BALL, size=(640, 480))
     wider = widened(given, 0.25, given.largest_blur + 7.0)
     assert wider.smallest_blur == 0.25
     assert wider.largest_blur == given.largest_blur + 7.0
@@ -315,7 +316,7 @@ def test_widened() -> None:
 def test_too_large_a_blur_is_refused_with_its_number() -> None:
     item = Plane(distance=0.5)
     with pytest.raises(SceneError) as caught:
-        plan(item)
+        plan_of(item)
     radius = abs(float(blur_radius(Camera(), 2.0)))
     assert radius > LARGEST_BLUR
     assert f"must be at most 512 px; got {radius:.4g} px (the surface comes as near as 0.5 mm;" in str(caught.value)
@@ -324,7 +325,7 @@ def test_too_large_a_blur_is_refused_with_its_number() -> None:
 def test_too_large_tables_are_refused_with_their_size() -> None:
     wide = {"aperture_diameter": 400.0, "pixel_pitch": 0.006}
     with pytest.raises(SceneError, match=r"^psf: the tables of weights must take at most 1024 MiB; got \d{4,} MiB for"):
-        plan(Sphere(), size=(640, 480), camera=wide, psf=Psf(silhouette_samples=8))
+        plan_of(Sphere(), size=(640, 480), camera=wide, psf=Psf(silhouette_samples=8))
 
 
 def test_a_plan_needs_a_resolution() -> None:
@@ -336,19 +337,19 @@ def test_a_plan_needs_a_resolution() -> None:
 
 
 def test_method_by_itself() -> None:
-    assert plan(STILL).blur == "convolve"
-    assert plan(moving(STILL, AWAY)).blur == "convolve"
-    assert plan(TILTED).blur == "gather"
-    assert plan(moving(STILL, TURN)).blur == "gather"
-    assert plan(STILL, psf=Psf(border="renormalize")).blur == "gather"
-    assert plan(STILL.model_copy(update={"bounds": ((-2.0, 2.0), (-2.0, 2.0), (-1.0, 1.0))})).blur == "gather"
-    assert plan(STILL, camera={"focus_distance": 280.0}, psf=Psf(edge="sampled")).blur == "none"
+    assert plan_of(STILL).blur == "convolve"
+    assert plan_of(moving(STILL, AWAY)).blur == "convolve"
+    assert plan_of(TILTED).blur == "gather"
+    assert plan_of(moving(STILL, TURN)).blur == "gather"
+    assert plan_of(STILL, psf=Psf(border="renormalize")).blur == "gather"
+    assert plan_of(STILL.model_copy(update={"bounds": ((-2.0, 2.0), (-2.0, 2.0), (-1.0, 1.0))})).blur == "gather"
+    assert plan_of(STILL, camera={"focus_distance": 280.0}, psf=Psf(edge="sampled")).blur == "none"
 
 
 @pytest.mark.parametrize("method", ["gather", "scatter", "tiles"])
 def test_method_as_asked(method: str) -> None:
     for item in (STILL, TILTED, BALL):
-        assert plan(item, method=method).blur == method
+        assert plan_of(item, method=method).blur == method
 
 
 @pytest.mark.parametrize(
@@ -362,7 +363,7 @@ def test_method_as_asked(method: str) -> None:
 )
 def test_convolve_is_refused_where_it_cannot_be(item: Any, sections: dict[str, Any]) -> None:
     with pytest.raises(SceneError, match=r"^method: convolve needs one blur radius"):
-        plan(item, method="convolve", **sections)
+        plan_of(item, method="convolve", **sections)
 
 
 CARD = Plane(distance=230.0, bounds=((-2.0, 2.0), (-2.0, 2.0), (-1.0, 1.0)))
@@ -370,7 +371,7 @@ CARD = Plane(distance=230.0, bounds=((-2.0, 2.0), (-2.0, 2.0), (-1.0, 1.0)))
 
 def cards(occlusion: Any, method: str = "auto", tolerance: float | None = None, gpu: bool = True) -> Plan:
     """Of a card before a plane."""
-    pair = scene(CARD, psf=Psf(occlusion=occlusion)).model_copy(update={"objects": (CARD, TILTED)})
+    pair = scene_of(CARD, psf=Psf(occlusion=occlusion)).model_copy(update={"objects": (CARD, TILTED)})
     return make_plan(pair, 1, (), method, tolerance=tolerance, device=GPU if gpu else None)
 
 
@@ -381,12 +382,9 @@ def method_of(given: Plan) -> str:
 
 def test_tiles_are_for_gpus() -> None:
     for item, gpu, expected in ((TILTED, False, "gather"), (TILTED, True, "tiles"), (STILL, True, "convolve")):
-        assert make_plan(scene(item), 1, (), device=GPU if gpu else None).blur == expected
-    assert make_plan(scene(TILTED), 1, (), "coarse2", device=GPU).blur == "tiles"
-    assert (
-        make_plan(scene(STILL, camera={"focus_distance": 280.0}, psf=Psf(edge="sampled")), 1, (), device=GPU).blur
-        == "none"
-    )
+        assert plan_of(item, device=GPU if gpu else None).blur == expected
+    assert plan_of(TILTED, method="coarse2", device=GPU).blur == "tiles"
+    assert plan_of(STILL, camera={"focus_distance": 280.0}, psf=Psf(edge="sampled"), device=GPU).blur == "none"
 
 
 def test_what_is_in_the_way_is_tested_by_scatter_on_a_gpu() -> None:
@@ -407,7 +405,7 @@ def test_unknown_methods_are_refused(method: str) -> None:
     with pytest.raises(
         SceneError, match=rf"^method: must be one of auto, gather, scatter, tiles, convolve, coarse2, .*; got {method}$"
     ):
-        plan(STILL, method=method)
+        plan_of(STILL, method=method)
 
 
 @pytest.mark.parametrize(
@@ -433,15 +431,15 @@ def test_memory_and_work_grow_with_what_is_done() -> None:
     def memory(given: Plan) -> int:
         return device_bytes(replace(given, device=TWO_CORES))
 
-    small, large = plan(BALL, size=(64, 48)), plan(BALL, size=(640, 480))
+    small, large = plan_of(BALL, size=(64, 48)), plan_of(BALL, size=(640, 480))
     assert 0 < memory(small) < memory(large)
     assert small.taps < large.taps
-    gray, color, truth = (plan(BALL, c, t) for c, t in ((1, ()), (3, ()), (3, TRUTH_NAMES)))
+    gray, color, truth = (plan_of(BALL, channels=c, truth=t) for c, t in ((1, ()), (3, ()), (3, TRUTH_NAMES)))
     assert memory(gray) < memory(color) < memory(truth)
-    moved = plan(moving(BALL, RIGHT), sequence=Sequence(samples=7))
+    moved = plan_of(moving(BALL, RIGHT), sequence=Sequence(samples=7))
     assert moved.taps == pytest.approx(7 * small.taps, rel=0.1)  # the ball goes 4 px
     # Pixels of frame and guard band, each spread over its disc of about pi (R + 0.7)^2 px.
-    flat = plan(STILL)
+    flat = plan_of(STILL)
     assert flat.taps == pytest.approx(flat.width * flat.height * 3.14159 * (flat.largest_blur + 0.7) ** 2, rel=1e-3)
 
 
@@ -454,7 +452,7 @@ def test_what_is_left_out_is_not_needed_elsewhere() -> None:
         warps = [("visibility", "inverse"), *product(("layered", "none"), ("inverse", "forward"))]
         for (occlusion, warp), samples, border in product(warps, (1, 4), ("lose", "renormalize")):
             psf = {"occlusion": occlusion, "silhouette_samples": samples, "border": border}
-            whole = scene(items[0], psf=psf, motion={"warp": warp}).model_copy(update={"objects": items})
+            whole = scene_of(items[0], psf=psf, motion={"warp": warp}).model_copy(update={"objects": items})
             found = make_plan(whole, 1, ())
             seen.add((found.occlusion, bool(found.silhouettes)))
             if found.occlusion == "layered":

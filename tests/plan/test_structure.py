@@ -14,7 +14,7 @@ from clsco.optics.lens import blur_scale, focus_power
 from clsco.optics.psf import reach
 from clsco.plan.buffers import ThisMachine
 from clsco.plan.methods import is_sharp
-from clsco.plan.plan import Plan, is_forward, make_plan
+from clsco.plan.plan import is_forward
 from clsco.plan.predict import displaced, guard_band
 from clsco.scene.model import (
     Camera,
@@ -24,11 +24,11 @@ from clsco.scene.model import (
     ObjectMotion,
     Plane,
     Psf,
-    Scene,
     Sphere,
     Stereo,
 )
 from tests.plan.test_plan import method_of
+from tests.scenes import plan_of, scene_of
 
 STILL = Plane(distance=280.0)
 TILTED = Plane(distance=280.0, slope_x=0.5)
@@ -36,16 +36,6 @@ BALL = Sphere()
 CARD = Plane(distance=230.0, bounds=((-2.0, 2.0), (-2.0, 2.0), (-1.0, 1.0)))
 MOVING = Plane(distance=280.0, motion=ObjectMotion(velocity=(0.5, 0.0, 0.0)))
 MODELS = [(model, edge) for model in ("pillbox", "gaussian") for edge in ("sampled", "area", "integrated")]
-
-
-def scene(*items: Any, size: tuple[int, int] = (64, 48), **sections: Any) -> Scene:
-    camera = Camera(resolution=size, motion=sections.pop("moves", CameraMotion()))
-    return Scene(camera=camera, objects=items, **sections)
-
-
-def plan(*items: Any, truth: tuple[str, ...] = (), method: str = "auto", gpu: bool = False, **sections: Any) -> Plan:
-    device = ThisMachine(kind="gpu") if gpu else None
-    return make_plan(scene(*items, **sections), 1, truth, method, device=device)
 
 
 @pytest.mark.parametrize(
@@ -59,44 +49,44 @@ def plan(*items: Any, truth: tuple[str, ...] = (), method: str = "auto", gpu: bo
     ids=["plane", "plane and ball", "ball and cone", "ball and card"],
 )
 def test_what_one_of_several_objects_needs_is_compiled(items: tuple[Any, ...], needed: set[str]) -> None:
-    features = plan(*items).features()
+    features = plan_of(*items).features()
     assert {name for name in ("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED") if features[name]} == needed
 
 
 def test_kernels_have_room_for_all_that_may_be_in_the_way_of_a_layer() -> None:
     """Nothing is before the card; before the plane is the card."""
-    given = plan(CARD, TILTED)
+    given = plan_of(CARD, TILTED)
     assert sorted(layer.occluders for layer in given.layers) == [0b00, 0b01]
     assert given.features()["OCCLUDED"] == 1
-    assert plan(TILTED).features()["OCCLUDED"] == 0
+    assert plan_of(TILTED).features()["OCCLUDED"] == 0
 
 
 @pytest.mark.parametrize("occlusion", ["none", "layered"])
 def test_without_rays_to_the_lens_all_objects_are_in_one_layer(occlusion: Any) -> None:
-    layers = plan(CARD, TILTED, BALL, psf=Psf(occlusion=occlusion)).layers
+    layers = plan_of(CARD, TILTED, BALL, psf=Psf(occlusion=occlusion)).layers
     assert [(layer.members, layer.occluders) for layer in layers] == [(0b111, 0)]
 
 
 def test_a_map_among_others_is_moved_pixel_by_pixel() -> None:
     for items in ((DepthMap(depth="map.npy"), STILL), (STILL, DepthMap(depth="map.npy"))):
-        assert is_forward(scene(*items), "left")
-    assert not is_forward(scene(DepthMap(depth="map.npy")), "left")
+        assert is_forward(scene_of(*items), "left")
+    assert not is_forward(scene_of(DepthMap(depth="map.npy")), "left")
 
 
 def test_which_eye_sees_the_scene_from_elsewhere() -> None:
     """The left one is the scene's camera, unless both are turned inwards."""
     for eye in ("left", "right"):
-        assert not displaced(scene(STILL), eye)
-        assert displaced(scene(STILL, stereo=Stereo(baseline=6.0)), eye) == (eye == "right")
-        assert displaced(scene(STILL, stereo=Stereo(baseline=6.0, toe_in=0.5)), eye)
+        assert not displaced(scene_of(STILL), eye)
+        assert displaced(scene_of(STILL, stereo=Stereo(baseline=6.0)), eye) == (eye == "right")
+        assert displaced(scene_of(STILL, stereo=Stereo(baseline=6.0, toe_in=0.5)), eye)
 
 
 def test_which_cameras_see_a_plane_with_one_radius() -> None:
     """It stays parallel to the detector if the camera only turns about its axis, and stands beside another."""
-    assert plan(STILL, moves=CameraMotion(angular_velocity=(0.0, 0.0, 20.0))).blur == "convolve"
-    assert plan(STILL, moves=CameraMotion(angular_velocity=(0.0, 20.0, 0.0))).blur == "gather"
-    assert plan(STILL, stereo=Stereo(baseline=6.0)).blur == "convolve"
-    assert plan(STILL, stereo=Stereo(baseline=6.0, toe_in=0.5)).blur == "gather"
+    assert plan_of(STILL, camera={"motion": CameraMotion(angular_velocity=(0.0, 0.0, 20.0))}).blur == "convolve"
+    assert plan_of(STILL, camera={"motion": CameraMotion(angular_velocity=(0.0, 20.0, 0.0))}).blur == "gather"
+    assert plan_of(STILL, stereo=Stereo(baseline=6.0)).blur == "convolve"
+    assert plan_of(STILL, stereo=Stereo(baseline=6.0, toe_in=0.5)).blur == "gather"
 
 
 def test_a_wide_gaussian_is_blurred_from_half_a_pixel_on() -> None:
@@ -121,7 +111,7 @@ def test_strips_have_as_many_rows_around_them_as_may_matter(radius: float, edge:
     """Sources anywhere in their pixels light pixels less than R + 1 px away; 2 px more are to see silhouettes in."""
     camera = Camera()
     distance = 1.0 / (focus_power(camera) - radius / blur_scale(camera))
-    whole = plan(Plane(distance=distance), size=(16, 4 * BAND), psf=Psf(edge=edge, border="renormalize"))
+    whole = plan_of(Plane(distance=distance), size=(16, 4 * BAND), psf=Psf(edge=edge, border="renormalize"))
     assert whole.largest_blur == pytest.approx(radius)
     given, far = replace(whole, strip_rows=BAND), floor(radius + 1.0) + 2
     assert given.reach_px == far
@@ -134,12 +124,13 @@ def test_strips_have_as_many_rows_around_them_as_may_matter(radius: float, edge:
 def test_why_scatter_is_only_reported_where_tiles_would_do_but_for_what_is_in_the_way() -> None:
     why = "as tiles do not test what is in the way"
     visible, plain = Psf(occlusion="visibility"), Psf(occlusion="none")
-    for psf, gpu in ((visible, True), (visible, False), (plain, True), (plain, False)):
-        reported = method_of(plan(CARD, TILTED, method="scatter", gpu=gpu, psf=psf))
-        assert (why in reported) == (gpu and psf is visible)
+    gpu = ThisMachine(kind="gpu")
+    for psf, device in ((visible, gpu), (visible, None), (plain, gpu), (plain, None)):
+        reported = method_of(plan_of(CARD, TILTED, method="scatter", device=device, psf=psf))
+        assert (why in reported) == (device is gpu and psf is visible)
 
 
 def test_outputs_that_nobody_asked_for_are_reported_beside_some_that_are_wanted() -> None:
     for truth in ((), TRUTH_NAMES):
-        assert "other outputs" not in dict(plan(STILL, truth=truth).left_out)
-    assert "depth" in dict(plan(STILL, truth=("blur_radius",)).left_out)["other outputs"]
+        assert "other outputs" not in dict(plan_of(STILL, truth=truth).left_out)
+    assert "depth" in dict(plan_of(STILL, truth=("blur_radius",)).left_out)["other outputs"]

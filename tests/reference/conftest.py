@@ -1,29 +1,16 @@
-"""Scenes and surfaces that the tests of the reference share."""
+"""Surfaces that the tests of the reference share."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import pytest
 
 from clsco.optics.motion import pose_at
 from clsco.optics.quadrics import PlacedSurface, place
-from clsco.scene.model import Camera, Object, Scene
+from clsco.scene.model import Object
 
-SceneMaker = Callable[..., Scene]
 Placer = Callable[..., PlacedSurface]
-
-
-@pytest.fixture
-def make_scene() -> SceneMaker:
-    """Scene of one object with the thesis' camera: make_scene(item, (rows, columns), **sections)."""
-
-    def make(item: Object, shape: tuple[int, int] = (64, 64), **sections: Any) -> Scene:
-        camera = sections.pop("camera", {})
-        return Scene(camera=Camera(resolution=(shape[1], shape[0]), **camera), objects=(item,), **sections)
-
-    return make
 
 
 @pytest.fixture

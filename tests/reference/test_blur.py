@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -18,9 +17,9 @@ from clsco.reference.blur.convolve import convolve
 from clsco.reference.common.geometry import tilt_slope
 from clsco.reference.trace.trace import Sources, SubpixelSources, mark_silhouettes, trace, trace_subpixels, view_at
 from clsco.scene.model import Plane, Psf, Scene, Sphere
+from tests.scenes import scene_of
 
 Array = NDArray[np.float64]
-SceneMaker = Callable[..., Scene]
 ALONE = Layer(1, 0)  # one object, and nothing in its way
 
 PSFS = (
@@ -280,9 +279,9 @@ def thin_lens(scene: Scene, sources: Sources, texture: Array, guard: int) -> Arr
     return color / 36
 
 
-def test_tilted_plane_agrees_with_a_thin_lens(make_scene: SceneMaker) -> None:
+def test_tilted_plane_agrees_with_a_thin_lens() -> None:
     item = Plane(distance=256.0, slope_x=2.0, slope_y=-1.0)
-    scene = make_scene(item, (24, 24), camera={"aperture_diameter": 40.0})
+    scene = scene_of(item, size=(24, 24), camera={"aperture_diameter": 40.0})
     texture = np.random.default_rng(47).random((24, 24, 1))
     sources = trace(view_at(scene, (texture,), 0.0, "left", False), ALONE, 10)
     assert np.hypot(*sources.gradient[10, 10]) > 0.1
@@ -300,14 +299,14 @@ def test_tilted_plane_agrees_with_a_thin_lens(make_scene: SceneMaker) -> None:
     assert wrong > 2 * error[False] * 0.8
 
 
-def test_silhouette_of_a_sphere_gains_from_subpixels(make_scene: SceneMaker) -> None:
+def test_silhouette_of_a_sphere_gains_from_subpixels() -> None:
     """4 x 4 sources at the silhouette are closer to 12 x 12 sources everywhere than one per pixel."""
     item = Sphere(center=(0.1, 0.05, 262.0), radius=1.2)
     texture = np.full((32, 32, 1), 1.0)
     camera = {"aperture_diameter": 20.0}
 
     def image(samples: int, everywhere: bool) -> Array:
-        scene = make_scene(item, (32, 32), camera=camera, psf=Psf(silhouette_samples=samples))
+        scene = scene_of(item, size=(32, 32), camera=camera, psf=Psf(silhouette_samples=samples))
         view = view_at(scene, (texture,), 0.0, "left", False)
         sources = trace(view, ALONE, 6)
         if samples == 1:

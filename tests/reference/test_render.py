@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, Literal
 
 import numpy as np
@@ -14,10 +13,10 @@ from clsco.reference.blur.convolve import convolve
 from clsco.reference.inpainting.fill import Method
 from clsco.reference.render import render
 from clsco.scene.model import Cylinder, Fill, Motion, ObjectMotion, Plane, Psf, Quadric, Scene, Sequence, Sphere
-
-SceneMaker = Callable[..., Scene]
+from tests.scenes import scene_of
 
 SHAPE = (24, 32)
+SIZE = SHAPE[::-1]
 SHARP = {"focus_distance": 250.0}
 
 
@@ -34,8 +33,8 @@ def only(scene: Scene) -> Frame:
     return frame
 
 
-def test_plane_in_focus_is_its_texture(make_scene: SceneMaker) -> None:
-    frame = only(make_scene(Plane(distance=250.0), SHAPE, camera=SHARP))
+def test_plane_in_focus_is_its_texture() -> None:
+    frame = only(scene_of(Plane(distance=250.0), size=SIZE, camera=SHARP))
     assert frame.color.shape[:2] == SHAPE
     assert frame.color.std() > 0.05
     np.testing.assert_allclose(frame.color, truth(frame, "sharp"), atol=1e-9)  # R is eps of 1e4 px
@@ -44,8 +43,8 @@ def test_plane_in_focus_is_its_texture(make_scene: SceneMaker) -> None:
         assert truth(frame, name).shape[:2] == SHAPE
 
 
-def test_facing_plane_is_one_convolution(make_scene: SceneMaker) -> None:
-    frame = only(make_scene(Plane(distance=280.0), SHAPE))
+def test_facing_plane_is_one_convolution() -> None:
+    frame = only(scene_of(Plane(distance=280.0), size=SIZE))
     radius = float(truth(frame, "blur_radius")[0, 0])
     assert np.ptp(truth(frame, "blur_radius")) == 0
     assert 4 < radius < 5
@@ -57,16 +56,16 @@ def test_facing_plane_is_one_convolution(make_scene: SceneMaker) -> None:
 
 
 @pytest.mark.parametrize("warp", ["inverse", "forward"])
-def test_motion_by_whole_pixels_is_a_mean_of_shifts(warp: str, make_scene: SceneMaker) -> None:
+def test_motion_by_whole_pixels_is_a_mean_of_shifts(warp: str) -> None:
     item = Plane(distance=250.0, motion=ObjectMotion(velocity=(1.0, 0.0, 0.0)))  # 8 px in 1 s
-    scene = make_scene(
+    scene = scene_of(
         item,
-        SHAPE,
+        size=SIZE,
         camera=SHARP,
         motion=Motion(warp="forward") if warp == "forward" else Motion(),
         sequence=Sequence(frames=2, interval=1.0, shutter=1.0, samples=4),
     )
-    still = truth(only(make_scene(Plane(distance=250.0), SHAPE, camera=SHARP)), "sharp")
+    still = truth(only(scene_of(Plane(distance=250.0), size=SIZE, camera=SHARP)), "sharp")
     first, second = render(scene)
     assert (first.index, second.index) == (0, 1)
     for frame, shifts in ((first, (1, 3, 5, 7)), (second, (9, 11, 13, 15))):
@@ -84,15 +83,15 @@ def test_motion_by_whole_pixels_is_a_mean_of_shifts(warp: str, make_scene: Scene
 
 
 @pytest.mark.parametrize("method", ["ait", "mean_median"])
-def test_warps_agree_where_nothing_was_hidden(method: Method, make_scene: SceneMaker) -> None:
+def test_warps_agree_where_nothing_was_hidden(method: Method) -> None:
     item = Cylinder(
         center=(0.0, 0.0, 285.0),
         motion=ObjectMotion(angular_velocity=(0.0, 1.0, 10.0), velocity=(0.0, 0.0, -20.0)),
     )
     sequence = Sequence(samples=3)
-    inverse = only(make_scene(item, (48, 64), sequence=sequence))
+    inverse = only(scene_of(item, size=(64, 48), sequence=sequence))
     forward = only(
-        make_scene(item, (48, 64), sequence=sequence, motion=Motion(warp="forward"), fill=Fill(method=method))
+        scene_of(item, size=(64, 48), sequence=sequence, motion=Motion(warp="forward"), fill=Fill(method=method))
     )
     for name in ("depth", "blur_radius", "mask", "normal", "flow", "hidden"):
         assert (truth(inverse, name) == truth(forward, name)).all()
@@ -108,7 +107,7 @@ def test_warps_agree_where_nothing_was_hidden(method: Method, make_scene: SceneM
     assert 0 < np.sqrt(np.mean(difference**2)) < np.sqrt(np.mean(apart**2))
 
 
-def test_domain_surface_leaves_the_gap_between_two_sheets(make_scene: SceneMaker) -> None:
+def test_domain_surface_leaves_the_gap_between_two_sheets() -> None:
     # x^2 - y^2 - z^2 = 1: a bowl on the left, one on the right, and 16 px of nothing between them.
     item = Quadric(
         center=(0.0, 0.0, 250.0),
@@ -117,7 +116,7 @@ def test_domain_surface_leaves_the_gap_between_two_sheets(make_scene: SceneMaker
     )
     domains: tuple[Literal["surface", "span"], ...] = ("surface", "span")
     surface, span = (
-        only(make_scene(item, SHAPE, motion=Motion(warp="forward"), fill=Fill(domain=domain))) for domain in domains
+        only(scene_of(item, size=SIZE, motion=Motion(warp="forward"), fill=Fill(domain=domain))) for domain in domains
     )
     gap = ~truth(span, "mask")
     assert gap[:, 14:18].all()
@@ -127,21 +126,21 @@ def test_domain_surface_leaves_the_gap_between_two_sheets(make_scene: SceneMaker
     assert (truth(span, "filled")[gap] == 1).sum() > 50
 
 
-def test_what_does_not_move_needs_no_filling(make_scene: SceneMaker) -> None:
+def test_what_does_not_move_needs_no_filling() -> None:
     item = Sphere(center=(0.0, 0.0, 280.0), radius=1.5)
-    inverse = only(make_scene(item, SHAPE, sequence=Sequence(samples=7)))
-    forward = only(make_scene(item, SHAPE, motion=Motion(warp="forward")))
+    inverse = only(scene_of(item, size=SIZE, sequence=Sequence(samples=7)))
+    forward = only(scene_of(item, size=SIZE, motion=Motion(warp="forward")))
     assert (inverse.color == forward.color).all()
     assert truth(inverse, "mask").any()
     assert not truth(inverse, "mask").all()
     assert inverse.metadata["intermediate"][0]["time"] == 0.0
 
 
-def test_motion_that_is_nothing_is_standing_still(make_scene: SceneMaker) -> None:
+def test_motion_that_is_nothing_is_standing_still() -> None:
     """A full turn about the axis of symmetry, sampled at its end, is the image at rest."""
     still = Plane(distance=260.0)
     turning = still.model_copy(update={"motion": ObjectMotion(angular_velocity=(0.0, 0.0, 360.0))})
     sequence = Sequence(samples=1, sampling="endpoint")
-    expected = only(make_scene(still, SHAPE)).color
-    found = only(make_scene(turning, SHAPE, sequence=sequence)).color
+    expected = only(scene_of(still, size=SIZE)).color
+    found = only(scene_of(turning, size=SIZE, sequence=sequence)).color
     np.testing.assert_allclose(found, expected, atol=1e-10)  # eps of the pixel numbers, times the texture's slope

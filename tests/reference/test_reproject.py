@@ -24,15 +24,15 @@ from clsco.reference.warp.warp import (
     reproject_winner,
 )
 from clsco.scene.model import Camera, DepthMap, Motion, Object, ObjectMotion, Plane, Scene, Sphere
+from tests.scenes import scene_of
 
-SceneMaker = Callable[..., Scene]
 Placer = Callable[..., PlacedSurface]
 
 
-def warp(make_scene: SceneMaker, at: Placer, item: Object, shape: tuple[int, int], guard: int = 0) -> tuple[Any, ...]:
+def warp(at: Placer, item: Object, shape: tuple[int, int], guard: int = 0) -> tuple[Any, ...]:
     """Known, radiance and inverse depth after 1 s, and the texture."""
     texture = np.random.default_rng(3).random((*shape, 1))
-    scene = make_scene(item, shape)
+    scene = scene_of(item, size=shape[::-1])
     pose = pose_at(item.motion, 1.0, "euler")
     found = reproject(scene, [texture], [at(item)], [None], [pose], guard)
     return found.known, found.radiance, found.inverse_depth, texture
@@ -46,10 +46,8 @@ def warp(make_scene: SceneMaker, at: Placer, item: Object, shape: tuple[int, int
     ],
 )
 @pytest.mark.parametrize("guard", [0, 5])
-def test_missing_pixels_of_the_thesis(
-    motion: ObjectMotion, count: int, guard: int, make_scene: SceneMaker, at: Placer
-) -> None:
-    known, radiance, w, _ = warp(make_scene, at, Plane(motion=motion), (512, 512), guard)
+def test_missing_pixels_of_the_thesis(motion: ObjectMotion, count: int, guard: int, at: Placer) -> None:
+    known, radiance, w, _ = warp(at, Plane(motion=motion), (512, 512), guard)
     values = np.concatenate([radiance, w[..., None]], axis=-1)
     _, _, report = fill(values, known, None, "ait", guard)
     assert report.filled_first_sweep == count
@@ -61,10 +59,10 @@ def test_missing_pixels_of_the_thesis(
 
 @pytest.mark.parametrize("shift_px", [0.0, 0.25, 0.5, 0.75, 1.0, -0.5, 2.5])
 @pytest.mark.parametrize("shape", [(30, 41), (32, 40)])
-def test_shift_leaves_no_holes(shift_px: float, shape: tuple[int, int], make_scene: SceneMaker, at: Placer) -> None:
+def test_shift_leaves_no_holes(shift_px: float, shape: tuple[int, int], at: Placer) -> None:
     speed = shift_px * 0.125  # 1 px is 0.125 mm at 250 mm
     item = Plane(motion=ObjectMotion(velocity=(speed, -speed, 0.0)))
-    known, radiance, w, texture = warp(make_scene, at, item, shape)
+    known, radiance, w, texture = warp(at, item, shape)
     pixels = int(np.floor(shift_px + 0.5))  # right and down
     inside = np.zeros(shape, dtype=bool)
     rows, columns = (slice(max(pixels, 0), n + min(pixels, 0)) for n in shape)
@@ -79,26 +77,26 @@ def test_shift_leaves_no_holes(shift_px: float, shape: tuple[int, int], make_sce
 
 @pytest.mark.parametrize(("angle", "turns"), [(90.0, -1), (180.0, -2), (-90.0, 1)])
 @pytest.mark.parametrize("side", [24, 25])
-def test_quarter_turns_are_exact(angle: float, turns: int, side: int, make_scene: SceneMaker, at: Placer) -> None:
+def test_quarter_turns_are_exact(angle: float, turns: int, side: int, at: Placer) -> None:
     item = Plane(motion=ObjectMotion(angular_velocity=(0.0, 0.0, angle)))
-    known, radiance, _, texture = warp(make_scene, at, item, (side, side))
+    known, radiance, _, texture = warp(at, item, (side, side))
     assert known.all()
     assert (radiance == np.rot90(texture, turns)).all()  # rot90 turns against the clock
 
 
-def test_guard_keeps_what_leaves_the_frame(make_scene: SceneMaker, at: Placer) -> None:
+def test_guard_keeps_what_leaves_the_frame(at: Placer) -> None:
     item = Plane(motion=ObjectMotion(velocity=(0.375, 0.0, 0.0)))  # 3 px
-    known, radiance, _, texture = warp(make_scene, at, item, (20, 30), guard=5)
+    known, radiance, _, texture = warp(at, item, (20, 30), guard=5)
     expected = np.zeros((30, 40), dtype=bool)
     expected[5:25, 8:38] = True
     assert (known == expected).all()
     assert (radiance[5:25, 8:38] == texture).all()
 
 
-def test_nearer_surface_wins(make_scene: SceneMaker, at: Placer) -> None:
+def test_nearer_surface_wins(at: Placer) -> None:
     """A sphere turned by a quarter: what was left and right of its pole projects to the same pixels."""
     item = Sphere(center=(0.0, 0.0, 280.0), radius=2.5, motion=ObjectMotion(angular_velocity=(0.0, 90.0, 0.0)))
-    known, _, w, _ = warp(make_scene, at, item, (48, 48))
+    known, _, w, _ = warp(at, item, (48, 48))
     assert known.sum() > 100
     # As many sources come to lie behind Z = 280 as before it. Through the gaps between the nearer a few show.
     assert (1 / w[known] < 280.0).mean() > 0.9
@@ -130,9 +128,9 @@ def test_nearest_pixel_rounds_halves_up_and_ignores_the_last_digits() -> None:
     assert nearest_pixel(position).tolist() == [1, 1, 1, 0, 0, 1, 0, -1, 10**9]
 
 
-def test_what_moves_behind_the_lens_is_gone(make_scene: SceneMaker, at: Placer) -> None:
+def test_what_moves_behind_the_lens_is_gone(at: Placer) -> None:
     item = Plane(motion=ObjectMotion(velocity=(0.0, 0.0, -300.0)))
-    known, _, _, _ = warp(make_scene, at, item, (16, 16))
+    known, _, _, _ = warp(at, item, (16, 16))
     assert not known.any()
     assert not mark_missing(known, None).any()
 

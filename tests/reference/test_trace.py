@@ -25,12 +25,13 @@ from clsco.reference.trace.trace import (
     view_at,
 )
 from clsco.scene.model import Ellipsoid, Motion, ObjectMotion, Plane, Psf, Scene, Sequence, Sphere
+from tests.scenes import scene_of
 
-SceneMaker = Callable[..., Scene]
 Placer = Callable[..., PlacedSurface]
 
 SMALL_SPHERE = Sphere(center=(0.3, -0.2, 280.0), radius=2.5)
 SHAPE = (40, 48)
+SIZE = SHAPE[::-1]
 ALONE = Layer(1, 0)  # one object, and nothing in its way
 EPS = np.finfo(np.float64).eps
 
@@ -45,8 +46,8 @@ def seen(scene: Scene, texture: NDArray[np.float64], time: float = 0.0, moved: b
     return view_at(scene, (texture,), time, "left", moved)
 
 
-def test_sources_at_rest_are_the_texels(make_scene: SceneMaker) -> None:
-    scene, texture = make_scene(Plane(distance=280.0, slope_x=0.5), SHAPE), random_texture(3)
+def test_sources_at_rest_are_the_texels() -> None:
+    scene, texture = scene_of(Plane(distance=280.0, slope_x=0.5), size=SIZE), random_texture(3)
     sources = trace(seen(scene, texture), ALONE, 5)
     assert (sources.label > 0).all()
     assert (sources.radiance == np.pad(texture, ((5, 5), (5, 5), (0, 0)), mode="symmetric")).all()
@@ -56,8 +57,8 @@ def test_sources_at_rest_are_the_texels(make_scene: SceneMaker) -> None:
     np.testing.assert_allclose(np.diff(sources.radius, axis=0), sources.gradient[:-1, :, 1], atol=1e-11)
 
 
-def test_guard_sees_the_same_surface(make_scene: SceneMaker) -> None:
-    scene, texture = make_scene(SMALL_SPHERE, SHAPE), random_texture()
+def test_guard_sees_the_same_surface() -> None:
+    scene, texture = scene_of(SMALL_SPHERE, size=SIZE), random_texture()
     wide, narrow = (trace(seen(scene, texture), ALONE, guard) for guard in (7, 0))
     assert 0.1 < (narrow.label > 0).mean() < 0.9
     for name in ("radiance", "inverse_depth", "label", "radius", "gradient"):
@@ -67,9 +68,9 @@ def test_guard_sees_the_same_surface(make_scene: SceneMaker) -> None:
 
 
 @pytest.mark.parametrize("texture_filter", ["nearest", "bilinear", "bicubic"])
-def test_whole_pixel_motion_moves_the_texels(texture_filter: Filter, make_scene: SceneMaker) -> None:
+def test_whole_pixel_motion_moves_the_texels(texture_filter: Filter) -> None:
     item = Plane(motion=ObjectMotion(velocity=(0.5, -0.25, 0.0)))  # 4 px right, 2 px down at 250 mm
-    scene = make_scene(item, SHAPE, motion=Motion(texture_filter=texture_filter))
+    scene = scene_of(item, size=SIZE, motion=Motion(texture_filter=texture_filter))
     texture = random_texture()
     sources = trace(seen(scene, texture, 1.0, moved=True), ALONE, 0)
     # Positions are off by eps of a few hundred px, and a filter's slope is at most 2 per px.
@@ -99,9 +100,9 @@ def test_silhouettes_by_plain_search() -> None:
 
 
 @pytest.mark.parametrize("moved", [False, True])
-def test_subpixels_are_rays_of_their_own(moved: bool, make_scene: SceneMaker, at: Placer) -> None:
+def test_subpixels_are_rays_of_their_own(moved: bool, at: Placer) -> None:
     item = SMALL_SPHERE.model_copy(update={"motion": ObjectMotion(angular_velocity=(0.0, 30.0, 0.0))})
-    scene, texture = make_scene(item, SHAPE, psf=Psf(silhouette_samples=3)), random_texture(3)
+    scene, texture = scene_of(item, size=SIZE, psf=Psf(silhouette_samples=3)), random_texture(3)
     surface = at(item, 1.0 if moved else 0.0)
     view = seen(scene, texture, 1.0 if moved else 0.0, moved)
     own = trace(view, ALONE, 4)
@@ -128,9 +129,9 @@ def test_subpixels_are_rays_of_their_own(moved: bool, make_scene: SceneMaker, at
         assert (sub.radiance == np.where(sub.hit[..., None], texel, 0.0)).all()
 
 
-def test_truth_of_a_plane(make_scene: SceneMaker) -> None:
+def test_truth_of_a_plane() -> None:
     item = Plane(distance=250.0, motion=ObjectMotion(velocity=(10.0, 0.0, 35.0)))
-    scene = make_scene(item, SHAPE, sequence=Sequence(shutter=1.0, interval=1.0))
+    scene = scene_of(item, size=SIZE, sequence=Sequence(shutter=1.0, interval=1.0))
     truth = ground_truth(scene, (random_texture(),), 0)
     middle = 250.0 + 17.5
     np.testing.assert_allclose(truth.depth, middle, rtol=8 * EPS)
@@ -146,17 +147,17 @@ def test_truth_of_a_plane(make_scene: SceneMaker) -> None:
 
 
 @pytest.mark.parametrize(("distance", "expected"), [(250.0, 80.0), (285.0, 70.2)])
-def test_flow_of_the_thesis(distance: float, expected: float, make_scene: SceneMaker) -> None:
+def test_flow_of_the_thesis(distance: float, expected: float) -> None:
     item = Plane(distance=distance, motion=ObjectMotion(velocity=(10.0, 0.0, 0.0)))
-    flow = ground_truth(make_scene(item, SHAPE), (random_texture(),), 0).flow
+    flow = ground_truth(scene_of(item, size=SIZE), (random_texture(),), 0).flow
     assert np.abs(flow[..., 0] - expected).max() < 0.03  # 70.175 px, given as 70.2
     assert np.abs(flow[..., 1]).max() < 1e-10  # eps of the frame's pixel numbers times s0/p
 
 
-def test_flow_leads_to_the_same_point_of_the_object(make_scene: SceneMaker, at: Placer) -> None:
+def test_flow_leads_to_the_same_point_of_the_object(at: Placer) -> None:
     motion = ObjectMotion(velocity=(0.3, 0.2, 5.0), angular_velocity=(5.0, -8.0, 12.0))
     item = Ellipsoid(center=(0.0, 0.0, 290.0), semi_axes=(3.0, 2.0, 4.0), motion=motion)
-    scene = make_scene(item, SHAPE)
+    scene = scene_of(item, size=SIZE)
     truth = ground_truth(scene, (random_texture(),), 1)
     row, column = padded_grid(scene.camera, 0)
     camera = scene.camera
@@ -176,8 +177,8 @@ def test_flow_leads_to_the_same_point_of_the_object(make_scene: SceneMaker, at: 
     assert np.abs(truth.flow[truth.mask]).max() > 3.0
 
 
-def test_nothing_flows_and_nothing_is_hidden_at_rest(make_scene: SceneMaker) -> None:
-    truth = ground_truth(make_scene(SMALL_SPHERE, SHAPE), (random_texture(),), 3)
+def test_nothing_flows_and_nothing_is_hidden_at_rest() -> None:
+    truth = ground_truth(scene_of(SMALL_SPHERE, size=SIZE), (random_texture(),), 3)
     assert truth.mask.any()
     assert not truth.mask.all()
     assert np.abs(truth.flow).max() < 1e-10
@@ -187,11 +188,11 @@ def test_nothing_flows_and_nothing_is_hidden_at_rest(make_scene: SceneMaker) -> 
     assert (truth.object_id == np.where(truth.mask, 0, -1)).all()
 
 
-def test_back_of_a_turned_sphere_was_hidden(make_scene: SceneMaker) -> None:
+def test_back_of_a_turned_sphere_was_hidden() -> None:
     item = SMALL_SPHERE.model_copy(
         update={"center": (0.0, 0.0, 280.0), "motion": ObjectMotion(angular_velocity=(0.0, 180.0, 0.0))}
     )
-    truth = ground_truth(make_scene(item, SHAPE), (random_texture(),), 0)  # turned by 90 deg about y
+    truth = ground_truth(scene_of(item, size=SIZE), (random_texture(),), 0)  # turned by 90 deg about y
     hidden = truth.hidden & truth.mask
     # At a distance of 112 radii half of the disc, within 1/112 of its width, shows what was behind the limb.
     left, right = (
@@ -212,16 +213,16 @@ def test_back_of_a_turned_sphere_was_hidden(make_scene: SceneMaker) -> None:
     ],
 )
 def test_surface_from_outside_of_the_frame_was_hidden(
-    velocity: tuple[float, float, float], outside: tuple[slice, slice], make_scene: SceneMaker
+    velocity: tuple[float, float, float], outside: tuple[slice, slice]
 ) -> None:
     item = Plane(motion=ObjectMotion(velocity=velocity))  # 8 px/s: 4 px at the middle
     expected = np.zeros(SHAPE, dtype=bool)
     expected[outside] = True
-    assert (ground_truth(make_scene(item, SHAPE), (random_texture(),), 0).hidden == expected).all()
+    assert (ground_truth(scene_of(item, size=SIZE), (random_texture(),), 0).hidden == expected).all()
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_euler_and_axis_are_one_for_single_axes(axis: int, make_scene: SceneMaker) -> None:
+def test_euler_and_axis_are_one_for_single_axes(axis: int) -> None:
     x, y, z = (40.0 * (axis == k) for k in range(3))
     item = Ellipsoid(
         center=(0.0, 0.0, 290.0),
@@ -229,10 +230,12 @@ def test_euler_and_axis_are_one_for_single_axes(axis: int, make_scene: SceneMake
         motion=ObjectMotion(angular_velocity=(x, y, z)),
     )
     truths = [
-        ground_truth(make_scene(item, SHAPE, motion=Motion(rotation=rotation)), (random_texture(),), 0)
+        ground_truth(scene_of(item, size=SIZE, motion=Motion(rotation=rotation)), (random_texture(),), 0)
         for rotation in ("euler", "axis")
     ]
-    still = ground_truth(make_scene(item.model_copy(update={"motion": ObjectMotion()}), SHAPE), (random_texture(),), 0)
+    still = ground_truth(
+        scene_of(item.model_copy(update={"motion": ObjectMotion()}), size=SIZE), (random_texture(),), 0
+    )
     assert np.abs(truths[0].sharp - still.sharp).max() > 0.1
     assert (truths[0].mask == truths[1].mask).all()
     both = truths[0].mask
@@ -242,10 +245,10 @@ def test_euler_and_axis_are_one_for_single_axes(axis: int, make_scene: SceneMake
     np.testing.assert_allclose(euler, about, atol=4 * EPS)
 
 
-def test_turn_about_z_is_clockwise_for_the_viewer(make_scene: SceneMaker) -> None:
+def test_turn_about_z_is_clockwise_for_the_viewer() -> None:
     """2.13 to 2.23: in x right, y up, z towards the camera a positive angle takes +y to +x."""
     item = Plane(motion=ObjectMotion(angular_velocity=(0.0, 0.0, 10.0)))
-    flow = ground_truth(make_scene(item, SHAPE), (random_texture(),), 0).flow
+    flow = ground_truth(scene_of(item, size=SIZE), (random_texture(),), 0).flow
     assert (flow[0, :, 0] > 0).all()
     assert (flow[-1, :, 0] < 0).all()
     assert (flow[:, -1, 1] > 0).all()

@@ -18,6 +18,7 @@ from clsco.scene.file import MAX_DOTS, MAX_FILE_BYTES, load_scene, parse_scene
 from clsco.scene.model import AnyShape, Cone, Cylinder, DepthMap, Ellipsoid, Plane, Quadric, Scene, Sphere
 from clsco.scene.schema import scene_schema
 from clsco.scene.sweep import load_sweep
+from tests.scenes import scene_file
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples").rglob("*.toml"))
 THESIS = [path for path in EXAMPLES if path.parent.name == "thesis"]
@@ -45,9 +46,7 @@ SPHERE = {"shape": "sphere"}
 
 @pytest.fixture
 def ball(tmp_path: Path) -> Path:
-    path = tmp_path / "ball.toml"
-    path.write_text(BALL, encoding="utf-8")
-    return path
+    return scene_file(tmp_path / "ball.toml", BALL)
 
 
 def messages_of(mapping: Any) -> tuple[str, ...]:
@@ -431,8 +430,8 @@ def test_any_file_is_a_scene_or_a_scene_error(
 
 
 def test_files_of_a_depth_map_lie_beside_the_scene(tmp_path: Path) -> None:
-    path = tmp_path / "map.toml"
-    path.write_text('[[object]]\nshape = "depth_map"\ndepth = "z.exr"\ntexture = "left.png"\n')
+    text = '[[object]]\nshape = "depth_map"\ndepth = "z.exr"\ntexture = "left.png"\n'
+    path = scene_file(tmp_path / "map.toml", text)
     (item,) = load_scene(path).objects
     assert isinstance(item, DepthMap)
     assert (item.depth, item.texture) == (str(tmp_path / "z.exr"), str(tmp_path / "left.png"))
@@ -443,10 +442,10 @@ def test_files_of_a_depth_map_lie_beside_the_scene(tmp_path: Path) -> None:
 
 
 def test_a_missing_texture_is_told_with_the_other_faults(tmp_path: Path) -> None:
-    path = tmp_path / "two.toml"
-    path.write_text(
+    path = scene_file(
+        tmp_path / "two.toml",
         '[[object]]\nshape = "sphere"\nradius = -1\ntexture = "nothere.png"\n'
-        '[[object]]\nshape = "depth_map"\ndepth = "z.exr"\n'
+        '[[object]]\nshape = "depth_map"\ndepth = "z.exr"\n',
     )
     with pytest.raises(SceneError) as caught:
         load_scene(path)

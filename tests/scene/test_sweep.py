@@ -19,6 +19,7 @@ from clsco.scene.file import MAX_OUTPUTS, load_scene, parse_scene, swept_keys
 from clsco.scene.model import Camera, Motion, ObjectMotion, Scene, Sequence
 from clsco.scene.schema import scene_schema
 from clsco.scene.sweep import load_sweep, parse_sweep
+from tests.scenes import scene_file
 
 BALL = '[[object]]\nshape = "sphere"\n'
 
@@ -91,8 +92,7 @@ def test_labels_differ_and_name_folders() -> None:
 
 
 def test_a_sweep_is_the_scenes_of_single_values(tmp_path: Path) -> None:
-    path = tmp_path / "stack.toml"
-    path.write_text(f'camera.f_number = 4\n{BALL}texture = "wall.png"\n')
+    path = scene_file(tmp_path / "stack.toml", f'camera.f_number = 4\n{BALL}texture = "wall.png"\n')
     assert clsco.load_sweep(path) == clsco.load_sweep(path, [])
     assert load_sweep(path).scenes == (load_scene(path),)
     sweep = load_sweep(path, ["camera.focus_distance=[200, 300]", "object.0.motion.velocity=[[1, 0, 0], [2, 0, 0]]"])
@@ -104,8 +104,7 @@ def test_a_sweep_is_the_scenes_of_single_values(tmp_path: Path) -> None:
 
 
 def test_one_scene_is_not_read_from_a_sweep(tmp_path: Path) -> None:
-    path = tmp_path / "stack.toml"
-    path.write_text(f"camera.f_number = [2, 4]\nsequence.samples = {{ from = 3 }}\n{BALL}")
+    path = scene_file(tmp_path / "stack.toml", f"camera.f_number = [2, 4]\nsequence.samples = {{ from = 3 }}\n{BALL}")
     with pytest.raises(SceneError) as caught:
         load_scene(path)
     rule = "must be one value; clsco.load_sweep reads a list or range of them"
@@ -198,8 +197,7 @@ def test_all_faults_are_told_at_once_and_each_once() -> None:
 
 
 def test_a_missing_texture_is_told_with_the_faults_of_a_sweep(tmp_path: Path) -> None:
-    path = tmp_path / "stack.toml"
-    path.write_text(f'camera.f_number = [2, -4]\n{BALL}texture = "none.png"\n')
+    path = scene_file(tmp_path / "stack.toml", f'camera.f_number = [2, -4]\n{BALL}texture = "none.png"\n')
     with pytest.raises(SceneError) as caught:
         load_sweep(path)
     assert caught.value.messages == (

@@ -1,0 +1,43 @@
+"""Scenes that tests build: of objects, of tables as a scene file has them, and files; and the plans of scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from clsco.plan.buffers import DeviceFacts
+from clsco.plan.plan import Plan, make_plan
+from clsco.scene.file import parse_scene
+from clsco.scene.model import Camera, Scene
+
+Table = Mapping[str, Any]
+# A scene file for tests that look at files and messages: its frame takes no time.
+PLANE = '[camera]\nresolution = [12, 9]\n[[object]]\nshape = "plane"\n'
+
+
+def scene_of(*items: Any, size: tuple[int, int] = (64, 48), camera: Table | None = None, **sections: Any) -> Scene:
+    """A scene of objects in a frame of `size`, columns by rows; camera: its other keys."""
+    return Scene(camera=Camera(resolution=size, **(camera or {})), objects=items, **sections)
+
+
+def plan_of(
+    *items: Any, channels: int = 1, truth: tuple[str, ...] = (), method: str = "auto",
+    device: DeviceFacts | None = None, **scene: Any,
+) -> Plan:  # fmt: skip
+    """The plan of such a scene, without ground truth unless `truth` names some; scene: what `scene_of` takes."""
+    return make_plan(scene_of(*items, **scene), channels, truth, method, device=device)
+
+
+def scene_from(tables: Table, *items: Table, **sections: Any) -> Scene:
+    """A scene of tables as a file has them, with these objects if any; keys of `sections` replace the tables' own."""
+    found = {**tables, **({"object": list(items)} if items else {})}
+    for name, section in sections.items():
+        found[name] = {**found.get(name, {}), **section} if isinstance(section, Mapping) else section
+    return parse_scene(found)
+
+
+def scene_file(path: Path, text: str) -> Path:
+    """Write a scene file; gives its path."""
+    path.write_text(text, "utf-8")
+    return path
