@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from clsco.constants import NO_WINNER
+
 SNAP = 4096.0  # steps per px, to which kernels/warp/warp.cl snaps positions
-NO_WINNER = np.iinfo(np.int32).max
 
 
 def _nearest(rest, pose, center, step, threads):  # type: ignore[no-untyped-def]

@@ -13,6 +13,7 @@ import pyopencl as cl
 import pyopencl.array as cl_array
 from numpy.typing import NDArray
 
+from clsco.constants import TAP_LANES
 from clsco.engine.shrinking import Shrinking
 from clsco.errors import ImageError
 from clsco.files.transfer import decode, encode
@@ -23,7 +24,6 @@ from clsco.opencl.device import Device
 from clsco.opencl.session import DeviceLike, Session
 from clsco.optics.lens import LARGEST_BLUR
 from clsco.optics.psf import reach
-from clsco.optics.psf_tables import TAP_LANES
 from clsco.optics.slabs import Slabs
 from clsco.passes.blur import Sources, image_target, prepare_sources
 from clsco.passes.layered import DepthLayers

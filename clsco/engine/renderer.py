@@ -10,6 +10,7 @@ import numpy as np
 import pyopencl as cl
 
 from clsco import __version__
+from clsco.constants import STATISTIC_LARGEST, STATISTIC_MOST_SLOTS, STATISTIC_SMALLEST
 from clsco.engine.workspace import Workspace, make_workspace
 from clsco.errors import DeviceError
 from clsco.frame.frame import Frame
@@ -169,8 +170,9 @@ class Renderer:
             return False
         statistics = self._ready.buffers["statistics"]
         found = download(self.scene.session, statistics, EMPTY_STATISTICS.shape, np.int32)
-        largest, smallest = (float(r) for r in found[:2].view(np.float32))
-        slots = int(found[3])
+        radii = found.view(np.float32)
+        largest, smallest = float(radii[STATISTIC_LARGEST]), float(radii[STATISTIC_SMALLEST])
+        slots = int(found[STATISTIC_MOST_SLOTS])
         fits = largest <= plan.largest_blur * SLACK + 1e-6 and smallest >= plan.smallest_blur / SLACK - 1e-6
         if largest == 0.0 or (fits and slots <= plan.slots):
             return False

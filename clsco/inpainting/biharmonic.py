@@ -17,6 +17,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
+from clsco.constants import DOT_SEGMENT
 from clsco.inpainting.hole_shapes import FINER_GAIN, FIRST_GAIN, MOST_STEPS, TOLERANCE, spline_holes
 from clsco.inpainting.tiles import Progress, fill_in_tiles, no_progress
 from clsco.opencl.buffers import download, empty, upload
@@ -25,7 +26,6 @@ from clsco.opencl.session import Program, Session
 from clsco.records import Real, structs
 
 LOCAL = (64,)
-SEGMENT = 256  # as in kernels/inpainting/biharmonic.cl
 CHECK_EVERY = 10  # steps between two tests of the residual, which wait for the device
 
 
@@ -87,7 +87,7 @@ class _Solver:
         unknowns = int(self.levels[0].count)
         self.residual = self.levels[0].vector
         self.solution, self.direction, self.applied, self.better = (self._vector(unknowns) for _ in range(4))
-        self.partial, self.sums = self._vector(-(-unknowns // SEGMENT)), self._vector(3)
+        self.partial, self.sums = self._vector(-(-unknowns // DOT_SEGMENT)), self._vector(3)
 
     def solve(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
         """The solution (N, K) at the N missing pixels, row by row, of an image (H, W, K)."""
@@ -136,7 +136,7 @@ class _Solver:
 
     def _dot(self, a: cl.Buffer, b: cl.Buffer, slot: int) -> None:
         count = self.levels[0].count
-        segments = -(-int(count) // SEGMENT)
+        segments = -(-int(count) // DOT_SEGMENT)
         self._launch("add_products", segments, a, b, count, self.partial)
         self._launch("add_partials", self.channels, self.partial, np.int32(segments), np.int32(slot), self.sums)
 

@@ -18,7 +18,8 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clsco.inpainting.fse_tables import BLOCK, FEWEST_WAVES, GUESS, MOST_WAVES, STEP, TRUST, WAVES_PER_CONTRAST, tables
+from clsco.constants import FSE_BLOCK
+from clsco.inpainting.fse_tables import FEWEST_WAVES, GUESS, MOST_WAVES, STEP, TRUST, WAVES_PER_CONTRAST, tables
 from clsco.inpainting.hole_shapes import block_turns, doubled, halved
 from clsco.inpainting.tiles import Progress, fill_in_tiles, no_progress
 from clsco.opencl.buffers import copied, download, empty, upload
@@ -58,7 +59,7 @@ def _fill(
 ) -> NDArray[np.float32]:
     if not missing.any():
         return image
-    turns = block_turns(missing, BLOCK)
+    turns = block_turns(missing, FSE_BLOCK)
     start = np.where(missing[..., None], np.float32(0), image)
     weights = np.where(missing, np.float32(0), np.float32(1))
     if turns.max() > 1:  # some block is wholly missing
@@ -68,7 +69,7 @@ def _fill(
     value, weight = (copied(session, array) for array in (start, weights))
     size = (np.int32(missing.shape[0]), np.int32(missing.shape[1]))
     order = np.argsort(turns, axis=None, kind="stable")
-    blocks = (np.stack(np.unravel_index(order, turns.shape), axis=1) * BLOCK).astype(np.int32)
+    blocks = (np.stack(np.unravel_index(order, turns.shape), axis=1) * FSE_BLOCK).astype(np.int32)
     ends = np.searchsorted(turns.ravel()[order], np.arange(turns.max() + 2))
     settings = (np.float32(STEP), np.float32(WAVES_PER_CONTRAST), np.int32(FEWEST_WAVES), np.int32(MOST_WAVES))
     held = []  # until the queue is done with them
@@ -77,7 +78,7 @@ def _fill(
         if not count:
             continue
         listed = upload(session, blocks[first:end])
-        filled = empty(session, 4 * BLOCK**2 * image.shape[2] * count)
+        filled = empty(session, 4 * FSE_BLOCK**2 * image.shape[2] * count)
         todo = (listed, np.int32(count), *settings, filled)
         launch(session, kernel(program, "extrapolate_blocks"), (count,), LOCAL, *size, value, weight, *constants, *todo)
         settled = (*size, filled, listed, np.int32(count), np.float32(TRUST), value, weight)

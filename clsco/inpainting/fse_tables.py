@@ -8,9 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-SIDE = 32  # of the window, px; the kernel's
-BLOCK = 2  # of what is filled from it, px; the kernel's
-BEFORE = (SIDE - BLOCK) // 2  # pixels of the window before the block
+from clsco.constants import FSE_SIDE
+
 # The following were chosen on the cases of benchmarks/inpainting: each is flat within 0.1 dB around its value.
 DECAY = 0.65  # by which a pixel counts less per px from the block's center
 STEP = 0.7  # part of a wave's amplitude that is taken out at a time: less than all, as waves are not orthogonal
@@ -31,15 +30,15 @@ class Tables(NamedTuple):
 
 @cache
 def tables() -> Tables:
-    """window (SIDE, SIDE): DECAY to the distance from the block's center. preference (SIDE, SIDE / 2): squares of 1 -
-    |frequency| / the highest (Genser et al. 2018), 0 for the mirrors in the first column and beyond the highest.
-    cosines, sines: (SIDE, SIDE / 2), of 2 pi a v / SIDE."""
-    place = np.arange(SIDE)
-    distance = place + 0.5 - SIDE / 2
+    """window (FSE_SIDE, FSE_SIDE): DECAY to the distance from the block's center. preference (FSE_SIDE, FSE_SIDE / 2):
+    squares of 1 - |frequency| / the highest (Genser et al. 2018), 0 for the mirrors in the first column and beyond the
+    highest. cosines, sines: (FSE_SIDE, FSE_SIDE / 2), of 2 pi a v / FSE_SIDE."""
+    place = np.arange(FSE_SIDE)
+    distance = place + 0.5 - FSE_SIDE / 2
     window = DECAY ** np.hypot(distance[:, None], distance)
-    frequency = np.minimum(place, SIDE - place) / (SIDE / 2)
-    size = np.hypot(frequency[:, None], frequency[: SIDE // 2]) / np.sqrt(2)
+    frequency = np.minimum(place, FSE_SIDE - place) / (FSE_SIDE / 2)
+    size = np.hypot(frequency[:, None], frequency[: FSE_SIDE // 2]) / np.sqrt(2)
     preference = (1 - size) ** 2
-    preference[SIDE // 2 + 1 :, 0] = 0
-    angle = 2 * np.pi / SIDE * (place[:, None] * place[: SIDE // 2] % SIDE)
+    preference[FSE_SIDE // 2 + 1 :, 0] = 0
+    angle = 2 * np.pi / FSE_SIDE * (place[:, None] * place[: FSE_SIDE // 2] % FSE_SIDE)
     return Tables(*(np.asarray(t, np.float32) for t in (window, preference, np.cos(angle), np.sin(angle))))

@@ -17,6 +17,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import DTypeLike, NDArray
 
+from clsco.constants import CODE_LANES, FILL_LANES, SCORE_SUMS, SCORED_COLUMNS
 from clsco.frame.strips import frame_struct
 from clsco.inpainting.rules import (
     Histogram,
@@ -41,8 +42,6 @@ Progress = Callable[[float], object]
 KERNELS = ("inpainting/score.cl", "inpainting/mean_median.cl")
 FEATURES = dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SAMPLED", "GENERAL"), 0)
 FEATURES |= {"FILL_MEAN_MEDIAN": 1, "IMAGE": 1}
-# As in the kernels.
-LANES, MOST_LANES, SUMS, SCORED = 8, 16, 13, 128
 MANY = 9  # neighbors: more than there are, of pixels that are not missing
 VECTORS, OWNERS = (8,), (1,)  # local sizes of kernels with a work-item per vector, or per segment
 ENTRIES = 64  # and, at most, of those with one per entry
@@ -196,7 +195,7 @@ def dilated(missing: Mask) -> Mask:
 class Band:
     """Rows of an image from `top` to before `bottom`, with those beside them.
 
-    above: the first row that there is; value: (count, columns, K) and MOST_LANES pixels more, finite where pixels are
+    above: the first row that there is; value: (count, columns, K) and CODE_LANES pixels more, finite where pixels are
     missing; overwritten by the next band.
     """
 
@@ -215,7 +214,7 @@ class Band:
 def bands(image: NDArray[Any], missing: Mask, wanted: Mask, dtype: DTypeLike) -> Iterator[Band]:
     """The bands of an image (rows, columns, K) with any wanted row (rows,), as numbers of a type."""
     rows, columns, channels = image.shape
-    step, most = max(1, BAND_VALUES // (columns * channels)), MOST_LANES * channels
+    step, most = max(1, BAND_VALUES // (columns * channels)), CODE_LANES * channels
     room = np.zeros(channels * columns * min(step + 2, rows) + most + ALIGNED, dtype)
     room = room[-room.ctypes.data % ALIGNED // room.itemsize :]  # processors then work in it, without a copy
     for top in range(0, rows, step):
@@ -236,15 +235,15 @@ def score_image(
 ) -> Score:
     """Stage 0; arguments as of `fill_mean_median`."""
     rows, columns, _ = image.shape
-    segments, found = -(-columns // SCORED), [np.zeros((1, SUMS), np.int64)]
+    segments, found = -(-columns // SCORED_COLUMNS), [np.zeros((1, SCORE_SUMS), np.int64)]
     for band in bands(image, missing, np.ones(rows, np.bool_), np.uint8 if image.dtype == np.uint8 else np.float32):
-        valid = np.concatenate([~band.missing.ravel(), np.zeros(MOST_LANES, np.bool_)])
+        valid = np.concatenate([~band.missing.ravel(), np.zeros(CODE_LANES, np.bool_)])
         camera, count = frame_struct(band.count, columns, 0, "float"), band.count * segments
-        sums, buffers = empty(session, 8 * SUMS * count), (upload(session, band.value), upload(session, valid))
+        sums, buffers = empty(session, 8 * SCORE_SUMS * count), (upload(session, band.value), upload(session, valid))
         launch(
             session, kernel(program, "score_mean_median"), (count,), OWNERS, camera, np.float32(scale), *buffers, sums
         )
-        found.append(download(session, sums, (count, SUMS), np.int64).sum(axis=0, keepdims=True))
+        found.append(download(session, sums, (count, SCORE_SUMS), np.int64).sum(axis=0, keepdims=True))
         progress(band.bottom / rows)
     return score_of_sums(np.concatenate(found), scale)
 
@@ -255,7 +254,7 @@ class Holes:
     def __init__(self, session: Session, program: Program, layout: Layout, image: NDArray[Any]) -> None:
         self.session, self.program, self.channels = session, program, image.shape[2]
         self.at, self.index = layout.at, layout.at.astype(np.int64)  # NumPy is faster by its own type
-        self.slots, self.missing = np.int32(layout.slots + LANES), np.int32(layout.at.size)
+        self.slots, self.missing = np.int32(layout.slots + FILL_LANES), np.int32(layout.at.size)
         self.level = layout.near()
         near, beside = np.full(layout.slots, MANY, np.int32), np.zeros((layout.slots, 2), np.int32)
         near[self.index], beside[self.index] = self.level, layout.beside
@@ -273,7 +272,7 @@ class Holes:
         """
         state = self._sweep(wins, minimum, limit, self.level, np.zeros(2, np.int32), progress)
         if state[1] < self.missing:
-            near = download(self.session, self.near, (int(self.slots) - LANES,), np.int32)[self.index]
+            near = download(self.session, self.near, (int(self.slots) - FILL_LANES,), np.int32)[self.index]
             left = np.where(np.isinf(self.values()[:, 0]), near, 0)
             state = self._sweep(wins, 1, NEVER, left, state, progress)
         return int(state[0])
@@ -301,7 +300,7 @@ class Holes:
             else:
                 part = (self.slots, *(np.int32(count * (k - 1) + n) for n in (begin, end)))
                 planes = (lists, self.beside, self.value, self.found)
-                self._launch("fill_holes", -(-(end - begin) // LANES), VECTORS, *part, wins, *planes)
+                self._launch("fill_holes", -(-(end - begin) // FILL_LANES), VECTORS, *part, wins, *planes)
                 items = end - begin if group > 1 else 1
                 self._launch("settle_holes", items, (min(group, ENTRIES),), *part, *rule)
             found = download(self.session, on_device, state.shape, np.int32)
@@ -327,7 +326,7 @@ class Holes:
         """Stage 2, to and fro between two sets of values; returns those of missing pixels."""
         run, single, alone = parts(self.at, self.level == 8)
         buffers = (upload(self.session, run), np.int32(len(run)), upload(self.session, single))
-        items = len(run) + -(-single.size // LANES)
+        items = len(run) + -(-single.size // FILL_LANES)
         # A single work-item needs no barrier between rounds, and takes less than launches where there is little to do.
         by_one = group_size(self.session) == 1 and items * self.channels <= MOST_VECTORS
         at_once = rounds if by_one else 1
@@ -357,7 +356,7 @@ def parts(at: NDArray[np.int32], alone: Mask) -> tuple[NDArray[np.int32], NDArra
     are `alone` (M,); they come last."""
     starts = np.flatnonzero(np.diff(at, prepend=-2) != 1)
     within = np.arange(at.size) - np.repeat(starts, np.diff(starts, append=at.size))
-    first = np.flatnonzero(within % LANES == 0)
+    first = np.flatnonzero(within % FILL_LANES == 0)
     counts = np.diff(first, append=at.size)
     runs = counts >= FEWEST
     single = np.repeat(~runs, counts)
@@ -385,7 +384,7 @@ def blend_border(
         count, camera = entries.size, frame_struct(band.count, columns, 0, "float")
         steepness, blended = empty(session, 4 * count), empty(session, 4 * count * channels)
         args = (upload(session, entries), np.int32(count), upload(session, band.value), steepness, blended)
-        launch(session, kernel(program, "blend_border"), (-(-count // LANES),), VECTORS, camera, *args)
+        launch(session, kernel(program, "blend_border"), (-(-count // FILL_LANES),), VECTORS, camera, *args)
         stages.gradients[some] = np.sqrt(download(session, steepness, (count,), np.float32).astype(np.float64))
         download_into(session, blended, stages.blended[some])
         progress(band.bottom / rows)

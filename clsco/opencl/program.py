@@ -11,6 +11,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
+from clsco.constants import definitions
 from clsco.errors import DeviceError, KernelError
 from clsco.opencl.device import failure
 from clsco.opencl.session import Program, Session
@@ -62,8 +63,9 @@ def build(
     -> NumPy dtype, as `struct_text` takes them, nested ones after their parts. real: what `real` and `real2`
     to `real16` mean.
 
-    Defined for the kernels: real, real2, real3, real4, real8, real16, REAL_IS_DOUBLE, HAS_FP64,
-    HAS_INT64_ATOMICS, VECTOR_WIDTH (floats of the device's widest vector, which may change the time and no result).
+    Defined for the kernels: the numbers of `clsco.constants`, real, real2, real3, real4, real8, real16, REAL_IS_DOUBLE,
+    HAS_FP64, HAS_INT64_ATOMICS, VECTOR_WIDTH (floats of the device's widest vector, which may change the time and no
+    result).
     Raises KernelError with the compiler's log, DeviceError where `real` is double and the device has none.
     """
     device = session.device
@@ -76,7 +78,8 @@ def build(
     if device.kind == "cpu":
         headers = [CPU_FORMS.get(header, header) for header in headers]
     text = program_text([*headers, *sources], structs, real, device.has_fp64, device.has_int64_atomics)
-    options = [f"-D{name}={int(value)}" for name, value in sorted(features.items())]
+    options = [f"-D{name}={value}" for name, value in definitions().items()]
+    options += [f"-D{name}={int(value)}" for name, value in sorted(features.items())]
     options.append("-cl-std=CL1.2")
     if real == "float":  # else 0.5 is a double, and so is the arithmetic around it
         options.append("-cl-single-precision-constant")

@@ -7,13 +7,12 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.constants import EDGE_COLUMNS, EDGE_ROWS, TAP_LANES
 from clsco.optics.psf import shape_of
-from clsco.optics.psf_tables import TAP_LANES
 from clsco.scene.model import Psf
 
 Array = NDArray[np.float64]
 
-EDGE, EDGE_ROWS = 8, 8  # around planes, as in kernels/blur/multigrid.cl
 MOST_LEVELS = 5
 FADE = 1.25  # from the smallest radius that moves to the one from which sources move as a whole
 STEEPEST = 1.0  # px to neighbors 2 px away: with more the radii of what shares a node would be too different
@@ -62,4 +61,4 @@ def coarse_frame(rows: int, columns: int, guard: int) -> tuple[int, int, int]:
 
 def plane_shape(width: int, height: int) -> tuple[int, int]:
     """Rows and pitch of a plane of a grid, see kernels/blur/multigrid.cl."""
-    return height + 2 * EDGE_ROWS, -(-(width + 4 * EDGE) // TAP_LANES) * TAP_LANES
+    return height + 2 * EDGE_ROWS, -(-(width + 4 * EDGE_COLUMNS) // TAP_LANES) * TAP_LANES

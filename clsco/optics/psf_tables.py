@@ -12,6 +12,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.constants import POWERS, TAP_LANES, WIDE_LANES
 from clsco.errors import SceneError
 from clsco.optics.psf import (
     MINIMUM_BLUR,
@@ -30,7 +31,6 @@ from clsco.scene.model import Psf
 Array = NDArray[np.float64]
 Widths = TypeVar("Widths", int, NDArray[np.int64])
 
-TAP_LANES = 8  # a row of weights fills whole vectors of this many floats
 # Intervals of the tables: so many per octave of the radius and an offset (`octaves_from`), so that they grow with it.
 # The weight of a point source has a kink of order 3/2 where its circle touches a pixel's edge, first at R = 1/8 px, and
 # that of a Gaussian a corner where its cut does; the area forms have these in every weight of a frame.
@@ -40,10 +40,8 @@ GAUSSIAN_STEPS = 64  # a power of 2: octaves are divided where the corners are, 
 # A sampled Gaussian changes fastest at few taps: so many intervals per unit of dx^2 + dy^2 up to so many units.
 FINE_STEPS, FINE_UNTIL = 16, 16
 # Chebyshev points of [0, 1]: near the best cubic, and never on a jump of a sampled PSF.
-NODES = 0.5 - 0.5 * np.cos((2 * np.arange(4) + 1) * np.pi / 8)
-POWERS = len(NODES)  # coefficients of a weight
-TO_POWERS = np.linalg.inv(np.vander(NODES, 4, increasing=True))
-WIDE_LANES = 16  # intervals of which a kernel reads the coefficients of a tap together, from every TAP_LANES-th one on
+NODES = 0.5 - 0.5 * np.cos((2 * np.arange(POWERS) + 1) * np.pi / 8)
+TO_POWERS = np.linalg.inv(np.vander(NODES, POWERS, increasing=True))
 # Sampled discs that reach at most so far, in px to both sides, are added up tap by tap: kernels/blur/cpu/near.clh.
 NEAR = 7
 LARGEST_TABLES = 2**30  # bytes

@@ -8,12 +8,12 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.constants import DISCONTINUITY_CLASSES
 from clsco.optics.psf import psf_extent
 from clsco.optics.psf_tables import table_reach
 from clsco.scene.model import Psf
 
-# As in kernels/layered/layered.cl.
-DISCONTINUITY, BIN, CLASSES = 1.0, 0.25, 10  # px, px
+DISCONTINUITY, BIN = 1.0, 0.25  # px, as in kernels/layered/layered.cl
 MOST_SLABS = 8
 
 
@@ -35,11 +35,11 @@ def bins_of(largest: float) -> tuple[float, int]:
 def slab_bounds(latest: NDArray[np.int32]) -> list[int]:
     """First bins of the second and each further depth layer, at most MOST_SLABS - 1 of them, in rising order.
 
-    latest: (CLASSES, bins) from `find_discontinuities` of layered.cl. From near to far, a discontinuity that no bound
-    splits yet gets one in the middle of where it can be; where that makes too many, those of the smallest class are
-    left alone.
+    latest: (DISCONTINUITY_CLASSES, bins) from `find_discontinuities` of layered.cl. From near to far, a discontinuity
+    that no bound splits yet gets one in the middle of where it can be; where that makes too many, those of the smallest
+    class are left alone.
     """
-    for smallest in range(CLASSES):
+    for smallest in range(DISCONTINUITY_CLASSES):
         bounds: list[int] = []
         begins = latest[smallest:].max(axis=0)
         for far_bin in np.flatnonzero(begins).tolist():

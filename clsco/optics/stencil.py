@@ -9,10 +9,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.constants import LONGEST_RUN
 from clsco.optics.psf import axis_weights, reach, shape_of, weights
 from clsco.scene.model import Psf
 
-LONGEST_RUN = 8  # weights that a kernel keeps in registers
 SUMMED = 12  # px, half-width of discs from which rectangles are worth the sums that they need
 # What a pair of sums and a weight of the quadrant, which is four taps, take, in units of the same time.
 PAIR_COST, WEIGHT_COST = 4.0, 2.0

@@ -15,6 +15,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.constants import LENS_CELLS
 from clsco.optics.lens import lens_radius
 from clsco.optics.motion import Pose
 from clsco.optics.psf import disc_coverage, shape_of, subpixel_weights
@@ -22,8 +23,6 @@ from clsco.optics.quadrics import Extent, place
 from clsco.scene.model import Camera, Object, Psf
 
 Array = NDArray[np.float64]
-
-LENS_CELLS = 8  # of the lens per half axis, where it is tested on a grid of its own (kernels/common/visibility.clh)
 
 
 @dataclass(frozen=True)

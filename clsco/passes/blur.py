@@ -10,11 +10,12 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
+from clsco.constants import GROUP_COLUMNS, GROUP_ROWS, TAP_LANES
 from clsco.frame.strips import BAND, Grid
 from clsco.opencl.buffers import empty, filled_with, mapped, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Program, Session
-from clsco.optics.psf_tables import NEAR, TAP_LANES, PsfTable, psf_features, psf_table
+from clsco.optics.psf_tables import NEAR, PsfTable, psf_features, psf_table
 from clsco.optics.visibility import lens_floats
 from clsco.passes.pack import psf_struct
 from clsco.plan.buffers import MOST_IN_ONE_SUM, Sizes, band_scratch, bands_at_a_time, margin
@@ -23,7 +24,7 @@ from clsco.records import Real, Struct, structs
 
 PIXELS = (64, 1)  # local size of kernels with a work-item per pixel
 BLOCKS = (8, 1)  # of kernels with one per TAP_LANES pixels of a row
-GROUP = (16, 8)  # pixels of a group of `tiles`, as in kernels/blur/tiles.cl
+GROUP = (GROUP_COLUMNS, GROUP_ROWS)  # of `tiles`
 # A pixel gets at most 2.6 + 2 ln R times the brightest source from pillboxes; the tilt at most doubles it.
 GAIN, GAIN_PER_LOG, TILT_GAIN = 2.6, 2.0, 2.0
 

@@ -7,21 +7,22 @@ from math import floor, log2
 import numpy as np
 import pyopencl as cl
 
+from clsco.constants import CONVOLVED_COLUMNS, CONVOLVED_ROWS, DROPPED_BITS, TILES_ABREAST
 from clsco.frame.strips import Grid
 from clsco.opencl.buffers import Refilled, empty
 from clsco.opencl.program import build
 from clsco.optics.stencil import Stencil, stencils
 from clsco.passes.blur import Events, FrameSum, Sources, Target
-from clsco.plan.buffers import CONVOLVED_COLUMNS, CONVOLVED_ROWS, SUMS_BEYOND, Sizes
+from clsco.plan.buffers import SUMS_BEYOND, Sizes
 from clsco.plan.methods import BlurSpec
 from clsco.records import Struct, structs
 
 SHAPES = ("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED")
 FEATURES = dict.fromkeys((*SHAPES, "FILTER", "SAMPLED", "GENERAL", "CHANNELS"), 0)
-TILES_ABREAST = 8  # so many are made side by side before those below
-BITS, LOWER_BITS = 56, 26  # of a sum over a disc, and those of them that sums of 32 bits leave out
-# What they leave out is less than a unit of each row of a disc: (2 R + 1) 2^-29 of the brightest source at most, 2e-7
-# at R = 60, and 1e-8 RMS. Of radiance above so many times white, sums of 64 bits keep that from what is beside it.
+BITS = 56  # of a sum over a disc
+# What sums without DROPPED_BITS leave out is less than a unit of each row of a disc: (2 R + 1) 2^-29 of the brightest
+# source at most, 2e-7 at R = 60, and 1e-8 RMS. Of radiance above so many times white, sums of 64 bits keep that from
+# what is beside it.
 BRIGHTEST = 4.0
 
 Plane = tuple[cl.Buffer | None, int, int, int]  # buffer, where a plane begins in it, pixel (0, 0) there, pitch
@@ -84,7 +85,7 @@ class Convolve(FrameSum):
         args = (*shape, value, np.int32(start), np.float32(scale), self.sums)
         self.target.run("sum_across", (size[0],), (1,), events, *args)
         self.target.run("sum_down", (-(-size[1] // CONVOLVED_COLUMNS),), (1,), events, *shape, self.sums)
-        return (1.0 if self.wide else 2.0**LOWER_BITS) / scale
+        return (1.0 if self.wide else 2.0**DROPPED_BITS) / scale
 
     def _convolve(
         self, stencil: tuple[Stencil, list[cl.Buffer | None]], size: tuple[int, int], source: Plane, share: float,

@@ -9,15 +9,24 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
+from clsco.constants import (
+    COUNTER_DONE,
+    COUNTER_FILLED,
+    COUNTER_FILLED_INSIDE,
+    COUNTER_LEFT,
+    COUNTER_LEFT_INSIDE,
+    FILL_CHUNK,
+    FILL_LANES,
+    SCORE_SUMS,
+    SCORED_COLUMNS,
+)
 from clsco.inpainting.rules import MeanMedian, bits_of, score_of_sums, score_scale
 from clsco.opencl.buffers import allocate, download
 from clsco.opencl.session import Session
 from clsco.passes.blur import Events, Target
-from clsco.plan.buffers import COUNTERS, LANES, SCORED, SUMS, Sizes
+from clsco.plan.buffers import COUNTERS, Sizes
 from clsco.records import Struct
 
-LEFT, LEFT_INSIDE, FILLED, FILLED_INSIDE, DONE = range(COUNTERS)
-CHUNK = 64  # pixels per work-item where it counts
 ZERO = np.array(0, np.int32)
 LISTED = (64,)  # local size of kernels with a work-item per source or per entry of a list
 OWNERS = (1,)  # of those with few, large work-items
@@ -69,7 +78,7 @@ class FillPlanes:
         """Buffers of these sizes (`clsco.plan.buffers.fill_buffers`). Raises DeviceError."""
         found = allocate(session, sizes)
         for name, bytes_of_lane in (("value", 4), ("valid", 1)):  # read beyond the end, and used for nothing
-            tail = bytes_of_lane * LANES
+            tail = bytes_of_lane * FILL_LANES
             cl.enqueue_copy(session.queue, found[name], np.zeros(tail, np.uint8), dst_offset=sizes[name] - tail)
         indices = found.pop("list"), found.pop("next list")
         far = (found.pop("far"),) if "far" in found else ()
@@ -118,35 +127,35 @@ class Filler:
         source, left = self.planes.indices
         placed = (self.camera, surfaces, np.int32(count), self.planes.valid)
         found = self._mark(placed, source, events)
-        wins = self._score(brightest, events) if self.smooths and found[LEFT] else 0
+        wins = self._score(brightest, events) if self.smooths and found[COUNTER_LEFT] else 0
         sweeps = filled = first = 0
         most, least = CHAPTER5.minimum if self.smooths else 1, 0 if self.is_far else 1
         minimum = most
-        while (self.interpolates or self.smooths) and found[LEFT]:
-            self._sweep(source, found[LEFT], np.int32(wins), np.int32(minimum), events)
-            found = self._settle(placed, source, left, found[LEFT], events)
+        while (self.interpolates or self.smooths) and found[COUNTER_LEFT]:
+            self._sweep(source, found[COUNTER_LEFT], np.int32(wins), np.int32(minimum), events)
+            found = self._settle(placed, source, left, found[COUNTER_LEFT], events)
             source, left = left, source
-            if found[FILLED]:
+            if found[COUNTER_FILLED]:
                 sweeps, minimum = sweeps + 1, most
-                filled += found[FILLED_INSIDE]
+                filled += found[COUNTER_FILLED_INSIDE]
                 first = filled if sweeps == 1 else first
             elif minimum > least:
                 minimum -= 1  # fewer neighbors will do where the filling would stall, and then nearer ones
             else:
                 break
-        if self.smooths and found[DONE]:
-            self._smooth(found[DONE], events)
+        if self.smooths and found[COUNTER_DONE]:
+            self._smooth(found[COUNTER_DONE], events)
         return {
-            "missing_pixels": filled + found[LEFT_INSIDE],
+            "missing_pixels": filled + found[COUNTER_LEFT_INSIDE],
             "filled_pixels": filled,
-            "unfilled_pixels": found[LEFT_INSIDE],
+            "unfilled_pixels": found[COUNTER_LEFT_INSIDE],
             "sweeps": sweeps,
             "filled_first_sweep": first,
         }
 
     def _mark(self, placed: tuple[Any, ...], source: cl.Buffer, events: Events) -> list[int]:
         """List all missing pixels."""
-        chunks, head = (-(-self.columns // CHUNK), self.rows), (self.camera, self.planes.valid)
+        chunks, head = (-(-self.columns // FILL_CHUNK), self.rows), (self.camera, self.planes.valid)
         self._run("find_spans", events, (self.rows + self.columns,), LINES, *head, self.planes.spans, self.planes.grown)
         args = (*placed, self.planes.spans, self.planes.status, source, self.planes.counters, *self._depths())
         self._run("mark_missing", events, chunks, (1, *LINES), *args)
@@ -166,7 +175,7 @@ class Filler:
             rule = (minimum,) if self.is_far else ()
             self._run("fill_ait", events, (count,), LISTED, *head, *rule, *planes)
         else:
-            vectors = (-(-count // LANES),)
+            vectors = (-(-count // FILL_LANES),)
             self._run("fill_mean_median", events, vectors, LINES, *head, wins, minimum, *planes)
 
     def _settle(
@@ -174,21 +183,21 @@ class Filler:
     ) -> list[int]:
         """End a sweep over the list `source`; lists in `left` what is missing now."""
         p = self.planes
-        cl.enqueue_fill_buffer(self.session.queue, p.counters, ZERO, 0, 4 * DONE)
+        cl.enqueue_fill_buffer(self.session.queue, p.counters, ZERO, 0, 4 * COUNTER_DONE)
         lines = (p.spans, p.grown)
         args = (self.camera, source, np.int32(count), *lines, p.status, p.valid, left, p.counters)
         done = (p.done,) if self.smooths else ()
-        self._run("settle_sweep", events, (-(-count // CHUNK),), LINES, *args, *done)
+        self._run("settle_sweep", events, (-(-count // FILL_CHUNK),), LINES, *args, *done)
         grown = (*placed, *lines, p.status, left, p.counters, *self._depths())
         self._run("mark_grown", events, (self.rows + self.columns,), LISTED, *grown)
         return self._found()
 
     def _score(self, brightest: float, events: Events) -> int:
         """For which counts of neighbors the median is the better estimator: bit k for k of them."""
-        scale, scored = score_scale(brightest), self.rows * -(-self.columns // SCORED)
+        scale, scored = score_scale(brightest), self.rows * -(-self.columns // SCORED_COLUMNS)
         args = (self.camera, np.float32(scale), self.planes.value, self.planes.valid, self.planes.sums)
         self._run("score_mean_median", events, (scored,), OWNERS, *args)
-        score = score_of_sums(download(self.session, self.planes.sums, (scored, SUMS), np.int64), scale)
+        score = score_of_sums(download(self.session, self.planes.sums, (scored, SCORE_SUMS), np.int64), scale)
         return bits_of(score.median_wins())
 
     def _smooth(self, count: int, events: Events) -> None:
@@ -197,7 +206,7 @@ class Filler:
         here, there = (p.value, p.w), (p.other_value, p.other_w)
         for source, target in zip(here, there, strict=True):
             cl.enqueue_copy(self.session.queue, target, source, byte_count=source.size)
-        vectors, head = (-(-count // LANES),), (self.camera, p.done, np.int32(count), *p.far, p.valid)
+        vectors, head = (-(-count // FILL_LANES),), (self.camera, p.done, np.int32(count), *p.far, p.valid)
         for _ in range(CHAPTER5.smoothing_rounds):  # an even number: the last one writes to the first set
             self._run("smooth_median", events, vectors, LINES, *head, *here, *there, p.coc)
             here, there = there, here

@@ -7,18 +7,18 @@ from itertools import pairwise
 import numpy as np
 import pyopencl as cl
 
+from clsco.constants import DISCONTINUITY_CLASSES, PUSH_PIXELS, REACH_PIXELS, SEED_COLUMNS
 from clsco.frame.strips import Grid
 from clsco.opencl.buffers import allocate, download, empty
 from clsco.opencl.program import build
 from clsco.optics.psf import reach
-from clsco.optics.slabs import CLASSES, Slabs, bins_of, depth_of_hidden, levels_of, slab_bounds
+from clsco.optics.slabs import Slabs, bins_of, depth_of_hidden, levels_of, slab_bounds
 from clsco.passes.blur import BLOCKS, PIXELS, PLAIN, Events, FrameBlur, Sources, Target, image_target, prepare_sources
 from clsco.passes.exact import exact_blur
 from clsco.plan.buffers import Sizes, depth_layer_spec, layered_buffers
 from clsco.plan.methods import BlurSpec
 from clsco.records import Real, Struct, structs
 
-REACH_PIXELS, SEED_COLUMNS, PUSH_PIXELS = 64, 16, 4  # px, as in layer.cl
 LINES = (8,)  # local size of kernels with a work-item per row or column
 RUNS = (1, 8)  # of those with a work-item per run of a row
 ZERO = np.zeros(1, np.uint32)
@@ -54,10 +54,10 @@ class Labels:
     def found(self) -> Slabs:
         """Depth layers of the time sample whose strips went through `find` since the last call. Waits for the
         device."""
-        latest = download(self.target.session, self.latest, (CLASSES * self.bins + 1,), np.int32)
+        latest = download(self.target.session, self.latest, (DISCONTINUITY_CLASSES * self.bins + 1,), np.int32)
         self._forget()
         deep = depth_of_hidden(self.psf, int(latest[-1]))
-        return Slabs(tuple(slab_bounds(latest[:-1].reshape(CLASSES, self.bins))), deep)
+        return Slabs(tuple(slab_bounds(latest[:-1].reshape(DISCONTINUITY_CLASSES, self.bins))), deep)
 
     def _forget(self) -> None:
         cl.enqueue_fill_buffer(self.target.session.queue, self.latest, ZERO, 0, self.latest.size)

@@ -15,6 +15,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
+from clsco.constants import TAP_LANES
 from clsco.frame.strips import Grid, frame_struct
 from clsco.opencl.buffers import download, empty, filled_with, upload
 from clsco.opencl.program import build
@@ -28,7 +29,7 @@ from clsco.optics.multigrid import (
     sharpening,
 )
 from clsco.optics.psf import shape_of
-from clsco.optics.psf_tables import TAP_LANES, psf_features
+from clsco.optics.psf_tables import psf_features
 from clsco.passes.blur import (
     BLOCKS,
     PIXELS,

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
+from clsco.constants import STATISTIC_SLOTS, STATISTIC_SMALLEST
 from clsco.frame.strips import Strip
 from clsco.opencl.buffers import allocate
 from clsco.opencl.session import Session
@@ -17,13 +18,13 @@ from clsco.optics.visibility import Layer
 from clsco.passes.blur import PIXELS, Events, Sources, Target
 from clsco.passes.pack import layer_struct
 from clsco.passes.placed import PlacedScene, TimeSample
-from clsco.plan.buffers import hit_buffers
+from clsco.plan.buffers import STATISTICS, hit_buffers
 from clsco.plan.plan import Plan
 from clsco.records import Struct
 
 # What of the statistics a frame must begin with: no radius met, no slot taken (trace.cl).
-EMPTY_STATISTICS = np.array([0, np.iinfo(np.int32).max, 0, 0], dtype=np.int32)
-SLOTS_TAKEN = 8  # bytes before the number of slots that a time sample has taken
+EMPTY_STATISTICS = np.zeros(STATISTICS, np.int32)
+EMPTY_STATISTICS[STATISTIC_SMALLEST] = np.iinfo(np.int32).max
 
 Planes = tuple[cl.Buffer, cl.Buffer, cl.Buffer]  # value, coc and valid on the padded grid, as in layered.cl
 
@@ -131,7 +132,7 @@ class Tracer:
         assert work.sources is not None
         plan, buffers, statistics = self.plan, self.buffers, self.buffers["statistics"]
         slots, source = np.int32(plan.slots), buffers["source"]
-        cl.enqueue_fill_buffer(self.target.session.queue, statistics, np.zeros(1, np.int32), SLOTS_TAKEN, 4)
+        cl.enqueue_fill_buffer(self.target.session.queue, statistics, np.zeros(1, np.int32), 4 * STATISTIC_SLOTS, 4)
         marks = (work.camera, buffers["label"], slots, source, buffers["pixels"], statistics)
         self._per_pixel("mark_silhouettes", work, *marks)
         subs = (buffers["sub_source"], buffers["sub_value"], statistics)

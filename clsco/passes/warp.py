@@ -10,6 +10,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
+from clsco.constants import NO_WINNER, OWNED_PIXELS
 from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.program import build
 from clsco.passes.blur import PIXELS, Events, Target
@@ -21,9 +22,7 @@ from clsco.plan.plan import Plan, fill_sizes
 from clsco.records import WIDE, in_parts, structs, together
 
 KERNELS = ("warp/warp.cl", "inpainting/fill.cl", "inpainting/score.cl", "inpainting/fill_mean_median.cl")
-# As in the kernels.
-ITEM_PIXELS = 64  # sources of a row that a work-item moves, with OWNED
-NO_WINNER = np.array(np.iinfo(np.int32).max, np.int32)
+NOWHERE = np.array(NO_WINNER, np.int32)
 
 # Bands of rows that reproject_nearest makes of the image: few, since each looks at all segments, but enough
 # to share out.
@@ -166,7 +165,7 @@ class ForwardWarp:
         """Enqueue what the winners of the depth test bring: the planes of `filler`, with nothing filled. As `warp`."""
         planes, plan = self.filler.planes, self.plan
         if self.filler.is_far:
-            chunks = (-(-plan.width // (ITEM_PIXELS if self.owned else 1)), plan.height)
+            chunks = (-(-plan.width // (OWNED_PIXELS if self.owned else 1)), plan.height)
             gaps = (self.camera, self.depth, self.winner, planes.valid)
             self.kernels.run("reproject_gaps", chunks, (1, *LINES) if self.owned else PIXELS, events, *gaps)
         head = (self.camera, np.float32(weight), self.scene.texture, self.moved, self.winner)
@@ -177,7 +176,7 @@ class ForwardWarp:
 
     def note_radii(self, statistics: cl.Buffer, events: Events) -> None:
         """Keep the range of the radii that `warp` has found, largest and smallest, in the first two of these ints."""
-        chunks = (-(-self.plan.width // (ITEM_PIXELS if self.owned else 1)), self.plan.height)
+        chunks = (-(-self.plan.width // (OWNED_PIXELS if self.owned else 1)), self.plan.height)
         found = (self.filler.planes.coc, self.filler.planes.valid, statistics)
         self.kernels.run("note_radii", chunks, (1, *LINES) if self.owned else PIXELS, events, self.camera, *found)
 
@@ -222,7 +221,7 @@ class ForwardWarp:
         """Targets and winners; work-items own bands of the image."""
         rows, cores = self.plan.height, self.scene.session.device.compute_units
         band = max(SMALLEST_BAND, -(-rows // (BANDS_PER_CORE * cores)))
-        segments = self.plan.rows * -(-self.plan.columns // ITEM_PIXELS)
+        segments = self.plan.rows * -(-self.plan.columns // OWNED_PIXELS)
         self.kernels.run("reproject_targets", (segments,), LINES, events, *args, self.bounds)
         owned = (self.camera, self.target, self.moved, self.bounds, np.int32(band), self.winner)
         depth = (self.depth,) if self.filler.is_far else ()
@@ -232,7 +231,7 @@ class ForwardWarp:
         """Targets and winners; a work-item per source."""
         queue, sources = self.scene.session.queue, (self.plan.rows * self.plan.columns,)
         cl.enqueue_fill_buffer(queue, self.depth, ZERO, 0, self.depth.size)
-        cl.enqueue_fill_buffer(queue, self.winner, NO_WINNER, 0, self.winner.size)
+        cl.enqueue_fill_buffer(queue, self.winner, NOWHERE, 0, self.winner.size)
         tested = (self.camera, self.target, self.moved, self.depth)
         self.kernels.run("reproject_targets", sources, LISTED, events, *args)
         self.kernels.run("reproject_depth", sources, LISTED, events, *tested)

@@ -10,11 +10,28 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from clsco.constants import (
+    CONVOLVED_COLUMNS,
+    COUNTER_DONE,
+    DISCONTINUITY_CLASSES,
+    FILL_LANES,
+    ITEMS_BYTES,
+    MOST_ASIDE,
+    MOST_ITEMS,
+    OWNED_PIXELS,
+    ROW_TILE,
+    ROW_WINDOW,
+    SCORE_SUMS,
+    SCORED_COLUMNS,
+    STATISTIC_MOST_SLOTS,
+    TAP_LANES,
+    WIDE_LANES,
+)
 from clsco.frame.strips import BAND, Grid
 from clsco.optics.multigrid import coarse_frame, coarse_psf, coarse_radii, plane_shape
 from clsco.optics.psf import shape_of
-from clsco.optics.psf_tables import TAP_LANES, WIDE_LANES, is_near, table_sizes
-from clsco.optics.slabs import CLASSES, bins_of, levels_of, most_deep
+from clsco.optics.psf_tables import is_near, table_sizes
+from clsco.optics.slabs import bins_of, levels_of, most_deep
 from clsco.optics.stencil import is_by_axes, is_summed, stencil_sizes
 from clsco.optics.visibility import lens_floats
 from clsco.plan.methods import MANY_RADII, BlurSpec
@@ -23,19 +40,14 @@ from clsco.scene.model import Psf, Scene
 
 Sizes = dict[str, int]
 Scratch = Literal["none", "columns", "rows", "near"]
-ROW_TILE, ROW_WINDOW = 256, 16  # columns that `gather` makes at a time, and rows of small reach
 BANDS_PER_CORE = 4  # of `gather` at a time, where they need memory of their own
 SUMS_BEYOND = 64  # sums of `convolve` beyond the last row that a vector there reads, and that are used for nothing
 PAGE, BESIDE_PAGE = 64, 5  # vectors of 8 doubles in 4 KiB, and how far from a multiple of it rows should be long
-# Groups of sources of columns that are kept at a time, in so many bytes or more; bytes beside the vectors of each, and
-# columns of a block of Gaussians.
-MOST_ITEMS, ITEMS_BYTES, ITEM_BYTES, SIDE = 256, 2**18, 20, 5
+ITEM_BYTES = 20  # of a group of sources of a column, beside its vectors
 MOST_IN_ONE_SUM = 256  # taps of `gather` that a float adds up before it goes into another sum
-CONVOLVED_ROWS, CONVOLVED_COLUMNS = 32, 64  # of a work-item of `convolve`
-ITEM_PIXELS = 64  # sources of a row that a work-item moves, where work-items own bands of the image
 UNKNOWN = 2**62  # bytes, of a limit that is not known
-LANES, SUMS, SCORED, COUNTERS = 8, 13, 128, 5  # of filling: floats of a vector, sums, columns of a work-item, counters
-STATISTICS = 4  # ints: largest and smallest |R|, slots taken at a time sample and at any
+COUNTERS = COUNTER_DONE + 1  # ints, of a filling
+STATISTICS = STATISTIC_MOST_SLOTS + 1  # ints, of a frame
 # Outputs that ground_truth writes, with what one pixel of each takes: dtype and components (0: the channels).
 TRUTH_BUFFERS: dict[str, tuple[type[np.generic], int]] = {
     "object_id": (np.int32, 1),
@@ -136,7 +148,7 @@ def column_bytes(psf: Psf, channels: int, far: int) -> int:
     tiles, slopes = 8 * channels * BAND * (far // WIDE_LANES + 2 | 1) * WIDE_LANES, 2 * psf.tilt
     if shape_of(psf).kind == "separable":
         item = 4 * WIDE_LANES * (slopes + channels + far + 1 + WIDE_LANES)
-        sums = 4 * WIDE_LANES * SIDE * BAND * (1 + psf.tilt)
+        sums = 4 * WIDE_LANES * MOST_ASIDE * BAND * (1 + psf.tilt)
         return sums + tiles + min(max(ITEMS_BYTES // item, 2 * WIDE_LANES), MOST_ITEMS) * (item + 8)
     ends, sums = (1 + slopes) * channels, (1 + psf.tilt) * channels
     items = MOST_ITEMS * (4 * WIDE_LANES * (2 + slopes + 2 * channels) + ITEM_BYTES)
@@ -276,7 +288,7 @@ def layered_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
     """
     pixels, values = grid.sources, grid.channels + 1  # with coverage
     sizes = {
-        "latest": 4 * (CLASSES * bins_of(spec.largest)[1] + 1),
+        "latest": 4 * (DISCONTINUITY_CLASSES * bins_of(spec.largest)[1] + 1),
         "source": source_bytes(pixels, spec.tilt),
         "offset": 4 * pixels,
         "slab": pixels,
@@ -316,7 +328,7 @@ def warp_buffers(scene: Scene, grid: Grid, device: DeviceFacts) -> Sizes:
     if maps:
         sizes["maps"] = WIDE_BYTES * maps * pixels
     if device.kind == "cpu":
-        sizes["bounds"] = 8 * grid.rows * ceil(grid.columns / ITEM_PIXELS)
+        sizes["bounds"] = 8 * grid.rows * ceil(grid.columns / OWNED_PIXELS)
     else:
         sizes["depth"] = 4 * grid.sources
     return sizes
@@ -342,10 +354,10 @@ def fill_buffers(grid: Grid, several: bool, far: bool, smooths: bool) -> Sizes:
     """
     pixels, lines = grid.sources, grid.width + grid.height
     sizes = {
-        "value": 4 * (grid.channels * pixels + LANES),
+        "value": 4 * (grid.channels * pixels + FILL_LANES),
         "w": WIDE_BYTES * pixels,
         "coc": WIDE_BYTES * pixels,
-        "valid": pixels + LANES,
+        "valid": pixels + FILL_LANES,
         "status": pixels,
         "list": 4 * pixels,
         "next list": 4 * pixels,
@@ -356,7 +368,7 @@ def fill_buffers(grid: Grid, several: bool, far: bool, smooths: bool) -> Sizes:
     sizes |= {"object": pixels} if several else {}
     sizes |= {"far": 4 * pixels} if far else {}
     if smooths:
-        sizes |= {"done": 4 * pixels, "sums": 8 * SUMS * grid.height * ceil(grid.width / SCORED)}
+        sizes |= {"done": 4 * pixels, "sums": 8 * SCORE_SUMS * grid.height * ceil(grid.width / SCORED_COLUMNS)}
         sizes |= {"other value": sizes["value"], "other w": sizes["w"]}
     return sizes
 

@@ -14,13 +14,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.constants import TAP_LANES
 from clsco.errors import SceneError
 from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES
 from clsco.frame.strips import Grid, Strip, cut
 from clsco.optics.lens import LARGEST_BLUR, blur_radius
 from clsco.optics.motion import Eye, Pose, sample_times
 from clsco.optics.psf import psf_extent, shape_of
-from clsco.optics.psf_tables import TAP_LANES, check_tables, psf_features, table_reach
+from clsco.optics.psf_tables import check_tables, psf_features, table_reach
 from clsco.optics.quadrics import canonical
 from clsco.optics.slabs import margin_of_slabs
 from clsco.optics.visibility import Layer, extent, is_hollow, layers

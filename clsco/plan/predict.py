@@ -8,11 +8,11 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.constants import TAP_LANES
 from clsco.errors import SceneError
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center
 from clsco.optics.psf import reach
-from clsco.optics.psf_tables import TAP_LANES
 from clsco.optics.quadrics import place, predict_inverse_depth
 from clsco.scene.model import Object, Plane, Psf, Scene
 

@@ -9,11 +9,7 @@
 // Common columns and runs took R6 from 7.2 to 2.5 ns per pixel, sums over rectangles R20 from 39 to 11 and R60 from 250
 // to 29 (benchmarks/optimisation_log.md). Feature: WIDE_SUMS (sums of 64 bits instead of 32).
 
-#define WIDE_LANES 16        // floats in a vector
-#define CONVOLVED_ROWS 32    // of a work-item, as in clsco/passes/convolve.py, and
-#define CONVOLVED_VECTORS 4  // vectors in each row
-#define TILES_ABREAST 8         // side by side before those below, so that what they read is still in the cache
-#define LONGEST_RUN 8   // weights, as in clsco/optics/stencil.py
+#define CONVOLVED_VECTORS (CONVOLVED_COLUMNS / WIDE_LANES)  // in each row of a work-item
 #define RUNS_IN_ONE_SUM 32  // runs that a float adds up before it goes into another sum
 
 // Sums of up to 64 bits, of which the lower ones may be left out; unsigned, as they run over. Differences do not.
@@ -26,7 +22,7 @@ typedef ulong16 sums_t;
 #define AS_SUMS(v) as_ulong16(v)
 #define AS_RADIANCE(v) CONVERT16(float, as_long16(v))
 #else
-#define LOWER_BITS 26  // as in clsco/passes/convolve.py
+#define LOWER_BITS DROPPED_BITS
 typedef uint sum_t;
 typedef uint16 sums_t;
 #define LOAD_SUMS(p) LOAD(uint, 16, p)

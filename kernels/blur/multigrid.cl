@@ -5,8 +5,8 @@
 //
 //   grid    of a level: (height, width) as camera has it, px of that level. Node (i, j) of the next one stands at
 //           (2 i - 3.5, 2 j - 3.5), in the middle of four pixels.
-//   plane   float (height + 2 EDGE_ROWS, pitch) of a grid, with EDGE columns on the left and at least as many on
-//           the right: radii, radiance of moved sources, ...; 0 all around.
+//   plane   float (height + 2 EDGE_ROWS, pitch) of a grid, with EDGE_COLUMNS columns on the left and at least as many
+//           on the right: radii, radiance of moved sources, ...; 0 all around.
 //   source: common/sources.clh; value, total: blur.cl. A source that has moved keeps its coordinate u as -2 - u, so
 //           that gather leaves it out.
 //
@@ -16,9 +16,7 @@
 
 #pragma OPENCL FP_CONTRACT ON
 
-#define EDGE 8
-#define EDGE_ROWS 8
-#define AT(x, y) (((y) + EDGE_ROWS) * pitch + (x) + EDGE)
+#define AT(x, y) (((y) + EDGE_ROWS) * pitch + (x) + EDGE_COLUMNS)
 #define NOTHING -1.0f  // in a plane of radii: no source that may move
 #define MOVED(u) (-2 - (u))  // its own inverse
 
@@ -146,7 +144,7 @@ __kernel void halve(const camera_t camera, const camera_t next, __global const f
     if (x >= next.width || y >= next.height)
         return;
     const int first = AT(2 * x - 5, 2 * y - 5), plane = (camera.height + 2 * EDGE_ROWS) * pitch;
-    const int count = MIN(TAP_LANES, next.width - x), place = (y + EDGE_ROWS) * next_pitch + x + EDGE;
+    const int count = MIN(TAP_LANES, next.width - x), place = (y + EDGE_ROWS) * next_pitch + x + EDGE_COLUMNS;
     const float16 one = 1, none = 0;
     float8 sum = 0, number = 0, right = 0, down = 0;
     #pragma unroll

@@ -10,8 +10,6 @@
 
 #pragma OPENCL FP_CONTRACT ON
 
-#define GROUP_COLUMNS 16  // as TILE in clsco/passes/blur.py
-#define GROUP_ROWS 8
 #define CHUNK (GROUP_COLUMNS * GROUP_ROWS)  // sources, one for each work-item; as many taps are added up one by one
 #define WORD 32
 

@@ -3,8 +3,6 @@
 // by row, `index` (rows, columns) their places in the list, -1 at pixels that are none. Vectors are (count, CHANNELS).
 // Sums have a fixed order. One work-item per unknown unless said otherwise. Twin: clsco/reference/inpainting/biharmonic.py.
 
-#define SEGMENT 256  // products that one work-item adds up, as in clsco/inpainting/biharmonic.py
-
 __constant int STEP_Y[4] = {-1, 1, 0, 0}, STEP_X[4] = {0, 0, -1, 1};
 
 // Of an image what is known, or of a vector what is not; the other pointer is 0.
@@ -77,16 +75,17 @@ __kernel void apply_biharmonic(const int rows, const int columns, __global const
         applied[entry * CHANNELS + c] = result[c];
 }
 
-// Sums of products of SEGMENT entries each, one work-item per sum. Out: partial (ceil(count / SEGMENT), CHANNELS).
+// Sums of products of DOT_SEGMENT entries each, one work-item per sum. Out: partial (ceil(count / DOT_SEGMENT),
+// CHANNELS).
 __kernel void add_products(__global const real *a, __global const real *b, const int count, __global real *partial)
 {
-    const int first = get_global_id(0) * SEGMENT;
+    const int first = get_global_id(0) * DOT_SEGMENT;
     if (first >= count)
         return;
     real sum[CHANNELS];
     for (int c = 0; c < CHANNELS; ++c)
         sum[c] = 0;
-    for (int k = first; k < MIN(first + SEGMENT, count); ++k)
+    for (int k = first; k < MIN(first + DOT_SEGMENT, count); ++k)
         for (int c = 0; c < CHANNELS; ++c)
             sum[c] += a[k * CHANNELS + c] * b[k * CHANNELS + c];
     for (int c = 0; c < CHANNELS; ++c)

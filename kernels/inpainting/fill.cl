@@ -11,7 +11,8 @@
 //   list     int per missing pixel, in any order: its number
 //   far      float per missing pixel of the grid, with FILL_FAR: largest inverse depth of neighbors that may serve it
 //   object   uchar, with SEVERAL: which object is visible, 255 for none
-//   counters ints, see below
+//   counters ints: COUNTER_LEFT (entries of list), COUNTER_FILLED (by the sweep) and COUNTER_DONE (by all sweeps:
+//            entries of done), and those of them inside the frame
 //
 // A sweep writes to missing pixels, which nobody reads before settle_sweep has made them valid: all of it reads what
 // was known before it, in any order. Features besides geometry.clh's: FILL_AIT, FILL_MEAN_MEDIAN, FILL_FAR,
@@ -23,12 +24,6 @@
 // others to be filled, until nothing else can be. In the gap that a growing surface leaves, both sides are near, and
 // serve.
 
-#define LEFT 0           // missing pixels: entries of the list
-#define LEFT_INSIDE 1    // of them inside the frame
-#define FILLED 2         // filled by the sweep
-#define FILLED_INSIDE 3
-#define DONE 4           // filled by all sweeps: entries of done
-#define CHUNK 64         // pixels per work-item where it counts, so that atomics are rare
 #define FAR_SLACK 1.02f  // relative: a surface at 45 degrees changes less over two pixels of 0.5 degrees each
 
 static bool in_frame(const camera_t camera, int x, int y)
@@ -100,8 +95,8 @@ __kernel void find_spans(const camera_t camera, __global const uchar *valid, __g
 }
 
 // Lists the pixels that are unknown but between the first and last valid one of their row, or else of their column,
-// CHUNK columns per work-item. In: `count` surfaces, valid, w, spans. Out: status and far of missing pixels, list, LEFT
-// and LEFT_INSIDE.
+// FILL_CHUNK columns per work-item. In: `count` surfaces, valid, w, spans. Out: status and far of missing pixels, list,
+// COUNTER_LEFT and COUNTER_LEFT_INSIDE.
 __kernel void mark_missing(const camera_t camera, __constant surface_t *surfaces, const int count,
                            __global const uchar *valid, __global const int2 *spans, __global uchar *status,
                            __global int *list, __global int *counters
@@ -110,10 +105,10 @@ __kernel void mark_missing(const camera_t camera, __constant surface_t *surfaces
 #endif
 )
 {
-    const int begin = get_global_id(0) * CHUNK, y = get_global_id(1);
+    const int begin = get_global_id(0) * FILL_CHUNK, y = get_global_id(1);
     if (begin >= camera.width || y >= camera.height)
         return;
-    const int end = MIN(begin + CHUNK, camera.width);
+    const int end = MIN(begin + FILL_CHUNK, camera.width);
     __global const uchar *line = valid + y * camera.width;
     int unknown = 0;
     for (int x = begin; x < end; ++x)
@@ -121,7 +116,7 @@ __kernel void mark_missing(const camera_t camera, __constant surface_t *surfaces
     if (!unknown)
         return;
     const int2 row = spans[y];
-    int found[CHUNK], entries = 0, inside = 0;
+    int found[FILL_CHUNK], entries = 0, inside = 0;
     for (int x = begin; x < end; ++x) {
         const int2 column = spans[camera.height + x];
         if (line[x] || !((x > row.x && x < row.y) || (y > column.x && y < column.y)))
@@ -137,9 +132,9 @@ __kernel void mark_missing(const camera_t camera, __constant surface_t *surfaces
     }
     if (!entries)
         return;
-    const int start = atomic_add(counters + LEFT, entries);
+    const int start = atomic_add(counters + COUNTER_LEFT, entries);
     if (inside)
-        atomic_add(counters + LEFT_INSIDE, inside);
+        atomic_add(counters + COUNTER_LEFT_INSIDE, inside);
     for (int i = 0; i < entries; ++i)
         list[start + i] = found[i];
 }
@@ -165,10 +160,10 @@ __kernel void settle_sweep(const camera_t camera, __global const int *list, cons
 #endif
 )
 {
-    const int begin = get_global_id(0) * CHUNK;
+    const int begin = get_global_id(0) * FILL_CHUNK;
     if (begin >= count)
         return;
-    const int end = MIN(begin + CHUNK, count);
+    const int end = MIN(begin + FILL_CHUNK, count);
     int filled = 0, filled_inside = 0, left_inside = 0;
     for (int i = begin; i < end; ++i) {
         const int at = list[i], x = at % camera.width, y = at / camera.width, inside = in_frame(camera, x, y);
@@ -183,17 +178,17 @@ __kernel void settle_sweep(const camera_t camera, __global const int *list, cons
         }
     }
     if (filled_inside)
-        atomic_add(counters + FILLED_INSIDE, filled_inside);
+        atomic_add(counters + COUNTER_FILLED_INSIDE, filled_inside);
     if (left_inside)
-        atomic_add(counters + LEFT_INSIDE, left_inside);
+        atomic_add(counters + COUNTER_LEFT_INSIDE, left_inside);
     if (filled)
-        atomic_add(counters + FILLED, filled);
-    int next = filled < end - begin ? atomic_add(counters + LEFT, end - begin - filled) : 0;
+        atomic_add(counters + COUNTER_FILLED, filled);
+    int next = filled < end - begin ? atomic_add(counters + COUNTER_LEFT, end - begin - filled) : 0;
     for (int i = begin; i < end; ++i)
         if (status[list[i]] != 1)
             left[next++] = list[i];
 #if FILL_MEAN_MEDIAN
-    next = filled ? atomic_add(counters + DONE, filled) : 0;
+    next = filled ? atomic_add(counters + COUNTER_DONE, filled) : 0;
     for (int i = begin; i < end; ++i)
         if (status[list[i]] == 1)
             done[next++] = list[i];
@@ -201,7 +196,8 @@ __kernel void settle_sweep(const camera_t camera, __global const int *list, cons
 }
 
 // Lists what is missing since lines have grown, one line per work-item. A pixel within the span of its row is left to
-// the row. In: `count` surfaces, valid, w, grown. In and out: spans, status, far, list, LEFT and LEFT_INSIDE.
+// the row. In: `count` surfaces, valid, w, grown. In and out: spans, status, far, list, COUNTER_LEFT and
+// COUNTER_LEFT_INSIDE.
 __kernel void mark_grown(const camera_t camera, __constant surface_t *surfaces, const int count,
                          __global const uchar *valid, __global int2 *spans, __global const int2 *grown,
                          __global uchar *status, __global int *list, __global int *counters
@@ -230,9 +226,9 @@ __kernel void mark_grown(const camera_t camera, __constant surface_t *surfaces, 
         far[at] = far_bound(camera, valid, w, x, y);
 #endif
         status[at] = 2;
-        list[atomic_inc(counters + LEFT)] = at;
+        list[atomic_inc(counters + COUNTER_LEFT)] = at;
         if (in_frame(camera, x, y))
-            atomic_inc(counters + LEFT_INSIDE);
+            atomic_inc(counters + COUNTER_LEFT_INSIDE);
     }
 }
 #endif

@@ -3,7 +3,7 @@
 // clsco/reference/inpainting/fill_mean_median.py.
 
 #if FILL_MEAN_MEDIAN
-// LANES pixels of a list, with the neighbors that serve them.
+// FILL_LANES pixels of a list, with the neighbors that serve them.
 static around_t look_around(const camera_t camera, __global const uchar *valid, __global const int *list, int entries,
                             int median_wins
 #if FILL_FAR
@@ -12,9 +12,9 @@ static around_t look_around(const camera_t camera, __global const uchar *valid, 
 )
 {
     around_t around;
-    for (int lane = 0; lane < LANES; ++lane) {
+    for (int lane = 0; lane < FILL_LANES; ++lane) {
         // The last pixel fills up the last vector.
-        const int at = list[MIN((int)get_global_id(0) * LANES + lane, entries - 1)];
+        const int at = list[MIN((int)get_global_id(0) * FILL_LANES + lane, entries - 1)];
         const int x = at % camera.width, y = at / camera.width;
         const bool inner = x > 0 && y > 0 && x < camera.width - 1 && y < camera.height - 1;
         int bits = 0, count = 0;
@@ -47,13 +47,13 @@ static void write_estimates(const camera_t camera, const around_t around, int mi
         const int plane = c * camera.height * camera.width;
         NEAR(near, value_in[plane + from])
         estimate(&around, near, &result);
-        for (int lane = 0; lane < LANES; ++lane)
+        for (int lane = 0; lane < FILL_LANES; ++lane)
             if (count[lane] >= minimum)
                 value_out[plane + around.at[lane]] = (float)found[lane];
     }
     NEAR(near, narrow(w_in[from]))
     estimate(&around, near, &result);
-    for (int lane = 0; lane < LANES; ++lane)
+    for (int lane = 0; lane < FILL_LANES; ++lane)
         if (count[lane] >= minimum) {
             w_out[around.at[lane]] = widened(found[lane]);
             coc[around.at[lane]] = blur_radius(camera, widened(found[lane]));
@@ -66,7 +66,7 @@ static void write_estimates(const camera_t camera, const around_t around, int mi
 #define BOUNDED_BY(w, far, minimum)
 #endif
 
-// Stage 1: one sweep, LANES entries per work-item. Bit k of median_wins: of k neighbors the median is the better
+// Stage 1: one sweep, FILL_LANES entries per work-item. Bit k of median_wins: of k neighbors the median is the better
 // estimator; a pixel needs `minimum` of them, with FILL_FAR and 0 any single one. The object is that of the first one.
 // In: list of `count`, valid, far. In and out: value, w, coc, status, object.
 __kernel void fill_mean_median(const camera_t camera, __global const int *list, const int count, const int median_wins,
@@ -81,12 +81,12 @@ __kernel void fill_mean_median(const camera_t camera, __global const int *list, 
 #endif
 )
 {
-    if (get_global_id(0) * LANES >= count)
+    if (get_global_id(0) * FILL_LANES >= count)
         return;
     const around_t around = look_around(camera, valid, list, count, median_wins BOUNDED_BY(w, far, minimum));
     const int least = MAX(minimum, 1);
     write_estimates(camera, around, least, value, w, value, w, coc);
-    for (int lane = 0; lane < LANES; ++lane) {
+    for (int lane = 0; lane < FILL_LANES; ++lane) {
         if (((const real *)&around.count)[lane] < least)
             continue;
         status[around.at[lane]] = 1;
@@ -99,9 +99,9 @@ __kernel void fill_mean_median(const camera_t camera, __global const int *list, 
     }
 }
 
-// Stage 2: one round of the 3x3 median without the center over the filled pixels, LANES entries per work-item; a pixel
-// that no neighbor serves stays. In: done, list of `count`; valid, far; value_in, w_in, which hold all pixels. Out: the
-// same of the filled pixels, coc.
+// Stage 2: one round of the 3x3 median without the center over the filled pixels, FILL_LANES entries per work-item; a
+// pixel that no neighbor serves stays. In: done, list of `count`; valid, far; value_in, w_in, which hold all pixels.
+// Out: the same of the filled pixels, coc.
 __kernel void smooth_median(const camera_t camera, __global const int *done, const int count,
 #if FILL_FAR
                             __global const float *far,
@@ -109,12 +109,12 @@ __kernel void smooth_median(const camera_t camera, __global const int *done, con
                             __global const uchar *valid, __global const float *value_in, __global const wide_t *w_in,
                             __global float *value_out, __global wide_t *w_out, __global wide_t *coc)
 {
-    if (get_global_id(0) * LANES >= count)
+    if (get_global_id(0) * FILL_LANES >= count)
         return;
     const around_t around = look_around(camera, valid, done, count, ~0 BOUNDED_BY(w_in, far, 1));
     write_estimates(camera, around, 1, value_in, w_in, value_out, w_out, coc);
 #if FILL_FAR
-    for (int lane = 0; lane < LANES; ++lane) {
+    for (int lane = 0; lane < FILL_LANES; ++lane) {
         const int at = around.at[lane];
         for (int c = 0; c < CHANNELS && !around.bits[lane]; ++c)
             value_out[c * camera.height * camera.width + at] = value_in[c * camera.height * camera.width + at];

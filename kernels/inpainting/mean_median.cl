@@ -54,12 +54,13 @@ static void count_near(around_t *around, const real8 *near, int median_wins)
     around->by_median = (real8)EACH(by_median);
 }
 
-// Finds values for LANES missing pixels of a list from the `first` on, before `end`; the last one fills up the vector.
+// Finds values for FILL_LANES missing pixels of a list from the `first` on, before `end`; the last one fills up the
+// vector.
 static void fill_vector(const int slots, __global const int *list, int first, int end, int median_wins,
                         __global const int2 *beside, __global const float *value, __global float *found)
 {
-    int row[LANES][3], open = 0;
-    for (int lane = 0; lane < LANES; ++lane) {
+    int row[FILL_LANES][3], open = 0;
+    for (int lane = 0; lane < FILL_LANES; ++lane) {
         rows_of(row[lane], list[MIN(first + lane, end - 1)], beside);
         open |= UNKNOWN(value[row[lane][1]]);
     }
@@ -72,7 +73,7 @@ static void fill_vector(const int slots, __global const int *list, int first, in
         if (!c)
             count_near(&around, near, median_wins);
         estimate(&around, near, &result);
-        for (int lane = 0; lane < LANES; ++lane)
+        for (int lane = 0; lane < FILL_LANES; ++lane)
             found[c * slots + row[lane][1]] = ((const real *)&result)[lane];
     }
 }
@@ -97,13 +98,13 @@ static void settle_entry(const int slots, int at, __global const int2 *beside, i
     }
 }
 
-// Stage 1: one sweep over what the lists have from `begin` to before `end`, LANES per work-item. Bit k of median_wins:
-// of k neighbors the median is the better estimator. In: lists, beside, value. Out: found.
+// Stage 1: one sweep over what the lists have from `begin` to before `end`, FILL_LANES per work-item. Bit k of
+// median_wins: of k neighbors the median is the better estimator. In: lists, beside, value. Out: found.
 __kernel void fill_holes(const int slots, const int begin, const int end, const int median_wins,
                          __global const int *lists, __global const int2 *beside, __global const float *value,
                          __global float *found)
 {
-    const int first = begin + get_global_id(0) * LANES;
+    const int first = begin + get_global_id(0) * FILL_LANES;
     if (first < end)
         fill_vector(slots, lists, first, end, median_wins, beside, value, found);
 }
@@ -134,7 +135,7 @@ __kernel void sweep_holes(const int slots, const int most, const int limit, cons
         if (!k || end - begin > most || state[0] >= limit)
             return;
         __global const int *list = lists + (k - 1) * missing;
-        for (int first = begin + item * LANES; first < end; first += items * LANES)
+        for (int first = begin + item * FILL_LANES; first < end; first += items * FILL_LANES)
             fill_vector(slots, list, first, end, median_wins, beside, value, found);
         barrier(CLK_GLOBAL_MEM_FENCE);
         for (int i = begin + item; i < end; i += items)
@@ -162,7 +163,7 @@ static real8 median_of(real8 *near)
     return (real)0.5 * (near[3] + near[4]);
 }
 
-// One of `runs` missing pixels that follow one another, or LANES of the others: see smooth_holes.
+// One of `runs` missing pixels that follow one another, or FILL_LANES of the others: see smooth_holes.
 static void smooth_vector(const int slots, int id, __global const int2 *run, int runs, __global const int *single,
                           int singles, __global const int2 *beside, __global const float *value,
                           __global float *found)
@@ -180,7 +181,7 @@ static void smooth_vector(const int slots, int id, __global const int2 *run, int
             }
             const real8 result = median_of(near);
             __global float *out = found + c * slots + row[1];
-            if (count == LANES)
+            if (count == FILL_LANES)
                 STORE(float, 8, (float8)EACH(result), out);
             else
                 for (int lane = 0; lane < count; ++lane)
@@ -188,29 +189,29 @@ static void smooth_vector(const int slots, int id, __global const int2 *run, int
         }
         return;
     }
-    const int first = (id - runs) * LANES;
+    const int first = (id - runs) * FILL_LANES;
     if (first >= singles)
         return;
-    int row[LANES][3];
-    for (int lane = 0; lane < LANES; ++lane)
+    int row[FILL_LANES][3];
+    for (int lane = 0; lane < FILL_LANES; ++lane)
         rows_of(row[lane], single[MIN(first + lane, singles - 1)], beside);
     for (int c = 0; c < CHANNELS; ++c) {
         GATHER_NEAR(value + c * slots)
         const real8 result = median_of(near);
-        for (int lane = 0; lane < LANES; ++lane)
+        for (int lane = 0; lane < FILL_LANES; ++lane)
             found[c * slots + row[lane][1]] = ((const real *)&result)[lane];
     }
 }
 
 // Stage 2: rounds of the 3x3 median without the center over missing pixels, all of which are filled; one round, or any
 // number by a single work-item. Of work-items those before `runs` take one of `run`: the number of its first pixel, and
-// how many follow one another, up to LANES; the others LANES of `single`, numbers of `singles` pixels. In: beside. In
-// and out: value, found, to and fro; the first round writes `found`.
+// how many follow one another, up to FILL_LANES; the others FILL_LANES of `single`, numbers of `singles` pixels. In:
+// beside. In and out: value, found, to and fro; the first round writes `found`.
 __kernel void smooth_holes(const int slots, const int rounds, __global const int2 *run, const int runs,
                            __global const int *single, const int singles, __global const int2 *beside,
                            __global float *value, __global float *found)
 {
-    const int items = runs + (singles + LANES - 1) / LANES;
+    const int items = runs + (singles + FILL_LANES - 1) / FILL_LANES;
     for (int n = 0; n < rounds; ++n)
         for (int id = get_global_id(0); id < items; id += get_global_size(0))
             smooth_vector(slots, id, run, runs, single, singles, beside, n % 2 ? found : value, n % 2 ? value : found);
@@ -223,18 +224,18 @@ __kernel void smooth_holes(const int slots, const int rounds, __global const int
     ORDER(T, s[5], s[8]) ORDER(T, s[4], s[7]) ORDER(T, s[3], s[6]) ORDER(T, s[1], s[4]) ORDER(T, s[2], s[5]) \
     ORDER(T, s[4], s[7]) ORDER(T, s[4], s[2]) ORDER(T, s[6], s[4]) ORDER(T, s[4], s[2])
 
-// Stage 3, of the known pixels around holes: Sobel's gradient and the 3x3 median, LANES pixels per work-item; beyond
-// the image its edge goes on. In: list of `count` pixels of value (height, width, CHANNELS), all of which are known or
-// filled. Out: steepness (count), the largest square of a gradient's magnitude among the channels; blended (count,
-// CHANNELS), the medians.
+// Stage 3, of the known pixels around holes: Sobel's gradient and the 3x3 median, FILL_LANES pixels per work-item;
+// beyond the image its edge goes on. In: list of `count` pixels of value (height, width, CHANNELS), all of which are
+// known or filled. Out: steepness (count), the largest square of a gradient's magnitude among the channels; blended
+// (count, CHANNELS), the medians.
 __kernel void blend_border(const camera_t camera, __global const int *list, const int count,
                            __global const float *value, __global float *steepness, __global float *blended)
 {
-    const int first = get_global_id(0) * LANES;
+    const int first = get_global_id(0) * FILL_LANES;
     if (first >= count)
         return;
-    int from[9][LANES];
-    for (int lane = 0; lane < LANES; ++lane) {
+    int from[9][FILL_LANES];
+    for (int lane = 0; lane < FILL_LANES; ++lane) {
         const int at = list[MIN(first + lane, count - 1)], x = at % camera.width, y = at / camera.width;
         UNROLL
         for (int k = 0; k < 9; ++k) {
@@ -247,16 +248,16 @@ __kernel void blend_border(const camera_t camera, __global const int *list, cons
     for (int c = 0; c < CHANNELS; ++c) {
         float8 p[9];
         for (int k = 0; k < 9; ++k)
-            for (int lane = 0; lane < LANES; ++lane)
+            for (int lane = 0; lane < FILL_LANES; ++lane)
                 ((float *)(p + k))[lane] = value[from[k][lane] + c];
         const float8 across = (p[2] + 2 * p[5] + p[8]) - (p[0] + 2 * p[3] + p[6]);
         const float8 down = (p[6] + 2 * p[7] + p[8]) - (p[0] + 2 * p[1] + p[2]);
         const float8 square = across * across + down * down;
         steepest = MAX(steepest, square);
         MIDDLE(float8, p)
-        for (int lane = 0; lane < LANES && first + lane < count; ++lane)
+        for (int lane = 0; lane < FILL_LANES && first + lane < count; ++lane)
             blended[(first + lane) * CHANNELS + c] = ((const float *)(p + 4))[lane];
     }
-    for (int lane = 0; lane < LANES && first + lane < count; ++lane)
+    for (int lane = 0; lane < FILL_LANES && first + lane < count; ++lane)
         steepness[first + lane] = ((const float *)&steepest)[lane];
 }

@@ -2,8 +2,6 @@
 // clsco/reference/inpainting/score.py.
 
 #if FILL_MEAN_MEDIAN
-#define SCORED 128  // columns of a row that a work-item scores: no more may be summed up in 31 bits
-#define SUMS 13
 
 // The value of WIDTH pixels, or with IMAGE as many values of pixels whose channels are side by side.
 #if IMAGE
@@ -18,7 +16,7 @@
 
 // Vectors of values, of their exact differences, and of sums of products; PRODUCTS adds up what of them is in one lane.
 #if CODES  // of 8 bits
-#define WIDTH 16
+#define WIDTH CODE_LANES
 typedef uchar element_t;
 typedef uchar16 values_t;
 typedef short part_t;
@@ -60,20 +58,20 @@ typedef parts_t sums_t;
 //   of medians  for odd k = 2 m + 1  C(i, m) C(7-i, m) times d_i^2, for all i,
 //               for even k = 2 m + 2  C(i, m) C(7-j, m) times ((d_i + d_j) / 2)^2, for all i < j.
 // Values times `scale` are rounded to whole numbers before, which differ by 2^16 at most, so that sums are exact in
-// any order; CODES are so already. One work-item per SCORED columns, WIDTH values at once. In: value (CHANNELS, height,
-// width), with IMAGE (height, width, CHANNELS); valid (height, width); both must be readable WIDTH pixels beyond their
-// end. Out: sums (height, segments, SUMS): d_i^2 for i = 0..7; (sum d)^2; C(i, m) C(7-j, m) d_i d_j
+// any order; CODES are so already. One work-item per SCORED_COLUMNS columns, WIDTH values at once. In: value (CHANNELS,
+// height, width), with IMAGE (height, width, CHANNELS); valid (height, width); both must be readable WIDTH pixels
+// beyond their end. Out: sums (height, segments, SCORE_SUMS): d_i^2 for i = 0..7; (sum d)^2; C(i, m) C(7-j, m) d_i d_j
 // over i < j for m = 1, 2, 3; number of pixels times channels.
 __kernel void score_mean_median(const camera_t camera, const float scale, __global const element_t *value,
                                 __global const uchar *valid, __global long *sums)
 {
-    const int width = camera.width, segments = (width + SCORED - 1) / SCORED;
+    const int width = camera.width, segments = (width + SCORED_COLUMNS - 1) / SCORED_COLUMNS;
     const int segment = get_global_id(0) % segments, y = get_global_id(0) / segments;
     if (y >= camera.height)
         return;
-    const int begin = MAX(segment * SCORED, 1), end = MIN((segment + 1) * SCORED, width - 1);
-    sums_t sum[SUMS];
-    for (int k = 0; k < SUMS; ++k)
+    const int begin = MAX(segment * SCORED_COLUMNS, 1), end = MIN((segment + 1) * SCORED_COLUMNS, width - 1);
+    sums_t sum[SCORE_SUMS];
+    for (int k = 0; k < SCORE_SUMS; ++k)
         sum[k] = 0;
     for (int x = begin; x < end && y > 0 && y < camera.height - 1; x += WIDTH) {
         const int at = y * width + x;
@@ -118,10 +116,10 @@ __kernel void score_mean_median(const camera_t camera, const float scale, __glob
             sum[12] += PRODUCTS(use, use);
         }
     }
-    for (int k = 0; k < SUMS; ++k) {
+    for (int k = 0; k < SCORE_SUMS; ++k) {
         const sums_t v = sum[k];
         const long all = (long)(((v.s0 + v.s1) + (v.s2 + v.s3)) + ((v.s4 + v.s5) + (v.s6 + v.s7)));
-        sums[SUMS * get_global_id(0) + k] = k < 12 ? all * STEPS : all;
+        sums[SCORE_SUMS * get_global_id(0) + k] = k < 12 ? all * STEPS : all;
     }
 }
 #endif

@@ -24,17 +24,13 @@
 
 #pragma OPENCL FP_CONTRACT ON  // as where radiance is summed in the blur
 
-#define DISCONTINUITY ((real)1)     // px, as in the twin
-#define BIN ((real)0.25)   // px
-#define CLASSES 10         // of discontinuities: beyond DISCONTINUITY, 2 DISCONTINUITY, 4 DISCONTINUITY ... px
+#define DISCONTINUITY ((real)1)  // px, as in the twin
+#define BIN ((real)0.25)         // px
 #define NO_SEED (1 << 14)  // farther than any blur reaches
 #define NEVER (1 << 24)    // beyond the last pixel of any frame
-#define REACH_PIXELS 64             // pixels of a row that a work-item takes at once
 #define RADIUS (CHANNELS - 1)  // plane of the pyramid
 #define KNOWN CHANNELS
 #define GROWTH 4.0f
-#define SEED_COLUMNS 16  // that a work-item walks down
-#define PUSH_PIXELS 4    // pixels of a coarser level that one makes
 
 __constant float TENT[4] = {0.125f, 0.375f, 0.375f, 0.125f};
 
@@ -47,9 +43,9 @@ static int bin_of(real coc, real low, int bins)
     return at < 0 ? 0 : at < bins ? (int)at : bins - 1;
 }
 
-// One row or column per work-item. In and out: latest int (CLASSES, bins): of discontinuities of a class, beyond
-// DISCONTINUITY 2^class, whose far side is in a bin, 1 + the largest bin of the near side, 0 for none; after it the
-// largest sum of the two radii of a discontinuity, without their signs, px, rounded up.
+// One row or column per work-item. In and out: latest int (DISCONTINUITY_CLASSES, bins): of discontinuities of a class,
+// beyond DISCONTINUITY 2^class, whose far side is in a bin, 1 + the largest bin of the near side, 0 for none; after it
+// the largest sum of the two radii of a discontinuity, without their signs, px, rounded up.
 __kernel void find_discontinuities(const camera_t camera, const real low, const int bins, const int far,
                                    __global const wide_t *coc, __global const uchar *valid, __global int *latest)
 {
@@ -68,15 +64,15 @@ __kernel void find_discontinuities(const camera_t camera, const real low, const 
         const real now = narrow(coc[at]), size = ABS(now - before);
         if (size > DISCONTINUITY && i - last <= far && last >= 0) {
             int class = 0;
-            while (class < CLASSES - 1 && size > DISCONTINUITY * (2 << class))
+            while (class < DISCONTINUITY_CLASSES - 1 && size > DISCONTINUITY * (2 << class))
                 ++class;
             __global int *entry = latest + class * bins + bin_of(MAX(now, before), low, bins);
             const int begin = bin_of(MIN(now, before), low, bins) + 1;
             if (RELAXED_LOAD(entry) < begin)
                 atomic_max(entry, begin);
             const int sum = -(int)FLOOR(-(ABS(now) + ABS(before)));
-            if (RELAXED_LOAD(latest + CLASSES * bins) < sum)
-                atomic_max(latest + CLASSES * bins, sum);
+            if (RELAXED_LOAD(latest + DISCONTINUITY_CLASSES * bins) < sum)
+                atomic_max(latest + DISCONTINUITY_CLASSES * bins, sum);
         }
         last = i;
         before = now;

@@ -14,10 +14,6 @@
 // Square roots and floors as instructions took a plane from 36 to 12 ns per pixel, one cast for all lenses of a sweep
 // the prepass from 31 to 6 and 20 per lens (benchmarks/optimisation_log.md).
 
-// Statistics of a frame, ints, beside those of geometry.clh.
-#define SLOTS 2       // taken at this time sample
-#define MOST_SLOTS 3  // taken at any time sample
-
 // Where a hit takes its radiance from in the texture: (column, row, in front of the lens). In the reference pose a
 // pixel shows its own texel.
 static wide3_t texture_point(__constant surface_t *surface, const camera_t camera, wide3_t ray, wide_t w, int row,
@@ -178,7 +174,7 @@ __kernel void mark_silhouettes(const camera_t camera, __global const uchar *labe
     }
     if (!differs)
         return;
-    const int slot = atomic_inc(statistics + SLOTS);
+    const int slot = atomic_inc(statistics + STATISTIC_SLOTS);
     if (slot >= capacity)
         return;
     pixels[slot] = at;
@@ -200,8 +196,8 @@ __kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfa
     const int id = get_global_id(0), each = SUBPIXELS * SUBPIXELS;
     const int slot = id / each, sub = id % each;
     if (id == 0)
-        atomic_max(statistics + MOST_SLOTS, statistics[SLOTS]);
-    if (slot >= MIN(statistics[SLOTS], capacity))
+        atomic_max(statistics + STATISTIC_MOST_SLOTS, statistics[STATISTIC_SLOTS]);
+    if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity))
         return;
     const int row = FRAME_ROW(camera, pixels[slot] / camera.width), column = pixels[slot] % camera.width - camera.guard;
     const wide_t down = widened((sub / SUBPIXELS + (real)0.5) / SUBPIXELS - (real)0.5);

@@ -22,14 +22,13 @@
 // The position p of a source in px is snapped to 1/4096 px and then rounded half up, so that errors far below a step
 // cannot move it across a pixel's edge. Both roundings in one are floor(p + ROUNDING).
 #define ROUNDING ((real)(0.5 + 0.5 / 4096))
-#define NO_WINNER INT_MAX
 #define NO_OBJECT 255
 #define SAME_DEPTH 1.02f  // relative: neighbors in the reference pose that differ by less are one surface
 #define WIDEST_GAP 3      // px on each side: surfaces may grow to four times their size
 
 // Sources of a row that a work-item moves. PoCL vectorizes a loop over them, but not work-items of one source each.
 #if OWNED
-#define ITEM_PIXELS 64
+#define ITEM_PIXELS OWNED_PIXELS
 #else
 #define ITEM_PIXELS 1
 #endif

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from clsco.constants import DOT_SEGMENT
 from clsco.inpainting import biharmonic
 from clsco.inpainting.biharmonic import fill_biharmonic
 from clsco.opencl.buffers import copied, download, upload
@@ -106,11 +107,11 @@ def test_each_step_is_the_reference(
     assert np.abs(solver.solve(image) - exact).max() < 1e-6 * np.abs(exact).max()
 
 
-@pytest.mark.parametrize("count", [2 * biharmonic.SEGMENT, 2 * biharmonic.SEGMENT + 1])
+@pytest.mark.parametrize("count", [2 * DOT_SEGMENT, 2 * DOT_SEGMENT + 1])
 def test_products_are_added_in_whole_segments(session: Session, count: int) -> None:
-    """The host adds up ceil(count / SEGMENT) sums: none may be left out, and none written beyond them."""
+    """The host adds up ceil(count / DOT_SEGMENT) sums: none may be left out, and none written beyond them."""
     a, b = np.random.default_rng(6).random((2, count, 2))
-    expected = np.add.reduceat(a * b, np.arange(0, count, biharmonic.SEGMENT))
+    expected = np.add.reduceat(a * b, np.arange(0, count, DOT_SEGMENT))
     partial = copied(session, np.full((len(expected) + 1, 2), 7.0))
     program = build(session, ["inpainting/biharmonic.cl"], {"CHANNELS": 2, "SAMPLED": 0}, structs("double"), "double")
     vectors = (upload(session, a), upload(session, b), np.int32(count), partial)

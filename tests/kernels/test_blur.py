@@ -10,6 +10,7 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
+from clsco.constants import ITEMS_BYTES, ROW_TILE, WIDE_LANES
 from clsco.frame import strips
 from clsco.frame.strips import Grid, frame_struct
 from clsco.opencl.buffers import download, empty, upload
@@ -17,12 +18,12 @@ from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
 from clsco.optics import psf as psf_weights
 from clsco.optics.psf import reach
-from clsco.optics.psf_tables import WIDE_LANES, psf_features, psf_table
+from clsco.optics.psf_tables import psf_features, psf_table
 from clsco.passes import blur as spread
 from clsco.passes.blur import FILES_OF, PIXELS, FrameSum, TableBlur
 from clsco.passes.exact import exact_blur
 from clsco.passes.pack import psf_struct
-from clsco.plan.buffers import ITEMS_BYTES, ROW_TILE, source_bytes
+from clsco.plan.buffers import source_bytes
 from clsco.plan.methods import Blur, BlurSpec
 from clsco.records import Struct, flat, structs
 from clsco.reference.blur import blur as twin

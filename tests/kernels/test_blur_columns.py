@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 import clsco
 from clsco import reference
 from clsco.cli.check import compare
+from clsco.constants import ROW_TILE
 from clsco.frame.strips import BAND
 from clsco.opencl.buffers import download, upload
 from clsco.opencl.program import build, kernel, launch
@@ -21,7 +22,7 @@ from clsco.optics.psf import axis_weights
 from clsco.optics.psf_tables import psf_table
 from clsco.passes.blur import FILES_OF
 from clsco.passes.pack import psf_struct
-from clsco.plan.buffers import ROW_TILE, band_scratch, column_bytes, margin, row_bytes
+from clsco.plan.buffers import band_scratch, column_bytes, margin, row_bytes
 from clsco.records import flat
 from clsco.reference.blur.blur import tilt_factor
 from clsco.reference.common.geometry import tilt_slope

@@ -9,12 +9,12 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
+from clsco.constants import TAP_LANES
 from clsco.frame.strips import Grid, frame_struct
 from clsco.opencl.buffers import download, empty
 from clsco.opencl.program import launch
 from clsco.opencl.session import Session
 from clsco.optics.psf import reach
-from clsco.optics.psf_tables import TAP_LANES
 from clsco.optics.stencil import SUMMED
 from clsco.passes import blur
 from clsco.passes import convolve as convolution

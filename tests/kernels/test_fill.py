@@ -10,6 +10,7 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
+from clsco.constants import FILL_LANES, SCORE_SUMS, SCORED_COLUMNS
 from clsco.frame.strips import Grid
 from clsco.inpainting.rules import score_of_sums
 from clsco.inputs.textures import Texture
@@ -25,7 +26,7 @@ from clsco.passes.fill import Filler
 from clsco.passes.pack import camera_struct, surface_structs
 from clsco.passes.placed import PlacedScene
 from clsco.passes.warp import ForwardWarp
-from clsco.plan.buffers import COUNTERS, LANES, SCORED, SUMS, fill_buffers
+from clsco.plan.buffers import COUNTERS, fill_buffers
 from clsco.plan.plan import make_plan
 from clsco.records import Real, flat, in_parts, structs
 from clsco.reference.common.geometry import pixel_ray, solve_quadric
@@ -307,9 +308,9 @@ def test_scores_are_those_of_its_twin(session: Session, channels: int) -> None:
         known = rng.random(shape) < 0.97
         planes = Planes(session, values, known, "mean_median")
         f = planes.filler.planes
-        count = shape[0] * -(-shape[1] // SCORED)
+        count = shape[0] * -(-shape[1] // SCORED_COLUMNS)
         planes.run("score_mean_median", count, np.float32(2**16), f.value, f.valid, f.sums, local=1)
-        found = score_of_sums(download(session, f.sums, (count, SUMS), np.int64), 2**16)
+        found = score_of_sums(download(session, f.sums, (count, SCORE_SUMS), np.int64), 2**16)
         assert found == score_mean_median(values[..., :-1], known, 2**16)
         assert found.samples or min(shape) < 4
 
@@ -331,7 +332,7 @@ def test_a_sweep_of_mean_median_is_its_twin(session: Session, channels: int, far
             f, bits = planes.filler.planes, np.int32((wins << np.arange(9)).sum())
             planes_out = (f.valid, f.value, f.w, f.coc, f.status, *planes.seen)
             args = (pixels, count, bits, np.int32(minimum), *planes.bounded(bounds), *planes_out)
-            planes.run("fill_mean_median", -(-int(count) // LANES), *args)
+            planes.run("fill_mean_median", -(-int(count) // FILL_LANES), *args)
             within = bounds if minimum or bounds is None else np.full_like(bounds, np.inf)
             expected, filled, source = fill_mean_median(given, known, missing, wins, minimum, within)
             assert (planes.read("status") == filled).all()
@@ -359,7 +360,7 @@ def test_a_round_of_smoothing_is_its_twin(session: Session, channels: int, far: 
             cl.enqueue_copy(session.queue, target, source, byte_count=source.size)
         pixels, count = planes.listed(filled)
         args = (pixels, count, *planes.bounded(bounds), f.valid, f.other_value, f.other_w, f.value, f.w, f.coc)
-        planes.run("smooth_median", -(-int(count) // LANES), *args)
+        planes.run("smooth_median", -(-int(count) // FILL_LANES), *args)
         given = np.where(valid[..., None], values, 0.0)
         expected = smooth_median(given, filled, valid, bounds)
         close(planes.values(), expected)
@@ -378,7 +379,7 @@ def test_smoothing_writes_all_that_is_listed(session: Session) -> None:
     for buffer in out:
         cl.enqueue_fill_buffer(session.queue, buffer, np.array(1, np.uint8), 0, buffer.size)
     args = (pixels, count, *planes.bounded(bounds), f.valid, f.value, f.w, *out, f.coc)
-    planes.run("smooth_median", -(-int(count) // LANES), *args)
+    planes.run("smooth_median", -(-int(count) // FILL_LANES), *args)
     f.value, f.w = out
     close(planes.values()[filled], smooth_median(values, filled, np.ones_like(filled), bounds)[filled])
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from clsco.constants import FSE_BEFORE, FSE_BLOCK, FSE_SIDE
 from clsco.inpainting.fse import fill_texture
-from clsco.inpainting.fse_tables import BEFORE, BLOCK, FEWEST_WAVES, MOST_WAVES, SIDE, STEP, WAVES_PER_CONTRAST, tables
+from clsco.inpainting.fse_tables import FEWEST_WAVES, MOST_WAVES, STEP, WAVES_PER_CONTRAST, tables
 from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
@@ -86,19 +87,19 @@ def test_as_many_waves_as_the_contrast_asks_for(session: Session) -> None:
     ("first", "other"), [((0, 3), (0, 5)), ((0, 3), (0, 11)), ((0, 3), (1, 3)), ((0, 13), (1, 3)), ((0, 5), (1, 3))]
 )
 def test_of_equally_strong_waves_the_first(session: Session, first: tuple[int, int], other: tuple[int, int]) -> None:
-    """Of a window with a single value all waves are exactly as strong; two of them count. LANES hold every eighth."""
-    value, preference = np.zeros((SIDE, SIDE), np.float32), np.zeros((SIDE, SIDE // 2), np.float32)
+    """Of a window with a single value all waves are exactly as strong; two of them count. A lane holds every eighth."""
+    value, preference = np.zeros((FSE_SIDE, FSE_SIDE), np.float32), np.zeros((FSE_SIDE, FSE_SIDE // 2), np.float32)
     value[0, 0] = preference[first] = preference[other] = 1
     constants = (np.ones_like(value), preference, tables().cosines, tables().sines)
-    arrays = [upload(session, array) for array in (value, value, *constants, np.full((1, 2), BEFORE, np.int32))]
-    result = empty(session, 4 * BLOCK**2)
+    arrays = [upload(session, array) for array in (value, value, *constants, np.full((1, 2), FSE_BEFORE, np.int32))]
+    result = empty(session, 4 * FSE_BLOCK**2)
     program = build(session, ["inpainting/fse.cl"], {"CHANNELS": 1, "SAMPLED": 0}, structs("float"), "float")
     settings = (np.int32(1), np.float32(STEP), np.float32(0), np.int32(1), np.int32(1))  # one wave
-    size = (np.int32(SIDE), np.int32(SIDE))
+    size = (np.int32(FSE_SIDE), np.int32(FSE_SIDE))
     launch(session, kernel(program, "extrapolate_blocks"), (1,), (1,), *size, *arrays, *settings, result)
-    y, x = np.mgrid[BEFORE : BEFORE + BLOCK, BEFORE : BEFORE + BLOCK]
-    wave = 2 * STEP * np.cos(2 * np.pi / SIDE * (first[0] * y + first[1] * x))
-    assert np.abs(download(session, result, (BLOCK, BLOCK), np.float32) - wave).max() < 1e-6
+    y, x = np.mgrid[FSE_BEFORE : FSE_BEFORE + FSE_BLOCK, FSE_BEFORE : FSE_BEFORE + FSE_BLOCK]
+    wave = 2 * STEP * np.cos(2 * np.pi / FSE_SIDE * (first[0] * y + first[1] * x))
+    assert np.abs(download(session, result, (FSE_BLOCK, FSE_BLOCK), np.float32) - wave).max() < 1e-6
 
 
 def test_a_block_ends_at_the_right_border(session: Session) -> None:

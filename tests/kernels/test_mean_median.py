@@ -12,16 +12,14 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
+from clsco.constants import CODE_LANES, FILL_LANES, SCORE_SUMS
 from clsco.frame.strips import frame_struct
 from clsco.inpainting import mean_median
 from clsco.inpainting.mean_median import (
     FEATURES,
     KERNELS,
-    LANES,
-    MOST_LANES,
     NEVER,
     OWNERS,
-    SUMS,
     VECTORS,
     Holes,
     Layout,
@@ -259,7 +257,7 @@ def test_a_sweep_and_its_end_are_their_twins(session: Session) -> None:
     state = copied(session, np.zeros((5, 2), np.int32))
     part = (holes.slots, np.int32(7), np.int32(7 + entries.size))
     args = (*part, np.int32(bits_of(SOME_WIN)), lists, holes.beside, holes.value, holes.found)
-    launch(session, kernel(built, "fill_holes"), (-(-entries.size // LANES),), VECTORS, *args)
+    launch(session, kernel(built, "fill_holes"), (-(-entries.size // FILL_LANES),), VECTORS, *args)
     values = np.where(missing[..., None], np.float32(0), image)
     expected, filled = twin.fill_holes(values, ~missing, missing, SOME_WIN, 4)
     assert (filled == taken).all()
@@ -302,7 +300,7 @@ def test_the_border_is_its_twin(
         assert (stages.blended == blended).all()
 
 
-@pytest.mark.parametrize("count", [20, 8 * LANES + 1])
+@pytest.mark.parametrize("count", [20, 8 * FILL_LANES + 1])
 def test_a_group_writes_its_own_border_pixels_only(session: Session, count: int) -> None:
     border = np.arange(90) < count
     image: Array = np.random.default_rng(37).random((9, 10, 1)).astype(np.float32)
@@ -311,7 +309,7 @@ def test_a_group_writes_its_own_border_pixels_only(session: Session, count: int)
     blend, camera = kernel(program(session, 1), "blend_border"), frame_struct(9, 10, 0, "float")
     launch(session, blend, VECTORS, VECTORS, camera, *given, *outputs)
     for output, expected in zip(outputs, twin.blend_border(image, border.reshape(9, 10)), strict=True):
-        found, own = download(session, output, (90,), np.float32), min(count, 8 * LANES)
+        found, own = download(session, output, (90,), np.float32), min(count, 8 * FILL_LANES)
         assert (found[:own] == expected.ravel()[:own]).all()
         assert (found[own:] == -1).all()
 
@@ -324,13 +322,16 @@ def test_scores_of_codes_are_exact(session: Session, avx2: bool, monkeypatch: py
         monkeypatch.setattr(program_module, "program_text", lambda *given: "#undef __AVX2__\n" + text(*given))
     rng, rows, columns = np.random.default_rng(41), 4, 128
     image, missing = rng.integers(0, 256, (rows, columns, 1), np.uint8), rng.random((rows, columns)) < 0.02
-    room = np.zeros(MOST_LANES, np.uint8)
+    room = np.zeros(CODE_LANES, np.uint8)
     planes = (np.concatenate([plane.ravel(), room]) for plane in (image, (~missing).astype(np.uint8)))
-    sums, camera = copied(session, np.full((rows + 1, SUMS), -1, np.int64)), frame_struct(rows, columns, 0, "float")
+    sums, camera = (
+        copied(session, np.full((rows + 1, SCORE_SUMS), -1, np.int64)),
+        frame_struct(rows, columns, 0, "float"),
+    )
     buffers = *(upload(session, plane) for plane in planes), sums
     score = kernel(program(session, 1, codes=True), "score_mean_median")
     launch(session, score, (rows,), OWNERS, camera, np.float32(256), *buffers)
-    found = download(session, sums, (rows + 1, SUMS), np.int64)
+    found = download(session, sums, (rows + 1, SCORE_SUMS), np.int64)
     assert score_of_sums(found[:rows], 256.0) == score_mean_median(image.astype(np.float64), ~missing, 256.0)
     assert (found[rows:] == -1).all()
 

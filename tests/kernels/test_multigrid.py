@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from clsco.constants import TAP_LANES
 from clsco.frame.strips import Grid, frame_struct
 from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
 from clsco.optics.multigrid import coarse_radii
 from clsco.optics.psf import MINIMUM_BLUR
-from clsco.optics.psf_tables import TAP_LANES, psf_features, psf_table
+from clsco.optics.psf_tables import psf_features, psf_table
 from clsco.passes.blur import BLOCKS, PLAIN, Sources, image_target
 from clsco.passes.blur import prepare_sources as make_sources
 from clsco.passes.multigrid import Multigrid, make_blur

@@ -9,12 +9,13 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
+from clsco.constants import EDGE_COLUMNS, EDGE_ROWS, TAP_LANES
 from clsco.frame.strips import frame_struct
 from clsco.opencl.buffers import download, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Program, Session
-from clsco.optics.multigrid import EDGE, EDGE_ROWS, coarse_frame, plane_shape
-from clsco.optics.psf_tables import TAP_LANES, psf_features, psf_table
+from clsco.optics.multigrid import coarse_frame, plane_shape
+from clsco.optics.psf_tables import psf_features, psf_table
 from clsco.passes.blur import BLOCKS, PIXELS, PLAIN
 from clsco.passes.pack import psf_struct
 from clsco.plan.buffers import margin
@@ -42,7 +43,7 @@ def plane_of(grid: Array, around: float) -> Array:
     """A grid (..., height, width) as a plane of coarse.cl, something around it."""
     height, width = grid.shape[-2:]
     plane = np.full((*grid.shape[:-2], *plane_shape(width, height)), around, np.float32)
-    plane[..., EDGE_ROWS : EDGE_ROWS + height, EDGE : EDGE + width] = grid
+    plane[..., EDGE_ROWS : EDGE_ROWS + height, EDGE_COLUMNS : EDGE_COLUMNS + width] = grid
     return plane
 
 
@@ -61,7 +62,7 @@ def assert_grid(session: Session, buffer: cl.Buffer, expected: Array, around: fl
     """A plane, or several; around: what has to be there still; lanes: but for those of a vector that ends a row."""
     height, width = expected.shape[-2:]
     found = download(session, buffer, (*expected.shape[:-2], *plane_shape(width, height)), np.float32)
-    inside = found[..., EDGE_ROWS : EDGE_ROWS + height, EDGE:]
+    inside = found[..., EDGE_ROWS : EDGE_ROWS + height, EDGE_COLUMNS:]
     np.testing.assert_allclose(inside[..., :width], expected, rtol=2e-6, atol=1e-5)
     end = -(-width // TAP_LANES) * TAP_LANES if lanes else width
     assert np.isfinite(inside[..., width:end]).all()

@@ -11,14 +11,14 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
+from clsco.constants import NO_WINNER, OWNED_PIXELS
 from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Program, Session
 from clsco.passes.pack import pose_structs
-from clsco.passes.warp import ITEM_PIXELS, forward_features
+from clsco.passes.warp import forward_features
 from clsco.records import flat, structs
 from clsco.reference.warp.warp import (
-    NO_WINNER,
     reproject_depth,
     reproject_gaps,
     reproject_gather,
@@ -70,7 +70,7 @@ class Kernels:
 
     def targets(self, rest: Array, whose: Array, local: int = 8) -> tuple[Array, Array, Array]:
         """Target, moved, and bounds where there are any."""
-        each = -(-rest.shape[1] // ITEM_PIXELS) if self.owned else rest.shape[1]
+        each = -(-rest.shape[1] // OWNED_PIXELS) if self.owned else rest.shape[1]
         segments = rest.shape[0] * each
         target, moved = self.out(np.int32, rest.size), self.out(np.float64, rest.size)
         bounds = self.out(np.int32, 2 * segments)
@@ -98,7 +98,7 @@ class Kernels:
     def by_atomics(self, target: Array, moved: Array, local: int = 64) -> tuple[Array, Array]:
         """Depth and winner."""
         pixels = self.case.shape[0] * self.case.shape[1]
-        depth, winner = self.out(np.int32, pixels), self.out(np.int32, pixels, NONE)
+        depth, winner = self.out(np.int32, pixels), self.out(np.int32, pixels, NO_WINNER)
         sources = (upload(self.session, target), upload(self.session, moved))
         self.run("reproject_depth", target.shape, (local,), *sources, depth)
         self.run("reproject_winner", target.shape, (local,), *sources, depth, winner)
@@ -108,7 +108,7 @@ class Kernels:
     def gaps(self, winner: Array, depth: Array, local: tuple[int, int] = (1, 8)) -> Array:
         """What is known without what shows through."""
         height, width = self.case.shape
-        size = (-(-width // (ITEM_PIXELS if self.owned else 1)), height)
+        size = (-(-width // (OWNED_PIXELS if self.owned else 1)), height)
         valid = self.out(np.uint8, height * width, 9)
         self.run("reproject_gaps", size, local, upload(self.session, depth), upload(self.session, winner), valid)
         return download(self.session, valid, (height, width), np.uint8)
@@ -116,7 +116,7 @@ class Kernels:
 
 def narrow(winner: NDArray[np.int64]) -> Array:
     """The twin's winners as the device has them."""
-    return np.where(winner == NO_WINNER, NONE, winner).astype(np.int32)
+    return winner.astype(np.int32)
 
 
 @pytest.mark.parametrize("owned", [True, False])
@@ -140,7 +140,7 @@ def test_each_kernel_is_its_twin(session: Session, any_warp: Warp, make_case: Ma
     if owned:
         for row, rows in enumerate(target.reshape(rest.shape)):
             for i, (low, high) in enumerate(bounds.reshape(rest.shape[0], -1, 2)[row]):
-                some = rows[i * ITEM_PIXELS : (i + 1) * ITEM_PIXELS]
+                some = rows[i * OWNED_PIXELS : (i + 1) * OWNED_PIXELS]
                 some = some[some >= 0]
                 assert (low, high) == ((some.min(), some.max()) if some.size else (NONE, -1))
         for band in (1, 5, 1000):
@@ -190,13 +190,13 @@ def test_gather_weighs_what_winners_bring(session: Session, make_case: Maker) ->
     kernels, pixels = Kernels(session, case, True), case.shape[0] * case.shape[1]
     rng = np.random.default_rng(7)
     sources = case.plan.rows * case.plan.columns
-    winner = np.where(rng.random(pixels) < 0.6, rng.integers(0, sources, pixels), NONE).astype(np.int32)
+    winner = np.where(rng.random(pixels) < 0.6, rng.integers(0, sources, pixels), NO_WINNER).astype(np.int32)
     moved = rng.uniform(0.003, 0.005, sources)
     out = [kernels.out(t, n * pixels, 9) for t, n in (("f4", 3), ("f8", 1), ("f8", 1), ("u1", 1), ("u1", 1))]
     inputs = [upload(session, a) for a in (flat(case.textures[0], np.float32), moved, winner)]
     kernels.run("reproject_gather", case.shape[::-1], (64, 1), np.float32(0.3), *inputs, *out)
     values = np.concatenate([case.textures.reshape(sources, 3), moved[:, None]], axis=1)
-    known, expected = reproject_gather(np.where(winner == NONE, NO_WINNER, winner.astype(np.int64)), values)
+    known, expected = reproject_gather(winner.astype(np.int64), values)
     assert 0.5 < known.mean() < 0.7
     value = download(session, out[0], (3, pixels), np.float32).T
     assert (value == np.float32(0.3) * expected[:, :3].astype(np.float32)).all()
@@ -215,7 +215,7 @@ def test_of_equal_sources_the_first_wins(session: Session, make_case: Maker) -> 
     expected = narrow(reproject_nearest(target.astype(np.int64), moved.astype(np.float32), 200))
     best = reproject_depth(target.astype(np.int64), moved.astype(np.float32), 200)
     ties = sum(target[i] >= 0 and np.float32(moved[i]) == best[target[i]] for i in range(200))
-    assert ties > (expected != NONE).sum() + 20
+    assert ties > (expected != NO_WINNER).sum() + 20
     assert (Kernels(session, case, False).by_atomics(target, moved)[1] == expected).all()
     bounds = np.tile(np.array([0, 39], np.int32), (4, 1))
     assert (Kernels(session, case, True).nearest(target, moved, bounds, 16) == expected).all()
@@ -234,7 +234,7 @@ def test_local_sizes_change_no_bit(session: Session, make_case: Maker, warps: Wa
         assert (other[0] == first[0]).all()
         assert (other[1] == first[1]).all()
     winner = owned.nearest(*first, band=7)
-    assert (winner != NONE).sum() > 100
+    assert (winner != NO_WINNER).sum() > 100
     assert (owned.nearest(*first, band=7, local=4) == winner).all()
     for local in (1, 16, 256):
         assert (atomic.by_atomics(*first[:2], local)[1] == winner).all()
@@ -246,7 +246,7 @@ def test_range_of_radii(session: Session, make_case: Maker, owned: bool) -> None
     case = make_case((Plane(),), (9, 70))
     kernels, (height, width) = Kernels(session, case, owned), case.shape
     rng = np.random.default_rng(11)
-    size = (-(-width // (ITEM_PIXELS if owned else 1)), height)
+    size = (-(-width // (OWNED_PIXELS if owned else 1)), height)
     for known in (0.0, 0.05, 0.9):
         coc, valid = rng.normal(0, 7, (height, width)), (rng.random((height, width)) < known).astype(np.uint8)
         if known:

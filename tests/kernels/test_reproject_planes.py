@@ -11,15 +11,15 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
+from clsco.constants import NO_WINNER, OWNED_PIXELS
 from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Program, Session
 from clsco.optics.motion import Pose
 from clsco.passes.pack import pose_structs, surface_structs
-from clsco.passes.warp import ITEM_PIXELS, forward_features
+from clsco.passes.warp import forward_features
 from clsco.records import in_parts, structs
 from clsco.reference.warp.warp import (
-    NO_WINNER,
     SAME_DEPTH,
     extend_border,
     reproject_depth,
@@ -33,7 +33,6 @@ from clsco.scene.model import Sphere
 from tests.kernels.wide_numbers import whole
 
 Array = NDArray[Any]
-NONE = np.iinfo(np.int32).max
 AROUND = 4096  # numbers before and after those of a plane
 LOCAL = (8, 4)  # beyond the grid in both directions
 
@@ -82,7 +81,7 @@ def surfaces(case: Any) -> Array:
 @pytest.fixture
 def mapped(make_case: Maker, warps: dict[str, Any]) -> Any:
     """A ball and a depth map on a grid of 11 x 70 pixels; lines of the frame are as long as a segment."""
-    return make_case(warps["map and ball"][0], (5, ITEM_PIXELS), channels=3)
+    return make_case(warps["map and ball"][0], (5, OWNED_PIXELS), channels=3)
 
 
 def random_winners(case: Any) -> tuple[Array, Array]:
@@ -105,11 +104,11 @@ def single_gaps(case: Any) -> tuple[Array, Array]:
         [(0, 20), (0, 22)],
         [(0, 40), (0, 46)],
         [(10, 0), (12, 0)],
-        [(20, ITEM_PIXELS - 3), (20, ITEM_PIXELS - 1)],
+        [(20, OWNED_PIXELS - 3), (20, OWNED_PIXELS - 1)],
         [(30, 10), (36, 10)],
         [(35, right - 1), (36, 0)],
         [(40, 10), (44, 14)],
-        [(45, ITEM_PIXELS - 1), (45, ITEM_PIXELS + 1)],
+        [(45, OWNED_PIXELS - 1), (45, OWNED_PIXELS + 1)],
         [(50, 10), (50, 18)],
         [(56, right - 2), (56, right)],
         [(bottom, 20), (bottom, 22)],
@@ -124,31 +123,29 @@ def test_gaps_are_those_within_the_grid(
     session: Session, make_case: Maker, mapped: Any, made: Callable[[Any], tuple[Array, Array]]
 ) -> None:
     """Whatever is before and after the planes: near pixels that were neighbors of those in it. Each writes its own."""
-    case = make_case(mapped.items, (60, ITEM_PIXELS), channels=3) if made is single_gaps else mapped
+    case = make_case(mapped.items, (60, OWNED_PIXELS), channels=3) if made is single_gaps else mapped
     winner, depth = made(case)
-    expected = reproject_gaps(winner, depth, ITEM_PIXELS)
+    expected = reproject_gaps(winner, depth, OWNED_PIXELS)
     assert 5 < ((winner != NO_WINNER) & ~expected).sum() < 0.5 * winner.size
-    narrow = np.where(winner == NO_WINNER, NONE, winner).astype(np.int32)
-    inputs = [Amid(session, depth, 1.5), Amid(session, narrow, 0)]
+    inputs = [Amid(session, depth, 1.5), Amid(session, winner.astype(np.int32), 0)]
     for segments in (1, 2):
         valid = Amid(session, np.full(case.shape, 9, np.uint8), 7)
         run(session, case, "reproject_gaps", (segments, case.shape[0]), (1, 8), *inputs, valid)
-        found, end = valid.now(), segments * ITEM_PIXELS
+        found, end = valid.now(), segments * OWNED_PIXELS
         assert (found[:, :end] == expected[:, :end]).all()
         assert (found[:, end:] == 9).all()
 
 
 def test_each_band_writes_its_own_rows(session: Session, mapped: Any) -> None:
     (height, width), rng, band = mapped.shape, np.random.default_rng(3), 2
-    target = np.sort(rng.integers(-40, height * width, 5 * ITEM_PIXELS)).clip(-1).reshape(5, ITEM_PIXELS)
+    target = np.sort(rng.integers(-40, height * width, 5 * OWNED_PIXELS)).clip(-1).reshape(5, OWNED_PIXELS)
     target[:, ::7] = width * np.array([2, 4, 6, 8, 10])[:, None]  # where bands begin
     bounds = [(row[row >= 0].min(), row.max()) for row in target]
     moved = rng.uniform(0.003, 0.005, target.size)
     moved[0] = 0.002  # any other source would take a pixel from the first, which stands around the band
     key, pixels = moved.astype(np.float32), height * width
     depth = reproject_depth(target.ravel(), key, pixels)
-    winner = reproject_winner(target.ravel(), key, depth)
-    expected = np.where(winner == NO_WINNER, NONE, winner)
+    expected = reproject_winner(target.ravel(), key, depth)
     inputs = [upload(session, a) for a in (target.astype(np.int32), moved)]
     ranges = Amid(session, np.array(bounds, np.int32), -1)
     for k in range(-(-height // band)):
@@ -164,7 +161,7 @@ def test_each_band_writes_its_own_rows(session: Session, mapped: Any) -> None:
 
 def test_gather_takes_each_object_from_its_texture(session: Session, mapped: Any) -> None:
     """What is not valid has nothing, winner or not."""
-    rng, shape, sources = np.random.default_rng(7), mapped.shape, 5 * ITEM_PIXELS
+    rng, shape, sources = np.random.default_rng(7), mapped.shape, 5 * OWNED_PIXELS
     winner, valid = rng.integers(0, sources, shape), rng.random(shape) < 0.6
     moved, whose = rng.uniform(0.003, 0.005, sources), rng.integers(0, 2, sources).astype(np.uint8)
     planes = (((3, *shape), "f4"), (shape, "f8"), (shape, "f8"), (shape, "u1"), (shape, "u1"))
@@ -191,7 +188,7 @@ def test_border_is_the_mirror_image_of_the_frame(session: Session, mapped: Any) 
     rng, shape, guard = np.random.default_rng(11), mapped.shape, mapped.guard
     value, w, coc = rng.random((4, *shape)).astype(np.float32), rng.random(shape), rng.random(shape)  # one more plane
     known = rng.random(shape) < 0.3
-    known[guard:-guard, guard:-guard] = rng.random((5, ITEM_PIXELS)) < 0.7
+    known[guard:-guard, guard:-guard] = rng.random((5, OWNED_PIXELS)) < 0.7
     expected, after = extend_border(np.stack([*value[:3], w, coc], axis=-1), known, guard)
     assert known.sum() + 100 < after.sum() < known.size - 100
     planes = [Amid(session, plane, 0) for plane in (value, w, coc, known.astype(np.uint8))]
@@ -203,7 +200,7 @@ def test_border_is_the_mirror_image_of_the_frame(session: Session, mapped: Any) 
 
 
 def test_where_nothing_is_the_first_object_stands(session: Session, mapped: Any) -> None:
-    depth = np.where(np.arange(5 * ITEM_PIXELS).reshape(5, ITEM_PIXELS) % 3 == 0, 1 / 260.0, 0.0)
+    depth = np.where(np.arange(5 * OWNED_PIXELS).reshape(5, OWNED_PIXELS) % 3 == 0, 1 / 260.0, 0.0)
     expected, whose = reproject_rest(mapped.plan.scene, mapped.rest, [None, depth])
     assert (expected == 0).any()
     assert set(whose.ravel().tolist()) == {0, 1}

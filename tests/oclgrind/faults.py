@@ -118,8 +118,8 @@ FAULTS = (
     Fault(
         "a plain load beside an atomic",
         "layered/layered.cl",
-        "if (RELAXED_LOAD(latest + CLASSES * bins) < sum)",
-        "if (latest[CLASSES * bins] < sum)",
+        "if (RELAXED_LOAD(latest + DISCONTINUITY_CLASSES * bins) < sum)",
+        "if (latest[DISCONTINUITY_CLASSES * bins] < sum)",
         "slabs",
         "Read-write data race",
     ),

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import quad
 
+from clsco.constants import POWERS, TAP_LANES, WIDE_LANES
 from clsco.optics.psf import (
     disc_coverage,
     psf_extent,
@@ -20,16 +21,7 @@ from clsco.optics.psf import (
     subpixel_weights,
     weights,
 )
-from clsco.optics.psf_tables import (
-    POWERS,
-    TAP_LANES,
-    WIDE_LANES,
-    PsfTable,
-    _table_radius,
-    psf_table,
-    table_bytes,
-    table_coordinate,
-)
+from clsco.optics.psf_tables import PsfTable, _table_radius, psf_table, table_bytes, table_coordinate
 from clsco.reference.common.geometry import table_coordinate as float32_coordinate
 from clsco.scene.model import Psf
 

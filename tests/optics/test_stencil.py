@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from clsco.constants import LONGEST_RUN
 from clsco.optics.psf import reach, shape_of, weights
-from clsco.optics.stencil import LONGEST_RUN, SUMMED, Stencil, is_summed, stencils
+from clsco.optics.stencil import SUMMED, Stencil, is_summed, stencils
 from clsco.scene.model import Psf
 
 PSFS = [Psf(model=model, edge=edge) for model in ("pillbox", "gaussian") for edge in ("sampled", "area", "integrated")]

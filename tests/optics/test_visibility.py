@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from clsco.constants import LENS_CELLS
 from clsco.optics.lens import blur_radius
 from clsco.optics.motion import Pose, poses_at, rotation_matrix
 from clsco.optics.quadrics import Extent, place
-from clsco.optics.visibility import LENS_CELLS, Layer, extent, is_hollow, layers, lens_cells, lens_extent, may_hide
+from clsco.optics.visibility import Layer, extent, is_hollow, layers, lens_cells, lens_extent, may_hide
 from clsco.plan.plan import Plan, make_plan
 from clsco.reference.common.geometry import nearest_surface, pixel_ray
 from clsco.reference.common.visibility import CLEAR, HIDDEN, Points, check_visibility

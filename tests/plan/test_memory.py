@@ -15,9 +15,9 @@ from click.testing import CliRunner, Result
 
 import clsco
 from clsco.cli.main import main
+from clsco.constants import TAP_LANES
 from clsco.errors import SceneError
 from clsco.frame.strips import BAND, Strip
-from clsco.optics.psf_tables import TAP_LANES
 from clsco.plan import memory
 from clsco.plan.approximation import METHODS
 from clsco.plan.buffers import ThisMachine, margin

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from clsco.constants import TAP_LANES
 from clsco.errors import SceneError
 from clsco.frame.frame import TRUTH_NAMES
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
 from clsco.optics.psf import reach
-from clsco.optics.psf_tables import TAP_LANES
 from clsco.plan.buffers import ThisMachine
 from clsco.plan.memory import device_bytes
 from clsco.plan.methods import MANY_RADII, is_sharp

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from clsco.constants import NO_WINNER
 from clsco.optics.motion import Pose, pose_at
 from clsco.optics.quadrics import PlacedSurface, place
 from clsco.reference.common.geometry import Array, pixel_ray, rest_pixel, sample_texture, solve_quadric
 from clsco.reference.inpainting.fill import Method, fill, fill_objects, mark_missing
 from clsco.reference.trace.trace import padded_grid
 from clsco.reference.warp.warp import (
-    NO_WINNER,
     nearest_pixel,
     reproject,
     reproject_depth,

@@ -8,11 +8,11 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
+from clsco.constants import TAP_LANES
 from clsco.frame.strips import Grid, frame_struct
 from clsco.opencl.buffers import empty, upload
 from clsco.opencl.session import Session
 from clsco.optics.psf import reach
-from clsco.optics.psf_tables import TAP_LANES
 from clsco.passes.blur import Events, Sources, image_target, prepare_sources
 from clsco.passes.multigrid import Multigrid, make_blur
 from clsco.plan.approximation import METHODS

@@ -17,10 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.constants import LENS_CELLS
 from clsco.optics.lens import blur_scale, lens_radius
 from clsco.optics.psf import shape_of
 from clsco.optics.quadrics import PlacedSurface
-from clsco.optics.visibility import LENS_CELLS, Layer, lens_cells, lens_extent
+from clsco.optics.visibility import Layer, lens_cells, lens_extent
 from clsco.reference.common.geometry import Array, Bounds, difference_of_products, turned
 from clsco.reference.common.occluder import TINY, Mask, Occluder, hides_all
 from clsco.scene.model import Camera, Psf

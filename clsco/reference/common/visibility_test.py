@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from clsco.optics.visibility import LENS_CELLS
+from clsco.constants import LENS_CELLS
 from clsco.reference.common.geometry import Array
 from clsco.reference.common.occluder import occluded_share
 from clsco.reference.common.visibility import Visibility

@@ -7,18 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from clsco.inpainting.fse_tables import (
-    BEFORE,
-    BLOCK,
-    FEWEST_WAVES,
-    GUESS,
-    MOST_WAVES,
-    SIDE,
-    STEP,
-    TRUST,
-    WAVES_PER_CONTRAST,
-    tables,
-)
+from clsco.constants import FSE_BEFORE, FSE_BLOCK, FSE_SIDE
+from clsco.inpainting.fse_tables import FEWEST_WAVES, GUESS, MOST_WAVES, STEP, TRUST, WAVES_PER_CONTRAST, tables
 from clsco.inpainting.hole_shapes import block_turns, doubled, halved
 from clsco.reference.common.geometry import Array
 from clsco.reference.inpainting.neighbors import Mask, Pixels
@@ -28,30 +18,30 @@ def fill_texture(image: Array, missing: Mask) -> Array:
     """An image (H, W, K) of about 0 to 1 with its holes (H, W) filled, unclipped; some of it is known."""
     if not missing.any():
         return image
-    turns = block_turns(missing, BLOCK)
+    turns = block_turns(missing, FSE_BLOCK)
     value = np.where(missing[..., None], 0.0, image)
     weight = np.where(missing, 0.0, 1.0)
     if turns.max() > 1:  # some block is wholly missing
         value[missing] = doubled(fill_texture(*halved(value, missing)), missing)
         weight[missing] = GUESS
     for turn in range(int(turns.max()) + 1):
-        blocks = np.argwhere(turns == turn) * BLOCK
+        blocks = np.argwhere(turns == turn) * FSE_BLOCK
         value, weight = settle_blocks(extrapolate_blocks(value, weight, blocks), blocks, value, weight)
     return value
 
 
 def extrapolate_blocks(value: Array, weight: Array, blocks: Pixels) -> Array:
-    """Values (N, BLOCK, BLOCK, K) of blocks from the windows around them.
+    """Values (N, FSE_BLOCK, FSE_BLOCK, K) of blocks from the windows around them.
 
     value: (H, W, K), about 0 to 1; weight: (H, W), 0 where there is none; blocks: (N, 2), row and column of their first
     pixels.
     """
     table = [t.astype(np.float64) for t in tables()[:2]]
-    padding = ((BEFORE, SIDE), (BEFORE, SIDE))
+    padding = ((FSE_BEFORE, FSE_SIDE), (FSE_BEFORE, FSE_SIDE))
     weights, values = np.pad(weight, padding), np.pad(value, (*padding, (0, 0)))
-    result = np.empty((len(blocks), BLOCK, BLOCK, value.shape[2]))
+    result = np.empty((len(blocks), FSE_BLOCK, FSE_BLOCK, value.shape[2]))
     for n, (row, column) in enumerate(blocks):
-        at = np.s_[row : row + SIDE, column : column + SIDE]
+        at = np.s_[row : row + FSE_SIDE, column : column + FSE_SIDE]
         result[n] = _extrapolated(values[at], weights[at] * table[0], table[1])
     return result
 
@@ -60,7 +50,7 @@ def settle_blocks(filled: Array, blocks: Pixels, value: Array, weight: Array) ->
     """Values (H, W, K) and weights (H, W) with those of blocks taken over where pixels are not known."""
     value, weight = value.copy(), weight.copy()
     for block, (row, column) in zip(filled, blocks, strict=True):
-        at = np.s_[row : row + BLOCK, column : column + BLOCK]
+        at = np.s_[row : row + FSE_BLOCK, column : column + FSE_BLOCK]
         unknown = weight[at] != 1
         value[at][unknown] = block[: unknown.shape[0], : unknown.shape[1]][unknown]
         weight[at][unknown] = TRUST
@@ -68,19 +58,22 @@ def settle_blocks(filled: Array, blocks: Pixels, value: Array, weight: Array) ->
 
 
 def _extrapolated(f: Array, w: Array, preference: Array) -> Array:
-    """The middle (BLOCK, BLOCK, K) of a window of values f (SIDE, SIDE, K) with weights w (SIDE, SIDE)."""
+    """The middle (FSE_BLOCK, FSE_BLOCK, K) of a window of values f (FSE_SIDE, FSE_SIDE, K).
+
+    w: its weights (FSE_SIDE, FSE_SIDE).
+    """
     total = w.sum()
     mean, square = ((w[..., None] * f**power).sum(axis=(0, 1)) / total for power in (1, 2))
     deviation = np.sqrt(max((square - mean**2).max(), 0.0))
     waves = min(max(int(WAVES_PER_CONTRAST * deviation + 0.5), FEWEST_WAVES), MOST_WAVES)
     W, R = np.fft.fft2(w), np.fft.fft2(w[..., None] * f, axes=(0, 1))
-    middle = np.arange(BEFORE, BEFORE + BLOCK)
-    result = np.zeros((BLOCK, BLOCK, f.shape[2]))
+    middle = np.arange(FSE_BEFORE, FSE_BEFORE + FSE_BLOCK)
+    result = np.zeros((FSE_BLOCK, FSE_BLOCK, f.shape[2]))
     for _ in range(waves):
-        energy = (np.abs(R[:, : SIDE // 2]) ** 2).sum(axis=2) * preference
+        energy = (np.abs(R[:, : FSE_SIDE // 2]) ** 2).sum(axis=2) * preference
         u, v = np.unravel_index(int(energy.argmax()), energy.shape)
         q = (STEP if u or v else 0.5 * STEP) * R[u, v] / total
         R -= np.roll(W, (u, v), (0, 1))[..., None] * q + np.roll(W, (-u, -v), (0, 1))[..., None] * q.conj()
-        wave = np.exp(2j * np.pi / SIDE * (u * middle[:, None] + v * middle))
+        wave = np.exp(2j * np.pi / FSE_SIDE * (u * middle[:, None] + v * middle))
         result += 2 * (wave[..., None] * q).real
     return result

@@ -13,6 +13,7 @@ from math import ceil, log2
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.constants import DISCONTINUITY_CLASSES
 from clsco.optics.psf import psf_extent, reach
 from clsco.reference.blur.blur import prepare_sources, scatter
 from clsco.reference.common.geometry import Array
@@ -25,7 +26,6 @@ Integers = NDArray[np.int64]
 
 DISCONTINUITY = 1.0  # px: over the lens two points shift by |R1 - R2| against each other; less hides no pixel
 BIN = 0.25  # px: depth layers end at multiples of it
-CLASSES = 10  # of discontinuities: beyond DISCONTINUITY, 2 DISCONTINUITY, 4 DISCONTINUITY ... px
 MOST_SLABS = 8
 NO_SEED = 1 << 14  # px: farther than any blur reaches
 NEVER = 1 << 24  # beyond the last pixel of any frame
@@ -45,14 +45,14 @@ def bins_of(largest: float) -> tuple[float, int]:
 
 
 def find_discontinuities(coc: Array, valid: Mask, low: float, bins: int, far: int) -> tuple[Integers, int]:
-    """Discontinuities of the radius: (CLASSES, bins), 1 + the largest bin of the near side, 0 for none.
+    """Discontinuities of the radius: (DISCONTINUITY_CLASSES, bins), 1 + the largest bin of the near side, 0 for none.
 
     And the largest sum of the two radii of a discontinuity, without their signs, px, rounded up. coc: (H, W) px; valid:
     (H, W); low px, bins: from `bins_of`; far: px. A discontinuity is between two valid pixels of a row or a column with
     none between them, at most `far` px apart. Entry (k, b): those of class k, beyond DISCONTINUITY 2^k px, whose far
     side is in bin b.
     """
-    latest, largest_sum = np.zeros((CLASSES, bins), dtype=np.int64), 0
+    latest, largest_sum = np.zeros((DISCONTINUITY_CLASSES, bins), dtype=np.int64), 0
     for radius, there in ((coc, valid), (coc.T, valid.T)):
         line, at = np.nonzero(there)
         value = radius[line, at]
@@ -60,7 +60,9 @@ def find_discontinuities(coc: Array, valid: Mask, low: float, bins: int, far: in
         pair = (line[1:] == line[:-1]) & (np.diff(at) <= far) & (away - near > DISCONTINUITY)
         near, away = near[pair], away[pair]
         largest_sum = max(largest_sum, int(np.ceil(np.abs(near) + np.abs(away)).max(initial=0)))
-        size = np.clip(np.ceil(np.log2((away - near) / DISCONTINUITY)) - 1, 0, CLASSES - 1).astype(np.int64)
+        size = np.clip(np.ceil(np.log2((away - near) / DISCONTINUITY)) - 1, 0, DISCONTINUITY_CLASSES - 1).astype(
+            np.int64
+        )
         np.maximum.at(latest, (size, _bin(away, low, bins)), _bin(near, low, bins) + 1)
     return latest, largest_sum
 
@@ -68,10 +70,11 @@ def find_discontinuities(coc: Array, valid: Mask, low: float, bins: int, far: in
 def slab_bounds(latest: Integers) -> list[int]:
     """First bins of the second and each further depth layer, at most MOST_SLABS - 1 of them, in rising order.
 
-    latest: (CLASSES, bins) from `find_discontinuities`. From near to far, a discontinuity that no bound splits yet
-    gets one in the middle of where it can be; where that makes too many, those of the smallest class are left alone.
+    latest: (DISCONTINUITY_CLASSES, bins) from `find_discontinuities`. From near to far, a discontinuity that no bound
+    splits yet gets one in the middle of where it can be; where that makes too many, those of the smallest class are
+    left alone.
     """
-    for smallest in range(CLASSES):
+    for smallest in range(DISCONTINUITY_CLASSES):
         bounds: list[int] = []
         for far_bin, near_bin in enumerate((latest[smallest:].max(axis=0) - 1).tolist()):
             if near_bin >= 0 and (not bounds or bounds[-1] <= near_bin):

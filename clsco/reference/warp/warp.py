@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.constants import NO_WINNER
 from clsco.optics.motion import Pose, rest_center
 from clsco.optics.quadrics import PlacedSurface
 from clsco.reference.common.geometry import Array, mirror_index, pixel_ray, project, solve_quadric
 from clsco.reference.trace.trace import padded_grid
 from clsco.scene.model import Scene
 
-NO_WINNER = np.iinfo(np.int64).max
 NO_OBJECT = np.uint8(255)
 SAME_DEPTH = np.float32(1.02)  # relative: neighbors in the reference pose that differ by less are one surface
 WIDEST_GAP = 3  # px on each side: surfaces may grow to four times their size
@@ -106,7 +106,7 @@ def reproject_winner(
 
     target, key: as for `reproject_depth`, whose result `depth` is.
     """
-    winner = np.full(depth.shape, NO_WINNER)
+    winner = np.full(depth.shape, NO_WINNER, np.int64)
     source = np.flatnonzero(target >= 0)
     source = source[key[source] == depth[target[source]]]
     np.minimum.at(winner, target[source], source)

@@ -1,0 +1,85 @@
+"""Numbers that host and kernels must agree on, all of them whole: each stands here, and kernels have them by -D.
+
+Every program is compiled with all of them (`clsco.opencl.program.build`), so each name has one meaning in all kernels.
+What only kernels know is a `#define` there; what differs from program to program is a feature.
+"""
+
+from __future__ import annotations
+
+# Statistics of a frame, ints by their places: largest and smallest |R| as the bits of a float, and slots of sub-pixel
+# sources that were taken at a time sample, and at most at any (kernels/common/geometry.clh, kernels/trace/trace.cl).
+STATISTIC_LARGEST = 0
+STATISTIC_SMALLEST = 1
+STATISTIC_SLOTS = 2
+STATISTIC_MOST_SLOTS = 3
+
+# Visibility (kernels/common/visibility.clh).
+LENS_CELLS = 8  # cells of the lens per half axis, where it is tested on a grid of its own
+
+# Tables of weights (kernels/common/psf.clh, kernels/blur/cpu).
+TAP_LANES = 8  # floats in a vector of taps; rows of weights fill whole ones
+POWERS = 4  # coefficients of a weight, a cubic in the position in its interval
+# Floats in the widest vector; intervals of which a kernel reads the coefficients of a tap together, from every
+# TAP_LANES-th one on.
+WIDE_LANES = 16
+
+# Blur by `gather` (kernels/blur/cpu).
+ROW_TILE = 256  # columns of a tile of a band, with whole rows of sources
+ROW_WINDOW = 16  # rows of sums that are kept where sources reach few: a power of 2 above twice their reach
+MOST_ITEMS = 256  # groups of sources of a column that are kept at a time, at most
+ITEMS_BYTES = 2**18  # bytes that groups of sources of Gaussians take, unless few of them take more
+MOST_ASIDE = 5  # columns of a block of Gaussians, at most
+
+# Blur by `tiles` (kernels/blur/tiles.cl).
+GROUP_COLUMNS = 16  # pixels of a work-group along a row
+GROUP_ROWS = 8  # pixels of a work-group along a column
+
+# Blur by `convolve` (kernels/blur/convolve.cl).
+CONVOLVED_ROWS = 32  # rows of the frame that a work-item makes
+CONVOLVED_COLUMNS = 64  # columns of the frame that a work-item makes, whole vectors of WIDE_LANES
+TILES_ABREAST = 8  # work-items side by side before those below, so that what they read is still in the cache
+LONGEST_RUN = 8  # weights of a run, which a kernel keeps in registers
+DROPPED_BITS = 26  # lower bits of a sum over a disc that sums of 32 bits leave out
+
+# Coarser grids (kernels/blur/multigrid.cl).
+EDGE_COLUMNS = 8  # columns around a plane, on its left; on its right at least as many
+EDGE_ROWS = 8  # rows above a plane, and below it
+
+# Layered occlusion (kernels/layered/layered.cl).
+DISCONTINUITY_CLASSES = 10  # of sizes: beyond 1, 2, 4 ... times the least discontinuity
+REACH_PIXELS = 64  # pixels of a row for which a work-item finds the nearest edge
+SEED_COLUMNS = 16  # columns that a work-item walks down
+PUSH_PIXELS = 4  # pixels of a coarser level that a work-item makes
+
+# Forward warp (kernels/warp/warp.cl).
+OWNED_PIXELS = 64  # sources of a row that a work-item moves, where work-items own bands of the image
+NO_WINNER = 2**31 - 1  # instead of the number of a source, in a pixel where none comes
+
+# Filling of missing pixels (kernels/inpainting/fill.cl, fill_mean_median.cl, mean_median.cl).
+FILL_LANES = 8  # pixels of a vector
+FILL_CHUNK = 64  # pixels per work-item where it counts, so that atomics are rare
+# Counters of a filling, ints by their places: entries of the list of missing pixels, those of them in the frame, what a
+# sweep has filled, in the frame, and entries of the list of what all sweeps have filled.
+COUNTER_LEFT = 0
+COUNTER_LEFT_INSIDE = 1
+COUNTER_FILLED = 2
+COUNTER_FILLED_INSIDE = 3
+COUNTER_DONE = 4
+
+# Scores of mean and median (kernels/inpainting/score.cl).
+SCORED_COLUMNS = 128  # columns of a row that a work-item scores: no more may be summed up in 31 bits
+SCORE_SUMS = 13  # sums of a work-item
+CODE_LANES = 16  # values of 8 bits in a vector
+
+# Biharmonic filling (kernels/inpainting/biharmonic.cl).
+DOT_SEGMENT = 256  # products of a dot product that a work-item adds up
+
+# Frequency-selective extrapolation (kernels/inpainting/fse.cl).
+FSE_SIDE = 32  # px of a window, along an axis
+FSE_BLOCK = 2  # px of the block in the middle of a window that is filled from it, along an axis
+FSE_BEFORE = (FSE_SIDE - FSE_BLOCK) // 2  # px of a window before its block, along an axis
+
+
+def definitions() -> dict[str, int]:
+    """Name -> value of all constants of this module, for the compiler of kernels."""
+    return {name: value for name, value in globals().items() if name.isupper()}
