@@ -69,7 +69,7 @@ def is_image_file(out: Path) -> bool:
     suffix = out.suffix.lower()
     if out.is_dir():
         return False
-    if suffix in _OTHER_IMAGES:
+    if suffix not in WRITERS and suffix in _OTHER_IMAGES:
         refuse(out, f"must be a folder, or end in one of {' '.join(WRITERS)}", repr(out.suffix))
     return suffix in WRITERS
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.scene.model import Object, ObjectMotion, Scene, Sequence
+from clsco.scene.shapes import origin
 
 Eye = Literal["left", "right"]
 # The thesis turns an object in a frame whose z axis points towards the camera (2.13).
@@ -106,9 +107,7 @@ def pose_at(motion: ObjectMotion, time: float, rotation: str) -> Pose:
 
 def rest_center(item: Object) -> NDArray[np.float64]:
     """Center of rotation (3,) of an object in its reference pose, mm: the apex of a cone, (0, 0, a) of a plane."""
-    if item.shape == "plane":
-        return np.array([0.0, 0.0, item.distance])
-    return np.asarray(item.apex if item.shape == "cone" else item.center, dtype=np.float64)
+    return np.asarray(origin(item), dtype=np.float64)
 
 
 def eye_pose(scene: Scene, eye: Eye, time: float) -> Pose:

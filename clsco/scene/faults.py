@@ -10,11 +10,10 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 
 from clsco.errors import SceneError
-from clsco.scene.shapes import AnyShape, ObjectMotion, repeated_names
+from clsco.scene.shapes import SHAPES, ObjectMotion, repeated_names
 from clsco.scene.text import key_name, shown
 
 MAX_MESSAGES = 100
-SHAPES: dict[str, type[BaseModel]] = {shape.model_fields["shape"].default: shape for shape in get_args(AnyShape)}
 
 Root = TypeVar("Root", bound=BaseModel)
 

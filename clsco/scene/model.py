@@ -201,11 +201,12 @@ class Psf(Strict):
         return self._aperture
 
     def through(self, aperture: Aperture) -> Self:
-        """The PSF of another aperture; a polygon needs a pillbox that is not sampled."""
-        if aperture.shape == "polygon" and self.model == "gaussian":
-            raise at_keys([(("aperture", "shape"), fault('"polygon" needs psf.model = "pillbox"'), aperture.shape)])
-        if aperture.shape == "polygon" and self.edge == "sampled":
-            rule = '"polygon" needs psf.edge = "integrated" or "area"'
+        """The PSF of another aperture; any but a circle needs a pillbox that is not sampled."""
+        if aperture.shape != "circle" and self.model == "gaussian":
+            rule = f'"{aperture.shape}" needs psf.model = "pillbox"'
+            raise at_keys([(("aperture", "shape"), fault(rule), aperture.shape)])
+        if aperture.shape != "circle" and self.edge == "sampled":
+            rule = f'"{aperture.shape}" needs psf.edge = "integrated" or "area"'
             raise at_keys([(("aperture", "shape"), fault(rule), aperture.shape)])
         changed = self.model_copy()
         changed._aperture = aperture

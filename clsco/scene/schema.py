@@ -6,9 +6,9 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from clsco.scene.faults import SHAPES
 from clsco.scene.file import MAX_OUTPUTS, SECTIONS, SWEEPABLE
 from clsco.scene.model import CameraMotion, ObjectMotion, Scene
+from clsco.scene.shapes import SHAPES
 
 _END = {"anyOf": [{"type": "number"}, {"type": "array", "items": {"type": "number"}}]}
 _RANGE_SCHEMA = {

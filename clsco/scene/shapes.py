@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from itertools import count
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
@@ -27,7 +27,6 @@ from clsco.scene.quantities import (
     fault,
 )
 
-SHAPES = ("plane", "cylinder", "sphere", "cone", "ellipsoid", "quadric", "depth_map")
 BUILT_IN_TEXTURES = ("bricks", "checkerboard", "slanted_edge", "siemens_star")
 MAX_OBJECTS = 64
 IN_FRONT = "must leave part of the object in front of the lens (z > 0)"
@@ -211,6 +210,10 @@ class DepthMap(_Object):
 AnyShape = Plane | Cylinder | Sphere | Cone | Ellipsoid | Quadric | DepthMap
 
 
+SHAPES: dict[str, type[AnyShape]] = {kind.model_fields["shape"].default: kind for kind in get_args(AnyShape)}
+"""All shapes by their names."""
+
+
 def origin(shape: AnyShape) -> Vector:
     """Origin of an object's own frame: the object rotates about it, and its bounds are relative to it.
 
@@ -240,7 +243,8 @@ def _known_shape(value: Any) -> Any:
     if isinstance(value, dict):
         shape = value.get("shape")
         if not isinstance(shape, str) or shape not in SHAPES:
-            rule = f"must be {', '.join(SHAPES[:-1])} or {SHAPES[-1]}"
+            *others, last = SHAPES
+            rule = f"must be {', '.join(others)} or {last}"
             raise at_keys([(("shape",), fault(rule, None if "shape" in value else "nothing"), shape)])
     return value
 
