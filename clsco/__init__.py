@@ -36,14 +36,17 @@ Scene, Camera, Psf, Plane, Sphere, Cylinder, Cone, Ellipsoid, Quadric, DepthMap
     What a scene holds, frozen and validated; lengths in mm, angles in degrees, times in s.
 Frame
     A rendered image with its ground truth.
+Live
+    Renders scenes that differ in little one after the other, and keeps what is the same.
 MeanMedian
     Options of one method of `inpaint`.
 ClscoError
-    Base of all errors that are raised on purpose: SceneError, ImageError, DeviceError, KernelError.
+    Base of all errors that are raised on purpose: SceneError, ImageError, DeviceError, KernelError,
+    CanceledError.
 
 `device=` takes a part of a device's name, "cpu", "gpu", or a Device, Context or CommandQueue of pyopencl. Each name is
-imported when it is first used: without OpenCL everything but `render`, `render_frame`, `render_sweep`, `defocus`,
-`inpaint` and `list_devices` works.
+imported when it is first used: without OpenCL everything but `render`, `render_frame`, `render_sweep`, `Live`,
+`defocus`, `inpaint` and `list_devices` works.
 """
 
 from __future__ import annotations
@@ -55,9 +58,11 @@ if TYPE_CHECKING:
     from clsco import reference as reference
     from clsco.engine.defocus import defocus as defocus
     from clsco.engine.inpaint import inpaint as inpaint
+    from clsco.engine.live import Live as Live
     from clsco.engine.sequence import render as render
     from clsco.engine.sequence import render_frame as render_frame
     from clsco.engine.sequence import render_sweep as render_sweep
+    from clsco.errors import CanceledError as CanceledError
     from clsco.errors import ClscoError as ClscoError
     from clsco.errors import DeviceError as DeviceError
     from clsco.errors import ImageError as ImageError
@@ -86,6 +91,7 @@ _NAMES = {
     "clsco.engine.sequence": ("render", "render_frame", "render_sweep"),
     "clsco.engine.defocus": ("defocus",),
     "clsco.engine.inpaint": ("inpaint",),
+    "clsco.engine.live": ("Live",),
     "clsco.scene.file": ("load_scene", "parse_scene"),
     "clsco.scene.sweep": ("load_sweep",),
     "clsco.opencl.device": ("list_devices",),
@@ -95,14 +101,14 @@ _NAMES = {
     ),
     "clsco.frame.frame": ("Frame",),
     "clsco.inpainting.rules": ("MeanMedian",),
-    "clsco.errors": ("ClscoError", "SceneError", "ImageError", "DeviceError", "KernelError"),
+    "clsco.errors": ("ClscoError", "SceneError", "ImageError", "DeviceError", "KernelError", "CanceledError"),
 }
 _HOME = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = [  # noqa: RUF022, verbs and then types
     "render", "render_frame", "render_sweep", "defocus", "inpaint", "load_scene", "parse_scene", "load_sweep",
     "list_devices", "reference",
     "Scene", "Camera", "Psf", "Plane", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Frame",
-    "MeanMedian", "ClscoError", "SceneError", "ImageError", "DeviceError", "KernelError",
+    "Live", "MeanMedian", "ClscoError", "SceneError", "ImageError", "DeviceError", "KernelError", "CanceledError",
 ]  # fmt: skip
 
 

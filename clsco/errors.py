@@ -35,6 +35,10 @@ class DeviceError(ClscoError):
         super().__init__(message)
 
 
+class CanceledError(ClscoError):
+    """A render was canceled before it was done (`clsco.Live.cancel`)."""
+
+
 class KernelError(ClscoError):
     """A kernel does not build; the message holds the compiler's log with file names."""
 

@@ -27,7 +27,8 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     row of the strip; guard: columns, above: rows of the grid before its own; width, height of the grid; step: slope
     between neighboring rays; blur_scale px mm; focus_power 1/mm; lens_radius mm. surface_t: see surfaces.PlacedSurface;
     texture: its number in the stack. pose_t: see motion.Pose. layer_t: see occlusion.Layer; count: of all objects.
-    psf_t: how a blur radius becomes a coordinate in the tables, and which intervals they hold; the rest: see occlusion.
+    psf_t: how a blur radius becomes a coordinate in the tables, which intervals they hold (first, count), and which of
+    them radii are clamped to (low to end - 1), see psf_tables.PsfTable; the rest: see occlusion.
     """
     i, two, three, nine = "i4", (2,), (3,), (9,)
     camera: list[Any] = [
@@ -39,7 +40,8 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     surface += [("nappe", i), ("texture", i), *_reals(real, near_x=two, near_y=two, near_w=())]
     pose = _reals(real, rotation=nine, shift=three)
     layer = [("members", "u8"), ("occluders", "u8"), *((name, i) for name in ("count", "own", "root"))]
-    psf: list[Any] = [(name, i) for name in ("first", "count", "reach", "sub_first", "sub_count")]
+    psf: list[Any] = [(name, i) for name in ("first", "count", "low", "end", "reach")]
+    psf += [(name, i) for name in ("sub_first", "sub_count", "sub_low", "sub_end")]
     psf += _reals(real, key=(), minimum_blur=(), fine_steps=(), fine_until=(), octaves_from=(), steps=(), sub_steps=())
     psf += _reals(real, lens_extent=())
     fields = {"camera_t": camera, "surface_t": surface, "pose_t": pose, "layer_t": layer, "psf_t": psf}

@@ -1,7 +1,10 @@
-"""Folders that are shipped with the package: the kernels and the example scenes."""
+"""Folders: those that are shipped with the package, kernels and example scenes, and those of the user's cache."""
 
 from __future__ import annotations
 
+import os
+import stat
+from collections.abc import Mapping
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -20,3 +23,58 @@ def folder(name: str) -> Traversable:
     if inside.is_dir():
         return inside
     raise FileNotFoundError(f"{name}: must be installed as clsco/{name} or lie beside the package; got neither")
+
+
+class ExposedFolderError(Exception):
+    """Another user could put files into a folder of the cache; `folder`: the first such one."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        super().__init__(f"{folder}: must belong to you, and be writable by you alone")
+
+
+def private_folder(*names: str, environ: Mapping[str, str] = os.environ) -> Path:
+    """A folder in the user's cache folder that nobody else can write to; it is made where it is not there.
+
+    Parameters
+    ----------
+    *names : str
+        Of the folder and those above it, from the top.
+    environ : mapping
+        XDG_CACHE_HOME names the cache folder, by default ~/.cache.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    ExposedFolderError
+        Another user owns it or one above it that is made here, or may write there.
+    OSError, RuntimeError
+        It cannot be made, or the user has no home.
+    """
+    root = Path(environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    root.mkdir(mode=0o700, parents=True, exist_ok=True)
+    made = [root.joinpath(*names[: k + 1]) for k in range(len(names))]
+    for one in made:  # one by one: the mode is not that of parents
+        one.mkdir(mode=0o700, exist_ok=True)
+    if (exposed := _exposed(root, *made)) is not None:
+        raise ExposedFolderError(exposed)
+    return made[-1]
+
+
+def _exposed(root: Path, *ours: Path) -> Path | None:
+    """The first folder in which another user could put kernels; `ours`: those that are made in `root`, from its top."""
+    if not hasattr(os, "geteuid"):
+        return None
+    user = os.geteuid()
+    above = root.stat()
+    swappable = above.st_mode & stat.S_IWOTH and not above.st_mode & stat.S_ISVTX  # a folder in it could be replaced
+    if above.st_uid not in (user, 0) or swappable:
+        return root
+    for folder in ours:
+        found = folder.lstat()
+        if not stat.S_ISDIR(found.st_mode) or found.st_uid != user or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+            return folder
+    return None

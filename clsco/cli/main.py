@@ -156,7 +156,8 @@ def check(scene: Path, overrides: tuple[str, ...], device: str | None, precision
 @main.command()
 @device_option
 @click.option("--self-test", "tested", is_flag=True, help="Run small kernels on each device.")
-def devices(device: str | None, tested: bool) -> None:
+@click.option("--warm", "warms", is_flag=True, help="Compile the kernels of usual scenes ahead: a minute or so.")
+def devices(device: str | None, tested: bool, warms: bool) -> None:
     """List OpenCL devices, what each can do, and which one is used and why."""
     _require_opencl()
     from clsco.cli.tables import device_tables, print_tables
@@ -173,6 +174,11 @@ def devices(device: str | None, tested: bool) -> None:
     failed = [f"{item}: {check.name}" for item, results in checks.items() for check in results if not check.passed]
     if failed:
         raise ClscoError(f"self-test: every check must pass; got failures in {', '.join(failed)}")
+    if warms:
+        from clsco.cli.warm import warm_cache
+
+        done = warm_cache(device)
+        click.echo(f"warm: {done.programs} programs compiled for {done.plans} renders, in {done.seconds:.0f} s")
 
 
 @main.command()

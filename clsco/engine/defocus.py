@@ -28,6 +28,7 @@ from clsco.optics.slabs import Slabs
 from clsco.passes.blur import Sources, image_target, prepare_sources
 from clsco.passes.layered import DepthLayers
 from clsco.passes.multigrid import Multigrid, make_blur
+from clsco.passes.tables import forget_others
 from clsco.plan.approximation import (
     METHODS,
     ApproximationReport,
@@ -208,6 +209,8 @@ def _defocus(
     """By the method, or the first one that is within the tolerance; the error is only measured where it is needed."""
     device = session.device
     limit = limit_of(memory, device)
+    if limit.given:
+        forget_others(session)
     name, tolerance = method
     gpu = device.kind == "gpu"
     tried: tuple[tuple[str, float], ...] = ()

@@ -65,7 +65,6 @@ class Renderer:
         wants_double = precision == "double" or (precision is None and device.has_fp64)
         real: Real = "double" if wants_double else "float"
         self.plan, self.limit, self.prepared, self.hits = plan, limit, prepared, hits
-        self.shares_rays = hits is not None
         self.scene = PlacedScene(session, plan.scene, prepared.textures, real, plan.eye)
         self.approximations = plan.approximations  # of every frame, before any of them is tried
         self.tried: tuple[tuple[str, float], ...] = ()
@@ -83,7 +82,7 @@ class Renderer:
 
     def _workspace(self) -> Workspace:
         camera = self._camera(self.plan.strips[0])
-        return make_workspace(self.plan, self.scene, self.moved, self.hits, camera, self.shares_rays)
+        return make_workspace(self.plan, self.scene, self.moved, self.hits, camera)
 
     def _camera(self, strip: Strip) -> Struct:
         return camera_struct(self.plan.scene.camera, self.plan.guard_px, self.scene.real, strip)
@@ -129,6 +128,7 @@ class Renderer:
         work.depth_layers = self.depth_layers
         work.report = {"time": time, "weight": weight} | NOTHING_MISSING
         for step in self.plan.passes:
+            self.scene.session.go_on()
             if step.kind != "ground truth":
                 self._ready.run(step, work)
         self.reports.append(work.report)

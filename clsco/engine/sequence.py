@@ -14,7 +14,8 @@ from clsco.engine.shrinking import Shrinking
 from clsco.errors import DeviceError, SceneError
 from clsco.frame.frame import ALL_TRUTH, Frame, truth_names
 from clsco.opencl.session import DeviceLike, Session, session_for
-from clsco.passes.trace import Hits
+from clsco.passes.tables import forget_others
+from clsco.passes.trace import KeptHits, LatestHits
 from clsco.plan.approximation import checked_tolerance
 from clsco.plan.memory import Limit, device_bytes, fitted, hit_bytes, limit_of, parse_size
 from clsco.plan.methods import check_method
@@ -27,6 +28,7 @@ from clsco.scene.sweep import Sweep
 from clsco.scene.text import shown
 
 # Keys of the camera that change what a lens makes of a hit, and not what a ray hits.
+KEPT_GUARD = 32  # px, of aprons of rays that are kept
 LENS_KEYS = ("f_number", "aperture_diameter", "focus_distance", "sensor_distance")
 
 
@@ -164,7 +166,15 @@ def render_sweep(
     (tests/cli/test_sweep.py).
     """
     found = [scene_of(scene) for scene in (scenes.scenes if isinstance(scenes, Sweep) else scenes)]
-    chosen = None if frames is None else _frame_numbers(found, frames)
+    chosen = None if frames is None else frame_numbers(found, frames)
+    request = checked_request(truth, method, tolerance, precision, memory)
+    return _render_scenes(session_for(device), found, request, chosen)
+
+
+def checked_request(
+    truth: str | Iterable[str], method: str, tolerance: float | None, precision: str | None, memory: str | int | None
+) -> Request:
+    """What users request of a rendering. Raises SceneError for what cannot be."""
     if precision not in (None, "single", "double"):
         raise SceneError(f"precision: must be single or double; got {precision}")
     check_method(method)
@@ -172,17 +182,19 @@ def render_sweep(
         checked_tolerance(tolerance, method)
     if memory is not None:
         parse_size(memory)
-    request = Request(truth_names(truth), method, tolerance, precision, memory)
-    return _render_scenes(session_for(device), found, request, chosen)
+    return Request(truth_names(truth), method, tolerance, precision, memory)
 
 
 def render_prepared(
-    session: Session, prepared: Sequence[Prepared], frames: Sequence[int] | None = None
+    session: Session, prepared: Sequence[Prepared], frames: Sequence[int] | None = None, keeps_rays: bool = False
 ) -> Iterator[tuple[int, Frame]]:
-    """`render_sweep` for scenes that are prepared, in the session, with one request for all of them."""
+    """`render_sweep` for scenes that are prepared, in the session, with one request for all of them.
+
+    keeps_rays: what rays hit stays with the session, for later renderings of the same objects.
+    """
     with session.reporting():
         for group in _groups([each.scene for each in prepared]):
-            for k, frame in _render_group(session, [prepared[k] for k in group], frames):
+            for k, frame in _render_group(session, [prepared[k] for k in group], frames, keeps_rays):
                 yield group[k], frame
 
 
@@ -196,7 +208,7 @@ def _render_scenes(
             yield group[k], frame
 
 
-def _frame_numbers(scenes: Sequence[Scene], frames: Iterable[SupportsIndex]) -> list[int]:
+def frame_numbers(scenes: Sequence[Scene], frames: Iterable[SupportsIndex]) -> list[int]:
     """The numbers of frames, which every scene must have. Raises SceneError."""
     count = min((scene.sequence.frames for scene in scenes), default=0)
     try:
@@ -225,12 +237,14 @@ def _without_lens(scene: Scene) -> Scene:
 
 
 def _render_group(
-    session: Session, prepared: Sequence[Prepared], frames: Sequence[int] | None
+    session: Session, prepared: Sequence[Prepared], frames: Sequence[int] | None, keeps_rays: bool
 ) -> Iterator[tuple[int, Frame]]:
     """Frames of scenes that differ in the lens only."""
     request, views = prepared[0].request, len(prepared[0].plans)
     wanted = range(prepared[0].scene.sequence.frames) if frames is None else frames
     limit = replace(limit_of(request.memory, session.device), views=views)
+    if limit.given:
+        forget_others(session)
     numbers, done = list(wanted), 0
     try:
         with session.reporting():
@@ -242,7 +256,7 @@ def _render_group(
             raise
     left = numbers[done:]
     for k, each in enumerate(prepared if left else ()):
-        for of_views in _in_strips(session, each, limit, left):
+        for of_views in _in_strips(session, each, limit, left, keeps_rays):
             yield from ((k, frame) for frame in of_views)
 
 
@@ -252,7 +266,7 @@ def _in_turns(
     """All frames of each number, of scenes that share their rays; none where they cannot."""
     together = []
     for of_lenses in _in_lockstep([each.plans for each in prepared], limit):
-        hits = Hits(session)
+        hits = LatestHits(session)
         pairs = zip(of_lenses, prepared, strict=True)
         together.append([Renderer(session, plan, each, limit, hits) for plan, each in pairs])
     for index in wanted if together else ():
@@ -260,13 +274,21 @@ def _in_turns(
         yield [(k, frame) for k, views in enumerate(zip(*rendered, strict=True)) for frame in views]
 
 
-def _in_strips(session: Session, prepared: Prepared, limit: Limit, wanted: Sequence[int]) -> Iterator[list[Frame]]:
+def _in_strips(
+    session: Session, prepared: Prepared, limit: Limit, wanted: Sequence[int], keeps_rays: bool
+) -> Iterator[list[Frame]]:
     """The views of each frame of one scene; in smaller strips where the device has less memory than it reports."""
     renderers: list[Renderer] = []
 
+    def renderer(plan: Plan) -> Renderer:
+        if keeps_rays and casts_for_lenses(plan) and len(plan.strips) == 1:
+            wide = fitted(replace(plan, guard_px=_kept_guard(plan.guard_px)), memory.limit)
+            return Renderer(session, wide, prepared, memory.limit, KeptHits(session))
+        return Renderer(session, plan, prepared, memory.limit)
+
     def views(plans: list[Plan], index: int) -> list[Frame]:
         try:
-            renderers[:] = renderers or [Renderer(session, plan, prepared, memory.limit) for plan in plans]
+            renderers[:] = renderers or [renderer(plan) for plan in plans]
             return [_together([renderer], index)[0] for renderer in renderers]
         except DeviceError:
             renderers.clear()  # before those for smaller strips take memory
@@ -278,6 +300,12 @@ def _in_strips(session: Session, prepared: Prepared, limit: Limit, wanted: Seque
     memory = Shrinking(session, limit, fit, lambda plans: device_bytes(plans[0], limit.views))
     for index in wanted:
         yield memory.run(partial(views, index=index))
+
+
+def _kept_guard(guard: int) -> int:
+    """An apron for rays that are kept: one of few widths, so that lenses with about the same blur have the same."""
+    step = max(1 << guard.bit_length() >> 2, KEPT_GUARD)
+    return -(-guard // step) * step
 
 
 def _in_lockstep(plans: Sequence[tuple[Plan, ...]], limit: Limit) -> list[list[Plan]]:
@@ -298,12 +326,16 @@ def _in_lockstep(plans: Sequence[tuple[Plan, ...]], limit: Limit) -> list[list[P
 def _shares_rays(one: tuple[Plan, ...], other: tuple[Plan, ...]) -> bool:
     """Whether what rays hit for one lens serves another one."""
     return all(
-        a.blur == b.blur in ("gather", "tiles")
-        and not (a.forward or b.forward or a.static_map or b.static_map)
-        and "layered" not in (a.occlusion, b.occlusion)
-        and (a.layers, a.silhouettes, a.samples) == (b.layers, b.silhouettes, b.samples)
+        casts_for_lenses(a)
+        and casts_for_lenses(b)
+        and (a.blur, a.layers, a.silhouettes, a.samples) == (b.blur, b.layers, b.silhouettes, b.samples)
         for a, b in zip(one, other, strict=True)
     )
+
+
+def casts_for_lenses(plan: Plan) -> bool:
+    """Whether rays are cast, and nothing but sources is made of what they hit."""
+    return plan.blur in ("gather", "tiles") and "trace" in {step.kind for step in plan.passes}
 
 
 def _together(renderers: Sequence[Renderer], index: int) -> list[Frame]:

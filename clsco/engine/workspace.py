@@ -15,10 +15,9 @@ from clsco.passes.layered import DepthLayers
 from clsco.passes.multigrid import make_blur
 from clsco.passes.placed import PlacedScene, TimeSample
 from clsco.passes.static_image import StaticMap
-from clsco.passes.trace import Hits, Tracer, Work
+from clsco.passes.trace import TRACE_FILES, Hits, Tracer, Work
 from clsco.passes.warp import ForwardWarp
 from clsco.plan.approximation import sample_places
-from clsco.plan.buffers import TRUTH_BUFFERS
 from clsco.plan.passes import Kind, Pass
 from clsco.plan.plan import Plan
 from clsco.records import Struct, structs
@@ -79,31 +78,21 @@ class Workspace:
             self.tracer.pinhole(work, 0.0)
 
 
-def features_of(plan: Plan, shares_rays: bool, fp64: bool) -> dict[str, int]:
+def features_of(plan: Plan, fp64: bool) -> dict[str, int]:
     """What the program of a plan is built for."""
     if plan.static_map:
         return image_features(plan.spec, plan.channels, fp64)
     layered = plan.occlusion == "layered"
-    features = plan.features() | blur_features(plan.spec, fp64, prepare=plan.forward or layered)
-    features |= {
-        "TRUTH": int(bool(plan.truth)),
-        "LENSES": int(shares_rays),
-        "PINHOLE": int(layered and not plan.forward),
-    }
-    return features | {f"TRUTH_{name.upper()}": int(name in plan.device_truth) for name in TRUTH_BUFFERS}
+    return plan.features() | blur_features(plan.spec, fp64, prepare=plan.forward or layered)
 
 
 def make_workspace(
-    plan: Plan, scene: PlacedScene, pixels: ForwardWarp | StaticMap | None, hits: Hits | None, camera: Struct,
-    shares_rays: bool,
+    plan: Plan, scene: PlacedScene, pixels: ForwardWarp | StaticMap | None, hits: Hits | None, camera: Struct
 ) -> Workspace:  # fmt: skip
-    """A workspace for a plan, whose first strip has this camera_t; shares_rays: what its program is built for.
-
-    Raises DeviceError, KernelError.
-    """
+    """A workspace for a plan, whose first strip has this camera_t. Raises DeviceError, KernelError."""
     session, real = scene.session, scene.real
-    files = FILES_OF[plan.blur] if plan.static_map else ("trace/trace.cl", *FILES_OF[plan.blur])
-    features = features_of(plan, shares_rays, session.device.has_fp64)
+    files = FILES_OF[plan.blur] if plan.static_map else (*TRACE_FILES, *FILES_OF[plan.blur])
+    features = features_of(plan, session.device.has_fp64)
     target = Target(session, build(session, files, features, structs(real), real), real)
     spec = replace(plan.spec, brightest=scene.brightest)
     blur = make_blur(target, spec, plan.grid, camera, sample_places(plan.rows, plan.columns))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Hashable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from stat import S_ISREG
@@ -16,7 +17,14 @@ from clsco.files.atomic import sha256
 from clsco.files.images import Picture, read_image
 from clsco.inputs.depth_files import read_depth
 from clsco.inputs.depth_maps import load_scene_depths, map_inverse_depth
-from clsco.inputs.textures import PATTERNS, Texture, load_scene_textures, radiance_of, require_suffix
+from clsco.inputs.textures import (
+    PATTERNS,
+    Texture,
+    load_scene_textures,
+    load_texture,
+    radiance_of,
+    require_suffix,
+)
 from clsco.kept import Kept
 from clsco.scene.model import DepthMap, Scene
 
@@ -71,22 +79,25 @@ class InputFiles:
 
     def texture(self, source: str, transfer: str, size: tuple[int, int] | None = None) -> Texture:
         """`clsco.inputs.textures.load_texture`, once per content, transfer and size."""
-        if source in PATTERNS:
-            key: Hashable = source
-            bits = 8
-        else:
+        drawn = source in PATTERNS
+        if not drawn:
             require_suffix(source)
-            picture = self.picture(source)
-            key, bits = self._content(source), picture.bits
-            if key is None:
-                return Texture(radiance_of(picture, transfer, size), bits, source)
-        drawn = source if source in PATTERNS else None
-        radiance = self.kept.get(
-            ("radiance", key, transfer, size),
-            lambda: radiance_of(drawn if drawn is not None else self.picture(source), transfer, size),
-            lambda array: array.nbytes,
+        content: Hashable | None = source if drawn else self._content(source)
+        if content is None:
+            return load_texture(source, transfer, size)
+        key = ("texture", content, transfer, size)
+        found = self.kept.get(
+            key,
+            lambda: self._texture(source, transfer, size, key),
+            lambda texture: texture.radiance.nbytes,
         )
-        return Texture(radiance, bits, source)
+        return found if found.source == source else replace(found, source=source)
+
+    def _texture(self, source: str, transfer: str, size: tuple[int, int] | None, key: Hashable) -> Texture:
+        if source in PATTERNS:
+            return Texture(radiance_of(source, transfer, size), 8, source, key)
+        picture = self.picture(source)
+        return Texture(radiance_of(picture, transfer, size), picture.bits, source, key)
 
     def picture(self, path: str) -> Picture:
         """`clsco.files.images.read_image`, once per content."""

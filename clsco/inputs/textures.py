@@ -8,8 +8,9 @@ from __future__ import annotations
 import functools
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -30,15 +31,22 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """Radiance of a surface.
+    """What a surface looks like, in linear radiance.
 
     radiance: float32 (rows, columns) or (rows, columns, 3), 1 = white, >= 0; row 0 on top.
-    bits: 8, 16 or 32 per value, as it was stored. source: name of the pattern, or path of the file.
+    bits: 8, 16 or 32 per value, as it was stored. source: name of the pattern, or path of the file. content: what
+    identifies the radiance, the same for the same values; None where that is not known.
     """
 
     radiance: NDArray[np.float32]
     bits: int
     source: str
+    content: Hashable = None
+
+    @cached_property
+    def brightest(self) -> float:
+        """Largest radiance."""
+        return float(self.radiance.max(initial=0.0))  # none is below 0
 
 
 def load_texture(name_or_path: str | os.PathLike[str], transfer: str, size: tuple[int, int] | None = None) -> Texture:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import mmap
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -14,9 +13,8 @@ from numpy.typing import DTypeLike, NDArray
 
 from clsco.errors import DeviceError
 from clsco.opencl.device import failure
+from clsco.opencl.pages import LARGE, SMALLEST, shared_pages
 from clsco.opencl.session import Session
-
-LARGE = 2**22  # bytes, from which a buffer holds at least one page of 2 MiB
 
 
 def upload(session: Session, array: NDArray[Any]) -> cl.Buffer:
@@ -37,6 +35,12 @@ def upload(session: Session, array: NDArray[Any]) -> cl.Buffer:
         return cl.Buffer(session.context, cl.mem_flags.READ_ONLY | flags, hostbuf=packed)
     except cl.Error as error:
         raise failure(session.device, f"have memory for a buffer of {packed.nbytes} bytes", error) from error
+
+
+def upload_kept(session: Session, array: NDArray[Any]) -> cl.Buffer:
+    """`upload` of an array that nobody ever changes: once, as long as the session keeps it."""
+    made = session.kept.get(("array", id(array)), lambda: (upload(session, array), array), lambda pair: pair[1].nbytes)
+    return made[0]  # the array is kept as well, so that no other one has its id
 
 
 def copied(session: Session, array: NDArray[Any]) -> cl.Buffer:
@@ -60,8 +64,8 @@ def empty(session: Session, size: int) -> cl.Buffer:
     _check_size(session, size)
     flags = cl.mem_flags.READ_WRITE
     try:
-        if session.device.unified_memory and size >= LARGE and sys.platform == "linux":
-            return cl.Buffer(session.context, flags | cl.mem_flags.USE_HOST_PTR, hostbuf=_in_large_pages(size))
+        if session.device.unified_memory and size >= SMALLEST and sys.platform == "linux":
+            return cl.Buffer(session.context, flags | cl.mem_flags.USE_HOST_PTR, hostbuf=shared_pages().take(size))
         return cl.Buffer(session.context, flags, max(size, 1))  # OpenCL knows no empty buffer
     except (cl.Error, OSError) as error:
         raise failure(session.device, f"have memory for a buffer of {size} bytes", error) from error
@@ -92,14 +96,6 @@ def filled_with(session: Session, size: int, value: float = 0.0) -> cl.Buffer:
     buffer = empty(session, size)
     cl.enqueue_fill_buffer(session.queue, buffer, np.array([value], np.float32), 0, size)
     return buffer
-
-
-def _in_large_pages(size: int) -> NDArray[np.uint8]:
-    """Bytes on the host, in pages of 2 MiB where the system has them: many places of a large plane are near at once."""
-    memory = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
-    with suppress(OSError):
-        memory.madvise(mmap.MADV_HUGEPAGE)
-    return np.frombuffer(memory, np.uint8)
 
 
 def download(session: Session, buffer: cl.Buffer, shape: Sequence[int], dtype: DTypeLike) -> NDArray[Any]:

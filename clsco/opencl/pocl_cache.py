@@ -23,6 +23,8 @@ from contextlib import ExitStack, contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from clsco.resources import ExposedFolderError, private_folder
+
 try:
     import fcntl
 except ImportError:  # Windows, where PoCL is not shipped
@@ -57,38 +59,17 @@ def prepare(environ: MutableMapping[str, str] = os.environ) -> None:
     if environ.get(VARIABLE):
         return
     try:
-        root = Path(environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        root.mkdir(mode=0o700, parents=True, exist_ok=True)
-        folder = root / "clsco" / f"pocl-{_versions()}"
-        for made in (folder.parent, folder):  # one by one: the mode is not that of parents
-            made.mkdir(mode=0o700, exist_ok=True)
-        if (exposed := _exposed(root, folder.parent, folder)) is not None:
-            rule = "must belong to you, and be writable by you alone, as what is in it is executed"
-            print(f"clsco: {exposed}: {rule}; kernels go to a temporary folder", file=sys.stderr)
-        elif has_room(_made(folder)):
+        folder = private_folder("clsco", f"pocl-{_versions()}", environ=environ)
+        if has_room(_made(folder)):
             environ[VARIABLE] = str(folder)
             return
+    except ExposedFolderError as exposed:
+        print(f"clsco: {exposed}, as what is in it is executed; kernels go to a temporary folder", file=sys.stderr)
     except (OSError, RuntimeError):  # read-only, full, or a user without a home
         pass
     root = Path(tempfile.mkdtemp(prefix="clsco-"))
     atexit.register(shutil.rmtree, root, ignore_errors=True)
     environ[VARIABLE] = str(_made(root / "clsco" / "pocl"))
-
-
-def _exposed(root: Path, *ours: Path) -> Path | None:
-    """The first folder in which another user could put kernels; `ours`: those that are made in `root`, from its top."""
-    if not hasattr(os, "geteuid"):
-        return None
-    user = os.geteuid()
-    above = root.stat()
-    swappable = above.st_mode & stat.S_IWOTH and not above.st_mode & stat.S_ISVTX  # a folder in it could be replaced
-    if above.st_uid not in (user, 0) or swappable:
-        return root
-    for folder in ours:
-        found = folder.lstat()
-        if not stat.S_ISDIR(found.st_mode) or found.st_uid != user or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-            return folder
-    return None
 
 
 def is_on_disk() -> bool:
@@ -146,6 +127,20 @@ def exclusive() -> Iterator[None]:
         finally:
             if _is_ours(folder):
                 _record(folder)
+
+
+def adopt(other: Path) -> int:
+    """Take over what PoCL has compiled into another folder of this process' children; how many programs were new."""
+    folder, count = _folder(), 0
+    with _locked(folder):
+        for program in sorted({_program(name) for name, _ in _names(other) if "/" in name}):
+            if not (folder / program).exists():
+                (folder / program).parent.mkdir(mode=0o700, exist_ok=True)
+                shutil.move(other / program, folder / program)
+                count += 1
+        if _is_ours(folder):
+            _record(folder)
+    return count
 
 
 def wipe_cache() -> Path | None:

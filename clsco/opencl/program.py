@@ -5,6 +5,9 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from importlib.resources.abc import Traversable
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -27,7 +30,8 @@ GATHER_HEADERS = tuple(
     f"blur/cpu/{name}.clh" for name in ("vectors", "many", "rows", "near", "discs", "quadrants", "gaussians", "columns")
 )
 HEADERS_OF = {
-    "trace/trace.cl": ("common/sources.clh",),
+    "trace/trace.cl": ("common/sources.clh", "trace/texture.clh"),
+    "trace/truth.cl": ("trace/texture.clh",),
     "blur/blur.cl": ("common/sources.clh", "common/psf.clh"),
     "blur/cpu/gather.cl": (
         "common/sources.clh",
@@ -106,12 +110,12 @@ def launch(
     kernel: cl.Kernel,
     global_size: tuple[int, ...],
     local_size: tuple[int, ...],
-    *args: cl.Buffer | np.generic | NDArray[np.void],
+    *args: cl.Buffer | np.generic | NDArray[np.void] | None,
 ) -> cl.Event:
     """Enqueue a kernel over at least `global_size` work-items and return its event; in order with all others.
 
     global_size is rounded up to whole groups of local_size, so the kernel's first statement has to be a
-    guard. local_size is fixed by the kernel, since each new one is compiled anew. args: buffers, NumPy
+    guard. local_size is fixed by the kernel, since each new one is compiled anew. args: buffers or None, NumPy
     scalars, scalars of a structured dtype, in the kernel's order. Raises DeviceError when the device cannot
     run it.
     """
@@ -156,8 +160,21 @@ def program_text(
         path = kernels / source
         if not path.is_file():
             raise KernelError(f"kernels: must hold every file that is asked for; got no {source}")
-        lines += [f'#line 1 "{source}"', path.read_text("utf-8")]
+        lines += [f'#line 1 "{source}"', _read(path)]
     return "\n".join(lines)
+
+
+def _read(path: Traversable) -> str:
+    """The text of a file, read once while it does not change."""
+    if not isinstance(path, Path):
+        return path.read_text("utf-8")
+    found = path.stat()
+    return _text_of(path, found.st_mtime_ns, found.st_size)
+
+
+@lru_cache(maxsize=64)
+def _text_of(path: Path, *_: int) -> str:
+    return path.read_text("utf-8")
 
 
 def struct_text(name: str, dtype: np.dtype[Any], structs: Mapping[str, np.dtype[Any]]) -> str:

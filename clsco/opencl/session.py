@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from copy import copy
 from functools import lru_cache
 from types import TracebackType
 from typing import Self, TypeAlias
 
 import pyopencl as cl
 
-from clsco.errors import DeviceError
+from clsco.errors import CanceledError, DeviceError
+from clsco.kept import Kept
 from clsco.opencl import pocl_cache as poclcache
 from clsco.opencl import pocl_cpu as poclcpu
 from clsco.opencl.device import Device, _not_forked, choose, described, failure
 
+KEPT_BYTES = 2**29
 _TIMED = cl.command_queue_properties.PROFILING_ENABLE
 
 DeviceLike: TypeAlias = str | cl.Device | cl.Context | cl.CommandQueue | None
@@ -40,8 +43,12 @@ class Session:
         _not_forked()
         self.device = device
         self.lock = threading.RLock()
-        self.programs: dict[str, Program] = {}
-        """What `program.build` has built here, by text and options."""
+        self.kept = Kept(KEPT_BYTES)
+        """Buffers that are filled once: textures, tables, what rays hit, by what they contain."""
+        self.canceled = threading.Event()
+        """Set to have what works here end at its next step; see `go_on`."""
+        self.programs: dict[Hashable, Program] = {}
+        """What `program.build` has built here, by text and options, and by the features that gave these."""
         self.compiled: set[tuple[cl.Kernel, tuple[int, ...], bool]] = set()
         """Kernels and launch shapes that the driver has compiled already, kept by `program.launch`."""
         if device.is_pocl:
@@ -57,6 +64,17 @@ class Session:
             self._queue = queue
         except cl.Error as error:
             raise failure(device, "open a context and a queue", error) from error
+
+    def beside(self, kept: int) -> Session:
+        """A session in the same queue, with the same programs, that keeps up to so many bytes of buffers of its own."""
+        found = copy(self)
+        found.kept, found.canceled = Kept(kept), threading.Event()
+        return found
+
+    def go_on(self) -> None:
+        """Raise CanceledError where the work is canceled."""
+        if self.canceled.is_set():
+            raise CanceledError("render: must go on to be done; got a call of cancel")
 
     @property
     def queue(self) -> cl.CommandQueue:
@@ -83,6 +101,7 @@ class Session:
         """Wait for the queue and let go of the programs; the context goes when its last buffer does."""
         with self.lock:
             self.queue.finish()
+            self.kept.clear()
             self.compiled.clear()
             self.programs.clear()
 

@@ -7,8 +7,7 @@ hold the same weights as piecewise cubics in the blur radius, which is what a de
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
-from math import ceil, cos, erf, exp, floor, pi, sqrt
+from math import cos, erf, exp, floor, pi, sqrt
 from statistics import NormalDist
 from typing import Literal
 
@@ -19,6 +18,7 @@ from clsco.optics import polygon
 from clsco.scene.model import Psf
 
 Array = NDArray[np.float64]
+MOST_SHAPES = 256  # that are kept
 MINIMUM_BLUR = 0.5  # px; sampled PSFs leave smaller radii alone (thesis, 2.2)
 
 
@@ -84,7 +84,7 @@ PIXEL_MOMENT = {"sampled": 0.0, "area": 1 / 12, "integrated": 1 / 6}  # px^2 per
 
 
 def _second_moment(psf: Psf) -> float:
-    if psf.aperture.shape == "polygon":
+    if psf.aperture.shape != "circle":
         return (2.0 + cos(2.0 * pi / psf.aperture.blades)) / 12.0
     if psf.model == "pillbox":
         return 0.25
@@ -96,13 +96,25 @@ def _second_moment(psf: Psf) -> float:
     return psf.sigma_ratio**2 * (1.0 - 2.0 * cut * exp(-0.5 * cut * cut) / sqrt(2.0 * pi) / inside)
 
 
-@lru_cache(maxsize=64)
+_shapes: dict[int, tuple[Psf, PsfShape]] = {}
+"""By the identity of a PSF, as it is asked for hundreds of times in a rendering, and comparing models takes longer."""
+
+
 def shape_of(psf: Psf) -> PsfShape:
     """The `PsfShape` of a PSF and its aperture."""
+    known = _shapes.get(id(psf))
+    if known is None or known[0] is not psf:
+        if len(_shapes) > MOST_SHAPES:
+            _shapes.clear()
+        known = _shapes[id(psf)] = psf, _shape_of(psf)
+    return known[1]
+
+
+def _shape_of(psf: Psf) -> PsfShape:
     sampled, gaussian, mask = psf.edge == "sampled", psf.model == "gaussian", Mask()
     kind: Kind = "symmetric"
     name = f"{psf.model}, {psf.edge}"
-    if psf.aperture.shape == "polygon":
+    if psf.aperture.shape != "circle":
         kind, name = "general", f"{name}, {psf.aperture.blades} blades"
         mask = tuple((float(x), float(y), float(distance)) for x, y, distance in _edges(psf))
     elif gaussian and not sampled:
@@ -210,13 +222,19 @@ def psf_extent(psf: Psf, radius: Array | float) -> Array:
 
 
 def reach(psf: Psf, radius: float, subpixel: bool = False) -> int:
-    """Largest |dx| or |dy| in px of a pixel that a source of blur radius `radius` px may contribute to."""
-    extent = float(psf_extent(psf, radius))
-    if subpixel:
-        return max(ceil(extent + 1.0) - 1, 0)
-    if psf.edge == "sampled":
-        return floor(extent) if radius >= MINIMUM_BLUR else 0
-    return max(ceil(extent + (1.0 if psf.edge == "integrated" else 0.5)) - 1, 0)
+    """Largest |dx| or |dy| in px of a pixel that a source of blur radius `radius` px may light."""
+    return int(reaches(psf, np.array([radius]), subpixel)[0])
+
+
+def reaches(psf: Psf, radii: Array, subpixel: bool = False) -> NDArray[np.int64]:
+    """`reach` of each of several radii."""
+    extent = psf_extent(psf, radii)
+    if psf.edge == "sampled" and not subpixel:
+        found = np.where(radii >= MINIMUM_BLUR, np.floor(extent), 0.0)
+    else:
+        beyond = 1.0 if subpixel or psf.edge == "integrated" else 0.5
+        found = np.maximum(np.ceil(extent + beyond) - 1.0, 0.0)
+    return found.astype(np.int64)
 
 
 def weights(psf: Psf, dx: Array, dy: Array, radius: Array) -> Array:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from clsco.constants import DISCONTINUITY_CLASSES
 from clsco.optics.psf import psf_extent
-from clsco.optics.psf_tables import table_reach
+from clsco.optics.psf_grid import table_reach
 from clsco.scene.model import Psf
 
 DISCONTINUITY, BIN = 1.0, 0.25  # px, as in kernels/layered/layered.cl

@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 
 from clsco.constants import GROUP_COLUMNS, GROUP_ROWS, TAP_LANES
 from clsco.frame.strips import BAND, Grid
-from clsco.opencl.buffers import empty, filled_with, mapped, upload
+from clsco.opencl.buffers import empty, filled_with, mapped, upload, upload_kept
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Program, Session
-from clsco.optics.psf_tables import NEAR, PsfTable, psf_features, psf_table
+from clsco.optics.psf_grid import NEAR
+from clsco.optics.psf_tables import psf_features
 from clsco.optics.visibility import lens_floats
 from clsco.passes.pack import psf_struct
+from clsco.passes.tables import tables_of
 from clsco.plan.buffers import MOST_IN_ONE_SUM, Sizes, band_scratch, bands_at_a_time, margin
 from clsco.plan.methods import MANY_RADII, Blur, BlurSpec
 from clsco.records import Real, Struct, structs
@@ -244,12 +246,6 @@ class FrameSum:
         return out
 
 
-def tables_of(spec: BlurSpec) -> tuple[PsfTable, PsfTable | None]:
-    """Tables of weights of pixels and, where there are such, of sub-pixel sources."""
-    main = psf_table(spec.psf, spec.smallest, spec.largest)
-    return main, psf_table(spec.psf, spec.smallest, spec.largest, spec.subpixels) if spec.subpixels else None
-
-
 class TableBlur(FrameSum):
     """A blur of sources of any radius each, with weights from tables; arguments as for `FrameSum`."""
 
@@ -257,7 +253,7 @@ class TableBlur(FrameSum):
         super().__init__(target, spec, grid, camera, sizes)
         session = target.session
         self.tables = [
-            (upload(session, table.intervals), upload(session, table.coefficients))
+            (upload_kept(session, table.intervals), upload_kept(session, table.coefficients))
             for table in tables_of(spec)
             if table is not None
         ]
@@ -322,7 +318,7 @@ class Gather(TableBlur):
     def __init__(self, target: Target, spec: BlurSpec, grid: Grid, camera: Struct, sizes: Sizes) -> None:
         super().__init__(target, spec, grid, camera, sizes)
         session, table = target.session, tables_of(spec)[0]
-        self.alike = tuple(upload(session, a) if a.size else None for a in (table.taps, table.outlines))
+        self.alike = tuple(upload_kept(session, a) if a.size else None for a in (table.taps, table.outlines))
         # Rows of sources after which sums go on to the frame, 0 where they are short.
         self.group = max(MOST_IN_ONE_SUM // (2 * spec.reach + 1), 1) if "part" in sizes else 0
         self.part = filled_with(session, sizes["part"]) if "part" in sizes else self.total

@@ -12,7 +12,8 @@ from clsco.frame.strips import Strip, frame_struct
 from clsco.optics.lens import blur_scale, focus_power, lens_radius, ray_step
 from clsco.optics.motion import Pose
 from clsco.optics.psf import MINIMUM_BLUR, sampled_key
-from clsco.optics.psf_tables import PsfTable, octaves_from, sampled_steps, table_steps
+from clsco.optics.psf_grid import octaves_from, sampled_steps, table_steps
+from clsco.optics.psf_tables import PsfTable
 from clsco.optics.quadrics import PlacedSurface
 from clsco.optics.visibility import Layer, lens_extent
 from clsco.records import Real, Struct, filled, structs
@@ -84,6 +85,8 @@ def psf_struct(psf: Psf, table: PsfTable, subpixel: PsfTable | None, real: Real)
     values: dict[str, Any] = {
         "first": table.first,
         "count": table.count,
+        "low": table.low,
+        "end": table.end,
         "reach": max(table.reach, subpixel.reach if subpixel else 0),
         "key": sampled_key(psf),
         "minimum_blur": MINIMUM_BLUR,
@@ -95,6 +98,7 @@ def psf_struct(psf: Psf, table: PsfTable, subpixel: PsfTable | None, real: Real)
     values["fine_steps"], values["fine_until"] = sampled_steps(psf)
     if subpixel:
         values |= {"sub_first": subpixel.first, "sub_count": subpixel.count}
+        values |= {"sub_low": subpixel.low, "sub_end": subpixel.end}
     return filled("psf_t", real, values)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,14 +36,17 @@ class TimeSample:
         Of every object before the camera, wherever that is itself.
     placed : tuple of PlacedSurface or None
         The objects in their poses.
-    surfaces : Buffer
+    packed : ndarray
         surface_t of every object.
+    surfaces : Buffer
+        The same on the device.
     """
 
     time: float
     weight: float
     poses: tuple[Pose, ...]
     placed: Surfaces
+    packed: NDArray[np.void]
     surfaces: cl.Buffer
 
 
@@ -71,7 +74,7 @@ class PlacedScene:
     ) -> None:
         self.session, self.scene, self.real, self.eye = session, scene, real, eye
         self.bits = max(texture.bits for texture in textures)
-        self.brightest = max(float(texture.radiance.max(initial=0.0)) for texture in textures)  # none is below 0
+        self.brightest = max(texture.brightest for texture in textures)
         self.stack = list(dict.fromkeys(textures))  # those that several objects have in common once
         self.texture_of = [self.stack.index(texture) for texture in textures]
         self._texture: cl.Buffer | None = None
@@ -83,12 +86,21 @@ class PlacedScene:
         return max(texture.radiance.shape[2] if texture.radiance.ndim == 3 else 1 for texture in self.stack)
 
     @property
+    def content(self) -> Hashable:
+        """What identifies the textures: the same for the same ones; None where that is not known."""
+        found = ("textures", self.channels, *(texture.content for texture in self.stack))
+        return None if None in found else found
+
+    @property
     def texture(self) -> cl.Buffer:
         """The textures: float (textures, channels, rows, columns)."""
         if self._texture is None:
-            planes = texture_planes([texture.radiance for texture in self.stack], self.channels)
-            self._texture = upload(self.session, planes)
+            key, kept = self.content, self.session.kept
+            self._texture = self._planes() if key is None else kept.get(key, self._planes, lambda planes: planes.size)
         return self._texture
+
+    def _planes(self) -> cl.Buffer:
+        return upload(self.session, texture_planes([texture.radiance for texture in self.stack], self.channels))
 
     def at(self, time: float, weight: float = 1.0, eye: Eye | None = None) -> TimeSample:
         """The objects at a time in s, as `eye` sees them."""
@@ -102,7 +114,8 @@ class PlacedScene:
         """The objects in given poses."""
         pairs = zip(self.scene.objects, poses, strict=True)
         placed = tuple(place(item, pose) if item.is_analytic else None for item, pose in pairs)
-        return TimeSample(time, weight, tuple(poses), placed, self.hold(self._surface_structs(placed)))
+        packed = self._surface_structs(placed)
+        return TimeSample(time, weight, tuple(poses), placed, packed, self.hold(packed))
 
     def poses(self, sample: TimeSample) -> cl.Buffer:
         """pose_t of every object."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import pyopencl as cl
@@ -18,33 +18,83 @@ from clsco.optics.visibility import Layer
 from clsco.passes.blur import PIXELS, Events, Sources, Target
 from clsco.passes.pack import layer_struct
 from clsco.passes.placed import PlacedScene, TimeSample
-from clsco.plan.buffers import STATISTICS, hit_buffers
+from clsco.plan.buffers import STATISTICS, Sizes, hit_buffers
 from clsco.plan.plan import Plan
-from clsco.records import Struct
+from clsco.records import LOW, Struct
 
 # What of the statistics a frame must begin with: no radius met, no slot taken (trace.cl).
+# Fields of camera_t that say what a lens makes of a hit, and not what a ray hits.
+OF_LENS = tuple(f"{name}{low}" for name in ("blur_scale", "focus_power", "lens_radius") for low in ("", LOW))
+TRACE_FILES = ("trace/trace.cl", "trace/truth.cl")  # the kernels that cast rays
+
 EMPTY_STATISTICS = np.zeros(STATISTICS, np.int32)
 EMPTY_STATISTICS[STATISTIC_SMALLEST] = np.iinfo(np.int32).max
 
 Planes = tuple[cl.Buffer, cl.Buffer, cl.Buffer]  # value, coc and valid on the padded grid, as in layered.cl
 
 
-class Hits:
-    """What rays hit for the lenses of one group: planes of the last time sample of each occlusion group."""
+HitPlanes = tuple[cl.Buffer, ...]  # value, depth and hit, as in trace.cl
+Cast = Callable[[HitPlanes], None]
+
+
+class HitKey(NamedTuple):
+    """All that hits depend on: the group, what is cast at what, and the textures, None where their content is not
+    known."""
+
+    group: Layer
+    cast: Hashable
+    textures: Hashable
+
+
+class Hits(Protocol):
+    """Where planes of what rays hit are, for several lenses."""
+
+    def planes(self, sizes: Sizes, key: HitKey, cast: Cast) -> HitPlanes:
+        """The planes of an occlusion group, cast into where they are not there.
+
+        Parameters
+        ----------
+        sizes : dict
+            Of the planes, by `clsco.plan.buffers.hit_buffers`.
+        key : HitKey
+        cast : callable
+            Enqueues the kernel that fills planes.
+        """
+
+
+class LatestHits:
+    """The planes of the last time sample of each occlusion group, for the lenses of a sweep."""
 
     def __init__(self, session: Session) -> None:
         self.session = session
         self.buffers: dict[Layer, dict[str, cl.Buffer]] = {}
-        self.times: dict[Layer, float] = {}
+        self.keys: dict[Layer, HitKey] = {}
 
-    def planes(self, plan: Plan, time: float, group: Layer) -> tuple[tuple[cl.Buffer, ...], bool]:
-        """Planes value, depth and hit of an occlusion group, as in trace.cl, and whether they are still to be cast for
-        `time`."""
-        if group not in self.buffers:
-            self.buffers[group] = allocate(self.session, hit_buffers(plan.grid))
-        new = self.times.get(group) != time
-        self.times[group] = time
-        return tuple(self.buffers[group].values()), new
+    def planes(self, sizes: Sizes, key: HitKey, cast: Cast) -> HitPlanes:
+        if key.group not in self.buffers:
+            self.buffers[key.group] = allocate(self.session, sizes)
+        found = tuple(self.buffers[key.group].values())
+        if self.keys.get(key.group) != key:
+            cast(found)
+            self.keys[key.group] = key
+        return found
+
+
+class KeptHits:
+    """Planes of all that was cast, as long as the session keeps them."""
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+
+    def planes(self, sizes: Sizes, key: HitKey, cast: Cast) -> HitPlanes:
+        def made() -> HitPlanes:
+            found = tuple(allocate(self.session, sizes).values())
+            cast(found)
+            return found
+
+        if key.textures is None:
+            return made()
+        return self.session.kept.get(("hits", key), made, lambda _: sum(sizes.values()))
 
 
 @dataclass
@@ -119,10 +169,12 @@ class Tracer:
             args = (*head, share, self.scene.texture, source, value, label, statistics)
             self._per_pixel("trace", work, *args, *((depth,) if occluded else ()))
         else:
-            planes, new = self.hits.planes(self.plan, sample.time, work.group)
-            value, depth, hit = planes
-            if new:
-                self._per_pixel("cast", work, *head[:3], share, self.scene.texture, *planes)
+            args = (*head[:3], share, self.scene.texture)
+
+            def cast(planes: HitPlanes) -> None:
+                self._per_pixel("cast", work, *args, *planes)
+
+            value, depth, hit = self.hits.planes(hit_buffers(self.plan.grid), self._key(work), cast)
             self._per_pixel("aim", work, *head, depth, hit, source, label, statistics)
         hidden: dict[str, Any] = {"surfaces": sample.surfaces, "layer": head[2], "depth": depth} if occluded else {}
         work.sources = Sources(source, value, **hidden)
@@ -153,6 +205,16 @@ class Tracer:
         head = (work.camera, work.sample.surfaces, everything(self.plan), np.float32(weight), self.scene.texture)
         self._per_pixel("pinhole", work, *head, value, coc, valid, self.buffers["statistics"])
         work.planes = value, coc, valid
+
+    def _key(self, work: Work) -> HitKey:
+        """All that what rays hit depends on: where they are, and what they may meet."""
+        camera, sample, features = work.camera, work.sample, self.plan.features()
+        assert work.group is not None
+        members = [k for k in range(len(sample.placed)) if work.group.members >> k & 1]
+        grid = tuple(camera[name].tobytes() for name in camera.dtype.names or () if name not in OF_LENS)
+        built = tuple(features[name] for name in ("CHANNELS", "MOVED", "FILTER")), self.scene.real
+        cast = (grid, sample.weight, sample.packed[members].tobytes(), tuple(members), built)
+        return HitKey(work.group, cast, self.scene.content)
 
     def _head(self, work: Work) -> tuple[Any, ...]:
         assert work.group is not None

@@ -72,13 +72,13 @@ class GroundTruth:
         buffers = allocate(self.target.session, truth_buffers(names, plan.grid))
         sample, reference = scene.at(time), scene.in_reference_pose()
         poses = scene.poses(scene.at(later))
-        head = (sample.surfaces, reference.surfaces, poses, everything(plan), scene.texture, buffers["mask"])
-        args: list[Any] = [buffers[name] for name in names if name not in STEREO_NAMES]
+        head = (sample.surfaces, reference.surfaces, poses, everything(plan), scene.texture)
+        view: tuple[Any, ...] = (sample.surfaces, poses, np.int32(0))  # read for a stereo pair alone
         if set(STEREO_NAMES) & set(names):
             there = scene.at(time, eye=self._opposite)
-            args += [there.surfaces, scene.hold(pose_structs(there.poses, scene.real))]
-            args += [np.int32(1 if plan.eye == "right" else -1)]
-            args += [buffers[name] for name in STEREO_NAMES if name in names]
+            poses_there = scene.hold(pose_structs(there.poses, scene.real))
+            view = there.surfaces, poses_there, np.int32(1 if plan.eye == "right" else -1)
+        args = (*view, buffers["mask"], *(buffers.get(name) for name in TRUTH_BUFFERS))
         out = self._arrays(names)
         for strip in plan.strips:
             camera = camera_struct(plan.scene.camera, plan.guard_px, scene.real, strip)

@@ -17,8 +17,8 @@ from clsco.passes.blur import PIXELS, Events, Target
 from clsco.passes.fill import LINES, LISTED, OWNERS, ZERO, Filler
 from clsco.passes.pack import camera_struct
 from clsco.passes.placed import PlacedScene, TimeSample
-from clsco.plan.buffers import warp_buffers
-from clsco.plan.plan import Plan, fill_sizes
+from clsco.plan.buffers import fill_sizes, warp_buffers
+from clsco.plan.plan import Plan
 from clsco.records import WIDE, in_parts, structs, together
 
 KERNELS = ("warp/warp.cl", "inpainting/fill.cl", "inpainting/score.cl", "inpainting/fill_mean_median.cl")
@@ -103,7 +103,7 @@ class ForwardWarp:
         self.owned = session.device.kind == "cpu" if owned is None else owned
         features = forward_features(plan, self.owned)
         self.kernels = Target(session, build(session, KERNELS, features, structs(real), real), real)
-        self.filler = Filler(self.kernels, self.camera, features, fill_sizes(plan))
+        self.filler = Filler(self.kernels, self.camera, features, fill_sizes(plan.scene, plan.grid))
         # Once the pixels are in their places, the filling may have these for its lists.
         self.target, self.winner = self.filler.planes.indices
         sizes = warp_buffers(plan.scene, plan.grid, session.device)

@@ -30,7 +30,8 @@ from clsco.constants import (
 from clsco.frame.strips import BAND, Grid
 from clsco.optics.multigrid import coarse_frame, coarse_psf, coarse_radii, plane_shape
 from clsco.optics.psf import shape_of
-from clsco.optics.psf_tables import is_near, table_sizes
+from clsco.optics.psf_grid import is_near
+from clsco.optics.psf_tables import rounded_span, table_sizes
 from clsco.optics.slabs import bins_of, levels_of, most_deep
 from clsco.optics.stencil import is_by_axes, is_summed, stencil_sizes
 from clsco.optics.visibility import lens_floats
@@ -39,6 +40,7 @@ from clsco.records import WIDE_BYTES, structs
 from clsco.scene.model import Psf, Scene
 
 Sizes = dict[str, int]
+TABLES = ("intervals", "coefficients", "taps", "outlines")  # buffers of a table of weights
 Scratch = Literal["none", "columns", "rows", "near"]
 BANDS_PER_CORE = 4  # of `gather` at a time, where they need memory of their own
 SUMS_BEYOND = 64  # sums of `convolve` beyond the last row that a vector there reads, and that are used for nothing
@@ -208,6 +210,10 @@ def _table_buffers(spec: BlurSpec) -> Sizes:
     return sizes
 
 
+def _span(spec: BlurSpec) -> range:
+    return rounded_span(spec.psf, spec.smallest, spec.largest, 0)
+
+
 def coarser_grid(grid: Grid) -> Grid:
     """The next coarser grid: the nodes that pixels of the frame need."""
     return Grid.whole(*coarse_frame(grid.rows, grid.columns, grid.guard), grid.channels)
@@ -301,7 +307,10 @@ def layered_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
         "valid": pixels,
         "covered": 4 * grid.rows * grid.columns,
     }
-    inner = blur_buffers(depth_layer_spec(spec), replace(grid, channels=values), device)
+    layer = depth_layer_spec(spec)
+    inner = blur_buffers(layer, replace(grid, channels=values), device)
+    if _span(spec) == _span(layer):  # one table serves both
+        inner = {name: size for name, size in inner.items() if name not in TABLES}
     return sizes | {f"blur {name}": size for name, size in inner.items()}
 
 
@@ -371,6 +380,12 @@ def fill_buffers(grid: Grid, several: bool, far: bool, smooths: bool) -> Sizes:
         sizes |= {"done": 4 * pixels, "sums": 8 * SCORE_SUMS * grid.height * ceil(grid.width / SCORED_COLUMNS)}
         sizes |= {"other value": sizes["value"], "other w": sizes["w"]}
     return sizes
+
+
+def fill_sizes(scene: Scene, grid: Grid) -> Sizes:
+    """`fill_buffers` of the filling after a forward warp of a scene."""
+    several = len(scene.objects) > 1
+    return fill_buffers(grid, several, several or not scene.is_analytic, scene.fill.method == "mean_median")
 
 
 def trace_buffers(spec: BlurSpec, grid: Grid) -> Sizes:

@@ -10,7 +10,7 @@ from math import ceil
 
 from clsco.errors import SceneError
 from clsco.frame.strips import BAND, Grid, Strip, cut
-from clsco.optics.psf_tables import table_reach
+from clsco.optics.psf_grid import table_reach
 from clsco.optics.slabs import margin_of_slabs
 from clsco.plan.buffers import (
     UNKNOWN,
@@ -45,14 +45,14 @@ class Limit:
     views: int = 1
 
 
-def parse_size(size: str | int) -> int:
-    """Bytes of a size like 1.5GiB, 800MB or 100000. Raises SceneError for what is none."""
+def parse_size(size: str | int, name: str = "memory") -> int:
+    """Bytes of a size like 1.5GiB, 800MB or 100000. Raises SceneError for what is none; name: for the message."""
     match = re.fullmatch(r"\s*(\d{1,15}(?:\.\d{1,15})?)\s*([a-z]{0,3})\s*", str(size).lower(), re.ASCII)
     bytes_of_unit = _UNITS.get(match[2]) if match else None
     of_text = int(float(match[1]) * bytes_of_unit) if match and bytes_of_unit else 0
     found = size if isinstance(size, int) else of_text
     if found < 1:
-        raise SceneError(f"memory: must be a size greater than 0, like 1.5GiB or 800MB; got {size}")
+        raise SceneError(f"{name}: must be a size greater than 0, like 1.5GiB or 800MB; got {size}")
     return found
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from clsco.errors import SceneError
 from clsco.optics.psf import shape_of
-from clsco.optics.psf_tables import table_reach
+from clsco.optics.psf_grid import table_reach
 from clsco.plan.approximation import METHODS
 from clsco.scene.model import Psf
 
@@ -66,6 +66,11 @@ class BlurSpec:
 def is_sharp(psf: Psf, largest: float) -> bool:
     """Whether the PSF of the |blur radius| `largest` px keeps all light in its pixel."""
     return shape_of(psf).is_sharp(largest)
+
+
+def occluder_room(occluders: int) -> int:
+    """So many occluders as a program has room for: a power of 2, so that few programs serve all scenes."""
+    return 1 << (occluders - 1).bit_length() if occluders else 0
 
 
 def many_radii(gpu: bool, occluded: bool = False, approximate: bool = False) -> Blur:

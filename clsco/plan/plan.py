@@ -21,7 +21,8 @@ from clsco.frame.strips import Grid, Strip, cut
 from clsco.optics.lens import LARGEST_BLUR, blur_radius
 from clsco.optics.motion import Eye, Pose, sample_times
 from clsco.optics.psf import psf_extent, shape_of
-from clsco.optics.psf_tables import check_tables, psf_features, table_reach
+from clsco.optics.psf_grid import table_reach
+from clsco.optics.psf_tables import check_tables, psf_features
 from clsco.optics.quadrics import canonical
 from clsco.optics.slabs import margin_of_slabs
 from clsco.optics.visibility import Layer, extent, is_hollow, layers
@@ -33,7 +34,7 @@ from clsco.plan.buffers import (
     Sizes,
     ThisMachine,
     blur_buffers,
-    fill_buffers,
+    fill_sizes,
     layered_buffers,
     map_buffers,
     multigrid_buffers,
@@ -44,7 +45,7 @@ from clsco.plan.buffers import (
     truth_buffers,
     warp_buffers,
 )
-from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, choose_blur, is_sharp, many_radii
+from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, choose_blur, is_sharp, many_radii, occluder_room
 from clsco.plan.passes import HOW, Kind, Parameters, Pass
 from clsco.plan.predict import (
     Maps,
@@ -203,10 +204,15 @@ class Plan:
 
     def features(self) -> dict[str, int]:
         """Structure that the kernels are compiled for."""
+        return dict(self._features)
+
+    @cached_property
+    def _features(self) -> dict[str, int]:
         scene = self.scene
         analytic = [item for item in scene.objects if item.is_analytic]
         shapes = [canonical(item) for item in analytic]
         quadratic = any(shape.q.any() for shape in shapes)
+        moved = (self.moves or self.eye_moved) and not self.forward
         return {
             "CHANNELS": self.channels,
             "SEVERAL": int(len(scene.objects) > 1),
@@ -214,9 +220,9 @@ class Plan:
             "LINEAR": int(quadratic and any(shape.l.any() for shape in shapes)),
             "NAPPE": int(any(shape.nappe != 0 for shape in shapes)),
             "BOUNDED": int(any(item.bounds is not None for item in analytic)),
-            "OCCLUDED": max(layer.occluders.bit_count() for layer in self.layers),
-            "MOVED": int((self.moves or self.eye_moved) and not self.forward),
-            "FILTER": FILTERS[scene.motion.texture_filter],
+            "OCCLUDED": occluder_room(max(layer.occluders.bit_count() for layer in self.layers)),
+            "MOVED": int(moved),
+            "FILTER": FILTERS[scene.motion.texture_filter] if moved else 0,
             "TILT": int(self.tilt),
             "SUBPIXELS": self.silhouettes,
         } | psf_features(scene.psf)
@@ -248,12 +254,6 @@ def widened(plan: Plan, smallest: float, largest: float) -> Plan:
         raise SceneError(f"camera: the blur radius must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
     guard = max(plan.guard_px, guard_band(plan.scene.psf, largest))
     return replace(plan, smallest_blur=smallest, largest_blur=largest, guard_px=guard)
-
-
-def fill_sizes(plan: Plan) -> Sizes:
-    """Buffers of the filling after a forward warp."""
-    scene, several = plan.scene, len(plan.scene.objects) > 1
-    return fill_buffers(plan.grid, several, several or not scene.is_analytic, scene.fill.method == "mean_median")
 
 
 def _hides_nothing(scene: Scene) -> bool:
@@ -374,7 +374,7 @@ def _passes(plan: Plan) -> tuple[Pass, ...]:
         found.append(Pass("reproject", (("pixels", moved), *_of_frame(plan)), _named("warp", sizes) | _of_scene(plan)))
         kind: Kind = "fill" if scene.fill.method != "none" else "count missing"
         rule = f"{scene.fill.method}, domain {scene.fill.domain}" if kind == "fill" else "pixels are counted"
-        found.append(Pass(kind, (("missing", rule),), _named("fill", fill_sizes(plan))))
+        found.append(Pass(kind, (("missing", rule),), _named("fill", fill_sizes(scene, grid))))
     if rays and layered:
         found.append(Pass("pinhole", _of_rays(plan), map_buffers(grid) | _of_scene(plan)))
     if rays and not layered:

@@ -28,12 +28,12 @@ from clsco.reference.trace.trace import (
     SubpixelSources,
     View,
     everything,
-    ground_truth,
     mark_silhouettes,
     trace,
     trace_subpixels,
     view_at,
 )
+from clsco.reference.trace.truth import ground_truth
 from clsco.reference.warp.warp import extend_border, reproject
 from clsco.scene.model import Scene
 

@@ -1,5 +1,4 @@
-// Casts rays against analytic surfaces: the sources of one time sample, and the ground truth of a frame. Along a ray r
-// w = 1/Z solves C w^2 + 2 B w + A = 0 (common/geometry.clh); the blur radius is R = blur_scale (focus_power - w)
+// Casts rays against analytic surfaces: the sources of one time sample. Along a ray r w = 1/Z solves C w^2 + 2 B w + A = 0 (common/geometry.clh); the blur radius is R = blur_scale (focus_power - w)
 // (2.33). Twin: clsco/reference/trace/trace.py. Host: clsco/engine/renderer.py, for all scenes of analytic surfaces.
 //
 // Sources lie on the frame, or a strip of its rows, and on the apron around it that contributes to it: (height, width),
@@ -10,35 +9,9 @@
 //   depth   wide_t (height, width): inverse depth, with OCCLUDED
 //   texture float (textures, CHANNELS, frame_rows, columns); surface_t names its object's
 // Features besides geometry.clh's: MOVED (not all is in its reference pose), TILT, SUBPIXELS (sources per axis in a
-// pixel at a silhouette, 0 none), SAMPLED, OCCLUDED, PINHOLE, LENSES, and TRUTH_* for the outputs of ground_truth.
+// pixel at a silhouette, 0 none), SAMPLED, OCCLUDED.
 // Square roots and floors as instructions took a plane from 36 to 12 ns per pixel, one cast for all lenses of a sweep
 // the prepass from 31 to 6 and 20 per lens (benchmarks/optimisation_log.md).
-
-// Where a hit takes its radiance from in the texture: (column, row, in front of the lens). In the reference pose a
-// pixel shows its own texel.
-static wide3_t texture_point(__constant surface_t *surface, const camera_t camera, wide3_t ray, wide_t w, int row,
-                             int column)
-{
-#if MOVED
-    return rest_pixel(surface, camera, ray, w);
-#else
-    return wide_vector(widened(column), widened(row), widened(1));
-#endif
-}
-
-// 0 for what is behind the lens in the reference pose, which the texture does not hold.
-static float radiance(__global const float *texture, __constant surface_t *surface, const camera_t camera, int channel,
-                      wide3_t point)
-{
-    const int number = surface->texture * CHANNELS + channel;
-    __global const float *plane = texture + (size_t)number * camera.frame_rows * camera.columns;
-#if MOVED
-    return narrow(point.z) > 0 ? sample_texture(plane, camera, point.y, point.x) : 0;
-#else
-    return plane[mirror_index((int)narrow(point.y), camera.frame_rows) * camera.columns +
-                 mirror_index((int)narrow(point.x), camera.columns)];
-#endif
-}
 
 // What the lens makes of a hit: its record; below 0 where none of its radiance reaches the lens. subpixel: the source
 // is one of SUBPIXELS^2. In and out: label, statistics.
@@ -111,7 +84,6 @@ __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const
 #endif
 }
 
-#if LENSES
 // The part of trace that all lenses have in common. Out: value, depth, and hit uchar (height, width), the label before
 // any visibility test.
 __kernel void cast(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const float weight,
@@ -147,7 +119,6 @@ __kernel void aim(const camera_t camera, __constant surface_t *surfaces, const l
     label[at] = root;
 #endif
 }
-#endif
 
 #if SUBPIXELS
 // Gives a slot to every pixel within 2 px of a change of label. Slots come in any order; what is in them does
@@ -214,7 +185,6 @@ __kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfa
 }
 #endif
 
-#if PINHOLE
 // The pinhole image of the occlusion group `layer`, for `layered` occlusion. Out: value as in trace; coc wide_t, signed
 // R in px, and valid uchar, (height, width); statistics.
 __kernel void pinhole(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const float weight,
@@ -237,135 +207,3 @@ __kernel void pinhole(const camera_t camera, __constant surface_t *surfaces, con
     if (root)
         note_radius(statistics, narrow(coc[at]));
 }
-#endif
-
-#if TRUTH_FLOW || TRUTH_DISPARITY || TRUTH_OCCLUDED
-// Where a hit is in the image in the pose `other`: column, row, and its depth there over its depth here.
-static wide3_t moved_pixel(__constant surface_t *surface, const camera_t camera, __constant pose_t *other, wide3_t ray,
-                           wide_t w)
-{
-    const wide3_t rest = wide3_add(wide_load(surface->rest), wide_load(other->shift));
-    const wide3_t turned_point = turned(other->rotation, body_point(surface, ray, w));
-    return project(camera, wide3_add(wide3_scale(rest, w), turned_point));
-}
-#endif
-
-#if TRUTH_HIDDEN || TRUTH_OCCLUDED
-static bool outside_frame(const camera_t camera, wide3_t whole)
-{
-    const real3 at = narrow3(whole);
-    return !(at.z > 0 && at.x >= (real)-0.5 && at.x < camera.columns - (real)0.5 && at.y >= (real)-0.5 &&
-             at.y < camera.frame_rows - (real)0.5);
-}
-
-// Whether a surface at inverse depth `seen` hides a point at inverse depth w here, w / ratio there.
-static bool covered(wide_t seen, wide_t ratio, wide_t w)
-{
-    return wide_less(wide_mul(w, wide_add(widened(1), widened((real)1e-6))), wide_mul(seen, ratio));
-}
-#endif
-
-// Ground truth of a strip at pixel centers, (rows, columns[, components]), never anti-aliased: depth mm (+inf:
-// nothing), coc signed px (0: nothing), mask, object (-1: nothing), normal, flow px to the pose `next`, hidden (the
-// point is not visible from the pinhole in the reference pose), sharp radiance; of a stereo pair disparity px and
-// occluded (the point is not visible in the other view). `still` are the surfaces in the reference pose, `opposite`
-// those in the frame of the other view, in poses `there`; to_left: 1 for the right view, -1 for the left one.
-#if TRUTH
-__kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces, __constant surface_t *still,
-                           __constant pose_t *next, const layer_t layer, __global const float *texture,
-                           __global uchar *mask
-#if TRUTH_OBJECT_ID
-                           , __global int *object_id
-#endif
-#if TRUTH_DEPTH
-                           , __global float *depth
-#endif
-#if TRUTH_BLUR_RADIUS
-                           , __global float *coc
-#endif
-#if TRUTH_NORMAL
-                           , __global float *normal
-#endif
-#if TRUTH_FLOW
-                           , __global float *flow
-#endif
-#if TRUTH_HIDDEN
-                           , __global uchar *hidden
-#endif
-#if TRUTH_SHARP
-                           , __global float *sharp
-#endif
-#if TRUTH_DISPARITY || TRUTH_OCCLUDED
-                           , __constant surface_t *opposite, __constant pose_t *there, const int to_left
-#endif
-#if TRUTH_DISPARITY
-                           , __global float *disparity
-#endif
-#if TRUTH_OCCLUDED
-                           , __global uchar *occluded
-#endif
-)
-{
-    const int column = get_global_id(0), row = camera.top + get_global_id(1);
-    if (column >= camera.columns || row >= camera.top + camera.rows)
-        return;
-    const int at = (row - camera.top) * camera.columns + column;
-    const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
-    uchar root;
-    int object;
-    const wide_t w = nearest_surface(surfaces, layer, ray, &root, &object);
-    __constant surface_t *surface = surfaces + MAX(object, 0);
-    mask[at] = root != 0;
-#if TRUTH_OBJECT_ID
-    object_id[at] = object;
-#endif
-#if TRUTH_DEPTH
-    depth[at] = root ? (float)narrow(wide_div(widened(1), w)) : INFINITY;
-#endif
-#if TRUTH_BLUR_RADIUS
-    coc[at] = root ? (float)narrow(blur_radius(camera, w)) : 0;
-#endif
-#if TRUTH_NORMAL
-    const real3 n = root ? surface_normal(surface, ray, w) : (real3)(0, 0, 0);
-    normal[3 * at] = (float)n.x;
-    normal[3 * at + 1] = (float)n.y;
-    normal[3 * at + 2] = (float)n.z;
-#endif
-#if TRUTH_FLOW
-    const wide3_t later = moved_pixel(surface, camera, next + MAX(object, 0), ray, w);
-    flow[2 * at] = root && narrow(later.z) > 0 ? (float)narrow(wide_sub(later.x, widened(column))) : 0;
-    flow[2 * at + 1] = root && narrow(later.z) > 0 ? (float)narrow(wide_sub(later.y, widened(row))) : 0;
-#endif
-#if TRUTH_HIDDEN
-    hidden[at] = 0;
-    if (root) {
-        const wide3_t from = rest_pixel(surface, camera, ray, w);
-        // 1 / depth in the reference pose of this point, against the depth in that pixel of the pinhole image
-        uchar other;
-        const wide_t seen = solve_quadric(still + object, pixel_ray(camera, from.y, from.x), &other);
-        hidden[at] = outside_frame(camera, from) || covered(seen, from.z, w);
-    }
-#endif
-#if TRUTH_SHARP
-    const wide3_t point = texture_point(surface, camera, ray, w, row, column);
-    for (int c = 0; c < CHANNELS; ++c)
-        sharp[at * CHANNELS + c] = root ? radiance(texture, surface, camera, c, point) : 0;
-#endif
-#if TRUTH_DISPARITY || TRUTH_OCCLUDED
-    const wide3_t other = moved_pixel(surface, camera, there + MAX(object, 0), ray, w);
-#endif
-#if TRUTH_DISPARITY
-    disparity[at] = root && narrow(other.z) > 0 ? (float)(to_left * narrow(wide_sub(other.x, widened(column)))) : 0;
-#endif
-#if TRUTH_OCCLUDED
-    occluded[at] = 0;
-    if (root) {
-        uchar any;
-        int nearest;
-        const wide_t seen = nearest_surface(opposite, layer,
-                                            pixel_ray(camera, other.y, other.x), &any, &nearest);
-        occluded[at] = outside_frame(camera, other) || covered(seen, other.z, w);
-    }
-#endif
-}
-#endif

@@ -22,11 +22,12 @@ from clsco.opencl.program import (
     build,
 )
 from clsco.opencl.session import Session
-from clsco.optics.psf_tables import NEAR, psf_features
+from clsco.optics.psf_grid import NEAR
+from clsco.optics.psf_tables import psf_features
 from clsco.passes.blur import FILES_OF, PLAIN, blur_features
+from clsco.passes.trace import TRACE_FILES
 from clsco.passes.warp import KERNELS as FORWARD
 from clsco.passes.warp import forward_features
-from clsco.plan.buffers import TRUTH_BUFFERS
 from clsco.plan.methods import BlurSpec
 from clsco.records import Real, structs
 from clsco.scene.model import Psf, Sphere
@@ -48,12 +49,9 @@ BLUR = (
     *("DISC", "SEPARABLE"),
 )
 GATHER, SCATTER = FILES_OF["gather"], FILES_OF["scatter"]
-TRUTH = [f"TRUTH_{name.upper()}" for name in TRUTH_BUFFERS]
 # Files that are built together: feature -> value when off, when on, and others. Structure is all that is compiled in.
 PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
-    ("trace/trace.cl",): GEOMETRY
-    | dict.fromkeys(("MOVED", "TILT", "TRUTH", *TRUTH, "PINHOLE", "LENSES"), ON_OR_OFF)
-    | {"SUBPIXELS": (0, 4, 2, 3), "OCCLUDED": (0,)},
+    TRACE_FILES: GEOMETRY | dict.fromkeys(("MOVED", "TILT"), ON_OR_OFF) | {"SUBPIXELS": (0, 4, 2, 3), "OCCLUDED": (0,)},
     GATHER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (1, BAND), "NEAR": (0, NEAR), "BY_COLUMNS": (0, 0, 1)}
@@ -82,15 +80,26 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
 PROGRAMS[HOLES] = dict.fromkeys(FEATURES, (0,)) | {"CHANNELS": (1, 3), "CODES": ON_OR_OFF, "ALONE": ON_OR_OFF}
 PROGRAMS[HOLES] |= {"FILL_MEAN_MEDIAN": (1,), "IMAGE": (1,)}
 # What can occlude a source: one object, or any other number up to all but one.
-OCCLUSION = tuple(("trace/trace.cl", *files) for files in (GATHER, SCATTER))
+OCCLUSION = tuple((*TRACE_FILES, *files) for files in (GATHER, SCATTER))
 # Features that have to do with it; of the others there is one value, the program being a long one.
-TOLD = {"OCCLUDED", "SEVERAL", "QUADRATIC", "NAPPE", "BOUNDED", "CHANNELS", "SUBPIXELS", "TILT", "GATHER", "SCATTER"}
-TOLD |= {"GENERAL"}
+HIDING = {
+    "OCCLUDED",
+    "SEVERAL",
+    "QUADRATIC",
+    "NAPPE",
+    "BOUNDED",
+    "CHANNELS",
+    "SUBPIXELS",
+    "TILT",
+    "GATHER",
+    "SCATTER",
+}
+HIDING |= {"GENERAL"}
 # What goes by columns goes neither by rows nor tap by tap, as sampled discs do.
 NOT_BY_COLUMNS = ("BY_ROWS", "NEAR", "DISC")
 for FILES in OCCLUSION:
-    PROGRAMS[FILES] = PROGRAMS["trace/trace.cl",] | PROGRAMS[FILES[1:]] | {"OCCLUDED": (1, 2, 63)}
-    PROGRAMS[FILES] |= {name: values[1:2] or values for name, values in PROGRAMS[FILES].items() if name not in TOLD}
+    PROGRAMS[FILES] = PROGRAMS[TRACE_FILES] | PROGRAMS[FILES[len(TRACE_FILES) :]] | {"OCCLUDED": (1, 2, 63)}
+    PROGRAMS[FILES] |= {name: values[1:2] or values for name, values in PROGRAMS[FILES].items() if name not in HIDING}
     PROGRAMS[FILES] |= dict.fromkeys((*NOT_BY_COLUMNS, "SEPARABLE"), (0,))
 PROGRAMS[OCCLUSION[0]] |= {"BY_COLUMNS": ON_OR_OFF}
 PROGRAMS["layered/layered.cl",] = dict.fromkeys((*PLAIN, "SAMPLED", "GENERAL"), (0,)) | {
@@ -153,14 +162,14 @@ def test_every_feature_is_known(files: tuple[str, ...]) -> None:
 def test_what_the_host_asks_for_is_what_the_files_know() -> None:
     plan = plan_of(Sphere())
     spreading = blur_features(BlurSpec(Psf(), "gather", 0.0, 1.0), True, prepare=True).keys()
-    rendering = plan.features().keys() | spreading | {"TRUTH", *TRUTH, "PINHOLE", "LENSES"}
-    assert PROGRAMS["trace/trace.cl",].keys() | PROGRAMS[GATHER].keys() == rendering
+    rendering = plan.features().keys() | spreading
+    assert PROGRAMS[TRACE_FILES].keys() | PROGRAMS[GATHER].keys() == rendering
     assert asked_for(GATHER) <= PLAIN.keys() | spreading | {"CHANNELS", "TILT", *psf_features(Psf())}
     assert forward_features(plan, owned=True).keys() == PROGRAMS[FORWARD].keys()
 
 
 # What takes seconds: programs with most kernels, and files that are built by themselves as well.
-LONG = (*OCCLUSION, FORWARD, ("trace/trace.cl",), GATHER)
+LONG = (*OCCLUSION, FORWARD, TRACE_FILES, GATHER)
 # What hardly any feature of the geometry changes.
 PLAIN_FILES = (("blur/accumulate.cl",), ("blur/convolve.cl",), ("inpainting/fse.cl",), ("inpainting/biharmonic.cl",))
 
@@ -187,13 +196,13 @@ def test_with_all_features_and_none(
     [pytest.param(f, marks=[pytest.mark.slow] * (f in (*LONG, *PLAIN_FILES)), id="+".join(f)) for f in PROGRAMS],
 )
 def test_with_all_features_but_one(session: Session, files: tuple[str, ...]) -> None:
-    """In double precision: `real` is a type, and what a feature compiles does not hang on it."""
+    """In double precision: `real` is a type, and what a feature compiles does not depend on it."""
     for features in variants(PROGRAMS[files])[2:]:
         assert build(session, files, features, structs("double"), "double")
 
 
 def test_trace_and_blur_are_built_together(session: Session) -> None:
-    files, features = ("trace/trace.cl", *GATHER), PROGRAMS[GATHER] | PROGRAMS["trace/trace.cl",]
+    files, features = (*TRACE_FILES, *GATHER), PROGRAMS[GATHER] | PROGRAMS[TRACE_FILES]
     for chosen in variants(features)[:2]:
         assert "trace" in build(session, files, chosen, structs("double"), "double")
 

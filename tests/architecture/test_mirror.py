@@ -22,7 +22,6 @@ HEADERS = sorted(
 # What has no twin of its own, and why.
 WITHOUT_TWIN = {
     "trace": {
-        "cast": "the part of trace that does not know the lens",
         "aim": "the rest of trace, for one of several lenses",
         "pinhole": "trace of all objects, with nothing in their way",
     },
@@ -41,6 +40,7 @@ WITHOUT_TWIN = {
         "reads tables, in whose place the reference has the closed forms",
     ),
     "vectors": dict.fromkeys(("weights", "sums_of", "bits_of", "any_of"), "lanes of a vector"),
+    "texture": dict.fromkeys(("texture_point", "radiance"), "parts of cast, for all pixels at once"),
     "geometry": {"note_radius": "the largest and the smallest of an array"},
     "warp": {"note_radii": "the largest and the smallest of an array"},
     "tiles": {"tiles": "the sum of scatter, which each tile forms for its pixels"},
@@ -71,7 +71,7 @@ WITHOUT_TWIN = {
 }
 
 # Files whose twin is part of another file.
-PART_OF = {"gather": "blur", "sources": "trace", "tiles": "blur"}
+PART_OF = {"gather": "blur", "sources": "trace", "texture": "trace", "tiles": "blur"}
 PART_OF |= dict.fromkeys(
     ("psf", "vectors", "many", "rows", "near", "discs", "quadrants", "gaussians", "columns"), "blur"
 )

@@ -13,15 +13,16 @@ from clsco.opencl import program
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.passes.blur import FILES_OF
+from clsco.passes.trace import TRACE_FILES
 from clsco.records import structs
 from tests.architecture.test_kernels_build import PROGRAMS, variants
 
-TRACE, ROOT = "trace/trace.cl", Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[2]
 # Programs of GPUs, with all features and with none.
 ON_GPU: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     files: PROGRAMS[files] for files in PROGRAMS if not any("/cpu/" in name for name in files)
 }
-ON_GPU[TRACE, *FILES_OF["tiles"]] = PROGRAMS[TRACE, *FILES_OF["scatter"]] | {"OCCLUDED": (0,)}
+ON_GPU[*TRACE_FILES, *FILES_OF["tiles"]] = PROGRAMS[*TRACE_FILES, *FILES_OF["scatter"]] | {"OCCLUDED": (0,)}
 EXTENSIONS = re.compile(r"__builtin_|ext_vector_type|vector_size|__atomic_|__AVX|__SSE|__FMA__|min_vector_width|\(\{")
 # The last line of PoCL's own header has no end.
 PEDANTIC = '#pragma clang diagnostic error "-Wpedantic"\n#pragma clang diagnostic ignored "-Wnewline-eof"\n'
@@ -29,7 +30,7 @@ PEDANTIC = '#pragma clang diagnostic error "-Wpedantic"\n#pragma clang diagnosti
 
 def test_every_method_of_a_gpu_is_looked_at() -> None:
     asked = {name for files in ON_GPU for name in files}
-    assert asked >= {TRACE, *FILES_OF["scatter"], *FILES_OF["tiles"], *FILES_OF["none"]}
+    assert asked >= {*TRACE_FILES, *FILES_OF["scatter"], *FILES_OF["tiles"], *FILES_OF["none"]}
     assert asked >= {f"{name}.cl" for name in ("blur/convolve", "blur/multigrid", "layered/layered")}
 
 

@@ -125,7 +125,7 @@ def records(given: Light, radius: Array, gradient: Array, there: Array, subpixel
     """Sources (..., 4) as trace.cl writes them, slots left out."""
     table = psf_table(given.psf, given.smallest, given.largest, given.samples if subpixel else 0)
     out = np.zeros((*radius.shape, 4), np.float32)
-    coordinate = table_coordinate(given.psf, radius, subpixel, table.first, table.count)
+    coordinate = table_coordinate(given.psf, radius, subpixel, table.low, table.end - table.low, table.count)
     out[..., 0] = np.where(there, coordinate, np.float32(-1))
     out[..., 1:3] = np.where(there[..., None], tilt_slope(gradient, radius), 0.0)
     return out

@@ -132,7 +132,7 @@ def gathered(
     arrays = (table.intervals, table.coefficients, table.taps, table.outlines)
     head = (given.camera(), struct, sources.source, sources.value, *(upload(session, each) for each in arrays))
     layout = (np.int32(start), np.int32(group), part.buffer, np.int32(pitch), np.int32(pad), total.buffer)
-    launch(session, kernel(program, "gather"), (2,), (1,), *head, *scratch, *layout)  # type: ignore[arg-type]
+    launch(session, kernel(program, "gather"), (2,), (1,), *head, *scratch, *layout)
     return total.now()[..., pad : pad + columns]
 
 

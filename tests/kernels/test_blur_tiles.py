@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clsco.constants import ROW_TILE
 from clsco.opencl.session import Session
-from clsco.optics.psf_tables import NEAR
+from clsco.optics.psf_grid import NEAR
 from clsco.scene.model import Psf
 from tests.kernels.test_blur import RNG, ROUNDING, Light, assert_close, blur_of, blurred, features, light, on_device
 from tests.kernels.test_blur_columns import Signed

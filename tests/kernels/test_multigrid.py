@@ -138,7 +138,7 @@ def test_radii_come_back_from_coordinates(session: Session, psf: Psf, marked: bo
     radius = np.geomspace(1.01 * MINIMUM_BLUR if sampled else 0.01, 5.9, rows * columns).reshape(rows, columns)
     table = psf_table(psf, 0.0, 6.0)
     records = np.zeros((rows, columns, 4), np.float32)
-    records[..., 0] = table_coordinate(psf, radius, False, table.first, len(table.intervals))
+    records[..., 0] = table_coordinate(psf, radius, False, table.low, table.end - table.low)
     records[1, ::4, 0] = -1  # nothing there
     marks = np.full((rows, columns), WHOLE, np.int32)
     marks[:, 2], marks[:, 7] = 5, PARTLY_OCCLUDED

@@ -88,7 +88,7 @@ def test_radii_and_slopes(session: Session, program: Program, width: int) -> Non
     radius, slope = rng.uniform(1.0, LARGEST, (ROWS, width)), rng.uniform(0.1, 1.0, (2, ROWS, width))
     table = psf_table(PSF, 0.0, LARGEST)
     records = np.zeros((ROWS, width, 4), np.float32)
-    records[..., 0] = table_coordinate(PSF, radius, False, table.first, len(table.intervals))
+    records[..., 0] = table_coordinate(PSF, radius, False, table.low, table.end - table.low)
     records[..., 1:3] = np.moveaxis(slope, 0, -1)
     records[..., 3] = np.full((ROWS, width), -1, np.int32).view(np.float32)  # whole ones, and no number
     radii, tilt = untouched(session, ROWS, width, value=np.nan), untouched(session, 2, ROWS, width)
@@ -154,7 +154,7 @@ def test_records_of_nodes(session: Session, program: Program) -> None:
     radius, tilt = rng.uniform(2.0, LARGEST, shape), rng.uniform(-1.0, 1.0, (2, *shape))
     radius[1, ::4] = -1.0
     there, table = radius > 0.0, psf_table(PSF, 0.0, LARGEST)
-    coordinate = table_coordinate(PSF, np.where(there, radius, 1.0), False, table.first, len(table.intervals))
+    coordinate = table_coordinate(PSF, np.where(there, radius, 1.0), False, table.low, table.end - table.low)
     expected = np.stack([coordinate, *tilt / (radius * radius + blunt)])
     source = upload(session, ends_with(np.zeros(expected.shape)))
     args = (

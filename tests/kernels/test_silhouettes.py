@@ -19,7 +19,7 @@ from tests.scenes import plan_of
 
 def marks_program(session: Session) -> Program:
     plan = plan_of(Sphere(), size=(16, 16), truth=TRUTH_NAMES)
-    features = plan.features() | {"SUBPIXELS": 2, "TRUTH": 0, "PINHOLE": 0, "LENSES": 0, "GATHER": 0}
+    features = plan.features() | {"SUBPIXELS": 2, "GATHER": 0}
     return build(session, ["trace/trace.cl"], features, structs("double"), "double")
 
 

@@ -19,12 +19,13 @@ from clsco.optics.psf_tables import psf_table
 from clsco.optics.quadrics import place
 from clsco.optics.visibility import Layer
 from clsco.passes.pack import camera_struct, layer_struct, pose_structs, psf_struct, surface_structs
-from clsco.passes.trace import EMPTY_STATISTICS
+from clsco.passes.trace import EMPTY_STATISTICS, TRACE_FILES
 from clsco.plan.buffers import TRUTH_BUFFERS, source_bytes
 from clsco.plan.plan import Plan, make_plan
 from clsco.records import Real, flat, structs
 from clsco.reference.common.geometry import table_coordinate, tilt_slope
 from clsco.reference.trace import trace as twin
+from clsco.reference.trace.truth import ground_truth
 from clsco.scene.model import (
     Cone,
     Cylinder,
@@ -158,12 +159,9 @@ def planned(wanted: Scene, channels: int, samples: int | None = None, eye: Eye =
     return Plan(**{**vars(plan), **keep})
 
 
-def built(session: Session, plan: Plan, real: Real, truth: tuple[str, ...] = MONO) -> Program:
+def built(session: Session, plan: Plan, real: Real) -> Program:
     """All kernels in one program, so that few have to be compiled."""
-    features = plan.features() | {"TRUTH": int(bool(truth)), "PINHOLE": 0, "LENSES": 0, "GATHER": 0}
-    features |= {f"TRUTH_{name.upper()}": int(name in truth) for name in TRUTH_BUFFERS}
-    files = ["trace/trace.cl"]
-    return build(session, files, features, structs(real), real)
+    return build(session, TRACE_FILES, plan.features() | {"GATHER": 0}, structs(real), real)
 
 
 def on_device(session: Session, plan: Plan, time: float, real: Real, eye: Eye | None = None) -> cl.Buffer:
@@ -246,7 +244,7 @@ def assert_records(plan: Plan, found: Array, radius: Array, gradient: Array, the
     assert (found[~there][..., :3] == [-1.0, 0.0, 0.0]).all()
     if not there.any():
         return
-    expected = table_coordinate(psf, radius, subpixel, table.first, len(table.intervals))[there]
+    expected = table_coordinate(psf, radius, subpixel, table.low, table.end - table.low)[there]
     # At a limb the root of a vanishing discriminant amplifies rounding of some 1e-15 to the root of that.
     np.testing.assert_allclose(found[there][:, 0], expected, rtol=2.0**-22, atol=1e-5)
     assert (np.floor(found[there][:, 0]) == np.floor(expected)).mean() > 0.999
@@ -411,7 +409,7 @@ def test_single_precision(session: Session, name: str) -> None:
 
 
 def truth_on_device(session: Session, plan: Plan, names: tuple[str, ...], frame: int) -> dict[str, Array]:
-    """Outputs of ground_truth, built for these outputs only."""
+    """Outputs of ground_truth, of which the others are null."""
     wanted = plan.scene
     now, then = (middle_time(wanted.sequence, k) for k in (frame, frame + 1))
     camera, shape = camera_struct(wanted.camera, plan.guard_px, "double"), (plan.rows, plan.columns)
@@ -425,13 +423,11 @@ def truth_on_device(session: Session, plan: Plan, names: tuple[str, ...], frame:
         n: empty(session, plan.rows * plan.columns * size * dtype().itemsize) for n, (dtype, size) in forms.items()
     }
     args: list[Any] = [camera, surfaces, still, later, layer, stack(session, plan)]
-    args += [buffer for name, buffer in buffers.items() if name not in STEREO_NAMES]
-    if set(names) & set(STEREO_NAMES):
-        other: Eye = "left" if plan.eye == "right" else "right"
-        poses = upload(session, pose_structs(poses_at(wanted, now, other), "double"))
-        args += [on_device(session, plan, now, "double", other), poses, np.int32(1 if plan.eye == "right" else -1)]
-        args += [buffer for name, buffer in buffers.items() if name in STEREO_NAMES]
-    program = built(session, plan, "double", names)
+    other: Eye = "left" if plan.eye == "right" else "right"
+    poses = upload(session, pose_structs(poses_at(wanted, now, other), "double"))
+    args += [on_device(session, plan, now, "double", other), poses, np.int32(1 if plan.eye == "right" else -1)]
+    args += [buffers["mask"], *(buffers.get(name) for name in TRUTH_BUFFERS)]
+    program = built(session, plan, "double")
     launch(session, kernel(program, "ground_truth"), shape[::-1], (64, 1), *args)
     return {name: download(session, buffers[name], (*shape, size), dtype) for name, (dtype, size) in forms.items()}
 
@@ -440,7 +436,7 @@ def assert_truth(session: Session, plan: Plan, names: tuple[str, ...], frame: in
     """All outputs of ground_truth agree with the twin's."""
     found = truth_on_device(session, plan, names, frame)
     textures = tuple(texture.astype(float) for texture in random_textures(plan.scene, plan.channels))
-    expected = twin.ground_truth(plan.scene, textures, frame, plan.eye)
+    expected = ground_truth(plan.scene, textures, frame, plan.eye)
     assert (found["mask"][..., 0] == expected.mask).all()
     seen, nothing = expected.mask, {"depth": np.inf, "object_id": -1}
     for output in names:

@@ -17,11 +17,12 @@ from clsco.optics.motion import middle_time, poses_at, rest_poses
 from clsco.optics.psf_tables import psf_table
 from clsco.optics.visibility import Layer
 from clsco.passes.pack import camera_struct, layer_struct, pose_structs, psf_struct
-from clsco.passes.trace import EMPTY_STATISTICS
+from clsco.passes.trace import EMPTY_STATISTICS, TRACE_FILES
 from clsco.plan.buffers import TRUTH_BUFFERS, source_bytes
 from clsco.plan.plan import Plan
 from clsco.records import structs
 from clsco.reference.trace import trace as twin
+from clsco.reference.trace.truth import ground_truth
 from clsco.scene.model import Psf
 from tests.kernels.test_trace import (
     CARD,
@@ -53,9 +54,7 @@ def plan() -> Plan:
 
 
 def everything_built(session: Session, plan: Plan) -> Program:
-    features = plan.features() | {"TRUTH": 1, "PINHOLE": 1, "LENSES": 1, "GATHER": 0}
-    features |= {f"TRUTH_{name.upper()}": int(name in MONO) for name in TRUTH_BUFFERS}
-    return build(session, ["trace/trace.cl"], features, structs("double"), "double")
+    return build(session, TRACE_FILES, plan.features() | {"GATHER": 0}, structs("double"), "double")
 
 
 def buffers(session: Session, **sizes: int) -> dict[str, cl.Buffer]:
@@ -148,8 +147,10 @@ def truth(session: Session, plan: Plan, strip: Strip, local: tuple[int, int]) ->
         copied(session, pose_structs(poses_at(wanted, then, plan.eye), "double")),
         layer_struct(twin.everything(wanted), len(wanted.objects)),
         stack(session, plan),
+        *(on_device(session, plan, now, "double"), copied(session, pose_structs((), "double")), np.int32(0)),
+        *(out["mask"], *(out.get(name) for name in TRUTH_BUFFERS)),
     )
-    launch(session, kernel(everything_built(session, plan), "ground_truth"), shape[::-1], local, *args, *out.values())
+    launch(session, kernel(everything_built(session, plan), "ground_truth"), shape[::-1], local, *args)
     return {name: written(session, out[name], (*shape, n), dtype) for name, (dtype, n) in forms.items()}
 
 
@@ -160,7 +161,7 @@ def test_ground_truth_of_a_strip_is_a_part_of_the_whole(session: Session, plan: 
         assert len(np.unique(expected)) > 1, name
         np.testing.assert_array_equal(part[name], expected[strip.inside], name)
     textures = tuple(texture.astype(float) for texture in random_textures(plan.scene, plan.channels))
-    exact = twin.ground_truth(plan.scene, textures, 1, plan.eye)
+    exact = ground_truth(plan.scene, textures, 1, plan.eye)
     turned = exact.object_id == 1
     assert 0.02 < exact.hidden[turned].mean() < 0.9
     np.testing.assert_array_equal(whole["hidden"][..., 0], exact.hidden)

@@ -13,6 +13,7 @@ from clsco.opencl.buffers import download, empty
 from clsco.opencl.session import Session
 from clsco.records import Real, in_parts
 from clsco.reference.trace import trace as twin
+from clsco.reference.trace.truth import ground_truth
 from clsco.resources import folder
 from clsco.scene.model import Cylinder, ObjectMotion, Psf
 from tests.kernels.test_trace import (
@@ -38,7 +39,7 @@ def test_what_was_behind_the_lens_is_dark(session: Session) -> None:
     tube = Cylinder(center=(0.0, 0.0, 200.0), radius=24.0, axis=(0.0, 0.0, 1.0))
     plan = planned(scene(tube, ObjectMotion(velocity=(0.0, 0.0, 600.0)), psf=Psf(occlusion="none")), 1)
     textures = tuple(texture.astype(float) for texture in random_textures(plan.scene, plan.channels))
-    exact = twin.ground_truth(plan.scene, textures, 1)
+    exact = ground_truth(plan.scene, textures, 1)
     dark = exact.sharp[..., 0] == 0
     assert 0.1 < dark[exact.mask].mean() < 0.9
     assert_truth(session, plan, ("sharp",), 1)
@@ -78,8 +79,8 @@ def test_a_point_is_covered_by_what_is_nearer_by_a_millionth(session: Session, r
     nearer = np.repeat([0.0, 0.99e-6, 1.01e-6, 0.1], 50)
     w, ratio = np.random.default_rng(4).uniform([[2e-3], [0.5]], [[9e-3], [2.0]], (2, nearer.size))
     seen = w * (1 + nearer) / ratio
-    text = "".join((folder("kernels") / name).read_text("utf-8") for name in ("common/sources.clh", "trace/trace.cl"))
-    features = {"TILT": 0, "SUBPIXELS": 0, "MOVED": 0, "OCCLUDED": 0, "TRUTH_OCCLUDED": 1}
+    text = "".join((folder("kernels") / name).read_text("utf-8") for name in ("trace/texture.clh", "trace/truth.cl"))
+    features = {"MOVED": 0, "OCCLUDED": 0}
     out = empty(session, 4 * w.size)
     args = (in_parts(values, real) for values in (seen, ratio, w))
     run_source(PARTS + text + COVERED, "cover", real, features, w.size, *args, np.int32(w.size), out)

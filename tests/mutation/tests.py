@@ -63,6 +63,8 @@ TESTS = {
     "inpainting/mean_median.cl": "kernels/test_mean_median inpainting/test_inpaint",
     "inpainting/score.cl": "kernels/test_mean_median kernels/test_fill",
     "layered/layered.cl": "kernels/test_layered_amid kernels/test_layered engine/test_defocus",
+    "trace/texture.clh": "kernels/test_trace kernels/test_trace_hidden",
+    "trace/truth.cl": "kernels/test_trace kernels/test_trace_bounds kernels/test_trace_hidden",
     "trace/trace.cl": "kernels/test_silhouettes kernels/test_trace_hidden kernels/test_trace_bounds "
     "kernels/test_trace kernels/test_geometry pipeline/test_views pipeline/test_scenes",
     "warp/warp.cl": "kernels/test_reproject_planes kernels/test_reproject kernels/test_warp pipeline/test_scenes",

@@ -24,7 +24,7 @@ from clsco.engine.sequence import render_sweep
 from clsco.errors import SceneError
 from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES
 from clsco.inputs.textures import Texture
-from clsco.optics.psf_tables import NEAR
+from clsco.optics.psf_grid import NEAR
 from clsco.optics.stencil import SUMMED
 from clsco.passes.blur import blur_features
 from clsco.passes.warp import forward_features

@@ -9,7 +9,8 @@ import pytest
 
 from clsco.optics.polygon import lens_mask, vertices
 from clsco.optics.psf import shape_of, subpixel_weights, weights
-from clsco.optics.psf_tables import psf_table, table_bytes, table_coordinate
+from clsco.optics.psf_grid import table_coordinate
+from clsco.optics.psf_tables import psf_table, table_bytes
 from clsco.scene.model import Aperture, Psf
 from tests.optics.test_psf import Array
 

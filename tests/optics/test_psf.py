@@ -21,7 +21,8 @@ from clsco.optics.psf import (
     subpixel_weights,
     weights,
 )
-from clsco.optics.psf_tables import PsfTable, _table_radius, psf_table, table_bytes, table_coordinate
+from clsco.optics.psf_grid import table_coordinate, table_radius
+from clsco.optics.psf_tables import PsfTable, psf_table, table_bytes
 from clsco.reference.common.geometry import table_coordinate as float32_coordinate
 from clsco.scene.model import Psf
 
@@ -329,7 +330,7 @@ def separable_table(table: PsfTable, coordinate: float) -> Array:
     half_width = int(table.intervals[int(coordinate) - table.first, 1])
     side = stored_taps(table, coordinate)
     np.testing.assert_array_equal(side[: half_width + 1], axis[half_width:])
-    assert len(side) == table.reach + 1
+    assert len(side) == int(table.intervals[:, 1].max()) + 1
     assert not side[half_width + 1 :].any()  # read as well
     return np.asarray(axis[:, None] * axis)
 
@@ -338,7 +339,8 @@ def stored_octant(table: PsfTable, coordinate: float) -> Array:
     """Weights (half-width + 1, half-width + 1) of |dx|, |dy| as neighbors read them."""
     half_width = int(table.intervals[int(coordinate) - table.first, 1])
     weights = stored_taps(table, coordinate)
-    assert len(weights) == (table.reach + 1) * (table.reach + 2) // 2
+    widest = int(table.intervals[:, 1].max())
+    assert len(weights) == (widest + 1) * (widest + 2) // 2
     a, b = np.indices((half_width + 1, half_width + 1))
     low, high = np.minimum(a, b), np.maximum(a, b)
     number = high * (high + 1) // 2 + low
@@ -449,7 +451,7 @@ def test_coordinate_and_radius_are_inverse(psf: Psf, subpixel: bool) -> None:
     radius = np.concatenate([np.random.default_rng(15).uniform(0.5, 500.0, 500), [0.5, 0.875, 1.0, 512.0]])
     coordinate = table_coordinate(psf, radius, subpixel)
     assert (np.diff(table_coordinate(psf, np.sort(radius), subpixel)) >= 0.0).all()
-    back = _table_radius(psf, coordinate, subpixel)
+    back = table_radius(psf, coordinate, subpixel)
     np.testing.assert_allclose(back, radius, rtol=1e-13)  # a dozen roundings, and u of some 1e5 at R = 500
     assert (table_coordinate(psf, -radius, subpixel) == coordinate).all()
 

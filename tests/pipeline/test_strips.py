@@ -17,6 +17,7 @@ from clsco.errors import SceneError
 from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES, Frame
 from clsco.frame.strips import BAND, cut
 from clsco.opencl.device import choose
+from clsco.opencl.session import session_for
 from clsco.plan.memory import device_bytes
 from clsco.plan.plan import Plan, make_plan
 from clsco.plan.prepare import prepare
@@ -59,6 +60,7 @@ def named(name: str) -> Scene:
 
 def memory_for(scene: Scene, rows: int, truth: tuple[str, ...] = TRUTH, method: str = "auto") -> int:
     """Just as much as strips of so many rows need."""
+    session_for(None).kept.clear()  # what other renders have left is let go of before it is measured
     eyes = ("left",) if scene.stereo is None else ("left", "right")
     plans = [replace(plan_of(scene, truth, method, eye), strip_rows=rows) for eye in eyes]
     return max(device_bytes(replace(plan, device=choose()), len(eyes)) for plan in plans)

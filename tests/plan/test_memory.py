@@ -214,7 +214,7 @@ def test_commands_take_a_limit(tmp_path: Path) -> None:
         refused = clsco_(*command, "--memory", "300kB")
         assert (refused.exit_code, refused.stdout) == (1, "")
         assert refused.stderr.startswith(
-            f"error: {scene}: memory: must be at least 1 MiB for this frame, in strips of 64"
+            f"error: {scene}: memory: must be at least 2 MiB for this frame, in strips of 64"
         )
         wrong = clsco_(*command, "--memory", "lots")
         assert wrong.exit_code == 2
@@ -224,7 +224,7 @@ def test_commands_take_a_limit(tmp_path: Path) -> None:
     assert refused.exit_code == 1
     assert " MiB for this frame, as an approximation needs the whole frame; got 3 MiB" in refused.stderr
     assert not out.exists()
-    for size, wanted in (("5MiB", "exact"), ("30MiB", "coarse")):
+    for size, wanted in (("12MiB", "exact"), ("60MiB", "coarse")):
         done = clsco_("render", scene, "-o", out / wanted, *wide, "--memory", size, "--tolerance", "0.1")
         assert done.exit_code == 0, done.output
         told = json.loads((out / wanted / "frame_0000.json").read_text())

@@ -12,7 +12,7 @@ from clsco.errors import SceneError
 from clsco.optics.lens import LARGEST_BLUR, blur_radius
 from clsco.optics.motion import poses_at
 from clsco.plan.plan import make_plan, widened
-from clsco.plan.predict import PREDICTED_TIMES, _predicted_poses, _moved_map, image_displacement
+from clsco.plan.predict import PREDICTED_TIMES, _moved_map, _predicted_poses, image_displacement
 from clsco.scene.model import DepthMap, ObjectMotion, Plane, Psf, Scene, Sequence, Sphere
 from tests.scenes import plan_of, scene_of
 

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.optics.lens import blur_radius
-from clsco.optics.psf_tables import table_coordinate as coordinate_of_radius
+from clsco.optics.psf_grid import table_coordinate as coordinate_of_radius
 from clsco.optics.quadrics import PlacedSurface
 from clsco.optics.visibility import Layer
 from clsco.reference.common.geometry import (

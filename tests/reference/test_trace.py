@@ -17,13 +17,13 @@ from clsco.reference.common.geometry import Filter, pixel_ray, rest_pixel, solve
 from clsco.reference.trace.trace import (
     SILHOUETTE_RANGE,
     View,
-    ground_truth,
     mark_silhouettes,
     padded_grid,
     trace,
     trace_subpixels,
     view_at,
 )
+from clsco.reference.trace.truth import ground_truth
 from clsco.scene.model import Ellipsoid, Motion, ObjectMotion, Plane, Psf, Scene, Sequence, Sphere
 from tests.scenes import scene_of
 

@@ -40,9 +40,9 @@ from clsco.errors import DeviceError, SceneError
 from clsco.opencl.device import Device
 from clsco.opencl.session import Session
 from clsco.optics.psf import psf_extent
-from clsco.optics.psf_tables import psf_table
 from clsco.optics.stencil import stencils
 from clsco.passes.blur import Events
+from clsco.passes.tables import shared_tables
 from clsco.plan.approximation import METHODS, estimate, sample_places
 from clsco.records import Real
 from clsco.reference.blur.blur import prepare_sources, scatter
@@ -203,7 +203,7 @@ def _first(case: Case, session: Session, first_call_s: float | None, peers: Sequ
     image = channels_of(picture(case.size)[crop], case.channels)
     radii = np.ascontiguousarray(scene_radii(case.size, case.radius, case.scene)[crop])
     if first_call_s is None:
-        psf_table.cache_clear()
+        shared_tables().clear()
         stencils.cache_clear()
         start = time.perf_counter()
         with Session(session.device) as alone:

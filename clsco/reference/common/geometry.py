@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clsco.optics.lens import blur_scale, focus_power, ray_step
 from clsco.optics.psf import shape_of
-from clsco.optics.psf_tables import table_coordinate as coordinate_of_radius
+from clsco.optics.psf_grid import table_coordinate as coordinate_of_radius
 from clsco.optics.quadrics import PlacedSurface
 from clsco.optics.visibility import Layer
 from clsco.scene.model import Camera, Psf
@@ -317,10 +317,13 @@ def sample_texture(texture: Array, row: Array, column: Array, texture_filter: Fi
     return result
 
 
-def table_coordinate(psf: Psf, radius: Array, subpixel: bool, first: int, count: int) -> NDArray[np.float32]:
+def table_coordinate(
+    psf: Psf, radius: Array, subpixel: bool, first: int, count: int, turned: int = 0
+) -> NDArray[np.float32]:
     """Coordinates (...) in a device's table of PSF weights; their integer part names the interval.
 
-    radius: (...) px; the table has `count` intervals from `first` on, others are clamped to them. Rounded to
+    radius: (...) px; `count` intervals from `first` on are for such radii, and others are clamped to them; turned: how
+    much larger the coordinates of negative radii are, of a signed shape, by default `count`. Rounded to
     float32, that of a sampled PSF without crossing into the next interval, where it may jump. Only the device reads
     tables; the reference has the weights.
     """
@@ -332,9 +335,9 @@ def table_coordinate(psf: Psf, radius: Array, subpixel: bool, first: int, count:
     found = np.where(rounded < ceiling, rounded, np.nextafter(ceiling, np.float32(0.0)))
     if not shape_of(psf).signed:
         return found
-    turned, end = found + np.float32(count), ceiling + np.float32(count)
-    turned = np.where(turned < end, turned, np.nextafter(end, np.float32(0.0)))
-    return np.where(np.asarray(radius) < 0.0, turned, found)
+    other, end = (values + np.float32(turned or count) for values in (found, ceiling))
+    other = np.where(other < end, other, np.nextafter(end, np.float32(0.0)))
+    return np.where(np.asarray(radius) < 0.0, other, found)
 
 
 def tilt_slope(gradient: Array, radius: ArrayLike) -> Array:

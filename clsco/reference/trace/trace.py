@@ -1,4 +1,4 @@
-"""Rays cast at the surface: sources, sub-pixel sources at silhouettes, ground truth.
+"""Rays cast at the surface: sources, and sub-pixel sources at silhouettes.
 
 The padded grid has `guard` rows and columns on each side of the frame: surface outside the frame contributes to it.
 """
@@ -11,27 +11,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.optics.motion import Eye, Pose, middle_time, poses_at, rest_poses
+from clsco.optics.motion import Eye, poses_at
 from clsco.optics.psf import subpixel_offsets
 from clsco.optics.quadrics import PlacedSurface, place
 from clsco.optics.visibility import Layer
-from clsco.plan.predict import displaced
 from clsco.reference.common.geometry import (
     Array,
     blur_gradient,
     blur_radius,
-    body_point,
     mirror_index,
     nearest_surface,
     pixel_ray,
-    project,
     rest_pixel,
-    rest_position,
     sample_texture,
-    solve_quadric,
-    surface_normal,
     surface_slope,
-    turned,
 )
 from clsco.reference.common.visibility import HIDDEN, Points, Visibility, check_visibility
 from clsco.scene.model import Camera, Scene
@@ -77,22 +70,6 @@ class SubpixelSources:
     visibility: Visibility | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Truth:
-    """Ground truth at the middle of the shutter: see `clsco.frame.frame.Frame`, whose names and units these are."""
-
-    sharp: Array
-    depth: Array
-    blur_radius: Array
-    mask: NDArray[np.bool_]
-    object_id: NDArray[np.int32]
-    normal: Array
-    flow: Array
-    hidden: NDArray[np.bool_]
-    disparity: Array | None
-    occluded: NDArray[np.bool_] | None
-
-
 def padded_grid(camera: Camera, guard: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Rows (H, 1) and columns (1, W) of the padded grid in frame pixels: -guard .. n-1+guard."""
     assert camera.resolution is not None
@@ -126,7 +103,7 @@ def everything(scene: Scene) -> Layer:
 
 
 @dataclass(frozen=True, eq=False)
-class _Cast:
+class Cast:
     """What rays (...) meet: inverse depth in 1/mm, label, object, blur radius in px, its gradient, radiance."""
 
     w: Array
@@ -137,9 +114,9 @@ class _Cast:
     radiance: Array
 
 
-def _cast(
+def cast(
     view: View, layer: Layer, row: NDArray[Any], column: NDArray[Any], texel: tuple[NDArray[Any], NDArray[Any]]
-) -> _Cast:
+) -> Cast:
     """The nearest of some objects along rays through (row, column) px, 0 where none is.
 
     texel: row and column of the pixel whose texel a ray shows in the reference pose.
@@ -159,7 +136,7 @@ def _cast(
             shown = np.broadcast_to(_texels(view.textures[k], *texels), radiance.shape)
         radiance = np.where(own, shown, radiance)
     radius = np.where(label > 0, blur_radius(scene.camera, w), 0.0)
-    return _Cast(w, label, number, radius, gradient, radiance)
+    return Cast(w, label, number, radius, gradient, radiance)
 
 
 def _moved_radiance(scene: Scene, surface: PlacedSurface, texture: Array, rays: Array, w: Array) -> Array:
@@ -182,7 +159,7 @@ def trace(view: View, layer: Layer, guard: int) -> Sources:
     """
     scene = view.scene
     row, column = padded_grid(scene.camera, guard)
-    hit = _cast(view, layer, row, column, (row, column))
+    hit = cast(view, layer, row, column, (row, column))
     label, lit, visibility = hit.label, hit.label > 0, None
     if layer.occluders:
         rays = pixel_ray(scene.camera, row, column)[lit]
@@ -229,7 +206,7 @@ def trace_subpixels(view: View, layer: Layer, guard: int, marked: NDArray[np.boo
     at_row = (row - guard)[:, None, None] + offsets[:, None]
     at_column = (column - guard)[:, None, None] + offsets[None, :]
     texel = ((row - guard)[:, None, None], (column - guard)[:, None, None])
-    hit = _cast(view, layer, at_row, at_column, texel)
+    hit = cast(view, layer, at_row, at_column, texel)
     lit, visibility = hit.label > 0, None
     if layer.occluders:
         rays = pixel_ray(scene.camera, at_row, at_column)[lit]
@@ -243,96 +220,3 @@ def trace_subpixels(view: View, layer: Layer, guard: int, marked: NDArray[np.boo
         lit[lit] = seen
         visibility = visibility.of(seen)
     return SubpixelSources(row, column, lit, hit.radius, hit.gradient, hit.radiance, visibility)
-
-
-def _outside(camera: Camera, row: Array, column: Array) -> NDArray[np.bool_]:
-    assert camera.resolution is not None
-    columns, rows = camera.resolution
-    return np.asarray((row < -0.5) | (row >= rows - 0.5) | (column < -0.5) | (column >= columns - 0.5))
-
-
-def _hidden(view: View, rest: PlacedSurface, number: int, rays: Array, w: Array) -> NDArray[np.bool_]:
-    """Points of an object's surface that were not visible in its reference pose."""
-    scene, surface = view.scene, view.surfaces[number]
-    row, column, valid = rest_pixel(surface, scene.camera, rays, w)
-    w_rest, _ = solve_quadric(rest, scene.objects[number].bounds, pixel_ray(scene.camera, row, column))
-    depth_ratio = np.where(valid, rest_position(surface, rays, w)[..., 2], 1.0)
-    covered = w_rest * depth_ratio > w * (1.0 + 1e-6)
-    return np.asarray((w > 0.0) & (~valid | _outside(scene.camera, row, column) | covered))
-
-
-def _moved_pixel(
-    surface: PlacedSurface, other: Pose, camera: Camera, rays: Array, w: Array
-) -> tuple[Array, Array, Array]:
-    """Row and column in px of hits in the pose `other`, and their depth there over that here (1 behind the lens)."""
-    body = turned(other.rotation, body_point(surface, rays, w))
-    position = (surface.rest + other.shift) * w[..., None] + body
-    before_lens = (w > 0.0) & (position[..., 2] > 0.0)
-    row, column = project(camera, np.where(before_lens[..., None], position, 1.0))
-    at_row, at_column = padded_grid(camera, 0)
-    return (
-        np.where(before_lens, row, at_row),
-        np.where(before_lens, column, at_column),
-        np.where(before_lens, position[..., 2], 1.0),
-    )
-
-
-def _stereo(
-    scene: Scene, textures: tuple[Array, ...], view: View, eye: Eye, time: float, hit: _Cast, rays: Array
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Disparity in px, and which points are not visible in the other view."""
-    opposite: Eye = "left" if eye == "right" else "right"
-    other, poses = view_at(scene, textures, time, opposite, True), poses_at(scene, time, opposite)
-    disparity, occluded = np.zeros(hit.w.shape), np.zeros(hit.w.shape, dtype=bool)
-    bounds = [item.bounds for item in scene.objects]
-    _, at_column = padded_grid(scene.camera, 0)
-    for k, surface in enumerate(view.surfaces):
-        row, column, ratio = _moved_pixel(surface, poses[k], scene.camera, rays, hit.w)
-        own = hit.number == k
-        disparity = np.where(own, (1.0 if eye == "right" else -1.0) * (column - at_column), disparity)
-        seen, _, _ = nearest_surface(other.surfaces, bounds, everything(scene), pixel_ray(scene.camera, row, column))
-        covered = seen * ratio > hit.w * (1.0 + 1e-6)
-        occluded = np.where(own, covered | _outside(scene.camera, row, column), occluded)
-    return disparity, occluded
-
-
-def ground_truth(scene: Scene, textures: tuple[Array, ...], frame: int, eye: Eye = "left") -> Truth:
-    """Ground truth (rows, columns[, ...]) of a frame at the middle of its shutter, at pixel centers.
-
-    textures: as for `View`. `flow` goes from a pixel to where its surface point is at the middle of the next
-    frame's shutter; 0 where that is behind the lens. `hidden`: in the reference pose the point is outside of the frame,
-    or another point of its object hides it there (nearer by more than 1e-6 of its depth). Validated: flow against
-    the thesis' 80 and 70 px, normals and radius against closed forms.
-    """
-    moves, camera = scene.moves, scene.camera
-    now, then = (middle_time(scene.sequence, k) if moves else 0.0 for k in (frame, frame + 1))
-    view = view_at(scene, textures, now, eye, moves or displaced(scene, eye))
-    rest = [place(item, pose) for item, pose in zip(scene.objects, rest_poses(scene), strict=True)]
-    later = poses_at(scene, then, eye)
-    row, column = padded_grid(camera, 0)
-    rays = pixel_ray(camera, row, column)
-    hit = _cast(view, everything(scene), row, column, (row, column))
-    mask, w = hit.label > 0, hit.w
-    flow, normal = np.zeros((*w.shape, 2)), np.zeros((*w.shape, 3))
-    hidden = np.zeros(w.shape, dtype=bool)
-    for k, surface in enumerate(view.surfaces):
-        own = hit.number == k
-        next_row, next_column, _ = _moved_pixel(surface, later[k], camera, rays, w)
-        flow = np.where(own[..., None], np.stack([next_column - column, next_row - row], axis=-1), flow)
-        normal = np.where(own[..., None], surface_normal(surface, rays, w), normal)
-        hidden = np.where(own, _hidden(view, rest[k], k, rays, w), hidden)
-    disparity, occluded = None, None
-    if scene.stereo is not None:
-        disparity, occluded = _stereo(scene, textures, view, eye, now, hit, rays)
-    return Truth(
-        sharp=hit.radiance,
-        depth=np.where(mask, 1.0 / np.where(mask, w, 1.0), np.inf),
-        blur_radius=hit.radius,
-        mask=mask,
-        object_id=hit.number,
-        normal=normal,
-        flow=flow,
-        hidden=hidden,
-        disparity=disparity,
-        occluded=occluded,
-    )

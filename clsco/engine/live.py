@@ -1,0 +1,139 @@
+"""Renderings one after the other that differ in little: what is the same is kept from one to the next."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable
+from types import TracebackType
+from typing import Self
+
+from clsco.engine.sequence import checked_request, frame_numbers, render_prepared
+from clsco.engine.warm import warm
+from clsco.errors import SceneError
+from clsco.frame.frame import ALL_TRUTH, Frame
+from clsco.inputs.files import InputFiles
+from clsco.opencl.session import DeviceLike, session_for
+from clsco.plan.memory import parse_size
+from clsco.plan.prepare import prepare
+from clsco.scene.file import SceneLike, scene_of
+
+
+class Live:
+    """Renders scenes that follow each other, as when a user drags a slider.
+
+    What rays hit, textures, depth maps and tables of weights are kept by what they are made from: a render computes
+    what is new to it. Frames have the bits that `clsco.render_frame` gives.
+
+    Parameters
+    ----------
+    device : str, pyopencl.Device, Context or CommandQueue, optional
+        As for `clsco.render`.
+    keep : int or str
+        Most bytes that are kept beyond a render on the device, and as many on the host, in bytes or like "1.5GiB"; the
+        least recently used go.
+
+    Raises
+    ------
+    DeviceError
+        There is no such device.
+    SceneError
+        `keep` is no size.
+
+    Examples
+    --------
+    >>> with clsco.Live() as live:
+    ...     for distance in range(250, 320, 10):
+    ...         frame = live.render(scene.replace("camera.focus_distance", distance), truth=())
+
+    Notes
+    -----
+    A `Live` renders one scene at a time; threads that render at the same time have one each, and share compiled
+    kernels. Validated: the bits of a fresh process (tests/engine/test_live.py); `benchmarks/speed/live.py` has times.
+    """
+
+    def __init__(self, device: DeviceLike = None, *, keep: int | str = "512MiB") -> None:
+        limit = parse_size(keep, "keep")
+        self.session = session_for(device).beside(limit)
+        self.files = InputFiles(limit)
+        self._lock = threading.Lock()
+        self._warming: list[threading.Thread] = []
+
+    def render(
+        self,
+        scene: SceneLike,
+        index: int = 0,
+        *,
+        truth: str | Iterable[str] = ALL_TRUTH,
+        precision: str | None = None,
+        method: str = "auto",
+        tolerance: float | None = None,
+        memory: str | int | None = None,
+    ) -> Frame:
+        """Render one frame of a scene.
+
+        Parameters
+        ----------
+        scene, index, truth, precision, method, tolerance, memory
+            As for `clsco.render_frame`.
+
+        Returns
+        -------
+        Frame
+
+        Raises
+        ------
+        CanceledError
+            `cancel` was called meanwhile.
+        SceneError, ImageError, DeviceError, KernelError
+            As `clsco.render_frame`.
+        """
+        known = scene_of(scene)
+        if known.stereo is not None:
+            raise SceneError("scene: must have one view; got a stereo pair, which clsco.render gives")
+        (number,) = frame_numbers([known], [index])
+        request = checked_request(truth, method, tolerance, precision, memory)
+        with self._lock:
+            self.session.canceled.clear()
+            prepared = prepare(known, request, self.session.device, self.files)
+            ((_, frame),) = render_prepared(self.session, [prepared], [number], keeps_rays=True)
+        return frame
+
+    def cancel(self) -> None:
+        """End the render that another thread waits for before its next pass; without one nothing happens."""
+        if self._lock.locked():
+            self.session.canceled.set()
+
+    def warm(self, scene: SceneLike) -> threading.Thread:
+        """Compile in the background what this scene and those near it need.
+
+        Parameters
+        ----------
+        scene : Scene, mapping or path
+
+        Returns
+        -------
+        threading.Thread
+            Ends when all is compiled; nobody has to wait for it.
+        """
+        known = scene_of(scene)
+        thread = threading.Thread(target=warm, args=(self.session, known, self.files), daemon=True)
+        self._warming.append(thread)
+        thread.start()
+        return thread
+
+    def close(self) -> None:
+        """Wait for what is being compiled, and let go of what is kept."""
+        for thread in self._warming:
+            thread.join()
+        self._warming.clear()
+        self.session.settle()
+        self.session.kept.clear()
+        self.files.kept.clear()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -1,0 +1,80 @@
+"""Kernels compiled ahead: those of a scene, and of scenes near it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
+
+from clsco.engine.renderer import Renderer, expose
+from clsco.engine.sequence import casts_for_lenses
+from clsco.errors import ClscoError
+from clsco.frame.frame import ALL_TRUTH
+from clsco.inputs.files import InputFiles
+from clsco.opencl.session import Session
+from clsco.optics.visibility import Layer
+from clsco.passes.trace import KeptHits
+from clsco.plan.memory import limit_of
+from clsco.plan.plan import Plan
+from clsco.plan.prepare import Prepared, prepare
+from clsco.plan.request import Request
+from clsco.scene.model import Scene
+
+SIDE = 16  # px, of the frames that have the kernels run
+
+
+def warm(session: Session, scene: Scene, files: InputFiles) -> None:
+    """Compile what a scene and those near it need.
+
+    First into the cache on disk, in a context of its own that nobody waits for, then into the session. Faults of the
+    scene are raised by its rendering.
+    """
+    with suppress(ClscoError):
+        prepared = prepare(scene, Request(ALL_TRUTH), session.device, files)
+        with Session(session.device) as alone:
+            run_near(alone, prepared)
+        run_near(session, prepared)
+
+
+def run_near(session: Session, prepared: Prepared) -> int:
+    """Run the kernels of a scene and of those near it on small frames, so that they are compiled.
+
+    Returns
+    -------
+    int
+        How many plans were run.
+    """
+    small, count = _small(prepared), 0
+    columns, rows = small.scene.camera.resolution or (SIDE, SIDE)
+    for plan in near(prepared.plan):
+        tiny = replace(plan, scene=small.scene, rows=rows, columns=columns, strip_rows=0, least_slots=plan.slots)
+        for hits in (None, KeptHits(session)) if casts_for_lenses(plan) else (None,):
+            renderer = Renderer(session, tiny, small, limit_of(None, session.device), hits)
+            expose([renderer], 0)
+            renderer.finish(0)
+        count += 1
+    return count
+
+
+def near(plan: Plan) -> Iterator[Plan]:
+    """The plan, and those of scenes near it: with and without silhouettes, and occluders."""
+    yield plan
+    if not casts_for_lenses(plan):
+        return
+    psf, count = plan.scene.psf, len(plan.scene.objects)
+    everything = (1 << count) - 1
+    if psf.silhouette_samples > 1:
+        yield replace(plan, silhouettes=0 if plan.silhouettes else psf.silhouette_samples)
+    if plan.occlusion == "visibility":
+        yield replace(plan, occlusion="none", layers=(Layer(everything, 0),))
+    elif count > 1 and psf.occlusion == "visibility":
+        yield replace(plan, occlusion="visibility", layers=(Layer(everything, everything),))
+
+
+def _small(prepared: Prepared) -> Prepared:
+    """The scene in a frame of SIDE px, with the same blur; with depth maps as it is, which have the frame's size."""
+    if not prepared.scene.is_analytic:
+        return prepared
+    camera = prepared.scene.camera.model_copy(update={"resolution": (SIDE, SIDE)})
+    scene = prepared.scene.model_copy(update={"camera": camera})
+    return Prepared(scene, prepared.plans, prepared.request, prepared.files)

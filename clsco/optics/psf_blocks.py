@@ -1,0 +1,199 @@
+"""Blocks of the tables of PSF weights: the same intervals at a time, whatever range of radii a table is for, so that a
+weight has the same bits in every table (float64, pure)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.constants import POWERS
+from clsco.optics.psf import axis_weights, polygon_rows, shape_of, subpixel_offsets, subpixel_weights, weights
+from clsco.optics.psf_grid import NODES, TO_POWERS, block_intervals, half_widths, octant_taps, row_lanes, table_radius
+from clsco.scene.model import Psf
+
+Array = NDArray[np.float64]
+RUN = 16  # intervals whose weights are computed at once, of one half-width
+
+
+@dataclass(frozen=True, eq=False)
+class WeightBlock:
+    """Weights of `block_intervals` intervals of a table, see `clsco.optics.psf_tables.PsfTable`.
+
+    Attributes
+    ----------
+    widths : ndarray of int32, (count,)
+        Half-widths in px.
+    coefficients : ndarray of float32
+        Those of all intervals, one after the other.
+    negative : ndarray of float32
+        The same for negative radii of a signed shape, else empty.
+    taps : ndarray of float32, (taps, POWERS, count)
+        Of a main table, by tap.
+    outlines : ndarray of int32, (count, half-width + 1, 2)
+        Of a main table, see `_outline`.
+    """
+
+    widths: NDArray[np.int32]
+    coefficients: NDArray[np.float32]
+    negative: NDArray[np.float32]
+    taps: NDArray[np.float32]
+    outlines: NDArray[np.int32]
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all arrays."""
+        return sum(array.nbytes for array in vars(self).values())
+
+
+def weight_block(psf: Psf, first: int, subpixel: int = 0) -> WeightBlock:
+    """The block that begins with an interval.
+
+    Parameters
+    ----------
+    psf : Psf
+        No sampled disc, whose one weight per interval needs no block.
+    first : int
+        A multiple of `block_intervals`.
+    subpixel : int
+        Sub-pixel sources per axis of a table for these, else 0.
+
+    Returns
+    -------
+    WeightBlock
+
+    Notes
+    -----
+    A weight at the radii of NODES gives a cubic in the position within an interval. Validated against
+    `clsco.optics.psf.weights` (tests/optics/test_psf.py).
+    """
+    span = range(first, first + block_intervals(psf, subpixel > 0))
+    kind = shape_of(psf).kind
+    if kind == "general":
+        return _general(psf, span, subpixel)
+    if kind == "separable" and not subpixel:
+        return _separable(psf, span)
+    return _symmetric(psf, span, subpixel)
+
+
+def _symmetric(psf: Psf, span: range, subpixel: int) -> WeightBlock:
+    fine, widths = subpixel > 0, half_widths(psf, span, subpixel > 0)
+    reach, coefficients = int(widths[-1]), list[NDArray[np.float32]]()
+    taps = np.zeros((0 if fine else octant_taps(reach), POWERS, len(span)), np.float32)
+    outlines = np.zeros((0 if fine else len(span), reach + 1, 2), np.int32)
+    outlines[..., 1] = -1
+    for number, radii, half_width in _runs(psf, span, fine):
+        values = _subpixel_rows(psf, radii, half_width, subpixel) if fine else _main_rows(psf, radii, half_width)
+        for k, block in enumerate(_cubics(values, half_width), number):
+            coefficients.append(block.ravel())
+            if not fine:
+                a, b = np.tril_indices(half_width + 1)
+                taps[: len(a), :, k] = block[b, :, half_width + a]
+                outlines[k, : half_width + 1] = _outline(block[:, :, half_width : 2 * half_width + 1])
+    return WeightBlock(widths.astype(np.int32), np.concatenate(coefficients), _none(), taps, outlines)
+
+
+def _general(psf: Psf, span: range, samples: int) -> WeightBlock:
+    """Whole rows, for radii and for negative ones, whose blur is mirrored in its center."""
+    fine = samples > 0
+    offsets = subpixel_offsets(samples) if fine else np.zeros(1)
+    found: tuple[list[NDArray[np.float32]], ...] = ([], [])
+    for _, radii, half_width in _runs(psf, span, fine):
+        taps, tent = np.arange(-half_width, half_width + 1.0), psf.edge == "integrated" and not fine
+        squares = [polygon_rows(psf, radii, taps - ox, taps - oy, tent) for oy in offsets for ox in offsets]
+        mirrored = [square[:, ::-1, ::-1] for square in reversed(squares)]
+        for blocks, each in zip(found, (squares, mirrored), strict=True):
+            blocks += [block.ravel() for block in _cubics(np.concatenate(each, axis=1), half_width)]
+    widths = half_widths(psf, span, fine).astype(np.int32)
+    positive, negative = (np.concatenate(blocks) for blocks in found)
+    no_taps, no_outlines = np.zeros((0, POWERS, 0), np.float32), np.zeros((0, 0, 2), np.int32)
+    return WeightBlock(widths, positive, negative, no_taps, no_outlines)
+
+
+def _separable(psf: Psf, span: range) -> WeightBlock:
+    """A Gaussian by one of its axes."""
+    widths, rows = half_widths(psf, span, False), list[NDArray[np.float32]]()
+    sides = np.zeros((int(widths[-1]) + 1, POWERS, len(span)), np.float32)
+    for number, radii, half_width in _runs(psf, span, False):
+        offsets = np.arange(-half_width, half_width + 1.0)
+        nodes = radii.reshape(-1, len(NODES))
+        for k, powers in enumerate(TO_POWERS @ axis_weights(psf, offsets, nodes[..., None]), number):
+            block = np.zeros((POWERS, row_lanes(half_width)), dtype=np.float32)
+            block[:, : len(offsets)] = powers
+            sides[: half_width + 1, :, k] = block[:, half_width : 2 * half_width + 1].T
+            rows.append(block.ravel())
+    outlines = np.zeros((0, 0, 2), np.int32)
+    return WeightBlock(widths.astype(np.int32), np.concatenate(rows), _none(), sides, outlines)
+
+
+def _none() -> NDArray[np.float32]:
+    return np.zeros(0, np.float32)
+
+
+def _runs(psf: Psf, span: range, subpixel: bool) -> Iterator[tuple[int, Array, int]]:
+    """Intervals of one half-width in px, at most RUN at a time: number of the first, radii at NODES, half-width."""
+    first = 0
+    for half_width, of_same in groupby(half_widths(psf, span, subpixel).tolist()):
+        end = first + len(list(of_same))
+        for start in range(first, end, RUN):
+            numbers = span[start] + np.arange(min(RUN, end - start))
+            yield start, table_radius(psf, (numbers[:, None] + NODES).ravel(), subpixel), half_width
+        first = end
+
+
+def _cubics(values: Array, half_width: int) -> Iterator[NDArray[np.float32]]:
+    """Coefficients (rows, POWERS, lanes) of each interval, from values (nodes of all intervals, rows, dx)."""
+    count = len(values) // len(NODES)
+    found = np.tensordot(values.reshape(count, len(NODES), *values.shape[1:]), TO_POWERS, axes=(1, 1))
+    for powers in np.moveaxis(found, -1, 2):
+        block = np.zeros((*powers.shape[:2], row_lanes(half_width)), dtype=np.float32)
+        block[:, :, : 2 * half_width + 1] = powers
+        yield block
+
+
+def _outline(block: NDArray[np.float32]) -> NDArray[np.int32]:
+    """Where the weights of an interval are, and where they are all the same: int32 (half-width + 1, 2).
+
+    block: coefficients (|dy|, powers, |dx|). Of the column |dx| = n: the first |dy| whose weight is not the one in the
+    middle, where those of all columns nearer the middle are, too, and the last |dy| with a weight above 0.
+    """
+    same = (block == block[:1, :, :1]).all(axis=1)
+    first = np.where(same.all(axis=0), len(same), same.argmin(axis=0))
+    lit = (block != 0).any(axis=1)
+    last = len(lit) - 1 - lit[::-1].argmax(axis=0)
+    last = np.where(lit.any(axis=0), last, -1)
+    return np.stack([np.minimum.accumulate(first), last], axis=1).astype(np.int32)
+
+
+def _main_rows(psf: Psf, radii: Array, half_width: int) -> Array:
+    """Weights (radii, |dy|, dx) of sources at pixel centers, computed once per octant."""
+    low, high = np.triu_indices(half_width + 1)
+    octant = weights(psf, low.astype(float), high.astype(float), radii[:, None])
+    quadrant = np.empty((len(radii), half_width + 1, half_width + 1))
+    quadrant[:, low, high] = quadrant[:, high, low] = octant
+    return quadrant[:, :, np.abs(np.arange(-half_width, half_width + 1))]
+
+
+def _subpixel_rows(psf: Psf, radii: Array, half_width: int, samples: int) -> Array:
+    """Weights (radii, rows, dx) of point sources: for each offset oy >= 0 and each ox, rows dy = -half..half.
+
+    Computed for 0 <= ox <= oy only: the others are the same, mirrored or with the axes swapped.
+    """
+    span = np.arange(-half_width, half_width + 1, dtype=float)
+    offsets = subpixel_offsets(samples)[samples // 2 :]
+    squares: dict[tuple[int, int], Array] = {}
+    for j, oy in enumerate(offsets):
+        for i, ox in enumerate(offsets[: j + 1]):
+            dx, dy = (span - ox)[None, None, :], (span - oy)[None, :, None]
+            squares[j, i] = subpixel_weights(psf, dx, dy, radii[:, None, None])
+            squares[i, j] = squares[j, i].swapaxes(1, 2)
+    columns = [abs(2 * k + 1 - samples) // 2 for k in range(samples)]
+    rows = [
+        squares[j, i][:, :, :: 1 if 2 * k + 1 >= samples else -1]
+        for j in range(len(offsets))
+        for k, i in enumerate(columns)
+    ]
+    return np.concatenate(rows, axis=1)

@@ -1,0 +1,97 @@
+// The ground truth of a frame: what rays of a pinhole meet at pixel centers, at the middle of the exposure. Twin:
+// ground_truth of clsco/reference/trace/trace.py. Host: clsco/passes/truth.py, for all scenes of analytic surfaces.
+// Outputs that are not wanted are null: one program makes any of them.
+
+// Where a hit is in the image in the pose `other`: column, row, and its depth there over its depth here.
+static wide3_t moved_pixel(__constant surface_t *surface, const camera_t camera, __constant pose_t *other, wide3_t ray,
+                           wide_t w)
+{
+    const wide3_t rest = wide3_add(wide_load(surface->rest), wide_load(other->shift));
+    const wide3_t turned_point = turned(other->rotation, body_point(surface, ray, w));
+    return project(camera, wide3_add(wide3_scale(rest, w), turned_point));
+}
+
+static bool outside_frame(const camera_t camera, wide3_t whole)
+{
+    const real3 at = narrow3(whole);
+    return !(at.z > 0 && at.x >= (real)-0.5 && at.x < camera.columns - (real)0.5 && at.y >= (real)-0.5 &&
+             at.y < camera.frame_rows - (real)0.5);
+}
+
+// Whether a surface at inverse depth `seen` hides a point at inverse depth w here, w / ratio there.
+static bool covered(wide_t seen, wide_t ratio, wide_t w)
+{
+    return wide_less(wide_mul(w, wide_add(widened(1), widened((real)1e-6))), wide_mul(seen, ratio));
+}
+
+// Ground truth of a strip at pixel centers, (rows, columns[, components]), never anti-aliased: depth mm (+inf:
+// nothing), coc signed px (0: nothing), mask, object (-1: nothing), normal, flow px to the pose `next`, hidden (the
+// point is not visible from the pinhole in the reference pose), sharp radiance; of a stereo pair disparity px and
+// occluded (the point is not visible in the other view). `still` are the surfaces in the reference pose, `opposite`
+// those in the frame of the other view, in poses `there`; to_left: 1 for the right view, -1 for the left one.
+__kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces, __constant surface_t *still,
+                           __constant pose_t *next, const layer_t layer, __global const float *texture,
+                           __constant surface_t *opposite, __constant pose_t *there, const int to_left,
+                           __global uchar *mask, __global int *object_id, __global float *depth, __global float *coc,
+                           __global float *normal, __global float *flow, __global uchar *hidden, __global float *sharp,
+                           __global float *disparity, __global uchar *occluded)
+{
+    const int column = get_global_id(0), row = camera.top + get_global_id(1);
+    if (column >= camera.columns || row >= camera.top + camera.rows)
+        return;
+    const int at = (row - camera.top) * camera.columns + column;
+    const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
+    uchar root;
+    int object;
+    const wide_t w = nearest_surface(surfaces, layer, ray, &root, &object);
+    __constant surface_t *surface = surfaces + MAX(object, 0);
+    mask[at] = root != 0;
+    if (object_id)
+        object_id[at] = object;
+    if (depth)
+        depth[at] = root ? (float)narrow(wide_div(widened(1), w)) : INFINITY;
+    if (coc)
+        coc[at] = root ? (float)narrow(blur_radius(camera, w)) : 0;
+    if (normal) {
+        const real3 n = root ? surface_normal(surface, ray, w) : (real3)(0, 0, 0);
+        normal[3 * at] = (float)n.x;
+        normal[3 * at + 1] = (float)n.y;
+        normal[3 * at + 2] = (float)n.z;
+    }
+    if (flow) {
+        const wide3_t later = moved_pixel(surface, camera, next + MAX(object, 0), ray, w);
+        flow[2 * at] = root && narrow(later.z) > 0 ? (float)narrow(wide_sub(later.x, widened(column))) : 0;
+        flow[2 * at + 1] = root && narrow(later.z) > 0 ? (float)narrow(wide_sub(later.y, widened(row))) : 0;
+    }
+    if (hidden) {
+        hidden[at] = 0;
+        if (root) {
+            const wide3_t from = rest_pixel(surface, camera, ray, w);
+            // 1 / depth in the reference pose of this point, against the depth in that pixel of the pinhole image
+            uchar other;
+            const wide_t seen = solve_quadric(still + object, pixel_ray(camera, from.y, from.x), &other);
+            hidden[at] = outside_frame(camera, from) || covered(seen, from.z, w);
+        }
+    }
+    if (sharp) {
+        const wide3_t point = texture_point(surface, camera, ray, w, row, column);
+        for (int c = 0; c < CHANNELS; ++c)
+            sharp[at * CHANNELS + c] = root ? radiance(texture, surface, camera, c, point) : 0;
+    }
+    if (disparity || occluded) {
+        const wide3_t other = moved_pixel(surface, camera, there + MAX(object, 0), ray, w);
+        if (disparity)
+            disparity[at] = root && narrow(other.z) > 0 ? (float)(to_left * narrow(wide_sub(other.x, widened(column))))
+                                                        : 0;
+        if (occluded) {
+            occluded[at] = 0;
+            if (root) {
+                uchar any;
+                int nearest;
+                const wide3_t back = pixel_ray(camera, other.y, other.x);
+                const wide_t seen = nearest_surface(opposite, layer, back, &any, &nearest);
+                occluded[at] = outside_frame(camera, other) || covered(seen, other.z, w);
+            }
+        }
+    }
+}

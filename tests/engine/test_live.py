@@ -1,0 +1,180 @@
+"""Renders that follow each other: the bits of renders alone, nothing made anew, bounded memory, an end at will."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clsco
+from clsco.engine.live import Live
+from clsco.frame.frame import ALL_TRUTH, Frame
+from clsco.opencl.device import choose
+from clsco.opencl.session import Session
+from clsco.passes.blur import Target
+from clsco.plan.prepare import prepare
+from clsco.scene.model import Scene
+from tests.scenes import scene_from
+from tests.slow import mostly_slow
+
+TABLES: dict[str, Any] = {
+    "camera": {"resolution": [72, 56], "pixel_pitch": 0.06, "aperture_diameter": 12.0},
+    "sequence": {"samples": 3, "shutter": 0.2},
+}
+BALL = {"shape": "sphere", "center": [0.0, 0.0, 280.0], "radius": 16.0, "texture": "bricks"}
+WALL = {"shape": "plane", "distance": 330.0, "texture": "checkerboard"}
+CARD = {"shape": "plane", "distance": 240.0, "bounds": [[-9, 0], [-9, 9], [-1, 1]], "texture": "siemens_star"}
+SCENES = {
+    "ball": scene_from(TABLES, BALL),
+    "visibility": scene_from(TABLES, BALL, WALL, CARD),
+    "moving": scene_from(TABLES, BALL | {"motion": {"velocity": [30.0, 0.0, 0.0]}}, WALL),
+    "gaussian": scene_from(TABLES, BALL, psf={"model": "gaussian"}),
+    "layered": scene_from(TABLES, BALL, CARD, psf={"occlusion": "layered"}),
+    "forward": scene_from(TABLES, BALL | {"motion": {"velocity": [30.0, 0.0, 0.0]}}, motion={"warp": "forward"}),
+    "one radius": scene_from(TABLES, WALL),
+}
+CHANGES: list[tuple[str, Any]] = [
+    ("camera.focus_distance", 260.0),
+    ("camera.focus_distance", 300.0),
+    ("camera.aperture_diameter", 30.0),
+    ("object[0].texture", "slanted_edge"),
+    ("camera.focus_distance", 260.0),
+]
+
+
+@pytest.fixture
+def live() -> Iterator[Live]:
+    with Live() as opened:
+        yield opened
+
+
+def same(one: Frame, other: Frame) -> None:
+    for name in ("color", *ALL_TRUTH):
+        a, b = getattr(one, name), getattr(other, name)
+        assert (a is None) == (b is None), name
+        if a is not None:
+            np.testing.assert_array_equal(a, b, name)
+
+
+def alone(scene: Scene, **options: Any) -> Frame:
+    """As a process renders that has rendered nothing yet, but for its kernels."""
+    with Session(choose()) as session:
+        return clsco.render_frame(scene, device=session.queue, **options)
+
+
+@pytest.mark.parametrize("name", mostly_slow(list(SCENES), ["visibility", "gaussian"]))
+def test_frames_have_the_bits_of_frames_alone(live: Live, name: str) -> None:
+    scene = SCENES[name]
+    for key, value in CHANGES:
+        scene = scene.replace(key, value)
+        same(live.render(scene), clsco.render_frame(scene))
+    same(live.render(scene, precision="single"), clsco.render_frame(scene, precision="single"))
+    same(live.render(scene), alone(scene))
+
+
+def test_a_lens_casts_no_rays_again(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    launched: list[str] = []
+    run = Target.run
+
+    def noted(self: Any, name: str, *args: Any) -> None:
+        launched.append(name)
+        run(self, name, *args)
+
+    monkeypatch.setattr(Target, "run", noted)
+    scene = SCENES["moving"]
+
+    def cast(wanted: Scene) -> int:
+        launched.clear()
+        live.render(wanted, truth=())
+        return launched.count("cast")
+
+    first = cast(scene)
+    assert first >= 3
+    for distance in (250.0, 265.0, 300.0):
+        assert cast(scene.replace("camera.focus_distance", distance)) == 0
+    moved = scene.replace("object[0].motion.velocity", (40.0, 0.0, 0.0))
+    groups = len(prepare(scene).plan.layers)
+    assert 0 < cast(moved) <= first
+    assert groups == 1 or cast(scene.replace("object[0].motion.velocity", (20.0, 0.0, 0.0))) < first
+    assert cast(scene.replace("object[0].texture", "slanted_edge")) > 0
+
+
+def test_what_is_kept_is_bounded() -> None:
+    with Live(keep="400kB") as live:
+        for distance in np.linspace(230.0, 330.0, 8):
+            live.render(SCENES["moving"].replace("object[1].distance", float(distance + 60)))
+            assert live.session.kept.bytes <= 400_000
+            assert live.files.kept.bytes <= 400_000
+        same(live.render(SCENES["moving"]), clsco.render_frame(SCENES["moving"]))
+
+
+def test_a_render_ends_when_it_is_canceled(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = SCENES["moving"].replace("sequence.samples", 40)
+    live.cancel()  # of nothing
+    expected = live.render(scene, truth=())
+    go_on, count = live.session.go_on, [0]
+
+    def counted() -> None:
+        count[0] += 1
+        if count[0] == 5:
+            thread = threading.Thread(target=live.cancel)
+            thread.start()
+            thread.join()
+        go_on()
+
+    monkeypatch.setattr(live.session, "go_on", counted)
+    with pytest.raises(clsco.CanceledError, match="render: must go on to be done; got a call of cancel"):
+        live.render(scene, truth=())
+    assert count[0] == 5
+    monkeypatch.undo()
+    same(live.render(scene, truth=()), expected)
+
+
+def test_threads_have_the_bits_of_one(live: Live) -> None:
+    wanted = [scene.replace("camera.focus_distance", 270.0) for scene in (SCENES["ball"], SCENES["visibility"])]
+    expected = [clsco.render_frame(scene) for scene in wanted]
+    found: dict[int, list[Frame]] = {k: [] for k in range(4)}
+
+    def run(k: int) -> None:
+        if k % 2:
+            found[k] = [clsco.render_frame(scene) for scene in wanted]
+        else:
+            with Live() as own:
+                found[k] = [own.render(scene) for scene in wanted]
+
+    threads = [threading.Thread(target=run, args=(k,)) for k in found]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for frames in found.values():
+        assert len(frames) == 2
+        for frame, exact in zip(frames, expected, strict=True):
+            same(frame, exact)
+
+
+def test_warming_compiles_what_a_render_needs() -> None:
+    scene = SCENES["visibility"].replace("psf.silhouette_samples", 3)  # that no other test compiles
+    with Session(choose()) as session, Live(session.queue) as live:
+        live.warm(scene).join()
+        programs, compiled = len(live.session.programs), len(live.session.compiled)
+        assert programs > 1
+        start = time.process_time()
+        live.render(scene)
+        assert time.process_time() - start < 1.0
+        assert (len(live.session.programs), len(live.session.compiled)) == (programs, compiled)
+
+
+def test_wrong_calls(live: Live) -> None:
+    with pytest.raises(clsco.SceneError, match="keep: must be a size greater than 0"):
+        Live(keep="much")
+    with pytest.raises(clsco.SceneError, match="frames: must lie from 0 to 0; got 1"):
+        live.render(SCENES["ball"], 1)
+    with pytest.raises(clsco.SceneError, match="stereo pair"):
+        live.render(SCENES["ball"].replace("stereo.baseline", 6.0))
+    with pytest.raises(clsco.SceneError, match="truth"):
+        live.render(SCENES["ball"], truth="depht")

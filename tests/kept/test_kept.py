@@ -1,0 +1,47 @@
+"""Values that are kept within a limit: the least recently used go, and a value that is too large is not kept."""
+
+from __future__ import annotations
+
+import threading
+
+from clsco.kept import Kept
+
+
+def test_the_least_recently_used_goes() -> None:
+    kept, made = Kept(10), list[str]()
+
+    def get(key: str, size: int = 4) -> str:
+        return kept.get(key, lambda: made.append(key) or key, lambda _: size)  # type: ignore[func-returns-value]
+
+    assert [get("a"), get("b"), get("a"), get("c"), get("a")] == ["a", "b", "a", "c", "a"]
+    assert (made, kept.bytes) == (["a", "b", "c"], 8)
+    get("b")
+    assert made == ["a", "b", "c", "b"]  # c was used before a
+    get("c")
+    assert made[-1] == "c"
+    get("large", 11)
+    get("large", 11)
+    assert made[-2:] == ["large", "large"]
+    assert kept.bytes == 8
+    kept.clear()
+    assert kept.bytes == 0
+
+
+def test_threads_get_one_value() -> None:
+    kept, barrier, found = Kept(100), threading.Barrier(4), list[object]()
+
+    def run() -> None:
+        def make() -> object:
+            barrier.wait()
+            return object()
+
+        found.append(kept.get("key", make, lambda _: 1))
+
+    threads = [threading.Thread(target=run) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(found) == 4
+    assert len(set(map(id, found))) == 1
+    assert kept.bytes == 1
