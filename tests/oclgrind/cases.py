@@ -24,11 +24,13 @@ from clsco.engine.sequence import render_sweep
 from clsco.errors import SceneError
 from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES
 from clsco.inputs.textures import Texture
+from clsco.optics.motion import Eye
 from clsco.optics.psf_grid import NEAR
 from clsco.optics.stencil import SUMMED
 from clsco.passes.blur import blur_features
 from clsco.passes.warp import forward_features
 from clsco.plan.approximation import METHODS
+from clsco.plan.buffers import ThisMachine
 from clsco.plan.plan import Plan, make_plan
 from clsco.scene.model import (
     Camera,
@@ -142,10 +144,10 @@ def truth_of(drawn: Drawn) -> tuple[str, ...]:
 
 def plans_of(drawn: Drawn) -> list[Plan]:
     """Plans of the eyes of the first lens. Raises SceneError where a method cannot do the scene."""
-    scene, gpu = scenes_of(drawn)[0], drawn["device"].get("kind") == "gpu"
-    eyes = ("left", "right") if scene.stereo else ("left",)
+    scene, device = scenes_of(drawn)[0], ThisMachine(kind=drawn["device"].get("kind", "cpu"))
+    eyes: tuple[Eye, ...] = ("left", "right") if scene.stereo else ("left",)
     how = (drawn["channels"], truth_of(drawn), drawn["method"])
-    return [make_plan(scene, *how, eye, depths_of(scene), None, gpu) for eye in eyes]  # type: ignore[arg-type]
+    return [make_plan(scene, *how, eye, depths_of(scene), None, device) for eye in eyes]
 
 
 def features_of(drawn: Drawn) -> dict[str, Any]:
@@ -293,11 +295,11 @@ def long_cases() -> Iterator[Case]:
         return [defocus(light * image, coc, Psf(), device="oclgrind", method="convolve")]
 
     def coarse(tilt: bool) -> list[Array]:
-        options: Any = {"device": "oclgrind", "method": "coarse2", "told": []}
-        return [defocus(image, coc, Psf(edge="sampled", tilt=tilt), **options)]
+        psf = Psf(edge="sampled", tilt=tilt)
+        return [defocus(image, coc, psf, device="oclgrind", method="coarse2", return_report=True)[0]]
 
     def filled(method: str) -> list[Array]:
-        with patch("clsco.engine.inpaint.mean_median.MOST_ENTRIES", 4):  # of a sweep that one work-group does
+        with patch("clsco.inpainting.mean_median.MOST_ENTRIES", 4):  # of a sweep that one work-group does
             return [inpaint(holes, missing, method=method, device="oclgrind")]
 
     for light in (1.0, 10.0):

@@ -84,8 +84,33 @@ def in_single_lanes(text: str) -> str:
     return re.sub(r"^( *)(\w+)\.(even|odd) = (.+);$", every_other, text, flags=re.MULTILINE)
 
 
+# Vectors of 16 in halves, as kernels/common/builtins.clh has them for devices that are no processors, lane by lane.
+BY_HALVES = {
+    "return (type##16)(vload8(0, p), vload8(1, p));":
+        "type##16 v_; for (int k_ = 0; k_ < 16; ++k_) ((type *)&v_)[k_] = p[k_]; return v_;",
+    "vstore8(v.lo, 0, p);": "for (int k_ = 0; k_ < 16; ++k_) p[k_] = ((type *)&v)[k_];",
+    "vstore8(v.hi, 1, p);": "",
+    "((type##16)(convert_##type##8((v).lo), convert_##type##8((v).hi)))":
+        "({ const __typeof__(v) v_ = (v); type##16 w_; "
+        "for (int k_ = 0; k_ < 16; ++k_) ((type *)&w_)[k_] = (type)v_[k_]; w_; })",
+}  # fmt: skip
+
+
+# A load of 32 bits is atomic on every device, but OpenCL C 1.2 has no name for it.
+PLAIN_LOAD, ATOMIC_LOAD = "#define RELAXED_LOAD(p) (*(p))", "#define RELAXED_LOAD(p) atomic_or(p, 0)"
+
+
+def by_lanes(text: str) -> str:
+    """A text whose vectors of 16 are not made of halves, and whose atomic loads are named so."""
+    given = [halves for halves in BY_HALVES if halves in text]
+    assert given in ([], [*BY_HALVES]), "as in kernels/common/builtins.clh"
+    for halves in given:
+        text = text.replace(halves, BY_HALVES[halves])
+    return text.replace(PLAIN_LOAD, ATOMIC_LOAD) if given else text
+
+
 def _text(*given: Any) -> str:
-    return INSTEAD.read_text("utf-8") + in_single_lanes(_program_text(*given))
+    return INSTEAD.read_text("utf-8") + in_single_lanes(by_lanes(_program_text(*given)))
 
 
 _program_text = program.program_text
