@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import stat
 from collections.abc import Mapping
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
+from types import ModuleType
 
 
 def folder(name: str) -> Traversable:
@@ -23,6 +25,14 @@ def folder(name: str) -> Traversable:
     if inside.is_dir():
         return inside
     raise FileNotFoundError(f"{name}: must be installed as clsco/{name} or lie beside the package; got neither")
+
+
+def code_digest(*modules: ModuleType) -> str:
+    """SHA-256 of the source files of modules: what they compute, kept on disk, is anew when they change."""
+    digest = hashlib.sha256()
+    for module in modules:
+        digest.update(Path(str(module.__file__)).read_bytes())
+    return digest.hexdigest()
 
 
 class ExposedFolderError(Exception):

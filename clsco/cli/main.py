@@ -89,7 +89,7 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
     """Render some of the example scenes, and a sheet that shows them and their ground truth."""
     _require_device(device)
     from clsco.cli.demo import write_contact_sheet
-    from clsco.cli.tables import progress
+    from clsco.cli.progress import progress
     from clsco.engine import batch
     from clsco.plan.prepare import prepare
     from clsco.scene.examples import EXAMPLES, example
@@ -221,7 +221,8 @@ def bench(out: Path, extent: Extent, stability: bool, device: str | None, quiet:
 
     task = make_task(extent, stability)
     _require_device(device)
-    from clsco.cli.tables import print_tables, progress
+    from clsco.cli.progress import progress
+    from clsco.cli.tables import print_tables
     from clsco.opencl.device import choose
 
     for notice in task.notices():
@@ -300,7 +301,7 @@ def defocus(
     found = [each for _, _, prepared in prepare_files([(image, sweep)], request) for each in prepared]
     prepare_image([each.scene for each in found], out)
     _require_device(computation.device)
-    from clsco.cli.tables import progress
+    from clsco.cli.progress import progress
     from clsco.engine.sequence import render_prepared
     from clsco.opencl.session import session_for
 
@@ -352,7 +353,8 @@ def inpaint(
     writer = prepare_out(out, image, mask, pixels.dtype.kind == "f")
     _require_device(device)
     from clsco import inpaint as fill
-    from clsco.cli.tables import inpaint_tables, print_tables, shares
+    from clsco.cli.progress import shares
+    from clsco.cli.tables import inpaint_tables, print_tables
     from clsco.files.atomic import writable_folder
     from clsco.inpainting.report import require_matplotlib, write_report
 
@@ -406,7 +408,7 @@ def _render_to_folders(
         from clsco.frame.files import require_truth_formats
 
         require_truth_formats(files)
-    from clsco.cli.tables import progress
+    from clsco.cli.progress import progress
     from clsco.plan.prepare import prepare_files
 
     prepared = prepare_files(loaded, _request(files, computation))

@@ -1,15 +1,13 @@
-"""Plans, comparisons and devices as tables for the terminal, and how far work has come."""
+"""Plans, comparisons and devices as tables for the terminal."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from rich.box import SIMPLE
 from rich.console import Console, Group, RenderableType
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -203,30 +201,3 @@ def print_tables(*things: RenderableType) -> None:
         return
     width = None if sys.stdout.isatty() else 160
     Console(width=width, markup=False, highlight=False, emoji=False).print(*things, sep="\n", crop=False)
-
-
-@contextmanager
-def progress(total: int, quiet: bool, what: str = "frames") -> Iterator[Callable[[], object]]:
-    """Show a bar on a terminal, nothing in a pipe; gives what is to be called after each frame, or what it is."""
-    if quiet or sys.stderr is None or not sys.stderr.isatty() or not total:
-        yield lambda: None
-        return
-    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(what, total=total)
-        yield lambda: bar.advance(task)
-
-
-@contextmanager
-def shares(quiet: bool) -> Iterator[Callable[[float], object]]:
-    """A bar as of `progress` for work that reports the share that is done, from 0 to 1."""
-    shown = 0
-    with progress(100, quiet, "percent") as advance:
-
-        def reached(share: float) -> None:
-            nonlocal shown
-            while shown < int(100 * share):
-                advance()
-                shown += 1
-
-        yield reached

@@ -14,10 +14,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.resources import ExposedFolderError, private_folder
+
 SUFFIX = ".arrays"
 MOST_BYTES = 2**29  # of a folder; then the files that were used longest ago go
 LARGEST = 2**26  # bytes of a file
 DIGEST = hashlib.sha256().digest_size
+
+
+def user_cache(name: str) -> ArrayCache:
+    """A cache in the user's cache folder; it keeps nothing where others could write to it, or it cannot be made."""
+    try:
+        return ArrayCache(private_folder("clsco", name))
+    except (ExposedFolderError, OSError, RuntimeError):
+        return ArrayCache(None)
 
 
 class ArrayCache:

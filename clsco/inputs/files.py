@@ -13,19 +13,24 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.files import transfer as transfer_curves
+from clsco.files.array_cache import user_cache
 from clsco.files.atomic import sha256
 from clsco.files.images import Picture, read_image
+from clsco.inputs import textures
 from clsco.inputs.depth_files import read_depth
 from clsco.inputs.depth_maps import load_scene_depths, map_inverse_depth
 from clsco.inputs.textures import (
     PATTERNS,
     Texture,
+    aligned,
     load_scene_textures,
     load_texture,
     radiance_of,
     require_suffix,
 )
 from clsco.kept import Kept
+from clsco.resources import code_digest
 from clsco.scene.model import DepthMap, Scene
 
 KEPT_BYTES = 2**29  # a depth map of 8192 x 8192
@@ -49,7 +54,7 @@ class InputFiles:
     """
 
     def __init__(self, limit: int = KEPT_BYTES) -> None:
-        self.kept = Kept(limit)
+        self.kept, self.drawn = Kept(limit), user_cache("textures")
         self._digests: dict[str, tuple[tuple[int, ...], str]] = {}
 
     def textures(self, scene: Scene) -> tuple[Texture, ...]:
@@ -95,9 +100,19 @@ class InputFiles:
 
     def _texture(self, source: str, transfer: str, size: tuple[int, int] | None, key: Hashable) -> Texture:
         if source in PATTERNS:
-            return Texture(radiance_of(source, transfer, size), 8, source, key)
+            return Texture(self._pattern(source, transfer, size), 8, source, key)
         picture = self.picture(source)
         return Texture(radiance_of(picture, transfer, size), picture.bits, source, key)
+
+    def _pattern(self, name: str, transfer: str, size: tuple[int, int] | None) -> NDArray[np.float32]:
+        """A built-in pattern, from the disk where it has been drawn before."""
+        key = f"{_code()} {name} {transfer} {size}"
+        found = self.drawn.get(key)
+        if found is not None and found.keys() == {"radiance"}:
+            return aligned(found["radiance"])
+        radiance = radiance_of(name, transfer, size)
+        self.drawn.put(key, {"radiance": radiance})
+        return radiance
 
     def picture(self, path: str) -> Picture:
         """`clsco.files.images.read_image`, once per content."""
@@ -145,6 +160,12 @@ class InputFiles:
             return self.digest(path), Path(path).suffix.lower()
         except (OSError, ValueError):
             return None  # reading it says what is wrong
+
+
+@cache
+def _code() -> str:
+    """What decides what patterns look like."""
+    return code_digest(textures, transfer_curves)
 
 
 @cache

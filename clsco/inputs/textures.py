@@ -87,14 +87,26 @@ def radiance_of(picture: Picture | str, transfer: str, size: tuple[int, int] | N
 
 def _by_rows(shape: tuple[int, ...], rows_of: Callable[[int, int], Floats]) -> NDArray[np.float32]:
     """An image of this shape in float32, aligned; rows_of: gives its rows from one up to another."""
-    image = np.empty(4 * math.prod(shape) + ALIGNMENT, np.uint8)
-    start = -image.ctypes.data % ALIGNMENT
-    aligned = image[start : start + 4 * math.prod(shape)].view(np.float32).reshape(shape)
+    image = _empty(shape)
     for first in range(0, shape[0], ROWS_AT_A_TIME):
         end = min(first + ROWS_AT_A_TIME, shape[0])
-        aligned[first:end] = rows_of(first, end)
-    aligned.flags.writeable = False
-    return aligned
+        image[first:end] = rows_of(first, end)
+    image.flags.writeable = False
+    return image
+
+
+def aligned(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """A copy of an image that lies where devices in the host's memory can use it; not to be written to."""
+    copy = _empty(image.shape)
+    copy[...] = image
+    copy.flags.writeable = False
+    return copy
+
+
+def _empty(shape: tuple[int, ...]) -> NDArray[np.float32]:
+    image = np.empty(4 * math.prod(shape) + ALIGNMENT, np.uint8)
+    start = -image.ctypes.data % ALIGNMENT
+    return image[start : start + 4 * math.prod(shape)].view(np.float32).reshape(shape)
 
 
 def texture_size(name_or_path: str | os.PathLike[str]) -> tuple[int, int]:

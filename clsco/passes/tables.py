@@ -6,20 +6,21 @@ import threading
 from collections import OrderedDict
 from collections.abc import Hashable
 from functools import cache
-from pathlib import Path
 
-from clsco.files.array_cache import ArrayCache
+from clsco import constants
+from clsco.files.array_cache import ArrayCache, user_cache
 from clsco.kept import Kept
 from clsco.opencl.session import Session
+from clsco.optics import polygon, psf_blocks, psf_grid
+from clsco.optics import psf as psf_module
 from clsco.optics.psf import shape_of
 from clsco.optics.psf_blocks import WeightBlock, weight_block
 from clsco.optics.psf_grid import block_intervals
 from clsco.optics.psf_tables import PsfTable, narrowed, rounded_span, span_sizes, table_of
 from clsco.plan.methods import BlurSpec
-from clsco.resources import ExposedFolderError, private_folder
+from clsco.resources import code_digest
 from clsco.scene.model import Psf
 
-FORMAT = 1  # of the blocks: part of their keys, and to be changed with what they contain
 KEPT_BYTES = 2**28  # of tables in this process
 JOINED_BYTES = 2**25  # up to which a table grows by the radii of other renderings
 
@@ -59,7 +60,7 @@ class TableStore:
 
     def block(self, psf: Psf, first: int, subpixel: int) -> WeightBlock:
         """A block of weights, from the process or the disk where it is there."""
-        key = f"{FORMAT} {_key(psf, subpixel)} {first}"
+        key = f"{_code()} {_key(psf, subpixel)} {first}"
         return self.blocks.get(key, lambda: self._block(key, psf, first, subpixel), lambda block: block.nbytes)
 
     def _block(self, key: str, psf: Psf, first: int, subpixel: int) -> WeightBlock:
@@ -79,13 +80,15 @@ class TableStore:
 
 
 @cache
+def _code() -> str:
+    """What decides what blocks contain, besides their PSF."""
+    return code_digest(constants, polygon, psf_module, psf_blocks, psf_grid)
+
+
+@cache
 def shared_tables() -> TableStore:
     """The tables of this process, with blocks in the user's cache where nobody else can write to it."""
-    try:
-        folder: Path | None = private_folder("clsco", "tables")
-    except (ExposedFolderError, OSError, RuntimeError):
-        folder = None
-    return TableStore(ArrayCache(folder))
+    return TableStore(user_cache("tables"))
 
 
 def tables_of(spec: BlurSpec) -> tuple[PsfTable, PsfTable | None]:

@@ -187,4 +187,4 @@ Samples = Annotated[Annotated[int, Within(1, 4096)] | Literal["auto"], BeforeVal
 class Strict(BaseModel):
     """Base of all models of a scene: no conversions, no unknown keys, no changes after validation."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
+import ast
+from inspect import cleandoc, getsource
+from itertools import pairwise
+from textwrap import dedent
+from typing import Any, get_args
 
 from pydantic import BaseModel
 
@@ -35,6 +39,9 @@ def scene_schema() -> dict[str, Any]:
     """
     schema = Scene.model_json_schema(by_alias=True)
     definitions = schema["$defs"]
+    _describe(schema, Scene)
+    for model in _models(Scene):
+        _describe(definitions.get(model.__name__, {}), model)
     for shape in SHAPES.values():
         definition = definitions[shape.__name__]
         definition["required"] = ["shape", *definition.get("required", [])]
@@ -49,3 +56,34 @@ def scene_schema() -> dict[str, Any]:
                 definitions[model.__name__]["properties"][key] = about | choice
     definitions["Range"] = _RANGE_SCHEMA
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "required": ["object"]}
+
+
+def _models(root: type[BaseModel]) -> set[type[BaseModel]]:
+    """The models of a model's fields, at any depth."""
+    found: set[type[BaseModel]] = set()
+    waiting: list[Any] = [field.annotation for field in root.model_fields.values()]
+    while waiting:
+        part = waiting.pop()
+        waiting += get_args(part)
+        if isinstance(part, type) and issubclass(part, BaseModel) and part not in found:
+            found.add(part)
+            waiting += [field.annotation for field in part.model_fields.values()]
+    return found
+
+
+def _describe(definition: dict[str, Any], model: type[BaseModel]) -> None:
+    """Give the properties of a schema what stands below the fields of its model.
+
+    pydantic would read the source at every start of a process (`use_attribute_docstrings`), which takes 25 ms.
+    """
+    for kind in reversed([kind for kind in model.__mro__ if issubclass(kind, BaseModel) and kind is not BaseModel]):
+        (tree,) = ast.parse(dedent(getsource(kind))).body
+        assert isinstance(tree, ast.ClassDef)
+        for field, text in pairwise(tree.body):
+            if not (isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)):
+                continue
+            name = field.target.id
+            known = model.model_fields.get(name)
+            if known and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
+                key = str(known.validation_alias or known.alias or name)
+                definition["properties"][key]["description"] = cleandoc(str(text.value.value))

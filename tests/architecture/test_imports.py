@@ -19,8 +19,12 @@ ORDER = (
     "opencl", "inpainting", "passes", "engine", "reference", "cli",
 )  # fmt: skip
 # Narrower than the order: what knows OpenCL knows no scenes, and codecs know none either.
-ONLY = {"files": {"errors"}, "opencl": {"constants", "errors", "kept", "resources", "records"}, "records": set[str]()}
-ON_OPENCL = ("opencl", "passes", "engine", "inpainting", "cli.bench", "cli.check")
+ONLY = {
+    "files": {"errors", "resources"},
+    "opencl": {"constants", "errors", "kept", "resources", "records"},
+    "records": set[str](),
+}
+ON_OPENCL = ("opencl", "passes", "engine", "inpainting", "cli.bench", "cli.check", "cli.warm")
 OUTSIDE = {
     "pyopencl": ("opencl", "inpainting", "passes", "engine", "cli.bench"),
     "imageio": ("files.decoders",),

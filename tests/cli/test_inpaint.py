@@ -207,7 +207,7 @@ def test_a_threshold_and_a_folder_that_cannot_be_are_refused_before_anything_is_
 
 
 def test_progress_is_shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    from clsco.cli import tables as show
+    from clsco.cli import progress as show
 
     class Terminal(io.StringIO):
         def isatty(self) -> bool:

@@ -147,7 +147,8 @@ def test_an_output_that_cannot_be_written(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_nothing_is_printed_where_stdout_is_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from clsco.cli.tables import print_tables, progress
+    from clsco.cli.progress import progress
+    from clsco.cli.tables import print_tables
 
     monkeypatch.setattr(sys, "stdout", None)
     monkeypatch.setattr(sys, "stderr", None)
