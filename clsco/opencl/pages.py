@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 SMALLEST = 2**16  # bytes, of what is worth keeping
 LARGE = 2**22  # bytes, from which a block holds at least one page of 2 MiB
-KEPT_BYTES = 2**28  # of blocks that nobody uses
+KEPT_BYTES = 2**27  # of blocks that nobody uses
 CLASSES = 8  # sizes of blocks per octave: a block is at most 1 / CLASSES larger than what is asked for
 
 

@@ -19,7 +19,7 @@ from clsco.opencl import pocl_cache as poclcache
 from clsco.opencl import pocl_cpu as poclcpu
 from clsco.opencl.device import Device, _not_forked, choose, described, failure
 
-KEPT_BYTES = 2**29
+KEPT_BYTES = 2**28
 _TIMED = cl.command_queue_properties.PROFILING_ENABLE
 
 DeviceLike: TypeAlias = str | cl.Device | cl.Context | cl.CommandQueue | None

@@ -21,7 +21,7 @@ from clsco.plan.methods import BlurSpec
 from clsco.resources import code_digest
 from clsco.scene.model import Psf
 
-KEPT_BYTES = 2**28  # of tables in this process
+KEPT_BYTES = 2**27  # of tables in this process, and as many of blocks
 JOINED_BYTES = 2**25  # up to which a table grows by the radii of other renderings
 
 
