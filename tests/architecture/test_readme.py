@@ -46,10 +46,13 @@ def test_the_python_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capture
     monkeypatch.setattr(clsco, "load_scene", lambda path: whole(path, small))
     given: dict[str, Any] = {"image": np.ones((9, 12), np.float32), "blur_radius": np.full((9, 12), 2.0, np.float32)}
     given["mask"] = np.eye(9, 12, dtype=np.bool_)
-    first, second = blocks("python", "docs/python.md")
+    first, live, last = blocks("python", "docs/python.md")
     exec(first, given)
     assert capsys.readouterr().out.count("(32, 48)") == 3
-    exec(second, given | {"clsco": clsco})
+    monkeypatch.setattr(clsco.Live, "warm", lambda self, scene: None)  # half a minute; tests/engine/test_live.py has it
+    exec(live, given)
+    assert given["frame"].color.shape == (32, 48)
+    exec(last, given | {"clsco": clsco})
 
 
 def test_commands_and_outputs_are_all_named() -> None:
