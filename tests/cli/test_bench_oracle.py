@@ -93,7 +93,7 @@ def test_agreement_counts_bits() -> None:
     assert oracle.agreement(one, zero) == oracle.agreement(zero, one) == 0.0
 
 
-def test_the_textbook_form_is_noticed() -> None:
+def test_the_textbook_form_is_found() -> None:
     """A sphere of 1 mm at 1e4 mm in float32: most rays are of another class, and the band hides none of it."""
     target = Target(Sphere(radius=1.0, center=(0.0, 0.0, 1e4)), ObjectMotion(), Window(2.4e-4 / 64))
     of = oracle.surface(target.item, target.motion)

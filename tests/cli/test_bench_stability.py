@@ -112,7 +112,7 @@ def test_files_and_tables(measured: Stability, tmp_path: Path) -> None:
     assert len(stabilityreport.tables(measured)) == 3
 
 
-def test_what_is_beyond_its_bound_is_told(measured: Stability) -> None:
+def test_what_is_beyond_its_bound_is_reported(measured: Stability) -> None:
     assert measured.shortfalls() == []
     case, found, outcome = measured.cases[0], measured.rays[0], measured.degenerate[0]
     worse = replace(

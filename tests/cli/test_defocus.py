@@ -115,11 +115,11 @@ def test_faults_name_the_key(
 ) -> None:
     with pytest.raises(SceneError) as caught:
         scene_of(*files, options, overrides)
-    (told,) = caught.value.messages
-    assert told.startswith(message)
+    (recorded,) = caught.value.messages
+    assert recorded.startswith(message)
 
 
-def test_all_faults_are_told_at_once(files: tuple[Path, Path]) -> None:
+def test_all_faults_are_reported_at_once(files: tuple[Path, Path]) -> None:
     with pytest.raises(SceneError) as caught:
         scene_of(*files, {"focal_length": -1.0, "scale": -1.0, "edge": "soft"})
     assert len(caught.value.messages) == 3
@@ -153,7 +153,7 @@ def test_missing_files_are_named(files: tuple[Path, Path], broken: int) -> None:
     assert str(caught.value) == f"{files[broken]}: must be a file that can be read; got No such file or directory"
 
 
-def test_an_image_file_is_told_from_a_folder(tmp_path: Path) -> None:
+def test_an_image_file_is_distinguished_from_a_folder(tmp_path: Path) -> None:
     assert [is_image_file(tmp_path / f"a{suffix}") for suffix in (".png", ".TIF", ".tiff", ".exr")] == [True] * 4
     assert not any(is_image_file(tmp_path / name) for name in ("out", "v1.2", ".png"))
     (tmp_path / "folder.jpg").mkdir()
@@ -227,7 +227,7 @@ def test_codes_have_the_transfer_of_the_image(tmp_path: Path) -> None:
         np.testing.assert_array_equal(read_image(tmp_path / name).data, np.full((2, 2), 128))
 
 
-def test_a_file_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     for suffix in (".png", ".tif", ".exr"):
         with pytest.raises(ClscoError, match="the file must be writable; got No such file or directory"):
             write_color(

@@ -78,8 +78,14 @@ def test_files_are_filled_as_arrays_are(
     assert found.dtype == expected.dtype
     assert (found == expected).all()
     assert report.stages is not None
-    for told in (f"{MISSING.sum()}", f"{report.stages.border.size}", f"{report.stages.sweeps}", "20 x 24", "median"):
-        assert told.replace("20 x 24", "24 x 20") in result.stdout
+    for recorded in (
+        f"{MISSING.sum()}",
+        f"{report.stages.border.size}",
+        f"{report.stages.sweeps}",
+        "20 x 24",
+        "median",
+    ):
+        assert recorded.replace("20 x 24", "24 x 20") in result.stdout
     assert result.stderr == ""
 
 
@@ -111,7 +117,7 @@ def test_missing_pixels_of_floats_may_be_no_numbers(save: Save, tmp_path: Path) 
     assert np.isfinite(read_image(tmp_path / "out.tif").data).all()
 
 
-def test_an_image_without_missing_pixels_is_copied_and_that_is_told(save: Save, tmp_path: Path) -> None:
+def test_an_image_without_missing_pixels_is_copied_and_that_is_reported(save: Save, tmp_path: Path) -> None:
     image, mask, out = save("image.png", CODES), save("mask.png", 0 * MASK), tmp_path / "out.png"
     result = run(image, mask, "-o", out)
     assert result.exit_code == 0

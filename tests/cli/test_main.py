@@ -88,23 +88,23 @@ def test_render_writes_frames_and_says_nothing(ball: Path, tmp_path: Path) -> No
 def test_the_json_tells_every_parameter_and_what_became_of_it(ball: Path, tmp_path: Path) -> None:
     settings = ["--set", "camera.f_number=4", "--set", "object.0.radius=25", "--precision", "single"]
     assert clsco_("render", ball, "-o", tmp_path, *settings).exit_code == 0
-    told = json.loads((tmp_path / "frame_0002.json").read_text())
+    recorded = json.loads((tmp_path / "frame_0002.json").read_text())
     scene = clsco.load_scene(ball, ["camera.f_number=4", "object.0.radius=25"])
-    assert parse_scene(told["scene"]) == scene
-    assert told["derived"] == {"aperture_diameter": 5.0, "sensor_distance": 21.739}
-    assert (told["version"], told["frame"], told["precision"]) == (clsco.__version__, 2, "single")
-    assert (told["samples"], told["bits"], told["blur_method"]) == (3, 8, "gather")
-    assert told["guard_px"] > 0
-    assert [moment["weight"] for moment in told["intermediate"]] == [1 / 3] * 3
+    assert parse_scene(recorded["scene"]) == scene
+    assert recorded["derived"] == {"aperture_diameter": 5.0, "sensor_distance": 21.739}
+    assert (recorded["version"], recorded["frame"], recorded["precision"]) == (clsco.__version__, 2, "single")
+    assert (recorded["samples"], recorded["bits"], recorded["blur_method"]) == (3, 8, "gather")
+    assert recorded["guard_px"] > 0
+    assert [moment["weight"] for moment in recorded["intermediate"]] == [1 / 3] * 3
     # Midpoints of thirds of the third second: (1/2 + i) / 3.
-    assert [moment["time"] for moment in told["intermediate"]] == pytest.approx([2 + 1 / 6, 2.5, 2 + 5 / 6])
+    assert [moment["time"] for moment in recorded["intermediate"]] == pytest.approx([2 + 1 / 6, 2.5, 2 + 5 / 6])
     counters = {"missing_pixels", "filled_pixels", "unfilled_pixels", "sweeps"}
-    assert all(counters <= set(moment) for moment in told["intermediate"])
-    assert told["device"]
-    assert set(told["seconds"]) >= {"trace", "gather"}
-    assert "ground_truth" not in told["seconds"]  # nobody asked for it
-    assert list(told["files"]) == ["frame_0002.png"]
-    assert read_complete(tmp_path, 2) == told
+    assert all(counters <= set(moment) for moment in recorded["intermediate"])
+    assert recorded["device"]
+    assert set(recorded["seconds"]) >= {"trace", "gather"}
+    assert "ground_truth" not in recorded["seconds"]  # nobody asked for it
+    assert list(recorded["files"]) == ["frame_0002.png"]
+    assert read_complete(tmp_path, 2) == recorded
 
 
 def test_several_scenes_have_folders(ball: Path, tmp_path: Path) -> None:
@@ -217,7 +217,7 @@ def bad(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("name", BAD_SCENES)
-def test_a_bad_scene_is_told_in_one_line(name: str, bad: Path) -> None:
+def test_a_bad_scene_is_reported_in_one_line(name: str, bad: Path) -> None:
     before = names(bad)
     for command in (["render", bad / name, "-o", bad / "out"], ["plan", bad / name], ["check", bad / name]):
         (line,) = messages(clsco_(*command), 1)

@@ -77,13 +77,16 @@ def test_both_views_are_written_as_they_are_rendered(scene: Path, tmp_path: Path
         np.testing.assert_array_equal(part.channels["disparity"].pixels, frame.disparity)
         # baseline s0 / (p Z): 6 mm * 20 mm / (0.1 mm * 380 mm) of the wall, the farthest.
         assert frame.disparity.min() == pytest.approx(6 * 20 / (0.1 * 380), rel=1e-6)
-    told = json.loads((out / "frame_0001.json").read_text())
-    assert (told["scene"]["stereo"], told["scene"]["title"]) == ({"baseline": 6.0, "toe_in": 0.0}, "Pair")
+    recorded = json.loads((out / "frame_0001.json").read_text())
+    assert (recorded["scene"]["stereo"], recorded["scene"]["title"]) == ({"baseline": 6.0, "toe_in": 0.0}, "Pair")
     for view in ("left", "right"):
-        assert told["views"][view]["frame"] == 1
+        assert recorded["views"][view]["frame"] == 1
         # Midpoints of halves of the second second.
-        assert [moment["time"] for moment in told["views"][view]["intermediate"]] == [1.25, 1.75]
-        assert (told["units"][f"views.{view}.intermediate[].time"], told["units"]["stereo.baseline"]) == ("s", "mm")
+        assert [moment["time"] for moment in recorded["views"][view]["intermediate"]] == [1.25, 1.75]
+        assert (recorded["units"][f"views.{view}.intermediate[].time"], recorded["units"]["stereo.baseline"]) == (
+            "s",
+            "mm",
+        )
 
 
 @pytest.mark.slow
@@ -181,7 +184,7 @@ def test_views_turned_inwards_agree_with_the_reference(scene: Path, warp: str) -
     assert frame.hidden.mean() == pytest.approx(5 / 40, abs=1 / 40)
 
 
-def test_a_fault_of_the_right_view_alone_is_told_before_anything_is_written(tmp_path: Path) -> None:
+def test_a_fault_of_the_right_view_alone_is_reported_before_anything_is_written(tmp_path: Path) -> None:
     # The plane falls towards the right: 250 - 2.497 * 100 = 0.3 mm before the right camera.
     wall = '[camera]\nresolution = [40, 24]\n[[object]]\nshape = "plane"\nslope_x = -2.497\n'
     path = scene_file(tmp_path / "wall.toml", wall)

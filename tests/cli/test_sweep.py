@@ -1,4 +1,4 @@
-"""Sweeps on the command line: a folder for each value, resumed one by one, and told by the other commands."""
+"""Sweeps on the command line: a folder for each value, resumed one by one, and reported by the other commands."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_resume_renders_the_values_that_are_missing(stack: Path, tmp_path: Path)
     assert names(out / "f_number_8") == ["frame_0000.json", "frame_0000.png"]
 
 
-def test_a_sweep_is_told_by_the_other_commands(stack: Path, still: Path) -> None:
+def test_a_sweep_is_reported_by_the_other_commands(stack: Path, still: Path) -> None:
     result = clsco_("plan", stack)
     assert result.output.splitlines()[0] == "the first of 3 scenes, f_number_2:"
     assert "first of" not in clsco_("plan", still).output
@@ -88,7 +88,7 @@ def test_a_sweep_is_told_by_the_other_commands(stack: Path, still: Path) -> None
     assert result.output == f"{stack}: valid, 3 scenes\n{still}: valid\n"
 
 
-def test_a_bad_value_of_a_sweep_is_told_before_anything_is_written(stack: Path, tmp_path: Path) -> None:
+def test_a_bad_value_of_a_sweep_is_reported_before_anything_is_written(stack: Path, tmp_path: Path) -> None:
     command = ("render", stack, "-o", tmp_path / "out", "--set")
     (line,) = messages(clsco_(*command, "camera.f_number=[2, 0, 4]"))
     assert line == f"error: {stack}: camera.f_number[1]: must be greater than 0; got 0"

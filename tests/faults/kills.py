@@ -56,9 +56,9 @@ def main() -> int:
         os.environ["POCL_CACHE_DIR"] = given.cache or ""
         os.environ["XDG_CACHE_HOME"] = f"{name}/cache"
         found, problems = soak(Path(name), given)
-    told = ", ".join(f"{count} {what}" for what, count in sorted(found.items()))
+    recorded = ", ".join(f"{count} {what}" for what, count in sorted(found.items()))
     print(*problems[:20], sep="\n", end="\n" if problems else "")
-    print(f"seed {given.seed}: {told}, {len(problems)} problems in {time.monotonic() - start:.0f} s")
+    print(f"seed {given.seed}: {recorded}, {len(problems)} problems in {time.monotonic() - start:.0f} s")
     return int(bool(problems) != given.naive or not found["kills"])
 
 

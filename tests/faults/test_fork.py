@@ -1,4 +1,4 @@
-"""A fork of a process that has used OpenCL: told at once, where PoCL would wait for ever."""
+"""A fork of a process that has used OpenCL: reported at once, where PoCL would wait for ever."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ IMAGE = np.ones((8, 8), np.float32)
 
 
 @pytest.mark.parametrize("what", ["choose", "session", "defocus", "old session"])
-def test_a_fork_is_told(session: Session, what: str) -> None:
+def test_a_fork_is_reported(session: Session, what: str) -> None:
     calls: dict[str, Callable[[], object]] = {
         "choose": lambda: choose("pocl"),
         "session": lambda: Session(session.device),

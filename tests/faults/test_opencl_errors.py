@@ -1,4 +1,4 @@
-"""An error of OpenCL at every call: the same bits from smaller strips, or one error told, and no torn file."""
+"""An error of OpenCL at every call: the same bits from smaller strips, or one error reported, and no torn file."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def rendered(scene: Path, out: Path, counter: Counter) -> tuple[int, dict[str, s
     assert result.exception is None or isinstance(result.exception, SystemExit), repr(result.exception)
     assert result.exit_code in (0, 1, 3)
     assert bool(result.stderr) == (result.exit_code != 0)
-    if result.exit_code == 3:  # else a kernel does not build, and the compiler's log is told
+    if result.exit_code == 3:  # else a kernel does not build, and the compiler's log is reported
         assert len(result.stderr.splitlines()) == 1
         assert result.stderr.startswith("error: device ")
         assert "; got " in result.stderr
@@ -144,15 +144,15 @@ def check_calls(call: Any, step: int) -> None:
         np.testing.assert_array_equal(call(), wanted)
     assert count.names
     for number in range(0, len(count.names), step):
-        short, told = True, ""
+        short, recorded = True, ""
         kind = list(ERRORS)[number // step % len(ERRORS)]
         with failing(Counter(number, kind)):
             try:
                 np.testing.assert_array_equal(call(), wanted)
             except (DeviceError, KernelError) as error:
                 short = getattr(error, "short_of_memory", True)
-                told = f"{number} {count.names[number]} {kind}: {error}"
-        assert short or kind in ("gone", "invalid"), told
+                recorded = f"{number} {count.names[number]} {kind}: {error}"
+        assert short or kind in ("gone", "invalid"), recorded
         np.testing.assert_array_equal(call(), wanted)  # the session is as good as before
 
 

@@ -129,17 +129,17 @@ def test_the_disk_fails_at_every_call(tmp_path: Path, truth: tuple[str, str]) ->
     for number in range(3, len(count.names), 1 if "exr" in truth[1] else len(count.names) // 4):
         out = tmp_path / f"out{number}"
         result = render(out, Disk(number))
-        told = result.stderr.splitlines()
+        recorded = result.stderr.splitlines()
         assert result.exception is None or isinstance(result.exception, SystemExit), (number, repr(result.exception))
         if (
             count.names[number] == "mkdir" and result.exit_code == 0
         ):  # of the kernels' cache, which works without a lock
             assert check_folder(out) == 2
             continue
-        assert (result.exit_code, len(told)) == (1, 1), (number, count.names[number], told)
-        assert told[0].startswith("error: ")
-        assert "; got " in told[0]
-        assert ".part" not in told[0]
+        assert (result.exit_code, len(recorded)) == (1, 1), (number, count.names[number], recorded)
+        assert recorded[0].startswith("error: ")
+        assert "; got " in recorded[0]
+        assert ".part" not in recorded[0]
         assert check_folder(out) < 2
         assert render(out, Disk()).exit_code == 0  # there is room again
         assert check_folder(out) == 2
@@ -192,7 +192,7 @@ def test_a_small_disk(tmp_path: Path) -> None:
     assert statuses == {0, 1}
 
 
-def test_no_room_to_compile_is_told_before_the_compiler_aborts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_room_to_compile_is_reported_before_the_compiler_aborts(monkeypatch: pytest.MonkeyPatch) -> None:
     session = session_on(choose("pocl"))
     full = shutil.disk_usage("/")._replace(free=poclcache.ROOM - 1)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: full)

@@ -2,8 +2,8 @@
 
 A case draws every key that changes what is computed, from shapes and bounds to the PSF, occlusion, motion, filling,
 stereo and method; keys that do not go together make it one of those that are refused. Its first frame has to agree
-with the reference as `clsco check` asks, in double precision. A case that does not, or that ends the process, is told
-with its number, which repeats it: --first N --cases 1.
+with the reference as `clsco check` asks, in double precision. A case that does not, or that ends the process, is
+reported with its number, which repeats it: --first N --cases 1.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 Each case is an example with a few changes (`mutate.py`), validated in this process; it has to give a scene or a
 SceneError whose messages have the form that all messages have and name what was changed, within 5 s, with nothing
 written. One in PLANNED of the scenes that are valid is planned as well, as `clsco validate` does. A case that does not
-is told with its seed and number, which repeat it: --seed S --first N --cases 1. Work is shared by processes, whose
-signals are noticed, too. --what pictures: small images of every format, damaged, read as images and as depths.
+is reported with its seed and number, which repeat it: --seed S --first N --cases 1. Work is shared by processes, whose
+signals are found, too. --what pictures: small images of every format, damaged, read as images and as depths.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ def main() -> int:
     total = {name: sum(tally[name] for tally in read) for name in TALLY}
     crashed = [f"a process ended with the status {status}" for status in ended if status not in (0, 1)]
     print(*crashed, sep="\n", end="\n" if crashed else "")
-    told = ", ".join(f"{count} {name}" for name, count in total.items())
-    print(f"seed {given.seed}: {told} in {time.monotonic() - start:.0f} s")
+    recorded = ", ".join(f"{count} {name}" for name, count in total.items())
+    print(f"seed {given.seed}: {recorded} in {time.monotonic() - start:.0f} s")
     return int(any(ended) or bool(total["failures"]))
 
 
@@ -158,11 +158,11 @@ def _unnamed(error: SceneError, where: str, case: Case) -> list[str]:
     path = list(case.changed)
     while len(path) > 1 and isinstance(path[-1], int):  # a component is of its key
         path.pop()
-    table, told = key_name(path[:-1] or path), keys_of(error, where)
+    table, recorded = key_name(path[:-1] or path), keys_of(error, where)
     dependent = {"motion": ("fill", "psf"), "object": ("psf",), "camera": ("psf",)}.get(str(case.changed[0]), ())
-    near = any(key.startswith((table, *dependent)) or table.startswith(key) or table in key for key in told)
-    near |= case.changed[-1] == "name" and any(key.endswith(".name") for key in told)  # which must differ
-    return [] if near else [f"changed {key_name(case.changed)}, but the messages name {told[:5]}"]
+    near = any(key.startswith((table, *dependent)) or table.startswith(key) or table in key for key in recorded)
+    near |= case.changed[-1] == "name" and any(key.endswith(".name") for key in recorded)  # which must differ
+    return [] if near else [f"changed {key_name(case.changed)}, but the messages name {recorded[:5]}"]
 
 
 if __name__ == "__main__":

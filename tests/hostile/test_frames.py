@@ -1,4 +1,4 @@
-"""The cases of `tests.hostile.frames` are valid scenes of every kind, and a wrong frame is told; a few are rendered."""
+"""Cases of `tests.hostile.frames` are valid scenes of every kind, and a wrong frame is reported; a few are rendered."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_cases_are_valid_and_of_every_kind(monkeypatch: pytest.MonkeyPatch) -> N
     assert min(seen[name] for name in wanted) >= 5
 
 
-def test_what_is_wrong_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_wrong_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     def brighter(scene: Scene, **_: Any) -> list[clsco.Frame]:
         return [replace(frame, color=frame.color + np.float32(2e-5)) for frame in reference.render(scene)]
 

@@ -50,11 +50,11 @@ def test_a_bomb_is_refused_soon_and_small(tmp_path: Path) -> None:
 
 
 def test_cases_are_the_same_on_every_run() -> None:
-    def told(seed: int) -> list[object]:
+    def recorded(seed: int) -> list[object]:
         return [(case.base, case.text, case.changed) for case in (make_case(seed, number) for number in range(40))]
 
-    assert told(3) == told(3)
-    assert told(3) != told(4)
+    assert recorded(3) == recorded(3)
+    assert recorded(3) != recorded(4)
 
 
 class TestPlanted:

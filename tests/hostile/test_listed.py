@@ -42,8 +42,8 @@ def test_every_bad_scene_is_refused_and_its_key_named() -> None:
             wrong.append(f"{bad.about}: is taken for valid")
         except SceneError as error:
             wrong += [f"{bad.about}: {fault}" for fault in faults_of(error, "scene")]
-            told = keys_of(error, "scene")
-            if not any(key == bad.key or key.startswith((f"{bad.key}[", f"{bad.key}.")) for key in told):
+            recorded = keys_of(error, "scene")
+            if not any(key == bad.key or key.startswith((f"{bad.key}[", f"{bad.key}.")) for key in recorded):
                 wrong.append(f"{bad.about}: must name {bad.key}; got {error.messages}")
     assert wrong == []
 

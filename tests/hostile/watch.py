@@ -43,7 +43,7 @@ def _seen(event: str, args: tuple[Any, ...]) -> None:
 
 
 def start_watching() -> None:
-    """Have all that the process writes noticed from now on, and cases that hang interrupted."""
+    """Have all that the process writes found from now on, and cases that hang interrupted."""
     sys.addaudithook(_seen)
 
     def interrupt(number: int, frame: FrameType | None) -> None:

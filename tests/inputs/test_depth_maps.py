@@ -304,7 +304,7 @@ def test_refuses_every_truncation(tmp_path: Path, suffix: str, content: bytes) -
         refusal(path)
 
 
-def test_every_flipped_byte_is_noticed_or_changes_no_number(tmp_path: Path) -> None:
+def test_every_flipped_byte_is_found_or_changes_no_number(tmp_path: Path) -> None:
     path = tmp_path / "depth.npz"
     for at in range(len(NPZ)):
         path.write_bytes(NPZ[:at] + bytes([NPZ[at] ^ 0x55]) + NPZ[at + 1 :])

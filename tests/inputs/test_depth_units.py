@@ -96,8 +96,8 @@ def test_what_every_kind_of_number_means(
 
 def test_report_tells_the_kinds_that_there_are() -> None:
     raw = np.array([[250.0, 0.0, 0.0, np.nan], [250.0, np.inf, -3.0, 1e10]])
-    told = "4 of 8 pixels have no depth (2 zero, 1 negative, 1 NaN), 1 is infinitely far"
-    assert inverse_depth(raw, "mm", 1.0, CAMERA).report() == told
+    recorded = "4 of 8 pixels have no depth (2 zero, 1 negative, 1 NaN), 1 is infinitely far"
+    assert inverse_depth(raw, "mm", 1.0, CAMERA).report() == recorded
     assert inverse_depth(np.full((2, 2), 250.0), "mm", 1.0, CAMERA).report() == ""
     assert inverse_depth(np.array([[250.0, np.inf]]), "mm", 1.0, CAMERA).report() == "1 of 2 pixels is infinitely far"
     disparity = inverse_depth(np.array([[480.0, np.inf]]), "disparity", 1.0, CAMERA, BASELINE)

@@ -172,7 +172,7 @@ def test_table_coordinate_tilt_mirror_and_difference_agree_with_the_twin(
     rng = RNG(10)
     radius = np.concatenate([rng.uniform(-9, 9, 3000), rng.choice([-1, 1], 900) * np.exp(rng.uniform(-20, 3, 900))])
     ring = np.sqrt(np.arange(1, 34))
-    # A ring exactly, where that can be told, and to both sides of it by what R^2 may be off.
+    # A ring exactly, where that can be distinguished, and to both sides of it by what R^2 may be off.
     step = (1 if real == "double" else 8) * UNIT[real] * ring
     radius = np.concatenate([radius, np.arange(1.0, 6.0), ring - step, ring + step, [0.0]])
     count = radius.size

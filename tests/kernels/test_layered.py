@@ -159,7 +159,7 @@ def test_labels_are_those_of_the_twin(session: Session) -> None:
 
 
 def test_seeds_of_frames_taller_than_any_blur(session: Session) -> None:
-    """Rows whose nearest seed is too far away to be told, or beyond where it could be counted in some whole number."""
+    """Rows whose nearest seed is too far away to be kept, or beyond where it could be counted in some whole number."""
     view = View((2.0, 2.0), shape=(40000, 3), guard=0, slope=0.0)
     view.coc[20:50, 1], view.coc[33000, 0] = -2.0, 5.0
     device = Device(session, view)

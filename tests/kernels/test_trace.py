@@ -324,7 +324,7 @@ def test_silhouettes_get_slots(session: Session, name: str) -> None:
 
 
 def test_more_silhouettes_than_slots(session: Session) -> None:
-    """The rest keep their own source, and their number is told."""
+    """The rest keep their own source, and their number is reported."""
     plan = planned(*SCENES["sphere moved, 2 x 2"])
     marked = int(twin.mark_silhouettes(traced(session, plan, 0.55).label).sum())
     found = traced(session, plan, 0.55, capacity=50)

@@ -24,7 +24,7 @@ from clsco.scene.model import Camera, Cone, Cylinder, Ellipsoid, Object, Plane, 
 Array = NDArray[Any]
 Runner = Callable[..., None]
 KERNEL = """
-typedef char as_told[sizeof(occluder_t) == BYTES ? 1 : -1];
+typedef char of_its_size[sizeof(occluder_t) == BYTES ? 1 : -1];
 
 // What is in the way of point i: place holds (x, y) of its ray and its inverse depth, chosen (surface, own, root).
 __kernel void meet(const camera_t camera, __constant surface_t *surfaces, const real extent, const real width,

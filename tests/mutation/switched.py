@@ -19,7 +19,7 @@ ON = f"*(__constant int *){ADDRESS:#x}UL == "
 LINE = re.compile(r"^.*(?:\\\n.*)*$", re.MULTILINE)
 SPACE = re.compile(r"//[^\n]*|/\*.*?\*/|\\?\n", re.DOTALL)
 # Where a macro has what is wrong, in its own line, but for what is pasted in it. What has not been declared was to be
-# by another line that is told of.
+# by another line that is reported of.
 ERROR = re.compile(
     r"^error: (?P<file>\S+?):(?P<row>\d+):\d+(?: <Spelling=(?P<spelled>[^:]+):(?P<at>\d+):\d+>)?: "
     r"(?!use of undeclared)(?P<pasting>pasting)?",
@@ -205,7 +205,7 @@ def _piece(tokens: list[Token], k: int) -> tuple[int, int] | None:
 
 
 def _end(tokens: list[Token], k: int, step: int, ends: set[str]) -> int | None:
-    """The outermost token on one side of an operator that is of its operands or theirs; None: cannot be told."""
+    """The outermost token on one side of an operator that is of its operands or theirs; None: not distinguishable."""
     part, whole = tokens[k].part, tokens[k].ends
     inwards, outwards = (OPENS, CLOSES) if step > 0 else (CLOSES, OPENS)
     while True:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Fault:
-    """file: of kernels/; old, new: text there; case: that runs into it (tests/oclgrind/cases.py); told: of the report;
-    check: of `tests.oclgrind.simulator.CHECKS`.
+    """file: of kernels/; old, new: text there; case: that runs into it (tests/oclgrind/cases.py); recorded: in
+    the report; check: of `tests.oclgrind.simulator.CHECKS`.
     """
 
     name: str
@@ -16,7 +16,7 @@ class Fault:
     old: str
     new: str
     case: str
-    told: str
+    recorded: str
     check: str = "races"
 
 

@@ -81,4 +81,4 @@ def faults(tmp_path_factory: pytest.TempPathFactory) -> Results:
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
 def test_a_fault_is_found(faults: Results, fault: Any) -> None:
     report = next(one["report"] for one in faults if one["name"] == fault.name)
-    assert fault.told in report
+    assert fault.recorded in report

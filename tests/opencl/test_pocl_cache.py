@@ -91,7 +91,7 @@ def flip(path: Path) -> None:
 
 @pytest.mark.parametrize("pattern", ["program.bc", "second.so"])
 @pytest.mark.parametrize("damage", mostly_slow([overwrite, cut, flip, Path.unlink], [overwrite]))
-def test_a_damaged_cache_is_noticed_and_rebuilt(
+def test_a_damaged_cache_is_found_and_rebuilt(
     start: Start, warm: Path, tmp_path: Path, pattern: str, damage: Callable[[Path], None]
 ) -> None:
     shutil.copytree(warm, tmp_path, dirs_exist_ok=True)

@@ -1,4 +1,4 @@
-"""Approximations by coarser grids: how far off they are, when they are taken, and what is told of them."""
+"""Approximations by coarser grids: how far off they are, when they are taken, and what is reported of them."""
 
 from __future__ import annotations
 
@@ -221,7 +221,7 @@ texture = "bricks"
 def test_the_commands_tell_what_was_taken(tmp_path: Path) -> None:
     path, out = scene_file(tmp_path / "scene.toml", SCENE), tmp_path / "out"
 
-    def told(*arguments: str) -> dict[str, Any]:
+    def recorded(*arguments: str) -> dict[str, Any]:
         result = CliRunner().invoke(main, ["render", str(path), "-o", str(out), "--quiet", *arguments])
         assert result.exit_code == 0, result.output
         content: dict[str, Any] = json.loads((out / "frame_0000.json").read_text("utf-8"))
@@ -229,14 +229,14 @@ def test_the_commands_tell_what_was_taken(tmp_path: Path) -> None:
         assert (f"{taken['method']}: " in result.stderr) if taken else not result.stderr
         return content
 
-    assert told()["approximation"] is None
-    wide = told("--tolerance", "0.05")
+    assert recorded()["approximation"] is None
+    wide = recorded("--tolerance", "0.05")
     assert (wide["blur_method"], wide["approximation"]["method"]) == ("gather", "coarse2")
     assert 0.0 < wide["approximation"]["at_most"] <= 0.05
-    narrow = told("--tolerance", "1e-7")["approximation"]
+    narrow = recorded("--tolerance", "1e-7")["approximation"]
     assert (narrow["method"], narrow["rms_error"]) == ("exact", 0.0)
     assert narrow["tried"][0][0] == "coarse2"
-    named = told("--method", "coarse2", "--resume")["approximation"]  # another one than what is there
+    named = recorded("--method", "coarse2", "--resume")["approximation"]  # another one than what is there
     assert (named["method"], named["tolerance"]) == ("coarse2", None)
     assert named["rms_error"] == wide["approximation"]["rms_error"]
     files = sorted(out.iterdir())

@@ -109,7 +109,7 @@ CAMERA = Camera(pixel_pitch=0.05, focus_distance=200.0)  # near in focus; R = 6.
 
 
 def depth_files(folder: Path) -> dict[str, tuple[Path, tuple[object, ...], str]]:
-    """Files as other programs write them: path, options, and what is told of pixels without a depth."""
+    """Files as other programs write them: path, options, and what is reported of pixels without a depth."""
     blender = np.where(Z_M > 0.3, 1e10, Z_M).astype(np.float32)  # nothing there: the far end of the view
     header = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
     light = {f"ViewLayer.Combined.{name}": np.full(Z_M.shape, 0.5, np.float32) for name in "RGBA"}
@@ -133,12 +133,12 @@ def depth_files(folder: Path) -> dict[str, tuple[Path, tuple[object, ...], str]]
 def test_files_of_other_programs(tmp_path: Path, kind: str) -> None:
     image = np.random.default_rng(5).integers(0, 256, (24, 32, 3), "u1")
     (tmp_path / "photo.png").write_bytes(imagecodecs.png_encode(image))
-    path, options, told = depth_files(tmp_path)[kind]
+    path, options, recorded = depth_files(tmp_path)[kind]
     camera = ("--pixel-pitch", CAMERA.pixel_pitch, "--focus-distance", CAMERA.focus_distance)
     result = clsco_(
         "defocus", tmp_path / "photo.png", path, "-o", tmp_path / "out", *options, *camera, "--truth", "npz"
     )
-    assert (result.exit_code, result.stderr) == (0, f"{path}: {told}")
+    assert (result.exit_code, result.stderr) == (0, f"{path}: {recorded}")
     with np.load(tmp_path / "out" / "frame_0000.npz") as truth:
         near, far = truth["coc"][:, 1:14], truth["coc"][:, 18:]
         # KITTI's 51/256 m is 199.2 mm, where R is 10,000 / 5 px mm * (1 / 200 - 1 / 199.2) = -0.04 px.

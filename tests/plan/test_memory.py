@@ -208,8 +208,8 @@ def clsco_(*words: object) -> Result:
 def test_commands_take_a_limit(tmp_path: Path) -> None:
     scene, out = scene_file(tmp_path / "plane.toml", FLOOR), tmp_path / "out"
     assert "1, the whole frame" in clsco_("plan", scene).stdout
-    told = clsco_("plan", scene, "--memory", "2MiB")
-    assert "3 of up to 192 rows, with up to 16 more on either side" in told.stdout
+    recorded = clsco_("plan", scene, "--memory", "2MiB")
+    assert "3 of up to 192 rows, with up to 16 more on either side" in recorded.stdout
     for command in (("plan", scene), ("render", scene, "-o", out)):
         refused = clsco_(*command, "--memory", "300kB")
         assert (refused.exit_code, refused.stdout) == (1, "")
@@ -227,9 +227,9 @@ def test_commands_take_a_limit(tmp_path: Path) -> None:
     for size, wanted in (("12MiB", "exact"), ("60MiB", "coarse")):
         done = clsco_("render", scene, "-o", out / wanted, *wide, "--memory", size, "--tolerance", "0.1")
         assert done.exit_code == 0, done.output
-        told = json.loads((out / wanted / "frame_0000.json").read_text())
-        assert told["approximation"]["method"].startswith(wanted)
-        assert (told["strips"] > 1) == (wanted == "exact")
+        recorded = json.loads((out / wanted / "frame_0000.json").read_text())
+        assert recorded["approximation"]["method"].startswith(wanted)
+        assert (recorded["strips"] > 1) == (wanted == "exact")
     done = clsco_("render", scene, "-o", out, "--memory", "2MiB")
     assert done.exit_code == 0, done.output
     assert json.loads((out / "frame_0000.json").read_text())["strips"] == 3

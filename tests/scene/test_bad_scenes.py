@@ -404,7 +404,7 @@ def test_visibility_needs_rays(rest: str) -> None:
         assert parse_scene(dump(scene)) == scene
 
 
-def test_names_are_told_with_the_other_faults() -> None:
+def test_names_are_reported_with_the_other_faults() -> None:
     assert messages_of('object = [{shape = "plane", name = "a"}, {shape = "plane", name = "a", distance = 0}]') == (
         "bad.toml: object[1].distance: must be greater than 0 mm; got 0",
         'bad.toml: object[1].name: names must differ; object[0] has the same; got "a"',

@@ -441,7 +441,7 @@ def test_files_of_a_depth_map_lie_beside_the_scene(tmp_path: Path) -> None:
     assert item.depth == elsewhere
 
 
-def test_a_missing_texture_is_told_with_the_other_faults(tmp_path: Path) -> None:
+def test_a_missing_texture_is_reported_with_the_other_faults(tmp_path: Path) -> None:
     path = scene_file(
         tmp_path / "two.toml",
         '[[object]]\nshape = "sphere"\nradius = -1\ntexture = "nothere.png"\n'

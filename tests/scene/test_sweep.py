@@ -181,7 +181,7 @@ def test_bad_sweeps(text: str, message: str) -> None:
     assert messages_of(mapping(text)) == (message,)
 
 
-def test_all_faults_are_told_at_once_and_each_once() -> None:
+def test_all_faults_are_reported_at_once_and_each_once() -> None:
     data = mapping("camera.f_number = [2, -4]\nsequence.samples = [0, 3]\npsf.tilt = 1")
     assert messages_of(data) == (
         "psf.tilt: must be true or false; got 1",
@@ -196,7 +196,7 @@ def test_all_faults_are_told_at_once_and_each_once() -> None:
     )
 
 
-def test_a_missing_texture_is_told_with_the_faults_of_a_sweep(tmp_path: Path) -> None:
+def test_a_missing_texture_is_reported_with_the_faults_of_a_sweep(tmp_path: Path) -> None:
     path = scene_file(tmp_path / "stack.toml", f'camera.f_number = [2, -4]\n{BALL}texture = "none.png"\n')
     with pytest.raises(SceneError) as caught:
         load_sweep(path)
