@@ -17,9 +17,9 @@ from clsco.constants import TAP_LANES
 from clsco.engine.shrinking import Shrinking
 from clsco.errors import ImageError
 from clsco.files.transfer import decode, encode
-from clsco.frame.strips import BAND, Grid, Strip, frame_struct
+from clsco.frame.strips import Grid, Strip, frame_struct
 from clsco.opencl.arrays import check_image, on_host, without_mask
-from clsco.opencl.buffers import allocate
+from clsco.opencl.buffers import allocate, lent
 from clsco.opencl.device import Device
 from clsco.opencl.session import DeviceLike, Session
 from clsco.optics.lens import LARGEST_BLUR
@@ -190,9 +190,8 @@ def _checked(picture: NDArray[Any], radii: NDArray[Any]) -> _Given:
     brightest, largest = (max(abs(low), abs(high)) for low, high in ends)
     if largest > LARGEST_BLUR:
         raise ImageError(f"blur_radius: must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
-    smallest = min(
-        float(np.abs(radii[first : first + BAND].astype(np.float64)).min()) for first in range(0, len(radii), BAND)
-    )
+    low, high = ends[1]
+    smallest = 0.0 if low <= 0.0 <= high else min(abs(low), abs(high))  # or less than that, without reading all again
     return _Given(picture, radii, smallest, largest, float(np.float32(brightest)))
 
 
@@ -303,12 +302,17 @@ class _Engine:
         grid = _grid(given, spec, strips)
         self.blur = make_blur(self.target, spec, grid, self._camera(strips[0]), places)
         layered = is_layered(spec.psf, spec.method)  # which has a plane of its own
-        buffers = allocate(session, image_buffers(spec, grid, layered))
-        self.value, self.source = buffers["value"], buffers.get("source")
+        # Of an image that is blurred as a whole kernels read the caller's arrays, where they write to none.
+        self.lends = len(strips) == 1 and not self.guard and spec.psf.border == "lose"
+        sizes = image_buffers(spec, grid, layered)
+        buffers = allocate(
+            session, {n: size for n, size in sizes.items() if n not in ("value", "coc") or not self.lends}
+        )
+        self.value, self.source = buffers.get("value"), buffers.get("source")
         self.layers: DepthLayers | None = None
         if spec.method == "convolve":
             return
-        self.coc, self.valid = buffers["coc"], buffers["valid"]
+        self.coc, self.valid = buffers.get("coc"), buffers["valid"]
         cl.enqueue_fill_buffer(session.queue, self.valid, np.ones(1, np.uint8), 0, self.valid.size)
         if layered:
             self.layers = DepthLayers(self.blur, self.target, grid)
@@ -323,6 +327,7 @@ class _Engine:
         for strip in strips:
             self.blur.camera = self._camera(strip)
             self._send_radii(strip)
+            assert self.coc is not None
             layers.find(self.coc, self.valid, [])
         return layers.labels.found()
 
@@ -332,10 +337,13 @@ class _Engine:
         blur.camera = camera
         self._send(strip)
         blur.clear()
+        assert self.value is not None
         if self.layers is not None:
+            assert self.coc is not None
             self.layers.add((self.value, self.coc, self.valid), [], self.slabs)
         else:
             if self.source is not None:
+                assert self.coc is not None
                 prepare_sources(self.target, camera, blur.struct, (self.coc, self.valid), self.source, [])
             blur.add(Sources(self.source, self.value, radius=self.given.largest), [])
         blur.image([], out)
@@ -355,12 +363,19 @@ class _Engine:
             missing = top - (strip.top - strip.above)
             widths = ((0, 0), (missing, strip.height - missing - (end - top)), (guard, guard))
             planes = np.pad(planes, widths)
-        cl.enqueue_copy(self.target.session.queue, self.value, planes)
+        self.value = self._sent(self.value, planes)
         if self.source is not None or self.layers is not None:
             self._send_radii(strip)
 
     def _send_radii(self, strip: Strip) -> None:
         """The radii around a strip to the device."""
         near = slice(max(strip.top - strip.above, 0), strip.top + strip.rows + strip.below)
-        radii = self.given.coc[near].astype(np.float64, order="C")  # that of a transposed array is not
-        cl.enqueue_copy(self.target.session.queue, self.coc, in_parts(radii, self.target.real))
+        radii = np.ascontiguousarray(self.given.coc[near], np.float64)
+        self.coc = self._sent(self.coc, in_parts(radii, self.target.real))
+
+    def _sent(self, buffer: cl.Buffer | None, array: NDArray[Any]) -> cl.Buffer:
+        """A buffer with the contents of an array: the given one, or where there is none one that is lent."""
+        if buffer is None:
+            return lent(self.target.session, np.ascontiguousarray(array))
+        cl.enqueue_copy(self.target.session.queue, buffer, array)
+        return buffer

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Hashable
 from dataclasses import replace
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from stat import S_ISREG
 from typing import TypeVar
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.files import transfer as transfer_curves
-from clsco.files.array_cache import user_cache
+from clsco.files.array_cache import ArrayCache, user_cache
 from clsco.files.atomic import sha256
 from clsco.files.images import Picture, read_image
 from clsco.inputs import textures
@@ -54,7 +54,7 @@ class InputFiles:
     """
 
     def __init__(self, limit: int = KEPT_BYTES) -> None:
-        self.kept, self.drawn = Kept(limit), user_cache("textures")
+        self.kept = Kept(limit)
         self._digests: dict[str, tuple[tuple[int, ...], str]] = {}
 
     def textures(self, scene: Scene) -> tuple[Texture, ...]:
@@ -104,14 +104,19 @@ class InputFiles:
         picture = self.picture(source)
         return Texture(radiance_of(picture, transfer, size), picture.bits, source, key)
 
+    @cached_property
+    def _drawn(self) -> ArrayCache:
+        """Patterns on disk; its folder is made when one is drawn, and not where scenes are only looked at."""
+        return user_cache("textures")
+
     def _pattern(self, name: str, transfer: str, size: tuple[int, int] | None) -> NDArray[np.float32]:
         """A built-in pattern, from the disk where it has been drawn before."""
         key = f"{_code()} {name} {transfer} {size}"
-        found = self.drawn.get(key)
+        found = self._drawn.get(key)
         if found is not None and found.keys() == {"radiance"}:
             return aligned(found["radiance"])
         radiance = radiance_of(name, transfer, size)
-        self.drawn.put(key, {"radiance": radiance})
+        self._drawn.put(key, {"radiance": radiance})
         return radiance
 
     def picture(self, path: str) -> Picture:

@@ -37,6 +37,18 @@ def upload(session: Session, array: NDArray[Any]) -> cl.Buffer:
         raise failure(session.device, f"have memory for a buffer of {packed.nbytes} bytes", error) from error
 
 
+def lent(session: Session, array: NDArray[Any]) -> cl.Buffer:
+    """A buffer for kernels to read an array in C order: where the device works in the host's memory the array itself,
+    wherever it lies, which nobody may write to while kernels run; else a copy. Raises DeviceError as `upload`."""
+    if not session.device.unified_memory or array.nbytes == 0:
+        return upload(session, array)
+    _check_size(session, array.nbytes)
+    try:
+        return cl.Buffer(session.context, cl.mem_flags.READ_ONLY | cl.mem_flags.USE_HOST_PTR, hostbuf=array)
+    except cl.Error as error:
+        raise failure(session.device, f"have memory for a buffer of {array.nbytes} bytes", error) from error
+
+
 def upload_kept(session: Session, array: NDArray[Any]) -> cl.Buffer:
     """`upload` of an array that nobody ever changes: once, as long as the session keeps it."""
     made = session.kept.get(("array", id(array)), lambda: (upload(session, array), array), lambda pair: pair[1].nbytes)
