@@ -17,7 +17,7 @@ pytestmark = pytest.mark.laws
 Array = NDArray[Any]
 ROUNDING = 4e-6  # of the brightest light: sums of some hundred weights of float32
 LARGEST = 4  # px
-IN_STRIPS = {"scatter": (325, 414), "gather": (475, 866)}  # KiB, from what 64 rows take to less than 192 rows do
+IN_STRIPS = {"scatter": (190, 270), "gather": (590, 970)}  # KiB, from what 64 rows take to less than 192 rows do
 
 
 def drawn(seed: int, *shape: int) -> Array:
