@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from math import log
 from typing import Protocol
@@ -246,7 +247,7 @@ class FrameSum:
         return out
 
 
-class TableBlur(FrameSum):
+class TableBlur(FrameSum, ABC):
     """A blur of sources of any radius each, with weights from tables; arguments as for `FrameSum`."""
 
     def __init__(self, target: Target, spec: BlurSpec, grid: Grid, camera: Struct, sizes: Sizes) -> None:
@@ -272,9 +273,9 @@ class TableBlur(FrameSum):
             tail += (sources.sub_depth,) if self.spec.subpixels else ()
         self.spread(head, tail, events)
 
+    @abstractmethod
     def spread(self, head: tuple[object, ...], tail: tuple[object, ...], events: Events) -> None:
         """Enqueue the kernels; head, tail: arguments that all methods have in common."""
-        raise NotImplementedError
 
 
 class Tiles(TableBlur):
