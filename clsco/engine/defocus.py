@@ -25,7 +25,7 @@ from clsco.opencl.session import DeviceLike, Session
 from clsco.optics.lens import LARGEST_BLUR
 from clsco.optics.psf import reach
 from clsco.optics.slabs import Slabs
-from clsco.passes.blur import Sources, image_target, prepare_sources
+from clsco.passes.blur import Sources, blur_target, prepare_sources
 from clsco.passes.layered import DepthLayers
 from clsco.passes.multigrid import Multigrid, make_blur
 from clsco.passes.tables import forget_others
@@ -298,7 +298,7 @@ class _Engine:
     ) -> None:  # fmt: skip
         self.given, self.guard = given, _guard(given, spec.psf, spec.method)
         real: Real = "double" if session.device.has_fp64 else "float"
-        self.target = image_target(session, spec, given.channels, real)
+        self.target = blur_target(session, spec, given.channels, real)
         grid = _grid(given, spec, strips)
         self.blur = make_blur(self.target, spec, grid, self._camera(strips[0]), places)
         layered = is_layered(spec.psf, spec.method)  # which has a plane of its own

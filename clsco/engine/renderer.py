@@ -142,7 +142,7 @@ class Renderer:
         while self._outgrown() or self._too_far_off():
             expose([self], index)
         space = self._ready
-        truth = GroundTruth(self.plan, self.scene, space.target, space.pixels).of_frame(index, self.events)
+        truth = GroundTruth(self.plan, self.scene, space.tracer, space.pixels).of_frame(index, self.events)
         self.scene.release()
         eye = self.plan.eye if self.plan.scene.stereo else ""
         about = self._metadata(index)

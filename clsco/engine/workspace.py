@@ -8,19 +8,18 @@ from dataclasses import dataclass, replace
 import pyopencl as cl
 
 from clsco.opencl.buffers import allocate
-from clsco.opencl.program import build
 from clsco.optics.lens import blur_radius
-from clsco.passes.blur import FILES_OF, FrameBlur, Sources, Target, blur_features, image_features, prepare_sources
+from clsco.passes.blur import FrameBlur, Sources, Target, blur_target, prepare_sources
 from clsco.passes.layered import DepthLayers
 from clsco.passes.multigrid import make_blur
 from clsco.passes.placed import PlacedScene, TimeSample
 from clsco.passes.static_image import StaticMap
-from clsco.passes.trace import TRACE_FILES, Hits, Tracer, Work
+from clsco.passes.trace import Hits, Tracer, Work
 from clsco.passes.warp import ForwardWarp
 from clsco.plan.approximation import sample_places
 from clsco.plan.passes import Kind, Pass
 from clsco.plan.plan import Plan
-from clsco.records import Struct, structs
+from clsco.records import Struct
 
 # Buffers that passes share; the others are owned by what works with them.
 SHARED = (
@@ -78,27 +77,18 @@ class Workspace:
             self.tracer.pinhole(work, 0.0)
 
 
-def features_of(plan: Plan, fp64: bool) -> dict[str, int]:
-    """What the program of a plan is built for."""
-    if plan.static_map:
-        return image_features(plan.spec, plan.channels, fp64)
-    layered = plan.occlusion == "layered"
-    return plan.features() | blur_features(plan.spec, fp64, prepare=plan.forward or layered)
-
-
 def make_workspace(
     plan: Plan, scene: PlacedScene, pixels: ForwardWarp | StaticMap | None, hits: Hits | None, camera: Struct
 ) -> Workspace:  # fmt: skip
     """A workspace for a plan, whose first strip has this camera_t. Raises DeviceError, KernelError."""
     session, real = scene.session, scene.real
-    files = FILES_OF[plan.blur] if plan.static_map else (*TRACE_FILES, *FILES_OF[plan.blur])
-    features = features_of(plan, session.device.has_fp64)
-    target = Target(session, build(session, files, features, structs(real), real), real)
     spec = replace(plan.spec, brightest=scene.brightest)
+    from_radii = plan.forward or plan.static_map or plan.occlusion == "layered"
+    target = blur_target(session, spec, plan.channels, real, prepare=from_radii)
     blur = make_blur(target, spec, plan.grid, camera, sample_places(plan.rows, plan.columns))
     sizes = {name: size for each in plan.passes for name, size in each.buffers.items()}
     buffers = allocate(session, {name: sizes[name] for name in SHARED if name in sizes})
-    tracer = Tracer(plan, scene, target, buffers, blur.struct, hits)
+    tracer = Tracer(plan, scene, buffers, blur.struct, hits)
     layers = DepthLayers(blur, target, plan.grid) if plan.occlusion == "layered" else None
     return Workspace(plan, scene, target, buffers, blur, tracer, layers, pixels)
 

@@ -40,18 +40,21 @@ FILES_OF: dict[Blur, tuple[str, ...]] = {
     "none": ("blur/accumulate.cl",),
 }
 
-# Features that only surfaces need.
-PLAIN = dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SUBPIXELS", "OCCLUDED"), 0)
+# Features of what casts rays at surfaces, which a blur does not, and of what only sources on surfaces have.
+PLAIN = dict.fromkeys(
+    ("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SUBPIXELS", "OCCLUDED", "LIMITED"), 0
+)
 
 Events = list[tuple[str, cl.Event]]
 
 
-def blur_features(spec: BlurSpec, fp64: bool, prepare: bool) -> dict[str, int]:
-    """Which kernels of the blur are compiled, and for what.
+def blur_features(spec: BlurSpec, channels: int, fp64: bool, prepare: bool) -> dict[str, int]:
+    """Which kernels of the blur are compiled, and for what: the same ones for all scenes that agree in these.
 
     Parameters
     ----------
     spec : BlurSpec
+    channels : int
     fp64 : bool
         The device has doubles.
     prepare : bool
@@ -64,23 +67,25 @@ def blur_features(spec: BlurSpec, fp64: bool, prepare: bool) -> dict[str, int]:
     """
     method, psf = spec.method, spec.psf
     scratch = band_scratch(psf, spec.largest, fp64) if method == "gather" else "none"
-    return {
-        "GATHER": int(method == "gather"),
-        "BY_ROWS": int(scratch in ("rows", "near")),
-        "NEAR": NEAR * (scratch == "near"),
-        "BY_COLUMNS": int(scratch == "columns"),
-        "SCATTER": int(method == "scatter"),
-        "RENORMALIZE": int(psf.border == "renormalize" and method != "none"),
-        "PREPARE": int(prepare and method in MANY_RADII),
-        "BAND": BAND,
-    }
-
-
-def image_features(spec: BlurSpec, channels: int, fp64: bool) -> dict[str, int]:
-    """Features of a program that blurs an image, whatever surfaces it shows: the same one for all scenes that agree in
-    these. Arguments as for `blur_features`."""
-    found = PLAIN | psf_features(spec.psf) | blur_features(spec, fp64, prepare=True)
-    return found | {"CHANNELS": channels, "TILT": int(spec.tilt and spec.method != "convolve")}
+    return (
+        PLAIN
+        | psf_features(psf)
+        | {
+            "CHANNELS": channels,
+            "TILT": int(spec.tilt and method != "convolve"),
+            "SUBPIXELS": spec.subpixels,
+            "OCCLUDED": spec.occluders,
+            "LIMITED": int(spec.limited),
+            "GATHER": int(method == "gather"),
+            "BY_ROWS": int(scratch in ("rows", "near")),
+            "NEAR": NEAR * (scratch == "near"),
+            "BY_COLUMNS": int(scratch == "columns"),
+            "SCATTER": int(method == "scatter"),
+            "RENORMALIZE": int(psf.border == "renormalize" and method != "none"),
+            "PREPARE": int(prepare and method in MANY_RADII),
+            "BAND": BAND,
+        }
+    )
 
 
 @dataclass(frozen=True)
@@ -98,10 +103,10 @@ class Target:
         events.append((name, launch(self.session, kernel(self.program, name), size, local, *args)))  # type: ignore[arg-type]
 
 
-def image_target(session: Session, spec: BlurSpec, channels: int, real: Real) -> Target:
-    """Where an image is blurred: with a program of `image_features`; none for `convolve`, which builds its own."""
+def blur_target(session: Session, spec: BlurSpec, channels: int, real: Real, prepare: bool = True) -> Target:
+    """Where sources are blurred: with a program of `blur_features`; none for `convolve`, which builds its own."""
     files = FILES_OF[spec.method]
-    features = image_features(spec, channels, session.device.has_fp64)
+    features = blur_features(spec, channels, session.device.has_fp64, prepare)
     return Target(session, build(session, files, features, structs(real), real) if files else {}, real)
 
 
@@ -258,7 +263,7 @@ class TableBlur(FrameSum, ABC):
             for table in tables_of(spec)
             if table is not None
         ]
-        self.lens = upload(session, lens_floats(spec.psf).astype(np.float32)) if spec.occluded else None
+        self.lens = upload(session, lens_floats(spec.psf).astype(np.float32)) if spec.occluders else None
 
     def add(self, sources: Sources, events: Events) -> None:
         head = (self.camera, self.struct, sources.source, sources.value, *self.tables[0])

@@ -13,7 +13,7 @@ from clsco.opencl.buffers import allocate, download, empty
 from clsco.opencl.program import build
 from clsco.optics.psf import reach
 from clsco.optics.slabs import Slabs, bins_of, depth_of_hidden, levels_of, slab_bounds
-from clsco.passes.blur import BLOCKS, PIXELS, PLAIN, Events, FrameBlur, Sources, Target, image_target, prepare_sources
+from clsco.passes.blur import BLOCKS, PIXELS, PLAIN, Events, FrameBlur, Sources, Target, blur_target, prepare_sources
 from clsco.passes.exact import exact_blur
 from clsco.plan.buffers import Sizes, depth_layer_spec, layered_buffers
 from clsco.plan.methods import BlurSpec
@@ -112,7 +112,7 @@ class DepthLayers:
         session, real, spec = target.session, target.real, depth_layer_spec(blur.spec)
         planes = grid.channels + 1
         self.outer, self.values = blur, planes
-        own = image_target(session, spec, planes, real)
+        own = blur_target(session, spec, planes, real)
         # By itself, since nothing else changes its eleven kernels.
         features = PLAIN | {"SAMPLED": 0, "GENERAL": 0, "CHANNELS": planes, "SCATTER": int(spec.method == "scatter")}
         program = build(session, ["layered/layered.cl"], features, structs(real), real)

@@ -40,7 +40,7 @@ from clsco.passes.blur import (
     Sources,
     TableBlur,
     Target,
-    image_target,
+    blur_target,
 )
 from clsco.passes.exact import exact_blur
 from clsco.plan.buffers import coarser_grid, coarser_spec, level_buffers
@@ -106,7 +106,7 @@ class Multigrid:
         for radius in radii:
             grid, inner = coarser_grid(grid), coarser_spec(spec, radius)
             camera = frame_struct(grid.rows, grid.columns, grid.guard, real)
-            target = image_target(session, inner, grid.channels, real)
+            target = blur_target(session, inner, grid.channels, real)
             self.levels.append(_level(exact_blur(target, inner, grid, camera), grid, False))
         if places is not None:
             self.pixels = upload(session, places)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -12,6 +13,7 @@ import pyopencl as cl
 from clsco.constants import STATISTIC_SLOTS, STATISTIC_SMALLEST
 from clsco.frame.strips import Strip
 from clsco.opencl.buffers import allocate
+from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.optics.slabs import Slabs
 from clsco.optics.visibility import Layer
@@ -20,7 +22,7 @@ from clsco.passes.pack import layer_struct
 from clsco.passes.placed import PlacedScene, TimeSample
 from clsco.plan.buffers import STATISTICS, Sizes, hit_buffers
 from clsco.plan.plan import Plan
-from clsco.records import LOW, Struct
+from clsco.records import LOW, Struct, structs
 
 # What of the statistics a frame must begin with: no radius met, no slot taken (trace.cl).
 # Fields of camera_t that say what a lens makes of a hit, and not what a ray hits.
@@ -140,8 +142,6 @@ class Tracer:
     ----------
     plan : Plan
     scene : PlacedScene
-    target : Target
-        With the kernels of trace.cl.
     buffers : mapping
         By the names of `clsco.plan.buffers.trace_buffers`, `silhouette_buffers` and `map_buffers`.
     psf : numpy.void
@@ -152,14 +152,19 @@ class Tracer:
 
     plan: Plan
     scene: PlacedScene
-    target: Target
     buffers: Mapping[str, cl.Buffer]
     psf: Struct
     hits: Hits | None = None
 
+    @cached_property
+    def target(self) -> Target:
+        """With the kernels that cast rays, which are built where the first ray is cast."""
+        session, real = self.scene.session, self.scene.real
+        return Target(session, build(session, TRACE_FILES, self.plan.features(), structs(real), real), real)
+
     def trace(self, work: Work) -> None:
         """Sources of one occlusion group; its buffers are those of the group before, which the queue is done with."""
-        buffers, occluded = self.buffers, bool(self.plan.features()["OCCLUDED"])
+        buffers, occluded = self.buffers, self.plan.spec.occluders > 0
         sample, head = work.sample, self._head(work)
         share = np.float32(sample.weight)
         source, label, statistics = (buffers.get(name) for name in ("source", "label", "statistics"))

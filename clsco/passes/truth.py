@@ -14,11 +14,11 @@ from clsco.frame.strips import Strip
 from clsco.opencl.buffers import allocate, download_into
 from clsco.optics.depth_truth import map_flow, map_normal, map_stereo
 from clsco.optics.motion import Eye, middle_time
-from clsco.passes.blur import PIXELS, Events, Target
+from clsco.passes.blur import PIXELS, Events
 from clsco.passes.pack import camera_struct, pose_structs
 from clsco.passes.placed import PlacedScene
 from clsco.passes.static_image import StaticMap
-from clsco.passes.trace import everything
+from clsco.passes.trace import Tracer, everything
 from clsco.passes.warp import ForwardWarp
 from clsco.plan.buffers import TRUTH_BUFFERS, truth_buffers
 from clsco.plan.plan import Plan
@@ -35,15 +35,14 @@ class GroundTruth:
     ----------
     plan : Plan
     scene : PlacedScene
-    target : Target
-        With the kernel `ground_truth`, where rays give any output.
+    tracer : Tracer
     pixels : ForwardWarp or StaticMap, optional
         What moves the pixels of the reference pose, or has them as they are.
     """
 
     plan: Plan
     scene: PlacedScene
-    target: Target
+    tracer: Tracer
     pixels: ForwardWarp | StaticMap | None
 
     def of_frame(self, index: int, events: Events) -> Arrays:
@@ -69,7 +68,7 @@ class GroundTruth:
     def _of_rays(self, time: float, later: float, events: Events) -> Arrays:
         """By rays at analytic surfaces, strip by strip."""
         plan, scene, names = self.plan, self.scene, self.plan.device_truth
-        buffers = allocate(self.target.session, truth_buffers(names, plan.grid))
+        buffers = allocate(scene.session, truth_buffers(names, plan.grid))
         sample, reference = scene.at(time), scene.in_reference_pose()
         poses = scene.poses(scene.at(later))
         head = (sample.surfaces, reference.surfaces, poses, everything(plan), scene.texture)
@@ -82,7 +81,7 @@ class GroundTruth:
         out = self._arrays(names)
         for strip in plan.strips:
             camera = camera_struct(plan.scene.camera, plan.guard_px, scene.real, strip)
-            self.target.run("ground_truth", (plan.columns, strip.rows), PIXELS, events, camera, *head, *args)
+            self.tracer.target.run("ground_truth", (plan.columns, strip.rows), PIXELS, events, camera, *head, *args)
             self._download(strip, buffers, out)
         if isinstance(self.pixels, ForwardWarp):
             out |= self.pixels.truth(sample, plan.truth, events)
@@ -100,7 +99,7 @@ class GroundTruth:
 
     def _download(self, strip: Strip, buffers: dict[str, Any], out: Arrays) -> None:
         for name, array in out.items():
-            download_into(self.target.session, buffers[name], array[strip.inside])
+            download_into(self.scene.session, buffers[name], array[strip.inside])
 
     def _of_maps(self, time: float, later: float, events: Events) -> Arrays:
         """Of a scene with depth maps, which no ray can be cast at: of the pixels in their new places."""

@@ -205,7 +205,7 @@ def _table_buffers(spec: BlurSpec) -> Sizes:
     if spec.subpixels:
         sub = table_sizes(spec.psf, spec.smallest, spec.largest, spec.subpixels)
         sizes |= {f"subpixel {name}": sub[name] for name in ("intervals", "coefficients")}
-    if spec.occluded:
+    if spec.occluders:
         sizes["lens"] = 4 * lens_floats(spec.psf).size
     return sizes
 
@@ -267,7 +267,8 @@ def multigrid_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts, places: i
 
 def depth_layer_spec(spec: BlurSpec) -> BlurSpec:
     """The blur of a depth layer and its coverage, for that of the frame."""
-    return replace(spec, smallest=0.0, subpixels=0, occluded=False, brightest=max(spec.brightest, 1.0), least=None)
+    brightest = max(spec.brightest, 1.0)
+    return replace(spec, smallest=0.0, subpixels=0, occluders=0, limited=False, brightest=brightest, least=None)
 
 
 def pyramid_bytes(psf: Psf, channels: int, width: int, height: int, largest: float) -> int:
@@ -391,14 +392,14 @@ def fill_sizes(scene: Scene, grid: Grid) -> Sizes:
 def trace_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
     """Sources of one time sample of an occlusion group, as trace.cl writes them; and statistics of a frame."""
     sizes = source_buffers(spec, grid) | {"value": 4 * grid.channels * grid.sources, "statistics": 4 * STATISTICS}
-    return sizes | ({"depth": WIDE_BYTES * grid.sources} if spec.occluded else {})
+    return sizes | ({"depth": WIDE_BYTES * grid.sources} if spec.occluders else {})
 
 
 def silhouette_buffers(spec: BlurSpec, grid: Grid, slots: int) -> Sizes:
     """Sub-pixel sources, in `slots` pixels near silhouettes."""
     subs = slots * spec.subpixels**2
     sizes = {"label": grid.sources, "pixels": 4 * slots, "sub_source": 16 * subs, "sub_value": 4 * grid.channels * subs}
-    return sizes | ({"sub_depth": WIDE_BYTES * subs} if spec.occluded else {})
+    return sizes | ({"sub_depth": WIDE_BYTES * subs} if spec.occluders else {})
 
 
 def texture_buffers(scene: Scene, channels: int) -> Sizes:

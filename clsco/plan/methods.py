@@ -34,8 +34,10 @@ class BlurSpec:
         Sub-pixel sources per axis at silhouettes, 0 for none.
     tilt : bool
         Whether sources have the gradient of R.
-    occluded : bool
-        Whether something may stand in the way of a source.
+    occluders : int
+        Objects that may stand in the way of one source, as `occluder_room` rounds their number.
+    limited : bool
+        Whether any of them has bounds, or one nappe of two.
     brightest : float
         Largest |radiance|, which sets the unit of sums of whole numbers.
     least : float, optional
@@ -48,14 +50,15 @@ class BlurSpec:
     largest: float
     subpixels: int = 0
     tilt: bool = False
-    occluded: bool = False
+    occluders: int = 0
+    limited: bool = False
     brightest: float = 1.0
     least: float | None = None
 
     @property
     def marked(self) -> bool:
         """Whether sources say what they are: whole, in sub-pixel sources, or partly occluded."""
-        return self.subpixels > 0 or self.occluded
+        return self.subpixels > 0 or self.occluders > 0
 
     @property
     def reach(self) -> int:
@@ -69,8 +72,12 @@ def is_sharp(psf: Psf, largest: float) -> bool:
 
 
 def occluder_room(occluders: int) -> int:
-    """So many occluders as a program has room for: a power of 2, so that few programs serve all scenes."""
-    return 1 << (occluders - 1).bit_length() if occluders else 0
+    """So many occluders as a program has room for: 4, 16 or 64, so that few programs serve all scenes. Room for 4 takes
+    no longer than room for 1."""
+    room = 4
+    while room < occluders:
+        room *= 4
+    return room if occluders else 0
 
 
 def many_radii(gpu: bool, occluded: bool = False, approximate: bool = False) -> Blur:

@@ -23,7 +23,6 @@ from clsco.optics.motion import Eye, Pose, sample_times
 from clsco.optics.psf import psf_extent, shape_of
 from clsco.optics.psf_grid import table_reach
 from clsco.optics.psf_tables import check_tables, psf_features
-from clsco.optics.quadrics import canonical
 from clsco.optics.slabs import margin_of_slabs
 from clsco.optics.visibility import Layer, extent, is_hollow, layers
 from clsco.plan.approximation import METHODS, can_convolve, candidates, check_border, checked_tolerance, place_count
@@ -45,6 +44,7 @@ from clsco.plan.buffers import (
     truth_buffers,
     warp_buffers,
 )
+from clsco.plan.features import shape_features
 from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, choose_blur, is_sharp, many_radii, occluder_room
 from clsco.plan.passes import HOW, Kind, Parameters, Pass
 from clsco.plan.predict import (
@@ -169,10 +169,12 @@ class Plan:
     @property
     def spec(self) -> BlurSpec:
         """What the blur is made for; with approximations, for the first one."""
-        occluded = any(layer.occluders for layer in self.layers)
+        room = occluder_room(max(layer.occluders.bit_count() for layer in self.layers))
         least = METHODS[self.approximations[0]] if self.approximations else None
-        ends = self.smallest_blur, self.largest_blur
-        return BlurSpec(self.scene.psf, self.blur, *ends, self.silhouettes, self.tilt, occluded, least=least)
+        return BlurSpec(
+            self.scene.psf, self.blur, self.smallest_blur, self.largest_blur, self.silhouettes, self.tilt,
+            occluders=room, limited=room > 0 and self._shapes["NAPPE"] > 0, least=least,
+        )  # fmt: skip
 
     @property
     def slots(self) -> int:
@@ -203,29 +205,26 @@ class Plan:
         return _left_out(self)
 
     def features(self) -> dict[str, int]:
-        """Structure that the kernels are compiled for."""
-        return dict(self._features)
-
-    @cached_property
-    def _features(self) -> dict[str, int]:
-        scene = self.scene
-        analytic = [item for item in scene.objects if item.is_analytic]
-        shapes = [canonical(item) for item in analytic]
-        quadratic = any(shape.q.any() for shape in shapes)
+        """Structure that the kernels that cast rays are compiled for."""
+        scene, spec = self.scene, self.spec
         moved = (self.moves or self.eye_moved) and not self.forward
-        return {
+        psf = psf_features(scene.psf)
+        return self._shapes | {
             "CHANNELS": self.channels,
-            "SEVERAL": int(len(scene.objects) > 1),
-            "QUADRATIC": int(quadratic),
-            "LINEAR": int(quadratic and any(shape.l.any() for shape in shapes)),
-            "NAPPE": int(any(shape.nappe != 0 for shape in shapes)),
-            "BOUNDED": int(any(item.bounds is not None for item in analytic)),
-            "OCCLUDED": occluder_room(max(layer.occluders.bit_count() for layer in self.layers)),
+            "OCCLUDED": int(spec.occluders > 0),
+            "LIMITED": int(spec.limited),
+            "GATHER": int(spec.occluders > 0 and self.blur == "gather"),
             "MOVED": int(moved),
             "FILTER": FILTERS[scene.motion.texture_filter] if moved else 0,
             "TILT": int(self.tilt),
             "SUBPIXELS": self.silhouettes,
-        } | psf_features(scene.psf)
+            "SAMPLED": psf["SAMPLED"],
+            "GENERAL": int(psf["GENERAL"] > 0),
+        }
+
+    @cached_property
+    def _shapes(self) -> dict[str, int]:
+        return shape_features(self.scene.objects)
 
 
 def is_static_map(scene: Scene) -> bool:

@@ -23,7 +23,6 @@ from clsco.opencl.program import (
 )
 from clsco.opencl.session import Session
 from clsco.optics.psf_grid import NEAR
-from clsco.optics.psf_tables import psf_features
 from clsco.passes.blur import FILES_OF, PLAIN, blur_features
 from clsco.passes.trace import TRACE_FILES
 from clsco.passes.warp import KERNELS as FORWARD
@@ -46,21 +45,28 @@ GENERAL = {"GENERAL": (0, 0, 6)}  # not with what is alike in all octants
 
 BLUR = (
     *("SAMPLED", "TILT", "GATHER", "BY_ROWS", "SCATTER", "RENORMALIZE", "PREPARE"),
-    *("DISC", "SEPARABLE"),
+    *("DISC", "SEPARABLE", "LIMITED"),
 )
+# Files of programs that can test what hides a source: by one object, or any other number up to all but one.
+OCCLUSION = (TRACE_FILES, FILES_OF["gather"], FILES_OF["scatter"])
+ROOMS = {"OCCLUDED": (0, 4, 1, 63)}
 GATHER, SCATTER = FILES_OF["gather"], FILES_OF["scatter"]
 # Files that are built together: feature -> value when off, when on, and others. Structure is all that is compiled in.
 PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
-    TRACE_FILES: GEOMETRY | dict.fromkeys(("MOVED", "TILT"), ON_OR_OFF) | {"SUBPIXELS": (0, 4, 2, 3), "OCCLUDED": (0,)},
+    TRACE_FILES: GEOMETRY
+    | dict.fromkeys(("MOVED", "TILT", "OCCLUDED", "LIMITED", "GATHER"), ON_OR_OFF)
+    | {"SUBPIXELS": (0, 4, 2, 3)},
     GATHER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (1, BAND), "NEAR": (0, NEAR), "BY_COLUMNS": (0, 0, 1)}
     | {"GATHER": (1,)}
+    | ROOMS
     | GENERAL,
     SCATTER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (BAND,)}
     | dict.fromkeys(("GATHER", "BY_ROWS", "NEAR", "BY_COLUMNS"), (0,))
+    | ROOMS
     | GENERAL,
     ("blur/multigrid.cl",): dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(("TILT", "DISC", "SAMPLED", "SEPARABLE"), ON_OR_OFF)
@@ -79,29 +85,8 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
 }
 PROGRAMS[HOLES] = dict.fromkeys(FEATURES, (0,)) | {"CHANNELS": (1, 3), "CODES": ON_OR_OFF, "ALONE": ON_OR_OFF}
 PROGRAMS[HOLES] |= {"FILL_MEAN_MEDIAN": (1,), "IMAGE": (1,)}
-# What can occlude a source: one object, or any other number up to all but one.
-OCCLUSION = tuple((*TRACE_FILES, *files) for files in (GATHER, SCATTER))
-# Features that have to do with it; of the others there is one value, the program being a long one.
-HIDING = {
-    "OCCLUDED",
-    "SEVERAL",
-    "QUADRATIC",
-    "NAPPE",
-    "BOUNDED",
-    "CHANNELS",
-    "SUBPIXELS",
-    "TILT",
-    "GATHER",
-    "SCATTER",
-}
-HIDING |= {"GENERAL"}
 # What goes by columns goes neither by rows nor tap by tap, as sampled discs do.
 NOT_BY_COLUMNS = ("BY_ROWS", "NEAR", "DISC")
-for FILES in OCCLUSION:
-    PROGRAMS[FILES] = PROGRAMS[TRACE_FILES] | PROGRAMS[FILES[len(TRACE_FILES) :]] | {"OCCLUDED": (1, 2, 63)}
-    PROGRAMS[FILES] |= {name: values[1:2] or values for name, values in PROGRAMS[FILES].items() if name not in HIDING}
-    PROGRAMS[FILES] |= dict.fromkeys((*NOT_BY_COLUMNS, "SEPARABLE"), (0,))
-PROGRAMS[OCCLUSION[0]] |= {"BY_COLUMNS": ON_OR_OFF}
 PROGRAMS["layered/layered.cl",] = dict.fromkeys((*PLAIN, "SAMPLED", "GENERAL"), (0,)) | {
     "CHANNELS": (2, 4),
     "SCATTER": ON_OR_OFF,
@@ -161,15 +146,14 @@ def test_every_feature_is_known(files: tuple[str, ...]) -> None:
 
 def test_what_the_host_asks_for_is_what_the_files_know() -> None:
     plan = plan_of(Sphere())
-    spreading = blur_features(BlurSpec(Psf(), "gather", 0.0, 1.0), True, prepare=True).keys()
-    rendering = plan.features().keys() | spreading
-    assert PROGRAMS[TRACE_FILES].keys() | PROGRAMS[GATHER].keys() == rendering
-    assert asked_for(GATHER) <= PLAIN.keys() | spreading | {"CHANNELS", "TILT", *psf_features(Psf())}
+    spreading = blur_features(BlurSpec(Psf(), "gather", 0.0, 1.0), 1, True, prepare=True).keys()
+    assert PROGRAMS[TRACE_FILES].keys() == plan.features().keys()
+    assert PROGRAMS[GATHER].keys() == spreading
     assert forward_features(plan, owned=True).keys() == PROGRAMS[FORWARD].keys()
 
 
 # What takes seconds: programs with most kernels, and files that are built by themselves as well.
-LONG = (*OCCLUSION, FORWARD, TRACE_FILES, GATHER)
+LONG = (*OCCLUSION, FORWARD)
 # What hardly any feature of the geometry changes.
 PLAIN_FILES = (("blur/accumulate.cl",), ("blur/convolve.cl",), ("inpainting/fse.cl",), ("inpainting/biharmonic.cl",))
 
@@ -199,12 +183,6 @@ def test_with_all_features_but_one(session: Session, files: tuple[str, ...]) -> 
     """In double precision: `real` is a type, and what a feature compiles does not depend on it."""
     for features in variants(PROGRAMS[files])[2:]:
         assert build(session, files, features, structs("double"), "double")
-
-
-def test_trace_and_blur_are_built_together(session: Session) -> None:
-    files, features = (*TRACE_FILES, *GATHER), PROGRAMS[GATHER] | PROGRAMS[TRACE_FILES]
-    for chosen in variants(features)[:2]:
-        assert "trace" in build(session, files, chosen, structs("double"), "double")
 
 
 def test_a_device_with_less(session: Session) -> None:

@@ -18,7 +18,7 @@ from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
 from clsco.optics import psf as psf_weights
 from clsco.optics.psf import reach
-from clsco.optics.psf_tables import psf_features, psf_table
+from clsco.optics.psf_tables import psf_table
 from clsco.passes import blur as spread
 from clsco.passes.blur import FILES_OF, PIXELS, FrameSum, TableBlur
 from clsco.passes.exact import exact_blur
@@ -36,7 +36,6 @@ from tests.slow import combined, mostly_slow
 Array = NDArray[Any]
 RNG = np.random.default_rng
 STRUCTS = structs("double")
-SHAPES = dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "OCCLUDED"), 0)
 PSFS = [Psf(model=model, edge=edge) for model in ("pillbox", "gaussian") for edge in ("sampled", "area", "integrated")]
 # Float32 adds some 200 terms, each rounded by 2^-24 of a sum of about 1: at worst 1e-5, as a random walk below 1e-6.
 ROUNDING = 1.5e-6
@@ -162,10 +161,9 @@ def copied(session: Session, array: Array) -> Any:
 
 def features(psf: Psf, channels: int, samples: int, largest: float = 0.0) -> dict[str, int]:
     """All kernels in one program, so that few have to be compiled; tests/architecture builds them one by one."""
-    kernels = spread.blur_features(BlurSpec(psf, "gather", 0.0, largest), True, prepare=True)
-    kernels |= dict.fromkeys(("GATHER", "SCATTER", "RENORMALIZE", "PREPARE"), 1)
-    chosen = {"CHANNELS": channels, "SUBPIXELS": samples, "TILT": int(psf.tilt), "BAND": strips.BAND}
-    return SHAPES | kernels | chosen | psf_features(psf)
+    spec = BlurSpec(psf, "gather", 0.0, largest, samples, psf.tilt)
+    kernels = spread.blur_features(spec, channels, True, prepare=True)
+    return kernels | dict.fromkeys(("GATHER", "SCATTER", "RENORMALIZE", "PREPARE"), 1)
 
 
 def blur_of(session: Session, given: Light, method: Blur) -> FrameSum:
@@ -173,7 +171,7 @@ def blur_of(session: Session, given: Light, method: Blur) -> FrameSum:
     spec = BlurSpec(psf, method, *ends, given.samples, psf.tilt)
     chosen = features(psf, given.channels, given.samples, given.largest)
     if method == "tiles":  # in a file of its own
-        chosen |= spread.blur_features(spec, True, prepare=False) | {"RENORMALIZE": 1}
+        chosen |= spread.blur_features(spec, given.channels, True, prepare=False) | {"RENORMALIZE": 1}
     program = build(session, spread.FILES_OF[method], chosen, STRUCTS, "double")
     grid = Grid.whole(*given.shape, given.guard, given.channels)
     return exact_blur(spread.Target(session, program, "double"), spec, grid, given.camera())

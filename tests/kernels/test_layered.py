@@ -14,7 +14,7 @@ from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.session import Session
 from clsco.optics import slabs
 from clsco.optics.psf import reach
-from clsco.passes.blur import Events, image_target
+from clsco.passes.blur import Events, blur_target
 from clsco.passes.blur import Sources as Light
 from clsco.passes.exact import exact_blur
 from clsco.passes.layered import DepthLayers
@@ -75,7 +75,7 @@ class Device:
     def __init__(self, session: Session, view: View, method: Blur = "gather", real: Real = "double") -> None:
         psf, channels = view.psf, view.radiance.shape[2]
         spec = BlurSpec(psf, method, 0.0, view.largest, tilt=psf.tilt)
-        target = image_target(session, spec, channels, real)
+        target = blur_target(session, spec, channels, real)
         camera = frame_struct(*view.shape, view.guard, real)
         self.session, self.view = session, view
         grid = Grid.whole(*view.shape, view.guard, channels)

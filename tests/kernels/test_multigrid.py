@@ -16,7 +16,7 @@ from clsco.opencl.session import Session
 from clsco.optics.multigrid import coarse_radii
 from clsco.optics.psf import MINIMUM_BLUR
 from clsco.optics.psf_tables import psf_features, psf_table
-from clsco.passes.blur import BLOCKS, PLAIN, Sources, image_target
+from clsco.passes.blur import BLOCKS, PLAIN, Sources, blur_target
 from clsco.passes.blur import prepare_sources as make_sources
 from clsco.passes.multigrid import Multigrid, make_blur
 from clsco.passes.pack import psf_struct
@@ -64,7 +64,7 @@ def spread(
     size = np.abs(light.radius[light.lit])
     smallest, largest = float(size.min()), float(size.max())
     spec = BlurSpec(psf, "gather", smallest, largest, tilt=psf.tilt, least=least)
-    target = image_target(session, spec, channels, real)
+    target = blur_target(session, spec, channels, real)
     grid = Grid.whole(height - 2 * guard, width - 2 * guard, guard, channels)
     blur = make_blur(target, spec, grid, camera, places)
     assert isinstance(blur, Multigrid)

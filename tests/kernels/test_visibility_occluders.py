@@ -158,7 +158,7 @@ def meet(
     """given: of points the surface, own, root, x, y, w, radius; width: of the sources, px."""
     items, placed = [item for item, _ in surfaces], [place(*one) for one in surfaces]
     count, words, extent = given["w"].size, sum(FIELDS.values()), lens_extent(psf)
-    features = {"OCCLUDED": 1, "POINTS": count, "BYTES": 4 * words, "GATHER": gather, "BOUNDED": 1, "NAPPE": 1}
+    features = {"OCCLUDED": 1, "POINTS": count, "BYTES": 4 * words, "GATHER": gather, "LIMITED": 1}
     buffers = [empty(session, 4 * count * size) for size in (4, 4, words)]
     number = np.float64 if real == "double" else np.float32
     chosen = np.stack([given["surface"], given["own"], given["root"], 0 * given["own"]], axis=-1)

@@ -146,7 +146,7 @@ class Found:
 
 def found(session: Session, run: Runner, given: Surfaces, gather: int) -> Found:
     points = len(given.count)
-    features = {"OCCLUDED": 1, "BOUNDED": 1, "NAPPE": 1, "GATHER": gather, "SURFACES": points, "TAPS": TAPS}
+    features = {"OCCLUDED": 1, "LIMITED": 1, "GATHER": gather, "SURFACES": points, "TAPS": TAPS}
     sizes = (points * TAPS, points, points * LIMITS * 4, points)
     share, all_hidden, left, count = (empty(session, 4 * size) for size in sizes)
     integers = (given.count.astype(np.int32), given.occluder.crossings.astype(np.int32))

@@ -18,7 +18,7 @@ from clsco.scene.model import Psf
 
 Array = NDArray[Any]
 Runner = Callable[..., None]
-FEATURES = {"OCCLUDED": 2, "BOUNDED": 1, "GATHER": 1}
+FEATURES = {"OCCLUDED": 2, "LIMITED": 1, "GATHER": 1}
 ALONG = """
 // What row_visibility says of rows of taps from place (x, y) on. counts: occluders; per occluder limits and crossings.
 // height: per occluder base, bx, by, slack; limit: per occluder seven of (constant, x, y).

@@ -145,7 +145,7 @@ def test_side_by_side_is_one_layer() -> None:
     left, right = Sphere(center=(-60.0, 0.0, 230.0), radius=20.0), Sphere(center=(60.0, 0.0, 280.0), radius=20.0)
     plan = plan_of(left, right)
     assert (plan.occlusion, plan.layers) == ("none", (Layer(0b11, 0),))
-    assert plan.features()["OCCLUDED"] == 0
+    assert plan.spec.occluders == 0
     nearer = right.model_copy(update={"center": (-20.0, 0.0, 280.0)})
     assert plan_of(left, nearer).layers == (Layer(0b01, 0), Layer(0b10, 0b01))
 
@@ -157,7 +157,7 @@ def test_layers_of_a_row() -> None:
     plan = plan_of(ball, column, WALL, other)
     assert plan.occlusion == "visibility"
     assert plan.layers == (Layer(0b1001, 0), Layer(0b0010, 0b1001), Layer(0b0100, 0b1011))
-    assert plan.features()["OCCLUDED"] == 4  # room for the three that there are
+    assert plan.spec.occluders == 4  # room for the three that there are
 
 
 def test_objects_that_stand_in_each_other_have_layers_of_their_own() -> None:
@@ -182,7 +182,7 @@ def test_64_objects() -> None:
     stacked = plan_of(*(Sphere(center=(0.0, 0.0, 200.0 + 10.0 * k), radius=3.0) for k in range(64)))
     assert [layer.members for layer in stacked.layers] == [1 << k for k in range(64)]
     assert stacked.layers[63].occluders == 2**63 - 1
-    assert stacked.features()["OCCLUDED"] == 64
+    assert stacked.spec.occluders == 64
 
 
 def test_when_nothing_is_tested() -> None:
@@ -191,7 +191,7 @@ def test_when_nothing_is_tested() -> None:
     for wanted in ("none", "layered"):
         plan = plan_of(ball, WALL, psf=Psf(occlusion=wanted))
         assert (plan.occlusion, plan.layers) == (wanted, everything)
-        assert plan.features()["OCCLUDED"] == 0
+        assert plan.spec.occluders == 0
     assert plan_of(ball).layers == (Layer(1, 0),)
 
 

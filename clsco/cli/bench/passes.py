@@ -13,7 +13,7 @@ from clsco.frame.strips import Grid, frame_struct
 from clsco.opencl.buffers import empty, upload
 from clsco.opencl.session import Session
 from clsco.optics.psf import reach
-from clsco.passes.blur import Events, Sources, image_target, prepare_sources
+from clsco.passes.blur import Events, Sources, blur_target, prepare_sources
 from clsco.passes.multigrid import Multigrid, make_blur
 from clsco.plan.approximation import METHODS
 from clsco.plan.buffers import source_bytes
@@ -51,7 +51,7 @@ class Pass:
         spec = BlurSpec(
             psf, blur, float(size.min()), self.largest, tilt=psf.tilt, brightest=float(np.abs(image).max()), least=least
         )  # fmt: skip
-        self.camera, self.target = frame_struct(rows, columns, guard, real), image_target(session, spec, channels, real)
+        self.camera, self.target = frame_struct(rows, columns, guard, real), blur_target(session, spec, channels, real)
         grid = Grid.whole(rows, columns, guard, channels)
         self.blur = make_blur(self.target, spec, grid, self.camera, places)
         self.sizes = defocus_bytes(spec, grid, session.device, 0 if places is None else len(places))

@@ -1,0 +1,27 @@
+"""Structure of shapes that kernels are compiled for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from clsco.optics.quadrics import canonical
+from clsco.scene.shapes import Object
+
+
+def shape_features(objects: Sequence[Object]) -> dict[str, int]:
+    """Features of the geometry (kernels/common/geometry.clh) that objects need.
+
+    Several objects have linear terms where any is a quadric, and what has bounds is asked for its nappe: a few
+    operations more, on which no bit depends, so that fewer programs serve all scenes.
+    """
+    analytic = [item for item in objects if item.is_analytic]
+    shapes, several = [canonical(item) for item in analytic], len(objects) > 1
+    quadratic = any(shape.q.any() for shape in shapes)
+    bounded = any(item.bounds is not None for item in analytic)
+    return {
+        "SEVERAL": int(several),
+        "QUADRATIC": int(quadratic),
+        "LINEAR": int(quadratic and (several or any(shape.l.any() for shape in shapes))),
+        "NAPPE": int(bounded or any(shape.nappe != 0 for shape in shapes)),
+        "BOUNDED": int(bounded),
+    }
