@@ -298,22 +298,23 @@ class _Engine:
     ) -> None:  # fmt: skip
         self.given, self.guard = given, _guard(given, spec.psf, spec.method)
         real: Real = "double" if session.device.has_fp64 else "float"
-        self.target = blur_target(session, spec, given.channels, real)
-        grid = _grid(given, spec, strips)
-        self.blur = make_blur(self.target, spec, grid, self._camera(strips[0]), places)
         layered = is_layered(spec.psf, spec.method)  # which has a plane of its own
         # Of an image that is blurred as a whole kernels read the caller's arrays, where they write to none.
         self.lends = len(strips) == 1 and not self.guard and spec.psf.border == "lose"
+        self.floats = self.lends and not layered and np.can_cast(given.coc.dtype, np.float32)
+        self.target = blur_target(session, spec, given.channels, real, "float" if self.floats else "wide")
+        grid = _grid(given, spec, strips)
+        self.blur = make_blur(self.target, spec, grid, self._camera(strips[0]), places)
         sizes = image_buffers(spec, grid, layered)
-        buffers = allocate(
-            session, {n: size for n, size in sizes.items() if n not in ("value", "coc") or not self.lends}
-        )
+        absent = ("value", "coc", "valid") if self.floats else ("value", "coc") if self.lends else ()
+        buffers = allocate(session, {name: size for name, size in sizes.items() if name not in absent})
         self.value, self.source = buffers.get("value"), buffers.get("source")
         self.layers: DepthLayers | None = None
         if spec.method == "convolve":
             return
-        self.coc, self.valid = buffers.get("coc"), buffers["valid"]
-        cl.enqueue_fill_buffer(session.queue, self.valid, np.ones(1, np.uint8), 0, self.valid.size)
+        self.coc, self.valid = buffers.get("coc"), buffers.get("valid")
+        if self.valid is not None:
+            cl.enqueue_fill_buffer(session.queue, self.valid, np.ones(1, np.uint8), 0, self.valid.size)
         if layered:
             self.layers = DepthLayers(self.blur, self.target, grid)
             self.slabs = self._slabs(self.layers, strips) if len(strips) > 1 else None
@@ -327,8 +328,7 @@ class _Engine:
         for strip in strips:
             self.blur.camera = self._camera(strip)
             self._send_radii(strip)
-            assert self.coc is not None
-            layers.find(self.coc, self.valid, [])
+            layers.find(*self._maps, [])
         return layers.labels.found()
 
     def defocus(self, strip: Strip, out: NDArray[np.float32]) -> None:
@@ -339,12 +339,12 @@ class _Engine:
         blur.clear()
         assert self.value is not None
         if self.layers is not None:
-            assert self.coc is not None
-            self.layers.add((self.value, self.coc, self.valid), [], self.slabs)
+            self.layers.add((self.value, *self._maps), [], self.slabs)
         else:
             if self.source is not None:
                 assert self.coc is not None
-                prepare_sources(self.target, camera, blur.struct, (self.coc, self.valid), self.source, [])
+                maps = (self.coc,) if self.valid is None else (self.coc, self.valid)
+                prepare_sources(self.target, camera, blur.struct, maps, self.source, [])
             blur.add(Sources(self.source, self.value, radius=self.given.largest), [])
         blur.image([], out)
 
@@ -370,8 +370,15 @@ class _Engine:
     def _send_radii(self, strip: Strip) -> None:
         """The radii around a strip to the device."""
         near = slice(max(strip.top - strip.above, 0), strip.top + strip.rows + strip.below)
-        radii = np.ascontiguousarray(self.given.coc[near], np.float64)
-        self.coc = self._sent(self.coc, in_parts(radii, self.target.real))
+        radii = np.ascontiguousarray(self.given.coc[near], np.float32 if self.floats else np.float64)
+        self.coc = self._sent(self.coc, radii if self.floats else in_parts(radii, self.target.real))
+
+    @property
+    def _maps(self) -> tuple[cl.Buffer, cl.Buffer]:
+        """Radii, and where there are some."""
+        assert self.coc is not None
+        assert self.valid is not None
+        return self.coc, self.valid
 
     def _sent(self, buffer: cl.Buffer | None, array: NDArray[Any]) -> cl.Buffer:
         """A buffer with the contents of an array: the given one, or where there is none one that is lent."""

@@ -84,7 +84,7 @@ def make_workspace(
     session, real = scene.session, scene.real
     spec = replace(plan.spec, brightest=scene.brightest)
     from_radii = plan.forward or plan.static_map or plan.occlusion == "layered"
-    target = blur_target(session, spec, plan.channels, real, prepare=from_radii)
+    target = blur_target(session, spec, plan.channels, real, "wide" if from_radii else "none")
     blur = make_blur(target, spec, plan.grid, camera, sample_places(plan.rows, plan.columns))
     sizes = {name: size for each in plan.passes for name, size in each.buffers.items()}
     buffers = allocate(session, {name: sizes[name] for name in SHARED if name in sizes})

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from math import log
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 import pyopencl as cl
@@ -46,9 +46,13 @@ PLAIN = dict.fromkeys(
 )
 
 Events = list[tuple[str, cl.Event]]
+Maps = Literal["none", "wide", "float"]
+"""What `prepare_sources` makes sources of: nothing; a map of wide_t, and where it has none; a map of float without
+gaps."""
+MAPS: tuple[Maps, ...] = ("none", "wide", "float")
 
 
-def blur_features(spec: BlurSpec, channels: int, fp64: bool, prepare: bool) -> dict[str, int]:
+def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict[str, int]:
     """Which kernels of the blur are compiled, and for what: the same ones for all scenes that agree in these.
 
     Parameters
@@ -57,8 +61,8 @@ def blur_features(spec: BlurSpec, channels: int, fp64: bool, prepare: bool) -> d
     channels : int
     fp64 : bool
         The device has doubles.
-    prepare : bool
-        Sources are made of a map of radii.
+    maps : Maps
+        What sources are made of.
 
     Returns
     -------
@@ -82,7 +86,7 @@ def blur_features(spec: BlurSpec, channels: int, fp64: bool, prepare: bool) -> d
             "BY_COLUMNS": int(scratch == "columns"),
             "SCATTER": int(method == "scatter"),
             "RENORMALIZE": int(psf.border == "renormalize" and method != "none"),
-            "PREPARE": int(prepare and method in MANY_RADII),
+            "PREPARE": MAPS.index(maps) if method in MANY_RADII else 0,
             "BAND": BAND,
         }
     )
@@ -103,10 +107,10 @@ class Target:
         events.append((name, launch(self.session, kernel(self.program, name), size, local, *args)))  # type: ignore[arg-type]
 
 
-def blur_target(session: Session, spec: BlurSpec, channels: int, real: Real, prepare: bool = True) -> Target:
+def blur_target(session: Session, spec: BlurSpec, channels: int, real: Real, maps: Maps = "wide") -> Target:
     """Where sources are blurred: with a program of `blur_features`; none for `convolve`, which builds its own."""
     files = FILES_OF[spec.method]
-    features = blur_features(spec, channels, session.device.has_fp64, prepare)
+    features = blur_features(spec, channels, session.device.has_fp64, maps)
     return Target(session, build(session, files, features, structs(real), real) if files else {}, real)
 
 
@@ -141,7 +145,7 @@ class Sources:
 
 
 def prepare_sources(
-    target: Target, camera: Struct, psf: Struct, maps: tuple[cl.Buffer, cl.Buffer], source: cl.Buffer, events: Events
+    target: Target, camera: Struct, psf: Struct, maps: tuple[cl.Buffer, ...], source: cl.Buffer, events: Events
 ) -> None:
     """Enqueue what makes sources of a map of signed radii.
 
@@ -150,8 +154,8 @@ def prepare_sources(
     target : Target
     camera, psf : numpy.void
         camera_t of the grid, and psf_t of the blur that adds the sources.
-    maps : (Buffer, Buffer)
-        Signed R in px, wide_t (height, width), and where there is a source, uchar (height, width).
+    maps : tuple of Buffer
+        Signed R in px, wide_t (height, width), and where there is a source, uchar (height, width); or R alone, float.
     source : Buffer
         Gets the records.
     events : list

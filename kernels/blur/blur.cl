@@ -14,8 +14,8 @@
 // The host picks it on a GPU where objects occlude each other; elsewhere it picks `gather` (cpu/gather.cl) on
 // processors, `tiles` (tiles.cl) on GPUs, and `convolve` (convolve.cl) for frames of one radius. renormalize and
 // prepare_sources serve all of them. Features: CHANNELS, TILT, SUBPIXELS, DISC (sampled, one weight), SEPARABLE
-// (weights are products of two), OCCLUDED (after common/visibility_test.clh); SCATTER, RENORMALIZE, PREPARE: which
-// kernels are wanted.
+// (weights are products of two), OCCLUDED (after common/visibility_test.clh); SCATTER, RENORMALIZE, PREPARE (of a
+// map with gaps, 2: of floats without): which kernels are wanted.
 
 #pragma OPENCL FP_CONTRACT ON
 
@@ -179,75 +179,89 @@ __kernel void renormalize(const camera_t camera, const psf_t psf, __global const
 #endif
 
 #if PREPARE
+#if PREPARE == 2
+typedef float map_t;
+#define MAPS __global const map_t *restrict coc
+#define MAPS_VALUE coc
+#define RADIUS(r) widened((real)(r))
+#define IS_THERE(at) true
+#define ALL_THERE(at) true
+#else
+typedef wide_t map_t;
+#define MAPS __global const map_t *restrict coc, __global const uchar *restrict valid
+#define MAPS_VALUE coc, valid
+#define RADIUS(r) (r)
+#define IS_THERE(at) valid[at]
+#define ALL_THERE(at) (LOAD_EIGHT_BYTES(valid + (at)) == 0x0101010101010101ul)
+#endif
+
 // Difference of the radius to the neighbors along one axis: central, one-sided at an edge, else 0.
-static real difference(__global const wide_t *coc, __global const uchar *valid, int at, int step, bool before,
-                       bool after)
+static real difference(MAPS, int at, int step, bool before, bool after)
 {
-    before = before && valid[at - step];
-    after = after && valid[at + step];
+    before = before && IS_THERE(at - step);
+    after = after && IS_THERE(at + step);
     if (before && after)
-        return (real)0.5 * narrow(wide_sub(coc[at + step], coc[at - step]));
+        return (real)0.5 * narrow(wide_sub(RADIUS(coc[at + step]), RADIUS(coc[at - step])));
     if (after)
-        return narrow(wide_sub(coc[at + step], coc[at]));
-    return before ? narrow(wide_sub(coc[at], coc[at - step])) : 0;
+        return narrow(wide_sub(RADIUS(coc[at + step]), RADIUS(coc[at])));
+    return before ? narrow(wide_sub(RADIUS(coc[at]), RADIUS(coc[at - step]))) : 0;
 }
 
 // One source from a map of signed radii.
-static float4 record_of(const camera_t camera, const psf_t psf, __global const wide_t *coc, __global const uchar *valid,
-                        int x, int y)
+static float4 record_of(const camera_t camera, const psf_t psf, MAPS, int x, int y)
 {
     const int at = y * camera.width + x;
     float4 record = (float4)(-1, 0, 0, as_float(WHOLE));
-    if (valid[at]) {
-        record.x = table_coordinate(psf, coc[at], 0);
+    if (IS_THERE(at)) {
+        record.x = table_coordinate(psf, RADIUS(coc[at]), 0);
 #if TILT
         const int w = camera.width;
-        const real2 gradient = (real2)(difference(coc, valid, at, 1, x > 0, x + 1 < w),
-                                       difference(coc, valid, at, w, y > 0, y + 1 < camera.height));
-        record.yz = tilt_slope(gradient, narrow(coc[at]));
+        const real2 gradient = (real2)(difference(MAPS_VALUE, at, 1, x > 0, x + 1 < w),
+                                       difference(MAPS_VALUE, at, w, y > 0, y + 1 < camera.height));
+        record.yz = tilt_slope(gradient, narrow(RADIUS(coc[at])));
 #endif
     }
     return record;
 }
 
-#define ALL_VALID(p) (LOAD_EIGHT_BYTES(p) == 0x0101010101010101ul)
-
 // Sources from a map of signed radii, px, instead of from a surface. In: coc wide_t, valid uchar (0 or 1), both
-// (height, width). Out: source. TAP_LANES at a time; where all of them and their neighbors are there, in loops that are
-// made vectors.
-__kernel void prepare_sources(const camera_t camera, const psf_t psf, __global const wide_t *restrict coc,
-                              __global const uchar *restrict valid, __global float *restrict source)
+// (height, width); with PREPARE = 2 coc float, and no valid: an image, all of whose pixels are there. Out: source.
+// TAP_LANES at a time; where all of them and their neighbors are there, in loops that are made vectors.
+__kernel void prepare_sources(const camera_t camera, const psf_t psf, MAPS, __global float *restrict source)
 {
     const int x = get_global_id(0) * TAP_LANES, y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
         return;
     const int w = camera.width, at = y * w + x, plane = w * camera.height;
-    bool whole = x + TAP_LANES <= w && ALL_VALID(valid + at);
+    bool whole = x + TAP_LANES <= w && ALL_THERE(at);
 #if TILT
     whole &= x > 0 && x + TAP_LANES < w && y > 0 && y + 1 < camera.height;
-    whole = whole && ALL_VALID(valid + at - 1) && ALL_VALID(valid + at + 1) && ALL_VALID(valid + at - w) &&
-            ALL_VALID(valid + at + w);
+    whole = whole && ALL_THERE(at - 1) && ALL_THERE(at + 1) && ALL_THERE(at - w) && ALL_THERE(at + w);
 #endif
     if (!whole) {
         for (int i = 0; i < MIN(TAP_LANES, w - x); ++i)
-            put_source(source, plane, at + i, record_of(camera, psf, coc, valid, x + i, y));
+            put_source(source, plane, at + i, record_of(camera, psf, MAPS_VALUE, x + i, y));
         return;
     }
     // Pointers, and one slope after the other, are what the compiler makes whole vectors of.
-    __global const wide_t *restrict here = coc + at;
+    __global const map_t *restrict here = coc + at;
     __global float *restrict coordinate = source + at;
     #pragma unroll
     for (int i = 0; i < TAP_LANES; ++i)
-        coordinate[i] = table_coordinate(psf, here[i], 0);
+        coordinate[i] = table_coordinate(psf, RADIUS(here[i]), 0);
 #if TILT
-    __global const wide_t *restrict above = here - w, *restrict below = here + w;
+    __global const map_t *restrict above = here - w, *restrict below = here + w;
     __global float *restrict right = coordinate + plane, *restrict down = right + plane;
     #pragma unroll
-    for (int i = 0; i < TAP_LANES; ++i)
-        right[i] = tilt_slope((real2)((real)0.5 * narrow(wide_sub(here[i + 1], here[i - 1])), 0), narrow(here[i])).x;
+    for (int i = 0; i < TAP_LANES; ++i) {
+        const real across = (real)0.5 * narrow(wide_sub(RADIUS(here[i + 1]), RADIUS(here[i - 1])));
+        right[i] = tilt_slope((real2)(across, 0), narrow(RADIUS(here[i]))).x;
+    }
     #pragma unroll
-    for (int i = 0; i < TAP_LANES; ++i)
-        down[i] = tilt_slope((real2)(0, (real)0.5 * narrow(wide_sub(below[i], above[i]))), narrow(here[i])).y;
+    for (int i = 0; i < TAP_LANES; ++i) {
+        const real along = (real)0.5 * narrow(wide_sub(RADIUS(below[i]), RADIUS(above[i])));
+        down[i] = tilt_slope((real2)(0, along), narrow(RADIUS(here[i]))).y;
+    }
 #endif
 #if SUBPIXELS || OCCLUDED
     for (int i = 0; i < TAP_LANES; ++i)

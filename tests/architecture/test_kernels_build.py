@@ -44,7 +44,7 @@ GEOMETRY: dict[str, tuple[int, ...]] = {
 GENERAL = {"GENERAL": (0, 0, 6)}  # not with what is alike in all octants
 
 BLUR = (
-    *("SAMPLED", "TILT", "GATHER", "BY_ROWS", "SCATTER", "RENORMALIZE", "PREPARE"),
+    *("SAMPLED", "TILT", "GATHER", "BY_ROWS", "SCATTER", "RENORMALIZE"),
     *("DISC", "SEPARABLE", "LIMITED"),
 )
 # Files of programs that can test what hides a source: by one object, or any other number up to all but one.
@@ -61,12 +61,14 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (1, BAND), "NEAR": (0, NEAR), "BY_COLUMNS": (0, 0, 1)}
     | {"GATHER": (1,)}
     | ROOMS
+    | {"PREPARE": (0, 1, 2)}
     | GENERAL,
     SCATTER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (BAND,)}
     | dict.fromkeys(("GATHER", "BY_ROWS", "NEAR", "BY_COLUMNS"), (0,))
     | ROOMS
+    | {"PREPARE": (0, 1, 2)}
     | GENERAL,
     ("blur/multigrid.cl",): dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(("TILT", "DISC", "SAMPLED", "SEPARABLE"), ON_OR_OFF)
@@ -146,7 +148,7 @@ def test_every_feature_is_known(files: tuple[str, ...]) -> None:
 
 def test_what_the_host_asks_for_is_what_the_files_know() -> None:
     plan = plan_of(Sphere())
-    spreading = blur_features(BlurSpec(Psf(), "gather", 0.0, 1.0), 1, True, prepare=True).keys()
+    spreading = blur_features(BlurSpec(Psf(), "gather", 0.0, 1.0), 1, True, "wide").keys()
     assert PROGRAMS[TRACE_FILES].keys() == plan.features().keys()
     assert PROGRAMS[GATHER].keys() == spreading
     assert forward_features(plan, owned=True).keys() == PROGRAMS[FORWARD].keys()

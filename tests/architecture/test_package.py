@@ -72,7 +72,7 @@ def test_the_wheel_holds_everything_and_nothing_else(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         names = {name for name in archive.namelist() if ".dist-info/" not in name}
         (entry_points,) = (name for name in archive.namelist() if name.endswith("entry_points.txt"))
-        assert "clsco = clsco.cli.main:main" in archive.read(entry_points).decode()
+        assert "clsco = clsco.cli.process:run" in archive.read(entry_points).decode()
     assert f"clsco-{clsco.__version__}-" in wheel.name
     assert {"clsco/kernels/common/geometry.clh", "clsco/reference/common/geometry.py"} <= names
     assert any(name.startswith("clsco/examples/") for name in names)

@@ -50,6 +50,23 @@ PSFS = [
 KEPT = [PSFS[k] for k in (0, 5, 8)]  # with and without tilt, each edge, both models
 
 
+NARROW = [("gather", PSFS[1]), ("gather", PSFS[6]), ("scatter", PSFS[5]), ("tiles", PSFS[5]), ("coarse2", PSFS[5])]
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float16, np.int8, np.uint16])
+@pytest.mark.parametrize(
+    ("method", "psf"), mostly_slow(NARROW, NARROW[:2]), ids=lambda it: it if isinstance(it, str) else it.edge
+)
+def test_radii_of_few_bits_are_blurred_as_those_of_many(method: str, psf: Psf, kind: type[np.generic]) -> None:
+    """Kernels read them as floats where they are, others as doubles."""
+    for rows, columns in ((33, 90), (1, 40), (20, 64)):
+        image, coc = picture(70, 90)
+        image, narrow = image[:rows, :columns], np.abs(coc[:rows, :columns]).astype(kind)
+        np.testing.assert_array_equal(
+            defocus(image, narrow, psf, method=method), defocus(image, narrow.astype(np.float64), psf, method=method)
+        )
+
+
 @pytest.mark.parametrize("method", mostly_slow(["gather", "scatter"], ["gather"]))
 @pytest.mark.parametrize("psf", mostly_slow(PSFS, KEPT), ids=lambda p: f"{p.model}-{p.edge}-{p.tilt}")
 def test_every_psf_agrees_with_the_reference(psf: Psf, method: str) -> None:

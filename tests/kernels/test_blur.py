@@ -162,7 +162,7 @@ def copied(session: Session, array: Array) -> Any:
 def features(psf: Psf, channels: int, samples: int, largest: float = 0.0) -> dict[str, int]:
     """All kernels in one program, so that few have to be compiled; tests/architecture builds them one by one."""
     spec = BlurSpec(psf, "gather", 0.0, largest, samples, psf.tilt)
-    kernels = spread.blur_features(spec, channels, True, prepare=True)
+    kernels = spread.blur_features(spec, channels, True, "wide")
     return kernels | dict.fromkeys(("GATHER", "SCATTER", "RENORMALIZE", "PREPARE"), 1)
 
 
@@ -171,7 +171,7 @@ def blur_of(session: Session, given: Light, method: Blur) -> FrameSum:
     spec = BlurSpec(psf, method, *ends, given.samples, psf.tilt)
     chosen = features(psf, given.channels, given.samples, given.largest)
     if method == "tiles":  # in a file of its own
-        chosen |= spread.blur_features(spec, given.channels, True, prepare=False) | {"RENORMALIZE": 1}
+        chosen |= spread.blur_features(spec, given.channels, True, "none") | {"RENORMALIZE": 1}
     program = build(session, spread.FILES_OF[method], chosen, STRUCTS, "double")
     grid = Grid.whole(*given.shape, given.guard, given.channels)
     return exact_blur(spread.Target(session, program, "double"), spec, grid, given.camera())

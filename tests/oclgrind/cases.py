@@ -156,7 +156,7 @@ def features_of(drawn: Drawn) -> dict[str, Any]:
     for plan in plans_of(drawn):
         fp64 = drawn["device"].get("has_fp64", True)
         prepare = plan.forward or plan.occlusion == "layered"
-        found |= blur_features(plan.spec, plan.channels, fp64, prepare) | plan.features()
+        found |= blur_features(plan.spec, plan.channels, fp64, "wide" if prepare else "none") | plan.features()
         found |= {"rooms": plan.spec.occluders, "blur": plan.blur, "occlusion": plan.occlusion}
         found["truth"] = drawn["truth"]
         found["coarse"] = bool(plan.approximations)

@@ -1,0 +1,52 @@
+"""The end of the command's process: its status, its output, and what was to be done at the end."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+COMMAND = """
+import atexit, sys
+from clsco.cli.process import run
+atexit.register(print, "at the end")
+sys.argv = ["clsco", *sys.argv[1:]]
+{before}
+run()
+print("not reached")
+"""
+THREAD = "import threading, time; threading.Thread(target=lambda: (time.sleep(1.0), print('thread'))).start()"
+
+
+def ended(*words: str, before: str = "", **options: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", COMMAND.format(before=before), *words]
+    return subprocess.run(command, check=False, text=True, timeout=60, **options)  # type: ignore[call-overload]
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "begins"),
+    [(("--version",), 0, "clsco, version"), (("check", "no such file"), 1, ""), (("no such command",), 2, "")],
+    ids=["done", "user's error", "usage"],
+)
+def test_the_process_ends_with_its_status_and_all_its_output(words: tuple[str, ...], status: int, begins: str) -> None:
+    process = ended(*words, capture_output=True)
+    assert (process.returncode, process.stderr == "") == (status, status == 0)
+    assert process.stdout.startswith(begins)
+    assert process.stdout.endswith("at the end\n")
+    assert "Traceback" not in process.stderr
+
+
+def test_a_thread_that_works_is_waited_for() -> None:
+    process = ended("--version", before=THREAD, capture_output=True)
+    assert process.returncode == 0
+    assert "thread\n" in process.stdout
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no device that is always full")
+def test_output_that_cannot_be_written_is_an_error() -> None:
+    with Path("/dev/full").open("w") as full:
+        process = ended("--version", stdout=full, stderr=subprocess.PIPE)
+    assert process.returncode != 0
+    assert "No space left" in process.stderr
