@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import io
+import json
+import math
 import os
 import secrets
 from collections.abc import Mapping
@@ -43,27 +44,24 @@ class ArrayCache:
         self.folder = folder
 
     def get(self, key: str) -> dict[str, NDArray[Any]] | None:
-        """The arrays of a key; None where they are not there, or not as they were written."""
+        """The arrays of a key, to be read; None where they are not there, or not as they were written."""
         if self.folder is None:
             return None
         path = self._path(key)
         try:
             content = path.read_bytes()
-            if hashlib.sha256(content[DIGEST:]).digest() != content[:DIGEST]:
+            if hashlib.sha256(memoryview(content)[DIGEST:]).digest() != content[:DIGEST]:
                 return None
             os.utime(path)
-            with np.load(io.BytesIO(content[DIGEST:]), allow_pickle=False) as found:
-                return dict(found)
-        except (OSError, ValueError):
+            return _unpacked(content[DIGEST:])
+        except (OSError, ValueError, AttributeError):  # a file of another version
             return None
 
     def put(self, key: str, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Write arrays; a disk that is full, or a folder that cannot be written, is no error."""
         if self.folder is None or sum(array.nbytes for array in arrays.values()) > LARGEST:
             return
-        buffer, path = io.BytesIO(), self._path(key)
-        np.savez(buffer, **dict[str, Any](arrays))
-        content = buffer.getvalue()
+        content, path = _packed(arrays), self._path(key)
         temporary = path.with_suffix(f".{os.getpid()}-{secrets.token_hex(4)}.part")
         with suppress(OSError):
             try:
@@ -86,3 +84,20 @@ class ArrayCache:
                 return
             path.unlink(missing_ok=True)
             total -= size
+
+
+def _packed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """Arrays of numbers as bytes: a line with the dtype and shape of each, then what they hold. NumPy's own file is an
+    archive with a literal of Python for each, which takes 0.6 ms to read."""
+    about = {name: (array.dtype.str, array.shape) for name, array in arrays.items()}
+    return b"".join([json.dumps(about).encode(), b"\n", *(array.tobytes() for array in arrays.values())])
+
+
+def _unpacked(content: bytes) -> dict[str, NDArray[Any]]:
+    about, found, at = content[: content.index(b"\n")], dict[str, NDArray[Any]](), content.index(b"\n") + 1
+    for name, (kind, shape) in json.loads(about).items():
+        count = math.prod(shape)
+        array = np.frombuffer(content, kind, count, at) if count else np.empty(0, kind)
+        found[name] = array.reshape(shape)
+        at += array.nbytes
+    return found

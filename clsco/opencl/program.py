@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -23,6 +24,8 @@ from clsco.resources import folder
 HEADERS = ("common/wide.clh", "common/geometry.clh")
 # Built before all others: in OpenCL C 1.2, or for a processor in what its compiler makes more of.
 BUILTINS, CPU_BUILTINS = "common/builtins.clh", "common/cpu/builtins.clh"
+# On processors with PoCL before these, for its own header, which the option leaves out.
+POCL_DECLARATIONS, WITHOUT_HEADER = "common/cpu/pocl.clh", "-D_OPENCL_H_"
 # With the feature OCCLUDED, after one of two: taps one by one, or in the vectors of `gather`.
 SINGLE_TAPS, GATHERED_TAPS = "common/lanes.clh", "common/cpu/lanes.clh"
 OCCLUSION_HEADERS = ("common/occluder.clh", "common/visibility.clh", "common/visibility_test.clh")
@@ -80,7 +83,7 @@ def build(
         headers += [GATHERED_TAPS if features.get("GATHER") else SINGLE_TAPS, *OCCLUSION_HEADERS]
     headers += dict.fromkeys(header for source in sources for header in HEADERS_OF.get(source, ()))
     if device.kind == "cpu":
-        headers = [CPU_FORMS.get(header, header) for header in headers]
+        headers = [*[POCL_DECLARATIONS] * device.is_pocl, *(CPU_FORMS.get(header, header) for header in headers)]
     text = program_text([*headers, *sources], structs, real, device.has_fp64, device.has_int64_atomics)
     options = [f"-D{name}={value}" for name, value in definitions().items()]
     options += [f"-D{name}={int(value)}" for name, value in sorted(features.items())]
@@ -199,6 +202,13 @@ def struct_text(name: str, dtype: np.dtype[Any], structs: Mapping[str, np.dtype[
 
 
 def _built(session: Session, where: str, text: str, options: list[str]) -> Program:
+    if session.device.is_pocl and session.device.kind == "cpu":
+        with suppress(KernelError):  # of a version whose header is another one, or a kernel that calls something else
+            return _compiled(session, where, text, [*options, WITHOUT_HEADER])
+    return _compiled(session, where, text, options)
+
+
+def _compiled(session: Session, where: str, text: str, options: list[str]) -> Program:
     with warnings.catch_warnings():
         # pyopencl warns of any output of the compiler; shown only to whom asks with pyopencl's own variable.
         if not os.environ.get("PYOPENCL_COMPILER_OUTPUT"):

@@ -18,6 +18,7 @@ from clsco.opencl.program import (
     HEADERS,
     HEADERS_OF,
     OCCLUSION_HEADERS,
+    POCL_DECLARATIONS,
     SINGLE_TAPS,
     build,
 )
@@ -102,7 +103,7 @@ def headers(files: tuple[str, ...]) -> tuple[str, ...]:
     own = [header for name in files for header in HEADERS_OF.get(name, ())]
     own += [CPU_FORMS[header] for header in (BUILTINS, *own) if header in CPU_FORMS]
     occlusion = (SINGLE_TAPS, GATHERED_TAPS, *OCCLUSION_HEADERS) if files in OCCLUSION else ()
-    return (BUILTINS, *HEADERS, *occlusion, *own)
+    return (POCL_DECLARATIONS, BUILTINS, *HEADERS, *occlusion, *own)
 
 
 def asked_for(files: tuple[str, ...]) -> set[str]:

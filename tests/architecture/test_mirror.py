@@ -17,7 +17,8 @@ VECTORS = [
     for folder in ("", "cpu/")
 ]
 HEADERS = sorted(
-    set((ROOT / "kernels").rglob("*.clh")) - {ROOT / "kernels" / name for name in ("common/wide.clh", *VECTORS)}
+    set((ROOT / "kernels").rglob("*.clh"))
+    - {ROOT / "kernels" / name for name in ("common/wide.clh", "common/cpu/pocl.clh", *VECTORS)}
 )
 # What has no twin of its own, and why.
 WITHOUT_TWIN = {

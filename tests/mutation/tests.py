@@ -42,6 +42,7 @@ TESTS = {
     "blur/cpu/vectors.clh": "kernels/test_blur_columns kernels/test_blur engine/test_defocus",
     "common/builtins.clh": "kernels/test_tiles",
     "common/cpu/builtins.clh": "kernels/test_blur kernels/test_trace",
+    "common/cpu/pocl.clh": "kernels/test_tiles",
     "common/cpu/lanes.clh": "kernels/test_convolve kernels/test_layered",
     "common/geometry.clh": "kernels/test_geometry kernels/test_bounds kernels/test_ray_surface "
     "kernels/test_trace kernels/test_trace_hidden pipeline/test_views pipeline/test_strips",

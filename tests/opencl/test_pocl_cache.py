@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from clsco import resources
 from clsco.opencl import pocl_cache as poclcache
 from tests.slow import mostly_slow
 
@@ -43,6 +44,8 @@ def start(tmp_path_factory: pytest.TempPathFactory) -> Start:
     """Starts a process that builds and launches two kernels with its cache below a given folder."""
     kernels = tmp_path_factory.mktemp("kernels")
     (kernels / "common/cpu").mkdir(parents=True)
+    declared = resources.folder("kernels") / "common/cpu/pocl.clh"
+    (kernels / "common/cpu/pocl.clh").write_text(declared.read_text("utf-8"))
     for header in ("common/cpu/builtins.clh", "common/wide.clh", "common/geometry.clh"):
         (kernels / header).write_text("")
     (kernels / "work.cl").write_text(WORK)

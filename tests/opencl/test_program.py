@@ -11,10 +11,11 @@ import numpy as np
 import pyopencl as cl
 import pytest
 
+from clsco import resources
 from clsco.errors import DeviceError, KernelError
 from clsco.opencl import program as program_module
 from clsco.opencl.buffers import download, empty, upload
-from clsco.opencl.program import build, kernel, launch, program_text, struct_text
+from clsco.opencl.program import WITHOUT_HEADER, build, kernel, launch, program_text, struct_text
 from clsco.opencl.session import Session
 
 POSE = np.dtype([("angle", "f8"), ("axis", "f4", (3,)), ("id", "i4")], align=True)
@@ -72,6 +73,8 @@ __kernel void real_size(__global int *out)
 @pytest.fixture
 def kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "common/cpu").mkdir(parents=True)
+    declared = resources.folder("kernels") / "common/cpu/pocl.clh"
+    (tmp_path / "common/cpu/pocl.clh").write_text(declared.read_text("utf-8"))
     for name in ("cpu/builtins.clh", "wide.clh"):
         (tmp_path / "common" / name).write_text("")
     (tmp_path / "common/geometry.clh").write_text(HEADER)
@@ -112,6 +115,36 @@ def test_a_changed_file_is_built_anew(session: Session, kernels: Path) -> None:
     assert built(session) is not before
     launch(session, kernel(built(session), "count"), (4,), (64,), np.int32(4), buffer)
     np.testing.assert_array_equal(download(session, buffer, (4,), np.int32), [0, 3, 6, 9])
+
+
+OTHER = """\
+__kernel void count(int n, __global int *out)
+{
+    int i = get_global_id(0);
+    if (i < n) out[i] = (int)rotate((uint)i, 4u) + EXTRA;
+}
+"""
+
+
+def test_a_kernel_may_call_what_is_not_declared(
+    session: Session, kernels: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """PoCL's header is left out where all functions of a program are declared, and only there."""
+    options, compiled = list[list[str]](), program_module._compiled
+
+    def noted(*given: Any) -> Any:
+        options.append(given[-1])
+        return compiled(*given)
+
+    monkeypatch.setattr(program_module, "_compiled", noted)
+    left_out = session.device.is_pocl and session.device.kind == "cpu"
+    built(session, 21)
+    assert [WITHOUT_HEADER in one for one in options] == [left_out]
+    (kernels / "work.cl").write_text(OTHER)
+    buffer = empty(session, 4 * 64)
+    launch(session, kernel(built(session, 21), "count"), (64,), (64,), np.int32(64), buffer)
+    np.testing.assert_array_equal(download(session, buffer, (64,), np.int32), 16 * np.arange(64) + 21)
+    assert [WITHOUT_HEADER in one for one in options[1:]] == ([True, False] if left_out else [False])
 
 
 @pytest.mark.usefixtures("kernels")
