@@ -6,12 +6,14 @@ import hashlib
 import os
 import stat
 from collections.abc import Mapping
+from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from types import ModuleType
 
 
+@cache
 def folder(name: str) -> Traversable:
     """The shipped folder `name` ("kernels" or "examples"), installed or in a source tree.
 

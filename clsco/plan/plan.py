@@ -166,7 +166,7 @@ class Plan:
         """Sizes of the frame, or of the tallest of its strips."""
         return Grid.of(self.strips, self.columns, self.guard_px, self.channels)
 
-    @property
+    @cached_property
     def spec(self) -> BlurSpec:
         """What the blur is made for; with approximations, for the first one."""
         room = occluder_room(max(layer.occluders.bit_count() for layer in self.layers))
