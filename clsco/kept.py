@@ -63,6 +63,11 @@ class Kept:
         """Of all values that are kept."""
         return self._bytes
 
+    def forget(self, key: Hashable) -> None:
+        """Let go of the value of a key, where there is one."""
+        with self._lock:
+            self._bytes -= self._values.pop(key, (None, 0))[1]
+
     def clear(self) -> None:
         """Let go of all values."""
         with self._lock:

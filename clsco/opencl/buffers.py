@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -49,10 +49,16 @@ def lent(session: Session, array: NDArray[Any]) -> cl.Buffer:
         raise failure(session.device, f"have memory for a buffer of {array.nbytes} bytes", error) from error
 
 
-def upload_kept(session: Session, array: NDArray[Any]) -> cl.Buffer:
-    """`upload` of an array that nobody ever changes: once, as long as the session keeps it."""
-    made = session.kept.get(("array", id(array)), lambda: (upload(session, array), array), lambda pair: pair[1].nbytes)
-    return made[0]  # the array is kept as well, so that no other one has its id
+def upload_kept(session: Session, array: NDArray[Any], place: Hashable) -> cl.Buffer:
+    """`upload` of an array that nobody ever changes: once, as long as the session keeps it, and no other array in its
+    place."""
+    key = ("array", place)
+    for _ in range(2):
+        buffer, owner = session.kept.get(key, lambda: (upload(session, array), array), lambda pair: pair[1].nbytes)
+        if owner is array:
+            return buffer
+        session.kept.forget(key)
+    return upload(session, array)  # another thread works with another array of the same place
 
 
 def copied(session: Session, array: NDArray[Any]) -> cl.Buffer:

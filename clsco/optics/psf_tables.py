@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -49,6 +49,7 @@ class PsfTable:
     one on; zeros beyond the reach of an interval, and after the last one. outlines: int32, (count, reach + 1, 2), see
     `_outline`, but for what is separable. Of a sampled disc coefficients and taps have the one weight of each interval,
     and outlines the square roots of 0, 1, ... up to the last interval's number, rounded down.
+    place: what the table is kept as; one that is made for more radii takes the place of an earlier one.
     """
 
     first: int
@@ -60,6 +61,7 @@ class PsfTable:
     count: int
     taps: NDArray[np.float32]
     outlines: NDArray[np.int32]
+    place: Hashable = None
 
 
 def psf_features(psf: Psf) -> dict[str, int]:

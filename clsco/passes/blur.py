@@ -263,7 +263,10 @@ class TableBlur(FrameSum, ABC):
         super().__init__(target, spec, grid, camera, sizes)
         session = target.session
         self.tables = [
-            (upload_kept(session, table.intervals), upload_kept(session, table.coefficients))
+            (
+                upload_kept(session, table.intervals, (table.place, "intervals")),
+                upload_kept(session, table.coefficients, (table.place, "coefficients")),
+            )
             for table in tables_of(spec)
             if table is not None
         ]
@@ -328,7 +331,10 @@ class Gather(TableBlur):
     def __init__(self, target: Target, spec: BlurSpec, grid: Grid, camera: Struct, sizes: Sizes) -> None:
         super().__init__(target, spec, grid, camera, sizes)
         session, table = target.session, tables_of(spec)[0]
-        self.alike = tuple(upload_kept(session, a) if a.size else None for a in (table.taps, table.outlines))
+        alike = {"taps": table.taps, "outlines": table.outlines}
+        self.alike = tuple(
+            upload_kept(session, array, (table.place, name)) if array.size else None for name, array in alike.items()
+        )
         # Rows of sources after which sums go on to the frame, 0 where they are short.
         self.group = max(MOST_IN_ONE_SUM // (2 * spec.reach + 1), 1) if "part" in sizes else 0
         self.part = filled_with(session, sizes["part"]) if "part" in sizes else self.total

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Hashable
+from dataclasses import replace
 from functools import cache
 
 from clsco import constants
@@ -52,7 +53,7 @@ class TableStore:
                 wider = span if table is None else range(min(span.start, table.first), max(span.stop, _end(table)))
                 if sum(span_sizes(psf, wider, subpixel).values()) <= JOINED_BYTES:
                     span = wider
-                table = self._tables[key] = table_of(psf, span, subpixel, self.block)
+                table = self._tables[key] = replace(table_of(psf, span, subpixel, self.block), place=key)
             self._tables.move_to_end(key)
             while sum(map(_bytes, self._tables.values())) > self.limit and len(self._tables) > 1:
                 self._tables.popitem(last=False)

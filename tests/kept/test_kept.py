@@ -45,3 +45,15 @@ def test_threads_get_one_value() -> None:
     assert len(found) == 4
     assert len(set(map(id, found))) == 1
     assert kept.bytes == 1
+
+
+def test_what_is_forgotten_is_made_again() -> None:
+    kept, made = Kept(10), list[int]()
+
+    def get() -> int:
+        return kept.get("key", lambda: made.append(1) or len(made), lambda _: 4)  # type: ignore[func-returns-value]
+
+    assert (get(), get(), kept.bytes) == (1, 1, 4)
+    kept.forget("key")
+    kept.forget("key")
+    assert (kept.bytes, get()) == (0, 2)
