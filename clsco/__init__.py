@@ -32,7 +32,7 @@ reference
 
 Types
 -----
-Scene, Camera, Psf, Plane, Sphere, Cylinder, Cone, Ellipsoid, Quadric, DepthMap
+Scene, Camera, Psf, Plane, Sphere, Cylinder, Cone, Ellipsoid, Quadric, DepthMap, Background
     What a scene holds, frozen and validated; lengths in mm, angles in degrees, times in s.
 Frame
     A rendered image with its ground truth.
@@ -73,6 +73,7 @@ if TYPE_CHECKING:
     from clsco.opencl.device import list_devices as list_devices
     from clsco.scene.file import load_scene as load_scene
     from clsco.scene.file import parse_scene as parse_scene
+    from clsco.scene.model import Background as Background
     from clsco.scene.model import Camera as Camera
     from clsco.scene.model import Cone as Cone
     from clsco.scene.model import Cylinder as Cylinder
@@ -97,7 +98,7 @@ _NAMES = {
     "clsco.opencl.device": ("list_devices",),
     "clsco.scene.model": (
         *("Scene", "Camera", "Psf"),
-        *("Plane", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap"),
+        *("Plane", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background"),
     ),
     "clsco.frame.frame": ("Frame",),
     "clsco.inpainting.rules": ("MeanMedian",),
@@ -107,8 +108,9 @@ _HOME = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = [  # noqa: RUF022, verbs and then types
     "render", "render_frame", "render_sweep", "defocus", "inpaint", "load_scene", "parse_scene", "load_sweep",
     "list_devices", "reference",
-    "Scene", "Camera", "Psf", "Plane", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Frame",
-    "Live", "MeanMedian", "ClscoError", "SceneError", "ImageError", "DeviceError", "KernelError", "CanceledError",
+    "Scene", "Camera", "Psf", "Plane", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background",
+    "Frame", "Live", "MeanMedian",
+    "ClscoError", "SceneError", "ImageError", "DeviceError", "KernelError", "CanceledError",
 ]  # fmt: skip
 
 

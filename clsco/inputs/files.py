@@ -32,6 +32,7 @@ from clsco.inputs.textures import (
 from clsco.kept import Kept
 from clsco.resources import code_digest
 from clsco.scene.model import DepthMap, Scene
+from clsco.scene.shapes import is_drawn
 
 KEPT_BYTES = 2**29  # a depth map of 8192 x 8192
 MOST_BYTES = 2**31  # of a file whose content is looked at before its header is
@@ -84,7 +85,7 @@ class InputFiles:
 
     def texture(self, source: str, transfer: str, size: tuple[int, int] | None = None) -> Texture:
         """`clsco.inputs.textures.load_texture`, once per content, transfer and size."""
-        drawn = source in PATTERNS
+        drawn = is_drawn(source)
         if not drawn:
             require_suffix(source)
         content: Hashable | None = source if drawn else self._content(source)
@@ -101,6 +102,8 @@ class InputFiles:
     def _texture(self, source: str, transfer: str, size: tuple[int, int] | None, key: Hashable) -> Texture:
         if source in PATTERNS:
             return Texture(self._pattern(source, transfer, size), 8, source, key)
+        if is_drawn(source):
+            return Texture(radiance_of(source, transfer, size), 8, source, key)
         picture = self.picture(source)
         return Texture(radiance_of(picture, transfer, size), picture.bits, source, key)
 

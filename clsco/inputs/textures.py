@@ -20,6 +20,7 @@ from clsco.errors import ImageError
 from clsco.files.images import Picture, image_size, read_image
 from clsco.files.transfer import decode, encode
 from clsco.scene.model import Scene
+from clsco.scene.shapes import is_drawn
 
 DEFAULT_SIDE = 512
 ROWS_AT_A_TIME = 128
@@ -52,14 +53,14 @@ class Texture:
 def load_texture(name_or_path: str | os.PathLike[str], transfer: str, size: tuple[int, int] | None = None) -> Texture:
     """Load a built-in pattern or an image file as linear radiance.
 
-    name_or_path: bricks, checkerboard, slanted_edge, siemens_star, or a path. transfer: "srgb" or "linear",
-    of patterns, which have 8 bits, and of files with 8 and 16 bits; floats are linear.
+    name_or_path: bricks, checkerboard, slanted_edge, siemens_star, a color "#rrggbb", or a path. transfer: "srgb" or
+    "linear", of patterns and colors, which have 8 bits, and of files with 8 and 16 bits; floats are linear.
     size: (rows, columns) of the frame; a file of another size is resampled to it (`resample`), a pattern is
     made for it, 512 x 512 by default.
     Raises ImageError where there is no such pattern or file, or the file cannot be read.
     """
     source = os.fspath(name_or_path)
-    if source in PATTERNS:
+    if is_drawn(source):
         return Texture(radiance_of(source, transfer, size), 8, source)
     require_suffix(source)
     picture = read_image(source)
@@ -76,6 +77,9 @@ def radiance_of(picture: Picture | str, transfer: str, size: tuple[int, int] | N
     """
     if isinstance(picture, str):
         rows, columns = size or (DEFAULT_SIDE, DEFAULT_SIDE)
+        if picture not in PATTERNS:
+            color = decode(color_codes(picture), transfer).astype(np.float32)
+            return aligned(np.broadcast_to(color, (rows, columns, *color.shape)))
         draw = PATTERNS[picture]
         return _by_rows((rows, columns), lambda a, b: decode(draw(rows, columns, a, b), transfer))
     stored = picture.data
@@ -83,6 +87,19 @@ def radiance_of(picture: Picture | str, transfer: str, size: tuple[int, int] | N
         return _by_rows(stored.shape, lambda a, b: decode(stored[a:b], transfer))
     linear, shape = decode(stored, transfer), (*size, *stored.shape[2:])
     return _by_rows(shape, lambda a, b: resample(linear, size, a, b))
+
+
+def color_codes(color: str) -> Codes:
+    """The codes of a color "#rrggbb", (3,), or () where red, green and blue are the same."""
+    codes = np.frombuffer(bytes.fromhex(color[1:]), np.uint8)
+    return codes[0, ...] if (codes == codes[0]).all() else codes
+
+
+def is_gray(picture: Picture | str) -> bool:
+    """Whether a picture, a built-in pattern or a color has one channel."""
+    if isinstance(picture, str):
+        return picture in PATTERNS or color_codes(picture).ndim == 0
+    return picture.data.ndim == 2
 
 
 def _by_rows(shape: tuple[int, ...], rows_of: Callable[[int, int], Floats]) -> NDArray[np.float32]:
@@ -112,7 +129,7 @@ def _empty(shape: tuple[int, ...]) -> NDArray[np.float32]:
 def texture_size(name_or_path: str | os.PathLike[str]) -> tuple[int, int]:
     """Give (columns, rows) of a texture, px, from its file's header. Raises ImageError as `load_texture`."""
     source = os.fspath(name_or_path)
-    if source in PATTERNS:
+    if is_drawn(source):
         return DEFAULT_SIDE, DEFAULT_SIDE
     require_suffix(source)
     return image_size(source)
@@ -149,7 +166,8 @@ def load_scene_textures(scene: Scene, load: Callable[..., Texture] = load_textur
 def require_suffix(source: str) -> None:
     """Raise ImageError for a name that is neither a pattern nor has an extension."""
     if not Path(source).suffix:
-        raise ImageError(f"texture: must be one of {', '.join(PATTERNS)}, or an image file; got {source!r}")
+        rule = f"must be one of {', '.join(PATTERNS)}, a color #rrggbb, or an image file"
+        raise ImageError(f"texture: {rule}; got {source!r}")
 
 
 def resample(linear: Floats, size: tuple[int, ...], first: int = 0, end: int | None = None) -> Floats:

@@ -24,6 +24,11 @@ from clsco.plan.buffers import TRUTH_BUFFERS, truth_buffers
 from clsco.plan.plan import Plan
 
 BOOLEAN = ("hidden", "occluded")
+# What outputs are where no surface is; the background keeps its radiance and its blur.
+NOTHING: dict[str, float] = {
+    "mask": False, "depth": np.inf, "object_id": -1, "normal": 0.0, "flow": 0.0, "hidden": False, "disparity": 0.0,
+    "occluded": False,
+}  # fmt: skip
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -83,9 +88,19 @@ class GroundTruth:
             camera = camera_struct(plan.scene.camera, plan.guard_px, scene.real, strip)
             self.tracer.target.run("ground_truth", (plan.columns, strip.rows), PIXELS, events, camera, *head, *args)
             self._download(strip, buffers, out)
+        self._take_out_background(out)
         if isinstance(self.pixels, ForwardWarp):
             out |= self.pixels.truth(sample, plan.truth, events)
         return {"filled": np.zeros((plan.rows, plan.columns), np.uint8)} | out
+
+    def _take_out_background(self, found: Arrays) -> NDArray[np.bool_]:
+        """Make outputs what they are without a surface where there is the background; True there."""
+        if self.plan.background is None:
+            return np.zeros((), np.bool_)
+        beyond = np.asarray(found["object_id"] == self.plan.background)
+        for name in NOTHING.keys() & found.keys():
+            found[name][beyond] = NOTHING[name]
+        return beyond
 
     def _arrays(self, names: Sequence[str]) -> Arrays:
         plan = self.plan
@@ -110,9 +125,10 @@ class GroundTruth:
         else:
             assert pixels is not None
             out = pixels.truth(now, {"depth", "object_id", "filled", *plan.truth}, events)  # three for the others
+        beyond = self._take_out_background(out)
         where = (camera, plan.scene.objects, out["depth"], out["object_id"])
         out |= {"normal": map_normal(camera, out["depth"]), "flow": map_flow(*where, now.poses, then.poses)}
-        out["hidden"] = out["filled"] > 0
+        out["hidden"] = (out["filled"] > 0) & ~beyond
         if isinstance(pixels, ForwardWarp) and plan.scene.stereo is not None:
             there = scene.at(time, eye=self._opposite)
             opposite = pixels.truth(there, ("depth",), events)["depth"]

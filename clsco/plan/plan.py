@@ -192,7 +192,13 @@ class Plan:
         """Outputs of ground truth that rays give; a forward warp makes its own focused image."""
         if not self.scene.is_analytic:
             return ()
-        return tuple(n for n in TRUTH_BUFFERS if n in self.truth and not (n == "sharp" and self.forward))
+        wanted = {*self.truth, *(["object_id"] if self.truth and self.background is not None else [])}
+        return tuple(n for n in TRUTH_BUFFERS if n in wanted and not (n == "sharp" and self.forward))
+
+    @property
+    def background(self) -> int | None:
+        """Number of the object that is the background, None where there is none."""
+        return next((k for k, item in enumerate(self.scene.objects) if item.is_background), None)
 
     @cached_property
     def passes(self) -> tuple[Pass, ...]:

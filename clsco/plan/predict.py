@@ -144,7 +144,7 @@ def _constant_blur(scene: Scene) -> bool:
     turns = any((*item.motion.angular_velocity[:2], *camera.angular_velocity[:2]))
     turned = scene.stereo is not None and scene.stereo.toe_in > 0.0
     flat = isinstance(item, Plane) and item.slope_x == item.slope_y == 0.0 and not turns and not turned
-    return len(scene.objects) == 1 and flat
+    return len(scene.objects) == 1 and (flat or item.is_background)
 
 
 def _blur_range(scene: Scene, samples: list[tuple[Pose, ...]], maps: Maps) -> tuple[float, float, Array, int]:
@@ -155,11 +155,11 @@ def _blur_range(scene: Scene, samples: list[tuple[Pose, ...]], maps: Maps) -> tu
         radii = np.abs(blur_radius(scene.camera, w[w > 0]))
         largest, smallest = (float(radii.max()), float(radii.min())) if radii.size else (0.0, 0.0)
         if largest > LARGEST_BLUR:
-            nearest = 1.0 / float(w.max())
-            raise SceneError(
-                f"camera: the blur radius must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px (the surface comes "
-                f"as near as {nearest:.4g} mm; is it in mm, and the focus on it?)"
-            )
+            nearest, rule = 1.0 / float(w.max()), f"the blur radius must be at most {LARGEST_BLUR:g} px"
+            why = f"the surface comes as near as {nearest:.4g} mm; is it in mm, and the focus on it?"
+            if abs(float(blur_radius(scene.camera, 1.0 / nearest))) <= LARGEST_BLUR:
+                why = f"of what is {1.0 / float(w[w > 0].min()):.4g} mm away"
+            raise SceneError(f"camera: {rule}; got {largest:.4g} px ({why})")
         if not _constant_blur(scene):  # rays between those of the grid
             smallest, largest = max(0.0, 0.9 * smallest - 1.0), 1.1 * largest + 1.0
         guard = guard_band(psf, largest)

@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 from clsco.errors import ImageError, SceneError
 from clsco.frame.provenance import views
 from clsco.inputs.files import InputFiles, Maps, shared_files
-from clsco.inputs.textures import PATTERNS, Texture, texture_size
+from clsco.inputs.textures import Texture, is_gray, texture_size
 from clsco.plan.buffers import DeviceFacts
 from clsco.plan.memory import fitted, limit_of
 from clsco.plan.plan import Plan, make_plan
 from clsco.plan.request import Request
 from clsco.scene.faults import at_most
 from clsco.scene.model import DepthMap, Scene
+from clsco.scene.shapes import is_drawn
 from clsco.scene.sweep import Sweep
 
 
@@ -148,7 +149,7 @@ def _channels(scene: Scene, files: InputFiles) -> int:
     for index, item in enumerate(scene.objects):
         with _collected(faults, f"object[{index}].texture"):
             texture_size(item.texture)
-            gray = gray and (item.texture in PATTERNS or files.picture(item.texture).data.ndim == 2)
+            gray = gray and is_gray(item.texture if is_drawn(item.texture) else files.picture(item.texture))
         if "depth" in item.files():
             with _collected(faults, f"object[{index}].depth"):
                 files.depth(item.files()["depth"])

@@ -193,9 +193,11 @@ def _map_truth(plan: Plan, textures: tuple[Array, ...], maps: Maps, middle: _War
     scene, guard = plan.scene, plan.guard_px
     valid = _crop(middle.sources.lit, guard)
     w = _crop(middle.sources.inverse_depth, guard)
-    depth = np.where(valid, 1.0 / np.where(valid, w, 1.0), np.inf)
     seen = _crop(middle.objects, guard).astype(np.int32) if len(scene.objects) > 1 else 0
-    number = np.where(valid, seen, -1).astype(np.int32)
+    known = [k for k, item in enumerate(scene.objects) if item.is_background]
+    surface = valid & ~np.isin(seen, known)  # the background has radiance and blur, and is no surface
+    number = np.where(surface, seen, -1).astype(np.int32)
+    depth = np.where(surface, 1.0 / np.where(surface, w, 1.0), np.inf)
     times = [middle_time(scene.sequence, k) if plan.moves else 0.0 for k in (index, index + 1)]
     now, then = (poses_at(scene, time, plan.eye) for time in times)
     stereo: dict[str, Any] = {}
@@ -209,9 +211,9 @@ def _map_truth(plan: Plan, textures: tuple[Array, ...], maps: Maps, middle: _War
     return stereo | {
         "depth": depth,
         "blur_radius": _crop(middle.sources.radius, guard),
-        "mask": valid,
+        "mask": surface,
         "object_id": number,
         "normal": map_normal(scene.camera, depth),
         "flow": map_flow(scene.camera, scene.objects, depth, number, now, then),
-        "hidden": _crop(middle.status, guard) > 0,
+        "hidden": (_crop(middle.status, guard) > 0) & (surface | ~valid),
     }

@@ -15,7 +15,8 @@ from pydantic import BaseModel, ValidationError
 from clsco.errors import SceneError
 from clsco.scene.changes import override
 from clsco.scene.faults import MAX_MESSAGES, at_most, items, messages, parsed, sections
-from clsco.scene.model import BUILT_IN_TEXTURES, AnyShape, ObjectMotion, Psf, Scene
+from clsco.scene.model import AnyShape, ObjectMotion, Psf, Scene
+from clsco.scene.shapes import is_drawn
 from clsco.scene.text import key_name, shown
 
 MAX_FILE_BYTES = 2**20
@@ -135,7 +136,7 @@ def missing_files(data: Mapping[str, Any], folder: Path, where: str) -> list[str
         for index, item in enumerate(items(data)[:MAX_MESSAGES])
         for key, rule in rules.items()
         if isinstance(name := item.get(key), str) and name and not _exists(folder, name)
-        if key != "texture" or name not in BUILT_IN_TEXTURES
+        if key != "texture" or not is_drawn(name)
     ]
 
 

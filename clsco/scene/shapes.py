@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from itertools import count
 from typing import Annotated, Any, Literal, get_args
@@ -28,8 +29,16 @@ from clsco.scene.quantities import (
 )
 
 BUILT_IN_TEXTURES = ("bricks", "checkerboard", "slanted_edge", "siemens_star")
+COLOR = re.compile("#[0-9a-fA-F]{6}")
 MAX_OBJECTS = 64
+BACKGROUND_MM = 1e12
+"""Distance of what is infinitely far away: its blur differs from that of infinity by a part in 10^10."""
 IN_FRONT = "must leave part of the object in front of the lens (z > 0)"
+
+
+def is_drawn(texture: str) -> bool:
+    """Whether a texture is built in, or a color, and no file."""
+    return texture in BUILT_IN_TEXTURES or COLOR.fullmatch(texture) is not None
 
 
 def _reaching(center: Vector, reach: float | None) -> Vector:
@@ -61,7 +70,8 @@ class _Object(Strict):
     name: Name = Field(default_factory=lambda data: data["shape"])
     """Name in messages and metadata. Default: shape."""
     texture: Name = "bricks"
-    """bricks, checkerboard, slanted_edge, siemens_star, or an image: a path, relative to the scene file."""
+    """bricks, checkerboard, slanted_edge, siemens_star, a color "#rrggbb", or an image: a path, relative to the scene
+    file."""
     bounds: Box | None = None
     """Box [[x0, x1], [y0, y1], [z0, z1]] about the object's origin before rotation, mm; cuts the surface."""
     motion: ObjectMotion = ObjectMotion()
@@ -72,9 +82,14 @@ class _Object(Strict):
         """Whether the surface has an equation, so that rays can be cast at it."""
         return True
 
+    @property
+    def is_background(self) -> bool:
+        """Whether it is what is behind all others, and no surface in the ground truth."""
+        return False
+
     def files(self) -> dict[str, str]:
         """Paths of the files that the object is made of, by the keys that name them."""
-        return {} if self.texture in BUILT_IN_TEXTURES else {"texture": self.texture}
+        return {} if is_drawn(self.texture) else {"texture": self.texture}
 
 
 class Plane(_Object):
@@ -207,7 +222,31 @@ class DepthMap(_Object):
         return value
 
 
-AnyShape = Plane | Cylinder | Sphere | Cone | Ellipsoid | Quadric | DepthMap
+class Background(_Object):
+    """What is behind all other objects, infinitely far away: an image, or a color."""
+
+    shape: Literal["background"] = "background"
+
+    @property
+    def is_background(self) -> bool:
+        return True
+
+    @field_validator("bounds")
+    @classmethod
+    def _unbounded(cls, value: Any) -> Any:
+        if value is not None:
+            raise fault("belongs to shapes with a surface, not to background")
+        return value
+
+    @field_validator("motion")
+    @classmethod
+    def _static(cls, value: ObjectMotion) -> ObjectMotion:
+        if value.moves:
+            raise fault("a background stays where it is; turn the camera by camera.motion", got="a motion")
+        return value
+
+
+AnyShape = Plane | Cylinder | Sphere | Cone | Ellipsoid | Quadric | DepthMap | Background
 
 
 SHAPES: dict[str, type[AnyShape]] = {kind.model_fields["shape"].default: kind for kind in get_args(AnyShape)}
@@ -228,6 +267,8 @@ def origin(shape: AnyShape) -> Vector:
     """
     if isinstance(shape, Plane):
         return (0.0, 0.0, shape.distance)
+    if isinstance(shape, Background):
+        return (0.0, 0.0, BACKGROUND_MM)
     return shape.apex if isinstance(shape, Cone) else shape.center
 
 
@@ -279,6 +320,15 @@ def repeated_names(names: Iterable[str | None]) -> list[tuple[int, PydanticCusto
     return found
 
 
+def _one_background(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
+    """Refuse a second background, which the first would hide."""
+    found = [index for index, item in enumerate(objects) if item.is_background]
+    if len(found) > 1:
+        rule = f"one background is enough; object[{found[0]}] is one already"
+        raise at_keys([((index, "shape"), fault(rule), "background") for index in found[1:]])
+    return objects
+
+
 def _named(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
     """Objects with distinct names: unnamed ones get that of their shape, numbered from the second on, "sphere 2"."""
     given = [item.name if "name" in item.model_fields_set else None for item in objects]
@@ -300,4 +350,6 @@ def _named(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
 
 _Union = Annotated[AnyShape, Field(discriminator="shape")]
 Object = Annotated[_Union, AfterValidator(_bounds_in_front), BeforeValidator(_known_shape)]
-Objects = Annotated[tuple[Object, ...], AfterValidator(_named), BeforeValidator(_objects)]
+Objects = Annotated[
+    tuple[Object, ...], AfterValidator(_one_background), AfterValidator(_named), BeforeValidator(_objects)
+]

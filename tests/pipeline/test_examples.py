@@ -69,6 +69,7 @@ LONG |= {
     "fig_3_08_right",
 }
 LONG |= {"fig_3_15_right", "fig_4_17", "fig_4_19"}
+LONG |= {"background"}  # see tests/pipeline/test_background.py
 LONG |= {"card", "ellipsoid"}  # see tests/pipeline/test_occlusion.py
 # Figures of the thesis that vary others by their numbers alone.
 LONG |= {

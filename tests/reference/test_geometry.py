@@ -71,6 +71,7 @@ def thesis_depth(item: AnyShape, rays: Array) -> Array:
         return item.distance / (1 - item.slope_x * x - item.slope_y * y)  # 3.10
     if isinstance(item, Cone):
         return item.apex[2] / (1 - np.sqrt(square) / np.tan(np.radians(item.half_angle)))  # 3.32, near nappe
+    assert item.shape != "background"
     c = item.center[2]
     if isinstance(item, Sphere):
         return quadratic_root(1 + square, -2 * c, c**2 - item.radius**2)  # 3.22

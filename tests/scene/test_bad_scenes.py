@@ -10,6 +10,7 @@ from clsco.errors import SceneError
 from clsco.scene.changes import dump
 from clsco.scene.file import parse_scene
 
+SHAPES = "plane, cylinder, sphere, cone, ellipsoid, quadric, depth_map or background"
 # A line of a scene file whose object is valid, and the message.
 SCENES: list[tuple[str, str]] = [
     ("title = 3", "title: must be text; got 3"),
@@ -173,7 +174,10 @@ SCENES: list[tuple[str, str]] = [
 ]
 # Keys of the one object, and the message.
 OBJECTS: list[tuple[str, str]] = [
-    ("", "object[0].shape: must be plane, cylinder, sphere, cone, ellipsoid, quadric or depth_map; got nothing"),
+    (
+        "",
+        f"object[0].shape: must be {SHAPES}; got nothing",
+    ),
     ('shape = "depth_map"', "object[0].depth: must be given; got nothing"),
     ('shape = "depth_map", depth = ""', 'object[0].depth: must not be empty; got ""'),
     (
@@ -206,12 +210,24 @@ OBJECTS: list[tuple[str, str]] = [
         'shape = "depth_map", depth = "z.png", bounds = [[0, 1], [0, 1], [0, 1]]',
         "object[0].bounds: belongs to analytic shapes, not to depth_map; got a list of 3 entries",
     ),
+    ('shape = "background", distance = 3', "object[0].distance: belongs to plane, not to background; got 3"),
+    (
+        'shape = "background", bounds = [[0, 1], [0, 1], [0, 1]]',
+        "object[0].bounds: belongs to shapes with a surface, not to background; got a list of 3 entries",
+    ),
+    (
+        'shape = "background", motion.velocity = [1, 0, 0]',
+        "object[0].motion: a background stays where it is; turn the camera by camera.motion; got a motion",
+    ),
     ('shape = "sphere", depth = "z.png"', 'object[0].depth: belongs to depth_map, not to sphere; got "z.png"'),
     (
         'shape = "spheer"',
-        'object[0].shape: must be plane, cylinder, sphere, cone, ellipsoid, quadric or depth_map; got "spheer"',
+        f'object[0].shape: must be {SHAPES}; got "spheer"',
     ),
-    ("shape = 3", "object[0].shape: must be plane, cylinder, sphere, cone, ellipsoid, quadric or depth_map; got 3"),
+    (
+        "shape = 3",
+        f"object[0].shape: must be {SHAPES}; got 3",
+    ),
     ('shape = "plane", distance = 0', "object[0].distance: must be greater than 0 mm; got 0"),
     ('shape = "plane", distance = -250.0', "object[0].distance: must be greater than 0 mm; got -250.0"),
     (

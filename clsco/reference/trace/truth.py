@@ -121,15 +121,17 @@ def ground_truth(scene: Scene, textures: tuple[Array, ...], frame: int, eye: Eye
     disparity, occluded = None, None
     if scene.stereo is not None:
         disparity, occluded = _stereo(scene, textures, view, eye, now, hit, rays)
+    for k in (k for k, item in enumerate(scene.objects) if item.is_background):  # no surface, but radiance and blur
+        mask = mask & (hit.number != k)
     return Truth(
         sharp=hit.radiance,
         depth=np.where(mask, 1.0 / np.where(mask, w, 1.0), np.inf),
         blur_radius=hit.radius,
         mask=mask,
-        object_id=hit.number,
-        normal=normal,
-        flow=flow,
-        hidden=hidden,
-        disparity=disparity,
-        occluded=occluded,
+        object_id=np.where(mask, hit.number, -1).astype(hit.number.dtype),
+        normal=np.where(mask[..., None], normal, 0.0),
+        flow=np.where(mask[..., None], flow, 0.0),
+        hidden=hidden & mask,
+        disparity=None if disparity is None else np.where(mask, disparity, 0.0),
+        occluded=None if occluded is None else occluded & mask,
     )
