@@ -150,10 +150,14 @@ def fitted(plan: Plan, limit: Limit) -> Plan:
     }
     why = next((what for what, needed in needs_whole.items() if needed), None)
 
-    def sizes(rows: int) -> Mapping[str, int]:
-        return buffer_bytes(replace(plan, strip_rows=rows))
+    known = {plan.strip_rows: plan}  # a plan knows its passes, which take a while to lay out
 
-    return replace(plan, strip_rows=rows_that_fit(plan.rows, limit, sizes, why))
+    def in_strips(rows: int) -> Plan:
+        if rows not in known:
+            known[rows] = replace(plan, strip_rows=rows)
+        return known[rows]
+
+    return in_strips(rows_that_fit(plan.rows, limit, lambda rows: buffer_bytes(in_strips(rows)), why))
 
 
 def rows_that_fit(rows: int, limit: Limit, sizes: Callable[[int], Mapping[str, int]], whole: str | None) -> int:
