@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pyopencl as cl
+from numpy.typing import NDArray
 
 from clsco import __version__
 from clsco.constants import STATISTIC_LARGEST, STATISTIC_MOST_SLOTS, STATISTIC_SMALLEST
@@ -149,7 +150,12 @@ class Renderer:
         if self.tried:  # the next frame is what it would be by itself
             self.tried = ()
             self._change(replace(self.plan, approximations=self.approximations))
-        return Frame(index=index, color=self.color, metadata=about, eye=eye, **truth)
+        if not self.plan.alpha:
+            return Frame(index=index, color=self.color, metadata=about, eye=eye, **truth)
+        if "sharp" in truth:
+            truth["sharp"] = _without_alpha(truth["sharp"])
+        alpha = np.ascontiguousarray(self.color[..., -1])
+        return Frame(index=index, color=_without_alpha(self.color), alpha=alpha, metadata=about, eye=eye, **truth)
 
     def _change(self, plan: Plan) -> None:
         """Go on with another plan of the scene."""
@@ -220,6 +226,11 @@ class Renderer:
             "version": __version__,
             "seconds": seconds,
         }
+
+
+def _without_alpha(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Color (rows, columns[, 3]) of an image whose last channel is coverage."""
+    return np.ascontiguousarray(image[..., 0] if image.shape[2] == 2 else image[..., :-1])
 
 
 def expose(renderers: Sequence[Renderer], index: int) -> None:

@@ -23,8 +23,8 @@ from clsco.frame.frame import FILE_NAMES, Frame
 def exr_channels(frame: Frame) -> dict[str, NDArray[Any]]:
     """Name a frame's arrays as channels R G B A, Z, coc, sharp.R, N.X, flow.u, id, mask, filled, hidden.
 
-    A stereo pair has disparity and occluded, too. A gray frame has R, G and B, so that every reader shows it. A is 1:
-    a photograph covers all of its pixels.
+    A stereo pair has disparity and occluded, too. A gray frame has R, G and B, so that every reader shows it. A is the
+    alpha where it was requested, else 1: a photograph covers all of its pixels.
     """
 
     def split(layer: str, names: str, array: NDArray[Any] | None) -> dict[str, NDArray[Any]]:
@@ -37,7 +37,7 @@ def exr_channels(frame: Frame) -> dict[str, NDArray[Any]]:
     single |= {"disparity": frame.disparity, "occluded": frame.occluded}
     return {
         **split("", "RGB", frame.color),
-        "A": np.ones(frame.color.shape[:2], np.float32),
+        "A": np.ones(frame.color.shape[:2], np.float32) if frame.alpha is None else frame.alpha,
         **{name: channel for name, channel in single.items() if channel is not None},
         **split("sharp.", "RGB", frame.sharp),
         **split("N.", "XYZ", frame.normal),

@@ -15,14 +15,15 @@ from clsco.errors import SceneError
 TRUTH_NAMES = ("sharp", "depth", "blur_radius", "mask", "filled", "object_id", "normal", "flow", "hidden")
 STEREO_NAMES = ("disparity", "occluded")  # besides, of a stereo pair
 ALL_TRUTH = (*TRUTH_NAMES, *STEREO_NAMES)
-FILE_NAMES = {name: name for name in ("color", *ALL_TRUTH)} | {"blur_radius": "coc"}
+IMAGE_NAMES = ("alpha",)  # besides, of the image, by name only
+FILE_NAMES = {name: name for name in ("color", *ALL_TRUTH, *IMAGE_NAMES)} | {"blur_radius": "coc"}
 """Names of the arrays in files, by attribute."""
 
 
 def truth_names(truth: str | Iterable[str]) -> tuple[str, ...]:
-    """Names of outputs besides color that users give: some of `ALL_TRUTH`, one of them, or "all".
+    """Names of outputs besides color that users give: some of `ALL_TRUTH` and `IMAGE_NAMES`, one of them, or "all".
 
-    `coc` is a former name of `blur_radius`, for one release. Raises SceneError for other names.
+    "all" is `ALL_TRUTH`. `coc` is a former name of `blur_radius`, for one release. Raises SceneError for other names.
     """
     if truth == "all":
         return ALL_TRUTH
@@ -33,8 +34,9 @@ def truth_names(truth: str | Iterable[str]) -> tuple[str, ...]:
         warnings.warn("truth: coc is blur_radius; coc goes with the next release", DeprecationWarning, 4)
         names = tuple("blur_radius" if name == "coc" else name for name in names)
     for name in names:
-        if name not in ALL_TRUTH:
-            raise SceneError(f'truth: must be "all" or some of {", ".join(ALL_TRUTH)}; got {name!r}')
+        if name not in FILE_NAMES or name == "color":
+            known = ", ".join((*ALL_TRUTH, *IMAGE_NAMES))
+            raise SceneError(f'truth: must be "all" or some of {known}; got {name!r}')
     return names
 
 
@@ -75,6 +77,9 @@ class Frame:
         only, as `occluded`.
     occluded : bool (rows, columns)
         The point is not visible in the other view: an occluder hides it, or it is outside.
+    alpha : float32 (rows, columns)
+        How much of the light of a pixel comes from surfaces, blurred as `color` is, which has the rest of it black: the
+        coverage of an image with associated (premultiplied) alpha. The background is no surface.
     eye : str
         "left" or "right" of a stereo pair, else "".
     metadata : mapping
@@ -94,6 +99,7 @@ class Frame:
     hidden: NDArray[np.bool_] | None = None
     disparity: NDArray[np.float32] | None = None
     occluded: NDArray[np.bool_] | None = None
+    alpha: NDArray[np.float32] | None = None
     eye: str = ""
     metadata: Mapping[str, Any] = field(default_factory=dict)
 

@@ -9,7 +9,7 @@ import functools
 import math
 import os
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -100,6 +100,17 @@ def is_gray(picture: Picture | str) -> bool:
     if isinstance(picture, str):
         return picture in PATTERNS or color_codes(picture).ndim == 0
     return picture.data.ndim == 2
+
+
+def with_coverage(texture: Texture, channels: int, covers: bool) -> Texture:
+    """A texture of so many channels, and one more: 1 everywhere where it covers what is behind it, else 0."""
+    image = texture.radiance
+    wider = _empty((*image.shape[:2], channels + 1))
+    wider[..., :channels] = image[..., None] if image.ndim == 2 else image
+    wider[..., channels] = covers
+    wider.flags.writeable = False
+    content = None if texture.content is None else ("covering", texture.content, channels, covers)
+    return replace(texture, radiance=wider, content=content)
 
 
 def _by_rows(shape: tuple[int, ...], rows_of: Callable[[int, int], Floats]) -> NDArray[np.float32]:

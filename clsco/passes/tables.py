@@ -53,7 +53,9 @@ class TableStore:
                 wider = span if table is None else range(min(span.start, table.first), max(span.stop, _end(table)))
                 if sum(span_sizes(psf, wider, subpixel).values()) <= JOINED_BYTES:
                     span = wider
-                table = self._tables[key] = replace(table_of(psf, span, subpixel, self.block), place=key)
+                table = self._tables[key] = replace(
+                    table_of(psf, span, subpixel, self.block), place=(_key(psf, subpixel), shared)
+                )
             self._tables.move_to_end(key)
             while sum(map(_bytes, self._tables.values())) > self.limit and len(self._tables) > 1:
                 self._tables.popitem(last=False)

@@ -402,10 +402,11 @@ def silhouette_buffers(spec: BlurSpec, grid: Grid, slots: int) -> Sizes:
     return sizes | ({"sub_depth": WIDE_BYTES * subs} if spec.occluders else {})
 
 
-def texture_buffers(scene: Scene, channels: int) -> Sizes:
-    """The textures of a scene with a resolution, each once."""
+def texture_buffers(scene: Scene, channels: int, alpha: bool = False) -> Sizes:
+    """The textures of a scene with a resolution, each once; alpha: that of a background covers nothing."""
     columns, rows = scene.camera.resolution or (0, 0)
-    return {"texture": 4 * channels * len({item.texture for item in scene.objects}) * rows * columns}
+    count = len({(item.texture, alpha and item.is_background) for item in scene.objects})
+    return {"texture": 4 * channels * count * rows * columns}
 
 
 def source_buffers(spec: BlurSpec, grid: Grid) -> Sizes:

@@ -56,6 +56,8 @@ from clsco.plan.predict import (
     _samples,
     displaced,
     guard_band,
+    is_forward,
+    is_static_map,
 )
 from clsco.scene.model import Scene
 
@@ -78,7 +80,7 @@ class Plan:
     eye : {"left", "right"}
         Of a stereo pair.
     channels, rows, columns : int
-        Of the frame: 1 or 3, px, px.
+        Of the frame: 1 or 3, and one more for `alpha`; px, px.
     samples : int
         Time samples per frame.
     guard_px : int
@@ -98,7 +100,9 @@ class Plan:
     layers : tuple of Layer
         Occlusion groups, which are spread one after the other.
     truth : tuple of str
-        Outputs besides color.
+        Outputs besides color and alpha.
+    alpha : bool
+        Whether the last channel is coverage.
     taps : float
         Predicted weights per frame.
     strip_rows : int
@@ -136,6 +140,12 @@ class Plan:
     least_slots: int = 0
     tolerance: float | None = None
     approximations: tuple[str, ...] = ()
+    alpha: bool = False
+
+    @property
+    def colors(self) -> int:
+        """Channels of color."""
+        return self.channels - self.alpha
 
     @property
     def width(self) -> int:
@@ -233,19 +243,6 @@ class Plan:
         return shape_features(self.scene.objects)
 
 
-def is_static_map(scene: Scene) -> bool:
-    """Whether every pixel shows what it does in a depth map and its image: nothing else is there, and nothing moves."""
-    return len(scene.objects) == 1 and not scene.is_analytic and not scene.moves and scene.stereo is None
-
-
-def is_forward(scene: Scene, eye: Eye) -> bool:
-    """Whether pixels of the reference pose are moved: with the forward warp what moves, and depth maps unless all is
-    static."""
-    if not scene.is_analytic:
-        return not is_static_map(scene)
-    return scene.motion.warp == "forward" and (scene.moves or displaced(scene, eye))
-
-
 def exposure(plan: Plan, frame: int) -> tuple[Array, Array]:
     """Times in s and weights of the time samples of a frame; one in the reference pose where nothing moves."""
     if not plan.moves:
@@ -325,6 +322,7 @@ def make_plan(
     """
     if scene.stereo is None:
         truth = tuple(name for name in truth if name not in STEREO_NAMES)
+    alpha, truth = "alpha" in truth, tuple(name for name in truth if name != "alpha")
     if scene.camera.resolution is None:
         raise SceneError("camera.resolution: must be known before a scene is planned; got None")
     columns, rows = scene.camera.resolution
@@ -361,8 +359,9 @@ def make_plan(
     lit = np.pi * (psf_extent(psf, seen) + 0.7) ** 2
     taps = float((w > 0).mean() * area * samples * (lit.mean() if lit.size else 0.0)) if blur != "none" else 0.0
     return Plan(
-        scene, device, eye, channels, rows, columns, samples, guard, smallest, largest, blur, silhouettes, tilt,
+        scene, device, eye, channels + alpha, rows, columns, samples, guard, smallest, largest, blur, silhouettes, tilt,
         forward, static, scene.moves, occlusion, found, truth, taps, tolerance=tolerance, approximations=approximations,
+        alpha=alpha,
     )  # fmt: skip
 
 
@@ -421,7 +420,7 @@ def _named(owner: str, sizes: Sizes) -> Sizes:
 
 
 def _of_scene(plan: Plan) -> Sizes:
-    return texture_buffers(plan.scene, plan.channels) | {"statistics": 4 * STATISTICS}
+    return texture_buffers(plan.scene, plan.channels, plan.alpha) | {"statistics": 4 * STATISTICS}
 
 
 def _blur_sizes(plan: Plan) -> Sizes:
@@ -443,7 +442,9 @@ def _of_rays(plan: Plan) -> Parameters:
 
 def _of_frame(plan: Plan) -> Parameters:
     apron = (("guard band", "surface outside the frame lights it"),) if plan.scene.psf.border == "lose" else ()
-    return (*apron, *((("color", f"{plan.channels} channels"),) if plan.channels > 1 else ()))
+    color = (("color", f"{plan.colors} channels"),) if plan.colors > 1 else ()
+    alpha = (("alpha", "a channel of what surfaces cover"),) if plan.alpha else ()
+    return (*apron, *color, *alpha)
 
 
 def _of_blur(plan: Plan) -> Parameters:
@@ -487,7 +488,7 @@ def _left_out(plan: Plan) -> tuple[tuple[str, str], ...]:
         "blur": None if plan.blur != "none" else f"in focus: R up to {plan.largest_blur:.3g} px stays within its pixel",
         "renormalize": None if psf.border == "renormalize" else 'border = "lose"',
         "guard band": None if psf.border == "lose" else "light stays inside the frame",
-        "color": None if plan.channels > 1 else "gray texture: one channel",
+        "color": None if plan.colors > 1 else "gray texture: one channel",
         "occlusion": None if plan.occlusion != "none" else 'occlusion = "none"' if psf.occlusion == "none" else hidden,
         "ground truth": None if plan.truth else "nobody asked for it",
     }

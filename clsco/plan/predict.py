@@ -51,6 +51,19 @@ def displaced(scene: Scene, eye: Eye) -> bool:
     return scene.stereo is not None and (eye == "right" or scene.stereo.toe_in > 0.0)
 
 
+def is_static_map(scene: Scene) -> bool:
+    """Whether every pixel shows what it does in a depth map and its image: nothing else is there, and nothing moves."""
+    return len(scene.objects) == 1 and not scene.is_analytic and not scene.moves and scene.stereo is None
+
+
+def is_forward(scene: Scene, eye: Eye) -> bool:
+    """Whether pixels of the reference pose are moved: with the forward warp what moves, and depth maps unless all is
+    static."""
+    if not scene.is_analytic:
+        return not is_static_map(scene)
+    return scene.motion.warp == "forward" and (scene.moves or displaced(scene, eye))
+
+
 def _predicted_poses(scene: Scene, eye: Eye) -> list[tuple[Pose, ...]]:
     """Poses of the objects over the whole sequence, few enough to be looked at before every rendering."""
     sequence = scene.sequence

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from clsco.errors import ImageError, SceneError
 from clsco.frame.provenance import views
 from clsco.inputs.files import InputFiles, Maps, shared_files
-from clsco.inputs.textures import Texture, is_gray, texture_size
+from clsco.inputs.textures import Texture, is_gray, texture_size, with_coverage
 from clsco.plan.buffers import DeviceFacts
 from clsco.plan.memory import fitted, limit_of
 from clsco.plan.plan import Plan, make_plan
@@ -47,8 +47,13 @@ class Prepared:
 
     @cached_property
     def textures(self) -> tuple[Texture, ...]:
-        """Of every object."""
-        return self.files.textures(self.scene)
+        """Of every object; with a channel more for `alpha`."""
+        found = self.files.textures(self.scene)
+        if not self.plan.alpha:
+            return found
+        covers = [not item.is_background for item in self.scene.objects]
+        wider = cache(lambda texture, covering: with_coverage(texture, self.plan.channels - 1, covering))
+        return tuple(wider(*pair) for pair in zip(found, covers, strict=True))
 
     @cached_property
     def maps(self) -> Maps:

@@ -14,8 +14,7 @@ from clsco.optics.lens import blur_scale, focus_power
 from clsco.optics.psf import reach
 from clsco.plan.buffers import ThisMachine
 from clsco.plan.methods import is_sharp
-from clsco.plan.plan import is_forward
-from clsco.plan.predict import displaced, guard_band
+from clsco.plan.predict import displaced, guard_band, is_forward
 from clsco.scene.model import (
     Camera,
     CameraMotion,
