@@ -14,9 +14,11 @@ from clsco.errors import SceneError
 from clsco.scene.faults import at_most
 from clsco.scene.file import MAX_OUTPUTS, Location, absolute, missing_files, parse_scene, read_mapping, swept_keys
 from clsco.scene.model import Scene
+from clsco.scene.quantities import as_python
 from clsco.scene.text import key_name, shown
 
 RANGE = ("from", "to", "steps")
+DEEPEST = 8  # tables and lists in each other: of a range of velocities of an object, and some to spare
 
 
 @dataclass(frozen=True)
@@ -137,6 +139,7 @@ def parse_sweep(mapping: Mapping[str, Any], where: str = "scene") -> Sweep:
     SceneError
         As `load_sweep`.
     """
+    mapping = _listed(mapping)
     if not isinstance(mapping, Mapping) or not (given := swept_keys(mapping)):
         return Sweep(("",), (parse_scene(mapping, where),))
     faults: list[str] = []
@@ -155,6 +158,16 @@ def parse_sweep(mapping: Mapping[str, Any], where: str = "scene") -> Sweep:
     words = [[f"{axis.label()}_{word}" for word in axis.words()] for axis in axes]
     labels = ["__".join(column[i] for column, i in zip(words, choice, strict=True)) for choice in choices]
     return Sweep(tuple(labels), tuple(scenes))
+
+
+def _listed(value: Any, depth: int = 0) -> Any:
+    """A mapping with lists and numbers of Python in place of NumPy's, but for textures and depths."""
+    if isinstance(value, Mapping | list) and depth == DEEPEST:  # deeper ones are refused later
+        return value
+    if isinstance(value, Mapping):
+        named = value.items()
+        return {key: entry if key in ("texture", "depth") else _listed(entry, depth + 1) for key, entry in named}
+    return [_listed(entry, depth + 1) for entry in value] if isinstance(value, list) else as_python(value)
 
 
 def _faults(
