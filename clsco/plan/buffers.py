@@ -405,7 +405,7 @@ def silhouette_buffers(spec: BlurSpec, grid: Grid, slots: int) -> Sizes:
 def texture_buffers(scene: Scene, channels: int) -> Sizes:
     """The textures of a scene with a resolution, each once."""
     columns, rows = scene.camera.resolution or (0, 0)
-    return {"texture": 4 * channels * len({item.texture for item in scene.objects}) * rows * columns}
+    return {"texture": 4 * channels * len({item.inputs()["texture"] for item in scene.objects}) * rows * columns}
 
 
 def source_buffers(spec: BlurSpec, grid: Grid) -> Sizes:

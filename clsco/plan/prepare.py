@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from clsco.errors import ImageError, SceneError
 from clsco.frame.provenance import views
 from clsco.inputs.files import InputFiles, Maps, shared_files
-from clsco.inputs.textures import PATTERNS, Texture, texture_size
+from clsco.inputs.textures import Texture, is_pattern, texture_size
 from clsco.plan.buffers import DeviceFacts
 from clsco.plan.memory import fitted, limit_of
 from clsco.plan.plan import Plan, make_plan
@@ -96,10 +96,10 @@ def prepare_sweep(
 ) -> tuple[Prepared, ...]:
     """`prepare` for all scenes of a sweep. Raises SceneError with the faults of all of them."""
     wanted, known = request or Request(), files or shared_files()
-    found, faults, channels = [], dict[str, None](), dict[str, int]()
+    found, faults, channels = [], dict[str, None](), dict[Hashable, int]()
     for label, scene in zip(sweep.labels, sweep.scenes, strict=True):
-        names = repr([(item.texture, item.files()) for item in scene.objects])
-        if names not in channels:  # all scenes of a sweep have the same files
+        names = tuple(tuple(item.inputs().items()) for item in scene.objects)
+        if names not in channels:  # all scenes of a sweep have the same files and arrays
             channels[names] = _channels(scene, known)
         try:
             found.append(_planned(scene, channels[names], wanted, device, known))
@@ -133,7 +133,7 @@ def prepare_files(
 def _planned(scene: Scene, channels: int, request: Request, device: DeviceFacts | None, files: InputFiles) -> Prepared:
     camera = scene.camera
     if camera.resolution is None:
-        camera = camera.model_copy(update={"resolution": texture_size(scene.objects[0].texture)})
+        camera = camera.model_copy(update={"resolution": texture_size(scene.objects[0].inputs()["texture"])})
     sized = scene.model_copy(update={"camera": camera})
     maps = _maps(sized, files)
     options = (request.truth, request.method)
@@ -143,15 +143,16 @@ def _planned(scene: Scene, channels: int, request: Request, device: DeviceFacts 
 
 
 def _channels(scene: Scene, files: InputFiles) -> int:
-    """Channels of the image, from all files of a scene, whose faults are raised together."""
+    """Channels of the image, from all files and arrays of a scene, whose faults are raised together."""
     faults, gray = list[str](), True
     for index, item in enumerate(scene.objects):
+        sources = item.inputs()
         with _collected(faults, f"object[{index}].texture"):
-            texture_size(item.texture)
-            gray = gray and (item.texture in PATTERNS or files.picture(item.texture).data.ndim == 2)
-        if "depth" in item.files():
+            texture_size(sources["texture"])
+            gray = gray and (is_pattern(sources["texture"]) or files.picture(sources["texture"]).data.ndim == 2)
+        if "depth" in sources:
             with _collected(faults, f"object[{index}].depth"):
-                files.depth(item.files()["depth"])
+                files.depth(sources["depth"])
     if faults:
         raise SceneError(faults)
     return 1 if gray else 3

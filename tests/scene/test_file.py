@@ -90,7 +90,7 @@ def test_a_byte_order_mark_is_no_fault(ball: Path) -> None:
 
 def test_textures_are_sought_beside_the_scene_file(ball: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def texture(given: str) -> str:
-        return load_scene("ball.toml", [f"object.0.texture={given}"]).objects[0].texture
+        return str(load_scene("ball.toml", [f"object.0.texture={given}"]).objects[0].texture)
 
     monkeypatch.chdir(tmp_path)
     assert texture("wall.png") == str(tmp_path / "wall.png")
