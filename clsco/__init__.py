@@ -23,8 +23,12 @@ render, render_frame, render_sweep
     All frames of a scene, one frame, the frames of several scenes.
 defocus, inpaint
     Blur an image by its map of blur radii; fill its missing pixels.
-load_scene, parse_scene, load_sweep
-    A scene from a file or a mapping; all scenes of a file in which keys have several values.
+load_scene, parse_scene
+    A scene from a file, or from a mapping or the text of a file.
+load_sweep, parse_sweep
+    The same where keys have several values: all scenes.
+dump_scene
+    The text of a scene file from a scene.
 list_devices
     The OpenCL devices, and which one is used.
 reference
@@ -70,6 +74,7 @@ if TYPE_CHECKING:
     from clsco.errors import SceneError as SceneError
     from clsco.frame.frame import Frame as Frame
     from clsco.inpainting.rules import MeanMedian as MeanMedian
+    from clsco.inputs.dump import dump_scene as dump_scene
     from clsco.opencl.device import list_devices as list_devices
     from clsco.scene.file import load_scene as load_scene
     from clsco.scene.file import parse_scene as parse_scene
@@ -85,6 +90,7 @@ if TYPE_CHECKING:
     from clsco.scene.model import Scene as Scene
     from clsco.scene.model import Sphere as Sphere
     from clsco.scene.sweep import load_sweep as load_sweep
+    from clsco.scene.sweep import parse_sweep as parse_sweep
 
 __version__ = "0.1.0"
 
@@ -94,7 +100,8 @@ _NAMES = {
     "clsco.engine.inpaint": ("inpaint",),
     "clsco.engine.live": ("Live",),
     "clsco.scene.file": ("load_scene", "parse_scene"),
-    "clsco.scene.sweep": ("load_sweep",),
+    "clsco.scene.sweep": ("load_sweep", "parse_sweep"),
+    "clsco.inputs.dump": ("dump_scene",),
     "clsco.opencl.device": ("list_devices",),
     "clsco.scene.model": (
         *("Scene", "Camera", "Psf"),
@@ -107,7 +114,7 @@ _NAMES = {
 _HOME = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = [  # noqa: RUF022, verbs and then types
     "render", "render_frame", "render_sweep", "defocus", "inpaint", "load_scene", "parse_scene", "load_sweep",
-    "list_devices", "reference",
+    "parse_sweep", "dump_scene", "list_devices", "reference",
     "Scene", "Camera", "Psf", "Plane", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background",
     "Frame", "Live", "MeanMedian",
     "ClscoError", "SceneError", "ImageError", "DeviceError", "KernelError", "CanceledError",

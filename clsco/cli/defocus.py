@@ -56,11 +56,12 @@ def depth_report(scene: Scene) -> list[str]:
     lines = []
     for item in scene.objects:
         if isinstance(item, DepthMap):
-            raw = read_depth(item.depth)
+            image, depth = str(item.texture), str(item.depth)
+            raw = read_depth(depth)
             rows, columns = raw.shape
-            check_sizes(item.texture, image_size(item.texture), item.depth, (columns, rows))
-            values = inverse_depth(raw, item.unit, item.scale, scene.camera, item.baseline, item.depth, item.offset)
-            lines += [f"{item.depth}: {values.report()}"] if values.report() else []
+            check_sizes(image, image_size(image), depth, (columns, rows))
+            values = inverse_depth(raw, item.unit, item.scale, scene.camera, item.baseline, depth, item.offset)
+            lines += [f"{depth}: {values.report()}"] if values.report() else []
     return lines
 
 

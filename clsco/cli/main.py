@@ -33,11 +33,11 @@ from clsco.cli.options import (
     truth_option,
 )
 from clsco.errors import ClscoError, DeviceError, SceneError
-from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES
 
 if TYPE_CHECKING:
     from clsco.engine.batch import Span
     from clsco.frame.frame import Frame
+    from clsco.frame.truth_files import TruthFile
     from clsco.plan.buffers import DeviceFacts
     from clsco.plan.prepare import Prepared
     from clsco.plan.request import Request
@@ -64,7 +64,7 @@ def main() -> None:
 def render(
     scenes: tuple[Path, ...],
     out: Path,
-    files: tuple[str, ...],
+    files: tuple[TruthFile, ...],
     span: Span,
     overrides: tuple[str, ...],
     computation: Computation,
@@ -91,10 +91,11 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
     from clsco.cli.demo import write_contact_sheet
     from clsco.cli.progress import progress
     from clsco.engine import batch
+    from clsco.frame.truth_files import TruthFile
     from clsco.plan.prepare import prepare
     from clsco.scene.examples import EXAMPLES, example
 
-    files = ("npz",)
+    files = (TruthFile("npz"),)
     scenes = {name: prepare(example(name), _request(files)) for name in EXAMPLES}
     jobs = {
         name: batch.prepare(each, out / name, range(each.scene.sequence.frames), files, False)
@@ -118,7 +119,7 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
 @truth_option
 @memory_option
 @click.option("--gpu", is_flag=True, help="On a graphics card instead of a processor.")
-def plan(scene: Path, overrides: tuple[str, ...], files: tuple[str, ...], memory: int | None, gpu: bool) -> None:
+def plan(scene: Path, overrides: tuple[str, ...], files: tuple[TruthFile, ...], memory: int | None, gpu: bool) -> None:
     """Report what rendering a scene takes; runs nothing, and needs no OpenCL."""
     from clsco.plan.buffers import ThisMachine
 
@@ -275,7 +276,7 @@ def defocus(
     image: Path,
     depth: Path,
     out: Path,
-    files: tuple[str, ...],
+    files: tuple[TruthFile, ...],
     overrides: tuple[str, ...],
     computation: Computation,
     quiet: bool,
@@ -375,13 +376,14 @@ def inpaint(
         click.echo(f"no pixel is missing: {click.format_filename(out)} is a copy of {click.format_filename(image)}")
 
 
-def _request(files: tuple[str, ...], computation: Computation | None = None, **options: Any) -> Request:
-    """What is requested for these files of ground truth: all outputs, or without such files none."""
+def _request(files: tuple[TruthFile, ...], computation: Computation | None = None, **options: Any) -> Request:
+    """What is requested for these files of ground truth: the outputs in them, or without such files none."""
+    from clsco.frame.truth_files import needed_truth
     from clsco.plan.request import Request
 
     if computation is not None:
         options |= computation.blur | {"precision": computation.precision, "memory": computation.memory}
-    return Request((*TRUTH_NAMES, *STEREO_NAMES) if files else (), **options)
+    return Request(needed_truth(files), **options)
 
 
 def _report_approximation(where: Path, frame: Frame) -> None:
@@ -397,7 +399,7 @@ def _report_approximation(where: Path, frame: Frame) -> None:
 def _render_to_folders(
     loaded: Sequence[tuple[Path, Sweep | SceneError]],
     out: Path,
-    files: tuple[str, ...],
+    files: tuple[TruthFile, ...],
     computation: Computation,
     quiet: bool,
     span: Span = (None, None),

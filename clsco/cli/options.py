@@ -16,6 +16,7 @@ from clsco.errors import ClscoError, DeviceError, SceneError
 
 if TYPE_CHECKING:
     from clsco.engine.batch import Span
+    from clsco.frame.truth_files import TruthFile
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 USER_ERROR, NO_DEVICE, INTERRUPTED = 1, 3, 130
@@ -45,15 +46,15 @@ class Commands(click.Group):
             ctx.exit(NO_DEVICE if isinstance(error, DeviceError) else USER_ERROR)
 
 
-def truth_files(text: str) -> tuple[str, ...]:
+def parse_files(text: str) -> tuple[TruthFile, ...]:
     if not text:
         return ()
-    from clsco.frame.files import TRUTH_FORMATS
+    from clsco.frame.files import truth_files
 
-    names = tuple(dict.fromkeys(text.split(",")))
-    if not set(names) <= set(TRUTH_FORMATS):
-        raise click.BadParameter(f"must be some of {','.join(TRUTH_FORMATS)}; got {text}")
-    return names
+    try:
+        return truth_files(text)
+    except SceneError as error:
+        raise click.BadParameter(str(error)) from None
 
 
 def parse_span(text: str) -> Span:
@@ -153,8 +154,9 @@ set_option = click.option(
     help="Set a key of the scene, such as camera.f_number=4 or object.0.radius=30; may be given again.",
 )  # fmt: skip
 truth_option = click.option(
-    "--truth", "files", metavar="npz,exr", type=truth_files, default="",
-    help="Also compute the ground truth, and write it in one or both of these formats.",
+    "--truth", "files", metavar="npz,exr", type=parse_files, default="",
+    help="Also compute the ground truth, and write it in one or both of these formats; npz:depth,coc: these arrays "
+    "alone; npz+float16: floats in 16 bits; npz+compressed: floats compressed, too.",
 )  # fmt: skip
 device_option = click.option(
     "--device", metavar="NAME", help="Part of the name of an OpenCL device or platform, or gpu or cpu."

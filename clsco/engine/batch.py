@@ -12,9 +12,10 @@ from typing import Any
 from clsco.engine.sequence import render_prepared
 from clsco.errors import ImageError, SceneError
 from clsco.files.atomic import remove_stale, same_place, writable_folder
-from clsco.frame.files import frame_files, frame_json, read_complete, write_frame
+from clsco.frame.files import frame_files, frame_json, holds_truth, read_complete, write_frame
 from clsco.frame.frame import Frame
 from clsco.frame.provenance import file_digests, record
+from clsco.frame.truth_files import TruthFile
 from clsco.opencl.session import Session, session_for
 from clsco.plan.approximation import asked_alike
 from clsco.plan.prepare import Prepared, PreparedFile
@@ -28,14 +29,14 @@ TOGETHER, PIXELS_TOGETHER = 16, 2**24  # scenes of a sweep that are on the devic
 class Job:
     """One scene to render: what its frames' JSON files say of it, the folder, and the frames still to do.
 
-    files: of "npz" and "exr", what is written besides PNG and JSON.
+    files: what is written besides PNG and JSON.
     """
 
     prepared: Prepared
     record: dict[str, Any]
     folder: Path
     frames: tuple[int, ...]
-    files: tuple[str, ...]
+    files: tuple[TruthFile, ...]
     before: Mapping[int, int | None] = field(default_factory=dict)
     """When each frame in the folder was written, ns; None for none."""
 
@@ -80,7 +81,7 @@ def prepare(
     prepared: Prepared,
     folder: Path,
     frames: Sequence[int],
-    files: tuple[str, ...],
+    files: tuple[TruthFile, ...],
     resume: bool,
     digests: Mapping[str, str] | None = None,
 ) -> Job:
@@ -88,7 +89,8 @@ def prepare(
 
     digests: of its files, as `provenance.file_digests` gives them, where they are known. A frame is whole where its
     JSON file, written last, names the scene's hash, this version, an approximation that was requested alike, all files
-    wanted, and each file's SHA-256. Raises ImageError where a texture or depth cannot be read or the folder written.
+    wanted with what they hold, and each file's SHA-256. Raises ImageError where a texture or depth cannot be read or
+    the folder written.
     """
     scene, request = prepared.scene, prepared.request
     about = record(scene, digests)
@@ -106,6 +108,7 @@ def prepare(
         if any(content.get(key) != about[key] for key in ("version", "scene_sha256")):
             return False
         whole = frame_files(index, scene.stereo is not None, files) <= set(content["files"])
+        whole = whole and holds_truth(content, files)
         views = content["views"].values() if scene.stereo is not None else [content]
         alike = all(asked_alike(view.get("approximation"), request.method, request.tolerance) for view in views)
         return whole and alike and all(request.precision in (None, view.get("precision")) for view in views)
@@ -116,9 +119,13 @@ def prepare(
 
 
 def prepare_all(
-    planned: Sequence[PreparedFile], out: Path, files: tuple[str, ...], span: Span, resume: bool
+    planned: Sequence[PreparedFile], out: Path, files: tuple[TruthFile, ...], span: Span, resume: bool
 ) -> list[Job]:  # fmt: skip
-    """`prepare` for every scene of files, each file with its folder of `folders`. Raises as these and `wanted`."""
+    """`prepare` for every scene of files, each file with its folder of `folders`.
+
+    Raises as these and `wanted`, and SceneError where files name arrays that a scene does not have.
+    """
+    _require_arrays(planned, files)
     places = list(zip(planned, folders([path for path, *_ in planned], out), strict=True))
     for (path, labels, _), folder in places:
         if path.stem.startswith("frame_") and same_place(path.parent, folder):
@@ -132,6 +139,17 @@ def prepare_all(
     ]
     digests = file_digests(each.scene for each, _, _ in chosen)
     return [prepare(*what, files, resume, digests) for what in chosen]
+
+
+def _require_arrays(planned: Sequence[PreparedFile], files: Sequence[TruthFile]) -> None:
+    """Raise SceneError for arrays that are wanted by name, and that a scene does not have."""
+    faults = dict[str, None]()
+    named = {name: file for file in files if file.names for name in file.truth}
+    for path, _, prepared in planned:
+        missing = [name for each in prepared for name in named if name not in each.plan.truth]
+        faults.update({f"{path}: --truth: the scene must have {name}; got {named[name]}": None for name in missing})
+    if faults:
+        raise SceneError(list(faults))
 
 
 def _written(folder: Path, index: int) -> int | None:

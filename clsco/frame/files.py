@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -17,59 +18,61 @@ from clsco.errors import ImageError
 from clsco.files.atomic import remove, sha256, together
 from clsco.files.images import write_exr, write_json, write_npz, write_png
 from clsco.files.transfer import encode
-from clsco.frame.frame import FILE_NAMES, Frame
+from clsco.frame.frame import Frame
+from clsco.frame.truth_files import TruthFile, parse_truth
 
 
-def exr_channels(frame: Frame) -> dict[str, NDArray[Any]]:
+def exr_channels(frame: Frame, wanted: TruthFile | None = None) -> dict[str, NDArray[Any]]:
     """Name a frame's arrays as channels R G B A, Z, coc, sharp.R, N.X, flow.u, id, mask, filled, hidden.
 
     A stereo pair has disparity and occluded, too. A gray frame has R, G and B, so that every reader shows it. A is the
-    alpha where it was requested, else 1: a photograph covers all of its pixels.
+    alpha where it was requested, else 1: a photograph covers all of its pixels. wanted: which of the arrays, and how;
+    by default all as they are.
     """
+    arrays = (wanted or TruthFile("exr")).arrays(frame)
+    color, plain = arrays.get("color"), ("coc", "mask", "filled", "hidden", "disparity", "occluded")
 
     def split(layer: str, names: str, array: NDArray[Any] | None) -> dict[str, NDArray[Any]]:
         if array is None:
             return {}
         return {layer + name: array if array.ndim == 2 else array[..., n] for n, name in enumerate(names)}
 
-    single: dict[str, NDArray[Any] | None] = {"Z": frame.depth, "coc": frame.blur_radius, "id": frame.object_id}
-    single |= {"mask": frame.mask, "filled": frame.filled, "hidden": frame.hidden}
-    single |= {"disparity": frame.disparity, "occluded": frame.occluded}
+    single = {"Z": "depth", "id": "object_id"} | {name: name for name in plain}
     return {
-        **split("", "RGB", frame.color),
-        "A": np.ones(frame.color.shape[:2], np.float32) if frame.alpha is None else frame.alpha,
-        **{name: channel for name, channel in single.items() if channel is not None},
-        **split("sharp.", "RGB", frame.sharp),
-        **split("N.", "XYZ", frame.normal),
-        **split("flow.", "uv", frame.flow),
+        **split("", "RGB", color),
+        **({} if color is None else {"A": arrays.get("alpha", np.ones(color.shape[:2], color.dtype))}),
+        **{channel: arrays[name] for channel, name in single.items() if name in arrays},
+        **split("sharp.", "RGB", arrays.get("sharp")),
+        **split("N.", "XYZ", arrays.get("normal")),
+        **split("flow.", "uv", arrays.get("flow")),
     }
 
 
-def _write_npz(path: Path, views: Sequence[Frame]) -> None:
+def _write_npz(path: Path, views: Sequence[Frame], wanted: TruthFile) -> None:
     (frame,) = views
-    arrays = {in_file: getattr(frame, name) for name, in_file in FILE_NAMES.items()}
-    write_npz(path, {name: array for name, array in arrays.items() if array is not None})
+    write_npz(path, wanted.arrays(frame), wanted.compressed)
 
 
-def _write_exr(path: Path, views: Sequence[Frame]) -> None:
-    write_exr(path, *map(exr_channels, views), names=[frame.eye for frame in views] if len(views) > 1 else ())
+def _write_exr(path: Path, views: Sequence[Frame], wanted: TruthFile) -> None:
+    channels = [exr_channels(frame, wanted) for frame in views]
+    write_exr(path, *channels, names=[frame.eye for frame in views] if len(views) > 1 else ())
 
 
 @dataclass(frozen=True)
 class TruthFormat:
-    """A format that holds the color of a frame with all of its truth, in linear radiance.
+    """A format that holds the color of a frame with its truth, in linear radiance.
 
     Attributes
     ----------
     write : callable
-        Takes a path and the views of one file.
+        Takes a path, the views of one file, and what of them is wanted.
     joins_views : bool
         One file holds both views of a stereo pair; else each has its own.
     needs : (str, str), optional
         Module that it needs, and the extra of clsco that brings it.
     """
 
-    write: Callable[[Path, Sequence[Frame]], None]
+    write: Callable[[Path, Sequence[Frame], TruthFile], None]
     joins_views: bool = False
     needs: tuple[str, str] | None = None
 
@@ -81,12 +84,18 @@ TRUTH_FORMATS = {
 }
 
 
-def require_truth_formats(names: Sequence[str]) -> None:
+def truth_files(text: str) -> tuple[TruthFile, ...]:
+    """Files of ground truth by their names, none for "". Raises SceneError as `parse_truth`."""
+    return parse_truth(text, TRUTH_FORMATS) if text else ()
+
+
+def require_truth_formats(files: Sequence[TruthFile]) -> None:
     """Raise ImageError where the extra that a format in `TRUTH_FORMATS` needs is not installed."""
-    for name in names:
-        needs = TRUTH_FORMATS[name].needs
+    for file in files:
+        needs = TRUTH_FORMATS[file.format].needs
         if needs is not None and find_spec(needs[0]) is None:
-            raise ImageError(f"truth: {name} needs {needs[0]}: pip install 'clsco[{needs[1]}]'; got no such module")
+            got = "got no such module"
+            raise ImageError(f"truth: {file.format} needs {needs[0]}: pip install 'clsco[{needs[1]}]'; {got}")
 
 
 def _stems(index: int, eyes: Sequence[str]) -> list[str]:
@@ -95,15 +104,14 @@ def _stems(index: int, eyes: Sequence[str]) -> list[str]:
     return [f"{stem}_{eye}" for eye in eyes] if len(eyes) > 1 else [stem]
 
 
-def frame_files(index: int, stereo: bool, truth: Sequence[str] = ()) -> set[str]:
+def frame_files(index: int, stereo: bool, truth: Sequence[TruthFile] = ()) -> set[str]:
     """Names of the files of a frame besides its JSON file; a stereo pair has a PNG of each view.
 
     Parameters
     ----------
     index : int
     stereo : bool
-    truth : sequence of str
-        Names in `TRUTH_FORMATS`.
+    truth : sequence of TruthFile
 
     Returns
     -------
@@ -111,9 +119,9 @@ def frame_files(index: int, stereo: bool, truth: Sequence[str] = ()) -> set[str]
     """
     apart = _stems(index, ("left", "right") if stereo else ("",))
     names = {f"{own}.png" for own in apart}
-    for suffix in truth:
-        stems = [f"frame_{index:04d}"] if TRUTH_FORMATS[suffix].joins_views else apart
-        names |= {f"{stem}.{suffix}" for stem in stems}
+    for file in truth:
+        stems = [f"frame_{index:04d}"] if TRUTH_FORMATS[file.format].joins_views else apart
+        names |= {f"{stem}.{file.format}" for stem in stems}
     return names
 
 
@@ -123,7 +131,7 @@ def frame_json(folder: str | os.PathLike[str], index: int) -> Path:
 
 
 def write_frame(
-    folder: str | os.PathLike[str], views: Sequence[Frame], bits: int, transfer: str, truth: Sequence[str] = (),
+    folder: str | os.PathLike[str], views: Sequence[Frame], bits: int, transfer: str, truth: Sequence[TruthFile] = (),
     about: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Write the files of a frame; frame_0000.json comes last and makes the frame complete.
@@ -138,21 +146,21 @@ def write_frame(
         Of the textures; 32 makes a PNG of 16.
     transfer : {"srgb", "linear"}
         Of the PNG alone, which clips radiance below 0 and above 1; the others keep it.
-    truth : sequence of str
-        Names in `TRUTH_FORMATS`; each holds the color and all truth of the frame, linear.
+    truth : sequence of TruthFile
+        Each holds the color and all truth of the frame, or what it names of them, linear.
     about : mapping, optional
         Content of the JSON file besides the frame's own metadata.
 
     Returns
     -------
     dict
-        Content of the JSON file: `about`, the metadata (of a pair `views` with that of each), and `files`, file name to
-        SHA-256.
+        Content of the JSON file: `about`, the metadata (of a pair `views` with that of each), `truth`, what files of it
+        hold where that is not all as it is, and `files`, file name to SHA-256.
 
     Raises
     ------
     ImageError
-        A file cannot be written.
+        A file cannot be written, or floats do not fit the float16 that is wanted.
 
     Notes
     -----
@@ -164,17 +172,18 @@ def write_frame(
     with together(Path(folder), stem) as made:
         for own, frame in zip(apart, views, strict=True):
             write_png(made / f"{own}.png", encode(frame.color, min(bits, 16), transfer))
-        for suffix in truth:
-            known = TRUTH_FORMATS[suffix]
+        for file in truth:
+            known = TRUTH_FORMATS[file.format]
             if known.joins_views:
-                known.write(made / f"{stem}.{suffix}", views)
+                known.write(made / f"{stem}.{file.format}", views, file)
                 continue
             for own, frame in zip(apart, views, strict=True):
-                known.write(made / f"{own}.{suffix}", [frame])
+                known.write(made / f"{own}.{file.format}", [frame], file)
         digests = {path.name: sha256(path) for path in sorted(made.iterdir())}
         remove(described)  # an older frame is not whole any more
     recorded = {"views": {frame.eye: dict(frame.metadata) for frame in views}} if stereo else dict(views[0].metadata)
-    content = {**(about or {}), **recorded, "files": digests}
+    partial = [str(file) for file in truth if file != TruthFile(file.format)]
+    content = {**(about or {}), **recorded, **({"truth": partial} if partial else {}), "files": digests}
     write_json(described, content)
     return content
 
@@ -193,3 +202,11 @@ def read_complete(folder: str | os.PathLike[str], index: int) -> dict[str, Any] 
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
     return content if whole else None
+
+
+def holds_truth(content: Mapping[str, Any], truth: Sequence[TruthFile]) -> bool:
+    """Whether files of a frame hold what is wanted, by the content of its JSON file and by no more than their names."""
+    recorded = content.get("truth")
+    texts = [text for text in recorded if isinstance(text, str)] if isinstance(recorded, list) else []
+    partial = {re.split("[+:]", text)[0]: text for text in texts}
+    return all(partial.get(file.format, file.format) == str(file) for file in truth)

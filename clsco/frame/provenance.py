@@ -12,7 +12,7 @@ from clsco import __version__
 from clsco.files.atomic import refuse, sha256
 from clsco.optics.motion import Eye
 from clsco.scene.changes import dump
-from clsco.scene.model import Scene, Within
+from clsco.scene.model import AnyShape, Scene, Within
 
 # Units of derived parameters and of a frame's metadata, where the name does not say them.
 DERIVED_UNITS = {"derived.aperture_diameter": "mm", "derived.sensor_distance": "mm"}
@@ -81,9 +81,14 @@ def _digest(path: str) -> str:
         refuse(Path(path), "must be a file that can be read", error, error)
 
 
+def _digests(item: AnyShape, known: Mapping[str, str]) -> dict[str, str]:
+    """SHA-256 of an object's files and arrays, by key."""
+    files = {key: known[path] for key, path in item.files().items()}
+    return files | {key: array.sha256 for key, array in item.arrays().items()}
+
+
 def scene_sha256(scene: Scene, digests: Mapping[str, str] | None = None) -> str:
-    """SHA-256 of what decides the image: all parameters, and the contents of texture and depth files, without their
-    paths.
+    """SHA-256 of what decides the image: all parameters, and the contents of textures and depths, without their paths.
 
     Parameters
     ----------
@@ -103,10 +108,8 @@ def scene_sha256(scene: Scene, digests: Mapping[str, str] | None = None) -> str:
     """
     known = file_digests([scene]) if digests is None else digests
     content = dump(scene)
-    for item in content["object"]:
-        for key in ("texture", "depth"):
-            if key in item:
-                item[key] = known.get(item[key], item[key])
+    for written, item in zip(content["object"], scene.objects, strict=True):
+        written |= _digests(item, known)
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -124,7 +127,8 @@ def record(scene: Scene, digests: Mapping[str, str] | None = None) -> dict[str, 
     Returns
     -------
     dict
-        The parameters as a scene file has them, those derived from them in mm, the units, the hashes and the version.
+        The parameters as a scene file has them, with a description in place of an array; those derived from them in mm,
+        the units, the hashes and the version.
 
     Raises
     ------
@@ -133,16 +137,23 @@ def record(scene: Scene, digests: Mapping[str, str] | None = None) -> dict[str, 
     """
     camera = scene.camera
     known = file_digests([scene]) if digests is None else digests
-    files = [item.files() for item in scene.objects]
+    digests_of = [(item, _digests(item, known)) for item in scene.objects]
+
+    def of(what: str) -> dict[str, str]:
+        return {str(item.inputs()[what]): found[what] for item, found in digests_of if what in found}
+
+    content = dump(scene)
+    for written, item in zip(content["object"], scene.objects, strict=True):
+        written |= {key: str(array) for key, array in item.arrays().items()}
     return {
         "version": __version__,
         "scene_sha256": scene_sha256(scene, known),
-        "scene": dump(scene),
+        "scene": content,
         "derived": {
             "aperture_diameter": camera.aperture_diameter,
             "sensor_distance": camera.sensor_distance,
         },
-        "textures_sha256": {each["texture"]: known[each["texture"]] for each in files if "texture" in each},
-        "depths_sha256": {each["depth"]: known[each["depth"]] for each in files if "depth" in each},
+        "textures_sha256": of("texture"),
+        "depths_sha256": of("depth"),
         "units": units(scene) | _record_units(scene),
     }

@@ -14,6 +14,7 @@ from clsco.errors import ImageError
 from clsco.files.atomic import refuse
 from clsco.inputs.depth_files import read_depth
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, blur_scale, focus_power
+from clsco.scene.arrays import ArrayInput
 from clsco.scene.model import Camera, DepthMap, Scene
 from clsco.scene.quantities import MIN_LENGTH_MM
 
@@ -168,27 +169,33 @@ def load_scene_depths(
     scene : Scene
         With its resolution.
     load : callable, optional
-        What gives it for an object, by default from its file.
+        What gives it for an object, by default from its file or array.
 
     Raises
     ------
     ImageError
         A file cannot be read, has another size than the frame, or does not fit the camera; of several the first one.
     """
-    of_map = load or (lambda scene, item: map_inverse_depth(scene, item, read_depth(item.depth)))
+    of_map = load or (lambda scene, item: map_inverse_depth(scene, item, depth_numbers(item.inputs()["depth"])))
     return tuple(of_map(scene, item) if isinstance(item, DepthMap) else None for item in scene.objects)
+
+
+def depth_numbers(source: str | ArrayInput) -> Array:
+    """Numbers (rows, columns) of a depth file, or of an array, which nobody may change. Raises as `read_depth`."""
+    return read_depth(source) if isinstance(source, str) else source.array
 
 
 def map_inverse_depth(scene: Scene, item: DepthMap, raw: Array) -> Array:
     """Inverse depth (rows, columns) in 1/mm of an object of a scene; 0 where nothing is.
 
-    scene: with its resolution. raw: numbers of its file. Where the file has no depth it is taken from around
+    scene: with its resolution. raw: numbers of its file or array. Where the file has no depth it is taken from around
     (`fill_depth`), so that the image is complete, unless fill.method is none: then nothing is there.
     Raises ImageError where the size is not that of the frame, and as `inverse_depth`.
     """
     assert scene.camera.resolution is not None
-    check_sizes("the frame", scene.camera.resolution, item.depth, (raw.shape[1], raw.shape[0]))
-    values = inverse_depth(raw, item.unit, item.scale, scene.camera, item.baseline, item.depth, item.offset)
+    name = str(item.depth)
+    check_sizes("the frame", scene.camera.resolution, name, (raw.shape[1], raw.shape[0]))
+    values = inverse_depth(raw, item.unit, item.scale, scene.camera, item.baseline, name, item.offset)
     w = values.inverse_depth
     return fill_depth(w) if values.invalid and scene.fill.method != "none" else w
 

@@ -16,21 +16,22 @@ from numpy.typing import NDArray
 from clsco.files import transfer as transfer_curves
 from clsco.files.array_cache import ArrayCache, user_cache
 from clsco.files.atomic import sha256
-from clsco.files.images import Picture, read_image
+from clsco.files.images import Picture
 from clsco.inputs import textures
-from clsco.inputs.depth_files import read_depth
-from clsco.inputs.depth_maps import load_scene_depths, map_inverse_depth
+from clsco.inputs.depth_maps import depth_numbers, load_scene_depths, map_inverse_depth
 from clsco.inputs.textures import (
     PATTERNS,
     Texture,
     aligned,
     load_scene_textures,
     load_texture,
+    picture_of,
     radiance_of,
     require_suffix,
 )
 from clsco.kept import Kept
 from clsco.resources import code_digest
+from clsco.scene.arrays import ArrayInput
 from clsco.scene.model import DepthMap, Scene
 from clsco.scene.shapes import is_drawn
 
@@ -39,6 +40,7 @@ MOST_BYTES = 2**31  # of a file whose content is looked at before its header is
 SETTLED_NS = 10**8  # a file that has changed less than so long ago may change again with the same times
 V = TypeVar("V")
 Maps = tuple[NDArray[np.float64] | None, ...]
+Source = str | ArrayInput
 
 
 class InputFiles:
@@ -51,7 +53,8 @@ class InputFiles:
 
     Notes
     -----
-    A file is what it contains: a copy of it elsewhere is the same, and one that has changed is read again.
+    A file is what it contains: a copy of it elsewhere is the same, and one that has changed is read again. So is an
+    array in memory.
     """
 
     def __init__(self, limit: int = KEPT_BYTES) -> None:
@@ -83,10 +86,10 @@ class InputFiles:
         """
         return load_scene_depths(scene, self.map)
 
-    def texture(self, source: str, transfer: str, size: tuple[int, int] | None = None) -> Texture:
+    def texture(self, source: Source, transfer: str, size: tuple[int, int] | None = None) -> Texture:
         """`clsco.inputs.textures.load_texture`, once per content, transfer and size."""
         drawn = is_drawn(source)
-        if not drawn:
+        if isinstance(source, str) and not drawn:
             require_suffix(source)
         content: Hashable | None = source if drawn else self._content(source)
         if content is None:
@@ -97,15 +100,15 @@ class InputFiles:
             lambda: self._texture(source, transfer, size, key),
             lambda texture: texture.radiance.nbytes,
         )
-        return found if found.source == source else replace(found, source=source)
+        return found if found.source == str(source) else replace(found, source=str(source))
 
-    def _texture(self, source: str, transfer: str, size: tuple[int, int] | None, key: Hashable) -> Texture:
+    def _texture(self, source: Source, transfer: str, size: tuple[int, int] | None, key: Hashable) -> Texture:
         if source in PATTERNS:
-            return Texture(self._pattern(source, transfer, size), 8, source, key)
+            return Texture(self._pattern(str(source), transfer, size), 8, str(source), key)
         if is_drawn(source):
-            return Texture(radiance_of(source, transfer, size), 8, source, key)
+            return Texture(radiance_of(str(source), transfer, size), 8, str(source), key)
         picture = self.picture(source)
-        return Texture(radiance_of(picture, transfer, size), picture.bits, source, key)
+        return Texture(radiance_of(picture, transfer, size), picture.bits, str(source), key)
 
     @cached_property
     def _drawn(self) -> ArrayCache:
@@ -122,23 +125,24 @@ class InputFiles:
         self._drawn.put(key, {"radiance": radiance})
         return radiance
 
-    def picture(self, path: str) -> Picture:
-        """`clsco.files.images.read_image`, once per content."""
-        return self._once("picture", path, lambda: read_image(path), lambda picture: picture.data.nbytes)
+    def picture(self, source: Source) -> Picture:
+        """`clsco.inputs.textures.picture_of`, once per content."""
+        return self._once("picture", source, lambda: picture_of(source), lambda picture: picture.data.nbytes)
 
-    def depth(self, path: str) -> NDArray[np.float64]:
-        """`clsco.inputs.depth_files.read_depth`, once per content."""
-        return self._once("depth", path, lambda: read_depth(path), lambda array: array.nbytes)
+    def depth(self, source: Source) -> NDArray[np.float64]:
+        """`clsco.inputs.depth_maps.depth_numbers`, once per content."""
+        return self._once("depth", source, lambda: depth_numbers(source), lambda array: array.nbytes)
 
     def map(self, scene: Scene, item: DepthMap) -> NDArray[np.float64]:
         """`clsco.inputs.depth_maps.map_inverse_depth` of an object, once per content and camera."""
-        content = self._content(item.depth)
+        source = item.inputs()["depth"]
+        content = self._content(source)
         if content is None:
-            return map_inverse_depth(scene, item, read_depth(item.depth))
+            return map_inverse_depth(scene, item, depth_numbers(source))
         numbers = (item.unit, item.scale, item.baseline, item.offset, scene.fill.method == "none")
         return self.kept.get(
             ("inverse depth", content, numbers, scene.camera.model_dump_json()),
-            lambda: map_inverse_depth(scene, item, self.depth(item.depth)),
+            lambda: map_inverse_depth(scene, item, self.depth(source)),
             lambda array: array.nbytes,
         )
 
@@ -152,15 +156,19 @@ class InputFiles:
             self._digests[path] = stamp, found
         return found
 
-    def _once(self, what: str, path: str, read: Callable[[], V], size: Callable[[V], int]) -> V:
-        content = self._content(path)
-        if content is None:
+    def _once(self, what: str, source: Source, read: Callable[[], V], size: Callable[[V], int]) -> V:
+        content = self._content(source)
+        if content is None or isinstance(source, ArrayInput):  # its scene keeps an array anyway
             return read()
         beyond = self.kept.limit + 1  # what was read from a file that has just changed is not kept
-        return self.kept.get((what, content), read, lambda v: size(v) if self._content(path) == content else beyond)
+        return self.kept.get((what, content), read, lambda v: size(v) if self._content(source) == content else beyond)
 
-    def _content(self, path: str) -> Hashable | None:
-        """What identifies the content of a file, and how it is read; None where there is none, as of a pipe."""
+    def _content(self, source: Source) -> Hashable | None:
+        """What identifies an array, or the content of a file and how it is read; None where there is none, as of a
+        pipe."""
+        if isinstance(source, ArrayInput):
+            return "array", source.sha256
+        path = source
         try:
             found = Path(path).stat()
             if not S_ISREG(found.st_mode) or found.st_size > MOST_BYTES:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from clsco.errors import ImageError
 from clsco.files.images import Picture, image_size, read_image
 from clsco.files.transfer import decode, encode
+from clsco.scene.arrays import ArrayInput
 from clsco.scene.model import Scene
 from clsco.scene.shapes import is_drawn
 
@@ -28,6 +29,7 @@ ALIGNMENT = 4096  # bytes: devices that work in the host's memory then use an ar
 
 Codes = NDArray[np.uint8]
 Floats = NDArray[np.float64]
+TextureSource = str | os.PathLike[str] | ArrayInput
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +37,9 @@ class Texture:
     """What a surface looks like, in linear radiance.
 
     radiance: float32 (rows, columns) or (rows, columns, 3), 1 = white, >= 0; row 0 on top.
-    bits: 8, 16 or 32 per value, as it was stored. source: name of the pattern, or path of the file. content: what
-    identifies the radiance, the same for the same values; None where that is not known.
+    bits: 8, 16 or 32 per value, as it was stored. source: name of the pattern, path of the file, or what an array is
+    called in messages. content: what identifies the radiance, the same for the same values; None where that is not
+    known.
     """
 
     radiance: NDArray[np.float32]
@@ -50,21 +53,27 @@ class Texture:
         return float(self.radiance.max(initial=0.0))  # none is below 0
 
 
-def load_texture(name_or_path: str | os.PathLike[str], transfer: str, size: tuple[int, int] | None = None) -> Texture:
-    """Load a built-in pattern or an image file as linear radiance.
+def load_texture(source: TextureSource, transfer: str, size: tuple[int, int] | None = None) -> Texture:
+    """Load a built-in pattern, an image file or an array as linear radiance.
 
-    name_or_path: bricks, checkerboard, slanted_edge, siemens_star, a color "#rrggbb", or a path. transfer: "srgb" or
-    "linear", of patterns and colors, which have 8 bits, and of files with 8 and 16 bits; floats are linear.
-    size: (rows, columns) of the frame; a file of another size is resampled to it (`resample`), a pattern is
+    source: bricks, checkerboard, slanted_edge, siemens_star, a color "#rrggbb", a path, or an array. transfer: "srgb"
+    or "linear", of patterns and colors, which have 8 bits, and of images with 8 and 16 bits; floats are linear.
+    size: (rows, columns) of the frame; an image of another size is resampled to it (`resample`), a pattern is
     made for it, 512 x 512 by default.
     Raises ImageError where there is no such pattern or file, or the file cannot be read.
     """
-    source = os.fspath(name_or_path)
     if is_drawn(source):
-        return Texture(radiance_of(source, transfer, size), 8, source)
-    require_suffix(source)
-    picture = read_image(source)
-    return Texture(radiance_of(picture, transfer, size), picture.bits, source)
+        return Texture(radiance_of(str(source), transfer, size), 8, str(source))
+    picture = picture_of(source)
+    return Texture(radiance_of(picture, transfer, size), picture.bits, str(source))
+
+
+def picture_of(source: TextureSource) -> Picture:
+    """The picture of a file, or that of an array. Raises ImageError as `load_texture`."""
+    if isinstance(source, ArrayInput):
+        return Picture(source.array)
+    require_suffix(os.fspath(source))
+    return read_image(source)
 
 
 def radiance_of(picture: Picture | str, transfer: str, size: tuple[int, int] | None = None) -> NDArray[np.float32]:
@@ -137,12 +146,13 @@ def _empty(shape: tuple[int, ...]) -> NDArray[np.float32]:
     return image[start : start + 4 * math.prod(shape)].view(np.float32).reshape(shape)
 
 
-def texture_size(name_or_path: str | os.PathLike[str]) -> tuple[int, int]:
+def texture_size(source: TextureSource) -> tuple[int, int]:
     """Give (columns, rows) of a texture, px, from its file's header. Raises ImageError as `load_texture`."""
-    source = os.fspath(name_or_path)
     if is_drawn(source):
         return DEFAULT_SIDE, DEFAULT_SIDE
-    require_suffix(source)
+    if isinstance(source, ArrayInput):
+        return source.array.shape[1], source.array.shape[0]
+    require_suffix(os.fspath(source))
     return image_size(source)
 
 
@@ -167,9 +177,9 @@ def load_scene_textures(scene: Scene, load: Callable[..., Texture] = load_textur
     ImageError
         As `load_texture`.
     """
-    columns, rows = scene.camera.resolution or texture_size(scene.objects[0].texture)
+    names = [item.inputs()["texture"] for item in scene.objects]
+    columns, rows = scene.camera.resolution or texture_size(names[0])
     camera = scene.camera.model_copy(update={"resolution": (columns, rows)})
-    names = [item.texture for item in scene.objects]
     loaded = {name: load(name, scene.image.transfer, (rows, columns)) for name in dict.fromkeys(names)}
     return scene.model_copy(update={"camera": camera}), tuple(loaded[name] for name in names)
 

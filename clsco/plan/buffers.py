@@ -405,7 +405,7 @@ def silhouette_buffers(spec: BlurSpec, grid: Grid, slots: int) -> Sizes:
 def texture_buffers(scene: Scene, channels: int, alpha: bool = False) -> Sizes:
     """The textures of a scene with a resolution, each once; alpha: that of a background covers nothing."""
     columns, rows = scene.camera.resolution or (0, 0)
-    count = len({(item.texture, alpha and item.is_background) for item in scene.objects})
+    count = len({(item.inputs()["texture"], alpha and item.is_background) for item in scene.objects})
     return {"texture": 4 * channels * count * rows * columns}
 
 

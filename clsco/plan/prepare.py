@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -102,10 +102,10 @@ def prepare_sweep(
 ) -> tuple[Prepared, ...]:
     """`prepare` for all scenes of a sweep. Raises SceneError with the faults of all of them."""
     wanted, known = request or Request(), files or shared_files()
-    found, faults, channels = [], dict[str, None](), dict[str, int]()
+    found, faults, channels = [], dict[str, None](), dict[Hashable, int]()
     for label, scene in zip(sweep.labels, sweep.scenes, strict=True):
-        names = repr([(item.texture, item.files()) for item in scene.objects])
-        if names not in channels:  # all scenes of a sweep have the same files
+        names = tuple(tuple(item.inputs().items()) for item in scene.objects)
+        if names not in channels:  # all scenes of a sweep have the same files and arrays
             channels[names] = _channels(scene, known)
         try:
             found.append(_planned(scene, channels[names], wanted, device, known))
@@ -139,7 +139,7 @@ def prepare_files(
 def _planned(scene: Scene, channels: int, request: Request, device: DeviceFacts | None, files: InputFiles) -> Prepared:
     camera = scene.camera
     if camera.resolution is None:
-        camera = camera.model_copy(update={"resolution": texture_size(scene.objects[0].texture)})
+        camera = camera.model_copy(update={"resolution": texture_size(scene.objects[0].inputs()["texture"])})
     sized = scene.model_copy(update={"camera": camera})
     maps = _maps(sized, files)
     options = (request.truth, request.method)
@@ -149,15 +149,17 @@ def _planned(scene: Scene, channels: int, request: Request, device: DeviceFacts 
 
 
 def _channels(scene: Scene, files: InputFiles) -> int:
-    """Channels of the image, from all files of a scene, whose faults are raised together."""
+    """Channels of the image, from all files and arrays of a scene, whose faults are raised together."""
     faults, gray = list[str](), True
     for index, item in enumerate(scene.objects):
+        sources = item.inputs()
         with _collected(faults, f"object[{index}].texture"):
-            texture_size(item.texture)
-            gray = gray and is_gray(item.texture if is_drawn(item.texture) else files.picture(item.texture))
-        if "depth" in item.files():
+            texture = sources["texture"]
+            texture_size(texture)
+            gray = gray and is_gray(str(texture) if is_drawn(texture) else files.picture(texture))
+        if "depth" in sources:
             with _collected(faults, f"object[{index}].depth"):
-                files.depth(item.files()["depth"])
+                files.depth(sources["depth"])
     if faults:
         raise SceneError(faults)
     return 1 if gray else 3

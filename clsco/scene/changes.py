@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, TypeAdapter
+from pydantic import BaseModel
 
 from clsco.errors import SceneError
 from clsco.scene.faults import parsed
@@ -28,7 +28,6 @@ _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
 )
 
 
-_ANYTHING = TypeAdapter(Any)
 Root = TypeVar("Root", bound=BaseModel)
 
 
@@ -89,7 +88,7 @@ def put(data: dict[str, Any], parts: list[str], value: Any) -> str | None:
 def displace(data: dict[str, Any], key: str, value: Any) -> None:
     """Remove the keys that contradict `key` = `value`."""
     for cause, condition, other in _DISPLACED:
-        if key == cause and condition in (None, value):
+        if key == cause and (condition is None or (isinstance(value, str) and value == condition)):
             section, _, entry = other.partition(".")
             if not entry:
                 data.pop(section, None)
@@ -107,7 +106,8 @@ def dump(scene: Any) -> dict[str, Any]:
     Returns
     -------
     dict
-        Plain dicts, lists, strings, numbers and booleans; `parse_scene` makes an equal scene of them.
+        Plain dicts, lists, strings, numbers and booleans, and the arrays of the scene as they are; `parse_scene` makes
+        an equal scene of them.
     """
     data: dict[str, Any] = scene.model_dump(mode="json", by_alias=True, exclude_none=True)
     if scene.camera.f_number is not None:
@@ -118,20 +118,57 @@ def dump(scene: Any) -> dict[str, Any]:
         displace(data, key, data[section][key.rpartition(".")[2]])
     if scene.psf.occlusion == "visibility" and not scene.is_ray_castable:
         del data["psf"]["occlusion"]  # the default, which only the plan can resolve
+    for written, item in zip(data["object"], scene.objects, strict=True):
+        written |= item.arrays()
     return data
+
+
+def given(value: Any) -> Any:
+    """Content of a scene file of the keys that were given, so that defaults follow from these again.
+
+    Parameters
+    ----------
+    value
+        A scene or a table of it, a list or mapping of them, or the value of a key.
+
+    Returns
+    -------
+    dict, list or any other value
+        Tables and lists; what is neither stays as it is.
+    """
+    if isinstance(value, BaseModel):
+        fields = type(value).model_fields
+        names = [name for name in fields if name in value.model_fields_set or name == "shape"]
+        found = {fields[name].serialization_alias or name: getattr(value, name) for name in names}
+        return {key: given(entry) for key, entry in found.items() if entry is not None}
+    if isinstance(value, Mapping):
+        return {key: given(entry) for key, entry in value.items()}
+    return [given(entry) for entry in value] if isinstance(value, list | tuple) else value
 
 
 def replaced(scene: Root, path: str, value: Any) -> Root:
     """A scene with another value of one key. Raises SceneError where that cannot be."""
-    data, parts = dump(scene), key_parts(path)
+    try:
+        data, parts, new = given(scene), key_parts(path), given(value)
+    except RecursionError:
+        raise SceneError(f"scene: {brief(path)}: nested too deeply; got {shown(value)}") from None
     parts = ["object", *parts[1:]] if parts[0] == "objects" else parts
-    plain = _ANYTHING.dump_python(value, mode="json", by_alias=True, exclude_none=True, fallback=_plain)
-    displace(data, ".".join(parts), plain)
-    if (fault := put(data, parts, plain)) is not None:
+    known = dump(scene)
+    for end in range(1, len(parts)):  # a component of a default: the others stay what they are
+        default = _at(known, parts[:end])
+        if default is not None and not isinstance(default, dict) and _at(data, parts[:end]) is None:
+            put(data, parts[:end], default)
+    displace(data, ".".join(parts), new)
+    if (fault := put(data, parts, new)) is not None:
         raise SceneError(f"scene: {brief(path)}: {fault}")
     return parsed(type(scene), data, "scene")
 
 
-def _plain(value: Any) -> Any:
-    """NumPy's numbers and arrays as Python's; what is none of them is refused by its text."""
-    return value.tolist() if hasattr(value, "tolist") else repr(value)
+def _at(node: Any, parts: Sequence[str]) -> Any:
+    """The entry at `parts`, None where there is none."""
+    for part in parts:
+        if isinstance(node, list):
+            node = node[int(part)] if part.isdecimal() and len(part) < 10 and int(part) < len(node) else None
+        else:
+            node = node.get(part) if isinstance(node, dict) else None
+    return node

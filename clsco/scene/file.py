@@ -148,13 +148,14 @@ def _exists(folder: Path, name: str) -> bool:
         return False
 
 
-def parse_scene(mapping: Mapping[str, Any], where: str = "scene") -> Scene:
-    """Validate a scene given as nested mappings and lists with the keys of a scene file.
+def parse_scene(mapping: Mapping[str, Any] | str, where: str = "scene") -> Scene:
+    """Validate a scene given as nested mappings and lists with the keys of a scene file, or as its text.
 
     Parameters
     ----------
-    mapping : mapping
-        Content of a scene file; not changed.
+    mapping : mapping or str
+        Content of a scene file, which is not changed, or the text of one in TOML. In a mapping a texture or depth may
+        be a NumPy array, too.
     where : str
         Name for messages.
 
@@ -168,7 +169,16 @@ def parse_scene(mapping: Mapping[str, Any], where: str = "scene") -> Scene:
     SceneError
         One message per fault, `where: key: rule; got value`.
     """
-    return parsed(Scene, mapping, where)
+    return parsed(Scene, table_of(mapping, where), where)
+
+
+def table_of(content: Any, where: str) -> Any:
+    """Content of a scene file from its text in TOML; what is no text stays as it is. Raises SceneError."""
+    if not isinstance(content, str):
+        return content
+    if len(content) > MAX_FILE_BYTES:
+        raise SceneError(f"{where}: a scene must have at most {MAX_FILE_BYTES} characters")
+    return _table(content, ".toml", where)
 
 
 def scene_of(scene: SceneLike) -> Scene:
@@ -248,6 +258,15 @@ def _read(where: str) -> dict[str, Any]:
         raise SceneError(f"{where}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
     if len(content) > MAX_FILE_BYTES:
         raise SceneError(f"{where}: a scene file must have at most {MAX_FILE_BYTES} bytes")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise SceneError(f"{where}: must be UTF-8 text; got byte {content[error.start]:#04x}") from None
+    return _table(text, kind, where)
+
+
+def _table(text: str, kind: str, where: str) -> dict[str, Any]:
+    """The table that a text in TOML or JSON holds, unchecked but for its form and repeated keys."""
 
     def unique(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
         table: dict[str, Any] = {}
@@ -258,12 +277,9 @@ def _read(where: str) -> dict[str, Any]:
         return table
 
     try:
-        text = content.decode("utf-8-sig")
         if kind == ".toml" and any(line.count(".") > MAX_DOTS for line in text.splitlines()):
             raise SceneError(f"{where}: a line must have at most {MAX_DOTS} dots")
         data = tomllib.loads(text) if kind == ".toml" else json.loads(text, object_pairs_hook=unique)
-    except UnicodeDecodeError as error:
-        raise SceneError(f"{where}: must be UTF-8 text; got byte {content[error.start]:#04x}") from None
     except RecursionError:
         raise SceneError(f"{where}: nested too deeply") from None
     except ValueError as error:

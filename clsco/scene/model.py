@@ -18,6 +18,7 @@ from clsco.scene.quantities import (
     MIN_LENGTH_MM,
     AngularVelocity,
     Duration,
+    Flag,
     FNumber,
     Length,
     Resolution,
@@ -172,7 +173,7 @@ class Psf(Strict):
     """A disc of radius |R|, or a Gaussian of standard deviation sigma_ratio |R|."""
     edge: Literal["integrated", "area", "sampled"] = "integrated"
     """Integrated over source and detector pixel, over the detector pixel only, or taken at pixel centers."""
-    tilt: bool = True
+    tilt: Flag = True
     """Weight by the gradient of the blur radius."""
     silhouette_samples: Annotated[int, Within(1, 16)] = 4
     """Sources per pixel and axis near silhouettes; 1: off."""

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -22,8 +23,16 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, cor
 
 MAX_PIXELS = 2**28
 MIN_LENGTH_MM, MAX_LENGTH_MM = 1e-6, 1e9
+MAX_LISTED = 4096  # numbers in an array that stands for a list
 
 Vector = tuple[float, float, float]
+
+
+def as_python(value: Any) -> Any:
+    """NumPy's numbers and small arrays as Python's; all else, also images, as it is."""
+    if isinstance(value, np.longdouble):
+        return float(value)
+    return value.tolist() if isinstance(value, np.generic | np.ndarray) and value.size <= MAX_LISTED else value
 
 
 def fault(rule: str, got: str | None = None) -> PydanticCustomError:
@@ -93,7 +102,8 @@ class Within:
         raise fault(f"must be between {self.low:.7g} and {self.high:.7g}{unit}{excluded}")
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_after_validator_function(self.check, handler(source))
+        number = core_schema.no_info_before_validator_function(as_python, handler(source))
+        return core_schema.no_info_after_validator_function(self.check, number)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         low = "minimum" if self.ends[0] == "[" else "exclusiveMinimum"
@@ -102,11 +112,12 @@ class Within:
 
 
 def _list_of(count: int, what: str) -> Callable[[Any], Any]:
-    """Turn a list of `count` entries into a tuple; the file formats know only lists."""
+    """Turn a list or array of `count` entries into a tuple; the file formats know only lists."""
 
     def convert(value: Any) -> Any:
-        if isinstance(value, list | tuple) and len(value) == count:
-            return tuple(value)
+        listed = as_python(value)
+        if isinstance(listed, list | tuple) and len(listed) == count:
+            return tuple(listed)
         raise fault(f"must be a list of {count} {what}")
 
     return convert
@@ -142,6 +153,7 @@ def _surface(value: tuple[float, ...]) -> tuple[float, ...]:
 
 def _count_or_auto(value: Any) -> Any:
     """Refuse all but a number of samples and "auto"."""
+    value = as_python(value)
     if (type(value) is int and 1 <= value <= 4096) or (type(value) is str and value == "auto"):
         return value
     raise fault('must be an integer between 1 and 4096, or "auto"')
@@ -155,6 +167,7 @@ def _few_enough(value: tuple[int, int]) -> tuple[int, int]:
 
 
 _Pair, _Triple = BeforeValidator(_list_of(2, "numbers")), BeforeValidator(_list_of(3, "numbers"))
+Flag = Annotated[bool, BeforeValidator(as_python)]
 Text = Annotated[str, Field(max_length=4096), AfterValidator(_single_line)]
 Name = Annotated[str, Field(min_length=1, max_length=4096), AfterValidator(_single_line)]
 Length = Annotated[float, Within(MIN_LENGTH_MM, MAX_LENGTH_MM, "mm")]

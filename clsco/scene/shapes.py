@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from itertools import count
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, cast, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
+from clsco.scene.arrays import ArrayInput, DepthInput, TextureInput
 from clsco.scene.quantities import (
     AngularVelocity,
     Box,
@@ -36,9 +37,9 @@ BACKGROUND_MM = 1e12
 IN_FRONT = "must leave part of the object in front of the lens (z > 0)"
 
 
-def is_drawn(texture: str) -> bool:
-    """Whether a texture is built in, or a color, and no file."""
-    return texture in BUILT_IN_TEXTURES or COLOR.fullmatch(texture) is not None
+def is_drawn(texture: object) -> bool:
+    """Whether a texture is built in, or a color, and neither a file nor an array."""
+    return isinstance(texture, str) and (texture in BUILT_IN_TEXTURES or COLOR.fullmatch(texture) is not None)
 
 
 def _reaching(center: Vector, reach: float | None) -> Vector:
@@ -69,9 +70,9 @@ class _Object(Strict):
     """Kind of surface."""
     name: Name = Field(default_factory=lambda data: data["shape"])
     """Name in messages and metadata. Default: shape."""
-    texture: Name = "bricks"
+    texture: TextureInput = "bricks"
     """bricks, checkerboard, slanted_edge, siemens_star, a color "#rrggbb", or an image: a path, relative to the scene
-    file."""
+    file; in Python also a NumPy array."""
     bounds: Box | None = None
     """Box [[x0, x1], [y0, y1], [z0, z1]] about the object's origin before rotation, mm; cuts the surface."""
     motion: ObjectMotion = ObjectMotion()
@@ -87,9 +88,18 @@ class _Object(Strict):
         """Whether it is what is behind all others, and no surface in the ground truth."""
         return False
 
+    def inputs(self) -> dict[str, str | ArrayInput]:
+        """What the object is made of, by key: the name of a pattern, the path of a file, or an array."""
+        return {"texture": cast("str | ArrayInput", self.texture)}
+
     def files(self) -> dict[str, str]:
-        """Paths of the files that the object is made of, by the keys that name them."""
-        return {} if is_drawn(self.texture) else {"texture": self.texture}
+        """Paths of the files among its inputs, by the keys that name them."""
+        named = {key: value for key, value in self.inputs().items() if isinstance(value, str)}
+        return {key: path for key, path in named.items() if key != "texture" or not is_drawn(path)}
+
+    def arrays(self) -> dict[str, ArrayInput]:
+        """The arrays among its inputs, by key."""
+        return {key: value for key, value in self.inputs().items() if isinstance(value, ArrayInput)}
 
 
 class Plane(_Object):
@@ -184,8 +194,9 @@ class DepthMap(_Object):
     """Surface given by the depth of every pixel at t = 0, from a file of the texture's size."""
 
     shape: Literal["depth_map"] = "depth_map"
-    depth: Name
-    """File of depths: PNG, TIFF, EXR, PFM, .npy or .npz; a path, relative to the scene file."""
+    depth: DepthInput
+    """File of depths: PNG, TIFF, EXR, PFM, .npy or .npz; a path, relative to the scene file; in Python also a NumPy
+    array."""
     unit: Literal["mm", "m", "inverse_mm", "inverse_m", "disparity", "coc"] = "mm"
     """Quantity in the file: Z in mm or m, 1/Z in 1/mm or 1/m, disparity in px, or signed blur radius R in px."""
     scale: Annotated[float, Within(1e-12, 1e12)] = 1.0
@@ -201,8 +212,8 @@ class DepthMap(_Object):
     def is_analytic(self) -> bool:
         return False
 
-    def files(self) -> dict[str, str]:
-        return super().files() | {"depth": self.depth}
+    def inputs(self) -> dict[str, str | ArrayInput]:
+        return super().inputs() | {"depth": cast("str | ArrayInput", self.depth)}
 
     @field_validator("bounds")
     @classmethod

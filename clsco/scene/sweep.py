@@ -12,11 +12,22 @@ from typing import Any
 
 from clsco.errors import SceneError
 from clsco.scene.faults import at_most
-from clsco.scene.file import MAX_OUTPUTS, Location, absolute, missing_files, parse_scene, read_mapping, swept_keys
+from clsco.scene.file import (
+    MAX_OUTPUTS,
+    Location,
+    absolute,
+    missing_files,
+    parse_scene,
+    read_mapping,
+    swept_keys,
+    table_of,
+)
 from clsco.scene.model import Scene
+from clsco.scene.quantities import as_python
 from clsco.scene.text import key_name, shown
 
 RANGE = ("from", "to", "steps")
+DEEPEST = 8  # tables and lists in each other: of a range of velocities of an object, and some to spare
 
 
 @dataclass(frozen=True)
@@ -118,25 +129,28 @@ def load_sweeps(paths: Sequence[Path], overrides: Sequence[str] = ()) -> list[tu
     return loaded
 
 
-def parse_sweep(mapping: Mapping[str, Any], where: str = "scene") -> Sweep:
-    """Validate all scenes of nested mappings and lists with the keys of a scene file, as `load_sweep` does.
+def parse_sweep(mapping: Mapping[str, Any] | str, where: str = "scene") -> Sweep:
+    """Validate all scenes of nested mappings and lists with the keys of a scene file, or of its text.
 
     Parameters
     ----------
-    mapping : mapping
-        Not changed; paths stay as they are.
+    mapping : mapping or str
+        Content of a scene file as for `clsco.parse_scene`, in which keys may have several values as for
+        `clsco.load_sweep`; in a mapping also as NumPy arrays. Paths stay as they are.
     where : str
         Name for messages.
 
     Returns
     -------
     Sweep
+        As from `clsco.load_sweep`.
 
     Raises
     ------
     SceneError
-        As `load_sweep`.
+        As `clsco.load_sweep`.
     """
+    mapping = _listed(table_of(mapping, where))
     if not isinstance(mapping, Mapping) or not (given := swept_keys(mapping)):
         return Sweep(("",), (parse_scene(mapping, where),))
     faults: list[str] = []
@@ -155,6 +169,16 @@ def parse_sweep(mapping: Mapping[str, Any], where: str = "scene") -> Sweep:
     words = [[f"{axis.label()}_{word}" for word in axis.words()] for axis in axes]
     labels = ["__".join(column[i] for column, i in zip(words, choice, strict=True)) for choice in choices]
     return Sweep(tuple(labels), tuple(scenes))
+
+
+def _listed(value: Any, depth: int = 0) -> Any:
+    """A mapping with lists and numbers of Python in place of NumPy's, but for textures and depths."""
+    if isinstance(value, Mapping | list) and depth == DEEPEST:  # deeper ones are refused later
+        return value
+    if isinstance(value, Mapping):
+        named = value.items()
+        return {key: entry if key in ("texture", "depth") else _listed(entry, depth + 1) for key, entry in named}
+    return [_listed(entry, depth + 1) for entry in value] if isinstance(value, list) else as_python(value)
 
 
 def _faults(

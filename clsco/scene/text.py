@@ -8,6 +8,10 @@ import reprlib
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
+from clsco.scene.quantities import as_python
+
 _SHORT = reprlib.Repr()
 _SHORT.maxlevel, _SHORT.maxlist, _SHORT.maxtuple, _SHORT.maxdict, _SHORT.maxother = 3, 6, 6, 4, 60
 
@@ -26,6 +30,9 @@ def key_name(loc: Sequence[Any]) -> str:
 
 def shown(value: Any) -> str:
     """A value on one short line, as a scene file would write it where possible."""
+    value = as_python(value)
+    if isinstance(value, np.ndarray):
+        return f"an array of {value.dtype} {value.shape}"
     if isinstance(value, str):
         return json.dumps(brief(value), ensure_ascii=not value.isprintable())
     if value is None or isinstance(value, bool):

@@ -22,9 +22,10 @@ from clsco.files import atomic as files
 from clsco.files.atomic import remove_stale, writable_folder
 from clsco.files.images import read_image, write_exr, write_json, write_npz, write_png
 from clsco.files.transfer import encode
-from clsco.frame.files import exr_channels, frame_files, read_complete, write_frame
+from clsco.frame.files import exr_channels, frame_files, read_complete, truth_files, write_frame
 from clsco.frame.frame import FILE_NAMES, TRUTH_NAMES, Frame
 
+NPZ, BOTH = truth_files("npz"), truth_files("npz,exr")
 GRAY = np.arange(256, dtype=np.uint8).reshape(8, 32)
 COLOR = np.random.default_rng(7).integers(0, 65536, (300, 300, 3), "u2")
 LIGHT = np.random.default_rng(7).random((300, 300), "f4")
@@ -54,7 +55,7 @@ def frame(channels: int) -> Frame:
 @pytest.mark.parametrize("channels", [1, 3])
 def test_frame_files_hold_the_frame(tmp_path: Path, channels: int) -> None:
     shown = frame(channels)
-    content = write_frame(tmp_path, (shown,), 32, "srgb", ("npz", "exr"))
+    content = write_frame(tmp_path, (shown,), 32, "srgb", BOTH)
     names = ["frame_0003.exr", "frame_0003.json", "frame_0003.npz", "frame_0003.png"]
     assert sorted(path.name for path in tmp_path.iterdir()) == names
     assert json.loads((tmp_path / "frame_0003.json").read_text("utf-8")) == content
@@ -99,10 +100,10 @@ def pair() -> tuple[Frame, Frame]:
 
 def test_a_stereo_pair_has_files_of_each_view_and_one_exr(tmp_path: Path) -> None:
     views = pair()
-    content = write_frame(tmp_path, views, 8, "linear", ("npz", "exr"), {"title": "Pair"})
+    content = write_frame(tmp_path, views, 8, "linear", BOTH, {"title": "Pair"})
     apart = [f"frame_0003_{eye}.{suffix}" for eye in ("left", "right") for suffix in ("npz", "png")]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["frame_0003.exr", "frame_0003.json", *apart]
-    assert set(content["files"]) == frame_files(3, True, ("npz", "exr")) == {"frame_0003.exr", *apart}
+    assert set(content["files"]) == frame_files(3, True, BOTH) == {"frame_0003.exr", *apart}
     assert content["views"] == {"left": {"guard_px": 4}, "right": {"guard_px": 5}}
     assert content["title"] == "Pair"
     assert read_complete(tmp_path, 3) == content
@@ -140,14 +141,14 @@ def test_a_pair_is_written_together_or_not_at_all(tmp_path: Path, monkeypatch: p
 
     monkeypatch.setattr(framefiles, broken, second_fails)
     with pytest.raises(ImageError) as caught:
-        write_frame(tmp_path, pair(), 8, "linear", ("npz", "exr"))
+        write_frame(tmp_path, pair(), 8, "linear", BOTH)
     name = "frame_0003.exr" if broken == "write_exr" else f"frame_0003_right.{broken[-3:]}"
     assert str(caught.value) == f"{tmp_path / name}: the file must be writable; got No space left on device"
     assert list(tmp_path.iterdir()) == []
 
 
 def test_frame_without_truth(tmp_path: Path) -> None:
-    write_frame(tmp_path, (Frame(12345, np.full((2, 3), 0.5, "f4")),), 8, "linear", ("npz",))
+    write_frame(tmp_path, (Frame(12345, np.full((2, 3), 0.5, "f4")),), 8, "linear", NPZ)
     assert read_image(tmp_path / "frame_12345.png").data.tolist() == [[128] * 3] * 2
     with np.load(tmp_path / "frame_12345.npz") as truth:
         assert truth.files == ["color"]
@@ -156,30 +157,30 @@ def test_frame_without_truth(tmp_path: Path) -> None:
 def test_frame_is_complete_or_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shown = frame(1)
     assert read_complete(tmp_path, 3) is None
-    content = write_frame(tmp_path, (shown,), 8, "srgb", ("npz",))
+    content = write_frame(tmp_path, (shown,), 8, "srgb", NPZ)
     assert read_complete(tmp_path, 3) == content
     (tmp_path / "frame_0003.png").write_bytes(b"x")
     assert read_complete(tmp_path, 3) is None
 
-    content = write_frame(tmp_path, (shown,), 8, "srgb", ("npz",))
+    content = write_frame(tmp_path, (shown,), 8, "srgb", NPZ)
     with monkeypatch.context() as patch:
         patch.setattr("clsco.frame.files.write_npz", lambda *_: (_ for _ in ()).throw(ImageError("disk")))
         with pytest.raises(ImageError, match="disk"):
-            write_frame(tmp_path, (replace(shown, color=1 - shown.color),), 8, "srgb", ("npz",))
+            write_frame(tmp_path, (replace(shown, color=1 - shown.color),), 8, "srgb", NPZ)
     assert read_complete(tmp_path, 3) == content  # the older frame is still there
     monkeypatch.setattr("clsco.frame.files.write_json", lambda *_: (_ for _ in ()).throw(ImageError("disk")))
     with pytest.raises(ImageError, match="disk"):
-        write_frame(tmp_path, (shown,), 8, "srgb", ("npz",))
+        write_frame(tmp_path, (shown,), 8, "srgb", NPZ)
     assert read_complete(tmp_path, 3) is None  # new files, and none that says they are whole
     (tmp_path / "frame_0003.json").write_text("[]")
     assert read_complete(tmp_path, 3) is None
 
 
 def test_same_content_gives_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    first = write_frame(tmp_path, (frame(3),), 8, "srgb", ("npz", "exr"))
+    first = write_frame(tmp_path, (frame(3),), 8, "srgb", BOTH)
     later = time.gmtime(time.time() + 100_000)
     monkeypatch.setattr(time, "localtime", lambda _=None: later)  # what archives put beside a name
-    assert write_frame(tmp_path, (frame(3),), 8, "srgb", ("npz", "exr")) == first
+    assert write_frame(tmp_path, (frame(3),), 8, "srgb", BOTH) == first
 
 
 WRITERS: dict[str, Callable[[Path], None]] = {
@@ -290,7 +291,7 @@ if naive:
     def in_place(folder, name):
         yield folder
     images.whole_file, framefiles.together, framefiles.sha256 = images_open, in_place, lambda path: path.name
-light = np.random.default_rng(1).random((64, 64, 3), "f4")
+light, npz = np.random.default_rng(1).random((64, 64, 3), "f4"), framefiles.truth_files("npz")
 framefiles.write_frame(folder, (Frame(0, light),), 16, "srgb")  # makes the tables, once for all children
 random.seed(2)
 damaged = complete = 0
@@ -298,7 +299,7 @@ for round in range(100):
     child = os.fork()
     if child == 0:
         for index in range(7 * round, 10**6):
-            framefiles.write_frame(folder, (Frame(index % 50, light + index % 3),), 16, "srgb", ("npz",))
+            framefiles.write_frame(folder, (Frame(index % 50, light + index % 3),), 16, "srgb", npz)
     time.sleep(random.uniform(0.001, 0.04))
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from clsco.errors import ImageError
-from clsco.inputs import files as files_module
+from clsco.inputs import depth_maps, textures
 from clsco.inputs.files import InputFiles
 from tests.scenes import scene_from
 
@@ -28,8 +28,8 @@ def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
         return counting
 
-    for name in ("read_image", "read_depth"):
-        monkeypatch.setattr(files_module, name, counted(getattr(files_module, name)))
+    for module, name in ((textures, "read_image"), (depth_maps, "read_depth")):
+        monkeypatch.setattr(module, name, counted(getattr(module, name)))
     return found
 
 

@@ -96,9 +96,9 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Small:
         (item,) = clsco.load_scene(path).objects
         assert isinstance(item, DepthMap)
         files = {}
-        for key, name in (("texture", item.texture), ("depth", item.depth)):
+        for key, source in item.files().items():
             files[key] = folder / f"{key}.png"
-            write_png(files[key], np.ascontiguousarray(read_image(name).data[::5, ::5]))
+            write_png(files[key], np.ascontiguousarray(read_image(source).data[::5, ::5]))
         return clsco.load_scene(path, [*SMALL_MAP, *(f"object.0.{key}={files[key]}" for key in files)])
 
     return cache(load)

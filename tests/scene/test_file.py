@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clsco.errors import SceneError
+from clsco.inputs.dump import dump_scene
 from clsco.scene.changes import dump
 from clsco.scene.faults import MAX_MESSAGES
 from clsco.scene.file import MAX_DOTS, MAX_FILE_BYTES, load_scene, parse_scene
@@ -90,7 +91,7 @@ def test_a_byte_order_mark_is_no_fault(ball: Path) -> None:
 
 def test_textures_are_sought_beside_the_scene_file(ball: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def texture(given: str) -> str:
-        return load_scene("ball.toml", [f"object.0.texture={given}"]).objects[0].texture
+        return str(load_scene("ball.toml", [f"object.0.texture={given}"]).objects[0].texture)
 
     monkeypatch.chdir(tmp_path)
     assert texture("wall.png") == str(tmp_path / "wall.png")
@@ -411,7 +412,7 @@ def test_any_mapping_is_a_scene_or_a_scene_error(mapping: dict[str, Any]) -> Non
     except SceneError as error:
         messages = error.messages
     else:
-        assert parse_scene(dump(scene)) == scene
+        assert parse_scene(dump(scene)) == parse_scene(dump_scene(scene)) == scene
         return
     assert messages
     assert all(len(message.splitlines()) == 1 for message in messages)

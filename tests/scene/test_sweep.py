@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import clsco
 from clsco.errors import SceneError
 from clsco.scene.changes import dump
-from clsco.scene.file import MAX_OUTPUTS, load_scene, parse_scene, swept_keys
+from clsco.scene.file import MAX_FILE_BYTES, MAX_OUTPUTS, load_scene, parse_scene, swept_keys
 from clsco.scene.model import Camera, Motion, ObjectMotion, Scene, Sequence
 from clsco.scene.schema import scene_schema
 from clsco.scene.sweep import load_sweep, parse_sweep
@@ -40,6 +40,20 @@ def test_without_several_values_there_is_one_scene() -> None:
     assert swept_keys(data) == []
     sweep = parse_sweep(data)
     assert (sweep.labels, sweep.scenes) == (("",), (parse_scene(data),))
+
+
+def test_text_of_a_file_is_read() -> None:
+    text = f"camera.f_number = [2, 4]\n{BALL}"
+    assert clsco.parse_sweep(text) == parse_sweep(tomllib.loads(text))
+    assert clsco.parse_scene(BALL) == parse_scene(tomllib.loads(BALL)) == parse_sweep(BALL).scenes[0]
+    for parse in (clsco.parse_sweep, clsco.parse_scene):
+        for wrong, message in (
+            ("camera = ", "bad: not valid TOML: Invalid value"),
+            ("a" + ".b" * 200 + " = 1", "bad: a line must have at most 100 dots"),
+            ("#" * (MAX_FILE_BYTES + 1), "bad: a scene must have at most 1048576 characters"),
+        ):
+            with pytest.raises(SceneError, match=f"^{message}"):
+                parse(wrong, "bad")
 
 
 def test_a_range_has_both_ends_and_equal_steps() -> None:

@@ -1,0 +1,67 @@
+"""Scenes to scene files, with the arrays that they have in memory beside them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clsco.errors import SceneError
+from clsco.files.atomic import together, whole_file
+from clsco.scene.changes import given
+from clsco.scene.file import absolute
+from clsco.scene.model import Scene
+from clsco.scene.toml import toml_text
+
+
+def dump_scene(scene: Scene, path: str | os.PathLike[str] | None = None) -> str:
+    """Write a scene as the text of a scene file, which is read back to an equal scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    path : str or os.PathLike, optional
+        A file that is written as well, ending in .toml. Arrays are written beside it, as ball_object_0_texture.npy for
+        ball.toml, and relative paths of other files become absolute, so that it may lie anywhere.
+
+    Returns
+    -------
+    str
+        TOML with the keys that were given; defaults are left out. `clsco.parse_scene` makes an equal scene of it. With
+        `path`, what is in the file.
+
+    Raises
+    ------
+    SceneError
+        The scene has arrays in memory and there is no path, or that does not end in .toml.
+    ImageError
+        A file cannot be written; then none is.
+
+    Notes
+    -----
+    From the file of a scene with arrays `clsco.load_scene` makes a scene with the names of their files, and frames of
+    the same bits.
+    """
+    if path is None:
+        arrays = [(index, *each) for index, item in enumerate(scene.objects) for each in item.arrays().items()]
+        rule = "must be a name or a path to be written as text; give dump_scene a path for arrays"
+        if arrays:
+            raise SceneError([f"scene: object[{index}].{key}: {rule}; got {array}" for index, key, array in arrays])
+        return toml_text(given(scene))
+    target = Path(path)
+    if target.suffix.lower() != ".toml":
+        raise SceneError(f"{target}: a scene is written to a file that ends in .toml; got {target.suffix!r}")
+    data: dict[str, Any] = given(absolute(scene, Path.cwd()))
+    with together(target.parent, target.name) as made:
+        for index, item in enumerate(scene.objects):
+            for key, array in item.arrays().items():
+                name = f"{target.stem}_object_{index}_{key}.npy"
+                with whole_file(made / name) as file:
+                    np.lib.format.write_array(file, array.array, allow_pickle=False)
+                data["object"][index][key] = name
+        text = toml_text(data)
+        with whole_file(made / target.name) as file:
+            file.write(text.encode())
+    return text

@@ -1,0 +1,127 @@
+"""Textures and depths that are given as arrays, in place of the names of files."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+from pydantic import GetCoreSchemaHandler, SerializationInfo
+from pydantic_core import CoreSchema, core_schema
+
+from clsco.scene.quantities import Name, fault
+
+MAX_ARRAY_PIXELS, MAX_ARRAY_SIDE = 2**27, 65536  # as of image files
+TEXTURE_TYPES = ("u1", "u2", "f2", "f4", "f8")
+Kind = Literal["texture", "depth"]
+
+
+class ArrayInput:
+    """An array that a scene has in place of a file: a read-only copy, equal to others by its content.
+
+    Attributes
+    ----------
+    array : ndarray
+        Of a texture uint8, uint16 or float32, (rows, columns) or (rows, columns, 3); of a depth float64, (rows,
+        columns).
+    kind : {"texture", "depth"}
+    sha256 : str
+        Of its type, shape and values, hexadecimal.
+    """
+
+    __slots__ = ("array", "kind", "sha256")
+
+    def __init__(self, array: NDArray[Any], kind: Kind) -> None:
+        self.array, self.kind = np.array(array, order="C"), kind
+        self.array.flags.writeable = False
+        digest = hashlib.sha256(f"{self.array.dtype.str} {self.array.shape} ".encode())
+        digest.update(self.array.data)
+        self.sha256 = digest.hexdigest()
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
+        return np.array(self.array, dtype=dtype, copy=copy)
+
+    def __eq__(self, other: object) -> bool:
+        return (self.kind, self.sha256) == (other.kind, other.sha256) if isinstance(other, ArrayInput) else False
+
+    def __hash__(self) -> int:
+        return hash(self.sha256)
+
+    def __repr__(self) -> str:
+        return f"array of {self.array.dtype} {self.array.shape}, sha256 {self.sha256[:16]}"
+
+    def __deepcopy__(self, memo: object) -> ArrayInput:
+        return self  # nobody can change it
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return ArrayInput, (self.array, self.kind)
+
+
+@dataclass(frozen=True)
+class _InputOf:
+    """Constraint on a texture or depth: a name or path, which becomes text, or an array, which becomes `ArrayInput`."""
+
+    kind: Kind
+
+    def check(self, value: Any, text: Callable[[Any], str]) -> str | ArrayInput:
+        """The input as the model keeps it; raises the fault of an array that cannot be, and those of `text`."""
+        if isinstance(value, ArrayInput):
+            return value if value.kind == self.kind else self.check(value.array, text)
+        if isinstance(value, np.ndarray):
+            return ArrayInput(_texture(value) if self.kind == "texture" else _depth(value), self.kind)
+        return text(os.fspath(value) if isinstance(value, os.PathLike) else value)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        def serialized(value: Any, info: SerializationInfo) -> Any:
+            return str(value) if info.mode_is_json() else value
+
+        written = core_schema.plain_serializer_function_ser_schema(serialized, info_arg=True)
+        text = handler.generate_schema(Name)
+        return core_schema.no_info_wrap_validator_function(self.check, text, serialization=written)
+
+
+def _texture(array: NDArray[Any]) -> NDArray[Any]:
+    """Codes as they are, floats as float32, as `clsco.files.images.read_image` gives them."""
+    _check_shape(array, array.ndim == 2 or array.shape[2:] == (3,), "(rows, columns) or (rows, columns, 3)")
+    if array.dtype.str[1:] not in TEXTURE_TYPES:
+        raise fault("an array must hold uint8, uint16, float16, float32 or float64", str(array.dtype))
+    if array.dtype.kind == "u":
+        return array.astype(array.dtype.newbyteorder("="))
+    with np.errstate(over="ignore"):  # overflow becomes infinite, which is refused next
+        radiance = array.astype(np.float32)
+    wrong = ~((radiance >= 0) & (radiance < np.inf))
+    if wrong.any():
+        first = tuple(int(index) for index in np.unravel_index(int(wrong.argmax()), wrong.shape))
+        got = f"{array[first]} at row {first[0]}, column {first[1]} ({int(wrong.sum())} in all)"
+        raise fault("values of an array must be finite and at least 0", got)
+    return radiance
+
+
+def _depth(array: NDArray[Any]) -> NDArray[np.float64]:
+    """The numbers as float64, as `clsco.inputs.depth_files.read_depth` gives them; any value may stand for no depth."""
+    _check_shape(array, array.ndim == 2, "(rows, columns)")
+    if array.dtype.kind not in "iuf":
+        raise fault("an array must hold integers or floats", str(array.dtype))
+    return array.astype(np.float64)
+
+
+def _check_shape(array: NDArray[Any], right: bool, wanted: str) -> None:
+    """Refuse arrays of another shape, those over the limits of files, and masked values, which have no meaning here."""
+    if array.ndim < 2 or not right:
+        raise fault(f"an array must have the shape {wanted}", str(array.shape))
+    rows, columns = array.shape[:2]
+    if not (1 <= rows <= MAX_ARRAY_SIDE and 1 <= columns <= MAX_ARRAY_SIDE and rows * columns <= MAX_ARRAY_PIXELS):
+        rule = f"an array must have from 1 to {MAX_ARRAY_SIDE} rows and columns, and at most {MAX_ARRAY_PIXELS} pixels"
+        raise fault(rule, str(array.shape))
+    masked = int(np.count_nonzero(np.ma.getmaskarray(array))) if isinstance(array, np.ma.MaskedArray) else 0
+    if masked:
+        raise fault("an array must have no masked values", f"{masked} of them")
+
+
+Given = str | os.PathLike[str] | NDArray[Any] | ArrayInput
+TextureInput = Annotated[Given, _InputOf("texture")]
+DepthInput = Annotated[Given, _InputOf("depth")]
