@@ -34,7 +34,8 @@ def units(scene: Scene) -> dict[str, str]:
         for name, field in getattr(type(model), "model_fields", {}).items():
             key = f"{place}.{name}"
             sections.append((key, getattr(model, name)))
-            if unit := _unit((field.annotation, *field.metadata)):
+            is_table = hasattr(type(getattr(model, name)), "model_fields")  # whose own keys have units
+            if (unit := _unit((field.annotation, *field.metadata))) and not is_table:
                 found[key] = unit
     return found
 

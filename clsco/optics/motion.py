@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.scene.model import Object, ObjectMotion, Scene, Sequence
+from clsco.scene.rotations import rotation_rows
 from clsco.scene.shapes import origin
 
 Eye = Literal["left", "right"]
@@ -108,6 +109,12 @@ def pose_at(motion: ObjectMotion, time: float, rotation: str) -> Pose:
 def rest_center(item: Object) -> NDArray[np.float64]:
     """Center of rotation (3,) of an object in its reference pose, mm: the apex of a cone, (0, 0, a) of a plane."""
     return np.asarray(origin(item), dtype=np.float64)
+
+
+def static_rotation(item: Object) -> NDArray[np.float64]:
+    """Matrix R0 (3, 3) from an object's own frame to the axes of the camera in its reference pose, exactly orthonormal
+    for none and for quarter turns: a point p of its own frame is at center + shift + rotation R0 p in a `Pose`."""
+    return np.array(rotation_rows(item.rotation))
 
 
 def eye_pose(scene: Scene, eye: Eye, time: float) -> Pose:

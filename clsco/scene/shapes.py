@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable
 from itertools import count
@@ -27,12 +28,14 @@ from clsco.scene.quantities import (
     at_keys,
     fault,
 )
+from clsco.scene.rotations import Rotation, depth_row
 
 BUILT_IN_TEXTURES = ("bricks", "checkerboard", "slanted_edge", "siemens_star")
 COLOR = re.compile("#[0-9a-fA-F]{6}")
 MAX_OBJECTS = 64
 BACKGROUND_MM = 1e12
 """Distance of what is infinitely far away: its blur differs from that of infinity by a part in 10^10."""
+ROUNDING = 1e-15  # of a direction's component that a rotation leaves of 0
 IN_FRONT = "must leave part of the object in front of the lens (z > 0)"
 
 
@@ -73,7 +76,10 @@ class _Object(Strict):
     """bricks, checkerboard, slanted_edge, siemens_star, a color "#rrggbb", or an image: a path, relative to the scene
     file."""
     bounds: Box | None = None
-    """Box [[x0, x1], [y0, y1], [z0, z1]] about the object's origin before rotation, mm; cuts the surface."""
+    """Box [[x0, x1], [y0, y1], [z0, z1]] about the object's origin before any rotation, mm; cuts the surface."""
+    rotation: Rotation | None = None
+    """Pose at t = 0, about the object's origin: Euler angles [x, y, z] in deg, {axis, angle} or {quaternion}, in the
+    order and sense of a motion; none if not given."""
     motion: ObjectMotion = ObjectMotion()
     """Velocities; static if none are given."""
 
@@ -118,9 +124,12 @@ class Cylinder(_Object):
     @field_validator("center")
     @classmethod
     def _visible(cls, center: Vector, info: ValidationInfo) -> Vector:
+        if not {"axis", "radius", "rotation"} <= info.data.keys():
+            return center
+        axis, row = info.data["axis"], depth_row(info.data["rotation"])
         # An axis that leaves the plane of the lens always runs to its front on one side.
-        across = "axis" in info.data and info.data["axis"][2] == 0.0
-        return _reaching(center, info.data.get("radius") if across else None)
+        along = abs(sum(a * r for a, r in zip(axis, row, strict=True)))
+        return _reaching(center, info.data["radius"] if along <= ROUNDING * math.hypot(*axis) else None)
 
 
 class Sphere(_Object):
@@ -139,35 +148,44 @@ class Sphere(_Object):
 
 
 class Cone(_Object):
-    """One nappe of a circular cone whose axis is parallel to the optical axis (3.23)."""
+    """One nappe of a circular cone (3.23); unless it is rotated, its axis is parallel to the optical axis."""
 
     shape: Literal["cone"] = "cone"
     half_angle: Annotated[float, Within(0.0, 90.0, "deg", "()")] = 45.0
     """Angle from axis to surface, deg."""
     nappe: Literal["away", "towards"] = "away"
-    """The cone opens away from the camera, or towards it."""
+    """The cone opens away from the camera, or towards it, before any rotation."""
     apex: Point = (0.0, 0.0, 250.0)
     """Apex, mm; the origin."""
 
     @field_validator("apex")
     @classmethod
     def _visible(cls, apex: Vector, info: ValidationInfo) -> Vector:
-        return _reaching(apex, 0.0 if info.data.get("nappe") == "towards" else None)
+        if not {"half_angle", "nappe", "rotation"} <= info.data.keys():
+            return apex
+        opening = depth_row(info.data["rotation"])[2] * (1.0 if info.data["nappe"] == "away" else -1.0)
+        half = math.radians(info.data["half_angle"])
+        # The line of the cone that runs most away from the camera.
+        away = opening * math.cos(half) + math.sqrt(max(0.0, 1.0 - opening * opening)) * math.sin(half)
+        return _reaching(apex, 0.0 if away <= 0.0 else None)
 
 
 class Ellipsoid(_Object):
-    """Ellipsoid with its axes along x, y and z (3.33)."""
+    """Ellipsoid (3.33); unless it is rotated, its axes are along x, y and z."""
 
     shape: Literal["ellipsoid"] = "ellipsoid"
     semi_axes: SemiAxes = (30.0, 30.0, 50.0)
-    """Semi-axes along x, y and z, mm."""
+    """Semi-axes along x, y and z before any rotation, mm."""
     center: Point = (0.0, 0.0, 300.0)
     """Center, mm; the origin."""
 
     @field_validator("center")
     @classmethod
     def _visible(cls, center: Vector, info: ValidationInfo) -> Vector:
-        return _reaching(center, info.data["semi_axes"][2] if "semi_axes" in info.data else None)
+        if not {"semi_axes", "rotation"} <= info.data.keys():
+            return center
+        pairs = zip(info.data["semi_axes"], depth_row(info.data["rotation"]), strict=True)
+        return _reaching(center, math.hypot(*(a * r for a, r in pairs)))
 
 
 class Quadric(_Object):
@@ -211,6 +229,13 @@ class DepthMap(_Object):
             raise fault("belongs to analytic shapes, not to depth_map")
         return value
 
+    @field_validator("rotation")
+    @classmethod
+    def _unrotated(cls, value: Any) -> Any:
+        if value is not None:
+            raise fault("belongs to analytic shapes, not to depth_map")
+        return value
+
     @field_validator("baseline", "offset")
     @classmethod
     def _of_the_disparity(cls, value: float | None, info: ValidationInfo) -> float | None:
@@ -231,7 +256,7 @@ class Background(_Object):
     def is_background(self) -> bool:
         return True
 
-    @field_validator("bounds")
+    @field_validator("bounds", "rotation")
     @classmethod
     def _unbounded(cls, value: Any) -> Any:
         if value is not None:
@@ -274,8 +299,12 @@ def origin(shape: AnyShape) -> Vector:
 
 def _bounds_in_front(shape: AnyShape) -> AnyShape:
     """Refuse bounds that end at or behind the lens."""
-    if shape.bounds is not None and origin(shape)[2] + shape.bounds[2][1] <= 0.0:
-        raise at_keys([(("bounds", 2), fault(IN_FRONT), shape.bounds[2])])
+    if shape.bounds is None:
+        return shape
+    corners = zip(depth_row(shape.rotation), shape.bounds, strict=True)
+    if origin(shape)[2] + sum(max(row * low, row * high) for row, (low, high) in corners) <= 0.0:
+        place: tuple[str | int, ...] = ("bounds", 2) if shape.rotation is None else ("bounds",)
+        raise at_keys([(place, fault(IN_FRONT), shape.bounds[2] if shape.rotation is None else shape.bounds)])
     return shape
 
 

@@ -12,7 +12,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from benchmarks.truth.raytracer import pinhole_depth, prepare, rotation_matrix, trace, trace_converged
+from benchmarks.truth.problem import prepare, rotation_matrix
+from benchmarks.truth.raytracer import pinhole_depth, trace, trace_converged
 
 PITCH, S0, APERTURE = 0.01, 20.0, 10.0
 FOCUS_TERM = 1 / 20.0 - 1 / 21.739
@@ -22,7 +23,7 @@ KAPPA = S0 * APERTURE / (2 * PITCH)  # px mm: R = KAPPA (K - 1/Z)
 def body(shape: str, velocity: Any = (0, 0, 0), turn: Any = (0, 0, 0), bounds: Any = None, **keys: Any) -> Any:
     """An object of a scene."""
     motion = SimpleNamespace(velocity=velocity, angular_velocity=turn)
-    return SimpleNamespace(shape=shape, bounds=bounds, motion=motion, **keys)
+    return SimpleNamespace(**{"shape": shape, "bounds": bounds, "rotation": None, "motion": motion, **keys})
 
 
 def plane(distance: float, slope_x: float = 0.0, slope_y: float = 0.0, **keys: Any) -> Any:
