@@ -32,7 +32,7 @@ reference
 
 Types
 -----
-Scene, Camera, Psf, Plane, Sphere, Cylinder, Cone, Ellipsoid, Quadric, DepthMap, Background
+Scene, Camera, Psf, Group, Plane, Sphere, Cylinder, Cone, Ellipsoid, Quadric, DepthMap, Background
     What a scene holds, frozen and validated; lengths in mm, angles in degrees, times in s.
 Frame
     A rendered image with its ground truth.
@@ -79,6 +79,7 @@ if TYPE_CHECKING:
     from clsco.scene.model import Cylinder as Cylinder
     from clsco.scene.model import DepthMap as DepthMap
     from clsco.scene.model import Ellipsoid as Ellipsoid
+    from clsco.scene.model import Group as Group
     from clsco.scene.model import Plane as Plane
     from clsco.scene.model import Psf as Psf
     from clsco.scene.model import Quadric as Quadric
@@ -97,7 +98,7 @@ _NAMES = {
     "clsco.scene.sweep": ("load_sweep",),
     "clsco.opencl.device": ("list_devices",),
     "clsco.scene.model": (
-        *("Scene", "Camera", "Psf"),
+        *("Scene", "Camera", "Psf", "Group"),
         *("Plane", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background"),
     ),
     "clsco.frame.frame": ("Frame",),
@@ -108,7 +109,8 @@ _HOME = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = [  # noqa: RUF022, verbs and then types
     "render", "render_frame", "render_sweep", "defocus", "inpaint", "load_scene", "parse_scene", "load_sweep",
     "list_devices", "reference",
-    "Scene", "Camera", "Psf", "Plane", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background",
+    "Scene", "Camera", "Psf", "Group",
+    "Plane", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background",
     "Frame", "Live", "MeanMedian",
     "ClscoError", "SceneError", "ImageError", "DeviceError", "KernelError", "CanceledError",
 ]  # fmt: skip

@@ -24,8 +24,9 @@ class Problem:
 
     `coefficients` (objects, 10), in the order a200 a020 a002 a110 a011 a101 a100 a010 a001 a000, about
     `centers` (objects, 3), x right, y up, z away from the camera; `bounds` (objects, 6) as x0 x1 y0 y1 z0 z1
-    in the same frame; `rotations` (objects, 3, 3), from that frame to the camera's axes at t = 0; `textures` (objects,
-    rows, columns, channels) linear radiance.
+    in the same frame; `rotations` (objects, 3, 3), from that frame to the camera's axes at t = 0;
+    `group_...` (objects, 3) of what carries each object, 0 for nothing; `textures` (objects, rows, columns, channels)
+    linear radiance.
     """
 
     pitch_ratio: float
@@ -40,6 +41,9 @@ class Problem:
     rotations: Array
     velocities: Array
     angular_velocities: Array
+    group_centers: Array
+    group_velocities: Array
+    group_angular_velocities: Array
     textures: Array
 
 
@@ -83,6 +87,18 @@ def _texture_stack(textures: Textures, rows: int, columns: int, count: int) -> A
     return np.stack([np.broadcast_to(image, size) for image in images]).astype(float, order="C")
 
 
+def _groups(scene: Any, centers: Sequence[Any]) -> Array:
+    """Center (mm), velocity and angular velocity (deg/s) of the group of each object: (3, objects, 3), 0 for none."""
+    found, firsts = np.zeros((3, len(centers), 3)), dict[str, Any]()
+    by_name = {group.name: group for group in scene.groups}
+    for k, (item, center) in enumerate(zip(scene.objects, centers, strict=True)):
+        if item.group is not None:
+            group, first = by_name[item.group], firsts.setdefault(item.group, center)
+            middle = first if group.origin is None else group.origin
+            found[:, k] = middle, group.motion.velocity, group.motion.angular_velocity
+    return found
+
+
 def prepare(scene: Any, textures: Textures, rows: int, columns: int, frame: int = 0) -> Problem:
     """Read a scene by its attribute names.
 
@@ -92,6 +108,7 @@ def prepare(scene: Any, textures: Textures, rows: int, columns: int, frame: int 
     """
     camera, objects = scene.camera, scene.objects
     shapes = [_shape(item) for item in objects]
+    group_centers, group_velocities, group_turns = _groups(scene, [shape[1] for shape in shapes])
     bounds = np.tile([-np.inf, np.inf], (len(objects), 3))
     for box, item, (_, _, (low, high)) in zip(bounds, objects, shapes, strict=True):
         if item.bounds is not None:
@@ -110,6 +127,9 @@ def prepare(scene: Any, textures: Textures, rows: int, columns: int, frame: int 
         rotations=np.array([_static_rotation(item.rotation) for item in objects]),
         velocities=np.array([item.motion.velocity for item in objects], float),
         angular_velocities=np.radians([item.motion.angular_velocity for item in objects]),
+        group_centers=group_centers,
+        group_velocities=group_velocities,
+        group_angular_velocities=np.radians(group_turns),
         textures=_texture_stack(textures, rows, columns, len(objects)),
     )
 
@@ -152,6 +172,10 @@ def _static_rotation(given: Any) -> Array:
 
 def inverse_poses(problem: Problem, times: Array) -> Array:
     """Per time and object, the inverse rotation (9) and the moved center (3): (times, objects, 12), mm."""
-    turn = rotation_matrix(times[:, None, None] * problem.angular_velocities, problem.axis_rotation) @ problem.rotations
-    center = problem.centers + times[:, None, None] * problem.velocities
+    moments = times[:, None, None]
+    turn = rotation_matrix(moments * problem.angular_velocities, problem.axis_rotation) @ problem.rotations
+    center = problem.centers + moments * problem.velocities
+    carried = rotation_matrix(moments * problem.group_angular_velocities, problem.axis_rotation)
+    turn, arm = carried @ turn, center - problem.group_centers
+    center = problem.group_centers + moments * problem.group_velocities + np.einsum("...ij,...j->...i", carried, arm)
     return np.concatenate([np.swapaxes(turn, -1, -2).reshape(*turn.shape[:2], 9), center], axis=-1)

@@ -238,7 +238,8 @@ def extend(halves: Halves, counts: NDArray[np.int64]) -> Halves:
     pairs = zip(halves.engines, halves.points, strict=True)
     points = tuple(np.concatenate([old, new.random(more)]) if more > 0 else old for new, old in pairs)
     sums, squares = halves.sums.copy(), halves.squares.copy()
-    moving = np.any(problem.velocities) or np.any(problem.angular_velocities)
+    own, group = ("velocities", "angular_velocities"), ("group_velocities", "group_angular_velocities")
+    moving = any(np.any(getattr(problem, name)) for name in (*own, *group))
     # Rows in random order, so that threads with a block of rows each have the same work.
     order = np.random.default_rng(0).permutation(len(counts))
     for half in range(2):

@@ -149,7 +149,7 @@ def _faces_camera(item: Plane) -> bool:
 def _constant_blur(scene: Scene) -> bool:
     """Whether every pixel has the same radius at any time: a plane that stays parallel to the detector."""
     item, camera = scene.objects[0], scene.camera.motion
-    turns = any((*item.motion.angular_velocity[:2], *camera.angular_velocity[:2]))
+    turns = any(any(motion.angular_velocity[:2]) for motion in (*scene.motions(item), camera))
     turned = scene.stereo is not None and scene.stereo.toe_in > 0.0
     flat = isinstance(item, Plane) and _faces_camera(item) and not turns and not turned
     return len(scene.objects) == 1 and (flat or item.is_background)

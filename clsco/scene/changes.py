@@ -114,6 +114,8 @@ def dump(scene: Any) -> dict[str, Any]:
         del data["camera"]["aperture_diameter"]
     if scene.camera.focus_distance is not None:
         del data["camera"]["sensor_distance"]
+    if not scene.groups:
+        del data["group"]
     for key, section in (("aperture.shape", "aperture"), ("psf.model", "psf"), ("motion.warp", "motion")):
         displace(data, key, data[section][key.rpartition(".")[2]])
     if scene.psf.occlusion == "visibility" and not scene.is_ray_castable:
@@ -124,7 +126,7 @@ def dump(scene: Any) -> dict[str, Any]:
 def replaced(scene: Root, path: str, value: Any) -> Root:
     """A scene with another value of one key. Raises SceneError where that cannot be."""
     data, parts = dump(scene), key_parts(path)
-    parts = ["object", *parts[1:]] if parts[0] == "objects" else parts
+    parts = [{"objects": "object", "groups": "group"}.get(parts[0], parts[0]), *parts[1:]]
     plain = _ANYTHING.dump_python(value, mode="json", by_alias=True, exclude_none=True, fallback=_plain)
     displace(data, ".".join(parts), plain)
     if (fault := put(data, parts, plain)) is not None:

@@ -82,6 +82,8 @@ class _Object(Strict):
     order and sense of a motion; none if not given."""
     motion: ObjectMotion = ObjectMotion()
     """Velocities; static if none are given."""
+    group: Name | None = None
+    """Name of the group that the object moves with; none if not given."""
 
     @property
     def is_analytic(self) -> bool:
@@ -256,7 +258,7 @@ class Background(_Object):
     def is_background(self) -> bool:
         return True
 
-    @field_validator("bounds", "rotation")
+    @field_validator("bounds", "rotation", "group")
     @classmethod
     def _unbounded(cls, value: Any) -> Any:
         if value is not None:
@@ -328,13 +330,15 @@ def _objects(value: Any) -> Any:
     return tuple(value)
 
 
-def repeated_names(names: Iterable[str | None]) -> list[tuple[int, PydanticCustomError, str]]:
+def repeated_names(names: Iterable[str | None], table: str = "object") -> list[tuple[int, PydanticCustomError, str]]:
     """Find names that an earlier object has already.
 
     Parameters
     ----------
     names : iterable of str or None
         Name of each object; None where none was given.
+    table : str
+        What the objects are called in a file.
 
     Returns
     -------
@@ -345,7 +349,7 @@ def repeated_names(names: Iterable[str | None]) -> list[tuple[int, PydanticCusto
     found = []
     for index, name in enumerate(names):
         if name is not None and first.setdefault(name, index) != index:
-            found.append((index, fault(f"names must differ; object[{first[name]}] has the same"), name))
+            found.append((index, fault(f"names must differ; {table}[{first[name]}] has the same"), name))
     return found
 
 

@@ -311,6 +311,7 @@ def test_schema_documents_every_key() -> None:
         "fill",
         "image",
         "stereo",
+        "group",
         "object",
     ]
     for definition in schema["$defs"].values():
