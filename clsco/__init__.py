@@ -32,7 +32,7 @@ reference
 
 Types
 -----
-Scene, Camera, Psf, Group, Plane, Sphere, Cylinder, Cone, Ellipsoid, Quadric, DepthMap, Background
+Scene, Camera, Psf, Group, Plane, Rectangle, Sphere, Cylinder, Cone, Ellipsoid, Quadric, DepthMap, Background
     What a scene holds, frozen and validated; lengths in mm, angles in degrees, times in s.
 Frame
     A rendered image with its ground truth.
@@ -83,6 +83,7 @@ if TYPE_CHECKING:
     from clsco.scene.model import Plane as Plane
     from clsco.scene.model import Psf as Psf
     from clsco.scene.model import Quadric as Quadric
+    from clsco.scene.model import Rectangle as Rectangle
     from clsco.scene.model import Scene as Scene
     from clsco.scene.model import Sphere as Sphere
     from clsco.scene.sweep import load_sweep as load_sweep
@@ -99,7 +100,7 @@ _NAMES = {
     "clsco.opencl.device": ("list_devices",),
     "clsco.scene.model": (
         *("Scene", "Camera", "Psf", "Group"),
-        *("Plane", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background"),
+        *("Plane", "Rectangle", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background"),
     ),
     "clsco.frame.frame": ("Frame",),
     "clsco.inpainting.rules": ("MeanMedian",),
@@ -110,7 +111,7 @@ __all__ = [  # noqa: RUF022, verbs and then types
     "render", "render_frame", "render_sweep", "defocus", "inpaint", "load_scene", "parse_scene", "load_sweep",
     "list_devices", "reference",
     "Scene", "Camera", "Psf", "Group",
-    "Plane", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background",
+    "Plane", "Rectangle", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background",
     "Frame", "Live", "MeanMedian",
     "ClscoError", "SceneError", "ImageError", "DeviceError", "KernelError", "CanceledError",
 ]  # fmt: skip

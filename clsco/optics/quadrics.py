@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.optics.motion import Pose, rest_center, static_rotation
-from clsco.scene.model import Background, Cone, Cylinder, Ellipsoid, Object, Plane, Quadric, Sphere
+from clsco.scene.model import Background, Cone, Cylinder, Ellipsoid, Object, Plane, Quadric, Rectangle, Sphere
 
 Vector = NDArray[np.float64]
 # Eigenvalues of a quadric below this fraction of the largest count as zero: they are rounding, not curvature.
@@ -142,7 +142,7 @@ def canonical(item: Object) -> Canonical:
     still, zero = np.eye(3), np.zeros(3)
     if isinstance(item, Plane):
         return Canonical(zero, np.array([-item.slope_x, -item.slope_y, 1.0]) / 2, 0.0, still, zero)
-    if isinstance(item, Background):
+    if isinstance(item, Background | Rectangle):
         return Canonical(zero, np.array([0.0, 0.0, 0.5]), 0.0, still, zero)
     if isinstance(item, Sphere):
         return Canonical(np.ones(3), zero, item.radius**2, still, zero)

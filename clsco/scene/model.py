@@ -44,6 +44,7 @@ from clsco.scene.shapes import (
     Objects,
     Plane,
     Quadric,
+    Rectangle,
     Sphere,
     origin,
 )
@@ -68,6 +69,7 @@ __all__ = [
     "Plane",
     "Psf",
     "Quadric",
+    "Rectangle",
     "Scene",
     "Sequence",
     "Sphere",

@@ -158,6 +158,7 @@ _Pair, Triple, Numbers4 = (BeforeValidator(_list_of(count, "numbers")) for count
 Text = Annotated[str, Field(max_length=4096), AfterValidator(_single_line)]
 Name = Annotated[str, Field(min_length=1, max_length=4096), AfterValidator(_single_line)]
 Length = Annotated[float, Within(MIN_LENGTH_MM, MAX_LENGTH_MM, "mm")]
+Sides = Annotated[tuple[Length, Length], _Pair]
 SemiAxes = Annotated[tuple[Length, Length, Length], Triple]
 Coordinate = Annotated[float, Within(-MAX_LENGTH_MM, MAX_LENGTH_MM, "mm")]
 Point = Annotated[tuple[Coordinate, Coordinate, Coordinate], Triple]

@@ -20,6 +20,7 @@ from clsco.scene.quantities import (
     Name,
     Point,
     SemiAxes,
+    Sides,
     Slope,
     Strict,
     Vector,
@@ -75,8 +76,6 @@ class _Object(Strict):
     texture: Name = "bricks"
     """bricks, checkerboard, slanted_edge, siemens_star, a color "#rrggbb", or an image: a path, relative to the scene
     file."""
-    bounds: Box | None = None
-    """Box [[x0, x1], [y0, y1], [z0, z1]] about the object's origin before any rotation, mm; cuts the surface."""
     rotation: Rotation | None = None
     """Pose at t = 0, about the object's origin: Euler angles [x, y, z] in deg, {axis, angle} or {quaternion}, in the
     order and sense of a motion; none if not given."""
@@ -100,7 +99,14 @@ class _Object(Strict):
         return {} if is_drawn(self.texture) else {"texture": self.texture}
 
 
-class Plane(_Object):
+class _Bounded(_Object):
+    """Keys of shapes that a box may cut."""
+
+    bounds: Box | None = None
+    """Box [[x0, x1], [y0, y1], [z0, z1]] about the object's origin before any rotation, mm; cuts the surface."""
+
+
+class Plane(_Bounded):
     """Plane Z = distance + slope_x X + slope_y Y (3.7); origin (0, 0, distance)."""
 
     shape: Literal["plane"] = "plane"
@@ -112,7 +118,32 @@ class Plane(_Object):
     """Slope c along y, mm per mm."""
 
 
-class Cylinder(_Object):
+class Rectangle(_Object):
+    """Flat card; unless it is rotated, it faces the camera."""
+
+    shape: Literal["rectangle"] = "rectangle"
+    size: Sides = (40.0, 30.0)
+    """Width and height, mm."""
+    center: Point = (0.0, 0.0, 250.0)
+    """Center, mm; the origin."""
+
+    @property
+    def bounds(self) -> Box:
+        """Box that cuts the plane of the card, as deep as it is wide: its sides along z touch nothing."""
+        width, height = (0.5 * side for side in self.size)
+        deep = max(width, height)
+        return (-width, width), (-height, height), (-deep, deep)
+
+    @field_validator("center")
+    @classmethod
+    def _visible(cls, center: Vector, info: ValidationInfo) -> Vector:
+        if not {"size", "rotation"} <= info.data.keys():
+            return center
+        pairs = zip(info.data["size"], depth_row(info.data["rotation"])[:2], strict=True)
+        return _reaching(center, sum(0.5 * side * abs(row) for side, row in pairs))
+
+
+class Cylinder(_Bounded):
     """Circular cylinder without ends (3.11), its axis in any direction."""
 
     shape: Literal["cylinder"] = "cylinder"
@@ -134,7 +165,7 @@ class Cylinder(_Object):
         return _reaching(center, info.data["radius"] if along <= ROUNDING * math.hypot(*axis) else None)
 
 
-class Sphere(_Object):
+class Sphere(_Bounded):
     """Sphere (3.18), its center anywhere."""
 
     shape: Literal["sphere"] = "sphere"
@@ -149,7 +180,7 @@ class Sphere(_Object):
         return _reaching(center, info.data.get("radius"))
 
 
-class Cone(_Object):
+class Cone(_Bounded):
     """One nappe of a circular cone (3.23); unless it is rotated, its axis is parallel to the optical axis."""
 
     shape: Literal["cone"] = "cone"
@@ -172,7 +203,7 @@ class Cone(_Object):
         return _reaching(apex, 0.0 if away <= 0.0 else None)
 
 
-class Ellipsoid(_Object):
+class Ellipsoid(_Bounded):
     """Ellipsoid (3.33); unless it is rotated, its axes are along x, y and z."""
 
     shape: Literal["ellipsoid"] = "ellipsoid"
@@ -190,7 +221,7 @@ class Ellipsoid(_Object):
         return _reaching(center, math.hypot(*(a * r for a, r in pairs)))
 
 
-class Quadric(_Object):
+class Quadric(_Bounded):
     """Surface of second degree (3.39) about its center: x right, y up, z away from the camera."""
 
     shape: Literal["quadric"] = "quadric"
@@ -200,7 +231,7 @@ class Quadric(_Object):
     """Where x = y = z = 0, mm; the origin."""
 
 
-class DepthMap(_Object):
+class DepthMap(_Bounded):
     """Surface given by the depth of every pixel at t = 0, from a file of the texture's size."""
 
     shape: Literal["depth_map"] = "depth_map"
@@ -249,7 +280,7 @@ class DepthMap(_Object):
         return value
 
 
-class Background(_Object):
+class Background(_Bounded):
     """What is behind all other objects, infinitely far away: an image, or a color."""
 
     shape: Literal["background"] = "background"
@@ -273,7 +304,7 @@ class Background(_Object):
         return value
 
 
-AnyShape = Plane | Cylinder | Sphere | Cone | Ellipsoid | Quadric | DepthMap | Background
+AnyShape = Plane | Rectangle | Cylinder | Sphere | Cone | Ellipsoid | Quadric | DepthMap | Background
 
 
 SHAPES: dict[str, type[AnyShape]] = {kind.model_fields["shape"].default: kind for kind in get_args(AnyShape)}

@@ -13,7 +13,7 @@ from clsco.optics.motion import TOWARDS_CAMERA, pose_at, rotation_matrix, static
 from clsco.optics.quadrics import place, predict_inverse_depth
 from clsco.optics.visibility import extent
 from clsco.reference.common.geometry import solve_quadric, surface_normal
-from clsco.scene.model import AnyShape, Cone, Cylinder, Ellipsoid, ObjectMotion, Plane, Quadric, Sphere
+from clsco.scene.model import AnyShape, Cone, Cylinder, Ellipsoid, ObjectMotion, Plane, Quadric, Rectangle, Sphere
 from clsco.scene.rotations import AxisAngle, UnitQuaternion
 
 Array = NDArray[np.float64]
@@ -140,7 +140,18 @@ def test_bounds_cut_what_is_rotated_first() -> None:
             assert (own[:, axis] < high + 1e-9).all()
 
 
+def test_a_rectangle_is_a_plane_cut_to_size() -> None:
+    box = ((-20.0, 20.0), (-15.0, 15.0), (-1.0, 1.0))
+    same_depth(Rectangle(), Plane(bounds=box), rtol=1e-12)
+    same_depth(Rectangle(rotation=ANY), Plane(bounds=box, rotation=ANY), rtol=1e-12)
+    aside = Rectangle(center=(9.0, -7.0, 280.0), size=(30.0, 50.0))
+    flat = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+    cut = ((-15.0, 15.0), (-25.0, 25.0), (-1.0, 1.0))
+    same_depth(aside, Quadric(coefficients=flat, center=aside.center, bounds=cut), rtol=1e-12)
+
+
 SOLIDS: list[AnyShape] = [
+    Rectangle(center=(9.0, -7.0, 280.0), size=(30.0, 50.0), rotation=(60.0, 20.0, 130.0)),
     Ellipsoid(semi_axes=(30.0, 12.0, 50.0), center=(9.0, -7.0, 280.0), rotation=ANY),
     Plane(distance=280.0, bounds=((-20.0, 35.0), (-9.0, 15.0), (-1.0, 1.0)), rotation=(60.0, 20.0, 130.0)),
     Cone(apex=(9.0, 0.0, 280.0), bounds=((-20.0, 20.0), (-20.0, 20.0), (0.0, 35.0)), rotation=(100.0, 20.0, 130.0)),

@@ -11,7 +11,7 @@ import pytest
 import clsco
 from clsco import reference
 from clsco.cli.check import compare
-from clsco.frame.frame import Frame
+from clsco.frame.frame import TRUTH_NAMES, Frame
 from clsco.scene.model import Scene
 from tests.scenes import plan_of, scene_from
 from tests.slow import mostly_slow
@@ -37,6 +37,7 @@ TUBE = {
 TUBE |= {"bounds": [[-20.0, 20.0], [-18.0, 18.0], [-20.0, 20.0]]}
 SADDLE = {"shape": "quadric", "coefficients": [1, -1, 0, 0, 0, 0, 0, 0, -40, 0], "center": [0.0, 0.0, 260.0]}
 SADDLE |= {"rotation": [15.0, -20.0, 70.0]}
+SHEET = {"shape": "rectangle", "center": [-4.0, 3.0, 255.0], "size": [26.0, 18.0], "rotation": [40.0, 30.0, 20.0]}
 scene = partial(scene_from, {"camera": CAMERA})
 SCENES: dict[str, Scene] = {
     "card": scene(CARD),
@@ -52,6 +53,7 @@ SCENES: dict[str, Scene] = {
     "forward, several": scene(
         CARD | {"motion": GOING}, EGG, WALL, psf=PLAIN, sequence={"samples": 2}, motion={"warp": "forward"}
     ),
+    "rectangles": scene(SHEET, SHEET | {"center": [6.0, -4.0, 290.0], "texture": "siemens_star"}, WALL),
     "layered": scene(CARD, WALL, psf=PLAIN | {"occlusion": "layered"}),
     "stereo": scene(CARD, EGG, psf=PLAIN, stereo={"baseline": 20.0, "toe_in": 1.0}),
 }
@@ -80,6 +82,17 @@ def test_device_against_reference(name: str) -> None:
 @pytest.mark.parametrize("name", mostly_slow(SCENES, ("moving",)))
 def test_single_precision_against_reference(name: str) -> None:
     assert_agree(rendered(SCENES[name], precision="single"), list(reference.render(SCENES[name])))
+
+
+def test_a_rectangle_has_the_bits_of_a_card() -> None:
+    """A plane on the optical axis, cut as the rectangle is."""
+    given = {"rotation": ANY, "motion": GOING, "texture": "siemens_star"}
+    card = {"shape": "plane", "distance": 255.0, "bounds": [[-13.0, 13.0], [-9.0, 9.0], [-13.0, 13.0]], **given}
+    sheet = SHEET | {"center": [0.0, 0.0, 255.0], **given}
+    options: dict[str, Any] = {"psf": PLAIN, "sequence": {"samples": 2}}
+    (found,), (expected,) = rendered(scene(sheet, WALL, **options)), rendered(scene(card, WALL, **options))
+    for name in ("color", *TRUTH_NAMES):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
 @pytest.mark.parametrize("motion", [{}, {"velocity": [6.0, -4.0, 12.0], "angular_velocity": [0.0, 20.0, 0.0]}])

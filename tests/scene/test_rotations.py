@@ -101,6 +101,8 @@ def test_depth_maps_are_not_rotated() -> None:
         (f'shape = "ellipsoid", semi_axes = [10, 9, 50], center = [0, 0, {{}}], {TURN_Y}', (-9.99, -10.0)),
         ('shape = "ellipsoid", semi_axes = [10, 9, 50], center = [0, 0, {}], rotation = [90, 0, 0]', (-8.99, -9.0)),
         ('shape = "ellipsoid", semi_axes = [3, 1, 4], center = [0, 0, {}], rotation = [0, 45, 0]', (-3.53, -3.54)),
+        ('shape = "rectangle", size = [8, 6], center = [0, 0, {}], rotation = [0, 30, 0]', (-1.99, -2.0)),
+        ('shape = "rectangle", size = [8, 6], center = [0, 0, {}]', (0.01, 0.0)),
         ('shape = "cylinder", radius = 5, center = [0, 0, {}]', (-4.99, -5.0)),
         ('shape = "cylinder", radius = 5, center = [0, 0, {}], rotation = [0, 0, 33]', (-4.99, -5.0)),
         (
