@@ -36,7 +36,7 @@ reference
 
 Types
 -----
-Scene, Camera, Psf, Plane, Sphere, Cylinder, Cone, Ellipsoid, Quadric, DepthMap, Background
+Scene, Camera, Psf, Group, Plane, Rectangle, Sphere, Cylinder, Cone, Ellipsoid, Quadric, DepthMap, Background
     What a scene holds, frozen and validated; lengths in mm, angles in degrees, times in s.
 Frame
     A rendered image with its ground truth.
@@ -84,9 +84,11 @@ if TYPE_CHECKING:
     from clsco.scene.model import Cylinder as Cylinder
     from clsco.scene.model import DepthMap as DepthMap
     from clsco.scene.model import Ellipsoid as Ellipsoid
+    from clsco.scene.model import Group as Group
     from clsco.scene.model import Plane as Plane
     from clsco.scene.model import Psf as Psf
     from clsco.scene.model import Quadric as Quadric
+    from clsco.scene.model import Rectangle as Rectangle
     from clsco.scene.model import Scene as Scene
     from clsco.scene.model import Sphere as Sphere
     from clsco.scene.sweep import load_sweep as load_sweep
@@ -104,8 +106,8 @@ _NAMES = {
     "clsco.inputs.dump": ("dump_scene",),
     "clsco.opencl.device": ("list_devices",),
     "clsco.scene.model": (
-        *("Scene", "Camera", "Psf"),
-        *("Plane", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background"),
+        *("Scene", "Camera", "Psf", "Group"),
+        *("Plane", "Rectangle", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background"),
     ),
     "clsco.frame.frame": ("Frame",),
     "clsco.inpainting.rules": ("MeanMedian",),
@@ -115,7 +117,8 @@ _HOME = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = [  # noqa: RUF022, verbs and then types
     "render", "render_frame", "render_sweep", "defocus", "inpaint", "load_scene", "parse_scene", "load_sweep",
     "parse_sweep", "dump_scene", "list_devices", "reference",
-    "Scene", "Camera", "Psf", "Plane", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background",
+    "Scene", "Camera", "Psf", "Group",
+    "Plane", "Rectangle", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background",
     "Frame", "Live", "MeanMedian",
     "ClscoError", "SceneError", "ImageError", "DeviceError", "KernelError", "CanceledError",
 ]  # fmt: skip

@@ -35,7 +35,8 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
         (name, i) for name in ("rows", "columns", "frame_rows", "top", "guard", "above", "width", "height")
     ]
     camera += _reals(real, step=(), blur_scale=(), focus_power=(), lens_radius=())
-    surface = _reals(real, turn=nine, body_turn=nine, offset=three, body_offset=three, rest=three, q=three, l=three)
+    surface = _reals(real, turn=nine, body_turn=nine, own_turn=nine, offset=three, body_offset=three, own_offset=three)
+    surface += _reals(real, rest=three, q=three, l=three)
     surface += _reals(real, bounds_low=three, bounds_high=three, k=(), at_lens=())
     surface += [("nappe", i), ("texture", i), *_reals(real, near_x=two, near_y=two, near_w=())]
     pose = _reals(real, rotation=nine, shift=three)

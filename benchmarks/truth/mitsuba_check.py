@@ -34,7 +34,8 @@ Array = NDArray[np.float64]
 def sphere_scene() -> Any:
     """The thesis' camera and a sphere of radius 30 mm at (0, 0, 280) mm."""
     still = SimpleNamespace(velocity=(0, 0, 0), angular_velocity=(0, 0, 0))
-    ball = SimpleNamespace(shape="sphere", center=(0, 0, CENTER), radius=RADIUS, bounds=None, motion=still)
+    keys = {"radius": RADIUS, "bounds": None, "rotation": None, "group": None, "motion": still}
+    ball = SimpleNamespace(shape="sphere", center=(0, 0, CENTER), **keys)
     camera = SimpleNamespace(
         focal_length=FOCAL_LENGTH,
         aperture_diameter=APERTURE,
@@ -43,7 +44,7 @@ def sphere_scene() -> Any:
         pixel_pitch=PITCH,
     )
     sequence, motion = SimpleNamespace(interval=1.0, shutter=1.0), SimpleNamespace(rotation="euler")
-    return SimpleNamespace(camera=camera, sequence=sequence, motion=motion, objects=[ball])
+    return SimpleNamespace(camera=camera, sequence=sequence, motion=motion, objects=[ball], groups=())
 
 
 def texture() -> Array:

@@ -1,7 +1,6 @@
 """A thin-lens ray tracer in float64: the judge that every picture of the package is measured against.
 
-It shares no code with the package. A scene is read by attribute names only (`scene.camera.focal_length`, ...), every
-shape becomes ten coefficients in its own frame, and a ray meets it by the textbook formula.
+It shares no code with the package. `problem.py` reads a scene; a ray meets each surface by the textbook formula.
 
 The ray. The detector position x' (mm, in the plane of the normalization distance s0) receives through the lens point l
 (unit disc) the radiance of the surface point whose pinhole projection is x = x' - R(Z) l, with the blur radius R(Z) =
@@ -29,139 +28,15 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
 
-Array = NDArray[np.float64]
-Textures = NDArray[Any] | Sequence[NDArray[Any]]
+from benchmarks.truth.problem import Array, Problem, Textures, inverse_poses, prepare
 
 CACHE_FORMAT = 1  # part of the key of cached images; a change of what is computed must change it
 LEAST_SAMPLES = 64
 MOST_SAMPLES = 1 << 17  # per pixel
 BLOCK = 128  # samples that stay in the fastest cache while all pixels of a row use them
 STEP = np.uint64(0x9E3779B97F4A7C15)
-
-
-@dataclass(frozen=True)
-class Problem:
-    """What the kernel needs of a scene, in mm, s and rad; a cached image is keyed by these fields.
-
-    `coefficients` (objects, 10), in the order a200 a020 a002 a110 a011 a101 a100 a010 a001 a000, about
-    `centers` (objects, 3), x right, y up, z away from the camera; `bounds` (objects, 6) as x0 x1 y0 y1 z0 z1
-    in the same frame; `textures` (objects, rows, columns, channels) linear radiance.
-    """
-
-    pitch_ratio: float
-    lens_radius: float
-    focus_term: float
-    start: float
-    shutter: float
-    axis_rotation: bool
-    coefficients: Array
-    bounds: Array
-    centers: Array
-    velocities: Array
-    angular_velocities: Array
-    textures: Array
-
-
-def _shape(item: Any) -> tuple[Array, Any, tuple[float, float]]:
-    """Coefficients (10,), center (3) mm and z range (2) mm of one object; ValueError for an unknown shape."""
-    k = np.zeros(10)
-    everywhere = (-np.inf, np.inf)
-    match item.shape:
-        case "plane":  # b x + c y - z = 0 about (0, 0, a)
-            k[6:9] = item.slope_x, item.slope_y, -1.0
-            return k, (0.0, 0.0, item.distance), everywhere
-        case "sphere":
-            k[[0, 1, 2, 9]] = 1.0, 1.0, 1.0, -(item.radius**2)
-            return k, item.center, everywhere
-        case "ellipsoid":
-            k[:3], k[9] = 1.0 / np.asarray(item.semi_axes, float) ** 2, -1.0
-            return k, item.center, everywhere
-        case "cylinder":  # |q|^2 - (q . axis)^2 = radius^2
-            x, y, z = np.asarray(item.axis, float) / np.linalg.norm(item.axis)
-            k[:6] = 1 - x * x, 1 - y * y, 1 - z * z, -2 * x * y, -2 * y * z, -2 * x * z
-            k[9] = -(item.radius**2)
-            return k, item.center, everywhere
-        case "cone":
-            k[:3] = 1.0, 1.0, -(math.tan(math.radians(item.half_angle)) ** 2)
-            return k, item.apex, (0.0, np.inf) if item.nappe == "away" else (-np.inf, 0.0)
-        case "quadric":
-            return np.asarray(item.coefficients, float), item.center, everywhere
-    raise ValueError(f"raytracer: shape must be analytic; got {item.shape!r}")
-
-
-def _texture_stack(textures: Textures, rows: int, columns: int, count: int) -> Array:
-    """One image for all objects, or one per object, as (objects, rows, columns, channels) float64."""
-    images = [textures] * count if isinstance(textures, np.ndarray) else list(textures)
-    if len(images) != count:
-        raise ValueError(f"raytracer: textures must be one per object, {count}; got {len(images)}")
-    for image in images:
-        if image.shape[:2] != (rows, columns) or image.ndim not in (2, 3):
-            raise ValueError(f"raytracer: textures must be {rows} x {columns} texels; got {image.shape}")
-    images = [image.reshape(rows, columns, -1) for image in images]
-    size = rows, columns, max(image.shape[2] for image in images)
-    return np.stack([np.broadcast_to(image, size) for image in images]).astype(float, order="C")
-
-
-def prepare(scene: Any, textures: Textures, rows: int, columns: int, frame: int = 0) -> Problem:
-    """Read a scene by its attribute names.
-
-    `textures`: linear radiance, (rows, columns[, channels]), one image for all objects or a sequence of one
-    per object; `frame`: index of the video frame. Raises ValueError for a shape without a formula and for a
-    texture of another size than the frame.
-    """
-    camera, objects = scene.camera, scene.objects
-    shapes = [_shape(item) for item in objects]
-    bounds = np.tile([-np.inf, np.inf], (len(objects), 3))
-    for box, item, (_, _, (low, high)) in zip(bounds, objects, shapes, strict=True):
-        if item.bounds is not None:
-            box[:] = np.ravel(item.bounds)
-        box[4:] = max(box[4], low), min(box[5], high)
-    return Problem(
-        pitch_ratio=camera.pixel_pitch / camera.normalization_distance,
-        lens_radius=camera.aperture_diameter / 2,
-        focus_term=1 / camera.focal_length - 1 / camera.sensor_distance,
-        start=frame * scene.sequence.interval,
-        shutter=scene.sequence.shutter,
-        axis_rotation=scene.motion.rotation == "axis",
-        coefficients=np.array([shape[0] for shape in shapes]),
-        bounds=bounds,
-        centers=np.array([shape[1] for shape in shapes], float),
-        velocities=np.array([item.motion.velocity for item in objects], float),
-        angular_velocities=np.radians([item.motion.angular_velocity for item in objects]),
-        textures=_texture_stack(textures, rows, columns, len(objects)),
-    )
-
-
-def rotation_matrix(angles: Array, axis_rotation: bool) -> Array:
-    """M of P(t) = C + v t + M (P0 - C) for `angles` = omega t, (..., 3) rad: (..., 3, 3) in camera axes.
-
-    The thesis' matrix (2.14 to 2.23) acts on x right, y up, z towards the camera. With `axis_rotation` a turn
-    about the vector `angles` takes its place, in the sense that the matrix has for a single axis (clockwise
-    seen from the axis' tip).
-    """
-    towards = np.diag([1.0, 1.0, -1.0])
-    if axis_rotation:
-        matrix = Rotation.from_rotvec(-angles.reshape(-1, 3)).as_matrix().reshape(*angles.shape, 3)
-        return towards @ matrix @ towards
-    (sx, sy, sz), (cx, cy, cz) = np.moveaxis(np.sin(angles), -1, 0), np.moveaxis(np.cos(angles), -1, 0)
-    matrix = np.array(
-        [
-            [cy * cz, sx * sy * cz + cx * sz, -cx * sy * cz + sx * sz],
-            [-cy * sz, -sx * sy * sz + cx * cz, cx * sy * sz + sx * cz],
-            [sy, -sx * cy, cx * cy],
-        ]
-    )
-    return towards @ np.moveaxis(matrix, (0, 1), (-2, -1)) @ towards
-
-
-def _inverse_poses(problem: Problem, times: Array) -> Array:
-    """Per time and object, the inverse rotation (9) and the moved center (3): (times, objects, 12), mm."""
-    turn = rotation_matrix(times[:, None, None] * problem.angular_velocities, problem.axis_rotation)
-    center = problem.centers + times[:, None, None] * problem.velocities
-    return np.concatenate([np.swapaxes(turn, -1, -2).reshape(*turn.shape[:2], 9), center], axis=-1)
 
 
 def _disc(square: Array) -> Array:
@@ -208,11 +83,11 @@ def _turn(m, x, y, z):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, inline="always")
 def _meet(lens_x, lens_y, slope_x, slope_y, m, k, box):  # type: ignore[no-untyped-def]
-    """First hit of the ray (lens + slope Z, Z) with a surface: depth, 0 for none, and the point in the reference pose.
+    """First hit of the ray (lens + slope Z, Z) with a surface: depth, 0 for none, and the point in the object's frame.
 
     `m`: inverse rotation and center (12); `k`: coefficients (10); `box`: bounds (6). All about the center.
     """
-    # Back to the reference pose: the ray's parameter stays the depth in the camera at the sampled time.
+    # Back to the object's frame: the ray's parameter stays the depth in the camera at the sampled time.
     ox, oy, oz = _turn(m, lens_x - m[9], lens_y - m[10], -m[11])
     dx, dy, dz = _turn(m, slope_x, slope_y, 1.0)
     a = k[0] * dx * dx + k[1] * dy * dy + k[2] * dz * dz + k[3] * dx * dy + k[4] * dy * dz + k[5] * dx * dz
@@ -243,12 +118,14 @@ def _cast(hits, rays, count, turn, corner, optics, surface, texture):  # type: i
     cosine, sine = turn
     left, top, shift_x, shift_y = corner
     pitch_ratio, _, focus_term = optics
-    coefficients, bounds, center = surface
+    coefficients, bounds, center, rotation = surface
     # Scalars, so that the compiler need not fear that a store changes them.
     k0, k1, k2, k3, k4, k5, k6, k7, k8, k9 = coefficients
     x0, x1, y0, y1, z0, z1 = bounds
     k, box = (k0, k1, k2, k3, k4, k5, k6, k7, k8, k9), (x0, x1, y0, y1, z0, z1)
     center_x, center_y, center_z = center
+    r0, r1, r2, r3, r4, r5, r6, r7, r8 = rotation
+    r = (r0, r1, r2, r3, r4, r5, r6, r7, r8)
     base, rows, columns = texture
     for s in range(count):
         sub_x, sub_y = rays[s] + shift_x, rays[s + BLOCK] + shift_y
@@ -267,6 +144,7 @@ def _cast(hits, rays, count, turn, corner, optics, surface, texture):  # type: i
         nearest, texel = hits[s], hits[s + BLOCK]
         nearer = (depth > 0.0) & (depth < nearest)
         hits[s] = depth if nearer else nearest
+        x, y, z = _turn(r, x, y, z)
         # A point behind the lens in the reference pose has no projection: the focused image has no value for it.
         rest = z + center_z
         scale = 1.0 / (pitch_ratio * rest)
@@ -278,7 +156,7 @@ def _cast(hits, rays, count, turn, corner, optics, surface, texture):  # type: i
 
 @njit(cache=True, parallel=True, fastmath={"contract"})
 def _accumulate(  # type: ignore[no-untyped-def]
-    sums, squares, order, first, last, points, poses, coefficients, bounds, centers, textures, optics, seed
+    sums, squares, order, first, last, points, poses, coefficients, bounds, centers, rotations, textures, optics, seed
 ):
     """Add samples first..last (rows, columns) of every pixel to `sums` and, over all channels, `squares`.
 
@@ -310,7 +188,7 @@ def _accumulate(  # type: ignore[no-untyped-def]
                 for s in range(BLOCK):
                     hits[s], hits[s + BLOCK] = np.inf, -1.0
                 for n in range(len(poses)):
-                    surface = coefficients[n], bounds[n], centers[n]
+                    surface = coefficients[n], bounds[n], centers[n], rotations[n]
                     texture = float(n * rows * columns), float(rows), float(columns)
                     _cast(hits, rays[n], end - block, turn, corner, optics, surface, texture)
                 square = 0.0
@@ -360,17 +238,19 @@ def extend(halves: Halves, counts: NDArray[np.int64]) -> Halves:
     pairs = zip(halves.engines, halves.points, strict=True)
     points = tuple(np.concatenate([old, new.random(more)]) if more > 0 else old for new, old in pairs)
     sums, squares = halves.sums.copy(), halves.squares.copy()
-    moving = np.any(problem.velocities) or np.any(problem.angular_velocities)
+    own, group = ("velocities", "angular_velocities"), ("group_velocities", "group_angular_velocities")
+    moving = any(np.any(getattr(problem, name)) for name in (*own, *group))
     # Rows in random order, so that threads with a block of rows each have the same work.
     order = np.random.default_rng(0).permutation(len(counts))
     for half in range(2):
         times = problem.start + problem.shutter * (points[half][:, 4] if moving else np.zeros(1))
         lens = np.ascontiguousarray(np.column_stack([points[half][:, :2], _disc(points[half][:, 2:4])]).T)
-        shape = problem.coefficients, problem.bounds, problem.centers, problem.textures
+        rotations = problem.rotations.reshape(-1, 9)
+        shape = problem.coefficients, problem.bounds, problem.centers, rotations, problem.textures
         optics = problem.pitch_ratio, problem.lens_radius, problem.focus_term
         span, poses = (
             (halves.counts, counts),
-            np.ascontiguousarray(np.moveaxis(_inverse_poses(problem, times), 0, -1)),
+            np.ascontiguousarray(np.moveaxis(inverse_poses(problem, times), 0, -1)),
         )
         _accumulate(sums[half], squares[half], order, *span, lens, poses, *shape, optics, halves.seeds[half])
     return replace(halves, points=points, sums=sums, squares=squares, counts=counts)
@@ -482,7 +362,7 @@ def pinhole_depth(scene: Any, rows: int, columns: int, times: Sequence[float]) -
     """Depth (mm) at the pixel centers at `times` (s): (times, rows, columns), inf where nothing is."""
     problem = prepare(scene, np.zeros((rows, columns)), rows, columns)
     x, y = np.arange(columns) - 0.5 * (columns - 1), 0.5 * (rows - 1) - np.arange(rows)
-    poses, ratio = _inverse_poses(problem, np.asarray(times, float)), problem.pitch_ratio
+    poses, ratio = inverse_poses(problem, np.asarray(times, float)), problem.pitch_ratio
     return _pinhole(x * ratio, y * ratio, poses, problem.coefficients, problem.bounds)
 
 

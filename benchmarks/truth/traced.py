@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.truth.raytracer import Textures, trace_converged
+from benchmarks.truth.problem import Textures
+from benchmarks.truth.raytracer import trace_converged
 
 Array = NDArray[np.float64]
 

@@ -26,7 +26,8 @@ def views(scene: Scene) -> tuple[Eye, ...]:
 
 def units(scene: Scene) -> dict[str, str]:
     """Unit of every parameter that has one: {"camera.focal_length": "mm", "object[0].radius": "mm", ...}."""
-    sections = [(name, getattr(scene, name)) for name in type(scene).model_fields if name != "objects"]
+    sections = [(name, getattr(scene, name)) for name in type(scene).model_fields if name not in ("groups", "objects")]
+    sections += [(f"group[{index}]", group) for index, group in enumerate(scene.groups)]
     sections += [(f"object[{index}]", item) for index, item in enumerate(scene.objects)]
     found: dict[str, str] = {}
     while sections:
@@ -34,7 +35,8 @@ def units(scene: Scene) -> dict[str, str]:
         for name, field in getattr(type(model), "model_fields", {}).items():
             key = f"{place}.{name}"
             sections.append((key, getattr(model, name)))
-            if unit := _unit((field.annotation, *field.metadata)):
+            is_table = hasattr(type(getattr(model, name)), "model_fields")  # whose own keys have units
+            if (unit := _unit((field.annotation, *field.metadata))) and not is_table:
                 found[key] = unit
     return found
 

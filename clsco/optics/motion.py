@@ -8,7 +8,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.scene.model import Object, ObjectMotion, Scene, Sequence
+from clsco.scene.groups import group_origin
+from clsco.scene.model import Group, Object, ObjectMotion, Scene, Sequence
+from clsco.scene.rotations import rotation_rows
 from clsco.scene.shapes import origin
 
 Eye = Literal["left", "right"]
@@ -110,6 +112,12 @@ def rest_center(item: Object) -> NDArray[np.float64]:
     return np.asarray(origin(item), dtype=np.float64)
 
 
+def static_rotation(item: Object) -> NDArray[np.float64]:
+    """Matrix R0 (3, 3) from an object's own frame to the axes of the camera in its reference pose, exactly orthonormal
+    for none and for quarter turns: a point p of its own frame is at center + shift + rotation R0 p in a `Pose`."""
+    return np.array(rotation_rows(item.rotation))
+
+
 def eye_pose(scene: Scene, eye: Eye, time: float) -> Pose:
     """Pose of the camera, or of one of a stereo pair, in the frame of the camera's reference pose.
 
@@ -158,11 +166,28 @@ def poses_at(scene: Scene, time: float, eye: Eye = "left") -> tuple[Pose, ...]:
     tuple of Pose, one for each object
     """
     camera, found = eye_pose(scene, eye, time), []
+    groups = {group.name: _carrier(scene, group, time) for group in scene.groups}
     for item in scene.objects:
         pose, center = pose_at(item.motion, time, scene.motion.rotation), rest_center(item)
+        if item.group is not None:
+            pose = _carried(pose, center, *groups[item.group])
         shift = camera.rotation.T @ (pose.shift - camera.shift) + (camera.rotation.T @ center - center)
         found.append(Pose(camera.rotation.T @ pose.rotation, shift))
     return tuple(found)
+
+
+def _carrier(scene: Scene, group: Group, time: float) -> tuple[Pose, NDArray[np.float64]]:
+    """Pose of a group, and the point (3,) about which it rotates, mm."""
+    members = [item for item in scene.objects if item.group == group.name]
+    origin = np.asarray(group_origin(group, members)) if members else np.zeros(3)
+    return pose_at(group.motion, time, scene.motion.rotation), origin
+
+
+def _carried(own: Pose, center: NDArray[np.float64], group: Pose, origin: NDArray[np.float64]) -> Pose:
+    """Pose of an object that moves within a group: P = origin + shift + rotation (P1 - origin) of what its own pose
+    makes of P0."""
+    arm = center - origin
+    return Pose(group.rotation @ own.rotation, group.shift + group.rotation @ own.shift + (group.rotation @ arm - arm))
 
 
 def sample_times(sequence: Sequence, frame: int, samples: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -13,8 +13,8 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.optics.motion import Pose, rest_center
-from clsco.scene.model import Background, Cone, Cylinder, Ellipsoid, Object, Plane, Quadric, Sphere
+from clsco.optics.motion import Pose, rest_center, static_rotation
+from clsco.scene.model import Background, Cone, Cylinder, Ellipsoid, Object, Plane, Quadric, Rectangle, Sphere
 
 Vector = NDArray[np.float64]
 # Eigenvalues of a quadric below this fraction of the largest count as zero: they are rounding, not curvature.
@@ -72,7 +72,9 @@ class PlacedSurface:
     offset : ndarray of float64, (3,)
         Camera to canonical frame, mm.
     body_turn, body_offset
-        Camera to object's frame, for bounds and for the way back to the reference pose.
+        Camera to the axes of the camera in the reference pose, about the object's center: the way back to that pose.
+    own_turn, own_offset
+        Camera to object's own frame, for bounds: the same without a static rotation.
     rest : ndarray of float64, (3,)
         Center in the reference pose, mm.
     constant : float
@@ -86,6 +88,8 @@ class PlacedSurface:
     offset: Vector
     body_turn: NDArray[np.float64]
     body_offset: Vector
+    own_turn: NDArray[np.float64]
+    own_offset: Vector
     rest: Vector
     constant: float
     seen: Extent = EVERYWHERE
@@ -138,7 +142,7 @@ def canonical(item: Object) -> Canonical:
     still, zero = np.eye(3), np.zeros(3)
     if isinstance(item, Plane):
         return Canonical(zero, np.array([-item.slope_x, -item.slope_y, 1.0]) / 2, 0.0, still, zero)
-    if isinstance(item, Background):
+    if isinstance(item, Background | Rectangle):
         return Canonical(zero, np.array([0.0, 0.0, 0.5]), 0.0, still, zero)
     if isinstance(item, Sphere):
         return Canonical(np.ones(3), zero, item.radius**2, still, zero)
@@ -176,15 +180,20 @@ def place(item: Object, pose: Pose) -> PlacedSurface:
     shape, rest = canonical(item), rest_center(item)
     body_turn = pose.rotation.T
     body_offset = body_turn @ (-rest - pose.shift)
-    turn = shape.axes @ body_turn
-    offset = shape.axes @ (body_offset - shape.origin)
+    own_turn, own_offset = body_turn, body_offset
+    if item.rotation is not None:
+        back = static_rotation(item).T
+        own_turn, own_offset = back @ body_turn, back @ body_offset
+    turn = shape.axes @ own_turn
+    offset = shape.axes @ (own_offset - shape.origin)
     if isinstance(item, Sphere):
         # (c - rho)(c + rho) keeps the digits that c^2 - rho^2 loses beyond c/rho = 1e4
         distance = float(np.linalg.norm(offset))
         constant = (distance - item.radius) * (distance + item.radius)
     else:
         constant = float(shape.q @ offset**2 + 2.0 * (shape.l @ offset) - shape.k)
-    return PlacedSurface(shape, turn, offset, body_turn, body_offset, rest, constant, _seen(item, pose))
+    ways = (turn, offset, body_turn, body_offset, own_turn, own_offset)
+    return PlacedSurface(shape, *ways, rest, constant, _seen(item, pose))
 
 
 def _seen(item: Object, pose: Pose) -> Extent:
@@ -196,7 +205,7 @@ def _seen(item: Object, pose: Pose) -> Extent:
         balls.append((np.zeros(3), max(item.semi_axes)))
     if item.bounds is not None:
         box = np.array(item.bounds)
-        balls.append((box.mean(axis=1), 0.5 * float(np.linalg.norm(box[:, 1] - box[:, 0]))))
+        balls.append((static_rotation(item) @ box.mean(axis=1), 0.5 * float(np.linalg.norm(box[:, 1] - box[:, 0]))))
     if not balls:
         return EVERYWHERE
     middle, radius = min(balls, key=lambda ball: ball[1])
@@ -241,7 +250,7 @@ def predict_inverse_depth(
     b = ((q * o + half_linear) * d).sum(axis=0)
     c = surface.constant
     root = np.sqrt(np.maximum(b * b - a * c, 0.0))
-    body = np.tensordot(surface.body_turn, rays, axes=1)
+    own = np.tensordot(surface.own_turn, rays, axes=1)
     best = np.zeros_like(a)
     for sign in (1.0, -1.0):
         with np.errstate(all="ignore"):  # NaN is not kept
@@ -251,7 +260,7 @@ def predict_inverse_depth(
                 keep &= surface.canonical.nappe * (surface.offset[2] * w + d[2]) >= 0
             if item.bounds is not None:
                 for axis, (low, high) in enumerate(item.bounds):
-                    along = surface.body_offset[axis] * w + body[axis]
+                    along = surface.own_offset[axis] * w + own[axis]
                     keep &= (along >= low * w) & (along <= high * w)
         best = np.where(keep & (w > best), w, best)
     return best

@@ -51,8 +51,10 @@ def _surface_struct(item: Object, surface: PlacedSurface, texture: int, real: Re
         {
             "turn": surface.turn.ravel(),
             "body_turn": surface.body_turn.ravel(),
+            "own_turn": surface.own_turn.ravel(),
             "offset": surface.offset,
             "body_offset": surface.body_offset,
+            "own_offset": surface.own_offset,
             "rest": surface.rest,
             "q": shape.q,
             "l": shape.l,

@@ -16,7 +16,7 @@ def unused_keys(plan: Plan) -> list[tuple[str, str]]:
     def give(section: str, keys: Iterable[str], why: str) -> None:
         reasons.update({f"{section}.{key}": why for key in keys})
 
-    motions = [scene.camera.motion, *(item.motion for item in scene.objects)]
+    motions = [scene.camera.motion, *(motion for item in scene.objects for motion in scene.motions(item))]
     if not plan.moves:
         give("sequence", ("samples", "sampling", "shutter"), "nothing moves")
         mapped = plan.forward or plan.static_map
@@ -44,8 +44,12 @@ def unused_keys(plan: Plan) -> list[tuple[str, str]]:
     named = ("aperture", "psf", "sequence", "motion", "fill")
     sections: list[tuple[str, Any]] = [(name, getattr(scene, name)) for name in named]
     for index, item in enumerate(scene.objects):
-        if not item.is_analytic and not any(item.motion.angular_velocity):
+        if not item.is_analytic and item.group is None and not any(item.motion.angular_velocity):
             give(f"object[{index}]", ("center",), "the depth map does not turn")
             sections.append((f"object[{index}]", item))
+    for index, group in enumerate(scene.groups):
+        if all(item.group != group.name for item in scene.objects):
+            give(f"group[{index}]", type(group).model_fields, "no object is in it")
+            sections.append((f"group[{index}]", group))
     given = [f"{place}.{key}" for place, model in sections for key in sorted(model.model_fields_set)]
     return [(key, reasons[key]) for key in given if key in reasons]

@@ -114,6 +114,8 @@ def dump(scene: Any) -> dict[str, Any]:
         del data["camera"]["aperture_diameter"]
     if scene.camera.focus_distance is not None:
         del data["camera"]["sensor_distance"]
+    if not scene.groups:
+        del data["group"]
     for key, section in (("aperture.shape", "aperture"), ("psf.model", "psf"), ("motion.warp", "motion")):
         displace(data, key, data[section][key.rpartition(".")[2]])
     if scene.psf.occlusion == "visibility" and not scene.is_ray_castable:
@@ -152,7 +154,7 @@ def replaced(scene: Root, path: str, value: Any) -> Root:
         data, parts, new = given(scene), key_parts(path), given(value)
     except RecursionError:
         raise SceneError(f"scene: {brief(path)}: nested too deeply; got {shown(value)}") from None
-    parts = ["object", *parts[1:]] if parts[0] == "objects" else parts
+    parts = [{"objects": "object", "groups": "group"}.get(parts[0], parts[0]), *parts[1:]]
     known = dump(scene)
     for end in range(1, len(parts)):  # a component of a default: the others stay what they are
         default = _at(known, parts[:end])

@@ -10,6 +10,7 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 
 from clsco.errors import SceneError
+from clsco.scene.groups import Group, unknown_groups
 from clsco.scene.shapes import SHAPES, ObjectMotion, repeated_names
 from clsco.scene.text import key_name, shown
 
@@ -36,7 +37,7 @@ _RULES = {
 def sections(root: type[BaseModel]) -> dict[str, type[BaseModel]]:
     """Models of the tables of a scene, by their keys; root: the scene's model."""
     return {
-        name: part
+        str(field.validation_alias or name): part
         for name, field in root.model_fields.items()
         for part in (field.annotation, *get_args(field.annotation))
         if isinstance(part, type) and issubclass(part, BaseModel)
@@ -46,10 +47,11 @@ def sections(root: type[BaseModel]) -> dict[str, type[BaseModel]]:
 @lru_cache(maxsize=1)
 def _places(root: type[BaseModel]) -> list[tuple[str, type[BaseModel]]]:
     """All tables by where they are."""
-    known = sections(root)
+    known = {name: model for name, model in sections(root).items() if model is not Group}
     shapes = (("object[0]", shape) for shape in SHAPES.values())
     moving: Any = known["camera"].model_fields["motion"].annotation
-    return [*known.items(), *shapes, ("object[0].motion", ObjectMotion), ("camera.motion", moving)]
+    moved = (("object[0].motion", ObjectMotion), ("camera.motion", moving))
+    return [*known.items(), *shapes, *moved, ("group[0]", Group)]
 
 
 def parsed(root: type[Root], mapping: Any, where: str) -> Root:
@@ -60,10 +62,13 @@ def parsed(root: type[Root], mapping: Any, where: str) -> Root:
         return root.model_validate(dict(mapping), by_alias=True, by_name=False)
     except ValidationError as error:
         found = messages(error, root)
-    names = [name if isinstance(name := item.get("name"), str) else None for item in items(mapping)]
-    for index, fault, name in repeated_names(names):
-        message = f"object[{index}].name: {fault.message()}; got {shown(name)}"
-        found += [message] if message not in found else []
+    names, members = (_texts(items(mapping), key) for key in ("name", "group"))
+    unknown = unknown_groups(members, _texts(items(mapping, "group"), "name"))
+    for key, faults in (("name", repeated_names(names)), ("group", unknown)):
+        for index, fault, name in faults:
+            place = f"object[{index}].{key}: "
+            if not any(message.startswith(place) for message in found):
+                found.append(f"{place}{fault.message()}; got {shown(name)}")
     raise SceneError(at_most(where, found))
 
 
@@ -80,9 +85,14 @@ def at_most(where: str, messages: Iterable[str]) -> list[str]:
     return [f"{where}: {message}" for message in listed]
 
 
-def items(data: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Tables of objects, with an empty one in place of what is not a table."""
-    items = data.get("object")
+def _texts(tables: Iterable[Mapping[str, Any]], key: str) -> list[str | None]:
+    """What tables have under a key, None where that is no text."""
+    return [text if isinstance(text := table.get(key), str) else None for table in tables]
+
+
+def items(data: Mapping[str, Any], key: str = "object") -> list[Mapping[str, Any]]:
+    """Tables of objects, or of the array `key`, with an empty one in place of what is not a table."""
+    items = data.get(key)
     return [item if isinstance(item, Mapping) else {} for item in items] if isinstance(items, list) else []
 
 
@@ -133,7 +143,7 @@ def _unknown(loc: tuple[Any, ...], shape: str | None, root: type[BaseModel]) -> 
 def _model_at(loc: Sequence[str], root: type[BaseModel]) -> type[BaseModel]:
     """Model of a section, or of a table inside it."""
     model = sections(root)[loc[0]]
-    for part in loc[1:]:
+    for part in loc[2 if loc[0] == "group" else 1 :]:
         model = model.model_fields[part].annotation  # type: ignore[assignment]
     return model
 

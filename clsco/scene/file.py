@@ -97,9 +97,9 @@ def swept_keys(mapping: Mapping[str, Any]) -> list[tuple[Location, Any]]:
     for section, table in mapping.items():
         if section in SWEEPABLE:
             search(table, SECTIONS[section], (section,))
-        elif section == "object":
-            for index, item in enumerate(items(mapping)):
-                search(item.get("motion"), ObjectMotion, ("object", index, "motion"))
+        elif section in ("object", "group"):
+            for index, item in enumerate(items(mapping, section)):
+                search(item.get("motion"), ObjectMotion, (section, index, "motion"))
     return found
 
 

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
 from clsco.scene.changes import replaced
+from clsco.scene.groups import Group, Groups, unknown_groups
 from clsco.scene.quantities import (
     MAX_LENGTH_MM,
     MIN_LENGTH_MM,
@@ -44,6 +45,7 @@ from clsco.scene.shapes import (
     Objects,
     Plane,
     Quadric,
+    Rectangle,
     Sphere,
     origin,
 )
@@ -60,6 +62,7 @@ __all__ = [
     "DepthMap",
     "Ellipsoid",
     "Fill",
+    "Group",
     "ImageOptions",
     "Motion",
     "Object",
@@ -67,6 +70,7 @@ __all__ = [
     "Plane",
     "Psf",
     "Quadric",
+    "Rectangle",
     "Scene",
     "Sequence",
     "Sphere",
@@ -298,6 +302,13 @@ class Scene(Strict):
     image: ImageOptions = ImageOptions()
     stereo: Stereo | None = None
     """A second view; none if not given."""
+    groups: Groups = Field(
+        default=(),
+        validation_alias="group",
+        serialization_alias="group",
+        json_schema_extra={"maxItems": MAX_OBJECTS},
+    )
+    """Groups of objects that move together; none if not given."""
     objects: Objects = Field(
         default=(),
         validation_alias="object",
@@ -314,6 +325,16 @@ class Scene(Strict):
         if motion is not None and motion.warp == "inverse" and value.model_fields_set:
             rule = fault('belongs to motion.warp = "forward", not "inverse"')
             raise at_keys([((key,), rule, getattr(value, key)) for key in sorted(value.model_fields_set)])
+        return value
+
+    @field_validator("objects")
+    @classmethod
+    def _in_known_groups(cls, value: tuple[AnyShape, ...], info: ValidationInfo) -> tuple[AnyShape, ...]:
+        if "groups" in info.data:  # missing where they were refused
+            names = (group.name for group in info.data["groups"])
+            found = unknown_groups((item.group for item in value), names)
+            if found:
+                raise at_keys([((index, "group"), rule, name) for index, rule, name in found])
         return value
 
     @model_validator(mode="after")
@@ -357,8 +378,13 @@ class Scene(Strict):
 
     @property
     def moves(self) -> bool:
-        """Whether an object or the camera moves."""
-        return self.camera.motion.moves or any(item.motion.moves for item in self.objects)
+        """Whether an object, its group or the camera moves."""
+        motions = (motion for item in self.objects for motion in self.motions(item))
+        return self.camera.motion.moves or any(motion.moves for motion in motions)
+
+    def motions(self, item: AnyShape) -> tuple[ObjectMotion, ...]:
+        """The motion of an object, and that of its group if it is in one."""
+        return (item.motion, *(group.motion for group in self.groups if group.name == item.group))
 
     @property
     def is_ray_castable(self) -> bool:

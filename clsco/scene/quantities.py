@@ -166,18 +166,20 @@ def _few_enough(value: tuple[int, int]) -> tuple[int, int]:
     return value
 
 
-_Pair, _Triple = BeforeValidator(_list_of(2, "numbers")), BeforeValidator(_list_of(3, "numbers"))
+_Pair, Triple, Numbers4 = (BeforeValidator(_list_of(count, "numbers")) for count in (2, 3, 4))
 Flag = Annotated[bool, BeforeValidator(as_python)]
 Text = Annotated[str, Field(max_length=4096), AfterValidator(_single_line)]
 Name = Annotated[str, Field(min_length=1, max_length=4096), AfterValidator(_single_line)]
 Length = Annotated[float, Within(MIN_LENGTH_MM, MAX_LENGTH_MM, "mm")]
-SemiAxes = Annotated[tuple[Length, Length, Length], _Triple]
+Sides = Annotated[tuple[Length, Length], _Pair]
+SemiAxes = Annotated[tuple[Length, Length, Length], Triple]
 Coordinate = Annotated[float, Within(-MAX_LENGTH_MM, MAX_LENGTH_MM, "mm")]
-Point = Annotated[tuple[Coordinate, Coordinate, Coordinate], _Triple]
+Point = Annotated[tuple[Coordinate, Coordinate, Coordinate], Triple]
 Interval = Annotated[tuple[Coordinate, Coordinate], AfterValidator(_increasing), _Pair]
 Box = Annotated[tuple[Interval, Interval, Interval], BeforeValidator(_list_of(3, "pairs [low, high]"))]
 Component = Annotated[float, Within(-1e9, 1e9)]
-Direction = Annotated[tuple[Component, Component, Component], AfterValidator(_not_zero), _Triple]
+Direction = Annotated[tuple[Component, Component, Component], AfterValidator(_not_zero), Triple]
+Angle = Annotated[float, Within(-1e9, 1e9, "deg")]
 Slope = Annotated[float, Within(-1e6, 1e6, "mm per mm")]
 Coefficient = Annotated[float, Within(-1e30, 1e30)]
 Coefficients = Annotated[
@@ -187,9 +189,9 @@ Coefficients = Annotated[
     BeforeValidator(_list_of(10, "numbers")),
 ]
 Speed = Annotated[float, Within(-1e9, 1e9, "mm/s")]
-Velocity = Annotated[tuple[Speed, Speed, Speed], _Triple]
+Velocity = Annotated[tuple[Speed, Speed, Speed], Triple]
 Turn = Annotated[float, Within(-1e9, 1e9, "deg/s")]
-AngularVelocity = Annotated[tuple[Turn, Turn, Turn], _Triple]
+AngularVelocity = Annotated[tuple[Turn, Turn, Turn], Triple]
 Duration = Annotated[float, Within(1e-9, 1e9, "s")]
 FNumber = Annotated[float, Within(1e-3, 1e6)]
 Pixels = Annotated[int, Within(1, 65536, "px")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable
 from itertools import count
@@ -20,6 +21,7 @@ from clsco.scene.quantities import (
     Name,
     Point,
     SemiAxes,
+    Sides,
     Slope,
     Strict,
     Vector,
@@ -28,12 +30,14 @@ from clsco.scene.quantities import (
     at_keys,
     fault,
 )
+from clsco.scene.rotations import Rotation, depth_row
 
 BUILT_IN_TEXTURES = ("bricks", "checkerboard", "slanted_edge", "siemens_star")
 COLOR = re.compile("#[0-9a-fA-F]{6}")
 MAX_OBJECTS = 64
 BACKGROUND_MM = 1e12
 """Distance of what is infinitely far away: its blur differs from that of infinity by a part in 10^10."""
+ROUNDING = 1e-15  # of a direction's component that a rotation leaves of 0
 IN_FRONT = "must leave part of the object in front of the lens (z > 0)"
 
 
@@ -73,10 +77,13 @@ class _Object(Strict):
     texture: TextureInput = "bricks"
     """bricks, checkerboard, slanted_edge, siemens_star, a color "#rrggbb", or an image: a path, relative to the scene
     file; in Python also a NumPy array."""
-    bounds: Box | None = None
-    """Box [[x0, x1], [y0, y1], [z0, z1]] about the object's origin before rotation, mm; cuts the surface."""
+    rotation: Rotation | None = None
+    """Pose at t = 0, about the object's origin: Euler angles [x, y, z] in deg, {axis, angle} or {quaternion}, in the
+    order and sense of a motion; none if not given."""
     motion: ObjectMotion = ObjectMotion()
     """Velocities; static if none are given."""
+    group: Name | None = None
+    """Name of the group that the object moves with; none if not given."""
 
     @property
     def is_analytic(self) -> bool:
@@ -102,7 +109,14 @@ class _Object(Strict):
         return {key: value for key, value in self.inputs().items() if isinstance(value, ArrayInput)}
 
 
-class Plane(_Object):
+class _Bounded(_Object):
+    """Keys of shapes that a box may cut."""
+
+    bounds: Box | None = None
+    """Box [[x0, x1], [y0, y1], [z0, z1]] about the object's origin before any rotation, mm; cuts the surface."""
+
+
+class Plane(_Bounded):
     """Plane Z = distance + slope_x X + slope_y Y (3.7); origin (0, 0, distance)."""
 
     shape: Literal["plane"] = "plane"
@@ -114,7 +128,32 @@ class Plane(_Object):
     """Slope c along y, mm per mm."""
 
 
-class Cylinder(_Object):
+class Rectangle(_Object):
+    """Flat card; unless it is rotated, it faces the camera."""
+
+    shape: Literal["rectangle"] = "rectangle"
+    size: Sides = (40.0, 30.0)
+    """Width and height, mm."""
+    center: Point = (0.0, 0.0, 250.0)
+    """Center, mm; the origin."""
+
+    @property
+    def bounds(self) -> Box:
+        """Box that cuts the plane of the card, as deep as it is wide: its sides along z touch nothing."""
+        width, height = (0.5 * side for side in self.size)
+        deep = max(width, height)
+        return (-width, width), (-height, height), (-deep, deep)
+
+    @field_validator("center")
+    @classmethod
+    def _visible(cls, center: Vector, info: ValidationInfo) -> Vector:
+        if not {"size", "rotation"} <= info.data.keys():
+            return center
+        pairs = zip(info.data["size"], depth_row(info.data["rotation"])[:2], strict=True)
+        return _reaching(center, sum(0.5 * side * abs(row) for side, row in pairs))
+
+
+class Cylinder(_Bounded):
     """Circular cylinder without ends (3.11), its axis in any direction."""
 
     shape: Literal["cylinder"] = "cylinder"
@@ -128,12 +167,15 @@ class Cylinder(_Object):
     @field_validator("center")
     @classmethod
     def _visible(cls, center: Vector, info: ValidationInfo) -> Vector:
+        if not {"axis", "radius", "rotation"} <= info.data.keys():
+            return center
+        axis, row = info.data["axis"], depth_row(info.data["rotation"])
         # An axis that leaves the plane of the lens always runs to its front on one side.
-        across = "axis" in info.data and info.data["axis"][2] == 0.0
-        return _reaching(center, info.data.get("radius") if across else None)
+        along = abs(sum(a * r for a, r in zip(axis, row, strict=True)))
+        return _reaching(center, info.data["radius"] if along <= ROUNDING * math.hypot(*axis) else None)
 
 
-class Sphere(_Object):
+class Sphere(_Bounded):
     """Sphere (3.18), its center anywhere."""
 
     shape: Literal["sphere"] = "sphere"
@@ -148,39 +190,48 @@ class Sphere(_Object):
         return _reaching(center, info.data.get("radius"))
 
 
-class Cone(_Object):
-    """One nappe of a circular cone whose axis is parallel to the optical axis (3.23)."""
+class Cone(_Bounded):
+    """One nappe of a circular cone (3.23); unless it is rotated, its axis is parallel to the optical axis."""
 
     shape: Literal["cone"] = "cone"
     half_angle: Annotated[float, Within(0.0, 90.0, "deg", "()")] = 45.0
     """Angle from axis to surface, deg."""
     nappe: Literal["away", "towards"] = "away"
-    """The cone opens away from the camera, or towards it."""
+    """The cone opens away from the camera, or towards it, before any rotation."""
     apex: Point = (0.0, 0.0, 250.0)
     """Apex, mm; the origin."""
 
     @field_validator("apex")
     @classmethod
     def _visible(cls, apex: Vector, info: ValidationInfo) -> Vector:
-        return _reaching(apex, 0.0 if info.data.get("nappe") == "towards" else None)
+        if not {"half_angle", "nappe", "rotation"} <= info.data.keys():
+            return apex
+        opening = depth_row(info.data["rotation"])[2] * (1.0 if info.data["nappe"] == "away" else -1.0)
+        half = math.radians(info.data["half_angle"])
+        # The line of the cone that runs most away from the camera.
+        away = opening * math.cos(half) + math.sqrt(max(0.0, 1.0 - opening * opening)) * math.sin(half)
+        return _reaching(apex, 0.0 if away <= 0.0 else None)
 
 
-class Ellipsoid(_Object):
-    """Ellipsoid with its axes along x, y and z (3.33)."""
+class Ellipsoid(_Bounded):
+    """Ellipsoid (3.33); unless it is rotated, its axes are along x, y and z."""
 
     shape: Literal["ellipsoid"] = "ellipsoid"
     semi_axes: SemiAxes = (30.0, 30.0, 50.0)
-    """Semi-axes along x, y and z, mm."""
+    """Semi-axes along x, y and z before any rotation, mm."""
     center: Point = (0.0, 0.0, 300.0)
     """Center, mm; the origin."""
 
     @field_validator("center")
     @classmethod
     def _visible(cls, center: Vector, info: ValidationInfo) -> Vector:
-        return _reaching(center, info.data["semi_axes"][2] if "semi_axes" in info.data else None)
+        if not {"semi_axes", "rotation"} <= info.data.keys():
+            return center
+        pairs = zip(info.data["semi_axes"], depth_row(info.data["rotation"]), strict=True)
+        return _reaching(center, math.hypot(*(a * r for a, r in pairs)))
 
 
-class Quadric(_Object):
+class Quadric(_Bounded):
     """Surface of second degree (3.39) about its center: x right, y up, z away from the camera."""
 
     shape: Literal["quadric"] = "quadric"
@@ -190,7 +241,7 @@ class Quadric(_Object):
     """Where x = y = z = 0, mm; the origin."""
 
 
-class DepthMap(_Object):
+class DepthMap(_Bounded):
     """Surface given by the depth of every pixel at t = 0, from a file of the texture's size."""
 
     shape: Literal["depth_map"] = "depth_map"
@@ -222,6 +273,13 @@ class DepthMap(_Object):
             raise fault("belongs to analytic shapes, not to depth_map")
         return value
 
+    @field_validator("rotation")
+    @classmethod
+    def _unrotated(cls, value: Any) -> Any:
+        if value is not None:
+            raise fault("belongs to analytic shapes, not to depth_map")
+        return value
+
     @field_validator("baseline", "offset")
     @classmethod
     def _of_the_disparity(cls, value: float | None, info: ValidationInfo) -> float | None:
@@ -233,7 +291,7 @@ class DepthMap(_Object):
         return value
 
 
-class Background(_Object):
+class Background(_Bounded):
     """What is behind all other objects, infinitely far away: an image, or a color."""
 
     shape: Literal["background"] = "background"
@@ -242,7 +300,7 @@ class Background(_Object):
     def is_background(self) -> bool:
         return True
 
-    @field_validator("bounds")
+    @field_validator("bounds", "rotation", "group")
     @classmethod
     def _unbounded(cls, value: Any) -> Any:
         if value is not None:
@@ -257,7 +315,7 @@ class Background(_Object):
         return value
 
 
-AnyShape = Plane | Cylinder | Sphere | Cone | Ellipsoid | Quadric | DepthMap | Background
+AnyShape = Plane | Rectangle | Cylinder | Sphere | Cone | Ellipsoid | Quadric | DepthMap | Background
 
 
 SHAPES: dict[str, type[AnyShape]] = {kind.model_fields["shape"].default: kind for kind in get_args(AnyShape)}
@@ -285,8 +343,12 @@ def origin(shape: AnyShape) -> Vector:
 
 def _bounds_in_front(shape: AnyShape) -> AnyShape:
     """Refuse bounds that end at or behind the lens."""
-    if shape.bounds is not None and origin(shape)[2] + shape.bounds[2][1] <= 0.0:
-        raise at_keys([(("bounds", 2), fault(IN_FRONT), shape.bounds[2])])
+    if shape.bounds is None:
+        return shape
+    corners = zip(depth_row(shape.rotation), shape.bounds, strict=True)
+    if origin(shape)[2] + sum(max(row * low, row * high) for row, (low, high) in corners) <= 0.0:
+        place: tuple[str | int, ...] = ("bounds", 2) if shape.rotation is None else ("bounds",)
+        raise at_keys([(place, fault(IN_FRONT), shape.bounds[2] if shape.rotation is None else shape.bounds)])
     return shape
 
 
@@ -310,13 +372,15 @@ def _objects(value: Any) -> Any:
     return tuple(value)
 
 
-def repeated_names(names: Iterable[str | None]) -> list[tuple[int, PydanticCustomError, str]]:
+def repeated_names(names: Iterable[str | None], table: str = "object") -> list[tuple[int, PydanticCustomError, str]]:
     """Find names that an earlier object has already.
 
     Parameters
     ----------
     names : iterable of str or None
         Name of each object; None where none was given.
+    table : str
+        What the objects are called in a file.
 
     Returns
     -------
@@ -327,7 +391,7 @@ def repeated_names(names: Iterable[str | None]) -> list[tuple[int, PydanticCusto
     found = []
     for index, name in enumerate(names):
         if name is not None and first.setdefault(name, index) != index:
-            found.append((index, fault(f"names must differ; object[{first[name]}] has the same"), name))
+            found.append((index, fault(f"names must differ; {table}[{first[name]}] has the same"), name))
     return found
 
 

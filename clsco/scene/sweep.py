@@ -92,9 +92,9 @@ def load_sweep(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
 
     Notes
     -----
-    Keys of [camera], [motion], [sequence], [camera.motion] and [object.motion] may be a list of values, or a range
-    { from = 200, to = 400, steps = 9 } that includes both ends; for a vector a list of vectors, or a range of vectors.
-    Several such keys give all combinations, the first key of the file changing slowest.
+    Keys of [camera], [motion], [sequence], [camera.motion], [object.motion] and [group.motion] may be a list of values,
+    or a range { from = 200, to = 400, steps = 9 } that includes both ends; for a vector a list of vectors, or a range
+    of vectors. Several such keys give all combinations, the first key of the file changing slowest.
     """
     where = os.fspath(path)
     data = read_mapping(where, overrides)

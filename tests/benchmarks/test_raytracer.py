@@ -12,7 +12,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from benchmarks.truth.raytracer import pinhole_depth, prepare, rotation_matrix, trace, trace_converged
+from benchmarks.truth.problem import prepare, rotation_matrix
+from benchmarks.truth.raytracer import pinhole_depth, trace, trace_converged
 
 PITCH, S0, APERTURE = 0.01, 20.0, 10.0
 FOCUS_TERM = 1 / 20.0 - 1 / 21.739
@@ -22,14 +23,16 @@ KAPPA = S0 * APERTURE / (2 * PITCH)  # px mm: R = KAPPA (K - 1/Z)
 def body(shape: str, velocity: Any = (0, 0, 0), turn: Any = (0, 0, 0), bounds: Any = None, **keys: Any) -> Any:
     """An object of a scene."""
     motion = SimpleNamespace(velocity=velocity, angular_velocity=turn)
-    return SimpleNamespace(shape=shape, bounds=bounds, motion=motion, **keys)
+    return SimpleNamespace(
+        **{"shape": shape, "bounds": bounds, "rotation": None, "group": None, "motion": motion, **keys}
+    )
 
 
 def plane(distance: float, slope_x: float = 0.0, slope_y: float = 0.0, **keys: Any) -> Any:
     return body("plane", distance=distance, slope_x=slope_x, slope_y=slope_y, **keys)
 
 
-def scene(*objects: Any, shutter: float = 1.0, rotation: str = "euler") -> Any:
+def scene(*objects: Any, shutter: float = 1.0, rotation: str = "euler", groups: Any = ()) -> Any:
     """A scene with the camera of the thesis."""
     camera = SimpleNamespace(
         focal_length=20.0,
@@ -39,7 +42,8 @@ def scene(*objects: Any, shutter: float = 1.0, rotation: str = "euler") -> Any:
         pixel_pitch=PITCH,
     )
     sequence = SimpleNamespace(interval=1.0, shutter=shutter)
-    return SimpleNamespace(camera=camera, sequence=sequence, motion=SimpleNamespace(rotation=rotation), objects=objects)
+    motion = SimpleNamespace(rotation=rotation)
+    return SimpleNamespace(camera=camera, sequence=sequence, motion=motion, objects=objects, groups=groups)
 
 
 def distance_at(radius_px: float) -> float:
@@ -164,6 +168,7 @@ SOLIDS = {
     "cone": body("cone", nappe="away", **CONE),
     "saddle": body("quadric", center=(0.0, 0.0, 300.0), coefficients=(0.01, -0.02, 0.0, 0.003, 0, 0.002, 0.1, 0, 1, 2)),
     "plane": plane(250.0, 0.4, -0.3),
+    "rectangle": body("rectangle", center=(0.0, 0.0, 250.0)),
 }
 
 
@@ -172,6 +177,8 @@ def _implicit(item: Any, x: Any, y: Any, z: Any) -> Any:
     match item.shape:
         case "plane":
             return item.distance + item.slope_x * x + item.slope_y * y - z
+        case "rectangle":
+            return item.center[2] - z
         case "cone":
             x, y, z = x - item.apex[0], y - item.apex[1], z - item.apex[2]
             return math.tan(math.radians(item.half_angle)) * z - np.hypot(x, y)
@@ -260,3 +267,54 @@ def test_what_cannot_be_traced_is_refused() -> None:
         prepare(flat, [np.zeros((4, 4))] * 2, 4, 4)
     with pytest.raises(ValueError, match="at least 2, one for each half; got 1"):
         trace(flat, np.zeros((4, 4)), 4, 4, samples=1)
+
+
+EGG = {"center": (9.0, 4.0, 280.0), "semi_axes": (40.0, 15.0, 25.0)}
+
+
+@pytest.mark.parametrize(
+    "rotation",
+    [
+        (35.0, -50.0, 110.0),
+        SimpleNamespace(axis=(1.0, 2.0, -0.5), angle=140.0),
+        SimpleNamespace(quaternion=(0.9, 0.4, 0.1, 0.3)),
+    ],
+    ids=["euler", "axis", "quaternion"],
+)
+def test_a_rotated_object_is_one_that_has_turned_so_far(rotation: Any) -> None:
+    """But for its texture, which a static rotation does not take along."""
+    box = ((-30.0, 30.0), (-20.0, 4.0), (-30.0, 14.0))
+    turn = np.array([0.0, 0.0, 0.0])
+    if isinstance(rotation, tuple):
+        turn = np.array(rotation)
+    elif hasattr(rotation, "axis"):
+        turn = rotation.angle * np.array(rotation.axis) / np.linalg.norm(rotation.axis)
+    else:
+        w, *axis = np.array(rotation.quaternion) / np.linalg.norm(rotation.quaternion)
+        turn = np.degrees(2 * math.acos(w)) * np.array(axis) / np.linalg.norm(axis)
+    kind = "euler" if isinstance(rotation, tuple) else "axis"
+    static = scene(body("ellipsoid", bounds=box, rotation=rotation, **EGG))
+    turned = scene(body("ellipsoid", bounds=box, turn=turn, **EGG), rotation=kind)
+    found, expected = pinhole_depth(static, 96, 96, [0.0])[0], pinhole_depth(turned, 96, 96, [1.0])[0]
+    seen = np.isfinite(expected)
+    assert seen.sum() > 1000
+    assert (np.isfinite(found) != seen).sum() <= 1
+    both = seen & np.isfinite(found)
+    np.testing.assert_allclose(found[both], expected[both], rtol=1e-9)
+
+
+def test_the_texture_of_a_rotated_object_is_its_image() -> None:
+    """In focus and static, each pixel shows its texel, whatever the rotation."""
+    texture, tilted = noise(20, 24), plane(1 / FOCUS_TERM, rotation=(0.0, 0.0, 70.0))
+    image, _ = trace(scene(tilted), texture, 20, 24, samples=16)
+    np.testing.assert_allclose(image, texture, rtol=0, atol=1e-14)
+
+
+def test_a_group_carries_what_moves_in_it() -> None:
+    """A ball on an arm of 20 mm: turned by 90 deg about y it is nearer by 20 mm, and has gone 20 mm to the left."""
+    ball = {"center": (20.0, 0.0, 280.0), "radius": 5.0, "group": "arm"}
+    motion = SimpleNamespace(velocity=(1.0, 0.0, 0.0), angular_velocity=(0.0, 90.0, 0.0))
+    arm = SimpleNamespace(name="arm", origin=(0.0, 0.0, 280.0), motion=motion)
+    depth = pinhole_depth(scene(body("sphere", **ball), groups=(arm,)), 65, 65, [1.0])[0]
+    expected = pinhole_depth(scene(body("sphere", center=(1.0, 0.0, 260.0), radius=5.0)), 65, 65, [0.0])[0]
+    np.testing.assert_allclose(depth, expected, rtol=1e-12)

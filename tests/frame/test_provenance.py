@@ -16,12 +16,15 @@ from clsco.plan.unused_keys import unused_keys
 from clsco.scene.changes import dump
 from clsco.scene.file import parse_scene
 from clsco.scene.model import Scene
+from clsco.scene.shapes import SHAPES
 from clsco.scene.sweep import parse_sweep
 
 
-@pytest.mark.parametrize("shape", ["plane", "cylinder", "sphere", "cone", "ellipsoid", "quadric", "depth_map"])
+@pytest.mark.parametrize("shape", sorted(SHAPES.keys() - {"background"}))
 def test_every_number_has_a_unit_or_needs_none(shape: str) -> None:
     item: dict[str, Any] = {"shape": shape, "bounds": [[-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0]]}
+    if shape == "rectangle":
+        del item["bounds"]
     item |= {"coefficients": [1.0] * 10} if shape == "quadric" else {}
     if shape == "depth_map":
         item = {"shape": shape, "depth": "z.npy", "unit": "disparity", "baseline": 60.0}

@@ -51,6 +51,7 @@ LONG |= {
     "camera_motion",
     "sphere_moving",
     "stereo",
+    "cart",
     "cone_turning",
     "sphere_turning",
     "cylinder_turning",

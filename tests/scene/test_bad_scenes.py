@@ -10,7 +10,8 @@ from clsco.errors import SceneError
 from clsco.scene.changes import dump
 from clsco.scene.file import parse_scene
 
-SHAPES = "plane, cylinder, sphere, cone, ellipsoid, quadric, depth_map or background"
+CENTERED = "rectangle, cylinder, sphere, ellipsoid, quadric or depth_map"
+SHAPES = "plane, rectangle, cylinder, sphere, cone, ellipsoid, quadric, depth_map or background"
 # A line of a scene file whose object is valid, and the message.
 SCENES: list[tuple[str, str]] = [
     ("title = 3", "title: must be text; got 3"),
@@ -290,6 +291,16 @@ OBJECTS: list[tuple[str, str]] = [
         'shape = "plane", motion = {angular = [0, 5, 0]}',
         "object[0].motion.angular: unknown key (did you mean angular_velocity?); got [0, 5, 0]",
     ),
+    ('shape = "rectangle", size = [0, 3]', "object[0].size[0]: must be greater than 0 mm; got 0"),
+    ('shape = "rectangle", size = 3', "object[0].size: must be a list of 2 numbers; got 3"),
+    (
+        'shape = "rectangle", bounds = [[0, 1], [0, 1], [0, 1]]',
+        f"object[0].bounds: belongs to {SHAPES.replace('rectangle, ', '')}, not to rectangle; got a list of 3 entries",
+    ),
+    (
+        'shape = "rectangle", center = [0, 0, -14.9], rotation = [90, 0, 0], size = [99, 29.8]',
+        "object[0].center: must leave part of the object in front of the lens (z > 0); got [0, 0, -14.9]",
+    ),
     ('shape = "cylinder", radius = 0', "object[0].radius: must be greater than 0 mm; got 0"),
     (
         'shape = "cylinder", axis = [0, 0, 0]',
@@ -331,7 +342,7 @@ OBJECTS: list[tuple[str, str]] = [
     ),
     (
         'shape = "cone", center = [0, 0, 250]',
-        "object[0].center: belongs to cylinder, sphere, ellipsoid, quadric or depth_map, not to cone; got [0, 0, 250]",
+        f"object[0].center: belongs to {CENTERED}, not to cone; got [0, 0, 250]",
     ),
     (
         'shape = "ellipsoid", semi_axes = [30, 30]',

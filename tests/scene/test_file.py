@@ -18,6 +18,7 @@ from clsco.scene.faults import MAX_MESSAGES
 from clsco.scene.file import MAX_DOTS, MAX_FILE_BYTES, load_scene, parse_scene
 from clsco.scene.model import AnyShape, Cone, Cylinder, DepthMap, Ellipsoid, Plane, Quadric, Scene, Sphere
 from clsco.scene.schema import scene_schema
+from clsco.scene.shapes import SHAPES
 from clsco.scene.sweep import load_sweep
 from tests.scenes import scene_file
 
@@ -312,6 +313,7 @@ def test_schema_documents_every_key() -> None:
         "fill",
         "image",
         "stereo",
+        "group",
         "object",
     ]
     for definition in schema["$defs"].values():
@@ -354,7 +356,7 @@ def test_there_are_examples() -> None:
     assert figures >= {"3_04", "3_05", "3_08", "3_09", "3_12", "3_13", "3_15", "3_17", "4_02", "4_03", "4_06"}
     assert figures >= {"4_13", "4_14", "4_15", "4_16", "4_17", "4_19"}
     shapes = {item.shape for path in EXAMPLES for item in load_sweep(path).scenes[0].objects}
-    assert shapes == {"plane", "cylinder", "sphere", "cone", "ellipsoid", "quadric", "depth_map", "background"}
+    assert shapes == set(SHAPES)
 
 
 KEYS = sorted(
@@ -364,7 +366,7 @@ KEYS = sorted(
         for name, model in Scene.model_fields.items()
         for key in (name, *getattr(model.annotation, "model_fields", ()))
     }
-    | {key for shape in (Plane, Cylinder, Sphere, Cone, Ellipsoid, Quadric, DepthMap) for key in shape.model_fields}
+    | {key for shape in SHAPES.values() for key in shape.model_fields}
 )
 WORDS = [
     "plane",

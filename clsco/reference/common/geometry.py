@@ -112,10 +112,10 @@ def quarter_discriminant(surface: PlacedSurface, d: Array) -> Array:
     return np.asarray(shape.k * leading - twist + linear * linear + 2.0 * mixed)
 
 
-def root_counts(surface: PlacedSurface, bounds: Bounds | None, d: Array, body: Array, w: Array) -> NDArray[np.bool_]:
+def root_counts(surface: PlacedSurface, bounds: Bounds | None, d: Array, own: Array, w: Array) -> NDArray[np.bool_]:
     """Whether roots (...) are in front of the lens, on the right nappe and within the bounds.
 
-    d, body: (..., 3) rays in the canonical and in the object's frame; w: (...) 1/mm, finite or not. Nothing
+    d, own: (..., 3) rays in the canonical and in the object's own frame; w: (...) 1/mm, finite or not. Nothing
     is divided by Z: every comparison is multiplied by w.
     """
     counts = np.isfinite(w) & (w > 0.0) & (w < NEAREST_INVERSE_DEPTH)
@@ -123,10 +123,10 @@ def root_counts(surface: PlacedSurface, bounds: Bounds | None, d: Array, body: A
     counts &= surface.canonical.nappe * (surface.offset[2] * w + d[..., 2]) >= 0.0
     if bounds is not None:
         for axis, (low, high) in enumerate(bounds):
-            shift = surface.body_offset[axis] * w
-            along = shift + body[..., axis]
+            shift = surface.own_offset[axis] * w
+            along = shift + own[..., axis]
             # A bound that touches the surface must not lose its last point to rounding.
-            slack = BOUNDS_SLACK * (np.abs(shift) + np.abs(body[..., axis]))
+            slack = BOUNDS_SLACK * (np.abs(shift) + np.abs(own[..., axis]))
             counts &= (low * w - slack <= along) & (along <= high * w + slack)
     return np.asarray(counts)
 
@@ -148,7 +148,7 @@ def solve_root(
     against exact arithmetic at c/rho = 1e6.
     """
     shape = surface.canonical
-    d, body = turned(surface.turn, rays), turned(surface.body_turn, rays)
+    d, own = turned(surface.turn, rays), turned(surface.own_turn, rays)
     a = (shape.q * d * d).sum(axis=-1)
     b = ((shape.q * surface.offset + shape.l) * d).sum(axis=-1)
     discriminant = quarter_discriminant(surface, d)
@@ -167,7 +167,7 @@ def solve_root(
         number = np.where(plus_first == first, np.uint8(1), np.uint8(2))
         w = np.where(minus_is_sum == (number == 2), sum_root, product_root)
         wanted = (label == 0) & (discriminant >= 0.0) & ((only == 0) | (number == only))
-        counts = wanted & root_counts(surface, bounds, d, body, w)
+        counts = wanted & root_counts(surface, bounds, d, own, w)
         inverse_depth = np.where(counts, w, inverse_depth)
         label = np.where(counts, number, label)
     return inverse_depth, label
@@ -246,7 +246,8 @@ def surface_normal(surface: PlacedSurface, rays: Array, w: Array) -> Array:
 
 
 def body_point(surface: PlacedSurface, rays: Array, w: Array) -> Array:
-    """w times the position (..., 3) in the object's own frame of the surface point that a ray meets, no unit.
+    """w times the position (..., 3) of the surface point that a ray meets, no unit: about the object's center, in the
+    axes of the camera in the reference pose.
 
     rays: (..., 3); w: (...) 1/mm.
     """

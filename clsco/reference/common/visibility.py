@@ -44,11 +44,11 @@ def _limits(surface: PlacedSurface, bounds: Bounds | None, w: Array, rays: Array
     if nappe:
         found.append(np.stack([p[:, 2], np.full(w.shape, o[2]), *(e * surface.turn[2, :2]).T], axis=-1) * nappe)
     if bounds is not None:
-        body = surface.body_offset * w[:, None] + turned(surface.body_turn, rays)
+        own = surface.own_offset * w[:, None] + turned(surface.own_turn, rays)
         for axis, (low, high) in enumerate(bounds):
-            at, along = surface.body_offset[axis], e * surface.body_turn[axis, :2]
+            at, along = surface.own_offset[axis], e * surface.own_turn[axis, :2]
             for limit, sign in ((low, 1.0), (high, -1.0)):
-                head = np.stack([body[:, axis] - limit * w, np.full(w.shape, at - limit)], axis=-1)
+                head = np.stack([own[:, axis] - limit * w, np.full(w.shape, at - limit)], axis=-1)
                 found.append(np.concatenate([head, along], axis=-1) * sign)
     return found
 

@@ -1,0 +1,184 @@
+"""What the ray tracer needs of a scene: shapes as ten coefficients in frames of their own, and the poses of these.
+
+A scene is read by attribute names only (`scene.camera.focal_length`, ...): no code is shared with the package.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+Array = NDArray[np.float64]
+Textures = NDArray[Any] | Sequence[NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What the kernel needs of a scene, in mm, s and rad; a cached image is keyed by these fields.
+
+    `coefficients` (objects, 10), in the order a200 a020 a002 a110 a011 a101 a100 a010 a001 a000, about
+    `centers` (objects, 3), x right, y up, z away from the camera; `bounds` (objects, 6) as x0 x1 y0 y1 z0 z1
+    in the same frame; `rotations` (objects, 3, 3), from that frame to the camera's axes at t = 0;
+    `group_...` (objects, 3) of what carries each object, 0 for nothing; `textures` (objects, rows, columns, channels)
+    linear radiance.
+    """
+
+    pitch_ratio: float
+    lens_radius: float
+    focus_term: float
+    start: float
+    shutter: float
+    axis_rotation: bool
+    coefficients: Array
+    bounds: Array
+    centers: Array
+    rotations: Array
+    velocities: Array
+    angular_velocities: Array
+    group_centers: Array
+    group_velocities: Array
+    group_angular_velocities: Array
+    textures: Array
+
+
+def _shape(item: Any) -> tuple[Array, Any, tuple[float, float]]:
+    """Coefficients (10,), center (3) mm and z range (2) mm of one object; ValueError for an unknown shape."""
+    k = np.zeros(10)
+    everywhere = (-np.inf, np.inf)
+    match item.shape:
+        case "plane":  # b x + c y - z = 0 about (0, 0, a)
+            k[6:9] = item.slope_x, item.slope_y, -1.0
+            return k, (0.0, 0.0, item.distance), everywhere
+        case "rectangle":  # z = 0 about its center
+            k[8] = 1.0
+            return k, item.center, everywhere
+        case "sphere":
+            k[[0, 1, 2, 9]] = 1.0, 1.0, 1.0, -(item.radius**2)
+            return k, item.center, everywhere
+        case "ellipsoid":
+            k[:3], k[9] = 1.0 / np.asarray(item.semi_axes, float) ** 2, -1.0
+            return k, item.center, everywhere
+        case "cylinder":  # |q|^2 - (q . axis)^2 = radius^2
+            x, y, z = np.asarray(item.axis, float) / np.linalg.norm(item.axis)
+            k[:6] = 1 - x * x, 1 - y * y, 1 - z * z, -2 * x * y, -2 * y * z, -2 * x * z
+            k[9] = -(item.radius**2)
+            return k, item.center, everywhere
+        case "cone":
+            k[:3] = 1.0, 1.0, -(math.tan(math.radians(item.half_angle)) ** 2)
+            return k, item.apex, (0.0, np.inf) if item.nappe == "away" else (-np.inf, 0.0)
+        case "quadric":
+            return np.asarray(item.coefficients, float), item.center, everywhere
+    raise ValueError(f"raytracer: shape must be analytic; got {item.shape!r}")
+
+
+def _texture_stack(textures: Textures, rows: int, columns: int, count: int) -> Array:
+    """One image for all objects, or one per object, as (objects, rows, columns, channels) float64."""
+    images = [textures] * count if isinstance(textures, np.ndarray) else list(textures)
+    if len(images) != count:
+        raise ValueError(f"raytracer: textures must be one per object, {count}; got {len(images)}")
+    for image in images:
+        if image.shape[:2] != (rows, columns) or image.ndim not in (2, 3):
+            raise ValueError(f"raytracer: textures must be {rows} x {columns} texels; got {image.shape}")
+    images = [image.reshape(rows, columns, -1) for image in images]
+    size = rows, columns, max(image.shape[2] for image in images)
+    return np.stack([np.broadcast_to(image, size) for image in images]).astype(float, order="C")
+
+
+def _groups(scene: Any, centers: Sequence[Any]) -> Array:
+    """Center (mm), velocity and angular velocity (deg/s) of the group of each object: (3, objects, 3), 0 for none."""
+    found, firsts = np.zeros((3, len(centers), 3)), dict[str, Any]()
+    by_name = {group.name: group for group in scene.groups}
+    for k, (item, center) in enumerate(zip(scene.objects, centers, strict=True)):
+        if item.group is not None:
+            group, first = by_name[item.group], firsts.setdefault(item.group, center)
+            middle = first if group.origin is None else group.origin
+            found[:, k] = middle, group.motion.velocity, group.motion.angular_velocity
+    return found
+
+
+def prepare(scene: Any, textures: Textures, rows: int, columns: int, frame: int = 0) -> Problem:
+    """Read a scene by its attribute names.
+
+    `textures`: linear radiance, (rows, columns[, channels]), one image for all objects or a sequence of one
+    per object; `frame`: index of the video frame. Raises ValueError for a shape without a formula and for a
+    texture of another size than the frame.
+    """
+    camera, objects = scene.camera, scene.objects
+    shapes = [_shape(item) for item in objects]
+    group_centers, group_velocities, group_turns = _groups(scene, [shape[1] for shape in shapes])
+    bounds = np.tile([-np.inf, np.inf], (len(objects), 3))
+    for box, item, (_, _, (low, high)) in zip(bounds, objects, shapes, strict=True):
+        if item.bounds is not None:
+            box[:] = np.ravel(item.bounds)
+        box[4:] = max(box[4], low), min(box[5], high)
+    return Problem(
+        pitch_ratio=camera.pixel_pitch / camera.normalization_distance,
+        lens_radius=camera.aperture_diameter / 2,
+        focus_term=1 / camera.focal_length - 1 / camera.sensor_distance,
+        start=frame * scene.sequence.interval,
+        shutter=scene.sequence.shutter,
+        axis_rotation=scene.motion.rotation == "axis",
+        coefficients=np.array([shape[0] for shape in shapes]),
+        bounds=bounds,
+        centers=np.array([shape[1] for shape in shapes], float),
+        rotations=np.array([_static_rotation(item.rotation) for item in objects]),
+        velocities=np.array([item.motion.velocity for item in objects], float),
+        angular_velocities=np.radians([item.motion.angular_velocity for item in objects]),
+        group_centers=group_centers,
+        group_velocities=group_velocities,
+        group_angular_velocities=np.radians(group_turns),
+        textures=_texture_stack(textures, rows, columns, len(objects)),
+    )
+
+
+def rotation_matrix(angles: Array, axis_rotation: bool) -> Array:
+    """M of P(t) = C + v t + M (P0 - C) for `angles` = omega t, (..., 3) rad: (..., 3, 3) in camera axes.
+
+    The thesis' matrix (2.14 to 2.23) acts on x right, y up, z towards the camera. With `axis_rotation` a turn
+    about the vector `angles` takes its place, in the sense that the matrix has for a single axis (clockwise
+    seen from the axis' tip).
+    """
+    towards = np.diag([1.0, 1.0, -1.0])
+    if axis_rotation:
+        matrix = Rotation.from_rotvec(-angles.reshape(-1, 3)).as_matrix().reshape(*angles.shape, 3)
+        return towards @ matrix @ towards
+    (sx, sy, sz), (cx, cy, cz) = np.moveaxis(np.sin(angles), -1, 0), np.moveaxis(np.cos(angles), -1, 0)
+    matrix = np.array(
+        [
+            [cy * cz, sx * sy * cz + cx * sz, -cx * sy * cz + sx * sz],
+            [-cy * sz, -sx * sy * sz + cx * cz, cx * sy * sz + sx * cz],
+            [sy, -sx * cy, cx * cy],
+        ]
+    )
+    return towards @ np.moveaxis(matrix, (0, 1), (-2, -1)) @ towards
+
+
+def _static_rotation(given: Any) -> Array:
+    """Matrix (3, 3) of Euler angles or of an axis with an angle, both in deg, or of a quaternion w x y z."""
+    if given is None:
+        return np.eye(3)
+    if hasattr(given, "quaternion"):
+        w, x, y, z = given.quaternion
+        towards = np.diag([1.0, 1.0, -1.0])
+        return towards @ Rotation.from_quat([x, y, z, w]).inv().as_matrix() @ towards
+    if hasattr(given, "axis"):
+        axis = np.asarray(given.axis, float)
+        return rotation_matrix(math.radians(given.angle) * axis / np.linalg.norm(axis), True)
+    return rotation_matrix(np.radians(given), False)
+
+
+def inverse_poses(problem: Problem, times: Array) -> Array:
+    """Per time and object, the inverse rotation (9) and the moved center (3): (times, objects, 12), mm."""
+    moments = times[:, None, None]
+    turn = rotation_matrix(moments * problem.angular_velocities, problem.axis_rotation) @ problem.rotations
+    center = problem.centers + moments * problem.velocities
+    carried = rotation_matrix(moments * problem.group_angular_velocities, problem.axis_rotation)
+    turn, arm = carried @ turn, center - problem.group_centers
+    center = problem.group_centers + moments * problem.group_velocities + np.einsum("...ij,...j->...i", carried, arm)
+    return np.concatenate([np.swapaxes(turn, -1, -2).reshape(*turn.shape[:2], 9), center], axis=-1)

@@ -1,0 +1,85 @@
+"""Groups of objects that share a motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BeforeValidator
+from pydantic_core import PydanticCustomError
+
+from clsco.scene.quantities import Name, Point, Strict, Vector, at_keys, fault
+from clsco.scene.shapes import MAX_OBJECTS, AnyShape, ObjectMotion, origin, repeated_names
+from clsco.scene.text import shown
+
+
+class Group(Strict):
+    """Objects that move together, as one rigid body; each may have a motion of its own besides."""
+
+    name: Name
+    """Name, which objects give as their group."""
+    origin: Point | None = None
+    """Point about which the group rotates, mm. Default: the origin of its first object."""
+    motion: ObjectMotion = ObjectMotion()
+    """Velocities of the group; its objects move within it."""
+
+
+def group_origin(group: Group, objects: Sequence[AnyShape]) -> Vector:
+    """Point about which a group rotates.
+
+    Parameters
+    ----------
+    group : Group
+    objects : sequence of AnyShape
+        Those of the scene, of which one is in the group at least.
+
+    Returns
+    -------
+    tuple of three float
+        Camera frame, mm.
+    """
+    if group.origin is not None:
+        return group.origin
+    return next(origin(item) for item in objects if item.group == group.name)
+
+
+def unknown_groups(
+    members: Iterable[str | None], names: Iterable[str | None]
+) -> list[tuple[int, PydanticCustomError, str]]:
+    """Find objects of groups that there are not.
+
+    Parameters
+    ----------
+    members : iterable of str or None
+        Group of each object; None where none was given.
+    names : iterable of str or None
+        Names of the groups.
+
+    Returns
+    -------
+    list of (int, PydanticCustomError, str)
+        Position of the object, fault and name of the group.
+    """
+    known = list(dict.fromkeys(name for name in names if name is not None))
+    some = ", ".join(map(shown, known[:8])) + (", ..." if len(known) > 8 else "")
+    rule = f"must be the name of a group, {some}" if known else "must be the name of a group; there is none"
+    return [(k, fault(rule), name) for k, name in enumerate(members) if name is not None and name not in known]
+
+
+def _groups(value: Any) -> Any:
+    """Turn the array of tables into a tuple; refuse too many groups."""
+    if not isinstance(value, list | tuple):
+        raise fault("must be an array of tables, [[group]]")
+    if len(value) > MAX_OBJECTS:
+        raise fault(f"must hold at most {MAX_OBJECTS} groups", got=str(len(value)))
+    return tuple(value)
+
+
+def _distinct(groups: tuple[Group, ...]) -> tuple[Group, ...]:
+    """Refuse groups of the same name."""
+    if faults := repeated_names((group.name for group in groups), "group"):
+        raise at_keys([((index, "name"), rule, name) for index, rule, name in faults])
+    return groups
+
+
+Groups = Annotated[tuple[Group, ...], AfterValidator(_distinct), BeforeValidator(_groups)]

@@ -1,0 +1,197 @@
+"""Static rotations: their matrix, and surfaces that are the same in other words."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from clsco.optics.motion import TOWARDS_CAMERA, pose_at, rotation_matrix, static_rotation
+from clsco.optics.quadrics import place, predict_inverse_depth
+from clsco.optics.visibility import extent
+from clsco.reference.common.geometry import solve_quadric, surface_normal
+from clsco.scene.model import AnyShape, Cone, Cylinder, Ellipsoid, ObjectMotion, Plane, Quadric, Rectangle, Sphere
+from clsco.scene.rotations import AxisAngle, UnitQuaternion
+
+Array = NDArray[np.float64]
+REST = ObjectMotion()
+MOTION = ObjectMotion(velocity=(3.0, -2.0, 9.0), angular_velocity=(25.0, -40.0, 60.0))
+ANY: tuple[float, float, float] = (35.0, -50.0, 110.0)
+
+
+def rays(count: int = 3000, width: float = 0.2, seed: int = 5) -> Array:
+    slopes = np.random.default_rng(seed).uniform(-width, width, (count, 2))
+    return np.concatenate([slopes, np.ones((count, 1))], axis=1)
+
+
+def inverse_depth(item: AnyShape, motion: ObjectMotion = REST, time: float = 0.0) -> Array:
+    return solve_quadric(place(item, pose_at(motion, time, "euler")), item.bounds, rays())[0]
+
+
+def same_depth(one: AnyShape, other: AnyShape, rtol: float = 1e-9) -> None:
+    """At rest and moved; at a limb half of the digits are left, and hits may differ."""
+    for time in (0.0, 0.6):
+        found, expected = inverse_depth(one, MOTION, time), inverse_depth(other, MOTION, time)
+        both = (found > 0) & (expected > 0)
+        assert both.sum() > 100
+        assert ((found > 0) != (expected > 0)).sum() <= 2
+        np.testing.assert_allclose(found[both], expected[both], rtol=rtol)
+
+
+def test_euler_angles_have_the_matrix_of_a_motion() -> None:
+    for angles in np.random.default_rng(1).uniform(-400, 400, (40, 3)):
+        expected = TOWARDS_CAMERA @ rotation_matrix(np.radians(angles), "euler") @ TOWARDS_CAMERA
+        found = static_rotation(Sphere(rotation=tuple(angles.tolist())))
+        np.testing.assert_allclose(found, expected, rtol=0, atol=3e-15)  # 400 deg in radians: 1e-15
+
+
+def test_an_axis_and_a_quaternion_have_the_matrix_of_an_angular_velocity() -> None:
+    for axis in np.random.default_rng(2).standard_normal((40, 3)):
+        unit, angle = axis / np.linalg.norm(axis), 70.0
+        expected = TOWARDS_CAMERA @ rotation_matrix(np.radians(angle) * unit, "axis") @ TOWARDS_CAMERA
+        turned = AxisAngle(axis=tuple(axis.tolist()), angle=angle)
+        np.testing.assert_allclose(static_rotation(Sphere(rotation=turned)), expected, rtol=0, atol=1e-15)
+        x, y, z = (3.0 * np.sin(np.radians(35.0)) * unit).tolist()
+        quaternion = UnitQuaternion(quaternion=(3.0 * float(np.cos(np.radians(35.0))), x, y, z))
+        np.testing.assert_allclose(static_rotation(Sphere(rotation=quaternion)), expected, rtol=0, atol=2e-15)
+
+
+def test_the_sense_of_each_axis() -> None:
+    """About x the top goes away, about y the right side comes nearer, about z what is on top goes to the right."""
+    top, right = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
+    assert (static_rotation(Sphere(rotation=(90.0, 0.0, 0.0))) @ top).tolist() == [0.0, 0.0, 1.0]
+    assert (static_rotation(Sphere(rotation=(0.0, 90.0, 0.0))) @ right).tolist() == [0.0, 0.0, -1.0]
+    assert (static_rotation(Sphere(rotation=(0.0, 0.0, 90.0))) @ top).tolist() == [1.0, 0.0, 0.0]
+    first_x = static_rotation(Sphere(rotation=(90.0, 90.0, 0.0)))  # then about y
+    assert (first_x @ top).tolist() == [1.0, 0.0, 0.0]
+
+
+def test_a_rotated_sphere_is_the_sphere() -> None:
+    same_depth(Sphere(center=(5.0, -3.0, 280.0), rotation=ANY), Sphere(center=(5.0, -3.0, 280.0)), rtol=1e-12)
+
+
+def rotated_coefficients(item: Ellipsoid) -> tuple[float, ...]:
+    """Coefficients of the quadric, by a rotation of its own: x, y and z of the thesis' frame, clockwise."""
+    angles: Any = item.rotation
+    turns = Rotation.from_euler("xyz", -np.asarray(angles), degrees=True).as_matrix()
+    flip = np.diag([1.0, 1.0, -1.0])
+    matrix = flip @ turns @ flip
+    q = matrix @ np.diag(1.0 / np.array(item.semi_axes) ** 2) @ matrix.T
+    return (q[0, 0], q[1, 1], q[2, 2], 2 * q[0, 1], 2 * q[1, 2], 2 * q[2, 0], 0.0, 0.0, 0.0, -1.0)
+
+
+@pytest.mark.parametrize("angles", [(35.0, 0.0, 0.0), (0.0, -50.0, 0.0), (0.0, 0.0, 110.0), ANY])
+def test_a_rotated_ellipsoid_is_a_quadric(angles: tuple[float, float, float]) -> None:
+    item = Ellipsoid(semi_axes=(30.0, 12.0, 50.0), center=(5.0, -3.0, 280.0), rotation=angles)
+    coefficients = tuple(float(c) for c in rotated_coefficients(item))
+    same_depth(item, Quadric(coefficients=coefficients, center=item.center))
+
+
+def test_a_rotated_quadric_is_a_quadric() -> None:
+    own = (1 / 900.0, 1 / 144.0, 1 / 2500.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0)
+    ellipsoid = Ellipsoid(semi_axes=(30.0, 12.0, 50.0), center=(5.0, -3.0, 280.0), rotation=ANY)
+    same_depth(Quadric(coefficients=own, center=ellipsoid.center, rotation=ANY), ellipsoid)
+
+
+@pytest.mark.parametrize("angles", [(35.0, 0.0, 0.0), (0.0, 0.0, 110.0), ANY])
+def test_the_axis_of_a_cylinder_is_rotated(angles: tuple[float, float, float]) -> None:
+    still = Cylinder(center=(5.0, -3.0, 280.0), axis=(0.2, 1.0, 0.1))
+    axis = (static_rotation(Sphere(rotation=angles)) @ np.array(still.axis)).tolist()
+    same_depth(still.model_copy(update={"rotation": angles}), still.model_copy(update={"axis": tuple(axis)}))
+    default = Cylinder(center=(5.0, -3.0, 280.0), rotation=(0.0, 0.0, -90.0))
+    same_depth(default, Cylinder(center=(5.0, -3.0, 280.0), axis=(1.0, 0.0, 0.0)))
+
+
+def test_a_cone_turned_about_y_opens_towards_the_camera() -> None:
+    turned = Cone(apex=(5.0, -3.0, 280.0), rotation=(0.0, 180.0, 0.0))
+    same_depth(turned, Cone(apex=(5.0, -3.0, 280.0), nappe="towards"), rtol=1e-12)
+    assert (inverse_depth(turned) > 1 / 280.0).any()
+
+
+def test_a_rotated_plane_has_other_slopes() -> None:
+    """Z = a + tan(30 deg) Y: the top goes away."""
+    slope = float(np.tan(np.radians(30.0)))
+    same_depth(Plane(distance=250.0, rotation=(30.0, 0.0, 0.0)), Plane(distance=250.0, slope_y=slope))
+    same_depth(Plane(distance=250.0, rotation=(0.0, 30.0, 0.0)), Plane(distance=250.0, slope_x=-slope))
+
+
+def test_bounds_turn_with_the_object() -> None:
+    """A tube along x that was one along y; a card on its side."""
+    box = ((-31.0, 31.0), (-15.0, 10.0), (-31.0, 31.0))
+    tube = Cylinder(center=(5.0, -3.0, 280.0), bounds=box, rotation=(0.0, 0.0, 90.0))  # the top goes to the right
+    lying = Cylinder(center=tube.center, axis=(1.0, 0.0, 0.0), bounds=((-15.0, 10.0), box[0], box[2]))
+    same_depth(tube, lying, rtol=1e-12)
+
+
+def test_bounds_cut_what_is_rotated_first() -> None:
+    item = Sphere(center=(5.0, -3.0, 280.0), bounds=((-31.0, 31.0), (-31.0, 4.0), (-31.0, 12.0)), rotation=ANY)
+    for time in (0.0, 0.6):
+        pose = pose_at(MOTION, time, "euler")
+        w = solve_quadric(place(item, pose), item.bounds, rays())[0]
+        z = 1.0 / w[w > 0]
+        assert 200 < z.size < (inverse_depth(Sphere(center=item.center), MOTION, time) > 0).sum()
+        points = rays()[w > 0] * z[:, None] - np.array(item.center) - pose.shift
+        own = points @ pose.rotation @ static_rotation(item)
+        for axis, (low, high) in enumerate(item.bounds or ()):
+            assert (own[:, axis] > low - 1e-9).all()
+            assert (own[:, axis] < high + 1e-9).all()
+
+
+def test_a_rectangle_is_a_plane_cut_to_size() -> None:
+    box = ((-20.0, 20.0), (-15.0, 15.0), (-1.0, 1.0))
+    same_depth(Rectangle(), Plane(bounds=box), rtol=1e-12)
+    same_depth(Rectangle(rotation=ANY), Plane(bounds=box, rotation=ANY), rtol=1e-12)
+    aside = Rectangle(center=(9.0, -7.0, 280.0), size=(30.0, 50.0))
+    flat = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+    cut = ((-15.0, 15.0), (-25.0, 25.0), (-1.0, 1.0))
+    same_depth(aside, Quadric(coefficients=flat, center=aside.center, bounds=cut), rtol=1e-12)
+
+
+SOLIDS: list[AnyShape] = [
+    Rectangle(center=(9.0, -7.0, 280.0), size=(30.0, 50.0), rotation=(60.0, 20.0, 130.0)),
+    Ellipsoid(semi_axes=(30.0, 12.0, 50.0), center=(9.0, -7.0, 280.0), rotation=ANY),
+    Plane(distance=280.0, bounds=((-20.0, 35.0), (-9.0, 15.0), (-1.0, 1.0)), rotation=(60.0, 20.0, 130.0)),
+    Cone(apex=(9.0, 0.0, 280.0), bounds=((-20.0, 20.0), (-20.0, 20.0), (0.0, 35.0)), rotation=(100.0, 20.0, 130.0)),
+]
+
+
+@pytest.mark.parametrize("item", SOLIDS, ids=lambda item: item.shape)
+def test_the_extent_of_a_rotated_object_holds_it(item: AnyShape) -> None:
+    poses = [pose_at(MOTION, time, "euler") for time in (0.0, 0.6)]
+    found = extent(item, poses, np.zeros(1))
+    assert found.x[1] - found.x[0] < 1.0
+    for pose in poses:
+        w = solve_quadric(place(item, pose), item.bounds, rays())[0]
+        hit = w > 0
+        assert hit.sum() > 20
+        for axis, (low, high) in enumerate((found.x, found.y)):
+            assert (rays()[hit, axis] >= low).all()
+            assert (rays()[hit, axis] <= high).all()
+        assert (w[hit] >= found.w[0]).all()
+        assert (w[hit] <= found.w[1]).all()
+
+
+@pytest.mark.parametrize("item", SOLIDS, ids=lambda item: item.shape)
+def test_predictions_are_the_reference(item: AnyShape) -> None:
+    surface = place(item, pose_at(MOTION, 0.6, "euler"))
+    expected = solve_quadric(surface, item.bounds, rays())[0]
+    found = predict_inverse_depth(item, surface, *rays()[:, :2].T)
+    differs = (found > 0) != (expected > 0)
+    assert differs.sum() <= 2
+    np.testing.assert_allclose(found[~differs], expected[~differs], rtol=1e-6)  # a limb
+
+
+def test_normals_turn_with_the_object() -> None:
+    plane = Plane(distance=250.0, rotation=(0.0, 30.0, 0.0))
+    surface = place(plane, pose_at(REST, 0.0, "euler"))
+    w, _ = solve_quadric(surface, None, rays())
+    expected = [-np.sin(np.radians(30.0)), 0.0, -np.cos(np.radians(30.0))]
+    np.testing.assert_allclose(surface_normal(surface, rays(), w), np.tile(expected, (w.size, 1)), rtol=0, atol=1e-14)
+
+
+def test_a_plane_turned_about_z_keeps_its_depth_exactly() -> None:
+    surface = place(Plane(distance=250.0, rotation=(0.0, 0.0, 33.0)), pose_at(REST, 0.0, "euler"))
+    assert set(solve_quadric(surface, None, rays())[0]) == {1.0 / 250.0}

@@ -1,0 +1,157 @@
+"""Static rotations in scenes: their forms, faults, and what they leave in front of the lens."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from typing import Any
+
+import numpy as np
+import pytest
+
+from clsco.errors import SceneError
+from clsco.frame.provenance import units
+from clsco.scene.changes import dump
+from clsco.scene.file import parse_scene
+from clsco.scene.model import Scene, Sphere
+from clsco.scene.rotations import AxisAngle, UnitQuaternion, rotation_rows
+from clsco.scene.schema import scene_schema
+
+FORMS = "must be a list of 3 angles, {axis, angle} or {quaternion}"
+BEHIND = "must leave part of the object in front of the lens (z > 0)"
+TURN_Y = "rotation = [0, 90, 0]"
+
+
+def one(keys: str) -> Scene:
+    return parse_scene(tomllib.loads(f"object = [{{{keys}}}]"))
+
+
+def faults(keys: str) -> tuple[str, ...]:
+    with pytest.raises(SceneError) as caught:
+        one(keys)
+    return tuple(message.removeprefix("scene: ") for message in caught.value.messages)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("[10, 20.5, -30]", (10.0, 20.5, -30.0)),
+        ("{axis = [0, 0, 2], angle = 45}", AxisAngle(axis=(0.0, 0.0, 2.0), angle=45.0)),
+        ("{quaternion = [2, 0, 0, 1]}", UnitQuaternion(quaternion=(2.0, 0.0, 0.0, 1.0))),
+    ],
+)
+def test_forms(text: str, expected: Any) -> None:
+    scene = one(f'shape = "cone", rotation = {text}')
+    assert scene.objects[0].rotation == expected
+    assert parse_scene(json.loads(json.dumps(dump(scene)))) == scene
+    assert scene.replace("object.0.rotation", scene.objects[0].rotation) == scene
+    assert Sphere(rotation=expected).rotation == expected
+
+
+def test_without_a_rotation_a_file_is_what_it_was() -> None:
+    """Hashes of scenes stay."""
+    assert "rotation" not in dump(one('shape = "cone"'))["object"][0]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("3", f"rotation: {FORMS}; got 3"),
+        ("[1, 2]", f"rotation: {FORMS}; got [1, 2]"),
+        ("{}", f"rotation: {FORMS}; got a table of 0 keys"),
+        ("{axis = [1, 0, 0], quaternion = [1, 0, 0, 0]}", f"rotation: {FORMS}; got a table of 2 keys"),
+        ("{euler = [1, 0, 0]}", f"rotation: {FORMS}; got a table of 1 keys"),
+        ('[1, "2", 3]', 'rotation[1]: must be a number; got "2"'),
+        ("[1, 2, inf]", "rotation[2]: must be a finite number; got inf"),
+        ("[2e9, 0, 0]", "rotation[0]: must be between -1e+09 and 1e+09 deg; got 2000000000.0"),
+        ("{axis = [1, 0, 0]}", "rotation.angle: must be given; got nothing"),
+        ("{angle = 5}", "rotation.axis: must be given; got nothing"),
+        (
+            "{axis = [0, 0, 0], angle = 5}",
+            "rotation.axis: must not be the zero vector (one component of 1e-06 at least); got [0, 0, 0]",
+        ),
+        ('{axis = [0, 0, 1], angle = "5"}', 'rotation.angle: must be a number; got "5"'),
+        ("{quaternion = [1, 0, 0]}", "rotation.quaternion: must be a list of 4 numbers; got [1, 0, 0]"),
+        (
+            "{quaternion = [1e-7, 0, 0, 0]}",
+            "rotation.quaternion: must not be zero (length of 1e-06 at least); got [1e-07, 0, 0, 0]",
+        ),
+    ],
+)
+def test_bad_forms_give_one_message(text: str, message: str) -> None:
+    assert faults(f'shape = "cone", rotation = {text}') == (f"object[0].{message}",)
+
+
+def test_faults_of_a_rotation_come_with_the_others() -> None:
+    assert faults('shape = "cone", rotation = {axis = [1, 0], angle = nan}, half_angle = 90') == (
+        "object[0].rotation.axis: must be a list of 3 numbers; got [1, 0]",
+        "object[0].rotation.angle: must be a finite number; got nan",
+        "object[0].half_angle: must be between 0 and 90 deg, ends excluded; got 90",
+    )
+
+
+def test_depth_maps_are_not_rotated() -> None:
+    (message,) = faults('shape = "depth_map", depth = "z.npy", rotation = [0, 10, 0]')
+    assert message == "object[0].rotation: belongs to analytic shapes, not to depth_map; got [0, 10, 0]"
+
+
+@pytest.mark.parametrize(
+    ("keys", "place"),
+    [
+        (f'shape = "ellipsoid", semi_axes = [10, 9, 50], center = [0, 0, {{}}], {TURN_Y}', (-9.99, -10.0)),
+        ('shape = "ellipsoid", semi_axes = [10, 9, 50], center = [0, 0, {}], rotation = [90, 0, 0]', (-8.99, -9.0)),
+        ('shape = "ellipsoid", semi_axes = [3, 1, 4], center = [0, 0, {}], rotation = [0, 45, 0]', (-3.53, -3.54)),
+        ('shape = "rectangle", size = [8, 6], center = [0, 0, {}], rotation = [0, 30, 0]', (-1.99, -2.0)),
+        ('shape = "rectangle", size = [8, 6], center = [0, 0, {}]', (0.01, 0.0)),
+        ('shape = "cylinder", radius = 5, center = [0, 0, {}]', (-4.99, -5.0)),
+        ('shape = "cylinder", radius = 5, center = [0, 0, {}], rotation = [0, 0, 33]', (-4.99, -5.0)),
+        (
+            'shape = "cylinder", radius = 5, axis = [0, 0, 1], center = [0, 0, {}], rotation = [37, 90, 0]',
+            (-4.99, -5.0),
+        ),
+        (f'shape = "cone", nappe = "towards", apex = [0, 0, {{}}], {TURN_Y}, half_angle = 1', (-1e5, None)),
+        ('shape = "cone", apex = [0, 0, {}], rotation = [0, 180, 0]', (0.01, 0.0)),
+        ('shape = "cone", apex = [0, 0, {}], rotation = [130, 0, 0], half_angle = 39.9', (0.01, 0.0)),
+        ('shape = "cone", apex = [0, 0, {}], rotation = [130, 0, 0], half_angle = 40.1', (-1e5, None)),
+    ],
+)
+def test_what_is_left_in_front_of_the_lens(keys: str, place: tuple[float, float | None]) -> None:
+    seen, behind = place
+    one(keys.format(seen))
+    if behind is not None:
+        (message,) = faults(keys.format(behind))
+        assert BEHIND in message
+
+
+def test_rotated_bounds_in_front_of_the_lens() -> None:
+    keys = 'shape = "plane", distance = 9, bounds = [[10, 20], [-1, 1], [-90, -80]], rotation = [0, {}, 0]'
+    one(keys.format(-90))
+    (message,) = faults(keys.format(90))
+    assert message == f"object[0].bounds: {BEHIND}; got [[10.0, 20.0], [-1.0, 1.0], [-90.0, -80.0]]"
+
+
+def test_units_are_those_of_the_form() -> None:
+    def found(text: str) -> dict[str, str]:
+        known = units(one(f'shape = "cone", rotation = {text}'))
+        return {key: unit for key, unit in known.items() if "rotation" in key and key.startswith("object")}
+
+    assert found("[1, 2, 3]") == {"object[0].rotation": "deg"}
+    assert found("{axis = [0, 1, 0], angle = 3}") == {"object[0].rotation.angle": "deg"}
+    assert found("{quaternion = [0, 1, 0, 3]}") == {}
+
+
+def test_the_schema_has_all_forms() -> None:
+    schema = scene_schema()
+    forms = schema["$defs"]["Cone"]["properties"]["rotation"]["anyOf"]
+    assert {"$ref": "#/$defs/AxisAngle"} in forms
+    assert {"$ref": "#/$defs/UnitQuaternion"} in forms
+    assert any(form.get("type") == "array" for form in forms)
+
+
+def test_quarter_turns_are_exact() -> None:
+    for angles in ((90, 0, 0), (0, 180, 0), (0, 0, -90), (-270, 450, 180), (90.0, 90.0, 90.0)):
+        x, y, z = map(float, angles)
+        rows = np.array(rotation_rows((x, y, z)))
+        assert set(np.abs(rows).ravel()) == {0.0, 1.0}
+    about_y = AxisAngle(axis=(0.0, 5.0, 0.0), angle=-90.0)
+    assert rotation_rows(about_y) == rotation_rows((0.0, -90.0, 0.0))
