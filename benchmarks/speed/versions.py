@@ -3,7 +3,7 @@
 Run it with the Python of each version; scenes come from a folder that both can read:
     .venv/bin/python benchmarks/speed/versions.py --old OLD/.venv/bin/python --new .venv/bin/python \
         --examples OLD/examples
-It prints medians of processor time and of the ratio new / old, pair by pair.
+It prints medians of processor time, of starts of elapsed time as well, and of the ratio new / old, pair by pair.
 """
 
 from __future__ import annotations
@@ -45,7 +45,9 @@ def main() -> None:
         row(f"{name}, warm frame", warm_frames(pythons, path, chosen.frames))
     first = next(iter(paths.values()))
     for cache in ("empty", "filled"):
-        row(f"{first.stem}, {cache} cache", starts(pythons, first, chosen.starts, cache == "empty"))
+        spent, elapsed = starts(pythons, first, chosen.starts, cache == "empty")
+        row(f"{first.stem}, {cache} cache", spent)
+        row(f"{first.stem}, {cache}, elapsed", elapsed)
 
 
 def row(label: str, pairs: list[tuple[float, float]]) -> None:
@@ -93,28 +95,33 @@ def serve() -> None:
         print(json.dumps(time.process_time() - before), flush=True)
 
 
-def starts(pythons: tuple[Path, Path], scene: Path, count: int, empty: bool) -> list[tuple[float, float]]:
-    """Processor time in s of `clsco render` from its start to its end, in both versions by turns."""
+Pairs = list[tuple[float, float]]
+
+
+def starts(pythons: tuple[Path, Path], scene: Path, count: int, empty: bool) -> tuple[Pairs, Pairs]:
+    """Processor time and elapsed time in s of `clsco render` from its start to its end, in both versions by turns."""
     with tempfile.TemporaryDirectory() as base:
         found = []
         for turn in range(count + (not empty)):
             caches = [Path(base) / f"{version}{turn * empty}" for version in range(2)]
-            found.append(tuple(started(python, scene, cache) for python, cache in zip(pythons, caches, strict=True)))
-    return [(old, new) for old, new in found[not empty :]]
+            found.append([started(python, scene, cache) for python, cache in zip(pythons, caches, strict=True)])
+    kept = found[not empty :]
+    return [(old[0], new[0]) for old, new in kept], [(old[1], new[1]) for old, new in kept]
 
 
-def started(python: Path, scene: Path, cache: Path) -> float:
-    """Processor time in s of one `clsco render` beside this Python, with its cache of kernels in a folder."""
+def started(python: Path, scene: Path, cache: Path) -> tuple[float, float]:
+    """Processor time and elapsed time in s of one `clsco render` beside this Python, with its cache of kernels in a
+    folder."""
     cache.mkdir(exist_ok=True)
     environ = {name: value for name, value in os.environ.items() if name != "POCL_CACHE_DIR"}
     words = ["render", str(scene), "-o", str(cache / "out"), "--set", SAMPLES, "--frames", "0:1", "--quiet"]
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     subprocess.run(
         [str(python.parent / "clsco"), *words], check=True, env=environ | {"XDG_CACHE_HOME": str(cache)},
         stdout=subprocess.DEVNULL,
     )  # fmt: skip
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    after, elapsed = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter() - begun
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, elapsed
 
 
 if __name__ == "__main__":
