@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from clsco import reference
 from clsco.engine.sequence import render
-from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES, Frame
+from clsco.frame.frame import ALL_TRUTH, Frame
 from clsco.scene.model import Scene
 
 # Output -> unit, and the figure up to which it agrees: float32 of values of their size, and for color what an
@@ -28,6 +28,8 @@ FIGURES: dict[str, tuple[str, float]] = {
     "filled": ("", 0.0),
     "object_id": ("", 0.0),
     "hidden": ("", 0.0),
+    "flow_backward": ("px", 1e-4),
+    "flow_occluded": ("", 0.0),
     "disparity": ("px", 1e-4),
     "occluded": ("", 0.0),
 }
@@ -86,7 +88,7 @@ def compare(frame: Frame, exact: Frame) -> tuple[Difference, ...]:
     """Differences of color and of all truth that `frame` has."""
     return tuple(
         difference(name, getattr(frame, name), getattr(exact, name))
-        for name in ("color", *TRUTH_NAMES, *STEREO_NAMES)
+        for name in ("color", *ALL_TRUTH)
         if getattr(frame, name) is not None
     )
 

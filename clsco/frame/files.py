@@ -18,19 +18,19 @@ from clsco.errors import ImageError
 from clsco.files.atomic import remove, sha256, together
 from clsco.files.images import write_exr, write_json, write_npz, write_png
 from clsco.files.transfer import encode
-from clsco.frame.frame import Frame
+from clsco.frame.frame import STEREO_NAMES, Frame
 from clsco.frame.truth_files import TruthFile, parse_truth
 
 
 def exr_channels(frame: Frame, wanted: TruthFile | None = None) -> dict[str, NDArray[Any]]:
     """Name a frame's arrays as channels R G B A, Z, coc, sharp.R, N.X, flow.u, id, mask, filled, hidden.
 
-    A stereo pair has disparity and occluded, too. A gray frame has R, G and B, so that every reader shows it. A is the
-    alpha where it was requested, else 1: a photograph covers all of its pixels. wanted: which of the arrays, and how;
-    by default all as they are.
+    A scene that moves has flow_backward.u and flow_occluded, a stereo pair disparity and occluded, too. A gray frame
+    has R, G and B, so that every reader shows it. A is the alpha where it was requested, else 1: a photograph covers
+    all of its pixels. wanted: which of the arrays, and how; by default all as they are.
     """
     arrays = (wanted or TruthFile("exr")).arrays(frame)
-    color, plain = arrays.get("color"), ("coc", "mask", "filled", "hidden", "disparity", "occluded")
+    color, plain = arrays.get("color"), ("coc", "mask", "filled", "hidden", "flow_occluded", *STEREO_NAMES)
 
     def split(layer: str, names: str, array: NDArray[Any] | None) -> dict[str, NDArray[Any]]:
         if array is None:
@@ -45,6 +45,7 @@ def exr_channels(frame: Frame, wanted: TruthFile | None = None) -> dict[str, NDA
         **split("sharp.", "RGB", arrays.get("sharp")),
         **split("N.", "XYZ", arrays.get("normal")),
         **split("flow.", "uv", arrays.get("flow")),
+        **split("flow_backward.", "uv", arrays.get("flow_backward")),
     }
 
 

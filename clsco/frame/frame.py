@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from clsco.errors import SceneError
 
 TRUTH_NAMES = ("sharp", "depth", "blur_radius", "mask", "filled", "object_id", "normal", "flow", "hidden")
+MOTION_NAMES = ("flow_backward", "flow_occluded")  # besides, where something moves
 STEREO_NAMES = ("disparity", "occluded")  # besides, of a stereo pair
-ALL_TRUTH = (*TRUTH_NAMES, *STEREO_NAMES)
+ALL_TRUTH = (*TRUTH_NAMES, *MOTION_NAMES, *STEREO_NAMES)
 IMAGE_NAMES = ("alpha",)  # besides, of the image, by name only
 FILE_NAMES = {name: name for name in ("color", *ALL_TRUTH, *IMAGE_NAMES)} | {"blur_radius": "coc"}
 """Names of the arrays in files, by attribute."""
@@ -46,7 +47,7 @@ class Frame:
 
     Row 0 is on top, column 0 on the left, pixel centers at integer coordinates. Channels are red, green, blue; arrays
     of a gray scene have none. Truth that was not requested is None. `sharp`, `depth`, `blur_radius`, `mask`,
-    `object_id`, `normal` and `flow` belong to the middle of the shutter and are never anti-aliased.
+    `object_id`, `normal`, `flow` and `flow_backward` belong to the middle of the shutter and are never anti-aliased.
 
     Attributes
     ----------
@@ -72,6 +73,10 @@ class Frame:
         x right, y down, to the next frame.
     hidden : bool (rows, columns)
         The point is hidden in the reference pose, so its radiance is extrapolated.
+    flow_backward : float32 (rows, columns, 2), px
+        x right, y down, to the frame before. Where something moves only, as `flow_occluded`.
+    flow_occluded : bool (rows, columns)
+        The point is not visible in the next frame: another surface or its own hides it, or it is outside.
     disparity : float32 (rows, columns), px
         Column in the left view less column in the right one of the surface point; 0 where nothing is. Of a stereo pair
         only, as `occluded`.
@@ -97,6 +102,8 @@ class Frame:
     normal: NDArray[np.float32] | None = None
     flow: NDArray[np.float32] | None = None
     hidden: NDArray[np.bool_] | None = None
+    flow_backward: NDArray[np.float32] | None = None
+    flow_occluded: NDArray[np.bool_] | None = None
     disparity: NDArray[np.float32] | None = None
     occluded: NDArray[np.bool_] | None = None
     alpha: NDArray[np.float32] | None = None

@@ -130,7 +130,32 @@ def map_stereo(
     disparity : ndarray of float32, (rows, columns)
         px.
     occluded : ndarray of bool, (rows, columns)
-        At the point's place in the other view a surface is more than SAME_SURFACE times nearer, or the frame has ended.
+        As `map_occluded`.
+    """
+    flow = map_flow(camera, items, depth, object_id, now, there)
+    occluded = map_occluded(camera, items, depth, object_id, now, there, opposite)
+    return (flow[..., 0] * (1.0 if eye == "right" else -1.0)).astype(np.float32), occluded
+
+
+def map_occluded(
+    camera: Camera, items: Sequence[Object], depth: NDArray[np.floating], object_id: NDArray[np.int32],
+    now: Sequence[Pose], there: Sequence[Pose], opposite: NDArray[np.floating],
+) -> NDArray[np.bool_]:  # fmt: skip
+    """Which points are not visible in other poses, from depth.
+
+    Parameters
+    ----------
+    camera, items, depth, object_id, now
+        As for `map_flow`.
+    there : sequence of Pose
+        Other poses, such as those of the next frame.
+    opposite : ndarray of float, (rows, columns)
+        Depth in these, mm.
+
+    Returns
+    -------
+    ndarray of bool, (rows, columns)
+        At the point's place there a surface is more than SAME_SURFACE times nearer, or the frame has ended.
     """
     flow = map_flow(camera, items, depth, object_id, now, there)
     rows, columns = depth.shape
@@ -144,5 +169,4 @@ def map_stereo(
         body = (point - center - now[k].shift) @ now[k].rotation
         z = (center + there[k].shift + body @ there[k].rotation.T)[..., 2]
         moved = np.where(object_id == k, z, moved)
-    occluded = (object_id >= 0) & (~inside | (seen * SAME_SURFACE < moved))
-    return (flow[..., 0] * (1.0 if eye == "right" else -1.0)).astype(np.float32), occluded
+    return np.asarray((object_id >= 0) & (~inside | (seen * SAME_SURFACE < moved)))

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.frame.frame import STEREO_NAMES
+from clsco.frame.frame import MOTION_NAMES, STEREO_NAMES
 from clsco.frame.strips import Strip
 from clsco.opencl.buffers import allocate, download_into
-from clsco.optics.depth_truth import map_flow, map_normal, map_stereo
+from clsco.optics.depth_truth import map_flow, map_normal, map_occluded, map_stereo
 from clsco.optics.motion import Eye, middle_time
 from clsco.passes.blur import PIXELS, Events
 from clsco.passes.pack import camera_struct, pose_structs
@@ -23,11 +23,11 @@ from clsco.passes.warp import ForwardWarp
 from clsco.plan.buffers import TRUTH_BUFFERS, truth_buffers
 from clsco.plan.plan import Plan
 
-BOOLEAN = ("hidden", "occluded")
+BOOLEAN = ("hidden", "occluded", "flow_occluded")
 # What outputs are where no surface is; the background keeps its radiance and its blur.
 NOTHING: dict[str, float] = {
-    "mask": False, "depth": np.inf, "object_id": -1, "normal": 0.0, "flow": 0.0, "hidden": False, "disparity": 0.0,
-    "occluded": False,
+    "mask": False, "depth": np.inf, "object_id": -1, "normal": 0.0, "flow": 0.0, "hidden": False,
+    "flow_backward": 0.0, "flow_occluded": False, "disparity": 0.0, "occluded": False,
 }  # fmt: skip
 Arrays = dict[str, NDArray[Any]]
 
@@ -55,34 +55,36 @@ class GroundTruth:
         plan = self.plan
         if not plan.truth:
             return {}
-        now, later = self._middles(index)
-        found = self._of_rays(now, later, events) if plan.scene.is_analytic else self._of_maps(now, later, events)
+        times = self._middles(index)
+        found = self._of_rays(*times, events) if plan.scene.is_analytic else self._of_maps(*times, events)
         return {name: array for name, array in found.items() if name in plan.truth}
 
-    def _middles(self, index: int) -> tuple[float, float]:
-        """Times of the ground truth of a frame and of the next one."""
+    def _middles(self, index: int) -> tuple[float, float, float]:
+        """Times of the ground truth of the frame before, of a frame, and of the next one."""
         if not self.plan.moves:
-            return 0.0, 0.0
+            return 0.0, 0.0, 0.0
         sequence = self.plan.scene.sequence
-        return middle_time(sequence, index), middle_time(sequence, index + 1)
+        return middle_time(sequence, index - 1), middle_time(sequence, index), middle_time(sequence, index + 1)
 
     @property
     def _opposite(self) -> Eye:
         return "left" if self.plan.eye == "right" else "right"
 
-    def _of_rays(self, time: float, later: float, events: Events) -> Arrays:
+    def _of_rays(self, before: float, time: float, later: float, events: Events) -> Arrays:
         """By rays at analytic surfaces, strip by strip."""
         plan, scene, names = self.plan, self.scene, self.plan.device_truth
         buffers = allocate(scene.session, truth_buffers(names, plan.grid))
         sample, reference = scene.at(time), scene.in_reference_pose()
-        poses = scene.poses(scene.at(later))
+        after = scene.at(later)
+        poses = scene.poses(after)
         head = (sample.surfaces, reference.surfaces, poses, everything(plan), scene.texture)
         view: tuple[Any, ...] = (sample.surfaces, poses, np.int32(0))  # read for a stereo pair alone
         if set(STEREO_NAMES) & set(names):
             there = scene.at(time, eye=self._opposite)
             poses_there = scene.hold(pose_structs(there.poses, scene.real))
             view = there.surfaces, poses_there, np.int32(1 if plan.eye == "right" else -1)
-        args = (*view, buffers["mask"], *(buffers.get(name) for name in TRUTH_BUFFERS))
+        previous = scene.poses(scene.at(before)) if set(MOTION_NAMES) & set(names) else poses
+        args = (*view, previous, after.surfaces, buffers["mask"], *(buffers.get(name) for name in TRUTH_BUFFERS))
         out = self._arrays(names)
         for strip in plan.strips:
             camera = camera_struct(plan.scene.camera, plan.guard_px, scene.real, strip)
@@ -116,7 +118,7 @@ class GroundTruth:
         for name, array in out.items():
             download_into(self.scene.session, buffers[name], array[strip.inside])
 
-    def _of_maps(self, time: float, later: float, events: Events) -> Arrays:
+    def _of_maps(self, before: float, time: float, later: float, events: Events) -> Arrays:
         """Of a scene with depth maps, which no ray can be cast at: of the pixels in their new places."""
         scene, plan, camera, pixels = self.scene, self.plan, self.plan.scene.camera, self.pixels
         now, then = scene.at(time), scene.at(later)
@@ -129,6 +131,11 @@ class GroundTruth:
         where = (camera, plan.scene.objects, out["depth"], out["object_id"])
         out |= {"normal": map_normal(camera, out["depth"]), "flow": map_flow(*where, now.poses, then.poses)}
         out["hidden"] = (out["filled"] > 0) & ~beyond
+        if isinstance(pixels, ForwardWarp) and "flow_backward" in plan.truth:
+            out["flow_backward"] = map_flow(*where, now.poses, scene.at(before).poses)
+        if isinstance(pixels, ForwardWarp) and "flow_occluded" in plan.truth:
+            following = pixels.truth(then, ("depth",), events)["depth"]
+            out["flow_occluded"] = map_occluded(*where, now.poses, then.poses, following)
         if isinstance(pixels, ForwardWarp) and plan.scene.stereo is not None:
             there = scene.at(time, eye=self._opposite)
             opposite = pixels.truth(there, ("depth",), events)["depth"]

@@ -61,6 +61,8 @@ TRUTH_BUFFERS: dict[str, tuple[type[np.generic], int]] = {
     "sharp": (np.float32, 0),
     "disparity": (np.float32, 1),
     "occluded": (np.uint8, 1),
+    "flow_backward": (np.float32, 2),
+    "flow_occluded": (np.uint8, 1),
 }
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from clsco.constants import TAP_LANES
 from clsco.errors import SceneError
-from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES
+from clsco.frame.frame import MOTION_NAMES, STEREO_NAMES, TRUTH_NAMES
 from clsco.frame.strips import Grid, Strip, cut
 from clsco.optics.lens import LARGEST_BLUR, blur_radius
 from clsco.optics.motion import Eye, Pose, sample_times
@@ -320,9 +320,8 @@ def make_plan(
     SceneError
         The blur radius passes LARGEST_BLUR, or the method cannot do the scene.
     """
-    if scene.stereo is None:
-        truth = tuple(name for name in truth if name not in STEREO_NAMES)
-    alpha, truth = "alpha" in truth, tuple(name for name in truth if name != "alpha")
+    others = ("alpha", *(STEREO_NAMES if scene.stereo is None else ()), *(() if scene.moves else MOTION_NAMES))
+    alpha, truth = "alpha" in truth, tuple(name for name in truth if name not in others)
     if scene.camera.resolution is None:
         raise SceneError("camera.resolution: must be known before a scene is planned; got None")
     columns, rows = scene.camera.resolution
@@ -492,7 +491,8 @@ def _left_out(plan: Plan) -> tuple[tuple[str, str], ...]:
         "occlusion": None if plan.occlusion != "none" else 'occlusion = "none"' if psf.occlusion == "none" else hidden,
         "ground truth": None if plan.truth else "nobody asked for it",
     }
-    missing = [name for name in TRUTH_NAMES if name not in plan.truth]
+    possible = (*TRUTH_NAMES, *(MOTION_NAMES if plan.moves else ()))
+    missing = [name for name in possible if name not in plan.truth]
     if plan.truth and missing:
         reasons["other outputs"] = f"nobody asked for {', '.join(missing)}"
     return tuple((name, why) for name, why in reasons.items() if why is not None)

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.frame.frame import Frame
+from clsco.frame.frame import MOTION_NAMES, Frame
 from clsco.inputs.depth_maps import load_scene_depths
 from clsco.inputs.textures import load_scene_textures
-from clsco.optics.depth_truth import map_flow, map_normal, map_stereo
+from clsco.optics.depth_truth import map_flow, map_normal, map_occluded, map_stereo
 from clsco.optics.motion import Eye, Pose, middle_time, poses_at, rest_poses
 from clsco.optics.quadrics import PlacedSurface, place
 from clsco.optics.visibility import Layer
@@ -185,7 +185,13 @@ def _truth(plan: Plan, textures: tuple[Array, ...], maps: Maps, index: int) -> d
     """Ground truth from rays; empty where the scene has depth maps, which are not ray-castable."""
     if any(depth is not None for depth in maps):
         return {}
-    return dict(vars(ground_truth(plan.scene, textures, index, plan.eye)))
+    found = vars(ground_truth(plan.scene, textures, index, plan.eye))
+    return {name: array for name, array in found.items() if plan.moves or name not in MOTION_NAMES}
+
+
+def _depth(sources: Sources) -> Array:
+    """Depth in mm of sources, +inf where there are none."""
+    return np.where(sources.lit, 1.0 / np.where(sources.lit, sources.inverse_depth, 1.0), np.inf)
 
 
 def _map_truth(plan: Plan, textures: tuple[Array, ...], maps: Maps, middle: _Warped, index: int) -> dict[str, Any]:
@@ -198,17 +204,22 @@ def _map_truth(plan: Plan, textures: tuple[Array, ...], maps: Maps, middle: _War
     surface = valid & ~np.isin(seen, known)  # the background has radiance and blur, and is no surface
     number = np.where(surface, seen, -1).astype(np.int32)
     depth = np.where(surface, 1.0 / np.where(surface, w, 1.0), np.inf)
-    times = [middle_time(scene.sequence, k) if plan.moves else 0.0 for k in (index, index + 1)]
-    now, then = (poses_at(scene, time, plan.eye) for time in times)
+    times = [middle_time(scene.sequence, k) if plan.moves else 0.0 for k in (index, index + 1, index - 1)]
+    now, then, before = (poses_at(scene, time, plan.eye) for time in times)
     stereo: dict[str, Any] = {}
+    moving: dict[str, Any] = {}
+    if plan.moves:
+        following = _depth(_warped_sources(scene, textures, maps, guard, times[1], plan.eye).sources)
+        where = (scene.camera, scene.objects, depth, number, now)
+        moving["flow_backward"] = map_flow(*where, before)
+        moving["flow_occluded"] = map_occluded(*where, then, _crop(following, guard))
     if scene.stereo is not None:
         opposite: Eye = "left" if plan.eye == "right" else "right"
         there = poses_at(scene, times[0], opposite)
         other = _warped_sources(scene, textures, maps, guard, times[0], opposite).sources
-        seen = np.where(other.lit, 1.0 / np.where(other.lit, other.inverse_depth, 1.0), np.inf)
-        args = (scene.camera, scene.objects, depth, number, now, there, _crop(seen, guard), plan.eye)
+        args = (scene.camera, scene.objects, depth, number, now, there, _crop(_depth(other), guard), plan.eye)
         stereo = dict(zip(("disparity", "occluded"), map_stereo(*args), strict=True))
-    return stereo | {
+    found = {
         "depth": depth,
         "blur_radius": _crop(middle.sources.radius, guard),
         "mask": surface,
@@ -217,3 +228,4 @@ def _map_truth(plan: Plan, textures: tuple[Array, ...], maps: Maps, middle: _War
         "flow": map_flow(scene.camera, scene.objects, depth, number, now, then),
         "hidden": (_crop(middle.status, guard) > 0) & (surface | ~valid),
     }
+    return found | stereo | moving

@@ -24,17 +24,31 @@ static bool covered(wide_t seen, wide_t ratio, wide_t w)
     return wide_less(wide_mul(w, wide_add(widened(1), widened((real)1e-6))), wide_mul(seen, ratio));
 }
 
+// Whether a point at inverse depth w is not visible where it is in the pixel `there`, between other surfaces.
+static bool occluded_among(__constant surface_t *surfaces, const camera_t camera, const layer_t layer, wide3_t there,
+                           wide_t w)
+{
+    uchar any;
+    int nearest;
+    const wide_t seen = nearest_surface(surfaces, layer, pixel_ray(camera, there.y, there.x), &any, &nearest);
+    return outside_frame(camera, there) || covered(seen, there.z, w);
+}
+
 // Ground truth of a strip at pixel centers, (rows, columns[, components]), never anti-aliased: depth mm (+inf:
 // nothing), coc signed px (0: nothing), mask, object (-1: nothing), normal, flow px to the pose `next`, hidden (the
 // point is not visible from the pinhole in the reference pose), sharp radiance; of a stereo pair disparity px and
-// occluded (the point is not visible in the other view). `still` are the surfaces in the reference pose, `opposite`
-// those in the frame of the other view, in poses `there`; to_left: 1 for the right view, -1 for the left one.
+// occluded (the point is not visible in the other view); flow_backward px to the pose `previous`, and flow_occluded (the
+// point is not visible in the next frame). `still` are the surfaces in the reference pose, `opposite` those in the frame
+// of the other view, in poses `there`, and `following` those in the next frame; to_left: 1 for the right view, -1 for
+// the left one.
 __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces, __constant surface_t *still,
                            __constant pose_t *next, const layer_t layer, __global const float *texture,
                            __constant surface_t *opposite, __constant pose_t *there, const int to_left,
+                           __constant pose_t *previous, __constant surface_t *following,
                            __global uchar *mask, __global int *object_id, __global float *depth, __global float *coc,
                            __global float *normal, __global float *flow, __global uchar *hidden, __global float *sharp,
-                           __global float *disparity, __global uchar *occluded)
+                           __global float *disparity, __global uchar *occluded, __global float *flow_backward,
+                           __global uchar *flow_occluded)
 {
     const int column = get_global_id(0), row = camera.top + get_global_id(1);
     if (column >= camera.columns || row >= camera.top + camera.rows)
@@ -83,15 +97,17 @@ __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces
         if (disparity)
             disparity[at] = root && narrow(other.z) > 0 ? (float)(to_left * narrow(wide_sub(other.x, widened(column))))
                                                         : 0;
-        if (occluded) {
-            occluded[at] = 0;
-            if (root) {
-                uchar any;
-                int nearest;
-                const wide3_t back = pixel_ray(camera, other.y, other.x);
-                const wide_t seen = nearest_surface(opposite, layer, back, &any, &nearest);
-                occluded[at] = outside_frame(camera, other) || covered(seen, other.z, w);
-            }
-        }
+        if (occluded)
+            occluded[at] = root ? occluded_among(opposite, camera, layer, other, w) : 0;
+    }
+    if (flow_backward) {
+        const wide3_t earlier = moved_pixel(surface, camera, previous + MAX(object, 0), ray, w);
+        const bool before_lens = root && narrow(earlier.z) > 0;
+        flow_backward[2 * at] = before_lens ? (float)narrow(wide_sub(earlier.x, widened(column))) : 0;
+        flow_backward[2 * at + 1] = before_lens ? (float)narrow(wide_sub(earlier.y, widened(row))) : 0;
+    }
+    if (flow_occluded) {
+        const wide3_t later = moved_pixel(surface, camera, next + MAX(object, 0), ray, w);
+        flow_occluded[at] = root ? occluded_among(following, camera, layer, later, w) : 0;
     }
 }

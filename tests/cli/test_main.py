@@ -25,7 +25,7 @@ from clsco.engine import batch
 from clsco.errors import ImageError
 from clsco.files.images import read_image
 from clsco.frame.files import read_complete
-from clsco.frame.frame import FILE_NAMES, TRUTH_NAMES, Frame
+from clsco.frame.frame import FILE_NAMES, MOTION_NAMES, TRUTH_NAMES, Frame
 from clsco.opencl import device, self_test
 from clsco.plan.prepare import prepare
 from clsco.scene import examples
@@ -80,8 +80,8 @@ def test_render_writes_frames_and_says_nothing(ball: Path, tmp_path: Path) -> No
     assert (picture.data.shape, picture.bits) == ((24, 40), 8)
     frame = next(clsco.render(clsco.load_scene(ball), frames=[1]))
     with np.load(tmp_path / "new/out/frame_0001.npz") as arrays:
-        assert set(arrays) == {FILE_NAMES[name] for name in ("color", *TRUTH_NAMES)}
-        for name in ("color", *TRUTH_NAMES):
+        assert set(arrays) == {FILE_NAMES[name] for name in ("color", *TRUTH_NAMES, *MOTION_NAMES)}
+        for name in ("color", *TRUTH_NAMES, *MOTION_NAMES):
             np.testing.assert_array_equal(arrays[FILE_NAMES[name]], getattr(frame, name), strict=True)
 
 
@@ -318,7 +318,7 @@ def test_check_agrees(ball: Path) -> None:
     result = clsco_("check", ball, "--set", "sequence.frames=2")
     assert result.exit_code == 0, result.output
     rows = [line.split() for line in result.output.splitlines()]
-    for name in ("color", *TRUTH_NAMES):
+    for name in ("color", *TRUTH_NAMES, *MOTION_NAMES):
         found = [row for row in rows if row[:1] == [name]]
         assert len(found) == 2
         assert all(row[-2] == "0" for row in found)  # pixels above the figure

@@ -10,12 +10,13 @@ import pytest
 
 import clsco
 from clsco.errors import ClscoError, SceneError
-from clsco.frame.frame import ALL_TRUTH, Frame
+from clsco.frame.frame import ALL_TRUTH, TRUTH_NAMES, Frame
 from clsco.opencl.session import DeviceLike, Session
 
 SMALL = {"resolution": [24, 16], "pixel_pitch": 0.1}
 DATA: dict[str, Any] = {"camera": SMALL, "sequence": {"frames": 2}, "object": [{"shape": "sphere"}]}
 SCENE = clsco.parse_scene(DATA)
+MOVING = SCENE.replace("object[0].motion.velocity", [5, 0, 0]).replace("sequence.samples", 2)
 STEREO = clsco.parse_scene(DATA | {"stereo": {"baseline": 10.0}})
 
 
@@ -74,14 +75,16 @@ def test_scenes_mappings_and_paths_are_rendered_alike(tmp_path: Path) -> None:
 
 
 def test_truth_is_named_one_by_one_or_all_at_once() -> None:
-    def names(truth: Any) -> set[str]:
-        frame = clsco.render_frame(SCENE, truth=truth)
+    def names(truth: Any, scene: clsco.Scene = SCENE) -> set[str]:
+        frame = clsco.render_frame(scene, truth=truth)
         return {name for name in ALL_TRUTH if getattr(frame, name) is not None}
 
     assert names("depth") == {"depth"}
     assert names(iter(["depth", "flow"])) == {"depth", "flow"}
     assert names(()) == set()
-    assert names("all") == set(ALL_TRUTH) - {"disparity", "occluded"}
+    assert names("all") == set(TRUTH_NAMES)
+    assert names("all", MOVING) == set(TRUTH_NAMES) | {"flow_backward", "flow_occluded"}
+    assert names("flow_occluded", MOVING) == {"flow_occluded"}
 
 
 def test_the_former_name_of_the_blur_radius_works_with_a_warning() -> None:

@@ -90,6 +90,8 @@ def pair() -> tuple[Frame, Frame]:
             color=generator.random((6, 8)).astype("f4"),
             disparity=generator.random((6, 8)).astype("f4"),
             occluded=generator.random((6, 8)) < 0.5,
+            flow_backward=generator.random((6, 8, 2)).astype("f4"),
+            flow_occluded=generator.random((6, 8)) < 0.5,
             eye=eye,
             metadata={"guard_px": guard},
         )
@@ -112,7 +114,11 @@ def test_a_stereo_pair_has_files_of_each_view_and_one_exr(tmp_path: Path) -> Non
     assert [part.name() for part in parts] == [part.header["view"] for part in parts] == ["left", "right"]
     for shown, part in zip(views, parts, strict=True):
         wanted = exr_channels(shown)
-        assert set(part.channels) == set(wanted) >= {"R", "Z", "flow.u", "disparity", "occluded"}
+        assert (
+            set(part.channels)
+            == set(wanted)
+            >= {"R", "Z", "flow.u", "flow_backward.v", "flow_occluded", "disparity", "occluded"}
+        )
         for name, channel in part.channels.items():
             np.testing.assert_array_equal(channel.pixels, wanted[name].astype("f4"), strict=True)
         np.testing.assert_array_equal(part.channels["disparity"].pixels, shown.disparity, strict=True)

@@ -148,6 +148,8 @@ def truth(session: Session, plan: Plan, strip: Strip, local: tuple[int, int]) ->
         layer_struct(twin.everything(wanted), len(wanted.objects)),
         stack(session, plan),
         *(on_device(session, plan, now, "double"), copied(session, pose_structs((), "double")), np.int32(0)),
+        copied(session, pose_structs(poses_at(wanted, middle_time(wanted.sequence, 0), plan.eye), "double")),
+        on_device(session, plan, then, "double"),
         *(out["mask"], *(out.get(name) for name in TRUTH_BUFFERS)),
     )
     launch(session, kernel(everything_built(session, plan), "ground_truth"), shape[::-1], local, *args)

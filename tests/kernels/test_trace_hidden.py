@@ -15,17 +15,19 @@ from clsco.records import Real, in_parts
 from clsco.reference.trace import trace as twin
 from clsco.reference.trace.truth import ground_truth
 from clsco.resources import folder
-from clsco.scene.model import Cylinder, ObjectMotion, Psf
+from clsco.scene.model import Cylinder, ObjectMotion, Plane, Psf
 from tests.kernels.test_trace import (
     GUARD,
     PARTLY_OCCLUDED,
     ROW,
+    SCENES,
     WHOLE,
     assert_truth,
     planned,
     random_textures,
     scene,
     traced,
+    truth_on_device,
     view,
 )
 from tests.kernels.wide_numbers import PARTS
@@ -43,6 +45,29 @@ def test_what_was_behind_the_lens_is_dark(session: Session) -> None:
     dark = exact.sharp[..., 0] == 0
     assert 0.1 < dark[exact.mask].mean() < 0.9
     assert_truth(session, plan, ("sharp",), 1)
+
+
+def test_points_are_occluded_in_the_next_frame_by_others_and_their_own(session: Session) -> None:
+    """The scenes above would not test `flow_occluded` if nothing, or everything, were."""
+    shares = []
+    for name in ("sphere moved, 2 x 2", "three in a row", "plane at rest"):
+        plan = planned(*SCENES[name])
+        found = truth_on_device(session, plan, ("flow_occluded", "object_id"), 1)
+        last = found["object_id"] == len(plan.scene.objects) - 1
+        shares.append(found["flow_occluded"][last].mean())
+    assert 0.003 < shares[0] < 0.5  # its own back
+    assert 0.003 < shares[1] < 0.5  # a wall at rest
+    assert shares[2] == 0.0
+
+
+def test_what_is_behind_the_lens_in_the_next_frame_is_not_visible(session: Session) -> None:
+    motion = ObjectMotion(velocity=(0.0, 0.0, -1000.0))
+    plan = planned(scene(Plane(distance=380.0), motion), 1)
+    found = truth_on_device(session, plan, ("flow", "flow_occluded", "flow_backward"), 0)
+    assert found["flow_occluded"].all()
+    assert not found["flow"].any()
+    assert found["flow_backward"].any()
+    assert_truth(session, plan, ("flow", "flow_occluded", "flow_backward"), 0)
 
 
 def test_subpixel_sources_of_all_layers_are_marked(session: Session) -> None:

@@ -22,7 +22,7 @@ from clsco.engine.defocus import defocus
 from clsco.engine.inpaint import inpaint
 from clsco.engine.sequence import render_sweep
 from clsco.errors import SceneError
-from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES
+from clsco.frame.frame import ALL_TRUTH
 from clsco.inputs.textures import Texture
 from clsco.optics.motion import Eye
 from clsco.optics.psf_grid import NEAR
@@ -137,7 +137,7 @@ def scenes_of(drawn: Drawn) -> list[Scene]:
 
 
 def truth_of(drawn: Drawn) -> tuple[str, ...]:
-    names = (*TRUTH_NAMES, *STEREO_NAMES)
+    names = ALL_TRUTH
     few = {"one": 1, "some": 4}.get(drawn["truth"], 0)
     return names if drawn["truth"] == "all" else tuple(random.Random(drawn["seed"]).sample(names, few))
 

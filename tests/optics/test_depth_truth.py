@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.optics.depth_truth import map_flow, map_normal, map_stereo
+from clsco.optics.depth_truth import map_flow, map_normal, map_occluded, map_stereo
 from clsco.optics.motion import Eye, Pose, middle_time, poses_at
 from clsco.reference.trace.truth import Truth, ground_truth
 from clsco.scene.model import Camera, CameraMotion, ObjectMotion, Plane, Scene, Sequence, Sphere, Stereo
@@ -106,6 +106,18 @@ def test_stereo_is_that_of_the_surfaces(toe_in: float, eye: Eye) -> None:
     # The other view is looked at in its pixel centers: what is hidden may differ where that rounds over an outline.
     assert 0.03 < truth.occluded.mean() < 0.5
     assert (occluded != truth.occluded).mean() < 0.02
+
+
+def test_occlusion_in_the_next_frame_is_that_of_the_surfaces() -> None:
+    wanted = scene(BALL, WALL)
+    now, then = (ground_truth(wanted, (np.zeros((*SHAPE, 1)),) * 2, k) for k in (0, 1))
+    where = (CAMERA, wanted.objects, now.depth, now.object_id, poses(wanted, 0), poses(wanted, 1))
+    found = map_occluded(*where, then.depth)
+    assert found.dtype == np.bool_
+    assert 0.01 < now.flow_occluded.mean() < 0.5
+    assert (found != now.flow_occluded).mean() < 0.02  # pixel centers, as of the other view
+    back = map_flow(*where[:4], poses(wanted, 0), poses(wanted, -1))
+    np.testing.assert_allclose(back, now.flow_backward, rtol=2e-7, atol=1e-9)
 
 
 def test_a_point_outside_of_the_other_frame_is_occluded() -> None:

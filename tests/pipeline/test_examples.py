@@ -13,7 +13,7 @@ import clsco
 from clsco import reference
 from clsco.cli.check import FIGURES, Difference, compare
 from clsco.files.images import read_image, write_png
-from clsco.frame.frame import STEREO_NAMES, Frame
+from clsco.frame.frame import MOTION_NAMES, STEREO_NAMES, Frame
 from clsco.scene.model import DepthMap, Scene
 from clsco.scene.sweep import load_sweep
 from tests.slow import mostly_slow
@@ -129,7 +129,8 @@ def test_every_output_agrees_in_double_precision(path: Path, small: Small, exact
     # float32 from at most a few hundred weights, each good to 6e-8, of PSF tables good to 1e-6 of their sum.
     scene = small(path)
     differences = worst(list(clsco.render(scene, precision="double")), exact(path))
-    assert {found.output for found in differences} == set(FIGURES) - (set() if scene.stereo else set(STEREO_NAMES))
+    absent = (set() if scene.stereo else set(STEREO_NAMES)) | (set() if scene.moves else set(MOTION_NAMES))
+    assert {found.output for found in differences} == set(FIGURES) - absent
     assert [found for found in differences if found.count] == []
 
 

@@ -14,7 +14,7 @@ import pytest
 import clsco
 from clsco.engine.sequence import render_sweep
 from clsco.errors import SceneError
-from clsco.frame.frame import STEREO_NAMES, TRUTH_NAMES, Frame
+from clsco.frame.frame import ALL_TRUTH, Frame
 from clsco.frame.strips import BAND, cut
 from clsco.opencl.device import choose
 from clsco.opencl.session import session_for
@@ -25,7 +25,6 @@ from clsco.plan.request import Request
 from clsco.scene.model import Scene
 from tests.scenes import scene_from
 
-TRUTH = (*TRUTH_NAMES, *STEREO_NAMES)
 ROWS, COLUMNS = 3 * BAND + 23, 50
 BALL = {
     "shape": "sphere",
@@ -58,7 +57,7 @@ def named(name: str) -> Scene:
     return scene_from({"camera": CAMERA, "psf": {"silhouette_samples": 2}}, **SCENES[name][1])
 
 
-def memory_for(scene: Scene, rows: int, truth: tuple[str, ...] = TRUTH, method: str = "auto") -> int:
+def memory_for(scene: Scene, rows: int, truth: tuple[str, ...] = ALL_TRUTH, method: str = "auto") -> int:
     """Just as much as strips of so many rows need."""
     session_for(None).kept.clear()  # what other renders have left is let go of before it is measured
     eyes = ("left",) if scene.stereo is None else ("left", "right")
@@ -74,7 +73,7 @@ def plan_of(scene: Scene, truth: tuple[str, ...], method: str, eye: Any) -> Plan
 def assert_same(frames: list[Frame], others: list[Frame]) -> None:
     assert len(frames) == len(others) > 0
     for one, other in zip(frames, others, strict=True):
-        for name in ("color", *TRUTH):
+        for name in ("color", *ALL_TRUTH):
             wanted, got = getattr(one, name), getattr(other, name)
             assert (wanted is None) == (got is None)
             if wanted is not None:

@@ -177,12 +177,43 @@ def test_flow_leads_to_the_same_point_of_the_object(at: Placer) -> None:
     assert np.abs(truth.flow[truth.mask]).max() > 3.0
 
 
+def test_a_wall_is_occluded_where_a_card_goes() -> None:
+    """The wall stands still: its pixels are occluded in the next frame where that one has the card."""
+    going = ObjectMotion(velocity=(0.8, 0.0, 0.0))
+    card = Plane(distance=200.0, bounds=((-1.0, 0.6), (-0.9, 0.7), (-1.0, 1.0)), motion=going)
+    scene = scene_of(card, Plane(distance=400.0), size=SIZE)
+    now, then = (ground_truth(scene, (random_texture(),) * 2, k) for k in (0, 1))
+    on_wall, arrives = now.object_id == 1, (now.object_id == 1) & (then.object_id == 0)
+    assert 50 < arrives.sum() < 200
+    assert (now.flow_occluded[on_wall] == arrives[on_wall]).all()
+    assert not now.flow_occluded[~on_wall].any()
+    # X / Z s0 / p = 0.8 / 200 x 20 / 0.01 px, there and back.
+    np.testing.assert_allclose(now.flow[~on_wall], np.broadcast_to([8.0, 0.0], ((~on_wall).sum(), 2)), atol=1e-10)
+    np.testing.assert_allclose(then.flow_backward[then.object_id == 0], -now.flow[now.object_id == 0], atol=1e-10)
+    assert np.abs(then.flow_backward[then.object_id == 1]).max() < 1e-10
+    out = scene.replace("object[0].motion.velocity", (3.0, 0.0, 0.0))
+    gone = ground_truth(out, (random_texture(),) * 2, 0)
+    right = np.broadcast_to(np.arange(SIZE[0]) + 30 > SIZE[0] - 0.5, SHAPE)  # 3.0 / 200 x 20 / 0.01 px
+    assert (gone.flow_occluded & (gone.object_id == 0) == right & (gone.object_id == 0)).all()
+    assert (right & (gone.object_id == 0)).sum() > 10
+
+
+def test_what_turns_away_is_occluded_in_the_next_frame() -> None:
+    """Of a ball at a great distance that turns by 90 deg from frame to frame, half of what is visible."""
+    turning = ObjectMotion(angular_velocity=(0.0, 90.0, 0.0))
+    ball = SMALL_SPHERE.model_copy(update={"center": (0.0, 0.0, 280.0), "motion": turning})
+    truth = ground_truth(scene_of(ball, size=SIZE), (random_texture(),), 0)
+    left, right = (truth.flow_occluded[:, half][truth.mask[:, half]].mean() for half in (slice(24), slice(24, 48)))
+    assert left > 0.95  # a turn about y brings the right side nearer
+    assert right < 0.05
+
+
 def test_nothing_flows_and_nothing_is_hidden_at_rest() -> None:
     truth = ground_truth(scene_of(SMALL_SPHERE, size=SIZE), (random_texture(),), 3)
     assert truth.mask.any()
     assert not truth.mask.all()
-    assert np.abs(truth.flow).max() < 1e-10
-    assert not truth.hidden.any()
+    assert max(np.abs(truth.flow).max(), np.abs(truth.flow_backward).max()) < 1e-10
+    assert not (truth.hidden | truth.flow_occluded).any()
     assert np.isinf(truth.depth[~truth.mask]).all()
     assert not truth.blur_radius[~truth.mask].any()
     assert (truth.object_id == np.where(truth.mask, 0, -1)).all()

@@ -38,6 +38,8 @@ class Truth:
     normal: Array
     flow: Array
     hidden: NDArray[np.bool_]
+    flow_backward: Array
+    flow_occluded: NDArray[np.bool_]
     disparity: Array | None
     occluded: NDArray[np.bool_] | None
 
@@ -61,7 +63,7 @@ def _hidden(view: View, rest: PlacedSurface, number: int, rays: Array, w: Array)
 def moved_pixel(
     surface: PlacedSurface, other: Pose, camera: Camera, rays: Array, w: Array
 ) -> tuple[Array, Array, Array]:
-    """Row and column in px of hits in the pose `other`, and their depth there over that here (1 behind the lens)."""
+    """Row and column in px of hits in the pose `other`, and their depth there over that here (0 behind the lens)."""
     body = turned(other.rotation, body_point(surface, rays, w))
     position = (surface.rest + other.shift) * w[..., None] + body
     before_lens = (w > 0.0) & (position[..., 2] > 0.0)
@@ -70,8 +72,19 @@ def moved_pixel(
     return (
         np.where(before_lens, row, at_row),
         np.where(before_lens, column, at_column),
-        np.where(before_lens, position[..., 2], 1.0),
+        np.where(before_lens, position[..., 2], 0.0),
     )
+
+
+def occluded_among(
+    scene: Scene, surfaces: tuple[PlacedSurface, ...], pixel: tuple[Array, Array, Array], w: Array
+) -> NDArray[np.bool_]:
+    """Whether points at inverse depth w are not visible in the pixels that `moved_pixel` gives, between surfaces."""
+    row, column, ratio = pixel
+    bounds = [item.bounds for item in scene.objects]
+    seen, _, _ = nearest_surface(surfaces, bounds, everything(scene), pixel_ray(scene.camera, row, column))
+    covered = seen * ratio > w * (1.0 + 1e-6)
+    return np.asarray(covered | (ratio <= 0.0) | outside_frame(scene.camera, row, column))
 
 
 def _stereo(
@@ -81,15 +94,12 @@ def _stereo(
     opposite: Eye = "left" if eye == "right" else "right"
     other, poses = view_at(scene, textures, time, opposite, True), poses_at(scene, time, opposite)
     disparity, occluded = np.zeros(hit.w.shape), np.zeros(hit.w.shape, dtype=bool)
-    bounds = [item.bounds for item in scene.objects]
     _, at_column = padded_grid(scene.camera, 0)
     for k, surface in enumerate(view.surfaces):
-        row, column, ratio = moved_pixel(surface, poses[k], scene.camera, rays, hit.w)
+        pixel = moved_pixel(surface, poses[k], scene.camera, rays, hit.w)
         own = hit.number == k
-        disparity = np.where(own, (1.0 if eye == "right" else -1.0) * (column - at_column), disparity)
-        seen, _, _ = nearest_surface(other.surfaces, bounds, everything(scene), pixel_ray(scene.camera, row, column))
-        covered = seen * ratio > hit.w * (1.0 + 1e-6)
-        occluded = np.where(own, covered | outside_frame(scene.camera, row, column), occluded)
+        disparity = np.where(own, (1.0 if eye == "right" else -1.0) * (pixel[1] - at_column), disparity)
+        occluded = np.where(own, occluded_among(scene, other.surfaces, pixel, hit.w), occluded)
     return disparity, occluded
 
 
@@ -102,20 +112,23 @@ def ground_truth(scene: Scene, textures: tuple[Array, ...], frame: int, eye: Eye
     the thesis' 80 and 70 px, normals and radius against closed forms.
     """
     moves, camera = scene.moves, scene.camera
-    now, then = (middle_time(scene.sequence, k) if moves else 0.0 for k in (frame, frame + 1))
+    before, now, then = (middle_time(scene.sequence, k) if moves else 0.0 for k in (frame - 1, frame, frame + 1))
     view = view_at(scene, textures, now, eye, moves or displaced(scene, eye))
     rest = [place(item, pose) for item, pose in zip(scene.objects, rest_poses(scene), strict=True)]
-    later = poses_at(scene, then, eye)
+    earlier, later = (poses_at(scene, time, eye) for time in (before, then))
+    following = tuple(place(item, pose) for item, pose in zip(scene.objects, later, strict=True))
     row, column = padded_grid(camera, 0)
     rays = pixel_ray(camera, row, column)
     hit = cast(view, everything(scene), row, column, (row, column))
     mask, w = hit.label > 0, hit.w
-    flow, normal = np.zeros((*w.shape, 2)), np.zeros((*w.shape, 3))
-    hidden = np.zeros(w.shape, dtype=bool)
+    flow, backward, normal = np.zeros((*w.shape, 2)), np.zeros((*w.shape, 2)), np.zeros((*w.shape, 3))
+    hidden, flow_occluded = np.zeros(w.shape, dtype=bool), np.zeros(w.shape, dtype=bool)
     for k, surface in enumerate(view.surfaces):
         own = hit.number == k
-        next_row, next_column, _ = moved_pixel(surface, later[k], camera, rays, w)
-        flow = np.where(own[..., None], np.stack([next_column - column, next_row - row], axis=-1), flow)
+        pixel, last = (moved_pixel(surface, poses[k], camera, rays, w) for poses in (later, earlier))
+        flow = np.where(own[..., None], np.stack([pixel[1] - column, pixel[0] - row], axis=-1), flow)
+        backward = np.where(own[..., None], np.stack([last[1] - column, last[0] - row], axis=-1), backward)
+        flow_occluded = np.where(own, occluded_among(scene, following, pixel, w), flow_occluded)
         normal = np.where(own[..., None], surface_normal(surface, rays, w), normal)
         hidden = np.where(own, _hidden(view, rest[k], k, rays, w), hidden)
     disparity, occluded = None, None
@@ -132,6 +145,8 @@ def ground_truth(scene: Scene, textures: tuple[Array, ...], frame: int, eye: Eye
         normal=np.where(mask[..., None], normal, 0.0),
         flow=np.where(mask[..., None], flow, 0.0),
         hidden=hidden & mask,
+        flow_backward=np.where(mask[..., None], backward, 0.0),
+        flow_occluded=flow_occluded & mask,
         disparity=None if disparity is None else np.where(mask, disparity, 0.0),
         occluded=None if occluded is None else occluded & mask,
     )
