@@ -36,7 +36,7 @@ reference
 
 Types
 -----
-Scene, Camera, Psf, Group, Plane, Rectangle, Sphere, Cylinder, Cone, Ellipsoid, Quadric, DepthMap, Background
+Scene, Camera, Psf, Group, Plane, Rectangle, Box, Sphere, Cylinder, Cone, Ellipsoid, Quadric, DepthMap, Background
     What a scene holds, frozen and validated; lengths in mm, angles in degrees, times in s.
 Frame
     A rendered image with its ground truth.
@@ -79,6 +79,7 @@ if TYPE_CHECKING:
     from clsco.scene.file import load_scene as load_scene
     from clsco.scene.file import parse_scene as parse_scene
     from clsco.scene.model import Background as Background
+    from clsco.scene.model import Box as Box
     from clsco.scene.model import Camera as Camera
     from clsco.scene.model import Cone as Cone
     from clsco.scene.model import Cylinder as Cylinder
@@ -107,7 +108,7 @@ _NAMES = {
     "clsco.opencl.device": ("list_devices",),
     "clsco.scene.model": (
         *("Scene", "Camera", "Psf", "Group"),
-        *("Plane", "Rectangle", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background"),
+        *("Plane", "Rectangle", "Box", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background"),
     ),
     "clsco.frame.frame": ("Frame",),
     "clsco.inpainting.rules": ("MeanMedian",),
@@ -118,7 +119,7 @@ __all__ = [  # noqa: RUF022, verbs and then types
     "render", "render_frame", "render_sweep", "defocus", "inpaint", "load_scene", "parse_scene", "load_sweep",
     "parse_sweep", "dump_scene", "list_devices", "reference",
     "Scene", "Camera", "Psf", "Group",
-    "Plane", "Rectangle", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background",
+    "Plane", "Rectangle", "Box", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background",
     "Frame", "Live", "MeanMedian",
     "ClscoError", "SceneError", "ImageError", "DeviceError", "KernelError", "CanceledError",
 ]  # fmt: skip

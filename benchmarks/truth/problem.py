@@ -55,8 +55,8 @@ def _shape(item: Any) -> tuple[Array, Any, tuple[float, float]]:
         case "plane":  # b x + c y - z = 0 about (0, 0, a)
             k[6:9] = item.slope_x, item.slope_y, -1.0
             return k, (0.0, 0.0, item.distance), everywhere
-        case "rectangle":  # z = 0 about its center
-            k[8] = 1.0
+        case "rectangle":  # z = offset about its center
+            k[8:] = 1.0, -item.offset
             return k, item.center, everywhere
         case "sphere":
             k[[0, 1, 2, 9]] = 1.0, 1.0, 1.0, -(item.radius**2)

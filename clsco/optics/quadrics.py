@@ -142,7 +142,9 @@ def canonical(item: Object) -> Canonical:
     still, zero = np.eye(3), np.zeros(3)
     if isinstance(item, Plane):
         return Canonical(zero, np.array([-item.slope_x, -item.slope_y, 1.0]) / 2, 0.0, still, zero)
-    if isinstance(item, Background | Rectangle):
+    if isinstance(item, Rectangle):
+        return Canonical(zero, np.array([0.0, 0.0, 0.5]), 0.0, still, np.array([0.0, 0.0, item.offset]))
+    if isinstance(item, Background):
         return Canonical(zero, np.array([0.0, 0.0, 0.5]), 0.0, still, zero)
     if isinstance(item, Sphere):
         return Canonical(np.ones(3), zero, item.radius**2, still, zero)

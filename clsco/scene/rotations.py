@@ -99,6 +99,23 @@ def depth_row(rotation: EulerAngles | AxisAngle | UnitQuaternion | None) -> Vect
     return rotation_rows(rotation)[2]
 
 
+def after(first: Vector | None, then: EulerAngles | AxisAngle | UnitQuaternion | None) -> Any:
+    """The rotation that Euler angles `first` in deg and then `then` make together, None for none of both."""
+    if first is None or then is None:
+        return then if first is None else first
+    (a, b, c), (d, e, f), (g, h, i) = _product(rotation_rows(then), rotation_rows(first))
+    # Four times w, x, y and z times the largest of them, each line for one that may be; z is away from the camera.
+    lines = (
+        (1.0 + a + e + i, h - f, c - g, d - b),
+        (h - f, 1.0 + a - e - i, d + b, c + g),
+        (c - g, d + b, 1.0 - a + e - i, h + f),
+        (d - b, c + g, h + f, 1.0 - a - e + i),
+    )
+    w, x, y, z = max(enumerate(lines), key=lambda line: line[1][line[0]])[1]
+    size = math.hypot(w, x, y, z)
+    return UnitQuaternion(quaternion=(w / size, x / size, y / size, -z / size))
+
+
 def _about(axis: Vector, degrees: float) -> Rows:
     """Rodrigues' formula; axis: right, up, towards the camera, of any length. Exact along x, y and z."""
     size = math.hypot(*axis)

@@ -14,13 +14,14 @@ from pydantic_core import PydanticCustomError
 from clsco.scene.arrays import ArrayInput, DepthInput, TextureInput
 from clsco.scene.quantities import (
     AngularVelocity,
-    Box,
+    Bounds,
     Coefficients,
+    Coordinate,
     Direction,
     Length,
+    Lengths,
     Name,
     Point,
-    SemiAxes,
     Sides,
     Slope,
     Strict,
@@ -30,7 +31,7 @@ from clsco.scene.quantities import (
     at_keys,
     fault,
 )
-from clsco.scene.rotations import Rotation, depth_row
+from clsco.scene.rotations import Rotation, after, depth_row
 
 BUILT_IN_TEXTURES = ("bricks", "checkerboard", "slanted_edge", "siemens_star")
 COLOR = re.compile("#[0-9a-fA-F]{6}")
@@ -112,7 +113,7 @@ class _Object(Strict):
 class _Bounded(_Object):
     """Keys of shapes that a box may cut."""
 
-    bounds: Box | None = None
+    bounds: Bounds | None = None
     """Box [[x0, x1], [y0, y1], [z0, z1]] about the object's origin before any rotation, mm; cuts the surface."""
 
 
@@ -134,23 +135,72 @@ class Rectangle(_Object):
     shape: Literal["rectangle"] = "rectangle"
     size: Sides = (40.0, 30.0)
     """Width and height, mm."""
+    offset: Coordinate = 0.0
+    """Distance of the card from its origin, along its own z axis, before any rotation; mm."""
     center: Point = (0.0, 0.0, 250.0)
-    """Center, mm; the origin."""
+    """Center, but for the offset, mm; the origin."""
 
     @property
-    def bounds(self) -> Box:
+    def bounds(self) -> Bounds:
         """Box that cuts the plane of the card, as deep as it is wide: its sides along z touch nothing."""
         width, height = (0.5 * side for side in self.size)
         deep = max(width, height)
-        return (-width, width), (-height, height), (-deep, deep)
+        return (-width, width), (-height, height), (self.offset - deep, self.offset + deep)
+
+    @field_validator("center")
+    @classmethod
+    def _visible(cls, center: Vector, info: ValidationInfo) -> Vector:
+        if not {"size", "offset", "rotation"} <= info.data.keys():
+            return center
+        row = depth_row(info.data["rotation"])
+        sides = sum(0.5 * side * abs(r) for side, r in zip(info.data["size"], row[:2], strict=True))
+        return _reaching(center, sides + info.data["offset"] * row[2])
+
+
+class Box(_Object):
+    """Closed box; a scene has its faces as rectangles in place of it."""
+
+    shape: Literal["box"] = "box"
+    size: Lengths = (40.0, 30.0, 30.0)
+    """Sides along x, y and z before any rotation, mm."""
+    center: Point = (0.0, 0.0, 280.0)
+    """Center, mm; the origin."""
+
+    @property
+    def bounds(self) -> Bounds:
+        """The box itself."""
+        x, y, z = (0.5 * side for side in self.size)
+        return (-x, x), (-y, y), (-z, z)
 
     @field_validator("center")
     @classmethod
     def _visible(cls, center: Vector, info: ValidationInfo) -> Vector:
         if not {"size", "rotation"} <= info.data.keys():
             return center
-        pairs = zip(info.data["size"], depth_row(info.data["rotation"])[:2], strict=True)
+        pairs = zip(info.data["size"], depth_row(info.data["rotation"]), strict=True)
         return _reaching(center, sum(0.5 * side * abs(row) for side, row in pairs))
+
+    def faces(self) -> tuple[Rectangle, ...]:
+        """Rectangles about the center of the box, which turn and move as it does; named "box front" and so on.
+
+        Those that are all behind the lens are left out, as objects there are refused.
+        """
+        x, y, z = self.size
+        about_x, about_y = (90.0, 0.0, 0.0), (0.0, 90.0, 0.0)  # turn the z axis of a face down, and to the right
+        placed: tuple[tuple[str, tuple[float, float], float, Vector | None], ...] = (
+            ("front", (x, y), -0.5 * z, None), ("back", (x, y), 0.5 * z, None),
+            ("left", (z, y), -0.5 * x, about_y), ("right", (z, y), 0.5 * x, about_y),
+            ("top", (x, z), -0.5 * y, about_x), ("bottom", (x, z), 0.5 * y, about_x),
+        )  # fmt: skip
+        alike = {"texture": self.texture, "motion": self.motion, "group": self.group, "center": self.center}
+        found = []
+        for side, size, offset, turn in placed:
+            rotation = after(turn, self.rotation)
+            sides = sum(0.5 * length * abs(r) for length, r in zip(size, depth_row(rotation)[:2], strict=True))
+            if self.center[2] + sides + offset * depth_row(rotation)[2] > 0.0:
+                keys = {"name": f"{self.name} {side}", "size": size, "offset": offset, "rotation": rotation}
+                found.append(Rectangle.model_validate(keys | alike))
+        return tuple(found)
 
 
 class Cylinder(_Bounded):
@@ -217,7 +267,7 @@ class Ellipsoid(_Bounded):
     """Ellipsoid (3.33); unless it is rotated, its axes are along x, y and z."""
 
     shape: Literal["ellipsoid"] = "ellipsoid"
-    semi_axes: SemiAxes = (30.0, 30.0, 50.0)
+    semi_axes: Lengths = (30.0, 30.0, 50.0)
     """Semi-axes along x, y and z before any rotation, mm."""
     center: Point = (0.0, 0.0, 300.0)
     """Center, mm; the origin."""
@@ -315,7 +365,7 @@ class Background(_Bounded):
         return value
 
 
-AnyShape = Plane | Rectangle | Cylinder | Sphere | Cone | Ellipsoid | Quadric | DepthMap | Background
+AnyShape = Plane | Rectangle | Box | Cylinder | Sphere | Cone | Ellipsoid | Quadric | DepthMap | Background
 
 
 SHAPES: dict[str, type[AnyShape]] = {kind.model_fields["shape"].default: kind for kind in get_args(AnyShape)}
@@ -423,8 +473,28 @@ def _named(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
     return tuple(placed)
 
 
+def _without_boxes(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
+    """Objects with the faces of each box in place of it."""
+    found: list[AnyShape] = []
+    for item in objects:
+        found += item.faces() if isinstance(item, Box) else (item,)
+    if len(found) > MAX_OBJECTS:
+        raise fault(f"must hold 1 to {MAX_OBJECTS} objects, and a box is six", got=str(len(found)))
+    taken = {item.name for item in objects if not isinstance(item, Box)}
+    boxes = ((index, item) for index, item in enumerate(objects) if isinstance(item, Box))
+    same = [(index, item.name) for index, item in boxes if taken & {face.name for face in item.faces()}]
+    if same:
+        rule = "names of its faces must differ from those of other objects"
+        raise at_keys([((index, "name"), fault(rule), name) for index, name in same])
+    return tuple(found)
+
+
 _Union = Annotated[AnyShape, Field(discriminator="shape")]
 Object = Annotated[_Union, AfterValidator(_bounds_in_front), BeforeValidator(_known_shape)]
 Objects = Annotated[
-    tuple[Object, ...], AfterValidator(_one_background), AfterValidator(_named), BeforeValidator(_objects)
+    tuple[Object, ...],
+    AfterValidator(_one_background),
+    AfterValidator(_named),
+    AfterValidator(_without_boxes),
+    BeforeValidator(_objects),
 ]

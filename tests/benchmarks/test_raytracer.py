@@ -168,7 +168,7 @@ SOLIDS = {
     "cone": body("cone", nappe="away", **CONE),
     "saddle": body("quadric", center=(0.0, 0.0, 300.0), coefficients=(0.01, -0.02, 0.0, 0.003, 0, 0.002, 0.1, 0, 1, 2)),
     "plane": plane(250.0, 0.4, -0.3),
-    "rectangle": body("rectangle", center=(0.0, 0.0, 250.0)),
+    "rectangle": body("rectangle", center=(0.0, 0.0, 250.0), offset=-3.0),
 }
 
 
@@ -178,7 +178,7 @@ def _implicit(item: Any, x: Any, y: Any, z: Any) -> Any:
         case "plane":
             return item.distance + item.slope_x * x + item.slope_y * y - z
         case "rectangle":
-            return item.center[2] - z
+            return item.center[2] + item.offset - z
         case "cone":
             x, y, z = x - item.apex[0], y - item.apex[1], z - item.apex[2]
             return math.tan(math.radians(item.half_angle)) * z - np.hypot(x, y)

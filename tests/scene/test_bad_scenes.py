@@ -10,8 +10,9 @@ from clsco.errors import SceneError
 from clsco.scene.changes import dump
 from clsco.scene.file import parse_scene
 
-CENTERED = "rectangle, cylinder, sphere, ellipsoid, quadric or depth_map"
-SHAPES = "plane, rectangle, cylinder, sphere, cone, ellipsoid, quadric, depth_map or background"
+CENTERED = "rectangle, box, cylinder, sphere, ellipsoid, quadric or depth_map"
+BOUNDED = "plane, cylinder, sphere, cone, ellipsoid, quadric, depth_map or background"
+SHAPES = "plane, rectangle, box, cylinder, sphere, cone, ellipsoid, quadric, depth_map or background"
 # A line of a scene file whose object is valid, and the message.
 SCENES: list[tuple[str, str]] = [
     ("title = 3", "title: must be text; got 3"),
@@ -295,7 +296,7 @@ OBJECTS: list[tuple[str, str]] = [
     ('shape = "rectangle", size = 3', "object[0].size: must be a list of 2 numbers; got 3"),
     (
         'shape = "rectangle", bounds = [[0, 1], [0, 1], [0, 1]]',
-        f"object[0].bounds: belongs to {SHAPES.replace('rectangle, ', '')}, not to rectangle; got a list of 3 entries",
+        f"object[0].bounds: belongs to {BOUNDED}, not to rectangle; got a list of 3 entries",
     ),
     (
         'shape = "rectangle", center = [0, 0, -14.9], rotation = [90, 0, 0], size = [99, 29.8]',

@@ -356,7 +356,7 @@ def test_there_are_examples() -> None:
     assert figures >= {"3_04", "3_05", "3_08", "3_09", "3_12", "3_13", "3_15", "3_17", "4_02", "4_03", "4_06"}
     assert figures >= {"4_13", "4_14", "4_15", "4_16", "4_17", "4_19"}
     shapes = {item.shape for path in EXAMPLES for item in load_sweep(path).scenes[0].objects}
-    assert shapes == set(SHAPES)
+    assert shapes == SHAPES.keys() - {"box"}  # which is six rectangles
 
 
 KEYS = sorted(
