@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, TypeAdapter
 
-from clsco.scene.quantities import Angle, Component, Direction, Numbers4, Strict, Triple, Vector, fault
+from clsco.scene.quantities import Angle, Component, Direction, Numbers4, Strict, Triple, Vector, as_python, fault
 
 SMALLEST_QUATERNION = 1e-6  # length below which a quaternion has no direction
 Rows = tuple[Vector, Vector, Vector]  # of a matrix
@@ -46,6 +46,7 @@ def _euler_angles() -> TypeAdapter[Any]:
 
 def _one_form(value: Any) -> Any:
     """Validate the form that a rotation is given in, so that a fault of it is reported alone."""
+    value = as_python(value)
     if isinstance(value, AxisAngle | UnitQuaternion):
         return value
     if isinstance(value, Mapping) and value:
