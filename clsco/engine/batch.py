@@ -13,7 +13,7 @@ from clsco.engine.sequence import render_prepared
 from clsco.errors import ImageError, SceneError
 from clsco.files.atomic import remove_stale, same_place, writable_folder
 from clsco.frame.files import frame_files, frame_json, holds_truth, read_complete, write_frame
-from clsco.frame.frame import Frame
+from clsco.frame.frame import IMAGE_NAMES, Frame
 from clsco.frame.provenance import file_digests, record
 from clsco.frame.truth_files import TruthFile
 from clsco.opencl.session import Session, session_for
@@ -144,7 +144,7 @@ def prepare_all(
 def _require_arrays(planned: Sequence[PreparedFile], files: Sequence[TruthFile]) -> None:
     """Raise SceneError for arrays that are wanted by name, and that a scene does not have."""
     faults = dict[str, None]()
-    named = {name: file for file in files if file.names for name in file.truth}
+    named = {name: file for file in files if file.names for name in file.truth if name not in IMAGE_NAMES}
     for path, _, prepared in planned:
         missing = [name for each in prepared for name in named if name not in each.plan.truth]
         faults.update({f"{path}: --truth: the scene must have {name}; got {named[name]}": None for name in missing})

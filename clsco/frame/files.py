@@ -37,10 +37,13 @@ def exr_channels(frame: Frame, wanted: TruthFile | None = None) -> dict[str, NDA
             return {}
         return {layer + name: array if array.ndim == 2 else array[..., n] for n, name in enumerate(names)}
 
+    alpha = arrays.get("alpha")
+    if alpha is None and color is not None:
+        alpha = np.ones(color.shape[:2], color.dtype)
     single = {"Z": "depth", "id": "object_id"} | {name: name for name in plain}
     return {
         **split("", "RGB", color),
-        **({} if color is None else {"A": arrays.get("alpha", np.ones(color.shape[:2], color.dtype))}),
+        **({} if alpha is None else {"A": alpha}),
         **{channel: arrays[name] for channel, name in single.items() if name in arrays},
         **split("sharp.", "RGB", arrays.get("sharp")),
         **split("N.", "XYZ", arrays.get("normal")),

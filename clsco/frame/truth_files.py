@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import ImageError, SceneError
-from clsco.frame.frame import ALL_TRUTH, FILE_NAMES, Frame
+from clsco.frame.frame import ALL_TRUTH, FILE_NAMES, IMAGE_NAMES, Frame
 
 OPTIONS = ("float16", "compressed")
 ATTRIBUTES = {in_file: name for name, in_file in FILE_NAMES.items()}
@@ -115,6 +115,6 @@ def _parsed(text: str) -> TruthFile:
 
 
 def needed_truth(files: Iterable[TruthFile]) -> tuple[str, ...]:
-    """Attributes of a frame besides color that files need, in the order of `ALL_TRUTH`."""
+    """Attributes of a frame besides color that files need, in the order of the frame."""
     needed = {name for file in files for name in file.truth}
-    return tuple(name for name in ALL_TRUTH if name in needed)
+    return tuple(name for name in (*ALL_TRUTH, *IMAGE_NAMES) if name in needed)

@@ -92,6 +92,7 @@ def pair() -> tuple[Frame, Frame]:
             occluded=generator.random((6, 8)) < 0.5,
             flow_backward=generator.random((6, 8, 2)).astype("f4"),
             flow_occluded=generator.random((6, 8)) < 0.5,
+            alpha=generator.random((6, 8)).astype("f4"),
             eye=eye,
             metadata={"guard_px": guard},
         )

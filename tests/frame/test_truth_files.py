@@ -44,6 +44,7 @@ def test_names_are_read() -> None:
     assert needed_truth(truth_files("npz:flow,color,exr:depth,coc")) == ("depth", "blur_radius", "flow")
     assert needed_truth(truth_files("npz:flow,exr")) == ALL_TRUTH
     assert needed_truth(truth_files("npz:color")) == ()
+    assert needed_truth(truth_files("npz:alpha,color,depth")) == ("depth", "alpha")
 
 
 @pytest.mark.parametrize(
@@ -152,6 +153,9 @@ def test_render_writes_and_resumes_them(tmp_path: Path) -> None:
     assert render("npz")
     assert not render("npz")
     assert "normal" in arrays(out / "frame_0000.npz")
+    assert render("npz:alpha,exr:alpha")
+    assert (arrays(out / "frame_0000.npz")["alpha"] > 0.9).any()
+    assert OpenEXR.File(str(out / "frame_0000.exr"), separate_channels=True).channels().keys() == {"A"}
 
 
 def test_arrays_that_a_scene_does_not_have_are_refused(tmp_path: Path) -> None:

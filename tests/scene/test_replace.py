@@ -87,6 +87,7 @@ ITEMS: list[dict[str, Any]] = [
     {"shape": "ellipsoid"},
     {"shape": "quadric", "coefficients": [1.0] * 10},
     {"shape": "depth_map", "depth": "z.npy", "unit": "disparity", "baseline": 9.0, "offset": 0.0},
+    {"shape": "background"},
 ]
 
 
