@@ -124,6 +124,17 @@ def test_rays_enter_the_box_by_its_faces(rotation: Any, time: float) -> None:
     assert (w * points[:, 2] > 1.0 - 1e-12).all()
 
 
+def test_a_box_takes_arrays() -> None:
+    pixels = np.linspace(0.0, 1.0, 12, dtype=np.float32).reshape(3, 4)
+    keys: dict[str, Any] = {"texture": pixels, "rotation": np.array([20.0, 30.0, 0.0])}
+    scene = clsco.Scene(objects=(clsco.Box(**keys),))
+    assert len({id(face.texture) for face in scene.objects}) == 1
+    assert scene.objects[0].rotation == (20.0, 30.0, 0.0)
+    front = scene.replace("object.0.size.0", 10.0).objects[0]
+    assert isinstance(front, Rectangle)
+    assert front.size == (10.0, 30.0)
+
+
 def test_a_box_in_python() -> None:
     scene = clsco.Scene(objects=(clsco.Box(size=(3, 4, 5), rotation=ANY), clsco.Sphere()))
     assert len(scene.objects) == 7
