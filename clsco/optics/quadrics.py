@@ -105,7 +105,8 @@ def _axes_along(axis: Vector) -> NDArray[np.float64]:
 
 
 def _canonical_quadric(coefficients: tuple[float, ...], farthest: float) -> Canonical:
-    """Coefficients of 3.39 in principal axes; the origin moves by at most `farthest` mm to make l_i 0."""
+    """Coefficients of 3.39 in principal axes; the origin moves by at most `farthest` mm to make l_i 0, and onto a plane,
+    so that planes have no k, as visibility tests expect."""
     xx, yy, zz, xy, yz, zx, x, y, z, constant = coefficients
     matrix = np.array([[xx, xy / 2, zx / 2], [xy / 2, yy, yz / 2], [zx / 2, yz / 2, zz]])
     linear = np.array([x, y, z]) / 2
@@ -119,6 +120,8 @@ def _canonical_quadric(coefficients: tuple[float, ...], farthest: float) -> Cano
     shift = np.where(curved, -half_linear / np.where(curved, q, 1.0), 0.0)
     rest = np.where(curved, 0.0, half_linear)
     k = -(constant + float(half_linear @ shift))
+    if not q.any():
+        shift, k = half_linear * (k / (2.0 * float(half_linear @ half_linear))), 0.0
     return Canonical(q, rest, k, axes, axes.T @ shift)
 
 

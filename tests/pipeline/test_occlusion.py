@@ -292,3 +292,20 @@ def test_a_moving_camera_is_everything_moving_the_other_way() -> None:
     assert np.abs(found.color - image(scene(SCENES["row"])).color).max() > 0.1
     for name in ("color", "depth", "flow", "object_id", "normal", "hidden"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+
+
+def test_a_plane_hides_the_same_however_it_is_written() -> None:
+    """As a quadric about a point of it, and about one 10 mm before it."""
+    flat = {"shape": "quadric", "texture": "siemens_star"}
+    near = {"center": [0.0, 0.0, 250.0], "bounds": [[-6.0, 6.0], [-8.0, 8.0], [-20.0, 20.0]]}
+    far = {"center": [0.0, 0.0, 260.0], "bounds": [[-6.0, 6.0], [-8.0, 8.0], [-30.0, 10.0]]}
+    terms = [0.0] * 6 + [0.1, 0.05, 1.0]
+    one, other = (
+        image(scene({"object": [flat | about | {"coefficients": [*terms, constant]}, WALL]}, **PLAIN))
+        for about, constant in ((near, 0.0), (far, 10.0))
+    )
+    assert one.depth is not None
+    assert other.depth is not None
+    np.testing.assert_allclose(one.depth, other.depth, rtol=1e-6)
+    np.testing.assert_allclose(one.color, other.color, atol=1e-6)
+    assert np.ptp(one.color) > 0.1
