@@ -105,8 +105,8 @@ def _axes_along(axis: Vector) -> NDArray[np.float64]:
 
 
 def _canonical_quadric(coefficients: tuple[float, ...], farthest: float) -> Canonical:
-    """Coefficients of 3.39 in principal axes; the origin moves by at most `farthest` mm to make l_i 0, and onto a plane,
-    so that planes have no k, as visibility tests expect."""
+    """Coefficients of 3.39 in principal axes; the origin moves by at most `farthest` mm to make l_i 0, and onto a
+    plane, so that planes have no k, as visibility tests expect."""
     xx, yy, zz, xy, yz, zx, x, y, z, constant = coefficients
     matrix = np.array([[xx, xy / 2, zx / 2], [xy / 2, yy, yz / 2], [zx / 2, yz / 2, zz]])
     linear = np.array([x, y, z]) / 2
