@@ -159,7 +159,8 @@ def _unnamed(error: SceneError, where: str, case: Case) -> list[str]:
     while len(path) > 1 and isinstance(path[-1], int):  # a component is of its key
         path.pop()
     table, recorded = key_name(path[:-1] or path), keys_of(error, where)
-    dependent = {"motion": ("fill", "psf"), "object": ("psf",), "camera": ("psf",)}.get(str(case.changed[0]), ())
+    others = {"motion": ("fill", "psf"), "object": ("psf",), "camera": ("psf",), "group": ("object",)}
+    dependent = others.get(str(case.changed[0]), ())
     near = any(key.startswith((table, *dependent)) or table.startswith(key) or table in key for key in recorded)
     near |= case.changed[-1] == "name" and any(key.endswith(".name") for key in recorded)  # which must differ
     return [] if near else [f"changed {key_name(case.changed)}, but the messages name {recorded[:5]}"]
