@@ -130,7 +130,10 @@ def absolute(scene: Scene, folder: Path) -> Scene:
 
 def missing_files(data: Mapping[str, Any], folder: Path, where: str) -> list[str]:
     """Messages on files that do not exist, for a scene with other faults: files of a valid scene are read anyway."""
-    rules = {"texture": "must be an existing file or a built-in pattern", "depth": "must be an existing file"}
+    rules = {
+        "texture": "must be an existing file, a built-in pattern or a color #rrggbb",
+        "depth": "must be an existing file",
+    }
     return [
         f"{where}: object[{index}].{key}: {rule}; got {shown(name)}"
         for index, item in enumerate(items(data)[:MAX_MESSAGES])

@@ -454,6 +454,6 @@ def test_a_missing_texture_is_reported_with_the_other_faults(tmp_path: Path) -> 
         load_scene(path)
     assert [message.split(": ", 1)[1] for message in caught.value.messages] == [
         "object[0].radius: must be greater than 0 mm; got -1",
-        'object[0].texture: must be an existing file or a built-in pattern; got "nothere.png"',
+        'object[0].texture: must be an existing file, a built-in pattern or a color #rrggbb; got "nothere.png"',
         'object[1].depth: must be an existing file; got "z.exr"',
     ]

@@ -216,7 +216,7 @@ def test_a_missing_texture_is_reported_with_the_faults_of_a_sweep(tmp_path: Path
         load_sweep(path)
     assert caught.value.messages == (
         f"{path}: camera.f_number[1]: must be greater than 0; got -4",
-        f'{path}: object[0].texture: must be an existing file or a built-in pattern; got "none.png"',
+        f'{path}: object[0].texture: must be an existing file, a built-in pattern or a color #rrggbb; got "none.png"',
     )
 
 
