@@ -14,8 +14,9 @@ from clsco.cli.main import main
 def run() -> None:
     """Run the command line, and end the process.
 
-    Python and PoCL take some 45 ms to take themselves apart, a tenth of what the first frame of a process takes. So the
-    process ends when what was to be done at its end is done, unless a thread still works or a stream cannot be written.
+    Python and PoCL take a tenth of the first frame's time to take themselves apart (benchmarks/optimisation_log.md).
+    So the process ends when what was to be done at its end is done, unless a thread still works or a stream cannot be
+    written.
     """
     try:
         main()
