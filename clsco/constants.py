@@ -13,6 +13,21 @@ STATISTIC_SMALLEST = 1
 STATISTIC_SLOTS = 2
 STATISTIC_MOST_SLOTS = 3
 
+# Coordinates of a surface that a texture lies on (clsco/optics/texture_mapping.py, kernels/trace/mapping.clh), and what
+# is beyond an image.
+MAP_PROJECTED = -1
+MAP_PLANE = 0
+MAP_CYLINDER = 1
+MAP_LONGITUDE = 2
+MAP_CONE = 3
+MAP_TRIPLANAR = 4
+MAP_CUBE = 5
+WRAP_REPEAT = 0
+WRAP_MIRROR = 1
+WRAP_CLAMP = 2
+WRAP_NONE = 3
+CUBE_BORDER = 2  # texels of its neighbors around a face of a cube map, at each level: what a bicubic filter reads
+
 # Visibility (kernels/common/visibility.clh).
 LENS_CELLS = 8  # cells of the lens per half axis, where it is tested on a grid of its own
 

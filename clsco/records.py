@@ -39,13 +39,17 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     surface += _reals(real, rest=three, q=three, l=three)
     surface += _reals(real, bounds_low=three, bounds_high=three, k=(), at_lens=())
     surface += [("nappe", i), ("texture", i), *_reals(real, near_x=two, near_y=two, near_w=())]
+    mapping: list[Any] = [("base", "i8")]
+    mapping += [(name, i) for name in ("kind", "wrap_x", "wrap_y", "columns", "rows", "levels")]
+    mapping += _reals(real, frame=nine, scale=(4,), shift=two, slant=(), spread=(), outside=())
     pose = _reals(real, rotation=nine, shift=three)
     layer = [("members", "u8"), ("occluders", "u8"), *((name, i) for name in ("count", "own", "root"))]
     psf: list[Any] = [(name, i) for name in ("first", "count", "low", "end", "reach")]
     psf += [(name, i) for name in ("sub_first", "sub_count", "sub_low", "sub_end")]
     psf += _reals(real, key=(), minimum_blur=(), fine_steps=(), fine_until=(), octaves_from=(), steps=(), sub_steps=())
     psf += _reals(real, lens_extent=())
-    fields = {"camera_t": camera, "surface_t": surface, "pose_t": pose, "layer_t": layer, "psf_t": psf}
+    fields = {"camera_t": camera, "surface_t": surface, "texture_map_t": mapping}
+    fields |= {"pose_t": pose, "layer_t": layer, "psf_t": psf}
     return {name: np.dtype(members, align=True) for name, members in fields.items()}
 
 

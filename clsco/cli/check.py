@@ -30,6 +30,7 @@ FIGURES: dict[str, tuple[str, float]] = {
     "hidden": ("", 0.0),
     "flow_backward": ("px", 1e-4),
     "flow_occluded": ("", 0.0),
+    "uv": ("", 1e-5),
     "disparity": ("px", 1e-4),
     "occluded": ("", 0.0),
 }

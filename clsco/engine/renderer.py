@@ -66,7 +66,7 @@ class Renderer:
         wants_double = precision == "double" or (precision is None and device.has_fp64)
         real: Real = "double" if wants_double else "float"
         self.plan, self.limit, self.prepared, self.hits = plan, limit, prepared, hits
-        self.scene = PlacedScene(session, plan.scene, prepared.textures, real, plan.eye)
+        self.scene = PlacedScene(session, plan.scene, prepared.textures, real, plan.eye, plan.alpha)
         self.approximations = plan.approximations  # of every frame, before any of them is tried
         self.tried: tuple[tuple[str, float], ...] = ()
         self.space: Workspace | None = None

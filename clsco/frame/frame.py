@@ -14,8 +14,9 @@ from clsco.errors import SceneError
 
 TRUTH_NAMES = ("sharp", "depth", "blur_radius", "mask", "filled", "object_id", "normal", "flow", "hidden")
 MOTION_NAMES = ("flow_backward", "flow_occluded")  # besides, where something moves
+MAPPING_NAMES = ("uv",)  # besides, where a texture lies on a surface
 STEREO_NAMES = ("disparity", "occluded")  # besides, of a stereo pair
-ALL_TRUTH = (*TRUTH_NAMES, *MOTION_NAMES, *STEREO_NAMES)
+ALL_TRUTH = (*TRUTH_NAMES, *MOTION_NAMES, *MAPPING_NAMES, *STEREO_NAMES)
 IMAGE_NAMES = ("alpha",)  # besides, of the image, by name only
 FILE_NAMES = {name: name for name in ("color", *ALL_TRUTH, *IMAGE_NAMES)} | {"blur_radius": "coc"}
 """Names of the arrays in files, by attribute."""
@@ -47,7 +48,8 @@ class Frame:
 
     Row 0 is on top, column 0 on the left, pixel centers at integer coordinates. Channels are red, green, blue; arrays
     of a gray scene have none. Truth that was not requested is None. `sharp`, `depth`, `blur_radius`, `mask`,
-    `object_id`, `normal`, `flow` and `flow_backward` belong to the middle of the shutter and are never anti-aliased.
+    `object_id`, `normal`, `flow`, `flow_backward` and `uv` belong to the middle of the shutter and are never
+    anti-aliased, but for `sharp` where a texture lies on a surface: that is its mean over the pixel.
 
     Attributes
     ----------
@@ -77,6 +79,9 @@ class Frame:
         x right, y down, to the frame before. Where something moves only, as `flow_occluded`.
     flow_occluded : bool (rows, columns)
         The point is not visible in the next frame: another surface or its own hides it, or it is outside.
+    uv : float32 (rows, columns, 2)
+        Where the surface point is in the image of its texture, right and up from the lower left corner, in images: in a
+        repeated one beyond 1; of a cube map in a row of its six. Where a texture lies on a surface only.
     disparity : float32 (rows, columns), px
         Column in the left view less column in the right one of the surface point; 0 where nothing is. Of a stereo pair
         only, as `occluded`.
@@ -104,6 +109,7 @@ class Frame:
     hidden: NDArray[np.bool_] | None = None
     flow_backward: NDArray[np.float32] | None = None
     flow_occluded: NDArray[np.bool_] | None = None
+    uv: NDArray[np.float32] | None = None
     disparity: NDArray[np.float32] | None = None
     occluded: NDArray[np.bool_] | None = None
     alpha: NDArray[np.float32] | None = None

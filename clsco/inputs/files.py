@@ -33,7 +33,7 @@ from clsco.kept import Kept
 from clsco.resources import code_digest
 from clsco.scene.arrays import ArrayInput
 from clsco.scene.model import DepthMap, Scene
-from clsco.scene.shapes import is_drawn
+from clsco.scene.texture_keys import is_drawn
 
 KEPT_BYTES = 2**29  # a depth map of 8192 x 8192
 MOST_BYTES = 2**31  # of a file whose content is looked at before its header is

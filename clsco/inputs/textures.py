@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import math
 import os
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from clsco.errors import ImageError
 from clsco.files.images import Picture, image_size, read_image
 from clsco.files.transfer import decode, encode
+from clsco.inputs.mipmaps import mipmap
 from clsco.scene.arrays import ArrayInput
 from clsco.scene.model import Scene
-from clsco.scene.shapes import is_drawn
+from clsco.scene.texture_keys import is_drawn
 
 DEFAULT_SIDE = 512
 ROWS_AT_A_TIME = 128
@@ -39,18 +40,30 @@ class Texture:
     radiance: float32 (rows, columns) or (rows, columns, 3), 1 = white, >= 0; row 0 on top.
     bits: 8, 16 or 32 per value, as it was stored. source: name of the pattern, path of the file, or what an array is
     called in messages. content: what identifies the radiance, the same for the same values; None where that is not
-    known.
+    known. others: of a cube map, the radiance of the sides after the first, in the order of `clsco.inputs.mipmaps`.
     """
 
     radiance: NDArray[np.float32]
     bits: int
     source: str
     content: Hashable = None
+    others: tuple[NDArray[np.float32], ...] = ()
 
     @cached_property
     def brightest(self) -> float:
         """Largest radiance."""
-        return float(self.radiance.max(initial=0.0))  # none is below 0
+        return max(float(image.max(initial=0.0)) for image in self.images)  # none is below 0
+
+    @property
+    def images(self) -> tuple[NDArray[np.float32], ...]:
+        """The radiance, or the six of a cube map."""
+        return (self.radiance, *self.others)
+
+    def mipmap(self, channels: int) -> NDArray[np.float32]:
+        """All levels of `clsco.inputs.mipmaps.mipmap` of an image with so many channels, one after the other, (n,)."""
+        wide = [image[..., None] if image.ndim == 2 else image for image in self.images]
+        levels = mipmap([np.broadcast_to(image, (*image.shape[:2], channels)) for image in wide])
+        return np.concatenate([level.ravel() for level in levels])
 
 
 def load_texture(source: TextureSource, transfer: str, size: tuple[int, int] | None = None) -> Texture:
@@ -113,13 +126,15 @@ def is_gray(picture: Picture | str) -> bool:
 
 def with_coverage(texture: Texture, channels: int, covers: bool) -> Texture:
     """A texture of so many channels, and one more: 1 everywhere where it covers what is behind it, else 0."""
-    image = texture.radiance
-    wider = _empty((*image.shape[:2], channels + 1))
-    wider[..., :channels] = image[..., None] if image.ndim == 2 else image
-    wider[..., channels] = covers
-    wider.flags.writeable = False
+    found = []
+    for image in texture.images:
+        wider = _empty((*image.shape[:2], channels + 1))
+        wider[..., :channels] = image[..., None] if image.ndim == 2 else image
+        wider[..., channels] = covers
+        wider.flags.writeable = False
+        found.append(wider)
     content = None if texture.content is None else ("covering", texture.content, channels, covers)
-    return replace(texture, radiance=wider, content=content)
+    return replace(texture, radiance=found[0], others=tuple(found[1:]), content=content)
 
 
 def _by_rows(shape: tuple[int, ...], rows_of: Callable[[int, int], Floats]) -> NDArray[np.float32]:
@@ -157,7 +172,8 @@ def texture_size(source: TextureSource) -> tuple[int, int]:
 
 
 def load_scene_textures(scene: Scene, load: Callable[..., Texture] = load_texture) -> tuple[Scene, tuple[Texture, ...]]:
-    """Load the textures of all objects in the size of the frame, each file once.
+    """Load the textures of all objects, each file once: in the size of the frame, or in their own where they lie on a
+    surface.
 
     Parameters
     ----------
@@ -177,11 +193,48 @@ def load_scene_textures(scene: Scene, load: Callable[..., Texture] = load_textur
     ImageError
         As `load_texture`.
     """
-    names = [item.inputs()["texture"] for item in scene.objects]
-    columns, rows = scene.camera.resolution or texture_size(names[0])
+    names = [item.textures() for item in scene.objects]
+    columns, rows = scene.camera.resolution or texture_size(names[0][0])
     camera = scene.camera.model_copy(update={"resolution": (columns, rows)})
-    loaded = {name: load(name, scene.image.transfer, (rows, columns)) for name in dict.fromkeys(names)}
-    return scene.model_copy(update={"camera": camera}), tuple(loaded[name] for name in names)
+    loaded: dict[Hashable, Texture] = {}
+    for item, of_item in zip(scene.objects, names, strict=True):
+        key = of_item, item.mapped is None
+        if key not in loaded:
+            sizes = [(rows, columns) if item.mapped is None else own_size(name) for name in of_item]
+            sides = [load(name, scene.image.transfer, size) for name, size in zip(of_item, sizes, strict=True)]
+            loaded[key] = sides[0] if len(sides) == 1 else cube_map(sides)
+    placed = (loaded[of_item, item.mapped is None] for item, of_item in zip(scene.objects, names, strict=True))
+    return scene.model_copy(update={"camera": camera}), tuple(placed)
+
+
+def own_size(source: TextureSource) -> tuple[int, int] | None:
+    """Rows and columns that a texture on a surface is loaded in: its own, and one texel of a color."""
+    return (1, 1) if is_drawn(source) and source not in PATTERNS else None
+
+
+def mapped_size(sources: tuple[TextureSource, ...]) -> tuple[int, int]:
+    """Columns and rows of a texture on a surface, of one side of a cube map. Raises ImageError as `load_texture`."""
+    known = {(1, 1) if own_size(source) else texture_size(source) for source in sources}
+    found = known - {(1, 1)} or known
+    if len(found) > 1:
+        told = ", ".join(f"{columns} x {rows}" for columns, rows in sorted(found))
+        raise ImageError(f"texture: the six sides of a cube map must have one size; got {told} px")
+    return found.pop()
+
+
+def cube_map(sides: Sequence[Texture]) -> Texture:
+    """One texture of the six sides of a cube map; colors are made as large as the others. Raises ImageError."""
+    shape = max((side.radiance.shape[:2] for side in sides), key=lambda found: found[0] * found[1])
+    channels = max(side.radiance.ndim for side in sides)
+    images = []
+    for side in sides:
+        image = side.radiance[..., None] if side.radiance.ndim < channels else side.radiance
+        whole = (*shape, *((3,) if channels == 3 else ()))
+        images.append(image if image.shape == whole else np.broadcast_to(image, whole))
+    contents = [side.content for side in sides]
+    content = None if None in contents else ("cube map", *contents)
+    bits = max(side.bits for side in sides)
+    return Texture(images[0], bits, sides[-1].source, content, tuple(images[1:]))
 
 
 def require_suffix(source: str) -> None:

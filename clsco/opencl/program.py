@@ -32,9 +32,10 @@ OCCLUSION_HEADERS = ("common/occluder.clh", "common/visibility.clh", "common/vis
 GATHER_HEADERS = tuple(
     f"blur/cpu/{name}.clh" for name in ("vectors", "many", "rows", "near", "discs", "quadrants", "gaussians", "columns")
 )
+MAPPING_HEADERS = ("common/angles.clh", "trace/mapping.clh")  # with the feature MAPPED
 HEADERS_OF = {
-    "trace/trace.cl": ("common/sources.clh", "trace/texture.clh"),
-    "trace/truth.cl": ("trace/texture.clh",),
+    "trace/trace.cl": ("common/sources.clh", *MAPPING_HEADERS, "trace/texture.clh"),
+    "trace/truth.cl": (*MAPPING_HEADERS, "trace/texture.clh"),
     "blur/blur.cl": ("common/sources.clh", "common/psf.clh"),
     "blur/cpu/gather.cl": (
         "common/sources.clh",
@@ -81,7 +82,8 @@ def build(
     headers = [BUILTINS, *HEADERS]
     if features.get("OCCLUDED"):
         headers += [GATHERED_TAPS if features.get("GATHER") else SINGLE_TAPS, *OCCLUSION_HEADERS]
-    headers += dict.fromkeys(header for source in sources for header in HEADERS_OF.get(source, ()))
+    others = dict.fromkeys(header for source in sources for header in HEADERS_OF.get(source, ()))
+    headers += (header for header in others if features.get("MAPPED") or header not in MAPPING_HEADERS)
     if device.kind == "cpu":
         headers = [*[POCL_DECLARATIONS] * device.is_pocl, *(CPU_FORMS.get(header, header) for header in headers)]
     text = program_text([*headers, *sources], structs, real, device.has_fp64, device.has_int64_atomics)

@@ -4,21 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
+from clsco.inputs.mipmaps import mipmap_floats
 from clsco.inputs.textures import Texture
 from clsco.opencl.buffers import upload
 from clsco.opencl.session import Session
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center, rest_poses
 from clsco.optics.quadrics import PlacedSurface, place
-from clsco.passes.pack import pose_structs, surface_structs, texture_planes
+from clsco.optics.texture_mapping import texture_map
+from clsco.passes.pack import pose_structs, surface_structs, texture_map_structs, texture_planes
 from clsco.records import Real, structs
 from clsco.scene.model import Scene
 
+# A source is at most mean + k detail with k < 0.73 (kernels/trace/mapping.clh), of an image from 0 to 1.
+MOST_DETAIL = 2.46
 Surfaces = tuple[PlacedSurface | None, ...]  # of every object, None for a depth map
 
 
@@ -63,6 +68,8 @@ class PlacedScene:
         Precision of the geometry.
     eye : {"left", "right"}
         Of a stereo pair.
+    covered : bool
+        The last channel is coverage.
 
     Notes
     -----
@@ -70,37 +77,79 @@ class PlacedScene:
     """
 
     def __init__(
-        self, session: Session, scene: Scene, textures: Sequence[Texture], real: Real, eye: Eye = "left"
+        self,
+        session: Session,
+        scene: Scene,
+        textures: Sequence[Texture],
+        real: Real,
+        eye: Eye = "left",
+        covered: bool = False,
     ) -> None:
         self.session, self.scene, self.real, self.eye = session, scene, real, eye
+        self.textures, self.covered = tuple(textures), covered
         self.bits = max(texture.bits for texture in textures)
-        self.brightest = max(texture.brightest for texture in textures)
-        self.stack = list(dict.fromkeys(textures))  # those that several objects have in common once
-        self.texture_of = [self.stack.index(texture) for texture in textures]
+        gains = [1.0 if item.mapped is None else MOST_DETAIL for item in scene.objects]
+        self.brightest = max(gain * texture.brightest for gain, texture in zip(gains, textures, strict=True))
+        projected = [each for each, item in zip(textures, scene.objects, strict=True) if item.mapped is None]
+        self.stack = list(dict.fromkeys(projected))  # those that several objects have in common once
+        self.texture_of = [self.stack.index(each) if each in projected else 0 for each in textures]
+        self.mapped = list(dict.fromkeys(each for each in textures if each not in projected))
         self._texture: cl.Buffer | None = None
+        self._maps: cl.Buffer | None = None
         self._held: list[cl.Buffer] = []
 
-    @property
+    @cached_property
     def channels(self) -> int:
         """1, or 3 where any texture has color."""
-        return max(texture.radiance.shape[2] if texture.radiance.ndim == 3 else 1 for texture in self.stack)
+        images = (image for texture in (*self.stack, *self.mapped) for image in texture.images)
+        return max(image.shape[2] if image.ndim == 3 else 1 for image in images)
 
     @property
     def content(self) -> Hashable:
         """What identifies the textures: the same for the same ones; None where that is not known."""
         found = ("textures", self.channels, *(texture.content for texture in self.stack))
+        found += ("mapped", *(texture.content for texture in self.mapped)) if self.mapped else ()
         return None if None in found else found
 
     @property
     def texture(self) -> cl.Buffer:
-        """The textures: float (textures, channels, rows, columns)."""
+        """The textures: float (textures, channels, rows, columns), then mipmaps of those that lie on surfaces."""
         if self._texture is None:
             key, kept = self.content, self.session.kept
             self._texture = self._planes() if key is None else kept.get(key, self._planes, lambda planes: planes.size)
         return self._texture
 
     def _planes(self) -> cl.Buffer:
-        return upload(self.session, texture_planes([texture.radiance for texture in self.stack], self.channels))
+        planes = [texture_planes([texture.radiance for texture in self.stack], self.channels)] if self.stack else []
+        if not self.mapped:
+            return upload(self.session, planes[0])
+        found = [*(plane.ravel() for plane in planes), *(texture.mipmap(self.channels) for texture in self.mapped)]
+        return upload(self.session, np.concatenate(found))
+
+    @property
+    def texture_maps(self) -> tuple[cl.Buffer, ...]:
+        """texture_map_t of every object, where kernels read it: where a texture lies on a surface."""
+        if not self.mapped:
+            return ()
+        if self._maps is None:
+            self._maps = upload(self.session, self.packed_maps)
+        return (self._maps,)
+
+    @cached_property
+    def packed_maps(self) -> NDArray[np.void]:
+        """The same on the host."""
+        base = sum(self.channels * texture.radiance.shape[0] * texture.radiance.shape[1] for texture in self.stack)
+        bases = {}
+        for texture in self.mapped:
+            bases[texture] = base
+            rows, columns = texture.radiance.shape[:2]
+            base += mipmap_floats(columns, rows, self.channels, len(texture.images))
+        maps = [
+            None if item.mapped is None else texture_map(item, *reversed(texture.radiance.shape[:2]))
+            for item, texture in zip(self.scene.objects, self.textures, strict=True)
+        ]
+        first = [bases.get(texture, 0) for texture in self.textures]
+        return texture_map_structs(maps, first, self.scene.psf, float(self.covered), self.real)
 
     def at(self, time: float, weight: float = 1.0, eye: Eye | None = None) -> TimeSample:
         """The objects at a time in s, as `eye` sees them."""

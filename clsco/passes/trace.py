@@ -171,16 +171,20 @@ class Tracer:
         assert work.group is not None
         if self.hits is None:
             value, depth = buffers["value"], buffers.get("depth")
-            args = (*head, share, self.scene.texture, source, value, label, statistics)
+            args = (*head, share, *self._textures, source, value, label, statistics)
             self._per_pixel("trace", work, *args, *((depth,) if occluded else ()))
         else:
-            args = (*head[:3], share, self.scene.texture)
+            args = (*head[:3], share, *self._textures)
 
             def cast(planes: HitPlanes) -> None:
                 self._per_pixel("cast", work, *args, *planes)
 
-            value, depth, hit = self.hits.planes(hit_buffers(self.plan.grid), self._key(work), cast)
-            self._per_pixel("aim", work, *head, depth, hit, source, label, statistics)
+            sizes = hit_buffers(self.plan.grid, self.plan.mapped > 0)
+            value, depth, hit = self.hits.planes(sizes, self._key(work), cast)
+            parts: tuple[cl.Buffer, ...] = ()
+            if self.plan.mapped:
+                parts, value = (value, *self.scene.texture_maps, buffers["value"]), buffers["value"]
+            self._per_pixel("aim", work, *head, depth, hit, *parts, source, label, statistics)
         hidden: dict[str, Any] = {"surfaces": sample.surfaces, "layer": head[2], "depth": depth} if occluded else {}
         work.sources = Sources(source, value, **hidden)
 
@@ -195,7 +199,7 @@ class Tracer:
         subs = (buffers["sub_source"], buffers["sub_value"], statistics)
         sub_depth = buffers.get("sub_depth")
         occluded = (sub_depth,) if sub_depth is not None else ()
-        head = (*self._head(work), np.float32(work.sample.weight), self.scene.texture)
+        head = (*self._head(work), np.float32(work.sample.weight), *self._textures)
         size = (plan.slots * plan.silhouettes**2,)
         self.target.run(
             "trace_subpixels", size, PIXELS[:1], work.events, *head, buffers["pixels"], slots, *subs, *occluded
@@ -207,7 +211,7 @@ class Tracer:
     def pinhole(self, work: Work, weight: float) -> None:
         """The image of a pinhole of so much weight, with its radii."""
         value, coc, valid = (self.buffers[name] for name in ("value", "coc", "valid"))
-        head = (work.camera, work.sample.surfaces, everything(self.plan), np.float32(weight), self.scene.texture)
+        head = (work.camera, work.sample.surfaces, everything(self.plan), np.float32(weight), *self._textures)
         self._per_pixel("pinhole", work, *head, value, coc, valid, self.buffers["statistics"])
         work.planes = value, coc, valid
 
@@ -217,9 +221,15 @@ class Tracer:
         assert work.group is not None
         members = [k for k in range(len(sample.placed)) if work.group.members >> k & 1]
         grid = tuple(camera[name].tobytes() for name in camera.dtype.names or () if name not in OF_LENS)
-        built = tuple(features[name] for name in ("CHANNELS", "MOVED", "FILTER")), self.scene.real
+        built = tuple(features[name] for name in ("CHANNELS", "MOVED", "FILTER", "MAPPED")), self.scene.real
         cast = (grid, sample.weight, sample.packed[members].tobytes(), tuple(members), built)
-        return HitKey(work.group, cast, self.scene.content)
+        maps = self.scene.packed_maps.tobytes() if self.plan.mapped else b""
+        return HitKey(work.group, (cast, maps), self.scene.content)
+
+    @property
+    def _textures(self) -> tuple[cl.Buffer, ...]:
+        """The textures, and how they lie on surfaces where they do."""
+        return (self.scene.texture, *self.scene.texture_maps)
 
     def _head(self, work: Work) -> tuple[Any, ...]:
         assert work.group is not None

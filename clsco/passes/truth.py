@@ -27,7 +27,7 @@ BOOLEAN = ("hidden", "occluded", "flow_occluded")
 # What outputs are where no surface is; the background keeps its radiance and its blur.
 NOTHING: dict[str, float] = {
     "mask": False, "depth": np.inf, "object_id": -1, "normal": 0.0, "flow": 0.0, "hidden": False,
-    "flow_backward": 0.0, "flow_occluded": False, "disparity": 0.0, "occluded": False,
+    "flow_backward": 0.0, "flow_occluded": False, "uv": 0.0, "disparity": 0.0, "occluded": False,
 }  # fmt: skip
 Arrays = dict[str, NDArray[Any]]
 
@@ -77,7 +77,7 @@ class GroundTruth:
         sample, reference = scene.at(time), scene.in_reference_pose()
         after = scene.at(later)
         poses = scene.poses(after)
-        head = (sample.surfaces, reference.surfaces, poses, everything(plan), scene.texture)
+        head = (sample.surfaces, reference.surfaces, poses, everything(plan), scene.texture, *scene.texture_maps)
         view: tuple[Any, ...] = (sample.surfaces, poses, np.int32(0))  # read for a stereo pair alone
         if set(STEREO_NAMES) & set(names):
             there = scene.at(time, eye=self._opposite)

@@ -28,6 +28,8 @@ from clsco.constants import (
     WIDE_LANES,
 )
 from clsco.frame.strips import BAND, Grid
+from clsco.inputs.mipmaps import mipmap_floats
+from clsco.inputs.textures import mapped_size
 from clsco.optics.multigrid import coarse_frame, coarse_psf, coarse_radii, plane_shape
 from clsco.optics.psf import shape_of
 from clsco.optics.psf_grid import is_near
@@ -47,6 +49,7 @@ SUMS_BEYOND = 64  # sums of `convolve` beyond the last row that a vector there r
 PAGE, BESIDE_PAGE = 64, 5  # vectors of 8 doubles in 4 KiB, and how far from a multiple of it rows should be long
 ITEM_BYTES = 20  # of a group of sources of a column, beside its vectors
 MOST_IN_ONE_SUM = 256  # taps of `gather` that a float adds up before it goes into another sum
+MAP_BYTES = structs("double")["texture_map_t"].itemsize
 UNKNOWN = 2**62  # bytes, of a limit that is not known
 COUNTERS = COUNTER_DONE + 1  # ints, of a filling
 STATISTICS = STATISTIC_MOST_SLOTS + 1  # ints, of a frame
@@ -63,6 +66,7 @@ TRUTH_BUFFERS: dict[str, tuple[type[np.generic], int]] = {
     "occluded": (np.uint8, 1),
     "flow_backward": (np.float32, 2),
     "flow_occluded": (np.uint8, 1),
+    "uv": (np.float32, 2),
 }
 
 
@@ -407,8 +411,12 @@ def silhouette_buffers(spec: BlurSpec, grid: Grid, slots: int) -> Sizes:
 def texture_buffers(scene: Scene, channels: int, alpha: bool = False) -> Sizes:
     """The textures of a scene with a resolution, each once; alpha: that of a background covers nothing."""
     columns, rows = scene.camera.resolution or (0, 0)
-    count = len({(item.inputs()["texture"], alpha and item.is_background) for item in scene.objects})
-    return {"texture": 4 * channels * count * rows * columns}
+    seen = [item for item in scene.objects if item.mapped is None]
+    count = len({(item.inputs()["texture"], alpha and item.is_background) for item in seen})
+    size = 4 * channels * count * rows * columns
+    mapped = dict.fromkeys(item.textures() for item in scene.objects if item.mapped is not None)
+    size += sum(4 * mipmap_floats(*mapped_size(names), channels, len(names)) for names in mapped)
+    return {"texture": size} | ({"texture maps": len(scene.objects) * MAP_BYTES} if mapped else {})
 
 
 def source_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
@@ -416,10 +424,11 @@ def source_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
     return {"source": source_bytes(grid.sources, spec.tilt, spec.marked)}
 
 
-def hit_buffers(grid: Grid) -> Sizes:
-    """What rays of an occlusion group hit, for all lenses (`clsco.passes.trace.Hits`)."""
+def hit_buffers(grid: Grid, mapped: bool) -> Sizes:
+    """What rays of an occlusion group hit, for all lenses (`clsco.passes.trace.Hits`); mapped: textures lie on
+    surfaces, and have a detail besides."""
     pixels = grid.sources
-    return {"value": 4 * grid.channels * pixels, "depth": WIDE_BYTES * pixels, "hit": pixels}
+    return {"value": 4 * (1 + mapped) * grid.channels * pixels, "depth": WIDE_BYTES * pixels, "hit": pixels}
 
 
 def map_buffers(grid: Grid) -> Sizes:

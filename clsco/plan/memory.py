@@ -117,7 +117,7 @@ def defocus_bytes(spec: BlurSpec, grid: Grid, device: DeviceFacts, places: int =
 
 def hit_bytes(plan: Plan) -> int:
     """Planes of `clsco.passes.trace.Hits`, which lenses share."""
-    return len(plan.layers) * sum(hit_buffers(plan.grid).values())
+    return len(plan.layers) * sum(hit_buffers(plan.grid, plan.mapped > 0).values())
 
 
 def device_bytes(plan: Plan, views: int = 1) -> int:

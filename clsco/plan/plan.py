@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from clsco.constants import TAP_LANES
 from clsco.errors import SceneError
-from clsco.frame.frame import MOTION_NAMES, STEREO_NAMES, TRUTH_NAMES
+from clsco.frame.frame import MAPPING_NAMES, MOTION_NAMES, STEREO_NAMES, TRUTH_NAMES
 from clsco.frame.strips import Grid, Strip, cut
 from clsco.optics.lens import LARGEST_BLUR, blur_radius
 from clsco.optics.motion import Eye, Pose, sample_times
@@ -206,6 +206,12 @@ class Plan:
         return tuple(n for n in TRUTH_BUFFERS if n in wanted and not (n == "sharp" and self.forward))
 
     @property
+    def mapped(self) -> int:
+        """Textures that lie on surfaces: 0 none, 1 with coordinates that are linear in a point, 2 with any."""
+        kinds = {item.mapped for item in self.scene.objects} - {None}
+        return int(bool(kinds)) + int(not kinds <= {"card", "plane", "triplanar"})
+
+    @property
     def background(self) -> int | None:
         """Number of the object that is the background, None where there is none."""
         return next((k for k, item in enumerate(self.scene.objects) if item.is_background), None)
@@ -231,7 +237,8 @@ class Plan:
             "LIMITED": int(spec.limited),
             "GATHER": int(spec.occluders > 0 and self.blur == "gather"),
             "MOVED": int(moved),
-            "FILTER": FILTERS[scene.motion.texture_filter] if moved else 0,
+            "FILTER": FILTERS[scene.motion.texture_filter] if moved or self.mapped else 0,
+            "MAPPED": self.mapped,
             "TILT": int(self.tilt),
             "SUBPIXELS": self.silhouettes,
             "SAMPLED": psf["SAMPLED"],
@@ -321,6 +328,7 @@ def make_plan(
         The blur radius passes LARGEST_BLUR, or the method cannot do the scene.
     """
     others = ("alpha", *(STEREO_NAMES if scene.stereo is None else ()), *(() if scene.moves else MOTION_NAMES))
+    others += () if scene.has_mapped_textures else MAPPING_NAMES
     alpha, truth = "alpha" in truth, tuple(name for name in truth if name not in others)
     if scene.camera.resolution is None:
         raise SceneError("camera.resolution: must be known before a scene is planned; got None")
@@ -435,7 +443,9 @@ def _shapes(scene: Scene) -> str:
 
 def _of_rays(plan: Plan) -> Parameters:
     scene = plan.scene
-    moved = (("texture sampling", scene.motion.texture_filter),) if plan.features()["MOVED"] else ()
+    sampled = plan.features()["MOVED"] or plan.mapped
+    moved: Parameters = (("texture sampling", scene.motion.texture_filter),) if sampled else ()
+    moved += (("surface textures", "means over the pixel's footprint, from mipmaps"),) if plan.mapped else ()
     return (("rays", f"against the {_shapes(scene)}, one per pixel"), *moved, *_of_frame(plan))
 
 
@@ -479,7 +489,7 @@ def _left_out(plan: Plan) -> tuple[tuple[str, str], ...]:
     reasons = {
         "motion": None if plan.moves else "nothing moves: one sample, in the reference pose",
         "trace": no_rays if forward or static else None,
-        "texture sampling": None if plan.features()["MOVED"] else wide if forward else alike,
+        "texture sampling": None if plan.features()["MOVED"] or plan.mapped else wide if forward else alike,
         "reproject": None if forward else "no forward warp",
         "fill": (None if scene.fill.method != "none" else "fill.method is none") if forward else only_warp,
         "silhouettes": None if plan.silhouettes else "silhouette_samples = 1" if psf.silhouette_samples == 1 else whole,

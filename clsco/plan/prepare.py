@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 from clsco.errors import ImageError, SceneError
 from clsco.frame.provenance import views
 from clsco.inputs.files import InputFiles, Maps, shared_files
-from clsco.inputs.textures import Texture, is_gray, texture_size, with_coverage
+from clsco.inputs.textures import Texture, is_gray, mapped_size, texture_size, with_coverage
 from clsco.plan.buffers import DeviceFacts
 from clsco.plan.memory import fitted, limit_of
 from clsco.plan.plan import Plan, make_plan
 from clsco.plan.request import Request
 from clsco.scene.faults import at_most
 from clsco.scene.model import DepthMap, Scene
-from clsco.scene.shapes import is_drawn
 from clsco.scene.sweep import Sweep
+from clsco.scene.texture_keys import is_drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,10 +153,15 @@ def _channels(scene: Scene, files: InputFiles) -> int:
     faults, gray = list[str](), True
     for index, item in enumerate(scene.objects):
         sources = item.inputs()
-        with _collected(faults, f"object[{index}].texture"):
-            texture = sources["texture"]
-            texture_size(texture)
-            gray = gray and is_gray(str(texture) if is_drawn(texture) else files.picture(texture))
+        for key, texture in sources.items():
+            if key == "depth":
+                continue
+            with _collected(faults, f"object[{index}].{key}"):
+                texture_size(texture)
+                gray = gray and is_gray(str(texture) if is_drawn(texture) else files.picture(texture))
+        if item.mapped == "cube":
+            with _collected(faults, f"object[{index}].texture"):
+                mapped_size(item.textures())
         if "depth" in sources:
             with _collected(faults, f"object[{index}].depth"):
                 files.depth(sources["depth"])

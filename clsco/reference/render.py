@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.frame.frame import MOTION_NAMES, Frame
+from clsco.frame.frame import MAPPING_NAMES, MOTION_NAMES, Frame
 from clsco.inputs.depth_maps import load_scene_depths
+from clsco.inputs.textures import Texture as TextureImage
 from clsco.inputs.textures import load_scene_textures
 from clsco.optics.depth_truth import map_flow, map_normal, map_occluded, map_stereo
 from clsco.optics.motion import Eye, Pose, middle_time, poses_at, rest_poses
 from clsco.optics.quadrics import PlacedSurface, place
+from clsco.optics.texture_mapping import texture_map
 from clsco.optics.visibility import Layer
 from clsco.plan.plan import Plan, exposure, make_plan
 from clsco.plan.predict import Maps
@@ -23,9 +25,11 @@ from clsco.reference.blur.blur import prepare_sources, scatter
 from clsco.reference.common.geometry import Array, blur_radius
 from clsco.reference.inpainting.fill import FillReport, fill_objects
 from clsco.reference.layered.layered import layered
+from clsco.reference.trace.mapping import MappedTexture, mapped_texture
 from clsco.reference.trace.trace import (
     Sources,
     SubpixelSources,
+    Texture,
     View,
     everything,
     mark_silhouettes,
@@ -35,7 +39,7 @@ from clsco.reference.trace.trace import (
 )
 from clsco.reference.trace.truth import ground_truth
 from clsco.reference.warp.warp import extend_border, reproject
-from clsco.scene.model import Scene
+from clsco.scene.model import Object, Scene
 
 
 def _cast_sources(view: View, layer: Layer, guard: int) -> tuple[Sources, SubpixelSources | None]:
@@ -58,19 +62,20 @@ class _Warped:
 
 
 def _warped_sources(
-    scene: Scene, textures: tuple[Array, ...], maps: Maps, guard: int, time: float, eye: Eye
+    scene: Scene, textures: tuple[Texture, ...], maps: Maps, guard: int, time: float, eye: Eye
 ) -> _Warped:
     """Sources of one time sample from the pixels of the reference pose: the forward warp, with its holes filled."""
     poses, mapped = poses_at(scene, time, eye), any(depth is not None for depth in maps)
     reference_pose = _placed(scene, rest_poses(scene))
-    new = reproject(scene, textures, reference_pose, maps, poses, guard)
+    images = tuple(texture for texture in textures if not isinstance(texture, MappedTexture))  # all of them
+    new = reproject(scene, images, reference_pose, maps, poses, guard)
     allowed = None
     if scene.fill.domain == "surface" and not mapped:
         view = view_at(scene, textures, time, eye, True)
         allowed = trace(view, everything(scene), guard).label > 0
     values = np.concatenate([new.radiance, new.inverse_depth[..., None]], axis=-1)
     far = mapped or len(scene.objects) > 1
-    brightest = max(float(np.abs(texture).max()) for texture in textures)
+    brightest = max(float(np.abs(image).max()) for image in images)
     values, objects, status, report = fill_objects(
         values, new.object, new.known, allowed, scene.fill.method, guard, far, brightest
     )
@@ -121,14 +126,24 @@ def render(scene: Scene) -> Iterator[Frame]:
     sample with its time in s, its weight and the counts of `clsco.reference.inpainting.fill.FillReport`.
     """
     scene, loaded = load_scene_textures(scene)
-    channels = max(texture.radiance.shape[2] if texture.radiance.ndim == 3 else 1 for texture in loaded)
-    textures = tuple(_with_channels(texture.radiance, channels) for texture in loaded)
+    images = [image for texture in loaded for image in texture.images]
+    channels = max(image.shape[2] if image.ndim == 3 else 1 for image in images)
+    textures = tuple(_texture(scene, *pair, channels) for pair in zip(scene.objects, loaded, strict=True))
     maps = load_scene_depths(scene)
     eyes: tuple[Eye, ...] = ("left",) if scene.stereo is None else ("left", "right")
     plans = [make_plan(scene, channels, eye=eye, maps=maps) for eye in eyes]
     for frame in range(scene.sequence.frames):
         for plan in plans:
             yield _frame(plan, textures, maps, frame)
+
+
+def _texture(scene: Scene, item: Object, texture: TextureImage, channels: int) -> Texture:
+    """The texture of an object in so many channels."""
+    if item.mapped is None:
+        return _with_channels(texture.radiance, channels)
+    images = [_with_channels(image, channels).astype(np.float32) for image in texture.images]
+    rows, columns = images[0].shape[:2]
+    return mapped_texture(images, texture_map(item, columns, rows), scene.psf, scene.motion.texture_filter)
 
 
 def _with_channels(radiance: NDArray[np.float32], channels: int) -> Array:
@@ -142,9 +157,9 @@ def _moves_pixels(plan: Plan) -> bool:
     return plan.forward or plan.static_map
 
 
-def _time_sample(plan: Plan, textures: tuple[Array, ...], maps: Maps, time: float) -> tuple[Array, dict[str, int]]:
+def _time_sample(plan: Plan, textures: tuple[Texture, ...], maps: Maps, time: float) -> tuple[Array, dict[str, int]]:
     """The blurred image (m, n, C) of one time sample, and its metadata."""
-    scene, guard, shape = plan.scene, plan.guard_px, textures[0].shape[:2]
+    scene, guard, shape = plan.scene, plan.guard_px, (plan.rows, plan.columns)
     if _moves_pixels(plan):
         warped = _warped_sources(scene, textures, maps, guard, time, plan.eye)
         image, count = _image_of_planes(scene, plan, warped.sources, shape)
@@ -154,16 +169,16 @@ def _time_sample(plan: Plan, textures: tuple[Array, ...], maps: Maps, time: floa
         visible = trace(view, plan.layers[0], guard)
         image, count = _image_of_planes(scene, plan, visible, shape)
         return image, asdict(FillReport()) | count
-    image = np.zeros(textures[0].shape)
+    image = np.zeros((*shape, plan.channels))
     for layer in plan.layers:
         sources, sub = _cast_sources(view, layer, guard)
         image = image + scatter(scene.psf, sources, sub, shape, guard)
     return image, asdict(FillReport())
 
 
-def _frame(plan: Plan, textures: tuple[Array, ...], maps: Maps, index: int) -> Frame:
+def _frame(plan: Plan, textures: tuple[Texture, ...], maps: Maps, index: int) -> Frame:
     scene, guard = plan.scene, plan.guard_px
-    color, samples = np.zeros(textures[0].shape), []
+    color, samples = np.zeros((plan.rows, plan.columns, plan.channels)), []
     for time, weight in zip(*(values.tolist() for values in exposure(plan, index)), strict=True):
         image, report = _time_sample(plan, textures, maps, time)
         color = accumulate(color, image, weight)
@@ -181,12 +196,13 @@ def _frame(plan: Plan, textures: tuple[Array, ...], maps: Maps, index: int) -> F
     return Frame(index=index, color=_without_channel(color), sharp=sharp, metadata=about, eye=eye, **arrays)
 
 
-def _truth(plan: Plan, textures: tuple[Array, ...], maps: Maps, index: int) -> dict[str, Any]:
+def _truth(plan: Plan, textures: tuple[Texture, ...], maps: Maps, index: int) -> dict[str, Any]:
     """Ground truth from rays; empty where the scene has depth maps, which are not ray-castable."""
     if any(depth is not None for depth in maps):
         return {}
     found = vars(ground_truth(plan.scene, textures, index, plan.eye))
-    return {name: array for name, array in found.items() if plan.moves or name not in MOTION_NAMES}
+    others = (*(() if plan.moves else MOTION_NAMES), *(() if plan.mapped else MAPPING_NAMES))
+    return {name: array for name, array in found.items() if name not in others}
 
 
 def _depth(sources: Sources) -> Array:
@@ -194,7 +210,7 @@ def _depth(sources: Sources) -> Array:
     return np.where(sources.lit, 1.0 / np.where(sources.lit, sources.inverse_depth, 1.0), np.inf)
 
 
-def _map_truth(plan: Plan, textures: tuple[Array, ...], maps: Maps, middle: _Warped, index: int) -> dict[str, Any]:
+def _map_truth(plan: Plan, textures: tuple[Texture, ...], maps: Maps, middle: _Warped, index: int) -> dict[str, Any]:
     """Ground truth of a scene with depth maps: of the pixels in their new places."""
     scene, guard = plan.scene, plan.guard_px
     valid = _crop(middle.sources.lit, guard)

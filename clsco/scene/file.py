@@ -16,8 +16,8 @@ from clsco.errors import SceneError
 from clsco.scene.changes import override
 from clsco.scene.faults import MAX_MESSAGES, at_most, items, messages, parsed, sections
 from clsco.scene.model import AnyShape, ObjectMotion, Psf, Scene
-from clsco.scene.shapes import is_drawn
 from clsco.scene.text import key_name, shown
+from clsco.scene.texture_keys import is_drawn
 
 MAX_FILE_BYTES = 2**20
 MAX_OUTPUTS = 4096  # of a sweep

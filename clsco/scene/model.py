@@ -14,6 +14,7 @@ from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, field_valid
 
 from clsco.scene.changes import replaced
 from clsco.scene.groups import Group, Groups, unknown_groups
+from clsco.scene.objects import MAX_OBJECTS, Object, Objects
 from clsco.scene.quantities import (
     MAX_LENGTH_MM,
     MIN_LENGTH_MM,
@@ -32,8 +33,6 @@ from clsco.scene.quantities import (
     fault,
 )
 from clsco.scene.shapes import (
-    BUILT_IN_TEXTURES,
-    MAX_OBJECTS,
     AnyShape,
     Background,
     Box,
@@ -41,15 +40,14 @@ from clsco.scene.shapes import (
     Cylinder,
     DepthMap,
     Ellipsoid,
-    Object,
     ObjectMotion,
-    Objects,
     Plane,
     Quadric,
     Rectangle,
     Sphere,
     origin,
 )
+from clsco.scene.texture_keys import BUILT_IN_TEXTURES, Fault
 
 __all__ = [
     "BUILT_IN_TEXTURES",
@@ -353,6 +351,18 @@ class Scene(Strict):
             raise at_keys([(("psf", "occlusion"), fault(rule), self.psf.occlusion)])
         return self
 
+    @model_validator(mode="after")
+    def _surface_textures_need_rays(self) -> Self:
+        if not self.is_ray_castable:
+            rule = 'belongs to scenes of analytic surfaces with motion.warp = "inverse"'
+            found: list[Fault] = []
+            for index, item in enumerate(self.objects):
+                if item.mapped is not None:
+                    found.append((("object", index, "texture_mapping"), fault(rule), item.texture_mapping))
+            if found:
+                raise at_keys(found)
+        return self
+
     def replace(self, path: str, value: Any) -> Self:
         """The scene with another value of one key, without what contradicts it: "camera.f_number" removes an aperture.
 
@@ -392,6 +402,11 @@ class Scene(Strict):
     def is_ray_castable(self) -> bool:
         """Whether every surface is analytic at any time: no depth map, and no pixels moved by a forward warp."""
         return self.is_analytic and not (self.moves and self.motion.warp == "forward")
+
+    @property
+    def has_mapped_textures(self) -> bool:
+        """Whether a texture lies on a surface, and is not projected."""
+        return any(item.mapped is not None for item in self.objects)
 
     @property
     def is_analytic(self) -> bool:

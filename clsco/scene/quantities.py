@@ -166,16 +166,16 @@ def _few_enough(value: tuple[int, int]) -> tuple[int, int]:
     return value
 
 
-_Pair, Triple, Numbers4 = (BeforeValidator(_list_of(count, "numbers")) for count in (2, 3, 4))
+Pair, Triple, Numbers4 = (BeforeValidator(_list_of(count, "numbers")) for count in (2, 3, 4))
 Flag = Annotated[bool, BeforeValidator(as_python)]
 Text = Annotated[str, Field(max_length=4096), AfterValidator(_single_line)]
 Name = Annotated[str, Field(min_length=1, max_length=4096), AfterValidator(_single_line)]
 Length = Annotated[float, Within(MIN_LENGTH_MM, MAX_LENGTH_MM, "mm")]
-Sides = Annotated[tuple[Length, Length], _Pair]
+Sides = Annotated[tuple[Length, Length], Pair]
 Lengths = Annotated[tuple[Length, Length, Length], Triple]
 Coordinate = Annotated[float, Within(-MAX_LENGTH_MM, MAX_LENGTH_MM, "mm")]
 Point = Annotated[tuple[Coordinate, Coordinate, Coordinate], Triple]
-Interval = Annotated[tuple[Coordinate, Coordinate], AfterValidator(_increasing), _Pair]
+Interval = Annotated[tuple[Coordinate, Coordinate], AfterValidator(_increasing), Pair]
 Bounds = Annotated[tuple[Interval, Interval, Interval], BeforeValidator(_list_of(3, "pairs [low, high]"))]
 Component = Annotated[float, Within(-1e9, 1e9)]
 Direction = Annotated[tuple[Component, Component, Component], AfterValidator(_not_zero), Triple]

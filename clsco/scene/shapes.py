@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Iterable
-from itertools import count
-from typing import Annotated, Any, Literal, cast, get_args
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal, cast, get_args
 
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator
-from pydantic_core import PydanticCustomError
+from pydantic import Field, ValidationInfo, field_validator
 
-from clsco.scene.arrays import ArrayInput, DepthInput, TextureInput
+from clsco.scene.arrays import ArrayInput, DepthInput
 from clsco.scene.quantities import (
     AngularVelocity,
     Bounds,
@@ -28,23 +25,15 @@ from clsco.scene.quantities import (
     Vector,
     Velocity,
     Within,
-    at_keys,
     fault,
 )
 from clsco.scene.rotations import Rotation, after, depth_row
+from clsco.scene.texture_keys import ROUND, TRIPLANAR, Mapped, SixSided, Textured, is_drawn
 
-BUILT_IN_TEXTURES = ("bricks", "checkerboard", "slanted_edge", "siemens_star")
-COLOR = re.compile("#[0-9a-fA-F]{6}")
-MAX_OBJECTS = 64
 BACKGROUND_MM = 1e12
 """Distance of what is infinitely far away: its blur differs from that of infinity by a part in 10^10."""
 ROUNDING = 1e-15  # of a direction's component that a rotation leaves of 0
 IN_FRONT = "must leave part of the object in front of the lens (z > 0)"
-
-
-def is_drawn(texture: object) -> bool:
-    """Whether a texture is built in, or a color, and neither a file nor an array."""
-    return isinstance(texture, str) and (texture in BUILT_IN_TEXTURES or COLOR.fullmatch(texture) is not None)
 
 
 def _reaching(center: Vector, reach: float | None) -> Vector:
@@ -68,16 +57,13 @@ class ObjectMotion(Strict):
         return any(self.velocity) or any(self.angular_velocity)
 
 
-class _Object(Strict):
+class _Object(Textured):
     """Keys that every shape has."""
 
     shape: str
     """Kind of surface."""
     name: Name = Field(default_factory=lambda data: data["shape"])
     """Name in messages and metadata. Default: shape."""
-    texture: TextureInput = "bricks"
-    """bricks, checkerboard, slanted_edge, siemens_star, a color "#rrggbb", or an image: a path, relative to the scene
-    file; in Python also a NumPy array."""
     rotation: Rotation | None = None
     """Pose at t = 0, about the object's origin: Euler angles [x, y, z] in deg, {axis, angle} or {quaternion}, in the
     order and sense of a motion; none if not given."""
@@ -96,14 +82,10 @@ class _Object(Strict):
         """Whether it is what is behind all others, and no surface in the ground truth."""
         return False
 
-    def inputs(self) -> dict[str, str | ArrayInput]:
-        """What the object is made of, by key: the name of a pattern, the path of a file, or an array."""
-        return {"texture": cast("str | ArrayInput", self.texture)}
-
     def files(self) -> dict[str, str]:
         """Paths of the files among its inputs, by the keys that name them."""
         named = {key: value for key, value in self.inputs().items() if isinstance(value, str)}
-        return {key: path for key, path in named.items() if key != "texture" or not is_drawn(path)}
+        return {key: path for key, path in named.items() if key == "depth" or not is_drawn(path)}
 
     def arrays(self) -> dict[str, ArrayInput]:
         """The arrays among its inputs, by key."""
@@ -120,6 +102,7 @@ class _Bounded(_Object):
 class Plane(_Bounded):
     """Plane Z = distance + slope_x X + slope_y Y (3.7); origin (0, 0, distance)."""
 
+    MAPPINGS: ClassVar[Mapping[str, Mapped]] = TRIPLANAR | {"surface": "plane"}
     shape: Literal["plane"] = "plane"
     distance: Length = 250.0
     """Distance a on the optical axis, mm."""
@@ -132,6 +115,7 @@ class Plane(_Bounded):
 class Rectangle(_Object):
     """Flat card; unless it is rotated, it faces the camera."""
 
+    MAPPINGS: ClassVar[Mapping[str, Mapped]] = TRIPLANAR | {"surface": "card"}
     shape: Literal["rectangle"] = "rectangle"
     size: Sides = (40.0, 30.0)
     """Width and height, mm."""
@@ -157,9 +141,10 @@ class Rectangle(_Object):
         return _reaching(center, sides + info.data["offset"] * row[2])
 
 
-class Box(_Object):
+class Box(SixSided, _Object):
     """Closed box; a scene has its faces as rectangles in place of it."""
 
+    MAPPINGS: ClassVar[Mapping[str, Mapped]] = TRIPLANAR | {"surface": "card"}
     shape: Literal["box"] = "box"
     size: Lengths = (40.0, 30.0, 30.0)
     """Sides along x, y and z before any rotation, mm."""
@@ -192,20 +177,21 @@ class Box(_Object):
             ("left", (z, y), -0.5 * x, about_y), ("right", (z, y), 0.5 * x, about_y),
             ("top", (x, z), -0.5 * y, about_x), ("bottom", (x, z), 0.5 * y, about_x),
         )  # fmt: skip
-        alike = {"texture": self.texture, "motion": self.motion, "group": self.group, "center": self.center}
+        alike = self.texture_keys() | {"motion": self.motion, "group": self.group, "center": self.center}
         found = []
         for side, size, offset, turn in placed:
             rotation = after(turn, self.rotation)
             sides = sum(0.5 * length * abs(r) for length, r in zip(size, depth_row(rotation)[:2], strict=True))
             if self.center[2] + sides + offset * depth_row(rotation)[2] > 0.0:
                 keys = {"name": f"{self.name} {side}", "size": size, "offset": offset, "rotation": rotation}
-                found.append(Rectangle.model_validate(keys | alike))
+                found.append(Rectangle.model_validate(alike | keys | {"texture": self.side(side)}))
         return tuple(found)
 
 
 class Cylinder(_Bounded):
     """Circular cylinder without ends (3.11), its axis in any direction."""
 
+    MAPPINGS: ClassVar[Mapping[str, Mapped]] = TRIPLANAR | {"surface": "cylinder"}
     shape: Literal["cylinder"] = "cylinder"
     radius: Length = 30.0
     """Radius, mm."""
@@ -225,9 +211,10 @@ class Cylinder(_Bounded):
         return _reaching(center, info.data["radius"] if along <= ROUNDING * math.hypot(*axis) else None)
 
 
-class Sphere(_Bounded):
+class Sphere(SixSided, _Bounded):
     """Sphere (3.18), its center anywhere."""
 
+    MAPPINGS: ClassVar[Mapping[str, Mapped]] = ROUND
     shape: Literal["sphere"] = "sphere"
     radius: Length = 30.0
     """Radius, mm."""
@@ -243,6 +230,7 @@ class Sphere(_Bounded):
 class Cone(_Bounded):
     """One nappe of a circular cone (3.23); unless it is rotated, its axis is parallel to the optical axis."""
 
+    MAPPINGS: ClassVar[Mapping[str, Mapped]] = TRIPLANAR | {"surface": "cone"}
     shape: Literal["cone"] = "cone"
     half_angle: Annotated[float, Within(0.0, 90.0, "deg", "()")] = 45.0
     """Angle from axis to surface, deg."""
@@ -263,9 +251,10 @@ class Cone(_Bounded):
         return _reaching(apex, 0.0 if away <= 0.0 else None)
 
 
-class Ellipsoid(_Bounded):
+class Ellipsoid(SixSided, _Bounded):
     """Ellipsoid (3.33); unless it is rotated, its axes are along x, y and z."""
 
+    MAPPINGS: ClassVar[Mapping[str, Mapped]] = ROUND
     shape: Literal["ellipsoid"] = "ellipsoid"
     semi_axes: Lengths = (30.0, 30.0, 50.0)
     """Semi-axes along x, y and z before any rotation, mm."""
@@ -284,6 +273,7 @@ class Ellipsoid(_Bounded):
 class Quadric(_Bounded):
     """Surface of second degree (3.39) about its center: x right, y up, z away from the camera."""
 
+    MAPPINGS: ClassVar[Mapping[str, Mapped]] = TRIPLANAR | {"surface": "triplanar"}
     shape: Literal["quadric"] = "quadric"
     coefficients: Coefficients
     """a200 a020 a002 a110 a011 a101 a100 a010 a001 a000; x, y and z in mm."""
@@ -294,6 +284,7 @@ class Quadric(_Bounded):
 class DepthMap(_Bounded):
     """Surface given by the depth of every pixel at t = 0, from a file of the texture's size."""
 
+    MAPPINGS: ClassVar[Mapping[str, Mapped]] = {}
     shape: Literal["depth_map"] = "depth_map"
     depth: DepthInput
     """File of depths: PNG, TIFF, EXR, PFM, .npy or .npz; a path, relative to the scene file; in Python also a NumPy
@@ -344,6 +335,7 @@ class DepthMap(_Bounded):
 class Background(_Bounded):
     """What is behind all other objects, infinitely far away: an image, or a color."""
 
+    MAPPINGS: ClassVar[Mapping[str, Mapped]] = {}
     shape: Literal["background"] = "background"
 
     @property
@@ -389,112 +381,3 @@ def origin(shape: AnyShape) -> Vector:
     if isinstance(shape, Background):
         return (0.0, 0.0, BACKGROUND_MM)
     return shape.apex if isinstance(shape, Cone) else shape.center
-
-
-def _bounds_in_front(shape: AnyShape) -> AnyShape:
-    """Refuse bounds that end at or behind the lens."""
-    if shape.bounds is None:
-        return shape
-    corners = zip(depth_row(shape.rotation), shape.bounds, strict=True)
-    if origin(shape)[2] + sum(max(row * low, row * high) for row, (low, high) in corners) <= 0.0:
-        place: tuple[str | int, ...] = ("bounds", 2) if shape.rotation is None else ("bounds",)
-        raise at_keys([(place, fault(IN_FRONT), shape.bounds[2] if shape.rotation is None else shape.bounds)])
-    return shape
-
-
-def _known_shape(value: Any) -> Any:
-    """Refuse a table whose `shape` is unknown, before its other keys are checked."""
-    if isinstance(value, dict):
-        shape = value.get("shape")
-        if not isinstance(shape, str) or shape not in SHAPES:
-            *others, last = SHAPES
-            rule = f"must be {', '.join(others)} or {last}"
-            raise at_keys([(("shape",), fault(rule, None if "shape" in value else "nothing"), shape)])
-    return value
-
-
-def _objects(value: Any) -> Any:
-    """Turn the array of tables into a tuple; refuse too few and too many objects."""
-    if not isinstance(value, list | tuple):
-        raise fault("must be an array of tables, [[object]]")
-    if not 1 <= len(value) <= MAX_OBJECTS:
-        raise fault(f"must hold 1 to {MAX_OBJECTS} objects", got=str(len(value)))
-    return tuple(value)
-
-
-def repeated_names(names: Iterable[str | None], table: str = "object") -> list[tuple[int, PydanticCustomError, str]]:
-    """Find names that an earlier object has already.
-
-    Parameters
-    ----------
-    names : iterable of str or None
-        Name of each object; None where none was given.
-    table : str
-        What the objects are called in a file.
-
-    Returns
-    -------
-    list of (int, PydanticCustomError, str)
-        Position, fault and name of each repetition.
-    """
-    first: dict[str, int] = {}
-    found = []
-    for index, name in enumerate(names):
-        if name is not None and first.setdefault(name, index) != index:
-            found.append((index, fault(f"names must differ; {table}[{first[name]}] has the same"), name))
-    return found
-
-
-def _one_background(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
-    """Refuse a second background, which the first would hide."""
-    found = [index for index, item in enumerate(objects) if item.is_background]
-    if len(found) > 1:
-        rule = f"one background is enough; object[{found[0]}] is one already"
-        raise at_keys([((index, "shape"), fault(rule), "background") for index in found[1:]])
-    return objects
-
-
-def _named(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
-    """Objects with distinct names: unnamed ones get that of their shape, numbered from the second on, "sphere 2"."""
-    given = [item.name if "name" in item.model_fields_set else None for item in objects]
-    if faults := repeated_names(given):
-        raise at_keys([((index, "name"), rule, name) for index, rule, name in faults])
-    taken = set(given)
-    placed = []
-    for item, name in zip(objects, given, strict=True):
-        if name is None:
-            free = (item.shape if n == 1 else f"{item.shape} {n}" for n in count(1))
-            chosen = next(word for word in free if word not in taken)
-            taken.add(chosen)
-            if chosen != item.name:
-                item = item.model_copy(update={"name": chosen})
-                item.model_fields_set.discard("name")  # numbered anew in another scene
-        placed.append(item)
-    return tuple(placed)
-
-
-def _without_boxes(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
-    """Objects with the faces of each box in place of it."""
-    found: list[AnyShape] = []
-    for item in objects:
-        found += item.faces() if isinstance(item, Box) else (item,)
-    if len(found) > MAX_OBJECTS:
-        raise fault(f"must hold 1 to {MAX_OBJECTS} objects, and a box is six", got=str(len(found)))
-    taken = {item.name for item in objects if not isinstance(item, Box)}
-    boxes = ((index, item) for index, item in enumerate(objects) if isinstance(item, Box))
-    same = [(index, item.name) for index, item in boxes if taken & {face.name for face in item.faces()}]
-    if same:
-        rule = "names of its faces must differ from those of other objects"
-        raise at_keys([((index, "name"), fault(rule), name) for index, name in same])
-    return tuple(found)
-
-
-_Union = Annotated[AnyShape, Field(discriminator="shape")]
-Object = Annotated[_Union, AfterValidator(_bounds_in_front), BeforeValidator(_known_shape)]
-Objects = Annotated[
-    tuple[Object, ...],
-    AfterValidator(_one_background),
-    AfterValidator(_named),
-    AfterValidator(_without_boxes),
-    BeforeValidator(_objects),
-]

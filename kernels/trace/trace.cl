@@ -7,7 +7,8 @@
 //   value   float (CHANNELS, height, width): radiance times the weight of the time sample in the exposure
 //   label   uchar (height, width): 0 no surface, else which root of which object was hit, and on which side of others
 //   depth   wide_t (height, width): inverse depth, with OCCLUDED
-//   texture float (textures, CHANNELS, frame_rows, columns); surface_t names its object's
+//   texture float (textures, CHANNELS, frame_rows, columns); surface_t names its object's. Then mipmaps, float (sides,
+//           rows, columns, CHANNELS) per level, of textures that lie on surfaces: texture_map_t of each object says where
 // Features besides geometry.clh's: MOVED (not all is in its reference pose), TILT, SUBPIXELS (sources per axis in a
 // pixel at a silhouette, 0 none), SAMPLED, OCCLUDED.
 // Square roots and floors as instructions took a plane from 36 to 12 ns per pixel, one cast for all lenses of a sweep
@@ -41,12 +42,24 @@ static float4 source_record(const camera_t camera, __constant surface_t *surface
     return record;
 }
 
-// Radiance of a hit on a pixel's ray, times the weight, to a plane of `values` per channel; 0 without one.
+// Radiance of a hit on a pixel's ray, times the weight, to a plane of `values` per channel; 0 without one. sources: per
+// axis of a pixel.
 static void take_radiance(const camera_t camera, __constant surface_t *surfaces, wide3_t ray, wide_t w, uchar label,
-                          int row, int column, float weight, __global const float *texture, __global float *values,
-                          int plane)
+                          int row, int column, int sources, float weight,
+                          __global const float *texture OF_TEXTURE_MAPS, __global float *values, int plane)
 {
-    __constant surface_t *surface = surfaces + MAX(label - 1, 0) / 2;
+    const int object = MAX(label - 1, 0) / 2;
+    __constant surface_t *surface = surfaces + object;
+#if MAPPED
+    if (label && maps[object].kind != MAP_PROJECTED) {
+        float mean[CHANNELS], detail[CHANNELS];
+        surface_texture(texture, surface, maps + object, camera, ray, w, sources, mean, detail);
+        const float share = sharpening(maps + object, narrow(blur_radius(camera, w)), sources);
+        for (int c = 0; c < CHANNELS; ++c)
+            values[c * plane] = weight * (mean[c] + share * detail[c]);
+        return;
+    }
+#endif
     const wide_t zero = widened(0);
     const wide3_t nowhere = wide_vector(zero, zero, zero);
     const wide3_t point = label ? texture_point(surface, camera, ray, w, row, column) : nowhere;
@@ -57,8 +70,8 @@ static void take_radiance(const camera_t camera, __constant surface_t *surfaces,
 // One source per pixel of frame and apron, on the nearest object of the occlusion group `layer`. Out: source, value,
 // label, statistics, depth.
 __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
-                    const float weight, __global const float *texture, __global float *source, __global float *value,
-                    __global uchar *label, __global int *statistics
+                    const float weight, __global const float *texture OF_TEXTURE_MAPS, __global float *source,
+                    __global float *value, __global uchar *label, __global int *statistics
 #if OCCLUDED
                     , __global wide_t *depth
 #endif
@@ -72,7 +85,7 @@ __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const
     uchar root;
     int object;
     const wide_t w = nearest_surface(surfaces, layer, ray, &root, &object);
-    take_radiance(camera, surfaces, ray, w, root, row, column, weight, texture, value + at,
+    take_radiance(camera, surfaces, ray, w, root, row, column, 1, weight, texture TEXTURE_MAPS, value + at,
                   camera.height * camera.width);
     put_source(source, camera.height * camera.width, at,
                source_record(camera, surfaces, layer, psf, ray, w, 0, &root, statistics));
@@ -85,9 +98,10 @@ __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const
 }
 
 // The part of trace that all lenses have in common. Out: value, depth, and hit uchar (height, width), the label before
-// any visibility test.
+// any visibility test. With textures on surfaces value has the mean of each channel, then the detail of each.
 __kernel void cast(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const float weight,
-                   __global const float *texture, __global float *value, __global wide_t *depth, __global uchar *hit)
+                   __global const float *texture OF_TEXTURE_MAPS, __global float *value, __global wide_t *depth,
+                   __global uchar *hit)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
@@ -98,14 +112,32 @@ __kernel void cast(const camera_t camera, __constant surface_t *surfaces, const 
     int object;
     depth[at] = nearest_surface(surfaces, layer, ray, &root, &object);
     hit[at] = root;
-    take_radiance(camera, surfaces, ray, depth[at], root, row, column, weight, texture, value + at,
-                  camera.height * camera.width);
+    const int plane = camera.height * camera.width;
+#if MAPPED
+    float mean[CHANNELS], detail[CHANNELS];
+    for (int c = 0; c < CHANNELS; ++c)
+        detail[c] = 0;
+    if (root && maps[object].kind != MAP_PROJECTED) {
+        surface_texture(texture, surfaces + object, maps + object, camera, ray, depth[at], 1, mean, detail);
+        for (int c = 0; c < CHANNELS; ++c)
+            value[c * plane + at] = weight * mean[c];
+    } else
+        take_radiance(camera, surfaces, ray, depth[at], root, row, column, 1, weight, texture, maps, value + at, plane);
+    for (int c = 0; c < CHANNELS; ++c)
+        value[(CHANNELS + c) * plane + at] = weight * detail[c];
+#else
+    take_radiance(camera, surfaces, ray, depth[at], root, row, column, 1, weight, texture, value + at, plane);
+#endif
 }
 
-// The rest of it, for one lens. In: depth, hit. Out: source, label, statistics.
+// The rest of it, for one lens. In: depth, hit, and with textures on surfaces their parts as `cast` leaves them. Out:
+// source, label, statistics, and with these textures value.
 __kernel void aim(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
-                  __global const wide_t *depth, __global const uchar *hit, __global float *source,
-                  __global uchar *label, __global int *statistics)
+                  __global const wide_t *depth, __global const uchar *hit,
+#if MAPPED
+                  __global const float *parts, __constant texture_map_t *maps, __global float *value,
+#endif
+                  __global float *source, __global uchar *label, __global int *statistics)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
@@ -113,6 +145,12 @@ __kernel void aim(const camera_t camera, __constant surface_t *surfaces, const l
     const int at = y * camera.width + x;
     const wide3_t ray = pixel_ray(camera, widened(FRAME_ROW(camera, y)), widened(x - camera.guard));
     uchar root = hit[at];
+#if MAPPED
+    const int plane = camera.height * camera.width;
+    const float share = root ? sharpening(maps + (root - 1) / 2, narrow(blur_radius(camera, depth[at])), 1) : 0;
+    for (int c = 0; c < CHANNELS; ++c)
+        value[c * plane + at] = parts[c * plane + at] + share * parts[(CHANNELS + c) * plane + at];
+#endif
     put_source(source, camera.height * camera.width, at,
                source_record(camera, surfaces, layer, psf, ray, depth[at], 0, &root, statistics));
 #if SUBPIXELS
@@ -156,7 +194,7 @@ __kernel void mark_silhouettes(const camera_t camera, __global const uchar *labe
 // float4 (coordinate, tilt right, tilt down, WHOLE or PARTLY_OCCLUDED), sub_value float (CHANNELS, slots, SUBPIXELS^2),
 // sub_depth wide_t.
 __kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfaces, const layer_t layer,
-                              const psf_t psf, const float weight, __global const float *texture,
+                              const psf_t psf, const float weight, __global const float *texture OF_TEXTURE_MAPS,
                               __global const int *pixels, const int capacity, __global float4 *sub_source,
                               __global float *sub_value, __global int *statistics
 #if OCCLUDED
@@ -177,7 +215,8 @@ __kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfa
     uchar root;
     int object;
     const wide_t w = nearest_surface(surfaces, layer, ray, &root, &object);
-    take_radiance(camera, surfaces, ray, w, root, row, column, weight / each, texture, sub_value + id, capacity * each);
+    take_radiance(camera, surfaces, ray, w, root, row, column, SUBPIXELS, weight / each, texture TEXTURE_MAPS,
+                  sub_value + id, capacity * each);
     sub_source[id] = source_record(camera, surfaces, layer, psf, ray, w, 1, &root, statistics);
 #if OCCLUDED
     sub_depth[id] = w;
@@ -188,8 +227,8 @@ __kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfa
 // The pinhole image of the occlusion group `layer`, for `layered` occlusion. Out: value as in trace; coc wide_t, signed
 // R in px, and valid uchar, (height, width); statistics.
 __kernel void pinhole(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const float weight,
-                      __global const float *texture, __global float *value, __global wide_t *coc, __global uchar *valid,
-                      __global int *statistics)
+                      __global const float *texture OF_TEXTURE_MAPS, __global float *value, __global wide_t *coc,
+                      __global uchar *valid, __global int *statistics)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
@@ -199,7 +238,7 @@ __kernel void pinhole(const camera_t camera, __constant surface_t *surfaces, con
     uchar root;
     int object;
     const wide_t w = nearest_surface(surfaces, layer, ray, &root, &object);
-    take_radiance(camera, surfaces, ray, w, root, row, column, weight, texture, value + at,
+    take_radiance(camera, surfaces, ray, w, root, row, column, 1, weight, texture TEXTURE_MAPS, value + at,
                   camera.height * camera.width);
     const wide_t none = widened(0);
     coc[at] = root ? blur_radius(camera, w) : none;

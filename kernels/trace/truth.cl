@@ -36,19 +36,21 @@ static bool occluded_among(__constant surface_t *surfaces, const camera_t camera
 
 // Ground truth of a strip at pixel centers, (rows, columns[, components]), never anti-aliased: depth mm (+inf:
 // nothing), coc signed px (0: nothing), mask, object (-1: nothing), normal, flow px to the pose `next`, hidden (the
-// point is not visible from the pinhole in the reference pose), sharp radiance; of a stereo pair disparity px and
-// occluded (the point is not visible in the other view); flow_backward px to the pose `previous`, and flow_occluded (the
+// point is not visible from the pinhole in the reference pose, and its texture is what that sees), sharp radiance, uv
+// (right and up from the lower left corner of the texture, in images of it); of a stereo pair disparity px and occluded
+// (the point is not visible in the other view); flow_backward px to the pose `previous`, and flow_occluded (the
 // point is not visible in the next frame). `still` are the surfaces in the reference pose, `opposite` those in the frame
 // of the other view, in poses `there`, and `following` those in the next frame; to_left: 1 for the right view, -1 for
 // the left one.
 __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces, __constant surface_t *still,
-                           __constant pose_t *next, const layer_t layer, __global const float *texture,
+                           __constant pose_t *next, const layer_t layer,
+                           __global const float *texture OF_TEXTURE_MAPS,
                            __constant surface_t *opposite, __constant pose_t *there, const int to_left,
                            __constant pose_t *previous, __constant surface_t *following,
                            __global uchar *mask, __global int *object_id, __global float *depth, __global float *coc,
                            __global float *normal, __global float *flow, __global uchar *hidden, __global float *sharp,
                            __global float *disparity, __global uchar *occluded, __global float *flow_backward,
-                           __global uchar *flow_occluded)
+                           __global uchar *flow_occluded, __global float *uv)
 {
     const int column = get_global_id(0), row = camera.top + get_global_id(1);
     if (column >= camera.columns || row >= camera.top + camera.rows)
@@ -60,6 +62,11 @@ __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces
     const wide_t w = nearest_surface(surfaces, layer, ray, &root, &object);
     __constant surface_t *surface = surfaces + MAX(object, 0);
     mask[at] = root != 0;
+#if MAPPED
+    const bool is_mapped = root && maps[object].kind != MAP_PROJECTED;
+#else
+    const bool is_mapped = false;
+#endif
     if (object_id)
         object_id[at] = object;
     if (depth)
@@ -79,7 +86,7 @@ __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces
     }
     if (hidden) {
         hidden[at] = 0;
-        if (root) {
+        if (root && !is_mapped) {
             const wide3_t from = rest_pixel(surface, camera, ray, w);
             // 1 / depth in the reference pose of this point, against the depth in that pixel of the pinhole image
             uchar other;
@@ -87,11 +94,30 @@ __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces
             hidden[at] = outside_frame(camera, from) || covered(seen, from.z, w);
         }
     }
-    if (sharp) {
+    if ((sharp || uv) && !is_mapped) {
         const wide3_t point = texture_point(surface, camera, ray, w, row, column);
-        for (int c = 0; c < CHANNELS; ++c)
+        for (int c = 0; c < CHANNELS && sharp; ++c)
             sharp[at * CHANNELS + c] = root ? radiance(texture, surface, camera, c, point) : 0;
+        if (uv) {
+            const bool before_lens = root && narrow(point.z) > 0;
+            const wide_t right = wide_div(wide_add(point.x, widened((real)0.5)), widened(camera.columns));
+            const wide_t down = wide_div(wide_add(point.y, widened((real)0.5)), widened(camera.frame_rows));
+            uv[2 * at] = before_lens ? (float)narrow(right) : 0;
+            uv[2 * at + 1] = before_lens ? (float)narrow(wide_sub(widened(1), down)) : 0;
+        }
     }
+#if MAPPED
+    if (sharp && is_mapped) {
+        float mean[CHANNELS], detail[CHANNELS];
+        surface_texture(texture, surface, maps + object, camera, ray, w, 1, mean, detail);
+        for (int c = 0; c < CHANNELS; ++c)
+            sharp[at * CHANNELS + c] = mean[c];
+    }
+    if (uv && is_mapped) {
+        const real2 there = texture_coordinates(surface, maps + object, camera, ray, w);
+        uv[2 * at] = (float)there.x, uv[2 * at + 1] = (float)there.y;
+    }
+#endif
     if (disparity || occluded) {
         const wide3_t other = moved_pixel(surface, camera, there + MAX(object, 0), ray, w);
         if (disparity)

@@ -27,6 +27,7 @@ from clsco.reference.common.geometry import (
     surface_slope,
 )
 from clsco.reference.common.visibility import HIDDEN, Points, Visibility, check_visibility
+from clsco.reference.trace.mapping import MappedTexture, sharpening, surface_texture
 from clsco.scene.model import Camera, Scene
 
 SILHOUETTE_RANGE = 2  # px, Chebyshev distance from a silhouette within which pixels get sub-pixel sources
@@ -77,21 +78,31 @@ def padded_grid(camera: Camera, guard: int) -> tuple[NDArray[np.int64], NDArray[
     return np.arange(-guard, rows + guard)[:, None], np.arange(-guard, columns + guard)[None, :]
 
 
+Texture = Array | MappedTexture
+"""(rows, columns, channels) of the frame's size, or an image on a surface."""
+
+
 @dataclass(frozen=True, eq=False)
 class View:
     """All objects at one time, in the frame of the camera.
 
-    surfaces: one per object; textures: (rows, columns, channels) of the frame's size, one per object; moved: an
+    surfaces: one per object; textures: one per object, with so many channels; moved: an
     object or the camera is not exactly in its reference pose.
     """
 
     scene: Scene
     surfaces: tuple[PlacedSurface, ...]
-    textures: tuple[Array, ...]
+    textures: tuple[Texture, ...]
     moved: bool
 
+    @property
+    def channels(self) -> int:
+        """Of the textures."""
+        first = self.textures[0]
+        return int((first.levels[0] if isinstance(first, MappedTexture) else first).shape[-1])
 
-def view_at(scene: Scene, textures: tuple[Array, ...], time: float, eye: Eye, moved: bool) -> View:
+
+def view_at(scene: Scene, textures: tuple[Texture, ...], time: float, eye: Eye, moved: bool) -> View:
     """The objects after `time` seconds; other arguments as for `View`."""
     placed = zip(scene.objects, poses_at(scene, time, eye), strict=True)
     return View(scene, tuple(place(item, pose) for item, pose in placed), textures, moved)
@@ -115,28 +126,47 @@ class Cast:
 
 
 def cast(
-    view: View, layer: Layer, row: NDArray[Any], column: NDArray[Any], texel: tuple[NDArray[Any], NDArray[Any]]
+    view: View,
+    layer: Layer,
+    row: NDArray[Any],
+    column: NDArray[Any],
+    texel: tuple[NDArray[Any], NDArray[Any]],
+    sources: int = 0,
 ) -> Cast:
     """The nearest of some objects along rays through (row, column) px, 0 where none is.
 
-    texel: row and column of the pixel whose texel a ray shows in the reference pose.
+    texel: row and column of the pixel whose texel a ray shows in the reference pose; sources: per axis of a pixel, 0
+    for none that will be blurred: textures on surfaces then have their means alone.
     """
     scene, rays = view.scene, pixel_ray(view.scene.camera, row, column)
     w, label, number = nearest_surface(view.surfaces, [item.bounds for item in scene.objects], layer, rays)
-    gradient, radiance = np.zeros((*w.shape, 2)), np.zeros((*w.shape, view.textures[0].shape[2]))
+    gradient, radiance = np.zeros((*w.shape, 2)), np.zeros((*w.shape, view.channels))
     for k, surface in enumerate(view.surfaces):
         if not layer.members >> k & 1:
             continue
         own = (number == k)[..., None]
         gradient = np.where(own, blur_gradient(scene.camera, surface_slope(surface, rays, w)), gradient)
-        texels = (np.asarray(n, dtype=np.int64) for n in texel)
-        if view.moved:
-            shown = _moved_radiance(scene, surface, view.textures[k], rays, w)
+        texels, texture = (np.asarray(n, dtype=np.int64) for n in texel), view.textures[k]
+        if isinstance(texture, MappedTexture):
+            shown = _mapped_radiance(scene, surface, texture, rays, np.where(own[..., 0], w, 0.0), sources)
+        elif view.moved:
+            shown = _moved_radiance(scene, surface, texture, rays, w)
         else:
-            shown = np.broadcast_to(_texels(view.textures[k], *texels), radiance.shape)
+            shown = np.broadcast_to(_texels(texture, *texels), radiance.shape)
         radiance = np.where(own, shown, radiance)
     radius = np.where(label > 0, blur_radius(scene.camera, w), 0.0)
     return Cast(w, label, number, radius, gradient, radiance)
+
+
+def _mapped_radiance(
+    scene: Scene, surface: PlacedSurface, texture: MappedTexture, rays: Array, w: Array, sources: int
+) -> Array:
+    """Radiance (..., channels) of a texture on a surface, 0 where w is; sources: as for `cast`."""
+    found, hit = np.zeros((*w.shape, texture.levels[0].shape[-1])), w > 0.0
+    mean, detail = surface_texture(texture, surface, scene.camera, rays[hit], w[hit], max(sources, 1))
+    share = sharpening(texture, blur_radius(scene.camera, w[hit]), sources)
+    found[hit] = mean + share[..., None] * detail
+    return found
 
 
 def _moved_radiance(scene: Scene, surface: PlacedSurface, texture: Array, rays: Array, w: Array) -> Array:
@@ -159,7 +189,7 @@ def trace(view: View, layer: Layer, guard: int) -> Sources:
     """
     scene = view.scene
     row, column = padded_grid(scene.camera, guard)
-    hit = cast(view, layer, row, column, (row, column))
+    hit = cast(view, layer, row, column, (row, column), 1)
     label, lit, visibility = hit.label, hit.label > 0, None
     if layer.occluders:
         rays = pixel_ray(scene.camera, row, column)[lit]
@@ -206,7 +236,7 @@ def trace_subpixels(view: View, layer: Layer, guard: int, marked: NDArray[np.boo
     at_row = (row - guard)[:, None, None] + offsets[:, None]
     at_column = (column - guard)[:, None, None] + offsets[None, :]
     texel = ((row - guard)[:, None, None], (column - guard)[:, None, None])
-    hit = cast(view, layer, at_row, at_column, texel)
+    hit = cast(view, layer, at_row, at_column, texel, samples)
     lit, visibility = hit.label > 0, None
     if layer.occluders:
         rays = pixel_ray(scene.camera, at_row, at_column)[lit]

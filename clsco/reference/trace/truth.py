@@ -22,7 +22,8 @@ from clsco.reference.common.geometry import (
     surface_normal,
     turned,
 )
-from clsco.reference.trace.trace import Cast, View, cast, everything, padded_grid, view_at
+from clsco.reference.trace.mapping import MappedTexture, texture_coordinates
+from clsco.reference.trace.trace import Cast, Texture, View, cast, everything, padded_grid, view_at
 from clsco.scene.model import Camera, Scene
 
 
@@ -40,6 +41,7 @@ class Truth:
     hidden: NDArray[np.bool_]
     flow_backward: Array
     flow_occluded: NDArray[np.bool_]
+    uv: Array
     disparity: Array | None
     occluded: NDArray[np.bool_] | None
 
@@ -87,8 +89,23 @@ def occluded_among(
     return np.asarray(covered | (ratio <= 0.0) | outside_frame(scene.camera, row, column))
 
 
+def _texture_coordinates(view: View, number: int, rays: Array, w: Array) -> Array:
+    """Where hits (rows, columns) of an object are in its texture: (right, up) from the lower left corner, in images."""
+    surface, texture, camera = view.surfaces[number], view.textures[number], view.scene.camera
+    found, hit = np.zeros((*w.shape, 2)), w > 0.0
+    if isinstance(texture, MappedTexture):
+        found[hit] = texture_coordinates(texture, surface, camera, rays[hit], w[hit])
+        return found
+    row, column, valid = rest_pixel(surface, camera, rays, w)
+    if not view.moved:
+        row, column = (np.broadcast_to(n, w.shape).astype(np.float64) for n in padded_grid(camera, 0))
+    rows, columns = texture.shape[:2]
+    at = np.stack([(column + 0.5) / columns, 1.0 - (row + 0.5) / rows], axis=-1)
+    return np.where((valid & hit)[..., None], at, 0.0)
+
+
 def _stereo(
-    scene: Scene, textures: tuple[Array, ...], view: View, eye: Eye, time: float, hit: Cast, rays: Array
+    scene: Scene, textures: tuple[Texture, ...], view: View, eye: Eye, time: float, hit: Cast, rays: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Disparity in px, and which points are not visible in the other view."""
     opposite: Eye = "left" if eye == "right" else "right"
@@ -103,12 +120,13 @@ def _stereo(
     return disparity, occluded
 
 
-def ground_truth(scene: Scene, textures: tuple[Array, ...], frame: int, eye: Eye = "left") -> Truth:
+def ground_truth(scene: Scene, textures: tuple[Texture, ...], frame: int, eye: Eye = "left") -> Truth:
     """Ground truth (rows, columns[, ...]) of a frame at the middle of its shutter, at pixel centers.
 
     textures: as for `View`. `flow` goes from a pixel to where its surface point is at the middle of the next
     frame's shutter; 0 where that is behind the lens. `hidden`: in the reference pose the point is outside of the frame,
-    or another point of its object hides it there (nearer by more than 1e-6 of its depth). Validated: flow against
+    or another point of its object hides it there (nearer by more than 1e-6 of its depth); never of a texture that lies
+    on the surface. Validated: flow against
     the thesis' 80 and 70 px, normals and radius against closed forms.
     """
     moves, camera = scene.moves, scene.camera
@@ -122,6 +140,7 @@ def ground_truth(scene: Scene, textures: tuple[Array, ...], frame: int, eye: Eye
     hit = cast(view, everything(scene), row, column, (row, column))
     mask, w = hit.label > 0, hit.w
     flow, backward, normal = np.zeros((*w.shape, 2)), np.zeros((*w.shape, 2)), np.zeros((*w.shape, 3))
+    uv = np.zeros((*w.shape, 2))
     hidden, flow_occluded = np.zeros(w.shape, dtype=bool), np.zeros(w.shape, dtype=bool)
     for k, surface in enumerate(view.surfaces):
         own = hit.number == k
@@ -130,7 +149,9 @@ def ground_truth(scene: Scene, textures: tuple[Array, ...], frame: int, eye: Eye
         backward = np.where(own[..., None], np.stack([last[1] - column, last[0] - row], axis=-1), backward)
         flow_occluded = np.where(own, occluded_among(scene, following, pixel, w), flow_occluded)
         normal = np.where(own[..., None], surface_normal(surface, rays, w), normal)
-        hidden = np.where(own, _hidden(view, rest[k], k, rays, w), hidden)
+        if scene.objects[k].mapped is None:
+            hidden = np.where(own, _hidden(view, rest[k], k, rays, w), hidden)
+        uv = np.where(own[..., None], _texture_coordinates(view, k, rays, np.where(own, w, 0.0)), uv)
     disparity, occluded = None, None
     if scene.stereo is not None:
         disparity, occluded = _stereo(scene, textures, view, eye, now, hit, rays)
@@ -147,6 +168,7 @@ def ground_truth(scene: Scene, textures: tuple[Array, ...], frame: int, eye: Eye
         hidden=hidden & mask,
         flow_backward=np.where(mask[..., None], backward, 0.0),
         flow_occluded=flow_occluded & mask,
+        uv=np.where(mask[..., None], uv, 0.0),
         disparity=None if disparity is None else np.where(mask, disparity, 0.0),
         occluded=None if occluded is None else occluded & mask,
     )

@@ -1,0 +1,164 @@
+"""Where a point of a surface is in the image that lies on it (float64, pure).
+
+A point p of an object's own frame (mm) is q = frame p. Two coordinates of q are lengths or angles on the surface:
+
+    plane       (q_x, q_y)                                            mm
+    cylinder    (phi, q_y),  phi = atan2(q_x, q_z)                    rad, mm
+    longitude   (phi, theta),  theta = atan2(q_y, hypot(q_x, q_z))    rad
+    cone        s (sin psi, cos psi),  s = |q|,  psi = phi sin(half angle): the cone rolled out    mm
+    triplanar   the two other components of q, for each of three axes, by weights |n|^4 of the normal    mm
+    cube        the two other components over the largest one, for each of six sides                 -1 to 1
+
+and (column, row) = scale (x, y) + shift in texels, with edges of texels at whole numbers: column 0 is the left border
+of the image, row 0 the upper one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, pi, radians, sin
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.constants import (
+    MAP_CONE,
+    MAP_CUBE,
+    MAP_CYLINDER,
+    MAP_LONGITUDE,
+    MAP_PLANE,
+    MAP_TRIPLANAR,
+    WRAP_CLAMP,
+    WRAP_MIRROR,
+    WRAP_NONE,
+    WRAP_REPEAT,
+)
+from clsco.scene.model import Cone, Cylinder, Ellipsoid, Object, Plane, Rectangle
+
+KINDS = {
+    "card": MAP_PLANE,
+    "plane": MAP_PLANE,
+    "cylinder": MAP_CYLINDER,
+    "longitude": MAP_LONGITUDE,
+    "cone": MAP_CONE,
+    "triplanar": MAP_TRIPLANAR,
+    "cube": MAP_CUBE,
+}
+WRAPS = {"repeat": WRAP_REPEAT, "mirror": WRAP_MIRROR, "clamp": WRAP_CLAMP, "none": WRAP_NONE}
+Matrix = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TextureMap:
+    """How an image lies on a surface.
+
+    Attributes
+    ----------
+    kind : int
+        One of MAP_... (`clsco.constants`).
+    frame : ndarray of float64, (3, 3)
+        From the object's own frame.
+    scale : ndarray of float64, (2, 2)
+        Texels per unit of the two coordinates: columns, then rows.
+    shift : ndarray of float64, (2,)
+        Column and row of the coordinates (0, 0).
+    slant : float
+        Sine of a cone's half angle.
+    wrap_x, wrap_y : int
+        One of WRAP_... beyond the sides, and beyond top and bottom.
+    columns, rows : int
+        Of the image.
+    """
+
+    kind: int
+    frame: Matrix
+    scale: Matrix
+    shift: Matrix
+    slant: float
+    wrap_x: int
+    wrap_y: int
+    columns: int
+    rows: int
+
+
+def texture_map(item: Object, columns: int, rows: int) -> TextureMap:
+    """How a texture of so many columns and rows lies on an object.
+
+    Parameters
+    ----------
+    item : Object
+        With a mapping other than "projected".
+    columns, rows : int
+        Of the texture, or of each of the six of a cube map.
+
+    Returns
+    -------
+    TextureMap
+
+    Notes
+    -----
+    Validated against the positions of known points of every shape, and by the ray tracer of the benchmarks, which has
+    formulas of its own.
+    """
+    assert item.mapped is not None
+    kind = KINDS[item.mapped]
+    per_unit, middle = _texels(item, kind, columns, rows)
+    angle = radians(item.texture_angle or 0.0)
+    turn = np.array([[cos(angle), sin(angle)], [-sin(angle), cos(angle)]])
+    units = np.diag([item.radius if isinstance(item, Cylinder) and kind == MAP_CYLINDER else 1.0, 1.0])
+    right, up = item.texture_offset or (0.0, 0.0)
+    wrap = WRAPS[item.wrap]
+    # The poles are edges of an image that is laid from one to the other: beyond them it comes back.
+    to_poles = kind == MAP_LONGITUDE and abs(per_unit[1]) * pi == rows and up == 0.0
+    return TextureMap(
+        kind, _frame(item, kind), np.diag(per_unit) @ turn @ units, middle + np.array([-right * columns, up * rows]),
+        sin(radians(item.half_angle)) if isinstance(item, Cone) else 0.0, wrap, WRAP_MIRROR if to_poles else wrap,
+        columns, rows,
+    )  # fmt: skip
+
+
+def _texels(item: Object, kind: int, columns: int, rows: int) -> tuple[Matrix, Matrix]:
+    """Texels per mm, or per unit of angles and of a cube's sides: columns to the right, rows up, so below 0; and the
+    column and row in the middle."""
+    aspect, middle = rows / columns, np.array([0.5 * columns, 0.5 * rows])
+    across, *up = item.texture_repeats or (1.0,)
+    if kind == MAP_LONGITUDE:
+        # By default once around and from pole to pole; a number alone keeps the proportions at the equator.
+        copies = up[0] if up else 0.5 * across / aspect if item.texture_repeats else 1.0
+        return np.array([columns * across / (2 * pi), -(rows * copies) / pi]), middle
+    if kind == MAP_CUBE:
+        copies = up[0] if up else across
+        return np.array([0.5 * columns * across, -0.5 * rows * copies]), middle
+    if item.texture_size is not None:
+        width, *height = item.texture_size
+    elif isinstance(item, Rectangle):
+        width, height = item.size[0] / across, [item.size[1] / copies for copies in up]
+        height = height if item.texture_repeats else [item.size[1]]
+    else:
+        assert isinstance(item, Cylinder)
+        width, height = 2 * pi * item.radius / across, []
+    return np.array([columns / width, -rows / (height[0] if height else width * aspect)]), middle
+
+
+def _frame(item: Object, kind: int) -> Matrix:
+    """See `TextureMap.frame`. Its third axis points to the camera where there is a choice, its second up."""
+    if kind in (MAP_LONGITUDE, MAP_CUBE):
+        axes = item.semi_axes if isinstance(item, Ellipsoid) else (1.0, 1.0, 1.0)
+        return np.diag([1.0, 1.0, -1.0]) / np.array(axes)[:, None]
+    if kind == MAP_CONE:
+        return np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+    if kind == MAP_CYLINDER:
+        assert isinstance(item, Cylinder)
+        axis = np.asarray(item.axis, dtype=np.float64) / np.linalg.norm(item.axis)
+        towards = np.array([0.0, 0.0, -1.0])
+        if np.hypot(axis[0], axis[1]) < 1e-6:  # seen along its axis: up
+            towards = np.array([0.0, 1.0, 0.0])
+        front = towards - (towards @ axis) * axis
+        front /= np.linalg.norm(front)
+        return np.array([np.cross(front, axis), axis, front])
+    if kind == MAP_PLANE and isinstance(item, Plane):
+        normal = np.array([-item.slope_x, -item.slope_y, 1.0])
+        right = np.array([1.0, 0.0, item.slope_x])
+        normal, right = normal / np.linalg.norm(normal), right / np.linalg.norm(right)
+        return np.array([right, np.cross(normal, right), normal])
+    return np.eye(3)

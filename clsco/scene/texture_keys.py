@@ -1,0 +1,190 @@
+"""Keys of an object's texture: what it shows, and how it lies on the surface."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, cast
+
+from pydantic import BeforeValidator, Field
+from pydantic_core import PydanticCustomError
+
+from clsco.scene.arrays import ArrayInput, TextureInput
+from clsco.scene.quantities import Angle, Length, Pair, Strict, Within, as_python, fault
+
+BUILT_IN_TEXTURES = ("bricks", "checkerboard", "slanted_edge", "siemens_star")
+COLOR = re.compile("#[0-9a-fA-F]{6}")
+
+Mapped = Literal["card", "plane", "cylinder", "longitude", "cone", "triplanar", "cube"]
+Wrap = Literal["repeat", "mirror", "clamp", "none"]
+
+
+def is_drawn(texture: object) -> bool:
+    """Whether a texture is built in, or a color, and neither a file nor an array."""
+    return isinstance(texture, str) and (texture in BUILT_IN_TEXTURES or COLOR.fullmatch(texture) is not None)
+
+
+def _one_or_two(value: Any) -> Any:
+    """A number, or a list of one or two, as a tuple."""
+    given = as_python(value)
+    if isinstance(given, int | float) and not isinstance(given, bool):
+        return (given,)
+    if isinstance(given, list | tuple) and len(given) in (1, 2):
+        return tuple(given)
+    raise fault("must be a number or a list of 2 numbers")
+
+
+class _Rule(NamedTuple):
+    """What a mapping takes: texture_size ("", "may", "must"), how many numbers of texture_repeats, and what turns or
+    moves the image."""
+
+    size: Literal["", "may", "must"]
+    repeats: int
+    angle: bool = True
+    offset: bool = True
+
+
+RULES: dict[Mapped, _Rule] = {
+    "card": _Rule("may", 2),
+    "plane": _Rule("must", 0),
+    "cylinder": _Rule("may", 1),
+    "longitude": _Rule("", 2, angle=False),
+    "cone": _Rule("must", 0),
+    "triplanar": _Rule("must", 0),
+    "cube": _Rule("", 0, angle=False, offset=False),
+}
+TRIPLANAR: dict[str, Mapped] = {"triplanar": "triplanar"}
+ROUND: dict[str, Mapped] = {"surface": "longitude", "cube": "cube", "triplanar": "triplanar"}
+
+_OneOrTwo = Field(json_schema_extra={"minItems": 1, "maxItems": 2})
+_Sizes = Annotated[tuple[Length, ...], _OneOrTwo, BeforeValidator(_one_or_two)]
+_Repeats = Annotated[tuple[Annotated[float, Within(1e-6, 1e6)], ...], _OneOrTwo, BeforeValidator(_one_or_two)]
+_Shift = Annotated[float, Within(-1e6, 1e6)]
+_Shifts = Annotated[tuple[_Shift, _Shift], Pair]
+
+
+class Textured(Strict):
+    """Keys of the texture of an object."""
+
+    MAPPINGS: ClassVar[Mapping[str, Mapped]] = TRIPLANAR
+    """How textures may lie on the shape: `texture_mapping` -> kind."""
+
+    texture: TextureInput = "bricks"
+    """bricks, checkerboard, slanted_edge, siemens_star, a color "#rrggbb", or an image: a path, relative to the scene
+    file; in Python also a NumPy array."""
+    texture_mapping: Literal["projected", "surface", "triplanar", "cube"] = "projected"
+    """projected: the image that the camera sees at t = 0. surface: an image that lies on the surface and moves with it.
+    triplanar: the same from three sides, on any shape. cube: from six, on spheres and ellipsoids."""
+    texture_size: _Sizes | None = None
+    """Width, or width and height, of one copy of the image on the surface, mm."""
+    texture_repeats: _Repeats | None = None
+    """Copies of the image across the surface, or across and up, in place of a size."""
+    texture_offset: _Shifts | None = None
+    """How many copies the image is moved to the right and up; by default not at all."""
+    texture_angle: Angle | None = None
+    """Turn of the image on the surface, counterclockwise as seen from outside, deg; by default none."""
+    texture_wrap: Wrap | None = None
+    """Beyond the image: repeat, mirror, clamp or none, which is black. Default: repeat, and clamp where a rectangle has
+    one copy."""
+
+    @property
+    def mapped(self) -> Mapped | None:
+        """How the texture lies on the surface, None for a projected one."""
+        return None if self.texture_mapping == "projected" else self.MAPPINGS[self.texture_mapping]
+
+    @property
+    def wrap(self) -> Wrap:
+        """What is beyond the image."""
+        once = self.mapped == "card" and self.texture_size is None and self.texture_repeats is None
+        return self.texture_wrap or ("clamp" if once else "repeat")
+
+    def inputs(self) -> dict[str, str | ArrayInput]:
+        """What the object is made of, by key: the name of a pattern, the path of a file, or an array."""
+        return {"texture": cast("str | ArrayInput", self.texture)}
+
+    def textures(self) -> tuple[str | ArrayInput, ...]:
+        """The one texture of the object, or the six of a cube map."""
+        return (self.inputs()["texture"],)
+
+    def texture_keys(self) -> dict[str, Any]:
+        """What is given of how the texture lies, by key."""
+        names = [name for name in Textured.model_fields if name in self.model_fields_set]
+        return {name: getattr(self, name) for name in names}
+
+
+class SixSided(Textured):
+    """Keys of what may have an image on each of six sides."""
+
+    texture_back: TextureInput | None = None
+    """Image on the side away from the camera; `texture` is on the front, and on all sides that none is given for."""
+    texture_left: TextureInput | None = None
+    """Image on the left side, as seen by who looks at it from there with the front on the right."""
+    texture_right: TextureInput | None = None
+    """Image on the right side, with the front on the left."""
+    texture_top: TextureInput | None = None
+    """Image on the top, with the front below."""
+    texture_bottom: TextureInput | None = None
+    """Image on the bottom, with the front above."""
+
+    @property
+    def has_sides(self) -> bool:
+        """Whether its sides may differ."""
+        return self.texture_mapping == "cube"
+
+    def inputs(self) -> dict[str, str | ArrayInput]:
+        sides = {key: getattr(self, key) for key in SixSided.__annotations__}
+        return super().inputs() | {key: given for key, given in sides.items() if given is not None}
+
+    def side(self, name: str) -> str | ArrayInput:
+        """The texture of a side: front, back, left, right, top or bottom."""
+        given = self.inputs()
+        return given.get(f"texture_{name}", given["texture"])
+
+    def textures(self) -> tuple[str | ArrayInput, ...]:
+        if self.mapped != "cube":
+            return super().textures()
+        return tuple(self.side(name) for name in ("right", "left", "top", "bottom", "back", "front"))
+
+
+Fault = tuple[tuple[str | int, ...], PydanticCustomError, Any]
+
+
+def texture_faults(item: Textured) -> list[Fault]:
+    """Keys that the mapping of a texture, or the shape, has no use for, and those that it needs."""
+    return [((key,), fault(rule, "nothing" if got is None else None), got) for key, rule, got in _misplaced(item)]
+
+
+def _misplaced(item: Textured) -> Iterator[tuple[str, str, Any]]:
+    """Key, rule and value."""
+    shape, mapping = type(item).model_fields["shape"].default, item.texture_mapping
+    lying = ("texture_size", "texture_repeats", "texture_offset", "texture_angle", "texture_wrap")
+    given = {key: getattr(item, key) for key in lying if getattr(item, key) is not None}
+    sides: list[tuple[str, str, Any]] = []
+    if isinstance(item, SixSided) and not item.has_sides:
+        rule = 'belongs to boxes, and to texture_mapping = "cube"'
+        sides = [(key, rule, value) for key, value in item.inputs().items() if key != "texture"]
+    if mapping == "projected":
+        yield from sides
+        for key, value in given.items():
+            yield key, 'belongs to textures on surfaces: texture_mapping = "surface", "triplanar" or "cube"', value
+        return
+    if mapping not in item.MAPPINGS:
+        known = " or ".join(f'"{name}"' for name in ("projected", *item.MAPPINGS))
+        yield "texture_mapping", f"on a {shape} must be {known}", mapping
+        return
+    kind = item.MAPPINGS[mapping]
+    yield from sides
+    takes, where = RULES[kind], f'"{mapping}" on a {shape}'
+    if takes.size == "must" and item.texture_size is None:
+        yield "texture_size", f"must be given with texture_mapping = {where}", None
+    if not takes.size and item.texture_size is not None:
+        yield "texture_size", f"does not belong to {where}", item.texture_size
+    if len(item.texture_repeats or ()) > takes.repeats:
+        what = "takes one number" if takes.repeats else "does not belong"
+        yield "texture_repeats", f"{what} with {where}", item.texture_repeats
+    elif item.texture_repeats is not None and item.texture_size is not None and takes.size:
+        yield "texture_repeats", "stands in place of texture_size: give one of them", item.texture_repeats
+    if not takes.angle and item.texture_angle is not None:
+        yield "texture_angle", f"does not belong to {where}: give the object a rotation", item.texture_angle
+    if not takes.offset and item.texture_offset is not None:
+        yield "texture_offset", f"does not belong to {where}: give the object a rotation", item.texture_offset
