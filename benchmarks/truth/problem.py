@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from benchmarks.truth.surface_images import SIZE, lies, mapping_of
+
 Array = NDArray[np.float64]
 Textures = NDArray[Any] | Sequence[NDArray[Any]]
 
@@ -26,7 +28,8 @@ class Problem:
     `centers` (objects, 3), x right, y up, z away from the camera; `bounds` (objects, 6) as x0 x1 y0 y1 z0 z1
     in the same frame; `rotations` (objects, 3, 3), from that frame to the camera's axes at t = 0;
     `group_...` (objects, 3) of what carries each object, 0 for nothing; `textures` (objects, rows, columns, channels)
-    linear radiance.
+    linear radiance, 0 where an image lies on the surface; `mappings` (objects, SIZE) and `images` (texels, channels) of
+    these (`surface_images.py`).
     """
 
     pitch_ratio: float
@@ -45,6 +48,8 @@ class Problem:
     group_velocities: Array
     group_angular_velocities: Array
     textures: Array
+    mappings: Array
+    images: Array
 
 
 def _shape(item: Any) -> tuple[Array, Any, tuple[float, float]]:
@@ -77,16 +82,13 @@ def _shape(item: Any) -> tuple[Array, Any, tuple[float, float]]:
     raise ValueError(f"raytracer: shape must be analytic; got {item.shape!r}")
 
 
-def _texture_stack(textures: Textures, rows: int, columns: int, count: int) -> Array:
-    """One image for all objects, or one per object, as (objects, rows, columns, channels) float64."""
-    images = [textures] * count if isinstance(textures, np.ndarray) else list(textures)
-    if len(images) != count:
-        raise ValueError(f"raytracer: textures must be one per object, {count}; got {len(images)}")
+def _texture_stack(images: list[NDArray[Any]], rows: int, columns: int, channels: int) -> Array:
+    """One image per object as (objects, rows, columns, channels) float64."""
     for image in images:
         if image.shape[:2] != (rows, columns) or image.ndim not in (2, 3):
             raise ValueError(f"raytracer: textures must be {rows} x {columns} texels; got {image.shape}")
     images = [image.reshape(rows, columns, -1) for image in images]
-    size = rows, columns, max(image.shape[2] for image in images)
+    size = rows, columns, channels
     return np.stack([np.broadcast_to(image, size) for image in images]).astype(float, order="C")
 
 
@@ -102,14 +104,32 @@ def _groups(scene: Any, centers: Sequence[Any]) -> Array:
     return found
 
 
+def _on_surfaces(objects: Any, images: list[NDArray[Any]], channels: int) -> tuple[Array, Array]:
+    """Texels of all images that lie on surfaces, and how they do."""
+    flat, mappings = [np.zeros((0, channels))], np.zeros((len(objects), SIZE))
+    for number, (item, image) in enumerate(zip(objects, images, strict=True)):
+        if lies(item):
+            mappings[number] = mapping_of(item, image.shape[:2], sum(map(len, flat)))
+            whole = image.reshape(*image.shape[:2], -1)
+            flat.append(np.broadcast_to(whole, (*whole.shape[:2], channels)).reshape(-1, channels).astype(float))
+    return np.concatenate(flat), mappings
+
+
 def prepare(scene: Any, textures: Textures, rows: int, columns: int, frame: int = 0) -> Problem:
     """Read a scene by its attribute names.
 
     `textures`: linear radiance, (rows, columns[, channels]), one image for all objects or a sequence of one
     per object; `frame`: index of the video frame. Raises ValueError for a shape without a formula and for a
-    texture of another size than the frame.
+    projected texture of another size than the frame.
     """
     camera, objects = scene.camera, scene.objects
+    images = [textures] * len(objects) if isinstance(textures, np.ndarray) else list(textures)
+    if len(images) != len(objects):
+        raise ValueError(f"raytracer: textures must be one per object, {len(objects)}; got {len(images)}")
+    channels = max(image.shape[2] if image.ndim == 3 else 1 for image in images)
+    flat, mappings = _on_surfaces(objects, images, channels)
+    empty = np.zeros((rows, columns))
+    projected = [empty if lies(item) else image for item, image in zip(objects, images, strict=True)]
     shapes = [_shape(item) for item in objects]
     group_centers, group_velocities, group_turns = _groups(scene, [shape[1] for shape in shapes])
     bounds = np.tile([-np.inf, np.inf], (len(objects), 3))
@@ -133,7 +153,9 @@ def prepare(scene: Any, textures: Textures, rows: int, columns: int, frame: int 
         group_centers=group_centers,
         group_velocities=group_velocities,
         group_angular_velocities=np.radians(group_turns),
-        textures=_texture_stack(textures, rows, columns, len(objects)),
+        textures=_texture_stack(projected, rows, columns, channels),
+        mappings=mappings,
+        images=flat,
     )
 
 

@@ -31,8 +31,9 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from benchmarks.truth.problem import Array, Problem, Textures, inverse_poses, prepare
+from benchmarks.truth.surface_images import shade
 
-CACHE_FORMAT = 1  # part of the key of cached images; a change of what is computed must change it
+CACHE_FORMAT = 2  # part of the key of cached images; a change of what is computed must change it
 LEAST_SAMPLES = 64
 MOST_SAMPLES = 1 << 17  # per pixel
 BLOCK = 128  # samples that stay in the fastest cache while all pixels of a row use them
@@ -112,7 +113,8 @@ def _meet(lens_x, lens_y, slope_x, slope_y, m, k, box):  # type: ignore[no-untyp
 def _cast(hits, rays, count, turn, corner, optics, surface, texture):  # type: ignore[no-untyped-def]
     """Keep the hits of one pixel's rays with one surface where they are nearer than those before.
 
-    `hits` (2 x BLOCK): depth in mm, and index of the texel or -1; `rays` (16 x BLOCK): sample set (4) and
+    `hits` (5 x BLOCK): depth in mm; index of the texel, -1 for none, or -2 - n for object n where an image lies on it;
+    and the point in the frame of the object. `rays` (16 x BLOCK): sample set (4) and
     poses (12). One loop without branches over flat arrays: the compiler computes eight rays at once.
     """
     cosine, sine = turn
@@ -126,7 +128,7 @@ def _cast(hits, rays, count, turn, corner, optics, surface, texture):  # type: i
     center_x, center_y, center_z = center
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = rotation
     r = (r0, r1, r2, r3, r4, r5, r6, r7, r8)
-    base, rows, columns = texture
+    base, rows, columns, other = texture
     for s in range(count):
         sub_x, sub_y = rays[s] + shift_x, rays[s + BLOCK] + shift_y
         sub_x = sub_x - 1.0 if sub_x >= 1.0 else sub_x
@@ -144,6 +146,10 @@ def _cast(hits, rays, count, turn, corner, optics, surface, texture):  # type: i
         nearest, texel = hits[s], hits[s + BLOCK]
         nearer = (depth > 0.0) & (depth < nearest)
         hits[s] = depth if nearer else nearest
+        at_x, at_y, at_z = hits[s + 2 * BLOCK], hits[s + 3 * BLOCK], hits[s + 4 * BLOCK]
+        hits[s + 2 * BLOCK] = x if nearer else at_x
+        hits[s + 3 * BLOCK] = y if nearer else at_y
+        hits[s + 4 * BLOCK] = z if nearer else at_z
         x, y, z = _turn(r, x, y, z)
         # A point behind the lens in the reference pose has no projection: the focused image has no value for it.
         rest = z + center_z
@@ -151,12 +157,37 @@ def _cast(hits, rays, count, turn, corner, optics, surface, texture):  # type: i
         j = _mirror(np.floor((x + center_x) * scale + 0.5 * columns), columns)
         i = _mirror(np.floor(0.5 * rows - (y + center_y) * scale), rows)
         found = base + i * columns + j if rest > 0.0 else -1.0
+        found = other if other < 0.0 else found
         hits[s + BLOCK] = found if nearer else texel
+
+
+@njit(cache=True)
+def _normal(normal, x, y, z, k):  # type: ignore[no-untyped-def]
+    """Unit normal (3,) of a quadric at a point."""
+    normal[0] = 2 * k[0] * x + k[3] * y + k[5] * z + k[6]
+    normal[1] = 2 * k[1] * y + k[3] * x + k[4] * z + k[7]
+    normal[2] = 2 * k[2] * z + k[4] * y + k[5] * x + k[8]
+    normal /= math.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])
 
 
 @njit(cache=True, parallel=True, fastmath={"contract"})
 def _accumulate(  # type: ignore[no-untyped-def]
-    sums, squares, order, first, last, points, poses, coefficients, bounds, centers, rotations, textures, optics, seed
+    sums,
+    squares,
+    order,
+    first,
+    last,
+    points,
+    poses,
+    coefficients,
+    bounds,
+    centers,
+    rotations,
+    textures,
+    mappings,
+    images,
+    optics,
+    seed,
 ):
     """Add samples first..last (rows, columns) of every pixel to `sums` and, over all channels, `squares`.
 
@@ -168,7 +199,8 @@ def _accumulate(  # type: ignore[no-untyped-def]
     for position in prange(rows):
         row = order[position]
         rays = np.empty((len(poses), 16 * BLOCK))
-        hits = np.empty(2 * BLOCK)
+        hits = np.zeros(5 * BLOCK)
+        total, normal = np.empty(channels), np.empty(3)
         for block in range(first[row].min(), last[row].max(), BLOCK):
             stop = min(block + BLOCK, points.shape[1])
             for n in range(len(poses)):  # loops instead of slices: the compiler takes a quarter of the time
@@ -189,11 +221,19 @@ def _accumulate(  # type: ignore[no-untyped-def]
                     hits[s], hits[s + BLOCK] = np.inf, -1.0
                 for n in range(len(poses)):
                     surface = coefficients[n], bounds[n], centers[n], rotations[n]
-                    texture = float(n * rows * columns), float(rows), float(columns)
+                    other = -2.0 - n if mappings[n, 0] > 0.0 else 0.0
+                    texture = float(n * rows * columns), float(rows), float(columns), other
                     _cast(hits, rays[n], end - block, turn, corner, optics, surface, texture)
                 square = 0.0
                 for s in range(begin - block, end - block):
                     texel = int(hits[s + BLOCK])
+                    if texel < -1:
+                        n, x, y, z = -2 - texel, hits[s + 2 * BLOCK], hits[s + 3 * BLOCK], hits[s + 4 * BLOCK]
+                        _normal(normal, x, y, z, coefficients[n])
+                        shade(total, x, y, z, normal, mappings[n], images)
+                        for channel in range(channels):
+                            sums[row, column, channel] += total[channel]
+                            square += total[channel] * total[channel]
                     if texel >= 0:
                         for channel in range(channels):
                             value = flat[texel, channel]
@@ -246,13 +286,14 @@ def extend(halves: Halves, counts: NDArray[np.int64]) -> Halves:
         times = problem.start + problem.shutter * (points[half][:, 4] if moving else np.zeros(1))
         lens = np.ascontiguousarray(np.column_stack([points[half][:, :2], _disc(points[half][:, 2:4])]).T)
         rotations = problem.rotations.reshape(-1, 9)
-        shape = problem.coefficients, problem.bounds, problem.centers, rotations, problem.textures
+        shape = problem.coefficients, problem.bounds, problem.centers, rotations
+        looks = problem.textures, problem.mappings, problem.images
         optics = problem.pitch_ratio, problem.lens_radius, problem.focus_term
         span, poses = (
             (halves.counts, counts),
             np.ascontiguousarray(np.moveaxis(inverse_poses(problem, times), 0, -1)),
         )
-        _accumulate(sums[half], squares[half], order, *span, lens, poses, *shape, optics, halves.seeds[half])
+        _accumulate(sums[half], squares[half], order, *span, lens, poses, *shape, *looks, optics, halves.seeds[half])
     return replace(halves, points=points, sums=sums, squares=squares, counts=counts)
 
 

@@ -16,7 +16,7 @@ of the image, row 0 the upper one.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, pi, radians, sin
+from math import cos, pi, radians, sin, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,8 @@ from clsco.constants import (
     WRAP_NONE,
     WRAP_REPEAT,
 )
-from clsco.scene.model import Cone, Cylinder, Ellipsoid, Object, Plane, Rectangle
+from clsco.optics.psf import shape_of
+from clsco.scene.model import Cone, Cylinder, Ellipsoid, Object, Plane, Psf, Rectangle, Scene
 
 KINDS = {
     "card": MAP_PLANE,
@@ -45,6 +46,7 @@ KINDS = {
     "cube": MAP_CUBE,
 }
 WRAPS = {"repeat": WRAP_REPEAT, "mirror": WRAP_MIRROR, "clamp": WRAP_CLAMP, "none": WRAP_NONE}
+DETAILED_LEAST, DETAILED_MOST = 0.1, 3.0  # |R| in px between which fine textures may need sub-pixel sources
 Matrix = NDArray[np.float64]
 
 
@@ -79,6 +81,18 @@ class TextureMap:
     wrap_y: int
     columns: int
     rows: int
+
+
+def needs_detail(scene: Scene, smallest: float, largest: float) -> bool:
+    """Whether textures on surfaces may need sub-pixel sources, for |R| from `smallest` to `largest` px."""
+    spread = texture_spread(scene.psf)
+    fine = spread * largest > DETAILED_LEAST and spread * smallest < DETAILED_MOST
+    return scene.has_mapped_textures and fine
+
+
+def texture_spread(psf: Psf) -> float:
+    """Radius in px of the disc whose second moments a PSF with R = 1 has, 0 where its sources are no squares."""
+    return 2.0 * sqrt(shape_of(psf).second_moment) if psf.edge == "integrated" else 0.0
 
 
 def texture_map(item: Object, columns: int, rows: int) -> TextureMap:

@@ -13,11 +13,11 @@ from clsco.frame.strips import Strip, frame_struct
 from clsco.inputs.mipmaps import level_sizes
 from clsco.optics.lens import blur_scale, focus_power, lens_radius, ray_step
 from clsco.optics.motion import Pose
-from clsco.optics.psf import MINIMUM_BLUR, sampled_key, shape_of
+from clsco.optics.psf import MINIMUM_BLUR, sampled_key
 from clsco.optics.psf_grid import octaves_from, sampled_steps, table_steps
 from clsco.optics.psf_tables import PsfTable
 from clsco.optics.quadrics import PlacedSurface
-from clsco.optics.texture_mapping import TextureMap
+from clsco.optics.texture_mapping import TextureMap, texture_spread
 from clsco.optics.visibility import Layer, lens_extent
 from clsco.records import Real, Struct, filled, structs
 from clsco.scene.model import Camera, Object, Psf
@@ -90,15 +90,13 @@ def texture_map_structs(
         What the last channel has where there is no image: 1 of coverage, else 0.
     real : {"double", "float"}
     """
-    # Equal to that of a disc of so many radii; only sources that are squares take detail.
-    spread = 2.0 * shape_of(psf).second_moment ** 0.5 if psf.edge == "integrated" else 0.0
     found_structs = []
     for found, base in zip(maps, bases, strict=True):
         values: dict[str, Any] = {"kind": MAP_PROJECTED}
         if found is not None:
             values = vars(found) | {"frame": found.frame.ravel(), "scale": found.scale.ravel()}
             levels = len(level_sizes(found.columns, found.rows))
-            values |= {"base": base, "levels": levels, "spread": spread, "outside": covered}
+            values |= {"base": base, "levels": levels, "spread": texture_spread(psf), "outside": covered}
         found_structs.append(filled("texture_map_t", real, values))
     return np.array(found_structs, structs(real)["texture_map_t"])
 

@@ -426,9 +426,9 @@ def source_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
 
 def hit_buffers(grid: Grid, mapped: bool) -> Sizes:
     """What rays of an occlusion group hit, for all lenses (`clsco.passes.trace.Hits`); mapped: textures lie on
-    surfaces, and have a detail besides."""
-    pixels = grid.sources
-    return {"value": 4 * (1 + mapped) * grid.channels * pixels, "depth": WIDE_BYTES * pixels, "hit": pixels}
+    surfaces, and have detail and texels per pixel besides."""
+    pixels, planes = grid.sources, (2 if mapped else 1) * grid.channels + mapped
+    return {"value": 4 * planes * pixels, "depth": WIDE_BYTES * pixels, "hit": pixels}
 
 
 def map_buffers(grid: Grid) -> Sizes:

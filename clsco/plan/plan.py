@@ -24,6 +24,7 @@ from clsco.optics.psf import psf_extent, shape_of
 from clsco.optics.psf_grid import table_reach
 from clsco.optics.psf_tables import check_tables, psf_features
 from clsco.optics.slabs import margin_of_slabs
+from clsco.optics.texture_mapping import needs_detail
 from clsco.optics.visibility import Layer, extent, is_hollow, layers
 from clsco.plan.approximation import METHODS, can_convolve, candidates, check_border, checked_tolerance, place_count
 from clsco.plan.buffers import (
@@ -344,7 +345,7 @@ def make_plan(
     slabs = psf.occlusion == "layered" and not _hides_nothing(scene)
     rays = not (forward or static)
     silhouettes = psf.silhouette_samples if psf.silhouette_samples > 1 and rays and not slabs else 0
-    if silhouettes and _fills_view(scene, w):
+    if silhouettes and _fills_view(scene, w) and not needs_detail(scene, smallest, largest):
         silhouettes = 0
     constant = _constant_blur(scene) and not silhouettes and can_convolve(psf)
     sharp = is_sharp(psf, largest) and not silhouettes

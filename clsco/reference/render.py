@@ -42,12 +42,15 @@ from clsco.reference.warp.warp import extend_border, reproject
 from clsco.scene.model import Object, Scene
 
 
-def _cast_sources(view: View, layer: Layer, guard: int) -> tuple[Sources, SubpixelSources | None]:
-    """Sources of one occlusion group from rays cast at its objects: the inverse warp, and every static scene."""
+def _cast_sources(view: View, layer: Layer, guard: int, detail: bool) -> tuple[Sources, SubpixelSources | None]:
+    """Sources of one occlusion group from rays cast at its objects: the inverse warp, and every static scene. detail:
+    with sub-pixel sources where textures need them."""
     sources = trace(view, layer, guard)
     if view.scene.psf.silhouette_samples == 1:
         return sources, None
     marked = mark_silhouettes(sources.label)
+    if detail and sources.detailed is not None:
+        marked |= sources.detailed
     return sources, trace_subpixels(view, layer, guard, marked) if marked.any() else None
 
 
@@ -171,7 +174,7 @@ def _time_sample(plan: Plan, textures: tuple[Texture, ...], maps: Maps, time: fl
         return image, asdict(FillReport()) | count
     image = np.zeros((*shape, plan.channels))
     for layer in plan.layers:
-        sources, sub = _cast_sources(view, layer, guard)
+        sources, sub = _cast_sources(view, layer, guard, plan.silhouettes > 0)
         image = image + scatter(scene.psf, sources, sub, shape, guard)
     return image, asdict(FillReport())
 

@@ -43,8 +43,8 @@ static float4 source_record(const camera_t camera, __constant surface_t *surface
 }
 
 // Radiance of a hit on a pixel's ray, times the weight, to a plane of `values` per channel; 0 without one. sources: per
-// axis of a pixel.
-static void take_radiance(const camera_t camera, __constant surface_t *surfaces, wide3_t ray, wide_t w, uchar label,
+// axis of a pixel. Returns what `surface_texture` does, 0 of a projected one.
+static float take_radiance(const camera_t camera, __constant surface_t *surfaces, wide3_t ray, wide_t w, uchar label,
                           int row, int column, int sources, float weight,
                           __global const float *texture OF_TEXTURE_MAPS, __global float *values, int plane)
 {
@@ -53,11 +53,11 @@ static void take_radiance(const camera_t camera, __constant surface_t *surfaces,
 #if MAPPED
     if (label && maps[object].kind != MAP_PROJECTED) {
         float mean[CHANNELS], detail[CHANNELS];
-        surface_texture(texture, surface, maps + object, camera, ray, w, sources, mean, detail);
+        const float texels = surface_texture(texture, surface, maps + object, camera, ray, w, sources, mean, detail);
         const float share = sharpening(maps + object, narrow(blur_radius(camera, w)), sources);
         for (int c = 0; c < CHANNELS; ++c)
             values[c * plane] = weight * (mean[c] + share * detail[c]);
-        return;
+        return texels;
     }
 #endif
     const wide_t zero = widened(0);
@@ -65,7 +65,19 @@ static void take_radiance(const camera_t camera, __constant surface_t *surfaces,
     const wide3_t point = label ? texture_point(surface, camera, ray, w, row, column) : nowhere;
     for (int c = 0; c < CHANNELS; ++c)
         values[c * plane] = label ? weight * radiance(texture, surface, camera, c, point) : 0;
+    return 0;
 }
+
+#if MAPPED && SUBPIXELS
+// The record of a pixel, marked where its texture needs sub-pixel sources; root: the label before any visibility test.
+static float4 with_detail(const camera_t camera, __constant texture_map_t *maps, float4 record, wide_t w, uchar root,
+                          float texels)
+{
+    if (record.x >= 0 && is_detailed(maps + (root - 1) / 2, texels, narrow(blur_radius(camera, w))))
+        record.w = as_float(DETAILED);
+    return record;
+}
+#endif
 
 // One source per pixel of frame and apron, on the nearest object of the occlusion group `layer`. Out: source, value,
 // label, statistics, depth.
@@ -85,10 +97,14 @@ __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const
     uchar root;
     int object;
     const wide_t w = nearest_surface(surfaces, layer, ray, &root, &object);
-    take_radiance(camera, surfaces, ray, w, root, row, column, 1, weight, texture TEXTURE_MAPS, value + at,
-                  camera.height * camera.width);
-    put_source(source, camera.height * camera.width, at,
-               source_record(camera, surfaces, layer, psf, ray, w, 0, &root, statistics));
+    const float texels = take_radiance(camera, surfaces, ray, w, root, row, column, 1, weight, texture TEXTURE_MAPS,
+                                       value + at, camera.height * camera.width);
+    const uchar hit = root;
+    float4 record = source_record(camera, surfaces, layer, psf, ray, w, 0, &root, statistics);
+#if MAPPED && SUBPIXELS
+    record = with_detail(camera, maps, record, w, hit, texels);
+#endif
+    put_source(source, camera.height * camera.width, at, record);
 #if OCCLUDED
     depth[at] = w;
 #endif
@@ -98,7 +114,8 @@ __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const
 }
 
 // The part of trace that all lenses have in common. Out: value, depth, and hit uchar (height, width), the label before
-// any visibility test. With textures on surfaces value has the mean of each channel, then the detail of each.
+// any visibility test. With textures on surfaces value has the mean of each channel, then the detail of each, then the
+// square of texels per pixel.
 __kernel void cast(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const float weight,
                    __global const float *texture OF_TEXTURE_MAPS, __global float *value, __global wide_t *depth,
                    __global uchar *hit)
@@ -114,17 +131,18 @@ __kernel void cast(const camera_t camera, __constant surface_t *surfaces, const 
     hit[at] = root;
     const int plane = camera.height * camera.width;
 #if MAPPED
-    float mean[CHANNELS], detail[CHANNELS];
+    float mean[CHANNELS], detail[CHANNELS], texels = 0;
     for (int c = 0; c < CHANNELS; ++c)
         detail[c] = 0;
     if (root && maps[object].kind != MAP_PROJECTED) {
-        surface_texture(texture, surfaces + object, maps + object, camera, ray, depth[at], 1, mean, detail);
+        texels = surface_texture(texture, surfaces + object, maps + object, camera, ray, depth[at], 1, mean, detail);
         for (int c = 0; c < CHANNELS; ++c)
             value[c * plane + at] = weight * mean[c];
     } else
         take_radiance(camera, surfaces, ray, depth[at], root, row, column, 1, weight, texture, maps, value + at, plane);
     for (int c = 0; c < CHANNELS; ++c)
         value[(CHANNELS + c) * plane + at] = weight * detail[c];
+    value[2 * CHANNELS * plane + at] = texels;
 #else
     take_radiance(camera, surfaces, ray, depth[at], root, row, column, 1, weight, texture, value + at, plane);
 #endif
@@ -145,21 +163,24 @@ __kernel void aim(const camera_t camera, __constant surface_t *surfaces, const l
     const int at = y * camera.width + x;
     const wide3_t ray = pixel_ray(camera, widened(FRAME_ROW(camera, y)), widened(x - camera.guard));
     uchar root = hit[at];
+    float4 record = source_record(camera, surfaces, layer, psf, ray, depth[at], 0, &root, statistics);
 #if MAPPED
     const int plane = camera.height * camera.width;
-    const float share = root ? sharpening(maps + (root - 1) / 2, narrow(blur_radius(camera, depth[at])), 1) : 0;
+    const float share = hit[at] ? sharpening(maps + (hit[at] - 1) / 2, narrow(blur_radius(camera, depth[at])), 1) : 0;
     for (int c = 0; c < CHANNELS; ++c)
         value[c * plane + at] = parts[c * plane + at] + share * parts[(CHANNELS + c) * plane + at];
+#if SUBPIXELS
+    record = with_detail(camera, maps, record, depth[at], hit[at], parts[2 * CHANNELS * plane + at]);
 #endif
-    put_source(source, camera.height * camera.width, at,
-               source_record(camera, surfaces, layer, psf, ray, depth[at], 0, &root, statistics));
+#endif
+    put_source(source, camera.height * camera.width, at, record);
 #if SUBPIXELS
     label[at] = root;
 #endif
 }
 
 #if SUBPIXELS
-// Gives a slot to every pixel within 2 px of a change of label. Slots come in any order; what is in them does
+// Gives a slot to every pixel within 2 px of a change of label, and to those that are DETAILED. Slots come in any order; what is in them does
 // not. In: label. Out: marks of source, pixels (slots): index of the pixel, statistics.
 __kernel void mark_silhouettes(const camera_t camera, __global const uchar *label, const int capacity,
                                __global float *source, __global int *pixels, __global int *statistics)
@@ -169,7 +190,11 @@ __kernel void mark_silhouettes(const camera_t camera, __global const uchar *labe
         return;
     const int at = y * camera.width + x;
     const uchar own = label[at];
+#if MAPPED
+    bool differs = as_int(MARKS(source, camera.height * camera.width)[at]) == DETAILED;
+#else
     bool differs = false;
+#endif
     if (x >= 2 && x < camera.width - 2) {
         // Five labels of a row at a time, four of them as one int.
         for (int i = MAX(y - 2, 0); i <= MIN(y + 2, camera.height - 1); ++i) {

@@ -26,9 +26,8 @@ from clsco.constants import (
 from clsco.inputs.mipmaps import SIDES, mipmap
 from clsco.inputs.mipmaps import cube_side as side_of
 from clsco.optics.lens import ray_step
-from clsco.optics.psf import shape_of
 from clsco.optics.quadrics import PlacedSurface
-from clsco.optics.texture_mapping import TextureMap
+from clsco.optics.texture_mapping import DETAILED_LEAST, DETAILED_MOST, TextureMap, texture_spread
 from clsco.reference.common.geometry import (
     Array,
     Filter,
@@ -44,6 +43,7 @@ MOST_CELLS, CELL_TEXELS = 8, 3
 MOST_TEXELS, MOST_BENT_TEXELS = MOST_CELLS * CELL_TEXELS, 64
 BENT = 256.0
 FARTHEST_TEXEL = 1e6
+DETAILED_TEXELS = 0.5
 TINY = 1e-12
 Indices = NDArray[np.intp]
 
@@ -67,8 +67,7 @@ def mapped_texture(
 ) -> MappedTexture:
     """A `MappedTexture` of images (rows, columns, channels): one, or the six of a cube map."""
     levels = tuple(level.astype(np.float64) for level in mipmap(images))
-    spread = 2.0 * shape_of(psf).second_moment ** 0.5 if psf.edge == "integrated" else 0.0
-    return MappedTexture(levels, found, spread, texture_filter)
+    return MappedTexture(levels, found, texture_spread(psf), texture_filter)
 
 
 @dataclass(frozen=True, eq=False)
@@ -331,28 +330,37 @@ def sharpening(texture: MappedTexture, radius: Array, sources: int) -> Array:
     return np.asarray(u * (16.0 / (3.0 * np.pi) - u))
 
 
+def is_detailed(texture: MappedTexture, texels: Array, radius: Array) -> NDArray[np.bool_]:
+    """Whether pixels (n,) with so many texels, squared, and a signed radius in px need sub-pixel sources."""
+    r = (texture.spread * np.abs(radius)).astype(np.float32)
+    fine = texels.astype(np.float32) > DETAILED_TEXELS**2
+    return np.asarray(fine & (r > np.float32(DETAILED_LEAST)) & (r < DETAILED_MOST))
+
+
 def surface_texture(
     texture: MappedTexture, surface: PlacedSurface, camera: Camera, rays: Array, w: Array, sources: int
-) -> tuple[Array, Array]:
-    """Mean and detail (n, channels) of the texture on a surface where rays (n, 3) hit it at inverse depths w (n,)."""
+) -> tuple[Array, Array, Array]:
+    """Mean and detail (n, channels) of the texture on a surface where rays (n, 3) hit it at inverse depths w (n,), and
+    the squares (n,) of the texels of the wider axes of their footprints."""
     point = mapped_point(surface, texture.map, camera, rays, w)
     point = Mapped(point.at, point.right / sources, point.down / sources)
     three = texture.map.kind == MAP_TRIPLANAR
     shares = blend_shares(own_normal(surface, rays, w)) if three else np.ones((len(w), 1))
     mean = np.zeros((len(w), texture.levels[0].shape[3]))
-    detail = np.zeros_like(mean)
+    detail, texels = np.zeros_like(mean), np.zeros(len(w))
     for axis in range(shares.shape[1]):
         here = shares[:, axis] > 0.0
         parts = (part[here] for part in (point.at, point.right, point.down))
         seen = Mapped(*(along_axis(part, axis) if three else part for part in parts))
         texel = texel_at(texture.map, seen.at)
         changes = texel_change(texture.map, seen.at, seen.right), texel_change(texture.map, seen.at, seen.down)
+        texels[here] = np.maximum(texels[here], np.max([c * c + r * r for c, r in changes], axis=0))
         bent, share = is_bent(texture.map, seen), shares[here, axis, None]
         found = mean_texture(texture, seen, texel, changes, bent, 1, 2)
         mean[here] += share * found
         if texture.spread > 0.0:
             detail[here] += share * (found - mean_texture(texture, seen, texel, changes, bent, 2, 1))
-    return mean, detail
+    return mean, detail, texels
 
 
 def texture_coordinates(texture: MappedTexture, surface: PlacedSurface, camera: Camera, rays: Array, w: Array) -> Array:

@@ -27,7 +27,7 @@ from clsco.reference.common.geometry import (
     surface_slope,
 )
 from clsco.reference.common.visibility import HIDDEN, Points, Visibility, check_visibility
-from clsco.reference.trace.mapping import MappedTexture, sharpening, surface_texture
+from clsco.reference.trace.mapping import MappedTexture, is_detailed, sharpening, surface_texture
 from clsco.scene.model import Camera, Scene
 
 SILHOUETTE_RANGE = 2  # px, Chebyshev distance from a silhouette within which pixels get sub-pixel sources
@@ -40,7 +40,7 @@ class Sources:
     radiance (H, W, C) linear; inverse_depth (H, W) 1/mm; label (H, W): 0 no source, else which root of
     which object, and where two surfaces meet; radius (H, W) signed blur radius in px; gradient (H, W, 2) of the
     radius, px per px, right and down; lit (H, W): some of its radiance reaches the lens; visibility:
-    its occluders, None for none at all.
+    its occluders, None for none at all; detailed (H, W): its texture needs sub-pixel sources.
     """
 
     radiance: Array
@@ -50,6 +50,7 @@ class Sources:
     gradient: Array
     lit: NDArray[np.bool_]
     visibility: Visibility | None = None
+    detailed: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +116,8 @@ def everything(scene: Scene) -> Layer:
 
 @dataclass(frozen=True, eq=False)
 class Cast:
-    """What rays (...) meet: inverse depth in 1/mm, label, object, blur radius in px, its gradient, radiance."""
+    """What rays (...) meet: inverse depth in 1/mm, label, object, blur radius in px, its gradient, radiance; detailed:
+    the texture is finer than a source per pixel can be."""
 
     w: Array
     label: NDArray[np.uint8]
@@ -123,6 +125,7 @@ class Cast:
     radius: Array
     gradient: Array
     radiance: Array
+    detailed: NDArray[np.bool_]
 
 
 def cast(
@@ -141,6 +144,7 @@ def cast(
     scene, rays = view.scene, pixel_ray(view.scene.camera, row, column)
     w, label, number = nearest_surface(view.surfaces, [item.bounds for item in scene.objects], layer, rays)
     gradient, radiance = np.zeros((*w.shape, 2)), np.zeros((*w.shape, view.channels))
+    detailed = np.zeros(w.shape, dtype=bool)
     for k, surface in enumerate(view.surfaces):
         if not layer.members >> k & 1:
             continue
@@ -148,25 +152,28 @@ def cast(
         gradient = np.where(own, blur_gradient(scene.camera, surface_slope(surface, rays, w)), gradient)
         texels, texture = (np.asarray(n, dtype=np.int64) for n in texel), view.textures[k]
         if isinstance(texture, MappedTexture):
-            shown = _mapped_radiance(scene, surface, texture, rays, np.where(own[..., 0], w, 0.0), sources)
+            shown, fine = _mapped_radiance(scene, surface, texture, rays, np.where(own[..., 0], w, 0.0), sources)
+            detailed |= fine
         elif view.moved:
             shown = _moved_radiance(scene, surface, texture, rays, w)
         else:
             shown = np.broadcast_to(_texels(texture, *texels), radiance.shape)
         radiance = np.where(own, shown, radiance)
     radius = np.where(label > 0, blur_radius(scene.camera, w), 0.0)
-    return Cast(w, label, number, radius, gradient, radiance)
+    return Cast(w, label, number, radius, gradient, radiance, detailed)
 
 
 def _mapped_radiance(
     scene: Scene, surface: PlacedSurface, texture: MappedTexture, rays: Array, w: Array, sources: int
-) -> Array:
-    """Radiance (..., channels) of a texture on a surface, 0 where w is; sources: as for `cast`."""
-    found, hit = np.zeros((*w.shape, texture.levels[0].shape[-1])), w > 0.0
-    mean, detail = surface_texture(texture, surface, scene.camera, rays[hit], w[hit], max(sources, 1))
-    share = sharpening(texture, blur_radius(scene.camera, w[hit]), sources)
-    found[hit] = mean + share[..., None] * detail
-    return found
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Radiance (..., channels) of a texture on a surface, 0 where w is, and whether it is finer (...) than one source
+    per pixel can be; sources: as for `cast`."""
+    found, fine, hit = np.zeros((*w.shape, texture.levels[0].shape[-1])), np.zeros(w.shape, dtype=bool), w > 0.0
+    mean, detail, texels = surface_texture(texture, surface, scene.camera, rays[hit], w[hit], max(sources, 1))
+    radius = blur_radius(scene.camera, w[hit])
+    found[hit] = mean + sharpening(texture, radius, sources)[..., None] * detail
+    fine[hit] = is_detailed(texture, texels, radius)
+    return found, fine
 
 
 def _moved_radiance(scene: Scene, surface: PlacedSurface, texture: Array, rays: Array, w: Array) -> Array:
@@ -209,7 +216,7 @@ def trace(view: View, layer: Layer, guard: int) -> Sources:
         number[np.flatnonzero(lit)] = seen.row
         visibility = replace(seen, row=number)
         lit[lit] = state != HIDDEN
-    return Sources(hit.radiance, hit.w, label, hit.radius, hit.gradient, lit, visibility)
+    return Sources(hit.radiance, hit.w, label, hit.radius, hit.gradient, lit, visibility, hit.detailed & lit)
 
 
 def mark_silhouettes(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
