@@ -34,6 +34,8 @@ SHARED = (
     "sub_source",
     "sub_value",
     "sub_depth",
+    "share",
+    "sharper",
 )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import CUBE_BORDER
+from clsco.inputs.resampling import resample_rows
 
 Floats = NDArray[np.float32]
 # For the sides of a cube in the order right, left, top, bottom, back, front: axis that points out of it with its sign,
@@ -47,7 +48,9 @@ def mipmap(images: Sequence[Floats]) -> list[Floats]:
     Returns
     -------
     list of ndarray of float32, (sides, rows, columns, channels)
-        Texels are means over their area. Around those of a cube map are CUBE_BORDER texels of its neighbors.
+        Each level is the one before without what its texels cannot hold, by a cubic as wide as two of them: of no
+        second moment, so that what is interpolated between texels is no wider than the image. Around the sides of a
+        cube map are CUBE_BORDER texels of their neighbors.
     """
     levels = [np.stack(images)]
     for columns, rows in level_sizes(images[0].shape[1], images[0].shape[0])[1:]:
@@ -56,20 +59,11 @@ def mipmap(images: Sequence[Floats]) -> list[Floats]:
 
 
 def _shrunk(images: Floats, size: int, axis: int) -> Floats:
-    """Means over `size` equal parts of an axis."""
-    count = images.shape[axis]
-    if count == 2 * size:
-        even, odd = (np.take(images, np.arange(start, count, 2), axis) for start in (0, 1))
-        return (0.5 * (even.astype(np.float64) + odd)).astype(np.float32)
-    if count == size:
+    """Images (sides, rows, columns, channels) with `size` rows or columns, of which they have up to twice as many."""
+    if images.shape[axis] == size:
         return images
-    ends = np.linspace(0.0, count, size + 1)
-    first = np.minimum(np.floor(ends).astype(np.intp), count - 1)
-    sums = np.cumsum(np.moveaxis(images, axis, 0), axis=0, dtype=np.float64)
-    sums = np.concatenate([np.zeros_like(sums[:1]), sums])
-    values = np.moveaxis(images, axis, 0)[first]
-    to_ends = sums[first] + (ends - first).reshape(-1, *[1] * (images.ndim - 1)) * values
-    return np.moveaxis((np.diff(to_ends, axis=0) * (size / count)).astype(np.float32), 0, axis)
+    rows = np.moveaxis(images, axis, 0).astype(np.float64)
+    return np.moveaxis(resample_rows(rows, size, np.arange(size)).astype(np.float32), 0, axis)
 
 
 def side_point(side: int, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:

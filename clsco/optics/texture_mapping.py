@@ -46,7 +46,7 @@ KINDS = {
     "cube": MAP_CUBE,
 }
 WRAPS = {"repeat": WRAP_REPEAT, "mirror": WRAP_MIRROR, "clamp": WRAP_CLAMP, "none": WRAP_NONE}
-DETAILED_LEAST, DETAILED_MOST = 0.1, 3.0  # |R| in px between which fine textures may need sub-pixel sources
+DETAILED_LEAST, DETAILED_MOST = 0.01, 3.0  # |R| in px between which fine textures may need sub-pixel sources
 Matrix = NDArray[np.float64]
 
 
@@ -83,11 +83,9 @@ class TextureMap:
     rows: int
 
 
-def needs_detail(scene: Scene, smallest: float, largest: float) -> bool:
-    """Whether textures on surfaces may need sub-pixel sources, for |R| from `smallest` to `largest` px."""
-    spread = texture_spread(scene.psf)
-    fine = spread * largest > DETAILED_LEAST and spread * smallest < DETAILED_MOST
-    return scene.has_mapped_textures and fine
+def needs_detail(scene: Scene, largest: float) -> bool:
+    """Whether sources of textures on surfaces need more than their means, for |R| up to `largest` px."""
+    return scene.has_mapped_textures and texture_spread(scene.psf) * largest > DETAILED_LEAST
 
 
 def texture_spread(psf: Psf) -> float:

@@ -168,11 +168,12 @@ class Tracer:
         sample, head = work.sample, self._head(work)
         share = np.float32(sample.weight)
         source, label, statistics = (buffers.get(name) for name in ("source", "label", "statistics"))
+        exchanged = (buffers["share"],) if "share" in buffers else ()
         assert work.group is not None
         if self.hits is None:
             value, depth = buffers["value"], buffers.get("depth")
             args = (*head, share, *self._textures, source, value, label, statistics)
-            self._per_pixel("trace", work, *args, *((depth,) if occluded else ()))
+            self._per_pixel("trace", work, *args, *((depth,) if occluded else ()), *exchanged)
         else:
             args = (*head[:3], share, *self._textures)
 
@@ -181,10 +182,8 @@ class Tracer:
 
             sizes = hit_buffers(self.plan.grid, self.plan.mapped > 0)
             value, depth, hit = self.hits.planes(sizes, self._key(work), cast)
-            parts: tuple[cl.Buffer, ...] = ()
-            if self.plan.mapped:
-                parts, value = (value, *self.scene.texture_maps, buffers["value"]), buffers["value"]
-            self._per_pixel("aim", work, *head, depth, hit, *parts, source, label, statistics)
+            beside = (value, *self.scene.texture_maps, *exchanged) if exchanged else ()
+            self._per_pixel("aim", work, *head, depth, hit, source, label, statistics, *beside)
         hidden: dict[str, Any] = {"surfaces": sample.surfaces, "layer": head[2], "depth": depth} if occluded else {}
         work.sources = Sources(source, value, **hidden)
 
@@ -204,8 +203,12 @@ class Tracer:
         self.target.run(
             "trace_subpixels", size, PIXELS[:1], work.events, *head, buffers["pixels"], slots, *subs, *occluded
         )
+        value = work.sources.value
+        if "sharper" in buffers:
+            value = buffers["sharper"]
+            self._per_pixel("sharpen", work, work.camera, work.sources.value, buffers["share"], source, value)
         work.sources = replace(
-            work.sources, sub_source=subs[0], sub_value=subs[1], capacity=plan.slots, sub_depth=sub_depth
+            work.sources, value=value, sub_source=subs[0], sub_value=subs[1], capacity=plan.slots, sub_depth=sub_depth
         )
 
     def pinhole(self, work: Work, weight: float) -> None:

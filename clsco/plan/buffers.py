@@ -401,10 +401,12 @@ def trace_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
     return sizes | ({"depth": WIDE_BYTES * grid.sources} if spec.occluders else {})
 
 
-def silhouette_buffers(spec: BlurSpec, grid: Grid, slots: int) -> Sizes:
-    """Sub-pixel sources, in `slots` pixels near silhouettes."""
+def silhouette_buffers(spec: BlurSpec, grid: Grid, slots: int, mapped: bool) -> Sizes:
+    """Sub-pixel sources, in `slots` pixels near silhouettes; mapped: and, of textures on surfaces, what neighbors
+    exchange."""
     subs = slots * spec.subpixels**2
     sizes = {"label": grid.sources, "pixels": 4 * slots, "sub_source": 16 * subs, "sub_value": 4 * grid.channels * subs}
+    sizes |= {"share": 4 * grid.sources, "sharper": 4 * grid.channels * grid.sources} if mapped else {}
     return sizes | ({"sub_depth": WIDE_BYTES * subs} if spec.occluders else {})
 
 
@@ -426,8 +428,8 @@ def source_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
 
 def hit_buffers(grid: Grid, mapped: bool) -> Sizes:
     """What rays of an occlusion group hit, for all lenses (`clsco.passes.trace.Hits`); mapped: textures lie on
-    surfaces, and have detail and texels per pixel besides."""
-    pixels, planes = grid.sources, (2 if mapped else 1) * grid.channels + mapped
+    surfaces, and a plane has their texels per pixel."""
+    pixels, planes = grid.sources, grid.channels + mapped
     return {"value": 4 * planes * pixels, "depth": WIDE_BYTES * pixels, "hit": pixels}
 
 

@@ -345,7 +345,7 @@ def make_plan(
     slabs = psf.occlusion == "layered" and not _hides_nothing(scene)
     rays = not (forward or static)
     silhouettes = psf.silhouette_samples if psf.silhouette_samples > 1 and rays and not slabs else 0
-    if silhouettes and _fills_view(scene, w) and not needs_detail(scene, smallest, largest):
+    if silhouettes and _fills_view(scene, w) and not needs_detail(scene, largest):
         silhouettes = 0
     constant = _constant_blur(scene) and not silhouettes and can_convolve(psf)
     sharp = is_sharp(psf, largest) and not silhouettes
@@ -415,7 +415,9 @@ def _group_passes(plan: Plan, group: Layer) -> Iterator[Pass]:
     yield Pass("trace", _of_rays(plan), trace_buffers(spec, grid) | _of_scene(plan), group)
     if plan.silhouettes:
         what = f"{plan.silhouettes} x {plan.silhouettes} per pixel within 2 px of a silhouette"
-        yield Pass("silhouettes", (("sub-pixel sources", what),), silhouette_buffers(spec, grid, plan.slots), group)
+        what += ", and where textures are finer than the blur" if plan.mapped else ""
+        sizes = silhouette_buffers(spec, grid, plan.slots, plan.mapped > 0)
+        yield Pass("silhouettes", (("sub-pixel sources", what),), sizes, group)
     yield _blur_pass(plan, group)
 
 

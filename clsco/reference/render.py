@@ -33,6 +33,7 @@ from clsco.reference.trace.trace import (
     View,
     everything,
     mark_silhouettes,
+    sharpen,
     trace,
     trace_subpixels,
     view_at,
@@ -51,6 +52,7 @@ def _cast_sources(view: View, layer: Layer, guard: int, detail: bool) -> tuple[S
     marked = mark_silhouettes(sources.label)
     if detail and sources.detailed is not None:
         marked |= sources.detailed
+        sources = sharpen(sources, marked)
     return sources, trace_subpixels(view, layer, guard, marked) if marked.any() else None
 
 

@@ -52,11 +52,10 @@ static float take_radiance(const camera_t camera, __constant surface_t *surfaces
     __constant surface_t *surface = surfaces + object;
 #if MAPPED
     if (label && maps[object].kind != MAP_PROJECTED) {
-        float mean[CHANNELS], detail[CHANNELS];
-        const float texels = surface_texture(texture, surface, maps + object, camera, ray, w, sources, mean, detail);
-        const float share = sharpening(maps + object, narrow(blur_radius(camera, w)), sources);
+        float mean[CHANNELS];
+        const float texels = surface_texture(texture, surface, maps + object, camera, ray, w, sources, mean);
         for (int c = 0; c < CHANNELS; ++c)
-            values[c * plane] = weight * (mean[c] + share * detail[c]);
+            values[c * plane] = weight * mean[c];
         return texels;
     }
 #endif
@@ -69,12 +68,19 @@ static float take_radiance(const camera_t camera, __constant surface_t *surfaces
 }
 
 #if MAPPED && SUBPIXELS
-// The record of a pixel, marked where its texture needs sub-pixel sources; root: the label before any visibility test.
+// Of a pixel with a texture on a surface: its share in what neighbors exchange, 0 where it has no part in it, and its
+// record, marked where it needs sub-pixel sources; root: the label before any visibility test.
 static float4 with_detail(const camera_t camera, __constant texture_map_t *maps, float4 record, wide_t w, uchar root,
-                          float texels)
+                          float texels, __global float *share)
 {
-    if (record.x >= 0 && is_detailed(maps + (root - 1) / 2, texels, narrow(blur_radius(camera, w))))
-        record.w = as_float(DETAILED);
+    *share = 0;
+    if (record.x >= 0 && maps[(root - 1) / 2].kind != MAP_PROJECTED) {
+        __constant texture_map_t *map = maps + (root - 1) / 2;
+        const real radius = narrow(blur_radius(camera, w));
+        *share = sharpening(map, radius);
+        if (is_detailed(map, texels, radius))
+            record.w = as_float(DETAILED);
+    }
     return record;
 }
 #endif
@@ -86,6 +92,9 @@ __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const
                     __global float *value, __global uchar *label, __global int *statistics
 #if OCCLUDED
                     , __global wide_t *depth
+#endif
+#if MAPPED && SUBPIXELS
+                    , __global float *share
 #endif
 )
 {
@@ -102,7 +111,7 @@ __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const
     const uchar hit = root;
     float4 record = source_record(camera, surfaces, layer, psf, ray, w, 0, &root, statistics);
 #if MAPPED && SUBPIXELS
-    record = with_detail(camera, maps, record, w, hit, texels);
+    record = with_detail(camera, maps, record, w, hit, texels, share + at);
 #endif
     put_source(source, camera.height * camera.width, at, record);
 #if OCCLUDED
@@ -114,8 +123,7 @@ __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const
 }
 
 // The part of trace that all lenses have in common. Out: value, depth, and hit uchar (height, width), the label before
-// any visibility test. With textures on surfaces value has the mean of each channel, then the detail of each, then the
-// square of texels per pixel.
+// any visibility test. With textures on surfaces value has a plane more, of texels per pixel as `surface_texture` gives them.
 __kernel void cast(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const float weight,
                    __global const float *texture OF_TEXTURE_MAPS, __global float *value, __global wide_t *depth,
                    __global uchar *hit)
@@ -130,32 +138,22 @@ __kernel void cast(const camera_t camera, __constant surface_t *surfaces, const 
     depth[at] = nearest_surface(surfaces, layer, ray, &root, &object);
     hit[at] = root;
     const int plane = camera.height * camera.width;
+    const float texels = take_radiance(camera, surfaces, ray, depth[at], root, row, column, 1, weight,
+                                       texture TEXTURE_MAPS, value + at, plane);
 #if MAPPED
-    float mean[CHANNELS], detail[CHANNELS], texels = 0;
-    for (int c = 0; c < CHANNELS; ++c)
-        detail[c] = 0;
-    if (root && maps[object].kind != MAP_PROJECTED) {
-        texels = surface_texture(texture, surfaces + object, maps + object, camera, ray, depth[at], 1, mean, detail);
-        for (int c = 0; c < CHANNELS; ++c)
-            value[c * plane + at] = weight * mean[c];
-    } else
-        take_radiance(camera, surfaces, ray, depth[at], root, row, column, 1, weight, texture, maps, value + at, plane);
-    for (int c = 0; c < CHANNELS; ++c)
-        value[(CHANNELS + c) * plane + at] = weight * detail[c];
-    value[2 * CHANNELS * plane + at] = texels;
-#else
-    take_radiance(camera, surfaces, ray, depth[at], root, row, column, 1, weight, texture, value + at, plane);
+    value[CHANNELS * plane + at] = texels;
 #endif
 }
 
-// The rest of it, for one lens. In: depth, hit, and with textures on surfaces their parts as `cast` leaves them. Out:
-// source, label, statistics, and with these textures value.
+// The rest of it, for one lens. In: depth, hit, and with textures on surfaces value, as `cast` leaves them. Out: source,
+// label, statistics, and with these textures share.
 __kernel void aim(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
-                  __global const wide_t *depth, __global const uchar *hit,
-#if MAPPED
-                  __global const float *parts, __constant texture_map_t *maps, __global float *value,
+                  __global const wide_t *depth, __global const uchar *hit, __global float *source,
+                  __global uchar *label, __global int *statistics
+#if MAPPED && SUBPIXELS
+                  , __global const float *value, __constant texture_map_t *maps, __global float *share
 #endif
-                  __global float *source, __global uchar *label, __global int *statistics)
+)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
@@ -164,14 +162,9 @@ __kernel void aim(const camera_t camera, __constant surface_t *surfaces, const l
     const wide3_t ray = pixel_ray(camera, widened(FRAME_ROW(camera, y)), widened(x - camera.guard));
     uchar root = hit[at];
     float4 record = source_record(camera, surfaces, layer, psf, ray, depth[at], 0, &root, statistics);
-#if MAPPED
-    const int plane = camera.height * camera.width;
-    const float share = hit[at] ? sharpening(maps + (hit[at] - 1) / 2, narrow(blur_radius(camera, depth[at])), 1) : 0;
-    for (int c = 0; c < CHANNELS; ++c)
-        value[c * plane + at] = parts[c * plane + at] + share * parts[(CHANNELS + c) * plane + at];
-#if SUBPIXELS
-    record = with_detail(camera, maps, record, depth[at], hit[at], parts[2 * CHANNELS * plane + at]);
-#endif
+#if MAPPED && SUBPIXELS
+    const float texels = value[CHANNELS * camera.height * camera.width + at];
+    record = with_detail(camera, maps, record, depth[at], hit[at], texels, share + at);
 #endif
     put_source(source, camera.height * camera.width, at, record);
 #if SUBPIXELS
@@ -247,6 +240,38 @@ __kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfa
     sub_depth[id] = w;
 #endif
 }
+
+#if MAPPED
+// Radiance after neighbors have exchanged what makes squares of what textures on surfaces show, see mapping.clh. Only
+// pixels with one source take part, which are at least 2 px from other objects. In: value, share, marks of source. Out:
+// sharper, as value.
+__kernel void sharpen(const camera_t camera, __global const float *value, __global const float *share,
+                      __global float *source, __global float *sharper)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= camera.width || y >= camera.height)
+        return;
+    const int at = y * camera.width + x, plane = camera.height * camera.width;
+    __global const float *marks = MARKS(source, plane);
+    float shares[4];
+    const int neighbors[4] = {at - 1, at + 1, at - camera.width, at + camera.width};
+    const bool there[4] = {x > 0, x < camera.width - 1, y > 0, y < camera.height - 1};
+    const bool alone = as_int(marks[at]) < 0;
+    for (int k = 0; k < 4; ++k) {
+        shares[k] = 0;
+        if (alone && there[k] && as_int(marks[neighbors[k]]) < 0 && share[at] > 0 && share[neighbors[k]] > 0)
+            shares[k] = 0.5f * (share[at] + share[neighbors[k]]);
+    }
+    for (int c = 0; c < CHANNELS; ++c) {
+        const float own = value[c * plane + at];
+        float sum = own;
+        for (int k = 0; k < 4; ++k)
+            if (shares[k] > 0)
+                sum += shares[k] * (own - value[c * plane + neighbors[k]]);
+        sharper[c * plane + at] = sum;
+    }
+}
+#endif
 #endif
 
 // The pinhole image of the occlusion group `layer`, for `layered` occlusion. Out: value as in trace; coc wide_t, signed

@@ -108,8 +108,8 @@ __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces
     }
 #if MAPPED
     if (sharp && is_mapped) {
-        float mean[CHANNELS], detail[CHANNELS];
-        surface_texture(texture, surface, maps + object, camera, ray, w, 1, mean, detail);
+        float mean[CHANNELS];
+        surface_texture(texture, surface, maps + object, camera, ray, w, 1, mean);
         for (int c = 0; c < CHANNELS; ++c)
             sharp[at * CHANNELS + c] = mean[c];
     }

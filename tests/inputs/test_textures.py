@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from clsco.errors import ImageError
 from clsco.files.images import write_png
 from clsco.files.transfer import decode, encode
+from clsco.inputs.resampling import resample
 from clsco.inputs.textures import (
     PATTERNS,
     bricks,
     checkerboard,
     load_scene_textures,
     load_texture,
-    resample,
     texture_size,
 )
 from clsco.scene.model import BUILT_IN_TEXTURES, Plane, Scene

@@ -39,12 +39,13 @@ from clsco.reference.common.geometry import (
 )
 from clsco.scene.model import Camera, Psf
 
-MOST_CELLS, CELL_TEXELS = 8, 3
+MOST_CELLS, CELL_TEXELS, LEAST_TEXELS = 8, 3, 2
 MOST_TEXELS, MOST_BENT_TEXELS = MOST_CELLS * CELL_TEXELS, 64
 BENT = 256.0
 FARTHEST_TEXEL = 1e6
 DETAILED_TEXELS = 0.5
 TINY = 1e-12
+APART = 1.17
 Indices = NDArray[np.intp]
 
 
@@ -237,6 +238,7 @@ def add_texel(
 
 def nodes_of(square: Array) -> tuple[Indices, Indices]:
     """Nodes per cell, and cells, for squares (n,) of the number of texels along an axis of a pixel."""
+    square = square / APART
     nodes = 1 + (square > 1.0 / 64.0).astype(np.intp) + (square > 1.0) + (square > 4.0)
     cells = np.ones(square.shape, np.intp)
     for count in range(1, MOST_CELLS):
@@ -253,35 +255,35 @@ def _offsets(nodes: int, cells: int) -> tuple[Array, Array]:
 
 def mean_texture(
     texture: MappedTexture, point: Mapped, texel: Texel, changes: tuple[tuple[Array, Array], tuple[Array, Array]],
-    bent: NDArray[np.bool_], size: int, least: int,
+    bent: NDArray[np.bool_],
 ) -> Array:  # fmt: skip
-    """Means (n, channels) of a texture over squares of `size` pixels.
+    """Means (n, channels) of a texture over pixels.
 
-    changes: of column and row per pixel to the right, and down; least: texels that the narrow side of a footprint has
-    at least where the level is not the finest. Validated against means of many samples.
+    changes: of column and row per pixel to the right, and down. Validated against means of many samples.
     """
     (rc, rr), (dc, dr) = changes
-    scale = float(size * size)
-    across, along = scale * (rc * rc + rr * rr), scale * (dc * dc + dr * dr)
-    narrow, both = 2.0 * (scale * (rc * dr - rr * dc)) ** 2, across + along
+    across, along = rc * rc + rr * rr, dc * dc + dr * dr
+    narrow, both = 2.0 * (rc * dr - rr * dc) ** 2, across + along
     level = np.zeros(across.shape, np.intp)
     most = np.where(bent, MOST_BENT_TEXELS, MOST_TEXELS) ** 2
     for _ in texture.levels[1:]:
         each = 4.0**level
-        more = ~(narrow < both * (4.0 * each * least * least)) | (most * each < np.maximum(across, along))
+        more = ~(narrow < both * (4.0 * APART * LEAST_TEXELS**2 * each)) | (
+            APART * most * each < np.maximum(across, along)
+        )
         level += more & (level + 1 < len(texture.levels))
     (nodes_x, cells_x), (nodes_y, cells_y) = (nodes_of(square / 4.0**level) for square in (across, along))
     result = np.empty((*across.shape, texture.levels[0].shape[3]))
     kinds = np.stack([level, nodes_x, cells_x, nodes_y, cells_y, bent.astype(np.intp)], axis=-1)
     for kind in np.unique(kinds.reshape(-1, 6), axis=0):
         here = (kinds == kind).all(axis=-1)
-        result[here] = _mean_of_kind(texture, point, texel, changes, here, size, [int(n) for n in kind])
+        result[here] = _mean_of_kind(texture, point, texel, changes, here, [int(n) for n in kind])
     return result
 
 
 def _mean_of_kind(
     texture: MappedTexture, point: Mapped, texel: Texel, changes: tuple[tuple[Array, Array], tuple[Array, Array]],
-    here: NDArray[np.bool_], size: int, kind: list[int],
+    here: NDArray[np.bool_], kind: list[int],
 ) -> Array:  # fmt: skip
     """`mean_texture` of pixels `here`, which have one level and the same nodes."""
     level, nodes_x, cells_x, nodes_y, cells_y, bent = kind
@@ -296,12 +298,12 @@ def _mean_of_kind(
         for a, weight_x in zip(*_offsets(nodes_x, cells_x), strict=True):
             at = center
             if bent:
-                at = texel_at(found, point.at[here] + size * a * point.right[here] + size * b * point.down[here])
+                at = texel_at(found, point.at[here] + a * point.right[here] + b * point.down[here])
             x = wrapped_position(at.column, found.columns, found.wrap_x) * share_x - 0.5
             y = wrapped_position(at.row, found.rows, found.wrap_y) * share_y - 0.5
             if not bent:
-                x = x + size * (a * right[0] + b * down[0])
-                y = y + size * (a * right[1] + b * down[1])
+                x = x + a * right[0] + b * down[0]
+                y = y + a * right[1] + b * down[1]
             i, j = np.floor(y), np.floor(x)
             place = (at.side, i.astype(np.intp) + border, j.astype(np.intp) + border)
             total += weight_y * weight_x * add_texel(stored, found, texture.texture_filter, place, y - i, x - j)
@@ -324,10 +326,10 @@ def along_axis(q: Array, axis: int) -> Array:
     return np.asarray(q[..., ((2, 1, 0), (0, 2, 1), (0, 1, 2))[axis]])
 
 
-def sharpening(texture: MappedTexture, radius: Array, sources: int) -> Array:
-    """Shares (n,) of the detail that sources of signed radii in px take; sources: of them per axis of a pixel."""
-    u = np.minimum(texture.spread * np.abs(radius) * sources, 1.0)
-    return np.asarray(u * (16.0 / (3.0 * np.pi) - u))
+def sharpening(texture: MappedTexture, radius: Array) -> Array:
+    """Shares c (n,) of their differences to neighbors that sources of signed radii in px take."""
+    u = np.minimum(texture.spread * np.abs(radius), 1.0)
+    return np.asarray(0.125 * u * (16.0 / (3.0 * np.pi) - u))
 
 
 def is_detailed(texture: MappedTexture, texels: Array, radius: Array) -> NDArray[np.bool_]:
@@ -339,15 +341,15 @@ def is_detailed(texture: MappedTexture, texels: Array, radius: Array) -> NDArray
 
 def surface_texture(
     texture: MappedTexture, surface: PlacedSurface, camera: Camera, rays: Array, w: Array, sources: int
-) -> tuple[Array, Array, Array]:
-    """Mean and detail (n, channels) of the texture on a surface where rays (n, 3) hit it at inverse depths w (n,), and
-    the squares (n,) of the texels of the wider axes of their footprints."""
+) -> tuple[Array, Array]:
+    """Means (n, channels) of the texture on a surface where rays (n, 3) hit it at inverse depths w (n,), and squares
+    (n,) of the texels of the wider axes of their footprints; sources: per axis of a pixel."""
     point = mapped_point(surface, texture.map, camera, rays, w)
     point = Mapped(point.at, point.right / sources, point.down / sources)
     three = texture.map.kind == MAP_TRIPLANAR
     shares = blend_shares(own_normal(surface, rays, w)) if three else np.ones((len(w), 1))
     mean = np.zeros((len(w), texture.levels[0].shape[3]))
-    detail, texels = np.zeros_like(mean), np.zeros(len(w))
+    texels = np.zeros(len(w))
     for axis in range(shares.shape[1]):
         here = shares[:, axis] > 0.0
         parts = (part[here] for part in (point.at, point.right, point.down))
@@ -356,11 +358,8 @@ def surface_texture(
         changes = texel_change(texture.map, seen.at, seen.right), texel_change(texture.map, seen.at, seen.down)
         texels[here] = np.maximum(texels[here], np.max([c * c + r * r for c, r in changes], axis=0))
         bent, share = is_bent(texture.map, seen), shares[here, axis, None]
-        found = mean_texture(texture, seen, texel, changes, bent, 1, 2)
-        mean[here] += share * found
-        if texture.spread > 0.0:
-            detail[here] += share * (found - mean_texture(texture, seen, texel, changes, bent, 2, 1))
-    return mean, detail, texels
+        mean[here] += share * mean_texture(texture, seen, texel, changes, bent)
+    return mean, texels
 
 
 def texture_coordinates(texture: MappedTexture, surface: PlacedSurface, camera: Camera, rays: Array, w: Array) -> Array:

@@ -40,7 +40,8 @@ class Sources:
     radiance (H, W, C) linear; inverse_depth (H, W) 1/mm; label (H, W): 0 no source, else which root of
     which object, and where two surfaces meet; radius (H, W) signed blur radius in px; gradient (H, W, 2) of the
     radius, px per px, right and down; lit (H, W): some of its radiance reaches the lens; visibility:
-    its occluders, None for none at all; detailed (H, W): its texture needs sub-pixel sources.
+    its occluders, None for none at all; detailed (H, W): its texture needs sub-pixel sources; share (H, W): of the
+    difference to its neighbors that its texture takes, see `sharpen`.
     """
 
     radiance: Array
@@ -51,6 +52,7 @@ class Sources:
     lit: NDArray[np.bool_]
     visibility: Visibility | None = None
     detailed: NDArray[np.bool_] | None = None
+    share: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +119,7 @@ def everything(scene: Scene) -> Layer:
 @dataclass(frozen=True, eq=False)
 class Cast:
     """What rays (...) meet: inverse depth in 1/mm, label, object, blur radius in px, its gradient, radiance; detailed:
-    the texture is finer than a source per pixel can be."""
+    the texture is finer than a source per pixel can be; share: of the difference to its neighbors that it takes."""
 
     w: Array
     label: NDArray[np.uint8]
@@ -126,6 +128,7 @@ class Cast:
     gradient: Array
     radiance: Array
     detailed: NDArray[np.bool_]
+    share: Array
 
 
 def cast(
@@ -134,17 +137,16 @@ def cast(
     row: NDArray[Any],
     column: NDArray[Any],
     texel: tuple[NDArray[Any], NDArray[Any]],
-    sources: int = 0,
+    sources: int = 1,
 ) -> Cast:
     """The nearest of some objects along rays through (row, column) px, 0 where none is.
 
-    texel: row and column of the pixel whose texel a ray shows in the reference pose; sources: per axis of a pixel, 0
-    for none that will be blurred: textures on surfaces then have their means alone.
+    texel: row and column of the pixel whose texel a ray shows in the reference pose; sources: per axis of a pixel.
     """
     scene, rays = view.scene, pixel_ray(view.scene.camera, row, column)
     w, label, number = nearest_surface(view.surfaces, [item.bounds for item in scene.objects], layer, rays)
     gradient, radiance = np.zeros((*w.shape, 2)), np.zeros((*w.shape, view.channels))
-    detailed = np.zeros(w.shape, dtype=bool)
+    detailed, share = np.zeros(w.shape, dtype=bool), np.zeros(w.shape)
     for k, surface in enumerate(view.surfaces):
         if not layer.members >> k & 1:
             continue
@@ -152,28 +154,28 @@ def cast(
         gradient = np.where(own, blur_gradient(scene.camera, surface_slope(surface, rays, w)), gradient)
         texels, texture = (np.asarray(n, dtype=np.int64) for n in texel), view.textures[k]
         if isinstance(texture, MappedTexture):
-            shown, fine = _mapped_radiance(scene, surface, texture, rays, np.where(own[..., 0], w, 0.0), sources)
-            detailed |= fine
+            here = np.where(own[..., 0], w, 0.0)
+            shown, fineness = _mapped_radiance(scene, surface, texture, rays, here, sources)
+            size = blur_radius(scene.camera, w)
+            detailed = np.where(own[..., 0], is_detailed(texture, fineness, size), detailed)
+            share = np.where(own[..., 0], sharpening(texture, size), share)
         elif view.moved:
             shown = _moved_radiance(scene, surface, texture, rays, w)
         else:
             shown = np.broadcast_to(_texels(texture, *texels), radiance.shape)
         radiance = np.where(own, shown, radiance)
     radius = np.where(label > 0, blur_radius(scene.camera, w), 0.0)
-    return Cast(w, label, number, radius, gradient, radiance, detailed)
+    return Cast(w, label, number, radius, gradient, radiance, detailed, share)
 
 
 def _mapped_radiance(
     scene: Scene, surface: PlacedSurface, texture: MappedTexture, rays: Array, w: Array, sources: int
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Radiance (..., channels) of a texture on a surface, 0 where w is, and whether it is finer (...) than one source
-    per pixel can be; sources: as for `cast`."""
-    found, fine, hit = np.zeros((*w.shape, texture.levels[0].shape[-1])), np.zeros(w.shape, dtype=bool), w > 0.0
-    mean, detail, texels = surface_texture(texture, surface, scene.camera, rays[hit], w[hit], max(sources, 1))
-    radius = blur_radius(scene.camera, w[hit])
-    found[hit] = mean + sharpening(texture, radius, sources)[..., None] * detail
-    fine[hit] = is_detailed(texture, texels, radius)
-    return found, fine
+) -> tuple[Array, Array]:
+    """Radiance (..., channels) of a texture on a surface, and the squares (...) of texels per pixel; 0 where w is.
+    sources: as for `cast`."""
+    found, texels, hit = np.zeros((*w.shape, texture.levels[0].shape[-1])), np.zeros(w.shape), w > 0.0
+    found[hit], texels[hit] = surface_texture(texture, surface, scene.camera, rays[hit], w[hit], sources)
+    return found, texels
 
 
 def _moved_radiance(scene: Scene, surface: PlacedSurface, texture: Array, rays: Array, w: Array) -> Array:
@@ -216,7 +218,17 @@ def trace(view: View, layer: Layer, guard: int) -> Sources:
         number[np.flatnonzero(lit)] = seen.row
         visibility = replace(seen, row=number)
         lit[lit] = state != HIDDEN
-    return Sources(hit.radiance, hit.w, label, hit.radius, hit.gradient, lit, visibility, hit.detailed & lit)
+    return Sources(
+        hit.radiance,
+        hit.w,
+        label,
+        hit.radius,
+        hit.gradient,
+        lit,
+        visibility,
+        hit.detailed & lit,
+        np.where(lit, hit.share, 0.0),
+    )
 
 
 def mark_silhouettes(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
@@ -228,6 +240,24 @@ def mark_silhouettes(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
     size = 2 * SILHOUETTE_RANGE + 1
     windows = np.lib.stride_tricks.sliding_window_view(padded, (size, size))
     return np.asarray((windows != label[..., None, None]).any(axis=(-1, -2)))
+
+
+def sharpen(sources: Sources, marked: NDArray[np.bool_]) -> Sources:
+    """Sources whose neighbors have exchanged what makes squares of what textures on surfaces show, see
+    kernels/trace/mapping.clh; marked (H, W): pixels with sub-pixel sources, which take no part."""
+    assert sources.share is not None
+    share = np.where(marked, 0.0, sources.share)
+    radiance = sources.radiance.copy()
+    for axis in (0, 1):
+        first, second = ([slice(None)] * 2 for _ in range(2))
+        first[axis], second[axis] = slice(None, -1), slice(1, None)
+        low, high = tuple(first), tuple(second)
+        both = (share[low] > 0.0) & (share[high] > 0.0)
+        flow = np.where(both, 0.5 * (share[low] + share[high]), 0.0)[..., None]
+        flow = flow * (sources.radiance[low] - sources.radiance[high])
+        radiance[low] += flow
+        radiance[high] -= flow
+    return replace(sources, radiance=radiance)
 
 
 def trace_subpixels(view: View, layer: Layer, guard: int, marked: NDArray[np.bool_]) -> SubpixelSources:

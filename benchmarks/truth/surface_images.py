@@ -1,0 +1,156 @@
+"""Images on surfaces for the ray tracer: where a point of an object's frame is in its image, and what is there.
+
+Formulas of its own, from the words of docs/scene_files.md: no code is shared with the package. An image is a continuous
+function, its texels interpolated by the cubic of Keys (1981, a = -1/2) along each axis.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+PROJECTED, FLAT, ROUND, GLOBE, ROLLED, THREE = range(6)
+WRAPS = ("repeat", "mirror", "clamp", "none")
+# How an image lies, as numbers: kind, first texel, rows, columns, wrap, width and height of a copy, cosine and sine
+# of its turn, shift right and up in copies, a radius or the sine of a half angle; then three vectors.
+NUMBERS = 12
+SIZE = NUMBERS + 9
+
+
+def lies(item: Any) -> bool:
+    """Whether the texture of an object lies on its surface."""
+    return getattr(item, "texture_mapping", "projected") != "projected"
+
+
+def mapping_of(item: Any, shape: tuple[int, int], first: int) -> Array:
+    """The numbers (SIZE,) of an object whose image has so many rows and columns and begins at texel `first`."""
+    rows, columns = shape
+    found = np.zeros(SIZE)
+    right, up, towards = np.eye(3)[0], np.eye(3)[1], -np.eye(3)[2]
+    extra, extent = 0.0, None
+    kind = FLAT
+    if item.texture_mapping == "triplanar" or item.shape == "quadric":
+        kind = THREE
+    elif item.shape == "plane":
+        normal = np.array([item.slope_x, item.slope_y, -1.0])
+        right = np.array([1.0, 0.0, item.slope_x]) / math.hypot(1.0, item.slope_x)
+        up = np.cross(right, normal / np.linalg.norm(normal)) * -1.0
+        up *= math.copysign(1.0, up[1])
+    elif item.shape == "rectangle":
+        extent = item.size
+    elif item.shape == "cylinder":
+        kind, extra = ROUND, item.radius
+        up = np.asarray(item.axis, float) / np.linalg.norm(item.axis)
+        towards = towards - (towards @ up) * up
+        if np.linalg.norm(towards) < 1e-6:
+            towards = np.array([0.0, 1.0, 0.0]) - up[1] * up
+        towards /= np.linalg.norm(towards)
+        right = np.cross(towards, up)
+        extent = (2.0 * math.pi * item.radius, None)
+    elif item.shape in ("sphere", "ellipsoid"):
+        kind = GLOBE
+        a, b, c = (1.0, 1.0, 1.0) if item.shape == "sphere" else item.semi_axes
+        right, up, towards = right / a, up / b, towards / c
+        extent = (2.0 * math.pi, math.pi)
+    elif item.shape == "cone":
+        kind, extra = ROLLED, math.sin(math.radians(item.half_angle))
+    proportion = rows / columns
+    if item.texture_size is not None:
+        width, height = (*item.texture_size, item.texture_size[0] * proportion)[:2]
+    else:
+        assert extent is not None
+        copies = item.texture_repeats or (1.0,) * (1 + (extent[1] is not None))
+        width = extent[0] / copies[0]
+        height = extent[1] / copies[1] if len(copies) > 1 else width * proportion
+    wrap = item.texture_wrap
+    if wrap is None:
+        alone = item.shape == "rectangle" and item.texture_size is None and item.texture_repeats is None
+        wrap = "clamp" if alone else "repeat"
+    turn, (shift_x, shift_y) = math.radians(item.texture_angle or 0.0), item.texture_offset or (0.0, 0.0)
+    found[:NUMBERS] = (
+        kind, first, rows, columns, WRAPS.index(wrap), width, height, math.cos(turn), math.sin(turn), shift_x, shift_y,
+        extra,
+    )  # fmt: skip
+    found[NUMBERS:] = np.concatenate([right, up, towards])
+    return found
+
+
+@njit(cache=True, inline="always")
+def _texel(index, count, wrap):  # type: ignore[no-untyped-def]
+    """The texel of an index beyond the image, -1 for none."""
+    if 0 <= index < count:
+        return index
+    if wrap == 0:
+        return index % count
+    if wrap == 1:
+        index %= 2 * count
+        return index if index < count else 2 * count - 1 - index
+    if wrap == 2:
+        return 0 if index < 0 else count - 1
+    return -1
+
+
+@njit(cache=True, inline="always")
+def _keys(t):  # type: ignore[no-untyped-def]
+    """The cubic of Keys at a distance."""
+    t = abs(t)
+    if t < 1.0:
+        return (1.5 * t - 2.5) * t * t + 1.0
+    return ((2.5 - 0.5 * t) * t - 4.0) * t + 2.0 if t < 2.0 else 0.0
+
+
+@njit(cache=True)
+def _add_image(total, share, s, t, m, images):  # type: ignore[no-untyped-def]
+    """Add the image at lengths s right and t up, from its middle, times a share."""
+    first, rows, columns, wrap = int(m[1]), int(m[2]), int(m[3]), int(m[4])
+    turned_s, turned_t = m[7] * s + m[8] * t, m[7] * t - m[8] * s
+    column = columns * (0.5 + turned_s / m[5] - m[9]) - 0.5
+    row = rows * (0.5 - turned_t / m[6] + m[10]) - 0.5
+    left, top = math.floor(column) - 1, math.floor(row) - 1
+    wrap_rows = wrap
+    if int(m[0]) == GLOBE and abs(m[6] - math.pi) < 1e-12 and m[10] == 0.0:
+        wrap_rows = 1
+    for i in range(top, top + 4):
+        line = _texel(i, rows, wrap_rows)
+        across = _keys(row - i)
+        for j in range(left, left + 4):
+            at = _texel(j, columns, wrap)
+            if line < 0 or at < 0:
+                continue
+            weight = share * across * _keys(column - j)
+            for channel in range(images.shape[1]):
+                total[channel] += weight * images[first + line * columns + at, channel]
+
+
+@njit(cache=True)
+def shade(total, x, y, z, normal, m, images):  # type: ignore[no-untyped-def]
+    """The radiance (channels,) at a point of an object's frame, with its unit normal there."""
+    for channel in range(total.size):
+        total[channel] = 0.0
+    kind = int(m[0])
+    right = m[12] * x + m[13] * y + m[14] * z
+    up = m[15] * x + m[16] * y + m[17] * z
+    towards = m[18] * x + m[19] * y + m[20] * z
+    if kind == FLAT:
+        _add_image(total, 1.0, right, up, m, images)
+    elif kind == ROUND:
+        _add_image(total, 1.0, m[11] * math.atan2(right, towards), up, m, images)
+    elif kind == GLOBE:
+        latitude = math.asin(min(max(up / math.sqrt(right * right + up * up + towards * towards), -1.0), 1.0))
+        _add_image(total, 1.0, math.atan2(right, towards), latitude, m, images)
+    elif kind == ROLLED:  # the axis is z, and the middle of the image is towards y
+        length, angle = math.sqrt(x * x + y * y + z * z), m[11] * math.atan2(x, y)
+        _add_image(total, 1.0, length * math.sin(angle), length * math.cos(angle), m, images)
+    else:
+        shares = np.empty(3)
+        for axis in range(3):
+            shares[axis] = max(normal[axis] * normal[axis] - 0.1, 0.0) ** 2
+        sum_of = shares[0] + shares[1] + shares[2]
+        _add_image(total, shares[0] / sum_of, z, y, m, images)
+        _add_image(total, shares[1] / sum_of, x, z, m, images)
+        _add_image(total, shares[2] / sum_of, x, y, m, images)
