@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from clsco.optics.quadrics import canonical
-from clsco.scene.shapes import Object
+from clsco.scene.objects import Object
 
 
 def shape_features(objects: Sequence[Object]) -> dict[str, int]:

@@ -8,8 +8,9 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BeforeValidator
 from pydantic_core import PydanticCustomError
 
+from clsco.scene.objects import MAX_OBJECTS, repeated_names
 from clsco.scene.quantities import Name, Point, Strict, Vector, at_keys, fault
-from clsco.scene.shapes import MAX_OBJECTS, AnyShape, ObjectMotion, origin, repeated_names
+from clsco.scene.shapes import AnyShape, ObjectMotion, origin
 from clsco.scene.text import shown
 
 

@@ -1,8 +1,8 @@
 """Models of a scene: frozen and validated, in millimeters, seconds and degrees.
 
 Attribute names are the keys of the scene file, except that the array of tables `object` is `Scene.objects`. Every
-rule for scenes is stated here, in `clsco.scene.shapes` and in `clsco.scene.quantities`; `clsco.scene.file` turns
-violated rules into messages.
+rule for scenes is stated here, in `clsco.scene.objects`, `clsco.scene.shapes` and `clsco.scene.quantities`;
+`clsco.scene.file` turns violated rules into messages.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, field_valid
 
 from clsco.scene.changes import replaced
 from clsco.scene.groups import Group, Groups, unknown_groups
+from clsco.scene.objects import MAX_OBJECTS, Object, Objects
 from clsco.scene.quantities import (
     MAX_LENGTH_MM,
     MIN_LENGTH_MM,
@@ -33,7 +34,6 @@ from clsco.scene.quantities import (
 )
 from clsco.scene.shapes import (
     BUILT_IN_TEXTURES,
-    MAX_OBJECTS,
     AnyShape,
     Background,
     Box,
@@ -41,9 +41,7 @@ from clsco.scene.shapes import (
     Cylinder,
     DepthMap,
     Ellipsoid,
-    Object,
     ObjectMotion,
-    Objects,
     Plane,
     Quadric,
     Rectangle,

@@ -202,4 +202,5 @@ Samples = Annotated[Annotated[int, Within(1, 4096)] | Literal["auto"], BeforeVal
 class Strict(BaseModel):
     """Base of all models of a scene: no conversions, no unknown keys, no changes after validation."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+    # Most scenes have few of the shapes: what checks them is built for those that a process meets.
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, defer_build=True)

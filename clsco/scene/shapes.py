@@ -1,15 +1,12 @@
-"""Objects of a scene: shapes with textures and motions, in millimeters, seconds and degrees."""
+"""Shapes with textures and motions, in millimeters, seconds and degrees."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
-from itertools import count
 from typing import Annotated, Any, Literal, cast, get_args
 
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator
-from pydantic_core import PydanticCustomError
+from pydantic import Field, ValidationInfo, field_validator
 
 from clsco.scene.arrays import ArrayInput, DepthInput, TextureInput
 from clsco.scene.quantities import (
@@ -28,14 +25,12 @@ from clsco.scene.quantities import (
     Vector,
     Velocity,
     Within,
-    at_keys,
     fault,
 )
 from clsco.scene.rotations import Rotation, after, depth_row
 
 BUILT_IN_TEXTURES = ("bricks", "checkerboard", "slanted_edge", "siemens_star")
 COLOR = re.compile("#[0-9a-fA-F]{6}")
-MAX_OBJECTS = 64
 BACKGROUND_MM = 1e12
 """Distance of what is infinitely far away: its blur differs from that of infinity by a part in 10^10."""
 ROUNDING = 1e-15  # of a direction's component that a rotation leaves of 0
@@ -389,112 +384,3 @@ def origin(shape: AnyShape) -> Vector:
     if isinstance(shape, Background):
         return (0.0, 0.0, BACKGROUND_MM)
     return shape.apex if isinstance(shape, Cone) else shape.center
-
-
-def _bounds_in_front(shape: AnyShape) -> AnyShape:
-    """Refuse bounds that end at or behind the lens."""
-    if shape.bounds is None:
-        return shape
-    corners = zip(depth_row(shape.rotation), shape.bounds, strict=True)
-    if origin(shape)[2] + sum(max(row * low, row * high) for row, (low, high) in corners) <= 0.0:
-        place: tuple[str | int, ...] = ("bounds", 2) if shape.rotation is None else ("bounds",)
-        raise at_keys([(place, fault(IN_FRONT), shape.bounds[2] if shape.rotation is None else shape.bounds)])
-    return shape
-
-
-def _known_shape(value: Any) -> Any:
-    """Refuse a table whose `shape` is unknown, before its other keys are checked."""
-    if isinstance(value, dict):
-        shape = value.get("shape")
-        if not isinstance(shape, str) or shape not in SHAPES:
-            *others, last = SHAPES
-            rule = f"must be {', '.join(others)} or {last}"
-            raise at_keys([(("shape",), fault(rule, None if "shape" in value else "nothing"), shape)])
-    return value
-
-
-def _objects(value: Any) -> Any:
-    """Turn the array of tables into a tuple; refuse too few and too many objects."""
-    if not isinstance(value, list | tuple):
-        raise fault("must be an array of tables, [[object]]")
-    if not 1 <= len(value) <= MAX_OBJECTS:
-        raise fault(f"must hold 1 to {MAX_OBJECTS} objects", got=str(len(value)))
-    return tuple(value)
-
-
-def repeated_names(names: Iterable[str | None], table: str = "object") -> list[tuple[int, PydanticCustomError, str]]:
-    """Find names that an earlier object has already.
-
-    Parameters
-    ----------
-    names : iterable of str or None
-        Name of each object; None where none was given.
-    table : str
-        What the objects are called in a file.
-
-    Returns
-    -------
-    list of (int, PydanticCustomError, str)
-        Position, fault and name of each repetition.
-    """
-    first: dict[str, int] = {}
-    found = []
-    for index, name in enumerate(names):
-        if name is not None and first.setdefault(name, index) != index:
-            found.append((index, fault(f"names must differ; {table}[{first[name]}] has the same"), name))
-    return found
-
-
-def _one_background(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
-    """Refuse a second background, which the first would hide."""
-    found = [index for index, item in enumerate(objects) if item.is_background]
-    if len(found) > 1:
-        rule = f"one background is enough; object[{found[0]}] is one already"
-        raise at_keys([((index, "shape"), fault(rule), "background") for index in found[1:]])
-    return objects
-
-
-def _named(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
-    """Objects with distinct names: unnamed ones get that of their shape, numbered from the second on, "sphere 2"."""
-    given = [item.name if "name" in item.model_fields_set else None for item in objects]
-    if faults := repeated_names(given):
-        raise at_keys([((index, "name"), rule, name) for index, rule, name in faults])
-    taken = set(given)
-    placed = []
-    for item, name in zip(objects, given, strict=True):
-        if name is None:
-            free = (item.shape if n == 1 else f"{item.shape} {n}" for n in count(1))
-            chosen = next(word for word in free if word not in taken)
-            taken.add(chosen)
-            if chosen != item.name:
-                item = item.model_copy(update={"name": chosen})
-                item.model_fields_set.discard("name")  # numbered anew in another scene
-        placed.append(item)
-    return tuple(placed)
-
-
-def _without_boxes(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
-    """Objects with the faces of each box in place of it."""
-    found: list[AnyShape] = []
-    for item in objects:
-        found += item.faces() if isinstance(item, Box) else (item,)
-    if len(found) > MAX_OBJECTS:
-        raise fault(f"must hold 1 to {MAX_OBJECTS} objects, and a box is six", got=str(len(found)))
-    taken = {item.name for item in objects if not isinstance(item, Box)}
-    boxes = ((index, item) for index, item in enumerate(objects) if isinstance(item, Box))
-    same = [(index, item.name) for index, item in boxes if taken & {face.name for face in item.faces()}]
-    if same:
-        rule = "names of its faces must differ from those of other objects"
-        raise at_keys([((index, "name"), fault(rule), name) for index, name in same])
-    return tuple(found)
-
-
-_Union = Annotated[AnyShape, Field(discriminator="shape")]
-Object = Annotated[_Union, AfterValidator(_bounds_in_front), BeforeValidator(_known_shape)]
-Objects = Annotated[
-    tuple[Object, ...],
-    AfterValidator(_one_background),
-    AfterValidator(_named),
-    AfterValidator(_without_boxes),
-    BeforeValidator(_objects),
-]
