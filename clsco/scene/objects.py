@@ -137,6 +137,7 @@ class _OfItsShape:
         """The object; raises the faults that the union of all shapes finds."""
         model = SHAPES[value["shape"]] if isinstance(value, dict) else type(value)
         if model in SHAPES.values():
+            model.model_rebuild()  # as a whole, before another thread gets what is checked by a part of it
             with suppress(ValidationError):
                 return model.model_validate(value)
         return cast(AnyShape, _any_shape().validate_python(value, strict=True))
