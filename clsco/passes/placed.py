@@ -75,7 +75,8 @@ class PlacedScene:
         self.session, self.scene, self.real, self.eye = session, scene, real, eye
         self.bits = max(texture.bits for texture in textures)
         self.brightest = max(texture.brightest for texture in textures)
-        self.stack = list(dict.fromkeys(textures))  # those that several objects have in common once
+        # Those that several objects have in common once, in one order for all scenes.
+        self.stack = sorted(dict.fromkeys(textures), key=lambda texture: repr(texture.content))
         self.texture_of = [self.stack.index(texture) for texture in textures]
         self._texture: cl.Buffer | None = None
         self._held: list[cl.Buffer] = []
