@@ -6,7 +6,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Hashable
 from dataclasses import replace
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -140,6 +140,7 @@ def _is_disc(psf: Psf, subpixel: int) -> bool:
     return shape_of(psf).kind == "disc" and not subpixel
 
 
+@lru_cache(maxsize=256)
 def _size(psf: Psf, span: range, subpixel: int) -> int:
     """Bytes of the table of a span."""
     return sum(span_sizes(psf, span, subpixel).values())
