@@ -3,7 +3,8 @@ programs.
 
     .venv/bin/python benchmarks/speed/random_scenes.py --old OLD/.venv/bin/python --count 1000
 All shapes, 1 to 4 objects, both PSFs, 256 x 256 px, depth and blur radius with each; the same scenes in both, each in a
-process of its own, with a cache of kernels that is empty at first. "later" leaves the first tenth out.
+process of its own, with a cache of kernels that is empty at first. The two take turns of some scenes, so that other
+work on the machine slows both. "later" leaves the first tenth out.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 SIDE = 256
+TURN = 50  # scenes
 TEXTURES = ("bricks", "checkerboard", "slanted_edge", "siemens_star")
 
 
@@ -32,27 +34,54 @@ def main() -> None:
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     chosen = parser.parse_args()
     if chosen.worker:
-        work(chosen.count)
+        serve()
         return
+    pythons = {"old": chosen.old, "new": chosen.new}
+    with tempfile.TemporaryDirectory() as cache:
+        workers = {name: started(python, f"{cache}/{name}") for name, python in pythons.items() if python is not None}
+        turns: dict[str, list[dict[str, float]]] = {name: [] for name in workers}
+        for first in range(0, chosen.count, TURN):
+            for name, worker in workers.items():
+                turns[name].append(asked(worker, first, min(first + TURN, chosen.count)))
+        for worker in workers.values():
+            worker.communicate()
+    print(f"{'':8}{'images/s':>10}{'later':>10}{'CPU s':>9}{'programs':>10}{'build s':>9}{'MiB at 10, 50, 100 %':>24}")
+    for name, found in turns.items():
+        row(name, found)
+
+
+def row(name: str, turns: list[dict[str, float]]) -> None:
+    """Print what the turns of a version took."""
+    total = {key: sum(each[key] for each in turns) for key in ("images", "wall", "cpu", "programs", "build")}
+    later = turns[round(0.1 * len(turns)) :]
+    rates = [sum(each["images"] for each in some) / sum(each["wall"] for each in some) for some in (turns, later)]
+    memory = [turns[max(round(share * len(turns)) - 1, 0)]["memory"] for share in (0.1, 0.5, 1.0)]
     print(
-        f"{'':8}{'images/s':>10}{'later':>10}{'CPU s':>9}{'programs':>10}{'build s':>9}{'MiB at 10 %':>13}{'at end':>8}"
+        f"{name:8}{rates[0]:10.2f}{rates[1]:10.2f}{total['cpu']:9.1f}{total['programs']:10.0f}{total['build']:9.1f}"
+        f"{memory[0]:8.0f}{memory[1]:8.0f}{memory[2]:8.0f}"
     )
-    for name, python in (("old", chosen.old), ("new", chosen.new)):
-        if python is not None:
-            with tempfile.TemporaryDirectory() as cache:
-                environ = {k: v for k, v in os.environ.items() if k != "POCL_CACHE_DIR"} | {"XDG_CACHE_HOME": cache}
-                command = [str(python), str(Path(__file__).resolve()), "--worker", "--count", str(chosen.count)]
-                done = subprocess.run(command, env=environ, check=True, stdout=subprocess.PIPE, text=True)
-            found = json.loads(done.stdout.splitlines()[-1])
-            print(
-                f"{name:8}{found['per_s']:10.2f}{found['later']:10.2f}{found['cpu']:9.1f}{found['programs']:10}"
-                f"{found['build']:9.1f}{found['early']:13.0f}{found['end']:8.0f}",
-                flush=True,
-            )
 
 
-def work(count: int) -> None:
-    """Render the scenes, and print what it took as JSON."""
+def started(python: Path, cache: str) -> subprocess.Popen[str]:
+    """A process of a version, which waits for its turns, with a cache of its own."""
+    environ = {k: v for k, v in os.environ.items() if k != "POCL_CACHE_DIR"} | {"XDG_CACHE_HOME": cache}
+    Path(cache).mkdir()
+    command = [str(python), str(Path(__file__).resolve()), "--worker"]
+    return subprocess.Popen(command, env=environ, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+
+def asked(worker: subprocess.Popen[str], first: int, end: int) -> dict[str, float]:
+    """Have a worker render some of the scenes."""
+    assert worker.stdin is not None
+    assert worker.stdout is not None
+    worker.stdin.write(f"{first} {end}\n")
+    worker.stdin.flush()
+    answer: dict[str, float] = json.loads(worker.stdout.readline())
+    return answer
+
+
+def serve() -> None:
+    """Render the scenes that lines of standard input number, and print what each turn took as JSON."""
     import pyopencl as cl
 
     import clsco
@@ -68,23 +97,18 @@ def work(count: int) -> None:
 
     cl.Program.build = timed  # type: ignore[method-assign]
     radius = "blur_radius" if hasattr(clsco, "render_frame") else "coc"
-    begun, cpu, times, memory = time.perf_counter(), time.process_time(), [0.0], [0.0]
-    for number in range(count):
-        scene = clsco.parse_scene(random_scene(random.Random(number)))
-        for _ in clsco.render(scene, truth=["depth", radius]):
-            pass
-        times.append(time.perf_counter() - begun)
-        memory.append(resident())
-    tenth = max(count // 10, 1)
-    print(
-        json.dumps(
-            {
-                "per_s": count / times[-1], "later": (count - tenth) / (times[-1] - times[tenth]),
-                "cpu": time.process_time() - cpu, "programs": programs[0], "build": spent[0],
-                "early": memory[tenth], "end": memory[-1],
-            }
+    for line in sys.stdin:
+        numbers = range(*map(int, line.split()))
+        before = time.perf_counter(), time.process_time(), programs[0], spent[0]
+        for number in numbers:
+            scene = clsco.parse_scene(random_scene(random.Random(number)))
+            for _ in clsco.render(scene, truth=["depth", radius]):
+                pass
+        after = time.perf_counter(), time.process_time(), programs[0], spent[0]
+        took = dict(
+            zip(("wall", "cpu", "programs", "build"), (b - a for a, b in zip(before, after, strict=True)), strict=True)
         )
-    )  # fmt: skip
+        print(json.dumps(took | {"images": len(numbers), "memory": resident()}), flush=True)
 
 
 def resident() -> float:

@@ -20,6 +20,7 @@ from clsco.plan.approximation import checked_tolerance
 from clsco.plan.memory import Limit, device_bytes, fitted, hit_bytes, limit_of, parse_size
 from clsco.plan.methods import check_method
 from clsco.plan.plan import Plan
+from clsco.plan.predict import without_lens
 from clsco.plan.prepare import Prepared, prepare_sweep
 from clsco.plan.request import Request
 from clsco.scene.file import SceneLike, scene_of
@@ -27,9 +28,7 @@ from clsco.scene.model import Scene
 from clsco.scene.sweep import Sweep
 from clsco.scene.text import shown
 
-# Keys of the camera that change what a lens makes of a hit, and not what a ray hits.
 KEPT_GUARD = 32  # px, of aprons of rays that are kept
-LENS_KEYS = ("f_number", "aperture_diameter", "focus_distance", "sensor_distance")
 
 
 def render(
@@ -225,15 +224,11 @@ def _groups(scenes: Sequence[Scene]) -> list[list[int]]:
     """Numbers of scenes that follow each other and differ in the lens only."""
     found: list[list[int]] = []
     for k, scene in enumerate(scenes):
-        if k and _without_lens(scenes[k - 1]) == _without_lens(scene):
+        if k and without_lens(scenes[k - 1]) == without_lens(scene):
             found[-1].append(k)
         else:
             found.append([k])
     return found
-
-
-def _without_lens(scene: Scene) -> Scene:
-    return scene.model_copy(update={"camera": scene.camera.model_copy(update=dict.fromkeys(LENS_KEYS))})
 
 
 def _render_group(

@@ -87,7 +87,8 @@ def make_workspace(
     spec = replace(plan.spec, brightest=scene.brightest)
     from_radii = plan.forward or plan.static_map or plan.occlusion == "layered"
     target = blur_target(session, spec, plan.channels, real, "wide" if from_radii else "none")
-    blur = make_blur(target, spec, plan.grid, camera, sample_places(plan.rows, plan.columns))
+    places = sample_places(plan.rows, plan.columns) if plan.approximations else None
+    blur = make_blur(target, spec, plan.grid, camera, places)
     sizes = {name: size for each in plan.passes for name, size in each.buffers.items()}
     buffers = allocate(session, {name: sizes[name] for name in SHARED if name in sizes})
     tracer = Tracer(plan, scene, buffers, blur.struct, hits)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import ctypes
 import mmap
+import sys
 import threading
 import weakref
 from collections import OrderedDict
 from contextlib import suppress
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +18,7 @@ from numpy.typing import NDArray
 SMALLEST = 2**16  # bytes, of what is worth keeping
 LARGE = 2**22  # bytes, from which a block holds at least one page of 2 MiB
 KEPT_BYTES = 2**27  # of blocks that nobody uses
+SLACK = 4  # a block is used again for what takes at most 1 / SLACK less
 CLASSES = 8  # sizes of blocks per octave: a block is at most 1 / CLASSES larger than what is asked for
 
 
@@ -40,11 +44,12 @@ class Pages:
         """
         wanted = block_size(size)
         with self._lock:
-            key = next((key for key, block in self._free.items() if len(block) == wanted), None)
-            block = None if key is None else self._free.pop(key)
-            self._bytes -= 0 if block is None else wanted
+            free = ((len(block), key) for key, block in self._free.items())
+            found, key = min((each for each in free if wanted <= each[0] <= wanted + wanted // SLACK), default=(0, 0))
+            block = self._free.pop(key, None)
+            self._bytes -= found
         if block is None:
-            block = mmap.mmap(-1, wanted, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+            block = _cleared(wanted)
             if wanted >= LARGE:
                 with suppress(OSError):
                     block.madvise(mmap.MADV_HUGEPAGE)
@@ -69,6 +74,27 @@ class Pages:
         with self._lock:
             self._free.clear()
             self._bytes = 0
+
+
+def in_pages(array: NDArray[Any]) -> NDArray[Any]:
+    """A copy of an array, in C order, in pages of its own: devices in the host's memory use it as it is, and the system
+    has them back when it is gone."""
+    copy = np.frombuffer(_cleared(array.nbytes), array.dtype).reshape(array.shape)
+    copy[...] = array
+    return copy
+
+
+def trim() -> None:
+    """Have the C library give the system what is free of its memory, between what is not as well, where it can."""
+    with suppress(AttributeError, OSError, TypeError):  # not the GNU C library, or Windows
+        ctypes.CDLL(None).malloc_trim(0)
+
+
+def _cleared(size: int) -> mmap.mmap:
+    """Memory of so many bytes from the system."""
+    if sys.platform == "linux":
+        return mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    return mmap.mmap(-1, size)
 
 
 def block_size(size: int) -> int:

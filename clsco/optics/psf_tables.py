@@ -113,6 +113,7 @@ def check_tables(psf: Psf, smallest: float, largest: float, silhouettes: int) ->
         )
 
 
+@lru_cache(maxsize=256)
 def rounded_span(psf: Psf, smallest: float, largest: float, subpixel: int) -> range:
     """Intervals of a table for |blur radii| from smallest to largest px.
 

@@ -219,7 +219,8 @@ class FrameSum:
 
     def __init__(self, target: Target, spec: BlurSpec, grid: Grid, camera: Struct, sizes: Sizes) -> None:
         self.target, self.spec, self.camera, self.channels = target, spec, camera, grid.channels
-        self.struct = psf_struct(spec.psf, *tables_of(spec), target.real)
+        self.weights = tables_of(spec)
+        self.struct = psf_struct(spec.psf, *self.weights, target.real)
         self.pad, self.pitch = margin(grid.columns, grid.guard, spec.reach)
         self.total = empty(target.session, sizes["total"])
 
@@ -267,7 +268,7 @@ class TableBlur(FrameSum, ABC):
                 upload_kept(session, table.intervals, (table.place, "intervals")),
                 upload_kept(session, table.coefficients, (table.place, "coefficients")),
             )
-            for table in tables_of(spec)
+            for table in self.weights
             if table is not None
         ]
         self.lens = upload(session, lens_floats(spec.psf).astype(np.float32)) if spec.occluders else None
@@ -330,7 +331,7 @@ class Gather(TableBlur):
 
     def __init__(self, target: Target, spec: BlurSpec, grid: Grid, camera: Struct, sizes: Sizes) -> None:
         super().__init__(target, spec, grid, camera, sizes)
-        session, table = target.session, tables_of(spec)[0]
+        session, table = target.session, self.weights[0]
         alike = {"taps": table.taps, "outlines": table.outlines}
         self.alike = tuple(
             upload_kept(session, array, (table.place, name)) if array.size else None for name, array in alike.items()

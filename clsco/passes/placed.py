@@ -22,8 +22,8 @@ from clsco.passes.pack import pose_structs, surface_structs, texture_map_structs
 from clsco.records import Real, structs
 from clsco.scene.model import Scene
 
-# A source is at most mean + k detail with k < 0.73 (kernels/trace/mapping.clh), of an image from 0 to 1.
-MOST_DETAIL = 2.46
+# A source is at most its mean and 4 c of it with c < 0.0901 (kernels/trace/mapping.clh).
+MOST_DETAIL = 1.37
 Surfaces = tuple[PlacedSurface | None, ...]  # of every object, None for a depth map
 
 
@@ -91,7 +91,8 @@ class PlacedScene:
         gains = [1.0 if item.mapped is None else MOST_DETAIL for item in scene.objects]
         self.brightest = max(gain * texture.brightest for gain, texture in zip(gains, textures, strict=True))
         projected = [each for each, item in zip(textures, scene.objects, strict=True) if item.mapped is None]
-        self.stack = list(dict.fromkeys(projected))  # those that several objects have in common once
+        # Those that several objects have in common once, in one order for all scenes.
+        self.stack = sorted(dict.fromkeys(projected), key=lambda texture: repr(texture.content))
         self.texture_of = [self.stack.index(each) if each in projected else 0 for each in textures]
         self.mapped = list(dict.fromkeys(each for each in textures if each not in projected))
         self._texture: cl.Buffer | None = None

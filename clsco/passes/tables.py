@@ -6,24 +6,29 @@ import threading
 from collections import OrderedDict
 from collections.abc import Hashable
 from dataclasses import replace
-from functools import cache
+from functools import cache, lru_cache
+from typing import Any, TypeVar
+
+import numpy as np
 
 from clsco import constants
 from clsco.files.array_cache import ArrayCache, user_cache
 from clsco.kept import Kept
+from clsco.opencl.pages import SMALLEST, in_pages, trim
 from clsco.opencl.session import Session
 from clsco.optics import polygon, psf_blocks, psf_grid
 from clsco.optics import psf as psf_module
 from clsco.optics.psf import shape_of
 from clsco.optics.psf_blocks import WeightBlock, weight_block
-from clsco.optics.psf_grid import block_intervals
 from clsco.optics.psf_tables import PsfTable, narrowed, rounded_span, span_sizes, table_of
 from clsco.plan.methods import BlurSpec
 from clsco.resources import code_digest
 from clsco.scene.model import Psf
 
-KEPT_BYTES = 2**27  # of tables in this process, and as many of blocks
-JOINED_BYTES = 2**25  # up to which a table grows by the radii of other renderings
+KEPT_BYTES = 2**27  # of tables in this process
+BLOCK_BYTES = 2**25  # of blocks in this process
+JOINED_BYTES = 2**24  # up to which a table grows by the radii of other renderings
+R = TypeVar("R", PsfTable, WeightBlock)
 
 
 class TableStore:
@@ -34,28 +39,33 @@ class TableStore:
     disk : ArrayCache
         For blocks of weights.
     limit : int
-        Most bytes of tables, and of blocks; those used longest ago go.
+        Most bytes of tables; those used longest ago go.
     """
 
     def __init__(self, disk: ArrayCache, limit: int = KEPT_BYTES) -> None:
-        self.disk, self.blocks, self.limit = disk, Kept(limit), limit
+        self.disk, self.blocks, self.limit = disk, Kept(BLOCK_BYTES), limit
         self._lock = threading.Lock()
         self._tables: OrderedDict[Hashable, PsfTable] = OrderedDict()
 
     def table(self, psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> PsfTable:
-        """`clsco.optics.psf_tables.psf_table`, with the arrays of an earlier one where these hold the range."""
+        """`clsco.optics.psf_tables.psf_table`, with the arrays of an earlier one where these hold the range.
+
+        A PSF has one table that grows, and the latest of those that are larger than it may be: so a rendering with a
+        wide blur leaves no more than the one before it.
+        """
         span = rounded_span(psf, smallest, largest, subpixel)
-        shared = _is_whole(psf, span, subpixel)  # of other tables each range has one of its own
-        key: Hashable = _key(psf, subpixel) if shared else (_key(psf, subpixel), span.start, span.stop)
+        large = _size(psf, span, subpixel) > JOINED_BYTES
+        place = _key(psf, subpixel), large
+        # Of a sampled disc each range has a table of its own.
+        key: Hashable = (place, span.start, span.stop) if _is_disc(psf, subpixel) else place
         with self._lock:
             table = self._tables.get(key)
             if table is None or not _holds(table, span):
                 wider = span if table is None else range(min(span.start, table.first), max(span.stop, _end(table)))
-                if sum(span_sizes(psf, wider, subpixel).values()) <= JOINED_BYTES:
+                if _size(psf, wider, subpixel) <= JOINED_BYTES:
                     span = wider
-                table = self._tables[key] = replace(
-                    table_of(psf, span, subpixel, self.block), place=(_key(psf, subpixel), shared)
-                )
+                table = self._tables[key] = _in_pages(replace(table_of(psf, span, subpixel, self.block), place=place))
+                trim()  # what its making took
             self._tables.move_to_end(key)
             while sum(map(_bytes, self._tables.values())) > self.limit and len(self._tables) > 1:
                 self._tables.popitem(last=False)
@@ -69,10 +79,10 @@ class TableStore:
     def _block(self, key: str, psf: Psf, first: int, subpixel: int) -> WeightBlock:
         found = self.disk.get(key)
         if found is not None and found.keys() == WeightBlock.__dataclass_fields__.keys():
-            return WeightBlock(**found)
+            return _in_pages(WeightBlock(**found))
         block = weight_block(psf, first, subpixel)
         self.disk.put(key, vars(block))
-        return block
+        return _in_pages(block)
 
     def clear(self, blocks: bool = True) -> None:
         """Forget all tables, and the blocks that are not on disk as well."""
@@ -125,12 +135,22 @@ def _holds(table: PsfTable, span: range) -> bool:
     return table.first <= span.start and span.stop <= _end(table)
 
 
-def _is_whole(psf: Psf, span: range, subpixel: int) -> bool:
-    """Whether a span has whole blocks, as tables do that serve several ranges."""
-    if shape_of(psf).kind == "disc" and not subpixel:
-        return False
-    size = block_intervals(psf, subpixel > 0)
-    return span.start % size == span.stop % size == 0
+def _is_disc(psf: Psf, subpixel: int) -> bool:
+    """Whether a table is that of a sampled disc."""
+    return shape_of(psf).kind == "disc" and not subpixel
+
+
+@lru_cache(maxsize=256)
+def _size(psf: Psf, span: range, subpixel: int) -> int:
+    """Bytes of the table of a span."""
+    return sum(span_sizes(psf, span, subpixel).values())
+
+
+def _in_pages(record: R) -> R:
+    """A table or block with its large arrays in pages of their own, so that they leave no gaps when they go."""
+    arrays = {name: value for name, value in vars(record).items() if isinstance(value, np.ndarray)}
+    placed: dict[str, Any] = {name: in_pages(array) for name, array in arrays.items() if array.nbytes >= SMALLEST}
+    return replace(record, **placed)
 
 
 def _bytes(table: PsfTable) -> int:

@@ -340,7 +340,7 @@ def make_plan(
     maps = maps or (None,) * len(scene.objects)
     samples = _samples(scene, maps)
     poses_at_times = _predicted_poses(scene, eye)
-    smallest, largest, each, guard = _blur_range(scene, poses_at_times, maps)
+    smallest, largest, each, guard = _blur_range(scene, eye, poses_at_times, maps)
     w = each.max(axis=0)
     slabs = psf.occlusion == "layered" and not _hides_nothing(scene)
     rays = not (forward or static)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from math import ceil
 
 import numpy as np
@@ -19,6 +20,8 @@ from clsco.scene.model import Object, Plane, Psf, Rectangle, Scene
 Array = NDArray[np.float64]
 Maps = Sequence[Array | None]
 GRID = 65  # rays per axis that predict the range of the blur radius
+# Keys of the camera that change what a lens makes of a hit, and not what a ray hits.
+LENS_KEYS = ("f_number", "aperture_diameter", "focus_distance", "sensor_distance")
 PREDICTED_TIMES = 33  # of the whole sequence at most
 PIXELS_PER_SAMPLE = 1.0  # of the largest motion, with samples = "auto": 2 lose 5 to 9 dB, fewer gain little
 MOST_SAMPLES = 4095
@@ -84,6 +87,19 @@ def _inverse_depths(scene: Scene, samples: list[tuple[Pose, ...]], maps: Maps, g
         else:
             found.append([_moved_map(scene, item, depth, poses[k]) for poses in samples])
     return np.array(found)
+
+
+@lru_cache(maxsize=8)
+def _static_depths(scene: Scene, eye: Eye, guard: int) -> Array:
+    """`_inverse_depths` of a scene without a lens whose objects are all analytic, and stay where they are."""
+    found = _inverse_depths(scene, [poses_at(scene, 0.0, eye)], (None,) * len(scene.objects), guard)
+    found.flags.writeable = False
+    return found
+
+
+def without_lens(scene: Scene) -> Scene:
+    """The same scene for all lenses."""
+    return scene.model_copy(update={"camera": scene.camera.model_copy(update=dict.fromkeys(LENS_KEYS))})
 
 
 def _moved_map(scene: Scene, item: Object, depth: Array, pose: Pose) -> Array:
@@ -167,11 +183,14 @@ def _constant_blur(scene: Scene) -> bool:
     return len(scene.objects) == 1 and (flat or item.is_background)
 
 
-def _blur_range(scene: Scene, samples: list[tuple[Pose, ...]], maps: Maps) -> tuple[float, float, Array, int]:
+def _blur_range(
+    scene: Scene, eye: Eye, samples: list[tuple[Pose, ...]], maps: Maps
+) -> tuple[float, float, Array, int]:  # fmt: skip
     """Smallest and largest |R| with a margin, the inverse depths of the objects, and the guard band that follows."""
     psf, guard = scene.psf, 0
+    seen = None if scene.moves or not scene.is_analytic else without_lens(scene)
     for _ in range(2):  # the second time with the guard band that the first asked for
-        w = _inverse_depths(scene, samples, maps, guard)
+        w = _inverse_depths(scene, samples, maps, guard) if seen is None else _static_depths(seen, eye, guard)
         radii = np.abs(blur_radius(scene.camera, w[w > 0]))
         largest, smallest = (float(radii.max()), float(radii.min())) if radii.size else (0.0, 0.0)
         if largest > LARGEST_BLUR:

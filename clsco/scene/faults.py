@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, TypeVar, get_args
@@ -136,7 +135,9 @@ def _unknown(loc: tuple[Any, ...], shape: str | None, root: type[BaseModel]) -> 
     else:
         keys = [str(field.validation_alias or name) for name, field in root.model_fields.items()]
         known = list(_model_at(loc[:-1], root).model_fields) if len(loc) > 1 else keys
-    near = difflib.get_close_matches(key[:64], known, n=1)
+    from difflib import get_close_matches
+
+    near = get_close_matches(key[:64], known, n=1)
     near += [f"{path}.{key}" for path, model in _places(root) if key in model.model_fields]
     return f"unknown key (did you mean {near[0]}?)" if near else "unknown key"
 

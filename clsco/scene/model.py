@@ -1,8 +1,8 @@
 """Models of a scene: frozen and validated, in millimeters, seconds and degrees.
 
 Attribute names are the keys of the scene file, except that the array of tables `object` is `Scene.objects`. Every
-rule for scenes is stated here, in `clsco.scene.shapes` and in `clsco.scene.quantities`; `clsco.scene.file` turns
-violated rules into messages.
+rule for scenes is stated here, in `clsco.scene.objects`, `shapes`, `texture_keys` and `quantities`; `clsco.scene.file`
+turns violated rules into messages.
 """
 
 from __future__ import annotations

@@ -1,13 +1,23 @@
-"""The list of objects of a scene: which shapes there are, and what holds between objects."""
+"""Objects of a scene: what each of them, and all together, have to be."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
+from functools import cache
 from itertools import count
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
-from pydantic import AfterValidator, BeforeValidator, Field
-from pydantic_core import PydanticCustomError
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    TypeAdapter,
+    ValidationError,
+)
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from clsco.scene.quantities import at_keys, fault
 from clsco.scene.rotations import depth_row
@@ -29,7 +39,7 @@ def _bounds_in_front(shape: AnyShape) -> AnyShape:
 
 
 def _texture_keys_fit(shape: AnyShape) -> AnyShape:
-    """Refuse keys of a surface texture that its mapping or the shape has no use for."""
+    """Refuse keys of a texture that its mapping or the shape has no use for."""
     if found := texture_faults(shape):
         raise at_keys(found)
     return shape
@@ -122,9 +132,37 @@ def _without_boxes(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
     return tuple(found)
 
 
-_Union = Annotated[AnyShape, Field(discriminator="shape")]
+@cache
+def _any_shape() -> TypeAdapter[Any]:
+    return TypeAdapter(Annotated[AnyShape, Field(discriminator="shape")])
+
+
+class _OfItsShape:
+    """Constraint on an object: what its shape demands. A process builds the models of the shapes that it meets."""
+
+    @staticmethod
+    def check(value: Any) -> AnyShape:
+        """The object; raises the faults that the union of all shapes finds."""
+        model = SHAPES[value["shape"]] if isinstance(value, dict) else type(value)
+        if model in SHAPES.values():
+            model.model_rebuild()  # as a whole, before another thread gets what is checked by a part of it
+            with suppress(ValidationError):
+                return model.model_validate(value)
+        return cast(AnyShape, _any_shape().validate_python(value, strict=True))
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(self.check)
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return handler(_any_shape().core_schema)
+
+
 Object = Annotated[
-    _Union, AfterValidator(_bounds_in_front), AfterValidator(_texture_keys_fit), BeforeValidator(_known_shape)
+    AnyShape,
+    _OfItsShape(),
+    AfterValidator(_bounds_in_front),
+    AfterValidator(_texture_keys_fit),
+    BeforeValidator(_known_shape),
 ]
 Objects = Annotated[
     tuple[Object, ...],

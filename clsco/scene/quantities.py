@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 import unicodedata
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -199,7 +200,17 @@ Resolution = Annotated[tuple[Pixels, Pixels], AfterValidator(_few_enough), Befor
 Samples = Annotated[Annotated[int, Within(1, 4096)] | Literal["auto"], BeforeValidator(_count_or_auto)]
 
 
+_BUILDING = threading.RLock()
+
+
 class Strict(BaseModel):
     """Base of all models of a scene: no conversions, no unknown keys, no changes after validation."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+    # Most scenes have few of the shapes: what checks them is built for those that a process meets.
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, defer_build=True)
+
+    @classmethod
+    def model_rebuild(cls, **options: Any) -> bool | None:
+        """As pydantic's, but by one thread at a time: before 2.14 two of them disturb each other."""
+        with _BUILDING:
+            return super().model_rebuild(**options)

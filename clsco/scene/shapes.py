@@ -1,4 +1,4 @@
-"""Objects of a scene: shapes with textures and motions, in millimeters, seconds and degrees."""
+"""Shapes with textures and motions, in millimeters, seconds and degrees."""
 
 from __future__ import annotations
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from typing import Any
 
 import pytest
@@ -226,3 +228,30 @@ def test_whole_numbers_become_floats() -> None:
     radius = Sphere(radius=25).radius
     assert radius == 25.0
     assert isinstance(radius, float)
+
+
+MANY_THREADS = """
+import sys
+from threading import Barrier, Thread
+from clsco.scene.file import parse_scene
+from clsco.scene.shapes import SHAPES
+
+def work():
+    for name in ("plane", "sphere", "cone", "box", "background"):
+        start.wait()
+        dumped.append(parse_scene({"object": [{"shape": name}]}).model_dump_json())
+        SHAPES[name]()
+
+sys.setswitchinterval(1e-6)
+start, dumped = Barrier(8), []
+threads = [Thread(target=work) for _ in range(8)]
+for step in (Thread.start, Thread.join):
+    for thread in threads:
+        step(thread)
+print(len(dumped), len(set(dumped)))
+"""
+
+
+def test_models_are_built_once_whatever_threads_meet_a_shape_first() -> None:
+    process = subprocess.run([sys.executable, "-c", MANY_THREADS], capture_output=True, text=True, timeout=60)
+    assert (process.stdout, process.stderr) == ("40 5\n", "")
