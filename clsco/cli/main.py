@@ -59,6 +59,7 @@ def main() -> None:
 )
 @set_option
 @computation_options
+@click.option("--subframes", is_flag=True, help="Also write the image of each time sample: frame_0000_sample_00.png.")
 @click.option("--resume", is_flag=True, help="Leave out frames that are in DIR already, whole and of this scene.")
 @quiet_option
 def render(
@@ -68,6 +69,7 @@ def render(
     span: Span,
     overrides: tuple[str, ...],
     computation: Computation,
+    subframes: bool,
     resume: bool,
     quiet: bool,
 ) -> None:
@@ -78,7 +80,7 @@ def render(
     """
     from clsco.scene.sweep import load_sweeps
 
-    _render_to_folders(load_sweeps(scenes, overrides), out, files, computation, quiet, span, resume)
+    _render_to_folders(load_sweeps(scenes, overrides), out, files, computation, quiet, span, resume, subframes)
 
 
 @main.command()
@@ -404,6 +406,7 @@ def _render_to_folders(
     quiet: bool,
     span: Span = (None, None),
     resume: bool = False,
+    subframes: bool = False,
 ) -> None:
     """Plan scenes, and render those of each file into its folder."""
     if files:
@@ -413,7 +416,10 @@ def _render_to_folders(
     from clsco.cli.progress import progress
     from clsco.plan.prepare import prepare_files
 
-    prepared = prepare_files(loaded, _request(files, computation))
+    request = _request(files, computation)
+    if subframes:
+        request = replace(request, truth=tuple(dict.fromkeys((*request.truth, "subframes"))))
+    prepared = prepare_files(loaded, request)
     _require_device(computation.device)
     from clsco.engine import batch
 
