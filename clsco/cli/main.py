@@ -116,6 +116,33 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
 
 
 @main.command()
+@click.option("-o", "out", metavar="DIR", required=True, type=PATH, help="Folder for the figures and the page.")
+@click.option(
+    "--only", "wanted", metavar="NUMBER", multiple=True,
+    help="This figure or section, such as 4.14 or 4.3.3; may be given again. Default: all.",
+)  # fmt: skip
+@device_option
+@quiet_option
+def thesis(out: Path, wanted: tuple[str, ...], device: str | None, quiet: bool) -> None:
+    """Render the figures of the thesis, with a page of the numbers that it states and those that are measured.
+
+    DIR/thesis.md is the page, written when all else is there; each scene has a folder with its frames in DIR.
+    """
+    from clsco.cli.thesis_figures import chosen
+
+    figures, numbers = chosen(wanted)
+    _require_device(device)
+    from clsco.cli.thesis import PAGE, render, write_page
+    from clsco.files.atomic import remove, writable_folder
+
+    page = writable_folder(out) / PAGE
+    remove(page)  # an older page is not whole any more
+    values = render(out, figures, numbers, device, quiet)
+    write_page(out, figures, values)
+    click.echo(f"{click.format_filename(page)}: {len(figures)} figures, {len(values)} numbers")
+
+
+@main.command()
 @one_scene
 @set_option
 @truth_option

@@ -66,7 +66,7 @@ class Frame:
     filled : uint8 (rows, columns)
         0 known, 1 filled, 2 could not be filled.
     missing : bool (rows, columns)
-        The forward warp left the pixel missing in any time sample of the frame, before any filling.
+        The forward warp left the pixel missing in any time sample of the frame, whether it was filled or not.
     object_id : int32 (rows, columns)
         Position in the scene's objects, -1 none.
     normal : float32 (rows, columns, 3)

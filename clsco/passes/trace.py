@@ -123,7 +123,7 @@ class Work:
     report : dict
         What is reported of a time sample.
     missing : ndarray of bool (rows, columns), optional
-        Pixels of the frame that were missing before they were filled, where that is wanted.
+        Pixels of the frame that were missing, filled or not, where that is wanted.
     """
 
     strip: Strip

@@ -181,7 +181,7 @@ class ForwardWarp:
         self.kernels.run("note_radii", chunks, (1, *LINES) if self.owned else PIXELS, events, self.camera, *found)
 
     def missing(self, warped: Warped) -> NDArray[np.bool_]:
-        """Pixels (rows, columns) of the frame that were missing before they were filled."""
+        """Pixels (rows, columns) of the frame that were missing, filled or not."""
         return self._frame(warped.status, np.uint8) > 0
 
     def truth(self, sample: TimeSample, wanted: Collection[str], events: Events) -> dict[str, NDArray[Any]]:
