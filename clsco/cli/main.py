@@ -139,7 +139,7 @@ def thesis(out: Path, wanted: tuple[str, ...], device: str | None, quiet: bool) 
     remove(page)  # an older page is not whole any more
     values = render(out, figures, numbers, device, quiet)
     write_page(out, figures, values)
-    click.echo(f"{click.format_filename(page)}: {len(figures)} figures, {len(values)} numbers")
+    click.echo(f"{click.format_filename(page)}: figures, and numbers as stated and as measured")
 
 
 @main.command()

@@ -49,7 +49,7 @@ NUMBERS_HEAD = """\
 
 A number agrees where it is the stated one in all digits that are stated, or within "about". What clsco takes over as it
 is stated is an input. Where the thesis does not state the sizes or distances that a number depends on, they are chosen,
-and it cannot be expected to agree.
+and it cannot be expected to agree: those of figures 4.13, 4.16 and 4.17, of a sphere, a cylinder and a cone.
 
 | figure | what | stated | got | verdict | scene | note |
 |---|---|---|---|---|---|---|
