@@ -26,6 +26,7 @@ FIGURES: dict[str, tuple[str, float]] = {
     "flow": ("px", 1e-4),
     "mask": ("", 0.0),
     "filled": ("", 0.0),
+    "missing": ("", 0.0),
     "object_id": ("", 0.0),
     "hidden": ("", 0.0),
     "flow_backward": ("px", 1e-4),

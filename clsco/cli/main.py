@@ -59,6 +59,7 @@ def main() -> None:
 )
 @set_option
 @computation_options
+@click.option("--subframes", is_flag=True, help="Also write the image of each time sample: frame_0000_sample_00.png.")
 @click.option("--resume", is_flag=True, help="Leave out frames that are in DIR already, whole and of this scene.")
 @quiet_option
 def render(
@@ -68,6 +69,7 @@ def render(
     span: Span,
     overrides: tuple[str, ...],
     computation: Computation,
+    subframes: bool,
     resume: bool,
     quiet: bool,
 ) -> None:
@@ -78,7 +80,7 @@ def render(
     """
     from clsco.scene.sweep import load_sweeps
 
-    _render_to_folders(load_sweeps(scenes, overrides), out, files, computation, quiet, span, resume)
+    _render_to_folders(load_sweeps(scenes, overrides), out, files, computation, quiet, span, resume, subframes)
 
 
 @main.command()
@@ -111,6 +113,33 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
     click.echo(f"{place}/contact_sheet.png: all scenes, and the ground truth of some")
     click.echo(f"{place}/NAME/frame_0000.png, .npz, .json: image, truth and parameters; NAME is one of")
     click.echo(f"  {', '.join(jobs)}")
+
+
+@main.command()
+@click.option("-o", "out", metavar="DIR", required=True, type=PATH, help="Folder for the figures and the page.")
+@click.option(
+    "--only", "wanted", metavar="NUMBER", multiple=True,
+    help="This figure or section, such as 4.14 or 4.3.3; may be given again. Default: all.",
+)  # fmt: skip
+@device_option
+@quiet_option
+def thesis(out: Path, wanted: tuple[str, ...], device: str | None, quiet: bool) -> None:
+    """Render the figures of the thesis, with a page of the numbers that it states and those that are measured.
+
+    DIR/thesis.md is the page, written when all else is there; each scene has a folder with its frames in DIR.
+    """
+    from clsco.cli.thesis_figures import chosen
+
+    figures, numbers = chosen(wanted)
+    _require_device(device)
+    from clsco.cli.thesis import PAGE, render, write_page
+    from clsco.files.atomic import remove, writable_folder
+
+    page = writable_folder(out) / PAGE
+    remove(page)  # an older page is not whole any more
+    values = render(out, figures, numbers, device, quiet)
+    write_page(out, figures, values)
+    click.echo(f"{click.format_filename(page)}: figures, and numbers as stated and as measured")
 
 
 @main.command()
@@ -404,6 +433,7 @@ def _render_to_folders(
     quiet: bool,
     span: Span = (None, None),
     resume: bool = False,
+    subframes: bool = False,
 ) -> None:
     """Plan scenes, and render those of each file into its folder."""
     if files:
@@ -413,7 +443,10 @@ def _render_to_folders(
     from clsco.cli.progress import progress
     from clsco.plan.prepare import prepare_files
 
-    prepared = prepare_files(loaded, _request(files, computation))
+    request = _request(files, computation)
+    if subframes:
+        request = replace(request, truth=tuple(dict.fromkeys((*request.truth, "subframes"))))
+    prepared = prepare_files(loaded, request)
     _require_device(computation.device)
     from clsco.engine import batch
 

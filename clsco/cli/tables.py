@@ -70,7 +70,8 @@ def _passes(plans: Sequence[Plan]) -> list[tuple[str, str, str, str, str]]:
         for each in plan.passes:
             groups.setdefault(each.kind, []).append(each)
         for kind, members in groups.items():
-            times = 1 if kind == "ground truth" else plan.samples * len(members)
+            often = plan.samples * (2 if "subframes" in plan.truth else 1)
+            times = 1 if kind == "ground truth" else often * len(members)
             sizes = {name: size for each in members for name, size in each.buffers.items() if name not in counted}
             counted |= sizes
             names = (

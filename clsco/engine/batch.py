@@ -101,13 +101,15 @@ def prepare(
             if path.stem.startswith("frame_") and same_place(path.parent, folder):
                 raise ImageError(f"{path}: a {what} must not lie where frames are written; got {folder}")
 
+    subframes = (prepared.plan.samples if scene.moves else 1) if "subframes" in request.truth else 0
+
     def is_there(index: int) -> bool:
         content = read_complete(folder, index)
         if content is None:
             return False
         if any(content.get(key) != about[key] for key in ("version", "scene_sha256")):
             return False
-        whole = frame_files(index, scene.stereo is not None, files) <= set(content["files"])
+        whole = frame_files(index, scene.stereo is not None, files, subframes) <= set(content["files"])
         whole = whole and holds_truth(content, files)
         views = content["views"].values() if scene.stereo is not None else [content]
         alike = all(asked_alike(view.get("approximation"), request.method, request.tolerance) for view in views)

@@ -98,7 +98,11 @@ class Renderer:
         plan, space = self.plan, self._ready
         self.events: Events = []
         shape = (plan.rows, plan.columns)
-        self.color = np.empty(shape if plan.channels == 1 else (*shape, plan.channels), np.float32)
+        image = shape if plan.channels == 1 else (*shape, plan.channels)
+        self.color = np.empty(image, np.float32)
+        alone = len(times) if "subframes" in plan.truth else 0
+        self.subframes = np.empty((alone, *image), np.float32)
+        self.missing = np.zeros(shape, np.bool_)
         if "statistics" in space.buffers:
             cl.enqueue_copy(self.scene.session.queue, space.buffers["statistics"], EMPTY_STATISTICS)
         self.depth_layers = {time: self._depth_layers(time) for time in times if len(plan.strips) > 1 and space.layers}
@@ -118,6 +122,13 @@ class Renderer:
         camera = self._ready.blur.camera = self._camera(strip)
         return Work(strip, camera, self.events, sample)
 
+    def add_subframes(self, strip: Strip, times: Sequence[float]) -> None:
+        """Make the sub-frames of a strip, where they are wanted: each time sample by itself."""
+        for image, time in zip(self.subframes, times, strict=False):
+            self.begin_strip()
+            self.add(strip, time, 1.0)
+            self._ready.blur.image(self.events, image[strip.inside])
+
     def begin_strip(self) -> None:
         """Begin one of the strips of the frame."""
         self.reports: list[dict[str, Any]] = []  # the same for every strip
@@ -133,6 +144,8 @@ class Renderer:
             if step.kind != "ground truth":
                 self._ready.run(step, work)
         self.reports.append(work.report)
+        if work.missing is not None:
+            self.missing |= work.missing
 
     def end_strip(self, strip: Strip) -> None:
         """Read back a strip to which all time samples have been added."""
@@ -144,6 +157,8 @@ class Renderer:
             expose([self], index)
         space = self._ready
         truth = GroundTruth(self.plan, self.scene, space.tracer, space.pixels).of_frame(index, self.events)
+        of_samples = {"missing": self.missing, "subframes": self.subframes}
+        truth |= {name: array for name, array in of_samples.items() if name in self.plan.truth}
         self.scene.release()
         eye = self.plan.eye if self.plan.scene.stereo else ""
         about = self._metadata(index)
@@ -152,8 +167,8 @@ class Renderer:
             self._change(replace(self.plan, approximations=self.approximations))
         if not self.plan.alpha:
             return Frame(index=index, color=self.color, metadata=about, eye=eye, **truth)
-        if "sharp" in truth:
-            truth["sharp"] = _without_alpha(truth["sharp"])
+        for name in {"sharp", "subframes"} & truth.keys():
+            truth[name] = _without_alpha(truth[name])
         alpha = np.ascontiguousarray(self.color[..., -1])
         return Frame(index=index, color=_without_alpha(self.color), alpha=alpha, metadata=about, eye=eye, **truth)
 
@@ -229,8 +244,8 @@ class Renderer:
 
 
 def _without_alpha(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Color (rows, columns[, 3]) of an image whose last channel is coverage."""
-    return np.ascontiguousarray(image[..., 0] if image.shape[2] == 2 else image[..., :-1])
+    """Color (..., rows, columns[, 3]) of images whose last channel is coverage."""
+    return np.ascontiguousarray(image[..., 0] if image.shape[-1] == 2 else image[..., :-1])
 
 
 def expose(renderers: Sequence[Renderer], index: int) -> None:
@@ -241,6 +256,7 @@ def expose(renderers: Sequence[Renderer], index: int) -> None:
         renderer.begin(times.tolist())
     for strip in renderers[0].plan.strips:
         for renderer in renderers:
+            renderer.add_subframes(strip, times.tolist())
             renderer.begin_strip()
         for time, weight in zip(times.tolist(), weights.tolist(), strict=True):
             for renderer in renderers:

@@ -113,6 +113,7 @@ def _static_image(space: Workspace, work: Work) -> None:
     assert isinstance(static, StaticMap)
     missing = int(static.missing.sum())
     work.report |= {"missing_pixels": missing, "unfilled_pixels": missing}
+    work.missing = static.missing
     static.send(space.target.session, work.strip, space.buffers["value"])
     _send_radii(space, static, work)
 
@@ -136,6 +137,8 @@ def _fill(space: Workspace, work: Work) -> None:
     warped = warp.fill(work.sample, work.events)
     warp.note_radii(space.buffers["statistics"], work.events)
     work.report |= warped.counters
+    if "missing" in space.plan.truth:
+        work.missing = warp.missing(warped)
     work.planes = warped.value, warped.coc, warped.valid
 
 

@@ -23,14 +23,15 @@ from clsco.frame.truth_files import TruthFile, parse_truth
 
 
 def exr_channels(frame: Frame, wanted: TruthFile | None = None) -> dict[str, NDArray[Any]]:
-    """Name a frame's arrays as channels R G B A, Z, coc, sharp.R, N.X, flow.u, id, mask, filled, hidden.
+    """Name a frame's arrays as channels R G B A, Z, coc, sharp.R, N.X, flow.u, id, mask, filled, missing, hidden.
 
-    A scene that moves has flow_backward.u and flow_occluded, a stereo pair disparity and occluded, too. A gray frame
-    has R, G and B, so that every reader shows it. A is the alpha where it was requested, else 1: a photograph covers
-    all of its pixels. wanted: which of the arrays, and how; by default all as they are.
+    A scene that moves has flow_backward.u and flow_occluded, a stereo pair disparity and occluded, too; sub-frames are
+    sample_00.R and so on. A gray frame has R, G and B, so that every reader shows it. A is the alpha where it was
+    requested, else 1: a photograph covers all of its pixels. wanted: which of the arrays, and how; by default all as
+    they are.
     """
     arrays = (wanted or TruthFile("exr")).arrays(frame)
-    color, plain = arrays.get("color"), ("coc", "mask", "filled", "hidden", "flow_occluded", *STEREO_NAMES)
+    color, plain = arrays.get("color"), ("coc", "mask", "filled", "missing", "hidden", "flow_occluded", *STEREO_NAMES)
 
     def split(layer: str, names: str, array: NDArray[Any] | None) -> dict[str, NDArray[Any]]:
         if array is None:
@@ -40,6 +41,9 @@ def exr_channels(frame: Frame, wanted: TruthFile | None = None) -> dict[str, NDA
     alpha = arrays.get("alpha")
     if alpha is None and color is not None:
         alpha = np.ones(color.shape[:2], color.dtype)
+    subframes: dict[str, NDArray[Any]] = {}
+    for number, image in enumerate(arrays.get("subframes", ())):
+        subframes |= split(f"sample_{number:02d}.", "RGB", image)
     single = {"Z": "depth", "id": "object_id"} | {name: name for name in plain}
     return {
         **split("", "RGB", color),
@@ -49,6 +53,7 @@ def exr_channels(frame: Frame, wanted: TruthFile | None = None) -> dict[str, NDA
         **split("N.", "XYZ", arrays.get("normal")),
         **split("flow.", "uv", arrays.get("flow")),
         **split("flow_backward.", "uv", arrays.get("flow_backward")),
+        **subframes,
     }
 
 
@@ -108,7 +113,12 @@ def _stems(index: int, eyes: Sequence[str]) -> list[str]:
     return [f"{stem}_{eye}" for eye in eyes] if len(eyes) > 1 else [stem]
 
 
-def frame_files(index: int, stereo: bool, truth: Sequence[TruthFile] = ()) -> set[str]:
+def _pictures(stem: str, subframes: int) -> list[str]:
+    """Names of the PNG files of a view: its image, and those of its time samples."""
+    return [f"{stem}.png", *(f"{stem}_sample_{number:02d}.png" for number in range(subframes))]
+
+
+def frame_files(index: int, stereo: bool, truth: Sequence[TruthFile] = (), subframes: int = 0) -> set[str]:
     """Names of the files of a frame besides its JSON file; a stereo pair has a PNG of each view.
 
     Parameters
@@ -116,13 +126,15 @@ def frame_files(index: int, stereo: bool, truth: Sequence[TruthFile] = ()) -> se
     index : int
     stereo : bool
     truth : sequence of TruthFile
+    subframes : int
+        Time samples whose images are files, too.
 
     Returns
     -------
     set of str
     """
     apart = _stems(index, ("left", "right") if stereo else ("",))
-    names = {f"{own}.png" for own in apart}
+    names = {name for own in apart for name in _pictures(own, subframes)}
     for file in truth:
         stems = [f"frame_{index:04d}"] if TRUTH_FORMATS[file.format].joins_views else apart
         names |= {f"{stem}.{file.format}" for stem in stems}
@@ -145,7 +157,7 @@ def write_frame(
     folder : path
     views : sequence of Frame
         One frame, or the left and the right one of a stereo pair, whose files are frame_0000_left.png and so on; an EXR
-        holds both, as the views left and right.
+        holds both, as the views left and right. Their sub-frames, if any, are frame_0000_sample_00.png and so on.
     bits : {8, 16, 32}
         Of the textures; 32 makes a PNG of 16.
     transfer : {"srgb", "linear"}
@@ -175,7 +187,9 @@ def write_frame(
     described = frame_json(folder, index)
     with together(Path(folder), stem) as made:
         for own, frame in zip(apart, views, strict=True):
-            write_png(made / f"{own}.png", encode(frame.color, min(bits, 16), transfer))
+            images = [frame.color, *(() if frame.subframes is None else frame.subframes)]
+            for name, image in zip(_pictures(own, len(images) - 1), images, strict=True):
+                write_png(made / name, encode(image, min(bits, 16), transfer))
         for file in truth:
             known = TRUTH_FORMATS[file.format]
             if known.joins_views:

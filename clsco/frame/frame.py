@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from clsco.errors import SceneError
 
-TRUTH_NAMES = ("sharp", "depth", "blur_radius", "mask", "filled", "object_id", "normal", "flow", "hidden")
+TRUTH_NAMES = ("sharp", "depth", "blur_radius", "mask", "filled", "missing", "object_id", "normal", "flow", "hidden")
 MOTION_NAMES = ("flow_backward", "flow_occluded")  # besides, where something moves
 MAPPING_NAMES = ("uv",)  # besides, where a texture lies on a surface
 STEREO_NAMES = ("disparity", "occluded")  # besides, of a stereo pair
 ALL_TRUTH = (*TRUTH_NAMES, *MOTION_NAMES, *MAPPING_NAMES, *STEREO_NAMES)
-IMAGE_NAMES = ("alpha",)  # besides, of the image, by name only
+IMAGE_NAMES = ("alpha", "subframes")  # besides, of the image, by name only
 FILE_NAMES = {name: name for name in ("color", *ALL_TRUTH, *IMAGE_NAMES)} | {"blur_radius": "coc"}
 """Names of the arrays in files, by attribute."""
 
@@ -67,6 +67,8 @@ class Frame:
         A surface is there.
     filled : uint8 (rows, columns)
         0 known, 1 filled, 2 could not be filled.
+    missing : bool (rows, columns)
+        The forward warp left the pixel missing in any time sample of the frame, whether it was filled or not.
     object_id : int32 (rows, columns)
         Position in the scene's objects, -1 none.
     normal : float32 (rows, columns, 3)
@@ -90,6 +92,9 @@ class Frame:
     alpha : float32 (rows, columns)
         How much of the light of a pixel comes from surfaces, blurred as `color` is, which has the rest of it black: the
         coverage of an image with associated (premultiplied) alpha. The background is no surface.
+    subframes : float32 (samples, rows, columns[, 3])
+        Linear radiance of each time sample by itself, blurred by defocus: `color` is their weighted mean.
+        `metadata["intermediate"]` has their times and weights.
     eye : str
         "left" or "right" of a stereo pair, else "".
     metadata : mapping
@@ -103,6 +108,7 @@ class Frame:
     blur_radius: NDArray[np.float32] | None = None
     mask: NDArray[np.bool_] | None = None
     filled: NDArray[np.uint8] | None = None
+    missing: NDArray[np.bool_] | None = None
     object_id: NDArray[np.int32] | None = None
     normal: NDArray[np.float32] | None = None
     flow: NDArray[np.float32] | None = None
@@ -113,6 +119,7 @@ class Frame:
     disparity: NDArray[np.float32] | None = None
     occluded: NDArray[np.bool_] | None = None
     alpha: NDArray[np.float32] | None = None
+    subframes: NDArray[np.float32] | None = None
     eye: str = ""
     metadata: Mapping[str, Any] = field(default_factory=dict)
 

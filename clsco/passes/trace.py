@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import pyopencl as cl
+from numpy.typing import NDArray
 
 from clsco.constants import STATISTIC_SLOTS, STATISTIC_SMALLEST
 from clsco.frame.strips import Strip
@@ -121,6 +122,8 @@ class Work:
         Depth layers of whole time samples by their times, where the frame is made in strips.
     report : dict
         What is reported of a time sample.
+    missing : ndarray of bool (rows, columns), optional
+        Pixels of the frame that were missing, filled or not, where that is wanted.
     """
 
     strip: Strip
@@ -132,6 +135,7 @@ class Work:
     sources: Sources | None = None
     depth_layers: Mapping[float, Slabs] = field(default_factory=dict)
     report: dict[str, Any] = field(default_factory=dict)
+    missing: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True)

@@ -180,6 +180,10 @@ class ForwardWarp:
         found = (self.filler.planes.coc, self.filler.planes.valid, statistics)
         self.kernels.run("note_radii", chunks, (1, *LINES) if self.owned else PIXELS, events, self.camera, *found)
 
+    def missing(self, warped: Warped) -> NDArray[np.bool_]:
+        """Pixels (rows, columns) of the frame that were missing, filled or not."""
+        return self._frame(warped.status, np.uint8) > 0
+
     def truth(self, sample: TimeSample, wanted: Collection[str], events: Events) -> dict[str, NDArray[Any]]:
         """What is wanted of these, float32 or as stated, (rows, columns[, channels]); sample: of weight 1.
 

@@ -365,7 +365,8 @@ def make_plan(
         check_tables(psf, smallest, largest, silhouettes)
     area = (rows + 2 * guard) * (columns + 2 * guard)
     lit = np.pi * (psf_extent(psf, seen) + 0.7) ** 2
-    taps = float((w > 0).mean() * area * samples * (lit.mean() if lit.size else 0.0)) if blur != "none" else 0.0
+    times = samples * (2 if "subframes" in truth else 1)
+    taps = float((w > 0).mean() * area * times * (lit.mean() if lit.size else 0.0)) if blur != "none" else 0.0
     return Plan(
         scene, device, eye, channels + alpha, rows, columns, samples, guard, smallest, largest, blur, silhouettes, tilt,
         forward, static, scene.moves, occlusion, found, truth, taps, tolerance=tolerance, approximations=approximations,

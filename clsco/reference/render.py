@@ -124,8 +124,8 @@ def _crop(array: NDArray[Any], guard: int) -> NDArray[Any]:
     return array[guard : array.shape[0] - guard, guard : array.shape[1] - guard]
 
 
-def render(scene: Scene) -> Iterator[Frame]:
-    """Frames of a scene, each with all its ground truth; float arrays are float64.
+def render(scene: Scene, *, subframes: bool = False) -> Iterator[Frame]:
+    """Frames of a scene, each with all its ground truth, and with `subframes` if asked; float arrays are float64.
 
     Errors: those of the plan and of the textures. Metadata: {"intermediate": [...]}, one mapping per time
     sample with its time in s, its weight and the counts of `clsco.reference.inpainting.fill.FillReport`.
@@ -139,7 +139,7 @@ def render(scene: Scene) -> Iterator[Frame]:
     plans = [make_plan(scene, channels, eye=eye, maps=maps) for eye in eyes]
     for frame in range(scene.sequence.frames):
         for plan in plans:
-            yield _frame(plan, textures, maps, frame)
+            yield _frame(plan, textures, maps, frame, subframes)
 
 
 def _texture(scene: Scene, item: Object, texture: TextureImage, channels: int) -> Texture:
@@ -162,33 +162,40 @@ def _moves_pixels(plan: Plan) -> bool:
     return plan.forward or plan.static_map
 
 
-def _time_sample(plan: Plan, textures: tuple[Texture, ...], maps: Maps, time: float) -> tuple[Array, dict[str, int]]:
-    """The blurred image (m, n, C) of one time sample, and its metadata."""
+def _time_sample(
+    plan: Plan, textures: tuple[Texture, ...], maps: Maps, time: float
+) -> tuple[Array, NDArray[np.bool_], dict[str, int]]:
+    """The blurred image (m, n, C) of one time sample, what was missing of it (m, n), and its metadata."""
     scene, guard, shape = plan.scene, plan.guard_px, (plan.rows, plan.columns)
+    none = np.zeros(shape, dtype=bool)
     if _moves_pixels(plan):
         warped = _warped_sources(scene, textures, maps, guard, time, plan.eye)
         image, count = _image_of_planes(scene, plan, warped.sources, shape)
-        return image, asdict(warped.report) | count
+        return image, _crop(warped.status, guard) > 0, asdict(warped.report) | count
     view = view_at(scene, textures, time, plan.eye, plan.moves or plan.eye_moved)
     if plan.occlusion == "layered":
         visible = trace(view, plan.layers[0], guard)
         image, count = _image_of_planes(scene, plan, visible, shape)
-        return image, asdict(FillReport()) | count
+        return image, none, asdict(FillReport()) | count
     image = np.zeros((*shape, plan.channels))
     for layer in plan.layers:
         sources, sub = _cast_sources(view, layer, guard, plan.silhouettes > 0)
         image = image + scatter(scene.psf, sources, sub, shape, guard)
-    return image, asdict(FillReport())
+    return image, none, asdict(FillReport())
 
 
-def _frame(plan: Plan, textures: tuple[Texture, ...], maps: Maps, index: int) -> Frame:
+def _frame(plan: Plan, textures: tuple[Texture, ...], maps: Maps, index: int, subframes: bool) -> Frame:
     scene, guard = plan.scene, plan.guard_px
     color, samples = np.zeros((plan.rows, plan.columns, plan.channels)), []
+    missing, alone = np.zeros(color.shape[:2], dtype=bool), []
     for time, weight in zip(*(values.tolist() for values in exposure(plan, index)), strict=True):
-        image, report = _time_sample(plan, textures, maps, time)
-        color = accumulate(color, image, weight)
+        image, unknown, report = _time_sample(plan, textures, maps, time)
+        color, missing = accumulate(color, image, weight), missing | unknown
+        if subframes:
+            alone.append(_without_channel(image))
         samples.append({"time": time, "weight": weight, **report})
     arrays = _truth(plan, textures, maps, index) | {"filled": np.zeros(color.shape[:2], dtype=np.uint8)}
+    arrays |= {"missing": missing, "subframes": np.stack(alone) if alone else None}
     if _moves_pixels(plan):
         time = middle_time(scene.sequence, index) if plan.moves else 0.0
         middle = _warped_sources(scene, textures, maps, guard, time, plan.eye)

@@ -24,14 +24,14 @@ ONLY = {
     "opencl": {"constants", "errors", "kept", "resources", "records"},
     "records": set[str](),
 }
-ON_OPENCL = ("opencl", "passes", "engine", "inpainting", "cli.bench", "cli.check", "cli.warm")
+ON_OPENCL = ("opencl", "passes", "engine", "inpainting", "cli.bench", "cli.check", "cli.thesis", "cli.warm")
 OUTSIDE = {
     "pyopencl": ("opencl", "inpainting", "passes", "engine", "cli.bench"),
     "imageio": ("files.decoders",),
     "imagecodecs": ("files.decoders",),
     "tifffile": ("files.decoders",),
     "OpenEXR": ("files.decoders",),
-    "PIL": ("files.decoders", "cli.demo"),
+    "PIL": ("files.decoders", "cli.demo", "cli.thesis"),
     "click": ("cli",),
     "rich": ("cli",),
     "matplotlib": ("cli.bench", "inpainting.report"),

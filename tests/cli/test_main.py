@@ -265,7 +265,7 @@ def test_wrong_words(words: list[str], status: int, rule: str, ball: Path, tmp_p
 
 def test_folders_that_cannot_be_written(ball: Path, tmp_path: Path) -> None:
     for folder in (ball, ball / "under", tmp_path / ("x" * 300), Path("/proc/none")):
-        for command in (["render", ball, "-o", folder], ["demo", "-o", folder]):
+        for command in (["render", ball, "-o", folder], ["demo", "-o", folder], ["thesis", "-o", folder]):
             (line,) = messages(clsco_(*command), 1)
             assert "must be a folder that can be written" in line
     assert "Missing option '-o'" in clsco_("render", ball).stderr
@@ -279,6 +279,7 @@ def test_without_a_device_it_says_what_to_install(ball: Path, tmp_path: Path, mo
         ["check", ball],
         ["devices"],
         ["demo", "-o", tmp_path / "out"],
+        ["thesis", "-o", tmp_path / "out"],
     )
     for command in commands:
         (line,) = messages(clsco_(*command), 3)
@@ -384,7 +385,7 @@ def test_schema() -> None:
 
 def test_help_and_version() -> None:
     assert clsco_("--version").output == f"clsco, version {clsco.__version__}\n"
-    for name in ("render", "plan", "check", "demo", "devices", "schema", "validate"):
+    for name in ("render", "plan", "check", "demo", "devices", "schema", "thesis", "validate"):
         assert name in clsco_("--help").output
         assert clsco_(name, "--help").exit_code == 0
     assert clsco_("paint").exit_code == 2

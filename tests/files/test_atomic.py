@@ -44,6 +44,7 @@ def frame(channels: int) -> Frame:
         blur_radius=(generator.random((6, 8)) - 0.5).astype("f4"),
         mask=generator.random((6, 8)) < 0.5,
         filled=generator.integers(0, 3, (6, 8), "u1"),
+        missing=generator.random((6, 8)) < 0.5,
         object_id=generator.integers(-1, 3, (6, 8), "i4"),
         normal=generator.random((6, 8, 3)).astype("f4"),
         flow=generator.random((6, 8, 2)).astype("f4"),
@@ -72,7 +73,7 @@ def test_frame_files_hold_the_frame(tmp_path: Path, channels: int) -> None:
     stored = OpenEXR.File(str(tmp_path / "frame_0003.exr"), separate_channels=True).channels()
     wanted = exr_channels(shown)
     assert set(stored) == set(wanted)
-    expected = "R G B A Z coc sharp.R sharp.G sharp.B N.X N.Y N.Z flow.u flow.v id mask filled hidden"
+    expected = "R G B A Z coc sharp.R sharp.G sharp.B N.X N.Y N.Z flow.u flow.v id mask filled missing hidden"
     assert set(stored) == set(expected.split())
     for name, channel in stored.items():
         np.testing.assert_array_equal(channel.pixels, wanted[name].astype("f4"), strict=True)
@@ -93,6 +94,7 @@ def pair() -> tuple[Frame, Frame]:
             flow_backward=generator.random((6, 8, 2)).astype("f4"),
             flow_occluded=generator.random((6, 8)) < 0.5,
             alpha=generator.random((6, 8)).astype("f4"),
+            subframes=generator.random((2, 6, 8)).astype("f4"),
             eye=eye,
             metadata={"guard_px": guard},
         )
@@ -104,9 +106,10 @@ def pair() -> tuple[Frame, Frame]:
 def test_a_stereo_pair_has_files_of_each_view_and_one_exr(tmp_path: Path) -> None:
     views = pair()
     content = write_frame(tmp_path, views, 8, "linear", BOTH, {"title": "Pair"})
-    apart = [f"frame_0003_{eye}.{suffix}" for eye in ("left", "right") for suffix in ("npz", "png")]
+    endings = (".npz", ".png", "_sample_00.png", "_sample_01.png")
+    apart = [f"frame_0003_{eye}{ending}" for eye in ("left", "right") for ending in endings]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["frame_0003.exr", "frame_0003.json", *apart]
-    assert set(content["files"]) == frame_files(3, True, BOTH) == {"frame_0003.exr", *apart}
+    assert set(content["files"]) == frame_files(3, True, BOTH, 2) == {"frame_0003.exr", *apart}
     assert content["views"] == {"left": {"guard_px": 4}, "right": {"guard_px": 5}}
     assert content["title"] == "Pair"
     assert read_complete(tmp_path, 3) == content
@@ -138,18 +141,17 @@ def test_a_stereo_pair_has_files_of_each_view_and_one_exr(tmp_path: Path) -> Non
 def test_a_pair_is_written_together_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken: str) -> None:
     from clsco.frame import files as framefiles
 
-    write, calls = getattr(framefiles, broken), []
+    write = getattr(framefiles, broken)
+    name = "frame_0003.exr" if broken == "write_exr" else f"frame_0003_right.{broken[-3:]}"
 
-    def second_fails(path: Path, *given: object, **options: object) -> None:
-        calls.append(path)
-        if len(calls) == (1 if broken == "write_exr" else 2):
+    def last_fails(path: Path, *given: object, **options: object) -> None:
+        if path.name == name:
             raise ImageError(f"{path}: the file must be writable; got No space left on device")
         write(path, *given, **options)
 
-    monkeypatch.setattr(framefiles, broken, second_fails)
+    monkeypatch.setattr(framefiles, broken, last_fails)
     with pytest.raises(ImageError) as caught:
         write_frame(tmp_path, pair(), 8, "linear", BOTH)
-    name = "frame_0003.exr" if broken == "write_exr" else f"frame_0003_right.{broken[-3:]}"
     assert str(caught.value) == f"{tmp_path / name}: the file must be writable; got No space left on device"
     assert list(tmp_path.iterdir()) == []
 

@@ -133,7 +133,7 @@ SCENES = [
         "some truth",
         plan_of(TILTED, truth=("depth", "blur_radius")),
         {"trace", "blur", "tilt", "guard band", "ground truth"},
-        {"other outputs": "sharp, mask, filled, object_id, normal, flow, hidden"},
+        {"other outputs": "sharp, mask, filled, missing, object_id, normal, flow, hidden"},
     ),
     (
         "plane that turns in itself",

@@ -1,0 +1,198 @@
+"""`clsco thesis`: the figures of the thesis, its numbers and those measured, and the page of both."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+import clsco
+from clsco.cli import thesis
+from clsco.cli.thesis_figures import FIGURES, NUMBERS, OTHERS, Number, chosen, numbers_named
+from clsco.errors import ImageError
+from clsco.files.images import read_image
+from clsco.files.transfer import encode
+from clsco.frame.files import read_complete
+from clsco.scene.model import Plane, Scene
+from tests.cli.test_main import clsco_, messages, names
+
+ROOT = Path(__file__).resolve().parents[2]
+SCENES = ROOT / "examples" / "thesis"
+SAID = "figures, and numbers as stated and as measured"
+DOCUMENT = (ROOT / "docs" / "thesis.md").read_text("utf-8")
+
+
+def scene(stem: str, *overrides: str) -> Scene:
+    return clsco.load_scene(SCENES / f"{stem}.toml", overrides)
+
+
+def rows(page: str) -> list[str]:
+    return [line for line in page.splitlines() if line.startswith("| ")]
+
+
+def test_some_figures_have_the_rows_of_the_document(tmp_path: Path) -> None:
+    result = clsco_("thesis", "-o", tmp_path, "--only", "4.9", "--only", "4.14", "--only", "4.15", "--only", "4.3.3")
+    assert (result.exit_code, result.stdout) == (0, f"{tmp_path}/thesis.md: {SAID}\n"), result.output
+    page = (tmp_path / "thesis.md").read_text("utf-8")
+    assert set(rows(page)) < set(rows(DOCUMENT))
+    assert len(rows(page)) == 3 + 9 + 3 + 3  # heads, numbers, figures, and what is not rendered
+    assert "| 4.15 | filled in the first sweep | 36993 | 36993 | agrees | `fig_4_15` |  |" in page
+    assert "| 4.9 | missing pixels |  | 19680 | not stated | `fig_4_09` |  |" in page
+    assert "| section 4.3.3 | 10 mm at 285 mm, px | 70 | 70.18 | agrees |" in page
+    for name in re.findall(r"`(\w+/\w+\.png)`", page):
+        assert (tmp_path / name).is_file()
+    assert names(tmp_path / "fig_4_09") == ["frame_0000.json", "frame_0000.png", "missing.png"]
+    assert read_complete(tmp_path / "fig_4_14", 0) is not None
+    mask = read_image(tmp_path / "fig_4_09/missing.png").data
+    assert set(np.unique(mask)) == {0, 255}
+    assert int((mask == 255).sum()) == 19680
+    assert read_image(tmp_path / "thesis.png").data.ndim == 2
+
+
+@pytest.mark.slow
+def test_all_figures_are_the_document(tmp_path: Path) -> None:
+    assert clsco_("thesis", "-o", tmp_path).exit_code == 0
+    assert (tmp_path / "thesis.md").read_text("utf-8") == DOCUMENT
+    pictures = {picture for figure in FIGURES for picture in figure.pictures}
+    assert pictures <= set(names(tmp_path))
+    sheet, kept = (read_image(place / "thesis.png").data for place in (tmp_path, ROOT / "docs"))
+    np.testing.assert_allclose(sheet.astype(int), kept.astype(int), atol=1)
+
+
+def test_the_page_is_the_last_thing_that_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert clsco_("thesis", "-o", tmp_path, "--only", "4.15").exit_code == 0
+    assert (tmp_path / "thesis.md").is_file()
+
+    def no_space(path: Path, *args: object) -> None:
+        raise ImageError(f"{path}: the file must be writable; got No space left on device")
+
+    monkeypatch.setattr(thesis, "write_png", no_space)
+    result = clsco_("thesis", "-o", tmp_path, "--only", "4.15")
+    assert messages(result, 1) == [
+        f"error: {tmp_path}/thesis.png: the file must be writable; got No space left on device"
+    ]
+    assert not (tmp_path / "thesis.md").exists()
+
+
+def test_a_figure_that_is_not_there(tmp_path: Path) -> None:
+    result = clsco_("thesis", "-o", tmp_path / "out", "--only", "4.1")
+    assert result.exit_code == 2
+    assert "--only: must be one of 3.3, 3.4, 3.5, 3.8, 3.9, 3.12," in result.stderr
+    assert "got 4.1" in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_one_of_a_span_of_figures_is_enough() -> None:
+    figures, numbers = chosen(["3.12"])
+    assert [figure.number for figure in figures] == ["3.12"]
+    assert {number.figure for number in numbers} == {"3.8 to 3.17"}
+    assert numbers_named("3.8 to 3.17") == ["3.8", "3.9", "3.12", "3.13", "3.15", "3.17"]
+    assert {number.figure for number in chosen(["4.5"])[1]} == {"4.4, 4.5"}
+
+
+def test_every_figure_of_the_thesis_is_on_the_page() -> None:
+    last = {2: 3, 3: 17, 4: 19, 5: 21, 6: 1}
+    wanted = {f"{chapter}.{n}" for chapter, most in last.items() for n in range(1, most + 1)}
+    found = [figure.number for figure in FIGURES]
+    for listed, _ in OTHERS:
+        for part in listed.split(", "):
+            first, _, end = part.partition(" to ")
+            chapter, least = first.split(".")
+            found += [f"{chapter}.{n}" for n in range(int(least), int((end or first).split(".")[1]) + 1)]
+    assert sorted(found) == sorted(wanted)
+    stems = {stem for row in FIGURES for stem in row.scenes} | {stem for row in NUMBERS for stem in row.scenes}
+    assert stems == {path.stem for path in SCENES.glob("*.toml")}
+
+
+@pytest.mark.parametrize(
+    ("stated", "most", "got", "agrees"),
+    [
+        ("36993", None, 36993.0, True),
+        ("36993", None, 36994.0, False),
+        ("70", None, 70.1754, True),
+        ("70", None, 70.6, False),
+        ("0.707", None, 0.7071, True),
+        ("0.707", None, 0.7081, False),
+        ("about 6", 6.5, 6.3, True),
+        ("about 6", 6.5, 7.7, False),
+    ],
+)
+def test_when_a_number_agrees(stated: str, most: float | None, got: float, agrees: bool) -> None:
+    assert Number("4.15", "", stated, (), float, most=most).agrees(got) == agrees
+
+
+@pytest.mark.parametrize(
+    ("number", "verdict"),
+    [
+        (Number("4.15", "", "5", (), float), "differs"),
+        (Number("4.13", "", "5", (), float), "size not stated"),
+        (Number("4.13", "", "4", (), float), "agrees"),
+        (Number("4.13", "", "4", (), float, is_input=True), "input"),
+        (Number("4.15", "", "5", (), float, is_input=True), "differs"),
+        (Number("4.7", "", "", (), float), "not stated"),
+        (Number("3.8 to 3.17", "", "5", (), float), "size not stated"),
+        (Number("section 4.3.3", "", "5", (), float), "differs"),
+    ],
+)
+def test_what_the_page_says_of_a_number(number: Number, verdict: str) -> None:
+    assert f"| 4 | {verdict} |" in thesis.page((), {number: 4.0})
+
+
+def test_figures_before_filling_are_those_that_are_filled_later() -> None:
+    rest = {"08": "3_12_right", "09": "3_03", "10": "3_03", "11": "3_08_right", "12": "3_15_right"}
+    for before, still in rest.items():
+        unfilled, filled = (scene(f"fig_4_{n}") for n in (before, f"{int(before) + 5}"))
+        assert unfilled.replace("fill.method", "ait").replace("title", filled.title) == filled
+        (item,), (standing,) = unfilled.objects, scene(f"fig_{still}").objects
+        assert item.model_copy(update={"motion": standing.motion}) == standing
+
+
+def test_away_from_the_lens_nothing_is_missing() -> None:
+    """The caption of figure 4.14 read to the letter."""
+    frame = clsco.render_frame(scene("fig_4_09", "object.0.motion.velocity=[0.0, 0.0, 10.0]"), truth=("missing",))
+    assert frame.missing is not None
+    assert not frame.missing.any()
+
+
+@pytest.fixture(scope="module")
+def road() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("road", SCENES / "road.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_two_cameras_see_one_road(road: ModuleType) -> None:
+    """The upper camera, moved to the car, has the car's depths of the road, and sees its texture there."""
+    moved: Scene = road.view()
+    frame = clsco.render_frame(moved, truth=("depth", "sharp"))
+    still = scene("fig_4_19", "object.0.motion.velocity=[0.0, 0.0, 0.0]")
+    car = clsco.render_frame(still, truth=("depth", "sharp"))
+    assert frame.sharp is not None
+    assert car.sharp is not None
+    assert frame.depth is not None
+    assert car.depth is not None
+    np.testing.assert_allclose(frame.depth, car.depth, rtol=1e-6)
+    codes = read_image(SCENES / "road.png").data
+    np.testing.assert_allclose(encode(frame.sharp, 8, "linear").astype(int), codes.astype(int), atol=1)
+    np.testing.assert_array_equal(encode(car.sharp, 8, "linear"), codes)
+    assert np.ptp(codes) > 100
+
+
+def test_the_car_drives_along_the_road(road: ModuleType) -> None:
+    """5 mm/s, at 30 deg to the optical axis, and up in the image of the upper camera."""
+    (item,) = scene("fig_4_19").objects
+    assert isinstance(item, Plane)
+    assert 1.0 / np.tan(np.radians(90.0 - road.ANGLE)) == pytest.approx(item.slope_y)
+    velocity = np.array(item.motion.velocity)
+    assert np.linalg.norm(velocity) == pytest.approx(5.0)
+    assert velocity @ [-item.slope_x, -item.slope_y, 1.0] == pytest.approx(0.0, abs=1e-12)
+    angle = np.radians(road.ANGLE)
+    upper = [velocity[0], velocity[1] * np.cos(angle) + velocity[2] * np.sin(angle)]
+    assert upper == pytest.approx([0.0, -5.0])

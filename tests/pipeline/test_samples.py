@@ -1,0 +1,175 @@
+"""Outputs of the time samples of a frame: their images by themselves, and the pixels that were missing in any."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clsco
+from clsco import reference
+from clsco.engine.renderer import Renderer
+from clsco.frame.files import exr_channels
+from clsco.frame.frame import Frame
+from clsco.passes.warp import ForwardWarp
+from clsco.plan.memory import device_bytes
+from clsco.plan.prepare import prepare
+from clsco.plan.request import Request
+from clsco.scene.model import Scene
+from tests.pipeline.test_scenes import BALL, GOING, PLAIN
+from tests.scenes import scene_from
+from tests.slow import mostly_slow
+
+CAMERA = {"resolution": [56, 40], "pixel_pitch": 0.08, "aperture_diameter": 20.0}
+MOVING = BALL | {"motion": GOING}
+NEAR = {"shape": "sphere", "center": [12.0, 6.0, 240.0], "radius": 10.0, "texture": "#c06020"}
+TIMES = {"frames": 2, "interval": 0.6, "samples": 3}
+FORWARD = {"motion": {"warp": "forward"}, "fill": {"domain": "span"}}
+NO_FILL = FORWARD | {"fill": {"method": "none", "domain": "span"}}
+
+
+def scene(sections: dict[str, Any], *items: dict[str, Any]) -> Scene:
+    return scene_from({"camera": CAMERA, "psf": PLAIN}, *items, **sections)
+
+
+CASES: dict[str, Scene] = {
+    "inverse": scene({"sequence": TIMES}, MOVING),
+    "forward": scene({"sequence": TIMES} | FORWARD, MOVING),
+    "not filled": scene({"sequence": TIMES} | NO_FILL, MOVING),
+    "color": scene({"sequence": TIMES}, MOVING, NEAR),
+    "still": scene({}, BALL),
+    "stereo": scene({"sequence": TIMES, "stereo": {"baseline": 5.0}} | FORWARD, MOVING),
+}
+
+
+def rendered(wanted: Scene, *truth: str, **options: Any) -> list[Frame]:
+    return list(clsco.render(wanted, truth=truth, **options))
+
+
+@pytest.mark.parametrize("name", mostly_slow(CASES, ["inverse", "forward", "still"]))
+def test_they_agree_with_the_reference(name: str) -> None:
+    wanted = CASES[name]
+    exact = list(reference.render(wanted, subframes=True))
+    for frame, expected in zip(rendered(wanted, "missing", "subframes"), exact, strict=True):
+        assert frame.subframes is not None
+        assert expected.subframes is not None
+        assert frame.subframes.dtype == np.float32
+        assert frame.subframes.shape == (len(frame.metadata["intermediate"]), *frame.color.shape)
+        np.testing.assert_allclose(frame.subframes, expected.subframes, atol=1e-5)
+        np.testing.assert_array_equal(frame.missing, expected.missing)
+        assert np.ptp(frame.subframes[0]) > 0.1
+
+
+@pytest.mark.parametrize("name", ["inverse", "forward"])
+def test_a_subframe_is_the_frame_of_one_time_sample(name: str) -> None:
+    """Bit by bit, and the frame is their mean, with the bits that it has without them."""
+    wanted = CASES[name]
+    alone = {"frames": 6, "interval": 0.2, "shutter": 0.2, "samples": 1}
+    single = rendered(wanted.replace("sequence", alone))
+    frames = rendered(wanted, "subframes")
+    found: list[Any] = []
+    for frame in frames:
+        assert frame.subframes is not None
+        found += list(frame.subframes)
+        np.testing.assert_allclose(frame.subframes.mean(axis=0), frame.color, atol=1e-6)
+    times = [sample["time"] for frame in frames for sample in frame.metadata["intermediate"]]
+    assert times == pytest.approx([sample["time"] for one in single for sample in one.metadata["intermediate"]])
+    for image, one in zip(found, single, strict=True):
+        np.testing.assert_array_equal(image, one.color)
+    for frame, without in zip(frames, rendered(wanted), strict=True):
+        np.testing.assert_array_equal(frame.color, without.color)
+        assert without.subframes is None
+        assert frame.metadata["intermediate"] == without.metadata["intermediate"]
+
+
+def test_missing_is_what_the_samples_count() -> None:
+    """Of one sample all pixels that are counted, of several their union, whether they are filled or not."""
+    for wanted in (CASES["forward"], CASES["not filled"]):
+        for frame in rendered(wanted, "missing"):
+            counts = [sample["missing_pixels"] for sample in frame.metadata["intermediate"]]
+            assert frame.missing is not None
+            assert frame.missing.dtype == np.bool_
+            assert max(counts) <= frame.missing.sum() <= sum(counts)
+        last = wanted.replace("sequence", {"samples": 1, "sampling": "endpoint"})
+        (frame,) = rendered(last, "missing", "filled")
+        assert frame.missing is not None
+        assert frame.missing.sum() == frame.metadata["intermediate"][0]["missing_pixels"] > 20
+    (filled,), (left,) = (rendered(CASES[name], "missing", frames=[0]) for name in ("forward", "not filled"))
+    np.testing.assert_array_equal(filled.missing, left.missing)
+
+
+def test_nothing_is_missing_where_no_pixel_is_moved() -> None:
+    for frame in rendered(CASES["inverse"], "missing"):
+        assert frame.missing is not None
+        assert not frame.missing.any()
+
+
+def test_holes_of_a_static_depth_map_are_missing() -> None:
+    depth = np.full((40, 56), 260.0)
+    depth[10:20, 30:33] = 0.0
+    item = {"shape": "depth_map", "depth": depth, "texture": np.full((40, 56), 0.5, np.float32)}
+    wanted = scene(NO_FILL | {"psf": {"occlusion": "none"}}, item)
+    assert prepare(wanted).plan.static_map
+    (frame,), (exact,) = rendered(wanted, "missing"), reference.render(wanted)
+    np.testing.assert_array_equal(frame.missing, depth == 0.0)
+    np.testing.assert_array_equal(exact.missing, depth == 0.0)
+
+
+def test_who_does_not_ask_for_them_pays_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No kernel is run for them, nothing is read back, and no buffer is there."""
+    calls: list[str] = []
+
+    def counted(kind: type[Any], name: str) -> None:
+        method = getattr(kind, name)
+
+        def call(*args: Any) -> Any:
+            calls.append(name)
+            return method(*args)
+
+        monkeypatch.setattr(kind, name, call)
+
+    counted(ForwardWarp, "missing")
+    counted(Renderer, "add")
+    rendered(CASES["forward"], "filled", frames=[0])
+    assert calls == ["add"] * 3
+    calls.clear()
+    rendered(CASES["forward"], "missing", "subframes", frames=[0])
+    assert calls == ["add", "missing"] * 6
+    with_them, without = (prepare(CASES["forward"], Request(t)).plan for t in (("missing", "subframes"), ()))
+    assert with_them.features() == without.features()
+    assert with_them.taps == 2 * without.taps > 0
+
+
+@pytest.mark.parametrize("truth", [("subframes",), pytest.param(("subframes", "alpha"), marks=pytest.mark.slow)])
+def test_in_strips(truth: tuple[str, ...]) -> None:
+    high = CAMERA | {"resolution": [56, 200]}
+    wanted = scene({"camera": high, "sequence": TIMES | {"frames": 1}}, MOVING, NEAR)
+    (whole,) = rendered(wanted, *truth)
+    (tight,) = rendered(wanted, *truth, memory=device_bytes(prepare(wanted, Request(truth)).plan) - 1)
+    assert tight.metadata["strips"] > whole.metadata["strips"] == 1
+    assert whole.subframes is not None
+    assert whole.subframes.shape == (3, 200, 56, 3)
+    np.testing.assert_array_equal(tight.subframes, whole.subframes)
+
+
+@pytest.mark.slow
+def test_layered_occlusion_in_strips() -> None:
+    """Depth layers of a time sample are those of the whole frame."""
+    high = CAMERA | {"resolution": [56, 200]}
+    layered = {"psf": PLAIN | {"occlusion": "layered"}, "sequence": TIMES | {"frames": 1}}
+    wanted = scene({"camera": high} | layered, MOVING, NEAR)
+    (whole,) = rendered(wanted, "subframes")
+    (tight,) = rendered(wanted, "subframes", memory=device_bytes(prepare(wanted, Request(("subframes",))).plan) - 1)
+    assert tight.metadata["strips"] > 1
+    np.testing.assert_array_equal(tight.subframes, whole.subframes)
+
+
+def test_an_exr_has_them_as_layers() -> None:
+    frame = rendered(CASES["color"], "subframes", frames=[0])[0]
+    channels = exr_channels(frame)
+    assert frame.subframes is not None
+    assert [name for name in channels if name.startswith("sample_")] == [
+        f"sample_0{number}.{color}" for number in range(3) for color in "RGB"
+    ]
+    np.testing.assert_array_equal(channels["sample_02.G"], frame.subframes[2, ..., 1])
