@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from clsco.plan.buffers import Sizes
+from clsco.plan.left_out import left_out
 from clsco.plan.memory import device_bytes
 from clsco.plan.passes import Pass
 from clsco.plan.plan import Plan
@@ -52,7 +53,7 @@ def plan_tables(plans: Sequence[Plan]) -> list[RenderableType]:
     tables: list[RenderableType] = [
         _table(f"Plan: {scene.title or scene.objects[0].name}", ("what", "how much"), figures),
         _table("Passes, in order", ("pass", "times", "MiB", "what", "how"), _passes(plans), ("times", "MiB")),
-        _table("Left out", ("pass", "why"), _of_views([each.left_out for each in plans])),
+        _table("Left out", ("pass", "why"), _of_views([left_out(each) for each in plans])),
     ]
     if unused := unused_keys(plan):
         tables.append(_table("Keys that this scene has no use for", ("key", "why"), unused))

@@ -25,10 +25,10 @@ from clsco.frame.truth_files import TruthFile, parse_truth
 def exr_channels(frame: Frame, wanted: TruthFile | None = None) -> dict[str, NDArray[Any]]:
     """Name a frame's arrays as channels R G B A, Z, coc, sharp.R, N.X, flow.u, id, mask, filled, missing, hidden.
 
-    A scene that moves has flow_backward.u and flow_occluded, a stereo pair disparity and occluded, too; sub-frames are
-    sample_00.R and so on. A gray frame has R, G and B, so that every reader shows it. A is the alpha where it was
-    requested, else 1: a photograph covers all of its pixels. wanted: which of the arrays, and how; by default all as
-    they are.
+    A scene that moves has flow_backward.u and flow_occluded, one with textures on surfaces uv.u, a stereo pair
+    disparity and occluded, too; sub-frames are sample_00.R and so on. A gray frame has R, G and B, so that every reader
+    shows it. A is the alpha where it was requested, else 1: a photograph covers all of its pixels. wanted: which of the
+    arrays, and how; by default all as they are.
     """
     arrays = (wanted or TruthFile("exr")).arrays(frame)
     color, plain = arrays.get("color"), ("coc", "mask", "filled", "missing", "hidden", "flow_occluded", *STEREO_NAMES)
@@ -53,6 +53,7 @@ def exr_channels(frame: Frame, wanted: TruthFile | None = None) -> dict[str, NDA
         **split("N.", "XYZ", arrays.get("normal")),
         **split("flow.", "uv", arrays.get("flow")),
         **split("flow_backward.", "uv", arrays.get("flow_backward")),
+        **split("uv.", "uv", arrays.get("uv")),
         **subframes,
     }
 

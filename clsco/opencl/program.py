@@ -32,7 +32,7 @@ OCCLUSION_HEADERS = ("common/occluder.clh", "common/visibility.clh", "common/vis
 GATHER_HEADERS = tuple(
     f"blur/cpu/{name}.clh" for name in ("vectors", "many", "rows", "near", "discs", "quadrants", "gaussians", "columns")
 )
-MAPPING_HEADERS = ("common/angles.clh", "trace/mapping.clh")  # with the feature MAPPED
+MAPPING_HEADERS = ("common/angles.clh", "trace/mapping.clh")  # with the feature TEXTURED
 HEADERS_OF = {
     "trace/trace.cl": ("common/sources.clh", *MAPPING_HEADERS, "trace/texture.clh"),
     "trace/truth.cl": (*MAPPING_HEADERS, "trace/texture.clh"),
@@ -83,7 +83,7 @@ def build(
     if features.get("OCCLUDED"):
         headers += [GATHERED_TAPS if features.get("GATHER") else SINGLE_TAPS, *OCCLUSION_HEADERS]
     others = dict.fromkeys(header for source in sources for header in HEADERS_OF.get(source, ()))
-    headers += (header for header in others if features.get("MAPPED") or header not in MAPPING_HEADERS)
+    headers += (header for header in others if features.get("TEXTURED") or header not in MAPPING_HEADERS)
     if device.kind == "cpu":
         headers = [*[POCL_DECLARATIONS] * device.is_pocl, *(CPU_FORMS.get(header, header) for header in headers)]
     text = program_text([*headers, *sources], structs, real, device.has_fp64, device.has_int64_atomics)

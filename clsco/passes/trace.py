@@ -228,7 +228,7 @@ class Tracer:
         assert work.group is not None
         members = [k for k in range(len(sample.placed)) if work.group.members >> k & 1]
         grid = tuple(camera[name].tobytes() for name in camera.dtype.names or () if name not in OF_LENS)
-        built = tuple(features[name] for name in ("CHANNELS", "MOVED", "FILTER", "MAPPED")), self.scene.real
+        built = tuple(features[name] for name in ("CHANNELS", "MOVED", "FILTER", "TEXTURED")), self.scene.real
         cast = (grid, sample.weight, sample.packed[members].tobytes(), tuple(members), built)
         maps = self.scene.packed_maps.tobytes() if self.plan.mapped else b""
         return HitKey(work.group, (cast, maps), self.scene.content)

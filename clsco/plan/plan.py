@@ -1,7 +1,7 @@
 """From a scene to the passes that it needs, with their sizes and cost; pure Python, without OpenCL.
 
 The engine runs `Plan.passes`, `clsco plan` prints them, and the memory of a frame is that of their buffers. A pass that
-a scene has no use for is neither compiled nor run nor stored: `Plan.left_out` says which and why.
+a scene has no use for is neither compiled nor run nor stored: `clsco.plan.left_out` says which and why.
 """
 
 from __future__ import annotations
@@ -222,11 +222,6 @@ class Plan:
         """What is run: for each time sample in this order, and "ground truth" once for a frame."""
         return _passes(self)
 
-    @property
-    def left_out(self) -> tuple[tuple[str, str], ...]:
-        """What the scene has no use for: (name, reason)."""
-        return _left_out(self)
-
     def features(self) -> dict[str, int]:
         """Structure that the kernels that cast rays are compiled for."""
         scene, spec = self.scene, self.spec
@@ -239,7 +234,7 @@ class Plan:
             "GATHER": int(spec.occluders > 0 and self.blur == "gather"),
             "MOVED": int(moved),
             "FILTER": FILTERS[scene.motion.texture_filter] if moved or self.mapped else 0,
-            "MAPPED": self.mapped,
+            "TEXTURED": self.mapped,
             "TILT": int(self.tilt),
             "SUBPIXELS": self.silhouettes,
             "SAMPLED": psf["SAMPLED"],
@@ -478,35 +473,3 @@ def _of_blur(plan: Plan) -> Parameters:
     if plan.occlusion == "layered":
         found.append(("occlusion", "depth layers of what the pinhole sees, front to back"))
     return tuple(found)
-
-
-def _left_out(plan: Plan) -> tuple[tuple[str, str], ...]:
-    """See `Plan.left_out`."""
-    scene, psf, forward, static = plan.scene, plan.scene.psf, plan.forward, plan.static_map
-    wide = "the forward warp moves whole pixels"
-    only_warp = "only a forward warp leaves pixels missing"
-    no_rays = "a static depth map: its own pixels" if static else "replaced by the forward warp"
-    alike = "nothing moves: every pixel shows its own texel"
-    whole = "a depth map has whole pixels" if static else wide if forward else "no silhouette in sight"
-    hidden = "one object" if len(scene.objects) == 1 else "no object hides another within its blur"
-    hidden = "everything is in focus" if plan.blur == "none" else hidden
-    reasons = {
-        "motion": None if plan.moves else "nothing moves: one sample, in the reference pose",
-        "trace": no_rays if forward or static else None,
-        "texture sampling": None if plan.features()["MOVED"] or plan.mapped else wide if forward else alike,
-        "reproject": None if forward else "no forward warp",
-        "fill": (None if scene.fill.method != "none" else "fill.method is none") if forward else only_warp,
-        "silhouettes": None if plan.silhouettes else "silhouette_samples = 1" if psf.silhouette_samples == 1 else whole,
-        "tilt": None if plan.tilt else "one radius for all pixels, or none" if psf.tilt else "tilt = false",
-        "blur": None if plan.blur != "none" else f"in focus: R up to {plan.largest_blur:.3g} px stays within its pixel",
-        "renormalize": None if psf.border == "renormalize" else 'border = "lose"',
-        "guard band": None if psf.border == "lose" else "light stays inside the frame",
-        "color": None if plan.colors > 1 else "gray texture: one channel",
-        "occlusion": None if plan.occlusion != "none" else 'occlusion = "none"' if psf.occlusion == "none" else hidden,
-        "ground truth": None if plan.truth else "nobody asked for it",
-    }
-    possible = (*TRUTH_NAMES, *(MOTION_NAMES if plan.moves else ()))
-    missing = [name for name in possible if name not in plan.truth]
-    if plan.truth and missing:
-        reasons["other outputs"] = f"nobody asked for {', '.join(missing)}"
-    return tuple((name, why) for name, why in reasons.items() if why is not None)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from clsco.plan.left_out import left_out
 from clsco.plan.plan import Plan
 
 
@@ -34,13 +35,13 @@ def unused_keys(plan: Plan) -> list[tuple[str, str]]:
         keys = [key for key in type(scene.psf).model_fields if key != "silhouette_samples"]
         give("psf", keys, "everything is in focus")
         give("aperture", type(scene.aperture).model_fields, "everything is in focus")
-    left_out = dict(plan.left_out)
+    reasons = dict(left_out(plan))
     if not plan.tilt and scene.psf.tilt:
-        give("psf", ("tilt",), left_out["tilt"])
+        give("psf", ("tilt",), reasons["tilt"])
     if not plan.silhouettes and scene.psf.silhouette_samples > 1:
-        give("psf", ("silhouette_samples",), left_out["silhouettes"])
-    if "occlusion" in left_out:
-        give("psf", ("occlusion",), left_out["occlusion"])
+        give("psf", ("silhouette_samples",), reasons["silhouettes"])
+    if "occlusion" in reasons:
+        give("psf", ("occlusion",), reasons["occlusion"])
     named = ("aperture", "psf", "sequence", "motion", "fill")
     sections: list[tuple[str, Any]] = [(name, getattr(scene, name)) for name in named]
     for index, item in enumerate(scene.objects):

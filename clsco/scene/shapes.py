@@ -165,6 +165,10 @@ class Box(SixSided, _Object):
         pairs = zip(info.data["size"], depth_row(info.data["rotation"]), strict=True)
         return _reaching(center, sum(0.5 * side * abs(row) for side, row in pairs))
 
+    @property
+    def has_sides(self) -> bool:
+        return True
+
     def faces(self) -> tuple[Rectangle, ...]:
         """Rectangles about the center of the box, which turn and move as it does; named "box front" and so on.
 

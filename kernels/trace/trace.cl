@@ -50,7 +50,7 @@ static float take_radiance(const camera_t camera, __constant surface_t *surfaces
 {
     const int object = MAX(label - 1, 0) / 2;
     __constant surface_t *surface = surfaces + object;
-#if MAPPED
+#if TEXTURED
     if (label && maps[object].kind != MAP_PROJECTED) {
         float mean[CHANNELS];
         const float texels = surface_texture(texture, surface, maps + object, camera, ray, w, sources, mean);
@@ -67,7 +67,7 @@ static float take_radiance(const camera_t camera, __constant surface_t *surfaces
     return 0;
 }
 
-#if MAPPED && SUBPIXELS
+#if TEXTURED && SUBPIXELS
 // Of a pixel with a texture on a surface: its share in what neighbors exchange, 0 where it has no part in it, and its
 // record, marked where it needs sub-pixel sources; root: the label before any visibility test.
 static float4 with_detail(const camera_t camera, __constant texture_map_t *maps, float4 record, wide_t w, uchar root,
@@ -93,7 +93,7 @@ __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const
 #if OCCLUDED
                     , __global wide_t *depth
 #endif
-#if MAPPED && SUBPIXELS
+#if TEXTURED && SUBPIXELS
                     , __global float *share
 #endif
 )
@@ -110,7 +110,7 @@ __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const
                                        value + at, camera.height * camera.width);
     const uchar hit = root;
     float4 record = source_record(camera, surfaces, layer, psf, ray, w, 0, &root, statistics);
-#if MAPPED && SUBPIXELS
+#if TEXTURED && SUBPIXELS
     record = with_detail(camera, maps, record, w, hit, texels, share + at);
 #endif
     put_source(source, camera.height * camera.width, at, record);
@@ -140,7 +140,7 @@ __kernel void cast(const camera_t camera, __constant surface_t *surfaces, const 
     const int plane = camera.height * camera.width;
     const float texels = take_radiance(camera, surfaces, ray, depth[at], root, row, column, 1, weight,
                                        texture TEXTURE_MAPS, value + at, plane);
-#if MAPPED
+#if TEXTURED
     value[CHANNELS * plane + at] = texels;
 #endif
 }
@@ -150,7 +150,7 @@ __kernel void cast(const camera_t camera, __constant surface_t *surfaces, const 
 __kernel void aim(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
                   __global const wide_t *depth, __global const uchar *hit, __global float *source,
                   __global uchar *label, __global int *statistics
-#if MAPPED && SUBPIXELS
+#if TEXTURED && SUBPIXELS
                   , __global const float *value, __constant texture_map_t *maps, __global float *share
 #endif
 )
@@ -162,7 +162,7 @@ __kernel void aim(const camera_t camera, __constant surface_t *surfaces, const l
     const wide3_t ray = pixel_ray(camera, widened(FRAME_ROW(camera, y)), widened(x - camera.guard));
     uchar root = hit[at];
     float4 record = source_record(camera, surfaces, layer, psf, ray, depth[at], 0, &root, statistics);
-#if MAPPED && SUBPIXELS
+#if TEXTURED && SUBPIXELS
     const float texels = value[CHANNELS * camera.height * camera.width + at];
     record = with_detail(camera, maps, record, depth[at], hit[at], texels, share + at);
 #endif
@@ -183,7 +183,7 @@ __kernel void mark_silhouettes(const camera_t camera, __global const uchar *labe
         return;
     const int at = y * camera.width + x;
     const uchar own = label[at];
-#if MAPPED
+#if TEXTURED
     bool differs = as_int(MARKS(source, camera.height * camera.width)[at]) == DETAILED;
 #else
     bool differs = false;
@@ -241,7 +241,7 @@ __kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfa
 #endif
 }
 
-#if MAPPED
+#if TEXTURED
 // Radiance after neighbors have exchanged what makes squares of what textures on surfaces show, see mapping.clh. Only
 // pixels with one source take part, which are at least 2 px from other objects. In: value, share, marks of source. Out:
 // sharper, as value.

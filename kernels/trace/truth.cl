@@ -62,10 +62,9 @@ __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces
     const wide_t w = nearest_surface(surfaces, layer, ray, &root, &object);
     __constant surface_t *surface = surfaces + MAX(object, 0);
     mask[at] = root != 0;
-#if MAPPED
-    const bool is_mapped = root && maps[object].kind != MAP_PROJECTED;
-#else
-    const bool is_mapped = false;
+    bool is_mapped = false;  // the texture lies on the surface
+#if TEXTURED
+    is_mapped = root && maps[object].kind != MAP_PROJECTED;
 #endif
     if (object_id)
         object_id[at] = object;
@@ -106,7 +105,7 @@ __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces
             uv[2 * at + 1] = before_lens ? (float)narrow(wide_sub(widened(1), down)) : 0;
         }
     }
-#if MAPPED
+#if TEXTURED
     if (sharp && is_mapped) {
         float mean[CHANNELS];
         surface_texture(texture, surface, maps + object, camera, ray, w, 1, mean);

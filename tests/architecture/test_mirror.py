@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 KERNELS = sorted((ROOT / "kernels").rglob("*.cl"))
-# wide.clh makes of two floats what NumPy has as float64, others are vectors of processors.
+# wide.clh makes of two floats what NumPy has as float64, angles.clh its functions; others are vectors of processors.
 VECTORS = [
     f"{group}/{folder}{name}.clh"
     for group, name in (("common", "builtins"), ("common", "lanes"), ("inpainting", "lanes"))
@@ -18,7 +18,7 @@ VECTORS = [
 ]
 HEADERS = sorted(
     set((ROOT / "kernels").rglob("*.clh"))
-    - {ROOT / "kernels" / name for name in ("common/wide.clh", "common/cpu/pocl.clh", *VECTORS)}
+    - {ROOT / "kernels" / name for name in ("common/wide.clh", "common/angles.clh", "common/cpu/pocl.clh", *VECTORS)}
 )
 # What has no twin of its own, and why.
 WITHOUT_TWIN = {
@@ -41,6 +41,7 @@ WITHOUT_TWIN = {
         "reads tables, in whose place the reference has the closed forms",
     ),
     "vectors": dict.fromkeys(("weights", "sums_of", "bits_of", "any_of"), "lanes of a vector"),
+    "mapping": {"square_of": "two products", "place_of": "a few lines of mean_texture"},
     "texture": dict.fromkeys(("texture_point", "radiance"), "parts of cast, for all pixels at once"),
     "geometry": {"note_radius": "the largest and the smallest of an array"},
     "warp": {"note_radii": "the largest and the smallest of an array"},

@@ -15,6 +15,7 @@ from clsco.frame.frame import TRUTH_NAMES
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
 from clsco.optics.psf import reach
 from clsco.plan.buffers import ThisMachine
+from clsco.plan.left_out import left_out
 from clsco.plan.memory import device_bytes
 from clsco.plan.methods import MANY_RADII, is_sharp
 from clsco.plan.plan import Plan, exposure, make_plan, widened
@@ -151,13 +152,13 @@ def test_passes_taken_and_left_out(given: Plan, taken: set[str], left: dict[str,
     parameters = {name for each in given.passes for name, _ in each.parameters}
     names = {each.kind for each in given.passes} | parameters | ({"motion"} if given.moves else set())
     assert names & every == taken
-    reasons = dict(given.left_out)
+    reasons = dict(left_out(given))
     for name, why in left.items():
         assert why in reasons[name]
     assert taken & reasons.keys() == set()
     assert taken | reasons.keys() - {"other outputs"} == every
     assert all(text for each in given.passes for _, text in each.parameters)
-    assert all(text for _, text in given.left_out)
+    assert all(text for _, text in left_out(given))
 
 
 @pytest.mark.parametrize(("given", "taken"), [case[1:3] for case in SCENES], ids=[case[0] for case in SCENES])

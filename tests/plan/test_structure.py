@@ -13,6 +13,7 @@ from clsco.frame.strips import BAND
 from clsco.optics.lens import blur_scale, focus_power
 from clsco.optics.psf import reach
 from clsco.plan.buffers import ThisMachine
+from clsco.plan.left_out import left_out
 from clsco.plan.methods import is_sharp
 from clsco.plan.predict import displaced, guard_band, is_forward
 from clsco.scene.model import (
@@ -131,5 +132,5 @@ def test_why_scatter_is_only_reported_where_tiles_would_do_but_for_what_is_in_th
 
 def test_outputs_that_nobody_asked_for_are_reported_beside_some_that_are_wanted() -> None:
     for truth in ((), TRUTH_NAMES):
-        assert "other outputs" not in dict(plan_of(STILL, truth=truth).left_out)
-    assert "depth" in dict(plan_of(STILL, truth=("blur_radius",)).left_out)["other outputs"]
+        assert "other outputs" not in dict(left_out(plan_of(STILL, truth=truth)))
+    assert "depth" in dict(left_out(plan_of(STILL, truth=("blur_radius",))))["other outputs"]

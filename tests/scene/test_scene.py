@@ -31,6 +31,9 @@ from clsco.scene.model import (
     origin,
 )
 
+UNMAPPED: dict[str, Any] = {"texture_mapping": "projected"}
+UNMAPPED |= dict.fromkeys((f"texture_{key}" for key in ("size", "repeats", "offset", "angle", "wrap")), None)
+SIDES = dict.fromkeys((f"texture_{side}" for side in ("back", "left", "right", "top", "bottom")), None)
 COEFFICIENTS = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0)
 
 
@@ -78,6 +81,7 @@ COEFFICIENTS = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0)
                 "shape": "depth_map",
                 "name": "depth_map",
                 "texture": "bricks",
+                **UNMAPPED,
                 "bounds": None,
                 "rotation": None,
                 "motion": {"velocity": (0.0, 0.0, 0.0), "angular_velocity": (0.0, 0.0, 0.0)},
@@ -96,6 +100,8 @@ COEFFICIENTS = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0)
                 "shape": "sphere",
                 "name": "sphere",
                 "texture": "bricks",
+                **UNMAPPED,
+                **SIDES,
                 "bounds": None,
                 "rotation": None,
                 "motion": {"velocity": (0.0, 0.0, 0.0), "angular_velocity": (0.0, 0.0, 0.0)},

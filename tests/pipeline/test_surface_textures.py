@@ -1,0 +1,233 @@
+"""Textures on surfaces from scene to frame: the device against the reference, hard cases, and what must not change."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import clsco
+from clsco import reference
+from clsco.cli.check import compare
+from clsco.frame.frame import Frame
+from clsco.scene.model import Scene
+from tests.scenes import plan_of, scene_from
+from tests.slow import mostly_slow
+
+CAMERA: dict[str, Any] = {
+    "resolution": [48, 36],
+    "pixel_pitch": 0.1,
+    "aperture_diameter": 20.0,
+    "focus_distance": 250.0,
+}
+PLAIN = {"silhouette_samples": 1, "tilt": False, "edge": "sampled"}  # compiled in a third of the time
+TWO = {"silhouette_samples": 2}
+LAID: dict[str, Any] = {"texture_mapping": "surface"}
+ANY = [50.0, 20.0, 10.0]
+GOING = {"velocity": [6.0, -4.0, 12.0], "angular_velocity": [15.0, 120.0, -10.0]}
+rng = np.random.default_rng(5)
+PHOTO = rng.random((25, 40, 3)).astype(np.float32)
+GRAY = rng.random((32, 32)).astype(np.float32)
+
+BALL: dict[str, Any] = LAID | {
+    "shape": "sphere",
+    "center": [3.0, 0.0, 270.0],
+    "radius": 16.0,
+    "rotation": ANY,
+    "texture": GRAY,
+}
+CUBE = BALL | {"texture_mapping": "cube", "texture_left": "siemens_star", "texture": "bricks"}
+EGG = LAID | {"shape": "ellipsoid", "center": [0.0, 0.0, 270.0], "semi_axes": [20.0, 12.0, 15.0], "rotation": ANY}
+TUBE = LAID | {"shape": "cylinder", "center": [0.0, 0.0, 270.0], "radius": 15.0, "texture": PHOTO}
+CARD: dict[str, Any] = LAID | {
+    "shape": "rectangle",
+    "center": [0.0, 0.0, 255.0],
+    "size": [30.0, 20.0],
+    "texture": PHOTO,
+}
+CARD |= {"rotation": [20.0, 50.0, 10.0]}
+ROOF = LAID | {"shape": "plane", "distance": 250.0, "slope_x": 1.0, "slope_y": 0.3, "texture_size": 12.0}
+HAT = LAID | {"shape": "cone", "apex": [0.0, 10.0, 250.0], "half_angle": 25.0, "rotation": [-70.0, 0.0, 0.0]}
+HAT |= {"texture_size": 20.0}
+SADDLE = LAID | {"shape": "quadric", "coefficients": [1, -1, 0, 0, 0, 0, 0, 0, -40, 0], "center": [0.0, 0.0, 260.0]}
+SADDLE |= {"texture_size": 15.0}
+CRATE = LAID | {"shape": "box", "center": [0.0, 0.0, 262.0], "size": [24.0, 18.0, 20.0], "rotation": [25.0, 35.0, 10.0]}
+CRATE |= {"texture_top": "checkerboard"}
+WALL = {"shape": "plane", "distance": 380.0, "texture": "checkerboard"}
+scene = partial(scene_from, {"camera": CAMERA})
+LOOKING_AT_A_POLE = BALL | {"center": [0.0, 0.0, 270.0], "rotation": [90.0, 0.0, 0.0], "texture": "checkerboard"}
+INTO_THE_APEX = HAT | {"apex": [0.0, 0.0, 250.0], "rotation": [0.0, 0.0, 0.0], "half_angle": 60.0}
+SCENES: dict[str, Scene] = {
+    "card, and what it hides": scene(CARD, WALL, psf=TWO),
+    "ball": scene(BALL, psf=TWO),
+    "ball seen from a pole": scene(LOOKING_AT_A_POLE, psf=PLAIN),
+    "ball with its seam in front": scene(BALL | {"rotation": [0.0, 180.0, 0.0]}, psf=PLAIN),
+    "cube map": scene(CUBE, psf=TWO),
+    "edge of a cube map in front": scene(CUBE | {"rotation": [0.0, 45.0, 0.0]}, psf=PLAIN),
+    "egg": scene(EGG, psf=TWO),
+    "tube": scene(TUBE, psf=TWO),
+    "roof": scene(ROOF, psf=TWO),
+    "roof to its horizon": scene(ROOF | {"slope_x": 0.0, "slope_y": 60.0}, psf=PLAIN),
+    "hat": scene(HAT, psf=TWO),
+    "apex in the middle of a pixel": scene(INTO_THE_APEX, psf=PLAIN, camera=CAMERA | {"resolution": [47, 35]}),
+    "saddle": scene(SADDLE, psf=PLAIN),
+    "crate": scene(CRATE, WALL, psf=TWO),
+    "moving": scene(CARD | {"motion": GOING}, BALL | {"motion": GOING}, psf=TWO, sequence={"samples": 2}),
+    "triplanar": scene(EGG | {"texture_mapping": "triplanar", "texture_size": [9.0, 7.0]}, psf=PLAIN),
+    "gaussian": scene(ROOF, psf={"model": "gaussian"}),
+    "layered": scene(CARD, WALL, psf=PLAIN | {"occlusion": "layered"}),
+    "stereo": scene(CARD, psf=PLAIN, stereo={"baseline": 20.0, "toe_in": 1.0}),
+    "a color": scene(BALL | {"texture": "#804020"}, psf=PLAIN),
+    "one texel": scene(CARD | {"texture": np.full((1, 1), 0.5)}, psf=PLAIN),
+    **{f"wrap {wrap}": scene(ROOF | {"texture_wrap": wrap, "texture": PHOTO}, psf=PLAIN)
+       for wrap in ("repeat", "mirror", "clamp", "none")},
+    **{f"filter {name}": scene(CARD | {"texture": GRAY, "texture_repeats": 0.4}, psf=PLAIN,
+                               motion={"texture_filter": name}) for name in ("nearest", "bilinear")},
+}  # fmt: skip
+SOME = ("card, and what it hides", "ball seen from a pole", "hat", "wrap none")
+
+
+def rendered(wanted: Scene, **options: Any) -> list[Frame]:
+    return list(clsco.render(wanted, **options))
+
+
+def assert_agree(frames: list[Frame], exact: list[Frame]) -> None:
+    assert len(frames) == len(exact) > 0
+    found = [difference for pair in zip(frames, exact, strict=True) for difference in compare(*pair)]
+    assert [difference for difference in found if difference.count] == []
+    for frame in frames:
+        assert frame.mask is not None
+        assert frame.mask.mean() > 0.02
+
+
+@pytest.mark.parametrize("name", mostly_slow(SCENES, SOME))
+def test_device_against_reference(name: str) -> None:
+    assert_agree(rendered(SCENES[name], precision="double"), list(reference.render(SCENES[name])))
+
+
+@pytest.mark.parametrize("name", mostly_slow(SCENES, ("ball",)))
+def test_single_precision_against_reference(name: str) -> None:
+    assert_agree(rendered(SCENES[name], precision="single"), list(reference.render(SCENES[name])))
+
+
+BODIES: dict[str, dict[str, Any]] = {"ball": BALL, "tube": TUBE, "card": CARD, "hat": HAT, "egg": EGG}
+
+
+@pytest.mark.parametrize("shape", mostly_slow(BODIES, ("ball",)))
+def test_a_full_turn_ends_where_it_began_and_hides_nothing(shape: str) -> None:
+    item = BODIES[shape]
+    turning = item | {"motion": {"angular_velocity": [0.0, 6.0, 0.0]}}
+    sequence = {"frames": 61, "interval": 1.0, "samples": 1, "shutter": 1e-6}
+    wanted = scene(turning, psf=PLAIN, sequence=sequence)
+    frames = list(clsco.render(wanted, frames=[0, 14, 31, 60]))
+    assert not any(frame.hidden.any() for frame in frames if frame.hidden is not None)
+    np.testing.assert_allclose(frames[3].color, frames[0].color, rtol=0, atol=1e-6)
+    assert np.abs(frames[1].color - frames[0].color).max() > 0.05
+
+
+def interpolated(image: NDArray[np.floating], x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float64]:
+    from clsco.reference.common.geometry import sample_texture
+
+    return sample_texture(np.asarray(image, float), np.asarray(y, float), np.asarray(x, float), "bicubic")
+
+
+def test_flow_carries_a_texture_to_the_next_frame() -> None:
+    """The sharp image of a frame at the places of its flow is that of the frame before, where it is visible."""
+    motion = {"velocity": [1.0, -0.6, 2.0], "angular_velocity": [3.0, 5.0, -4.0]}
+    smooth = np.asarray(np.kron(rng.random((6, 8)), np.ones((8, 8))), np.float32)
+    items = (
+        BALL | {"radius": 22.0, "texture": smooth, "motion": motion},
+        ROOF | {"texture": smooth, "texture_size": 90.0},
+    )
+    camera = CAMERA | {"resolution": [144, 108], "pixel_pitch": 0.0333}
+    wanted = scene(*items, camera=camera, psf=PLAIN, sequence={"frames": 2, "samples": 1})
+    first, second = clsco.render(wanted, truth=("sharp", "flow", "flow_occluded", "object_id"))
+    assert first.flow is not None
+    assert first.sharp is not None
+    assert first.flow_occluded is not None
+    assert first.object_id is not None
+    assert second.sharp is not None
+    i, j = np.indices(first.sharp.shape)
+    found = interpolated(second.sharp, j + first.flow[..., 0], i + first.flow[..., 1])
+    edge = np.zeros(first.sharp.shape, dtype=bool)
+    for shift in ((0, 1), (1, 0), (0, -1), (-1, 0), (0, 2), (2, 0), (0, -2), (-2, 0)):
+        edge |= np.roll(first.object_id, shift, (0, 1)) != first.object_id
+    inside = ~(edge | first.flow_occluded)
+    inside[:3] = inside[-3:] = inside[:, :3] = inside[:, -3:] = False
+    assert inside.mean() > 0.6
+    assert np.abs(first.flow[first.object_id == 0]).max() > 1.0
+    error = np.sqrt(np.mean((found - first.sharp)[inside] ** 2))
+    assert -20 * np.log10(error) > 45
+
+
+def test_uv_is_where_the_texture_is_taken_from() -> None:
+    ramp = np.tile((np.arange(64, dtype=np.float32) + 0.5) / 64, (64, 1))
+    item = CARD | {"texture": ramp}
+    (frame,) = clsco.render(scene(item, psf=PLAIN), truth=("uv", "sharp", "mask"))
+    assert frame.uv is not None
+    assert frame.sharp is not None
+    assert frame.mask is not None
+    inside = frame.mask & (frame.uv[..., 0] > 0.1) & (frame.uv[..., 0] < 0.9)
+    np.testing.assert_allclose(frame.uv[inside][:, 0], frame.sharp[inside], atol=2e-3)
+    assert (frame.uv[~frame.mask] == 0).all()
+    (frame,) = clsco.render(scene(WALL, psf=PLAIN))
+    assert frame.uv is None  # of projected textures alone
+
+
+def test_what_needs_it_alone_gets_it() -> None:
+    for items, expected in (((WALL,), 0), ((CARD, WALL), 1), ((BALL, WALL), 2)):
+        plan = plan_of(*items)
+        assert plan.features()["TEXTURED"] == expected
+        assert any("sharper" in each.buffers for each in plan.passes) == (expected > 0)
+
+
+def test_lenses_of_a_sweep_have_the_bits_of_each_alone() -> None:
+    """Rays are cast once, and what textures need of the lens is done for each of them."""
+    table: dict[str, Any] = {"camera": CAMERA | {"focus_distance": [240.0, 262.0]}, "psf": TWO, "object": [CARD, WALL]}
+    together = list(clsco.render_sweep(clsco.parse_sweep(table)))
+    for (_, found), focus in zip(together, (240.0, 262.0), strict=True):
+        (alone,) = clsco.render(scene(CARD, WALL, psf=TWO, camera=CAMERA | {"focus_distance": focus}))
+        np.testing.assert_array_equal(found.color, alone.color)
+    assert np.abs(together[0][1].color - together[1][1].color).max() > 0.01
+
+
+def test_strips_have_the_bits_of_the_whole() -> None:
+    camera = CAMERA | {"resolution": [96, 400], "pixel_pitch": 0.05, "aperture_diameter": 5.0}
+    wanted = scene(CARD, BALL | {"center": [0.0, 0.0, 300.0]}, psf=TWO, camera=camera)
+    whole = rendered(wanted, truth=())[0]
+    for strip in rendered(wanted, memory="4 MiB", truth=()):
+        assert strip.metadata["strips"] > 1
+        np.testing.assert_array_equal(strip.color, whole.color)
+
+
+@pytest.mark.parametrize(
+    ("item", "message"),
+    [
+        (BALL | {"texture_size": 3.0}, 'texture_size: does not belong to "surface" on a sphere; got [3.0]'),
+        (TUBE | {"texture_repeats": [2, 1]}, "texture_repeats: takes one number"),
+        (CARD | {"texture_size": 3.0, "texture_repeats": 2}, "texture_repeats: stands in place of texture_size"),
+        ({"shape": "plane", **LAID}, "texture_size: must be given with texture_mapping"),
+        ({"shape": "sphere", "texture_wrap": "clamp"}, "texture_wrap: belongs to textures on surfaces"),
+        ({"shape": "sphere", "texture_left": "bricks"}, "texture_left: belongs to boxes, and to texture_mapping"),
+        (CARD | {"texture_mapping": "cube"}, "texture_mapping: on a rectangle must be"),
+        (BALL | {"texture_angle": 3.0}, "texture_angle: does not belong"),
+    ],
+)
+def test_keys_that_do_not_belong_are_refused(item: dict[str, Any], message: str) -> None:
+    with pytest.raises(clsco.ClscoError, match="object") as caught:
+        scene(item)
+    assert message in str(caught.value)
+
+
+def test_surface_textures_need_rays() -> None:
+    with pytest.raises(clsco.ClscoError, match="texture_mapping: belongs to scenes of analytic surfaces"):
+        scene(BALL | {"motion": GOING}, motion={"warp": "forward"})
+
+
+def test_sides_of_a_cube_map_have_one_size() -> None:
+    wanted = scene(CUBE | {"texture": GRAY, "texture_left": PHOTO})
+    with pytest.raises(clsco.ClscoError, match="six sides of a cube map must have one size; got 32 x 32, 40 x 25 px"):
+        rendered(wanted)
