@@ -370,6 +370,7 @@ def trace_converged(
     seed: int = 0,
     cache: Path | None = None,
     report: Callable[[str], object] = print,
+    frame: int = 0,
 ) -> tuple[Array, float]:
     """Trace a frame with ever more samples until the RMS noise over it is below `noise`, and report what it took.
 
@@ -379,7 +380,7 @@ def trace_converged(
     results, keyed by what the scene contains, textures, size, noise and seed. Arguments and result otherwise
     as `trace`.
     """
-    problem = prepare(scene, texture, rows, columns)
+    problem = prepare(scene, texture, rows, columns, frame)
     path = None if cache is None else _cache_file(cache, problem, noise, seed)
     if path is not None and path.exists():
         with np.load(path, allow_pickle=False) as stored:
