@@ -21,7 +21,7 @@ def unused_keys(plan: Plan) -> list[tuple[str, str]]:
     if not plan.moves:
         give("sequence", ("samples", "sampling", "shutter"), "nothing moves")
         mapped = plan.forward or plan.static_map
-        used = ["warp"] * mapped + ["texture_filter"] * (scene.stereo is not None)
+        used = ["warp"] * mapped + ["texture_filter"] * (scene.stereo is not None or plan.mapped > 0)
         give("motion", [key for key in type(scene.motion).model_fields if key not in used], "nothing moves")
         if not mapped:
             give("fill", type(scene.fill).model_fields, "nothing moves")
@@ -35,13 +35,13 @@ def unused_keys(plan: Plan) -> list[tuple[str, str]]:
         keys = [key for key in type(scene.psf).model_fields if key != "silhouette_samples"]
         give("psf", keys, "everything is in focus")
         give("aperture", type(scene.aperture).model_fields, "everything is in focus")
-    reasons = dict(left_out(plan))
+    unneeded = dict(left_out(plan))
     if not plan.tilt and scene.psf.tilt:
-        give("psf", ("tilt",), reasons["tilt"])
+        give("psf", ("tilt",), unneeded["tilt"])
     if not plan.silhouettes and scene.psf.silhouette_samples > 1:
-        give("psf", ("silhouette_samples",), reasons["silhouettes"])
-    if "occlusion" in reasons:
-        give("psf", ("occlusion",), reasons["occlusion"])
+        give("psf", ("silhouette_samples",), unneeded["silhouettes"])
+    if "occlusion" in unneeded:
+        give("psf", ("occlusion",), unneeded["occlusion"])
     named = ("aperture", "psf", "sequence", "motion", "fill")
     sections: list[tuple[str, Any]] = [(name, getattr(scene, name)) for name in named]
     for index, item in enumerate(scene.objects):
