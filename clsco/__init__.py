@@ -36,7 +36,8 @@ reference
 
 Types
 -----
-Scene, Camera, Psf, Group, Plane, Rectangle, Box, Sphere, Cylinder, Cone, Ellipsoid, Quadric, DepthMap, Background
+Scene, Camera, Psf, Group, Plane, Rectangle, Disc, Box, Sphere, Cylinder, Cone, Ellipsoid, Quadric, DepthMap,
+Background
     What a scene holds, frozen and validated; lengths in mm, angles in degrees, times in s.
 Frame
     A rendered image with its ground truth.
@@ -84,6 +85,7 @@ if TYPE_CHECKING:
     from clsco.scene.model import Cone as Cone
     from clsco.scene.model import Cylinder as Cylinder
     from clsco.scene.model import DepthMap as DepthMap
+    from clsco.scene.model import Disc as Disc
     from clsco.scene.model import Ellipsoid as Ellipsoid
     from clsco.scene.model import Group as Group
     from clsco.scene.model import Plane as Plane
@@ -108,7 +110,8 @@ _NAMES = {
     "clsco.opencl.device": ("list_devices",),
     "clsco.scene.model": (
         *("Scene", "Camera", "Psf", "Group"),
-        *("Plane", "Rectangle", "Box", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background"),
+        *("Plane", "Rectangle", "Disc", "Box", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric"),
+        *("DepthMap", "Background"),
     ),
     "clsco.frame.frame": ("Frame",),
     "clsco.inpainting.rules": ("MeanMedian",),
@@ -119,7 +122,7 @@ __all__ = [  # noqa: RUF022, verbs and then types
     "render", "render_frame", "render_sweep", "defocus", "inpaint", "load_scene", "parse_scene", "load_sweep",
     "parse_sweep", "dump_scene", "list_devices", "reference",
     "Scene", "Camera", "Psf", "Group",
-    "Plane", "Rectangle", "Box", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background",
+    "Plane", "Rectangle", "Disc", "Box", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background",
     "Frame", "Live", "MeanMedian",
     "ClscoError", "SceneError", "ImageError", "DeviceError", "KernelError", "CanceledError",
 ]  # fmt: skip

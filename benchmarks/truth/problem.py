@@ -24,12 +24,12 @@ Textures = NDArray[Any] | Sequence[NDArray[Any]]
 class Problem:
     """What the kernel needs of a scene, in mm, s and rad; a cached image is keyed by these fields.
 
-    `coefficients` (objects, 10), in the order a200 a020 a002 a110 a011 a101 a100 a010 a001 a000, about
-    `centers` (objects, 3), x right, y up, z away from the camera; `bounds` (objects, 6) as x0 x1 y0 y1 z0 z1
-    in the same frame; `rotations` (objects, 3, 3), from that frame to the camera's axes at t = 0;
-    `group_...` (objects, 3) of what carries each object, 0 for nothing; `textures` (objects, rows, columns, channels)
-    linear radiance, 0 where an image lies on the surface; `mappings` (objects, SIZE) and `images` (texels, channels) of
-    these (`surface_images.py`).
+    `coefficients` (objects, 10), in the order a200 a020 a002 a110 a011 a101 a100 a010 a001 a000, about `centers`
+    (objects, 3), x right, y up, z away from the camera; `bounds` (objects, 7) as x0 x1 y0 y1 z0 z1 in the same frame,
+    and the square of the largest distance from the z axis; `rotations` (objects, 3, 3), from that frame to the camera's
+    axes at t = 0; `group_...` (objects, 3) of what carries each object, 0 for nothing; `textures` (objects, rows,
+    columns, channels) linear radiance, 0 where an image lies on the surface; `mappings` (objects, SIZE) and `images`
+    (texels, channels) of these (`surface_images.py`).
     """
 
     pitch_ratio: float
@@ -60,7 +60,7 @@ def _shape(item: Any) -> tuple[Array, Any, tuple[float, float]]:
         case "plane":  # b x + c y - z = 0 about (0, 0, a)
             k[6:9] = item.slope_x, item.slope_y, -1.0
             return k, (0.0, 0.0, item.distance), everywhere
-        case "rectangle":  # z = offset about its center
+        case "rectangle" | "disc":  # z = offset about its center
             k[8:] = 1.0, -item.offset
             return k, item.center, everywhere
         case "sphere":
@@ -132,11 +132,14 @@ def prepare(scene: Any, textures: Textures, rows: int, columns: int, frame: int 
     projected = [empty if lies(item) else image for item, image in zip(objects, images, strict=True)]
     shapes = [_shape(item) for item in objects]
     group_centers, group_velocities, group_turns = _groups(scene, [shape[1] for shape in shapes])
-    bounds = np.tile([-np.inf, np.inf], (len(objects), 3))
+    bounds = np.full((len(objects), 7), np.inf)
+    bounds[:, :6:2] = -np.inf
     for box, item, (_, _, (low, high)) in zip(bounds, objects, shapes, strict=True):
         if item.bounds is not None:
-            box[:] = np.ravel(item.bounds)
-        box[4:] = max(box[4], low), min(box[5], high)
+            box[:6] = np.ravel(item.bounds)
+        box[4:6] = max(box[4], low), min(box[5], high)
+        if item.shape == "disc":
+            box[6] = item.radius**2
     return Problem(
         pitch_ratio=camera.pixel_pitch / camera.normalization_distance,
         lens_radius=camera.aperture_diameter / 2,

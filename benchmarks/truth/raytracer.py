@@ -62,7 +62,8 @@ def _uniform(state):  # type: ignore[no-untyped-def]
 @njit(cache=True, inline="always")
 def _inside(box, x, y, z):  # type: ignore[no-untyped-def]
     """Whether a point of the object's frame lies in its bounds."""
-    return (box[0] <= x) & (x <= box[1]) & (box[2] <= y) & (y <= box[3]) & (box[4] <= z) & (z <= box[5])
+    within = (box[0] <= x) & (x <= box[1]) & (box[2] <= y) & (y <= box[3]) & (box[4] <= z) & (z <= box[5])
+    return within & (x * x + y * y <= box[6])
 
 
 @njit(cache=True, inline="always")
@@ -86,7 +87,7 @@ def _turn(m, x, y, z):  # type: ignore[no-untyped-def]
 def _meet(lens_x, lens_y, slope_x, slope_y, m, k, box):  # type: ignore[no-untyped-def]
     """First hit of the ray (lens + slope Z, Z) with a surface: depth, 0 for none, and the point in the object's frame.
 
-    `m`: inverse rotation and center (12); `k`: coefficients (10); `box`: bounds (6). All about the center.
+    `m`: inverse rotation and center (12); `k`: coefficients (10); `box`: bounds (7). All about the center.
     """
     # Back to the object's frame: the ray's parameter stays the depth in the camera at the sampled time.
     ox, oy, oz = _turn(m, lens_x - m[9], lens_y - m[10], -m[11])
@@ -123,8 +124,8 @@ def _cast(hits, rays, count, turn, corner, optics, surface, texture):  # type: i
     coefficients, bounds, center, rotation = surface
     # Scalars, so that the compiler need not fear that a store changes them.
     k0, k1, k2, k3, k4, k5, k6, k7, k8, k9 = coefficients
-    x0, x1, y0, y1, z0, z1 = bounds
-    k, box = (k0, k1, k2, k3, k4, k5, k6, k7, k8, k9), (x0, x1, y0, y1, z0, z1)
+    x0, x1, y0, y1, z0, z1, across = bounds
+    k, box = (k0, k1, k2, k3, k4, k5, k6, k7, k8, k9), (x0, x1, y0, y1, z0, z1, across)
     center_x, center_y, center_z = center
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = rotation
     r = (r0, r1, r2, r3, r4, r5, r6, r7, r8)

@@ -43,6 +43,8 @@ def mapping_of(item: Any, shape: tuple[int, int], first: int) -> Array:
         up *= math.copysign(1.0, up[1])
     elif item.shape == "rectangle":
         extent = item.size
+    elif item.shape == "disc":
+        extent = (2.0 * item.radius, 2.0 * item.radius)
     elif item.shape == "cylinder":
         kind, extra = ROUND, item.radius
         up = np.asarray(item.axis, float) / np.linalg.norm(item.axis)
@@ -69,7 +71,7 @@ def mapping_of(item: Any, shape: tuple[int, int], first: int) -> Array:
         height = extent[1] / copies[1] if len(copies) > 1 else width * proportion
     wrap = item.texture_wrap
     if wrap is None:
-        alone = item.shape == "rectangle" and item.texture_size is None and item.texture_repeats is None
+        alone = item.shape in ("rectangle", "disc") and item.texture_size is None and item.texture_repeats is None
         wrap = "clamp" if alone else "repeat"
     turn, (shift_x, shift_y) = math.radians(item.texture_angle or 0.0), item.texture_offset or (0.0, 0.0)
     found[:NUMBERS] = (

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.optics.motion import Pose, rest_center, static_rotation
-from clsco.scene.model import Background, Cone, Cylinder, Ellipsoid, Object, Plane, Quadric, Rectangle, Sphere
+from clsco.scene.model import Background, Cone, Cylinder, Disc, Ellipsoid, Object, Plane, Quadric, Rectangle, Sphere
 
 Vector = NDArray[np.float64]
 # Eigenvalues of a quadric below this fraction of the largest count as zero: they are rounding, not curvature.
@@ -39,6 +39,8 @@ class Canonical:
         mm.
     nappe : int
         Sign that the third canonical coordinate must have, 0 for either.
+    radius : float
+        Of a disc about the third axis, which cuts the plane that the surface is then; mm.
     """
 
     q: Vector
@@ -47,6 +49,7 @@ class Canonical:
     axes: NDArray[np.float64]
     origin: Vector
     nappe: int = 0
+    radius: float = inf
 
 
 @dataclass(frozen=True)
@@ -147,6 +150,9 @@ def canonical(item: Object) -> Canonical:
         return Canonical(zero, np.array([-item.slope_x, -item.slope_y, 1.0]) / 2, 0.0, still, zero)
     if isinstance(item, Rectangle):
         return Canonical(zero, np.array([0.0, 0.0, 0.5]), 0.0, still, np.array([0.0, 0.0, item.offset]))
+    if isinstance(item, Disc):
+        middle = np.array([0.0, 0.0, item.offset])
+        return Canonical(zero, np.array([0.0, 0.0, 0.5]), 0.0, still, middle, radius=item.radius)
     if isinstance(item, Background):
         return Canonical(zero, np.array([0.0, 0.0, 0.5]), 0.0, still, zero)
     if isinstance(item, Sphere):
@@ -206,6 +212,8 @@ def _seen(item: Object, pose: Pose) -> Extent:
     balls: list[tuple[Vector, float]] = []
     if isinstance(item, Sphere):
         balls.append((np.zeros(3), item.radius))
+    if isinstance(item, Disc):
+        balls.append((static_rotation(item) @ (0.0, 0.0, item.offset), item.radius))
     if isinstance(item, Ellipsoid):
         balls.append((np.zeros(3), max(item.semi_axes)))
     if item.bounds is not None:
@@ -263,6 +271,9 @@ def predict_inverse_depth(
             keep = np.isfinite(w) & (w > 0) & (b * b >= a * c)
             if surface.canonical.nappe:
                 keep &= surface.canonical.nappe * (surface.offset[2] * w + d[2]) >= 0
+            if surface.canonical.radius < inf:
+                across = (surface.offset[axis] * w + d[axis] for axis in (0, 1))
+                keep &= np.hypot(*across) <= surface.canonical.radius * w
             if item.bounds is not None:
                 for axis, (low, high) in enumerate(item.bounds):
                     along = surface.own_offset[axis] * w + own[axis]

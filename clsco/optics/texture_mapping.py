@@ -34,7 +34,7 @@ from clsco.constants import (
     WRAP_REPEAT,
 )
 from clsco.optics.psf import shape_of
-from clsco.scene.model import Cone, Cylinder, Ellipsoid, Object, Plane, Psf, Rectangle, Scene
+from clsco.scene.model import Cone, Cylinder, Disc, Ellipsoid, Object, Plane, Psf, Rectangle, Scene
 
 KINDS = {
     "card": MAP_PLANE,
@@ -143,7 +143,7 @@ def _texels(item: Object, kind: int, columns: int, rows: int) -> tuple[Matrix, M
         return np.array([0.5 * columns * across, -0.5 * rows * copies]), middle
     if item.texture_size is not None:
         width, *height = item.texture_size
-    elif isinstance(item, Rectangle):
+    elif isinstance(item, Rectangle | Disc):
         width, height = item.size[0] / across, [item.size[1] / copies for copies in up]
         height = height if item.texture_repeats else [item.size[1]]
     else:

@@ -65,6 +65,7 @@ def _surface_struct(item: Object, surface: PlacedSurface, texture: int, real: Re
             "bounds_high": high,
             "k": shape.k,
             "at_lens": surface.constant,
+            "radius": shape.radius,
             "nappe": shape.nappe,
             "texture": texture,
             "near_x": surface.seen.x,

@@ -37,7 +37,7 @@ class BlurSpec:
     occluders : int
         Objects that may stand in the way of one source, as `occluder_room` rounds their number.
     limited : bool
-        Whether any of them has bounds, or one nappe of two.
+        Whether any of them has bounds, or one nappe of two, or is a disc.
     brightest : float
         Largest |radiance|, which sets the unit of sums of whole numbers.
     least : float, optional

@@ -15,7 +15,7 @@ from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center, static_rotation
 from clsco.optics.psf import reach
 from clsco.optics.quadrics import place, predict_inverse_depth
-from clsco.scene.model import Object, Plane, Psf, Rectangle, Scene
+from clsco.scene.model import Disc, Object, Plane, Psf, Rectangle, Scene
 
 Array = NDArray[np.float64]
 Maps = Sequence[Array | None]
@@ -167,8 +167,8 @@ def _fills_view(scene: Scene, w: Array) -> bool:
     return simple and bool((w > 0).all())
 
 
-def _faces_camera(item: Plane | Rectangle) -> bool:
-    """Whether a plane is parallel to the detector in its reference pose."""
+def _faces_camera(item: Plane | Rectangle | Disc) -> bool:
+    """Whether a flat surface is parallel to the detector in its reference pose."""
     slopes = (item.slope_x, item.slope_y) if isinstance(item, Plane) else (0.0, 0.0)
     normal = static_rotation(item) @ (-slopes[0], -slopes[1], 1.0)
     return not normal[:2].any()
@@ -179,7 +179,7 @@ def _constant_blur(scene: Scene) -> bool:
     item, camera = scene.objects[0], scene.camera.motion
     turns = any(any(motion.angular_velocity[:2]) for motion in (*scene.motions(item), camera))
     turned = scene.stereo is not None and scene.stereo.toe_in > 0.0
-    flat = isinstance(item, Plane | Rectangle) and _faces_camera(item) and not turns and not turned
+    flat = isinstance(item, Plane | Rectangle | Disc) and _faces_camera(item) and not turns and not turned
     return len(scene.objects) == 1 and (flat or item.is_background)
 
 

@@ -141,6 +141,33 @@ class Rectangle(_Object):
         return _reaching(center, sides + info.data["offset"] * row[2])
 
 
+class Disc(_Object):
+    """Flat round card; unless it is rotated, it faces the camera."""
+
+    MAPPINGS: ClassVar[Mapping[str, Mapped]] = TRIPLANAR | {"surface": "card"}
+    bounds: ClassVar[None] = None
+    shape: Literal["disc"] = "disc"
+    radius: Length = 20.0
+    """Radius, mm."""
+    offset: Coordinate = 0.0
+    """Distance of the disc from its origin, along its own z axis, before any rotation; mm."""
+    center: Point = (0.0, 0.0, 250.0)
+    """Center, but for the offset, mm; the origin."""
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Sides of the square around the disc, mm."""
+        return 2.0 * self.radius, 2.0 * self.radius
+
+    @field_validator("center")
+    @classmethod
+    def _visible(cls, center: Vector, info: ValidationInfo) -> Vector:
+        if not {"radius", "offset", "rotation"} <= info.data.keys():
+            return center
+        row = depth_row(info.data["rotation"])
+        return _reaching(center, info.data["radius"] * math.hypot(*row[:2]) + info.data["offset"] * row[2])
+
+
 class Box(SixSided, _Object):
     """Closed box; a scene has its faces as rectangles in place of it."""
 
@@ -361,7 +388,7 @@ class Background(_Bounded):
         return value
 
 
-AnyShape = Plane | Rectangle | Box | Cylinder | Sphere | Cone | Ellipsoid | Quadric | DepthMap | Background
+AnyShape = Plane | Rectangle | Disc | Box | Cylinder | Sphere | Cone | Ellipsoid | Quadric | DepthMap | Background
 
 
 SHAPES: dict[str, type[AnyShape]] = {kind.model_fields["shape"].default: kind for kind in get_args(AnyShape)}

@@ -84,8 +84,8 @@ class Textured(Strict):
     texture_angle: Angle | None = None
     """Turn of the image on the surface, counterclockwise as seen from outside, deg; by default none."""
     texture_wrap: Wrap | None = None
-    """Beyond the image: repeat, mirror, clamp or none, which is black. Default: repeat, and clamp where a rectangle has
-    one copy."""
+    """Beyond the image: repeat, mirror, clamp or none, which is black. Default: repeat, and clamp where a rectangle or
+    disc has one copy."""
 
     @property
     def mapped(self) -> Mapped | None:

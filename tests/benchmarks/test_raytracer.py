@@ -169,6 +169,7 @@ SOLIDS = {
     "saddle": body("quadric", center=(0.0, 0.0, 300.0), coefficients=(0.01, -0.02, 0.0, 0.003, 0, 0.002, 0.1, 0, 1, 2)),
     "plane": plane(250.0, 0.4, -0.3),
     "rectangle": body("rectangle", center=(0.0, 0.0, 250.0), offset=-3.0),
+    "disc": body("disc", center=(0.0, 0.0, 250.0), offset=-3.0, radius=24.0),
 }
 
 
@@ -177,7 +178,7 @@ def _implicit(item: Any, x: Any, y: Any, z: Any) -> Any:
     match item.shape:
         case "plane":
             return item.distance + item.slope_x * x + item.slope_y * y - z
-        case "rectangle":
+        case "rectangle" | "disc":
             return item.center[2] + item.offset - z
         case "cone":
             x, y, z = x - item.apex[0], y - item.apex[1], z - item.apex[2]
@@ -209,6 +210,8 @@ def test_hits_lie_on_the_surface(name: str) -> None:
     # Depths near 300 round by 1e-13; at the limb the root of a discriminant that rounds by 1e-16 of b^2 gives
     # 1e-8 of the depth, along a ray that touches the surface: second order in its distance again.
     assert abs(_implicit(item, x, y, z)).max() < 1e-9
+    if name == "disc":
+        assert 23.9 < np.hypot(x, y).max() <= item.radius
     if name in ("sphere", "ellipsoid"):
         assert z.max() < item.center[2]  # the near side, before the center
 

@@ -23,7 +23,7 @@ from clsco.scene.sweep import parse_sweep
 @pytest.mark.parametrize("shape", sorted(SHAPES.keys() - {"background"}))
 def test_every_number_has_a_unit_or_needs_none(shape: str) -> None:
     item: dict[str, Any] = {"shape": shape, "bounds": [[-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0]]}
-    if shape in ("rectangle", "box"):
+    if shape in ("rectangle", "disc", "box"):
         del item["bounds"]
     item |= {"coefficients": [1.0] * 10} if shape == "quadric" else {}
     if shape == "depth_map":

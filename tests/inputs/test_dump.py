@@ -30,6 +30,7 @@ ITEMS: list[dict[str, Any]] = [
     {"shape": "depth_map", "depth": "z.npy", "unit": "disparity", "baseline": 9.0, "offset": 0},
     {"shape": "background", "texture": "#c86432"},
     {"shape": "rectangle", "rotation": [30.0, 0.0, 90.0], "group": "cart"},
+    {"shape": "disc", "radius": 9.0, "offset": -3.0},
     {"shape": "cone", "rotation": {"axis": [0.0, 1.0, 0.0], "angle": 30.0}},
     {"shape": "sphere", "rotation": {"quaternion": [0.966, 0.0, 0.259, 0.0]}, "group": "cart"},
     {"shape": "box", "size": [10.0, 20.0, 30.0], "group": "cart"},

@@ -22,7 +22,7 @@ from clsco.records import Real
 from clsco.reference.common.geometry import blur_radius, nearest_surface, pixel_ray
 from clsco.reference.common.visibility import CLEAR, PARTLY, Points, check_visibility
 from clsco.reference.common.visibility_test import cell_visibility, tap_share
-from clsco.scene.model import Camera, Cone, Cylinder, Ellipsoid, Object, Plane, Psf, Quadric, Scene, Sphere
+from clsco.scene.model import Camera, Cone, Cylinder, Disc, Ellipsoid, Object, Plane, Psf, Quadric, Scene, Sphere
 from tests.slow import mostly_slow
 
 Array = NDArray[Any]
@@ -70,6 +70,7 @@ CAMERA = Camera(resolution=(144, 120), pixel_pitch=0.04, aperture_diameter=25.0,
 BOX = ((-20.0, 14.0), (-16.0, 25.0), (-30.0, 22.0))
 BALL = Sphere(center=(-10.0, 4.0, 190.0), radius=14.0)
 BOWL = Quadric(coefficients=(1.0, 0.8, 0.0, 0, 0, 0, 0, 0, -2.0, 0), center=(3.0, 0.0, 180.0))
+DISC = Disc(center=(-3.0, 4.0, 190.0), radius=14.0, rotation=(50.0, 20.0, 0.0))
 WALL = Plane(name="wall", distance=380.0, slope_x=0.3)
 NEAR_FOCUS = Plane(name="wall", distance=262.0, slope_x=0.1)
 # What is in the way, and what it is in the way of: the last object of a scene.
@@ -82,6 +83,8 @@ SCENES: dict[str, tuple[Object, ...]] = {
     "paraboloid": (BOWL, WALL),
     "card": (Plane(distance=190.0, slope_x=0.9, bounds=BOX), WALL),
     "card, narrow lens": (Plane(distance=190.0, slope_x=0.9, bounds=BOX), NEAR_FOCUS),
+    "disc": (DISC, WALL),
+    "disc, narrow lens": (DISC, NEAR_FOCUS),
     "cap": (BALL.model_copy(update={"bounds": BOX}), WALL),
     "bounded paraboloid": (BOWL.model_copy(update={"bounds": BOX}), WALL),
     "tube, narrow lens": (Cylinder(center=(3.0, 0.0, 200.0), radius=9.0, axis=(0.4, 0.1, 1.0), bounds=BOX), NEAR_FOCUS),
@@ -102,6 +105,7 @@ SCENES: dict[str, tuple[Object, ...]] = {
 }
 PILLBOX = Psf()
 STILL = Pose(np.eye(3), np.zeros(3))
+QUICK = ["ball", "ball, narrow lens", "card", "disc", "bounded cone"]
 ROWS = (-6, -2, 0, 3, 7)  # of taps, two vectors of 8 in each
 
 
@@ -185,7 +189,7 @@ def assert_same(seen: Seen) -> None:
         pytest.param(Psf(model="gaussian"), 0, id="gaussian", marks=pytest.mark.slow),
     ],
 )
-@pytest.mark.parametrize("name", mostly_slow(list(SCENES), ["ball", "ball, narrow lens", "card", "bounded cone"]))
+@pytest.mark.parametrize("name", mostly_slow(list(SCENES), QUICK))
 def test_taps(session: Session, run_source: Runner, name: str, gather: int, psf: Psf) -> None:
     seen = see(session, run_source, SCENES[name], psf, gather=gather)
     partly = seen.state == PARTLY
@@ -206,13 +210,13 @@ def test_taps(session: Session, run_source: Runner, name: str, gather: int, psf:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["ball", "wire, narrow lens", "bounded cone"])
+@pytest.mark.parametrize("name", ["ball", "wire, narrow lens", "disc", "bounded cone"])
 def test_single_precision(session: Session, run_source: Runner, name: str) -> None:
     """Lines are decided with pairs of floats, as float64 does."""
     assert_same(see(session, run_source, SCENES[name], real="float"))
 
 
-@pytest.mark.parametrize("name", ["ball", "ball, narrow lens", "card, narrow lens", "cap", "sunk in"])
+@pytest.mark.parametrize("name", ["ball", "ball, narrow lens", "card, narrow lens", "disc", "cap", "sunk in"])
 @pytest.mark.slow
 def test_subpixel_sources(session: Session, run_source: Runner, name: str) -> None:
     """Sources that are not in the middle of their pixel, and narrower than it."""

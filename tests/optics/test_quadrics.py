@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 from clsco.optics.motion import Pose, pose_at
 from clsco.optics.quadrics import Canonical, PlacedSurface, canonical, place, predict_inverse_depth
-from clsco.scene.model import AnyShape, Cone, Cylinder, Ellipsoid, ObjectMotion, Plane, Quadric, Sphere
+from clsco.scene.model import AnyShape, Cone, Cylinder, Disc, Ellipsoid, ObjectMotion, Plane, Quadric, Sphere
 
 Array = NDArray[np.float64]
 EPS = np.finfo(np.float64).eps
@@ -46,6 +46,7 @@ SHAPES: dict[str, AnyShape] = {
     "cone towards": Cone(half_angle=40.0, apex=(1.0, 2.0, 250.0), nappe="towards"),
     "ellipsoid": Ellipsoid(semi_axes=(30.0, 20.0, 50.0)),
     "card": Plane(distance=250.0, slope_x=0.5, bounds=((-20.0, 20.0), (-10.0, 30.0), (-90.0, 90.0))),
+    "disc": Disc(center=(2.0, 1.0, 250.0), radius=22.0, offset=-3.0),
     "cap": Sphere(bounds=((-30.0, 30.0), (-30.0, 10.0), (-31.0, -5.0))),
     "bowl": Sphere(bounds=((-30.0, 30.0), (-30.0, 30.0), (0.0, 31.0))),
     "tube": Cylinder(bounds=((-31.0, 31.0), (-15.0, 15.0), (-31.0, 31.0))),
@@ -60,6 +61,8 @@ def terms(item: AnyShape, p: Array) -> Array:
     match item:
         case Plane():  # 3.7
             parts = [z, -item.slope_x * x, -item.slope_y * y]
+        case Disc():
+            parts = [z, -item.offset * one]
         case Sphere():  # 3.18
             parts = [x * x, y * y, z * z, -(item.radius**2) * one]
         case Cylinder():  # 3.11, about any axis: |P|^2 - (P . axis)^2
@@ -178,6 +181,8 @@ def search(item: AnyShape, pose: Pose, rest: Array, ray: Array) -> float:
         z = float(brentq(equation, grid[k], grid[k + 1], xtol=1e-12, rtol=1e-14))
         p = body(z)
         if item.bounds is not None and not all(low <= v <= high for v, (low, high) in zip(p, item.bounds, strict=True)):
+            continue
+        if isinstance(item, Disc) and np.hypot(p[0], p[1]) > item.radius:
             continue
         if isinstance(item, Cone) and (p[2] >= 0) != (item.nappe == "away"):
             continue

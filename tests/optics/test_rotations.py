@@ -11,9 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from clsco.optics.motion import TOWARDS_CAMERA, pose_at, rotation_matrix, static_rotation
 from clsco.optics.quadrics import place, predict_inverse_depth
+from clsco.optics.texture_mapping import texture_map
 from clsco.optics.visibility import extent
 from clsco.reference.common.geometry import solve_quadric, surface_normal
-from clsco.scene.model import AnyShape, Cone, Cylinder, Ellipsoid, ObjectMotion, Plane, Quadric, Rectangle, Sphere
+from clsco.scene.model import AnyShape, Cone, Cylinder, Disc, Ellipsoid, ObjectMotion, Plane, Quadric, Rectangle, Sphere
 from clsco.scene.rotations import AxisAngle, UnitQuaternion
 
 Array = NDArray[np.float64]
@@ -150,7 +151,30 @@ def test_a_rectangle_is_a_plane_cut_to_size() -> None:
     same_depth(aside, Quadric(coefficients=flat, center=aside.center, bounds=cut), rtol=1e-12)
 
 
+def test_a_disc_is_a_plane_cut_by_a_cylinder() -> None:
+    """Each of its points is on the plane, at most the radius from the axis, and no other ray of the plane hits it."""
+    item = Disc(center=(9.0, -7.0, 280.0), radius=18.0, offset=4.0, rotation=ANY)
+    whole = Rectangle(center=item.center, size=(500.0, 500.0), offset=item.offset, rotation=ANY)
+    for time in (0.0, 0.6):
+        pose = pose_at(MOTION, time, "euler")
+        w, expected = (solve_quadric(place(each, pose), each.bounds, rays())[0] for each in (item, whole))
+        points = rays() / np.where(expected > 0, expected, np.inf)[..., None] - np.array(item.center) - pose.shift
+        own = points @ pose.rotation @ static_rotation(item)
+        inside = (expected > 0) & (np.hypot(own[..., 0], own[..., 1]) <= item.radius)
+        assert inside.sum() > 50
+        np.testing.assert_allclose(w, np.where(inside, expected, 0.0), rtol=1e-12)
+
+
+def test_the_image_on_a_disc_is_that_on_the_square_around_it() -> None:
+    keys: dict[str, Any] = {"texture_mapping": "surface", "texture_angle": 20.0, "rotation": ANY}
+    for given in (keys, keys | {"texture_repeats": (2.0, 3.0)}, keys | {"texture_size": 7.0}):
+        disc, square = Disc(radius=18.0, **given), Rectangle(size=(36.0, 36.0), **given)
+        for one, other in zip(*(vars(texture_map(item, 60, 40)).values() for item in (disc, square)), strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
 SOLIDS: list[AnyShape] = [
+    Disc(center=(9.0, -7.0, 280.0), radius=20.0, offset=-5.0, rotation=(60.0, 20.0, 130.0)),
     Rectangle(center=(9.0, -7.0, 280.0), size=(30.0, 50.0), rotation=(60.0, 20.0, 130.0)),
     Ellipsoid(semi_axes=(30.0, 12.0, 50.0), center=(9.0, -7.0, 280.0), rotation=ANY),
     Plane(distance=280.0, bounds=((-20.0, 35.0), (-9.0, 15.0), (-1.0, 1.0)), rotation=(60.0, 20.0, 130.0)),

@@ -38,6 +38,7 @@ TUBE |= {"bounds": [[-20.0, 20.0], [-18.0, 18.0], [-20.0, 20.0]]}
 SADDLE = {"shape": "quadric", "coefficients": [1, -1, 0, 0, 0, 0, 0, 0, -40, 0], "center": [0.0, 0.0, 260.0]}
 SADDLE |= {"rotation": [15.0, -20.0, 70.0]}
 SHEET = {"shape": "rectangle", "center": [-4.0, 3.0, 255.0], "size": [26.0, 18.0], "rotation": [40.0, 30.0, 20.0]}
+COIN = {"shape": "disc", "center": [-4.0, 3.0, 235.0], "radius": 12.0, "rotation": [40.0, 30.0, 20.0]}
 CRATE = {"shape": "box", "center": [2.0, -3.0, 262.0], "size": [24.0, 18.0, 20.0], "rotation": [25.0, 35.0, 10.0]}
 scene = partial(scene_from, {"camera": CAMERA})
 SCENES: dict[str, Scene] = {
@@ -55,12 +56,19 @@ SCENES: dict[str, Scene] = {
         CARD | {"motion": GOING}, EGG, WALL, psf=PLAIN, sequence={"samples": 2}, motion={"warp": "forward"}
     ),
     "rectangles": scene(SHEET, SHEET | {"center": [6.0, -4.0, 290.0], "texture": "siemens_star"}, WALL),
+    "disc": scene(COIN),
+    "discs": scene(COIN, EGG, COIN | {"center": [6.0, -4.0, 290.0], "texture": "siemens_star"}, WALL),
+    "disc, mapped": scene(COIN | {"texture_mapping": "surface", "texture": "siemens_star"}, WALL, psf=PLAIN),
+    "disc, moving": scene(COIN | {"motion": GOING}, WALL, psf=PLAIN, sequence={"samples": 2}),
+    "disc, forward": scene(
+        COIN | {"motion": GOING}, WALL, psf=PLAIN, sequence={"samples": 2}, motion={"warp": "forward"}
+    ),
     "box": scene(CRATE, WALL, psf={"silhouette_samples": 2}),
     "box, moving": scene(CRATE | {"motion": GOING}, WALL, psf=PLAIN, sequence={"samples": 2}),
     "layered": scene(CARD, WALL, psf=PLAIN | {"occlusion": "layered"}),
     "stereo": scene(CARD, EGG, psf=PLAIN, stereo={"baseline": 20.0, "toe_in": 1.0}),
 }
-SOME = ("box, moving", "card", "half egg behind a card", "moving", "forward, several", "stereo")
+SOME = ("box, moving", "card", "half egg behind a card", "disc", "moving", "forward, several", "stereo")
 
 
 def rendered(wanted: Scene, **options: Any) -> list[Frame]:

@@ -24,6 +24,7 @@ from clsco.scene.model import (
     Camera,
     Cone,
     DepthMap,
+    Disc,
     Fill,
     Motion,
     ObjectMotion,
@@ -184,8 +185,9 @@ def test_only_what_is_taken_is_compiled_and_stored(given: Plan, taken: set[str])
         (Quadric(coefficients=(1.0, 2.0, 0, 0, 0, 0, 0, 0, -40.0, 0)), {"QUADRATIC", "LINEAR"}),
         (Quadric(coefficients=(0.0, 0, 0, 0, 0, 0, 0.1, 0, 1.0, 0)), set()),
         (STILL.model_copy(update={"bounds": ((-5.0, 5.0), (-5.0, 5.0), (-1.0, 1.0))}), {"BOUNDED", "NAPPE"}),
+        (Disc(), {"BOUNDED", "NAPPE"}),
     ],
-    ids=["plane", "sphere", "cone", "ellipsoid", "paraboloid", "plane as a quadric", "card"],
+    ids=["plane", "sphere", "cone", "ellipsoid", "paraboloid", "plane as a quadric", "card", "disc"],
 )
 def test_geometry_is_compiled_for_the_shape(item: Any, needed: set[str]) -> None:
     features = plan_of(item).features()

@@ -17,7 +17,7 @@ from clsco.reference.common.geometry import nearest_surface, solve_quadric, surf
 from clsco.reference.common.occluder import soft_step
 from clsco.reference.common.visibility import CLEAR, HIDDEN, Points, check_visibility
 from clsco.reference.common.visibility_test import cell_visibility, tap_share
-from clsco.scene.model import Camera, Cone, Cylinder, Ellipsoid, Object, Plane, Psf, Quadric, Sphere
+from clsco.scene.model import Camera, Cone, Cylinder, Disc, Ellipsoid, Object, Plane, Psf, Quadric, Sphere
 
 Array = NDArray[Any]
 # Pixels so small that the lens is 10^4 to 10^6 of them wide: the soft edge is 1 cell, and what it adds for the width of
@@ -37,6 +37,7 @@ OCCLUDERS: dict[str, Object] = {
     "cone towards": Cone(apex=(2.0, 3.0, 220.0), half_angle=20.0, nappe="towards"),
     "plane": Plane(distance=190.0, slope_x=0.4, slope_y=-0.2),
     "card": Plane(distance=170.0, slope_x=0.4, slope_y=-0.9, bounds=BOX),
+    "disc": Disc(center=(3.0, -2.0, 170.0), radius=14.0, offset=-4.0),
     "bounded cylinder": Cylinder(center=(2.0, 1.0, 170.0), radius=12.0, axis=(0.4, 0.1, 1.0), bounds=BOX),
     "cap": Sphere(center=(3.0, -2.0, 180.0), radius=22.0, bounds=BOX),
     "bounded cone": Cone(apex=(2.0, 3.0, 160.0), half_angle=40.0, bounds=BOX),
@@ -54,6 +55,8 @@ def quadric_of(item: Object) -> tuple[Array, Array, float]:
     """Matrix, vector and constant of x M x + 2 v x + k = 0 in the object's own frame, from its definition."""
     if isinstance(item, Plane):
         return np.zeros((3, 3)), np.array([-item.slope_x, -item.slope_y, 1.0]) / 2, 0.0
+    if isinstance(item, Disc):
+        return np.zeros((3, 3)), np.array([0.0, 0.0, 0.5]), -item.offset
     if isinstance(item, Sphere):
         return np.eye(3), np.zeros(3), -(item.radius**2)
     if isinstance(item, Ellipsoid):
@@ -86,6 +89,8 @@ def crossings(item: Object, pose: Pose, start: Array, end: Array) -> Array:
             point = own[0] + np.where(hit, along, 0.0)[..., None] * way
             if isinstance(item, Cone):
                 hit &= point[..., 2] * (1.0 if item.nappe == "away" else -1.0) >= 0
+            if isinstance(item, Disc):
+                hit &= np.hypot(point[..., 0], point[..., 1]) <= item.radius
             for axis, (low, high) in enumerate(item.bounds or ()):
                 hit &= (point[..., axis] >= low) & (point[..., axis] <= high)
             found |= hit

@@ -10,9 +10,9 @@ from clsco.errors import SceneError
 from clsco.scene.changes import dump
 from clsco.scene.file import parse_scene
 
-CENTERED = "rectangle, box, cylinder, sphere, ellipsoid, quadric or depth_map"
+CENTERED = "rectangle, disc, box, cylinder, sphere, ellipsoid, quadric or depth_map"
 BOUNDED = "plane, cylinder, sphere, cone, ellipsoid, quadric, depth_map or background"
-SHAPES = "plane, rectangle, box, cylinder, sphere, cone, ellipsoid, quadric, depth_map or background"
+SHAPES = "plane, rectangle, disc, box, cylinder, sphere, cone, ellipsoid, quadric, depth_map or background"
 # A line of a scene file whose object is valid, and the message.
 SCENES: list[tuple[str, str]] = [
     ("title = 3", "title: must be text; got 3"),
@@ -237,7 +237,7 @@ OBJECTS: list[tuple[str, str]] = [
         "object[0].slope_x: must be between -1000000 and 1000000 mm per mm; got 10000000.0",
     ),
     ('shape = "plane", slope_y = nan', "object[0].slope_y: must be a finite number; got nan"),
-    ('shape = "plane", radius = 3', "object[0].radius: belongs to cylinder or sphere, not to plane; got 3"),
+    ('shape = "plane", radius = 3', "object[0].radius: belongs to disc, cylinder or sphere, not to plane; got 3"),
     ('shape = "plane", nappe = "away"', 'object[0].nappe: belongs to cone, not to plane; got "away"'),
     ('shape = "plane", colour = "red"', 'object[0].colour: unknown key; got "red"'),
     ('shape = "plane", name = ""', 'object[0].name: must not be empty; got ""'),
@@ -302,6 +302,11 @@ OBJECTS: list[tuple[str, str]] = [
         'shape = "rectangle", center = [0, 0, -14.9], rotation = [90, 0, 0], size = [99, 29.8]',
         "object[0].center: must leave part of the object in front of the lens (z > 0); got [0, 0, -14.9]",
     ),
+    (
+        'shape = "disc", bounds = [[0, 1], [0, 1], [0, 1]]',
+        f"object[0].bounds: belongs to {BOUNDED}, not to disc; got a list of 3 entries",
+    ),
+    ('shape = "disc", radius = 0', "object[0].radius: must be greater than 0 mm; got 0"),
     ('shape = "cylinder", radius = 0', "object[0].radius: must be greater than 0 mm; got 0"),
     (
         'shape = "cylinder", axis = [0, 0, 0]',

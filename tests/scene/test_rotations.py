@@ -103,6 +103,8 @@ def test_depth_maps_are_not_rotated() -> None:
         ('shape = "ellipsoid", semi_axes = [3, 1, 4], center = [0, 0, {}], rotation = [0, 45, 0]', (-3.53, -3.54)),
         ('shape = "rectangle", size = [8, 6], center = [0, 0, {}], rotation = [0, 30, 0]', (-1.99, -2.0)),
         ('shape = "rectangle", size = [8, 6], center = [0, 0, {}]', (0.01, 0.0)),
+        ('shape = "disc", radius = 4, center = [0, 0, {}], rotation = [0, 30, 0]', (-1.99, -2.0)),
+        ('shape = "disc", radius = 4, center = [0, 0, {}], rotation = [180, 0, 0], offset = -9', (-8.99, -9.0)),
         ('shape = "cylinder", radius = 5, center = [0, 0, {}]', (-4.99, -5.0)),
         ('shape = "cylinder", radius = 5, center = [0, 0, {}], rotation = [0, 0, 33]', (-4.99, -5.0)),
         (

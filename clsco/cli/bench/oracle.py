@@ -80,6 +80,7 @@ def _in_own_frame(item: Object) -> tuple[Array, Array, Any, Array, int]:
         steep = mpmath.tan(mpmath.radians(mpf(item.half_angle))) ** 2
         return np.diag(_vector([1, 1, -steep])), zero, mpf(0), _vector(item.apex), 1 if item.nappe == "away" else -1
     assert item.shape != "rectangle"
+    assert item.shape != "disc"
     assert item.shape != "box"
     assert item.shape != "depth_map"
     assert item.shape != "background"

@@ -113,7 +113,7 @@ def quarter_discriminant(surface: PlacedSurface, d: Array) -> Array:
 
 
 def root_counts(surface: PlacedSurface, bounds: Bounds | None, d: Array, own: Array, w: Array) -> NDArray[np.bool_]:
-    """Whether roots (...) are in front of the lens, on the right nappe and within the bounds.
+    """Whether roots (...) are in front of the lens, on the right nappe, within the bounds, and on the disc.
 
     d, own: (..., 3) rays in the canonical and in the object's own frame; w: (...) 1/mm, finite or not. Nothing
     is divided by Z: every comparison is multiplied by w.
@@ -128,6 +128,10 @@ def root_counts(surface: PlacedSurface, bounds: Bounds | None, d: Array, own: Ar
             # A bound that touches the surface must not lose its last point to rounding.
             slack = BOUNDS_SLACK * (np.abs(shift) + np.abs(own[..., axis]))
             counts &= (low * w - slack <= along) & (along <= high * w + slack)
+    if surface.canonical.radius < np.inf:
+        shift, ray = surface.offset[:2] * w[..., None], d[..., :2]
+        reach = surface.canonical.radius * w + BOUNDS_SLACK * (np.abs(shift) + np.abs(ray)).sum(axis=-1)
+        counts &= ((shift + ray) ** 2).sum(axis=-1) <= reach * reach
     return np.asarray(counts)
 
 
@@ -143,9 +147,9 @@ def solve_root(
 
     bounds: box in the object's own frame, mm; only: the label of the only root that counts, 0 for both. Label: 0 no
     surface (w = 0), 1 the root (-B + sqrt(D))/C, 2 the root (-B - sqrt(D))/C of C w^2 + 2 B w + A = 0. A root counts
-    when it is real, 0 < w < 1e6, on the wanted nappe and within the bounds; nothing is divided by Z, so horizon and
-    infinity are the sign of w. Of two equal roots the first counts. Validated against 3.10, 3.16, 3.22, 3.32, 3.36 and
-    against exact arithmetic at c/rho = 1e6.
+    when it is real, 0 < w < 1e6, on the wanted nappe, within the bounds, and on the disc; nothing is divided by Z, so
+    horizon and infinity are the sign of w. Of two equal roots the first counts. Validated against 3.10, 3.16, 3.22,
+    3.32, 3.36 and against exact arithmetic at c/rho = 1e6.
     """
     shape = surface.canonical
     d, own = turned(surface.turn, rays), turned(surface.own_turn, rays)

@@ -184,6 +184,12 @@ class Outline:
     hidden: Mask
 
 
+def outline_slope(m: Slopes) -> Array:
+    """Steepest slope (N,) of D per cell where it is 0, across which it curves by twice its lower eigenvalue."""
+    curve = 0.5 * (m.D_xx + m.D_yy - np.hypot(m.D_xx - m.D_yy, m.D_xy))
+    return np.sqrt(np.maximum(m.D_x * m.D_x + m.D_y * m.D_y - 4 * m.D * curve, 0.0))
+
+
 def outline_of(e: Equation, m: Slopes, soft: Array, most: Array) -> Outline:
     """Of two crossings, or none: h over the width `soft` (N,) of the edge; most (N,): cells to the farthest tap."""
     under = np.sqrt(e.C * e.F)
@@ -191,10 +197,9 @@ def outline_of(e: Equation, m: Slopes, soft: Array, most: Array) -> Outline:
     change = e.F * (np.hypot(m.C_x, m.C_y) + (np.abs(m.C_xx) + np.abs(m.C_xy) + np.abs(m.C_yy)) * most) * most
     reach = np.minimum(np.where(under > 0, change / under, np.inf), np.sqrt(change))
     reach = reach + np.hypot(m.B_x, m.B_y) * most
-    # Slope of h = D / (sqrt(C F) - B) at the outline, across which D curves by twice its lower eigenvalue; where there
-    # is no outline, a thousandth of what the range allows, as on devices, which could not hold more.
-    curve = 0.5 * (m.D_xx + m.D_yy - np.hypot(m.D_xx - m.D_yy, m.D_xy))
-    slope = np.sqrt(np.maximum(m.D_x * m.D_x + m.D_y * m.D_y - 4 * m.D * curve, 0.0)) / (2 * np.maximum(under, TINY))
+    # Slope of h = D / (sqrt(C F) - B) at the outline; where there is none, a thousandth of what the range allows, as on
+    # devices, which could not hold more.
+    slope = outline_slope(m) / (2 * np.maximum(under, TINY))
     scale = 1 / (2 * soft * np.maximum(slope, np.maximum(1e-3 * reach / most, TINY)))
     area = scale * scale * e.F
     return Outline(
@@ -203,6 +208,42 @@ def outline_of(e: Equation, m: Slopes, soft: Array, most: Array) -> Outline:
         f=np.stack([m.C_x * area, m.C_y * area, m.C_xx * area, m.C_xy * area, m.C_yy * area], axis=-1),
         clear=(h + reach) * scale <= -0.5,
         hidden=(h - reach) * scale >= 0.5,
+    )
+
+
+def disc_outline(surface: PlacedSurface, e: Equation, points: Points, soft: Array, most: Array) -> Outline:
+    """Of a disc of radius r about the third axis; arguments as for `outline_of`.
+
+    The line to the lens crosses its plane at v = -p_z / o_z, within the radius where
+    h = r |w o_z - p_z| - |p o_z - p_z o|_xy >= 0,
+    with p the point times w and o the lens point, linear in the tap: h is of the same form as that of other outlines.
+    """
+    radius, o, p = surface.canonical.radius, surface.offset, e.point
+    d = turned(surface.turn, points.rays)  # p = o w + d
+    reach = -e.sign * radius * d[:, 2]
+    away = np.stack([difference_of_products(d[:, i], o[2], d[:, 2], o[i]) for i in (0, 1)], axis=-1)
+    ways = (e.along_x, e.along_y)
+    (r_x, r_y), (a_x, a_y) = (
+        [e.sign * radius * points.w * way[:, 2] for way in ways],
+        [p[:, :2] * way[:, 2:] - p[:, 2:] * way[:, :2] for way in ways],
+    )
+    f_x, f_y, f_xy = (2 * (one * other).sum(axis=-1) for one, other in ((away, a_x), (away, a_y), (a_x, a_y)))
+    f_xx, f_yy = ((one * one).sum(axis=-1) for one in (a_x, a_y))
+    under, none = np.hypot(*away.T), np.zeros_like(reach)
+    h = reach - under
+    slopes = Slopes(
+        h * (reach + under), none, none, none, none, none, none, none, 2 * reach * r_x - f_x, 2 * reach * r_y - f_y,
+        r_x * r_x - f_xx, 2 * r_x * r_y - f_xy, r_y * r_y - f_yy,
+    )  # fmt: skip
+    span = (np.hypot(r_x, r_y) + np.sqrt(f_xx + f_yy)) * most
+    slope = outline_slope(slopes) / (2 * np.maximum(reach, TINY))
+    scale = 1 / (2 * soft * np.maximum(slope, np.maximum(1e-3 * span / most, TINY)))
+    return Outline(
+        h=np.stack([h * scale, r_x * scale, r_y * scale], axis=-1),
+        root=under * scale,
+        f=np.stack([f * scale * scale for f in (f_x, f_y, f_xx, f_xy, f_yy)], axis=-1),
+        clear=(h + span) * scale <= -0.5,
+        hidden=(h - span) * scale >= 0.5,
     )
 
 
@@ -251,6 +292,11 @@ def meet_occluder(
     with np.errstate(all="ignore"):  # where there is one crossing, what belongs to two is not used, and vice versa
         place = crossing_place(camera, e, d)
         soft = edge_width(lens, place)
+        if surface.canonical.radius < np.inf:
+            disc = disc_outline(surface, e, points, soft, lens.most)
+            state = np.select([far | ~e.once | disc.clear, disc.hidden], [CLEAR, HIDDEN], PARTLY)
+            occluder = replace(_planar((), w.size), h=disc.h, root=disc.root, f=disc.f)
+            return state.astype(np.uint8), (e.F < 0) & ~far, occluder
         if e.flat:
             l = surface.canonical.l  # noqa: E741
             change = (float(l @ surface.offset), e.along_x @ l, e.along_y @ l)
