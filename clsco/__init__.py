@@ -36,7 +36,7 @@ reference
 
 Types
 -----
-Scene, Camera, Psf, Group, Plane, Rectangle, Disc, Box, Sphere, Cylinder, Cone, Ellipsoid, Quadric, DepthMap,
+Scene, Camera, Psf, Light, Group, Plane, Rectangle, Disc, Box, Sphere, Cylinder, Cone, Ellipsoid, Quadric, DepthMap,
 Background
     What a scene holds, frozen and validated; lengths in mm, angles in degrees, times in s.
 Frame
@@ -88,6 +88,7 @@ if TYPE_CHECKING:
     from clsco.scene.model import Disc as Disc
     from clsco.scene.model import Ellipsoid as Ellipsoid
     from clsco.scene.model import Group as Group
+    from clsco.scene.model import Light as Light
     from clsco.scene.model import Plane as Plane
     from clsco.scene.model import Psf as Psf
     from clsco.scene.model import Quadric as Quadric
@@ -109,7 +110,7 @@ _NAMES = {
     "clsco.inputs.dump": ("dump_scene",),
     "clsco.opencl.device": ("list_devices",),
     "clsco.scene.model": (
-        *("Scene", "Camera", "Psf", "Group"),
+        *("Scene", "Camera", "Psf", "Light", "Group"),
         *("Plane", "Rectangle", "Disc", "Box", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric"),
         *("DepthMap", "Background"),
     ),
@@ -121,7 +122,7 @@ _HOME = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = [  # noqa: RUF022, verbs and then types
     "render", "render_frame", "render_sweep", "defocus", "inpaint", "load_scene", "parse_scene", "load_sweep",
     "parse_sweep", "dump_scene", "list_devices", "reference",
-    "Scene", "Camera", "Psf", "Group",
+    "Scene", "Camera", "Psf", "Light", "Group",
     "Plane", "Rectangle", "Disc", "Box", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background",
     "Frame", "Live", "MeanMedian",
     "ClscoError", "SceneError", "ImageError", "DeviceError", "KernelError", "CanceledError",

@@ -26,9 +26,10 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     camera_t: rows, columns of the frame, or of a strip of it (strips.py); frame_rows: of the frame; top: first
     row of the strip; guard: columns, above: rows of the grid before its own; width, height of the grid; step: slope
     between neighboring rays; blur_scale px mm; focus_power 1/mm; lens_radius mm. surface_t: see surfaces.PlacedSurface;
-    texture: its number in the stack. pose_t: see motion.Pose. layer_t: see occlusion.Layer; count: of all objects.
-    psf_t: how a blur radius becomes a coordinate in the tables, which intervals they hold (first, count), and which of
-    them radii are clamped to (low to end - 1), see psf_tables.PsfTable; the rest: see occlusion.
+    texture: its number in the stack. light_t: see light.PlacedLight. pose_t: see motion.Pose. layer_t: see
+    occlusion.Layer; count: of all objects. psf_t: how a blur radius becomes a coordinate in the tables, which intervals
+    they hold (first, count), and which of them radii are clamped to (low to end - 1), see psf_tables.PsfTable; the
+    rest: see occlusion.
     """
     i, two, three, nine = "i4", (2,), (3,), (9,)
     camera: list[Any] = [
@@ -42,6 +43,7 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     mapping: list[Any] = [("base", "i8")]
     mapping += [(name, i) for name in ("kind", "wrap_x", "wrap_y", "columns", "rows", "levels")]
     mapping += _reals(real, frame=nine, scale=(4,), shift=two, slant=(), spread=(), outside=())
+    light = [("members", "u8"), ("is_near", i), *_reals(real, x=(), y=(), z=(), ambient=())]
     pose = _reals(real, rotation=nine, shift=three)
     layer = [("members", "u8"), ("occluders", "u8"), *((name, i) for name in ("count", "own", "root"))]
     psf: list[Any] = [(name, i) for name in ("first", "count", "low", "end", "reach")]
@@ -49,7 +51,7 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     psf += _reals(real, key=(), minimum_blur=(), fine_steps=(), fine_until=(), octaves_from=(), steps=(), sub_steps=())
     psf += _reals(real, lens_extent=())
     fields = {"camera_t": camera, "surface_t": surface, "texture_map_t": mapping}
-    fields |= {"pose_t": pose, "layer_t": layer, "psf_t": psf}
+    fields |= {"light_t": light, "pose_t": pose, "layer_t": layer, "psf_t": psf}
     return {name: np.dtype(members, align=True) for name, members in fields.items()}
 
 

@@ -29,7 +29,8 @@ class Problem:
     and the square of the largest distance from the z axis; `rotations` (objects, 3, 3), from that frame to the camera's
     axes at t = 0; `group_...` (objects, 3) of what carries each object, 0 for nothing; `textures` (objects, rows,
     columns, channels) linear radiance, 0 where an image lies on the surface; `mappings` (objects, SIZE) and `images`
-    (texels, channels) of these (`surface_images.py`).
+    (texels, channels) of these (`surface_images.py`); `light` (5,): where it is in mm, or three numbers towards it,
+    whether the former, and the share of the texture that is seen without it; None without a light.
     """
 
     pitch_ratio: float
@@ -50,6 +51,7 @@ class Problem:
     textures: Array
     mappings: Array
     images: Array
+    light: Array | None
 
 
 def _shape(item: Any) -> tuple[Array, Any, tuple[float, float]]:
@@ -115,6 +117,14 @@ def _on_surfaces(objects: Any, images: list[NDArray[Any]], channels: int) -> tup
     return np.concatenate(flat), mappings
 
 
+def _light(light: Any) -> Array | None:
+    """The numbers (5,) of a light; its direction has z towards the camera."""
+    if light is None:
+        return None
+    place = light.position or np.multiply(light.direction, [1.0, 1.0, -1.0])
+    return np.array([*place, float(light.position is not None), light.ambient])
+
+
 def prepare(scene: Any, textures: Textures, rows: int, columns: int, frame: int = 0) -> Problem:
     """Read a scene by its attribute names.
 
@@ -159,6 +169,7 @@ def prepare(scene: Any, textures: Textures, rows: int, columns: int, frame: int 
         textures=_texture_stack(projected, rows, columns, channels),
         mappings=mappings,
         images=flat,
+        light=_light(getattr(scene, "light", None)),
     )
 
 

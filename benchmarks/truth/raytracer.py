@@ -171,6 +171,22 @@ def _normal(normal, x, y, z, k):  # type: ignore[no-untyped-def]
     normal /= math.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])
 
 
+@njit(cache=True)
+def _lambert(light, normal, m, lens_x, lens_y, x, y, z):  # type: ignore[no-untyped-def]
+    """Share of the texture that a point of the object's frame shows to a point of the lens: the cosine between the
+    light and that of both normals which the ray comes from. `light` (5): as in `Problem`; `m`: as in `_meet`."""
+    if light[3] > 0.0:
+        to_x, to_y, to_z = _turn(m, light[0] - m[9], light[1] - m[10], light[2] - m[11])
+        to_x, to_y, to_z = to_x - x, to_y - y, to_z - z
+    else:
+        to_x, to_y, to_z = _turn(m, light[0], light[1], light[2])
+    eye_x, eye_y, eye_z = _turn(m, lens_x - m[9], lens_y - m[10], -m[11])
+    seen = (eye_x - x) * normal[0] + (eye_y - y) * normal[1] + (eye_z - z) * normal[2]
+    along = to_x * normal[0] + to_y * normal[1] + to_z * normal[2]
+    cosine = math.copysign(1.0, seen) * along / math.sqrt(to_x * to_x + to_y * to_y + to_z * to_z)
+    return light[4] + (1.0 - light[4]) * max(cosine, 0.0)
+
+
 @njit(cache=True, parallel=True, fastmath={"contract"})
 def _accumulate(  # type: ignore[no-untyped-def]
     sums,
@@ -187,12 +203,14 @@ def _accumulate(  # type: ignore[no-untyped-def]
     textures,
     mappings,
     images,
+    light,
     optics,
     seed,
 ):
     """Add samples first..last (rows, columns) of every pixel to `sums` and, over all channels, `squares`.
 
-    `points` (4, n): position in the pixel, [0, 1), and on the unit disc; `poses` (objects, 12, n or 1).
+    `points` (4, n): position in the pixel, [0, 1), and on the unit disc; `poses` (objects, 12, n or 1);
+    `light` (5,), or empty.
     """
     rows, columns, channels = sums.shape
     _, lens_radius, _ = optics
@@ -227,17 +245,24 @@ def _accumulate(  # type: ignore[no-untyped-def]
                     _cast(hits, rays[n], end - block, turn, corner, optics, surface, texture)
                 square = 0.0
                 for s in range(begin - block, end - block):
-                    texel = int(hits[s + BLOCK])
-                    if texel < -1:
-                        n, x, y, z = -2 - texel, hits[s + 2 * BLOCK], hits[s + 3 * BLOCK], hits[s + 4 * BLOCK]
+                    texel, share = int(hits[s + BLOCK]), 1.0
+                    n = -2 - texel if texel < -1 else texel // (rows * columns)
+                    x, y, z = hits[s + 2 * BLOCK], hits[s + 3 * BLOCK], hits[s + 4 * BLOCK]
+                    if texel < -1 or (texel >= 0 and len(light) > 0):
                         _normal(normal, x, y, z, coefficients[n])
+                    if texel != -1 and len(light) > 0:
+                        u, v, m = rays[n, s + 2 * BLOCK], rays[n, s + 3 * BLOCK], rays[n, s + 4 * BLOCK :: BLOCK]
+                        lens_x, lens_y = turn[0] * u - turn[1] * v, turn[1] * u + turn[0] * v
+                        share = _lambert(light, normal, m, lens_x, lens_y, x, y, z)
+                    if texel < -1:
                         shade(total, x, y, z, normal, mappings[n], images)
                         for channel in range(channels):
-                            sums[row, column, channel] += total[channel]
-                            square += total[channel] * total[channel]
+                            value = share * total[channel]
+                            sums[row, column, channel] += value
+                            square += value * value
                     if texel >= 0:
                         for channel in range(channels):
-                            value = flat[texel, channel]
+                            value = share * flat[texel, channel]
                             sums[row, column, channel] += value
                             square += value * value
                 squares[row, column] += square
@@ -288,7 +313,8 @@ def extend(halves: Halves, counts: NDArray[np.int64]) -> Halves:
         lens = np.ascontiguousarray(np.column_stack([points[half][:, :2], _disc(points[half][:, 2:4])]).T)
         rotations = problem.rotations.reshape(-1, 9)
         shape = problem.coefficients, problem.bounds, problem.centers, rotations
-        looks = problem.textures, problem.mappings, problem.images
+        light = np.zeros(0) if problem.light is None else problem.light
+        looks = problem.textures, problem.mappings, problem.images, light
         optics = problem.pitch_ratio, problem.lens_radius, problem.focus_term
         span, poses = (
             (halves.counts, counts),
@@ -350,6 +376,8 @@ def trace(
 def _cache_file(folder: Path, problem: Problem, noise: float, seed: int) -> Path:
     digest = hashlib.sha256(f"{CACHE_FORMAT} {noise!r} {seed} {MOST_SAMPLES}".encode())
     for field in fields(problem):
+        if getattr(problem, field.name) is None:
+            continue
         value = np.asarray(getattr(problem, field.name))
         digest.update(f"{field.name} {value.dtype} {value.shape}".encode() + value.tobytes())
     return folder / f"traced_{digest.hexdigest()[:32]}.npz"

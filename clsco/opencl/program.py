@@ -34,8 +34,8 @@ GATHER_HEADERS = tuple(
 )
 MAPPING_HEADERS = ("common/angles.clh", "trace/mapping.clh")  # with the feature TEXTURED
 HEADERS_OF = {
-    "trace/trace.cl": ("common/sources.clh", *MAPPING_HEADERS, "trace/texture.clh"),
-    "trace/truth.cl": (*MAPPING_HEADERS, "trace/texture.clh"),
+    "trace/trace.cl": ("common/sources.clh", *MAPPING_HEADERS, "trace/light.clh", "trace/texture.clh"),
+    "trace/truth.cl": (*MAPPING_HEADERS, "trace/light.clh", "trace/texture.clh"),
     "blur/blur.cl": ("common/sources.clh", "common/psf.clh"),
     "blur/cpu/gather.cl": (
         "common/sources.clh",

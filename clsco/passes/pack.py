@@ -12,6 +12,7 @@ from clsco.constants import MAP_PROJECTED
 from clsco.frame.strips import Strip, frame_struct
 from clsco.inputs.mipmaps import level_sizes
 from clsco.optics.lens import blur_scale, focus_power, lens_radius, ray_step
+from clsco.optics.light import PlacedLight
 from clsco.optics.motion import Pose
 from clsco.optics.psf import MINIMUM_BLUR, sampled_key
 from clsco.optics.psf_grid import octaves_from, sampled_steps, table_steps
@@ -106,6 +107,12 @@ def pose_structs(poses: Sequence[Pose], real: Real) -> NDArray[np.void]:
     """pose_t of every pose, (poses,)."""
     placed = [filled("pose_t", real, {"rotation": p.rotation.ravel(), "shift": p.shift}) for p in poses]
     return np.array(placed, structs(real)["pose_t"])
+
+
+def light_struct(light: PlacedLight, real: Real) -> Struct:
+    """light_t of a light."""
+    place = dict(zip("xyz", light.place, strict=True))
+    return filled("light_t", real, {name: value for name, value in vars(light).items() if name != "place"} | place)
 
 
 def layer_struct(layer: Layer, objects: int) -> Struct:

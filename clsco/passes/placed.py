@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -15,11 +15,12 @@ from clsco.inputs.mipmaps import mipmap_floats
 from clsco.inputs.textures import Texture
 from clsco.opencl.buffers import upload
 from clsco.opencl.session import Session
+from clsco.optics.light import place_light
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center, rest_poses
 from clsco.optics.quadrics import PlacedSurface, place
 from clsco.optics.texture_mapping import texture_map
-from clsco.passes.pack import pose_structs, surface_structs, texture_map_structs, texture_planes
-from clsco.records import Real, structs
+from clsco.passes.pack import light_struct, pose_structs, surface_structs, texture_map_structs, texture_planes
+from clsco.records import Real, Struct, structs
 from clsco.scene.model import Scene
 
 # A source is at most its mean and 4 c of it with c < 0.0901 (kernels/trace/mapping.clh).
@@ -45,6 +46,8 @@ class TimeSample:
         surface_t of every object.
     surfaces : Buffer
         The same on the device.
+    light : (numpy.void,), optional
+        light_t, where the scene has a light.
     """
 
     time: float
@@ -53,6 +56,7 @@ class TimeSample:
     placed: Surfaces
     packed: NDArray[np.void]
     surfaces: cl.Buffer
+    light: tuple[Struct, ...] = ()
 
 
 class PlacedScene:
@@ -154,7 +158,9 @@ class PlacedScene:
 
     def at(self, time: float, weight: float = 1.0, eye: Eye | None = None) -> TimeSample:
         """The objects at a time in s, as `eye` sees them."""
-        return self.posed(poses_at(self.scene, time, eye or self.eye), time, weight)
+        eye = eye or self.eye
+        sample, light = self.posed(poses_at(self.scene, time, eye), time, weight), place_light(self.scene, time, eye)
+        return sample if light is None else replace(sample, light=(light_struct(light, self.real),))
 
     def in_reference_pose(self) -> TimeSample:
         """The objects as the textures show them."""

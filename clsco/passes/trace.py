@@ -176,10 +176,10 @@ class Tracer:
         assert work.group is not None
         if self.hits is None:
             value, depth = buffers["value"], buffers.get("depth")
-            args = (*head, share, *self._textures, source, value, label, statistics)
+            args = (*head, share, *self._shown(work), source, value, label, statistics)
             self._per_pixel("trace", work, *args, *((depth,) if occluded else ()), *exchanged)
         else:
-            args = (*head[:3], share, *self._textures)
+            args = (*head[:3], share, *self._shown(work))
 
             def cast(planes: HitPlanes) -> None:
                 self._per_pixel("cast", work, *args, *planes)
@@ -202,7 +202,7 @@ class Tracer:
         subs = (buffers["sub_source"], buffers["sub_value"], statistics)
         sub_depth = buffers.get("sub_depth")
         occluded = (sub_depth,) if sub_depth is not None else ()
-        head = (*self._head(work), np.float32(work.sample.weight), *self._textures)
+        head = (*self._head(work), np.float32(work.sample.weight), *self._shown(work))
         size = (plan.slots * plan.silhouettes**2,)
         self.target.run(
             "trace_subpixels", size, PIXELS[:1], work.events, *head, buffers["pixels"], slots, *subs, *occluded
@@ -218,7 +218,7 @@ class Tracer:
     def pinhole(self, work: Work, weight: float) -> None:
         """The image of a pinhole of so much weight, with its radii."""
         value, coc, valid = (self.buffers[name] for name in ("value", "coc", "valid"))
-        head = (work.camera, work.sample.surfaces, everything(self.plan), np.float32(weight), *self._textures)
+        head = (work.camera, work.sample.surfaces, everything(self.plan), np.float32(weight), *self._shown(work))
         self._per_pixel("pinhole", work, *head, value, coc, valid, self.buffers["statistics"])
         work.planes = value, coc, valid
 
@@ -228,15 +228,15 @@ class Tracer:
         assert work.group is not None
         members = [k for k in range(len(sample.placed)) if work.group.members >> k & 1]
         grid = tuple(camera[name].tobytes() for name in camera.dtype.names or () if name not in OF_LENS)
-        built = tuple(features[name] for name in ("CHANNELS", "MOVED", "FILTER", "TEXTURED")), self.scene.real
-        cast = (grid, sample.weight, sample.packed[members].tobytes(), tuple(members), built)
+        built = tuple(features[name] for name in ("CHANNELS", "MOVED", "FILTER", "TEXTURED", "LIT")), self.scene.real
+        light = tuple(each.tobytes() for each in sample.light)
+        cast = (grid, sample.weight, sample.packed[members].tobytes(), light, tuple(members), built)
         maps = self.scene.packed_maps.tobytes() if self.plan.mapped else b""
         return HitKey(work.group, (cast, maps), self.scene.content)
 
-    @property
-    def _textures(self) -> tuple[cl.Buffer, ...]:
-        """The textures, and how they lie on surfaces where they do."""
-        return (self.scene.texture, *self.scene.texture_maps)
+    def _shown(self, work: Work) -> tuple[Any, ...]:
+        """The textures, how they lie on surfaces where they do, and the light where there is one."""
+        return (self.scene.texture, *self.scene.texture_maps, *work.sample.light)
 
     def _head(self, work: Work) -> tuple[Any, ...]:
         assert work.group is not None

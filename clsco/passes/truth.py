@@ -77,7 +77,8 @@ class GroundTruth:
         sample, reference = scene.at(time), scene.in_reference_pose()
         after = scene.at(later)
         poses = scene.poses(after)
-        head = (sample.surfaces, reference.surfaces, poses, everything(plan), scene.texture, *scene.texture_maps)
+        shown = (scene.texture, *scene.texture_maps, *sample.light)
+        head = (sample.surfaces, reference.surfaces, poses, everything(plan), *shown)
         view: tuple[Any, ...] = (sample.surfaces, poses, np.int32(0))  # read for a stereo pair alone
         if set(STEREO_NAMES) & set(names):
             there = scene.at(time, eye=self._opposite)

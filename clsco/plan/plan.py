@@ -235,6 +235,7 @@ class Plan:
             "MOVED": int(moved),
             "FILTER": FILTERS[scene.motion.texture_filter] if moved or self.mapped else 0,
             "TEXTURED": self.mapped,
+            "LIT": 0 if scene.light is None else self.channels - self.alpha,
             "TILT": int(self.tilt),
             "SUBPIXELS": self.silhouettes,
             "SAMPLED": psf["SAMPLED"],

@@ -19,6 +19,8 @@ _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
     ("camera.aperture_diameter", None, "camera.f_number"),
     ("camera.focus_distance", None, "camera.sensor_distance"),
     ("camera.sensor_distance", None, "camera.focus_distance"),
+    ("light.direction", None, "light.position"),
+    ("light.position", None, "light.direction"),
     ("aperture.shape", "circle", "aperture.blades"),
     ("aperture.shape", "circle", "aperture.rotation"),
     ("psf.model", "pillbox", "psf.sigma_ratio"),

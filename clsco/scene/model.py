@@ -19,10 +19,12 @@ from clsco.scene.quantities import (
     MAX_LENGTH_MM,
     MIN_LENGTH_MM,
     AngularVelocity,
+    Direction,
     Duration,
     Flag,
     FNumber,
     Length,
+    Point,
     Resolution,
     Samples,
     Strict,
@@ -66,6 +68,7 @@ __all__ = [
     "Fill",
     "Group",
     "ImageOptions",
+    "Light",
     "Motion",
     "Object",
     "ObjectMotion",
@@ -281,6 +284,30 @@ class Stereo(Strict):
     """Angle by which each camera is turned inwards, deg."""
 
 
+class Light(Strict):
+    """A light that stands still, by which surfaces are shaded: Lambert's law, without shadows or fall-off."""
+
+    direction: Direction | None = None
+    """Towards a light that is far away: right, up, towards the camera; of any length."""
+    position: Point | None = None
+    """Where a light is that is not, in the camera's frame in the reference pose, mm; instead of direction."""
+    ambient: Annotated[float, Within(0.0, 1.0)] = 0.0
+    """Share of the texture that is seen without the light."""
+
+    @field_validator("position")
+    @classmethod
+    def _one_of_a_pair(cls, value: Point | None, info: ValidationInfo) -> Point | None:
+        if value is not None and info.data.get("direction", "refused") is not None:
+            raise fault("give direction or position, not both")
+        return value
+
+    @model_validator(mode="after")
+    def _somewhere(self) -> Self:
+        if self.direction is None and self.position is None:
+            raise fault("must have a direction or a position", got="neither")
+        return self
+
+
 class ImageOptions(Strict):
     """Reading and writing of images."""
 
@@ -302,6 +329,8 @@ class Scene(Strict):
     motion: Motion = Motion()
     fill: Fill = Fill()
     image: ImageOptions = ImageOptions()
+    light: Light | None = None
+    """Shades all surfaces; without one they emit the radiance of their texture in all directions."""
     stereo: Stereo | None = None
     """A second view; none if not given."""
     groups: Groups = Field(
@@ -354,13 +383,16 @@ class Scene(Strict):
         return self
 
     @model_validator(mode="after")
-    def _surface_textures_need_rays(self) -> Self:
-        if not self.is_ray_castable:
+    def _radiance_needs_rays(self) -> Self:
+        of_two_views = self.motion.warp == "forward" and self.stereo is not None
+        if of_two_views or not self.is_ray_castable:
             rule = 'belongs to scenes of analytic surfaces with motion.warp = "inverse"'
             found: list[Fault] = []
             for index, item in enumerate(self.objects):
                 if item.mapped is not None:
                     found.append((("object", index, "texture_mapping"), fault(rule), item.texture_mapping))
+            if self.light is not None:
+                found.append((("light",), fault(rule, got="a light"), self.light))
             if found:
                 raise at_keys(found)
         return self

@@ -46,16 +46,17 @@ static float4 source_record(const camera_t camera, __constant surface_t *surface
 // axis of a pixel. Returns what `surface_texture` does, 0 of a projected one.
 static float take_radiance(const camera_t camera, __constant surface_t *surfaces, wide3_t ray, wide_t w, uchar label,
                           int row, int column, int sources, float weight,
-                          __global const float *texture OF_TEXTURE_MAPS, __global float *values, int plane)
+                          __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *values, int plane)
 {
     const int object = MAX(label - 1, 0) / 2;
     __constant surface_t *surface = surfaces + object;
+    const float share = label ? SHADE(surfaces, object, ray, w) : 0;
 #if TEXTURED
     if (label && maps[object].kind != MAP_PROJECTED) {
         float mean[CHANNELS];
         const float texels = surface_texture(texture, surface, maps + object, camera, ray, w, sources, mean);
         for (int c = 0; c < CHANNELS; ++c)
-            values[c * plane] = weight * mean[c];
+            values[c * plane] = OF_CHANNEL(share, c) * weight * mean[c];
         return texels;
     }
 #endif
@@ -63,7 +64,7 @@ static float take_radiance(const camera_t camera, __constant surface_t *surfaces
     const wide3_t nowhere = wide_vector(zero, zero, zero);
     const wide3_t point = label ? texture_point(surface, camera, ray, w, row, column) : nowhere;
     for (int c = 0; c < CHANNELS; ++c)
-        values[c * plane] = label ? weight * radiance(texture, surface, camera, c, point) : 0;
+        values[c * plane] = label ? OF_CHANNEL(share, c) * weight * radiance(texture, surface, camera, c, point) : 0;
     return 0;
 }
 
@@ -88,7 +89,7 @@ static float4 with_detail(const camera_t camera, __constant texture_map_t *maps,
 // One source per pixel of frame and apron, on the nearest object of the occlusion group `layer`. Out: source, value,
 // label, statistics, depth.
 __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
-                    const float weight, __global const float *texture OF_TEXTURE_MAPS, __global float *source,
+                    const float weight, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *source,
                     __global float *value, __global uchar *label, __global int *statistics
 #if OCCLUDED
                     , __global wide_t *depth
@@ -106,8 +107,8 @@ __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const
     uchar root;
     int object;
     const wide_t w = nearest_surface(surfaces, layer, ray, &root, &object);
-    const float texels = take_radiance(camera, surfaces, ray, w, root, row, column, 1, weight, texture TEXTURE_MAPS,
-                                       value + at, camera.height * camera.width);
+    const float texels = take_radiance(camera, surfaces, ray, w, root, row, column, 1, weight,
+                                       texture TEXTURE_MAPS LIGHT, value + at, camera.height * camera.width);
     const uchar hit = root;
     float4 record = source_record(camera, surfaces, layer, psf, ray, w, 0, &root, statistics);
 #if TEXTURED && SUBPIXELS
@@ -125,8 +126,8 @@ __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const
 // The part of trace that all lenses have in common. Out: value, depth, and hit uchar (height, width), the label before
 // any visibility test. With textures on surfaces value has a plane more, of texels per pixel as `surface_texture` gives them.
 __kernel void cast(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const float weight,
-                   __global const float *texture OF_TEXTURE_MAPS, __global float *value, __global wide_t *depth,
-                   __global uchar *hit)
+                   __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *value,
+                   __global wide_t *depth, __global uchar *hit)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
@@ -139,7 +140,7 @@ __kernel void cast(const camera_t camera, __constant surface_t *surfaces, const 
     hit[at] = root;
     const int plane = camera.height * camera.width;
     const float texels = take_radiance(camera, surfaces, ray, depth[at], root, row, column, 1, weight,
-                                       texture TEXTURE_MAPS, value + at, plane);
+                                       texture TEXTURE_MAPS LIGHT, value + at, plane);
 #if TEXTURED
     value[CHANNELS * plane + at] = texels;
 #endif
@@ -212,7 +213,8 @@ __kernel void mark_silhouettes(const camera_t camera, __global const uchar *labe
 // float4 (coordinate, tilt right, tilt down, WHOLE or PARTLY_OCCLUDED), sub_value float (CHANNELS, slots, SUBPIXELS^2),
 // sub_depth wide_t.
 __kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfaces, const layer_t layer,
-                              const psf_t psf, const float weight, __global const float *texture OF_TEXTURE_MAPS,
+                              const psf_t psf, const float weight,
+                              __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
                               __global const int *pixels, const int capacity, __global float4 *sub_source,
                               __global float *sub_value, __global int *statistics
 #if OCCLUDED
@@ -233,7 +235,7 @@ __kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfa
     uchar root;
     int object;
     const wide_t w = nearest_surface(surfaces, layer, ray, &root, &object);
-    take_radiance(camera, surfaces, ray, w, root, row, column, SUBPIXELS, weight / each, texture TEXTURE_MAPS,
+    take_radiance(camera, surfaces, ray, w, root, row, column, SUBPIXELS, weight / each, texture TEXTURE_MAPS LIGHT,
                   sub_value + id, capacity * each);
     sub_source[id] = source_record(camera, surfaces, layer, psf, ray, w, 1, &root, statistics);
 #if OCCLUDED
@@ -277,8 +279,8 @@ __kernel void sharpen(const camera_t camera, __global const float *value, __glob
 // The pinhole image of the occlusion group `layer`, for `layered` occlusion. Out: value as in trace; coc wide_t, signed
 // R in px, and valid uchar, (height, width); statistics.
 __kernel void pinhole(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const float weight,
-                      __global const float *texture OF_TEXTURE_MAPS, __global float *value, __global wide_t *coc,
-                      __global uchar *valid, __global int *statistics)
+                      __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *value,
+                      __global wide_t *coc, __global uchar *valid, __global int *statistics)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= camera.width || y >= camera.height)
@@ -288,7 +290,7 @@ __kernel void pinhole(const camera_t camera, __constant surface_t *surfaces, con
     uchar root;
     int object;
     const wide_t w = nearest_surface(surfaces, layer, ray, &root, &object);
-    take_radiance(camera, surfaces, ray, w, root, row, column, 1, weight, texture TEXTURE_MAPS, value + at,
+    take_radiance(camera, surfaces, ray, w, root, row, column, 1, weight, texture TEXTURE_MAPS LIGHT, value + at,
                   camera.height * camera.width);
     const wide_t none = widened(0);
     coc[at] = root ? blur_radius(camera, w) : none;

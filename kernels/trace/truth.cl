@@ -44,7 +44,7 @@ static bool occluded_among(__constant surface_t *surfaces, const camera_t camera
 // the left one.
 __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces, __constant surface_t *still,
                            __constant pose_t *next, const layer_t layer,
-                           __global const float *texture OF_TEXTURE_MAPS,
+                           __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
                            __constant surface_t *opposite, __constant pose_t *there, const int to_left,
                            __constant pose_t *previous, __constant surface_t *following,
                            __global uchar *mask, __global int *object_id, __global float *depth, __global float *coc,
@@ -93,10 +93,11 @@ __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces
             hidden[at] = outside_frame(camera, from) || covered(seen, from.z, w);
         }
     }
+    const float share = root && sharp ? SHADE(surfaces, object, ray, w) : 0;
     if ((sharp || uv) && !is_mapped) {
         const wide3_t point = texture_point(surface, camera, ray, w, row, column);
         for (int c = 0; c < CHANNELS && sharp; ++c)
-            sharp[at * CHANNELS + c] = root ? radiance(texture, surface, camera, c, point) : 0;
+            sharp[at * CHANNELS + c] = root ? OF_CHANNEL(share, c) * radiance(texture, surface, camera, c, point) : 0;
         if (uv) {
             const bool before_lens = root && narrow(point.z) > 0;
             const wide_t right = wide_div(wide_add(point.x, widened((real)0.5)), widened(camera.columns));
@@ -110,7 +111,7 @@ __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces
         float mean[CHANNELS];
         surface_texture(texture, surface, maps + object, camera, ray, w, 1, mean);
         for (int c = 0; c < CHANNELS; ++c)
-            sharp[at * CHANNELS + c] = mean[c];
+            sharp[at * CHANNELS + c] = OF_CHANNEL(share, c) * mean[c];
     }
     if (uv && is_mapped) {
         const real2 there = texture_coordinates(surface, maps + object, camera, ray, w);

@@ -56,7 +56,7 @@ GATHER, SCATTER = FILES_OF["gather"], FILES_OF["scatter"]
 PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     TRACE_FILES: GEOMETRY
     | dict.fromkeys(("MOVED", "TILT", "OCCLUDED", "LIMITED", "GATHER"), ON_OR_OFF)
-    | {"SUBPIXELS": (0, 4, 2, 3), "TEXTURED": (0, 2, 1)},
+    | {"SUBPIXELS": (0, 4, 2, 3), "TEXTURED": (0, 2, 1), "LIT": (0, 1, 3)},
     GATHER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (1, BAND), "NEAR": (0, NEAR), "BY_COLUMNS": (0, 0, 1)}

@@ -29,10 +29,14 @@ def test_every_number_has_a_unit_or_needs_none(shape: str) -> None:
     if shape == "depth_map":
         item = {"shape": shape, "depth": "z.npy", "unit": "disparity", "baseline": 60.0}
     stereo = {"baseline": 65.0, "toe_in": 1.0}
-    scene = parse_scene({"object": [item], "psf": {"model": "gaussian"}, "stereo": stereo})
+    sections = {"psf": {"model": "gaussian"}, "stereo": stereo}
+    if shape != "depth_map":
+        sections["light"] = {"position": [1.0, 2.0, 3.0]}
+    scene = parse_scene({"object": [item], **sections})
     found = units(scene)
     without = {"camera.f_number", "sequence.frames", "sequence.samples", "psf.silhouette_samples"}
     without |= {"psf.sigma_ratio", "psf.truncation", "object[0].coefficients", "object[0].axis", "object[0].scale"}
+    without |= {"light.ambient"}
     numbers: set[str] = set()
 
     def walk(place: str, value: Any) -> None:
@@ -50,6 +54,7 @@ def test_every_number_has_a_unit_or_needs_none(shape: str) -> None:
     assert found["camera.focal_length"] == "mm"
     assert found["object[0].motion.angular_velocity"] == found["camera.motion.angular_velocity"] == "deg/s"
     assert (found["stereo.baseline"], found["stereo.toe_in"]) == ("mm", "deg")
+    assert found.get("light.position", "mm") == "mm"
     assert without & set(found) == set()
 
 

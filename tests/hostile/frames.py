@@ -91,6 +91,9 @@ def sections(number: int) -> dict[str, Any]:
         found["motion"]["texture_filter"] = one("bicubic", "bilinear", "nearest")
     if one(*[False] * 7, True):
         found["stereo"] = {"baseline": near(2, 12), "toe_in": one(0.0, 1.0)}
+    if one(*[False] * 3, True):
+        place = one("direction", "position")
+        found["light"] = {place: [near(-1, 1), near(0, 1), near(0.5, 1)], "ambient": one(0.0, 0.3)}
     return found
 
 

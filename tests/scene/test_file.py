@@ -312,6 +312,7 @@ def test_schema_documents_every_key() -> None:
         "motion",
         "fill",
         "image",
+        "light",
         "stereo",
         "group",
         "object",

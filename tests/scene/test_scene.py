@@ -19,6 +19,7 @@ from clsco.scene.model import (
     Ellipsoid,
     Fill,
     ImageOptions,
+    Light,
     Motion,
     ObjectMotion,
     Plane,
@@ -74,6 +75,7 @@ COEFFICIENTS = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0)
         (Motion(), {"warp": "inverse", "rotation": "euler", "texture_filter": "bicubic"}),
         (Fill(), {"method": "ait", "domain": "surface"}),
         (ImageOptions(), {"transfer": "srgb"}),
+        (Light(position=(1.0, 2.0, 3.0)), {"direction": None, "position": (1.0, 2.0, 3.0), "ambient": 0.0}),
         (Stereo(baseline=65.0), {"baseline": 65.0, "toe_in": 0.0}),
         (
             DepthMap(depth="z.exr"),

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.optics.light import PlacedLight, place_light
 from clsco.optics.motion import Eye, poses_at
 from clsco.optics.psf import subpixel_offsets
 from clsco.optics.quadrics import PlacedSurface, place
@@ -27,6 +28,7 @@ from clsco.reference.common.geometry import (
     surface_slope,
 )
 from clsco.reference.common.visibility import HIDDEN, Points, Visibility, check_visibility
+from clsco.reference.trace.light import shade
 from clsco.reference.trace.mapping import MappedTexture, is_detailed, sharpening, surface_texture
 from clsco.scene.model import Camera, Scene
 
@@ -90,13 +92,14 @@ class View:
     """All objects at one time, in the frame of the camera.
 
     surfaces: one per object; textures: one per object, with so many channels; moved: an
-    object or the camera is not exactly in its reference pose.
+    object or the camera is not exactly in its reference pose; light: of the scene, if it has one.
     """
 
     scene: Scene
     surfaces: tuple[PlacedSurface, ...]
     textures: tuple[Texture, ...]
     moved: bool
+    light: PlacedLight | None = None
 
     @property
     def channels(self) -> int:
@@ -108,7 +111,8 @@ class View:
 def view_at(scene: Scene, textures: tuple[Texture, ...], time: float, eye: Eye, moved: bool) -> View:
     """The objects after `time` seconds; other arguments as for `View`."""
     placed = zip(scene.objects, poses_at(scene, time, eye), strict=True)
-    return View(scene, tuple(place(item, pose) for item, pose in placed), textures, moved)
+    surfaces = tuple(place(item, pose) for item, pose in placed)
+    return View(scene, surfaces, textures, moved, place_light(scene, time, eye))
 
 
 def everything(scene: Scene) -> Layer:
@@ -163,6 +167,8 @@ def cast(
             shown = _moved_radiance(scene, surface, texture, rays, w)
         else:
             shown = np.broadcast_to(_texels(texture, *texels), radiance.shape)
+        if view.light is not None:
+            shown = shown * shade(view.light, surface, k, rays, w)[..., None]
         radiance = np.where(own, shown, radiance)
     radius = np.where(label > 0, blur_radius(scene.camera, w), 0.0)
     return Cast(w, label, number, radius, gradient, radiance, detailed, share)

@@ -1,0 +1,67 @@
+"""The light of a scene file: where it may be, its way back, and scenes whose surfaces cannot be shaded."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import clsco
+from clsco.errors import SceneError
+from clsco.inputs.dump import dump_scene
+from clsco.scene.changes import dump
+from clsco.scene.file import parse_scene
+from clsco.scene.sweep import parse_sweep
+
+BALL: dict[str, Any] = {"shape": "sphere", "motion": {"velocity": [1.0, 0.0, 0.0]}}
+FAR = {"direction": [0.3, 0.8, 1.0], "ambient": 0.2}
+NEAR = {"position": [100.0, 200.0, -50.0]}
+REFUSED = 'light: belongs to scenes of analytic surfaces with motion.warp = "inverse"; got a light'
+
+
+@pytest.mark.parametrize("light", [FAR, NEAR])
+def test_dumps_are_the_way_back(light: dict[str, Any]) -> None:
+    scene = parse_scene({"object": [BALL], "light": light})
+    assert parse_scene(json.loads(json.dumps(dump(scene), allow_nan=False))) == scene
+    assert parse_scene(dump_scene(scene)) == scene
+    assert clsco.Scene(objects=(clsco.Sphere(),), light=clsco.Light(**light)).light == scene.light
+
+
+def test_one_place_takes_that_of_the_other() -> None:
+    scene = parse_scene({"object": [BALL], "light": FAR})
+    near = scene.replace("light.position", [1, 2, 3])
+    assert near.light == clsco.Light(position=(1.0, 2.0, 3.0), ambient=0.2)
+    assert near.replace("light.direction", FAR["direction"]) == scene
+    assert near.replace("light.position[1]", 7).light == clsco.Light(position=(1.0, 7.0, 3.0), ambient=0.2)
+    assert scene.replace("light", None) == parse_scene({"object": [BALL]})
+
+
+def test_lights_are_swept() -> None:
+    sweep = parse_sweep({"object": [BALL], "light": FAR | {"direction": [[0, 0, 1], [1, 0, 0]], "ambient": [0, 1]}})
+    lights = [scene.light for scene in sweep.scenes]
+    assert lights == [clsco.Light(direction=d, ambient=a) for d in ((0, 0, 1), (1, 0, 0)) for a in (0, 1)]
+
+
+@pytest.mark.parametrize(
+    "sections",
+    [
+        {"motion": {"warp": "forward"}},
+        {"object": [{"shape": "depth_map", "depth": "z.npy"}]},
+        {"motion": {"warp": "forward"}, "object": [{"shape": "sphere"}], "stereo": {"baseline": 6.0}},
+    ],
+)
+def test_what_has_no_rays_has_no_light(sections: dict[str, Any]) -> None:
+    with pytest.raises(SceneError) as caught:
+        parse_scene({"object": [BALL], "light": FAR, **sections})
+    assert caught.value.messages == (f"scene: {REFUSED}",)
+    still = parse_scene({"object": [{"shape": "sphere"}], "light": FAR, "motion": {"warp": "forward"}})
+    assert still.light is not None
+
+
+def test_a_file_says_it(tmp_path: Path) -> None:
+    path = tmp_path / "lit.toml"
+    path.write_text('[light]\nposition = [1, 2, 3]\n[[object]]\nshape = "sphere"\n', "utf-8")
+    light = clsco.load_scene(path, ["light.ambient=0.5", "light.direction=[0, 0, 1]"]).light
+    assert light == clsco.Light(direction=(0.0, 0.0, 1.0), ambient=0.5)
