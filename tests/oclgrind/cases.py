@@ -44,6 +44,7 @@ from clsco.scene.model import (
     Plane,
     Psf,
     Quadric,
+    Rectangle,
     Scene,
     Sphere,
     Stereo,
@@ -63,6 +64,7 @@ EVERY = int(os.environ.get("CLSCO_EVERY", "1"))  # of scenes and images one of s
 MOTION = ObjectMotion(velocity=(0.9, -0.4, -90.0), angular_velocity=(3.0, -2.0, 5.0))
 FAR = Plane(distance=300.0, slope_x=0.2, name="far")
 BALL = Sphere(center=(0.5, 0.3, 230.0), radius=2.0)
+LAID: dict[str, Any] = {"texture_mapping": "surface"}
 OBJECTS: dict[str, tuple[Object, ...]] = {
     "card": (Plane(distance=280.0),),
     "plane": (FAR,),
@@ -73,6 +75,11 @@ OBJECTS: dict[str, tuple[Object, ...]] = {
     "paraboloid": (Quadric(center=(0.0, 0.0, 260.0), coefficients=(1, 2, 0, 0.3, 0, 0, 0, 0, -20, 0)),),
     "ball before plane": (BALL, FAR),
     "three": (BALL, FAR, Cone(apex=(1.0, 0.0, 215.0), half_angle=5.0, bounds=((-9.0, 9.0), (-9.0, 9.0), (-9.0, 9.0)))),
+    "laid card": (Rectangle(size=(5.0, 4.0), center=(0.0, 0.0, 280.0), **LAID), FAR),
+    "laid ball": (BALL.model_copy(update=LAID),),
+    "cube map": (BALL.model_copy(update={"texture_mapping": "cube"}),),
+    "laid cone": (Cone(apex=(0.0, 0.0, 240.0), half_angle=20.0, texture_size=(2.0,), texture_wrap="none", **LAID),),
+    "triplanar": (BALL.model_copy(update={"texture_mapping": "triplanar", "texture_size": (1.0,)}), FAR),
     "map": (DepthMap(depth="map.npy", center=(0.1, 0.0, 260.0)),),
     "map before plane": (DepthMap(depth="map.npy", center=(0.1, 0.0, 260.0)), FAR),
 }
@@ -187,8 +194,12 @@ def textures_of(scene: Scene, channels: int) -> tuple[Scene, tuple[Texture, ...]
     assert scene.camera.resolution is not None
     columns, rows = scene.camera.resolution
     shape = (rows, columns) if channels == 1 else (rows, columns, channels)
-    rng = np.random.default_rng(41)
-    return scene, tuple(Texture(rng.random(shape).astype(np.float32), 8, str(k)) for k in range(len(scene.objects)))
+    rng, found = np.random.default_rng(41), []
+    for k, item in enumerate(scene.objects):
+        size = shape if item.mapped is None else (5, 7, *shape[2:])
+        first, *others = (rng.random(size).astype(np.float32) for _ in item.textures())
+        found.append(Texture(first, 8, str(k), others=tuple(others)))
+    return scene, tuple(found)
 
 
 def pairs_of(features: dict[str, Any]) -> set[Pair]:
