@@ -321,3 +321,18 @@ def test_a_group_carries_what_moves_in_it() -> None:
     depth = pinhole_depth(scene(body("sphere", **ball), groups=(arm,)), 65, 65, [1.0])[0]
     expected = pinhole_depth(scene(body("sphere", center=(1.0, 0.0, 260.0), radius=5.0)), 65, 65, [0.0])[0]
     np.testing.assert_allclose(depth, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("turn", [(0, 0, 0), (0, 0, 90)])
+def test_a_light_gives_the_cosine(turn: Any) -> None:
+    """On a plane in focus of half the radiance, from a near light and from a far one."""
+    lit, z, place = scene(plane(distance_at(0.0), turn=turn), shutter=1e-9), distance_at(0.0), (3.0, -2.0, 240.0)
+    x, y = (np.arange(9) - 4) * PITCH / S0 * z, (3 - np.arange(7)) * PITCH / S0 * z
+    apart = np.stack(np.broadcast_arrays(place[0] - x, place[1] - y[:, None], place[2] - z), axis=-1)
+    lit.light = SimpleNamespace(position=place, direction=None, ambient=0.2)
+    image, _ = trace(lit, np.full((7, 9), 0.5), 7, 9)
+    np.testing.assert_allclose(image, 0.1 - 0.4 * apart[..., 2] / np.linalg.norm(apart, axis=-1), atol=1e-4)
+    for towards, cosine in ((2.0, 1.0 / math.sqrt(3.0)), (-2.0, 0.0)):
+        lit.light = SimpleNamespace(position=None, direction=(2.0, -2.0, towards), ambient=0.2)
+        image, _ = trace(lit, np.full((7, 9), 0.5), 7, 9)
+        np.testing.assert_allclose(image, 0.1 + 0.4 * cosine, atol=1e-12)
