@@ -17,7 +17,7 @@ from clsco.cli.main import main
 from clsco.engine import batch
 from clsco.engine.sequence import render_sweep
 from clsco.frame.files import read_complete
-from clsco.frame.frame import FILE_NAMES, IMAGE_NAMES
+from clsco.frame.frame import FILE_NAMES, IMAGE_NAMES, MAPPING_NAMES
 from tests.scenes import scene_file
 from tests.slow import mostly_slow
 
@@ -70,8 +70,9 @@ def test_both_views_are_written_as_they_are_rendered(scene: Path, tmp_path: Path
     assert [frame.eye for frame in frames] == [part.header["view"] for part in parts] == ["left", "right"]
     for frame, part in zip(frames, parts, strict=True):
         with np.load(out / f"frame_0001_{frame.eye}.npz") as arrays:
-            assert set(arrays) == set(FILE_NAMES.values()) - set(IMAGE_NAMES)
-            for name, in_file in FILE_NAMES.items() - {(name, name) for name in IMAGE_NAMES}:
+            absent = {(name, name) for name in (*IMAGE_NAMES, *MAPPING_NAMES)}
+            assert set(arrays) == {file for _, file in FILE_NAMES.items() - absent}
+            for name, in_file in FILE_NAMES.items() - absent:
                 np.testing.assert_array_equal(arrays[in_file], getattr(frame, name), strict=True)
         assert frame.disparity is not None
         np.testing.assert_array_equal(part.channels["disparity"].pixels, frame.disparity)

@@ -93,6 +93,7 @@ def pair() -> tuple[Frame, Frame]:
             occluded=generator.random((6, 8)) < 0.5,
             flow_backward=generator.random((6, 8, 2)).astype("f4"),
             flow_occluded=generator.random((6, 8)) < 0.5,
+            uv=generator.random((6, 8, 2)).astype("f4"),
             alpha=generator.random((6, 8)).astype("f4"),
             subframes=generator.random((2, 6, 8)).astype("f4"),
             eye=eye,

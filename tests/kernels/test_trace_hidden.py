@@ -104,8 +104,9 @@ def test_a_point_is_covered_by_what_is_nearer_by_a_millionth(session: Session, r
     nearer = np.repeat([0.0, 0.99e-6, 1.01e-6, 0.1], 50)
     w, ratio = np.random.default_rng(4).uniform([[2e-3], [0.5]], [[9e-3], [2.0]], (2, nearer.size))
     seen = w * (1 + nearer) / ratio
-    text = "".join((folder("kernels") / name).read_text("utf-8") for name in ("trace/texture.clh", "trace/truth.cl"))
-    features = {"MOVED": 0, "OCCLUDED": 0}
+    files = ("trace/light.clh", "trace/texture.clh", "trace/truth.cl")
+    text = "".join((folder("kernels") / name).read_text("utf-8") for name in files)
+    features = {"MOVED": 0, "OCCLUDED": 0, "LIT": 0}
     out = empty(session, 4 * w.size)
     args = (in_parts(values, real) for values in (seen, ratio, w))
     run_source(PARTS + text + COVERED, "cover", real, features, w.size, *args, np.int32(w.size), out)

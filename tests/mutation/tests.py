@@ -53,6 +53,7 @@ TESTS = {
     "common/visibility.clh": "kernels/test_visibility_shares kernels/test_visibility kernels/test_blur "
     "pipeline/test_occlusion",
     "common/visibility_test.clh": "kernels/test_visibility_test kernels/test_visibility pipeline/test_occlusion",
+    "common/angles.clh": "kernels/test_angles",
     "common/wide.clh": "kernels/test_wide kernels/test_ray_surface kernels/test_geometry kernels/test_trace",
     "inpainting/biharmonic.cl": "kernels/test_biharmonic",
     "inpainting/cpu/lanes.clh": "kernels/test_fill kernels/test_mean_median",
@@ -64,6 +65,8 @@ TESTS = {
     "inpainting/mean_median.cl": "kernels/test_mean_median inpainting/test_inpaint",
     "inpainting/score.cl": "kernels/test_mean_median kernels/test_fill",
     "layered/layered.cl": "kernels/test_layered_amid kernels/test_layered engine/test_defocus",
+    "trace/light.clh": "pipeline/test_light",
+    "trace/mapping.clh": "pipeline/test_surface_textures",
     "trace/texture.clh": "kernels/test_trace kernels/test_trace_hidden",
     "trace/truth.cl": "kernels/test_trace kernels/test_trace_bounds kernels/test_trace_hidden",
     "trace/trace.cl": "kernels/test_silhouettes kernels/test_trace_hidden kernels/test_trace_bounds "
