@@ -70,7 +70,7 @@ SCENES: dict[str, Scene] = {
     "egg": scene(EGG, psf=TWO),
     "tube": scene(TUBE, psf=TWO),
     "roof": scene(ROOF, psf=TWO),
-    "roof to its horizon": scene(ROOF | {"slope_x": 0.0, "slope_y": 60.0}, psf=PLAIN),
+    "roof to its horizon": scene(ROOF | {"slope_x": 0.0, "slope_y": 60.0}, psf=PLAIN, camera=CAMERA | {"aperture_diameter": 1.0}),
     "hat": scene(HAT, psf=TWO),
     "apex in the middle of a pixel": scene(INTO_THE_APEX, psf=PLAIN, camera=CAMERA | {"resolution": [47, 35]}),
     "saddle": scene(SADDLE, psf=PLAIN),

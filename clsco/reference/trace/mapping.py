@@ -43,7 +43,7 @@ MOST_CELLS, CELL_TEXELS, LEAST_TEXELS = 8, 3, 2
 MOST_TEXELS, MOST_BENT_TEXELS = MOST_CELLS * CELL_TEXELS, 64
 BENT = 256.0
 FARTHEST_TEXEL = 1e6
-DETAILED_TEXELS = np.float32(1.08)
+DETAILED_TEXELS = np.float32(0.54)
 TINY = 1e-12
 APART = 1.17
 Indices = NDArray[np.intp]
@@ -105,7 +105,8 @@ def mapped_point(surface: PlacedSurface, found: TextureMap, camera: Camera, rays
 
 def square_from_axis(q: Array) -> Array:
     """Square of the distance (n,) from the axis, never quite 0."""
-    return np.asarray(np.maximum(q[..., 0] ** 2 + q[..., 2] ** 2, TINY * (q * q).sum(axis=-1)))
+    least = np.maximum(TINY * (q * q).sum(axis=-1), 1e-30)
+    return np.asarray(np.maximum(q[..., 0] ** 2 + q[..., 2] ** 2, least))
 
 
 def cube_side(q: Array) -> tuple[Indices, Array]:
