@@ -57,6 +57,7 @@ SADDLE |= {"texture_size": 15.0}
 CRATE = LAID | {"shape": "box", "center": [0.0, 0.0, 262.0], "size": [24.0, 18.0, 20.0], "rotation": [25.0, 35.0, 10.0]}
 CRATE |= {"texture_top": "checkerboard"}
 WALL = {"shape": "plane", "distance": 380.0, "texture": "checkerboard"}
+NARROW = CAMERA | {"aperture_diameter": 1.0}
 scene = partial(scene_from, {"camera": CAMERA})
 LOOKING_AT_A_POLE = BALL | {"center": [0.0, 0.0, 270.0], "rotation": [90.0, 0.0, 0.0], "texture": "checkerboard"}
 INTO_THE_APEX = HAT | {"apex": [0.0, 0.0, 250.0], "rotation": [0.0, 0.0, 0.0], "half_angle": 60.0}
@@ -70,7 +71,7 @@ SCENES: dict[str, Scene] = {
     "egg": scene(EGG, psf=TWO),
     "tube": scene(TUBE, psf=TWO),
     "roof": scene(ROOF, psf=TWO),
-    "roof to its horizon": scene(ROOF | {"slope_x": 0.0, "slope_y": 60.0}, psf=PLAIN, camera=CAMERA | {"aperture_diameter": 1.0}),
+    "roof to its horizon": scene(ROOF | {"slope_x": 0.0, "slope_y": 60.0}, psf=PLAIN, camera=NARROW),
     "hat": scene(HAT, psf=TWO),
     "apex in the middle of a pixel": scene(INTO_THE_APEX, psf=PLAIN, camera=CAMERA | {"resolution": [47, 35]}),
     "saddle": scene(SADDLE, psf=PLAIN),
