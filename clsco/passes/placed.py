@@ -94,11 +94,12 @@ class PlacedScene:
         self.bits = max(texture.bits for texture in textures)
         gains = [1.0 if item.mapped is None else MOST_DETAIL for item in scene.objects]
         self.brightest = max(gain * texture.brightest for gain, texture in zip(gains, textures, strict=True))
-        projected = [each for each, item in zip(textures, scene.objects, strict=True) if item.mapped is None]
+        pairs = list(zip(textures, scene.objects, strict=True))
+        projected = [each for each, item in pairs if item.mapped is None]
         # Those that several objects have in common once, in one order for all scenes.
         self.stack = sorted(dict.fromkeys(projected), key=lambda texture: repr(texture.content))
-        self.texture_of = [self.stack.index(each) if each in projected else 0 for each in textures]
-        self.mapped = list(dict.fromkeys(each for each in textures if each not in projected))
+        self.texture_of = [self.stack.index(each) if item.mapped is None else 0 for each, item in pairs]
+        self.mapped = list(dict.fromkeys(each for each, item in pairs if item.mapped is not None))
         self._texture: cl.Buffer | None = None
         self._maps: cl.Buffer | None = None
         self._held: list[cl.Buffer] = []
