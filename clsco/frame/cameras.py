@@ -52,10 +52,10 @@ def pinhole(scene: Scene, index: int, eye: Eye = "left") -> Pinhole:
 
 
 def frame_rate(interval: float) -> Fraction:
-    """Frames per second of an interval in s: 1001/30000 s, as a float, gives 30000/1001."""
-    if interval < 1.0:
-        return Fraction(1.0 / interval).limit_denominator(FINEST)
-    return 1 / Fraction(interval).limit_denominator(max(1, min(FINEST, int(2**31 / interval))))
+    """Frames per second of an interval in s: 1001/30000 s, as a float, gives 30000/1001. Both numbers have 31 bits."""
+    larger = max(interval, 1.0 / interval)
+    fraction = Fraction(larger).limit_denominator(min(FINEST, int(2**31 / larger)))
+    return fraction if interval < 1.0 else 1 / fraction
 
 
 def exr_attributes(scene: Scene, index: int, eye: Eye = "left") -> dict[str, Any]:
