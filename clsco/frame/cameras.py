@@ -72,8 +72,8 @@ def exr_attributes(scene: Scene, index: int, eye: Eye = "left") -> dict[str, Any
     Returns
     -------
     dict
-        `aperture` (f-number), `focus` (m), `expTime` (s), `framesPerSecond`, `chromaticities` (BT.709, as sRGB has it),
-        `worldToCamera` (for row vectors, mm) and `screenWindowWidth`.
+        `aperture` (f-number), `focus` (m), `chromaticities` (BT.709, as sRGB has it), `worldToCamera` (for row vectors,
+        mm) and `screenWindowWidth`; where time matters, `expTime` (s) and `framesPerSecond`.
 
     Notes
     -----
@@ -84,11 +84,12 @@ def exr_attributes(scene: Scene, index: int, eye: Eye = "left") -> dict[str, Any
     matrix = np.eye(4)
     matrix[:3, :3], matrix[3, :3] = (EXR_AXES @ camera.rotation).T, EXR_AXES @ camera.translation
     world_to_camera: NDArray[np.float32] = matrix.astype(np.float32)
+    sequence, timed = scene.sequence, scene.moves or scene.sequence.frames > 1
+    times = {"expTime": sequence.shutter, "framesPerSecond": frame_rate(sequence.interval)} if timed else {}
     return {
         "aperture": lens.focal_length / lens.aperture_diameter,
         "focus": focus_distance(lens) / MM_PER_M,
-        "expTime": scene.sequence.shutter,
-        "framesPerSecond": frame_rate(scene.sequence.interval),
+        **times,
         "chromaticities": BT709,
         "worldToCamera": world_to_camera,
         "screenWindowWidth": camera.columns / camera.focal,
