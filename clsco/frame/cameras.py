@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from clsco.files.cameras import Pinhole
 from clsco.files.depth_codes import MM_PER_M
+from clsco.frame.frame import Frame
 from clsco.frame.provenance import views
 from clsco.optics.lens import focus_distance, ray_step
-from clsco.optics.motion import Eye, eye_pose, middle_time
+from clsco.optics.motion import Eye, eye_pose, middle_time, poses_at, rest_center
 from clsco.scene.model import Scene
 
 FLIP = np.diag([1.0, -1.0, 1.0])  # y up in scenes, down in files of cameras
@@ -49,6 +50,50 @@ def pinhole(scene: Scene, index: int, eye: Eye = "left") -> Pinhole:
     rotation = FLIP @ pose.rotation.T @ FLIP
     middle = (0.5 * (columns - 1), 0.5 * (rows - 1))
     return Pinhole(columns, rows, 1.0 / ray_step(scene.camera), middle, rotation, -rotation @ (FLIP @ pose.shift))
+
+
+def eye_of(frame: Frame) -> Eye:
+    """Which of the scene's views a frame is: the only one counts as left."""
+    return "right" if frame.eye == "right" else "left"
+
+
+def gets_behind(scene: Scene, frame: Frame, step: int) -> NDArray[np.bool_]:
+    """Which surface points of a frame are not before the lens at the middle of the shutter `step` frames later.
+
+    Their flow is 0, as no pixel shows them.
+
+    Parameters
+    ----------
+    scene : Scene
+        With its resolution.
+    frame : Frame
+        With `depth`, `object_id`, and the flow to that frame.
+    step : {1, -1}
+        For `flow` or `flow_backward`.
+
+    Returns
+    -------
+    ndarray of bool, (rows, columns)
+
+    Notes
+    -----
+    Validated by a camera that flies past a sphere.
+    """
+    flow = frame.flow if step == 1 else frame.flow_backward
+    assert flow is not None
+    assert frame.depth is not None
+    assert frame.object_id is not None
+    now, then = (poses_at(scene, middle_time(scene.sequence, frame.index + n), eye_of(frame)) for n in (0, step))
+    behind = np.zeros(frame.depth.shape, dtype=bool)
+    for k, item in enumerate(scene.objects):
+        row, column = np.nonzero((frame.object_id == k) & ~flow.any(axis=-1))
+        middle = 0.5 * (np.array(frame.depth.shape) - 1)
+        across, up = (column - middle[1]) * ray_step(scene.camera), (middle[0] - row) * ray_step(scene.camera)
+        point = np.stack([across, up, np.ones_like(across)], axis=-1) * frame.depth[row, column, None]
+        center = rest_center(item)
+        body = (point - center - now[k].shift) @ now[k].rotation  # turned back
+        behind[row, column] = center[2] + then[k].shift[2] + body @ then[k].rotation[2] <= 0
+    return behind
 
 
 def frame_rate(interval: float) -> Fraction:

@@ -22,7 +22,7 @@ from clsco.files.flow import flo_bytes, kitti_flow_codes
 from clsco.files.images import write_exr, write_json, write_npz, write_png
 from clsco.files.npy import ZSTD, npy_bytes
 from clsco.files.transfer import encode
-from clsco.frame.cameras import all_pinholes, exr_attributes, pinhole
+from clsco.frame.cameras import all_pinholes, exr_attributes, eye_of, gets_behind, pinhole
 from clsco.frame.frame import ALL_TRUTH, FILE_NAMES, IMAGE_NAMES, STEREO_NAMES, Frame
 from clsco.frame.truth_files import ATTRIBUTES, Shot, TruthFile, TruthFormat, parse_truth
 from clsco.optics.motion import Eye
@@ -65,11 +65,11 @@ def exr_channels(frame: Frame, wanted: TruthFile | None = None) -> dict[str, NDA
     }
 
 
-def _single(shot: Shot, wanted: TruthFile) -> tuple[Frame, NDArray[Any]]:
-    """The frame of a file that holds one array, and that array."""
+def _single(shot: Shot, wanted: TruthFile) -> NDArray[Any]:
+    """The array of a file that holds one."""
     (frame,) = shot.views
     (array,) = wanted.arrays(frame).values()
-    return frame, array
+    return array
 
 
 def _write_npz(path: Path, shot: Shot, wanted: TruthFile) -> None:
@@ -80,49 +80,46 @@ def _write_npz(path: Path, shot: Shot, wanted: TruthFile) -> None:
 def _write_exr(path: Path, shot: Shot, wanted: TruthFile) -> None:
     channels = [exr_channels(frame, wanted) for frame in shot.views]
     names = [frame.eye for frame in shot.views] if len(shot.views) > 1 else ()
-    known = [] if shot.scene is None else [exr_attributes(shot.scene, view.index, _eye(view)) for view in shot.views]
+    known = [] if shot.scene is None else [exr_attributes(shot.scene, view.index, eye_of(view)) for view in shot.views]
     write_exr(path, *channels, names=names, attributes=known)
 
 
 def _write_npy(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    write_whole(path, npy_bytes(_single(shot, wanted)[1], wanted.zstd, str(path)))
+    write_whole(path, npy_bytes(_single(shot, wanted), wanted.zstd, str(path)))
 
 
 def _write_pfm(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    frame, array = _single(shot, wanted)
-    if wanted.names[0] in ("flow", "flow_backward", "disparity"):  # which are 0 where nothing is
-        vectors = array.reshape(*frame.color.shape[:2], -1)
-        known = _covered(frame)[..., None] & np.isfinite(vectors).all(axis=-1, keepdims=True)
+    array = _single(shot, wanted)
+    if wanted.names[0] in (*_FLOWS, "disparity"):  # which are 0 where nothing is
+        vectors = array.reshape(*array.shape[:2], -1)
+        known = _known(shot, wanted)[..., None] & np.isfinite(vectors).all(axis=-1, keepdims=True)
         array = np.where(known, vectors, np.float32(np.inf)).reshape(array.shape)
     write_whole(path, pfm_bytes(array, str(path)))
 
 
 def _write_flo(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    frame, flow = _single(shot, wanted)
-    write_whole(path, flo_bytes(flow, _covered(frame), str(path)))
+    write_whole(path, flo_bytes(_single(shot, wanted), _known(shot, wanted), str(path)))
 
 
 def _write_kitti_flow(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    frame, flow = _single(shot, wanted)
-    write_png(path, kitti_flow_codes(flow, _covered(frame), str(path)))
+    write_png(path, kitti_flow_codes(_single(shot, wanted), _known(shot, wanted), str(path)))
 
 
 def _write_kitti_disparity(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    frame, disparity = _single(shot, wanted)
-    write_png(path, kitti_disparity_codes(disparity, _covered(frame), str(path)))
+    write_png(path, kitti_disparity_codes(_single(shot, wanted), _known(shot, wanted), str(path)))
 
 
 def _write_kitti_depth(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    write_png(path, kitti_depth_codes(_single(shot, wanted)[1], str(path)))
+    write_png(path, kitti_depth_codes(_single(shot, wanted), str(path)))
 
 
 def _write_dpt(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    write_whole(path, dpt_bytes(_single(shot, wanted)[1], str(path)))
+    write_whole(path, dpt_bytes(_single(shot, wanted), str(path)))
 
 
 def _write_cam(path: Path, shot: Shot, _wanted: TruthFile) -> None:
     (frame,) = shot.views
-    write_whole(path, cam_bytes(pinhole(_shown(path, shot), frame.index, _eye(frame))))
+    write_whole(path, cam_bytes(pinhole(_shown(path, shot), frame.index, eye_of(frame))))
 
 
 def _write_colmap(folder: Path, shot: Shot, _wanted: TruthFile) -> None:
@@ -140,17 +137,16 @@ def _shown(path: Path, shot: Shot) -> Scene:
     return shot.scene
 
 
-def _covered(frame: Frame) -> NDArray[np.bool_]:
-    """Where a surface is, whose flow and disparity are known."""
-    assert frame.mask is not None  # requested with what is `masked`
-    return frame.mask
+def _known(shot: Shot, wanted: TruthFile) -> NDArray[np.bool_]:
+    """Where a flow or a disparity holds: on surfaces, and of flow on those that do not get behind the lens."""
+    (frame,), (name,) = shot.views, wanted.names
+    assert frame.mask is not None  # is among what the format needs besides
+    if name not in _FLOWS or shot.scene is None or not shot.scene.moves:
+        return frame.mask
+    return frame.mask & ~gets_behind(shot.scene, frame, 1 if name == "flow" else -1)
 
 
-def _eye(frame: Frame) -> Eye:
-    return "right" if frame.eye == "right" else "left"
-
-
-_FLOWS = ("flow", "flow_backward")
+_FLOWS, _WHERE_FLOW_HOLDS = ("flow", "flow_backward"), ("mask", "depth", "object_id")
 # By name, one row for each format: `clsco render --truth` takes its names from here.
 TRUTH_FORMATS = {
     "npz": TruthFormat("{stem}.npz", _write_npz, options=("float16", "compressed")),
@@ -158,12 +154,12 @@ TRUTH_FORMATS = {
     "npy": TruthFormat("{stem}_{array}.npy", _write_npy, "array", options=("float16", "zstd")),
     "pfm": TruthFormat(
         "{stem}_{array}.pfm", _write_pfm, "array",
-        ("color", "sharp", "depth", "coc", "normal", *_FLOWS, "uv", "disparity", "alpha"), masked=True,
+        ("color", "sharp", "depth", "coc", "normal", *_FLOWS, "uv", "disparity", "alpha"), _WHERE_FLOW_HOLDS,
     ),
-    "flo": TruthFormat("{stem}_{array}.flo", _write_flo, "array", _FLOWS, masked=True),
-    "kitti_flow": TruthFormat("{stem}_kitti_{array}.png", _write_kitti_flow, "array", _FLOWS, masked=True),
+    "flo": TruthFormat("{stem}_{array}.flo", _write_flo, "array", _FLOWS, _WHERE_FLOW_HOLDS),
+    "kitti_flow": TruthFormat("{stem}_kitti_{array}.png", _write_kitti_flow, "array", _FLOWS, _WHERE_FLOW_HOLDS),
     "kitti_disparity": TruthFormat(
-        "{stem}_kitti_{array}.png", _write_kitti_disparity, "array", ("disparity",), masked=True
+        "{stem}_kitti_{array}.png", _write_kitti_disparity, "array", ("disparity",), ("mask",)
     ),
     "kitti_depth": TruthFormat("{stem}_kitti_{array}.png", _write_kitti_depth, "array", ("depth",)),
     "dpt": TruthFormat("{stem}_{array}.dpt", _write_dpt, "array", ("depth",)),
@@ -183,7 +179,7 @@ def needed_truth(files: Iterable[TruthFile]) -> tuple[str, ...]:
     for file in files:
         known = TRUTH_FORMATS[file.format]
         needed |= {ATTRIBUTES[name] for name in file.names or known.arrays if file.names or name not in IMAGE_NAMES}
-        needed |= {"mask"} if known.masked else set()
+        needed |= set(known.besides)
     return tuple(name for name in (*ALL_TRUTH, *IMAGE_NAMES) if name in needed)
 
 

@@ -95,8 +95,8 @@ class TruthFormat:
         scene.
     arrays : tuple of str, optional
         Those that it can hold, as they are called in files; by default any.
-    masked : bool
-        It needs to know where a surface is.
+    besides : tuple of str
+        Attributes of a frame that it needs to know where its arrays hold.
     options : tuple of str
         Of `OPTIONS`.
     needs : (str, str), optional
@@ -107,7 +107,7 @@ class TruthFormat:
     write: Callable[[Path, Shot, TruthFile], None]
     per: Literal["frame", "view", "array", "scene"] = "view"
     arrays: tuple[str, ...] = tuple(ATTRIBUTES)
-    masked: bool = False
+    besides: tuple[str, ...] = ()
     options: tuple[str, ...] = ()
     needs: tuple[str, str] | None = None
 

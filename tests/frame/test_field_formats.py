@@ -226,3 +226,38 @@ def test_the_extra_that_zstd_needs_is_named(monkeypatch: pytest.MonkeyPatch) -> 
 def test_the_help_names_every_format() -> None:
     text = " ".join(clsco_("render", "--help").output.split())
     assert all(re.search(rf"\b{name}\b", text) for name in TRUTH_FORMATS)
+
+
+def test_what_gets_behind_the_lens_has_no_flow(tmp_path: Path) -> None:
+    """A camera flies past a ball, straight to a wall, whose middle stays where it is."""
+    text = """
+    [camera]
+    resolution = [41, 31]
+    pixel_pitch = 0.1
+    motion = { velocity = [0.0, 0.0, 300.0] }
+    [sequence]
+    shutter = 0.001
+    samples = 1
+    [[object]]
+    shape = "sphere"
+    center = [15.0, 0.0, 200.0]
+    radius = 9.0
+    [[object]]
+    shape = "plane"
+    distance = 900.0
+    """
+    scene = scene_file(tmp_path / "past.toml", text)
+    truth = "npz:flow,object_id,depth,flo,kitti_flow,pfm:flow"
+    result = clsco_("render", scene, "-o", tmp_path, "--truth", truth)
+    assert (result.exit_code, result.output) == (0, "")
+    with np.load(tmp_path / "frame_0000.npz") as found:
+        flow, ball = found["flow"], found["object_id"] == 0
+    assert ball.sum() > 20
+    assert not flow[ball].any()  # the arrays have 0 there
+    assert not flow[15, 20].any()
+    _, valid = read_flo(tmp_path / "frame_0000_flow.flo")
+    np.testing.assert_array_equal(valid, ~ball)
+    np.testing.assert_array_equal(torchvision_kitti_flow(tmp_path / "frame_0000_kitti_flow.png")[1], ~ball)
+    np.testing.assert_array_equal(np.isinf(read_pfm(tmp_path / "frame_0000_flow.pfm")[..., 0]), ball)
+    _, valid = read_flo(tmp_path / "frame_0000_flow_backward.flo")
+    assert valid.all()  # a frame before, both were farther away

@@ -49,7 +49,9 @@ def test_names_are_read() -> None:
         TruthFile("npy", ("depth",), True, zstd=True),
         TruthFile("flo"),
     )
-    assert needed_truth(truth_files("flo,kitti_depth,cam,colmap")) == ("depth", "mask", "flow", "flow_backward")
+    assert needed_truth(truth_files("flo,kitti_depth,cam,colmap")) == (
+        "depth", "mask", "object_id", "flow", "flow_backward",
+    )  # fmt: skip
     assert needed_truth(truth_files("npy")) == ALL_TRUTH
     assert needed_truth(truth_files("cam")) == ()
 
