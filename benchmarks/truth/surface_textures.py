@@ -4,8 +4,8 @@
 
 A ball, a cylinder, a card, a cone, an ellipsoid and, from three sides, a ball again turn through 360 degrees in 60
 frames, in front of the camera of the thesis, with R up to 5 px: six of the frames, with the shutter closed at once and
-open for all of the interval. Then checkerboards at 80 degrees, on a card and on a plane that fills the view. PSNR in dB, white = 1; the table goes to the terminal
-and to benchmarks/results/surface_textures.md.
+open for all of the interval. Then checkerboards at 80 degrees, on a card and on a plane that fills the view. PSNR in dB, white = 1; the table goes to the terminal,
+and of all objects to benchmarks/results/surface_textures.md.
 """
 
 from __future__ import annotations
@@ -99,6 +99,8 @@ def main() -> None:
             named = "; ".join(f"{aperture:g} mm" for aperture in apertures)
             lines.append(f"| {name}, aperture {named} | closed | {' | '.join(found)} |" + " |" * (len(frames) - 2))
     Console().print(table)
+    if options.only:
+        return
     (ROOT / "results").mkdir(exist_ok=True)
     text = f"# Textures on surfaces\n\nPSNR in dB against the ray tracer, {options.size} x {options.size} px.\n\n"
     (ROOT / "results" / "surface_textures.md").write_text(text + "\n".join(lines) + "\n")

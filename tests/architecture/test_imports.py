@@ -16,7 +16,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "clsco"
 # A package or module imports only what stands before it.
 ORDER = (
     "constants", "errors", "kept", "resources", "records", "scene", "optics", "files", "frame", "inputs", "plan",
-    "opencl", "inpainting", "passes", "engine", "reference", "cli",
+    "opencl", "inpainting", "passes", "engine", "reference", "data", "cli",
 )  # fmt: skip
 # Narrower than the order: what knows OpenCL knows no scenes, and codecs know none either.
 ONLY = {
@@ -31,7 +31,7 @@ OUTSIDE = {
     "imagecodecs": ("files.decoders",),
     "tifffile": ("files.decoders",),
     "OpenEXR": ("files.decoders",),
-    "PIL": ("files.decoders", "cli.demo", "cli.thesis"),
+    "PIL": ("files.decoders", "cli.demo", "cli.thesis", "data.dryrun"),
     "click": ("cli",),
     "rich": ("cli",),
     "matplotlib": ("cli.bench", "inpainting.report"),

@@ -1,0 +1,1 @@
+"""Data sets: many samples drawn from one distribution file, and the containers that they are stored in."""
