@@ -1,7 +1,7 @@
 """Video presets: pixels, speed, size and error of each, in one run: python -m benchmarks.speed.video
 
-The clip is examples/cart.toml, 512 x 512 px, in which everything moves, tinted to have colors: hard edges of strokes
-and squares, and blur. Codes of 16 bits go in. frames/s: elapsed, with conversion, on one thread. Errors are in codes of
+The clip is examples/sphere_turning.toml, 512 x 512 px, tinted to have colors: a sharp texture on black that turns,
+and its blurred limb. Codes of 16 bits go in. frames/s: elapsed, with conversion, on one thread. Errors are in codes of
 8 bits, against the clip before rounding; the decoder's planes are turned to red, green and blue by the formula of
 BT.709, with the color differences of 4:2:0 and 4:2:2 interpolated by swscale. Tags are primaries/transfer/matrix/range
 of the first frame, as PyAV reads them: range 1 is limited, 2 full.
@@ -28,7 +28,7 @@ from clsco.files.transfer import encode
 from clsco.files.video import PRESETS
 
 RESULTS = Path(__file__).parents[1] / "results"
-EXAMPLE = Path(__file__).parents[2] / "examples" / "cart.toml"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "sphere_turning.toml"
 TINT = np.array([1.0, 0.7, 0.35], np.float32)
 RATE = Fraction(30000, 1001)
 
