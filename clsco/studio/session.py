@@ -15,7 +15,18 @@ from clsco.scene.model import Scene
 from clsco.scene.shapes import SHAPES
 from clsco.scene.sweep import parse_sweep
 from clsco.scene.text import shown
-from clsco.studio.tables import FILE_KEYS, Table, at, named_files, path_parts, placed, reshaped, with_value, without
+from clsco.studio.tables import (
+    FILE_KEYS,
+    Table,
+    at,
+    named_files,
+    path_parts,
+    placed,
+    pose_for,
+    reshaped,
+    with_value,
+    without,
+)
 
 STEPS = 200  # of undo
 THESIS: Table = {"object": [{"shape": "plane"}]}
@@ -332,6 +343,8 @@ class Session:
         if value is None:
             return replace(state, table=without(state.table, parts))
         table = state.table
+        if len(parts) > 3 and parts[0] == "object" and parts[2] == "rotation":
+            table = with_value(table, parts[:3], pose_for(at(table, parts[:3]), parts[3]))
         if parts[-1].isdecimal() and at(table, parts[:-1]) is None:  # of a default: the others stay what they are
             if not isinstance(default := self.known(".".join(parts[:-1])), list):
                 raise SceneError(f"scene: {'.'.join(parts[:-1])}: must be given as a whole; got {shown(value)} of it")

@@ -112,6 +112,17 @@ def reshaped(item: Table, shape: Any, kept: Mapping[str, Table]) -> tuple[Table,
     return {"shape": shape} | alike | back | {"shape": shape}, {**kept, old: own}
 
 
+def pose_for(rotation: Any, part: str) -> Any:
+    """A static rotation in the form that a part of it belongs to: an angle, axis and angle, or a quaternion."""
+    if part.isdecimal():
+        return rotation if isinstance(rotation, list) else [0.0, 0.0, 0.0]
+    if part in ("axis", "angle"):
+        is_one = isinstance(rotation, Mapping) and "axis" in rotation
+        return rotation if is_one else {"axis": [0.0, 1.0, 0.0], "angle": 0.0}
+    is_one = isinstance(rotation, Mapping) and "quaternion" in rotation
+    return rotation if is_one else {"quaternion": [1.0, 0.0, 0.0, 0.0]}
+
+
 def placed(error: SceneError) -> dict[str, str]:
     """Messages of a SceneError by the paths of their keys; "" for what is of no key."""
     found: dict[str, str] = {}
