@@ -114,6 +114,11 @@ class Editor:
         self.scene = self._valid(self._state)
 
     @property
+    def state(self) -> State:
+        """Where undo comes back to."""
+        return self._state
+
+    @property
     def table(self) -> Table:
         """Content of the scene file: the keys that are given. It is never changed in place."""
         return self._state.table
