@@ -10,7 +10,8 @@ import pytest
 
 from clsco import SceneError, parse_scene
 from clsco.scene.schema import scene_schema
-from clsco.studio.session import STEPS, THESIS, Session
+from clsco.studio.editing import STEPS, THESIS
+from clsco.studio.session import Session
 from clsco.studio.tables import placed
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
