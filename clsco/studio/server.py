@@ -22,18 +22,17 @@ from starlette.staticfiles import StaticFiles
 from clsco.errors import ImageError, SceneError
 from clsco.files.atomic import writable_folder, write_whole
 from clsco.files.images import read_image
-from clsco.scene.faults import items
-from clsco.scene.file import read_mapping
 from clsco.scene.toml import toml_text
 from clsco.studio.guard import MAX_MESSAGE, Guard
 from clsco.studio.preview import Preview
 from clsco.studio.renderer import Renderer
-from clsco.studio.session import Session, State
+from clsco.studio.session import Session
 
 MAX_PATCH = 2**16  # bytes
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 STATIC = Path(__file__).parent / "static"
 MOST_TABS = 64
+MOST_WATCHED = 2000  # keys with a control
 UPLOADS = "uploads"  # folder below the root
 KINDS = ("png", "jpg", "jpeg", "tif", "tiff", "exr", "pfm", "npy")
 
@@ -44,6 +43,8 @@ class Tab:
     def __init__(self, session: Session) -> None:
         self.session = session
         self.preview: Preview | None = None
+        self.watched: tuple[str, ...] = ()
+        self.told = asyncio.Event()  # that there is something to tell
 
 
 class Studio:
@@ -68,8 +69,7 @@ class Studio:
         """A session with the scene of the command line."""
         session = Session(self.root)
         if self.scene is not None:
-            table = read_mapping(str(self.scene), ())
-            session.take(State(table, tuple({} for _ in items(table)), self.scene.absolute()))
+            session.open(self.scene)
         return session
 
     def tab(self, name: str = "") -> str:
@@ -97,9 +97,8 @@ class Studio:
                 await socket.send_bytes(data)
 
         preview = tab.preview = Preview(tab.session, self.renderer, send)
-        told = asyncio.Event()
-        endings = [tab.session.subscribe(listener) for listener in (preview.changed, told.set)]
-        tasks = [asyncio.create_task(preview.run()), asyncio.create_task(_tell_faults(tab.session, preview, told))]
+        endings = [tab.session.subscribe(listener) for listener in (preview.changed, tab.told.set)]
+        tasks = [asyncio.create_task(preview.run()), asyncio.create_task(_tell(tab, preview))]
         try:
             with suppress(WebSocketDisconnect, RuntimeError):
                 while True:
@@ -133,6 +132,15 @@ class Studio:
                     tab.session.patch(path, value, drag if isinstance(drag, int) else None)
                 except SceneError as error:
                     await preview.tell(error=error.messages)
+            case {"watch": list(paths)}:
+                tab.watched = tuple(path for path in paths[:MOST_WATCHED] if isinstance(path, str))
+                tab.told.set()
+            case {"do": "undo"}:
+                tab.session.undo()
+            case {"do": "redo"}:
+                tab.session.redo()
+            case {"do": "reset"}:
+                tab.session.reset()
             case {"view": str(view)}:
                 preview.look(view=view)
             case {"frame": int(index)}:
@@ -141,22 +149,28 @@ class Studio:
                 return
 
 
-async def _tell_faults(session: Session, preview: Preview, told: asyncio.Event) -> None:
-    """Send the messages at fields, and what else follows from a change, each time that there was one."""
+async def _tell(tab: Tab, preview: Preview) -> None:
+    """Send what follows from a change, each time that there was one: values, messages at fields, length of the clip."""
     before: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     while True:
+        tab.told.clear()
+        session = tab.session
         state = {
+            "title": session.scene.title,
             "faults": dict(session.faults),
             "undo": session.can_undo,
             "redo": session.can_redo,
             "frames": session.scene.sequence.frames,
             "interval": session.scene.sequence.interval,
         }
-        if state != before:
-            await preview.tell(**state)
-            before = state
-        told.clear()
-        await told.wait()
+        now = {path: session.shown(path) for path in tab.watched}
+        changed = {path: value for path, value in now.items() if path not in values or values[path] != value}
+        if state != before or changed:
+            await preview.tell(**state, **({"values": changed} if changed else {}))
+        before, values = state, now
+        await tab.told.wait()
+        await asyncio.sleep(0.03)  # what comes together is told together
 
 
 def keep_image(root: Path, content: bytes, kind: str) -> str:

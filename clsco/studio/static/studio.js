@@ -28,6 +28,7 @@
     socket.binaryType = "arraybuffer";
     socket.onopen = () => {
       tries = 0;
+      studio.revision = -1;
       one("#lost").hidden = true;
       watched = "";
       watch();
@@ -257,7 +258,7 @@
   const give = (control, value) => {
     if (control.type === "checkbox") control.checked = Boolean(value);
     else if (control.type === "range") control.value = value ?? control.dataset.default ?? control.min;
-    else control.value = value === null || value === undefined ? "" : shown(value, control);
+    else control.value = value === null || value === undefined ? "" : shown(value);
   };
 
   // Numbers are shown with as many digits as tell them apart, and no more.
@@ -306,7 +307,10 @@
     }
     if (said.faults) { studio.faults = said.faults; mark(); }
     if ("undo" in said) { one("#undo").disabled = !said.undo; one("#redo").disabled = !said.redo; }
-    if ("title" in said) document.title = said.title ? `${said.title} · clsco studio` : "clsco studio";
+    if ("title" in said) {
+      document.title = said.title ? `${said.title} · clsco studio` : "clsco studio";
+      one("#title").textContent = said.title || "untitled";
+    }
     if ("frames" in said) { studio.frames = said.frames; studio.interval = said.interval; line(); }
   };
 
