@@ -22,8 +22,10 @@ from starlette.staticfiles import StaticFiles
 from clsco.errors import ImageError, SceneError
 from clsco.files.atomic import writable_folder, write_whole
 from clsco.files.images import read_image
+from clsco.scene.model import Scene
 from clsco.scene.toml import toml_text
 from clsco.studio.guard import MAX_MESSAGE, Guard
+from clsco.studio.presets import choose_method
 from clsco.studio.preview import Preview
 from clsco.studio.renderer import Renderer
 from clsco.studio.session import Session
@@ -135,6 +137,24 @@ class Studio:
             case {"watch": list(paths)}:
                 tab.watched = tuple(path for path in paths[:MOST_WATCHED] if isinstance(path, str))
                 tab.told.set()
+            case {"at": [int(x), int(y)]} if min(x, y) >= 0:
+
+                async def told(found: dict[str, Any]) -> None:
+                    await preview.tell(inspected=found)
+
+                preview.inspect(x, y, told)
+            case {"focus": [int(x), int(y)], "drag": int(drag)} if min(x, y) >= 0:
+
+                async def focus(found: dict[str, Any]) -> None:
+                    depth = found["values"]["depth"]
+                    if depth is None:
+                        await preview.tell(error=["focus: there must be a surface; got none"])
+                    else:
+                        tab.session.patch("camera.focus_distance", depth, drag)
+
+                preview.inspect(x, y, focus)
+            case {"do": "pin thesis"}:
+                preview.pin(as_the_thesis(tab.session))
             case {"do": "undo"}:
                 tab.session.undo()
             case {"do": "redo"}:
@@ -147,6 +167,14 @@ class Studio:
                 preview.look(index=index)
             case _:
                 return
+
+
+def as_the_thesis(session: Session) -> Scene:
+    """The scene with PSF and method of the thesis; the session stays as it is."""
+    other = Session(session.root)
+    other.take(session.state)
+    choose_method(other, True)
+    return other.scene
 
 
 async def _tell(tab: Tab, preview: Preview) -> None:
