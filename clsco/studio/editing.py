@@ -24,6 +24,7 @@ from clsco.studio.tables import (
     placed,
     pose_for,
     reshaped,
+    seed,
     with_value,
     without,
 )
@@ -350,10 +351,14 @@ class Editor:
         table = state.table
         if len(parts) > 3 and parts[0] == "object" and parts[2] == "rotation":
             table = with_value(table, parts[:3], pose_for(at(table, parts[:3]), parts[3]))
-        if parts[-1].isdecimal() and at(table, parts[:-1]) is None:  # of a default: the others stay what they are
-            if not isinstance(default := self.known(".".join(parts[:-1])), list):
-                raise SceneError(f"scene: {'.'.join(parts[:-1])}: must be given as a whole; got {shown(value)} of it")
-            table = with_value(table, parts[:-1], default)
+        vector = next((k for k, part in enumerate(parts) if k > 1 and part.isdecimal()), len(parts))
+        if parts[0] not in ("object", "group"):
+            vector = next((k for k, part in enumerate(parts) if part.isdecimal()), len(parts))
+        if vector < len(parts) and at(table, parts[:vector]) is None:  # the other components stay what they are
+            default = self.known(".".join(parts[:vector]))
+            if not isinstance(default, list) and (default := seed(parts[vector - 1], value)) is None:
+                raise SceneError(f"scene: {'.'.join(parts[:vector])}: must be given as a whole; got {shown(value)}")
+            table = with_value(table, parts[:vector], default)
         table = with_value(table, parts, value)
         if parts == ["object"] and isinstance(value, list):
             state = replace(state, apart=({},) * len(value))
