@@ -155,7 +155,7 @@ class Editor:
         path : str
             "object.0.radius"; a component of a vector is "object.0.center.2".
         value
-            As in a scene file; None: none, so that the key has its default.
+            As in a scene file; None or "": none, so that the key has its default.
         drag : int, optional
             Changes of one drag are one step of undo.
 
@@ -346,7 +346,7 @@ class Editor:
                 item, kept = reshaped(item, value, state.apart[index])
                 apart = (*state.apart[:index], kept, *state.apart[index + 1 :])
                 return replace(state, table=with_value(state.table, parts[:2], item), apart=apart)
-        if value is None:
+        if value is None or value == "":  # an empty box
             return replace(state, table=without(state.table, parts))
         table = state.table
         if len(parts) > 3 and parts[0] == "object" and parts[2] == "rotation":
