@@ -24,6 +24,7 @@ from clsco.studio.tables import (
     placed,
     pose_for,
     reshaped,
+    seed,
     with_value,
     without,
 )
@@ -154,7 +155,7 @@ class Editor:
         path : str
             "object.0.radius"; a component of a vector is "object.0.center.2".
         value
-            As in a scene file; None: none, so that the key has its default.
+            As in a scene file; None or "": none, so that the key has its default.
         drag : int, optional
             Changes of one drag are one step of undo.
 
@@ -345,15 +346,19 @@ class Editor:
                 item, kept = reshaped(item, value, state.apart[index])
                 apart = (*state.apart[:index], kept, *state.apart[index + 1 :])
                 return replace(state, table=with_value(state.table, parts[:2], item), apart=apart)
-        if value is None:
+        if value is None or value == "":  # an empty box
             return replace(state, table=without(state.table, parts))
         table = state.table
         if len(parts) > 3 and parts[0] == "object" and parts[2] == "rotation":
             table = with_value(table, parts[:3], pose_for(at(table, parts[:3]), parts[3]))
-        if parts[-1].isdecimal() and at(table, parts[:-1]) is None:  # of a default: the others stay what they are
-            if not isinstance(default := self.known(".".join(parts[:-1])), list):
-                raise SceneError(f"scene: {'.'.join(parts[:-1])}: must be given as a whole; got {shown(value)} of it")
-            table = with_value(table, parts[:-1], default)
+        vector = next((k for k, part in enumerate(parts) if k > 1 and part.isdecimal()), len(parts))
+        if parts[0] not in ("object", "group"):
+            vector = next((k for k, part in enumerate(parts) if part.isdecimal()), len(parts))
+        if vector < len(parts) and at(table, parts[:vector]) is None:  # the other components stay what they are
+            default = self.known(".".join(parts[:vector]))
+            if not isinstance(default, list) and (default := seed(parts[vector - 1], value)) is None:
+                raise SceneError(f"scene: {'.'.join(parts[:vector])}: must be given as a whole; got {shown(value)}")
+            table = with_value(table, parts[:vector], default)
         table = with_value(table, parts, value)
         if parts == ["object"] and isinstance(value, list):
             state = replace(state, apart=({},) * len(value))

@@ -255,7 +255,8 @@ class Jobs:
             status = "done" if code == 0 else "canceled" if code == 130 else "failed"
         _remove_parts(self.root / job.folder)
         message = "" if status == "done" else self._said(job)
-        self._processes.pop(job.number, None)
+        if (ended := self._processes.pop(job.number, None)) is not None:
+            ended.wait()
         self._canceled.pop(job.number, None)
         self._put(replace(job, status=status, done=done, ended=time.time(), message=message))
         return True

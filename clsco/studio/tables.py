@@ -20,6 +20,14 @@ FILE_KEYS = ("texture", "depth", *(f"texture_{side}" for side in ("back", "left"
 DEEPEST = 8  # parts of a path
 LONGEST = 200  # characters of one
 _ALIKE = {*Textured.model_fields, "name", "motion", "group"}  # keys that an object keeps when its shape changes
+_SEEDS: dict[str, list[Any]] = {  # of vectors that have no default, of which a component is given
+    "direction": [0.0, 0.0, 1.0],
+    "bounds": [[-1000.0, 1000.0]] * 3,
+    "position": [0.0, 0.0, 0.0],
+    "origin": [0.0, 0.0, 0.0],
+    "texture_offset": [0.0, 0.0],
+}
+_ALL_ALIKE = ("resolution", "texture_size", "texture_repeats")  # of these the others are what the one is
 _START: dict[str, Table] = {  # of shapes that have no defaults
     "quadric": {"coefficients": [1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0], "center": [0.0, 0.0, 280.0]}
 }
@@ -110,6 +118,11 @@ def reshaped(item: Table, shape: Any, kept: Mapping[str, Table]) -> tuple[Table,
         }
     back = kept.get(shape, _START.get(shape, {})) if isinstance(shape, str) else {}
     return {"shape": shape} | alike | back | {"shape": shape}, {**kept, old: own}
+
+
+def seed(key: str, value: Any) -> list[Any] | None:
+    """What a vector without a default begins with when a component is given; None where it is no vector."""
+    return [value, value] if key in _ALL_ALIKE else _SEEDS.get(key)
 
 
 def pose_for(rotation: Any, part: str) -> Any:

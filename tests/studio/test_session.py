@@ -42,7 +42,7 @@ def test_a_patch_changes_the_scene_and_leaves_the_old_table(session: Session) ->
         ("object.0.distance", "far", 'must be a number; got "far"'),
         ("object.0.radius", 3.0, "belongs to disc, cylinder or sphere, not to plane"),
         ("object.7.radius", 3.0, "object has 1 entries, counted from 0"),
-        ("camera.resolution.0", 8, "must be given as a whole; got 8 of it"),
+        ("stereo.baseline.0", 8, "must be given as a whole; got 8"),
         ("camera.resolution", [0, 8], "must be between 1 and 65536 px"),
         ("sequence.frames", 0, "must be between 1 and 1000000"),
         ("psf.sigma_ratio", 0.5, 'belongs to psf.model = "gaussian"'),
@@ -116,6 +116,23 @@ def test_components_of_defaults(session: Session) -> None:
     assert session.fault("object.0.center") == 'must be a number; got "left"'
     assert session.patch("object.0.motion.angular_velocity.1", 5.0)
     assert session.known("object.0.motion") == {"angular_velocity": [0.0, 5.0, 0.0]}
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "whole"),
+    [
+        ("camera.resolution.0", 64, [64, 64]),
+        ("light.direction.0", 1.0, [1.0, 0.0, 1.0]),
+        ("object.0.bounds.2.1", 300.0, [[-1000.0, 1000.0], [-1000.0, 1000.0], [-1000.0, 300.0]]),
+        ("object.0.motion.velocity.1", 2.0, [0.0, 2.0, 0.0]),
+    ],
+)
+def test_components_of_vectors_that_have_no_default(session: Session, path: str, value: Any, whole: Any) -> None:
+    assert session.patch(path, value)
+    vector = path.rpartition(".")[0].removesuffix(".2")
+    assert session.known(vector) == whole
+    assert session.patch(vector, None)
+    assert session.table == THESIS
 
 
 def test_a_drag_is_one_step(session: Session) -> None:
