@@ -262,6 +262,11 @@ class Editor:
         of_parts = (message for key, message in self.faults.items() if key.startswith(f"{path}."))
         return self.faults.get(path) or next(of_parts, "")
 
+    def forget_past(self) -> None:
+        """Let the way back begin here."""
+        self._history = _History()
+        self._tell()
+
     def take(self, state: State, refused: Mapping[str, tuple[Any, str]] | None = None) -> None:
         """Go to another state, as one step of undo.
 

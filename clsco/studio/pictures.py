@@ -29,9 +29,10 @@ VIEWS = {
 }
 """Attributes of a frame, by what the studio calls them, in the order of the tabs."""
 
-DRAGGING, LOSSY, EXACT = 0, 1, 2
+DRAGGING, LOSSY, EXACT, PINNED = range(4)
 MESSAGE, JPEG, PNG, FLOAT16, FLOAT32 = range(5)
 HEADER = struct.Struct("<IBBHHBHHx")
+IMAGES = ("color", "sharp")  # views; all others are floats
 QUALITY = {DRAGGING: 80, LOSSY: 95}
 
 
@@ -42,7 +43,7 @@ class Picture:
     Attributes
     ----------
     rung : int
-        DRAGGING, LOSSY or EXACT.
+        DRAGGING, LOSSY or EXACT; PINNED: an exact picture of another scene, to compare with.
     view : str
         One of VIEWS.
     size, full : (int, int)
@@ -84,10 +85,11 @@ def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int
     Images are JPEG, but for EXACT the PNG that `clsco render` writes; all else is floats, for DRAGGING of 16 bits.
     """
     data: NDArray[Any] = getattr(frame, VIEWS[view])
-    if view in ("color", "sharp"):
-        bits = min(frame.metadata["bits"], 16) if rung == EXACT else 8
+    if view in IMAGES:
+        is_exact = rung in (EXACT, PINNED)
+        bits = min(frame.metadata["bits"], 16) if is_exact else 8
         codes = encode(data, bits, scene.image.transfer)
-        encoding, payload = (PNG, b"".join(png_parts(codes))) if rung == EXACT else (JPEG, _jpeg(codes, QUALITY[rung]))
+        encoding, payload = (PNG, b"".join(png_parts(codes))) if is_exact else (JPEG, _jpeg(codes, QUALITY[rung]))
     else:
         dtype, encoding = ("<f2", FLOAT16) if rung == DRAGGING else ("<f4", FLOAT32)
         with np.errstate(over="ignore"):  # infinite in 16 bits

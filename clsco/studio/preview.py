@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import aclosing
 from typing import Any, Protocol
 
 from clsco.errors import CanceledError, ClscoError
 from clsco.scene.model import Scene
-from clsco.studio.pictures import DRAGGING, EXACT, VIEWS, Picture, packed_message
-from clsco.studio.renderer import Job, RendererEndedError
+from clsco.studio.pictures import DRAGGING, EXACT, PINNED, VIEWS, Picture, packed_message
+from clsco.studio.renderer import Job, Question, RendererEndedError
 
 REST = 0.120  # s without a change
 MOST_UNSEEN = 2  # pictures that the browser has not painted yet
 _MOST_CRASHES = 2  # of the renderer with the same scene
+
+
+Told = Callable[[dict[str, Any]], Awaitable[None]]
 
 
 class Edited(Protocol):
@@ -30,7 +33,8 @@ class Edited(Protocol):
 class Renders(Protocol):
     """What a preview needs of a `Renderer`."""
 
-    def pictures(self, job: Job) -> AsyncIterator[Picture]: ...
+    def pictures(self, job: Job) -> AsyncGenerator[Picture, None]: ...
+    async def inspect(self, question: Question) -> dict[str, Any]: ...
     def cancel(self) -> None: ...
 
 
@@ -58,6 +62,8 @@ class Preview:
         self._unseen: list[tuple[int, int]] = []
         self._is_exact_underway = False
         self._crashes = 0
+        self._point: tuple[int, int, Told] | None = None
+        self._other: Scene | None = None
 
     def changed(self) -> None:
         """The session has another scene."""
@@ -83,6 +89,16 @@ class Preview:
             self._unseen.remove((revision, rung))
             self._news.set()
 
+    def inspect(self, x: int, y: int, told: Told) -> None:
+        """Have `told` called with what is known of a pixel, once the exact frame is there; the latest pixel wins."""
+        self._point = x, y, told
+        self._news.set()
+
+    def pin(self, scene: Scene) -> None:
+        """Send the exact frame of another scene, to compare with, once that of the session is there."""
+        self._other = scene
+        self._news.set()
+
     async def tell(self, **content: Any) -> None:
         """Send a message that is no picture."""
         await self._send(packed_message(self._session.revision, content))
@@ -97,6 +113,10 @@ class Preview:
             elif rung < EXACT:
                 if not await self._changes_within(self._changed_at + REST - time.monotonic()):
                     await self._show(EXACT)
+            elif self._other is not None:
+                await self._show(PINNED)
+            elif self._point is not None:
+                await self._ask(*self._point)
             else:
                 self._news.clear()
                 await self._news.wait()
@@ -121,17 +141,19 @@ class Preview:
     async def _show(self, rung: int) -> None:
         """Render and send the pictures of a rung, or say why there are none."""
         state, revision, scene = self._state, self._session.revision, self._session.scene
+        if rung == PINNED and self._other is not None:
+            scene, self._other = self._other, None
         index = min(self._index, scene.sequence.frames - 1)
-        self._is_exact_underway = rung == EXACT
+        self._is_exact_underway = rung != DRAGGING
         try:
-            async with aclosing(self._renderer.pictures(Job(scene, index, self._view, rung))) as pictures:  # type: ignore[type-var]
+            async with aclosing(self._renderer.pictures(Job(scene, index, self._view, rung))) as pictures:
                 async for picture in pictures:
                     await self._room()
-                    if rung == EXACT and self._state != state:
+                    if rung != DRAGGING and self._state != state:
                         return
                     self._unseen.append((revision, picture.rung))
                     await self._send(picture.packed(revision))
-            self._done = (state, rung)
+            self._done = (state, min(rung, EXACT))
         except CanceledError:
             return
         except RendererEndedError as error:
@@ -142,5 +164,19 @@ class Preview:
         except ClscoError as error:
             self._done = (state, EXACT)
             await self.tell(error=list(getattr(error, "messages", None) or [str(error)]))
+        finally:
+            self._is_exact_underway = False
+
+    async def _ask(self, x: int, y: int, told: Told) -> None:
+        """Answer what is asked of a pixel."""
+        self._is_exact_underway, self._point = True, None
+        index = min(self._index, self._session.scene.sequence.frames - 1)
+        key = id(self), self._session.revision, index
+        try:
+            await told(await self._renderer.inspect(Question(self._session.scene, index, key, x, y)))
+        except CanceledError:
+            return
+        except ClscoError as error:
+            await self.tell(error=[str(error)])
         finally:
             self._is_exact_underway = False

@@ -7,15 +7,15 @@ import multiprocessing
 import os
 import threading
 import time
-from collections.abc import AsyncIterator
-from contextlib import suppress
+from collections.abc import AsyncGenerator
+from contextlib import aclosing, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any
 
 from clsco.errors import CanceledError, ClscoError, SceneError
 from clsco.scene.model import Scene
-from clsco.studio.pictures import DRAGGING, EXACT, LOSSY, Picture
+from clsco.studio.pictures import DRAGGING, EXACT, IMAGES, LOSSY, PINNED, Picture
 
 
 class RendererEndedError(ClscoError):
@@ -41,6 +41,17 @@ class Job:
     index: int
     view: str
     rung: int
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is known of a pixel is asked for; frames of one `key` are the same."""
+
+    scene: Scene
+    index: int
+    key: tuple[int, int, int]
+    x: int
+    y: int
 
 
 class Renderer:
@@ -78,7 +89,7 @@ class Renderer:
         loop = asyncio.get_running_loop()
         threading.Thread(target=_listen, args=(self._pipe, loop, self._answers), daemon=True).start()
 
-    async def pictures(self, job: Job) -> AsyncIterator[Picture]:
+    async def pictures(self, job: Job) -> AsyncGenerator[Picture, None]:
         """Pictures of a job, as they come.
 
         Raises
@@ -90,15 +101,21 @@ class Renderer:
         SceneError, ImageError, DeviceError, KernelError
             As `clsco.render`.
         """
-        async for answer in self._ask("render", job):
-            yield answer
+        async with aclosing(self._ask("render", job)) as answers:
+            async for answer in answers:
+                yield answer
+
+    async def inspect(self, question: Question) -> dict[str, Any]:
+        """What `clsco.studio.inspector.inspected` gives for a pixel. Raises as `pictures`."""
+        async with aclosing(self._ask("inspect", question)) as answers:
+            return await anext(answers)
 
     async def warm(self, scene: Scene) -> None:
         """Have compiled, in the background, what the scene and those near it need."""
         async for _ in self._ask("warm", scene):
             pass
 
-    async def _ask(self, what: str, content: Any) -> AsyncIterator[Any]:
+    async def _ask(self, what: str, content: Any) -> AsyncGenerator[Any, None]:
         async with self._turn:
             self.start()
             assert self._pipe is not None
@@ -197,6 +214,7 @@ class _Worker:
         self._canceled = 0
         self._ladders: dict[Any, Ladder] = {}
         self._live: Any = None
+        self._known: tuple[Any, Any] | None = None  # key and frame with all of its ground truth
 
     def cancel(self, number: int) -> None:
         self._canceled = max(self._canceled, number)
@@ -213,6 +231,8 @@ class _Worker:
                 self._live = Live(self._device)
             if what == "warm":
                 self._live.warm(content)
+            elif what == "inspect":
+                self._pipe.send((number, self._inspect(number, content)))
             elif content.rung == DRAGGING:
                 self._coarse(number, content)
             else:
@@ -226,7 +246,7 @@ class _Worker:
     def _coarse(self, number: int, job: Job) -> None:
         from clsco.inputs.textures import texture_size
         from clsco.studio.ladder import Ladder, coarser, work_of
-        from clsco.studio.pictures import picture_of
+        from clsco.studio.pictures import picture_of, truth_of
 
         size = job.scene.camera.resolution or texture_size(job.scene.objects[0].inputs()["texture"])
         work = work_of(job.scene, size)
@@ -234,30 +254,41 @@ class _Worker:
         eighths = ladder.eighths(work) if job.scene.is_analytic else 8
         start = time.perf_counter()
         scene = coarser(job.scene, size, eighths)
-        frame = self._frame(scene, job)
+        frame = self._frame(scene, job.index, truth_of(job.view))
         picture = picture_of(frame, scene, job.view, DRAGGING, size, time.perf_counter() - start)
         ladder.measured(work, eighths, time.perf_counter() - start)
         self._pipe.send((number, picture))
 
     def _exact(self, number: int, job: Job) -> None:
-        from clsco.studio.pictures import picture_of
+        from clsco.studio.pictures import picture_of, truth_of
 
         self._check(number)
         start = time.perf_counter()
-        frame = self._frame(job.scene, job)
+        frame = self._frame(job.scene, job.index, truth_of(job.view))
         seconds, (rows, columns) = time.perf_counter() - start, frame.color.shape[:2]
-        for rung in (LOSSY, EXACT) if job.view in ("color", "sharp") else (EXACT,):
+        rungs = (PINNED,) if job.rung == PINNED else (LOSSY, EXACT) if job.view in IMAGES else (EXACT,)
+        for rung in rungs:
             self._check(number)
             self._pipe.send((number, picture_of(frame, job.scene, job.view, rung, (columns, rows), seconds)))
 
-    def _frame(self, scene: Scene, job: Job) -> Any:
-        from clsco.engine.sequence import render
-        from clsco.studio.pictures import truth_of
+    def _inspect(self, number: int, question: Question) -> dict[str, Any]:
+        from clsco.frame.frame import ALL_TRUTH
+        from clsco.studio.inspector import inspected
 
-        truth = truth_of(job.view)
+        if self._known is None or self._known[0] != question.key:
+            self._check(number)
+            self._known = None
+            self._known = question.key, self._frame(question.scene, question.index, ALL_TRUTH)
+        frame = self._known[1]
+        rows, columns = frame.color.shape[:2]
+        return inspected(frame, question.scene, min(question.x, columns - 1), min(question.y, rows - 1))
+
+    def _frame(self, scene: Scene, index: int, truth: tuple[str, ...]) -> Any:
+        from clsco.engine.sequence import render
+
         if scene.stereo is not None:  # the left view of a pair
-            return next(iter(render(scene, truth=truth, device=self._device, frames=(job.index,))))
-        return self._live.render(scene, job.index, truth=truth)
+            return next(iter(render(scene, truth=truth, device=self._device, frames=(index,))))
+        return self._live.render(scene, index, truth=truth)
 
     def _check(self, number: int) -> None:
         if self._canceled >= number:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import hashlib
 import json
 import secrets
 import socket
-import tempfile
 import webbrowser
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -20,21 +18,25 @@ from fastapi.responses import JSONResponse, Response
 from starlette.staticfiles import StaticFiles
 
 from clsco.errors import ImageError, SceneError
-from clsco.files.atomic import writable_folder, write_whole
-from clsco.files.images import read_image
+from clsco.files.atomic import writable_folder
+from clsco.scene.model import Scene
 from clsco.scene.toml import toml_text
 from clsco.studio.guard import MAX_MESSAGE, Guard
+from clsco.studio.jobs import STATE_FOLDER, Jobs
+from clsco.studio.presets import choose_method
 from clsco.studio.preview import Preview
 from clsco.studio.renderer import Renderer
+from clsco.studio.routes import add_routes
 from clsco.studio.session import Session
+from clsco.studio.uploads import keep_image
 
 MAX_PATCH = 2**16  # bytes
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 STATIC = Path(__file__).parent / "static"
 MOST_TABS = 64
 MOST_WATCHED = 2000  # keys with a control
-UPLOADS = "uploads"  # folder below the root
-KINDS = ("png", "jpg", "jpeg", "tif", "tiff", "exr", "pfm", "npy")
+TICK = 0.5  # s between looks at the jobs
+KEPT = "kept"  # folder of scenes, in that of the state
 
 
 class Tab:
@@ -63,13 +65,15 @@ class Studio:
     def __init__(self, root: Path, scene: Path | None = None, device: str | None = None) -> None:
         self.root, self.scene, self.device = root.resolve(), scene, device
         self.renderer = Renderer(device)
+        self.jobs = Jobs(self.root)
         self.tabs: dict[str, Tab] = {}
 
     def new_session(self) -> Session:
         """A session with the scene of the command line."""
         session = Session(self.root)
         if self.scene is not None:
-            session.open(self.scene)
+            session.open(self.scene.absolute())
+            session.forget_past()
         return session
 
     def tab(self, name: str = "") -> str:
@@ -82,6 +86,29 @@ class Studio:
         new = secrets.token_urlsafe(12)
         self.tabs[new] = Tab(self.new_session())
         return new
+
+    def kept(self) -> list[Path]:
+        """Scenes that were kept when a studio ended, the latest first."""
+        folder = self.root / STATE_FOLDER / KEPT
+        found = [path for path in folder.glob("*.json") if path.stem not in self.tabs]
+        return sorted(found, key=lambda path: path.stat().st_mtime, reverse=True)
+
+    def keep(self) -> None:
+        """Keep all scenes that changed."""
+        for name, tab in self.tabs.items():
+            if tab.session.can_undo and not tab.session.is_saved:
+                with suppress(ImageError, OSError):
+                    tab.session.keep(writable_folder(self.root / STATE_FOLDER / KEPT) / f"{name}.json")
+
+    async def watch(self) -> None:
+        """Look at the jobs and keep the scenes, until canceled."""
+        count = 0
+        while True:
+            await asyncio.sleep(TICK)
+            count += 1
+            self.jobs.poll()
+            if count % 4 == 0:
+                self.keep()
 
     async def frames(self, socket: WebSocket) -> None:
         """Talk to a tab: patches up, pictures down."""
@@ -135,6 +162,29 @@ class Studio:
             case {"watch": list(paths)}:
                 tab.watched = tuple(path for path in paths[:MOST_WATCHED] if isinstance(path, str))
                 tab.told.set()
+            case {"at": [int(x), int(y)]} if min(x, y) >= 0:
+
+                async def told(found: dict[str, Any]) -> None:
+                    await preview.tell(inspected=found)
+
+                preview.inspect(x, y, told)
+            case {"focus": [int(x), int(y)], "drag": int(drag)} if min(x, y) >= 0:
+
+                async def focus(found: dict[str, Any]) -> None:
+                    depth = found["values"]["depth"]
+                    if depth is None:
+                        await preview.tell(error=["focus: there must be a surface; got none"])
+                    else:
+                        tab.session.patch("camera.focus_distance", depth, drag)
+
+                preview.inspect(x, y, focus)
+            case {"link": str(link)}:
+                try:
+                    tab.session.load_share(link)
+                except SceneError as error:
+                    await preview.tell(error=error.messages)
+            case {"do": "pin thesis"}:
+                preview.pin(as_the_thesis(tab.session))
             case {"do": "undo"}:
                 tab.session.undo()
             case {"do": "redo"}:
@@ -147,6 +197,14 @@ class Studio:
                 preview.look(index=index)
             case _:
                 return
+
+
+def as_the_thesis(session: Session) -> Scene:
+    """The scene with PSF and method of the thesis; the session stays as it is."""
+    other = Session(session.root)
+    other.take(session.state)
+    choose_method(other, True)
+    return other.scene
 
 
 async def _tell(tab: Tab, preview: Preview) -> None:
@@ -173,32 +231,20 @@ async def _tell(tab: Tab, preview: Preview) -> None:
         await asyncio.sleep(0.03)  # what comes together is told together
 
 
-def keep_image(root: Path, content: bytes, kind: str) -> str:
-    """Write an image that came from the browser below the root, whole and decoded once; returns its relative path.
-
-    Raises ImageError for everything that `clsco.files.images.read_image` refuses.
-    """
-    if kind not in KINDS:
-        raise ImageError(f"image: must be one of {', '.join(KINDS)}; got {kind[:20]!r}")
-    path = root / UPLOADS / f"{hashlib.sha256(content).hexdigest()[:20]}.{kind}"
-    if not path.exists():
-        with tempfile.TemporaryDirectory(prefix="clsco-") as scratch:
-            trial = Path(scratch) / path.name
-            trial.write_bytes(content)
-            try:
-                read_image(trial)
-            except ImageError as error:
-                raise ImageError(str(error).replace(str(trial), "image")) from None
-        write_whole(writable_folder(path.parent) / path.name, content)
-    return path.relative_to(root).as_posix()
-
-
 Attach = Callable[[FastAPI, Studio], None]
 
 
 def application(studio: Studio, attach: Attach) -> FastAPI:
     """The routes of the studio, without the guard."""
-    app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
+
+    @asynccontextmanager
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        watching = asyncio.create_task(studio.watch())
+        yield
+        watching.cancel()
+        studio.keep()
+
+    app = FastAPI(lifespan=lifespan, docs_url=None, redoc_url=None, openapi_url=None)
     app.add_api_websocket_route("/frames", studio.frames)
 
     @app.get("/scene")
@@ -221,6 +267,7 @@ def application(studio: Studio, attach: Attach) -> FastAPI:
         except ImageError as error:
             return JSONResponse({"error": str(error)}, 400)
 
+    add_routes(app, studio.jobs, lambda name: studio.tabs[name].session if name in studio.tabs else None)
     app.mount("/static", StaticFiles(directory=STATIC))
     attach(app, studio)  # NiceGUI takes all other paths
     return app
@@ -267,4 +314,5 @@ def serve(
             uvicorn.Server(config).run(sockets=[listener])
     finally:
         studio.renderer.close()
+        studio.jobs.close()
         listener.close()

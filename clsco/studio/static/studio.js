@@ -3,7 +3,7 @@
 "use strict";
 
 (() => {
-  const DRAGGING = 0, LOSSY = 1, EXACT = 2;
+  const LOSSY = 1, EXACT = 2, PINNED = 3; // 0: while something is dragged
   const MESSAGE = 0, JPEG = 1, PNG = 2, FLOAT16 = 3;
   const VIEWS = ["color", "sharp", "depth", "blur radius", "flow", "normal", "id", "mask", "missing"];
   const NUMBERS_FROM = 24; // CSS px per pixel of the image
@@ -17,7 +17,7 @@
   window.studio = studio;
 
   // ---- the socket -------------------------------------------------------------------------------------------------
-  let socket = null, tab = "", tries = 0;
+  let socket = null, tab = "", tries = 0, link = ""; // link: a scene in the address
   const send = (content) => {
     if (socket !== null && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(content));
   };
@@ -32,6 +32,8 @@
       one("#lost").hidden = true;
       watched = "";
       watch();
+      if (link) send({ link });
+      link = "";
       send({ view: studio.view });
       send({ frame: studio.index });
     };
@@ -60,10 +62,12 @@
     const drawable = picture.encoding === JPEG || picture.encoding === PNG ? decoded(picture, buffer) : plane(picture, buffer);
     queue = queue.then(async () => {
       const image = await drawable;
-      if (picture.view === studio.view && picture.revision >= studio.revision) paint(picture, image);
+      if (picture.rung === PINNED) studio.pinned(image, ...picture.full);
+      else if (picture.view === studio.view && picture.revision >= studio.revision) paint(picture, image);
       await new Promise(requestAnimationFrame);
       send({ ack: [picture.revision, picture.rung] });
-      if (picture.view !== studio.view) return;
+      if (picture.view !== studio.view || picture.rung === PINNED) return;
+      if (picture.rung === EXACT) studio.rested();
       studio.painted.push([picture.revision, picture.rung, performance.now()]);
       if (studio.painted.length > 500) studio.painted.shift();
     }).catch((error) => {
@@ -154,8 +158,10 @@
 
   const place = () => {
     const canvas = one("#canvas");
-    canvas.style.transform = `translate(${left}px, ${top}px) scale(${scale})`;
-    canvas.style.imageRendering = scale >= 1.5 ? "pixelated" : "auto";
+    for (const each of [canvas, one("#pinned")]) {
+      each.style.transform = `translate(${left}px, ${top}px) scale(${scale})`;
+      each.style.imageRendering = scale >= 1.5 ? "pixelated" : "auto";
+    }
     one("#zoom").textContent = `${Math.round(scale * devicePixelRatio * 100)} %`;
     numbers();
   };
@@ -298,7 +304,8 @@
   };
 
   const told = (said) => {
-    if (said.error) fail(said.error);
+    if (said.error) { fail(said.error); studio.notInspected(); }
+    if (said.inspected) studio.inspected(said.inspected);
     if (said.values) {
       Object.assign(studio.values, said.values);
       for (const [path, value] of Object.entries(said.values)) {
@@ -322,6 +329,8 @@
     fail.timer = setTimeout(() => { place.hidden = true; }, 12000);
   };
 
+  studio.fail = fail;
+
   const controls = () => {
     document.addEventListener("input", (event) => { if (event.target.dataset?.path) changing(event.target); });
     document.addEventListener("change", (event) => { if (event.target.dataset?.path) dragged = null; });
@@ -332,6 +341,12 @@
       if (reset) { drag += 1; put(reset.dataset.clear, null); }
       const action = event.target.closest?.("[data-do]");
       if (action) send({ do: action.dataset.do });
+      const shows = event.target.closest?.("[data-show]");
+      if (shows) one(shows.dataset.show).showModal();
+      const closes = event.target.closest?.("[data-close]");
+      if (closes) one(closes.dataset.close).close();
+      const toggles = event.target.closest?.("[data-toggle]");
+      if (toggles) one("#studio").classList.toggle(toggles.dataset.toggle);
       const view = event.target.closest?.("[data-view]");
       if (view) look(view.dataset.view);
     });
@@ -397,10 +412,12 @@
 
   studio.start = (name) => {
     if (tab) return;
-    tab = name;
-    history.replaceState(null, "", `/?s=${name}${location.hash}`);
+    tab = studio.tab = name;
+    link = location.hash.startsWith("#s=") ? location.hash : "";
+    history.replaceState(null, "", `/?s=${name}`);
     pointing();
     controls();
+    studio.begin();
     document.addEventListener("keydown", keys);
     one("#frame").addEventListener("input", (event) => seek(Number(event.target.value)));
     one("#play").addEventListener("click", () => play(!player));
@@ -408,7 +425,7 @@
     connect();
   };
 
-  const begin = () => (one("#studio") && one("#canvas") && window.studioColors
+  const begin = () => (one("#studio") && one("#canvas") && window.studioColors && studio.begin
     ? studio.start(one("#studio").dataset.tab) : requestAnimationFrame(begin));
   begin();
 })();
