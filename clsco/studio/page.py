@@ -11,6 +11,7 @@ from clsco.studio.pictures import VIEWS
 from clsco.studio.server import Studio
 from clsco.studio.session import Session
 from clsco.studio.widgets.files import open_dialog, preset_dialog, save_dialog, share_dialog
+from clsco.studio.widgets.inpainting import inpainting_dialog
 from clsco.studio.widgets.jobs import draw_jobs, generate_dialog
 from clsco.studio.widgets.panels import draw_panels
 from clsco.studio.widgets.plain import button, say
@@ -27,7 +28,7 @@ KEYS = (
     ("Esc", "take back what is being dragged"),
     ("?", "this list"),
 )
-SCRIPTS = ("colors", "studio", "inspect", "forms")
+SCRIPTS = ("colors", "studio", "inspect", "forms", "brush")
 STYLES = ("studio", "forms")
 
 
@@ -50,7 +51,7 @@ def draw(name: str, studio: Studio) -> None:
     with say("div", id="studio", data_tab=name):
         say("div", "The studio does not answer; it is tried again.", id="lost", role="status", hidden=True)
         with say("header"):
-            _header(session, studio)
+            _header(session, studio, name)
         with say("nav", id="panels", aria_label="Panels"):
             with say("div", id="panels-scroll"):
                 ends = [draw_panels(session)]
@@ -75,7 +76,7 @@ def draw(name: str, studio: Studio) -> None:
         ui.context.client.on_delete(end)
 
 
-def _header(session: Session, studio: Studio) -> None:
+def _header(session: Session, studio: Studio, name: str) -> None:
     """Title, files, and the way back."""
     say("button", "☰", id="drawer", aria_label="Panels", data_toggle="open")
     say("h1", id="title")
@@ -85,6 +86,7 @@ def _header(session: Session, studio: Studio) -> None:
     button("Save", save, id="save")
     button("Save as", save_as)
     button("Share", share_dialog(session))
+    button("Inpaint", inpainting_dialog(session, name, studio.device))
     say("button", "Undo", id="undo", data_do="undo", disabled=True)
     say("button", "Redo", id="redo", data_do="redo", disabled=True)
     if kept := studio.kept():

@@ -9,6 +9,7 @@ from clsco.errors import SceneError
 from clsco.files.atomic import write_whole
 from clsco.scene.faults import items
 from clsco.scene.text import shown
+from clsco.scene.texture_keys import is_drawn
 from clsco.studio.editing import Editor, State
 from clsco.studio.store import (
     ConflictError,
@@ -137,6 +138,10 @@ class Session(Editor):
         if not target.is_relative_to(self.root) or target == self.root:
             raise SceneError(f"file: must be below the folder of the studio; got {shown(str(path))}")
         return target
+
+    def source(self, name: str) -> str:
+        """A texture as `clsco.inputs` takes it: the name of a pattern, a color, or an absolute path."""
+        return name if is_drawn(name) else str(self.folder / name)
 
     def _state_of(self, table: Table, path: Path | None) -> State:
         return State(table, ({},) * len(items(table)), path)

@@ -34,7 +34,7 @@ OUTSIDE = {
     "PIL": ("files.decoders", "cli.demo", "cli.thesis", "data.dryrun", "studio.pictures"),
     "av": (),
     "nicegui": ("studio.page", "studio.widgets"),
-    "fastapi": ("studio.page", "studio.server"),
+    "fastapi": ("studio.page", "studio.routes", "studio.server"),
     "starlette": ("studio.server",),
     "uvicorn": ("studio.server",),
     "click": ("cli",),

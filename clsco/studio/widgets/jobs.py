@@ -165,8 +165,8 @@ def _draw(session: Session, jobs: Jobs, job: Job) -> None:
         pictures = [path for path in files if path.suffix == ".png" and "sample" not in path.name]
         with say("div").classes("pictures"):
             for path in pictures[-SHOWN:]:
-                name = path.relative_to(jobs.root).as_posix()
-                say("img", src=f"/result?name={quote(name)}", alt=path.stem, loading="lazy")
+                name = path.relative_to(jobs.root / job.folder).as_posix()
+                say("img", src=f"/result?job={job.number}&name={quote(name)}", alt=path.stem, loading="lazy")
         with say("div").classes("row"):
             if job.is_unfinished:
                 button("Cancel", partial(jobs.cancel, job.number), aria_label=f"Cancel job {job.number}")

@@ -124,9 +124,7 @@ def draw_field(session: Session, shown: Field) -> None:
     elif shown.kind == "vector":
         with say("fieldset").classes("vector"):
             say("legend", shown.name, title=shown.help)
-            for index in range(len(shown.components)):
-                part = shown.component(index)
-                number(part, session.shown(part.path))
+            _components(session, shown)
             _back(shown)
     elif shown.kind == "flag":
         with say("div").classes("field"):
@@ -140,11 +138,21 @@ def draw_field(session: Session, shown: Field) -> None:
             box = f"box-{shown.path}"
             say("label", shown.name, for_=box)
             if shown.kind == "choice":
-                _select(shown, value, box)
+                with say("div").classes("row"):
+                    _select(shown, value, box)
+                    _back(shown)
             else:
                 _text(session, shown, value, box)
-            _back(shown)
             _fault(shown)
+
+
+def _components(session: Session, shown: Field) -> None:
+    """The components of a vector, each in a row after its letter."""
+    for index, letter in enumerate(shown.components):
+        part = shown.component(index)
+        with say("div").classes("component"):
+            say("span", letter, aria_hidden="true").classes("letter")
+            number(part, session.shown(part.path))
 
 
 def _select(shown: Field, value: Any, box: str) -> None:
@@ -165,12 +173,15 @@ def _text(session: Session, shown: Field, value: Any, box: str) -> None:
         if shown.kind == "image":
             say("input", type="file", accept=",".join(IMAGES), hidden=True, data_upload=shown.path, tabindex="-1")
             say("button", "Browse", type="button", data_browse=shown.path, aria_label=f"Browse for {shown.label}")
+        _back(shown)
     if names is not None:
         with say("datalist", id=names):
             for name in [name for name, _ in shown.choices] + listed(session.folder, IMAGES)[:100]:
                 say("option", value=name)
-        say("div", "or drop an image here", data_drop=shown.path).classes("drop")
-        say("img", data_thumbnail=shown.path, alt="", hidden=True).classes("thumbnail")
+    if shown.key == "texture":
+        with say("div", data_drop=shown.path).classes("drop"):
+            say("img", data_thumbnail=shown.path, alt="", hidden=True).classes("thumbnail")
+            say("span", "Drop an image here")
 
 
 def _back(shown: Field) -> None:
@@ -226,9 +237,7 @@ def _motion(session: Session, shown: Field, chosen: Chosen) -> None:
     check_box(_MOTIONS[shown.key], is_on, choose, title=shown.help)
     with say("fieldset", disabled=None if is_on else True).classes("vector"):
         say("legend", f"{shown.symbol} ({shown.unit})")
-        for index in range(len(shown.components)):
-            part = shown.component(index)
-            number(part, session.shown(part.path))
+        _components(session, shown)
     _fault(shown)
 
 

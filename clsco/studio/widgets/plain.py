@@ -15,11 +15,15 @@ _CHECKED = "(event) => emit(event.target.checked)"
 
 
 def say(tag: str, text: str = "", **attributes: Any) -> ui.element:
-    """An element with a text, whatever is in it; attributes have `_` for `-`, and those that are None are left out."""
+    """An element with a text, whatever is in it; attributes have `_` for `-`, and those that are None are left out.
+
+    The value of a box is what it begins with: Vue would give it that again each time that anything on the page changes.
+    """
     element = ui.element(tag)
     for name, value in attributes.items():
         if value is not None:
-            element.props[name.rstrip("_").replace("_", "-")] = value
+            key = name.rstrip("_").replace("_", "-")
+            element.props["^value" if tag == "input" and key == "value" else key] = value
     if text:
         element.props["innerText"] = text
     return element
