@@ -22,7 +22,7 @@ from clsco.studio.widgets.objects import object_list
 from clsco.studio.widgets.plain import button, check_box, say
 
 _MOTIONS = {"velocity": "Translation", "angular_velocity": "Rotation"}
-_IMAGE, _TYPE, _, _MOTION, _ = range(5)
+_TYPE, _PROPERTIES, _MOTION = 1, 2, 3  # of the panels of the thesis
 
 
 @dataclass
@@ -105,6 +105,8 @@ def _draw(session: Session, panel: Panel, position: int, chosen: Chosen) -> None
         say("summary", panel.title)
         if panel.title == "PSF and method":
             _method(session)
+        if position == _PROPERTIES:
+            say("p", "In the thesis centers are on the axis, and |R| is at most about 6 px.").classes("quiet")
         for each in panel.fields:
             if position == _TYPE:
                 _shapes(session, each)
@@ -126,6 +128,8 @@ def draw_field(session: Session, shown: Field) -> None:
             say("legend", shown.name, title=shown.help)
             _components(session, shown)
             _back(shown)
+            if shown.key == "semi_axes":
+                check_box("c = b, as in the thesis", session.is_linked, partial(setattr, session, "is_linked"))
     elif shown.kind == "flag":
         with say("div").classes("field"):
             with say("label").classes("check"):
@@ -181,7 +185,7 @@ def _text(session: Session, shown: Field, value: Any, box: str) -> None:
     if shown.key == "texture":
         with say("div", data_drop=shown.path).classes("drop"):
             say("img", data_thumbnail=shown.path, alt="", hidden=True).classes("thumbnail")
-            say("span", "Drop an image here")
+            say("span", "Drop an image here", data_about=shown.path)
 
 
 def _back(shown: Field) -> None:
