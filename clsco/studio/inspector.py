@@ -64,7 +64,7 @@ def point_spread(scene: Scene, radius: float) -> dict[str, Any]:
     Returns
     -------
     dict
-        `plot`: base64 of (2 PLOTTED + 1)^2 weights in 8 bits, the largest 255; `largest`; `sum`; `centroid`, px;
+        `reach`, px: how far weights are from the center; `plot`: base64 of (2 PLOTTED + 1)^2 weights in 8 bits, the largest 255; `largest`; `sum`; `centroid`, px;
         `rms`, px, per axis, which is |R| / 2 of a disc that is large enough.
     """
     psf = scene.psf.through(scene.aperture)
@@ -87,6 +87,7 @@ def point_spread(scene: Scene, radius: float) -> dict[str, Any]:
         "centroid": [round(part, 9) + 0.0 for part in center],
         "rms": math.sqrt(second / 2),
         "radius": radius,
+        "reach": far,
     }
 
 

@@ -149,8 +149,10 @@ def _inspector() -> None:
         with say("div", id="psf-part", hidden=True):
             say("h3", "Point spread function")
             with say("div").classes("row"):
-                say("canvas", id="psf", width=65, height=65, role="img", aria_label="Point spread function, 65 × 65 px")
-                say("p", id="psf-about").classes("quiet")
+                say("canvas", id="psf", width=130, height=130, role="img", aria_label="Point spread function")
+                with say("div"):
+                    say("p", id="psf-side").classes("quiet")
+                    say("p", id="psf-about").classes("quiet")
         say("h3", "Lens")
         say("canvas", id="lens", width=276, height=100, role="img", aria_label="Thin lens, not to scale")
         say("p", id="lens-about").classes("quiet")

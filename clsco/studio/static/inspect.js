@@ -50,7 +50,12 @@
     const codes = Uint8Array.from(atob(psf.plot), (letter) => letter.charCodeAt(0));
     const data = new Uint8ClampedArray(4 * codes.length);
     codes.forEach((code, index) => data.set([code, code, code, 255], 4 * index));
-    context.putImageData(new ImageData(data, plot.width, plot.height), 0, 0);
+    const side = Math.sqrt(codes.length), whole = new OffscreenCanvas(side, side);
+    whole.getContext("2d").putImageData(new ImageData(data, side, side), 0, 0);
+    const seen = Math.min(side, 2 * Math.ceil(1.3 * psf.reach + 2) + 1), edge = (side - seen) / 2;
+    context.imageSmoothingEnabled = false;
+    context.drawImage(whole, edge, edge, seen, seen, 0, 0, plot.width, plot.height);
+    one("#psf-side").textContent = `${seen} × ${seen} px`;
     one("#psf-about").textContent = `|R| ${number(Math.abs(psf.radius))} px, sum ${number(psf.sum)}, centroid ${number(psf.centroid)} px, `
       + `RMS per axis ${number(psf.rms)} px (|R| / 2 = ${number(Math.abs(psf.radius) / 2)}), largest weight ${number(psf.largest)}`;
   };
