@@ -64,8 +64,8 @@ def point_spread(scene: Scene, radius: float) -> dict[str, Any]:
     Returns
     -------
     dict
-        `reach`, px: how far weights are from the center; `plot`: base64 of (2 PLOTTED + 1)^2 weights in 8 bits, the largest 255; `largest`; `sum`; `centroid`, px;
-        `rms`, px, per axis, which is |R| / 2 of a disc that is large enough.
+        `reach`, px: how far weights are from the center; `plot`: base64 of (2 PLOTTED + 1)^2 weights in 8 bits, the
+        largest 255; `largest`; `sum`; `centroid`, px; `rms`, px, per axis, which is |R| / 2 of a large disc.
     """
     psf = scene.psf.through(scene.aperture)
     far = max(reach(psf, abs(radius)), 1)

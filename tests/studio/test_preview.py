@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator, Callable, Coroutine
+from collections.abc import AsyncGenerator, Callable, Coroutine
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,9 +14,9 @@ import pytest
 from clsco import Scene, parse_scene
 from clsco.errors import CanceledError, ClscoError, SceneError
 from clsco.studio.ladder import BUDGET, Ladder, coarser, work_of
-from clsco.studio.pictures import DRAGGING, EXACT, HEADER, LOSSY, MESSAGE, Picture
+from clsco.studio.pictures import DRAGGING, EXACT, HEADER, LOSSY, MESSAGE, PINNED, Picture
 from clsco.studio.preview import MOST_UNSEEN, REST, Preview
-from clsco.studio.renderer import Job, RendererEndedError
+from clsco.studio.renderer import Job, Question, RendererEndedError
 
 
 class Session:
@@ -42,10 +42,11 @@ class Renderer:
     jobs: list[Job] = field(default_factory=list)
     canceled: int = 0
     faults: list[ClscoError] = field(default_factory=list)
+    questions: list[Question] = field(default_factory=list)
 
-    async def pictures(self, job: Job) -> AsyncIterator[Picture]:
+    async def pictures(self, job: Job) -> AsyncGenerator[Picture, None]:
         self.jobs.append(job)
-        for rung in (DRAGGING,) if job.rung == DRAGGING else (LOSSY, EXACT):
+        for rung in (LOSSY, EXACT) if job.rung == EXACT else (job.rung,):
             count = self.canceled
             await asyncio.sleep(self.seconds)
             if self.faults:
@@ -53,6 +54,11 @@ class Renderer:
             if self.canceled > count:
                 raise CanceledError("canceled")
             yield Picture(rung, job.view, (64, 48), (64, 48), 1, b"", self.seconds)
+
+    async def inspect(self, question: Question) -> dict[str, Any]:
+        self.questions.append(question)
+        await asyncio.sleep(self.seconds)
+        return {"at": [question.x, question.y]}
 
     def cancel(self) -> None:
         self.canceled += 1
@@ -170,6 +176,33 @@ def test_views_and_frames_are_states_of_their_own() -> None:
 
     _, renders, _ = played(play)
     assert [(job.view, job.index) for job in renders.jobs] == [("depth", 1), ("depth", 2), ("color", 2)]
+
+
+def test_pixels_are_told_of_when_the_exact_frame_is_there() -> None:
+    found: list[dict[str, Any]] = []
+
+    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
+        async def told(answer: dict[str, Any]) -> None:
+            assert browser.got[-1] == (0, EXACT)
+            found.append(answer)
+
+        for x in range(5):
+            preview.inspect(x, 2, told)
+        await asyncio.sleep(2 * REST)
+
+    _, renders, _ = played(play)
+    assert found == [{"at": [4, 2]}]  # the latest
+    assert [(question.x, question.index) for question in renders.questions] == [(4, 0)]
+
+
+def test_another_scene_is_pinned_once() -> None:
+    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
+        preview.pin(session.scene.replace("psf.model", "gaussian"))
+        await asyncio.sleep(2 * REST)
+
+    _, renders, browser = played(play)
+    assert browser.got == [(0, DRAGGING), (0, LOSSY), (0, EXACT), (0, PINNED)]
+    assert renders.jobs[-1].scene.psf.model == "gaussian"
 
 
 def test_a_fault_of_the_scene_is_told_once() -> None:
