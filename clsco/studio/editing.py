@@ -95,6 +95,8 @@ class Editor:
         Messages by paths of keys, of values that are not valid.
     refused : dict
         Those values, by paths.
+    is_linked : bool
+        The semi-axes b and c of ellipsoids are changed together, as the thesis has them alike.
 
     Notes
     -----
@@ -108,6 +110,7 @@ class Editor:
         self.revision = 0
         self.faults: dict[str, str] = {}
         self.refused: dict[str, Any] = {}
+        self.is_linked = False
         self._listeners: list[Callable[[], None]] = []
         self._history = _History()
         self._models: dict[int, Any] = {}
@@ -365,6 +368,8 @@ class Editor:
                 raise SceneError(f"scene: {'.'.join(parts[:vector])}: must be given as a whole; got {shown(value)}")
             table = with_value(table, parts[:vector], default)
         table = with_value(table, parts, value)
+        if self.is_linked and parts[0] == "object" and parts[2:] in (["semi_axes", "1"], ["semi_axes", "2"]):
+            table = with_value(table, [*parts[:3], "2" if parts[3] == "1" else "1"], value)
         if parts == ["object"] and isinstance(value, list):
             state = replace(state, apart=({},) * len(value))
         return replace(state, table=table)

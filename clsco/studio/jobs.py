@@ -168,7 +168,7 @@ class Jobs:
             self._put(replace(job, status="canceled", ended=time.time()))
         elif job.status == "running":
             self._canceled.setdefault(number, time.monotonic())
-            _signal(job, signal.SIGINT)
+            _signal(job, signal.SIGINT, number in self._processes)
         self.poll()
 
     def again(self, number: int) -> Job:
@@ -237,9 +237,11 @@ class Jobs:
         if process is not None:
             process.poll()  # so that it does not stay as a zombie
         is_alive = _began(job.process) == job.process_began and (process is None or process.returncode is None)
+        if process is not None:  # the shell may end before the command, if it is killed
+            is_alive = is_alive or _has_group(job.process)
         since = self._canceled.get(job.number)
         if is_alive and since is not None and time.monotonic() - since > GRACE:
-            _signal(job, signal.SIGKILL)
+            _signal(job, signal.SIGKILL, process is not None)
         done = self._count(job)
         if is_alive:
             if done == job.done:
@@ -324,9 +326,19 @@ def _began(process: int) -> int | None:
     return None if fields[0] == "Z" else int(fields[19])
 
 
-def _signal(job: Job, number: signal.Signals) -> None:
-    """Send a signal to the group of a job's command, if that is still the one."""
-    if job.process and _began(job.process) == job.process_began:
+def _has_group(group: int) -> bool:
+    """Whether a process of a group runs."""
+    for place in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            fields = place.read_text().rpartition(")")[2].split()
+            if int(fields[2]) == group and fields[0] != "Z":
+                return True
+    return False
+
+
+def _signal(job: Job, number: signal.Signals, is_ours: bool) -> None:
+    """Send a signal to the group of a job's command, if that is still the one; is_ours: this process began it."""
+    if job.process and (_began(job.process) == job.process_began or (is_ours and _has_group(job.process))):
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(job.process, number)
 

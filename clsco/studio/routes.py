@@ -9,13 +9,14 @@ import numpy as np
 from fastapi import FastAPI, Request
 from fastapi.responses import FileResponse, JSONResponse, Response
 
-from clsco.errors import ClscoError, ImageError
+from clsco.errors import ClscoError, ImageError, SceneError
 from clsco.files.png import png_parts
 from clsco.files.transfer import encode
 from clsco.inputs.textures import load_texture
 from clsco.studio.inpainting import Inpainting, inpainting_of
 from clsco.studio.jobs import Jobs
 from clsco.studio.session import Session
+from clsco.studio.tables import FILE_KEYS
 
 SMALL = 160  # px of a small picture, at most
 _TYPES = {".png": "image/png", ".mp4": "video/mp4", ".webm": "video/webm"}
@@ -50,12 +51,24 @@ def add_routes(app: FastAPI, jobs: Jobs, session_of: Callable[[str], Session | N
         """A small picture of a texture of the scene, by the path of its key."""
         session = session_of(tab)
         try:
-            content = small_picture(session, path) if session is not None else b""
+            content, about = small_picture(session, path) if session is not None else (b"", "")
         except ClscoError:
             content = b""
         if not content:
             return Response("no such picture\n", 404, media_type="text/plain")
-        return Response(content, media_type="image/png", headers={"cache-control": "no-store"})
+        return Response(content, media_type="image/png", headers={"cache-control": "no-store", "x-about": about})
+
+    @app.post("/share")
+    async def share(request: Request, tab: str) -> JSONResponse:
+        """Go to the scene of a link, which is the fragment of the page's address."""
+        session = session_of(tab)
+        if session is None:
+            return _none()
+        try:
+            session.load_share((await request.body()).decode("ascii", "replace"))
+        except SceneError as error:
+            return JSONResponse({"error": "\n".join(error.messages)}, 400)
+        return JSONResponse({})
 
     @app.get("/inpainting/picture")
     def picture(tab: str, which: str) -> Response:
@@ -101,15 +114,17 @@ def _none() -> JSONResponse:
     return JSONResponse({"error": "no such tab"}, 404)
 
 
-def small_picture(session: Session, path: str) -> bytes:
-    """A PNG of at most 160 x 160 px of a texture; nothing where the path is not of one. Raises ClscoError."""
-    if not path.startswith("object.") or "texture" not in path.rpartition(".")[2]:
-        return b""
-    name = session.known(path)
+def small_picture(session: Session, path: str) -> tuple[bytes, str]:
+    """A PNG of at most 160 x 160 px of a texture with its size and bits in words; nothing where the path is not of one.
+
+    Raises ClscoError.
+    """
+    name = session.known(path) if path.rpartition(".")[2] in FILE_KEYS and not path.endswith(".depth") else None
     if not isinstance(name, str):
-        return b""
-    source = session.source(name)
-    radiance = load_texture(source, session.scene.image.transfer).radiance
+        return b"", ""
+    texture = load_texture(session.source(name), session.scene.image.transfer)
+    radiance = texture.radiance
     step = max(1, -(-max(radiance.shape[:2]) // SMALL))
     codes = encode(np.ascontiguousarray(radiance[::step, ::step]), 8, "srgb").astype(np.uint8)
-    return b"".join(png_parts(codes))
+    about = f"{radiance.shape[1]} x {radiance.shape[0]} px, {texture.bits} bits"
+    return b"".join(png_parts(codes)), about

@@ -55,6 +55,15 @@ def client(tmp_path: Path) -> Iterator[Client]:
     jobs.close()
 
 
+def test_a_link_by_address(client: Client, tmp_path: Path) -> None:
+    other = Session(tmp_path)
+    other.patch("object.0.distance", 321.0)
+    assert client.post("/share?tab=t", content=other.share()).json() == {}
+    for content in ("#s=***", "", "\N{BULLET}".encode(), b"A" * 2**22):
+        assert client.post("/share?tab=t", content=content).status_code == 400
+    assert client.post("/share?tab=x", content=other.share()).status_code == 404
+
+
 def test_results_are_those_of_jobs_alone(client: Client) -> None:
     answer = client.get("/result", params={"job": 1, "name": "frame_0000.png"})
     assert answer.status_code == 200
@@ -67,6 +76,7 @@ def test_small_pictures_of_textures(client: Client) -> None:
     answer = client.get("/thumbnail", params={"tab": "t", "path": "object.0.texture"})
     with Image.open(io.BytesIO(answer.content)) as image:
         assert image.size == (160, 160)
+    assert answer.headers["x-about"] == "320 x 320 px, 8 bits"
     for tab, path in (("x", "object.0.texture"), ("t", "object.0.shape"), ("t", "object.9.texture"), ("t", "title")):
         assert client.get("/thumbnail", params={"tab": tab, "path": path}).status_code == 404
 

@@ -218,6 +218,18 @@ def test_several_objects(session: Session) -> None:
     assert session.table == THESIS
 
 
+def test_semi_axes_are_linked_where_wanted(session: Session) -> None:
+    session.patch("object.0.shape", "ellipsoid")
+    session.patch("object.0.semi_axes.1", 20.0)
+    assert session.known("object.0.semi_axes") == [30.0, 20.0, 50.0]
+    session.is_linked = True
+    session.patch("object.0.semi_axes.2", 25.0, drag=1)
+    session.patch("object.0.semi_axes.1", 26.0, drag=1)
+    assert session.known("object.0.semi_axes") == [30.0, 26.0, 26.0]
+    session.undo()
+    assert session.known("object.0.semi_axes") == [30.0, 20.0, 50.0]
+
+
 def test_boxes_are_one_object(session: Session) -> None:
     session.patch("object.0.shape", "box")
     session.add_object("sphere")

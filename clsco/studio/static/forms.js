@@ -47,6 +47,29 @@
     });
   }
 
+  const small = async (image, path, name) => {
+    const answer = await fetch(
+      `/thumbnail?tab=${encodeURIComponent(tab())}&path=${encodeURIComponent(path)}&of=${encodeURIComponent(name)}`);
+    const about = at("about", path);
+    image.hidden = !answer.ok;
+    if (answer.ok) image.src = URL.createObjectURL(await answer.blob());
+    if (about !== null && answer.ok) about.textContent = `${answer.headers.get("x-about")}; drop another image here`;
+    image.onload = () => URL.revokeObjectURL(image.src);
+  };
+
+  // The scene of a link is the fragment of the page's address, which browsers do not send.
+  const shared = async () => {
+    if (!document.querySelector("#studio")?.dataset.tab) { setTimeout(shared, 50); return; }
+    if (!location.hash.startsWith("#s=")) return;
+    const answer = await fetch(`/share?tab=${encodeURIComponent(tab())}`, { method: "POST", body: location.hash });
+    const { error } = await answer.json();
+    history.replaceState(null, "", location.pathname + location.search);
+    const place = document.querySelector("#message");
+    if (error && place !== null) [place.textContent, place.hidden] = [error, false];
+  };
+  shared();
+  window.addEventListener("hashchange", shared);
+
   // Small pictures follow the names of the textures.
   const shown = new Map();
   const look = () => {
@@ -55,9 +78,7 @@
       if (name === undefined || shown.get(image) === name) continue;
       shown.set(image, name);
       if (name === null) { image.hidden = true; continue; }
-      image.onload = () => { image.hidden = false; };
-      image.onerror = () => { image.hidden = true; };
-      image.src = `/thumbnail?tab=${encodeURIComponent(tab())}&path=${encodeURIComponent(path)}&of=${encodeURIComponent(name)}`;
+      small(image, path, name);
     }
   };
   setInterval(look, 300);

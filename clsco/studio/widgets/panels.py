@@ -17,25 +17,24 @@ from clsco.studio.folder import IMAGES, listed
 from clsco.studio.forms import Field, Panel, panels
 from clsco.studio.presets import choose_method, is_as_the_thesis
 from clsco.studio.session import Session
+from clsco.studio.tables import at
 from clsco.studio.widgets.live import number
 from clsco.studio.widgets.objects import object_list
 from clsco.studio.widgets.plain import button, check_box, say
 
 _MOTIONS = {"velocity": "Translation", "angular_velocity": "Rotation"}
-_IMAGE, _TYPE, _, _MOTION, _ = range(5)
+_TYPE, _PROPERTIES, _MOTION = 1, 2, 3  # of the panels of the thesis
 
 
 @dataclass
 class Chosen:
     """What the panels of a page are of.
 
-    index: of the object; is_open: panels by title; moving: motions that are chosen although they are 0, by path;
-    before: what they were when they were given up.
+    index: of the object; is_open: panels by title; before: motions that were given up, by path.
     """
 
     index: int = 0
     is_open: dict[str, bool] = field(default_factory=dict)
-    moving: set[str] = field(default_factory=set)
     before: dict[str, Any] = field(default_factory=dict)
 
 
@@ -53,48 +52,65 @@ def draw_panels(session: Session, chosen: Chosen | None = None) -> Callable[[], 
         Ends it, when the page is closed.
     """
     now = chosen or Chosen()
-    drawn: list[Any] = []
+
+    @ui.refreshable
+    def objects() -> None:
+        object_list(session, now.index, choose)
+
+    @ui.refreshable
+    def method() -> None:
+        _method(session)
 
     @ui.refreshable
     def area() -> None:
-        now.index = min(now.index, len(session.table["object"]) - 1)
-        drawn[:] = [_form(session, now)]
-        object_list(session, now.index, choose)
         for position, panel in enumerate(panels(session, now.index)):
-            _draw(session, panel, position, now)
+            _draw(session, panel, position, now, method)
+
+    parts: list[tuple[Any, Callable[[Session, Chosen], Any], Any]] = [
+        (objects, _names, _names(session, now)),
+        (method, _is_thesis, _is_thesis(session, now)),
+        (area, _form, _form(session, now)),
+    ]
 
     def choose(index: int) -> None:
         now.index = index
-        area.refresh()
+        changed()
 
     def changed() -> None:
-        if drawn != [_form(session, now)]:
-            area.refresh()
+        now.index = min(now.index, len(session.table["object"]) - 1)
+        for position, (part, of, before) in enumerate(parts):
+            if (after := of(session, now)) != before:
+                parts[position] = part, of, after
+                part.refresh()
 
+    objects()
     area()
     return session.subscribe(changed)
 
 
+def _names(session: Session, chosen: Chosen) -> Any:
+    """What the list of objects is drawn by: it is drawn again where it differs."""
+    return chosen.index, [(item["shape"], item.get("name")) for item in session.table["object"]]
+
+
+def _is_thesis(session: Session, chosen: Chosen) -> Any:  # noqa: ARG001 - as `_names`
+    return is_as_the_thesis(session)
+
+
 def _form(session: Session, chosen: Chosen) -> Any:
-    """What panels are drawn by: they are drawn again where it differs."""
-    table = session.table
-    objects = [(item["shape"], item.get("name")) for item in table["object"]]
-    index = min(chosen.index, len(objects) - 1)
-    moves = [is_chosen(session, chosen, f"object.{index}.motion.{key}") for key in _MOTIONS]
-    return (
-        objects, index, session.shown(f"object.{index}.shape"), len(table.get("group", ())), moves,
-        session.known("camera.focal_length"), is_as_the_thesis(session), session.known(f"object.{index}.texture"),
-        session.known("psf.model"), session.known("motion.warp"), session.known("aperture.shape"),
-    )  # fmt: skip
+    """What panels are drawn by; nothing that is typed or dragged in them, as who does that must not be disturbed."""
+    path = f"object.{chosen.index}"
+    moves = [is_chosen(session, f"{path}.motion.{key}") for key in _MOTIONS]
+    counts = [len(session.table.get(key, ())) for key in ("object", "group")]
+    return chosen.index, session.shown(f"{path}.shape"), counts, moves
 
 
-def is_chosen(session: Session, chosen: Chosen, path: str) -> bool:
-    """Whether a motion is: it is ticked, or not 0."""
-    value = session.shown(path)
-    return path in chosen.moving or (isinstance(value, list) and any(value)) or not isinstance(value, list | None)
+def is_chosen(session: Session, path: str) -> bool:
+    """Whether a motion is: it is given, be it 0."""
+    return at(session.table, path.split(".")) is not None or any(key.startswith(path) for key in session.refused)
 
 
-def _draw(session: Session, panel: Panel, position: int, chosen: Chosen) -> None:
+def _draw(session: Session, panel: Panel, position: int, chosen: Chosen, method: Callable[[], Any]) -> None:
     is_open = chosen.is_open.get(panel.title, panel.is_open)
     with say("details", open=is_open or None).classes("panel") as details:
         details.on(
@@ -104,7 +120,9 @@ def _draw(session: Session, panel: Panel, position: int, chosen: Chosen) -> None
         )
         say("summary", panel.title)
         if panel.title == "PSF and method":
-            _method(session)
+            method()
+        if position == _PROPERTIES:
+            say("p", "In the thesis centers are on the axis, and |R| is at most about 6 px.").classes("quiet")
         for each in panel.fields:
             if position == _TYPE:
                 _shapes(session, each)
@@ -126,6 +144,8 @@ def draw_field(session: Session, shown: Field) -> None:
             say("legend", shown.name, title=shown.help)
             _components(session, shown)
             _back(shown)
+            if shown.key == "semi_axes":
+                check_box("c = b, as in the thesis", session.is_linked, partial(setattr, session, "is_linked"))
     elif shown.kind == "flag":
         with say("div").classes("field"):
             with say("label").classes("check"):
@@ -181,7 +201,7 @@ def _text(session: Session, shown: Field, value: Any, box: str) -> None:
     if shown.key == "texture":
         with say("div", data_drop=shown.path).classes("drop"):
             say("img", data_thumbnail=shown.path, alt="", hidden=True).classes("thumbnail")
-            say("span", "Drop an image here")
+            say("span", "Drop an image here", data_about=shown.path)
 
 
 def _back(shown: Field) -> None:
@@ -223,14 +243,12 @@ def _shapes(session: Session, shown: Field) -> None:
 
 def _motion(session: Session, shown: Field, chosen: Chosen) -> None:
     """A motion that is chosen or not, and its boxes."""
-    path, is_on = shown.path, is_chosen(session, chosen, shown.path)
+    path, is_on = shown.path, is_chosen(session, shown.path)
 
     def choose(on: bool) -> None:
         if on:
-            chosen.moving.add(path)
             session.patch(path, chosen.before.pop(path, None) or [0.0, 0.0, 0.0])
         else:
-            chosen.moving.discard(path)
             chosen.before[path] = session.known(path)
             session.patch(path, None)
 
