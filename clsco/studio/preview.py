@@ -119,7 +119,7 @@ class Preview:
             elif self._other is not None:
                 await self._show(PINNED)
             elif self._asked:
-                await self._ask(*self._asked.pop(next(iter(self._asked))))
+                await self._ask(next(iter(self._asked)))
             else:
                 self._news.clear()
                 await self._news.wait()
@@ -144,8 +144,9 @@ class Preview:
     async def _show(self, rung: int) -> None:
         """Render and send the pictures of a rung, or say why there are none."""
         state, revision, scene = self._state, self._session.revision, self._session.scene
-        if rung == PINNED and self._other is not None:
-            scene, self._other = self._other, None
+        other = self._other if rung == PINNED else None
+        if other is not None:
+            scene, self._other = other, None
         index = min(self._index, scene.sequence.frames - 1)
         self._is_exact_underway = rung != DRAGGING
         try:
@@ -158,7 +159,7 @@ class Preview:
                     await self._send(picture.packed(revision))
             self._done = (state, min(rung, EXACT))
         except CanceledError:
-            return
+            self._other = self._other or other
         except RendererEndedError as error:
             self._crashes += 1
             if self._crashes >= _MOST_CRASHES:
@@ -170,15 +171,16 @@ class Preview:
         finally:
             self._is_exact_underway = False
 
-    async def _ask(self, x: int, y: int, told: Told) -> None:
-        """Answer what is asked of a pixel."""
+    async def _ask(self, purpose: str) -> None:
+        """Answer what is asked of a pixel; a change in between has it asked again."""
+        x, y, told = asked = self._asked.pop(purpose)
         self._is_exact_underway = True
         index = min(self._index, self._session.scene.sequence.frames - 1)
         key = id(self), self._session.revision, index
         try:
             await told(await self._renderer.inspect(Question(self._session.scene, index, key, x, y)))
         except CanceledError:
-            return
+            self._asked.setdefault(purpose, asked)
         except ClscoError as error:
             await self.tell(error=[str(error)])
         finally:

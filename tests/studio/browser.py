@@ -67,4 +67,10 @@ def chromium() -> Iterator[Any]:
 
 def rest(page: Any) -> None:
     """Wait for an exact frame."""
-    page.wait_for_function("window.studio && studio.rung === 2", timeout=60000)
+    try:
+        page.wait_for_function("window.studio && studio.rung === 2", timeout=60000)
+    except Exception as error:
+        state = (
+            "[studio.revision, studio.rung, studio.painted.slice(-4), document.querySelector('#message').textContent]"
+        )
+        raise AssertionError(page.evaluate(state)) from error
