@@ -125,6 +125,7 @@ def test_what_is_wrong_is_said_beside_its_box(page: Any) -> None:
 def test_boxes_keep_what_is_typed_when_the_page_changes(page: Any) -> None:
     typed(page, "object.0.distance", "320")
     page.get_by_role("button", name="Presets").click()
+    page.locator("dialog[open]").wait_for()
     page.keyboard.press("Escape")
     page.get_by_role("button", name="Open", exact=True).click()
     page.get_by_role("button", name="sphere.toml").wait_for()
