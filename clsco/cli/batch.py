@@ -101,7 +101,9 @@ data_argument = click.argument("data", metavar="DATA")
     "--workers", metavar="N", type=click.IntRange(1, 1024),
     help="Processes. Default: one for each graphics card, or for each core of a processor.",
 )  # fmt: skip
-@click.option("--scheduler", metavar="ADDRESS", help="Of a dask.distributed cluster that renders, like tcp://host:8786.")
+@click.option(
+    "--scheduler", metavar="ADDRESS", help="Of a dask.distributed cluster that renders, like tcp://host:8786."
+)
 @click.option("--resume", is_flag=True, help="Go on with the set in DATA.")
 @click.option("--only", metavar="A:B", type=_parse_numbers, help="Samples A to B - 1 alone.")
 @click.option("--part", metavar="I/N", type=_parse_part, help="Only every N-th shard, from I = 0 on, for array jobs.")
@@ -198,12 +200,10 @@ def _make(
         finish(wanted, status)
     finally:
         storage.close()
-    click.echo(_line(out, wanted, status))
+    click.echo(_line(out, status))
 
 
-def _identity(
-    drawn: Distribution, samples: range, options: dict[str, Any], precision: str, family: str
-) -> Identity:
+def _identity(drawn: Distribution, samples: range, options: dict[str, Any], precision: str, family: str) -> Identity:
     from clsco import __version__
     from clsco.data.manifest import Identity
 
@@ -245,7 +245,7 @@ def _memory_limit(workers: int) -> int:
     return int(WORKER_SHARE * total / max(1, workers))
 
 
-def _line(out: str, there: DataSet, status: Status) -> str:
+def _line(out: str, status: Status) -> str:
     """What has been made, in one line."""
     failed = f", {status.failed} failed" if status.failed else ""
     whole = "" if status.is_whole else f" of {status.shards}, as far as it is made"

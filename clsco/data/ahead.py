@@ -22,9 +22,10 @@ def ahead(produced: Generator[V, None, None] | Iterator[V], depth: int = DEPTH) 
     def put(value: tuple[bool, V | BaseException | None]) -> None:
         while not ended.is_set():
             try:
-                return values.put(value, timeout=0.1)
+                values.put(value, timeout=0.1)
             except queue.Full:
                 continue
+            return
 
     def produce() -> None:
         try:

@@ -179,7 +179,8 @@ def _rate(there: DataSet, done: Iterable[int]) -> float | None:
             continue
     if not found:
         return None
-    return sum(count for _, _, count in found) / max(1e-3, max(end for _, end, _ in found) - min(begin for begin, _, _ in found))
+    spent = max(end for _, end, _ in found) - min(begin for begin, _, _ in found)
+    return sum(count for _, _, count in found) / max(1e-3, spent)
 
 
 def ranges(numbers: Iterable[int]) -> str:

@@ -109,7 +109,9 @@ class ParquetReader(ShardReader):
             about = file.metadata
             for group in range(about.num_row_groups):
                 if about.row_group(group).total_byte_size > LARGEST or about.row_group(group).num_rows > LARGEST // 64:
-                    refuse(path, f"row groups must have at most {LARGEST} bytes", about.row_group(group).total_byte_size)
+                    refuse(
+                        path, f"row groups must have at most {LARGEST} bytes", about.row_group(group).total_byte_size
+                    )
                 self._places += [(group, row) for row in range(about.row_group(group).num_rows)]
             self._names = file.schema_arrow.names
             keys = file.read(["key"])["key"].to_pylist()
