@@ -486,3 +486,8 @@ def _require_device(name: str | None) -> None:
     from clsco.opencl.device import choose
 
     choose(name, "--device")
+
+
+from clsco.cli.batch import batch  # noqa: E402
+
+main.add_command(batch)
