@@ -24,6 +24,7 @@ EXTENSIONS = ("npy.zst", "npy", "png")
 LEVEL = 3  # 0.29 of the size at 500 MB/s; bytes shuffled first it is 0.26, and is read at half the rate
 LARGEST = 2**31  # bytes of an array
 LARGEST_META = 2**26
+NESTED = ("parameters", "labels", "scene", "arrays", "frames")  # in what describes a record
 HEADER = 2**14  # of an NPY file at most; numpy takes 10000
 _NAME = re.compile(r"[a-z0-9_]+(\.[a-z0-9_]+)*")
 _DTYPES = {np.dtype(name).name: np.dtype(name) for name in ("?", "u1", "u2", "i4", "i8", "f2", "f4", "f8")}
@@ -136,12 +137,33 @@ def npy_array(content: bytes | bytearray | memoryview, dtype: np.dtype[Any], sha
     return np.array(plain.reshape(shape, order="F" if fortran else "C"), dtype, order="C")
 
 
-def meta_bytes(record: Record) -> bytes:
-    """JSON of what describes a record, in one line. Raises ImageError where JSON cannot hold it."""
+def meta_bytes(record: Record, flat: bool = False) -> bytes:
+    """JSON of what describes a record, in one line.
+
+    Parameters
+    ----------
+    record : Record
+    flat : bool
+        What is nested is text, again JSON: `datasets` needs one type for each key, and scenes differ in theirs.
+
+    Returns
+    -------
+    bytes
+
+    Raises
+    ------
+    ImageError
+        JSON cannot hold it.
+    """
     try:
-        return json.dumps(record.meta, separators=(",", ":"), allow_nan=False, ensure_ascii=False).encode()
+        nested = {name: _json(value) for name, value in record.meta.items() if isinstance(value, (dict, list, tuple))}
+        return _json({**record.meta, **(nested if flat else {})}).encode()
     except (TypeError, ValueError) as error:
         raise ImageError(f"sample {record.key}: must be values that JSON holds; got {error}") from error
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
 
 
 def parsed_meta(path: Path, content: bytes | str) -> dict[str, Any]:
@@ -164,6 +186,8 @@ def parsed_meta(path: Path, content: bytes | str) -> dict[str, Any]:
     if len(content) > LARGEST_META:
         refuse(path, f"meta.json must have at most {LARGEST_META} bytes", len(content))
     meta = json.loads(content)
+    if isinstance(meta, dict) and isinstance(meta.get("arrays"), str):  # flat
+        meta |= {name: json.loads(meta[name]) for name in NESTED if isinstance(meta.get(name), str)}
     if not isinstance(meta, dict) or not isinstance(meta.get("arrays"), dict):
         refuse(path, "meta.json must be an object with arrays", type(meta).__name__)
     for name in meta["arrays"]:
@@ -185,9 +209,9 @@ def described(path: Path, meta: Mapping[str, Any], name: str) -> dict[str, Any]:
     return {"dtype": dtype, "shape": tuple(shape)}
 
 
-def members(path: Path, record: Record, raw: bool) -> Iterator[tuple[str, bytes]]:
+def members(path: Path, record: Record, raw: bool, flat: bool = False) -> Iterator[tuple[str, bytes]]:
     """Name and content of the files of a record: meta.json first, then each array in its order."""
-    yield "meta.json", meta_bytes(record)
+    yield "meta.json", meta_bytes(record, flat)
     for name, array in record.arrays.items():
         extension, content = encoded(path, array, raw)
         yield f"{name}.{extension}", content

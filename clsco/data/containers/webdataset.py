@@ -38,7 +38,7 @@ def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
     """
     with tarfile.open(path, "x", format=tarfile.USTAR_FORMAT) as tar:
         for record in records:
-            for name, content in members(path, record, raw):
+            for name, content in members(path, record, raw, flat=True):
                 entry = tarfile.TarInfo(f"{record.key}.{name}")
                 entry.size = len(content)
                 tar.addfile(entry, io.BytesIO(content))
