@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Generator, Iterator
+from collections.abc import Generator
 from typing import TypeVar
 
 V = TypeVar("V")
 DEPTH = 2
 
 
-def ahead(produced: Generator[V, None, None] | Iterator[V], depth: int = DEPTH) -> Generator[V, None, None]:
+def ahead(produced: Generator[V, None, None], depth: int = DEPTH) -> Generator[V, None, None]:
     """Yield what `produced` does, up to `depth` values of which wait meanwhile.
 
     An error of the producer is raised here. When this generator is closed, the producer ends before its next value.

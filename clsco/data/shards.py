@@ -6,7 +6,7 @@ import hashlib
 import math
 import shutil
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -191,7 +191,7 @@ class ShardMaker:
                 continue
             splits.setdefault(sample.split, []).append(sample)
 
-        def records(samples: Sequence[Sample], key: str) -> Iterator[Record]:
+        def records(samples: Sequence[Sample], key: str) -> Generator[Record, None, None]:
             for sample in samples:
                 start = time.perf_counter()
                 try:
@@ -242,7 +242,12 @@ class ShardMaker:
             self.storage.put(name, path)
         self.storage.write(key, made.part)
         took = {name: round(value, 3) for name, value in made.seconds.items()}
-        log = {"shard": made.shard, "samples": made.samples, "failed": made.failed, "began": round(made.began, 3)}
+        log: dict[str, Any] = {
+            "shard": made.shard,
+            "samples": made.samples,
+            "failed": made.failed,
+            "began": round(made.began, 3),
+        }
         log |= {"ended": round(time.time(), 3), "seconds": took, **about}
         self.storage.write(f"{LOG}/{made.shard:06d}.jsonl", f"{line(log)}\n".encode())
 

@@ -63,7 +63,7 @@ def verify_samples(there: DataSet, numbers: Sequence[int], device: str | None, a
     more = ("object_id", "depth") if "flow" in there.identity.arrays else ()
     arrays = tuple(dict.fromkeys((*there.identity.arrays, *more)))
     renderer = Renderer(chosen, arrays, there.identity.precision)
-    findings = []
+    findings: list[str] = []
     for number in numbers:
         try:
             findings += _verify_sample(there, number, renderer)
