@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from clsco.data.distribution import Distribution
     from clsco.data.manifest import Identity
     from clsco.data.pool import Place
-    from clsco.data.sets import DataSet, Status
+    from clsco.data.sets import Status
 
 WORKER_SHARE = 0.5  # of the machine's memory, for all processes together
 

@@ -3,8 +3,8 @@
 A set of small frames is made by processes of one machine (1, 2 and 4 of them), by two parts of an array job at the same
 time, and by workers of a dask cluster. A worker, the command, all of its processes at once, or the scheduler of the
 cluster is killed after a random time, a few times in a row; after each kill every shard whose part is there must be
-whole. Then --resume makes the rest: the set must have the bytes of one that nobody disturbed, and no other file, but for
-what is in log/, which says how long a shard took.
+whole. Then --resume makes the rest: the set must have the bytes of one that nobody disturbed, and no other file. Only
+log/ is not compared, which says how long a shard took.
 """
 
 from __future__ import annotations
@@ -184,9 +184,9 @@ def children(parent: int) -> list[int]:
     found = []
     for path in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):
-            if int(path.read_text().rpartition(")")[2].split()[1]) == parent:
-                if b"spawn_main" in (path.parent / "cmdline").read_bytes():
-                    found.append(int(path.parent.name))
+            is_child = int(path.read_text().rpartition(")")[2].split()[1]) == parent
+            if is_child and b"spawn_main" in (path.parent / "cmdline").read_bytes():
+                found.append(int(path.parent.name))
     return found
 
 
