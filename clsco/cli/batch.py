@@ -127,6 +127,7 @@ def make(distribution: Path, out: str, devices: tuple[str, ...], quiet: bool, **
 
         print_dry_run(drawn, options["seed"], samples, options["arrays"])
         return
+    options["recipe"] = distribution.read_text("utf-8")
     _make(drawn, out, samples, devices, quiet, options)
 
 
@@ -174,7 +175,7 @@ def _make(
     wanted = DataSet(storage, identity, samples)
     try:
         begun(wanted, options["resume"] or options["part"] is not None)
-        wanted.write({"license": options["license_text"]})
+        wanted.write({"license": options["license_text"], "recipe": options["recipe"]})
         index, parts = options["part"] or (0, 1)
         own = [shard for shard in wanted.shards if shard % parts == index]
         done = wanted.done(own, storage.is_local, [])

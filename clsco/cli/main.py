@@ -489,5 +489,7 @@ def _require_device(name: str | None) -> None:
 
 
 from clsco.cli.batch import batch  # noqa: E402
+from clsco.cli.convert import convert  # noqa: E402
 
 main.add_command(batch)
+main.add_command(convert)

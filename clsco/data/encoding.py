@@ -200,13 +200,17 @@ def described(path: Path, meta: Mapping[str, Any], name: str) -> dict[str, Any]:
     about = meta["arrays"].get(name)
     if not isinstance(about, dict) or not _NAME.fullmatch(name):
         refuse(path, "arrays must have plain names and be described in meta.json", repr(name))
-    dtype, shape = _DTYPES.get(str(about.get("dtype"))), about.get("shape")
+    dtype, shape = _DTYPES.get(str(about.get("dtype"))), list[Any](about["shape"] if _is_list(about) else [])
     if dtype is None:
         refuse(path, f"dtype of {name} must be one of {', '.join(_DTYPES)}", repr(about.get("dtype")))
-    plain = isinstance(shape, list) and 1 <= len(shape) <= 5 and all(type(n) is int and n > 0 for n in shape)
+    plain = 1 <= len(shape) <= 5 and all(type(size) is int and size > 0 for size in shape)
     if not plain or prod(shape) * dtype.itemsize > LARGEST:
-        refuse(path, f"shape of {name} must be 1 to 5 sizes of at most {LARGEST} bytes in all", repr(shape))
+        refuse(path, f"shape of {name} must be 1 to 5 sizes of at most {LARGEST} bytes in all", about.get("shape"))
     return {"dtype": dtype, "shape": tuple(shape)}
+
+
+def _is_list(about: Mapping[str, Any]) -> bool:
+    return isinstance(about.get("shape"), list)
 
 
 def members(path: Path, record: Record, raw: bool, flat: bool = False) -> Iterator[tuple[str, bytes]]:

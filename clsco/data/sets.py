@@ -7,11 +7,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from clsco.data.card import CARD, write_card
 from clsco.data.manifest import LOG, Identity, Part, Parts, numbers_of, part_key, rows_of, shard_numbers
 from clsco.data.storage import Storage
 from clsco.errors import ImageError, SceneError
 
-CARD = "dataset.json"
 MOST_SHARDS = 10**6
 LATEST = 64  # shards from whose times the rate is taken
 
@@ -161,9 +161,10 @@ def status_of(there: DataSet, hashes: bool = False) -> Status:
 
 
 def finish(there: DataSet, status: Status) -> None:
-    """Put the manifest of a whole set together."""
+    """Put the manifest of a whole set together, and complete its card."""
     if status.is_whole:
         Parts(there.storage).merge()
+        write_card(there.storage, there.identity)
         there.storage.close()
 
 

@@ -16,7 +16,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "clsco"
 # A package or module imports only what stands before it.
 ORDER = (
     "constants", "errors", "kept", "resources", "records", "scene", "optics", "files", "frame", "inputs", "plan",
-    "opencl", "inpainting", "passes", "engine", "reference", "cli",
+    "opencl", "inpainting", "passes", "engine", "reference", "data", "cli",
 )  # fmt: skip
 # Narrower than the order: what knows OpenCL knows no scenes, and codecs know none either.
 ONLY = {

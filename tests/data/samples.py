@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
+from clsco.data.containers import CONTAINERS
+from clsco.data.convert import _digests
+from clsco.data.manifest import Identity, part_bytes, part_key
 from clsco.data.record import Drawn, Record, make_record
+from clsco.data.sets import DataSet, finish, status_of
+from clsco.data.storage import open_storage
 from clsco.frame.frame import FILE_NAMES, Frame
 from clsco.scene.file import parse_scene
 
@@ -59,3 +65,43 @@ def same(one: Record, other: Record) -> bool:
     """Whether two records are one: keys, types, shapes, bits, JSON."""
     arrays = one.arrays.keys() == other.arrays.keys() and one.sha256() == other.sha256()
     return arrays and one.key == other.key and one.meta == other.meta
+
+
+def make_set(folder: Path, form: str = "webdataset", count: int = 10, size: int = 4, splits: bool = True) -> Path:
+    """A whole set of small records, as `clsco batch` makes it but for the rendering. Sample 5 failed."""
+    storage, container = open_storage(folder), CONTAINERS[form]
+    shares = (("train", 0.7), ("val", 0.3)) if splits else ()
+    identity = Identity(
+        distribution="d" * 64, seed=7, first=0, shard_size=size, format=form, arrays=tuple(FILE_NAMES.values()),
+        precision="double", splits=shares, version="0.1.0", device_family="cpu, some",
+    )  # fmt: skip
+    made = DataSet(storage, identity, range(count))
+    made.write({"license": "CC-BY-4.0", "recipe": 'base = "sphere.toml"\n'})
+    for shard in made.shards:
+        files: dict[str, list[Record]] = {}
+        rows = []
+        for number in made.numbers(shard):
+            split = ("val" if number % 3 == 2 else "train") if splits else ""
+            key = f"{split or 'data'}/{shard:06d}{container.suffix}"
+            if number != 5:
+                files.setdefault(key, []).append(record(number))
+                row = {"number": number, "split": split, "file": key, "offset": len(files[key]) - 1}
+                rows.append({**row, "parameters": {}, "arrays": files[key][-1].sha256()})
+        described: dict[str, tuple[int, str]] = {}
+        for key, records in files.items():
+            path = storage.scratch() / key.replace("/", "_")
+            container.write(path, records)
+            described |= _digests(key, path)
+            storage.put(key, path)
+        failures = [{"number": 5, "split": "val", "error": "e", "scene": {}}] if 5 in made.numbers(shard) else []
+        storage.write(
+            part_key(shard), part_bytes(shard, identity.digest, made.numbers(shard), described, rows, failures)
+        )
+    finish(made, status_of(made))
+    return folder
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Bytes of all files in a folder, by their paths."""
+    found = {each.relative_to(folder).as_posix(): each for each in folder.rglob("*") if each.is_file()}
+    return {name: found[name].read_bytes() for name in sorted(found)}

@@ -49,7 +49,8 @@ class FolderReader(ShardReader):
         folder = self.path / self.keys[index]
         with whole(folder, "sample"):
             meta = parsed_meta(folder, read_file(folder / "meta.json"))
-            found = {split[0]: name for name in os.listdir(folder) if (split := split_name(name)) is not None}
+            names = [each.name for each in folder.iterdir()]
+            found = {split[0]: name for name in names if (split := split_name(name)) is not None}
             arrays = {}
             for name in meta["arrays"]:  # whose order is that of the record
                 if name in found and is_wanted(name, wanted):

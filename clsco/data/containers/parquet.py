@@ -23,6 +23,7 @@ from clsco.files.decoders import codec
 
 NEEDS = ("pyarrow", "data")
 _EXTENSION = "ARROW:extension:"  # with the type of `datasets`, which others take for lists of lists
+MOST_ROWS = 2**16
 GROUP = 2**23  # bytes, about, of a row group, which is what a reader reads at once
 
 
@@ -107,12 +108,12 @@ class ParquetReader(ShardReader):
         self._places: list[tuple[int, int]] = []
         with whole(path, "Parquet file"), self._parquet.ParquetFile(path) as file:
             about = file.metadata
-            for group in range(about.num_row_groups):
-                if about.row_group(group).total_byte_size > LARGEST or about.row_group(group).num_rows > LARGEST // 64:
-                    refuse(
-                        path, f"row groups must have at most {LARGEST} bytes", about.row_group(group).total_byte_size
-                    )
-                self._places += [(group, row) for row in range(about.row_group(group).num_rows)]
+            for number in range(about.num_row_groups):
+                group = about.row_group(number)
+                if group.total_byte_size > LARGEST or group.num_rows > MOST_ROWS:
+                    rule = f"row groups must have at most {LARGEST} bytes and {MOST_ROWS} rows"
+                    refuse(path, rule, f"{group.total_byte_size} and {group.num_rows}")
+                self._places += [(number, row) for row in range(group.num_rows)]
             self._names = file.schema_arrow.names
             keys = file.read(["key"])["key"].to_pylist()
         if len(keys) != len(self._places) or not all(isinstance(key, str) for key in keys):

@@ -61,9 +61,7 @@ def _features(path: Path, pb: Any, name: str, array: NDArray[Any]) -> dict[str, 
     elif array.dtype.kind in "iub":
         values = pb.Feature(int64_list=pb.Int64List(value=array.astype(np.int64).ravel()))
     else:
-        refuse(
-            path, f"TFRecord holds floats of 16 and 32 bits, whole numbers and codes; {name} must be such", array.dtype
-        )
+        refuse(path, f"{name} must be of whole numbers, float16 or float32 in a TFRecord", array.dtype)
     return {name: values, f"{name}/shape": pb.Feature(int64_list=pb.Int64List(value=array.shape))}
 
 

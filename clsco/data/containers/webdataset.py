@@ -52,7 +52,7 @@ class TarReader(ShardReader):
         self._places, self._sizes, self._starts = numbers("q"), numbers("q"), numbers("q")
         keys: list[str] = []
         with whole(path, "tar"):
-            size = os.stat(path).st_size
+            size = path.stat().st_size
             with tarfile.open(path, "r:") as tar:
                 for entry in tar:
                     if not entry.isreg() or entry.issparse() or entry.offset_data + entry.size > size:
@@ -64,7 +64,7 @@ class TarReader(ShardReader):
                     self._names.append(intern(name))
                     self._places.append(entry.offset_data)
                     self._sizes.append(entry.size)
-                    tar.members = []  # which tarfile keeps
+                    tar.members = []  # type: ignore[attr-defined]  # which it keeps
                 if tar.offset + 512 > size:
                     raise ValueError("no end of the archive")
         if len(set(keys)) < len(keys):
