@@ -5,6 +5,7 @@ Nothing here depends on a device: the same rays are cast for every rendering of 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,19 +13,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.data.folder import Refused
+from clsco.data.folder import RefusedError
 from clsco.errors import SceneError
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
 from clsco.optics.motion import middle_time, poses_at, rest_center
 from clsco.optics.quadrics import place, predict_inverse_depth
 from clsco.plan.predict import without_lens
-from clsco.scene.model import Scene
+from clsco.scene.model import Rectangle, Scene
 from clsco.scene.text import shown
 
 Array = NDArray[np.float64]
 RAYS = 64  # per axis
 DIGITS = 6  # of a derived value: rounding of the last bits, which machines may differ in, does not show
-STEPS = 40  # by which an interval is searched
+MOMENT = 1e-6  # s, with which the search for an interval begins
+STEPS, LONGEST = 60, 1e6  # of it, and s
 MEASURES = ("max_blur_px", "max_flow_px", "visible_fraction", "valid_fraction")
 DERIVED = {
     ("camera", "focus_distance"): "depth_quantile",
@@ -33,6 +35,10 @@ DERIVED = {
     ("sequence", "shutter"): "share_of_interval",
 }
 """Keys that may be derived, each with its one form, in the order in which they are."""
+
+
+class UnfitError(SceneError):
+    """A key cannot follow from what was drawn: it is drawn again."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +57,7 @@ class Look:
         Share of rays that meet a surface, of the frame with the least.
     visible : float
         Of the rays that would meet an object if it were alone, the share that does; of the object and frame with the
-        least. 0 where an object is not in the frame.
+        least. 0 where an object is not in the frame. A box is one object.
     """
 
     inverse_depth: Array
@@ -71,12 +77,13 @@ class Look:
 
 @dataclass(frozen=True)
 class _Seen:
-    """One frame: rays (RAYS, RAYS) to what they meet; front: number of the object, -1 for none."""
+    """One frame: what rays (RAYS, RAYS) meet; front: number of the object, -1 for none; hits: (objects, RAYS, RAYS),
+    whether each object is on the way at all."""
 
     number: int
     w: Array
     front: NDArray[np.int64]
-    alone: NDArray[np.int64]
+    hits: NDArray[np.bool_]
 
 
 def looks_of(scenes: Sequence[Scene]) -> list[Look]:
@@ -109,10 +116,10 @@ def _slopes(scene: Scene) -> tuple[Array, Array]:
 def _seen(scene: Scene, number: int) -> _Seen:
     time = middle_time(scene.sequence, number) if scene.moves else 0.0
     rays = _slopes(scene)
-    poses = poses_at(scene, time)
-    w = np.array([predict_inverse_depth(item, place(item, pose), *rays) for item, pose in zip(scene.objects, poses, strict=True)])
+    placed = zip(scene.objects, poses_at(scene, time), strict=True)
+    w = np.array([predict_inverse_depth(item, place(item, pose), *rays) for item, pose in placed])
     front = np.where(w.max(axis=0) > 0.0, w.argmax(axis=0), -1)
-    return _Seen(number, w.max(axis=0), front, (w > 0.0).sum(axis=(1, 2)))
+    return _Seen(number, w.max(axis=0), front, w > 0.0)
 
 
 def _flow(scene: Scene, seen: _Seen, interval: float) -> Array:
@@ -137,19 +144,30 @@ def _flow(scene: Scene, seen: _Seen, interval: float) -> Array:
 
 def _looked(scene: Scene, frames: Sequence[_Seen], ways: Sequence[Array]) -> Look:
     backgrounds = [number for number, item in enumerate(scene.objects) if item.is_background]
-    surfaces = [number for number in range(len(scene.objects)) if number not in backgrounds]
+    bodies = _bodies(scene)
     valid, visible = 1.0, 1.0
     depths, radii, flows = list[Array](), list[Array](), list[Array]()
     for seen, way in zip(frames, ways, strict=True):
         hit = (seen.front >= 0) & ~np.isin(seen.front, backgrounds)
         valid = min(valid, float(hit.mean()))
-        counts = np.bincount(seen.front[hit], minlength=len(scene.objects))
-        for number in surfaces:
-            visible = min(visible, float(counts[number] / max(1, seen.alone[number])))
+        for body in bodies:
+            alone, shown_of_it = seen.hits[body].any(axis=0), np.isin(seen.front, body)
+            visible = min(visible, float(shown_of_it.sum() / max(1, alone.sum())))
         depths.append(seen.w[hit])
         flows.append(way[hit])
         radii.append(np.abs(blur_radius(scene.camera, seen.w[seen.front >= 0])))
-    return Look(*map(np.concatenate, (depths, radii, flows)), valid, visible)
+    return Look(np.concatenate(depths), np.concatenate(radii), np.concatenate(flows), valid, visible)
+
+
+def _bodies(scene: Scene) -> list[list[int]]:
+    """Numbers of the objects that each table of the file has become: six for a box, and none for a background."""
+    found: dict[Any, list[int]] = {}
+    for number, item in enumerate(scene.objects):
+        name, _, side = item.name.rpartition(" ")
+        of_a_box = isinstance(item, Rectangle) and side in ("front", "back", "left", "right", "top", "bottom")
+        if not item.is_background:
+            found.setdefault((name, rest_center(item).tobytes()) if of_a_box else number, []).append(number)
+    return list(found.values())
 
 
 Bounds = tuple[tuple[str, float, float], ...]
@@ -193,7 +211,7 @@ def refusal(bounds: Bounds, scenes: Sequence[Scene]) -> str | None:
 
 
 def derived(key: tuple[str, ...], wanted: float, scenes: Sequence[Scene]) -> float:
-    """The value of a key that gives a sample what is wanted of it; raises SceneError where none does.
+    """The value of a key that gives a sample what is wanted of it; raises UnfitError where none does.
 
     Parameters
     ----------
@@ -217,56 +235,50 @@ def derived(key: tuple[str, ...], wanted: float, scenes: Sequence[Scene]) -> flo
     if key == ("camera", "focus_distance"):
         w = np.sort(np.concatenate([look.inverse_depth for look in looks]))[::-1]
         if not len(w):
-            raise SceneError(f"derive.{name}: a surface must be in the frame; got none")
+            raise UnfitError(f"derive.{name}: a surface must be in the frame; got none")
         return _rounded(1.0 / float(w[int(wanted * (len(w) - 1))]))
-    scene, largest = max(
-        ((scene, look.measure("max_blur_px")) for scene, look in zip(scenes, looks, strict=True)), key=lambda one: one[1]
-    )
+    blurred = [look.measure("max_blur_px") for look in looks]
+    largest, scene = max(blurred), scenes[blurred.index(max(blurred))]
     if not largest > 0.0:
-        raise SceneError(f"derive.{name}: something must be out of focus; got a largest blur radius of 0")
+        raise UnfitError(f"derive.{name}: something must be out of focus; got a largest blur radius of 0")
     return _rounded(scene.camera.focal_length / scene.camera.aperture_diameter * largest / wanted)
 
 
 def _interval(wanted: float, scenes: Sequence[Scene]) -> float:
-    """The time after which the fastest point that is seen in the first frame has moved so many px."""
+    """The time from the reference pose of the first variant in which the fastest point in sight moves so many px."""
     scene = scenes[0]
-    rule = "derive.sequence.interval: something must move in the frame"
     if not scene.moves:
-        raise SceneError(f"{rule}; got none that does")
-    # The first frame's truth is of the middle of its shutter, which may follow from the interval: of t = 0 instead.
-    seen = _seen(_at_rest(scene), 0)
-    still = _at_rest(scene)
-    low, high = 0.0, 1e-3
+        raise UnfitError("derive.sequence.interval: something must move in the frame; got none that does")
+    # The middle of the shutter, to which the truth belongs, may follow from the interval: the reference pose instead.
+    still = scene.model_copy(update={"sequence": scene.sequence.model_copy(update={"shutter": 0.0})})
+    seen = _seen(still, 0)
+    low, high, time, found = 0.0, math.inf, MOMENT, 0.0
     for _ in range(STEPS):
-        if float(_flow(still, seen, high).max()) >= wanted:
+        found = float(_flow(still, seen, time).max())
+        low, high = (low, time) if found >= wanted else (time, high)
+        if abs(found - wanted) <= 1e-9 * wanted:
+            return _rounded(time)
+        if not found > 0.0 or time > LONGEST:
             break
-        low, high = high, 2.0 * high
-    else:
-        raise SceneError(f"{rule} by {wanted:g} px; got less within {high:.3g} s")
-    for _ in range(STEPS):
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if float(_flow(still, seen, middle).max()) >= wanted else (middle, high)
-    return _rounded(high)
-
-
-def _at_rest(scene: Scene) -> Scene:
-    """The same scene with a shutter so short that its middle is the reference pose."""
-    return scene.model_copy(update={"sequence": scene.sequence.model_copy(update={"shutter": 0.0})})
+        guess = time * wanted / found  # exact where the way grows with the time
+        time = guess if low < guess < high else 0.5 * (low + high) if high < math.inf else 2.0 * time
+    rule = f"derive.sequence.interval: something in the frame must move by {wanted:g} px"
+    raise UnfitError(f"{rule}; got {found:.3g} px in {time:.3g} s")
 
 
 def _rounded(value: float) -> float:
     return float(f"{value:.{DIGITS}g}")
 
 
-def derivation(key: tuple[str, ...], value: Any) -> Any:
-    """What a key of [derive] asks for: a number, or a distribution of it. Raises Refused."""
+def derivation(key: tuple[str, str], value: Any) -> Any:
+    """What a key of [derive] asks for: a number, or a distribution of it. Raises RefusedError."""
     form = DERIVED[key]
     if not isinstance(value, Mapping) or set(value) != {form}:
-        raise Refused(f"must be {{ {form} = value }}")
+        raise RefusedError(f"must be {{ {form} = value }}")
     wanted = value[form]
     if isinstance(wanted, Mapping):
         return wanted
     most = 1.0 if form in ("depth_quantile", "share_of_interval") else LARGEST_BLUR
-    if not _is_number(wanted) or not (0.0 < wanted or form == "depth_quantile") or wanted > most:
-        raise Refused(f"{form} must be a number up to {most:g}", shown(wanted))
+    if not _is_number(wanted) or not (wanted > 0.0 or form == "depth_quantile") or wanted > most:
+        raise RefusedError(f"{form} must be a number up to {most:g}", shown(wanted))
     return wanted

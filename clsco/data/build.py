@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from clsco.data.acceptance import derived
+from clsco.data.acceptance import UnfitError, derived
 from clsco.data.parts import FILE_KEYS, Location, Parameter, Parts, Population, copied, is_file
 from clsco.data.values import Placed
 from clsco.errors import ImageError, SceneError
@@ -56,7 +56,7 @@ class Builder:
 
     def build(self, values: Values, derive: bool = True) -> Built:
         """The sample of some values; derive: with the keys that follow from its scenes. Raises SceneError, whose
-        messages do not name the file."""
+        messages do not name the file, and UnfitError."""
         parts = self._parts
         for parameter, value in zip(parts.parameters, values.values, strict=True):
             if parameter.location[0] == "derive":
@@ -80,6 +80,8 @@ class Builder:
             sweep = parse_sweep(self._table, "")
             for key, wanted in parts.derived if derive else ():
                 sweep = self._derive(key, self._wanted[key] if isinstance(wanted, Parameter) else wanted, sweep)
+        except UnfitError:
+            raise
         except SceneError as error:
             raise SceneError([self._varied(message.removeprefix(": ")) for message in error.messages]) from error
         return Built(self._table, self._parameters, sweep)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from clsco.data.build import Builder, Values
-from clsco.data.parts import Parameter, Parts
+from clsco.data.parts import Parts
 from clsco.errors import SceneError
 
 MAX_CORNERS = 400
 MAX_EXTREMES = 48  # of one distribution
-Pick = Callable[[Parameter], Any]
 
 
 def corner_faults(parts: Parts, folder: Path) -> list[str]:
@@ -30,31 +30,25 @@ def corner_faults(parts: Parts, folder: Path) -> list[str]:
 def _corners(parts: Parts) -> Iterator[Values]:
     every = [*parts.parameters, *(rows.parameter for rows in parts.rows)]
     every += [one for population in parts.populations for one in population.parameters]
-    extremes = {id(one): _some(one.form.extremes()) for one in every}
-    yield _values(parts, lambda one: _end(one, extremes, 0), 0)
-    yield _values(parts, lambda one: _end(one, extremes, -1), -1)
-    made = 2
-    for varied in every:
-        for value in extremes[id(varied)]:
-            for end in (0, -1):
-                if made == MAX_CORNERS:
-                    return
-                made += 1
-                yield _values(parts, lambda one, v=value, e=end, p=varied: v if one is p else _end(one, extremes, e), None)  # type: ignore[misc]
+    extremes = {one.name: _some(one.form.extremes()) for one in every}
+    lowest, highest = ({name: values[end] for name, values in extremes.items()} for end in (0, -1))
+    yield _values(parts, lowest, 0)
+    yield _values(parts, highest, -1)
+    varied = ((name, value, others) for name in extremes for value in extremes[name] for others in (lowest, highest))
+    for name, value, others in islice(varied, MAX_CORNERS):
+        yield _values(parts, others | {name: value}, None)
 
 
-def _values(parts: Parts, pick: Pick, many: int | None) -> Values:
-    """Values that are picked; many: which extreme of the size of each population, None for one object of each."""
+def _values(parts: Parts, picked: dict[str, Any], many: int | None) -> Values:
+    """Values by the names of their parameters; many: which extreme of the size of each population, None for one object
+    of each."""
     members = []
     for population in parts.populations:
         counts = population.count.form.extremes()
         count = min(1, max(counts)) if many is None else sorted(counts)[many]
-        members.append([[pick(one) for one in population.parameters]] * count)
-    return Values([pick(one) for one in parts.parameters], [pick(rows.parameter) for rows in parts.rows], members)
-
-
-def _end(one: Parameter, extremes: dict[int, list[Any]], which: int) -> Any:
-    return extremes[id(one)][which]
+        members.append([[picked[one.name] for one in population.parameters]] * count)
+    rows = [picked[one.parameter.name] for one in parts.rows]
+    return Values([picked[one.name] for one in parts.parameters], rows, members)
 
 
 def _some(values: tuple[Any, ...]) -> list[Any]:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.data.acceptance import Bounds, bounds_of, refusal
+from clsco.data.acceptance import Bounds, UnfitError, bounds_of, refusal
 from clsco.data.build import Builder, Values
 from clsco.data.corners import corner_faults
 from clsco.data.draws import MAX_SEED, Words, stream_words
@@ -137,13 +137,15 @@ class Distribution:
             try:
                 built = Builder(self.parts, self.folder).build(values)
                 reason = refusal(self.accept, built.sweep.scenes)
+            except UnfitError as error:
+                reason = str(error)
             except SceneError as error:
                 messages = [f"{message} (sample {number}, seed {seed})" for message in error.messages]
                 raise SceneError(at_most(self.where, messages)) from error
             if reason is None:
                 sweep = built.sweep
                 return Sample(number, split, attempt, built.parameters, built.table, sweep.labels, sweep.scenes)
-        rule = f"accept: one of {MAX_ATTEMPTS} attempts must be accepted; of the last one, {reason}"
+        rule = f"accept: must hold for one of {MAX_ATTEMPTS} attempts; got of the last one: {reason}"
         raise SceneError(f"{self.where}: {rule} (sample {number}, seed {seed})")
 
     def drawn(self, seed: int, numbers: Words, attempt: int = 1) -> Drawn:
@@ -204,7 +206,7 @@ def _columns(
     names, counts = [one.name for one in parameters], [one.form.words for one in parameters]
     words = stream_words(seed, numbers, names, counts, attempt, elements)
     return [
-        one.form.column(own, Draw(one.name, seed, numbers, splits))
+        one.form.column(Draw(own, one.name, seed, numbers, splits))
         for one, own in zip(parameters, words, strict=True)
     ]  # fmt: skip
 

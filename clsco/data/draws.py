@@ -109,7 +109,8 @@ def stream_words(
     -----
     Philox with the key (seed, number) and the counter (block of four words, element + 2^32 attempt, hash of the name).
     """
-    blocks = [(*name_hash(name), block) for name, count in zip(names, counts, strict=True) for block in range(-(-count // 4))]
+    taken = zip(names, counts, strict=True)
+    blocks = [(*name_hash(name), block) for name, count in taken for block in range(-(-count // 4))]
     if not blocks:
         return [np.empty((len(numbers), 0), np.uint64) for _ in names]
     first, second, block = (np.array(column, np.uint64) for column in zip(*blocks, strict=True))
@@ -127,7 +128,7 @@ def stream_words(
 
 def unit(words: Words) -> Floats:
     """Uniform numbers in [0, 1), multiples of 2^-53, of words."""
-    return (words >> np.uint64(11)) * 2.0**-53
+    return (words >> np.uint64(11)).astype(np.float64) * 2.0**-53
 
 
 def exp(x: Floats) -> Floats:
@@ -195,7 +196,7 @@ def normal(words: Words) -> Floats:
     -----
     AS 241, which the standard library's `statistics.NormalDist.inv_cdf` has, too; validated against it.
     """
-    p = ((words >> np.uint64(12)) + 0.5) * 2.0**-52  # in (0, 1), symmetric
+    p = ((words >> np.uint64(12)).astype(np.float64) + 0.5) * 2.0**-52  # in (0, 1), symmetric
     q = p - 0.5
     middle = q * _ratio(_CENTRAL, 0.180625 - q * q)
     r = np.sqrt(-log(np.where(q < 0.0, p, 1.0 - p)))

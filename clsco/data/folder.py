@@ -22,7 +22,7 @@ MAX_TABLE_BYTES = 2**20
 MAX_CELLS = 100_000
 
 
-class Refused(Exception):
+class RefusedError(Exception):
     """A value is not what it must be: the rule, and the value if another one than was looked at."""
 
     def __init__(self, rule: str, got: Any = None) -> None:
@@ -50,24 +50,24 @@ class Folder:
         self._bytes = self._entries = 0
 
     def inside(self, name: Any) -> Path:
-        """The path of a file here by its name, links resolved. Raises Refused."""
+        """The path of a file here by its name, links resolved. Raises RefusedError."""
         if not isinstance(name, str) or not 0 < len(name) <= MAX_NAME or not name.isprintable():
-            raise Refused(f"must be the name of a file, of at most {MAX_NAME} characters")
+            raise RefusedError(f"must be the name of a file, of at most {MAX_NAME} characters")
         windows = PureWindowsPath(name)
         if Path(name).is_absolute() or windows.drive or windows.root or ".." in windows.parts:
-            raise Refused("must be a path inside the folder of the distribution file, without ..")
+            raise RefusedError("must be a path inside the folder of the distribution file, without ..")
         try:
             path = (self.path / name).resolve(strict=True)
             if not path.is_relative_to(self.path):
-                raise Refused("must not lead out of the folder of the distribution file by a link")
+                raise RefusedError("must not lead out of the folder of the distribution file by a link")
             if not path.is_file():
-                raise Refused("must be a file")
+                raise RefusedError("must be a file")
         except (OSError, ValueError, RuntimeError):  # the last: links that go round in a circle, before Python 3.13
-            raise Refused("must be an existing file") from None
+            raise RefusedError("must be an existing file") from None
         return path
 
     def take(self, name: Any) -> str:
-        """Note a file that samples may need; returns its SHA-256. Raises Refused."""
+        """Note a file that samples may need; returns its SHA-256. Raises RefusedError."""
         if name in self.digests:
             return self.digests[name]
         path = self.inside(name)
@@ -75,38 +75,38 @@ class Folder:
             size = path.stat().st_size
             self._bytes += size
             if size > MAX_BYTES or self._bytes > MAX_TOTAL:
-                raise Refused(f"a file must have at most {MAX_BYTES} bytes, and all of them {MAX_TOTAL}", size)
+                raise RefusedError(f"a file must have at most {MAX_BYTES} bytes, and all of them {MAX_TOTAL}", size)
             if len(self.digests) == MAX_FILES:
-                raise Refused(f"must be at most {MAX_FILES} files in all", "more")
+                raise RefusedError(f"must be at most {MAX_FILES} files in all", "more")
             self.digests[name] = sha256(path)
         except OSError as error:
-            raise Refused("must be readable", error.strerror) from None
+            raise RefusedError("must be readable", error.strerror) from None
         return self.digests[name]
 
     def match(self, pattern: Any) -> list[str]:
-        """Names of the files that a pattern like "textures/**/*.png" fits, in order. Raises Refused."""
+        """Names of the files that a pattern like "textures/**/*.png" fits, in order. Raises RefusedError."""
         if not isinstance(pattern, str) or not 0 < len(pattern) <= MAX_NAME or not pattern.isprintable():
-            raise Refused('must be a pattern of files, like "textures/**/*.png"')
+            raise RefusedError('must be a pattern of files, like "textures/**/*.png"')
         windows = PureWindowsPath(pattern)
         parts = pattern.split("/")
         if windows.drive or windows.root or ".." in windows.parts or "" in parts:
-            raise Refused("must be a pattern inside the folder of the distribution file, without ..")
+            raise RefusedError("must be a pattern inside the folder of the distribution file, without ..")
         if parts.count("**") > 1 or len(parts) > MAX_DEEP:
-            raise Refused(f"must have ** at most once, and at most {MAX_DEEP} parts")
+            raise RefusedError(f"must have ** at most once, and at most {MAX_DEEP} parts")
         names = sorted(self._found(self.path, parts, ""))
         if not names:
-            raise Refused("must fit a file")
+            raise RefusedError("must fit a file")
         return names
 
     def _found(self, folder: Path, parts: list[str], before: str) -> Iterator[str]:
         """Names of files under `folder` that the parts of a pattern fit; before: what their names begin with."""
         if before.count("/") > MAX_DEEP:
-            raise Refused(f"must not go through more than {MAX_DEEP} folders in each other")
+            raise RefusedError(f"must not go through more than {MAX_DEEP} folders in each other")
         try:
             with os.scandir(folder) as listed:
                 entries = list(self._counted(listed))
         except OSError as error:
-            raise Refused("its folders must be readable", error.strerror) from None
+            raise RefusedError("its folders must be readable", error.strerror) from None
         part, rest = (parts[1], parts[2:]) if parts[0] == "**" and len(parts) > 1 else (parts[0], parts[1:])
         for entry in entries:
             if entry.name.startswith(".") and not part.startswith("."):
@@ -125,34 +125,34 @@ class Folder:
         for entry in entries:
             self._entries += 1
             if self._entries > MAX_ENTRIES:
-                raise Refused(f"folders must have at most {MAX_ENTRIES} entries in all", "more")
+                raise RefusedError(f"folders must have at most {MAX_ENTRIES} entries in all", "more")
             yield entry
 
     def rows(self, name: Any) -> tuple[list[str], list[list[str]]]:
-        """The head and the rows of a file of comma-separated values. Raises Refused."""
+        """The head and the rows of a file of comma-separated values. Raises RefusedError."""
         path = self.inside(name)
         if path.suffix.lower() != ".csv":
-            raise Refused("must end in .csv")
+            raise RefusedError("must end in .csv")
         try:
             with open(path, encoding="utf-8-sig", newline="") as file:
                 text = file.read(MAX_TABLE_BYTES + 1)
         except UnicodeDecodeError:
-            raise Refused("must be UTF-8 text") from None
+            raise RefusedError("must be UTF-8 text") from None
         except OSError as error:
-            raise Refused("must be readable", error.strerror) from None
+            raise RefusedError("must be readable", error.strerror) from None
         if len(text) > MAX_TABLE_BYTES:
-            raise Refused(f"must have at most {MAX_TABLE_BYTES} characters")
+            raise RefusedError(f"must have at most {MAX_TABLE_BYTES} characters")
         try:
             head, *rows = [row for row in csv.reader(text.splitlines(), strict=True) if row]
         except csv.Error as error:
-            raise Refused(f"must be comma-separated values: {error}") from None
+            raise RefusedError(f"must be comma-separated values: {error}") from None
         except ValueError:
-            raise Refused("must have a head and rows") from None
+            raise RefusedError("must have a head and rows") from None
         if not rows or len(head) * len(rows) > MAX_CELLS:
-            raise Refused(f"must have a row, and at most {MAX_CELLS} cells", f"{len(rows)} rows")
+            raise RefusedError(f"must have a row, and at most {MAX_CELLS} cells", f"{len(rows)} rows")
         for number, row in enumerate(rows, 1):
             if len(row) != len(head):
-                raise Refused(f"row {number} must have {len(head)} cells", len(row))
+                raise RefusedError(f"row {number} must have {len(head)} cells", len(row))
         self.take(name)
         return [cell.strip() for cell in head], rows
 
@@ -168,5 +168,3 @@ def cell_value(text: str) -> Any:
         except ValueError:
             continue
     return text
-
-

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from clsco.data.folder import Folder, Refused
+from clsco.data.folder import Folder, RefusedError
 from clsco.data.splits import Splits, of_files
 from clsco.data.values import (
     Choice,
@@ -49,26 +49,26 @@ class Found:
 
 def _number(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST:
-        raise Refused(f"must be a finite number, at most {LARGEST:g}", shown(value))
+        raise RefusedError(f"must be a finite number, at most {LARGEST:g}", shown(value))
     return float(value)
 
 
 def _pair(value: Any, what: str = "[low, high]") -> tuple[float, float]:
     if not isinstance(value, list) or len(value) != 2:
-        raise Refused(f"must be {what}")
+        raise RefusedError(f"must be {what}")
     return _number(value[0]), _number(value[1])
 
 
 def _range(value: Any) -> tuple[float, float]:
     low, high = _pair(value)
     if not low < high:
-        raise Refused("must be [low, high], low less than high")
+        raise RefusedError("must be [low, high], low less than high")
     return low, high
 
 
 def _whole(value: Any, least: int, most: int) -> int:
     if type(value) is not int or not least <= value <= most:
-        raise Refused(f"must be an integer between {least} and {most}")
+        raise RefusedError(f"must be an integer between {least} and {most}")
     return value
 
 
@@ -77,17 +77,17 @@ def _size(given: Mapping[str, Any]) -> int | None:
 
 
 def _at(key: str, given: Mapping[str, Any], check: Callable[[Any], Any]) -> Any:
-    """An option, checked; Refused names it."""
+    """An option, checked; RefusedError names it."""
     try:
         return check(given[key])
-    except Refused as error:
-        raise Refused(f"{key} {error.rule}", shown(given[key]) if error.got is None else error.got) from None
+    except RefusedError as error:
+        raise RefusedError(f"{key} {error.rule}", shown(given[key]) if error.got is None else error.got) from None
 
 
 def _word(word: str) -> Callable[[Any], str]:
     def check(value: Any) -> str:
         if value != word:
-            raise Refused(f'must be "{word}"')
+            raise RefusedError(f'must be "{word}"')
         return word
 
     return check
@@ -100,14 +100,14 @@ def _uniform(given: Mapping[str, Any], _: Found) -> Form:
 def _log_uniform(given: Mapping[str, Any], _: Found) -> Form:
     low, high = _at("log_uniform", given, _range)
     if low < 1e-30:
-        raise Refused("log_uniform must be [low, high] of numbers above 0", shown(given["log_uniform"]))
+        raise RefusedError("log_uniform must be [low, high] of numbers above 0", shown(given["log_uniform"]))
     return LogUniform(_size(given), low, high)
 
 
 def _normal(given: Mapping[str, Any], _: Found) -> Form:
     mean, deviation = _at("normal", given, lambda value: _pair(value, "[mean, standard deviation]"))
     if deviation <= 0:
-        raise Refused("normal must be [mean, standard deviation], the latter above 0", shown(given["normal"]))
+        raise RefusedError("normal must be [mean, standard deviation], the latter above 0", shown(given["normal"]))
     clip = _at("clip", given, _range) if "clip" in given else (-LARGEST, LARGEST)
     return Normal(_size(given), mean, deviation, clip)
 
@@ -115,18 +115,18 @@ def _normal(given: Mapping[str, Any], _: Found) -> Form:
 def _integers(given: Mapping[str, Any], _: Found) -> Form:
     value = given["integers"]
     if not isinstance(value, list) or len(value) != 2:
-        raise Refused("integers must be [low, high]", shown(value))
+        raise RefusedError("integers must be [low, high]", shown(value))
     low, high = (_whole(end, -MAX_INTEGER, MAX_INTEGER) for end in value)
     if not 0 <= high - low < MAX_INTEGER:
-        raise Refused("integers must be [low, high], low at most high", shown(value))
+        raise RefusedError("integers must be [low, high], low at most high", shown(value))
     return Integers(_size(given), low, high)
 
 
 def _entries(value: Any) -> tuple[Any, ...]:
     if not isinstance(value, list) or not 1 <= len(value) <= MAX_ENTRIES:
-        raise Refused(f"must be a list of 1 to {MAX_ENTRIES} values")
+        raise RefusedError(f"must be a list of 1 to {MAX_ENTRIES} values")
     if any(isinstance(entry, Mapping) or _deep(entry) for entry in value):
-        raise Refused("must be a list of numbers, texts, or lists of numbers", "a table or a list of lists in it")
+        raise RefusedError("must be a list of numbers, texts, or lists of numbers", "a table or a list of lists in it")
     return tuple(value)
 
 
@@ -143,10 +143,10 @@ def _choice(given: Mapping[str, Any], _: Found) -> Form:
         return Choice(None, entries, shares([1.0] * len(entries)))
     weights = given["weights"]
     if not isinstance(weights, list) or len(weights) != len(entries):
-        raise Refused(f"weights must be a list of {len(entries)} numbers", shown(weights))
+        raise RefusedError(f"weights must be a list of {len(entries)} numbers", shown(weights))
     numbers = [_at("weights", {"weights": weight}, _number) for weight in weights]
     if min(numbers) < 0 or not math.fsum(numbers) > 0:
-        raise Refused("weights must be at least 0, and one above it", shown(weights))
+        raise RefusedError("weights must be at least 0, and one above it", shown(weights))
     return Choice(None, entries, shares(numbers))
 
 
@@ -166,23 +166,23 @@ def _files(given: Mapping[str, Any], found: Found) -> Form:
     empty = [name for (name, _), own in zip(found.splits, of_split, strict=False) if not len(own)]
     if empty:
         rule = f"files must be more, so that each split has one: there is none for {', '.join(empty)}"
-        raise Refused(rule, f"{len(names)} files")
+        raise RefusedError(rule, f"{len(names)} files")
     return Files(None, tuple(names), of_split)
 
 
 def _frustum(given: Mapping[str, Any], _: Found) -> Form:
     table = given["frustum"]
     if not isinstance(table, Mapping) or "depth" not in table:
-        raise Refused("frustum must be { depth = [near, far], margin = px }", shown(table))
+        raise RefusedError("frustum must be { depth = [near, far], margin = px }", shown(table))
     if unknown := sorted(table.keys() - {"depth", "margin", "density"}):
-        raise Refused("frustum must have depth, margin and density only", shown(unknown[0]))
+        raise RefusedError("frustum must have depth, margin and density only", shown(unknown[0]))
     near, far = _at("depth", table, _range)
     if near < 1e-9:
-        raise Refused("depth must be above 0", shown(table["depth"]))
+        raise RefusedError("depth must be above 0", shown(table["depth"]))
     margin = _at("margin", table, _number) if "margin" in table else 0.0
     density = table.get("density", "volume")
     if density not in ("volume", "depth"):
-        raise Refused('density must be "volume" or "depth"', shown(density))
+        raise RefusedError('density must be "volume" or "depth"', shown(density))
     return Frustum(None, near, far, margin, density == "volume")
 
 
@@ -198,7 +198,7 @@ def _rotation(given: Mapping[str, Any], _: Found) -> Form:
 
 def _grid(given: Mapping[str, Any], _: Found) -> Form:
     if "steps" not in given:
-        raise Refused("grid needs steps, the number of its values", "nothing")
+        raise RefusedError("grid needs steps, the number of its values", "nothing")
     low, high = _at("grid", given, _range)
     return Grid(None, low, high, _at("steps", given, lambda value: _whole(value, 2, MAX_STEPS)), 1)
 
@@ -208,16 +208,16 @@ def _sobol(given: Mapping[str, Any], found: Found) -> Form:
     try:
         qmc()
     except SceneError as error:
-        raise Refused(str(error).partition("; got ")[0], "no such module") from None
+        raise RefusedError(str(error).partition("; got ")[0], "no such module") from None
     if found.dimensions == MAX_DIMENSIONS:
-        raise Refused(f"sobol must be at most {MAX_DIMENSIONS} keys", "more")
+        raise RefusedError(f"sobol must be at most {MAX_DIMENSIONS} keys", "more")
     found.dimensions += 1
     return Sobol(None, low, high, found.dimensions - 1)
 
 
 def _latin_hypercube(given: Mapping[str, Any], _: Found) -> Form:
     if "of" not in given:
-        raise Refused("latin_hypercube needs of, the number of samples that it spreads", "nothing")
+        raise RefusedError("latin_hypercube needs of, the number of samples that it spreads", "nothing")
     low, high = _at("latin_hypercube", given, _range)
     return LatinHypercube(None, low, high, _at("of", given, lambda value: _whole(value, 2, MAX_STEPS)))
 
@@ -246,12 +246,12 @@ def is_form(value: Any) -> bool:
 
 
 def form_of(given: Mapping[str, Any], found: Found) -> Form:
-    """The distribution that a table states. Raises Refused."""
+    """The distribution that a table states. Raises RefusedError."""
     names = [key for key in given if key in FORMS]
     if len(names) > 1:
-        raise Refused("must be one distribution", " and ".join(names))
+        raise RefusedError("must be one distribution", " and ".join(names))
     make, options = FORMS[names[0]]
     if unknown := [key for key in given if key != names[0] and key not in options]:
         takes = f"takes {' and '.join(options)} only" if options else "stands alone"
-        raise Refused(f"{names[0]} {takes}", shown(unknown[0]))
+        raise RefusedError(f"{names[0]} {takes}", shown(unknown[0]))
     return make(given, found)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from clsco.data.acceptance import DERIVED, derivation
-from clsco.data.folder import Folder, Refused, cell_value
+from clsco.data.folder import Folder, RefusedError, cell_value
 from clsco.data.forms import FORMS, Found, form_of, is_form
 from clsco.data.splits import Splits
 from clsco.data.tables import Tables
@@ -96,7 +96,7 @@ class Reader:
         parameters, rows, populations = list[Parameter](), list[Rows](), list[Population]()
         for section, value in self._tables.vary.items():
             if section == "rows":
-                rows += self._rows(value)
+                rows = self._rows(value)
             elif section in ("object", "group"):
                 for entry, table in enumerate(self._entries(section, value)):
                     if section == "group" or "index" in table:
@@ -107,12 +107,16 @@ class Reader:
                 parameters += self._section((section,), value)
             else:
                 self._faulty(("vary", section), "must be a table", value)
-        derived = self._derived(parameters)
+        derived = self._derived()
+        parameters += [wanted for _, wanted in derived if isinstance(wanted, Parameter)]
         self._check_files(self._scene.get("object"), ("object",))
         for number, population in enumerate(populations):
             self._check_files([population.constants], ("vary", "object", populations[number].entry))
         if self._count > MAX_PARAMETERS:
             self.faults.append(f"vary: must have at most {MAX_PARAMETERS} distributions; got {self._count}")
+        names = [one.name for one in parameters]
+        for name in dict.fromkeys(name for name in names if names.count(name) > 1):
+            self.faults.append(f"vary: {name}: must vary in one place; got two")
         members = [one for population in populations for one in population.parameters]
         frustum = any(isinstance(one.form, Frustum) for one in (*parameters, *members))
         sized = bool(frustum or derived or self._tables.accept)
@@ -171,7 +175,7 @@ class Reader:
             return []
         try:
             form = form_of(value, self._found)
-        except Refused as error:
+        except RefusedError as error:
             self.faults.append(error.message(key_name(key), value))
             return []
         if location[-1] in FILE_KEYS and isinstance(form, Choice):
@@ -244,7 +248,9 @@ class Reader:
                 return None
         counts = form.extremes() if isinstance(form, Integers | Choice) and not form.size else (None,)
         if form is None or any(type(count) is not int or not 0 <= count <= MAX_OBJECTS for count in counts):
-            self._faulty(key, f"must be a number of objects, 0 to {MAX_OBJECTS}, or integers or a choice of them", value)
+            self._faulty(
+                key, f"must be a number of objects, 0 to {MAX_OBJECTS}, or integers or a choice of them", value
+            )
             return None
         return Parameter(name, ("count",), form)
 
@@ -258,13 +264,15 @@ class Reader:
                 continue
             try:
                 head, rows = self._folder.rows(table["file"])
-            except Refused as error:
+            except RefusedError as error:
                 self.faults.append(error.message(key_name((*key, "file")), table["file"]))
                 continue
             found += self._row_parameter(key, table["file"], head, rows)
         return found
 
-    def _row_parameter(self, key: Location, name: str, head: list[str], rows: list[list[str]]) -> list[Rows]:
+    def _row_parameter(
+        self, key: tuple[str | int, ...], name: str, head: list[str], rows: list[list[str]]
+    ) -> list[Rows]:
         """Keys that the head of a table names, each with a place in the scene."""
         locations = list[Location]()
         for column in head:
@@ -274,8 +282,8 @@ class Reader:
             displace(self._scene, column, None)
             if fault is None and whole:
                 put(self._scene, parts, None)
-                lists = parts[0] in ("object", "group")
-                locations.append(tuple(int(p) if p.isdecimal() and k == 1 and lists else p for k, p in enumerate(parts)))
+                second = int(parts[1]) if parts[0] in ("object", "group") else parts[1]
+                locations.append((parts[0], second, *parts[2:]))
             else:
                 self.faults.append(f"{key_name((*key, 'file'))}: column {shown(column)}: {fault}")
         if len(locations) < len(head):
@@ -287,33 +295,39 @@ class Reader:
         parameter = Parameter(f"rows.{name}", (), Row(None, len(table)))
         return [Rows(parameter, tuple(locations), table)]
 
-    def _derived(self, parameters: list[Parameter]) -> list[tuple[tuple[str, ...], Any]]:
-        """What [derive] asks for; distributions of it go to the parameters."""
+    def _derived(self) -> list[tuple[tuple[str, ...], Any]]:
+        """What [derive] asks for; a distribution of it as the parameter that has it."""
         found: dict[tuple[str, ...], Any] = {}
-        given = self._tables.derive
-        sections = given.items() if isinstance(given, Mapping) else ()
-        if not isinstance(given, Mapping):
-            self._faulty(("derive",), "must be a table", given)
-        for section, table in sections:
-            for key, value in table.items() if isinstance(table, Mapping) else [(None, table)]:
-                place = (section, key)
-                if place not in DERIVED:
-                    known = ", ".join(".".join(one) for one in DERIVED)
-                    name = ("derive", section) if key is None else ("derive", *place)
-                    self._faulty(name, f"must be one of {known}", value)
-                    continue
+        given = self._tables.derive if isinstance(self._tables.derive, dict) else {}
+        if given is not self._tables.derive:
+            self._faulty(("derive",), "must be a table", self._tables.derive)
+        for section, table in given.items():
+            for key, value in table.items() if isinstance(table, dict) else [("", table)]:
+                here: Location = ("derive", section, key) if key else ("derive", section)
                 try:
-                    wanted = derivation(place, value)
-                except Refused as error:
-                    self.faults.append(error.message(key_name(("derive", *place)), value))
+                    if (section, key) not in DERIVED:
+                        raise RefusedError(f"must be one of {', '.join('.'.join(one) for one in DERIVED)}")
+                    wanted = derivation((section, key), value)
+                except RefusedError as error:
+                    self.faults.append(error.message(key_name(here), value))
                     continue
-                if isinstance(wanted, Mapping):
-                    _, varying = self._value(wanted, ("derive", *place), ("derive", *place), f"derive.{section}.{key}")
-                    found[place] = varying[0] if varying else None
-                else:
-                    found[place] = wanted
                 displace(self._scene, f"{section}.{key}", None)
+                if isinstance(wanted, dict):
+                    wanted = self._wanted((section, key), wanted)
+                found[section, key] = wanted
         return [(key, found[key]) for key in DERIVED if key in found]
+
+    def _wanted(self, key: tuple[str, str], value: Mapping[str, Any]) -> Parameter | None:
+        """A distribution of what is wanted of a derived key."""
+        here: Location = ("derive", *key)
+        for parameter in self._value(value, here, here, ".".join(("derive", *key)))[1]:
+            for end in parameter.form.extremes():
+                try:
+                    derivation(key, {DERIVED[key]: end})
+                except RefusedError as error:
+                    self.faults.append(error.message(key_name(here), end))
+            return parameter
+        return None
 
     def _check_files(self, items: Any, key: Location) -> None:
         """Take the files that objects name."""
@@ -328,7 +342,7 @@ class Reader:
         if isinstance(name, str) and is_file(_key_of_file(key), name):
             try:
                 self._folder.take(name)
-            except Refused as error:
+            except RefusedError as error:
                 self.faults.append(error.message(key_name(key), name))
 
 
@@ -363,4 +377,3 @@ def copied(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: copied(entry) for key, entry in value.items()}
     return [copied(entry) for entry in value] if isinstance(value, list) else value
-

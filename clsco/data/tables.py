@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from clsco.data.folder import Folder, Refused
+from clsco.data.folder import Folder, RefusedError
 from clsco.data.forms import is_form
 from clsco.errors import SceneError
 from clsco.scene.changes import displace, key_parts, override
@@ -55,12 +55,12 @@ def _joined_file(path: str, where: str, folder: Folder, names: list[str]) -> dic
     try:
         found = folder.inside(name)
         if Path(name).name != name:
-            raise Refused("must be a file in the same folder")
+            raise RefusedError("must be a file in the same folder")
         if found.name in names or found == Path(where).resolve():
-            raise Refused("must not lead back to a file that it is a base of")
+            raise RefusedError("must not lead back to a file that it is a base of")
         if len(names) == MAX_BASES:
-            raise Refused(f"must be at most {MAX_BASES} files one after the other")
-    except Refused as error:
+            raise RefusedError(f"must be at most {MAX_BASES} files one after the other")
+    except RefusedError as error:
         raise SceneError(error.message(f"{path}: base", name)) from None
     return joined(_joined_file(str(folder.path / name), where, folder, [*names, found.name]), data)
 
@@ -84,12 +84,12 @@ def _merged(base: Mapping[str, Any], data: Mapping[str, Any]) -> dict[str, Any]:
     found = {key: dict(value) if isinstance(value, dict) else value for key, value in base.items()}
     for key, value in data.items():
         old = found.get(key)
-        both = isinstance(old, dict) and isinstance(value, dict)
-        found[key] = _merged(old, value) if both and not _stands_for_value(old) and not _stands_for_value(value) else value
+        join = isinstance(old, dict) and isinstance(value, dict) and not (_is_value(old) or _is_value(value))
+        found[key] = _merged(old or {}, value) if join else value
     return found
 
 
-def _stands_for_value(table: Any) -> bool:
+def _is_value(table: Any) -> bool:
     return is_form(table) or "from" in table
 
 
@@ -111,8 +111,9 @@ def _unvaried(vary: dict[str, Any], parts: list[str], scene: Mapping[str, Any]) 
     node: Any = vary
     if parts[0] in ("object", "group") and len(parts) > 1:
         entries = vary.get(parts[0])
-        found = [e for e in entries if isinstance(e, dict) and str(e.get("index")) == parts[1]] if isinstance(entries, list) else []
-        node, parts = (found[0], parts[2:]) if found else ({}, parts[2:])
+        listed = [entry for entry in entries if isinstance(entry, dict)] if isinstance(entries, list) else []
+        node = next((entry for entry in listed if str(entry.get("index")) == parts[1]), {})
+        parts = parts[2:]
     for part in parts[:-1]:
         node = node.get(part) if isinstance(node, dict) and not is_form(node.get(part)) else None
     if isinstance(node, dict) and parts:

@@ -23,9 +23,10 @@ MAX_SOBOL = 2**24  # samples: the way to one of them takes a time that grows wit
 
 @dataclass(frozen=True)
 class Draw:
-    """What a value may depend on besides its words: the name of its parameter, the seed, and of every sample its number
-    (n,) and the position of its split (n,)."""
+    """What values depend on: random words (n, words), the name of the parameter, the seed, and of every sample its
+    number (n,) and the position of its split (n,)."""
 
+    words: Words
     name: str
     seed: int
     numbers: Words
@@ -45,9 +46,9 @@ class Form:
         """How many it takes."""
         return self.size or 1
 
-    def column(self, words: Words, draw: Draw) -> Column:
-        """Values of words (n, words), those of `size` numbers as (n, size)."""
-        found = self._numbers(words, draw)
+    def column(self, draw: Draw) -> Column:
+        """Values (n,), those of `size` numbers as (n, size)."""
+        found = self._numbers(draw)
         return found if self.size else found[:, 0]
 
     def value(self, entry: Any) -> Any:
@@ -58,7 +59,7 @@ class Form:
         """The lowest and the highest value, or all that there are, as a scene file has them."""
         return tuple([end] * self.size if self.size else end for end in self._ends())
 
-    def _numbers(self, words: Words, draw: Draw) -> Column:
+    def _numbers(self, draw: Draw) -> Column:
         raise NotImplementedError
 
     def _ends(self) -> tuple[Any, ...]:
@@ -72,8 +73,8 @@ class Uniform(Form):
     low: float
     high: float
 
-    def _numbers(self, words: Words, draw: Draw) -> Column:
-        return _between(self.low, self.high, unit(words))
+    def _numbers(self, draw: Draw) -> Column:
+        return _between(self.low, self.high, unit(draw.words))
 
     def _ends(self) -> tuple[Any, ...]:
         return self.low, self.high
@@ -83,9 +84,9 @@ class Uniform(Form):
 class LogUniform(Uniform):
     """{ log_uniform = [low, high] }: the logarithm is uniform."""
 
-    def _numbers(self, words: Words, draw: Draw) -> Column:
+    def _numbers(self, draw: Draw) -> Column:
         start, end = exact_log(self.low), exact_log(self.high)
-        return np.clip(exp(_between(start, end, unit(words))), self.low, self.high)
+        return np.clip(exp(_between(start, end, unit(draw.words))), self.low, self.high)
 
 
 @dataclass(frozen=True)
@@ -96,8 +97,8 @@ class Normal(Form):
     deviation: float
     clip: tuple[float, float]
 
-    def _numbers(self, words: Words, draw: Draw) -> Column:
-        return np.clip(self.mean + self.deviation * normal(words), *self.clip)
+    def _numbers(self, draw: Draw) -> Column:
+        return np.clip(self.mean + self.deviation * normal(draw.words), *self.clip)
 
     def _ends(self) -> tuple[Any, ...]:
         reach = LARGEST_NORMAL * self.deviation
@@ -111,9 +112,9 @@ class Integers(Form):
     low: int
     high: int
 
-    def _numbers(self, words: Words, draw: Draw) -> Column:
+    def _numbers(self, draw: Draw) -> Column:
         count = self.high - self.low + 1
-        return self.low + np.minimum((unit(words) * count).astype(np.int64), count - 1)
+        return self.low + np.minimum((unit(draw.words) * count).astype(np.int64), count - 1)
 
     def _ends(self) -> tuple[Any, ...]:
         return self.low, self.high
@@ -126,8 +127,8 @@ class Choice(Form):
     entries: tuple[Any, ...]
     below: tuple[float, ...]
 
-    def _numbers(self, words: Words, draw: Draw) -> Column:
-        return np.searchsorted(self.below[:-1], unit(words), side="right")
+    def _numbers(self, draw: Draw) -> Column:
+        return np.searchsorted(self.below[:-1], unit(draw.words), side="right")
 
     def value(self, entry: Any) -> Any:
         return self.entries[int(entry)]
@@ -146,11 +147,11 @@ class Files(Form):
     names: tuple[str, ...]
     of_split: tuple[NDArray[np.int64], ...]
 
-    def _numbers(self, words: Words, draw: Draw) -> Column:
-        found = np.zeros(words.shape, np.int64)
+    def _numbers(self, draw: Draw) -> Column:
+        found = np.zeros(draw.words.shape, np.int64)
         for number, own in enumerate(self.of_split):
             here = draw.splits == number
-            found[here] = own[np.minimum((unit(words[here]) * len(own)).astype(np.int64), len(own) - 1)]
+            found[here] = own[np.minimum((unit(draw.words[here]) * len(own)).astype(np.int64), len(own) - 1)]
         return found
 
     def value(self, entry: Any) -> Any:
@@ -176,8 +177,8 @@ class Frustum(Form):
     def words(self) -> int:
         return 3
 
-    def column(self, words: Words, draw: Draw) -> Column:
-        place = unit(words)
+    def column(self, draw: Draw) -> Column:
+        place = unit(draw.words)
         depth = place[:, 2]
         if self.by_volume:
             depth = cube_root(_between(self.near**3, self.far**3, depth))
@@ -187,7 +188,8 @@ class Frustum(Form):
         return np.stack([2.0 * place[:, 0] - 1.0, 2.0 * place[:, 1] - 1.0, depth], axis=-1)
 
     def value(self, entry: Any) -> Any:
-        return Placed(*entry.tolist(), self.margin)
+        across, up, depth = entry.tolist()
+        return Placed(across, up, depth, self.margin)
 
     def extremes(self) -> tuple[Any, ...]:
         return Placed(-1.0, -1.0, self.near, self.margin), Placed(1.0, 1.0, self.far, self.margin)
@@ -212,8 +214,8 @@ class Placed:
 class Turned(Form):
     """{ direction = "sphere" } with 3 numbers, { rotation = "uniform" } with 4: uniform on a sphere."""
 
-    def column(self, words: Words, draw: Draw) -> Column:
-        vectors = normal(words)
+    def column(self, draw: Draw) -> Column:
+        vectors = normal(draw.words)
         return vectors / np.sqrt(sum(part * part for part in vectors.T))[:, None]
 
     def value(self, entry: Any) -> Any:
@@ -231,8 +233,8 @@ class Row(Form):
 
     count: int
 
-    def _numbers(self, words: Words, draw: Draw) -> Column:
-        return np.minimum((unit(words) * self.count).astype(np.int64), self.count - 1)
+    def _numbers(self, draw: Draw) -> Column:
+        return np.minimum((unit(draw.words) * self.count).astype(np.int64), self.count - 1)
 
     def extremes(self) -> tuple[Any, ...]:
         return tuple(range(self.count))
@@ -252,7 +254,7 @@ class Grid(Form):
     def words(self) -> int:
         return 0
 
-    def column(self, words: Words, draw: Draw) -> Column:
+    def column(self, draw: Draw) -> Column:
         step = (draw.numbers // np.uint64(self.every) % np.uint64(self.steps)).astype(np.float64)
         return _between(self.low, self.high, step / (self.steps - 1))
 
@@ -273,7 +275,7 @@ class Sobol(Form):
     def words(self) -> int:
         return 0
 
-    def column(self, words: Words, draw: Draw) -> Column:
+    def column(self, draw: Draw) -> Column:
         if len(draw.numbers) and draw.numbers.max() >= MAX_SOBOL:
             raise SceneError(f"sobol: the number of a sample must be below {MAX_SOBOL}; got {draw.numbers.max()}")
         points = np.empty(len(draw.numbers), np.uint64)
@@ -282,7 +284,7 @@ class Sobol(Form):
             here = blocks == block
             points[here] = _sobol(self.dimension, block)[draw.numbers[here] % np.uint64(SOBOL_BLOCK)]
         shift = _shift(draw.seed, draw.name) >> np.uint64(64 - SOBOL_BITS)
-        return _between(self.low, self.high, (points ^ shift) * 2.0**-SOBOL_BITS)
+        return _between(self.low, self.high, (points ^ shift).astype(np.float64) * 2.0**-SOBOL_BITS)
 
     def _ends(self) -> tuple[Any, ...]:
         return self.low, self.high
@@ -297,13 +299,13 @@ class LatinHypercube(Form):
     of: int
     designed = True
 
-    def _numbers(self, words: Words, draw: Draw) -> Column:
+    def _numbers(self, draw: Draw) -> Column:
         turns, places = np.divmod(draw.numbers, np.uint64(self.of))
         cells = np.empty(len(places), np.int64)
         for turn in np.unique(turns).tolist():
             here = turns == turn
             cells[here] = _order(draw.seed, draw.name, self.of, turn)[places[here]]
-        return _between(self.low, self.high, (cells[:, None] + unit(words)) / self.of)
+        return _between(self.low, self.high, (cells[:, None] + unit(draw.words)) / self.of)
 
     def _ends(self) -> tuple[Any, ...]:
         return self.low, self.high
@@ -348,4 +350,3 @@ def shares(weights: Sequence[float]) -> tuple[float, ...]:
     """What positive weights are up to and including each, of 1."""
     total = math.fsum(weights)
     return tuple(math.fsum(weights[: k + 1]) / total for k in range(len(weights)))
-
