@@ -74,6 +74,14 @@ def open_set(storage: Storage) -> DataSet:
     return DataSet(storage, identity, samples)
 
 
+def known_license(storage: Storage) -> str:
+    """What the card of a set says of its license, "" where there is none."""
+    try:
+        return str(json.loads(storage.read(CARD) or b"{}").get("license", ""))
+    except (ValueError, AttributeError, RecursionError):
+        return ""
+
+
 def begun(wanted: DataSet, goes_on: bool) -> bool:
     """Whether a set is in the storage that may be gone on with.
 

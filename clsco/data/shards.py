@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.data.ahead import ahead
-from clsco.data.containers import CONTAINERS, Container
+from clsco.data.containers import Container, container_named
 from clsco.data.distribution import Distribution, Sample
-from clsco.data.manifest import LOG, Identity, line, numbers_of, part_bytes, part_key
+from clsco.data.manifest import LOG, UNSPLIT, Identity, line, numbers_of, part_bytes, part_key
 from clsco.data.record import Record, make_record
 from clsco.data.storage import Storage
 from clsco.engine.sequence import render_prepared
@@ -137,7 +137,7 @@ class ShardMaker:
     def __init__(self, job: Job, storage: Storage, device: Device, overlapped: bool) -> None:
         self.job, self.storage, self.overlapped = job, storage, overlapped
         identity = job.identity
-        self.container: Container = CONTAINERS[identity.format]
+        self.container: Container = container_named(identity.format)
         self.arrays = identity.arrays
         self.renderer = Renderer(device, self.arrays, identity.precision)
 
@@ -208,7 +208,7 @@ class ShardMaker:
 
         files, folder = dict[str, Path](), self.storage.scratch()
         for split in sorted(splits):
-            key = f"{split or 'data'}/{shard:06d}{self.container.suffix}"
+            key = f"{split or UNSPLIT}/{shard:06d}{self.container.suffix}"
             path = folder / key.replace("/", "_")
             produced = records(splits[split], key)
             with closing(ahead(produced) if self.overlapped else produced) as source:
