@@ -276,11 +276,11 @@ def _row(sample: Sample, key: str, record: Record) -> dict[str, Any]:
         "attempts": sample.attempts,
         "parameters": sample.parameters,
         "arrays": record.sha256(),
-        "statistics": _statistics(record.arrays),
+        "statistics": statistics(record.arrays),
     }
 
 
-def _statistics(arrays: Mapping[str, NDArray[Any]]) -> dict[str, list[float | None]]:
+def statistics(arrays: Mapping[str, NDArray[Any]]) -> dict[str, list[float | None]]:
     """Share of valid pixels, and quantiles of depth, |R| and the length of the flow, at some of the pixels."""
     found: dict[str, list[float | None]] = {}
     for name, array in arrays.items():
