@@ -85,8 +85,7 @@ def decoded(path: Path, extension: str, content: bytes, about: Mapping[str, Any]
     if extension == "png":
         return _from_png(path, content, dtype, shape)
     if extension == "npy.zst":
-        limit = prod(shape) * dtype.itemsize + HEADER
-        content = codec(path, *NEEDS).zstd_decode(content, out=bytearray(limit))
+        content = codec(path, *NEEDS).zstd_decode(content, out=bytearray(npy_size(dtype, shape)))
     return npy_array(content, dtype, shape)
 
 
@@ -119,6 +118,11 @@ def npy_bytes(array: NDArray[Any]) -> bytes:
     file = io.BytesIO()
     np.lib.format.write_array(file, np.ascontiguousarray(array), allow_pickle=False)
     return file.getvalue()
+
+
+def npy_size(dtype: np.dtype[Any], shape: tuple[int, ...]) -> int:
+    """Bytes that an NPY file of such an array has at most."""
+    return prod(shape) * dtype.itemsize + HEADER
 
 
 def npy_array(content: bytes | bytearray | memoryview, dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:

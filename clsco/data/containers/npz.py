@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterable
 from pathlib import Path
 
 from clsco.data.containers.base import ShardReader, whole
-from clsco.data.encoding import LARGEST, described, meta_bytes, npy_array, npy_bytes, parsed_meta
+from clsco.data.encoding import LARGEST_META, described, meta_bytes, npy_array, npy_bytes, npy_size, parsed_meta
 from clsco.data.record import Record, is_wanted
 
 
@@ -52,16 +52,18 @@ class NpzReader(ShardReader):
         path = self.path / f"{self.keys[index]}.npz"
         with whole(path, "NPZ"), zipfile.ZipFile(path) as archive:
 
-            def content(name: str) -> bytes:
-                if archive.getinfo(name).file_size > LARGEST:  # no more is unpacked than that
-                    raise ValueError(f"{archive.getinfo(name).file_size} bytes in {name}")
-                return archive.read(name)
+            def content(member: str, most: int) -> bytes:
+                size = archive.getinfo(member).file_size  # no more is unpacked than that
+                if size > most:
+                    raise ValueError(f"{size} bytes in {member}")
+                return archive.read(member)
 
-            meta = parsed_meta(path, content("meta.json"))
+            meta = parsed_meta(path, content("meta.json", LARGEST_META))
             arrays = {}
             for member in archive.namelist():
                 name = member.removesuffix(".npy")
                 if name != member and is_wanted(name, wanted):
                     about = described(path, meta, name)
-                    arrays[name] = npy_array(content(member), about["dtype"], about["shape"])
+                    dtype, shape = about["dtype"], about["shape"]
+                    arrays[name] = npy_array(content(member, npy_size(dtype, shape)), dtype, shape)
         return Record(self.keys[index], arrays, meta)
