@@ -29,12 +29,12 @@ MOMENT = 1e-6  # s, with which the search for an interval begins
 STEPS, LONGEST = 60, 1e6  # of it, and s
 MEASURES = ("max_blur_px", "max_flow_px", "visible_fraction", "valid_fraction")
 DERIVED = {
-    ("camera", "focus_distance"): "depth_quantile",
-    ("camera", "f_number"): "largest_blur_px",
     ("sequence", "interval"): "largest_flow_px",
     ("sequence", "shutter"): "share_of_interval",
+    ("camera", "focus_distance"): "depth_quantile",
+    ("camera", "f_number"): "largest_blur_px",
 }
-"""Keys that may be derived, each with its one form, in the order in which they are."""
+"""Keys that may be derived, each with its one form, in the order in which they are: what is seen, and when, first."""
 
 
 class UnfitError(SceneError):

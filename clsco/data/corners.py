@@ -18,13 +18,14 @@ MAX_EXTREMES = 48  # of one distribution
 def corner_faults(parts: Parts, folder: Path) -> list[str]:
     """Messages on scenes of extreme values, each once: the lowest of all, the highest of all, and each extreme of one
     parameter with the lowest and the highest values of the others."""
-    found: dict[str, None] = {}
+    found: dict[str, str] = {}  # by what is asked for
     for corner in _corners(parts):
         try:
             Builder(parts, folder).build(corner, derive=False)
         except SceneError as error:
-            found.update(dict.fromkeys(error.messages))
-    return list(found)
+            for message in error.messages:
+                found.setdefault(message.partition("; got ")[0], message)
+    return list(found.values())
 
 
 def _corners(parts: Parts) -> Iterator[Values]:

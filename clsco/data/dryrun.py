@@ -33,8 +33,9 @@ from clsco.scene.toml import toml_text
 AT_A_TIME = 16384  # samples whose parameters are drawn
 LOOKED_AT = 128  # samples that rays are cast at
 SHOWN = 16  # on the contact sheet
-TIMED = 3  # samples that are rendered in full, twice: the first time to compile
-TIMED_FRAMES = 2  # of each of them
+TIMED = 2  # samples of which a frame is rendered, twice: the first time to compile
+LONG = 20.0  # s, after which once is enough
+TIME_SAMPLES = 8  # of a frame with motion blur on the contact sheet, at most
 TILE = 200  # px, the longer side of a picture
 BINS = 12
 VALUES = 8  # of a choice that are listed
@@ -284,17 +285,17 @@ def _seconds(samples: Sequence[Sample], wanted: Sequence[str]) -> tuple[float | 
         from clsco.opencl.device import choose
 
         device = choose(None)
+        seconds, made = 0.0, 0
         for _ in range(2):
-            start, made = time.perf_counter(), 0
-            for sample in samples:
-                few = range(min(TIMED_FRAMES, sample.scenes[0].sequence.frames))
-                made += len(list(render(sample.scenes[0], truth=_truth(wanted), frames=few)))
-            seconds = (time.perf_counter() - start) / made
+            if seconds < LONG:
+                start = time.perf_counter()
+                made = sum(len(list(render(one.scenes[0], truth=_truth(wanted), frames=(0,)))) for one in samples)
+                seconds = time.perf_counter() - start
     except ImportError:
         return None, "pyopencl is not installed"
     except DeviceError as error:
         return None, str(error)
-    return seconds, f"{made} frames rendered by one process on {device.name}, without writing files"
+    return seconds / made, f"{made} frames rendered by one process on {device.name}, without writing files"
 
 
 def contact_sheet(samples: Sequence[Sample]) -> NDArray[np.uint8]:
@@ -330,6 +331,9 @@ def _picture(scene: Scene) -> NDArray[np.uint8]:
     camera: dict[str, Any] = {"resolution": small, "pixel_pitch": sized.camera.pixel_pitch * columns / small[0]}
     if sized.is_analytic:
         sized = sized.model_copy(update={"camera": sized.camera.model_copy(update=camera)})
+    if sized.moves:
+        few = {"samples": TIME_SAMPLES}
+        sized = sized.model_copy(update={"sequence": sized.sequence.model_copy(update=few)})
     try:
         frame: Frame = next(iter(render(sized, truth=(), frames=(0,))))
     except ClscoError:

@@ -277,20 +277,21 @@ class Reader:
         locations = list[Location]()
         for column in head:
             parts = key_parts(column)
-            whole = all(parts) and len(parts) > 1 and len(parts) <= 6
-            fault = put(self._scene, parts, None) if whole else "must be a key like camera.focal_length"
-            displace(self._scene, column, None)
-            if fault is None and whole:
-                put(self._scene, parts, None)
-                second = int(parts[1]) if parts[0] in ("object", "group") else parts[1]
-                locations.append((parts[0], second, *parts[2:]))
+            listed = parts[0] in ("object", "group")
+            if not 1 < len(parts) < 7 or not all(parts) or (listed and not isinstance(self._scene.get(parts[0]), list)):
+                fault: str | None = "must be a key of the scene, like camera.focal_length"
+            else:
+                displace(self._scene, column, None)
+                fault = put(self._scene, parts, None)
+            if fault is None:
+                locations.append((parts[0], int(parts[1]) if listed else parts[1], *parts[2:]))
             else:
                 self.faults.append(f"{key_name((*key, 'file'))}: column {shown(column)}: {fault}")
         if len(locations) < len(head):
             return []
         table = tuple(tuple(map(cell_value, row)) for row in rows)
-        for place, column in zip(locations, zip(*table, strict=True), strict=True):
-            for number, cell in enumerate(column, 1) if place[-1] in FILE_KEYS else ():
+        for place, cells in zip(locations, zip(*table, strict=True), strict=True):
+            for number, cell in enumerate(cells, 1) if place[-1] in FILE_KEYS else ():
                 self._check_file(cell, (*key, "file", f"row {number}"))
         parameter = Parameter(f"rows.{name}", (), Row(None, len(table)))
         return [Rows(parameter, tuple(locations), table)]
