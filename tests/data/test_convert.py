@@ -120,7 +120,11 @@ def test_cards_say_what_is_in_a_set(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("given", "lines"),
-    [("", ["license: unknown"]), ("My own: 1", ["license: other", 'license_name: "My own: 1"']), ("MIT", ["license: mit"])],
+    [
+        ("", ["license: unknown"]),
+        ("My own: 1", ["license: other", 'license_name: "My own: 1"']),
+        ("MIT", ["license: mit"]),
+    ],
 )
 def test_licenses_as_the_hub_knows_them(given: str, lines: list[str], tmp_path: Path) -> None:
     from clsco.data.card import readme
