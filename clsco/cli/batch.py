@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clsco.cli.options import PATH, precision_option, quiet_option, set_option
-from clsco.errors import ClscoError, DeviceError, ImageError, SceneError
+from clsco.errors import ClscoError, DeviceError, SceneError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from clsco.data.distribution import Distribution
     from clsco.data.manifest import Identity
     from clsco.data.pool import Place
-    from clsco.data.sets import DataSet, Status
+    from clsco.data.sets import Status
 
 WORKER_SHARE = 0.5  # of the machine's memory, for all processes together
 
@@ -68,15 +68,6 @@ def _parse_arrays(text: str) -> tuple[str, ...]:
     return tuple(name for name in ATTRIBUTES if name in names)
 
 
-def _parse_splits(text: str) -> dict[str, float]:
-    try:
-        pairs = [part.split("=") for part in text.split(",")]
-        found = {name: float(share) for name, share in pairs}
-    except ValueError:
-        raise click.BadParameter(f"must be like train=0.9,test=0.1; got {text}") from None
-    return found
-
-
 data_argument = click.argument("data", metavar="DATA")
 
 
@@ -94,14 +85,16 @@ data_argument = click.argument("data", metavar="DATA")
     "--truth", "arrays", metavar="NAMES", type=_parse_arrays, default="sharp,depth,coc", show_default=True,
     help="Arrays of a sample besides color.",
 )  # fmt: skip
-@click.option("--split", "splits", metavar="NAME=SHARE,...", type=_parse_splits, help="Such as train=0.9,test=0.1.")
+@click.option("--split", "splits", metavar="NAME=SHARE,...", help="Such as train=0.9,test=0.1.")
 @click.option("--device", "devices", metavar="NAME", multiple=True, help="Where to render; may be given again.")
 @click.option("--devices", "every", type=click.Choice(["all"]), help="On all devices of the best kind.")
 @click.option(
     "--workers", metavar="N", type=click.IntRange(1, 1024),
     help="Processes. Default: one for each graphics card, or for each core of a processor.",
 )  # fmt: skip
-@click.option("--scheduler", metavar="ADDRESS", help="Of a dask.distributed cluster that renders, like tcp://host:8786.")
+@click.option(
+    "--scheduler", metavar="ADDRESS", help="Of a dask.distributed cluster that renders, like tcp://host:8786."
+)
 @click.option("--resume", is_flag=True, help="Go on with the set in DATA.")
 @click.option("--only", metavar="A:B", type=_parse_numbers, help="Samples A to B - 1 alone.")
 @click.option("--part", metavar="I/N", type=_parse_part, help="Only every N-th shard, from I = 0 on, for array jobs.")
@@ -115,15 +108,22 @@ def make(distribution: Path, out: str, devices: tuple[str, ...], quiet: bool, **
 
     The same file, seed and version give the same bytes on devices of a family, whatever makes them.
     """
+    from clsco.data.containers import container_named
     from clsco.data.distribution import load_distribution
+    from clsco.data.manifest import LOG, PARTS, UNSPLIT
 
+    container_named(options["form"])
     drawn = load_distribution(distribution, options["overrides"], options["splits"])
-    _require_format(options["form"])
+    if taken := sorted({name for name, _ in drawn.splits} & {PARTS, LOG, UNSPLIT}):
+        raise SceneError(f"--split: names must be others than {PARTS}, {LOG} and {UNSPLIT}; got {taken[0]}")
     samples = _wanted(options["count"], options["only"])
     if options["dry_run"]:
         from clsco.cli.dry_run import print_dry_run
+        from clsco.data.dryrun import dry_run
 
-        print_dry_run(drawn, options["seed"], samples, options["arrays"])
+        sheet = Path("dry_run.png" if "://" in out else f"{out.rstrip('/')}_dry_run.png")
+        found = dry_run(drawn, options["seed"], len(samples), wanted=options["arrays"], sheet_path=sheet)
+        print_dry_run(found)
         return
     options["recipe"] = distribution.read_text("utf-8")
     _make(drawn, out, samples, devices, quiet, options)
@@ -139,21 +139,11 @@ def _wanted(count: int | None, only: range | None) -> range:
     return only
 
 
-def _require_format(name: str) -> None:
-    from clsco.data.containers import CONTAINERS
-
-    if name not in CONTAINERS:
-        raise SceneError(f"--format: must be one of {', '.join(CONTAINERS)}; got {name}")
-    needs = CONTAINERS[name].needs
-    if needs is not None and find_spec(needs[0]) is None:
-        raise ImageError(f"--format: {name} needs {needs[0]}: pip install 'clsco[{needs[1]}]'; got no such module")
-
-
 def _make(
     drawn: Distribution, out: str, samples: range, devices: tuple[str, ...], quiet: bool, options: dict[str, Any]
 ) -> None:
     from clsco.cli.progress import progress
-    from clsco.data.sets import DataSet, begun, finish, status_of
+    from clsco.data.sets import DataSet, begun, finish, known_license, status_of
     from clsco.data.shards import Job
     from clsco.data.storage import open_storage
 
@@ -173,7 +163,8 @@ def _make(
     wanted = DataSet(storage, identity, samples)
     try:
         begun(wanted, options["resume"] or options["part"] is not None)
-        wanted.write({"license": options["license_text"], "recipe": options["recipe"]})
+        license_text = options["license_text"] or known_license(storage)
+        wanted.write({"license": license_text, "recipe": options["recipe"]})
         index, parts = options["part"] or (0, 1)
         own = [shard for shard in wanted.shards if shard % parts == index]
         done = wanted.done(own, storage.is_local, [])
@@ -199,12 +190,10 @@ def _make(
         finish(wanted, status)
     finally:
         storage.close()
-    click.echo(_line(out, wanted, status))
+    click.echo(_line(out, status))
 
 
-def _identity(
-    drawn: Distribution, samples: range, options: dict[str, Any], precision: str, family: str
-) -> Identity:
+def _identity(drawn: Distribution, samples: range, options: dict[str, Any], precision: str, family: str) -> Identity:
     from clsco import __version__
     from clsco.data.manifest import Identity
 
@@ -246,7 +235,7 @@ def _memory_limit(workers: int) -> int:
     return int(WORKER_SHARE * total / max(1, workers))
 
 
-def _line(out: str, there: DataSet, status: Status) -> str:
+def _line(out: str, status: Status) -> str:
     """What has been made, in one line."""
     failed = f", {status.failed} failed" if status.failed else ""
     whole = "" if status.is_whole else f" of {status.shards}, as far as it is made"

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Generator, Iterator
+from collections.abc import Generator
 from typing import TypeVar
 
 V = TypeVar("V")
 DEPTH = 2
 
 
-def ahead(produced: Generator[V, None, None] | Iterator[V], depth: int = DEPTH) -> Generator[V, None, None]:
+def ahead(produced: Generator[V, None, None], depth: int = DEPTH) -> Generator[V, None, None]:
     """Yield what `produced` does, up to `depth` values of which wait meanwhile.
 
     An error of the producer is raised here. When this generator is closed, the producer ends before its next value.
@@ -22,9 +22,10 @@ def ahead(produced: Generator[V, None, None] | Iterator[V], depth: int = DEPTH) 
     def put(value: tuple[bool, V | BaseException | None]) -> None:
         while not ended.is_set():
             try:
-                return values.put(value, timeout=0.1)
+                values.put(value, timeout=0.1)
             except queue.Full:
                 continue
+            return
 
     def produce() -> None:
         try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib
+import logging
 import os
 import pickle
 import threading
@@ -65,6 +66,7 @@ def run_cluster(job: Job, shards: Sequence[int], address: str, advance: Callable
     schedule = Schedule((shard, job.numbers(shard)) for shard in shards)
     packed = pickle.dumps(job)
     running: dict[Any, Task] = {}
+    ended = threading.Event()
     with stoppable(), _client(distributed, address) as client:
         try:
             while not schedule.is_over:
@@ -75,8 +77,9 @@ def run_cluster(job: Job, shards: Sequence[int], address: str, advance: Callable
                         _perform, packed, task, _per_host(workers), pure=False, resources=_resources(workers)
                     )
                     running[found] = task
-                with suppress(TimeoutError, distributed.TimeoutError):
-                    distributed.wait(list(running), timeout=LOOK_S, return_when="FIRST_COMPLETED")
+                    found.add_done_callback(lambda _: ended.set())
+                ended.wait(LOOK_S)
+                ended.clear()
                 for future in [future for future in running if future.done()]:
                     task = running.pop(future)
                     if _ended_well(distributed, schedule, task, future, address) and task.tried is None:
@@ -116,6 +119,7 @@ def _lost(address: str) -> ClscoError:
 
 @contextmanager
 def _client(distributed: Any, address: str) -> Iterator[Any]:
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what is lost is told in one line
     try:
         client = distributed.Client(address, timeout=20, set_as_default=False)
     except (OSError, ValueError) as error:
@@ -170,7 +174,11 @@ def _perform(packed: bytes, task: Task, per_host: Mapping[str, int]) -> tuple[st
     """In a worker: do a task; "done", "failed" or "fatal", and why."""
     with _lock:
         try:
-            perform(_maker(packed, per_host), task)
+            maker = _maker(packed, per_host)
+            try:
+                perform(maker, task)
+            finally:
+                maker.storage.close()
         except Exception as error:  # whatever it is, it is told to who waits
             return failure_of(error)
         return "done", ""

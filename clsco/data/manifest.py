@@ -18,6 +18,7 @@ from clsco.data.storage import Storage, checked_key
 from clsco.errors import ImageError
 
 PARTS, MERGED, FAILED, LOG = "manifest", "manifest.jsonl", "failed.jsonl", "log"
+UNSPLIT = "data"  # folder of the shards of a set without splits
 AT_ONCE = 16  # parts that are read at the same time
 
 
@@ -66,9 +67,9 @@ class Identity:
         return found
 
     def differences(self, record: Mapping[str, Any]) -> list[str]:
-        """What of a record is another value: "seed must be 1; got 2"."""
+        """What of the record of another is not as here: "seed must be 1, as in the set; got 2"."""
         return [
-            f"{name.replace('_', ' ')} must be {_shown(record.get(name))}, as in the set; got {_shown(value)}"
+            f"{name.replace('_', ' ')} must be {_shown(value)}, as in the set; got {_shown(record.get(name))}"
             for name, value in self.record().items()
             if record.get(name) != value
         ]

@@ -85,7 +85,6 @@ def places(devices: Sequence[tuple[DeviceName, bool]], workers: int | None) -> l
     ]
 
 
-
 def run_pool(job: Job, shards: Sequence[int], where: Sequence[Place], advance: Advance, memory: int) -> None:
     """Make shards in processes.
 
@@ -109,9 +108,7 @@ def run_pool(job: Job, shards: Sequence[int], where: Sequence[Place], advance: A
 
 
 class _Pool:
-    def __init__(
-        self, job: Job, shards: Sequence[int], where: Sequence[Place], advance: Advance, memory: int
-    ) -> None:
+    def __init__(self, job: Job, shards: Sequence[int], where: Sequence[Place], advance: Advance, memory: int) -> None:
         self.job, self.advance, self.memory = job, advance, memory
         self.schedule = Schedule((shard, job.numbers(shard)) for shard in shards)
         self.where = list(where[: max(1, len(shards))])
@@ -228,7 +225,7 @@ def stoppable() -> Iterator[None]:
         yield
         return
 
-    def stop(number: int, frame: FrameType | None) -> NoReturn:
+    def stop(number: int, _: FrameType | None) -> NoReturn:
         raise SystemExit(128 + number)
 
     before = signal.signal(signal.SIGTERM, stop)

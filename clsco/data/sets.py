@@ -74,6 +74,14 @@ def open_set(storage: Storage) -> DataSet:
     return DataSet(storage, identity, samples)
 
 
+def known_license(storage: Storage) -> str:
+    """What the card of a set says of its license, "" where there is none."""
+    try:
+        return str(json.loads(storage.read(CARD) or b"{}").get("license", ""))
+    except (ValueError, AttributeError, RecursionError):
+        return ""
+
+
 def begun(wanted: DataSet, goes_on: bool) -> bool:
     """Whether a set is in the storage that may be gone on with.
 
@@ -180,7 +188,8 @@ def _rate(there: DataSet, done: Iterable[int]) -> float | None:
             continue
     if not found:
         return None
-    return sum(count for _, _, count in found) / max(1e-3, max(end for _, end, _ in found) - min(begin for begin, _, _ in found))
+    spent = max(end for _, end, _ in found) - min(begin for begin, _, _ in found)
+    return sum(count for _, _, count in found) / max(1e-3, spent)
 
 
 def ranges(numbers: Iterable[int]) -> str:

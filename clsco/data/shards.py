@@ -6,7 +6,7 @@ import hashlib
 import math
 import shutil
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.data.ahead import ahead
-from clsco.data.containers import CONTAINERS, Container
+from clsco.data.containers import Container, container_named
 from clsco.data.distribution import Distribution, Sample
-from clsco.data.manifest import LOG, Identity, line, numbers_of, part_bytes, part_key
+from clsco.data.manifest import LOG, UNSPLIT, Identity, line, numbers_of, part_bytes, part_key
 from clsco.data.record import Record, make_record
 from clsco.data.storage import Storage
 from clsco.engine.sequence import render_prepared
@@ -137,7 +137,7 @@ class ShardMaker:
     def __init__(self, job: Job, storage: Storage, device: Device, overlapped: bool) -> None:
         self.job, self.storage, self.overlapped = job, storage, overlapped
         identity = job.identity
-        self.container: Container = CONTAINERS[identity.format]
+        self.container: Container = container_named(identity.format)
         self.arrays = identity.arrays
         self.renderer = Renderer(device, self.arrays, identity.precision)
 
@@ -191,7 +191,7 @@ class ShardMaker:
                 continue
             splits.setdefault(sample.split, []).append(sample)
 
-        def records(samples: Sequence[Sample], key: str) -> Iterator[Record]:
+        def records(samples: Sequence[Sample], key: str) -> Generator[Record, None, None]:
             for sample in samples:
                 start = time.perf_counter()
                 try:
@@ -208,7 +208,7 @@ class ShardMaker:
 
         files, folder = dict[str, Path](), self.storage.scratch()
         for split in sorted(splits):
-            key = f"{split or 'data'}/{shard:06d}{self.container.suffix}"
+            key = f"{split or UNSPLIT}/{shard:06d}{self.container.suffix}"
             path = folder / key.replace("/", "_")
             produced = records(splits[split], key)
             with closing(ahead(produced) if self.overlapped else produced) as source:
@@ -242,7 +242,12 @@ class ShardMaker:
             self.storage.put(name, path)
         self.storage.write(key, made.part)
         took = {name: round(value, 3) for name, value in made.seconds.items()}
-        log = {"shard": made.shard, "samples": made.samples, "failed": made.failed, "began": round(made.began, 3)}
+        log: dict[str, Any] = {
+            "shard": made.shard,
+            "samples": made.samples,
+            "failed": made.failed,
+            "began": round(made.began, 3),
+        }
         log |= {"ended": round(time.time(), 3), "seconds": took, **about}
         self.storage.write(f"{LOG}/{made.shard:06d}.jsonl", f"{line(log)}\n".encode())
 
@@ -271,11 +276,11 @@ def _row(sample: Sample, key: str, record: Record) -> dict[str, Any]:
         "attempts": sample.attempts,
         "parameters": sample.parameters,
         "arrays": record.sha256(),
-        "statistics": _statistics(record.arrays),
+        "statistics": statistics(record.arrays),
     }
 
 
-def _statistics(arrays: Mapping[str, NDArray[Any]]) -> dict[str, list[float | None]]:
+def statistics(arrays: Mapping[str, NDArray[Any]]) -> dict[str, list[float | None]]:
     """Share of valid pixels, and quantiles of depth, |R| and the length of the flow, at some of the pixels."""
     found: dict[str, list[float | None]] = {}
     for name, array in arrays.items():

@@ -87,7 +87,7 @@ def checked_key(key: str) -> str:
     """A key that stays in its storage; raises ImageError for any other, as a file of a stranger may name one."""
     parts = key.split("/")
     if not key.isprintable() or "\\" in key or any(part in ("", ".", "..") for part in parts):
-        raise ImageError(f"{ascii(key)}: a file of a data set must lie in its folder; got another place")
+        raise ImageError(f"{key!a}: a file of a data set must lie in its folder; got another place")
     return key
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco import __version__
-from clsco.data.containers import CONTAINERS
+from clsco.data.containers import container_named
 from clsco.data.distribution import Sample
 from clsco.data.manifest import FAILED, MERGED, Parts, parsed_part, part_key
 from clsco.data.record import Record, make_record
@@ -63,7 +64,7 @@ def verify_samples(there: DataSet, numbers: Sequence[int], device: str | None, a
     more = ("object_id", "depth") if "flow" in there.identity.arrays else ()
     arrays = tuple(dict.fromkeys((*there.identity.arrays, *more)))
     renderer = Renderer(chosen, arrays, there.identity.precision)
-    findings = []
+    findings: list[str] = []
     for number in numbers:
         try:
             findings += _verify_sample(there, number, renderer)
@@ -141,9 +142,9 @@ def _verify_shard(there: DataSet, shard: int) -> Iterator[str]:
         return
     for key in sorted({row["file"] for row in rows}):
         try:
-            reader = CONTAINERS[there.identity.format].read(there.storage.local(key))
-            for row in (row for row in rows if row["file"] == key):
-                yield from _compared(f"{key}: sample {row['number']}", there, row, reader[row["offset"]])
+            with closing(container_named(there.identity.format).read(there.storage.local(key))) as reader:
+                for row in (row for row in rows if row["file"] == key):
+                    yield from _compared(f"{key}: sample {row['number']}", there, row, reader[row["offset"]])
         except (ClscoError, IndexError) as error:
             yield f"{key}: must be read; got {error}"
 
@@ -192,8 +193,8 @@ def _verify_sample(there: DataSet, number: int, renderer: Renderer) -> Iterator[
 
 def _stored(there: DataSet, row: Mapping[str, Any]) -> Record:
     """The record of a sample, by its line in the manifest."""
-    reader = CONTAINERS[there.identity.format].read(there.storage.local(row["file"]))
-    return reader[row["offset"]]
+    with closing(container_named(there.identity.format).read(there.storage.local(row["file"]))) as reader:
+        return reader[row["offset"]]
 
 
 def _strays(there: DataSet) -> list[str]:

@@ -104,7 +104,7 @@ def _answer(maker: ShardMaker, task: Task, pipe: Connection) -> tuple[Any, ...]:
     return "done", made, failed, resident_bytes()
 
 
-def _ended(number: int, frame: FrameType | None) -> None:
+def _ended(number: int, _: FrameType | None) -> None:
     raise SystemExit(128 + number)
 
 

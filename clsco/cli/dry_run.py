@@ -1,0 +1,82 @@
+"""What `clsco batch --dry-run` prints."""
+
+from __future__ import annotations
+
+from rich.console import RenderableType
+
+from clsco.cli.tables import _table, print_tables
+from clsco.data.dryrun import DryRun, Histogram
+
+BAR = 40  # characters of the longest bar
+
+
+def dry_run_tables(found: DryRun) -> list[RenderableType]:
+    """What a data set will be: parameters, what samples show, size and time."""
+    parameters = [
+        (one.name, _number(one.low), _number(one.mean), _number(one.high), one.note) for one in found.parameters
+    ]
+    tables: list[RenderableType] = [
+        _table(
+            f"Parameters of {found.count} samples, as first drawn",
+            ("parameter", "lowest", "mean", "highest", ""),
+            parameters,
+            ("lowest", "mean", "highest"),
+        )
+    ]
+    if found.splits:
+        rows = [(name, f"{many}", f"{many / found.count:.2%}") for name, many in found.splits.items()]
+        tables.append(_table("Splits", ("split", "samples", "share"), rows, ("samples", "share")))
+    accepted = found.looked_at - len(found.failed)
+    seen = [
+        ("accepted", f"{accepted / max(1, found.attempts):.1%} of {found.attempts} attempts"),
+        ("failed", f"{len(found.failed)}"),
+        ("frames per sample", f"{found.frames:g}"),
+        ("predicted work", f"{found.weights:.3g} weights per frame"),
+    ]
+    of = f"{found.looked_at} of {found.count} samples"
+    tables.append(_table(f"Looked at: {of}, with rays on a coarse grid", ("what", "how much"), seen))
+    tables += [_histogram(one) for one in found.histograms]
+    sizes = [(name, _bytes(size), _bytes(size * found.count)) for name, size in found.bytes.items()]
+    total = sum(found.bytes.values())
+    sizes.append(("in all", _bytes(total), _bytes(total * found.count)))
+    tables.append(
+        _table("Size before compression", ("array", "per sample", "of the set"), sizes, ("per sample", "of the set"))
+    )
+    duration = "not known" if found.seconds is None else _duration(found.seconds)
+    tables.append(_table("Time", ("predicted", "from"), [(duration, found.basis)]))
+    return tables
+
+
+def print_dry_run(found: DryRun) -> None:
+    """Print `dry_run_tables`, the messages of samples that failed, and where the contact sheet is."""
+    print_tables(*dry_run_tables(found), *found.failed)
+    if found.sheet is not None:
+        print_tables(f"{found.sheet}: pictures of some samples")
+
+
+def _histogram(one: Histogram) -> RenderableType:
+    most = max(one.shares)
+    rows = [
+        (f"{low:.4g} to {high:.4g}", f"{share:.1%}", "#" * round(BAR * share / most))
+        for low, high, share in zip(one.edges, one.edges[1:], one.shares, strict=False)
+    ]
+    return _table(one.name, ("from, to", "share", ""), rows, ("from, to", "share"))
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.5g}"
+
+
+def _bytes(size: float) -> str:
+    for unit in ("B", "KiB", "MiB", "GiB", "TiB"):
+        if size < 1024.0 or unit == "TiB":
+            break
+        size /= 1024.0
+    return f"{size:.4g} {unit}"
+
+
+def _duration(seconds: float) -> str:
+    for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2.0 * size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds:.3g} s"

@@ -1,0 +1,284 @@
+"""What a sample shows, from a coarse grid of rays in float64: which samples are accepted, and keys that follow from it.
+
+Nothing here depends on a device: the same rays are cast for every rendering of a sample.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.data.folder import RefusedError
+from clsco.errors import SceneError
+from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
+from clsco.optics.motion import middle_time, poses_at, rest_center
+from clsco.optics.quadrics import place, predict_inverse_depth
+from clsco.plan.predict import without_lens
+from clsco.scene.model import Rectangle, Scene
+from clsco.scene.text import shown
+
+Array = NDArray[np.float64]
+RAYS = 64  # per axis
+DIGITS = 6  # of a derived value: rounding of the last bits, which machines may differ in, does not show
+MOMENT = 1e-6  # s, with which the search for an interval begins
+STEPS, LONGEST = 60, 1e6  # of it, and s
+MEASURES = ("max_blur_px", "max_flow_px", "visible_fraction", "valid_fraction")
+DERIVED = {
+    ("sequence", "interval"): "largest_flow_px",
+    ("sequence", "shutter"): "share_of_interval",
+    ("camera", "focus_distance"): "depth_quantile",
+    ("camera", "f_number"): "largest_blur_px",
+}
+"""Keys that may be derived, each with its one form, in the order in which they are: what is seen, and when, first."""
+
+
+class UnfitError(SceneError):
+    """A key cannot follow from what was drawn: it is drawn again."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """What is seen at the middle of some frames, each on RAYS x RAYS rays at equal distances over the frame.
+
+    Attributes
+    ----------
+    inverse_depth : ndarray of float64, (n,)
+        Of the rays that meet a surface, of all these frames, 1/mm.
+    blur : ndarray of float64, (n,)
+        |R| there, px; with what is seen of a background.
+    flow : ndarray of float64, (n,)
+        Length of the flow there to the next frame, px.
+    valid : float
+        Share of rays that meet a surface, of the frame with the least.
+    visible : float
+        Of the rays that would meet an object if it were alone, the share that does; of the object and frame with the
+        least. 0 where an object is not in the frame. A box is one object.
+    """
+
+    inverse_depth: Array
+    blur: Array
+    flow: Array
+    valid: float
+    visible: float
+
+    def measure(self, name: str) -> float:
+        """One of MEASURES."""
+        if name == "max_blur_px":
+            return float(self.blur.max(initial=0.0))
+        if name == "max_flow_px":
+            return float(self.flow.max(initial=0.0))
+        return self.visible if name == "visible_fraction" else self.valid
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """One frame: what rays (RAYS, RAYS) meet; front: number of the object, -1 for none; hits: (objects, RAYS, RAYS),
+    whether each object is on the way at all."""
+
+    number: int
+    w: Array
+    front: NDArray[np.int64]
+    hits: NDArray[np.bool_]
+
+
+def looks_of(scenes: Sequence[Scene]) -> list[Look]:
+    """What the variants of a sample show, scenes of analytic objects with a resolution; of stereo pairs the left views.
+
+    Rays are cast once for all lenses. Validated against the ground truth of the reference.
+    """
+    known: dict[Scene, list[_Seen]] = {}
+    found = []
+    for scene in scenes:
+        key = without_lens(scene)
+        if key not in known:
+            numbers = sorted({0, scene.sequence.frames // 2, scene.sequence.frames - 1})
+            known[key] = [_seen(scene, number) for number in numbers]
+        frames = known[key]
+        moves = scene.moves
+        ways = [_flow(scene, one, scene.sequence.interval) if moves else np.zeros(one.w.shape) for one in frames]
+        found.append(_looked(scene, frames, ways))
+    return found
+
+
+def _slopes(scene: Scene) -> tuple[Array, Array]:
+    assert scene.camera.resolution is not None
+    columns, rows = scene.camera.resolution
+    share = (np.arange(RAYS) + 0.5) / RAYS - 0.5
+    across, up = np.meshgrid(share * columns * ray_step(scene.camera), -share * rows * ray_step(scene.camera))
+    return across, up
+
+
+def _seen(scene: Scene, number: int) -> _Seen:
+    time = middle_time(scene.sequence, number) if scene.moves else 0.0
+    rays = _slopes(scene)
+    placed = zip(scene.objects, poses_at(scene, time), strict=True)
+    w = np.array([predict_inverse_depth(item, place(item, pose), *rays) for item, pose in placed])
+    front = np.where(w.max(axis=0) > 0.0, w.argmax(axis=0), -1)
+    return _Seen(number, w.max(axis=0), front, w > 0.0)
+
+
+def _flow(scene: Scene, seen: _Seen, interval: float) -> Array:
+    """Lengths (RAYS, RAYS) of the flow over an interval, px; 0 where there is nothing or it gets behind the lens."""
+    time = middle_time(scene.sequence, seen.number)
+    now, then = poses_at(scene, time), poses_at(scene, time + interval)
+    x, y = _slopes(scene)
+    length = np.zeros(seen.w.shape)
+    for number, item in enumerate(scene.objects):
+        own = seen.front == number
+        if item.is_background or not own.any():
+            continue
+        rays = np.stack([x[own], y[own], np.ones(int(own.sum()))])
+        center, before, after = rest_center(item)[:, None], now[number], then[number]
+        body = before.rotation.T @ (rays / seen.w[own] - center - before.shift[:, None])
+        point = center + after.shift[:, None] + after.rotation @ body
+        ahead = point[2] > 0.0
+        way = (point[:2] / np.where(ahead, point[2], 1.0) - rays[:2]) / ray_step(scene.camera)
+        length[own] = np.where(ahead, np.sqrt((way * way).sum(axis=0)), 0.0)
+    return length
+
+
+def _looked(scene: Scene, frames: Sequence[_Seen], ways: Sequence[Array]) -> Look:
+    backgrounds = [number for number, item in enumerate(scene.objects) if item.is_background]
+    bodies = _bodies(scene)
+    valid, visible = 1.0, 1.0
+    depths, radii, flows = list[Array](), list[Array](), list[Array]()
+    for seen, way in zip(frames, ways, strict=True):
+        hit = (seen.front >= 0) & ~np.isin(seen.front, backgrounds)
+        valid = min(valid, float(hit.mean()))
+        for body in bodies:
+            alone, shown_of_it = seen.hits[body].any(axis=0), np.isin(seen.front, body)
+            visible = min(visible, float(shown_of_it.sum() / max(1, alone.sum())))
+        depths.append(seen.w[hit])
+        flows.append(way[hit])
+        radii.append(np.abs(blur_radius(scene.camera, seen.w[seen.front >= 0])))
+    return Look(np.concatenate(depths), np.concatenate(radii), np.concatenate(flows), valid, visible)
+
+
+def _bodies(scene: Scene) -> list[list[int]]:
+    """Numbers of the objects that each table of the file has become: six for a box, and none for a background."""
+    found: dict[Any, list[int]] = {}
+    for number, item in enumerate(scene.objects):
+        name, _, side = item.name.rpartition(" ")
+        of_a_box = isinstance(item, Rectangle) and side in ("front", "back", "left", "right", "top", "bottom")
+        if not item.is_background:
+            found.setdefault((name, rest_center(item).tobytes()) if of_a_box else number, []).append(number)
+    return list(found.values())
+
+
+Bounds = tuple[tuple[str, float, float], ...]
+
+
+def bounds_of(table: Any) -> tuple[Bounds, list[str]]:
+    """What [accept] asks for, as measures with the least and the largest value, and messages on its faults."""
+    if not isinstance(table, Mapping):
+        return (), [f"accept: must be a table; got {shown(table)}"]
+    found, faults = [], list[str]()
+    for name, value in table.items():
+        if name not in MEASURES:
+            faults.append(f"accept.{name[:64]}: unknown key; must be {', '.join(MEASURES)}; got {shown(value)}")
+            continue
+        ends = value if isinstance(value, Mapping) else {"max": value} if name.startswith("max") else {"min": value}
+        if not ends or ends.keys() - {"min", "max"} or not all(map(_is_number, ends.values())):
+            faults.append(f"accept.{name}: must be a number, or {{ min = number, max = number }}; got {shown(value)}")
+            continue
+        low, high = (float(ends.get(end, default)) for end, default in (("min", -np.inf), ("max", np.inf)))
+        if low > high:
+            faults.append(f"accept.{name}: min must be at most max; got {shown(low)} and {shown(high)}")
+        found.append((name, low, high))
+    return tuple(found), faults
+
+
+def _is_number(value: Any) -> bool:
+    return not isinstance(value, bool) and isinstance(value, int | float) and 0.0 <= value <= 1e9
+
+
+def refusal(bounds: Bounds, scenes: Sequence[Scene]) -> str | None:
+    """Why a sample is not accepted, `measure must be ...; got value`, or None."""
+    if not bounds:
+        return None
+    for look in looks_of(scenes):
+        for name, low, high in bounds:
+            value = look.measure(name)
+            if not low <= value <= high:
+                end = f"at least {low:g}" if value < low else f"at most {high:g}"
+                return f"{name} must be {end}; got {value:.4g}"
+    return None
+
+
+def derived(key: tuple[str, ...], wanted: float, scenes: Sequence[Scene]) -> float:
+    """The value of a key that gives a sample what is wanted of it; raises UnfitError where none does.
+
+    Parameters
+    ----------
+    key : tuple of str
+        One of DERIVED.
+    wanted : float
+    scenes : sequence of Scene
+        The variants; what is wanted holds for the one with the most of it.
+
+    Returns
+    -------
+    float
+        Rounded to DIGITS digits.
+    """
+    name = ".".join(key)
+    if key == ("sequence", "shutter"):
+        return _rounded(wanted * scenes[0].sequence.interval)
+    if key == ("sequence", "interval"):
+        return _interval(wanted, scenes)
+    looks = looks_of(scenes)
+    if key == ("camera", "focus_distance"):
+        w = np.sort(np.concatenate([look.inverse_depth for look in looks]))[::-1]
+        if not len(w):
+            raise UnfitError(f"derive.{name}: a surface must be in the frame; got none")
+        return _rounded(1.0 / float(w[int(wanted * (len(w) - 1))]))
+    blurred = [look.measure("max_blur_px") for look in looks]
+    largest, scene = max(blurred), scenes[blurred.index(max(blurred))]
+    if not largest > 0.0:
+        raise UnfitError(f"derive.{name}: something must be out of focus; got a largest blur radius of 0")
+    return _rounded(scene.camera.focal_length / scene.camera.aperture_diameter * largest / wanted)
+
+
+def _interval(wanted: float, scenes: Sequence[Scene]) -> float:
+    """The time from the reference pose of the first variant in which the fastest point in sight moves so many px."""
+    scene = scenes[0]
+    if not scene.moves:
+        raise UnfitError("derive.sequence.interval: something must move in the frame; got none that does")
+    # The middle of the shutter, to which the truth belongs, may follow from the interval: the reference pose instead.
+    still = scene.model_copy(update={"sequence": scene.sequence.model_copy(update={"shutter": 0.0})})
+    seen = _seen(still, 0)
+    low, high, time, found = 0.0, math.inf, MOMENT, 0.0
+    for _ in range(STEPS):
+        found = float(_flow(still, seen, time).max())
+        low, high = (low, time) if found >= wanted else (time, high)
+        if abs(found - wanted) <= 1e-9 * wanted:
+            return _rounded(time)
+        if not found > 0.0 or time > LONGEST:
+            break
+        guess = time * wanted / found  # exact where the way grows with the time
+        time = guess if low < guess < high else 0.5 * (low + high) if high < math.inf else 2.0 * time
+    rule = f"derive.sequence.interval: something in the frame must move by {wanted:g} px"
+    raise UnfitError(f"{rule}; got {found:.3g} px in {time:.3g} s")
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{DIGITS}g}")
+
+
+def derivation(key: tuple[str, str], value: Any) -> Any:
+    """What a key of [derive] asks for: a number, or a distribution of it. Raises RefusedError."""
+    form = DERIVED[key]
+    if not isinstance(value, Mapping) or set(value) != {form}:
+        raise RefusedError(f"must be {{ {form} = value }}")
+    wanted = value[form]
+    if isinstance(wanted, Mapping):
+        return wanted
+    most = 1.0 if form in ("depth_quantile", "share_of_interval") else LARGEST_BLUR
+    if not _is_number(wanted) or not (wanted > 0.0 or form == "depth_quantile") or wanted > most:
+        raise RefusedError(f"{form} must be a number up to {most:g}", shown(wanted))
+    return wanted

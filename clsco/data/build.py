@@ -1,0 +1,178 @@
+"""From the values of one sample to its table, which is a scene file, and its scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from clsco.data.acceptance import UnfitError, derived
+from clsco.data.parts import FILE_KEYS, Location, Parameter, Parts, Population, copied, is_file
+from clsco.data.values import Placed
+from clsco.errors import ImageError, SceneError
+from clsco.inputs.textures import texture_size
+from clsco.scene.changes import displace
+from clsco.scene.shapes import SHAPES
+from clsco.scene.sweep import Sweep, parse_sweep
+
+
+@dataclass(frozen=True)
+class Values:
+    """Of one sample: of each parameter, the row of each table of rows, and of each object of each population the values
+    of its parameters."""
+
+    values: Sequence[Any]
+    rows: Sequence[int]
+    members: Sequence[Sequence[Sequence[Any]]]
+
+
+@dataclass(frozen=True)
+class Built:
+    """A sample: the content of its scene file, its parameters by name, and its scenes."""
+
+    table: dict[str, Any]
+    parameters: dict[str, Any]
+    sweep: Sweep
+
+
+class Builder:
+    """Makes one sample.
+
+    Parameters
+    ----------
+    parts : Parts
+    folder : Path
+        Start of paths.
+    """
+
+    def __init__(self, parts: Parts, folder: Path) -> None:
+        self._parts, self._folder = parts, folder
+        self._table: dict[str, Any] = copied(parts.scene)
+        self._parameters: dict[str, Any] = {}
+        self._wanted: dict[Location, Any] = {}
+        self._placed: list[tuple[str, Any, Any]] = []  # name, and where a point in the frustum goes
+        self._sources: dict[str, str] = {}  # keys of objects as the scene has them, and as the file does
+
+    def build(self, values: Values, derive: bool = True) -> Built:
+        """The sample of some values; derive: with the keys that follow from its scenes. Raises SceneError, whose
+        messages do not name the file, and UnfitError."""
+        parts = self._parts
+        for parameter, value in zip(parts.parameters, values.values, strict=True):
+            if parameter.location[0] == "derive":
+                self._parameters[parameter.name] = self._wanted[parameter.location[1:]] = value
+            else:
+                self._set(self._table, parameter.location, value, parameter.name)
+        for rows, number in zip(parts.rows, values.rows, strict=True):
+            self._parameters[rows.parameter.name] = number
+            for location, cell in zip(rows.locations, rows.table[number], strict=True):
+                self._set(self._table, location, cell, ".".join(map(str, location)))
+        for population, members in zip(parts.populations, values.members, strict=True):
+            self._parameters[population.count.name] = len(members)
+            for element, member in enumerate(members):
+                self._add(population, element, member)
+        self._locate()
+        try:
+            if parts.sized:
+                self._size()
+            if self._placed:
+                self._place()
+            sweep = parse_sweep(self._table, "")
+            for key, wanted in parts.derived if derive else ():
+                sweep = self._derive(key, self._wanted[key] if isinstance(wanted, Parameter) else wanted, sweep)
+        except UnfitError:
+            raise
+        except SceneError as error:
+            raise SceneError([self._varied(message.removeprefix(": ")) for message in error.messages]) from error
+        return Built(self._table, self._parameters, sweep)
+
+    def _set(self, table: Any, location: Location, value: Any, name: str) -> None:
+        for part in location[:-1]:
+            table = table.setdefault(part, {}) if isinstance(table, dict) else table[part]
+        if isinstance(value, Placed):
+            self._placed.append((name, table, location[-1]))
+        table[location[-1]] = self._parameters[name] = value
+
+    def _add(self, population: Population, element: int, member: Sequence[Any]) -> None:
+        """An object of a population."""
+        item: dict[str, Any] = copied(population.constants)
+        prefix = f"object.{population.label}."
+        for parameter, value in zip(population.parameters, member, strict=True):
+            self._set(item, parameter.location, value, f"{prefix}{element}.{parameter.name.removeprefix(prefix)}")
+        if population.named:
+            item["name"] = f"{population.label} {element + 1}"
+        objects = self._table.setdefault("object", [])
+        if not isinstance(objects, list):
+            raise SceneError(": object: must be an array of tables, [[object]]")
+        self._sources[f"object[{len(objects)}]."] = f"vary.object[{population.entry}]."
+        objects.append(item)
+        if len(population.shapes) > 1:
+            self._fit(item, population.shapes)
+
+    def _fit(self, item: dict[str, Any], shapes: tuple[str, ...]) -> None:
+        """Where the shape varies: leave out keys that belong to another of the shapes, and give each its place."""
+        shape = item.get("shape")
+        own = SHAPES[shape].model_fields.keys() if isinstance(shape, str) and shape in SHAPES else set(item)
+        others = {key for one in shapes if one in SHAPES for key in SHAPES[one].model_fields}
+        for key in [key for key in item if key not in own and key in others]:
+            value = item.pop(key)
+            if key == "center" and shape == "cone" and "apex" not in item:
+                item["apex"] = value
+                self._placed = [(n, t, "apex" if t is item and k == key else k) for n, t, k in self._placed]
+        self._placed = [(n, t, k) for n, t, k in self._placed if t is not item or k in item]
+
+    def _size(self) -> None:
+        """Give the camera the resolution that it has without one: that of the first texture."""
+        camera, objects = self._table.setdefault("camera", {}), self._table.get("object")
+        if isinstance(camera, dict) and "resolution" not in camera and isinstance(objects, list) and objects:
+            texture = objects[0].get("texture", "bricks")
+            try:
+                camera["resolution"] = list(texture_size(texture) if isinstance(texture, str) else (1, 1))
+            except ImageError as error:
+                raise SceneError(f"object[0].texture: {error}") from None
+
+    def _place(self) -> None:
+        """Points in the frustum, now that the camera is known: that of the first variant."""
+        section = self._table["camera"]
+        first = {key: _first(key, value) for key, value in section.items() if key != "motion"}
+        camera = parse_sweep({"camera": first, "object": [{"shape": "background"}]}, "").scenes[0].camera
+        columns, rows = camera.resolution or (0, 0)
+        step = camera.pixel_pitch / camera.normalization_distance
+        for name, table, key in self._placed:
+            table[key] = self._parameters[name] = table[key].point(columns, rows, step)
+        for name, value in self._parameters.items():
+            if isinstance(value, Placed):  # of a shape that has no such key
+                self._parameters[name] = value.point(columns, rows, step)
+
+    def _derive(self, key: tuple[str, ...], wanted: float, sweep: Sweep) -> Sweep:
+        section, name = key
+        found = derived(key, float(wanted), sweep.scenes)
+        displace(self._table, f"{section}.{name}", found)
+        self._table.setdefault(section, {})[name] = self._parameters[f"{section}.{name}"] = found
+        return parse_sweep(self._table, "")
+
+    def _locate(self) -> None:
+        """Make the paths of the table absolute."""
+        objects = self._table.get("object")
+        for item in objects if isinstance(objects, list) else ():
+            for key in FILE_KEYS:
+                name = item.get(key) if isinstance(item, dict) else None
+                if isinstance(name, str) and is_file(key, name):
+                    item[key] = str(self._folder / name)
+
+    def _varied(self, message: str) -> str:
+        """A message with its key as the distribution file has it."""
+        for key, source in self._sources.items():
+            if message.startswith(key):
+                return source + message.removeprefix(key)
+        varied = (".".join(map(str, one.location)) for one in self._parts.parameters)
+        key = message.partition(":")[0].replace("[", ".").replace("]", "")
+        return f"vary.{message}" if any(key == one or key.startswith(f"{one}.") for one in varied) else message
+
+
+def _first(key: str, value: Any) -> Any:
+    """The first of several values of a key of the camera."""
+    if isinstance(value, dict):
+        return value.get("from")
+    several = isinstance(value, list) and value and (key != "resolution" or isinstance(value[0], list))
+    return value[0] if several else value

@@ -1,0 +1,264 @@
+"""Distribution files: scene files in which values vary, and the samples that are drawn from them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.data.acceptance import Bounds, UnfitError, bounds_of, refusal
+from clsco.data.build import Builder, Values
+from clsco.data.corners import corner_faults
+from clsco.data.draws import MAX_SEED, Words, stream_words
+from clsco.data.folder import Folder
+from clsco.data.parts import Parameter, Parts, Reader
+from clsco.data.splits import Splits, SplitsLike, of_samples, splits_of
+from clsco.data.tables import Tables, read_tables
+from clsco.data.values import Column, Draw
+from clsco.errors import SceneError
+from clsco.scene.faults import at_most
+from clsco.scene.model import Scene
+from clsco.scene.text import shown
+
+VERSION = 1  # of how samples follow from a file: changed where the same file gives other samples
+MAX_ATTEMPTS = 100
+MAX_NUMBER = 2**63 - 1
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One sample: its scenes, and what was drawn for them.
+
+    Attributes
+    ----------
+    number : int
+    split : str
+        "" where there are no splits.
+    attempts : int
+        How often it was drawn until it was accepted, from 1.
+    parameters : dict
+        Values by name, such as "camera.focus_distance": what JSON can have.
+    table : dict
+        Content of a scene file that renders the sample by itself; paths are absolute.
+    labels : tuple of str
+        Of the variants, as of a sweep; ("",) for one.
+    scenes : tuple of Scene
+        One for each label.
+    """
+
+    number: int
+    split: str
+    attempts: int
+    parameters: dict[str, Any]
+    table: dict[str, Any]
+    labels: tuple[str, ...]
+    scenes: tuple[Scene, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """What was drawn for many samples.
+
+    Attributes
+    ----------
+    values, rows : list of ndarray, (n,) or (n, size)
+        Of the parameters that every sample has, and of its tables of rows.
+    owners : list of ndarray of int64, (m,)
+        Of each population: position of the sample of each object.
+    members : list of list of ndarray, (m,) or (m, size)
+        Of each population: values of its parameters.
+    """
+
+    values: list[Column]
+    rows: list[Column]
+    owners: list[NDArray[np.int64]]
+    members: list[list[Column]]
+
+
+@dataclass(frozen=True, eq=False)
+class Distribution:
+    """All samples of a distribution file, as a function of seed and number. It may be pickled.
+
+    Attributes
+    ----------
+    where : str
+        Name of the file.
+    folder : Path
+        Start of its paths, links resolved.
+    digest : str
+        SHA-256 in hexadecimal of all that decides samples: the tables with base and overrides, the splits, and names
+        and contents of the files that samples may have.
+    splits : tuple of (str, float)
+    parts : Parts
+    accept : tuple of (str, float, float)
+        Measures with the least and the largest value.
+    """
+
+    where: str
+    folder: Path
+    digest: str
+    splits: Splits
+    parts: Parts
+    accept: Bounds
+
+    def draw(self, seed: int, number: int) -> Sample:
+        """Draw a sample.
+
+        Parameters
+        ----------
+        seed : int
+            0 to 2^64 - 1.
+        number : int
+            0 to 2^63 - 1.
+
+        Returns
+        -------
+        Sample
+            The same for the same file, files that it names, seed, number and version of this package.
+
+        Raises
+        ------
+        SceneError
+            The sample is no valid scene, or none of 100 attempts is accepted.
+        """
+        numbers = _numbers(seed, number)
+        position = int(of_samples(self.splits, seed, numbers)[0])
+        split = self.splits[position][0] if self.splits else ""
+        reason = None
+        for attempt in range(1, MAX_ATTEMPTS + 1):
+            values = self._values(self.drawn(seed, numbers, attempt))
+            try:
+                built = Builder(self.parts, self.folder).build(values)
+                reason = refusal(self.accept, built.sweep.scenes)
+            except UnfitError as error:
+                reason = str(error)
+            except SceneError as error:
+                messages = [f"{message} (sample {number}, seed {seed})" for message in error.messages]
+                raise SceneError(at_most(self.where, messages)) from error
+            if reason is None:
+                sweep = built.sweep
+                return Sample(number, split, attempt, built.parameters, built.table, sweep.labels, sweep.scenes)
+        rule = f"accept: must hold for one of {MAX_ATTEMPTS} attempts; got of the last one: {reason}"
+        raise SceneError(f"{self.where}: {rule} (sample {number}, seed {seed})")
+
+    def drawn(self, seed: int, numbers: Words, attempt: int = 1) -> Drawn:
+        """Draw the parameters of many samples alone.
+
+        Parameters
+        ----------
+        seed : int
+        numbers : ndarray of uint64, (n,)
+        attempt : int
+            From 1.
+
+        Returns
+        -------
+        Drawn
+            The bits that `draw` has for each of them, at that attempt.
+        """
+        parts = self.parts
+        splits = of_samples(self.splits, seed, numbers)
+        fixed = [*parts.parameters, *(rows.parameter for rows in parts.rows), *(p.count for p in parts.populations)]
+        columns = _columns(fixed, seed, numbers, splits, attempt)
+        rows, populations = len(parts.parameters), len(parts.parameters) + len(parts.rows)
+        owners, members = [], []
+        for population, column in zip(parts.populations, columns[populations:], strict=True):
+            known, place = np.unique(column, return_inverse=True)
+            count = np.array([population.count.form.value(entry) for entry in known], np.int64)[place]
+            owner = np.repeat(np.arange(len(numbers)), count)
+            element = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+            own = numbers[owner], splits[owner], attempt, element.astype(np.uint64)
+            owners.append(owner)
+            members.append(_columns(population.parameters, seed, *own))
+        return Drawn(columns[:rows], columns[rows:populations], owners, members)
+
+    def _values(self, drawn: Drawn) -> Values:
+        """The values of the one sample that was drawn."""
+        parts = self.parts
+        values = [one.form.value(column[0]) for one, column in zip(parts.parameters, drawn.values, strict=True)]
+        members = []
+        for population, owner, columns in zip(parts.populations, drawn.owners, drawn.members, strict=True):
+            forms = [(one.form, column) for one, column in zip(population.parameters, columns, strict=True)]
+            members.append([[form.value(column[k]) for form, column in forms] for k in range(len(owner))])
+        return Values(values, [int(column[0]) for column in drawn.rows], members)
+
+
+def _numbers(seed: Any, number: Any) -> Words:
+    if type(seed) is not int or not 0 <= seed <= MAX_SEED:
+        raise SceneError(f"seed: must be an integer between 0 and {MAX_SEED}; got {shown(seed)}")
+    if type(number) is not int or not 0 <= number <= MAX_NUMBER:
+        raise SceneError(f"number: must be an integer between 0 and {MAX_NUMBER}; got {shown(number)}")
+    return np.array([number], np.uint64)
+
+
+def _columns(
+    parameters: Sequence[Parameter], seed: int, numbers: Words, splits: NDArray[np.int64], attempt: int,
+    elements: Words | None = None,
+) -> list[Column]:  # fmt: skip
+    """Values of some parameters for many samples, or for many objects of a population."""
+    names, counts = [one.name for one in parameters], [one.form.words for one in parameters]
+    words = stream_words(seed, numbers, names, counts, attempt, elements)
+    return [
+        one.form.column(Draw(own, one.name, seed, numbers, splits))
+        for one, own in zip(parameters, words, strict=True)
+    ]  # fmt: skip
+
+
+def load_distribution(
+    path: str | os.PathLike[str], overrides: Sequence[str] = (), splits: SplitsLike = None
+) -> Distribution:
+    """Read a distribution file.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        A .toml or .json file of at most 1 MiB, see docs/datasets.md.
+    overrides : sequence of str
+        As for `clsco.load_scene`; a key that is given does not vary any more.
+    splits : str, mapping, sequence of (str, float) or None
+        Shares of the splits, such as "train=0.9,val=0.05,test=0.05".
+
+    Returns
+    -------
+    Distribution
+
+    Raises
+    ------
+    SceneError
+        One message per fault, `file: key: rule; got value`. Scenes of extreme values are validated as well.
+    """
+    where = os.fspath(path)
+    folder = Folder(Path(where).absolute().parent)
+    shares = splits_of(splits)
+    tables = read_tables(where, overrides, folder)
+    reader = Reader(tables, folder, shares)
+    parts = reader.parts()
+    accept, faults = bounds_of(tables.accept)
+    faults = [*reader.faults, *faults]
+    if not faults:
+        faults = corner_faults(parts, folder.path)
+    if not faults and (accept or parts.derived):
+        faults = _not_analytic(parts)
+    if faults:
+        raise SceneError(at_most(where, dict.fromkeys(faults)))
+    return Distribution(where, folder.path, _digest(tables, shares, folder), shares, parts, accept)
+
+
+def _not_analytic(parts: Parts) -> list[str]:
+    """Objects that rays cannot be cast at."""
+    shapes = [(f"object[{k}]", item.get("shape")) for k, item in enumerate(parts.scene.get("object", ()))]
+    shapes += [(f"vary.object[{p.entry}]", shape) for p in parts.populations for shape in p.shapes]
+    rule = "accept and derive need analytic objects, which rays can be cast at"
+    return [f'{key}.shape: {rule}; got "depth_map"' for key, shape in shapes if shape == "depth_map"]
+
+
+def _digest(tables: Tables, splits: Splits, folder: Folder) -> str:
+    content = [VERSION, tables.scene, tables.vary, tables.accept, tables.derive, splits, sorted(folder.digests.items())]
+    return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()

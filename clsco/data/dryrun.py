@@ -1,0 +1,344 @@
+"""What a data set will be, before it is made: parameters, what samples show, size and time, and some pictures."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import fmean, median
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.data.acceptance import Look, looks_of
+from clsco.data.distribution import Distribution, Drawn, Sample
+from clsco.data.parts import Parameter
+from clsco.data.splits import of_samples
+from clsco.data.values import Choice, Column, Files, Frustum, Turned
+from clsco.errors import ClscoError, DeviceError, SceneError
+from clsco.files.images import write_png
+from clsco.files.transfer import encode
+from clsco.frame.frame import Frame
+from clsco.frame.provenance import views
+from clsco.frame.truth_files import ATTRIBUTES
+from clsco.plan.prepare import prepare
+from clsco.plan.request import Request
+from clsco.scene.model import Scene
+from clsco.scene.toml import toml_text
+
+AT_A_TIME = 16384  # samples whose parameters are drawn
+LOOKED_AT = 128  # samples that rays are cast at
+SHOWN = 16  # on the contact sheet
+TIMED = 2  # samples of which a frame is rendered, twice: the first time to compile
+LONG = 20.0  # s, after which once is enough
+TIME_SAMPLES = 8  # of a frame with motion blur on the contact sheet, at most
+TILE = 200  # px, the longer side of a picture
+BINS = 12
+VALUES = 8  # of a choice that are listed
+BYTES = {"color": 2, "sharp": 2, "alpha": 2, "normal": 12, "flow": 8, "flow_backward": 8, "uv": 8}
+"""Of a pixel; of the first three for each channel. Masks have 1 byte, all else 4."""
+MASKS = ("mask", "filled", "missing", "hidden", "flow_occluded", "occluded")
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Values of one parameter: lowest, mean and highest, or the shares of those of a choice, or what is known of it."""
+
+    name: str
+    low: float | None
+    mean: float | None
+    high: float | None
+    note: str
+
+
+@dataclass(frozen=True)
+class Histogram:
+    """Shares of values in BINS bins, or in one where all are the same; edges: one more."""
+
+    name: str
+    edges: tuple[float, ...]
+    shares: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class DryRun:
+    """What `dry_run` finds.
+
+    Attributes
+    ----------
+    count : int
+        Samples of the set.
+    parameters : tuple of Summary
+        Of all samples, as drawn first, before any is refused.
+    splits : dict of str to int
+        Samples of each split.
+    looked_at : int
+        Samples that all below is from, at equal distances in the set.
+    attempts : int
+        How often they were drawn in all.
+    failed : tuple of str
+        Messages of those that give no sample.
+    histograms : tuple of Histogram
+    frames : float
+        Of a sample, all variants and views counted: the mean.
+    bytes : dict of str to float
+        Of a sample, by array, before compression: the mean.
+    weights : float
+        Predicted work of a frame, in weights of its blur: the median.
+    seconds : float or None
+        Predicted for the set, with one process on the device that was found.
+    basis : str
+        What `seconds` is from, or why there is none.
+    sheet : Path or None
+        The contact sheet, if it was written.
+    """
+
+    count: int
+    parameters: tuple[Summary, ...]
+    splits: dict[str, int]
+    looked_at: int
+    attempts: int
+    failed: tuple[str, ...]
+    histograms: tuple[Histogram, ...]
+    frames: float
+    bytes: dict[str, float]
+    weights: float
+    seconds: float | None
+    basis: str
+    sheet: Path | None
+
+
+def dry_run(
+    distribution: Distribution, seed: int, count: int, *, wanted: Sequence[str], sheet_path: Path | None = None
+) -> DryRun:
+    """Find out what a data set will be.
+
+    Parameters
+    ----------
+    distribution : Distribution
+    seed : int
+    count : int
+        Number of samples.
+    wanted : sequence of str
+        Names of the arrays, as in files: "color", "depth", "coc", ...
+    sheet_path : Path, optional
+        PNG file with pictures of 16 samples; it is not written where there is no device.
+
+    Returns
+    -------
+    DryRun
+
+    Raises
+    ------
+    SceneError
+        As `Distribution.draw` for all samples that are looked at.
+    """
+    many = min(count, LOOKED_AT)
+    samples, failed = list[Sample](), list[str]()
+    for k in range(many):
+        try:
+            samples.append(distribution.draw(seed, k * count // many))
+        except SceneError as error:
+            failed += error.messages
+    if not samples:
+        raise SceneError(failed)
+    splits = Counter(
+        int(position) for position in of_samples(distribution.splits, seed, np.arange(count, dtype=np.uint64))
+    )
+    planned = [_planned(sample, wanted) for sample in samples[:SHOWN]]
+    frames = [len(s.scenes) * s.scenes[0].sequence.frames * len(views(s.scenes[0])) for s in samples]
+    sizes = {name: fmean(frames) * fmean(size[name] for size, _ in planned) for name in wanted}
+    seconds, basis = _seconds(samples[:TIMED], wanted)
+    sheet = None
+    if sheet_path is not None and seconds is not None:
+        write_png(sheet_path, contact_sheet(samples[:SHOWN]))
+        sheet = sheet_path
+    return DryRun(
+        count=count,
+        parameters=_summaries(distribution, seed, count),
+        splits={name: splits[k] for k, (name, _) in enumerate(distribution.splits)},
+        looked_at=many,
+        attempts=sum(sample.attempts for sample in samples),
+        failed=tuple(failed),
+        histograms=_histograms(samples),
+        frames=fmean(frames),
+        bytes=sizes,
+        weights=median(weights for _, weights in planned),
+        seconds=None if seconds is None else seconds * fmean(frames) * count,
+        basis=basis,
+        sheet=sheet,
+    )
+
+
+def show(distribution: Distribution, seed: int, number: int) -> str:
+    """The scene file of one sample, as TOML that renders it by itself. Raises SceneError as `Distribution.draw`."""
+    sample = distribution.draw(seed, number)
+    split = f", split {sample.split}" if sample.split else ""
+    return f"# Sample {number} of seed {seed}{split}, drawn {sample.attempts} times.\n{toml_text(sample.table)}"
+
+
+class _Collected:
+    """Values of one parameter, some samples at a time."""
+
+    def __init__(self, parameter: Parameter) -> None:
+        self.name, self.form = parameter.name, parameter.form
+        self.counts: Counter[int] = Counter()
+        self.number, self.total, self.low, self.high = 0, 0.0, math.inf, -math.inf
+
+    def add(self, column: Column) -> None:
+        if isinstance(self.form, Choice | Files):
+            codes, many = np.unique(column, return_counts=True)
+            self.counts.update(dict(zip(codes.tolist(), many.tolist(), strict=True)))
+        elif column.size and not isinstance(self.form, Turned):
+            values = column[:, 2] if isinstance(self.form, Frustum) else column
+            self.number, self.total = self.number + values.size, self.total + float(values.sum())
+            self.low, self.high = min(self.low, float(values.min())), max(self.high, float(values.max()))
+
+    def summary(self) -> Summary:
+        if self.number:
+            note = "depth, mm" if isinstance(self.form, Frustum) else ""
+            return Summary(self.name, self.low, self.total / self.number, self.high, note)
+        if isinstance(self.form, Files):
+            return Summary(self.name, None, None, None, f"{len(self.counts)} of {len(self.form.names)} files")
+        total = max(1, sum(self.counts.values()))
+        listed = [f"{self.form.value(code)}: {n / total:.1%}" for code, n in sorted(self.counts.items())[:VALUES]]
+        more = f", and {len(self.counts) - VALUES} more" if len(self.counts) > VALUES else ""
+        uniform = "uniform on the sphere" if isinstance(self.form, Turned) else ""
+        return Summary(self.name, None, None, None, ", ".join(listed) + more + uniform)
+
+
+def _summaries(distribution: Distribution, seed: int, count: int) -> tuple[Summary, ...]:
+    """Of all parameters of all samples, at their first attempt."""
+    parts = distribution.parts
+    fixed = [_Collected(one) for one in (*parts.parameters, *(rows.parameter for rows in parts.rows))]
+    counts = [_Collected(population.count) for population in parts.populations]
+    members = [[_Collected(one) for one in population.parameters] for population in parts.populations]
+    for first in range(0, count, AT_A_TIME):
+        numbers = np.arange(first, min(first + AT_A_TIME, count), dtype=np.uint64)
+        drawn: Drawn = distribution.drawn(seed, numbers)
+        for one, column in zip(fixed, [*drawn.values, *drawn.rows], strict=True):
+            one.add(column)
+        for size, owner, own, columns in zip(counts, drawn.owners, members, drawn.members, strict=True):
+            many = np.bincount(owner, minlength=len(numbers))
+            size.number, size.total = size.number + len(many), size.total + float(many.sum())
+            size.low, size.high = min(size.low, float(many.min())), max(size.high, float(many.max()))
+            for one, column in zip(own, columns, strict=True):
+                one.add(column)
+    groups = zip(counts, members, strict=True)
+    return tuple(one.summary() for one in [*fixed, *(one for size, own in groups for one in (size, *own))])
+
+
+def _histograms(samples: Sequence[Sample]) -> tuple[Histogram, ...]:
+    """Of what samples show; those with depth maps, at which no rays are cast, are left out."""
+    looks = list[Look]()
+    for sample in samples:
+        if all(scene.is_analytic for scene in sample.scenes):
+            looks += looks_of([_sized(scene) for scene in sample.scenes])
+    if not looks:
+        return ()
+    depth = np.concatenate([1.0 / look.inverse_depth for look in looks])
+    found = [
+        _histogram("depth Z, mm", depth),
+        _histogram("blur radius |R|, px", np.concatenate([look.blur for look in looks])),
+        _histogram("flow, px", np.concatenate([look.flow for look in looks])),
+        _histogram("share of valid pixels", np.array([look.valid for look in looks])),
+    ]
+    return tuple(one for one in found if one is not None)
+
+
+def _histogram(name: str, values: NDArray[np.float64]) -> Histogram | None:
+    if not values.size:
+        return None
+    low, high = float(values.min()), float(values.max())
+    edges = np.linspace(low, high, BINS + 1) if high > low else np.array([low, high])
+    shares = np.histogram(values, edges)[0] / values.size if high > low else np.ones(1)
+    return Histogram(name, tuple(edges.tolist()), tuple(shares.tolist()))
+
+
+def _sized(scene: Scene) -> Scene:
+    """The scene with its resolution."""
+    return scene if scene.camera.resolution is not None else prepare(scene).scene
+
+
+def _planned(sample: Sample, wanted: Sequence[str]) -> tuple[dict[str, float], float]:
+    """Bytes of each array of a frame of a sample, and the predicted weights."""
+    plan = prepare(sample.scenes[0], Request(_truth(wanted))).plan
+    pixels, found = plan.rows * plan.columns, {}
+    for name in wanted:
+        channels = plan.channels if name in ("color", "sharp") else 1
+        found[name] = float(pixels * channels * (1 if name in MASKS else BYTES.get(name, 4)))
+    return found, plan.taps
+
+
+def _truth(wanted: Sequence[str]) -> tuple[str, ...]:
+    return tuple(ATTRIBUTES[name] for name in wanted if name != "color")
+
+
+def _seconds(samples: Sequence[Sample], wanted: Sequence[str]) -> tuple[float | None, str]:
+    """Seconds per frame where there is a device, with what they are from."""
+    try:
+        from clsco.engine.sequence import render
+        from clsco.opencl.device import choose
+
+        device = choose(None)
+        seconds, made = 0.0, 0
+        for _ in range(2):
+            if seconds < LONG:
+                start = time.perf_counter()
+                made = sum(len(list(render(one.scenes[0], truth=_truth(wanted), frames=(0,)))) for one in samples)
+                seconds = time.perf_counter() - start
+    except ImportError:
+        return None, "pyopencl is not installed"
+    except DeviceError as error:
+        return None, str(error)
+    return seconds / made, f"{made} frames rendered by one process on {device.name}, without writing files"
+
+
+def contact_sheet(samples: Sequence[Sample]) -> NDArray[np.uint8]:
+    """Pictures of samples, rendered small: first frame, left view, first and last variant; (rows, columns, 3)."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    tiles = []
+    for sample in samples:
+        ends = [sample.scenes[0], sample.scenes[-1]] if len(sample.scenes) > 1 else [sample.scenes[0]]
+        tiles.append(np.concatenate([_picture(scene) for scene in ends], axis=1))
+    height, width = (max(tile.shape[axis] for tile in tiles) for axis in (0, 1))
+    gap, line, across = 8, 18, 4
+    rows = -(-len(tiles) // across)
+    sheet = Image.new("RGB", (gap + across * (width + gap), gap + rows * (height + line + gap)), (250, 250, 248))
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(12)
+    for number, (sample, tile) in enumerate(zip(samples, tiles, strict=True)):
+        x, y = gap + number % across * (width + gap), gap + number // across * (height + line + gap)
+        sheet.paste(Image.fromarray(tile), (x, y))
+        variants = f", {len(sample.scenes)} variants" if len(sample.scenes) > 1 else ""
+        draw.text((x, y + height + 2), f"{sample.number} {sample.split}{variants}", fill=(20, 20, 20), font=font)
+    return np.asarray(sheet)
+
+
+def _picture(scene: Scene) -> NDArray[np.uint8]:
+    """The first frame of a scene, at most TILE px long, as 8-bit sRGB (rows, columns, 3); gray where it fails."""
+    from clsco.engine.sequence import render
+
+    sized = _sized(scene)
+    assert sized.camera.resolution is not None
+    columns, rows = sized.camera.resolution
+    scale = min(1.0, TILE / max(columns, rows))
+    small = (max(1, round(columns * scale)), max(1, round(rows * scale)))
+    camera: dict[str, Any] = {"resolution": small, "pixel_pitch": sized.camera.pixel_pitch * columns / small[0]}
+    if sized.is_analytic:
+        sized = sized.model_copy(update={"camera": sized.camera.model_copy(update=camera)})
+    if sized.moves:
+        few = {"samples": TIME_SAMPLES}
+        sized = sized.model_copy(update={"sequence": sized.sequence.model_copy(update=few)})
+    try:
+        frame: Frame = next(iter(render(sized, truth=(), frames=(0,))))
+    except ClscoError:
+        return np.full((small[1], small[0], 3), 128, np.uint8)
+    color = frame.color if frame.color.ndim == 3 else np.repeat(frame.color[..., None], 3, axis=2)
+    codes = encode(color, 8, "srgb").astype(np.uint8)
+    row, column = ((np.arange(n) * m) // n for n, m in zip((small[1], small[0]), codes.shape, strict=False))
+    return codes[row][:, column]

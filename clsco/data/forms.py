@@ -1,0 +1,257 @@
+"""Tables of a distribution file that stand for a value, as distributions: { uniform = [1, 2] }."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from clsco.data.folder import Folder, RefusedError
+from clsco.data.splits import Splits, of_files
+from clsco.data.values import (
+    Choice,
+    Files,
+    Form,
+    Frustum,
+    Grid,
+    Integers,
+    LatinHypercube,
+    LogUniform,
+    Normal,
+    Sobol,
+    Turned,
+    Uniform,
+    qmc,
+    shares,
+)
+from clsco.errors import SceneError
+from clsco.scene.text import shown
+
+LARGEST = 1e30  # of a number, so that sums and cubes are finite
+MAX_INTEGER = 2**53
+MAX_ENTRIES = 10_000
+MAX_SIZE = 16
+MAX_STEPS = 2**20
+MAX_DIMENSIONS = 64
+
+
+@dataclass
+class Found:
+    """What the forms of a file have in common: its folder and splits, and how many dimensions of a Sobol sequence."""
+
+    folder: Folder
+    splits: Splits
+    dimensions: int = 0
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST:
+        raise RefusedError(f"must be a finite number, at most {LARGEST:g}", shown(value))
+    return float(value)
+
+
+def _pair(value: Any, what: str = "[low, high]") -> tuple[float, float]:
+    if not isinstance(value, list) or len(value) != 2:
+        raise RefusedError(f"must be {what}")
+    return _number(value[0]), _number(value[1])
+
+
+def _range(value: Any) -> tuple[float, float]:
+    low, high = _pair(value)
+    if not low < high:
+        raise RefusedError("must be [low, high], low less than high")
+    return low, high
+
+
+def _whole(value: Any, least: int, most: int) -> int:
+    if type(value) is not int or not least <= value <= most:
+        raise RefusedError(f"must be an integer between {least} and {most}")
+    return value
+
+
+def _size(given: Mapping[str, Any]) -> int | None:
+    return None if "size" not in given else _at("size", given, lambda value: _whole(value, 1, MAX_SIZE))
+
+
+def _at(key: str, given: Mapping[str, Any], check: Callable[[Any], Any]) -> Any:
+    """An option, checked; RefusedError names it."""
+    try:
+        return check(given[key])
+    except RefusedError as error:
+        raise RefusedError(f"{key} {error.rule}", shown(given[key]) if error.got is None else error.got) from None
+
+
+def _word(word: str) -> Callable[[Any], str]:
+    def check(value: Any) -> str:
+        if value != word:
+            raise RefusedError(f'must be "{word}"')
+        return word
+
+    return check
+
+
+def _uniform(given: Mapping[str, Any], _: Found) -> Form:
+    return Uniform(_size(given), *_at("uniform", given, _range))
+
+
+def _log_uniform(given: Mapping[str, Any], _: Found) -> Form:
+    low, high = _at("log_uniform", given, _range)
+    if low < 1e-30:
+        raise RefusedError("log_uniform must be [low, high] of numbers above 0", shown(given["log_uniform"]))
+    return LogUniform(_size(given), low, high)
+
+
+def _normal(given: Mapping[str, Any], _: Found) -> Form:
+    mean, deviation = _at("normal", given, lambda value: _pair(value, "[mean, standard deviation]"))
+    if deviation <= 0:
+        raise RefusedError("normal must be [mean, standard deviation], the latter above 0", shown(given["normal"]))
+    clip = _at("clip", given, _range) if "clip" in given else (-LARGEST, LARGEST)
+    return Normal(_size(given), mean, deviation, clip)
+
+
+def _integers(given: Mapping[str, Any], _: Found) -> Form:
+    value = given["integers"]
+    if not isinstance(value, list) or len(value) != 2:
+        raise RefusedError("integers must be [low, high]", shown(value))
+    low, high = (_whole(end, -MAX_INTEGER, MAX_INTEGER) for end in value)
+    if not 0 <= high - low < MAX_INTEGER:
+        raise RefusedError("integers must be [low, high], low at most high", shown(value))
+    return Integers(_size(given), low, high)
+
+
+def _entries(value: Any) -> tuple[Any, ...]:
+    if not isinstance(value, list) or not 1 <= len(value) <= MAX_ENTRIES:
+        raise RefusedError(f"must be a list of 1 to {MAX_ENTRIES} values")
+    if any(isinstance(entry, Mapping) or _deep(entry) for entry in value):
+        raise RefusedError("must be a list of numbers, texts, or lists of numbers", "a table or a list of lists in it")
+    return tuple(value)
+
+
+def _deep(entry: Any) -> bool:
+    """Whether a list has more in it than a vector, or the bounds of an object."""
+    inner = [part for part in entry if isinstance(part, list)] if isinstance(entry, list) else []
+    tables = isinstance(entry, list) and any(isinstance(part, Mapping) for part in entry)
+    return tables or any(isinstance(part, list | Mapping) for one in inner for part in one)
+
+
+def _choice(given: Mapping[str, Any], _: Found) -> Form:
+    entries = _at("choice", given, _entries)
+    if "weights" not in given:
+        return Choice(None, entries, shares([1.0] * len(entries)))
+    weights = given["weights"]
+    if not isinstance(weights, list) or len(weights) != len(entries):
+        raise RefusedError(f"weights must be a list of {len(entries)} numbers", shown(weights))
+    numbers = [_at("weights", {"weights": weight}, _number) for weight in weights]
+    if min(numbers) < 0 or not math.fsum(numbers) > 0:
+        raise RefusedError("weights must be at least 0, and one above it", shown(weights))
+    return Choice(None, entries, shares(numbers))
+
+
+def _constant(given: Mapping[str, Any], _: Found) -> Form:
+    return Choice(None, _at("constant", {"constant": [given["constant"]]}, _entries), (1.0,))
+
+
+def _files(given: Mapping[str, Any], found: Found) -> Form:
+    names = _at("files", given, found.folder.match)
+    digests = [_at("files", {"files": name}, found.folder.take) for name in names]
+    all_of_them = np.arange(len(names))
+    if "split" not in given:
+        return Files(None, tuple(names), (all_of_them,) * max(1, len(found.splits)))
+    _at("split", given, _word("by_file"))
+    place = of_files(found.splits, digests)
+    of_split = tuple(all_of_them[place == number] for number in range(max(1, len(found.splits))))
+    empty = [name for (name, _), own in zip(found.splits, of_split, strict=False) if not len(own)]
+    if empty:
+        rule = f"files must be more, so that each split has one: there is none for {', '.join(empty)}"
+        raise RefusedError(rule, f"{len(names)} files")
+    return Files(None, tuple(names), of_split)
+
+
+def _frustum(given: Mapping[str, Any], _: Found) -> Form:
+    table = given["frustum"]
+    if not isinstance(table, Mapping) or "depth" not in table:
+        raise RefusedError("frustum must be { depth = [near, far], margin = px }", shown(table))
+    if unknown := sorted(table.keys() - {"depth", "margin", "density"}):
+        raise RefusedError("frustum must have depth, margin and density only", shown(unknown[0]))
+    near, far = _at("depth", table, _range)
+    if near < 1e-9:
+        raise RefusedError("depth must be above 0", shown(table["depth"]))
+    margin = _at("margin", table, _number) if "margin" in table else 0.0
+    density = table.get("density", "volume")
+    if density not in ("volume", "depth"):
+        raise RefusedError('density must be "volume" or "depth"', shown(density))
+    return Frustum(None, near, far, margin, density == "volume")
+
+
+def _direction(given: Mapping[str, Any], _: Found) -> Form:
+    _at("direction", given, _word("sphere"))
+    return Turned(3)
+
+
+def _rotation(given: Mapping[str, Any], _: Found) -> Form:
+    _at("rotation", given, _word("uniform"))
+    return Turned(4)
+
+
+def _grid(given: Mapping[str, Any], _: Found) -> Form:
+    if "steps" not in given:
+        raise RefusedError("grid needs steps, the number of its values", "nothing")
+    low, high = _at("grid", given, _range)
+    return Grid(None, low, high, _at("steps", given, lambda value: _whole(value, 2, MAX_STEPS)), 1)
+
+
+def _sobol(given: Mapping[str, Any], found: Found) -> Form:
+    low, high = _at("sobol", given, _range)
+    try:
+        qmc()
+    except SceneError as error:
+        raise RefusedError(str(error).partition("; got ")[0], "no such module") from None
+    if found.dimensions == MAX_DIMENSIONS:
+        raise RefusedError(f"sobol must be at most {MAX_DIMENSIONS} keys", "more")
+    found.dimensions += 1
+    return Sobol(None, low, high, found.dimensions - 1)
+
+
+def _latin_hypercube(given: Mapping[str, Any], _: Found) -> Form:
+    if "of" not in given:
+        raise RefusedError("latin_hypercube needs of, the number of samples that it spreads", "nothing")
+    low, high = _at("latin_hypercube", given, _range)
+    return LatinHypercube(None, low, high, _at("of", given, lambda value: _whole(value, 2, MAX_STEPS)))
+
+
+FORMS: dict[str, tuple[Callable[[Mapping[str, Any], Found], Form], tuple[str, ...]]] = {
+    "constant": (_constant, ()),
+    "uniform": (_uniform, ("size",)),
+    "log_uniform": (_log_uniform, ("size",)),
+    "normal": (_normal, ("size", "clip")),
+    "integers": (_integers, ("size",)),
+    "choice": (_choice, ("weights",)),
+    "files": (_files, ("split",)),
+    "frustum": (_frustum, ()),
+    "direction": (_direction, ()),
+    "rotation": (_rotation, ()),
+    "grid": (_grid, ("steps",)),
+    "sobol": (_sobol, ()),
+    "latin_hypercube": (_latin_hypercube, ("of",)),
+}
+"""Distributions by the key that names them, each with its options."""
+
+
+def is_form(value: Any) -> bool:
+    """Whether a table stands for a value."""
+    return isinstance(value, Mapping) and any(key in FORMS for key in value)
+
+
+def form_of(given: Mapping[str, Any], found: Found) -> Form:
+    """The distribution that a table states. Raises RefusedError."""
+    names = [key for key in given if key in FORMS]
+    if len(names) > 1:
+        raise RefusedError("must be one distribution", " and ".join(names))
+    make, options = FORMS[names[0]]
+    if unknown := [key for key in given if key != names[0] and key not in options]:
+        takes = f"takes {' and '.join(options)} only" if options else "stands alone"
+        raise RefusedError(f"{names[0]} {takes}", shown(unknown[0]))
+    return make(given, found)

@@ -1,0 +1,380 @@
+"""What a distribution file is made of: a scene with the values that never vary, parameters, and populations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from clsco.data.acceptance import DERIVED, derivation
+from clsco.data.folder import Folder, RefusedError, cell_value
+from clsco.data.forms import FORMS, Found, form_of, is_form
+from clsco.data.splits import Splits
+from clsco.data.tables import Tables
+from clsco.data.values import Choice, Files, Form, Frustum, Grid, Integers, Row
+from clsco.scene.changes import displace, key_parts, put
+from clsco.scene.objects import MAX_OBJECTS
+from clsco.scene.text import key_name, shown
+from clsco.scene.texture_keys import SixSided, is_drawn
+
+Location = tuple[str | int, ...]
+FILE_KEYS = ("texture", "depth", *SixSided.__annotations__)
+MAX_PARAMETERS = 1000
+MAX_SWEPT = 4096  # entries of a list
+VALUE_TABLES = frozenset(("axis", "angle", "quaternion", "from", "to", "steps"))  # of values that are tables
+MOVING = ("camera", "object", "group")
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A value that varies: its name, which decides its stream, the key that it is for, and its distribution."""
+
+    name: str
+    location: Location
+    form: Form
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Keys that vary together: a row of `table` (rows, keys) goes to all of them; `parameter` says which one."""
+
+    parameter: Parameter
+    locations: tuple[Location, ...]
+    table: tuple[tuple[Any, ...], ...]
+
+
+@dataclass(frozen=True)
+class Population:
+    """Objects of one kind, as many as `count`, each with own values.
+
+    label: in names of parameters; entry: position in [[vary.object]]; named: whether the file names it; shapes: that
+    its objects may have.
+    """
+
+    label: str
+    entry: int
+    named: bool
+    count: Parameter
+    constants: dict[str, Any]
+    parameters: tuple[Parameter, ...]
+    shapes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Parts:
+    """All of a distribution but its rules."""
+
+    scene: dict[str, Any]
+    parameters: tuple[Parameter, ...]
+    rows: tuple[Rows, ...]
+    populations: tuple[Population, ...]
+    derived: tuple[tuple[tuple[str, ...], Any], ...]
+    """Keys with what is wanted of them, a number or the parameter that has it."""
+    sized: bool
+    """Whether samples need a resolution: rays are cast at them, or points placed in the view."""
+
+
+class Reader:
+    """Makes the parts of a distribution from its tables, and lists all faults.
+
+    Parameters
+    ----------
+    tables : Tables
+    folder : Folder
+    splits : Splits
+    """
+
+    def __init__(self, tables: Tables, folder: Folder, splits: Splits) -> None:
+        self.faults: list[str] = []
+        self._tables, self._folder, self._found = tables, folder, Found(folder, splits)
+        self._scene = copied(tables.scene)
+        self._count = 0
+
+    def parts(self) -> Parts:
+        """The parts; with `faults` they are not whole."""
+        self._no_forms(self._tables.scene, ())
+        parameters, rows, populations = list[Parameter](), list[Rows](), list[Population]()
+        for section, value in self._tables.vary.items():
+            if section == "rows":
+                rows = self._rows(value)
+            elif section in ("object", "group"):
+                for entry, table in enumerate(self._entries(section, value)):
+                    if section == "group" or "index" in table:
+                        parameters += self._existing(section, entry, table)
+                    else:
+                        populations += self._population(entry, table, [one.label for one in populations])
+            elif isinstance(value, dict):
+                parameters += self._section((section,), value)
+            else:
+                self._faulty(("vary", section), "must be a table", value)
+        derived = self._derived()
+        parameters += [wanted for _, wanted in derived if isinstance(wanted, Parameter)]
+        self._check_files(self._scene.get("object"), ("object",))
+        for number, population in enumerate(populations):
+            self._check_files([population.constants], ("vary", "object", populations[number].entry))
+        if self._count > MAX_PARAMETERS:
+            self.faults.append(f"vary: must have at most {MAX_PARAMETERS} distributions; got {self._count}")
+        names = [one.name for one in parameters]
+        for name in dict.fromkeys(name for name in names if names.count(name) > 1):
+            self.faults.append(f"vary: {name}: must vary in one place; got two")
+        members = [one for population in populations for one in population.parameters]
+        frustum = any(isinstance(one.form, Frustum) for one in (*parameters, *members))
+        sized = bool(frustum or derived or self._tables.accept)
+        return Parts(self._scene, _with_strides(parameters), tuple(rows), tuple(populations), tuple(derived), sized)
+
+    def _faulty(self, key: Location, rule: str, got: Any) -> None:
+        self.faults.append(f"{key_name(key)}: {rule}; got {shown(got)}")
+
+    def _no_forms(self, value: Any, location: Location) -> None:
+        """Refuse distributions that are not in [vary]."""
+        if isinstance(value, Mapping):
+            if len(location) > 1 and is_form(value) and not _is_table(location):
+                self._faulty(location, "a distribution belongs in [vary]", value)
+                return
+            for key, entry in value.items():
+                self._no_forms(entry, (*location, key))
+        elif isinstance(value, list):
+            for index, entry in enumerate(value[:MAX_SWEPT]):
+                self._no_forms(entry, (*location, index))
+
+    def _section(self, place: Location, table: Mapping[str, Any]) -> list[Parameter]:
+        """Parameters of a table of the scene; what does not vary goes to the scene at once."""
+        found = []
+        for key, value in table.items():
+            location = (*place, key)
+            if key == "motion" and place[0] in MOVING and isinstance(value, Mapping):
+                found += self._section(location, value)
+                continue
+            constant, varying = self._value(value, ("vary", *location), location, ".".join(map(str, location)))
+            displace(self._scene, ".".join(map(str, location)), None if varying else constant)
+            if (fault := put(self._scene, list(map(str, location)), constant)) is not None:
+                self.faults.append(f"{key_name(('vary', *location))}: {fault}")
+            else:
+                found += varying
+        return found
+
+    def _value(self, value: Any, key: Location, location: Location, name: str) -> tuple[Any, list[Parameter]]:
+        """A value with None where it varies, and the parameters that go there."""
+        if isinstance(value, Mapping):
+            if is_form(value):
+                return None, self._parameter(value, key, location, name)
+            if value and value.keys() <= VALUE_TABLES:
+                parts = {k: self._value(v, (*key, k), (*location, k), f"{name}.{k}") for k, v in value.items()}
+                return {k: part[0] for k, part in parts.items()}, [p for part in parts.values() for p in part[1]]
+            rule = f"must be a value, or a distribution by one of {', '.join(FORMS)}"
+            self._faulty(key, rule, next(iter(value), value))
+            return None, []
+        if isinstance(value, list) and len(value) <= MAX_SWEPT:
+            items = [self._value(v, (*key, k), (*location, k), f"{name}.{k}") for k, v in enumerate(value)]
+            return [item[0] for item in items], [p for item in items for p in item[1]]
+        return value, []
+
+    def _parameter(self, value: Mapping[str, Any], key: Location, location: Location, name: str) -> list[Parameter]:
+        self._count += 1
+        if self._count > MAX_PARAMETERS:
+            return []
+        try:
+            form = form_of(value, self._found)
+        except RefusedError as error:
+            self.faults.append(error.message(key_name(key), value))
+            return []
+        if location[-1] in FILE_KEYS and isinstance(form, Choice):
+            for index, entry in enumerate(form.entries):
+                self._check_file(entry, (*key, "choice", index))
+        elif isinstance(form, Files) and location[-1] not in FILE_KEYS:
+            self._faulty(key, f"files are for {', '.join(FILE_KEYS[:2])} and the like", value)
+        return [Parameter(name, location, form)]
+
+    def _entries(self, section: str, value: Any) -> list[dict[str, Any]]:
+        if not isinstance(value, list) or not all(isinstance(entry, dict) for entry in value):
+            self._faulty(("vary", section), f"must be an array of tables, [[vary.{section}]]", value)
+            return []
+        if len(value) > MAX_OBJECTS:
+            self._faulty(("vary", section), f"must have at most {MAX_OBJECTS} tables", value)
+            return []
+        return value
+
+    def _existing(self, section: str, entry: int, table: Mapping[str, Any]) -> list[Parameter]:
+        """Parameters of an object or a group that the scene has."""
+        index, there = table.get("index"), self._scene.get(section)
+        count = len(there) if isinstance(there, list) else 0
+        if type(index) is not int or not 0 <= index < count:
+            rule = f"must be the position of a [[{section}]] of the scene, which has {count}, counted from 0"
+            self._faulty(("vary", section, entry, "index"), rule, index)
+            return []
+        before = len(self.faults)
+        found = self._section((section, index), {key: value for key, value in table.items() if key != "index"})
+        written, given = f"vary.{section}[{index}]", f"vary.{section}[{entry}]"
+        self.faults[before:] = [message.replace(written, given, 1) for message in self.faults[before:]]
+        return found
+
+    def _population(self, entry: int, table: Mapping[str, Any], labels: list[str]) -> list[Population]:
+        key: Location = ("vary", "object", entry)
+        name, before = table.get("name"), len(self.faults)
+        label = name if isinstance(name, str) else f"population_{len(labels)}"
+        if "name" in table and not (isinstance(name, str) and 0 < len(name) <= 64 and name.isprintable()):
+            self._faulty((*key, "name"), "must be a text of 1 to 64 characters", name)
+        elif label in labels:
+            self._faulty((*key, "name"), "names of populations must differ", label)
+        count = self._how_many(table.get("count", 1), (*key, "count"), f"object.{label}.count")
+        constants: dict[str, Any] = {}
+        parameters: list[Parameter] = []
+        for part, value in table.items():
+            inner = value if part == "motion" and isinstance(value, Mapping) else {None: value}
+            for last, one in inner.items() if part not in ("name", "count") else ():
+                place: Location = (part,) if last is None else (part, last)
+                dotted = ".".join(map(str, place))
+                constant, varying = self._value(one, (*key, *place), place, f"object.{label}.{dotted}")
+                put(constants, list(map(str, place)), constant)
+                parameters += varying
+        for parameter in parameters:
+            if parameter.form.designed:
+                place = (*key, *parameter.location)
+                self._faulty(place, "grid, sobol and latin_hypercube are for single values, not for populations", label)
+        shapes = [p.form.extremes() for p in parameters if p.location == ("shape",)] or [(constants.get("shape"),)]
+        if len(self.faults) > before or count is None:
+            return []
+        known = tuple(shape for shape in shapes[0] if isinstance(shape, str))
+        return [Population(label, entry, "name" in table, count, constants, tuple(parameters), known)]
+
+    def _how_many(self, value: Any, key: Location, name: str) -> Parameter | None:
+        form: Form | None = None
+        if type(value) is int:
+            form = Choice(None, (value,), (1.0,))
+        elif is_form(value):
+            made = self._parameter(value, key, ("count",), name)
+            form = made[0].form if made else None
+            if form is None:
+                return None
+        counts = form.extremes() if isinstance(form, Integers | Choice) and not form.size else (None,)
+        if form is None or any(type(count) is not int or not 0 <= count <= MAX_OBJECTS for count in counts):
+            self._faulty(
+                key, f"must be a number of objects, 0 to {MAX_OBJECTS}, or integers or a choice of them", value
+            )
+            return None
+        return Parameter(name, ("count",), form)
+
+    def _rows(self, value: Any) -> list[Rows]:
+        found: list[Rows] = []
+        entries = self._entries("rows", value)
+        for entry, table in enumerate(entries):
+            key: Location = ("vary", "rows", entry)
+            if table.keys() != {"file"}:
+                self._faulty(key, "must have a file, and nothing else", next(iter(table.keys() - {"file"}), "nothing"))
+                continue
+            try:
+                head, rows = self._folder.rows(table["file"])
+            except RefusedError as error:
+                self.faults.append(error.message(key_name((*key, "file")), table["file"]))
+                continue
+            found += self._row_parameter(key, table["file"], head, rows)
+        return found
+
+    def _row_parameter(
+        self, key: tuple[str | int, ...], name: str, head: list[str], rows: list[list[str]]
+    ) -> list[Rows]:
+        """Keys that the head of a table names, each with a place in the scene."""
+        locations = list[Location]()
+        for column in head:
+            parts = key_parts(column)
+            listed = parts[0] in ("object", "group")
+            if not 1 < len(parts) < 7 or not all(parts) or (listed and not isinstance(self._scene.get(parts[0]), list)):
+                fault: str | None = "must be a key of the scene, like camera.focal_length"
+            else:
+                displace(self._scene, column, None)
+                fault = put(self._scene, parts, None)
+            if fault is None:
+                locations.append((parts[0], int(parts[1]) if listed else parts[1], *parts[2:]))
+            else:
+                self.faults.append(f"{key_name((*key, 'file'))}: column {shown(column)}: {fault}")
+        if len(locations) < len(head):
+            return []
+        table = tuple(tuple(map(cell_value, row)) for row in rows)
+        for place, cells in zip(locations, zip(*table, strict=True), strict=True):
+            for number, cell in enumerate(cells, 1) if place[-1] in FILE_KEYS else ():
+                self._check_file(cell, (*key, "file", f"row {number}"))
+        parameter = Parameter(f"rows.{name}", (), Row(None, len(table)))
+        return [Rows(parameter, tuple(locations), table)]
+
+    def _derived(self) -> list[tuple[tuple[str, ...], Any]]:
+        """What [derive] asks for; a distribution of it as the parameter that has it."""
+        found: dict[tuple[str, ...], Any] = {}
+        given = self._tables.derive if isinstance(self._tables.derive, dict) else {}
+        if given is not self._tables.derive:
+            self._faulty(("derive",), "must be a table", self._tables.derive)
+        for section, table in given.items():
+            for key, value in table.items() if isinstance(table, dict) else [("", table)]:
+                here: Location = ("derive", section, key) if key else ("derive", section)
+                try:
+                    if (section, key) not in DERIVED:
+                        raise RefusedError(f"must be one of {', '.join('.'.join(one) for one in DERIVED)}")
+                    wanted = derivation((section, key), value)
+                except RefusedError as error:
+                    self.faults.append(error.message(key_name(here), value))
+                    continue
+                displace(self._scene, f"{section}.{key}", None)
+                if isinstance(wanted, dict):
+                    wanted = self._wanted((section, key), wanted)
+                found[section, key] = wanted
+        return [(key, found[key]) for key in DERIVED if key in found]
+
+    def _wanted(self, key: tuple[str, str], value: Mapping[str, Any]) -> Parameter | None:
+        """A distribution of what is wanted of a derived key."""
+        here: Location = ("derive", *key)
+        for parameter in self._value(value, here, here, ".".join(("derive", *key)))[1]:
+            for end in parameter.form.extremes():
+                try:
+                    derivation(key, {DERIVED[key]: end})
+                except RefusedError as error:
+                    self.faults.append(error.message(key_name(here), end))
+            return parameter
+        return None
+
+    def _check_files(self, items: Any, key: Location) -> None:
+        """Take the files that objects name."""
+        for index, item in enumerate(items) if isinstance(items, list) else ():
+            for name in FILE_KEYS if isinstance(item, Mapping) else ():
+                if name in item and item[name] is not None:
+                    place = (*key, index) if key == ("object",) else key
+                    self._check_file(item[name], (*place, name))
+
+    def _check_file(self, name: Any, key: Location) -> None:
+        """Take a file that an object names, or what could be one."""
+        if isinstance(name, str) and is_file(_key_of_file(key), name):
+            try:
+                self._folder.take(name)
+            except RefusedError as error:
+                self.faults.append(error.message(key_name(key), name))
+
+
+def _key_of_file(key: Location) -> str:
+    """Which of FILE_KEYS a place in the file is for."""
+    return "depth" if "depth" in key else "texture"
+
+
+def is_file(key: str, name: str) -> bool:
+    """Whether what an object has under one of FILE_KEYS names a file, and no pattern or color."""
+    return key == "depth" or not is_drawn(name)
+
+
+def _is_table(location: Location) -> bool:
+    """Whether a key has a table of the scene, and not one that stands for a value."""
+    return location[-1] == "motion" or isinstance(location[-1], int)
+
+
+def _with_strides(parameters: list[Parameter]) -> tuple[Parameter, ...]:
+    """Parameters with those of grids such that the last one changes with every sample, and the first one slowest."""
+    found, every = list(parameters), 1
+    for position in range(len(found) - 1, -1, -1):
+        form = found[position].form
+        if isinstance(form, Grid):
+            found[position] = replace(found[position], form=replace(form, every=every))
+            every = min(every * form.steps, 2**62)
+    return tuple(found)
+
+
+def copied(value: Any) -> Any:
+    """Tables and lists anew; what is in them stays as it is."""
+    if isinstance(value, dict):
+        return {key: copied(entry) for key, entry in value.items()}
+    return [copied(entry) for entry in value] if isinstance(value, list) else value

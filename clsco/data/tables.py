@@ -1,0 +1,126 @@
+"""Reading of a distribution file: its tables, joined with those of the file that it starts from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from clsco.data.folder import Folder, RefusedError
+from clsco.data.forms import is_form
+from clsco.errors import SceneError
+from clsco.scene.changes import displace, key_parts, override
+from clsco.scene.file import read_mapping
+from clsco.scene.text import shown
+
+OWN = ("base", "vary", "accept", "derive")
+MAX_BASES = 8
+MAX_DEPTH = 12  # tables and lists in each other
+
+
+@dataclass(frozen=True)
+class Tables:
+    """The parts of a distribution file, base included: the scene, and what varies in it, is accepted and follows."""
+
+    scene: dict[str, Any]
+    vary: dict[str, Any]
+    accept: Any
+    derive: Any
+
+
+def read_tables(where: str, overrides: Sequence[str], folder: Folder) -> Tables:
+    """Read a distribution file with its bases, and apply overrides. Raises SceneError."""
+    data = _joined_file(where, where, folder, [])
+    if (deep := _deeper(data, MAX_DEPTH)) is not None:
+        raise SceneError(f"{where}: {deep}: tables and lists must be at most {MAX_DEPTH} in each other")
+    override(data, overrides, where)
+    vary = data.pop("vary", {})
+    accept, derive = data.pop("accept", {}), data.pop("derive", {})
+    if not isinstance(vary, dict):
+        raise SceneError(f"{where}: vary: must be a table; got {shown(vary)}")
+    for text in overrides:
+        parts = key_parts(text.partition("=")[0].strip())
+        if parts[0] not in OWN:
+            _unvaried(vary, parts, data)
+    return Tables(data, vary, accept, derive)
+
+
+def _joined_file(path: str, where: str, folder: Folder, names: list[str]) -> dict[str, Any]:
+    """Content of a file, joined with that of its base, and so on; names: of the files that lead to it."""
+    data = read_mapping(path, ())
+    if "base" not in data:
+        return data
+    name = data.pop("base")
+    try:
+        found = folder.inside(name)
+        if Path(name).name != name:
+            raise RefusedError("must be a file in the same folder")
+        if found.name in names or found == Path(where).resolve():
+            raise RefusedError("must not lead back to a file that it is a base of")
+        if len(names) == MAX_BASES:
+            raise RefusedError(f"must be at most {MAX_BASES} files one after the other")
+    except RefusedError as error:
+        raise SceneError(error.message(f"{path}: base", name)) from None
+    return joined(_joined_file(str(folder.path / name), where, folder, [*names, found.name]), data)
+
+
+def joined(base: dict[str, Any], data: dict[str, Any]) -> dict[str, Any]:
+    """A file's tables over those of its base: tables are joined key by key, all else replaces what the base has.
+
+    What stands for a value, such as a distribution or a range, is no table here. A key that contradicts another one,
+    as f_number does aperture_diameter, takes its place.
+    """
+    found = dict(base)
+    for section, value in data.items():
+        if section in ("vary", "accept", "derive") or not isinstance(value, dict):
+            continue
+        for key in value:
+            displace(found, f"{section}.{key}", value[key])
+    return _merged(found, data)
+
+
+def _merged(base: Mapping[str, Any], data: Mapping[str, Any]) -> dict[str, Any]:
+    found = {key: dict(value) if isinstance(value, dict) else value for key, value in base.items()}
+    for key, value in data.items():
+        old = found.get(key)
+        join = isinstance(old, dict) and isinstance(value, dict) and not (_is_value(old) or _is_value(value))
+        found[key] = _merged(old or {}, value) if join else value
+    return found
+
+
+def _is_value(table: Any) -> bool:
+    return is_form(table) or "from" in table
+
+
+def _deeper(value: Any, most: int) -> str | None:
+    """The key under which a table has more than so many in each other, None where there is none."""
+    waiting = [(key, entry, 1) for key, entry in value.items()]
+    while waiting:
+        key, entry, depth = waiting.pop()
+        inner = list(entry.values()) if isinstance(entry, Mapping) else entry if isinstance(entry, list) else []
+        if inner and depth == most:
+            return str(key)[:64]
+        waiting += [(key, part, depth + 1) for part in inner]
+    return None
+
+
+def _unvaried(vary: dict[str, Any], parts: list[str], scene: Mapping[str, Any]) -> None:
+    """Remove what varies at a key that is given now, and at keys that contradict it."""
+    displace(vary, ".".join(parts), _at(scene, parts))
+    node: Any = vary
+    if parts[0] in ("object", "group") and len(parts) > 1:
+        entries = vary.get(parts[0])
+        listed = [entry for entry in entries if isinstance(entry, dict)] if isinstance(entries, list) else []
+        node = next((entry for entry in listed if str(entry.get("index")) == parts[1]), {})
+        parts = parts[2:]
+    for part in parts[:-1]:
+        node = node.get(part) if isinstance(node, dict) and not is_form(node.get(part)) else None
+    if isinstance(node, dict) and parts:
+        node.pop(parts[-1], None)
+
+
+def _at(node: Any, parts: Sequence[str]) -> Any:
+    for part in parts:
+        node = node.get(part) if isinstance(node, dict) else None
+    return node

@@ -1,0 +1,408 @@
+"""Distribution files: how they join, what they draw, and that samples are a function of seed and number."""
+
+from __future__ import annotations
+
+import pickle
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from clsco.data.distribution import Distribution, Sample
+from clsco.data.dryrun import show
+from clsco.errors import SceneError
+from clsco.scene.sweep import parse_sweep
+from tests.data.written import SCENE, Load
+
+
+def column(distribution: Distribution, count: int, name: str, seed: int = 1) -> np.ndarray:
+    """Values of a parameter of the first samples, all components together."""
+    numbers = np.arange(count, dtype=np.uint64)
+    drawn = distribution.drawn(seed, numbers)
+    (found,) = [c for p, c in zip(distribution.parts.parameters, drawn.values, strict=True) if p.name == name]
+    return found
+
+
+def same(one: Sample, other: Sample) -> bool:
+    return (one.parameters, one.table, one.scenes, one.attempts) == (
+        other.parameters, other.table, other.scenes, other.attempts,
+    )  # fmt: skip
+
+
+ALL = """
+[vary.camera]
+focus_distance = { uniform = [300, 500] }
+f_number = { choice = [2, 4, 8], weights = [1, 2, 1] }
+[vary.sequence]
+interval = { log_uniform = [0.01, 1] }
+[[vary.object]]
+index = 0
+slope_x = { normal = [0, 0.2], clip = [-0.5, 0.5] }
+motion.velocity = [{ normal = [0, 1] }, 0, { uniform = [1, 2] }]
+[[vary.object]]
+name = "ball"
+count = { integers = [0, 3] }
+shape = "sphere"
+radius = { log_uniform = [5, 40] }
+center = { frustum = { depth = [200, 350], margin = 4 } }
+rotation = { rotation = "uniform" }
+motion.angular_velocity = { uniform = [-5, 5], size = 3 }
+"""
+
+
+def test_what_is_drawn_alone_is_what_is_drawn_in_a_vector(load: Load) -> None:
+    distribution = load(ALL)
+    drawn = distribution.drawn(3, np.arange(500, dtype=np.uint64))
+    for number in (0, 1, 17, 499):
+        alone = distribution.drawn(3, np.array([number], np.uint64))
+        for many, one in zip(drawn.values, alone.values, strict=True):
+            assert many[number].tolist() == one[0].tolist()
+        own = drawn.owners[0] == number
+        for many, one in zip(drawn.members[0], alone.members[0], strict=True):
+            assert many[own].tolist() == one.tolist()
+
+
+def test_a_sample_does_not_depend_on_other_parameters(load: Load) -> None:
+    before = load(ALL)
+    more = ALL.replace("[vary.camera]", '[[vary.object]]\nshape = "disc"\nradius = { uniform = [1, 2] }\n[vary.camera]')
+    more = more.replace("[vary.sequence]", "focal_length = { uniform = [19, 21] }\n[vary.sequence]")
+    after = load(more, name="more.toml")
+    for number in range(5):
+        one, other = before.draw(9, number), after.draw(9, number)
+        added = other.parameters.keys() - one.parameters.keys()
+        assert any("population_0" in name for name in added)
+        centers = {name for name in one.parameters if name.endswith("center")}  # they follow from the focal length
+        assert {k: v for k, v in other.parameters.items() if k not in added | centers} == {
+            k: v for k, v in one.parameters.items() if k not in centers
+        }
+        assert all(other.parameters[name][2] == one.parameters[name][2] for name in centers)
+
+
+def test_samples_are_the_same_in_another_process_and_after_pickling(load: Load, tmp_path: Path) -> None:
+    distribution = load(ALL, splits="train=0.5,test=0.5")
+    here = [distribution.draw(5, number) for number in range(4)]
+    again = pickle.loads(pickle.dumps(distribution))
+    assert all(same(again.draw(5, number), here[number]) for number in (3, 1, 0, 2))
+    code = (
+        "import sys; from clsco.data.distribution import load_distribution\n"
+        "d = load_distribution(sys.argv[1], splits='train=0.5,test=0.5')\n"
+        "print(d.digest, [(s.split, s.parameters, s.table) for s in (d.draw(5, k) for k in range(4))])"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path / "set.toml")]
+    there = subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+    assert there == f"{distribution.digest} {[(s.split, s.parameters, s.table) for s in here]}"
+
+
+def test_the_table_of_a_sample_renders_it_by_itself(load: Load) -> None:
+    distribution = load(ALL)
+    for number in range(3):
+        sample = distribution.draw(1, number)
+        sweep = parse_sweep(sample.table)
+        assert (sweep.labels, sweep.scenes) == (sample.labels, sample.scenes)
+        assert parse_sweep(tomllib.loads(show(distribution, 1, number))).scenes == sample.scenes
+        assert len(sample.scenes[0].objects) == 1 + sample.parameters["object.ball.count"]
+
+
+def test_values_follow_their_distributions(load: Load) -> None:
+    from scipy import stats
+
+    count = 4000
+    distribution = load(ALL)
+    names = ("camera.focus_distance", "sequence.interval", "object.0.motion.velocity.0", "object.0.slope_x")
+    values = {name: column(distribution, count, name) for name in (*names, "camera.f_number")}
+    expected: dict[str, Any] = {
+        "camera.focus_distance": stats.uniform(300, 200),
+        "sequence.interval": stats.loguniform(0.01, 1),
+        "object.0.motion.velocity.0": stats.norm(),
+    }
+    for name, theory in expected.items():
+        assert stats.kstest(values[name], theory.cdf).pvalue > 0.01, name
+    inside = np.abs(values["object.0.slope_x"]) < 0.5
+    assert 0.982 < inside.mean() < 0.993  # 2.5 standard deviations
+    assert np.abs(values["object.0.slope_x"]).max() == 0.5
+    shares = np.bincount(values["camera.f_number"]) / count
+    assert np.abs(shares - [0.25, 0.5, 0.25]).max() < 0.02
+    drawn = distribution.drawn(1, np.arange(count, dtype=np.uint64))
+    sizes = np.bincount(np.bincount(drawn.owners[0], minlength=count))
+    assert stats.chisquare(sizes).pvalue > 0.01
+    radius, center, rotation, turning = drawn.members[0]
+    assert stats.kstest(radius, stats.loguniform(5, 40).cdf).pvalue > 0.01
+    depth = center[:, 2]
+    assert stats.kstest(depth, lambda z: (z**3 - 200**3) / (350**3 - 200**3)).pvalue > 0.01  # as the volume
+    for axis in (0, 1):
+        assert stats.kstest(center[:, axis], stats.uniform(-1, 2).cdf).pvalue > 0.01
+    assert np.abs((rotation**2).sum(axis=1) - 1).max() < 1e-15
+    assert stats.kstest(rotation[:, 0] ** 2, stats.beta(0.5, 1.5).cdf).pvalue > 0.01  # of a uniform unit quaternion
+    assert turning.shape == (len(depth), 3)
+    assert abs(np.corrcoef(turning.T)[0, 1]) < 0.05
+
+
+def test_points_in_the_frustum_are_in_the_frame(load: Load) -> None:
+    distribution = load(
+        '[[vary.object]]\ncount = 30\nshape = "sphere"\nradius = 1\n'
+        'center = { frustum = { depth = [100, 300], margin = 10, density = "depth" } }'
+    )
+    sample = distribution.draw(1, 1)
+    camera = sample.scenes[0].camera
+    step = camera.pixel_pitch / camera.normalization_distance
+    centers = np.array([value for name, value in sample.parameters.items() if name.endswith("center")])
+    assert centers.shape == (30, 3)
+    assert (np.abs(centers[:, 0]) <= (32 - 10) * step * centers[:, 2] * (1 + 1e-12)).all()
+    assert (np.abs(centers[:, 1]) <= (24 - 10) * step * centers[:, 2] * (1 + 1e-12)).all()
+    assert ((centers[:, 2] >= 100) & (centers[:, 2] <= 300)).all()
+    assert np.ptp(centers[:, 0]) > 20 * step * 200
+
+
+def test_designs_follow_the_number_alone(load: Load) -> None:
+    distribution = load(
+        "[vary.camera]\nf_number = { grid = [2, 4], steps = 3 }\nfocal_length = { sobol = [19, 21] }\n"
+        "[vary.object]\n".replace("[vary.object]\n", "")
+        + "[[vary.object]]\nindex = 0\ndistance = { latin_hypercube = [300, 500], of = 50 }\n"
+        "slope_x = { grid = [0, 0.3], steps = 4 }\nslope_y = { sobol = [0, 1] }"
+    )
+    assert column(distribution, 13, "camera.f_number").tolist() == [2.0] * 4 + [3.0] * 4 + [4.0] * 4 + [2.0]
+    assert np.allclose(column(distribution, 5, "object.0.slope_x"), [0, 0.1, 0.2, 0.3, 0])
+    for first in (0, 50):
+        cells = (column(distribution, 100, "object.0.distance")[first : first + 50] - 300) / 4
+        assert sorted(np.floor(cells).astype(int).tolist()) == list(range(50))
+    both = np.stack(
+        [(column(distribution, 64, "camera.focal_length") - 19) / 2, column(distribution, 64, "object.0.slope_y")]
+    )
+    boxes = np.floor(both * 8).astype(int)
+    assert len(set(zip(*boxes.tolist(), strict=True))) == 64  # one in each of 8 x 8 boxes
+    whole = column(distribution, 3000, "camera.focal_length", seed=4)
+    for number in (0, 1023, 1024, 2999):
+        one = distribution.drawn(4, np.array([number], np.uint64))
+        assert one.values[1][0] == whole[number]
+    assert (whole[:64] != column(distribution, 64, "camera.focal_length")).all()  # another seed
+
+
+def test_a_base_is_joined_key_by_key(load: Load, tmp_path: Path) -> None:
+    (tmp_path / "first.toml").write_text(
+        'title = "first"\n[camera]\nresolution = [32, 24]\naperture_diameter = 5.0\nsensor_distance = 21.5\n'
+        '[[object]]\nshape = "sphere"\n[vary.camera]\nfocal_length = { uniform = [19, 20] }\n'
+        "[accept]\nmax_blur_px = 90\n"
+    )
+    (tmp_path / "second.toml").write_text(
+        'base = "first.toml"\ntitle = "second"\n[vary.camera]\nfocal_length = { choice = [18] }\n'
+    )
+    scene = 'base = "second.toml"\n[camera]\nf_number = 4.0\n[vary.camera]\nfocus_distance = { uniform = [250, 260] }\n'
+    sample = load('[[object]]\nshape = "disc"', scene).draw(1, 1)
+    camera = sample.scenes[0].camera
+    assert (camera.resolution, camera.focal_length, camera.f_number) == ((32, 24), 18, 4.0)
+    assert 250 <= (camera.focus_distance or 0) <= 260
+    assert sample.scenes[0].title == "second"
+    assert [item.shape for item in sample.scenes[0].objects] == ["disc"]  # an array of tables is replaced
+    assert load("", scene).accept == (("max_blur_px", -np.inf, 90.0),)
+
+
+def test_overrides_fix_what_varies(load: Load) -> None:
+    given = ["camera.focus_distance=350", "object.0.slope_x=0.25", "vary.camera.f_number={uniform=[3, 5]}"]
+    distribution = load(ALL, overrides=given)
+    names = [one.name for one in distribution.parts.parameters]
+    assert "camera.focus_distance" not in names
+    assert "object.0.slope_x" not in names
+    sample = distribution.draw(1, 0)
+    assert sample.scenes[0].camera.focus_distance == 350
+    assert sample.scenes[0].objects[0].slope_x == 0.25  # type: ignore[union-attr]
+    assert 3 <= sample.parameters["camera.f_number"] <= 5
+    assert "camera.f_number" not in [
+        p.name for p in load(ALL, overrides=["camera.aperture_diameter=5"]).parts.parameters
+    ]
+    assert distribution.digest != load(ALL).digest
+
+
+def test_a_pair_of_focus_settings_is_one_sample(load: Load) -> None:
+    text = "[vary.camera]\nfocus_distance = [{ uniform = [300, 310] }, { uniform = [390, 400] }]"
+    sample = load(text).draw(1, 7)
+    assert len(sample.scenes) == len(sample.labels) == 2
+    assert [s.camera.focus_distance for s in sample.scenes] == [
+        sample.parameters["camera.focus_distance.0"], sample.parameters["camera.focus_distance.1"],
+    ]  # fmt: skip
+    stack = load("[vary.camera]\nfocus_distance = { from = { uniform = [300, 310] }, to = 400, steps = 5 }").draw(1, 7)
+    assert len(stack.scenes) == 5
+    assert stack.scenes[-1].camera.focus_distance == 400
+
+
+def test_shapes_of_a_population_take_the_keys_that_they_have(load: Load) -> None:
+    text = (
+        '[[vary.object]]\ncount = 20\nshape = { choice = ["sphere", "cone", "ellipsoid"] }\n'
+        "radius = { uniform = [5, 6] }\ncenter = { frustum = { depth = [300, 310] } }\nsemi_axes = [5, 6, 7]"
+    )
+    sample = load(text).draw(1, 1)
+    kinds = {item.shape for item in sample.scenes[0].objects[1:]}
+    assert kinds == {"sphere", "cone", "ellipsoid"}
+    for item in sample.table["object"][1:]:
+        place = item["apex"] if item["shape"] == "cone" else item["center"]
+        assert 300 <= place[2] <= 310
+        assert ("radius" in item) == (item["shape"] == "sphere")
+        assert ("semi_axes" in item) == (item["shape"] == "ellipsoid")
+
+
+def test_rows_of_a_table_vary_together(load: Load, tmp_path: Path) -> None:
+    (tmp_path / "lenses.csv").write_text(
+        "camera.focal_length,camera.f_number,object.0.texture\n20,2,bricks\n25,4,#808080\n30,8,checkerboard\n"
+    )
+    distribution = load('[[vary.rows]]\nfile = "lenses.csv"')
+    seen = set()
+    for number in range(20):
+        sample = distribution.draw(1, number)
+        (scene,) = sample.scenes
+        seen.add((scene.camera.focal_length, scene.camera.f_number, scene.objects[0].texture))
+        assert sample.parameters["camera.focal_length"] == scene.camera.focal_length
+    assert seen == {(20, 2, "bricks"), (25, 4, "#808080"), (30, 8, "checkerboard")}
+
+
+def images(folder: Path, count: int) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for k in range(count):
+        Image.fromarray(np.full((4, 4), k, np.uint8)).save(folder / f"{k:03d}.png")
+
+
+def test_a_texture_never_occurs_in_two_splits(load: Load, tmp_path: Path) -> None:
+    images(tmp_path / "textures" / "a", 60)
+    (tmp_path / "textures" / "b").mkdir()
+    (tmp_path / "textures" / "b" / "copy.png").write_bytes((tmp_path / "textures" / "a" / "007.png").read_bytes())
+    text = '[[vary.object]]\nindex = 0\ntexture = { files = "textures/**/*.png", split = "by_file" }'
+    distribution = load(text, splits="train=0.7,val=0.15,test=0.15")
+    seen: dict[str, set[str]] = {"train": set(), "val": set(), "test": set()}
+    for number in range(300):
+        sample = distribution.draw(1, number)
+        path = Path(sample.table["object"][0]["texture"])
+        assert path.is_file()
+        assert path.is_relative_to(tmp_path.resolve())
+        seen[sample.split].add(distribution_digest(path))
+    assert all(seen.values())
+    assert not seen["train"] & seen["val"]
+    assert not (seen["train"] | seen["val"]) & seen["test"]
+    assert len(seen["train"]) > 25
+    (tmp_path / "textures" / "a" / "003.png").write_bytes(b"other")
+    assert load(text, splits="train=0.7,val=0.15,test=0.15").digest != distribution.digest
+
+
+def distribution_digest(path: Path) -> str:
+    return path.read_bytes().hex()
+
+
+def test_splits_do_not_depend_on_the_count_and_have_their_shares(load: Load) -> None:
+    from clsco.data.splits import of_samples
+
+    splits = (("train", 0.9), ("val", 0.05), ("test", 0.05))
+    many = of_samples(splits, 3, np.arange(40000, dtype=np.uint64))
+    assert (of_samples(splits, 3, np.arange(100, dtype=np.uint64)) == many[:100]).all()
+    shares = np.bincount(many) / len(many)
+    assert np.abs(shares - [0.9, 0.05, 0.05]).max() < 0.005
+    distribution = load(ALL, splits=dict(splits))
+    assert [distribution.draw(3, k).split for k in range(30)] == [splits[int(k)][0] for k in many[:30]]
+
+
+def test_only_accepted_samples_are_drawn(load: Load) -> None:
+    text = (
+        "[vary.camera]\nfocus_distance = { uniform = [200, 400] }\n[accept]\nmax_blur_px = 6\n"
+        "visible_fraction = { min = 0.5 }\nvalid_fraction = 1\n"
+        '[[vary.object]]\nshape = "sphere"\nradius = 5\ncenter = [{ uniform = [-20, 20] }, 0, 300]'
+    )
+    distribution = load(text)
+    samples = [distribution.draw(1, number) for number in range(25)]
+    assert max(sample.attempts for sample in samples) > 1
+    assert all(same(distribution.draw(1, sample.number), sample) for sample in samples[:3])
+    from clsco.data.acceptance import looks_of
+
+    for sample in samples:
+        (look,) = looks_of(sample.scenes)
+        assert look.measure("max_blur_px") <= 6
+        assert look.visible >= 0.5
+    with pytest.raises(
+        SceneError, match=r"accept: must hold for one of 100 attempts; got .*max_blur_px must be at most"
+    ):
+        load(text.replace("max_blur_px = 6", "max_blur_px = 0.01")).draw(1, 0)
+
+
+def test_what_is_seen_is_what_the_reference_sees(load: Load) -> None:
+    from clsco.data.acceptance import looks_of
+    from clsco.reference.trace.truth import ground_truth
+
+    scene = (
+        load(
+            '[[object]]\nshape = "sphere"\nradius = 30\ncenter = [5, 0, 280]\nmotion.velocity = [8, 2, -5]\n'
+            "[sequence]\ninterval = 0.4\n[vary.camera]\nf_number = { constant = 2 }",
+            SCENE.replace("[64, 48]", "[64, 64]").replace(
+                "400.0", "400.0\nbounds = [[-40, 200], [-200, 200], [-1, 1]]"
+            ),
+        )
+        .draw(1, 1)
+        .scenes[0]
+    )
+    truth = ground_truth(scene, (np.zeros((64, 64, 1)),) * 2, 0)
+    (look,) = looks_of([scene])
+    assert look.valid == truth.mask.mean()  # as many rays as pixels, at their centers
+    assert look.measure("max_blur_px") == pytest.approx(np.abs(truth.blur_radius[truth.mask]).max(), rel=1e-9)
+    assert look.measure("max_flow_px") == pytest.approx(np.linalg.norm(truth.flow[truth.mask], axis=-1).max(), rel=1e-9)
+    assert np.sort(1 / look.inverse_depth) == pytest.approx(np.sort(truth.depth[truth.mask]), rel=1e-9)
+
+
+def test_keys_that_follow_give_what_is_wanted(load: Load) -> None:
+    from clsco.data.acceptance import looks_of
+
+    text = (
+        "[vary.camera]\nmotion.velocity = { normal = [0, 20], size = 3, clip = [-40, 40] }\n[sequence]\nframes = 3\n"
+        "[derive]\ncamera.focus_distance = { depth_quantile = 0.5 }\ncamera.f_number = { largest_blur_px = 7 }\n"
+        "sequence.interval = { largest_flow_px = { uniform = [2, 6] } }\n"
+        "sequence.shutter = { share_of_interval = 0.25 }\n"
+        '[[vary.object]]\nshape = "sphere"\nradius = 30\ncenter = [0, 0, { uniform = [250, 300] }]'
+    )
+    distribution = load(text)
+    for number in range(4):
+        sample = distribution.draw(1, number)
+        (scene,) = sample.scenes
+        assert scene.sequence.shutter == pytest.approx(0.25 * scene.sequence.interval, rel=1e-5)
+        wanted = sample.parameters["derive.sequence.interval"]
+        still = scene.replace("sequence.shutter", 1e-9).replace("sequence.frames", 1)
+        (look,) = looks_of([still])
+        assert look.measure("max_flow_px") == pytest.approx(wanted, rel=1e-4)
+        (look,) = looks_of([scene])
+        assert look.measure("max_blur_px") == pytest.approx(7, rel=1e-3)
+        u = scene.camera.focus_distance or 0.0
+        assert (look.inverse_depth >= 1 / u).mean() == pytest.approx(0.5, abs=0.01)
+        assert sample.parameters["sequence.interval"] == scene.sequence.interval
+
+
+@pytest.mark.parametrize(
+    ("given", "rule"),
+    [
+        ("train", "must be NAME=SHARE"),
+        ("train=0.5", "shares must be 1 in all; got 0.5"), ("a=0.5,A=0.5", "names must differ"),
+        ("../x=1", "a name must be 1 to 64 letters"),
+        ("a=nan", "a share must be between"), ([("a", True)], "a share must be"),
+        ([(f"s{k}", 0.02) for k in range(50)], "at most 32 splits"),
+    ],
+)  # fmt: skip
+def test_bad_splits_are_refused(given: Any, rule: str) -> None:
+    from clsco.data.splits import splits_of
+
+    with pytest.raises(SceneError, match=rule):
+        splits_of(given)
+
+
+@pytest.mark.parametrize(("seed", "number"), [(-1, 0), (2**64, 0), (1.0, 0), (True, 0), (0, -1), (0, 2**63), (0, "1")])
+def test_bad_seeds_and_numbers_are_refused(load: Load, seed: Any, number: Any) -> None:
+    with pytest.raises(SceneError, match="must be an integer between 0 and"):
+        load(ALL).draw(seed, number)
+
+
+def test_the_largest_seed_and_number_are_drawn(load: Load) -> None:
+    assert load(ALL).draw(2**64 - 1, 2**63 - 1).attempts == 1
+
+
+def test_a_sample_that_is_no_scene_is_refused_with_its_number(load: Load) -> None:
+    entries = [2.0, -1.0, *range(3, 100)]  # not all of so many are looked at when the file is read
+    distribution = load(f"[vary.camera]\nf_number = {{ choice = {entries} }}")
+    number = column(distribution, 1000, "camera.f_number").tolist().index(1)
+    with pytest.raises(SceneError, match=rf"vary.camera.f_number: must be .*; got -1.0 \(sample {number}, seed 1\)"):
+        distribution.draw(1, number)
+    assert distribution.draw(1, number + 1).attempts == 1
