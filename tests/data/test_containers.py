@@ -40,14 +40,16 @@ def digest(path: Path) -> str:
 
 @EACH
 def test_records_come_back_bit_by_bit(form: str, tmp_path: Path) -> None:
-    records = [record(number) for number in range(18)]  # more than a block
+    # Of formats with columns more than a block of records.
+    some_arrays = ("color", "depth", "object_id") if form in ONE_SHAPE else ()
+    records = [record(number, wanted=some_arrays) for number in range(18 if form in ONE_SHAPE else 6)]
     reader = CONTAINERS[form].read(written(tmp_path, form, records))
-    assert len(reader) == 18
+    assert len(reader) == len(records)
     assert list(reader.keys) == [each.key for each in records]
     for found, wanted in zip(reader, records, strict=True):
         assert same(found, wanted)
         assert all(array.flags.writeable and array.flags.c_contiguous for array in found.arrays.values())
-    assert same(reader[-2], records[16])
+    assert same(reader[-2], records[-2])
     some = reader.record(5, ("depth", "color"))
     assert list(some.arrays) == ["color", "depth"]
     np.testing.assert_array_equal(some["depth"], records[5]["depth"])
@@ -56,7 +58,7 @@ def test_records_come_back_bit_by_bit(form: str, tmp_path: Path) -> None:
     assert same(reader[3], records[3])  # a closed reader opens again
     reader.close()
     with pytest.raises(IndexError):
-        reader[18]
+        reader[len(records)]
 
 
 @EACH
@@ -129,7 +131,7 @@ def test_damage_is_refused_or_harmless(form: str, tmp_path: Path) -> None:
     files = sorted(each for each in whole.rglob("*") if each.is_file()) if whole.is_dir() else [whole]
     wanted = {name: (array.dtype, array.shape) for name, array in records[0].arrays.items()}
     rng, refused = random.Random(1), list[str]()
-    for trial in range(24):
+    for trial in range(16):
         file = files[trial % len(files)]
         content = file.read_bytes()
         broken = bytearray(content)
@@ -148,7 +150,7 @@ def test_damage_is_refused_or_harmless(form: str, tmp_path: Path) -> None:
         except ImageError as error:
             refused.append(str(error))
         file.write_bytes(content)
-    assert len(refused) >= 8
+    assert len(refused) >= 5
     assert all(len(line.splitlines()) == 1 and str(tmp_path) in line for line in refused)
 
 

@@ -42,7 +42,7 @@ def npy_of(shape: tuple[int, ...], dtype: str = "<f4", content: bytes = b"") -> 
 
 
 def bomb() -> bytes:
-    return bytes(imagecodecs.zstd_encode(bytes(2**28), 3))
+    return bytes(imagecodecs.zstd_encode(bytes(2**25), 3))
 
 
 def large_png() -> bytes:
@@ -162,7 +162,7 @@ def test_links_in_folders_are_not_followed(tmp_path: Path) -> None:
 
 def test_npz_bombs_and_pickles(tmp_path: Path) -> None:
     wanted = record(1, (2, 2), ("depth",))
-    for member in (npy_of((2, 2), content=bytes(2**26)), npy_of((2, 2), "|O", pickle.dumps([print] * 4))):
+    for member in (npy_of((2, 2), content=bytes(2**20)), npy_of((2, 2), "|O", pickle.dumps([print] * 4))):
         with zipfile.ZipFile(tmp_path / "000000001.npz", "w", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr("meta.json", meta_bytes(wanted))
             archive.writestr("depth.npy", member)
