@@ -40,14 +40,16 @@ def digest(path: Path) -> str:
 
 @EACH
 def test_records_come_back_bit_by_bit(form: str, tmp_path: Path) -> None:
-    records = [record(number) for number in range(18)]  # more than a block
+    # Of formats with columns more than a block of records.
+    some_arrays = ("color", "depth", "object_id") if form in ONE_SHAPE else ()
+    records = [record(number, wanted=some_arrays) for number in range(18 if form in ONE_SHAPE else 6)]
     reader = CONTAINERS[form].read(written(tmp_path, form, records))
-    assert len(reader) == 18
+    assert len(reader) == len(records)
     assert list(reader.keys) == [each.key for each in records]
     for found, wanted in zip(reader, records, strict=True):
         assert same(found, wanted)
         assert all(array.flags.writeable and array.flags.c_contiguous for array in found.arrays.values())
-    assert same(reader[-2], records[16])
+    assert same(reader[-2], records[-2])
     some = reader.record(5, ("depth", "color"))
     assert list(some.arrays) == ["color", "depth"]
     np.testing.assert_array_equal(some["depth"], records[5]["depth"])
@@ -56,7 +58,7 @@ def test_records_come_back_bit_by_bit(form: str, tmp_path: Path) -> None:
     assert same(reader[3], records[3])  # a closed reader opens again
     reader.close()
     with pytest.raises(IndexError):
-        reader[18]
+        reader[len(records)]
 
 
 @EACH
@@ -123,12 +125,13 @@ def test_memory_does_not_grow_with_the_shard(form: str, tmp_path: Path) -> None:
 
 @EACH
 def test_damage_is_refused_or_harmless(form: str, tmp_path: Path) -> None:
-    """A file that is cut off or has other bytes gives an ImageError of one line, or the records as they were."""
+    """A file that is cut off or has other bits gives an ImageError of one line, or arrays of the right kind."""
     records = [record(number, wanted=("color", "depth", "mask")) for number in range(2)]
     whole = written(tmp_path, form, records)
     files = sorted(each for each in whole.rglob("*") if each.is_file()) if whole.is_dir() else [whole]
-    rng, refused = random.Random(1), 0
-    for trial in range(24):
+    wanted = {name: (array.dtype, array.shape) for name, array in records[0].arrays.items()}
+    rng, refused = random.Random(1), list[str]()
+    for trial in range(16):
         file = files[trial % len(files)]
         content = file.read_bytes()
         broken = bytearray(content)
@@ -141,14 +144,14 @@ def test_damage_is_refused_or_harmless(form: str, tmp_path: Path) -> None:
         try:
             reader = CONTAINERS[form].read(whole)
             for each in reader:
-                assert {*each.arrays} <= {"color", "depth", "mask"}
+                kinds = {name: (array.dtype, array.shape) for name, array in each.arrays.items()}
+                assert kinds.items() <= wanted.items()
             reader.close()
         except ImageError as error:
-            refused += 1
-            assert len(str(error).splitlines()) == 1
-            assert str(tmp_path) in str(error)
+            refused.append(str(error))
         file.write_bytes(content)
-    assert refused >= 8
+    assert len(refused) >= 5
+    assert all(len(line.splitlines()) == 1 and str(tmp_path) in line for line in refused)
 
 
 def test_meta_of_a_tar_has_one_type_for_each_key(tmp_path: Path) -> None:
@@ -159,7 +162,7 @@ def test_meta_of_a_tar_has_one_type_for_each_key(tmp_path: Path) -> None:
 
 
 def test_unknown_and_missing_formats(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(SceneError, match="format: must be one of webdataset, .*tfrecord; got tar"):
+    with pytest.raises(SceneError, match=r"format: must be one of webdataset, .*tfrecord; got tar"):
         container_named("tar")
     monkeypatch.setattr("clsco.data.containers.find_spec", lambda name: None)
     with pytest.raises(ImageError, match=r"format: hdf5 needs h5py: pip install 'clsco\[data\]'; got no such module"):

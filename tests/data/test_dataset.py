@@ -54,7 +54,7 @@ def test_splits_and_arrays(folder: Path) -> None:
     assert list(clsco.data.open(folder, arrays="coc")[0].arrays) == ["coc"]
     with pytest.raises(SceneError, match="split: must be one of train, val; got test"):
         clsco.data.open(folder, "test")
-    with pytest.raises(SceneError, match="arrays: must be some of color, .*; got colour"):
+    with pytest.raises(SceneError, match=r"arrays: must be some of color, .*; got colour"):
         clsco.data.open(folder, arrays=("colour",))
 
 

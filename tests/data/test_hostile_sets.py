@@ -23,7 +23,6 @@ import pytest
 import clsco.data
 from clsco.data.containers import CONTAINERS
 from clsco.data.encoding import decoded, encoded, meta_bytes, npy_bytes, parsed_meta
-from clsco.data.record import Record
 from clsco.errors import ImageError
 from clsco.files.png import png_parts
 from tests.data.samples import make_set, record
@@ -43,7 +42,7 @@ def npy_of(shape: tuple[int, ...], dtype: str = "<f4", content: bytes = b"") -> 
 
 
 def bomb() -> bytes:
-    return imagecodecs.zstd_encode(bytes(2**28), 3)
+    return bytes(imagecodecs.zstd_encode(bytes(2**25), 3))
 
 
 def large_png() -> bytes:
@@ -121,11 +120,11 @@ def test_members_that_a_tar_must_not_have(tmp_path: Path) -> None:
     link = tarfile.TarInfo("000000001.color.png")
     link.type, link.linkname = tarfile.SYMTYPE, "/etc/passwd"
     tar = tar_of(tmp_path / "link.tar", (link, b""))
-    with pytest.raises(ImageError, match="must hold whole, plain files alone; got '000000001.color.png'"):
+    with pytest.raises(ImageError, match=r"must hold whole, plain files alone; got '000000001\.color\.png'"):
         CONTAINERS["webdataset"].read(tar)
     outside = tar_of(tmp_path / "outside.tar", (tarfile.TarInfo("../../evil.meta.json"), b"{}"))
     reader = CONTAINERS["webdataset"].read(outside)
-    with pytest.raises(ImageError, match="outside.tar"):
+    with pytest.raises(ImageError, match=r"outside\.tar"):
         list(reader)
     assert sorted(each.name for each in tmp_path.iterdir()) == ["link.tar", "outside.tar"]
     again = [(tarfile.TarInfo(f"00000000{n}.meta.json"), b"{}") for n in (1, 2, 1)]
@@ -142,7 +141,7 @@ def test_a_tar_whose_headers_lie(tmp_path: Path) -> None:
     header[148:156] = b" " * 8
     header[148:156] = b"%06o\0 " % sum(header)
     path.write_bytes(header + content[512:])
-    with pytest.raises(ImageError, match="a.tar: must "):
+    with pytest.raises(ImageError, match=r"a\.tar: must "):
         CONTAINERS["webdataset"].read(path)
 
 
@@ -163,7 +162,7 @@ def test_links_in_folders_are_not_followed(tmp_path: Path) -> None:
 
 def test_npz_bombs_and_pickles(tmp_path: Path) -> None:
     wanted = record(1, (2, 2), ("depth",))
-    for member in (npy_of((2, 2), content=bytes(2**26)), npy_of((2, 2), "|O", pickle.dumps([print] * 4))):
+    for member in (npy_of((2, 2), content=bytes(2**20)), npy_of((2, 2), "|O", pickle.dumps([print] * 4))):
         with zipfile.ZipFile(tmp_path / "000000001.npz", "w", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr("meta.json", meta_bytes(wanted))
             archive.writestr("depth.npy", member)
@@ -258,4 +257,3 @@ def test_a_card_that_counts_wrong(tmp_path: Path) -> None:
     opened = clsco.data.open(tmp_path / "set", "train")
     with pytest.raises(ImageError, match=r"000000\.tar: must hold 2 samples, as dataset.json says; got 3"):
         opened[0]
-    assert isinstance(clsco.data.Record, type) and clsco.data.Record is Record

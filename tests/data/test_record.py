@@ -21,14 +21,16 @@ def test_every_array_of_a_frame_is_described() -> None:
 def test_arrays_of_one_frame() -> None:
     made = record(7)
     assert made.key == "000000007"
-    assert list(made.arrays) == "color sharp depth coc mask filled object_id normal flow".split()
+    assert list(made.arrays) == [*("color", "sharp", "depth", "coc", "mask", "filled", "object_id", "normal", "flow")]
     assert made["color"].dtype == np.uint16
     np.testing.assert_array_equal(made["color"], encode(frame(7).color, 16, "srgb"))
     np.testing.assert_array_equal(made["depth"], frame(7).depth)
     about = made.meta["arrays"]["color"]
     assert (about["dtype"], about["shape"], about["transfer"], about["clipped"]) == ("uint16", [9, 12, 3], "srgb", 0.0)
     assert made.meta["arrays"]["depth"]["unit"] == "mm"
-    assert made.meta["frames"] == [{"prefix": "", "eye": "", "frame": 0, "samples": 1, "bits": 16}]  # no clock, no device
+    assert made.meta["frames"] == [
+        {"prefix": "", "eye": "", "frame": 0, "samples": 1, "bits": 16}
+    ]  # no clock, no device
     np.testing.assert_allclose(made.radiance(), frame(7).color, atol=2e-5)
 
 
@@ -66,7 +68,12 @@ def test_codes_note_what_they_clip() -> None:
 @pytest.mark.parametrize(
     ("name", "value", "stored", "rule"),
     [
-        ("color", np.nan, {}, "sample 1: color: radiance must be a number from 0; got nan at row 2, column 3 (1 in all)"),
+        (
+            "color",
+            np.nan,
+            {},
+            "sample 1: color: radiance must be a number from 0; got nan at row 2, column 3 (1 in all)",
+        ),
         ("color", -0.01, {}, "radiance must be a number from 0; got -0.01"),
         ("depth", 1e5, {"depth": "float16"}, "sample 1: depth: sizes must be at most 65504 in float16; got 100000"),
     ],
@@ -101,7 +108,9 @@ def test_types_are_parsed_with_all_faults() -> None:
 
 def test_digests_know_type_and_shape() -> None:
     values = np.arange(6, dtype=np.float32)
-    digests = {array_sha256(each) for each in (values, values.reshape(2, 3), values.astype(np.float64), values.view("i4"))}
+    digests = {
+        array_sha256(each) for each in (values, values.reshape(2, 3), values.astype(np.float64), values.view("i4"))
+    }
     assert len(digests) == 4
     assert array_sha256(values.astype(">f4")) == array_sha256(values)
     assert array_sha256(np.asfortranarray(values.reshape(2, 3))) == array_sha256(values.reshape(2, 3))
