@@ -124,8 +124,9 @@ class Builder:
     def _size(self) -> None:
         """Give the camera the resolution that it has without one: that of the first texture."""
         camera, objects = self._table.setdefault("camera", {}), self._table.get("object")
-        if isinstance(camera, dict) and "resolution" not in camera and isinstance(objects, list) and objects:
-            texture = objects[0].get("texture", "bricks")
+        first = objects[0] if isinstance(objects, list) and objects else None
+        if isinstance(camera, dict) and "resolution" not in camera and isinstance(first, dict):
+            texture = first.get("texture", "bricks")
             try:
                 camera["resolution"] = list(texture_size(texture) if isinstance(texture, str) else (1, 1))
             except ImageError as error:

@@ -31,7 +31,7 @@ OUTSIDE = {
     "imagecodecs": ("files.decoders",),
     "tifffile": ("files.decoders",),
     "OpenEXR": ("files.decoders",),
-    "PIL": ("files.decoders", "cli.demo", "cli.thesis"),
+    "PIL": ("files.decoders", "cli.demo", "cli.thesis", "data.dryrun"),
     "click": ("cli",),
     "rich": ("cli",),
     "matplotlib": ("cli.bench", "inpainting.report"),

@@ -22,7 +22,7 @@ from clsco.scene.shapes import SHAPES
 from clsco.scene.sweep import load_sweep
 from tests.scenes import scene_file
 
-EXAMPLES = sorted((Path(__file__).parents[2] / "examples").rglob("*.toml"))
+EXAMPLES = sorted(p for p in (Path(__file__).parents[2] / "examples").rglob("*.toml") if p.parent.name != "sets")
 THESIS = [path for path in EXAMPLES if path.parent.name == "thesis"]
 BALL = """
 title = "Turning ball"

@@ -1,0 +1,1 @@
+"""Distribution files of data sets: `clsco batch FILE -o DATA --count N`."""

@@ -1,0 +1,138 @@
+"""Dry runs, and the example sets."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from clsco.cli.dry_run import print_dry_run
+from clsco.data import dryrun
+from clsco.data.distribution import load_distribution
+from clsco.data.dryrun import dry_run
+from clsco.errors import SceneError
+from tests.data.written import SCENE, Load
+
+SETS = sorted((Path(__file__).parents[2] / "examples" / "sets").glob("*.toml"))
+TEXT = """
+[vary.camera]
+focus_distance = [{ uniform = [300, 340] }, { uniform = [380, 420] }]
+[[vary.object]]
+name = "ball"
+count = { integers = [0, 2] }
+shape = { choice = ["sphere", "disc"] }
+radius = { log_uniform = [5, 20] }
+center = { frustum = { depth = [250, 350] } }
+rotation = { rotation = "uniform" }
+"""
+
+
+def without_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dryrun, "_seconds", lambda samples, wanted: (None, "no device here"))
+
+
+def test_a_dry_run_says_what_a_set_will_be(
+    load: Load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    without_device(monkeypatch)
+    monkeypatch.setattr(dryrun, "LOOKED_AT", 20)
+    text = SCENE.replace("[64, 48]", "[32, 24]") + TEXT
+    distribution = load(text, "", splits="train=0.75,test=0.25")
+    found = dry_run(
+        distribution, 1, 5000, wanted=("color", "depth", "coc", "flow", "mask"), sheet_path=tmp_path / "s.png"
+    )
+    by_name = {one.name: one for one in found.parameters}
+    focus = by_name["camera.focus_distance.0"]
+    assert focus.low is not None
+    assert focus.mean is not None
+    assert focus.high is not None
+    assert 300 <= focus.low < 300.1
+    assert 319 < focus.mean < 321
+    assert 339.9 < focus.high <= 340
+    count = by_name["object.ball.count"]
+    assert (count.low, count.high) == (0, 2)
+    assert by_name["object.ball.center"].note == "depth, mm"
+    assert by_name["object.ball.shape"].note.startswith("sphere: ")
+    assert sum(found.splits.values()) == 5000
+    assert found.attempts == found.looked_at == 20
+    pixels = 32 * 24 * 2  # two variants
+    assert found.bytes == {
+        name: pixels * n for name, n in {"color": 2, "depth": 4, "coc": 4, "flow": 8, "mask": 1}.items()
+    }
+    assert found.frames == 2
+    assert found.seconds is None
+    assert not (tmp_path / "s.png").exists()
+    names = [one.name for one in found.histograms]
+    assert names == ["depth Z, mm", "blur radius |R|, px", "flow, px", "share of valid pixels"]
+    assert all(abs(sum(one.shares) - 1) < 1e-9 for one in found.histograms)
+    assert found.histograms[2].shares == (1.0,)  # nothing moves
+    print_dry_run(found)
+    printed = capsys.readouterr().out
+    for part in (
+        "Parameters of 5000 samples",
+        "object.ball.radius",
+        "train",
+        "blur radius |R|, px",
+        "in all",
+        "no device here",
+    ):
+        assert part in printed
+    assert dry_run(distribution, 1, 5000, wanted=("color",)).parameters == found.parameters
+
+
+def test_samples_that_fail_are_listed(load: Load, monkeypatch: pytest.MonkeyPatch) -> None:
+    without_device(monkeypatch)
+    monkeypatch.setattr(dryrun, "LOOKED_AT", 10)
+    monkeypatch.setattr("clsco.data.distribution.MAX_ATTEMPTS", 2)
+    rare = "[vary.camera]\nfocus_distance = { uniform = [200, 600] }\n[accept]\nmax_blur_px = 2\n"
+    found = dry_run(load(rare), 1, 10, wanted=("color",))
+    assert found.failed
+    assert all("accept: must hold for one of 2 attempts" in message for message in found.failed)
+    with pytest.raises(SceneError, match=r"max_blur_px must be at most 0\.001"):
+        dry_run(load(rare.replace("= 2\n", "= 0.001\n")), 1, 3, wanted=("color",))
+
+
+@pytest.mark.slow
+def test_a_contact_sheet_shows_samples(load: Load, tmp_path: Path) -> None:
+    found = dry_run(load(TEXT), 1, 6, wanted=("color", "depth"), sheet_path=tmp_path / "sheet.png")
+    assert found.sheet == tmp_path / "sheet.png"
+    assert found.seconds is not None
+    assert found.seconds > 0
+    sheet = np.asarray(Image.open(tmp_path / "sheet.png"))
+    assert sheet.shape[1] > 4 * 2 * 64
+    assert sheet.std() > 10
+
+
+def test_example_sets_load() -> None:
+    assert [path.stem for path in SETS] == ["blurred_video", "charts", "defocus_pairs", "focal_stacks", "stereo"]
+    variants = {}
+    for path in SETS:
+        distribution = load_distribution(path, splits="train=0.9,test=0.1")
+        variants[path.stem] = len(distribution.draw(2026, 3).scenes)
+    assert variants == {"blurred_video": 1, "charts": 1, "defocus_pairs": 2, "focal_stacks": 9, "stereo": 1}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", SETS, ids=lambda path: path.stem)
+def test_example_sets_draw_a_hundred_samples(path: Path) -> None:
+    distribution = load_distribution(path)
+    attempts = [distribution.draw(1, number).attempts for number in range(100)]
+    assert np.mean(attempts) < 10
+
+
+@pytest.mark.slow
+def test_a_million_samples_are_planned_in_a_minute(load: Load, monkeypatch: pytest.MonkeyPatch) -> None:
+    without_device(monkeypatch)
+    distribution = load(TEXT, splits="train=0.9,test=0.1")
+    start = time.process_time()
+    found = dry_run(distribution, 1, 10**6, wanted=("color", "depth"))
+    taken = time.process_time() - start
+    assert sum(found.splits.values()) == 10**6
+    assert taken < 60
+    start = time.process_time()
+    drawn = distribution.drawn(1, np.arange(10**5, dtype=np.uint64))
+    draws = sum(column.size for column in (*drawn.values, *(one for own in drawn.members for one in own)))
+    assert draws / (time.process_time() - start) > 1e5
