@@ -78,7 +78,10 @@ def measured(chosen: argparse.Namespace, base: Path, seed: int) -> dict[str, Any
     scenes, out = base / "scenes.json", base / "set"
     scenes.write_text(json.dumps(tables(base / "set.toml", seed, chosen.count)))
     found: dict[str, Any] = {}
-    for name, python, loop in (("old loop", chosen.old or sys.executable, "old"), ("Live loop", sys.executable, "live")):
+    for name, python, loop in (
+        ("old loop", chosen.old or sys.executable, "old"),
+        ("Live loop", sys.executable, "live"),
+    ):
         words = [str(python), str(Path(__file__).resolve()), "--loop", loop, "--scenes", str(scenes)]
         found[name] = json.loads(subprocess.run(words, check=True, capture_output=True, text=True).stdout)
     words = ["batch", str(base / "set.toml"), "-o", str(out), "--count", str(chosen.count), "--seed", str(seed)]

@@ -63,10 +63,9 @@ class Fake:
         return kind(number, split, 1, parameters, table, sweep.labels, sweep.scenes)
 
 
-def job_of(where: Path | str, count: int, size: int = 4, **options: Any) -> Job:
+def job_of(where: Path | str, count: int, *, size: int = 4, seed: int = 1, **options: Any) -> Job:
     """A job for a fake distribution on the default device."""
-    fake, device = Fake(**{key: value for key, value in options.items() if key != "seed"}), choose()
-    seed = options.get("seed", 1)
+    fake, device = Fake(**options), choose()
     identity = Identity(
         fake.digest, seed, 0, size, "webdataset", ARRAYS, "double", fake.splits, __version__, device_family(device)
     )

@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -70,7 +71,7 @@ def no_strays(folder: Path) -> bool:
 
 @pytest.mark.slow
 def test_a_cluster_of_which_one_worker_is_killed_and_one_is_added(cluster: Cluster, tmp_path: Path) -> None:
-    bad = {"undrawable": frozenset({2}), "unrenderable": frozenset({9})}
+    bad: dict[str, Any] = {"undrawable": frozenset({2}), "unrenderable": frozenset({9})}
     make_here(job_of(tmp_path / "one", 96, **bad))
     for _ in range(3):
         cluster.add()

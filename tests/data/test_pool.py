@@ -10,8 +10,9 @@ import pytest
 
 from clsco.data import pool
 from clsco.data.pool import Place, places, run_pool
+from clsco.data.shards import Job
 from clsco.errors import ClscoError
-from tests.data.fakes import Job, job_of, make_here
+from tests.data.fakes import job_of, make_here
 from tests.data.test_shards import files
 
 MEMORY = 2**34

@@ -39,7 +39,7 @@ def set_of(job: Job) -> DataSet:
 
 
 def test_bytes_depend_on_nothing_but_the_set(tmp_path: Path) -> None:
-    bad = {"undrawable": frozenset({2}), "unrenderable": frozenset({6}), "splits": SPLITS}
+    bad: dict[str, Any] = {"undrawable": frozenset({2}), "unrenderable": frozenset({6}), "splits": SPLITS}
     job = job_of(tmp_path / "one", 10, **bad)
     make_here(job)
     other = replace(job, where=str(tmp_path / "two"))
@@ -61,6 +61,8 @@ def test_bytes_depend_on_nothing_but_the_set(tmp_path: Path) -> None:
     assert parse_sweep(failure["scene"]).scenes
     record = container_named("webdataset").read(tmp_path / "one" / "test" / "000000.tar")[1]
     frame = clsco.render_frame(clsco.parse_scene(record.meta["scene"]), truth=("depth", "flow"))
+    assert frame.depth is not None
+    assert frame.flow is not None
     assert np.array_equal(record["depth"], frame.depth)
     assert np.array_equal(record["flow"], frame.flow)
 
@@ -154,6 +156,8 @@ def test_frames_of_variants_and_of_pairs_are_those_of_render(pair: bool) -> None
             assert [(frame.index, frame.eye) for frame in frames] == [(k, eye) for k in range(2) for eye in views]
             for frame, other in zip(frames, expected, strict=True):
                 assert np.array_equal(frame.color, other.color)
+                assert frame.depth is not None
+                assert other.depth is not None
                 assert np.array_equal(frame.depth, other.depth)
 
 
