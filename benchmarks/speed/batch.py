@@ -73,9 +73,7 @@ def report(rounds: list[dict[str, Any]]) -> None:
         cores = len(os.sched_getaffinity(0))
         ideal = median(cores * each["spent"][name] / each["spent"]["batch"] for each in rounds)
         spread = f"{min(ratios):.2f} to {max(ratios):.2f}"
-        print(
-            f"batch / {name}: {median(ratios):.2f} ({spread}), without the start {steady:.2f}; by processor time {ideal:.2f}"
-        )
+        print(f"batch / {name}: {median(ratios):.2f} ({spread}), steady {steady:.2f}; by processor time {ideal:.2f}")
     for name in rounds[0]["phases"]:
         print(f"{name:10}{median(each['phases'][name] for each in rounds):8.2f} ms per sample")
     print("memory of a process at 25, 50, 75, 100 %, MiB:", *rounds[-1]["rss"])
