@@ -10,8 +10,9 @@ import numpy as np
 
 from clsco.data.containers import CONTAINERS
 from clsco.data.convert import _digests
+from clsco.data.distribution import Sample
 from clsco.data.manifest import Identity, part_bytes, part_key
-from clsco.data.record import Drawn, Record, make_record
+from clsco.data.record import Record, make_record
 from clsco.data.sets import DataSet, finish, status_of
 from clsco.data.storage import open_storage
 from clsco.frame.frame import FILE_NAMES, Frame
@@ -40,7 +41,7 @@ def frame(number: int, size: tuple[int, int] = (9, 12), color: bool = True, inde
     )
 
 
-def drawn(number: int, variants: int = 1, split: str = "train") -> Drawn:
+def drawn(number: int, variants: int = 1, split: str = "train") -> Sample:
     """A sample as a distribution gives it."""
     scene = parse_scene({"object": [{"shape": "sphere", "center": [0, 0, 280], "radius": 30}]})
     found: Any = SimpleNamespace(
