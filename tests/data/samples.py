@@ -74,7 +74,7 @@ def make_set(folder: Path, form: str = "webdataset", count: int = 10, size: int 
     shares = (("train", 0.7), ("val", 0.3)) if splits else ()
     identity = Identity(
         distribution="d" * 64, seed=7, first=0, shard_size=size, format=form, arrays=tuple(FILE_NAMES.values()),
-        precision="double", splits=shares, version="0.1.0", device_family="cpu, some",
+        precision="double", splits=shares, version="0.1.0", device_family="cpu, some", types=(("color", "uint16"),),
     )  # fmt: skip
     made = DataSet(storage, identity, range(count))
     made.write({"license": "CC-BY-4.0", "recipe": 'base = "sphere.toml"\n'})
