@@ -68,6 +68,15 @@ def _parse_arrays(text: str) -> tuple[str, ...]:
     return tuple(name for name in ATTRIBUTES if name in names)
 
 
+def _parse_types(text: str) -> tuple[tuple[str, str], ...]:
+    from clsco.data.record import parse_stored
+
+    try:
+        return tuple(sorted(parse_stored(text).items()))
+    except SceneError as error:
+        raise click.BadParameter("; ".join(error.messages)) from None
+
+
 data_argument = click.argument("data", metavar="DATA")
 
 
@@ -84,6 +93,10 @@ data_argument = click.argument("data", metavar="DATA")
 @click.option(
     "--truth", "arrays", metavar="NAMES", type=_parse_arrays, default="sharp,depth,coc", show_default=True,
     help="Arrays of a sample besides color.",
+)  # fmt: skip
+@click.option(
+    "--types", metavar="NAME=TYPE,...", type=_parse_types, default="",
+    help="Such as color=float32, linear instead of codes of 16 bits, or uint8, or depth=float16.",
 )  # fmt: skip
 @click.option("--split", "splits", metavar="NAME=SHARE,...", help="Such as train=0.9,test=0.1.")
 @click.option("--device", "devices", metavar="NAME", multiple=True, help="Where to render; may be given again.")
@@ -200,7 +213,7 @@ def _identity(drawn: Distribution, samples: range, options: dict[str, Any], prec
     return Identity(
         distribution=drawn.digest, seed=options["seed"], first=samples.start, shard_size=options["shard_size"],
         format=options["form"], arrays=options["arrays"], precision=precision, splits=tuple(drawn.splits),
-        version=__version__, device_family=family,
+        version=__version__, device_family=family, types=options["types"],
     )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from clsco.data.containers import CONTAINERS
 from clsco.data.encoding import is_png
-from clsco.data.manifest import Identity, Parts, parsed_part, rows_of
+from clsco.data.manifest import UNSPLIT, Identity, Parts, parsed_part, rows_of
 from clsco.data.storage import Storage
 
 CARD, README = "dataset.json", "README.md"
@@ -49,7 +49,7 @@ def split_files(storage: Storage) -> dict[str, list[tuple[str, int]]]:
                 counts[row["file"]] = counts.get(row["file"], 0) + 1
         for file, count in sorted(counts.items()):
             split = file.partition("/")[0]
-            found.setdefault("" if split == "data" else split, []).append((file, count))
+            found.setdefault("" if split == UNSPLIT else split, []).append((file, count))
     return {split: found[split] for split in sorted(found)}
 
 
@@ -202,7 +202,7 @@ def _header(card: Mapping[str, Any]) -> list[str]:
     if form.partition("+")[0] in _HUB_FORMATS:
         found += ["configs:", "- config_name: default", "  data_files:"]
         for split in card["files"]:
-            path = json.dumps(f"{split or 'data'}/*{CONTAINERS[form].suffix}")
+            path = json.dumps(f"{split or UNSPLIT}/*{CONTAINERS[form].suffix}")
             found += [f"  - split: {json.dumps(split or 'train')}", f"    path: {path}"]
     return found
 

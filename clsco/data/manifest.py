@@ -43,6 +43,8 @@ class Identity:
     version : str
         Of clsco.
     device_family : str
+    types : tuple of (str, str)
+        Of arrays that are not stored as by default, as `parse_stored` gives them.
     """
 
     distribution: str
@@ -55,6 +57,7 @@ class Identity:
     splits: tuple[tuple[str, float], ...]
     version: str
     device_family: str
+    types: tuple[tuple[str, str], ...] = ()
 
     @property
     def digest(self) -> str:

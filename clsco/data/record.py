@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,9 @@ from clsco import __version__
 from clsco.errors import ImageError, SceneError
 from clsco.files.transfer import decode, encode
 from clsco.frame.frame import FILE_NAMES, Frame
-from clsco.scene.model import Scene
+
+if TYPE_CHECKING:
+    from clsco.data.distribution import Sample
 
 # What an array holds, by its name in files: unit and convention.
 ABOUT = {
@@ -41,38 +43,6 @@ CODES = {"uint8": 8, "uint16": 16}
 PICTURES = ("color", "sharp")  # what codes can hold
 # Of a frame's metadata what depends on its scene alone, not on memory, devices or clocks.
 _OF_FRAMES = ("frame", "samples", "intermediate", "bits", "precision", "blur_method", "approximation")
-
-
-class Drawn(Protocol):
-    """What a record takes of a sample of a distribution."""
-
-    @property
-    def number(self) -> int:
-        """From 0."""
-
-    @property
-    def split(self) -> str:
-        """Its name, "" without splits."""
-
-    @property
-    def attempts(self) -> int:
-        """So many were drawn until one was accepted."""
-
-    @property
-    def parameters(self) -> dict[str, Any]:
-        """Values by key of the scene."""
-
-    @property
-    def table(self) -> dict[str, Any]:
-        """Of a scene file that renders the sample."""
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Of the variants."""
-
-    @property
-    def scenes(self) -> tuple[Scene, ...]:
-        """One for each label."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +146,7 @@ def parse_stored(text: str) -> dict[str, str]:
 
 
 def make_record(
-    sample: Drawn,
+    sample: Sample,
     seed: int,
     frames: Sequence[Sequence[Frame]],
     wanted: Collection[str],

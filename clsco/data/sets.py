@@ -66,6 +66,7 @@ def open_set(storage: Storage) -> DataSet:
         about = dict(card["identity"])
         about["arrays"] = tuple(map(str, about["arrays"]))
         about["splits"] = tuple((str(name), float(share)) for name, share in about["splits"])
+        about["types"] = tuple((str(name), str(kind)) for name, kind in about["types"])
         samples, identity = range(*(int(number) for number in card["samples"])), Identity(**about)
         if not samples or samples.start < 0 or len(shard_numbers(samples, identity.shard_size)) > MOST_SHARDS:
             raise ValueError(f"samples are {samples}")

@@ -138,7 +138,7 @@ class ShardMaker:
         self.job, self.storage, self.overlapped = job, storage, overlapped
         identity = job.identity
         self.container: Container = container_named(identity.format)
-        self.arrays = identity.arrays
+        self.arrays, self.types = identity.arrays, dict(identity.types)
         self.renderer = Renderer(device, self.arrays, identity.precision)
 
     def make(
@@ -197,7 +197,7 @@ class ShardMaker:
                 try:
                     frames = self.renderer.render(sample)
                     spent["render"] += time.perf_counter() - start
-                    record = make_record(sample, self.job.identity.seed, frames, self.arrays)
+                    record = make_record(sample, self.job.identity.seed, frames, self.arrays, self.types)
                 except (SceneError, ImageError, KernelError) as error:
                     failures[sample.number] = _failure(sample, str(error))
                     advance()

@@ -172,7 +172,8 @@ def _verify_sample(there: DataSet, number: int, renderer: Renderer) -> Iterator[
         sweep.labels, sweep.scenes,
     )  # fmt: skip
     frames = renderer.render(sample)
-    again = make_record(sample, there.identity.seed, frames, there.identity.arrays).sha256()
+    identity = there.identity
+    again = make_record(sample, identity.seed, frames, identity.arrays, dict(identity.types)).sha256()
     stored = record.sha256()
     for name in sorted(again.keys() | stored.keys()):
         if again.get(name) != stored.get(name):

@@ -10,8 +10,9 @@ import numpy as np
 
 from clsco.data.containers import CONTAINERS
 from clsco.data.convert import _digests
+from clsco.data.distribution import Sample
 from clsco.data.manifest import Identity, part_bytes, part_key
-from clsco.data.record import Drawn, Record, make_record
+from clsco.data.record import Record, make_record
 from clsco.data.sets import DataSet, finish, status_of
 from clsco.data.storage import open_storage
 from clsco.frame.frame import FILE_NAMES, Frame
@@ -40,7 +41,7 @@ def frame(number: int, size: tuple[int, int] = (9, 12), color: bool = True, inde
     )
 
 
-def drawn(number: int, variants: int = 1, split: str = "train") -> Drawn:
+def drawn(number: int, variants: int = 1, split: str = "train") -> Sample:
     """A sample as a distribution gives it."""
     scene = parse_scene({"object": [{"shape": "sphere", "center": [0, 0, 280], "radius": 30}]})
     found: Any = SimpleNamespace(
@@ -73,7 +74,7 @@ def make_set(folder: Path, form: str = "webdataset", count: int = 10, size: int 
     shares = (("train", 0.7), ("val", 0.3)) if splits else ()
     identity = Identity(
         distribution="d" * 64, seed=7, first=0, shard_size=size, format=form, arrays=tuple(FILE_NAMES.values()),
-        precision="double", splits=shares, version="0.1.0", device_family="cpu, some",
+        precision="double", splits=shares, version="0.1.0", device_family="cpu, some", types=(("color", "uint16"),),
     )  # fmt: skip
     made = DataSet(storage, identity, range(count))
     made.write({"license": "CC-BY-4.0", "recipe": 'base = "sphere.toml"\n'})

@@ -83,6 +83,15 @@ def test_one_shape_for_all_where_columns_need_it(tmp_path: Path) -> None:
             CONTAINERS[form].write(tmp_path / f"empty{form}", iter([]))
 
 
+def test_large_records_are_not_kept_together(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("clsco.data.containers.uniform.MOST_BYTES", 1)
+    records = [record(number, wanted=("color", "depth")) for number in range(3)]
+    for form in ONE_SHAPE:
+        path = written(tmp_path, form, records)
+        assert all(map(same, CONTAINERS[form].read(path), records))
+    assert len(list((tmp_path / "zarr.zarr/depth/c").iterdir())) == 3
+
+
 def test_the_same_bytes_at_another_time_and_in_another_process(tmp_path: Path) -> None:
     records = [record(number) for number in range(3)]
     here = {form: digest(written(tmp_path, form, records)) for form in CONTAINERS}

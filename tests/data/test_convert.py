@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,8 @@ from click.testing import CliRunner, Result
 import clsco.data
 from clsco.cli.main import main
 from clsco.data.containers import CONTAINERS
+from clsco.data.sets import open_set
+from clsco.data.storage import open_storage
 from clsco.errors import ImageError
 from tests.data.samples import contents, make_set, record, same
 
@@ -130,3 +133,15 @@ def test_licenses_as_the_hub_knows_them(given: str, lines: list[str], tmp_path: 
     card = json.loads((make_set(tmp_path / "set") / "dataset.json").read_text())
     text = readme({**card, "license": given or "unspecified"})
     assert text.split("---\n")[1].splitlines()[: len(lines)] == lines
+
+
+def test_types_are_part_of_what_a_set_is(tmp_path: Path) -> None:
+    there = open_set(open_storage(make_set(tmp_path / "set")))
+    assert there.identity.types == (("color", "uint16"),)
+    assert there.identity.digest != replace(there.identity, types=()).digest
+    run = CliRunner().invoke(
+        main, ["batch", "a.toml", "-o", str(tmp_path / "b"), "--count", "1", "--types", "color=int,x=1"]
+    )
+    assert run.exit_code == 2
+    message = "types: color must be one of float32, float16, uint8, uint16; got color=int; types: must name arrays"
+    assert message in " ".join(run.output.split())

@@ -186,8 +186,8 @@ def test_recipes_of_the_documentation(package: str, form: str, tmp_path: Path) -
     for block in blocks:
         code = block.partition("```")[0].replace('"DATA', f'"{folder}')
         script = tmp_path / "recipe.py"
-        lines = (code, "import numpy as np", "print(tuple(color.shape), tuple(depth.shape), np.max(np.asarray(color)) > 0)")
-        script.write_text("\n".join(lines))
+        shown = "import numpy\nprint(tuple(color.shape), tuple(depth.shape), numpy.max(numpy.asarray(color)) > 0)"
+        script.write_text(f"{code}\n{shown}")
         run = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=False)
         assert run.stdout.split("\n")[-2] in ("(2, 3, 9, 12) (2, 9, 12) True", "(2, 9, 12, 3) (2, 9, 12) True"), (
             run.stderr

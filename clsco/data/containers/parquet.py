@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.data.containers.base import ShardReader, whole
-from clsco.data.containers.uniform import Layout, blocks
+from clsco.data.containers.uniform import Layout, blocks, record_bytes
 from clsco.data.encoding import LARGEST, decoded, described, is_png, meta_bytes, parsed_meta, png_bytes
 from clsco.data.record import Record, is_wanted
 from clsco.files.atomic import refuse
@@ -44,7 +44,7 @@ def write(path: Path, records: Iterable[Record]) -> None:
                 writer = parquet.ParquetWriter(
                     path, schema, compression="zstd", compression_level=3, use_dictionary=False, write_statistics=False
                 )
-            rows = max(1, GROUP // max(sum(prod(shape) * dtype.itemsize for dtype, shape in layout.values()), 1))
+            rows = max(1, GROUP // max(record_bytes(layout), 1))
             for first in range(0, len(block), rows):
                 writer.write_table(_table(path, schema, layout, block[first : first + rows]))
     finally:

@@ -6,13 +6,16 @@ their shape in NAME/shape. Besides there are `__key__` and `meta`, JSON. Read ba
 
 from __future__ import annotations
 
+import functools
+import importlib
 import os
 import re
 import struct
 from array import array as numbers
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from math import prod
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,14 +27,48 @@ from clsco.data.record import Record, is_wanted
 from clsco.files.atomic import refuse
 from clsco.files.decoders import codec
 
-NEEDS = ("tfrecord", "data")
+NEEDS = ("google_crc32c", "data")
+# tensorflow/core/example/feature.proto and example.proto.
+_SCHEMA = """
+name: "clsco/example.proto" package: "clsco" syntax: "proto3"
+message_type { name: "BytesList" field { name: "value" number: 1 label: LABEL_REPEATED type: TYPE_BYTES } }
+message_type { name: "FloatList" field { name: "value" number: 1 label: LABEL_REPEATED type: TYPE_FLOAT } }
+message_type { name: "Int64List" field { name: "value" number: 1 label: LABEL_REPEATED type: TYPE_INT64 } }
+message_type {
+  name: "Feature"
+  field { name: "bytes_list" number: 1 label: LABEL_OPTIONAL type: TYPE_MESSAGE type_name: ".clsco.BytesList" }
+  field { name: "float_list" number: 2 label: LABEL_OPTIONAL type: TYPE_MESSAGE type_name: ".clsco.FloatList" }
+  field { name: "int64_list" number: 3 label: LABEL_OPTIONAL type: TYPE_MESSAGE type_name: ".clsco.Int64List" }
+}
+message_type {
+  name: "Features"
+  field {
+    name: "feature" number: 1 label: LABEL_REPEATED type: TYPE_MESSAGE type_name: ".clsco.Features.FeatureEntry"
+  }
+  nested_type {
+    name: "FeatureEntry"
+    field { name: "key" number: 1 label: LABEL_OPTIONAL type: TYPE_STRING }
+    field { name: "value" number: 2 label: LABEL_OPTIONAL type: TYPE_MESSAGE type_name: ".clsco.Feature" }
+    options { map_entry: true }
+  }
+}
+message_type {
+  name: "Example"
+  field { name: "features" number: 1 label: LABEL_OPTIONAL type: TYPE_MESSAGE type_name: ".clsco.Features" }
+}
+"""
 _EXACT = ("float16", "float32")  # in a list of float
 _KEY = re.compile(rb"\n\x07__key__\x12.\n.\n.(\d+)", re.DOTALL)  # the first feature, as names are in order
 
 
 def write(path: Path, records: Iterable[Record]) -> None:
-    """Write records to a new file, uncompressed. Its `Example`s have their features in order, which the writer of the
-    package `tfrecord` leaves to chance."""
+    """Write records to a new file, uncompressed.
+
+    Notes
+    -----
+    The writer of the package `tfrecord` leaves the order of features to chance, and its messages cannot be imported
+    beside TensorFlow's.
+    """
     pb, checksum = _package(path)
     with open(path, "xb") as file:
         for record in records:
@@ -43,9 +80,28 @@ def write(path: Path, records: Iterable[Record]) -> None:
             file.writelines([size, checksum(size), content, checksum(content)])
 
 
-def _package(path: Path) -> tuple[Any, Any]:
-    """Messages of the package, and its checksum of a part."""
-    return codec(path, "tfrecord.example_pb2", "data"), codec(path, "tfrecord.writer", "data").TFRecordWriter.masked_crc
+@functools.cache
+def _messages() -> Any:
+    """Classes of `_SCHEMA`, in a pool of their own: beside TensorFlow's a second `Example` would be refused."""
+    pool = importlib.import_module("google.protobuf.descriptor_pool").DescriptorPool()
+    made = importlib.import_module("google.protobuf.descriptor_pb2").FileDescriptorProto()
+    importlib.import_module("google.protobuf.text_format").Parse(_SCHEMA, made)
+    pool.Add(made)
+    message_class = importlib.import_module("google.protobuf.message_factory").GetMessageClass
+    names = [message.name for message in made.message_type]
+    return SimpleNamespace(**{name: message_class(pool.FindMessageTypeByName(f"clsco.{name}")) for name in names})
+
+
+def _package(path: Path) -> tuple[Any, Callable[[bytes], bytes]]:
+    """Messages, and the checksum of a part."""
+    crc32c = codec(path, *NEEDS).value
+    codec(path, "google.protobuf", "data")
+
+    def masked(part: bytes) -> bytes:
+        crc = crc32c(part)
+        return struct.pack("<I", ((crc >> 15 | crc << 17) + 0xA282EAD8) & 0xFFFFFFFF)
+
+    return _messages(), masked
 
 
 def _bytes(pb: Any, content: bytes) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,21 @@ from clsco.data.record import Record
 from clsco.files.atomic import refuse
 
 Layout = dict[str, tuple["np.dtype[Any]", tuple[int, ...]]]
-BLOCK = 16  # records that are in memory together
+MOST_SAMPLES, MOST_BYTES = 16, 2**26  # of a block
+
+
+def block_size(layout: Layout) -> int:
+    """Records that are in memory together: 16, or fewer where they have more than 64 MiB."""
+    return max(1, min(MOST_SAMPLES, MOST_BYTES // max(record_bytes(layout), 1)))
+
+
+def record_bytes(layout: Layout) -> int:
+    """Bytes of the arrays of a record."""
+    return sum(prod(shape) * dtype.itemsize for dtype, shape in layout.values())
 
 
 def blocks(path: Path, records: Iterable[Record], kind: str) -> Iterator[tuple[Layout, list[Record]]]:
-    """The layout of all records, and up to `BLOCK` of them at a time.
+    """The layout of all records, and up to `block_size` of them at a time.
 
     Raises
     ------
@@ -32,7 +43,7 @@ def blocks(path: Path, records: Iterable[Record], kind: str) -> Iterator[tuple[L
             rule = f"{kind} must have the same arrays in all samples, of one type and size"
             refuse(path, rule, f"{_differing(layout, own)} in sample {record.key}")
         block.append(record)
-        if len(block) == BLOCK:
+        if len(block) == block_size(layout):
             yield layout, block
             block = []
     if layout is None:

@@ -1,6 +1,6 @@
 """Zarr 3: a group with an array for each array of a sample, (samples, rows, columns[, channels]), and `meta`.
 
-Files are few: each holds the chunks of 16 samples (sharding codec). Read back with zarr.
+Files are few: each holds the chunks of up to 16 samples (sharding codec). Read back with zarr.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from clsco.data.containers.base import ShardReader, whole
-from clsco.data.containers.uniform import BLOCK, blocks
+from clsco.data.containers.uniform import block_size, blocks
 from clsco.data.encoding import LARGEST, LARGEST_META, described, meta_bytes, parsed_meta
 from clsco.data.record import Record, is_wanted
 from clsco.files.decoders import codec
@@ -46,7 +46,7 @@ def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
         for name, (dtype, shape) in layout.items():
             if name not in made:
                 made[name] = group.create_array(
-                    name, shape=(0, *shape), dtype=dtype, chunks=(1, *shape), shards=(BLOCK, *shape),
+                    name, shape=(0, *shape), dtype=dtype, chunks=(1, *shape), shards=(block_size(layout), *shape),
                     compressors=compressors, filters=None,
                 )  # fmt: skip
             made[name].resize((len(keys), *shape))
