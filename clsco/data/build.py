@@ -15,6 +15,7 @@ from clsco.inputs.textures import texture_size
 from clsco.scene.changes import displace
 from clsco.scene.shapes import SHAPES
 from clsco.scene.sweep import Sweep, parse_sweep
+from clsco.scene.text import shown
 
 
 @dataclass(frozen=True)
@@ -58,21 +59,21 @@ class Builder:
         """The sample of some values; derive: with the keys that follow from its scenes. Raises SceneError, whose
         messages do not name the file, and UnfitError."""
         parts = self._parts
-        for parameter, value in zip(parts.parameters, values.values, strict=True):
-            if parameter.location[0] == "derive":
-                self._parameters[parameter.name] = self._wanted[parameter.location[1:]] = value
-            else:
-                self._set(self._table, parameter.location, value, parameter.name)
-        for rows, number in zip(parts.rows, values.rows, strict=True):
-            self._parameters[rows.parameter.name] = number
-            for location, cell in zip(rows.locations, rows.table[number], strict=True):
-                self._set(self._table, location, cell, ".".join(map(str, location)))
-        for population, members in zip(parts.populations, values.members, strict=True):
-            self._parameters[population.count.name] = len(members)
-            for element, member in enumerate(members):
-                self._add(population, element, member)
-        self._locate()
         try:
+            for parameter, value in zip(parts.parameters, values.values, strict=True):
+                if parameter.location[0] == "derive":
+                    self._parameters[parameter.name] = self._wanted[parameter.location[1:]] = value
+                else:
+                    self._set(self._table, parameter.location, value, parameter.name)
+            for rows, number in zip(parts.rows, values.rows, strict=True):
+                self._parameters[rows.parameter.name] = number
+                for location, cell in zip(rows.locations, rows.table[number], strict=True):
+                    self._set(self._table, location, cell, ".".join(map(str, location)))
+            for population, members in zip(parts.populations, values.members, strict=True):
+                self._parameters[population.count.name] = len(members)
+                for element, member in enumerate(members):
+                    self._add(population, element, member)
+            self._locate()
             if parts.sized:
                 self._size()
             if self._placed:
@@ -103,7 +104,7 @@ class Builder:
             item["name"] = f"{population.label} {element + 1}"
         objects = self._table.setdefault("object", [])
         if not isinstance(objects, list):
-            raise SceneError(": object: must be an array of tables, [[object]]")
+            raise SceneError(f"object: must be an array of tables, [[object]]; got {shown(objects)}")
         self._sources[f"object[{len(objects)}]."] = f"vary.object[{population.entry}]."
         objects.append(item)
         if len(population.shapes) > 1:
@@ -135,6 +136,8 @@ class Builder:
     def _place(self) -> None:
         """Points in the frustum, now that the camera is known: that of the first variant."""
         section = self._table["camera"]
+        if not isinstance(section, dict):
+            raise SceneError(f"camera: must be a table; got {shown(section)}")
         first = {key: _first(key, value) for key, value in section.items() if key != "motion"}
         camera = parse_sweep({"camera": first, "object": [{"shape": "background"}]}, "").scenes[0].camera
         columns, rows = camera.resolution or (0, 0)

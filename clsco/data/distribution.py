@@ -133,8 +133,8 @@ class Distribution:
         split = self.splits[position][0] if self.splits else ""
         reason = None
         for attempt in range(1, MAX_ATTEMPTS + 1):
-            values = self._values(self.drawn(seed, numbers, attempt))
             try:
+                values = self._values(self.drawn(seed, numbers, attempt))
                 built = Builder(self.parts, self.folder).build(values)
                 reason = refusal(self.accept, built.sweep.scenes)
             except UnfitError as error:

@@ -104,12 +104,19 @@ S, OBJECT = '[[vary.object]]\nshape = "sphere"\n', "vary.object[0]."
             "[derive]\nsequence.shutter = { share_of_interval = { uniform = [0.5, 2] } }",
             "derive.sequence.shutter: share_of_interval must be a number up to 1; got 2",
         ),
+        ("object = 3", "object: must be an array of tables, [[object]]"),
+        ("camera = 3", "camera: must be a table; got 3"),
         ("vary = 3", "vary: must be a table; got 3"),
     ],
 )
 def test_a_fault_is_one_message_that_names_the_key(load: Load, text: str, wanted: str) -> None:
-    scene = "" if text.startswith("vary") else SCENE
-    found = messages(load, f"{text}\n{SCENE if not scene else ''}", scene)
+    scene = SCENE
+    if text == "object = 3":
+        scene, text = text, '[[vary.object]]\nshape = "sphere"'
+    elif text.startswith(("vary", "camera")):
+        placed = '[[vary.object]]\nshape = "sphere"\ncenter = { frustum = { depth = [1, 2] } }\n'
+        scene, text = text, '[[object]]\nshape = "plane"\n' + (placed if text.startswith("camera") else "")
+    found = messages(load, text, scene)
     assert len(found) == 1, found
     assert found[0].startswith(wanted), found
 
