@@ -123,12 +123,12 @@ def make(distribution: Path, out: str, devices: tuple[str, ...], quiet: bool, **
     """
     from clsco.data.containers import container_named
     from clsco.data.distribution import load_distribution
-    from clsco.data.manifest import LOG, PARTS, UNSPLIT
+    from clsco.data.manifest import CONFLICT, LOG, PARTS, UNSPLIT
 
     container_named(options["form"])
     drawn = load_distribution(distribution, options["overrides"], options["splits"])
-    if taken := sorted({name for name, _ in drawn.splits} & {PARTS, LOG, UNSPLIT}):
-        raise SceneError(f"--split: names must be others than {PARTS}, {LOG} and {UNSPLIT}; got {taken[0]}")
+    if taken := sorted({name for name, _ in drawn.splits} & {PARTS, LOG, UNSPLIT, CONFLICT}):
+        raise SceneError(f"--split: names must be others than {PARTS}, {LOG}, {UNSPLIT} and {CONFLICT}; got {taken[0]}")
     samples = _wanted(options["count"], options["only"])
     if options["dry_run"]:
         from clsco.cli.dry_run import print_dry_run

@@ -18,6 +18,7 @@ from clsco.data.storage import Storage, checked_key
 from clsco.errors import ImageError
 
 PARTS, MERGED, FAILED, LOG = "manifest", "manifest.jsonl", "failed.jsonl", "log"
+CONFLICT = "conflict"  # folder of shards that were made otherwise before
 UNSPLIT = "data"  # folder of the shards of a set without splits
 AT_ONCE = 16  # parts that are read at the same time
 

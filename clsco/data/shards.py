@@ -10,7 +10,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Se
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from clsco.data.ahead import ahead
 from clsco.data.containers import Container, container_named
 from clsco.data.distribution import Distribution, Sample
-from clsco.data.manifest import LOG, UNSPLIT, Identity, line, numbers_of, part_bytes, part_key
+from clsco.data.manifest import CONFLICT, LOG, UNSPLIT, Identity, line, numbers_of, parsed_part, part_bytes, part_key
 from clsco.data.record import Record, make_record
 from clsco.data.storage import Storage
 from clsco.engine.sequence import render_prepared
@@ -232,11 +232,14 @@ class ShardMaker:
     def deliver(self, made: Made, about: Mapping[str, Any]) -> None:
         """Move the files of a shard to the set, then its part, and note in the log how long it took.
 
-        about: of the process, for the log.
+        about: of the process, for the log. Raises ImageError where another process has made other bytes of the shard;
+        then both are kept.
         """
         key = part_key(made.shard)
         there = self.storage.read(key)
         if there is not None and there != made.part:
+            if self._is_whole(there, made.shard):
+                self._keep_both(made)
             self.storage.remove(key)  # what it names is about to change
         for name, path in made.files.items():
             self.storage.put(name, path)
@@ -250,6 +253,24 @@ class ShardMaker:
         }
         log |= {"ended": round(time.time(), 3), "seconds": took, **about}
         self.storage.write(f"{LOG}/{made.shard:06d}.jsonl", f"{line(log)}\n".encode())
+
+    def _is_whole(self, data: bytes, shard: int) -> bool:
+        """Whether the part of a shard is of this set, with all samples, and its files are as it says."""
+        try:
+            part = parsed_part(data)
+        except ImageError:
+            return False
+        same = (part.shard, part.identity, part.numbers) == (shard, self.job.identity.digest, self.job.numbers(shard))
+        return same and all(self.storage.digest(name) == digest for name, (_, digest) in part.files.items())
+
+    def _keep_both(self, made: Made) -> NoReturn:
+        """Put a shard beside another one that should be the same: a device is broken, of this process or another."""
+        beside = f"{CONFLICT}/{hashlib.sha256(made.part).hexdigest()[:16]}"
+        for name, path in made.files.items():
+            self.storage.put(f"{beside}/{name}", path)
+        self.storage.write(f"{beside}/{part_key(made.shard)}", made.part)
+        rule = "all that make a shard must make the same bytes"
+        raise ImageError(f"{part_key(made.shard)}: {rule}; got others, which are in {beside}") from OSError(rule)
 
     def drop(self, made: Made) -> None:
         """Remove the files of a shard from the scratch folder."""

@@ -20,7 +20,7 @@ from clsco.data.storage import open_storage
 from clsco.errors import DeviceError, ImageError, SceneError
 from clsco.opencl.device import choose
 from clsco.scene.sweep import parse_sweep
-from tests.data.fakes import job_of, make_here
+from tests.data.fakes import Fake, job_of, make_here
 
 SPLITS = (("train", 0.6), ("test", 0.4))
 
@@ -171,6 +171,24 @@ def test_a_broken_device_is_no_failure_of_a_sample(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(maker.renderer, "render", broken)
     with pytest.raises(DeviceError):
         maker.make(0)
+
+
+def test_two_that_make_a_shard_otherwise_are_told_and_both_are_kept(tmp_path: Path) -> None:
+    job = job_of(tmp_path, 4)
+    make_here(job)
+    before = files(tmp_path)
+    other: Any = Fake(unrenderable=frozenset({2}))
+    maker = ShardMaker(replace(job, distribution=other), open_storage(job.where), choose(), False)
+    with pytest.raises(ImageError, match="all that make a shard must make the same bytes; got others, which are in"):
+        maker.deliver(maker.make(0), {})
+    maker.storage.close()
+    after = files(tmp_path)
+    assert {key: after.pop(key) for key in before} == before
+    assert [key.partition("/")[0] for key in after] == ["conflict"] * 2
+    (tmp_path / "data" / "000000.tar").write_bytes(b"damaged")
+    maker.deliver(maker.make(0), {})  # no conflict with that
+    assert files(tmp_path)["data/000000.tar"] != b"damaged"
+    maker.storage.close()
 
 
 def test_values_come_in_order_and_errors_arrive() -> None:
