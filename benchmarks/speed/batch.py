@@ -63,10 +63,9 @@ def main() -> None:
 def report(rounds: list[dict[str, Any]]) -> None:
     """Print medians, and ratios round by round."""
     for name in ("old loop", "Live loop", "batch", "steady"):
-        spent = median(each["spent"][name] for each in rounds) if name != "steady" else float("nan")
-        print(
-            f"{name:10}{median(each[name] for each in rounds):8.1f} samples/s, {1e3 * spent:6.1f} ms of processor time"
-        )
+        spent = [1e3 * each["spent"][name] for each in rounds if name in each["spent"]]
+        time_of = f", {median(spent):.1f} ms of processor time" if spent else ""
+        print(f"{name:10}{median(each[name] for each in rounds):8.1f} samples/s{time_of}")
     for name in ("old loop", "Live loop"):
         ratios = [each["batch"] / each[name] for each in rounds]
         steady = median(each["steady"] / each[name] for each in rounds)
