@@ -4,8 +4,8 @@
 
 A ball, a cylinder, a card, a cone, an ellipsoid and, from three sides, a ball again turn through 360 degrees in 60
 frames, in front of the camera of the thesis, with R up to 5 px: six of the frames, with the shutter closed at once and
-open for all of the interval. Then a checkerboard at 80 degrees. PSNR in dB, white = 1; the table goes to the terminal
-and to benchmarks/results/surface_textures.md.
+open for all of the interval. Then checkerboards at 80 degrees, on a card and on a plane that fills the view. PSNR in dB, white = 1; the table goes to the terminal,
+and of all objects to benchmarks/results/surface_textures.md.
 """
 
 from __future__ import annotations
@@ -47,7 +47,9 @@ TILTED: dict[str, dict[str, Any]] = {
     "card at 80 deg": LAID
     | {"shape": "rectangle", "center": [0.0, 0.0, 262.0], "size": [60.0, 60.0], "rotation": [80.0, 0.0, 0.0]}
     | {"texture_repeats": 0.5},
+    "plane at 80 deg": LAID | {"shape": "plane", "distance": 255.0, "slope_y": 5.67, "texture_size": 300.0},
 }
+APERTURES = {"card at 80 deg": (10.0, 1.0), "plane at 80 deg": (3.0, 1.0)}  # mm
 
 
 def scene_of(item: dict[str, Any], image: Any, size: int, moving: bool, frame: int, aperture: float) -> Any:
@@ -91,10 +93,14 @@ def main() -> None:
     squares = np.asarray(load_texture("checkerboard", "srgb", (256, 256)).radiance)
     for name, item in TILTED.items():
         if options.only in name:
-            found = [f"{measured(item, squares, options.size, False, 0, aperture):.1f}" for aperture in (10.0, 1.0)]
+            apertures = APERTURES[name]
+            found = [f"{measured(item, squares, options.size, False, 0, aperture):.1f}" for aperture in apertures]
             table.add_row(name, "closed", *found)
-            lines.append(f"| {name}, aperture 10 mm; 1 mm | closed | {' | '.join(found)} |" + " |" * (len(frames) - 2))
+            named = "; ".join(f"{aperture:g} mm" for aperture in apertures)
+            lines.append(f"| {name}, aperture {named} | closed | {' | '.join(found)} |" + " |" * (len(frames) - 2))
     Console().print(table)
+    if options.only:
+        return
     (ROOT / "results").mkdir(exist_ok=True)
     text = f"# Textures on surfaces\n\nPSNR in dB against the ray tracer, {options.size} x {options.size} px.\n\n"
     (ROOT / "results" / "surface_textures.md").write_text(text + "\n".join(lines) + "\n")

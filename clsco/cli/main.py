@@ -407,7 +407,7 @@ def inpaint(
 
 def _request(files: tuple[TruthFile, ...], computation: Computation | None = None, **options: Any) -> Request:
     """What is requested for these files of ground truth: the outputs in them, or without such files none."""
-    from clsco.frame.truth_files import needed_truth
+    from clsco.frame.files import needed_truth
     from clsco.plan.request import Request
 
     if computation is not None:

@@ -154,9 +154,10 @@ set_option = click.option(
     help="Set a key of the scene, such as camera.f_number=4 or object.0.radius=30; may be given again.",
 )  # fmt: skip
 truth_option = click.option(
-    "--truth", "files", metavar="npz,exr", type=parse_files, default="",
-    help="Also compute the ground truth, and write it in one or both of these formats; npz:depth,coc: these arrays "
-    "alone; npz+float16: floats in 16 bits; npz+compressed: floats compressed, too.",
+    "--truth", "files", metavar="FORMAT,...", type=parse_files, default="",
+    help="Also compute the ground truth, and write it in these formats: npz or exr, which hold all of it; npy or pfm, "
+    "a file per array; of the field flo, kitti_flow, kitti_disparity, kitti_depth, dpt; the camera as cam or colmap. "
+    "npz:depth,coc: these arrays alone; npz+float16: floats in 16 bits; npz+compressed, npy+zstd: smaller files.",
 )  # fmt: skip
 device_option = click.option(
     "--device", metavar="NAME", help="Part of the name of an OpenCL device or platform, or gpu or cpu."

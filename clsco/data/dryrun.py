@@ -315,7 +315,8 @@ def contact_sheet(samples: Sequence[Sample]) -> NDArray[np.uint8]:
         x, y = gap + number % across * (width + gap), gap + number // across * (height + line + gap)
         sheet.paste(Image.fromarray(tile), (x, y))
         variants = f", {len(sample.scenes)} variants" if len(sample.scenes) > 1 else ""
-        draw.text((x, y + height + 2), f"{sample.number} {sample.split}{variants}", fill=(20, 20, 20), font=font)
+        label = f"{sample.number} {sample.split}".rstrip() + variants
+        draw.text((x, y + height + 2), label, fill=(20, 20, 20), font=font)
     return np.asarray(sheet)
 
 

@@ -12,10 +12,18 @@ from typing import Any
 from clsco.engine.sequence import render_prepared
 from clsco.errors import ImageError, SceneError
 from clsco.files.atomic import remove_stale, same_place, writable_folder
-from clsco.frame.files import frame_files, frame_json, holds_truth, read_complete, write_frame
-from clsco.frame.frame import IMAGE_NAMES, Frame
+from clsco.frame.files import (
+    TRUTH_FORMATS,
+    frame_files,
+    frame_json,
+    holds_truth,
+    read_complete,
+    write_frame,
+    write_scene_files,
+)
+from clsco.frame.frame import FILE_NAMES, IMAGE_NAMES, Frame
 from clsco.frame.provenance import file_digests, record
-from clsco.frame.truth_files import TruthFile
+from clsco.frame.truth_files import ATTRIBUTES, TruthFile
 from clsco.opencl.session import Session, session_for
 from clsco.plan.approximation import asked_alike
 from clsco.plan.prepare import Prepared, PreparedFile
@@ -101,6 +109,7 @@ def prepare(
             if path.stem.startswith("frame_") and same_place(path.parent, folder):
                 raise ImageError(f"{path}: a {what} must not lie where frames are written; got {folder}")
 
+    held = {FILE_NAMES[name] for name in ("color", *prepared.plan.truth, *(["alpha"] if prepared.plan.alpha else []))}
     subframes = (prepared.plan.samples if scene.moves else 1) if "subframes" in request.truth else 0
 
     def is_there(index: int) -> bool:
@@ -109,7 +118,7 @@ def prepare(
             return False
         if any(content.get(key) != about[key] for key in ("version", "scene_sha256")):
             return False
-        whole = frame_files(index, scene.stereo is not None, files, subframes) <= set(content["files"])
+        whole = frame_files(index, scene.stereo is not None, files, subframes, held) <= set(content["files"])
         whole = whole and holds_truth(content, files)
         views = content["views"].values() if scene.stereo is not None else [content]
         alike = all(asked_alike(view.get("approximation"), request.method, request.tolerance) for view in views)
@@ -146,12 +155,19 @@ def prepare_all(
 def _require_arrays(planned: Sequence[PreparedFile], files: Sequence[TruthFile]) -> None:
     """Raise SceneError for arrays that are wanted by name, and that a scene does not have."""
     faults = dict[str, None]()
-    named = {name: file for file in files if file.names for name in file.truth if name not in IMAGE_NAMES}
+    named = {ATTRIBUTES[name]: file for file in files for name in _required(file)}
     for path, _, prepared in planned:
         missing = [name for each in prepared for name in named if name not in each.plan.truth]
         faults.update({f"{path}: --truth: the scene must have {name}; got {named[name]}": None for name in missing})
     if faults:
         raise SceneError(list(faults))
+
+
+def _required(file: TruthFile) -> list[str]:
+    """Arrays in files that a scene must have: those wanted by name, or what the format is made for."""
+    known = TRUTH_FORMATS[file.format]
+    names = file.names or (known.arrays[:1] if known.per == "array" else ())
+    return [name for name in names if name not in ("color", *IMAGE_NAMES)]
 
 
 def _written(folder: Path, index: int) -> int | None:
@@ -166,7 +182,8 @@ def run(jobs: Sequence[Job], device: str | None) -> Iterator[tuple[Job, tuple[Fr
     """Render the frames of jobs, write each one, and then yield it: one frame, or the two views of a stereo pair.
 
     jobs: in the order in which they are rendered; those of one sweep follow each other, and up to `TOGETHER` of them
-    share their rays where they can. Raises as `clsco.render` and `clsco.frame.files.write_frame`.
+    share their rays where they can. What a scene has once is written when all of them are done. Raises as
+    `clsco.render` and `clsco.frame.files.write_frame`.
     """
     session = session_for(device)
     for _, alike in groupby(
@@ -177,6 +194,8 @@ def run(jobs: Sequence[Job], device: str | None) -> Iterator[tuple[Job, tuple[Fr
         count = max(1, min(TOGETHER, PIXELS_TOGETHER // largest))
         for start in range(0, len(members), count):
             yield from _run_together(session, members[start : start + count])
+    for job in jobs:
+        write_scene_files(job.folder, job.prepared.scene, job.files)
 
 
 def _run_together(session: Session, jobs: Sequence[Job]) -> Iterator[tuple[Job, tuple[Frame, ...]]]:
@@ -191,6 +210,8 @@ def _run_together(session: Session, jobs: Sequence[Job]) -> Iterator[tuple[Job, 
             where = frame_json(job.folder, frame.index)
             raise ImageError(f"{where}: frames must have one writer at a time; got one that another process wrote")
         transfer = job.prepared.scene.image.transfer
-        write_frame(job.folder, views, frame.metadata["bits"], transfer, job.files, job.record)
+        write_frame(
+            job.folder, views, frame.metadata["bits"], transfer, job.files, job.record, scene=job.prepared.scene
+        )
         left = None
         yield job, views

@@ -71,6 +71,12 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
             temporary.unlink(missing_ok=True)
 
 
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file that is whole or absent. Raises ImageError as `whole_file`."""
+    with whole_file(path) as file:
+        file.write(content)
+
+
 @contextlib.contextmanager
 def together(folder: Path, name: str) -> Iterator[Path]:
     """Open a hidden folder whose files move to `folder` when all of them are written; otherwise they are removed.

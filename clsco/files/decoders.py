@@ -43,6 +43,7 @@ _FIRST_BYTES = {
     "PFM": (b"PF", b"Pf"),
     "NPY": (b"\x93NUMPY",),
     "NPZ": (b"PK\x03\x04",),
+    **dict.fromkeys(("FLO", "DPT", "CAM"), (b"PIEH",)),
 }
 
 
@@ -76,8 +77,8 @@ def opened(path: str | os.PathLike[str], formats: Mapping[str, str] = IMAGE_FORM
             refuse(path, f"the extension must be one of {' '.join(formats)}", repr(path.suffix))
         with open(path, "rb") as file:
             head = file.read(8)
-            found = next((name for name, first in _FIRST_BYTES.items() if head.startswith(first)), None)
-            if found != kind:
+            if not head.startswith(_FIRST_BYTES[kind]):
+                found = next((name for name, first in _FIRST_BYTES.items() if head.startswith(first)), None)
                 got = found or (f"the first bytes {head!r}" if head else "an empty file")
                 refuse(path, f"the content must be {kind}, as the extension says", got)
             file.seek(0)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from clsco.files.atomic import refuse, whole_file
 from clsco.files.decoders import checked_size, codec, decoded, opened, path_of
 from clsco.files.png import png_parts
+from clsco.files.ranges import first_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,9 +104,7 @@ def _as_stored(file: BinaryIO, data: NDArray[Any], hidden: NDArray[np.bool_] | N
     if hidden is not None:
         wrong[hidden] = False
     if wrong.any():
-        first = tuple(int(index) for index in np.unravel_index(int(wrong.argmax()), wrong.shape))
-        got = f"{data[first]} at row {first[0]}, column {first[1]} ({int(wrong.sum())} in all)"
-        refuse(path_of(file), "values must be finite and at least 0", got)
+        refuse(path_of(file), "values must be finite and at least 0", first_of(data, wrong))
     return data
 
 
@@ -174,7 +173,10 @@ def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]], 
                 np.lib.format.write_array(member, np.ascontiguousarray(array), allow_pickle=False)
 
 
-def write_exr(path: str | os.PathLike[str], *views: Mapping[str, NDArray[Any]], names: Sequence[str] = ()) -> None:
+def write_exr(
+    path: str | os.PathLike[str], *views: Mapping[str, NDArray[Any]], names: Sequence[str] = (),
+    attributes: Sequence[Mapping[str, Any]] = (),
+) -> None:  # fmt: skip
     """Write named channels in an OpenEXR file with lossless compression: float16 as it is, all else as float32.
 
     Parameters
@@ -184,6 +186,8 @@ def write_exr(path: str | os.PathLike[str], *views: Mapping[str, NDArray[Any]], 
         Channels of each view; several views are parts with the attribute `view`, as OpenEXR has them since version 2.0.
     names : sequence of str
         Of the views, "left" and "right" for stereo pairs; () for a single one.
+    attributes : sequence of mapping, optional
+        Standard attributes of each view, such as {"aperture": 2.8}.
 
     Raises
     ------
@@ -193,12 +197,13 @@ def write_exr(path: str | os.PathLike[str], *views: Mapping[str, NDArray[Any]], 
     exr = codec(Path(path), "OpenEXR", "exr")
     header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
     pixels = [{name: np.ascontiguousarray(plane, _exr_type(plane)) for name, plane in view.items()} for view in views]
+    headers = [{**header, **about} for about in attributes or [{}] * len(views)]
     if names:
-        pairs = zip(names, pixels, strict=True)
-        content = exr.File([exr.Part({**header, "view": name}, planes, name=name) for name, planes in pairs])
+        parts = zip(names, headers, pixels, strict=True)
+        content = exr.File([exr.Part({**about, "view": name}, planes, name=name) for name, about, planes in parts])
     else:
-        (planes,) = pixels
-        content = exr.File(header, planes)
+        (planes,), (about,) = pixels, headers
+        content = exr.File(about, planes)
     with whole_file(Path(path)) as file:
         keeper = _ErrorKeeper(file)
         content.write(keeper)

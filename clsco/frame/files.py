@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import ImageError
-from clsco.files.atomic import remove, sha256, together
+from clsco.files.atomic import refuse, remove, sha256, together, writable_folder, write_whole
+from clsco.files.cameras import cam_bytes, colmap_texts
+from clsco.files.depth_codes import dpt_bytes, kitti_depth_codes, kitti_disparity_codes, pfm_bytes
+from clsco.files.flow import flo_bytes, kitti_flow_codes
 from clsco.files.images import write_exr, write_json, write_npz, write_png
+from clsco.files.npy import ZSTD, npy_bytes
 from clsco.files.transfer import encode
-from clsco.frame.frame import STEREO_NAMES, Frame
-from clsco.frame.truth_files import TruthFile, parse_truth
+from clsco.frame.cameras import all_pinholes, exr_attributes, eye_of, gets_behind, pinhole
+from clsco.frame.frame import ALL_TRUTH, FILE_NAMES, IMAGE_NAMES, STEREO_NAMES, Frame
+from clsco.frame.truth_files import ATTRIBUTES, Shot, TruthFile, TruthFormat, parse_truth
+from clsco.optics.motion import Eye
+from clsco.scene.model import Scene
 
 
 def exr_channels(frame: Frame, wanted: TruthFile | None = None) -> dict[str, NDArray[Any]]:
@@ -58,40 +65,107 @@ def exr_channels(frame: Frame, wanted: TruthFile | None = None) -> dict[str, NDA
     }
 
 
-def _write_npz(path: Path, views: Sequence[Frame], wanted: TruthFile) -> None:
-    (frame,) = views
+def _single(shot: Shot, wanted: TruthFile) -> NDArray[Any]:
+    """The array of a file that holds one."""
+    (frame,) = shot.views
+    (array,) = wanted.arrays(frame).values()
+    return array
+
+
+def _write_npz(path: Path, shot: Shot, wanted: TruthFile) -> None:
+    (frame,) = shot.views
     write_npz(path, wanted.arrays(frame), wanted.compressed)
 
 
-def _write_exr(path: Path, views: Sequence[Frame], wanted: TruthFile) -> None:
-    channels = [exr_channels(frame, wanted) for frame in views]
-    write_exr(path, *channels, names=[frame.eye for frame in views] if len(views) > 1 else ())
+def _write_exr(path: Path, shot: Shot, wanted: TruthFile) -> None:
+    channels = [exr_channels(frame, wanted) for frame in shot.views]
+    names = [frame.eye for frame in shot.views] if len(shot.views) > 1 else ()
+    known = [] if shot.scene is None else [exr_attributes(shot.scene, view.index, eye_of(view)) for view in shot.views]
+    write_exr(path, *channels, names=names, attributes=known)
 
 
-@dataclass(frozen=True)
-class TruthFormat:
-    """A format that holds the color of a frame with its truth, in linear radiance.
-
-    Attributes
-    ----------
-    write : callable
-        Takes a path, the views of one file, and what of them is wanted.
-    joins_views : bool
-        One file holds both views of a stereo pair; else each has its own.
-    needs : (str, str), optional
-        Module that it needs, and the extra of clsco that brings it.
-    """
-
-    write: Callable[[Path, Sequence[Frame], TruthFile], None]
-    joins_views: bool = False
-    needs: tuple[str, str] | None = None
+def _write_npy(path: Path, shot: Shot, wanted: TruthFile) -> None:
+    write_whole(path, npy_bytes(_single(shot, wanted), wanted.zstd, str(path)))
 
 
-# By extension, one row for each format: `clsco render --truth` takes its names from here.
+def _write_pfm(path: Path, shot: Shot, wanted: TruthFile) -> None:
+    array = _single(shot, wanted)
+    if wanted.names[0] in (*_FLOWS, "disparity"):  # which are 0 where nothing is
+        vectors = array.reshape(*array.shape[:2], -1)
+        known = _known(shot, wanted)[..., None] & np.isfinite(vectors).all(axis=-1, keepdims=True)
+        array = np.where(known, vectors, np.float32(np.inf)).reshape(array.shape)
+    write_whole(path, pfm_bytes(array, str(path)))
+
+
+def _write_flo(path: Path, shot: Shot, wanted: TruthFile) -> None:
+    write_whole(path, flo_bytes(_single(shot, wanted), _known(shot, wanted), str(path)))
+
+
+def _write_kitti_flow(path: Path, shot: Shot, wanted: TruthFile) -> None:
+    write_png(path, kitti_flow_codes(_single(shot, wanted), _known(shot, wanted), str(path)))
+
+
+def _write_kitti_disparity(path: Path, shot: Shot, wanted: TruthFile) -> None:
+    write_png(path, kitti_disparity_codes(_single(shot, wanted), _known(shot, wanted), str(path)))
+
+
+def _write_kitti_depth(path: Path, shot: Shot, wanted: TruthFile) -> None:
+    write_png(path, kitti_depth_codes(_single(shot, wanted), str(path)))
+
+
+def _write_dpt(path: Path, shot: Shot, wanted: TruthFile) -> None:
+    write_whole(path, dpt_bytes(_single(shot, wanted), str(path)))
+
+
+def _write_cam(path: Path, shot: Shot, _wanted: TruthFile) -> None:
+    (frame,) = shot.views
+    write_whole(path, cam_bytes(pinhole(_shown(path, shot), frame.index, eye_of(frame))))
+
+
+def _write_colmap(folder: Path, shot: Shot, _wanted: TruthFile) -> None:
+    scene = _shown(folder, shot)
+    shown: dict[Eye, str] = {"left": "left" if scene.stereo else "", "right": "right"}
+    texts = colmap_texts((f"{_stem(index, shown[eye])}.png", camera) for index, eye, camera in all_pinholes(scene))
+    with together(writable_folder(folder), "model") as made:
+        for name, content in texts.items():
+            write_whole(made / name, content)
+
+
+def _shown(path: Path, shot: Shot) -> Scene:
+    if shot.scene is None:
+        refuse(path, "needs the scene of the frame", "none")
+    return shot.scene
+
+
+def _known(shot: Shot, wanted: TruthFile) -> NDArray[np.bool_]:
+    """Where a flow or a disparity holds: on surfaces, and of flow on those that do not get behind the lens."""
+    (frame,), (name,) = shot.views, wanted.names
+    assert frame.mask is not None  # is among what the format needs besides
+    if name not in _FLOWS or shot.scene is None or not shot.scene.moves:
+        return frame.mask
+    return frame.mask & ~gets_behind(shot.scene, frame, 1 if name == "flow" else -1)
+
+
+_FLOWS, _WHERE_FLOW_HOLDS = ("flow", "flow_backward"), ("mask", "depth", "object_id")
+# By name, one row for each format: `clsco render --truth` takes its names from here.
 TRUTH_FORMATS = {
-    "npz": TruthFormat(_write_npz),
-    "exr": TruthFormat(_write_exr, joins_views=True, needs=("OpenEXR", "exr")),
-}
+    "npz": TruthFormat("{stem}.npz", _write_npz, options=("float16", "compressed")),
+    "exr": TruthFormat("{stem}.exr", _write_exr, "frame", options=("float16",), needs=("OpenEXR", "exr")),
+    "npy": TruthFormat("{stem}_{array}.npy", _write_npy, "array", options=("float16", "zstd")),
+    "pfm": TruthFormat(
+        "{stem}_{array}.pfm", _write_pfm, "array",
+        ("color", "sharp", "depth", "coc", "normal", *_FLOWS, "uv", "disparity", "alpha"), _WHERE_FLOW_HOLDS,
+    ),
+    "flo": TruthFormat("{stem}_{array}.flo", _write_flo, "array", _FLOWS, _WHERE_FLOW_HOLDS),
+    "kitti_flow": TruthFormat("{stem}_kitti_{array}.png", _write_kitti_flow, "array", _FLOWS, _WHERE_FLOW_HOLDS),
+    "kitti_disparity": TruthFormat(
+        "{stem}_kitti_{array}.png", _write_kitti_disparity, "array", ("disparity",), ("mask",)
+    ),
+    "kitti_depth": TruthFormat("{stem}_kitti_{array}.png", _write_kitti_depth, "array", ("depth",)),
+    "dpt": TruthFormat("{stem}_{array}.dpt", _write_dpt, "array", ("depth",)),
+    "cam": TruthFormat("{stem}.cam", _write_cam, arrays=()),
+    "colmap": TruthFormat("sparse/0", _write_colmap, "scene", ()),
+}  # fmt: skip
 
 
 def truth_files(text: str) -> tuple[TruthFile, ...]:
@@ -99,19 +173,28 @@ def truth_files(text: str) -> tuple[TruthFile, ...]:
     return parse_truth(text, TRUTH_FORMATS) if text else ()
 
 
-def require_truth_formats(files: Sequence[TruthFile]) -> None:
-    """Raise ImageError where the extra that a format in `TRUTH_FORMATS` needs is not installed."""
+def needed_truth(files: Iterable[TruthFile]) -> tuple[str, ...]:
+    """Attributes of a frame besides color that files need, in the order of the frame."""
+    needed: set[str] = set()
     for file in files:
-        needs = TRUTH_FORMATS[file.format].needs
-        if needs is not None and find_spec(needs[0]) is None:
-            got = "got no such module"
-            raise ImageError(f"truth: {file.format} needs {needs[0]}: pip install 'clsco[{needs[1]}]'; {got}")
+        known = TRUTH_FORMATS[file.format]
+        needed |= {ATTRIBUTES[name] for name in file.names or known.arrays if file.names or name not in IMAGE_NAMES}
+        needed |= set(known.besides)
+    return tuple(name for name in (*ALL_TRUTH, *IMAGE_NAMES) if name in needed)
 
 
-def _stems(index: int, eyes: Sequence[str]) -> list[str]:
-    """Stem of the files of each view."""
-    stem = f"frame_{index:04d}"
-    return [f"{stem}_{eye}" for eye in eyes] if len(eyes) > 1 else [stem]
+def require_truth_formats(files: Sequence[TruthFile]) -> None:
+    """Raise ImageError where the extra that a format in `TRUTH_FORMATS` or its option needs is not installed."""
+    for file in files:
+        for needs in (TRUTH_FORMATS[file.format].needs, ZSTD if file.zstd else None):
+            if needs is not None and find_spec(needs[0]) is None:
+                got = "got no such module"
+                raise ImageError(f"truth: {file} needs {needs[0]}: pip install 'clsco[{needs[1]}]'; {got}")
+
+
+def _stem(index: int, eye: str) -> str:
+    """Stem of the files of a frame, or of a view of a stereo pair."""
+    return f"frame_{index:04d}_{eye}" if eye else f"frame_{index:04d}"
 
 
 def _pictures(stem: str, subframes: int) -> list[str]:
@@ -119,7 +202,29 @@ def _pictures(stem: str, subframes: int) -> list[str]:
     return [f"{stem}.png", *(f"{stem}_sample_{number:02d}.png" for number in range(subframes))]
 
 
-def frame_files(index: int, stereo: bool, truth: Sequence[TruthFile] = (), subframes: int = 0) -> set[str]:
+def _truth_names(
+    index: int, eyes: Sequence[str], file: TruthFile, held: Collection[str]
+) -> Iterator[tuple[str, tuple[str, ...], TruthFile]]:
+    """Name of each file of ground truth, the eyes of the views that it holds, and what of them.
+
+    held: arrays that the frame has, as they are called in files.
+    """
+    known = TRUTH_FORMATS[file.format]
+    ending = ".zst" if file.zstd else ""
+    if known.per == "frame":
+        yield known.name.format(stem=_stem(index, "")) + ending, tuple(eyes), file
+    for eye in eyes:
+        stem = _stem(index, eye if len(eyes) > 1 else "")
+        if known.per == "view":
+            yield known.name.format(stem=stem) + ending, (eye,), file
+        for array in (file.names or known.arrays) if known.per == "array" else ():
+            if array in held:
+                yield known.name.format(stem=stem, array=array) + ending, (eye,), replace(file, names=(array,))
+
+
+def frame_files(
+    index: int, stereo: bool, truth: Sequence[TruthFile] = (), subframes: int = 0, held: Collection[str] = ()
+) -> set[str]:
     """Names of the files of a frame besides its JSON file; a stereo pair has a PNG of each view.
 
     Parameters
@@ -129,17 +234,16 @@ def frame_files(index: int, stereo: bool, truth: Sequence[TruthFile] = (), subfr
     truth : sequence of TruthFile
     subframes : int
         Time samples whose images are files, too.
+    held : collection of str
+        Arrays that the frame has, as they are called in files.
 
     Returns
     -------
     set of str
     """
-    apart = _stems(index, ("left", "right") if stereo else ("",))
-    names = {name for own in apart for name in _pictures(own, subframes)}
-    for file in truth:
-        stems = [f"frame_{index:04d}"] if TRUTH_FORMATS[file.format].joins_views else apart
-        names |= {f"{stem}.{file.format}" for stem in stems}
-    return names
+    eyes = ("left", "right") if stereo else ("",)
+    names = {name for eye in eyes for name in _pictures(_stem(index, eye), subframes)}
+    return names | {name for file in truth for name, _, _ in _truth_names(index, eyes, file, held)}
 
 
 def frame_json(folder: str | os.PathLike[str], index: int) -> Path:
@@ -149,7 +253,7 @@ def frame_json(folder: str | os.PathLike[str], index: int) -> Path:
 
 def write_frame(
     folder: str | os.PathLike[str], views: Sequence[Frame], bits: int, transfer: str, truth: Sequence[TruthFile] = (),
-    about: Mapping[str, Any] | None = None,
+    about: Mapping[str, Any] | None = None, scene: Scene | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Write the files of a frame; frame_0000.json comes last and makes the frame complete.
 
@@ -164,9 +268,12 @@ def write_frame(
     transfer : {"srgb", "linear"}
         Of the PNG alone, which clips radiance below 0 and above 1; the others keep it.
     truth : sequence of TruthFile
-        Each holds the color and all truth of the frame, or what it names of them, linear.
+        Each holds the color and all truth of the frame, or what it names of them, linear. What belongs to a scene
+        (`write_scene_files`) is left out.
     about : mapping, optional
         Content of the JSON file besides the frame's own metadata.
+    scene : Scene, optional
+        What the frame shows, with its resolution: gives an EXR the attributes of its camera, and cam needs it.
 
     Returns
     -------
@@ -177,34 +284,55 @@ def write_frame(
     Raises
     ------
     ImageError
-        A file cannot be written, or floats do not fit the float16 that is wanted.
+        A file cannot be written, or values do not fit its format.
 
     Notes
     -----
     All files get their names when all are on the disk; until then an older frame stays as it is.
     """
     index, stereo = views[0].index, len(views) > 1
-    stem, apart = f"frame_{index:04d}", _stems(index, [frame.eye for frame in views])
+    by_eye = {frame.eye: frame for frame in views}
+    held = {in_file for name, in_file in FILE_NAMES.items() if all(getattr(view, name) is not None for view in views)}
     described = frame_json(folder, index)
-    with together(Path(folder), stem) as made:
-        for own, frame in zip(apart, views, strict=True):
+    with together(Path(folder), _stem(index, "")) as made:
+        for eye, frame in by_eye.items():
             images = [frame.color, *(() if frame.subframes is None else frame.subframes)]
-            for name, image in zip(_pictures(own, len(images) - 1), images, strict=True):
+            stem = _stem(index, eye if stereo else "")
+            for name, image in zip(_pictures(stem, len(images) - 1), images, strict=True):
                 write_png(made / name, encode(image, min(bits, 16), transfer))
         for file in truth:
-            known = TRUTH_FORMATS[file.format]
-            if known.joins_views:
-                known.write(made / f"{stem}.{file.format}", views, file)
-                continue
-            for own, frame in zip(apart, views, strict=True):
-                known.write(made / f"{own}.{file.format}", [frame], file)
+            for name, eyes, wanted in _truth_names(index, list(by_eye), file, held):
+                shot = Shot(tuple(by_eye[eye] for eye in eyes), scene)
+                TRUTH_FORMATS[file.format].write(made / name, shot, wanted)
         digests = {path.name: sha256(path) for path in sorted(made.iterdir())}
         remove(described)  # an older frame is not whole any more
     recorded = {"views": {frame.eye: dict(frame.metadata) for frame in views}} if stereo else dict(views[0].metadata)
-    partial = [str(file) for file in truth if file != TruthFile(file.format)]
+    partial = [str(file) for file in truth if str(file) != file.format]
     content = {**(about or {}), **recorded, **({"truth": partial} if partial else {}), "files": digests}
     write_json(described, content)
     return content
+
+
+def write_scene_files(folder: str | os.PathLike[str], scene: Scene, truth: Sequence[TruthFile]) -> None:
+    """Write those files of ground truth that a scene has once, for all of its frames, rendered or not.
+
+    Parameters
+    ----------
+    folder : path
+        Of the frames.
+    scene : Scene
+        With its resolution.
+    truth : sequence of TruthFile
+
+    Raises
+    ------
+    ImageError
+        A file cannot be written.
+    """
+    for file in truth:
+        known = TRUTH_FORMATS[file.format]
+        if known.per == "scene":
+            known.write(Path(folder) / known.name, Shot((), scene), file)
 
 
 def read_complete(folder: str | os.PathLike[str], index: int) -> dict[str, Any] | None:

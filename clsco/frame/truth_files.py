@@ -1,50 +1,52 @@
-"""What a file of ground truth holds, as `clsco render --truth` names it: "npz", "npz:depth,coc", "npz+float16"."""
+"""Which files of ground truth there are and what they hold, as `clsco render --truth` names them: "npz", "flo",
+"npz:depth,coc", "npz+float16"."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError, SceneError
-from clsco.frame.frame import ALL_TRUTH, FILE_NAMES, IMAGE_NAMES, Frame
+from clsco.errors import SceneError
+from clsco.files.ranges import refuse_values
+from clsco.frame.frame import FILE_NAMES, Frame
+from clsco.scene.model import Scene
 
-OPTIONS = ("float16", "compressed")
+OPTIONS = ("float16", "compressed", "zstd")
 ATTRIBUTES = {in_file: name for name, in_file in FILE_NAMES.items()}
 
 
 @dataclass(frozen=True)
 class TruthFile:
-    """A file of ground truth.
+    """A file of ground truth, or one for each array, as a user names it.
 
     Attributes
     ----------
     format : str
-        Its extension.
+        Key of `clsco.frame.files.TRUTH_FORMATS`.
     names : tuple of str
         Arrays in it, as they are called in files; () for all of them.
     float16 : bool
         Floats have 16 bits: 11 significant ones, and sizes up to 65504.
     compressed : bool
         Floats are compressed as well.
+    zstd : bool
+        Whole files are compressed by Zstandard, and have the ending .zst.
     """
 
     format: str
     names: tuple[str, ...] = ()
     float16: bool = False
     compressed: bool = False
+    zstd: bool = False
 
     def __str__(self) -> str:
         options = "".join(f"+{name}" for name in OPTIONS if getattr(self, name))
         return f"{self.format}{options}" + (f":{','.join(self.names)}" if self.names else "")
-
-    @property
-    def truth(self) -> tuple[str, ...]:
-        """Attributes of a frame besides color that it needs."""
-        return tuple(ATTRIBUTES[name] for name in self.names if name != "color") if self.names else ALL_TRUTH
 
     def arrays(self, frame: Frame) -> dict[str, NDArray[Any]]:
         """The arrays of a frame in it, as they are called in files. Raises ImageError for floats beyond float16."""
@@ -58,21 +60,66 @@ class TruthFile:
         with np.errstate(over="ignore"):  # what becomes infinite is refused next
             half = array.astype(np.float16)
         beyond = np.isinf(half) & np.isfinite(array)
-        if beyond.any():
-            first = tuple(int(index) for index in np.unravel_index(int(beyond.argmax()), beyond.shape))
-            got = f"{array[first]:.6g} at row {first[0]}, column {first[1]} ({int(beyond.sum())} in all)"
-            raise ImageError(f"{where}: sizes must be at most 65504 in float16; got {got}")
+        refuse_values(where, "sizes must be at most 65504 in float16", array, beyond)
         return half
 
 
-def parse_truth(text: str, formats: Collection[str]) -> tuple[TruthFile, ...]:
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """What a file of ground truth is written from.
+
+    Attributes
+    ----------
+    views : sequence of Frame
+        Of one file: a frame, or both views of a stereo pair.
+    scene : Scene or None
+        That they show, with its resolution.
+    """
+
+    views: tuple[Frame, ...]
+    scene: Scene | None
+
+
+@dataclass(frozen=True)
+class TruthFormat:
+    """A format of ground truth.
+
+    Attributes
+    ----------
+    name : str
+        Of its files: "{stem}_{array}.flo"; of a scene's its folder.
+    write : callable
+        Takes a path, what is written, and what of it is wanted; of a file `per` array that one name.
+    per : {"frame", "view", "array", "scene"}
+        What has a file of its own: both views of a stereo pair together, each view, each array of a view, or the whole
+        scene.
+    arrays : tuple of str, optional
+        Those that it can hold, as they are called in files; by default any.
+    besides : tuple of str
+        Attributes of a frame that it needs to know where its arrays hold.
+    options : tuple of str
+        Of `OPTIONS`.
+    needs : (str, str), optional
+        Module that it needs, and the extra of clsco that brings it.
+    """
+
+    name: str
+    write: Callable[[Path, Shot, TruthFile], None]
+    per: Literal["frame", "view", "array", "scene"] = "view"
+    arrays: tuple[str, ...] = tuple(ATTRIBUTES)
+    besides: tuple[str, ...] = ()
+    options: tuple[str, ...] = ()
+    needs: tuple[str, str] | None = None
+
+
+def parse_truth(text: str, formats: Mapping[str, TruthFormat]) -> tuple[TruthFile, ...]:
     """Files of ground truth by their names: formats, each with options and names of arrays.
 
     Parameters
     ----------
     text : str
-        Such as "npz,exr", "npz:depth,coc,exr" or "npz+float16+compressed:depth".
-    formats : collection of str
+        Such as "npz,flo", "npz:depth,coc,exr" or "npz+float16+compressed:depth".
+    formats : mapping of str to TruthFormat
         Those there are.
 
     Returns
@@ -92,29 +139,27 @@ def parse_truth(text: str, formats: Collection[str]) -> tuple[TruthFile, ...]:
             found[-1].append(part)
         else:
             raise SceneError(f"must be some of {','.join(formats)}; got {text}")
-    files = tuple(dict.fromkeys(_parsed(",".join(parts)) for parts in found))
+    files = tuple(dict.fromkeys(_parsed(",".join(parts), formats) for parts in found))
     if len({file.format for file in files}) < len(files):
         raise SceneError(f"must name each format once; got {text}")
     return files
 
 
-def _parsed(text: str) -> TruthFile:
+def _parsed(text: str, formats: Mapping[str, TruthFormat]) -> TruthFile:
     head, colon, listed = text.partition(":")
     form, *options = head.split("+")
+    known = formats[form]
     names = [FILE_NAMES.get(name, name) for name in listed.split(",")] if colon else []
     for name in names:
-        if name not in ATTRIBUTES:
-            raise SceneError(f"must name arrays after {form}:, some of {', '.join(ATTRIBUTES)}; got {name or text}")
+        if not known.arrays:
+            raise SceneError(f"must be {form} without names, as it holds no arrays; got {text}")
+        if name not in known.arrays:
+            raise SceneError(f"must name arrays after {form}:, some of {', '.join(known.arrays)}; got {name or text}")
     for option in options:
-        if option not in OPTIONS:
-            raise SceneError(f"must have the options {' and '.join(OPTIONS)} alone, like {form}+float16; got {option}")
-    if form == "exr" and "compressed" in options:
-        raise SceneError(f"must be compressed with npz alone, as exr always is; got {text}")
+        if not known.options:
+            raise SceneError(f"must be {form} without options; got {head}")
+        if option not in known.options:
+            allowed = f"the option{'s' * (len(known.options) > 1)} {' and '.join(known.options)} alone"
+            raise SceneError(f"must have {allowed}, like {form}+{known.options[0]}; got {option}")
     ordered = tuple(name for name in ATTRIBUTES if name in names)
-    return TruthFile(form, ordered, "float16" in options, "compressed" in options)
-
-
-def needed_truth(files: Iterable[TruthFile]) -> tuple[str, ...]:
-    """Attributes of a frame besides color that files need, in the order of the frame."""
-    needed = {name for file in files for name in file.truth}
-    return tuple(name for name in (*ALL_TRUTH, *IMAGE_NAMES) if name in needed)
+    return TruthFile(form, ordered, **{option: option in options for option in OPTIONS})

@@ -32,7 +32,8 @@ OCCLUSION_HEADERS = ("common/occluder.clh", "common/visibility.clh", "common/vis
 GATHER_HEADERS = tuple(
     f"blur/cpu/{name}.clh" for name in ("vectors", "many", "rows", "near", "discs", "quadrants", "gaussians", "columns")
 )
-MAPPING_HEADERS = ("common/angles.clh", "trace/mapping.clh")  # with the feature TEXTURED
+# With the feature TEXTURED.
+MAPPING_HEADERS = ("common/angles.clh", *(f"trace/{name}.clh" for name in ("mapping", "footprint", "detail")))
 HEADERS_OF = {
     "trace/trace.cl": ("common/sources.clh", *MAPPING_HEADERS, "trace/light.clh", "trace/texture.clh"),
     "trace/truth.cl": (*MAPPING_HEADERS, "trace/light.clh", "trace/texture.clh"),

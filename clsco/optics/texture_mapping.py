@@ -46,7 +46,8 @@ KINDS = {
     "cube": MAP_CUBE,
 }
 WRAPS = {"repeat": WRAP_REPEAT, "mirror": WRAP_MIRROR, "clamp": WRAP_CLAMP, "none": WRAP_NONE}
-DETAILED_LEAST, DETAILED_MOST = 0.01, 3.0  # |R| in px between which fine textures may need sub-pixel sources
+# |R| in px between which fine textures may need sub-pixel sources; the last of the finest ones.
+DETAILED_LEAST, DETAILED_MOST, FINE_MOST = 0.01, 4.5, 9.0
 Matrix = NDArray[np.float64]
 
 

@@ -23,7 +23,7 @@ from clsco.passes.pack import light_struct, pose_structs, surface_structs, textu
 from clsco.records import Real, Struct, structs
 from clsco.scene.model import Scene
 
-# A source is at most its mean and 4 c of it with c < 0.0901 (kernels/trace/mapping.clh).
+# A source is at most its mean and 4 c of it with c < 0.0901 (kernels/trace/footprint.clh).
 MOST_DETAIL = 1.37
 Surfaces = tuple[PlacedSurface | None, ...]  # of every object, None for a depth map
 

@@ -209,6 +209,17 @@ class Tracer:
         )
         value = work.sources.value
         if "sharper" in buffers:
+            self.target.run(
+                "trace_detail",
+                (plan.slots,),
+                PIXELS[:1],
+                work.events,
+                *head,
+                buffers["pixels"],
+                slots,
+                *subs,
+                *occluded,
+            )
             value = buffers["sharper"]
             self._per_pixel("sharpen", work, work.camera, work.sources.value, buffers["share"], source, value)
         work.sources = replace(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -50,10 +50,11 @@ def _cast_sources(view: View, layer: Layer, guard: int, detail: bool) -> tuple[S
     if view.scene.psf.silhouette_samples == 1:
         return sources, None
     marked = mark_silhouettes(sources.label)
-    if detail and sources.detailed is not None:
-        marked |= sources.detailed
-        sources = sharpen(sources, marked)
-    return sources, trace_subpixels(view, layer, guard, marked) if marked.any() else None
+    if not detail:
+        sources = replace(sources, parts=None)
+    several = marked if sources.parts is None else marked | (sources.parts > 0)
+    finer = trace_subpixels(view, layer, guard, marked, sources) if several.any() else None
+    return sharpen(sources, several) if detail else sources, finer
 
 
 @dataclass(frozen=True, eq=False)

@@ -79,8 +79,9 @@ static float4 with_detail(const camera_t camera, __constant texture_map_t *maps,
         __constant texture_map_t *map = maps + (root - 1) / 2;
         const real radius = narrow(blur_radius(camera, w));
         *share = sharpening(map, radius);
-        if (is_detailed(map, texels, radius))
-            record.w = as_float(DETAILED);
+        const int detail = detail_of(map, texels, radius);
+        if (detail != WHOLE)
+            record.w = as_float(detail);
     }
     return record;
 }
@@ -174,8 +175,9 @@ __kernel void aim(const camera_t camera, __constant surface_t *surfaces, const l
 }
 
 #if SUBPIXELS
-// Gives a slot to every pixel within 2 px of a change of label, and to those that are DETAILED. Slots come in any order; what is in them does
-// not. In: label. Out: marks of source, pixels (slots): index of the pixel, statistics.
+// Gives a slot to every pixel within 2 px of a change of label, and to those whose texture is DETAILED or FINE. Slots come
+// in any order; what is in them does not. In: label. Out: marks of source, pixels (slots): index p of the pixel, of one
+// that is only DETAILED -1 - 2 p, that is only FINE -2 - 2 p; statistics.
 __kernel void mark_silhouettes(const camera_t camera, __global const uchar *label, const int capacity,
                                __global float *source, __global int *pixels, __global int *statistics)
 {
@@ -185,10 +187,11 @@ __kernel void mark_silhouettes(const camera_t camera, __global const uchar *labe
     const int at = y * camera.width + x;
     const uchar own = label[at];
 #if TEXTURED
-    bool differs = as_int(MARKS(source, camera.height * camera.width)[at]) == DETAILED;
+    const int mark = as_int(MARKS(source, camera.height * camera.width)[at]);
 #else
-    bool differs = false;
+    const int mark = WHOLE;
 #endif
+    bool differs = false;
     if (x >= 2 && x < camera.width - 2) {
         // Five labels of a row at a time, four of them as one int.
         for (int i = MAX(y - 2, 0); i <= MIN(y + 2, camera.height - 1); ++i) {
@@ -200,12 +203,12 @@ __kernel void mark_silhouettes(const camera_t camera, __global const uchar *labe
             for (int j = MAX(x - 2, 0); j <= MIN(x + 2, camera.width - 1); ++j)
                 differs |= label[i * camera.width + j] != own;
     }
-    if (!differs)
+    if (!differs && mark != DETAILED && mark != FINE)
         return;
     const int slot = atomic_inc(statistics + STATISTIC_SLOTS);
     if (slot >= capacity)
         return;
-    pixels[slot] = at;
+    pixels[slot] = differs ? at : -1 - 2 * at - (mark == FINE);
     MARKS(source, camera.height * camera.width)[at] = as_float(slot);
 }
 
@@ -226,7 +229,7 @@ __kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfa
     const int slot = id / each, sub = id % each;
     if (id == 0)
         atomic_max(statistics + STATISTIC_MOST_SLOTS, statistics[STATISTIC_SLOTS]);
-    if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity))
+    if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] < 0)
         return;
     const int row = FRAME_ROW(camera, pixels[slot] / camera.width), column = pixels[slot] % camera.width - camera.guard;
     const wide_t down = widened((sub / SUBPIXELS + (real)0.5) / SUBPIXELS - (real)0.5);
@@ -244,6 +247,64 @@ __kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfa
 }
 
 #if TEXTURED
+// The same of the pixels that are marked for their textures alone, see detail.clh.
+__kernel void trace_detail(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
+                           const float weight, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
+                           __global const int *pixels, const int capacity, __global float4 *sub_source,
+                           __global float *sub_value, __global int *statistics
+#if OCCLUDED
+                           , __global wide_t *sub_depth
+#endif
+)
+{
+    const int slot = get_global_id(0), each = SUBPIXELS * SUBPIXELS;
+    if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] >= 0)
+        return;
+    const int code = -1 - pixels[slot], at = code / 2, fine = code & 1, parts = fine ? FINE_PARTS : FEW_PARTS;
+    const int row = FRAME_ROW(camera, at / camera.width), column = at % camera.width - camera.guard;
+    const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
+    uchar root;
+    int object;
+    const wide_t w = nearest_surface(surfaces, layer, ray, &root, &object);
+    const wide_t whole_radius = blur_radius(camera, w);
+#if OCCLUDED
+    bool edge;
+    const lens_t lens = lens_of(narrow(whole_radius), psf.lens_extent, 1);
+    const bool partly = check_visibility(camera, surfaces, layer, ray, w, lens, 0, &edge) == PARTLY;
+#endif
+    const real2 slope = surface_slope(surfaces + object, ray, w);
+    const real2 gradient = blur_gradient(camera, slope);
+    float values[FINE_PARTS * FINE_PARTS * CHANNELS];
+    detailed_texture(texture, surfaces + object, maps + object, camera, ray, w, narrow(whole_radius), fine, values);
+    const float share = SHADE(surfaces, object, ray, w);
+    for (int sub = 0; sub < each; ++sub) {
+        const int i = sub / SUBPIXELS, j = sub % SUBPIXELS, id = slot * each + sub;
+        const real right = (j + (real)0.5) / SUBPIXELS - (real)0.5, down = (i + (real)0.5) / SUBPIXELS - (real)0.5;
+        const wide_t radius = wide_add(whole_radius, widened(right * gradient.x + down * gradient.y));
+        note_radius(statistics, narrow(radius));
+        float4 record = (float4)(table_coordinate(psf, radius, 1), 0, 0, as_float(WHOLE));
+#if TILT
+        // In its own pixel a source is visible from all of the lens until its disc reaches over the border.
+        record.yz = tilt_slope(gradient, narrow(radius)) * MIN((float)ABS(narrow(radius)), 1.0f);
+#endif
+#if OCCLUDED
+        sub_depth[id] = wide_add(w, widened(camera.step * (right * slope.x - down * slope.y)));
+        if (partly) {
+            const wide3_t towards = pixel_ray(camera, wide_add(widened(row), widened(down)),
+                                              wide_add(widened(column), widened(right)));
+            const lens_t own = lens_of(narrow(radius), psf.lens_extent, (real)1 / SUBPIXELS);
+            const int seen = check_visibility(camera, surfaces, layer, towards, sub_depth[id], own, 0, &edge);
+            record.x = seen == HIDDEN ? -1 : record.x;
+            record.w = as_float(seen == PARTLY ? PARTLY_OCCLUDED : WHOLE);
+        }
+#endif
+        sub_source[id] = record;
+        const int part = (i * parts / SUBPIXELS) * parts + j * parts / SUBPIXELS;
+        for (int c = 0; c < CHANNELS; ++c)
+            sub_value[c * capacity * each + id] = OF_CHANNEL(share, c) * (weight / each) * values[part * CHANNELS + c];
+    }
+}
+
 // Radiance after neighbors have exchanged what makes squares of what textures on surfaces show, see mapping.clh. Only
 // pixels with one source take part, which are at least 2 px from other objects. In: value, share, marks of source. Out:
 // sharper, as value.

@@ -25,6 +25,7 @@ WITHOUT_TWIN = {
     "trace": {
         "aim": "the rest of trace, for one of several lenses",
         "pinhole": "trace of all objects, with nothing in their way",
+        "trace_detail": "part of trace_subpixels",
     },
     "visibility": {
         "dot3": "a product of NumPy's arrays",
@@ -41,7 +42,13 @@ WITHOUT_TWIN = {
         "reads tables, in whose place the reference has the closed forms",
     ),
     "vectors": dict.fromkeys(("weights", "sums_of", "bits_of", "any_of"), "lanes of a vector"),
-    "mapping": {"square_of": "two products", "place_of": "a few lines of mean_texture"},
+    "footprint": {
+        "square_of": "two products",
+        "place_of": "a few lines of mean_texture",
+        "near_texel": "floats that are too large for an index are none in NumPy",
+        "cubic_weights": "a few lines of add_texel",
+        "detail_of": "parts_of",
+    },
     "texture": dict.fromkeys(("texture_point", "radiance"), "parts of cast, for all pixels at once"),
     "geometry": {"note_radius": "the largest and the smallest of an array"},
     "warp": {"note_radii": "the largest and the smallest of an array"},

@@ -250,7 +250,7 @@ def test_validate_tells_all_faults_of_all_files(bad: Path, ball: Path) -> None:
         (["--frames", "3:"], 1, "--frames: must lie within 0:3 and hold a frame; got 3:3"),
         (["--frames", "-1:2"], 2, "must be A:B, frames A to B - 1 counted from 0; got -1:2"),
         (["--frames", "9" * 5000 + ":"], 2, "must be A:B"),
-        (["--truth", "npz,pdf"], 2, "must be some of npz,exr; got npz,pdf"),
+        (["--truth", "npz,pdf"], 2, "must be some of npz,exr,npy,pfm,flo,"),
         (["--precision", "half"], 2, "is not one of 'single', 'double'"),
         (["--device", "abacus"], 3, '--device: must be a part of the name of one of'),
         (["--nonsense"], 2, "No such option"),

@@ -14,9 +14,9 @@ from click.testing import CliRunner
 
 from clsco.cli.main import main
 from clsco.errors import ImageError, SceneError
-from clsco.frame.files import holds_truth, truth_files, write_frame
+from clsco.frame.files import holds_truth, needed_truth, truth_files, write_frame
 from clsco.frame.frame import ALL_TRUTH, Frame
-from clsco.frame.truth_files import TruthFile, needed_truth
+from clsco.frame.truth_files import TruthFile
 from tests.scenes import PLANE, scene_file
 
 SHAPE = (5, 7)
@@ -45,18 +45,32 @@ def test_names_are_read() -> None:
     assert needed_truth(truth_files("npz:flow,exr")) == ALL_TRUTH
     assert needed_truth(truth_files("npz:color")) == ()
     assert needed_truth(truth_files("npz:alpha,color,depth")) == ("depth", "alpha")
+    assert truth_files("npy+float16+zstd:depth,flo") == (
+        TruthFile("npy", ("depth",), True, zstd=True),
+        TruthFile("flo"),
+    )
+    assert needed_truth(truth_files("flo,kitti_depth,cam,colmap")) == (
+        "depth", "mask", "object_id", "flow", "flow_backward",
+    )  # fmt: skip
+    assert needed_truth(truth_files("npy")) == ALL_TRUTH
+    assert needed_truth(truth_files("cam")) == ()
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("pdf", "must be some of npz,exr; got pdf"),
-        ("npz,depth", "must be some of npz,exr; got npz,depth"),
+        ("pdf", "must be some of npz,exr,npy,.*,colmap; got pdf"),
+        ("npz,depth", "must be some of npz,exr,.*; got npz,depth"),
         ("npz:", "must name arrays after npz:, some of color, sharp, .*; got npz:$"),
         ("npz:depht", "must name arrays after npz:, .*; got depht$"),
         ("npz:depth,", "must name arrays after npz:, .*; got npz:depth,$"),
         ("npz+zip", r"must have the options float16 and compressed alone, like npz\+float16; got zip"),
-        ("exr+compressed", r"must be compressed with npz alone, as exr always is; got exr\+compressed"),
+        ("exr+compressed", r"must have the option float16 alone, like exr\+float16; got compressed"),
+        ("flo+float16:flow", r"must be flo without options; got flo\+float16"),
+        ("npz+zstd", "must have the options float16 and compressed alone, .*; got zstd"),
+        ("flo:depth", "must name arrays after flo:, some of flow, flow_backward; got depth"),
+        ("pfm:mask", "must name arrays after pfm:, some of color, .*; got mask"),
+        ("cam:depth", "must be cam without names, as it holds no arrays; got cam:depth"),
         ("npz:depth,npz:coc", "must name each format once; got npz:depth,npz:coc"),
     ],
 )

@@ -67,6 +67,8 @@ TESTS = {
     "layered/layered.cl": "kernels/test_layered_amid kernels/test_layered engine/test_defocus",
     "trace/light.clh": "pipeline/test_light",
     "trace/mapping.clh": "pipeline/test_surface_textures",
+    "trace/footprint.clh": "pipeline/test_surface_textures",
+    "trace/detail.clh": "pipeline/test_surface_textures",
     "trace/texture.clh": "kernels/test_trace kernels/test_trace_hidden",
     "trace/truth.cl": "kernels/test_trace kernels/test_trace_bounds kernels/test_trace_hidden",
     "trace/trace.cl": "kernels/test_silhouettes kernels/test_trace_hidden kernels/test_trace_bounds "

@@ -1,7 +1,6 @@
-"""Textures that lie on surfaces, filtered over the footprint of a pixel, in NumPy float64.
+"""Where points of surfaces are in the images that lie on them, in NumPy float64.
 
-Coordinates are those of `clsco.optics.texture_mapping`; how the mean over a pixel is formed, and what detail is, stands
-at the head of kernels/trace/mapping.clh.
+Coordinates are those of `clsco.optics.texture_mapping`.
 """
 
 from __future__ import annotations
@@ -13,13 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import (
-    CUBE_BORDER,
     MAP_CONE,
     MAP_CUBE,
     MAP_CYLINDER,
     MAP_LONGITUDE,
     MAP_TRIPLANAR,
-    WRAP_CLAMP,
     WRAP_MIRROR,
     WRAP_REPEAT,
 )
@@ -27,25 +24,20 @@ from clsco.inputs.mipmaps import SIDES, mipmap
 from clsco.inputs.mipmaps import cube_side as side_of
 from clsco.optics.lens import ray_step
 from clsco.optics.quadrics import PlacedSurface
-from clsco.optics.texture_mapping import DETAILED_LEAST, DETAILED_MOST, TextureMap, texture_spread
+from clsco.optics.texture_mapping import TextureMap, texture_spread
 from clsco.reference.common.geometry import (
     Array,
     Filter,
     canonical_gradient,
-    mirror_index,
     surface_normal,
     turned,
     turned_back,
 )
 from clsco.scene.model import Camera, Psf
 
-MOST_CELLS, CELL_TEXELS, LEAST_TEXELS = 8, 3, 2
-MOST_TEXELS, MOST_BENT_TEXELS = MOST_CELLS * CELL_TEXELS, 64
 BENT = 256.0
 FARTHEST_TEXEL = 1e6
-DETAILED_TEXELS = np.float32(0.54)
 TINY = 1e-12
-APART = 1.17
 Indices = NDArray[np.intp]
 
 
@@ -191,126 +183,6 @@ def is_bent(found: TextureMap, point: Mapped) -> NDArray[np.bool_]:
     return np.zeros(q.shape[:-1], dtype=bool)
 
 
-def wrapped_index(i: Indices, count: int, wrap: int) -> Indices:
-    """Indices of texels in what is stored of an axis, -1 for nothing."""
-    if wrap == WRAP_REPEAT:
-        return np.asarray(i % count)
-    if wrap == WRAP_MIRROR:
-        return np.asarray(mirror_index(i, count))
-    if wrap == WRAP_CLAMP:
-        return np.clip(i, 0, count - 1)
-    return np.where((i >= 0) & (i < count), i, -1)
-
-
-def add_texel(
-    level: Array, found: TextureMap, texture_filter: Filter, at: tuple[Indices, Indices, Indices], y: Array, x: Array
-) -> Array:
-    """Values (n, channels) of a level (sides, rows, columns, channels) at places.
-
-    at: side, row and column of texels; y, x: beyond their centers, 0 to 1. The last channel of nothing is `outside`.
-    """
-    side, row, column = at
-    if texture_filter == "nearest":
-        row, column = row + (y >= 0.5), column + (x >= 0.5)
-        weights = [[np.ones(y.shape)], [np.ones(x.shape)]]
-    elif texture_filter == "bilinear":
-        weights = [[1.0 - y, y], [1.0 - x, x]]
-    else:
-        row, column = row - 1, column - 1
-        weights = [
-            [
-                0.5 * t * (-1.0 + t * (2.0 - t)),
-                1.0 + 0.5 * t * t * (3.0 * t - 5.0),
-                0.5 * t * (1.0 + t * (4.0 - 3.0 * t)),
-                0.5 * t * t * (t - 1.0),
-            ]
-            for t in (y, x)
-        ]
-    rows, columns = level.shape[1:3]
-    total = np.zeros((*y.shape, level.shape[3]))
-    for a, across in enumerate(weights[0]):
-        i = wrapped_index(row + a, rows, found.wrap_y)
-        for b, along in enumerate(weights[1]):
-            j = wrapped_index(column + b, columns, found.wrap_x)
-            texel = np.where(((i < 0) | (j < 0))[..., None], 0.0, level[side, i, j])
-            total += (across * along)[..., None] * texel
-    return total
-
-
-def nodes_of(square: Array) -> tuple[Indices, Indices]:
-    """Nodes per cell, and cells, for squares (n,) of the number of texels along an axis of a pixel."""
-    square = square / APART
-    nodes = 1 + (square > 1.0 / 64.0).astype(np.intp) + (square > 1.0) + (square > 4.0)
-    cells = np.ones(square.shape, np.intp)
-    for count in range(1, MOST_CELLS):
-        cells += square > CELL_TEXELS**2 * count**2
-    return nodes, cells
-
-
-def _offsets(nodes: int, cells: int) -> tuple[Array, Array]:
-    """Nodes from -1/2 to 1/2, and their weights: those of Gauss and Legendre in each cell."""
-    at, weights = np.polynomial.legendre.leggauss(nodes)
-    places = (np.arange(cells)[:, None] + 0.5 + 0.5 * at) / cells - 0.5
-    return places.ravel(), np.tile(0.5 * weights / cells, cells)
-
-
-def mean_texture(
-    texture: MappedTexture, point: Mapped, texel: Texel, changes: tuple[tuple[Array, Array], tuple[Array, Array]],
-    bent: NDArray[np.bool_],
-) -> Array:  # fmt: skip
-    """Means (n, channels) of a texture over pixels.
-
-    changes: of column and row per pixel to the right, and down. Validated against means of many samples.
-    """
-    (rc, rr), (dc, dr) = changes
-    across, along = rc * rc + rr * rr, dc * dc + dr * dr
-    narrow, both = 2.0 * (rc * dr - rr * dc) ** 2, across + along
-    level = np.zeros(across.shape, np.intp)
-    most = np.where(bent, MOST_BENT_TEXELS, MOST_TEXELS) ** 2
-    for _ in texture.levels[1:]:
-        each = 4.0**level
-        more = ~(narrow < both * (4.0 * APART * LEAST_TEXELS**2 * each)) | (
-            APART * most * each < np.maximum(across, along)
-        )
-        level += more & (level + 1 < len(texture.levels))
-    (nodes_x, cells_x), (nodes_y, cells_y) = (nodes_of(square / 4.0**level) for square in (across, along))
-    result = np.empty((*across.shape, texture.levels[0].shape[3]))
-    kinds = np.stack([level, nodes_x, cells_x, nodes_y, cells_y, bent.astype(np.intp)], axis=-1)
-    for kind in np.unique(kinds.reshape(-1, 6), axis=0):
-        here = (kinds == kind).all(axis=-1)
-        result[here] = _mean_of_kind(texture, point, texel, changes, here, [int(n) for n in kind])
-    return result
-
-
-def _mean_of_kind(
-    texture: MappedTexture, point: Mapped, texel: Texel, changes: tuple[tuple[Array, Array], tuple[Array, Array]],
-    here: NDArray[np.bool_], kind: list[int],
-) -> Array:  # fmt: skip
-    """`mean_texture` of pixels `here`, which have one level and the same nodes."""
-    level, nodes_x, cells_x, nodes_y, cells_y, bent = kind
-    found, stored = texture.map, texture.levels[level]
-    border = CUBE_BORDER if found.kind == MAP_CUBE else 0
-    share_x = (stored.shape[2] - 2 * border) / found.columns
-    share_y = (stored.shape[1] - 2 * border) / found.rows
-    right, down = (tuple(c[here] * s for c, s in zip(change, (share_x, share_y), strict=True)) for change in changes)
-    center = Texel(texel.column[here], texel.row[here], texel.side[here])
-    total = np.zeros((int(here.sum()), stored.shape[3]))
-    for b, weight_y in zip(*_offsets(nodes_y, cells_y), strict=True):
-        for a, weight_x in zip(*_offsets(nodes_x, cells_x), strict=True):
-            at = center
-            if bent:
-                at = texel_at(found, point.at[here] + a * point.right[here] + b * point.down[here])
-            x = wrapped_position(at.column, found.columns, found.wrap_x) * share_x - 0.5
-            y = wrapped_position(at.row, found.rows, found.wrap_y) * share_y - 0.5
-            if not bent:
-                x = x + a * right[0] + b * down[0]
-                y = y + a * right[1] + b * down[1]
-            i, j = np.floor(y), np.floor(x)
-            place = (at.side, i.astype(np.intp) + border, j.astype(np.intp) + border)
-            total += weight_y * weight_x * add_texel(stored, found, texture.texture_filter, place, y - i, x - j)
-    return total
-
-
 def blend_shares(normal: Array) -> Array:
     """Shares (n, 3) of the three images of a triplanar mapping, for unit normals (n, 3)."""
     above = np.maximum(normal**2 - 0.1, 0.0) ** 2
@@ -325,42 +197,6 @@ def own_normal(surface: PlacedSurface, rays: Array, w: Array) -> Array:
 def along_axis(q: Array, axis: int) -> Array:
     """Points or changes (n, 3) as seen along an axis."""
     return np.asarray(q[..., ((2, 1, 0), (0, 2, 1), (0, 1, 2))[axis]])
-
-
-def sharpening(texture: MappedTexture, radius: Array) -> Array:
-    """Shares c (n,) of their differences to neighbors that sources of signed radii in px take."""
-    u = np.minimum(texture.spread * np.abs(radius), 1.0)
-    return np.asarray(0.125 * u * (16.0 / (3.0 * np.pi) - u))
-
-
-def is_detailed(texture: MappedTexture, texels: Array, radius: Array) -> NDArray[np.bool_]:
-    """Whether pixels (n,) with so many texels, squared, and a signed radius in px need sub-pixel sources."""
-    r = (texture.spread * np.abs(radius)).astype(np.float32)
-    fine = texels.astype(np.float32) > DETAILED_TEXELS**2
-    return np.asarray(fine & (r > np.float32(DETAILED_LEAST)) & (r < DETAILED_MOST))
-
-
-def surface_texture(
-    texture: MappedTexture, surface: PlacedSurface, camera: Camera, rays: Array, w: Array, sources: int
-) -> tuple[Array, Array]:
-    """Means (n, channels) of the texture on a surface where rays (n, 3) hit it at inverse depths w (n,), and squares
-    (n,) of the texels of the wider axes of their footprints; sources: per axis of a pixel."""
-    point = mapped_point(surface, texture.map, camera, rays, w)
-    point = Mapped(point.at, point.right / sources, point.down / sources)
-    three = texture.map.kind == MAP_TRIPLANAR
-    shares = blend_shares(own_normal(surface, rays, w)) if three else np.ones((len(w), 1))
-    mean = np.zeros((len(w), texture.levels[0].shape[3]))
-    texels = np.zeros(len(w))
-    for axis in range(shares.shape[1]):
-        here = shares[:, axis] > 0.0
-        parts = (part[here] for part in (point.at, point.right, point.down))
-        seen = Mapped(*(along_axis(part, axis) if three else part for part in parts))
-        texel = texel_at(texture.map, seen.at)
-        changes = texel_change(texture.map, seen.at, seen.right), texel_change(texture.map, seen.at, seen.down)
-        texels[here] = np.maximum(texels[here], np.max([c * c + r * r for c, r in changes], axis=0))
-        bent, share = is_bent(texture.map, seen), shares[here, axis, None]
-        mean[here] += share * mean_texture(texture, seen, texel, changes, bent)
-    return mean, texels
 
 
 def texture_coordinates(texture: MappedTexture, surface: PlacedSurface, camera: Camera, rays: Array, w: Array) -> Array:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.optics.lens import ray_step
 from clsco.optics.light import PlacedLight, place_light
 from clsco.optics.motion import Eye, poses_at
 from clsco.optics.psf import subpixel_offsets
@@ -28,8 +29,10 @@ from clsco.reference.common.geometry import (
     surface_slope,
 )
 from clsco.reference.common.visibility import HIDDEN, Points, Visibility, check_visibility
+from clsco.reference.trace.detail import detailed_texture
+from clsco.reference.trace.footprint import parts_of, sharpening, surface_texture
 from clsco.reference.trace.light import shade
-from clsco.reference.trace.mapping import MappedTexture, is_detailed, sharpening, surface_texture
+from clsco.reference.trace.mapping import MappedTexture
 from clsco.scene.model import Camera, Scene
 
 SILHOUETTE_RANGE = 2  # px, Chebyshev distance from a silhouette within which pixels get sub-pixel sources
@@ -42,8 +45,8 @@ class Sources:
     radiance (H, W, C) linear; inverse_depth (H, W) 1/mm; label (H, W): 0 no source, else which root of
     which object, and where two surfaces meet; radius (H, W) signed blur radius in px; gradient (H, W, 2) of the
     radius, px per px, right and down; lit (H, W): some of its radiance reaches the lens; visibility:
-    its occluders, None for none at all; detailed (H, W): its texture needs sub-pixel sources; share (H, W): of the
-    difference to its neighbors that its texture takes, see `sharpen`.
+    its occluders, None for none at all; parts (H, W): per axis into which its texture cuts its pixel, 0 none; share
+    (H, W): of the difference to its neighbors that its texture takes, see `sharpen`.
     """
 
     radiance: Array
@@ -53,7 +56,7 @@ class Sources:
     gradient: Array
     lit: NDArray[np.bool_]
     visibility: Visibility | None = None
-    detailed: NDArray[np.bool_] | None = None
+    parts: NDArray[np.intp] | None = None
     share: Array | None = None
 
 
@@ -122,8 +125,8 @@ def everything(scene: Scene) -> Layer:
 
 @dataclass(frozen=True, eq=False)
 class Cast:
-    """What rays (...) meet: inverse depth in 1/mm, label, object, blur radius in px, its gradient, radiance; detailed:
-    the texture is finer than a source per pixel can be; share: of the difference to its neighbors that it takes."""
+    """What rays (...) meet: inverse depth in 1/mm, label, object, blur radius in px, its gradient, radiance; parts: per
+    axis into which its texture cuts a pixel, 0 none; share: of the difference to its neighbors that it takes."""
 
     w: Array
     label: NDArray[np.uint8]
@@ -131,7 +134,7 @@ class Cast:
     radius: Array
     gradient: Array
     radiance: Array
-    detailed: NDArray[np.bool_]
+    parts: NDArray[np.intp]
     share: Array
 
 
@@ -150,7 +153,7 @@ def cast(
     scene, rays = view.scene, pixel_ray(view.scene.camera, row, column)
     w, label, number = nearest_surface(view.surfaces, [item.bounds for item in scene.objects], layer, rays)
     gradient, radiance = np.zeros((*w.shape, 2)), np.zeros((*w.shape, view.channels))
-    detailed, share = np.zeros(w.shape, dtype=bool), np.zeros(w.shape)
+    parts, share = np.zeros(w.shape, np.intp), np.zeros(w.shape)
     for k, surface in enumerate(view.surfaces):
         if not layer.members >> k & 1:
             continue
@@ -161,7 +164,8 @@ def cast(
             here = np.where(own[..., 0], w, 0.0)
             shown, fineness = _mapped_radiance(scene, surface, texture, rays, here, sources)
             size = blur_radius(scene.camera, w)
-            detailed = np.where(own[..., 0], is_detailed(texture, fineness, size), detailed)
+            cut = parts_of(texture, fineness, size, scene.psf.silhouette_samples)
+            parts = np.where(own[..., 0], cut, parts)
             share = np.where(own[..., 0], sharpening(texture, size), share)
         elif view.moved:
             shown = _moved_radiance(scene, surface, texture, rays, w)
@@ -171,7 +175,7 @@ def cast(
             shown = shown * shade(view.light, surface, k, rays, w)[..., None]
         radiance = np.where(own, shown, radiance)
     radius = np.where(label > 0, blur_radius(scene.camera, w), 0.0)
-    return Cast(w, label, number, radius, gradient, radiance, detailed, share)
+    return Cast(w, label, number, radius, gradient, radiance, parts, share)
 
 
 def _mapped_radiance(
@@ -232,7 +236,7 @@ def trace(view: View, layer: Layer, guard: int) -> Sources:
         hit.gradient,
         lit,
         visibility,
-        hit.detailed & lit,
+        np.where(lit, hit.parts, 0),
         np.where(lit, hit.share, 0.0),
     )
 
@@ -250,7 +254,7 @@ def mark_silhouettes(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 def sharpen(sources: Sources, marked: NDArray[np.bool_]) -> Sources:
     """Sources whose neighbors have exchanged what makes squares of what textures on surfaces show, see
-    kernels/trace/mapping.clh; marked (H, W): pixels with sub-pixel sources, which take no part."""
+    kernels/trace/footprint.clh; marked (H, W): pixels with sub-pixel sources, which take no part."""
     assert sources.share is not None
     share = np.where(marked, 0.0, sources.share)
     radiance = sources.radiance.copy()
@@ -266,20 +270,28 @@ def sharpen(sources: Sources, marked: NDArray[np.bool_]) -> Sources:
     return replace(sources, radiance=radiance)
 
 
-def trace_subpixels(view: View, layer: Layer, guard: int, marked: NDArray[np.bool_]) -> SubpixelSources:
-    """Sub-pixel sources of the marked pixels (H, W) of the padded grid; other arguments as for `trace`.
+def trace_subpixels(
+    view: View, layer: Layer, guard: int, marked: NDArray[np.bool_], sources: Sources | None = None
+) -> SubpixelSources:
+    """Sub-pixel sources of the pixels (H, W) of the padded grid that are marked, and of those of `sources` with parts.
 
-    Their number per axis is psf.silhouette_samples. In the reference pose they share their pixel's own texel, else each
-    samples the texture at its own position.
+    Their number per axis is psf.silhouette_samples. In the reference pose those of marked pixels share their pixel's
+    own texel, else each samples the texture at its own position. Other arguments as for `trace`.
     """
     scene = view.scene
     samples = scene.psf.silhouette_samples
-    row, column = np.nonzero(marked)
+    parts = np.zeros(marked.shape, np.intp)
+    if sources is not None and sources.parts is not None:
+        parts = np.where(marked, 0, sources.parts)
+    row, column = np.nonzero(marked | (parts > 0))
     offsets = subpixel_offsets(samples)
     at_row = (row - guard)[:, None, None] + offsets[:, None]
     at_column = (column - guard)[:, None, None] + offsets[None, :]
     texel = ((row - guard)[:, None, None], (column - guard)[:, None, None])
     hit = cast(view, layer, at_row, at_column, texel, samples)
+    cut = parts[row, column]
+    if sources is not None and cut.any():
+        hit = _with_parts(view, hit, sources, (row, column), cut, guard)
     lit, visibility = hit.label > 0, None
     if layer.occluders:
         rays = pixel_ray(scene.camera, at_row, at_column)[lit]
@@ -293,3 +305,41 @@ def trace_subpixels(view: View, layer: Layer, guard: int, marked: NDArray[np.boo
         lit[lit] = seen
         visibility = visibility.of(seen)
     return SubpixelSources(row, column, lit, hit.radius, hit.gradient, hit.radiance, visibility)
+
+
+def _with_parts(
+    view: View, hit: Cast, sources: Sources, pixel: tuple[NDArray[np.intp], NDArray[np.intp]],
+    cut: NDArray[np.intp], guard: int,
+) -> Cast:  # fmt: skip
+    """What rays (M, S, S) in pixels meet, where these are cut into parts: linear in the pixel but for the texture.
+
+    pixel: rows and columns (M,); cut: parts (M,) per axis, 0 where `hit` stays.
+    """
+    camera, samples = view.scene.camera, view.scene.psf.silhouette_samples
+    below, right = np.meshgrid(*2 * (subpixel_offsets(samples),), indexing="ij")
+    for name in ("w", "label", "radius", "gradient", "radiance"):
+        hit = replace(hit, **{name: getattr(hit, name).copy()})
+    objects = ((sources.label[pixel] & 127).astype(np.intp) - 1) // 2
+    for number, parts in {*zip(objects[cut > 0].tolist(), cut[cut > 0].tolist(), strict=True)}:
+        here = (objects == number) & (cut == parts)
+        row, column = (n[here] for n in pixel)
+        surface, texture = view.surfaces[number], view.textures[number]
+        assert isinstance(texture, MappedTexture)
+        rays, w, radius = pixel_ray(camera, row - guard, column - guard), *(
+            plane[row, column] for plane in (sources.inverse_depth, sources.radius)
+        )  # fmt: skip
+        slope, gradient = surface_slope(surface, rays, w), sources.gradient[row, column]
+        values = detailed_texture(texture, surface, camera, rays, w, radius, samples, parts)
+        if view.light is not None:
+            values = values * shade(view.light, surface, number, rays, w)[:, None, None, None]
+        index = np.arange(samples) * parts // samples
+        hit.radiance[here] = values[:, index][:, :, index]
+        hit.label[here] = sources.label[row, column][:, None, None]
+        x, y = (slope[:, k, None, None] * ray_step(camera) for k in range(2))
+        hit.w[here] = w[:, None, None] + right * x - below * y
+        x, y = (gradient[:, k, None, None] for k in range(2))
+        hit.radius[here] = radius[:, None, None] + right * x + below * y
+        # In its own pixel a source is visible from all of the lens until its disc reaches over the border.
+        reached = np.minimum(np.abs(hit.radius[here]), 1.0)
+        hit.gradient[here] = gradient[:, None, None] * reached[..., None]
+    return hit

@@ -1,0 +1,139 @@
+"""Cameras in the files of Sintel (.cam) and COLMAP (cameras.txt, images.txt): numbers to bytes, and back."""
+
+from __future__ import annotations
+
+import math
+import os
+import struct
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.files.decoders import opened
+from clsco.files.depth_codes import MM_PER_M
+from clsco.files.tagged import TAG
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Pinhole:
+    """A camera without lens distortion, and its pose: X_camera = rotation X_world + translation.
+
+    World and camera have x to the right, y down, z into the scene, as OpenCV, COLMAP and Sintel have it.
+
+    Attributes
+    ----------
+    columns, rows : int
+        px.
+    focal : float
+        Focal length of both axes, px.
+    center : (float, float)
+        Column and row of the principal point, px; centers of pixels are integers.
+    rotation : ndarray of float64, (3, 3)
+    translation : ndarray of float64, (3,)
+        mm.
+    """
+
+    columns: int
+    rows: int
+    focal: float
+    center: tuple[float, float]
+    rotation: Array
+    translation: Array
+
+
+def cam_bytes(camera: Pinhole) -> bytes:
+    """A .cam file of Sintel: the matrices M (3, 3) and N (3, 4), so that a pixel is M N X for a point X of the world.
+
+    Notes
+    -----
+    Centers of pixels are integers in M, as in Sintel's own files, and N is in m, as depth in .dpt files. Validated by
+    the steps of the reader in Sintel's SDK.
+    """
+    (column, row), focal = camera.center, camera.focal
+    intrinsic = np.array([[focal, 0.0, column], [0.0, focal, row], [0.0, 0.0, 1.0]])
+    extrinsic = np.column_stack([camera.rotation, camera.translation / MM_PER_M])
+    return TAG + intrinsic.astype("<f8").tobytes() + extrinsic.astype("<f8").tobytes()
+
+
+def read_cam(path: str | os.PathLike[str]) -> tuple[Array, Array]:
+    """Read a .cam file.
+
+    Returns
+    -------
+    M : ndarray of float64, (3, 3)
+        px.
+    N : ndarray of float64, (3, 4)
+        The last column in mm.
+
+    Raises
+    ------
+    ImageError
+        The file is not one whole .cam file.
+    """
+    with opened(path, {".cam": "CAM"}) as (file, _):
+        content = file.read(4 + 8 * 21 + 1)
+        if len(content) != 4 + 8 * 21:
+            raise ValueError(f"{'more' if len(content) > 4 + 8 * 21 else len(content)} bytes instead of 172")
+    found = np.array(struct.unpack("<21d", content[4:]))
+    extrinsic = found[9:].reshape(3, 4)
+    extrinsic[:, 3] *= MM_PER_M
+    return found[:9].reshape(3, 3), extrinsic
+
+
+def _quaternion(rotation: Array) -> Array:
+    """Unit quaternion (w, x, y, z) of a rotation matrix, w >= 0: the largest component first, without cancellation."""
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation
+    # Four times the products of the components with each other, such as 4 w x at row 0, column 1.
+    products = np.array(
+        [
+            [1.0 + xx + yy + zz, zy - yz, xz - zx, yx - xy],
+            [zy - yz, 1.0 + xx - yy - zz, xy + yx, xz + zx],
+            [xz - zx, xy + yx, 1.0 - xx + yy - zz, yz + zy],
+            [yx - xy, xz + zx, yz + zy, 1.0 - xx - yy + zz],
+        ]
+    )
+    row = products[int(np.argmax(np.diag(products)))]
+    return row * (math.copysign(1.0, row[0]) / np.linalg.norm(row))
+
+
+def colmap_texts(images: Iterable[tuple[str, Pinhole]]) -> dict[str, bytes]:
+    """A sparse model of COLMAP as text, without points.
+
+    Parameters
+    ----------
+    images : iterable of (str, Pinhole)
+        Name of each image, and its camera.
+
+    Returns
+    -------
+    dict of str to bytes
+        Content of cameras.txt, images.txt and points3D.txt.
+
+    Notes
+    -----
+    COLMAP has the centers of pixels at halves, so its principal point is half a pixel farther right and down. Lengths
+    are in mm, as COLMAP has no unit. Validated by pycolmap, and by points that are projected into the frame.
+    """
+    cameras: dict[str, int] = {}
+    lines = ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, from world to camera, mm; then a line of no points"]
+    for number, (name, camera) in enumerate(images, 1):
+        column, row = (at + 0.5 for at in camera.center)
+        kind = f"PINHOLE {camera.columns} {camera.rows} {camera.focal!r} {camera.focal!r} {column!r} {row!r}"
+        identity = cameras.setdefault(kind, len(cameras) + 1)
+        numbers = (*_quaternion(camera.rotation), *camera.translation)
+        pose = " ".join(repr(float(value) + 0.0) for value in numbers)  # 0 instead of -0
+        lines.append(f"{number} {pose} {identity} {name}\n")
+    kinds = [f"{identity} {kind}" for kind, identity in cameras.items()]
+    return {
+        "cameras.txt": _text("# CAMERA_ID MODEL WIDTH HEIGHT FX FY CX CY, px", *kinds),
+        "images.txt": _text(*lines),
+        "points3D.txt": _text("# no points"),
+    }
+
+
+def _text(*lines: str) -> bytes:
+    return "".join(f"{line}\n" for line in lines).encode()

@@ -1,0 +1,169 @@
+"""Depth and disparity in the files of Sintel (.dpt), KITTI (PNG of 16 bits) and Middlebury (PFM).
+
+Depth is in mm here, as everywhere in clsco, and in m in files of Sintel and KITTI.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.files.decoders import decoded, opened
+from clsco.files.ranges import refuse_shape, refuse_values
+from clsco.files.tagged import TAG, read_floats
+
+MM_PER_M = 1000.0
+KITTI_STEPS = 256  # per m of depth, and per px of disparity
+
+
+def _refuse_depths(where: str, depth: NDArray[np.floating]) -> None:
+    if depth.ndim != 2:
+        refuse_shape(where, "(rows, columns)", depth)
+    refuse_values(where, "must be greater than 0, and +inf where nothing is", depth, ~(depth > 0))
+
+
+def dpt_bytes(depth: NDArray[np.floating], where: str = "depth") -> bytes:
+    """A .dpt file of Sintel: depth in m as float32.
+
+    Parameters
+    ----------
+    depth : ndarray of float, (rows, columns)
+        Planar Z in mm; +inf, where nothing is, stays +inf.
+    where : str
+        What messages begin with.
+
+    Returns
+    -------
+    bytes
+
+    Raises
+    ------
+    ImageError
+        A depth is 0, negative or no number.
+
+    Notes
+    -----
+    Meters are millimeters but for a rounding of 2^-24. Validated by the steps of the reader in Sintel's SDK.
+    """
+    _refuse_depths(where, depth)
+    rows, columns = depth.shape
+    return struct.pack("<4sii", TAG, columns, rows) + (depth.astype(np.float64) / MM_PER_M).astype("<f4").tobytes()
+
+
+def read_dpt(path: str | os.PathLike[str]) -> NDArray[np.float32]:
+    """Read a .dpt file: depth (rows, columns) in mm. Raises ImageError for what is not one whole such file."""
+    with opened(path, {".dpt": "DPT"}) as (file, _):
+        return (read_floats(file, 1).astype(np.float64) * MM_PER_M).astype(np.float32)
+
+
+def _kitti_codes(values: NDArray[np.float64], valid: NDArray[np.bool_], where: str, unit: str) -> NDArray[np.uint16]:
+    codes = np.rint(np.where(valid, values, 0.0) * KITTI_STEPS)
+    rule = f"must round to 1/256 to 65535/256 {unit}, which KITTI's 16 bits hold besides 0 for unknown"
+    refuse_values(where, rule, values, valid & ((codes < 1) | (codes > 65535)))
+    return codes.astype(np.uint16)
+
+
+def kitti_depth_codes(depth: NDArray[np.floating], where: str = "depth") -> NDArray[np.uint16]:
+    """Codes of KITTI's depth: 256 per m.
+
+    Parameters
+    ----------
+    depth : ndarray of float, (rows, columns)
+        Planar Z in mm; +inf, where nothing is, becomes 0. Rounded to 1/256 m, which is 3.9 mm.
+    where : str
+        What messages begin with.
+
+    Returns
+    -------
+    ndarray of uint16, (rows, columns)
+        For `clsco.files.png.png_parts`.
+
+    Raises
+    ------
+    ImageError
+        A depth rounds to 0 or to more than 255.996 m, is negative or no number.
+
+    Notes
+    -----
+    Validated by OpenCV.
+    """
+    _refuse_depths(where, depth)
+    return _kitti_codes(depth.astype(np.float64) / MM_PER_M, np.isfinite(depth), where, "m")
+
+
+def kitti_disparity_codes(
+    disparity: NDArray[np.floating], valid: NDArray[np.bool_] | None = None, where: str = "disparity"
+) -> NDArray[np.uint16]:
+    """Codes of KITTI's disparity: 256 per px.
+
+    Parameters
+    ----------
+    disparity : ndarray of float, (rows, columns)
+        px, column on the left less column on the right; rounded to 1/256 px.
+    valid : ndarray of bool, (rows, columns), optional
+        The others, and what is not finite, become 0. By default all are valid.
+    where : str
+        What messages begin with.
+
+    Returns
+    -------
+    ndarray of uint16, (rows, columns)
+        For `clsco.files.png.png_parts`.
+
+    Raises
+    ------
+    ImageError
+        A valid disparity rounds to 0 or less, or to more than 255.996 px.
+
+    Notes
+    -----
+    Validated by OpenCV and by the steps of torchvision's reader.
+    """
+    if disparity.ndim != 2:
+        refuse_shape(where, "(rows, columns)", disparity)
+    known = np.isfinite(disparity) if valid is None else np.isfinite(disparity) & valid
+    return _kitti_codes(disparity.astype(np.float64), known, where, "px")
+
+
+def pfm_bytes(array: NDArray[np.floating], where: str = "array") -> bytes:
+    """A PFM file: float32, little endian, the bottom row first.
+
+    Parameters
+    ----------
+    array : ndarray of float, (rows, columns), (rows, columns, 3) or (rows, columns, 2)
+        Two channels get a third one of zeros, as the flow of FlyingThings has it. Any values: a reader of disparity
+        takes +inf for unknown.
+    where : str
+        What messages begin with.
+
+    Returns
+    -------
+    bytes
+
+    Raises
+    ------
+    ImageError
+        Any other shape.
+
+    Notes
+    -----
+    Validated by OpenCV, and by the steps of torchvision's reader.
+    """
+    if array.ndim == 3 and array.shape[2] == 2:
+        array = np.dstack([array, np.zeros_like(array[..., 0])])
+    if array.ndim != 2 and (array.ndim != 3 or array.shape[2] != 3):
+        refuse_shape(where, "(rows, columns[, 2 or 3])", array)
+    head = f"{'PF' if array.ndim == 3 else 'Pf'}\n{array.shape[1]} {array.shape[0]}\n-1.0\n"
+    return head.encode() + array[::-1].astype("<f4").tobytes()
+
+
+def read_pfm(path: str | os.PathLike[str]) -> NDArray[np.float32]:
+    """Read a PFM file of any floats: (rows, columns) or (rows, columns, 3), the top row first.
+
+    Raises ImageError for what is not one whole such file, or of over 2^27 pixels. The scale is not applied.
+    """
+    with opened(path, {".pfm": "PFM"}) as (file, kind):
+        return np.ascontiguousarray(decoded(file, kind), np.float32)

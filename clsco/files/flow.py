@@ -1,0 +1,120 @@
+"""Optical flow in the files of Middlebury (.flo) and KITTI (PNG of 16 bits): arrays to bytes, and back."""
+
+from __future__ import annotations
+
+import os
+import struct
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.files.decoders import opened
+from clsco.files.ranges import refuse_shape, refuse_values
+from clsco.files.tagged import TAG, read_floats
+
+LARGEST_FLO = 1e9  # px, at which Middlebury's readers take a vector for unknown
+UNKNOWN_FLO = 1e10  # what Middlebury's writers put there
+KITTI_STEPS = 64  # per px
+KITTI_ZERO = 32768  # code of 0 px
+
+
+def _checked(where: str, flow: NDArray[np.floating], valid: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+    """Which vectors are known: valid, by default all, and finite."""
+    if flow.ndim != 3 or flow.shape[2] != 2:
+        refuse_shape(where, "(rows, columns, 2)", flow)
+    finite = np.isfinite(flow).all(axis=-1)
+    return finite if valid is None else finite & valid
+
+
+def flo_bytes(flow: NDArray[np.floating], valid: NDArray[np.bool_] | None = None, where: str = "flow") -> bytes:
+    """A .flo file of Middlebury.
+
+    Parameters
+    ----------
+    flow : ndarray of float, (rows, columns, 2)
+        px, right and down. Stored as float32, without loss.
+    valid : ndarray of bool, (rows, columns), optional
+        The others, and vectors that are not finite, are stored as unknown: 1e10. By default all are valid.
+    where : str
+        What messages begin with.
+
+    Returns
+    -------
+    bytes
+
+    Raises
+    ------
+    ImageError
+        A component of a valid vector has a size of 1e9 or more, which readers take for unknown.
+
+    Notes
+    -----
+    Validated by OpenCV's reader and by the steps of torchvision's.
+    """
+    known = _checked(where, flow, valid)
+    beyond = known & (np.abs(flow) >= LARGEST_FLO).any(axis=-1)
+    refuse_values(where, "sizes must be below 1e9 px, as readers of .flo take others for unknown", flow, beyond)
+    rows, columns = flow.shape[:2]
+    stored = np.full(flow.shape, UNKNOWN_FLO, "<f4")
+    stored[known] = flow[known]
+    return struct.pack("<4sii", TAG, columns, rows) + stored.tobytes()
+
+
+def read_flo(path: str | os.PathLike[str]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Read a .flo file.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    flow : ndarray of float32, (rows, columns, 2)
+        px, right and down; as stored.
+    valid : ndarray of bool, (rows, columns)
+        Both components are numbers below 1e9.
+
+    Raises
+    ------
+    ImageError
+        For everything that is not one whole such file, or of over 2^27 pixels.
+    """
+    with opened(path, {".flo": "FLO"}) as (file, _):
+        flow = read_floats(file, 2)
+    return flow, np.asarray((np.abs(flow) < LARGEST_FLO).all(axis=-1))
+
+
+def kitti_flow_codes(
+    flow: NDArray[np.floating], valid: NDArray[np.bool_] | None = None, where: str = "flow"
+) -> NDArray[np.uint16]:
+    """Codes of KITTI's flow: red is 64 u + 32768, green 64 v + 32768, blue 1 where the vector is valid.
+
+    Parameters
+    ----------
+    flow : ndarray of float, (rows, columns, 2)
+        px, right and down; rounded to 1/64 px.
+    valid : ndarray of bool, (rows, columns), optional
+        The others, and vectors that are not finite, become (0, 0, 0). By default all are valid.
+    where : str
+        What messages begin with.
+
+    Returns
+    -------
+    ndarray of uint16, (rows, columns, 3)
+        For `clsco.files.png.png_parts`.
+
+    Raises
+    ------
+    ImageError
+        A valid vector rounds to less than -512 px or more than 511.984375 px.
+
+    Notes
+    -----
+    Validated by OpenCV, which gives the channels as blue, green, red, and by the steps of torchvision's reader.
+    """
+    known = _checked(where, flow, valid)
+    codes = np.rint(np.where(known[..., None], flow, 0.0).astype(np.float64) * KITTI_STEPS) + KITTI_ZERO
+    beyond = np.asarray(((codes < 0) | (codes > 65535)).any(axis=-1))
+    rule = "must lie within -512 to 511.984375 px, which KITTI's 16 bits hold in steps of 1/64 px"
+    refuse_values(where, rule, flow, beyond)
+    return np.where(known[..., None], np.dstack([codes, np.ones(known.shape)]), 0.0).astype(np.uint16)

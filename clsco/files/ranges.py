@@ -1,0 +1,39 @@
+"""Where arrays leave the range of a file's format, and by what."""
+
+from __future__ import annotations
+
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.errors import ImageError
+
+
+def first_of(values: NDArray[Any], wrong: NDArray[np.bool_]) -> str:
+    """The first of wrong values, its place and how many there are: "nan at row 0, column 1 (2 in all)".
+
+    Parameters
+    ----------
+    values : ndarray, (rows, columns[, ...])
+    wrong : ndarray of bool, (rows, columns) or of the shape of `values`
+        At least one of them. Where it has no channels, all channels of the pixel are shown.
+
+    Returns
+    -------
+    str
+    """
+    first = tuple(int(index) for index in np.unravel_index(int(wrong.argmax()), wrong.shape))
+    shown = ", ".join(f"{value:.6g}" for value in np.ravel(values[first]))
+    return f"{shown} at row {first[0]}, column {first[1]} ({int(wrong.sum())} in all)"
+
+
+def refuse_values(where: str, rule: str, values: NDArray[Any], wrong: NDArray[np.bool_]) -> None:
+    """Raise ImageError `where: rule; got value at row, column (how many in all)` where any value is wrong."""
+    if wrong.any():
+        raise ImageError(f"{where}: {rule}; got {first_of(values, wrong)}")
+
+
+def refuse_shape(where: str, rule: str, values: NDArray[Any]) -> NoReturn:
+    """Raise ImageError `where: shape must be ...; got shape`."""
+    raise ImageError(f"{where}: shape must be {rule}; got {values.shape}")

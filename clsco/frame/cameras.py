@@ -1,0 +1,148 @@
+"""The cameras of a scene for files: pinholes with their poses, attributes of EXR, and a model for COLMAP."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.files.cameras import Pinhole
+from clsco.files.depth_codes import MM_PER_M
+from clsco.frame.frame import Frame
+from clsco.frame.provenance import views
+from clsco.optics.lens import focus_distance, ray_step
+from clsco.optics.motion import Eye, eye_pose, middle_time, poses_at, rest_center
+from clsco.scene.model import Scene
+
+FLIP = np.diag([1.0, -1.0, 1.0])  # y up in scenes, down in files of cameras
+EXR_AXES = np.diag([-1.0, -1.0, 1.0])  # OpenEXR's camera has x to the left, y up
+FINEST = 1001 * 120  # largest denominator of a frame rate, as in 120000/1001
+BT709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)  # x and y of red, green, blue and white
+
+
+def pinhole(scene: Scene, index: int, eye: Eye = "left") -> Pinhole:
+    """The camera of a frame at the middle of its shutter, to which its ground truth belongs.
+
+    Parameters
+    ----------
+    scene : Scene
+        With its resolution.
+    index : int
+        Number of the frame.
+    eye : {"left", "right"}
+
+    Returns
+    -------
+    Pinhole
+        The world is the camera's own frame in its reference pose, with y down: (x, -y, z) of the scene.
+
+    Notes
+    -----
+    The focal length in px is s0 / p, `normalization_distance` over `pixel_pitch`, as x = s0 X / Z. Validated by points
+    of surfaces that it takes from a frame to the next one, and to the other view, where flow and disparity lead.
+    """
+    assert scene.camera.resolution is not None
+    columns, rows = scene.camera.resolution
+    pose = eye_pose(scene, eye, middle_time(scene.sequence, index))
+    rotation = FLIP @ pose.rotation.T @ FLIP
+    middle = (0.5 * (columns - 1), 0.5 * (rows - 1))
+    return Pinhole(columns, rows, 1.0 / ray_step(scene.camera), middle, rotation, -rotation @ (FLIP @ pose.shift))
+
+
+def eye_of(frame: Frame) -> Eye:
+    """Which of the scene's views a frame is: the only one counts as left."""
+    return "right" if frame.eye == "right" else "left"
+
+
+def gets_behind(scene: Scene, frame: Frame, step: int) -> NDArray[np.bool_]:
+    """Which surface points of a frame are not before the lens at the middle of the shutter `step` frames later.
+
+    Their flow is 0, as no pixel shows them.
+
+    Parameters
+    ----------
+    scene : Scene
+        With its resolution.
+    frame : Frame
+        With `depth`, `object_id`, and the flow to that frame.
+    step : {1, -1}
+        For `flow` or `flow_backward`.
+
+    Returns
+    -------
+    ndarray of bool, (rows, columns)
+
+    Notes
+    -----
+    Validated by a camera that flies past a sphere.
+    """
+    flow = frame.flow if step == 1 else frame.flow_backward
+    assert flow is not None
+    assert frame.depth is not None
+    assert frame.object_id is not None
+    now, then = (poses_at(scene, middle_time(scene.sequence, frame.index + n), eye_of(frame)) for n in (0, step))
+    behind = np.zeros(frame.depth.shape, dtype=bool)
+    for k, item in enumerate(scene.objects):
+        row, column = np.nonzero((frame.object_id == k) & ~flow.any(axis=-1))
+        middle = 0.5 * (np.array(frame.depth.shape) - 1)
+        across, up = (column - middle[1]) * ray_step(scene.camera), (middle[0] - row) * ray_step(scene.camera)
+        point = np.stack([across, up, np.ones_like(across)], axis=-1) * frame.depth[row, column, None]
+        center = rest_center(item)
+        body = (point - center - now[k].shift) @ now[k].rotation  # turned back
+        behind[row, column] = center[2] + then[k].shift[2] + body @ then[k].rotation[2] <= 0
+    return behind
+
+
+def frame_rate(interval: float) -> Fraction:
+    """Frames per second of an interval in s: 1001/30000 s, as a float, gives 30000/1001. Both numbers have 31 bits."""
+    larger = max(interval, 1.0 / interval)
+    fraction = Fraction(larger).limit_denominator(min(FINEST, int(2**31 / larger)))
+    return fraction if interval < 1.0 else 1 / fraction
+
+
+def exr_attributes(scene: Scene, index: int, eye: Eye = "left") -> dict[str, Any]:
+    """Standard attributes of OpenEXR for a frame.
+
+    Parameters
+    ----------
+    scene : Scene
+        With its resolution.
+    index : int
+        Number of the frame.
+    eye : {"left", "right"}
+
+    Returns
+    -------
+    dict
+        `aperture` (f-number), `focus` (m), `chromaticities` (BT.709, as sRGB has it), `worldToCamera` (for row vectors,
+        mm) and `screenWindowWidth`; where time matters, `expTime` (s) and `framesPerSecond`.
+
+    Notes
+    -----
+    The camera of OpenEXR looks along +z with x to the left and y up, and sees the screen window at z = 1. The world is
+    that of `pinhole`. Validated by points of surfaces that these attributes project into the frame.
+    """
+    camera, lens = pinhole(scene, index, eye), scene.camera
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[3, :3] = (EXR_AXES @ camera.rotation).T, EXR_AXES @ camera.translation
+    world_to_camera: NDArray[np.float32] = matrix.astype(np.float32)
+    sequence, timed = scene.sequence, scene.moves or scene.sequence.frames > 1
+    times = {"expTime": sequence.shutter, "framesPerSecond": frame_rate(sequence.interval)} if timed else {}
+    return {
+        "aperture": lens.focal_length / lens.aperture_diameter,
+        "focus": focus_distance(lens) / MM_PER_M,
+        **times,
+        "chromaticities": BT709,
+        "worldToCamera": world_to_camera,
+        "screenWindowWidth": camera.columns / camera.focal,
+    }
+
+
+def all_pinholes(scene: Scene) -> Iterator[tuple[int, Eye, Pinhole]]:
+    """Number, view and camera of every frame of a scene, of a stereo pair left and right after each other."""
+    for index in range(scene.sequence.frames):
+        for eye in views(scene):
+            yield index, eye, pinhole(scene, index, eye)

@@ -1,0 +1,66 @@
+"""Sub-pixel sources of pixels that show finer texture than one source can stand for, in NumPy float64.
+
+The formulas stand at the head of kernels/trace/detail.clh.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clsco.constants import MAP_TRIPLANAR
+from clsco.optics.quadrics import PlacedSurface
+from clsco.reference.common.geometry import Array
+from clsco.reference.trace.footprint import NEAR_FOCUS, footprint_of, mean_texture, sharpening
+from clsco.reference.trace.mapping import (
+    Mapped,
+    MappedTexture,
+    along_axis,
+    blend_shares,
+    is_bent,
+    mapped_point,
+    own_normal,
+    texel_at,
+    texel_change,
+)
+from clsco.scene.model import Camera
+
+REACHING, MIDDLE_ALONE = 2.0, 1.0 / 24.0
+
+
+def detailed_texture(
+    texture: MappedTexture, surface: PlacedSurface, camera: Camera, rays: Array, w: Array, radius: Array,
+    samples: int, parts: int,
+) -> Array:  # fmt: skip
+    """Values (n, parts, parts, channels) of parts of pixels where rays (n, 3) hit a surface at inverse depths w (n,).
+
+    radius: (n,) signed, px; samples: sub-pixel sources per axis.
+    """
+    point = mapped_point(surface, texture.map, camera, rays, w)
+    three = texture.map.kind == MAP_TRIPLANAR
+    shares = blend_shares(own_normal(surface, rays, w)) if three else np.ones((len(w), 1))
+    values = np.zeros((len(w), parts, parts, texture.levels[0].shape[3]))
+    size = texture.spread * np.abs(radius)
+    exchanged = sharpening(texture, parts * radius) * np.clip(REACHING * (2 * samples * size - 1.0), 0.0, 1.0)
+    for axis in range(shares.shape[1]):
+        here = shares[:, axis] > 0.0
+        seen = Mapped(*(along_axis(p[here], axis) if three else p[here] for p in (point.at, point.right, point.down)))
+        bent = is_bent(texture.map, seen)
+        seen = Mapped(seen.at, seen.right / parts, seen.down / parts)
+        texel = texel_at(texture.map, seen.at)
+        changes = texel_change(texture.map, seen.at, seen.right), texel_change(texture.map, seen.at, seen.down)
+        footprint = footprint_of(texture, changes, bent)
+        exchange = []
+        for nodes in (1, 3):  # along x, and along y
+            middle = (size[here] >= NEAR_FOCUS) & (footprint.kinds[:, nodes] <= 2)
+            footprint.kinds[middle, nodes] = 1
+            exchange.append((exchanged[here] - np.where(middle, MIDDLE_ALONE, 0.0))[:, None, None, None])
+        places = np.arange(parts + 2) - 0.5 * (parts + 1)
+        mean = np.stack(
+            [np.stack([mean_texture(texture, seen, texel, footprint, a, b) for a in places], axis=1) for b in places],
+            axis=1,
+        )
+        own, (share_x, share_y) = mean[:, 1:-1, 1:-1], exchange
+        value = own + share_x * (2.0 * own - mean[:, 1:-1, :-2] - mean[:, 1:-1, 2:])
+        value += share_y * (2.0 * own - mean[:, :-2, 1:-1] - mean[:, 2:, 1:-1])
+        values[here] += shares[here, axis, None, None, None] * value
+    return values

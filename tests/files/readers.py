@@ -1,0 +1,62 @@
+"""How others read files of ground truth, in a few lines each where their packages are large: the steps are theirs."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import imagecodecs
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+Array = NDArray[Any]
+
+
+def torchvision_flo(path: Path) -> Array:
+    """(rows, columns, 2): torchvision.datasets._optical_flow._read_flo."""
+    with path.open("rb") as file:
+        assert file.read(4) == b"PIEH"
+        columns, rows = (int(np.fromfile(file, "<i4", 1)[0]) for _ in range(2))
+        return np.fromfile(file, "<f4", 2 * columns * rows).reshape(rows, columns, 2)
+
+
+def torchvision_kitti_flow(path: Path) -> tuple[Array, Array]:
+    """Flow and mask: torchvision.datasets._optical_flow._read_16_bits_png_with_flow_and_valid_mask, RGB by libpng."""
+    content = imagecodecs.png_decode(path.read_bytes()).astype(np.int32)
+    return (content[..., :2].astype(np.float32) - 2**15) / 64, content[..., 2].astype(bool)
+
+
+def torchvision_pfm(path: Path, channels: int) -> Array:
+    """(rows, columns, channels): torchvision.datasets.utils._read_pfm, of which flow is 2 channels."""
+    with path.open("rb") as file:
+        kind = file.readline().rstrip()
+        size = re.match(rb"^(\d+)\s(\d+)\s$", file.readline())
+        assert kind in (b"PF", b"Pf")
+        assert size is not None
+        columns, rows = (int(number) for number in size.groups())
+        order = "<" if float(file.readline().rstrip()) < 0 else ">"
+        data = np.fromfile(file, f"{order}f4").reshape(rows, columns, 3 if kind == b"PF" else 1)
+    return np.flip(data, axis=0)[..., :channels]
+
+
+def torchvision_kitti_disparity(path: Path) -> Array:
+    """(rows, columns): torchvision.datasets.Kitti2015Stereo._read_disparity."""
+    return np.asarray(np.asarray(Image.open(path)) / 256.0)
+
+
+def sintel_depth(path: Path) -> Array:
+    """(rows, columns), m: depth_read of Sintel's SDK."""
+    with path.open("rb") as file:
+        assert np.fromfile(file, np.float32, 1)[0] == np.float32(202021.25)
+        columns, rows = np.fromfile(file, np.int32, 2)
+        assert 1 < columns * rows < 100_000_000
+        return np.fromfile(file, np.float32, -1).reshape(rows, columns)
+
+
+def sintel_cam(path: Path) -> tuple[Array, Array]:
+    """M (3, 3) and N (3, 4): cam_read of Sintel's SDK."""
+    with path.open("rb") as file:
+        assert np.fromfile(file, np.float32, 1)[0] == np.float32(202021.25)
+        return np.fromfile(file, np.float64, 9).reshape(3, 3), np.fromfile(file, np.float64, 12).reshape(3, 4)

@@ -1,0 +1,66 @@
+"""Cameras in the files of Sintel and COLMAP: every number comes back, and poses of any turn become quaternions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from clsco.errors import ImageError
+from clsco.files.atomic import write_whole
+from clsco.files.cameras import Pinhole, cam_bytes, colmap_texts, read_cam
+from tests.files.readers import sintel_cam
+
+TURNS = [*Rotation.random(20, random_state=3), *Rotation.from_rotvec(np.pi * np.eye(3)), Rotation.identity()]
+
+
+def camera(turn: Rotation, columns: int = 64) -> Pinhole:
+    return Pinhole(columns, 48, 2000.1, (31.5, 23.5), turn.as_matrix(), np.array([10.0, -0.3, 1e-9]))
+
+
+def test_sintels_sdk_reads_the_camera(tmp_path: Path) -> None:
+    shown = camera(TURNS[0])
+    write_whole(tmp_path / "a.cam", cam_bytes(shown))
+    intrinsic, extrinsic = sintel_cam(tmp_path / "a.cam")
+    assert intrinsic.tolist() == [[2000.1, 0, 31.5], [0, 2000.1, 23.5], [0, 0, 1]]
+    np.testing.assert_array_equal(extrinsic[:, :3], shown.rotation)
+    np.testing.assert_allclose(extrinsic[:, 3], [0.01, -0.0003, 1e-12], rtol=1e-15)  # m
+    own_intrinsic, own_extrinsic = read_cam(tmp_path / "a.cam")
+    np.testing.assert_array_equal(own_intrinsic, intrinsic)
+    np.testing.assert_allclose(own_extrinsic[:, 3], shown.translation, rtol=1e-15)
+
+
+@pytest.mark.parametrize(("content", "got"), [
+    (cam_bytes(camera(TURNS[0]))[:-1], "must be a whole CAM; got 171 bytes instead of 172"),
+    (cam_bytes(camera(TURNS[0])) + b"\0", "must be a whole CAM; got more bytes instead of 172"),
+    (b"\0" + cam_bytes(camera(TURNS[0])), "the content must be CAM, as the extension says"),
+])  # fmt: skip
+def test_damaged_cam_is_refused(tmp_path: Path, content: bytes, got: str) -> None:
+    (tmp_path / "a.cam").write_bytes(content)
+    with pytest.raises(ImageError, match=got):
+        read_cam(tmp_path / "a.cam")
+
+
+def test_colmaps_text_holds_every_pose() -> None:
+    texts = colmap_texts((f"{number:02d}.png", camera(turn)) for number, turn in enumerate(TURNS))
+    (one,) = (line for line in texts["cameras.txt"].decode().splitlines() if not line.startswith("#"))
+    assert one == "1 PINHOLE 64 48 2000.1 2000.1 32.0 24.0"
+    lines = [line for line in texts["images.txt"].decode().split("\n") if not line.startswith("#")]
+    assert lines[1::2] == [""] * len(TURNS)  # no points
+    for number, (line, turn) in enumerate(zip(lines[0:-1:2], TURNS, strict=True)):
+        identity, *pose, kind, name = line.split()
+        w, x, y, z, *translation = map(float, pose)
+        assert (identity, kind, name) == (str(number + 1), "1", f"{number:02d}.png")
+        np.testing.assert_allclose(Rotation.from_quat([x, y, z, w]).as_matrix(), turn.as_matrix(), atol=2e-15)
+        assert w >= 0
+        assert translation == [10.0, -0.3, 1e-9]
+        assert "-0.0 " not in line
+
+
+def test_colmap_has_each_kind_of_camera_once() -> None:
+    texts = colmap_texts([("a.png", camera(TURNS[0])), ("b.png", camera(TURNS[1], 65)), ("c.png", camera(TURNS[2]))])
+    assert texts["cameras.txt"].decode().count("PINHOLE") == 2
+    lines = texts["images.txt"].decode().split("\n")[1::2]
+    assert [line.split()[-2:] for line in lines[:3]] == [["1", "a.png"], ["2", "b.png"], ["1", "c.png"]]
