@@ -140,18 +140,25 @@ def test_a_set_in_a_store_has_the_bytes_of_one_in_a_folder(tmp_path: Path) -> No
 def test_frames_of_variants_and_of_pairs_are_those_of_render(pair: bool) -> None:
     table: dict[str, Any] = {
         "camera": {"resolution": [24, 16], "pixel_pitch": 0.2, "focus_distance": [240.0, 300.0]},
-        "object": [{"shape": "sphere", "center": [0.0, 0.0, 280.0], "motion": {"velocity": [3.0, 0.0, 0.0]}}],
-        "sequence": {"frames": 2, "samples": 2},
+        "object": [
+            {
+                "shape": "sphere",
+                "center": [0.0, 0.0, 280.0],
+                "texture": "#808080",
+                "motion": {"velocity": [3.0, 0.0, 0.0]},
+            }
+        ],
+        "sequence": {"frames": 2, "samples": 2 if pair else 1},
     }
     if pair:
         table["stereo"] = {"baseline": 5.0}
     sweep = parse_sweep(table)
     sample = Sample(0, "", 1, {}, table, sweep.labels, sweep.scenes)
-    renderer = Renderer(choose(), ("color", "depth"), "double")
+    renderer = Renderer(choose(), ("color", "depth", "flow"), "double")
     for _ in range(3):  # what is kept changes nothing
         found = renderer.render(sample)
         for frames, scene in zip(found, sweep.scenes, strict=True):
-            expected = list(clsco.render(scene, truth=("depth",)))
+            expected = list(clsco.render(scene, truth=("depth", "flow")))
             views = ("left", "right") if pair else ("",)
             assert [(frame.index, frame.eye) for frame in frames] == [(k, eye) for k in range(2) for eye in views]
             for frame, other in zip(frames, expected, strict=True):
