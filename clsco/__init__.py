@@ -29,6 +29,8 @@ load_sweep, parse_sweep
     The same where keys have several values: all scenes.
 dump_scene
     The text of a scene file from a scene.
+write_video
+    Frames, or arrays, to a video file.
 list_devices
     The OpenCL devices, and which one is used.
 reference
@@ -74,6 +76,7 @@ if TYPE_CHECKING:
     from clsco.errors import KernelError as KernelError
     from clsco.errors import SceneError as SceneError
     from clsco.frame.frame import Frame as Frame
+    from clsco.frame.video import write_video as write_video
     from clsco.inpainting.rules import MeanMedian as MeanMedian
     from clsco.inputs.dump import dump_scene as dump_scene
     from clsco.opencl.device import list_devices as list_devices
@@ -115,13 +118,14 @@ _NAMES = {
         *("DepthMap", "Background"),
     ),
     "clsco.frame.frame": ("Frame",),
+    "clsco.frame.video": ("write_video",),
     "clsco.inpainting.rules": ("MeanMedian",),
     "clsco.errors": ("ClscoError", "SceneError", "ImageError", "DeviceError", "KernelError", "CanceledError"),
 }
 _HOME = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = [  # noqa: RUF022, verbs and then types
     "render", "render_frame", "render_sweep", "defocus", "inpaint", "load_scene", "parse_scene", "load_sweep",
-    "parse_sweep", "dump_scene", "list_devices", "reference",
+    "parse_sweep", "dump_scene", "write_video", "list_devices", "reference",
     "Scene", "Camera", "Psf", "Light", "Group",
     "Plane", "Rectangle", "Disc", "Box", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background",
     "Frame", "Live", "MeanMedian",

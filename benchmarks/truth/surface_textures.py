@@ -4,8 +4,8 @@
 
 A ball, a cylinder, a card, a cone, an ellipsoid and, from three sides, a ball again turn through 360 degrees in 60
 frames, in front of the camera of the thesis, with R up to 5 px: six of the frames, with the shutter closed at once and
-open for all of the interval. Then checkerboards at 80 degrees, on a card and on a plane that fills the view. PSNR in dB, white = 1; the table goes to the terminal,
-and of all objects to benchmarks/results/surface_textures.md.
+open for all of the interval. Then checkerboards at 80 degrees, on a card and on a plane that fills the view. PSNR
+in dB, white = 1; the table goes to the terminal, and of all objects to benchmarks/results/surface_textures.md.
 """
 
 from __future__ import annotations
@@ -52,19 +52,25 @@ TILTED: dict[str, dict[str, Any]] = {
 APERTURES = {"card at 80 deg": (10.0, 1.0), "plane at 80 deg": (3.0, 1.0)}  # mm
 
 
-def scene_of(item: dict[str, Any], image: Any, size: int, moving: bool, frame: int, aperture: float) -> Any:
+def scene_of(
+    item: dict[str, Any], image: Any, size: int, moving: bool, frame: int, aperture: float, samples: int = 4
+) -> Any:
     """A frame of an object that turns by 6 degrees each second about y, alone: it begins where that frame does."""
     ratio = FULL_SIZE / size
     camera = {"resolution": [size, size], "pixel_pitch": 0.01 * ratio, "aperture_diameter": aperture * ratio}
     sequence = {"frames": frame + 1, "interval": 1.0, "shutter": 1.0 if moving else 1e-6}
     turning = {"motion": {"angular_velocity": [0.0, 360.0 / FRAMES, 0.0]}} if frame or moving else {}
     sequence |= {} if moving else {"samples": 1}
-    return clsco.parse_scene({"camera": camera, "sequence": sequence, "object": [item | turning | {"texture": image}]})
+    objects = [item | turning | {"texture": image}]
+    psf = {"silhouette_samples": samples}
+    return clsco.parse_scene({"camera": camera, "psf": psf, "sequence": sequence, "object": objects})
 
 
-def measured(item: dict[str, Any], image: Any, size: int, moving: bool, frame: int, aperture: float = 10.0) -> float:
+def measured(
+    item: dict[str, Any], image: Any, size: int, moving: bool, frame: int, aperture: float = 10.0, samples: int = 4
+) -> float:
     """PSNR in dB of a frame."""
-    scene = scene_of(item, image, size, moving, frame, aperture)
+    scene = scene_of(item, image, size, moving, frame, aperture, samples)
     cache = ROOT.parent / "build" / "traced"
     traced, _ = trace_converged(scene, image, size, size, NOISE, cache=cache, report=lambda _: None, frame=frame)
     return decibels(rms(clsco.render_frame(scene, frame, truth=()).color - traced))
@@ -94,10 +100,13 @@ def main() -> None:
     for name, item in TILTED.items():
         if options.only in name:
             apertures = APERTURES[name]
-            found = [f"{measured(item, squares, options.size, False, 0, aperture):.1f}" for aperture in apertures]
-            table.add_row(name, "closed", *found)
-            named = "; ".join(f"{aperture:g} mm" for aperture in apertures)
-            lines.append(f"| {name}, aperture {named} | closed | {' | '.join(found)} |" + " |" * (len(frames) - 2))
+            for samples in (4, 16):
+                values = [measured(item, squares, options.size, False, 0, each, samples) for each in apertures]
+                found = [f"{value:.1f}" for value in values]
+                named = f"{name}, {samples} silhouette samples"
+                table.add_row(named, "closed", *found)
+                named += ", aperture " + "; ".join(f"{aperture:g} mm" for aperture in apertures)
+                lines.append(f"| {named} | closed | {' | '.join(found)} |" + " |" * (len(frames) - 2))
     Console().print(table)
     if options.only:
         return

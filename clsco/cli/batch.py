@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from clsco.cli.options import PATH, precision_option, quiet_option, set_option
-from clsco.errors import ClscoError, DeviceError, SceneError
+from clsco.cli.options import PATH, precision_option, quiet_option, require_opencl, set_option
+from clsco.errors import ClscoError, SceneError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -219,8 +218,7 @@ def _identity(drawn: Distribution, samples: range, options: dict[str, Any], prec
 
 def _places(names: Sequence[str], every: bool, workers: int | None) -> tuple[list[Place], str, str]:
     """Where processes work, the family of their devices, and the precision of these."""
-    if find_spec("pyopencl") is None:
-        raise DeviceError("device: needs pyopencl: pip install 'clsco[pocl]'; got no such module")
+    require_opencl()
     from clsco.data.pool import places
     from clsco.data.shards import device_family
     from clsco.opencl.device import choose, list_devices

@@ -6,15 +6,16 @@ Exit status: 0 done; 1 a user's error, reported on stderr; 2 wrong usage; 3 no u
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from clsco import __version__
+from clsco.cli.batch import batch
+from clsco.cli.convert import convert
 from clsco.cli.options import (
     PATH,
     Commands,
@@ -25,23 +26,23 @@ from clsco.cli.options import (
     device_option,
     memory_option,
     one_scene,
-    parse_span,
     precision_option,
     quiet_option,
+    require_device,
+    require_opencl,
     scenes_wanted,
     set_option,
     truth_option,
 )
+from clsco.cli.render import render, render_to_folders, report_approximation, request_for
+from clsco.cli.video import video
 from clsco.errors import ClscoError, DeviceError, SceneError
 
 if TYPE_CHECKING:
-    from clsco.engine.batch import Span
-    from clsco.frame.frame import Frame
     from clsco.frame.truth_files import TruthFile
     from clsco.plan.buffers import DeviceFacts
     from clsco.plan.prepare import Prepared
     from clsco.plan.request import Request
-    from clsco.scene.sweep import Sweep
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
@@ -51,45 +52,12 @@ def main() -> None:
 
 
 @main.command()
-@scenes_wanted
-@click.option("-o", "out", metavar="DIR", required=True, type=PATH, help="Folder for the frames.")
-@truth_option
-@click.option(
-    "--frames", "span", metavar="A:B", type=parse_span, default=":", help="Frames A to B - 1, counted from 0."
-)
-@set_option
-@computation_options
-@click.option("--subframes", is_flag=True, help="Also write the image of each time sample: frame_0000_sample_00.png.")
-@click.option("--resume", is_flag=True, help="Leave out frames that are in DIR already, whole and of this scene.")
-@quiet_option
-def render(
-    scenes: tuple[Path, ...],
-    out: Path,
-    files: tuple[TruthFile, ...],
-    span: Span,
-    overrides: tuple[str, ...],
-    computation: Computation,
-    subframes: bool,
-    resume: bool,
-    quiet: bool,
-) -> None:
-    """Render the frames of scenes to files.
-
-    A frame is frame_0000.png, and frame_0000.json with everything that made it. Of several scenes, each has a
-    folder of its name in DIR. Where keys of a scene have several values, each has a folder like f_number_4 there.
-    """
-    from clsco.scene.sweep import load_sweeps
-
-    _render_to_folders(load_sweeps(scenes, overrides), out, files, computation, quiet, span, resume, subframes)
-
-
-@main.command()
 @click.option("-o", "out", metavar="DIR", type=PATH, default=Path("demo"), show_default=True, help="Folder.")
 @device_option
 @quiet_option
 def demo(out: Path, device: str | None, quiet: bool) -> None:
     """Render some of the example scenes, and a sheet that shows them and their ground truth."""
-    _require_device(device)
+    require_device(device)
     from clsco.cli.demo import write_contact_sheet
     from clsco.cli.progress import progress
     from clsco.engine import batch
@@ -98,7 +66,7 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
     from clsco.scene.examples import EXAMPLES, example
 
     files = (TruthFile("npz"),)
-    scenes = {name: prepare(example(name), _request(files)) for name in EXAMPLES}
+    scenes = {name: prepare(example(name), request_for(files)) for name in EXAMPLES}
     jobs = {
         name: batch.prepare(each, out / name, range(each.scene.sequence.frames), files, False)
         for name, each in scenes.items()
@@ -131,7 +99,7 @@ def thesis(out: Path, wanted: tuple[str, ...], device: str | None, quiet: bool) 
     from clsco.cli.thesis_figures import chosen
 
     figures, numbers = chosen(wanted)
-    _require_device(device)
+    require_device(device)
     from clsco.cli.thesis import PAGE, render, write_page
     from clsco.files.atomic import remove, writable_folder
 
@@ -153,7 +121,7 @@ def plan(scene: Path, overrides: tuple[str, ...], files: tuple[TruthFile, ...], 
     from clsco.plan.buffers import ThisMachine
 
     device = ThisMachine(kind="gpu") if gpu else None
-    first = _first(scene, overrides, _request(files, memory=memory), device)
+    first = _first(scene, overrides, request_for(files, memory=memory), device)
     from clsco.cli.tables import plan_tables, print_tables
 
     print_tables(*plan_tables(first.plans))
@@ -169,8 +137,8 @@ def check(scene: Path, overrides: tuple[str, ...], device: str | None, precision
 
     Fails where color differs by more than 1e-5 of white, in either precision.
     """
-    first = _first(scene, overrides, _request((), precision=precision))
-    _require_device(device)
+    first = _first(scene, overrides, request_for((), precision=precision))
+    require_device(device)
     from clsco.cli.check import compare_frames
     from clsco.cli.tables import check_tables, print_tables
 
@@ -189,7 +157,7 @@ def check(scene: Path, overrides: tuple[str, ...], device: str | None, precision
 @click.option("--warm", "warms", is_flag=True, help="Compile the kernels of usual scenes ahead: a minute or so.")
 def devices(device: str | None, tested: bool, warms: bool) -> None:
     """List OpenCL devices, what each can do, and which one is used and why."""
-    _require_opencl()
+    require_opencl()
     from clsco.cli.tables import device_tables, print_tables
     from clsco.opencl.device import list_devices
     from clsco.opencl.self_test import self_test
@@ -250,7 +218,7 @@ def bench(out: Path, extent: Extent, stability: bool, device: str | None, quiet:
     from clsco.files.atomic import writable_folder
 
     task = make_task(extent, stability)
-    _require_device(device)
+    require_device(device)
     from clsco.cli.progress import progress
     from clsco.cli.tables import print_tables
     from clsco.opencl.device import choose
@@ -319,18 +287,18 @@ def defocus(
     from clsco.cli.defocus import depth_report, is_image_file, prepare_image, scenes_from_files, write_color
     from clsco.plan.prepare import prepare_files
 
-    alone, request = is_image_file(out), _request((), computation)
+    alone, request = is_image_file(out), request_for((), computation)
     if alone and files:
         raise click.UsageError(f"--truth: OUT must be a folder; got {click.format_filename(out)}")
     sweep = scenes_from_files(image, depth, options, overrides)
     for line in depth_report(sweep.scenes[0]):
         click.echo(line, err=True)
     if not alone:
-        _render_to_folders([(image, sweep)], out, files, computation, quiet)
+        render_to_folders([(image, sweep)], out, files, computation, quiet)
         return
     found = [each for _, _, prepared in prepare_files([(image, sweep)], request) for each in prepared]
     prepare_image([each.scene for each in found], out)
-    _require_device(computation.device)
+    require_device(computation.device)
     from clsco.cli.progress import progress
     from clsco.engine.sequence import render_prepared
     from clsco.opencl.session import session_for
@@ -338,7 +306,7 @@ def defocus(
     with progress(1, quiet) as advance:
         for _, frame in render_prepared(session_for(computation.device), found):
             write_color(out, frame, frame.metadata["bits"], found[0].scene.image.transfer)
-            _report_approximation(out, frame)
+            report_approximation(out, frame)
             advance()
 
 
@@ -381,7 +349,7 @@ def inpaint(
     prepare_out(out, image, mask)
     pixels, missing = read_pair(image, mask, threshold)
     writer = prepare_out(out, image, mask, pixels.dtype.kind == "f")
-    _require_device(device)
+    require_device(device)
     from clsco import inpaint as fill
     from clsco.cli.progress import shares
     from clsco.cli.tables import inpaint_tables, print_tables
@@ -405,59 +373,6 @@ def inpaint(
         click.echo(f"no pixel is missing: {click.format_filename(out)} is a copy of {click.format_filename(image)}")
 
 
-def _request(files: tuple[TruthFile, ...], computation: Computation | None = None, **options: Any) -> Request:
-    """What is requested for these files of ground truth: the outputs in them, or without such files none."""
-    from clsco.frame.files import needed_truth
-    from clsco.plan.request import Request
-
-    if computation is not None:
-        options |= computation.blur | {"precision": computation.precision, "memory": computation.memory}
-    return Request(needed_truth(files), **options)
-
-
-def _report_approximation(where: Path, frame: Frame) -> None:
-    """On stderr, of a frame whose blur was or could have been approximated."""
-    from clsco.plan.approximation import ApproximationReport
-
-    if values := frame.metadata["approximation"]:
-        view = f" ({frame.eye})" if frame.eye else ""
-        line = ApproximationReport(**values).line()
-        click.echo(f"{click.format_filename(where)}: frame {frame.index}{view}: {line}", err=True)
-
-
-def _render_to_folders(
-    loaded: Sequence[tuple[Path, Sweep | SceneError]],
-    out: Path,
-    files: tuple[TruthFile, ...],
-    computation: Computation,
-    quiet: bool,
-    span: Span = (None, None),
-    resume: bool = False,
-    subframes: bool = False,
-) -> None:
-    """Plan scenes, and render those of each file into its folder."""
-    if files:
-        from clsco.frame.files import require_truth_formats
-
-        require_truth_formats(files)
-    from clsco.cli.progress import progress
-    from clsco.plan.prepare import prepare_files
-
-    request = _request(files, computation)
-    if subframes:
-        request = replace(request, truth=tuple(dict.fromkeys((*request.truth, "subframes"))))
-    prepared = prepare_files(loaded, request)
-    _require_device(computation.device)
-    from clsco.engine import batch
-
-    jobs = batch.prepare_all(prepared, out, files, span, resume)
-    with progress(sum(len(job.frames) for job in jobs), quiet) as advance:
-        for job, frames in batch.run(jobs, computation.device):
-            for frame in frames:
-                _report_approximation(job.folder, frame)
-            advance()
-
-
 def _first(
     path: Path, overrides: tuple[str, ...], request: Request, device: DeviceFacts | None = None
 ) -> Prepared:  # fmt: skip
@@ -475,21 +390,7 @@ def _first(
     return first
 
 
-def _require_opencl() -> None:
-    if find_spec("pyopencl") is None:
-        raise DeviceError("device: needs pyopencl: pip install 'clsco[pocl]'; got no such module")
-
-
-def _require_device(name: str | None) -> None:
-    """Fail before anything is written where there is no device, or none of this name."""
-    _require_opencl()
-    from clsco.opencl.device import choose
-
-    choose(name, "--device")
-
-
-from clsco.cli.batch import batch  # noqa: E402
-from clsco.cli.convert import convert  # noqa: E402
-
 main.add_command(batch)
 main.add_command(convert)
+main.add_command(render)
+main.add_command(video)

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import wraps
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -55,6 +56,15 @@ def parse_files(text: str) -> tuple[TruthFile, ...]:
         return truth_files(text)
     except SceneError as error:
         raise click.BadParameter(str(error)) from None
+
+
+def parse_preset(text: str) -> str:
+    """The name of a video preset."""
+    from clsco.files.video import PRESETS
+
+    if text not in PRESETS:
+        raise click.BadParameter(f"must be one of {', '.join(PRESETS)}; got {text}")
+    return text
 
 
 def parse_span(text: str) -> Span:
@@ -134,6 +144,19 @@ class Computation:
             rule = "chooses the method, which must then be auto"
             raise click.UsageError(f"--tolerance: {rule}; got --method {self.method}")
         return {"method": self.method, "tolerance": self.tolerance}
+
+
+def require_opencl() -> None:
+    if find_spec("pyopencl") is None:
+        raise DeviceError("device: needs pyopencl: pip install 'clsco[pocl]'; got no such module")
+
+
+def require_device(name: str | None) -> None:
+    """Fail before anything is written where there is no device, or none of this name."""
+    require_opencl()
+    from clsco.opencl.device import choose
+
+    choose(name, "--device")
 
 
 class _Path(click.Path):

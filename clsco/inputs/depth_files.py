@@ -11,6 +11,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.files.arrays import npy_header
 from clsco.files.atomic import refuse
 from clsco.files.decoders import IMAGE_FORMATS, check_limits, checked_size, codec, decoded, opened
 
@@ -126,7 +127,7 @@ def _decode_npz(file: BinaryIO) -> NDArray[Any]:
             found = {"depth": "depth.npy"}
         elif len(found) > MOST_ARRAYS:
             refuse(path, f"an NPZ must hold an array depth, or at most {MOST_ARRAYS} arrays", "more")
-        headers = {name: _npy_header(archive, entry) for name, entry in found.items()}
+        headers = {name: npy_header(archive, entry) for name, entry in found.items()}
         flat = [name for name, (shape, _dtype) in headers.items() if len(shape) == 2 or name == "depth"]
         if len(flat) != 1:
             rule = "an NPZ must hold an array depth, or one array with two dimensions"
@@ -141,11 +142,3 @@ def _decode_npz(file: BinaryIO) -> NDArray[Any]:
             if member.read(1):  # the archive checks its sum at the end alone
                 raise ValueError("bytes after the array")
             return data
-
-
-def _npy_header(archive: zipfile.ZipFile, entry: str) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    with archive.open(entry) as member:
-        version = np.lib.format.read_magic(member)
-        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, _fortran, dtype = read_header(member)
-    return shape, dtype

@@ -186,12 +186,12 @@ __kernel void mark_silhouettes(const camera_t camera, __global const uchar *labe
         return;
     const int at = y * camera.width + x;
     const uchar own = label[at];
+    bool differs = false, detailed = false, fine = false;
 #if TEXTURED
     const int mark = as_int(MARKS(source, camera.height * camera.width)[at]);
-#else
-    const int mark = WHOLE;
+    fine = mark == FINE;
+    detailed = fine || mark == DETAILED;
 #endif
-    bool differs = false;
     if (x >= 2 && x < camera.width - 2) {
         // Five labels of a row at a time, four of them as one int.
         for (int i = MAX(y - 2, 0); i <= MIN(y + 2, camera.height - 1); ++i) {
@@ -203,12 +203,12 @@ __kernel void mark_silhouettes(const camera_t camera, __global const uchar *labe
             for (int j = MAX(x - 2, 0); j <= MIN(x + 2, camera.width - 1); ++j)
                 differs |= label[i * camera.width + j] != own;
     }
-    if (!differs && mark != DETAILED && mark != FINE)
+    if (!differs && !detailed)
         return;
     const int slot = atomic_inc(statistics + STATISTIC_SLOTS);
     if (slot >= capacity)
         return;
-    pixels[slot] = differs ? at : -1 - 2 * at - (mark == FINE);
+    pixels[slot] = differs ? at : -1 - 2 * at - fine;
     MARKS(source, camera.height * camera.width)[at] = as_float(slot);
 }
 

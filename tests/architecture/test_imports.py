@@ -35,6 +35,7 @@ OUTSIDE = {
     "tifffile": ("files.decoders",),
     "OpenEXR": ("files.decoders",),
     "PIL": ("files.decoders", "cli.demo", "cli.thesis", "data.dryrun"),
+    "av": (),
     "click": ("cli",),
     "rich": ("cli",),
     "matplotlib": ("cli.bench", "inpainting.report"),

@@ -1,0 +1,185 @@
+"""The command `clsco render`, and what it shares with `clsco defocus`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from clsco.cli.options import (
+    PATH,
+    Computation,
+    computation_options,
+    parse_preset,
+    parse_span,
+    quiet_option,
+    require_device,
+    scenes_wanted,
+    set_option,
+    truth_option,
+)
+from clsco.errors import SceneError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsco.engine.batch import Span
+    from clsco.frame.frame import Frame
+    from clsco.frame.truth_files import TruthFile
+    from clsco.plan.request import Request
+    from clsco.scene.sweep import Sweep
+
+
+@click.command()
+@scenes_wanted
+@click.option("-o", "out", metavar="DIR", required=True, type=PATH, help="Folder for the frames.")
+@truth_option
+@click.option(
+    "--frames", "span", metavar="A:B", type=parse_span, default=":", help="Frames A to B - 1, counted from 0."
+)
+@set_option
+@computation_options
+@click.option("--subframes", is_flag=True, help="Also write the image of each time sample: frame_0000_sample_00.png.")
+@click.option(
+    "--video", "preset", metavar="PRESET", type=parse_preset,
+    help="When all frames are there, write a clip beside them, such as clip.mp4: mp4, ffv1, prores or another preset "
+    "of clsco video. With -o - and y4m: to the standard output, and no files.",
+)  # fmt: skip
+@click.option("--resume", is_flag=True, help="Leave out frames that are in DIR already, whole and of this scene.")
+@quiet_option
+def render(
+    scenes: tuple[Path, ...],
+    out: Path,
+    files: tuple[TruthFile, ...],
+    span: Span,
+    overrides: tuple[str, ...],
+    computation: Computation,
+    subframes: bool,
+    preset: str | None,
+    resume: bool,
+    quiet: bool,
+) -> None:
+    """Render the frames of scenes to files.
+
+    A frame is frame_0000.png, and frame_0000.json with everything that made it. Of several scenes, each has a
+    folder of its name in DIR. Where keys of a scene have several values, each has a folder like f_number_4 there.
+    """
+    from clsco.scene.sweep import load_sweeps
+
+    if str(out) == "-":
+        if preset != "y4m":
+            raise click.UsageError(f"-o -: needs --video y4m, which alone goes to a pipe; got {preset or 'no --video'}")
+        if files or subframes or resume:
+            raise click.UsageError("-o -: writes no files, so must be without --truth, --subframes and --resume")
+        _render_to_pipe(load_sweeps(scenes, overrides), computation, quiet, span)
+        return
+    loaded = load_sweeps(scenes, overrides)
+    render_to_folders(loaded, out, files, computation, quiet, span, resume, subframes, preset)
+
+
+def request_for(files: tuple[TruthFile, ...], computation: Computation | None = None, **options: Any) -> Request:
+    """What is requested for these files of ground truth: the outputs in them, or without such files none."""
+    from clsco.frame.files import needed_truth
+    from clsco.plan.request import Request
+
+    if computation is not None:
+        options |= computation.blur | {"precision": computation.precision, "memory": computation.memory}
+    return Request(needed_truth(files), **options)
+
+
+def report_approximation(where: Path, frame: Frame) -> None:
+    """On stderr, of a frame whose blur was or could have been approximated."""
+    from clsco.plan.approximation import ApproximationReport
+
+    if values := frame.metadata["approximation"]:
+        view = f" ({frame.eye})" if frame.eye else ""
+        line = ApproximationReport(**values).line()
+        click.echo(f"{click.format_filename(where)}: frame {frame.index}{view}: {line}", err=True)
+
+
+def render_to_folders(
+    loaded: Sequence[tuple[Path, Sweep | SceneError]],
+    out: Path,
+    files: tuple[TruthFile, ...],
+    computation: Computation,
+    quiet: bool,
+    span: Span = (None, None),
+    resume: bool = False,
+    subframes: bool = False,
+    preset: str | None = None,
+) -> None:
+    """Plan scenes, and render those of each file into its folder."""
+    if files:
+        from clsco.frame.files import require_truth_formats
+
+        require_truth_formats(files)
+    from clsco.cli.progress import progress
+    from clsco.plan.prepare import prepare_files
+
+    request = request_for(files, computation)
+    if subframes:
+        request = replace(request, truth=tuple(dict.fromkeys((*request.truth, "subframes"))))
+    prepared = prepare_files(loaded, request)
+    require_device(computation.device)
+    from clsco.engine import batch
+
+    if preset is not None:
+        from clsco.cli.video import require_clips
+
+        require_clips(prepared, preset)
+    jobs = batch.prepare_all(prepared, out, files, span, resume)
+    if preset is not None:
+        from clsco.cli.video import remove_clips
+
+        remove_clips(jobs, preset)  # those of older frames
+    with progress(sum(len(job.frames) for job in jobs), quiet) as advance:
+        for job, frames in batch.run(jobs, computation.device):
+            for frame in frames:
+                report_approximation(job.folder, frame)
+            advance()
+    if preset is not None:
+        from clsco.cli.video import write_clips
+
+        write_clips(jobs, preset)
+
+
+def _render_to_pipe(
+    loaded: Sequence[tuple[Path, Sweep | SceneError]], computation: Computation, quiet: bool, span: Span
+) -> None:
+    """Render the frames of one scene, and write them to the standard output as y4m."""
+    from clsco.cli.video import require_clips, standard_output
+    from clsco.plan.prepare import prepare_files
+
+    planned = prepare_files(loaded, request_for((), computation))
+    require_clips(planned, "y4m")
+    found = [(path, each) for path, _, prepared in planned for each in prepared]
+    ((path, prepared), *others) = found
+    scene = prepared.scene
+    if others or scene.stereo is not None:
+        got = f"{len(found)} scenes" if others else "a stereo pair"
+        raise click.UsageError(f"-o -: must be one scene with one view; got {got}")
+    require_device(computation.device)
+    from clsco.cli.progress import progress
+    from clsco.engine.batch import wanted
+    from clsco.engine.sequence import render_prepared
+    from clsco.files.transfer import encode
+    from clsco.files.video import write_clip
+    from clsco.frame.video import Playing
+    from clsco.opencl.session import session_for
+
+    numbers, playing = wanted(scene, span, str(path)), Playing()
+    click.echo(f"{click.format_filename(path)}: {playing.about(scene.sequence.interval, str(path))}", err=True)
+    rate, stream = playing.rate(scene.sequence.interval, str(path)), standard_output()
+    with progress(len(numbers), quiet) as advance:
+
+        def codes() -> Iterator[NDArray[Any]]:
+            for _, frame in render_prepared(session_for(computation.device), [prepared], numbers):
+                report_approximation(path, frame)
+                yield encode(frame.color, min(frame.metadata["bits"], 16), scene.image.transfer)
+                advance()
+
+        for change in write_clip(stream, codes(), rate, "y4m", scene.image.transfer):
+            click.echo(f"{click.format_filename(path)}: {change}", err=True)

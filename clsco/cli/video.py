@@ -1,0 +1,151 @@
+"""The command `clsco video`, and clips beside the frames of `clsco render --video`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO
+
+import click
+
+from clsco.cli.options import PATH, parse_preset, quiet_option
+from clsco.errors import ImageError
+
+if TYPE_CHECKING:
+    from clsco.engine.batch import Job
+    from clsco.plan.prepare import PreparedFile
+
+
+def _rate(text: str) -> Fraction:
+    from clsco.files.video import parse_rate
+
+    try:
+        return parse_rate(text, "rate")
+    except ImageError as error:
+        raise click.BadParameter(str(error).removeprefix("rate: ")) from None
+
+
+@click.command()
+@click.argument("folder", metavar="DIR", type=PATH)
+@click.option(
+    "-o", "out", metavar="OUT", required=True, type=PATH,
+    help="File for the clip: .mp4, .webm, .mkv or .mov; - for y4m on the standard output.",
+)  # fmt: skip
+@click.option(
+    "--preset", metavar="NAME", type=parse_preset,
+    help="mp4, mp4-444, hevc10, av1, webm, h264-lossless, ffv1, ffv1-16, prores, prores-hq or y4m. Default: the first "
+    "of these with the extension of OUT.",
+)  # fmt: skip
+@click.option(
+    "--view", type=click.Choice(["color", "sharp", "coc", "depth", "flow", "compare"]), default="color",
+    show_default=True, help="coc, depth and flow as colors; compare: sharp and color side by side.",
+)  # fmt: skip
+@click.option("--fps", metavar="RATE", type=_rate, help="Frames per second, like 24000/1001. Default: 1 / interval.")
+@click.option("--speed", metavar="FACTOR", type=_rate, help="Play so many times as fast as the scene, such as 0.25.")
+@click.option("--from-exr", is_flag=True, help="Colors of the EXR files, linear, instead of those of the PNG files.")
+@click.option("--transfer-tag", type=click.Choice(["bt709"]), help="What the file says of its transfer, for players.")
+@quiet_option
+def video(
+    folder: Path,
+    out: Path,
+    preset: str | None,
+    view: str,
+    fps: Fraction | None,
+    speed: Fraction | None,
+    from_exr: bool,
+    transfer_tag: str | None,
+    quiet: bool,
+) -> None:
+    """Make a clip of the frames in DIR, which clsco render wrote.
+
+    Of stereo pairs each view has a clip, such as clip_left.mp4 and clip_right.mp4. Depth, blur radius and flow are
+    never stored as numbers, but as colors on one scale for the clip, which is reported; they need --truth npz or exr.
+    """
+    if fps is not None and speed is not None:
+        raise click.UsageError("--speed: must be without --fps, which says how fast the clip is")
+    if from_exr and view in ("coc", "depth", "flow"):
+        raise click.UsageError(f"--from-exr: is for color, sharp and compare; got --view {view}")
+    to_pipe = str(out) == "-"
+    if to_pipe and preset not in (None, "y4m"):
+        raise click.UsageError(f"-o -: needs --preset y4m, which alone goes to a pipe; got {preset}")
+    from clsco.cli.progress import progress
+    from clsco.files.video import preset_for, require_video
+    from clsco.frame.video import Playing, clip_path, write_folder_clip
+    from clsco.frame.written import written_frames
+
+    name = "y4m" if to_pipe else preset_for(out, preset)
+    require_video(out)
+    frames, playing = written_frames(folder), Playing(fps, speed or Fraction(1))
+    if to_pipe and len(frames.eyes) > 1:
+        raise click.UsageError("-o -: must be frames of one view; got stereo pairs")
+    with progress(len(frames.numbers) * len(frames.eyes), quiet) as advance:
+        for eye in frames.eyes:
+            target = clip_path(out, eye)
+            stream = standard_output() if to_pipe else target
+            facts = write_folder_clip(stream, frames, eye, name, playing, view, from_exr, transfer_tag, advance)
+            _report(target, facts)
+
+
+def standard_output() -> BinaryIO:
+    """The standard output for bytes. Raises UsageError where it is a terminal."""
+    if sys.stdout.isatty():
+        raise click.UsageError("-o -: the standard output must be a pipe or a file; got a terminal")
+    return sys.stdout.buffer
+
+
+def _report(where: Path, facts: Sequence[str]) -> None:
+    for fact in facts:
+        click.echo(f"{click.format_filename(where)}: {fact}", err=True)
+
+
+def require_clips(planned: Sequence[PreparedFile], preset: str) -> None:
+    """Raise ImageError, before anything is rendered, where PyAV is missing or a scene can have no clip of a preset."""
+    from clsco.files.video import rate_of, require_size, require_video
+
+    for path, _, prepared in planned:
+        require_video(path)
+        for each in prepared:
+            rate_of(each.scene.sequence.interval, str(path))
+            require_size(path, preset, each.plan.columns, each.plan.rows)
+
+
+def _clips(job: Job, preset: str) -> list[tuple[str, Path]]:
+    """Views of a job's frames with the clip of each."""
+    from clsco.frame.video import clip_path, folder_clip
+
+    eyes = ("",) if job.prepared.scene.stereo is None else ("left", "right")
+    return [(eye, clip_path(folder_clip(job.folder, preset), eye)) for eye in eyes]
+
+
+def remove_clips(jobs: Sequence[Job], preset: str) -> None:
+    """Remove clips of frames that will be others."""
+    from clsco.files.atomic import remove
+
+    for job in jobs:
+        for _, path in _clips(job, preset) if job.frames else ():
+            remove(path)
+
+
+def write_clips(jobs: Sequence[Job], preset: str) -> None:
+    """Write a clip beside the frames of each job, where all of its scene's are there; otherwise say so."""
+    from clsco.frame.files import frame_json
+    from clsco.frame.video import Playing, write_folder_clip
+    from clsco.frame.written import written_frames
+
+    for job in jobs:
+        numbers = range(job.prepared.scene.sequence.frames)
+        missing = [number for number in numbers if not frame_json(job.folder, number).is_file()]
+        if missing:
+            _report(
+                job.folder,
+                [f"no clip, as {len(missing)} of {len(numbers)} frames are missing, frame {missing[0]} first"],
+            )
+            continue
+        frames = written_frames(job.folder, numbers)
+        if frames.scenes != {job.record["scene_sha256"]}:
+            _report(job.folder, ["no clip, as some of the frames are of another scene"])
+            continue
+        for eye, path in _clips(job, preset):
+            _report(path, write_folder_clip(path, frames, eye, preset, Playing()))

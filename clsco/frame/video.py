@@ -1,0 +1,217 @@
+"""Frames, and those of a folder, as video clips."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco import __version__
+from clsco.errors import ImageError
+from clsco.files.transfer import TRANSFERS, encode
+from clsco.files.video import PRESETS, TRANSFER_TAGS, parse_rate, preset_for, rate_of, write_clip
+from clsco.frame.frame import Frame
+from clsco.frame.views import VIEWS
+from clsco.frame.written import WrittenFrames
+
+VIEW_NAMES = ("color", "sharp", *VIEWS, "compare")
+
+
+def write_video(
+    path: str | os.PathLike[str],
+    frames: Iterable[Frame | NDArray[Any]],
+    rate: Fraction | int | str,
+    *,
+    preset: str | None = None,
+    transfer: str = "srgb",
+    transfer_tag: str | None = None,
+    comment: str = "",
+) -> tuple[str, ...]:
+    """Write frames as a video file, whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+        .mp4, .webm, .mkv, .mov or .y4m, as the preset has it.
+    frames : iterable of Frame or of ndarray, (rows, columns) or (rows, columns, 3)
+        The color of frames of one view, or arrays of one shape and type: uint8 or uint16 codes, or floats of linear
+        radiance, 1 = white; what is beyond 0 and 1 becomes black and white.
+    rate : Fraction, int or str
+        Frames per second, exactly: Fraction(30000, 1001), 24, "24000/1001".
+    preset : str, optional
+        mp4, mp4-444, hevc10, av1, webm, h264-lossless, ffv1, ffv1-16, prores, prores-hq or y4m; by default the first
+        of these with the extension.
+    transfer : {"srgb", "linear"}
+        Of the codes; floats are encoded by it.
+    transfer_tag : {"srgb", "linear", "bt709"}, optional
+        What the file says of it, by default that. Some players show "bt709" more truly.
+    comment : str
+        For the file's metadata, by default the version of clsco.
+
+    Returns
+    -------
+    tuple of str
+        What had to be changed, one line each: codes of 16 bits that were rounded, sizes that were padded to be even.
+
+    Raises
+    ------
+    ImageError
+        The extra `video` is missing; a preset, rate or frame cannot be; frames differ in size or type, or are not
+        finite; the encoder or the disk fails. An error that `frames` raises passes as it is. Nothing is left then.
+
+    Notes
+    -----
+    Frame k is shown from k / rate on. The same frames give the same bytes with the same version of PyAV. Validated for
+    each preset by reading pixels, rate and color tags back: ffv1, ffv1-16 and h264-lossless give the codes that went
+    in, bit by bit (docs/video.md has the others' errors).
+    """
+    if transfer not in TRANSFERS:
+        raise ImageError(f"transfer: must be one of {', '.join(TRANSFERS)}; got {transfer}")
+    if transfer_tag is not None and transfer_tag not in TRANSFER_TAGS:
+        raise ImageError(f"transfer_tag: must be one of {', '.join(TRANSFER_TAGS)}; got {transfer_tag}")
+    name = preset_for(Path(path), preset)
+    about = comment or f"clsco {__version__}"
+    return write_clip(Path(path), _colors(frames), parse_rate(rate), name, transfer, transfer_tag, about)
+
+
+def _colors(frames: Iterable[Frame | NDArray[Any]]) -> Iterator[NDArray[Any]]:
+    eye = None
+    for number, frame in enumerate(frames):
+        if not isinstance(frame, Frame):
+            yield frame
+            continue
+        if eye not in (None, frame.eye):
+            raise ImageError(f"frames: must be of one view; got {frame.eye} at {number}, after {eye}")
+        eye = frame.eye
+        yield frame.color
+
+
+@dataclass(frozen=True)
+class Playing:
+    """How fast a clip plays.
+
+    Attributes
+    ----------
+    fps : Fraction, optional
+        Frames per second; by default as the interval between frames says.
+    speed : Fraction
+        Without `fps`: how many times as fast as the scene.
+    """
+
+    fps: Fraction | None = None
+    speed: Fraction = Fraction(1)
+
+    def rate(self, interval: float, where: str) -> Fraction:
+        """Frames per second. Raises ImageError as `rate_of`."""
+        return rate_of(interval, where, self.speed) if self.fps is None else self.fps
+
+    def about(self, interval: float, where: str) -> str:
+        """What the rate is, and how it differs from the scene's."""
+        rate = self.rate(interval, where)
+        said = f"{rate} frames per second"
+        if self.fps is None and self.speed == 1:
+            hint = "; clsco video --fps 24 plays it faster" if interval == 1 else ""
+            return f"{said}, as sequence.interval = {interval:g} s{hint}"
+        times = float(rate) * interval
+        return f"{said}, {times:.6g} times the speed of the scene (sequence.interval = {interval:g} s)"
+
+
+def write_folder_clip(
+    target: Path | BinaryIO,
+    frames: WrittenFrames,
+    eye: str,
+    preset: str,
+    playing: Playing,
+    view: str = "color",
+    from_exr: bool = False,
+    transfer_tag: str | None = None,
+    advance: Callable[[], object] = lambda: None,
+) -> list[str]:
+    """Write the frames of a folder as a clip.
+
+    Parameters
+    ----------
+    target : Path or BinaryIO
+        As for `write_clip`.
+    frames : WrittenFrames
+    eye : str
+        Of `frames.eyes`.
+    preset : str
+    playing : Playing
+    view : str
+        One of `VIEW_NAMES`: color, the PNG files; sharp, or both side by side (compare); depth, coc or flow as colors,
+        on one scale for the clip.
+    from_exr : bool
+        Color is that of the EXR files instead, which is linear and not rounded.
+    transfer_tag : str, optional
+        As for `write_clip`.
+    advance : callable
+        Called after each frame.
+
+    Returns
+    -------
+    list of str
+        What users have to know: the rate, the scale of colors, and what `write_clip` changed.
+
+    Raises
+    ------
+    ImageError
+        As `write_clip`, and where files are missing or damaged.
+    """
+    where = str(frames.folder)
+    facts = [f"{len(frames.numbers)} frames at {playing.about(frames.interval, where)}"]
+    if len(frames.numbers) < frames.of:
+        facts.append(f"frames {frames.numbers[0]} to {frames.numbers[-1]} of the {frames.of} of the scene")
+    pictures, transfer = _pictures(frames, eye, view, from_exr), frames.transfer
+    if view in VIEWS:
+        shown, transfer = VIEWS[view], "srgb"
+        scale = shown.scale(frames.arrays(shown.array, eye))
+        facts.append(shown.label(scale))
+        pictures = (shown.paint(array, scale) for array in frames.arrays(shown.array, eye))
+    comment = "; ".join([f"clsco {__version__}", *facts])
+    rate = playing.rate(frames.interval, where)
+
+    def counted() -> Iterator[NDArray[Any]]:
+        for picture in pictures:
+            yield picture
+            advance()
+
+    return [*facts, *write_clip(target, counted(), rate, preset, transfer, transfer_tag, comment)]
+
+
+def _pictures(frames: WrittenFrames, eye: str, view: str, from_exr: bool) -> Iterator[NDArray[Any]]:
+    """Color, sharp, or both."""
+    if view == "sharp":
+        return frames.arrays("sharp", eye, "exr" if from_exr else "")
+    colors = frames.arrays("color", eye, "exr") if from_exr else frames.images(eye)
+    if view == "color":
+        return colors
+    sharp = frames.arrays("sharp", eye, "exr" if from_exr else "")
+    return (_beside(*pair, frames.transfer) for pair in zip(sharp, colors, strict=True))
+
+
+def _beside(left: NDArray[Any], right: NDArray[Any], transfer: str) -> NDArray[Any]:
+    """Two images next to each other, the left one in the codes of the right one where that has codes."""
+    if left.shape[:2] != right.shape[:2]:
+        raise ImageError(f"compare: sharp and color must have one size; got {left.shape[:2]} and {right.shape[:2]}")
+    if right.dtype.kind != "f":
+        left = encode(left, 8 * right.dtype.itemsize, transfer)
+    if left.ndim != right.ndim:
+        left, right = (each if each.ndim == 3 else np.repeat(each[..., None], 3, axis=2) for each in (left, right))
+    return np.concatenate([left, right], axis=1)
+
+
+def clip_path(path: Path, eye: str) -> Path:
+    """Where the clip of a view goes: of a stereo pair clip_left.mp4 and clip_right.mp4."""
+    return path.with_name(f"{path.stem}_{eye}{path.suffix}") if eye else path
+
+
+def folder_clip(folder: Path, preset: str) -> Path:
+    """The clip beside the frames of a folder."""
+    return folder / f"clip{PRESETS[preset].suffix}"

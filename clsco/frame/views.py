@@ -1,0 +1,147 @@
+"""Depth, blur radius and flow as colors, on one scale for all frames of a clip."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.errors import ImageError
+
+Picture = NDArray[np.uint8]
+# Every 15th of the 256 colors of viridis, perceptually uniform, by N. Smith, S. van der Walt and E. Firing (CC0),
+# in matplotlib since 1.5.
+VIRIDIS = (
+    "440154 481769 472a7a 433d84 3d4e8a 355e8d 2e6d8e 297b8e 23898e 1f978b 21a585 2eb37c 46c06f 65cb5e 89d548 b0dd2f "
+    "d8e219 fde725"
+)
+# Colors from one to the next hue, as in the color wheel of S. Baker et al., "A Database and Evaluation Methodology for
+# Optical Flow", IJCV 2011: red, yellow, green, cyan, blue, magenta, and red again.
+_WHEEL = ((15, (255, 0, 0)), (6, (255, 255, 0)), (4, (0, 255, 0)), (11, (0, 255, 255)), (13, (0, 0, 255)),
+          (6, (255, 0, 255)))  # fmt: skip
+
+
+@dataclass(frozen=True)
+class View:
+    """An array as colors.
+
+    Attributes
+    ----------
+    array : str
+        Its name in files.
+    extent : callable
+        The largest of these numbers over a clip make its scale.
+    paint : callable
+        Takes the array and the scale; gives 8-bit RGB.
+    label : callable
+        Says the scale.
+    """
+
+    array: str
+    extent: Callable[[NDArray[Any]], tuple[float, ...]]
+    paint: Callable[[NDArray[Any], tuple[float, ...]], Picture]
+    label: Callable[[tuple[float, ...]], str]
+
+    def scale(self, arrays: Iterable[NDArray[Any]]) -> tuple[float, ...]:
+        """The scale of all arrays of a clip."""
+        return tuple(np.max([self.extent(array) for array in arrays], axis=0).tolist())
+
+
+def _require(array: NDArray[Any], name: str, also: float | None = None) -> NDArray[Any]:
+    """Raise ImageError for numbers that are not finite, nor `also`; returns which are finite."""
+    finite: NDArray[Any] = np.isfinite(array)
+    if not (finite if also is None else finite | (array == also)).all():
+        raise ImageError(f"view: {name} must be finite{'' if also is None else f' or {also}'}; got other numbers")
+    return finite
+
+
+def _depth_extent(depth: NDArray[Any]) -> tuple[float, ...]:
+    seen = depth[_require(depth, "depth", np.inf)]
+    return (-float(seen.min()), float(seen.max())) if seen.size else (-np.inf, -np.inf)
+
+
+def _paint_depth(depth: NDArray[Any], scale: tuple[float, ...]) -> Picture:
+    """Near dark, far bright; black where nothing is."""
+    seen = np.isfinite(depth)
+    painted = viridis(np.where(seen, depth, 0.0), -scale[0], scale[1])
+    return np.where(seen[..., None], painted, np.uint8(0))
+
+
+def _depth_label(scale: tuple[float, ...]) -> str:
+    if not np.isfinite(scale).all():
+        return "depth: nothing is there, black"
+    return f"depth: viridis from {-scale[0]:.6g} mm (dark) to {scale[1]:.6g} mm (bright); nothing is black"
+
+
+def _radius_extent(radius: NDArray[Any]) -> tuple[float, ...]:
+    _require(radius, "coc")
+    return (float(np.abs(radius).max()),)
+
+
+def _flow_extent(flow: NDArray[Any]) -> tuple[float, ...]:
+    _require(flow, "flow")
+    return (float(np.hypot(flow[..., 0], flow[..., 1]).max()),)
+
+
+VIEWS = {
+    "depth": View("depth", _depth_extent, _paint_depth, _depth_label),
+    "coc": View(
+        "coc",
+        _radius_extent,
+        lambda radius, scale: viridis(radius, -scale[0], scale[0]),
+        lambda scale: f"coc: viridis from {0.0 - scale[0]:.6g} px (dark, near) to {scale[0]:.6g} px (bright, far)",
+    ),
+    "flow": View(
+        "flow",
+        _flow_extent,
+        lambda flow, scale: flow_colors(flow, scale[0]),
+        lambda scale: f"flow: Middlebury color wheel, white for none to full color for {scale[0]:.6g} px",
+    ),
+}
+"""By name."""
+
+
+def viridis(values: NDArray[Any], low: float, high: float) -> Picture:
+    """Colors of numbers, (rows, columns) to (rows, columns, 3), from dark at `low` to bright at `high`.
+
+    Notes
+    -----
+    Between 18 of the 256 colors of viridis; within 5 codes of all of them (tests/frame/test_views.py).
+    """
+    table = np.array([list(bytes.fromhex(color)) for color in VIRIDIS.split()], np.float64)
+    span = high - low
+    share = np.clip((values.astype(np.float64) - low) / span, 0, 1) if 0 < span < np.inf else np.zeros(values.shape)
+    place = share * (len(table) - 1)
+    channels = [np.interp(place, np.arange(len(table)), table[:, channel]) for channel in range(3)]
+    return (np.stack(channels, axis=-1) + 0.5).astype(np.uint8)
+
+
+def flow_colors(flow: NDArray[Any], longest: float) -> Picture:
+    """Colors of displacements, (rows, columns, 2) to (rows, columns, 3).
+
+    x right, y down, px: the direction is the hue, `longest` is full color. Validated against the C++ of Middlebury,
+    transcribed (tests/frame/test_views.py).
+    """
+    x, y = np.moveaxis(flow.astype(np.float64), 2, 0) / (longest if longest > 0 else 1.0)
+    wheel = _wheel()
+    place = (np.arctan2(-y, -x) / np.pi + 1) / 2 * (len(wheel) - 1)
+    first = np.floor(place).astype(np.intp)
+    share = (place - first)[..., None]
+    hue = (1 - share) * wheel[first] + share * wheel[(first + 1) % len(wheel)]
+    strength = np.minimum(np.hypot(x, y), 1.0)[..., None]
+    painted: Picture = (255 * (1 - strength * (1 - hue))).astype(np.uint8)
+    return painted
+
+
+def _wheel() -> NDArray[np.float64]:
+    """The 55 hues, (55, 3), 1 = full."""
+    hues = [color for _, color in _WHEEL]
+    steps = []
+    for (count, color), after in zip(_WHEEL, (*hues[1:], hues[0]), strict=True):
+        rising = np.floor(255 * np.arange(count) / count)[:, None]
+        up = np.sign(np.subtract(after, color))
+        steps.append(np.asarray(color) + up * rising)
+    return np.concatenate(steps) / 255

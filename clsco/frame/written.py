@@ -1,0 +1,202 @@
+"""Frames in a folder, as `clsco render` wrote them, by whomever: numbers, rate, images and arrays."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import stat
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.errors import SceneError
+from clsco.files.arrays import read_exr, read_npz
+from clsco.files.atomic import refuse
+from clsco.files.images import read_image
+from clsco.files.transfer import TRANSFERS
+from clsco.frame.files import frame_json
+
+LARGEST_JSON = 2**22  # bytes; 64 objects with all of their keys take a fiftieth
+MOST_FAULTS = 20
+_CHANNELS = {
+    "color": "R G B", "sharp": "sharp.R sharp.G sharp.B", "depth": "Z", "coc": "coc", "flow": "flow.u flow.v",
+}  # fmt: skip
+"""Of an EXR, by the names that arrays have in an NPZ."""
+
+
+@dataclass(frozen=True)
+class WrittenFrames:
+    """Frames of one scene.
+
+    Attributes
+    ----------
+    folder : Path
+    numbers : range
+        Of the frames, without a hole.
+    eyes : tuple of str
+        ("",), or ("left", "right") of stereo pairs.
+    interval : float
+        Seconds from frame to frame.
+    transfer : {"srgb", "linear"}
+        Of the PNG files.
+    of : int
+        Frames that the scene has.
+    scenes : frozenset of str
+        Hashes of scenes, one where all frames were rendered from the same file.
+    """
+
+    folder: Path
+    numbers: range
+    eyes: tuple[str, ...]
+    interval: float
+    transfer: str
+    of: int
+    scenes: frozenset[str]
+
+    def images(self, eye: str = "") -> Iterator[NDArray[Any]]:
+        """Codes of the PNG of each frame, (rows, columns[, 3]). Raises ImageError as `read_image`."""
+        for number in self.numbers:
+            yield read_image(self._file(number, "png", eye)).data
+
+    def arrays(self, name: str, eye: str = "", only: str = "") -> Iterator[NDArray[np.floating]]:
+        """An array of each frame, from its NPZ or else its EXR; `only`: from this kind of file.
+
+        Raises ImageError where a frame has neither, or it does not hold the array with its channels.
+        """
+        for number in self.numbers:
+            npz, exr = self._file(number, "npz", eye), self._file(number, "exr", "")
+            if only != "exr" and npz.exists():
+                array = read_npz(npz, [name])[name]
+                where = npz
+            elif exr.exists():
+                planes = read_exr(exr, _CHANNELS[name].split(), eye)
+                array = np.stack(planes, axis=-1) if len(planes) > 1 else planes[0]
+                where = exr
+            else:
+                files = exr.name if only == "exr" else f"{npz.name} or {exr.name}"
+                rule = f"must hold {files}, as from clsco render --truth {only or 'npz'}:{name}"
+                refuse(self.folder, rule, "neither" if not only else "none")
+            if array.shape[2:] not in {"color": ((), (3,)), "sharp": ((), (3,)), "flow": ((2,),)}.get(name, ((),)):
+                refuse(where, f"{name} must have its channels", f"shape {array.shape}")
+            yield array.astype(np.float32, copy=False)
+
+    def _file(self, number: int, suffix: str, eye: str) -> Path:
+        return self.folder / f"{frame_json(self.folder, number).stem}{'_' if eye else ''}{eye}.{suffix}"
+
+
+def written_frames(folder: Path, only: range | None = None) -> WrittenFrames:
+    """Find the frames of a folder by their JSON files, and read these.
+
+    Parameters
+    ----------
+    folder : Path
+    only : range, optional
+        Numbers of the frames that count; by default all that are there.
+
+    Returns
+    -------
+    WrittenFrames
+
+    Raises
+    ------
+    SceneError
+        All faults at once: no frames, a hole in their numbers, a JSON file that is none of a frame, frames that differ
+        in interval, transfer or stereo, a PNG that is not there.
+    """
+    try:
+        numbers = sorted(number for number in _numbers(folder) if only is None or number in only)
+    except OSError as error:
+        refuse(folder, "must be a folder of frames", error, error)
+    if not numbers:
+        raise SceneError(f"{folder}: must hold frames from clsco render, frame_0000.json and so on; got none")
+    faults = [
+        f"{frame_json(folder, one + 1)}: must be there, as a clip has no hole in its frames; got {one} and then {other}"
+        for one, other in pairwise(numbers)
+        if other != one + 1
+    ]
+    found: dict[int, tuple[float, str, bool, int]] = {}
+    scenes = set()
+    for number in numbers:
+        path = frame_json(folder, number)
+        content = _content(path, faults)
+        if content is None:
+            continue
+        scenes.add(str(content.get("scene_sha256")))
+        found[number] = known = _known(content, path, faults)
+        first = found[min(found)]
+        if known[:3] != first[:3]:
+            rule = f"must have the interval, transfer and views of frame {min(found)}, {_said(first)}"
+            faults.append(f"{path}: {rule}; got {_said(known)}")
+        stem = path.with_suffix("").name
+        for name in (f"{stem}_left.png", f"{stem}_right.png") if known[2] else (f"{stem}.png",):
+            if not (folder / name).is_file():
+                faults.append(f"{folder / name}: must be there, as {path.name} is; got none")
+    if faults:
+        more = [f"{folder}: and {len(faults) - MOST_FAULTS} more faults"] if len(faults) > MOST_FAULTS else []
+        raise SceneError(faults[:MOST_FAULTS] + more)
+    interval, transfer, is_stereo, count = found[numbers[0]]
+    eyes = ("left", "right") if is_stereo else ("",)
+    whole = range(numbers[0], numbers[-1] + 1)
+    return WrittenFrames(folder, whole, eyes, interval, transfer, count, frozenset(scenes))
+
+
+def _numbers(folder: Path) -> Iterator[int]:
+    """Numbers of the frames whose JSON file or PNG is there."""
+    found = (re.fullmatch(r"frame_([0-9]{4,9})(_left|_right)?\.(?:json|png)", path.name) for path in folder.iterdir())
+    numbers = {match[1] for match in found if match}
+    return (int(text) for text in numbers if text == f"{int(text):04d}")
+
+
+def _content(path: Path, faults: list[str]) -> Mapping[str, Any] | None:
+    """The tables of a JSON file; None with a fault where it is none."""
+    try:
+        about = path.stat()
+        if not stat.S_ISREG(about.st_mode) or about.st_size > LARGEST_JSON:  # to open a pipe would block for ever
+            faults.append(f"{path}: must be a file of at most {LARGEST_JSON} bytes; got another one")
+            return None
+        content = json.loads(path.read_bytes())
+    except OSError as error:
+        faults.append(f"{path}: must be there and readable, as it makes its frame whole; got {error.strerror}")
+    except (ValueError, RecursionError) as error:
+        faults.append(f"{path}: must be JSON; got {type(error).__name__}")
+    else:
+        if isinstance(content, dict):
+            return content
+        faults.append(f"{path}: must be a table; got {type(content).__name__}")
+    return None
+
+
+def _known(content: Mapping[str, Any], path: Path, faults: list[str]) -> tuple[float, str, bool, int]:
+    """Interval, transfer, whether it is a stereo pair, number of frames; with faults and defaults for what is wrong."""
+
+    def value(table: str, key: str, default: Any, is_right: Any) -> Any:
+        inner = scene.get(table, {})
+        given = inner.get(key, default) if isinstance(inner, dict) else None
+        if is_right(given):
+            return given
+        faults.append(f"{path}: scene.{table}.{key}: must be one of a scene; got {str(given)[:40]}")
+        return default
+
+    def is_count(given: Any) -> bool:
+        return isinstance(given, int) and 0 < given <= 1_000_000
+
+    def is_time(given: Any) -> bool:
+        return isinstance(given, (int, float)) and not isinstance(given, bool) and 0 < given < math.inf
+
+    given = content.get("scene")
+    if not isinstance(given, dict):
+        faults.append(f"{path}: scene: must be a table, as clsco render writes it; got {type(given).__name__}")
+    scene = given if isinstance(given, dict) else {}
+    interval = float(min(value("sequence", "interval", 1.0, is_time), 1e300))
+    transfer = value("image", "transfer", "srgb", lambda given: isinstance(given, str) and given in TRANSFERS)
+    return interval, transfer, scene.get("stereo") is not None, value("sequence", "frames", 1, is_count)
+
+
+def _said(known: tuple[float, str, bool, int]) -> str:
+    return f"{known[0]:g} s, {known[1]}, {'stereo' if known[2] else 'one view'}"
