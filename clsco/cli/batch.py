@@ -201,6 +201,7 @@ def _make(
         status = status_of(wanted)
         finish(wanted, status)
     finally:
+        storage.tidy()  # what processes left that were still about to end before
         storage.close()
     click.echo(_line(out, status))
 

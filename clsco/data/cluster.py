@@ -34,7 +34,7 @@ def cluster_device(address: str) -> tuple[str, str]:
     """Device family and precision of a worker of a cluster. Raises ClscoError where there is none."""
     distributed = _distributed()
     with _client(distributed, address) as client:
-        workers = client.scheduler_info(n_workers=-1)["workers"]
+        workers = _workers(client, address)
         future = client.submit(_described, _per_host(workers), pure=False, resources=_resources(workers))
         try:
             family, precision = future.result(timeout=WORKERS_S)
@@ -70,7 +70,7 @@ def run_cluster(job: Job, shards: Sequence[int], address: str, advance: Callable
     with stoppable(), _client(distributed, address) as client:
         try:
             while not schedule.is_over:
-                workers = client.scheduler_info(n_workers=-1)["workers"]
+                workers = _workers(client, address)
                 while schedule.waiting and len(running) < _room(workers):
                     task = schedule.waiting.popleft()
                     found = client.submit(
@@ -138,6 +138,14 @@ def _distributed() -> Any:
     except ImportError:
         rule = "needs dask.distributed: pip install 'clsco[distributed]'"
         raise ImageError(f"--scheduler: {rule}; got no such module") from None
+
+
+def _workers(client: Any, address: str) -> Mapping[str, Any]:
+    """What the scheduler says of its workers. Raises ClscoError where it is gone, and so says nothing."""
+    found: Mapping[str, Any] | None = client.scheduler_info(n_workers=-1).get("workers")
+    if found is None:
+        raise _lost(address)
+    return found
 
 
 def _room(workers: Mapping[str, Any]) -> int:

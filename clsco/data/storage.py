@@ -133,13 +133,15 @@ def _remove_left(folder: Path, prefix: str) -> None:
 
 
 def _is_gone(process: int) -> bool:
+    """Whether a process of this machine has ended, also where nobody has asked yet how."""
     try:
         os.kill(process, 0)
+        with open(f"/proc/{process}/stat", "rb") as file:
+            return file.read().rpartition(b")")[2].split()[0] in (b"Z", b"X")
     except ProcessLookupError:
         return True
-    except OSError:
+    except OSError:  # somebody else's, or on a system without /proc
         return False
-    return False
 
 
 def _now(folder: Path) -> float:

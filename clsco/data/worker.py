@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from clsco.data.shards import Job, ShardMaker
     from clsco.opencl.device import Device
 
+ORPHAN_S = 10.0  # for the end of a process whose parent was killed
 REPORT_S = 0.2  # between reports of how far a shard has come
 
 DeviceName = str | int | None
@@ -113,5 +114,7 @@ def _end_with_parent(storage: Storage) -> None:
     parent = parent_process()
     if parent is not None:
         wait([parent.sentinel])
+        os.kill(os.getpid(), signal.SIGTERM)  # so that no file is written any more when all are removed
+        time.sleep(ORPHAN_S)
         storage.close()
         os._exit(1)

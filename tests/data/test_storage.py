@@ -88,6 +88,15 @@ def test_what_dead_processes_left_is_removed_and_no_more(tmp_path: Path) -> None
     assert {path.name for path in tmp_path.iterdir()} == {own.name, alive.name, other.name}
 
 
+def test_a_process_that_nobody_has_waited_for_has_ended(tmp_path: Path) -> None:
+    code = "import sys; from clsco.data.storage import open_storage; open_storage(sys.argv[1]).scratch()"
+    with subprocess.Popen([sys.executable, "-c", code, str(tmp_path)]) as process:
+        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+        assert list(tmp_path.iterdir())
+        open_storage(tmp_path).tidy()
+        assert not list(tmp_path.iterdir())
+
+
 def test_a_store_that_cannot_be_had_is_named(tmp_path: Path) -> None:
     pytest.importorskip("fsspec")
     with pytest.raises(ImageError, match="nosuch://a: must be an address that fsspec opens; got"):
