@@ -77,6 +77,10 @@ def _parse_types(text: str) -> tuple[tuple[str, str], ...]:
 
 
 data_argument = click.argument("data", metavar="DATA")
+base_option = click.option(
+    "--base", metavar="FOLDER", type=PATH, default=Path(),
+    help="Where the distribution file was, with its textures; default: here.",
+)  # fmt: skip
 
 
 @batch.command(epilog="clsco batch status DATA, verify DATA, show DATA NUMBER: of a set that is there.")
@@ -295,8 +299,9 @@ def _duration(seconds: float) -> str:
     help="Samples, spread over the set, that are rendered again.",
 )  # fmt: skip
 @click.option("--device", metavar="NAME", help="Where to render them.")
+@base_option
 @quiet_option
-def verify(data: str, sample: int, device: str | None, quiet: bool) -> None:
+def verify(data: str, sample: int, device: str | None, base: Path, quiet: bool) -> None:
     """Check a set: hashes of all files and arrays, and samples rendered again, bit by bit.
 
     Flow is compared with where the motion of the scene takes the depth. Exit status 1 and a line for each finding.
@@ -312,7 +317,7 @@ def verify(data: str, sample: int, device: str | None, quiet: bool) -> None:
         with progress(len(there.shards) + sample, quiet, "checks") as advance:
             findings = verify_files(there, advance)
             chosen = chosen_samples(there, sample)
-            findings += verify_samples(there, chosen, device, advance)
+            findings += verify_samples(there, chosen, device, advance, base)
     finally:
         storage.close()
     for finding in findings:
@@ -325,8 +330,10 @@ def verify(data: str, sample: int, device: str | None, quiet: bool) -> None:
 @batch.command()
 @data_argument
 @click.argument("number", type=click.IntRange(0))
-def show(data: str, number: int) -> None:
+@base_option
+def show(data: str, number: int, base: Path) -> None:
     """Print the scene of sample NUMBER of a set as TOML, which clsco render takes."""
+    from clsco.data.build import located
     from clsco.data.sets import open_set
     from clsco.data.storage import open_storage
     from clsco.data.verify import scene_table
@@ -334,6 +341,6 @@ def show(data: str, number: int) -> None:
 
     storage = open_storage(data)
     try:
-        click.echo(toml_text(scene_table(open_set(storage), number)), nl=False)
+        click.echo(toml_text(located(scene_table(open_set(storage), number), base.absolute())), nl=False)
     finally:
         storage.close()

@@ -180,13 +180,13 @@ class ShardMaker:
             try:
                 sample = self.job.distribution.draw(self.job.identity.seed, number)
             except (SceneError, ImageError) as error:
-                failures[number] = {"number": number, "error": str(error), "scene": None}
+                failures[number] = {"number": number, "error": self._portable(error), "scene": None}
                 advance()
                 continue
             finally:
                 spent["draw"] += time.perf_counter() - start
             if failed and number in failed:
-                failures[number] = _failure(sample, failed[number])
+                failures[number] = _failure(sample, self._portable(failed[number]))
                 advance()
                 continue
             splits.setdefault(sample.split, []).append(sample)
@@ -199,7 +199,7 @@ class ShardMaker:
                     spent["render"] += time.perf_counter() - start
                     record = make_record(sample, self.job.identity.seed, frames, self.arrays, self.types)
                 except (SceneError, ImageError, KernelError) as error:
-                    failures[sample.number] = _failure(sample, str(error))
+                    failures[sample.number] = _failure(sample, self._portable(error))
                     advance()
                     continue
                 rows[sample.number] = _row(sample, key, record)
@@ -228,6 +228,12 @@ class ShardMaker:
         )  # fmt: skip
         spent["all"] = time.perf_counter() - spent["all"]
         return Made(shard, files, part, len(rows), len(failures), began, spent)
+
+    def _portable(self, error: object) -> str:
+        """What is wrong, without the place of the distribution on this machine."""
+        distribution = self.job.distribution
+        text = str(error).replace(distribution.where, Path(distribution.where).name)
+        return text.replace(f"{distribution.folder}/", "")
 
     def deliver(self, made: Made, about: Mapping[str, Any]) -> None:
         """Move the files of a shard to the set, then its part, and note in the log how long it took.

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco import __version__
+from clsco.data.build import located
 from clsco.data.containers import container_named
 from clsco.data.distribution import Sample
 from clsco.data.manifest import FAILED, MERGED, Parts, parsed_part, part_key
@@ -53,8 +55,13 @@ def verify_files(there: DataSet, advance: Advance) -> list[str]:
     return findings
 
 
-def verify_samples(there: DataSet, numbers: Sequence[int], device: str | None, advance: Advance) -> list[str]:
-    """What of some samples is not as it is rendered again, a line each, and where flow is not what motion gives."""
+def verify_samples(
+    there: DataSet, numbers: Sequence[int], device: str | None, advance: Advance, folder: Path
+) -> list[str]:
+    """What of some samples is not as it is rendered again, a line each, and where flow is not what motion gives.
+
+    folder: of the distribution file, where textures lie.
+    """
     chosen = choose(device, "--device")
     if numbers and device_family(chosen) != there.identity.device_family:
         rule = f"samples must be rendered again on a device of the family {there.identity.device_family}"
@@ -67,7 +74,7 @@ def verify_samples(there: DataSet, numbers: Sequence[int], device: str | None, a
     findings: list[str] = []
     for number in numbers:
         try:
-            findings += _verify_sample(there, number, renderer)
+            findings += _verify_sample(there, number, renderer, folder)
         except ClscoError as error:
             findings += [f"sample {number}: must be rendered again; got {text}" for text in str(error).splitlines()]
         advance()
@@ -75,7 +82,10 @@ def verify_samples(there: DataSet, numbers: Sequence[int], device: str | None, a
 
 
 def scene_table(there: DataSet, number: int) -> Mapping[str, Any]:
-    """The scene of a sample, or of one that failed. Raises SceneError where there is none."""
+    """The scene of a sample, or of one that failed, in the folder of the distribution file.
+
+    Raises SceneError where there is none.
+    """
     if number not in there.samples:
         raise SceneError(f"sample: must be from {there.samples.start} to {there.samples.stop - 1}; got {number}")
     rows, failures = there.lines(number // there.identity.shard_size)
@@ -159,14 +169,14 @@ def _compared(where: str, there: DataSet, row: Mapping[str, Any], record: Record
             yield f"{where}: {name} must have the SHA-256 in the manifest; got another"
 
 
-def _verify_sample(there: DataSet, number: int, renderer: Renderer) -> Iterator[str]:
+def _verify_sample(there: DataSet, number: int, renderer: Renderer, folder: Path) -> Iterator[str]:
     rows, _ = there.lines(number // there.identity.shard_size)
     row = next((row for row in rows if row["number"] == number), None)
     if row is None:
         return  # it failed, or its shard is missing, which is a finding already
     record = _stored(there, row)
     meta = record.meta
-    sweep = parse_sweep(meta["scene"], f"sample {number}")
+    sweep = parse_sweep(located(meta["scene"], folder), f"sample {number}")
     sample = Sample(
         number, meta["split"], meta["attempts"], dict(meta["parameters"]), dict(meta["scene"]),
         sweep.labels, sweep.scenes,

@@ -35,6 +35,7 @@ class Fake:
     digest: str = "fake"
     splits: tuple[tuple[str, float], ...] = ()
     where: str = "fake.toml"
+    folder: Path = Path("/fake")
     deadly: frozenset[int] = field(default_factory=frozenset)
     undrawable: frozenset[int] = field(default_factory=frozenset)
     unrenderable: frozenset[int] = field(default_factory=frozenset)

@@ -13,11 +13,13 @@ import pytest
 import clsco
 from clsco.data.ahead import ahead
 from clsco.data.containers import container_named
-from clsco.data.distribution import Sample
+from clsco.data.distribution import Sample, load_distribution
 from clsco.data.sets import DataSet, begun, finish, open_set, ranges, status_of
 from clsco.data.shards import Job, Renderer, ShardMaker
 from clsco.data.storage import open_storage
+from clsco.data.verify import verify_samples
 from clsco.errors import DeviceError, ImageError, SceneError
+from clsco.files.png import png_parts
 from clsco.opencl.device import choose
 from clsco.scene.sweep import parse_sweep
 from tests.data.fakes import Fake, job_of, make_here
@@ -65,6 +67,29 @@ def test_bytes_depend_on_nothing_but_the_set(tmp_path: Path) -> None:
     assert frame.flow is not None
     assert np.array_equal(record["depth"], frame.depth)
     assert np.array_equal(record["flow"], frame.flow)
+
+
+def test_bytes_do_not_depend_on_where_the_distribution_is(tmp_path: Path) -> None:
+    made = []
+    for place in ("one", "other/place"):
+        folder = tmp_path / place
+        folder.mkdir(parents=True)
+        (folder / "gray.png").write_bytes(b"".join(png_parts(np.full((4, 4), 99, np.uint8))))
+        (folder / "bad.png").write_bytes(b"no image")
+        (folder / "set.toml").write_text(
+            "[camera]\nresolution = [24, 16]\n[[object]]\nshape = 'plane'\ndistance = 250.0\n"
+            "[[vary.object]]\nindex = 0\ntexture = { choice = ['gray.png', 'bad.png'] }\n"
+        )
+        distribution = load_distribution(folder / "set.toml")
+        job = job_of(folder / "data", 6)
+        make_here(replace(job, distribution=distribution))
+        made.append(files(folder / "data"))
+    assert made[0] == made[1]
+    job = replace(job, distribution=distribution)
+    rows, failures = set_of(job).lines(0)
+    assert {row["parameters"]["object.0.texture"] for row in rows} == {"gray.png"}
+    assert {row["error"].partition(": ")[2].partition(":")[0] for row in failures} == {"bad.png"}
+    assert verify_samples(set_of(job), [row["number"] for row in rows], None, lambda: None, folder) == []
 
 
 def test_a_shard_counts_when_it_is_whole(tmp_path: Path) -> None:

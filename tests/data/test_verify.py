@@ -37,7 +37,7 @@ def findings(there: DataSet) -> list[str]:
 
 def test_a_set_is_as_it_was_made(there: DataSet) -> None:
     assert findings(there) == []
-    assert verify_samples(there, range(8), None, lambda: None) == []
+    assert verify_samples(there, range(8), None, lambda: None, Path()) == []
     assert chosen_samples(there, 3) == [0, 2, 5]
     assert chosen_samples(there, 100) == list(range(8))
 
@@ -96,15 +96,15 @@ def test_a_sample_that_is_rendered_otherwise_is_found(there: DataSet, monkeypatc
         return [[replace(frame, depth=changed)]]
 
     monkeypatch.setattr(Renderer, "render", other)
-    assert verify_samples(there, [4], None, lambda: None) == [
+    assert verify_samples(there, [4], None, lambda: None, Path()) == [
         "data/000001.tar: sample 4: depth must be what is rendered again, bit by bit; got other values"
     ]
     old = replace(there, identity=replace(there.identity, version="0.1"))
-    assert verify_samples(old, [4], None, lambda: None) == [
+    assert verify_samples(old, [4], None, lambda: None, Path()) == [
         f"samples must be rendered again by clsco 0.1; got {clsco.__version__}"
     ]
     gpu = replace(there, identity=replace(there.identity, device_family="gpu"))
-    (finding,) = verify_samples(gpu, [4], None, lambda: None)
+    (finding,) = verify_samples(gpu, [4], None, lambda: None, Path())
     assert finding.startswith("samples must be rendered again on a device of the family gpu; got cpu")
 
 
@@ -162,7 +162,7 @@ def test_flow_is_where_motion_takes_depth(more: str) -> None:
 
 def test_truth_whose_flow_disagrees_is_found(there: DataSet, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("clsco.data.verify.flow_error", lambda *_: 2.0)
-    assert verify_samples(there, [1], None, lambda: None) == [
+    assert verify_samples(there, [1], None, lambda: None, Path()) == [
         "data/000000.tar: sample 1: flow must lead where depth and motion do, within 0.01 px; got 2.01 px"
     ]
 
