@@ -146,7 +146,7 @@ def test_methods_agree_where_they_can_do_the_scene(method: str, small: Small, ex
     assert [found for found in worst(frames, exact(path)) if found.count] == []
 
 
-@pytest.mark.parametrize("stem", mostly_slow(SEVERAL, ["cone_turning", "quadric"]))
+@pytest.mark.parametrize("stem", mostly_slow(SEVERAL, ["quadric"]))
 def test_scatter_agrees(stem: str, small: Small, exact: Exact) -> None:
     (path,) = (path for path in PATHS if path.stem == stem)
     frames = list(clsco.render(small(path), truth=(), method="scatter"))
