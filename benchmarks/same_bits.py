@@ -110,7 +110,7 @@ def arrays(frame: Any) -> dict[str, Any]:
 
 def of_coverage(name: str, k: int, scene: Any) -> Iterator[tuple[str, str]]:
     """Coverage, which is rendered by name only; nothing of a version that has none."""
-    with suppress(clsco_errors()):
+    with suppress(*clsco_errors()):
         for frame in clsco.render(scene, truth=["alpha"], precision="double", frames=[0]):
             yield f"{name} {k} double auto whole {frame.eye} alpha", digest(frame.alpha)
 

@@ -27,7 +27,7 @@ def test_differences() -> None:
 
 def test_places_in_many_copies_of_an_image_are_floats() -> None:
     wanted = np.array([[[0.5, 3e6], [-2e6, 0.0]]])
-    got = np.float32(wanted)
+    got = wanted.astype(np.float32)
     got[0, 0, 1] = np.nextafter(got[0, 0, 1], np.float32(np.inf))
     assert check.difference("uv", got, wanted).count == 0
     got[0, 1, 1] = 2e-5
