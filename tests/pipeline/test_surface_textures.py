@@ -86,10 +86,10 @@ SCENES: dict[str, Scene] = {
     **{f"filter {name}": scene(CARD | {"texture": GRAY, "texture_repeats": 0.4}, psf=PLAIN,
                                motion={"texture_filter": name}) for name in ("nearest", "bilinear")},
 }  # fmt: skip
-# The middle of all pixels is on an edge between texels, within 3e-8 texels.
+# The pixels in the middle are 1e-8 texels beside an edge between texels, which floats of a texel do not tell from it.
 SCENES["an edge of texels"] = scene(
-    CARD | {"rotation": [0.0, 0.0, 0.0], "texture": "checkerboard", "texture_size": 1e9}, psf=PLAIN,
-    motion={"texture_filter": "nearest"},
+    CARD | {"rotation": [0.0, 0.0, 0.0], "center": [0.02, 0.02, 255.0], "texture": "checkerboard", "texture_size": 1e9},
+    psf=PLAIN, motion={"texture_filter": "nearest"}, camera=CAMERA | {"resolution": [47, 35]},
 )  # fmt: skip
 SOME = ("card, and what it hides", "ball seen from a pole", "hat", "wrap none")
 
