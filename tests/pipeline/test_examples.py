@@ -72,6 +72,7 @@ LONG |= {
 LONG |= {"fig_3_15_right", "fig_4_17", "fig_4_19"}
 LONG |= {"background"}  # see tests/pipeline/test_background.py
 LONG |= {"disc"}  # see tests/pipeline/test_rotated.py
+LONG |= {"lit"}  # see tests/pipeline/test_surface_textures.py and test_light.py
 LONG |= {"card", "ellipsoid"}  # see tests/pipeline/test_occlusion.py
 # Figures of the thesis that vary others by their numbers alone.
 LONG |= {
