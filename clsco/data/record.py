@@ -173,12 +173,12 @@ def make_record(
     Raises
     ------
     ImageError
-        A value does not fit: radiance that is no number, or below 0; floats beyond float16.
+        A value does not fit: radiance that is not finite; floats beyond float16.
 
     Notes
     -----
-    Codes end at white as those of a sensor do. Radiance above it is no error, as highlights have it, but what share of
-    an array was clipped is in `meta["arrays"][name]["clipped"]`; float32 keeps all of it.
+    Codes end at white as those of a sensor do, and at black, below which interpolated textures may go at an edge. Both
+    are no error, but what share of an array was clipped is in `meta["arrays"][name]["clipped"]`; float32 keeps all.
     """
     types = dict.fromkeys(PICTURES, "uint16") | dict(stored or {})
     arrays: dict[str, NDArray[Any]] = {}
@@ -225,8 +225,10 @@ def _stored(
     if dtype in CODES:
         bits = CODES[dtype]
         half = 0.5 / (2**bits - 1)  # what rounds to white or black is not clipped
-        _refuse(where, array, ~(array >= -half), "radiance must be a number from 0")
-        more = {"transfer": transfer, "clipped": float(np.count_nonzero(array > 1 + half) / array.size)}
+        _refuse(where, array, ~np.isfinite(array), "radiance must be a finite number")
+        # Below black: where the cubic between texels, and what sharpens it, goes below them at an edge.
+        beyond = np.count_nonzero((array > 1 + half) | (array < -half))
+        more = {"transfer": transfer, "clipped": float(beyond / array.size)}
         array = encode(array, bits, transfer)
     elif dtype == "float16" and array.dtype.kind == "f":
         with np.errstate(over="ignore"):  # what becomes infinite is refused next

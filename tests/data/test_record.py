@@ -55,10 +55,10 @@ def test_names_have_what_there_is_several_of(frames: list[object], variants: int
 
 def test_codes_note_what_they_clip() -> None:
     color = np.full((4, 5), 0.5, np.float32)
-    color[0, 0], color[0, 1] = 3.0, 1 + 1e-6  # the second one is white, rounded
+    color[0, 0], color[0, 1], color[0, 2] = 3.0, 1 + 1e-6, -0.01  # the second one is white, rounded
     made = make_record(drawn(1), 0, [[replace(frame(1), color=color)]], ("color",))
-    assert made.meta["arrays"]["color"]["clipped"] == 1 / 20
-    assert made["color"][0, 0] == 65535
+    assert made.meta["arrays"]["color"]["clipped"] == 2 / 20
+    assert made["color"][0, :3].tolist() == [65535, 65535, 0]
     exact = make_record(drawn(1), 0, [[replace(frame(1), color=color)]], ("color",), {"color": "float32"})
     np.testing.assert_array_equal(exact["color"], color)
     np.testing.assert_array_equal(exact.radiance(), color)
@@ -72,9 +72,9 @@ def test_codes_note_what_they_clip() -> None:
             "color",
             np.nan,
             {},
-            "sample 1: color: radiance must be a number from 0; got nan at row 2, column 3 (1 in all)",
+            "sample 1: color: radiance must be a finite number; got nan at row 2, column 3 (1 in all)",
         ),
-        ("color", -0.01, {}, "radiance must be a number from 0; got -0.01"),
+        ("color", -np.inf, {}, "radiance must be a finite number; got -inf"),
         ("depth", 1e5, {"depth": "float16"}, "sample 1: depth: sizes must be at most 65504 in float16; got 100000"),
     ],
 )

@@ -24,6 +24,7 @@ from clsco.opencl.device import choose
 from clsco.scene.sweep import parse_sweep
 from tests.data.fakes import Fake, job_of, make_here
 
+ROOT = Path(__file__).resolve().parents[2]
 SPLITS = (("train", 0.6), ("test", 0.4))
 
 
@@ -90,6 +91,16 @@ def test_bytes_do_not_depend_on_where_the_distribution_is(tmp_path: Path) -> Non
     assert {row["parameters"]["object.0.texture"] for row in rows} == {"gray.png"}
     assert {row["error"].partition(": ")[2].partition(":")[0] for row in failures} == {"bad.png"}
     assert verify_samples(set_of(job), [row["number"] for row in rows], None, lambda: None, folder) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["blurred_video", "charts", "defocus_pairs", "focal_stacks", "stereo"])
+def test_the_sets_of_the_package_are_made(name: str, tmp_path: Path) -> None:
+    distribution = load_distribution(ROOT / "examples" / "sets" / f"{name}.toml")
+    job = job_of(tmp_path / "data", 2)
+    make_here(replace(job, distribution=distribution, identity=replace(job.identity, arrays=("color", "sharp", "coc"))))
+    rows, failures = set_of(job).lines(0)
+    assert (len(rows), failures) == (2, [])
 
 
 def test_a_shard_counts_when_it_is_whole(tmp_path: Path) -> None:
