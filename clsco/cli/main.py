@@ -35,6 +35,7 @@ from clsco.cli.options import (
     truth_option,
 )
 from clsco.cli.render import render, render_to_folders, report_approximation, request_for
+from clsco.cli.studio import studio
 from clsco.cli.video import video
 from clsco.errors import ClscoError, DeviceError, SceneError
 
@@ -394,3 +395,4 @@ main.add_command(batch)
 main.add_command(convert)
 main.add_command(render)
 main.add_command(video)
+main.add_command(studio)

@@ -16,7 +16,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "clsco"
 # A package or module imports only what stands before it.
 ORDER = (
     "constants", "errors", "kept", "resources", "records", "scene", "optics", "files", "frame", "inputs", "plan",
-    "opencl", "inpainting", "passes", "engine", "reference", "data", "cli",
+    "opencl", "inpainting", "passes", "engine", "reference", "data", "studio", "cli",
 )  # fmt: skip
 # Narrower than the order: what knows OpenCL knows no scenes, and codecs know none either.
 ONLY = {
@@ -34,8 +34,12 @@ OUTSIDE = {
     "imagecodecs": ("files.decoders",),
     "tifffile": ("files.decoders",),
     "OpenEXR": ("files.decoders",),
-    "PIL": ("files.decoders", "cli.demo", "cli.thesis", "data.dryrun"),
+    "PIL": ("files.decoders", "cli.demo", "cli.thesis", "data.dryrun", "studio.pictures"),
     "av": (),
+    "nicegui": ("studio.page", "studio.widgets"),
+    "fastapi": ("studio.page", "studio.routes", "studio.server"),
+    "starlette": ("studio.server",),
+    "uvicorn": ("studio.server",),
     "click": ("cli",),
     "rich": ("cli",),
     "matplotlib": ("cli.bench", "inpainting.report"),

@@ -1,0 +1,52 @@
+"""The command `clsco studio`."""
+
+from __future__ import annotations
+
+import ipaddress
+from pathlib import Path
+
+import click
+
+from clsco.cli.options import PATH, device_option, require_device
+from clsco.errors import SceneError
+
+
+@click.command()
+@click.argument("scene", type=PATH, required=False)
+@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port to listen at; 0 (default): any free one.")
+@click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen at.")
+@click.option("--allow-network", is_flag=True, help="Let --host be an address that other machines reach.")
+@click.option("--root", metavar="DIR", type=PATH, help="Folder with all files to read and write. Default: SCENE's.")
+@device_option
+@click.option("--no-browser", is_flag=True, help="Only print the address.")
+def studio(
+    scene: Path | None, port: int, host: str, allow_network: bool, root: Path | None, device: str | None,
+    no_browser: bool,
+) -> None:  # fmt: skip
+    """Edit a scene in the browser while it is rendered.
+
+    Only this machine reaches the studio, and only who has the address that is printed, with its token.
+    """
+    try:
+        is_loopback = host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        raise click.UsageError(f"--host: must be an address; got {host}") from None
+    if not is_loopback and not allow_network:
+        raise click.UsageError(f"--host: needs --allow-network, as other machines reach it; got {host}")
+    root = root or (scene.parent if scene is not None else Path.cwd())
+    if not root.is_dir():
+        raise SceneError(f"--root: must be a folder; got {root}")
+    try:
+        from clsco.studio.page import attach
+        from clsco.studio.server import Studio, serve
+    except ModuleNotFoundError as error:
+        raise SceneError(f"studio: needs {error.name}: pip install 'clsco[studio]'; got no such module") from None
+    require_device(device)
+    opened = Studio(root, scene, device)
+    opened.new_session()  # a scene with faults ends here
+    if not is_loopback:
+        warning = (
+            "warning: other machines reach the studio, and what is sent is not encrypted; put a TLS proxy before it"
+        )
+        click.echo(warning, err=True)
+    serve(opened, host, port, attach, click.echo, not no_browser)

@@ -1,0 +1,451 @@
+"""A scene that is changed key by key, what is wrong in its boxes, and the way back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from clsco.errors import SceneError
+from clsco.resources import folder
+from clsco.scene.file import absolute, parse_scene, swept_keys
+from clsco.scene.model import Scene
+from clsco.scene.shapes import SHAPES
+from clsco.scene.sweep import parse_sweep
+from clsco.scene.text import shown
+from clsco.studio.tables import (
+    FILE_KEYS,
+    Table,
+    at,
+    named_files,
+    path_parts,
+    placed,
+    pose_for,
+    reshaped,
+    seed,
+    with_value,
+    without,
+)
+
+STEPS = 200  # of undo
+THESIS: Table = {"object": [{"shape": "plane"}]}
+"""The defaults of the thesis: all but the shape are those of clsco, too."""
+# Choices in a table of an object with keys beside them that other choices have no use for.
+_CHOICES = ("texture_mapping", "unit")
+_EXISTING = {
+    "texture": "must be an existing file, a built-in pattern or a color #rrggbb",
+    "depth": "must be an existing file",
+}
+
+
+@dataclass(frozen=True)
+class State:
+    """What undo comes back to."""
+
+    table: Table
+    apart: tuple[Mapping[str, Table], ...]  # of each object, the keys of the shapes that it has had
+    path: Path | None = None  # of the scene file
+
+    @cached_property
+    def objects(self) -> list[Table]:
+        """Tables of the objects."""
+        return self.table["object"]
+
+
+@dataclass(frozen=True)
+class _Step:
+    state: State
+    scene: Scene
+    drag: int | None = None  # that led away from it
+
+
+@dataclass
+class _History:
+    past: list[_Step] = field(default_factory=list)
+    future: list[_Step] = field(default_factory=list)
+
+    def push(self, before: _Step) -> None:
+        """Remember a state; those that one drag goes through are one step."""
+        self.future.clear()
+        if before.drag is None or not self.past or self.past[-1].drag != before.drag:
+            self.past.append(before)
+            del self.past[:-STEPS]
+
+
+class Editor:
+    """A scene that is changed key by key.
+
+    A value that is not valid stays in its box with its message, and the last valid scene stays what it is. It is tried
+    again together with each later change, so that keys that depend on each other may be changed one after the other.
+
+    Parameters
+    ----------
+    root : Path
+        Folder with all files that may be read and written.
+
+    Attributes
+    ----------
+    scene : Scene
+        The last valid one, with absolute paths; of a table with several values for a key the first of its scenes.
+    revision : int
+        Grows with each change of the scene.
+    faults : dict
+        Messages by paths of keys, of values that are not valid.
+    refused : dict
+        Those values, by paths.
+    is_linked : bool
+        The semi-axes b and c of ellipsoids are changed together, as the thesis has them alike.
+
+    Notes
+    -----
+    Validated: random walks of changes with their way back, and the messages of `clsco validate`
+    (tests/studio/test_session.py).
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root.resolve()
+        self.readable = (self.root, Path(str(folder("examples"))).resolve())
+        self.revision = 0
+        self.faults: dict[str, str] = {}
+        self.refused: dict[str, Any] = {}
+        self.is_linked = False
+        self._listeners: list[Callable[[], None]] = []
+        self._history = _History()
+        self._models: dict[int, Any] = {}
+        self._state = State(THESIS, ({},))
+        self.scene = self._valid(self._state)
+
+    @property
+    def state(self) -> State:
+        """Where undo comes back to."""
+        return self._state
+
+    @property
+    def table(self) -> Table:
+        """Content of the scene file: the keys that are given. It is never changed in place."""
+        return self._state.table
+
+    @property
+    def path(self) -> Path | None:
+        """The scene file, None before it is saved."""
+        return self._state.path
+
+    @property
+    def folder(self) -> Path:
+        """Where relative paths of the scene start."""
+        return self._state.path.parent if self._state.path is not None else self.root
+
+    @property
+    def can_undo(self) -> bool:
+        return bool(self._history.past)
+
+    @property
+    def can_redo(self) -> bool:
+        return bool(self._history.future)
+
+    def subscribe(self, listener: Callable[[], None]) -> Callable[[], None]:
+        """Have a function called after each change of the scene or of faults; returns what ends it."""
+        self._listeners.append(listener)
+        return lambda: self._listeners.remove(listener) if listener in self._listeners else None
+
+    def patch(self, path: str, value: Any, drag: int | None = None) -> bool:
+        """Change one key.
+
+        Parameters
+        ----------
+        path : str
+            "object.0.radius"; a component of a vector is "object.0.center.2".
+        value
+            As in a scene file; None or "": none, so that the key has its default.
+        drag : int, optional
+            Changes of one drag are one step of undo.
+
+        Returns
+        -------
+        bool
+            Whether the scene changed. Where the value is not valid, `faults` says why.
+        """
+        waiting = {other: old for other, old in self.refused.items() if not _overlaps(other, path)}
+        if path.endswith(".shape"):  # what was typed for another shape goes
+            waiting = {other: old for other, old in waiting.items() if not other.startswith(path[: -len("shape")])}
+        together = {**waiting, path: value}
+        faults: dict[str, str] | None = None
+        for chosen in (together, {path: value}) if waiting else (together,):
+            try:
+                state, scene = self._changed(chosen)
+            except SceneError as error:
+                faults = faults or placed(error)
+                continue
+            self.refused = {other: old for other, old in together.items() if other not in chosen}
+            self.faults = (faults or {}) if self.refused else {}
+            return self._accept(state, scene, drag)
+        assert faults is not None
+        if path not in faults and not any(other.startswith(f"{path}.") for other in faults):
+            faults = {path: "; ".join(f"{key}: {rule}" if key else rule for key, rule in faults.items())} | faults
+        self.refused, self.faults = together, faults
+        self._tell()
+        return False
+
+    def undo(self) -> bool:
+        """Go one step back, and let go of what is not valid."""
+        return self._go(self._history.past, self._history.future)
+
+    def redo(self) -> bool:
+        """Go forth what `undo` went back."""
+        return self._go(self._history.future, self._history.past)
+
+    def reset(self, index: int = 0) -> None:
+        """Give an object, its motion, the sequence and the camera the thesis' defaults; the images stay.
+
+        Parameters
+        ----------
+        index : int
+            Of the object.
+        """
+        item = self._state.objects[index]
+        objects = self._state.objects.copy()
+        objects[index] = {"shape": "plane"} | {k: v for k, v in item.items() if k in ("name", "texture", "group")}
+        table = {key: value for key, value in self.table.items() if key not in ("camera", "sequence")}
+        if (resolution := at(self.table, ["camera", "resolution"])) is not None:
+            table["camera"] = {"resolution": resolution}
+        apart = tuple({} if k == index else kept for k, kept in enumerate(self._state.apart))
+        self.take(replace(self._state, table=table | {"object": objects}, apart=apart))
+
+    def add_object(self, shape: str = "sphere") -> int:
+        """Add an object behind the others in the list; returns its index. Raises SceneError."""
+        item, _ = reshaped({}, shape, {})
+        return self._insert(len(self._state.objects), item, {})
+
+    def copy_object(self, index: int) -> int:
+        """Add a copy of an object after it; returns its index. Raises SceneError."""
+        item = {key: value for key, value in self._state.objects[index].items() if key != "name"}
+        return self._insert(index + 1, item, self._state.apart[index])
+
+    def delete_object(self, index: int) -> None:
+        """Delete an object, and groups that are empty then. Raises SceneError for the last one."""
+        objects, apart = self._state.objects.copy(), list(self._state.apart)
+        del objects[index], apart[index]
+        self._arrange(objects, apart)
+
+    def move_object(self, index: int, to: int) -> None:
+        """Give an object another place in the list. Raises SceneError where that cannot be."""
+        objects, apart = self._state.objects.copy(), list(self._state.apart)
+        objects.insert(to, objects.pop(index))
+        apart.insert(to, apart.pop(index))
+        self._arrange(objects, apart)
+
+    def known(self, path: str) -> Any:
+        """The value of a key that is in force: what is given, else the default; None where there is none.
+
+        Of the pairs of keys of the camera both have one: what the other amounts to.
+        """
+        parts = path_parts(path)
+        value = at(self.table, parts)
+        if value is None:
+            value = self._derived(parts)
+        if isinstance(value, tuple):
+            return _listed(value)
+        return value
+
+    def shown(self, path: str) -> Any:
+        """What a box shows: the value that is not valid, else that in force."""
+        if path in self.refused:
+            return self.refused[path]
+        value = self.known(path)
+        for other, component in self.refused.items():
+            head, _, last = other.rpartition(".")
+            if head == path and isinstance(value, list) and last.isdecimal() and int(last) < len(value):
+                value = [component if k == int(last) else old for k, old in enumerate(value)]
+        return value
+
+    def fault(self, path: str) -> str:
+        """The message on a key, or on a component of it; "" where it is valid."""
+        of_parts = (message for key, message in self.faults.items() if key.startswith(f"{path}."))
+        return self.faults.get(path) or next(of_parts, "")
+
+    def forget_past(self) -> None:
+        """Let the way back begin here."""
+        self._history = _History()
+        self._tell()
+
+    def take(self, state: State, refused: Mapping[str, tuple[Any, str]] | None = None) -> None:
+        """Go to another state, as one step of undo.
+
+        Parameters
+        ----------
+        state : State
+        refused : mapping, optional
+            Values that cannot be, with their messages, by paths.
+
+        Raises
+        ------
+        SceneError
+            Its table is not valid; then all stays as it is.
+        """
+        scene = self._valid(state)
+        self.refused = {path: value for path, (value, _) in (refused or {}).items()}
+        self.faults = {path: message for path, (_, message) in (refused or {}).items()}
+        self._accept(state, scene, None)
+
+    def _accept(self, state: State, scene: Scene, drag: int | None) -> bool:
+        """Make a valid state the current one; whether it differs."""
+        before = self._state
+        changed = state.table != before.table or state.path != before.path
+        if changed:
+            self._history.push(_Step(before, self.scene, drag))
+            self._set(state, scene)
+        self._tell()
+        return changed
+
+    def _set(self, state: State, scene: Scene) -> None:
+        self._state, self.scene = state, scene
+        self._models.clear()
+        self.revision += 1
+
+    def _go(self, steps: list[_Step], others: list[_Step]) -> bool:
+        """Go to the last of some steps, and let go of what is not valid."""
+        self.refused, self.faults = {}, {}
+        if moved := bool(steps):
+            others.append(_Step(self._state, self.scene))
+            step = steps.pop()
+            self._set(step.state, step.scene)
+        self._tell()
+        return moved
+
+    def _tell(self) -> None:
+        for listener in tuple(self._listeners):
+            listener()
+
+    def _changed(self, chosen: Mapping[str, Any]) -> tuple[State, Scene]:
+        """The state with these keys changed, without what a choice among them has no use for. Raises SceneError."""
+        state = self._state
+        for path, value in chosen.items():
+            state = self._with(state, path, value)
+        for _ in range(len(_CHOICES) + 1):
+            try:
+                return state, self._valid(state)
+            except SceneError as error:
+                beside = [path.rpartition(".")[0] for path in chosen if path.rpartition(".")[2] in _CHOICES]
+                useless = [
+                    parts
+                    for key in placed(error)
+                    if key not in chosen and key.rpartition(".")[0] in beside
+                    if (parts := key.split(".")) and parts[-1] not in FILE_KEYS[:2]
+                    if at(state.table, parts) is not None
+                ]
+                if not useless:
+                    raise
+            for parts in useless:
+                state = replace(state, table=without(state.table, parts))
+        return state, self._valid(state)
+
+    def _with(self, state: State, path: str, value: Any) -> State:
+        """A state with another value of one key."""
+        parts = path_parts(path)
+        if parts[-1] in FILE_KEYS and isinstance(value, str) and Path(value).is_absolute():
+            rule = "must be relative to the folder of the scene"
+            raise SceneError(f"scene: object[{parts[1]}].{parts[-1]}: {rule}; got {shown(value)}")
+        if len(parts) == 3 and parts[0] == "object" and parts[2] == "shape":
+            item = at(state.table, parts[:2])
+            if item is not None and value != item["shape"]:
+                index = int(parts[1])
+                item, kept = reshaped(item, value, state.apart[index])
+                apart = (*state.apart[:index], kept, *state.apart[index + 1 :])
+                return replace(state, table=with_value(state.table, parts[:2], item), apart=apart)
+        if value is None or value == "":  # an empty box
+            return replace(state, table=without(state.table, parts))
+        table = state.table
+        if len(parts) > 3 and parts[0] == "object" and parts[2] == "rotation":
+            table = with_value(table, parts[:3], pose_for(at(table, parts[:3]), parts[3]))
+        vector = next((k for k, part in enumerate(parts) if k > 1 and part.isdecimal()), len(parts))
+        if parts[0] not in ("object", "group"):
+            vector = next((k for k, part in enumerate(parts) if part.isdecimal()), len(parts))
+        if vector < len(parts) and at(table, parts[:vector]) is None:  # the other components stay what they are
+            default = self.known(".".join(parts[:vector]))
+            if not isinstance(default, list) and (default := seed(parts[vector - 1], value)) is None:
+                raise SceneError(f"scene: {'.'.join(parts[:vector])}: must be given as a whole; got {shown(value)}")
+            table = with_value(table, parts[:vector], default)
+        table = with_value(table, parts, value)
+        if self.is_linked and parts[0] == "object" and parts[2:] in (["semi_axes", "1"], ["semi_axes", "2"]):
+            table = with_value(table, [*parts[:3], "2" if parts[3] == "1" else "1"], value)
+        if parts == ["object"] and isinstance(value, list):
+            state = replace(state, apart=({},) * len(value))
+        return replace(state, table=table)
+
+    def _valid(self, state: State) -> Scene:
+        """The scene of a state, with absolute paths. Raises SceneError."""
+        table = state.table
+        scene = parse_sweep(table).scenes[0] if swept_keys(table) else parse_scene(table)
+        start = state.path.parent if state.path is not None else self.root
+        faults = []
+        for index, key, name in named_files(table):
+            if rule := self._file_rule(start, key, name):
+                faults.append(f"scene: object[{index}].{key}: {rule}; got {shown(name)}")
+        if faults:
+            raise SceneError(faults)
+        return absolute(scene, start)
+
+    def _file_rule(self, start: Path, key: str, name: str) -> str:
+        """What is wrong with the name of a file; "" for nothing."""
+        try:
+            path = (start / name).resolve()
+            if not any(path.is_relative_to(place) for place in self.readable):
+                return "must be a file below the folder of the studio"
+            return "" if path.is_file() else _EXISTING[key.partition("_")[0]]
+        except (OSError, ValueError, RuntimeError):  # not a file name: too long, a null character, a link to itself
+            return _EXISTING[key.partition("_")[0]]
+
+    def _derived(self, parts: list[str]) -> Any:
+        """A default that is in force."""
+        camera = self.scene.camera
+        if parts == ["camera", "f_number"]:
+            return camera.focal_length / camera.aperture_diameter
+        if parts == ["camera", "focus_distance"]:
+            f, s = camera.focal_length, camera.sensor_distance
+            return f * s / (s - f) if s > f else None
+        node: Any = self.scene
+        if parts[0] == "object" and len(parts) > 2 and parts[1].isdecimal():
+            node, parts = self._object(int(parts[1])), parts[2:]
+        elif parts[0] == "group" and len(parts) > 2 and parts[1].isdecimal():
+            node, parts = at(self.scene.groups, parts[1:2]), parts[2:]
+        for part in parts:
+            node = at(node, [part]) if isinstance(node, tuple) else getattr(node, part, None)
+        return node
+
+    def _object(self, index: int) -> Any:
+        """The model of an object alone: in a scene boxes are taken apart."""
+        if index not in self._models:
+            item = at(self.table, ["object", str(index)])
+            if item is None:
+                return None
+            still = {key: value for key, value in item.items() if key != "motion"}  # which may have several values
+            self._models[index] = SHAPES[item["shape"]].model_validate(still)
+        return self._models[index]
+
+    def _insert(self, index: int, item: Table, kept: Mapping[str, Table]) -> int:
+        objects, apart = self._state.objects.copy(), list(self._state.apart)
+        objects.insert(index, item)
+        apart.insert(index, kept)
+        self._arrange(objects, apart)
+        return index
+
+    def _arrange(self, objects: list[Table], apart: list[Mapping[str, Table]]) -> None:
+        """Take another list of objects, as one step; groups without objects go."""
+        table = self.table | {"object": objects}
+        used = {item.get("group") for item in objects}
+        if "group" in table:
+            table["group"] = [group for group in table["group"] if group["name"] in used]
+            if not table["group"]:
+                del table["group"]
+        self.take(replace(self._state, table=table, apart=tuple(apart)))
+
+
+def _overlaps(path: str, other: str) -> bool:
+    """Whether two paths are one, or one is in the other."""
+    return path == other or path.startswith(f"{other}.") or other.startswith(f"{path}.")
+
+
+def _listed(value: Any) -> Any:
+    return [_listed(entry) for entry in value] if isinstance(value, list | tuple) else value

@@ -1,0 +1,48 @@
+"""What a studio's folder has for it: scenes, images and depth maps, and nothing else."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+SCENES = (".toml", ".json")
+IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".pfm", ".npy", ".npz")
+MOST = 500  # names in a list
+DEEPEST = 4  # folders in each other
+
+
+def listed(root: Path, endings: tuple[str, ...]) -> list[str]:
+    """Names of files with these endings below a folder, relative to it.
+
+    Parameters
+    ----------
+    root : Path
+    endings : tuple of str
+        `SCENES` or `IMAGES`.
+
+    Returns
+    -------
+    list of str
+        At most 500, in the order of the alphabet; no hidden ones, and none that a link leads to outside.
+    """
+    return sorted(_found(root.resolve(), endings))
+
+
+def _found(root: Path, endings: tuple[str, ...]) -> Iterator[str]:
+    count = 0
+    for place, folders, names in os.walk(root):
+        here = Path(place)
+        depth = len(here.relative_to(root).parts)
+        is_made = (here / "frame_0000.json").exists() or (here / "manifest.json").exists()  # frames, a data set
+        folders[:] = [] if depth >= DEEPEST or is_made else sorted(name for name in folders if not name.startswith("."))
+        for name in sorted(names):
+            path = here / name
+            if name.startswith((".", "frame_")) or path.suffix.lower() not in endings:
+                continue
+            if path.is_symlink() and not path.resolve().is_relative_to(root):
+                continue
+            yield path.relative_to(root).as_posix()
+            count += 1
+            if count == MOST:
+                return

@@ -1,0 +1,358 @@
+"""Panels and fields of the studio, made from the schema of scene files, so that every key has its place.
+
+The first five panels have the words, the order and the symbols of the thesis (appendix A, section 3.3.2 and 4.3.2).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any, get_args
+
+from clsco.scene.file import SECTIONS
+from clsco.scene.groups import Group
+from clsco.scene.model import Scene
+from clsco.scene.quantities import Within
+from clsco.scene.rotations import AxisAngle, UnitQuaternion
+from clsco.scene.schema import scene_schema
+from clsco.scene.shapes import SHAPES
+from clsco.scene.texture_keys import BUILT_IN_TEXTURES
+from clsco.studio.session import Session
+from clsco.studio.tables import FILE_KEYS, at, without
+from clsco.studio.words import (
+    BY_FOCAL_LENGTH,
+    BY_UNIT,
+    COMPONENTS,
+    LABELS,
+    LABELS_AT,
+    OWN_ORDER,
+    POINT,
+    SHAPE_LABELS,
+    SLIDERS,
+    SYMBOLS,
+    THESIS_TITLES,
+    pose_label,
+    words,
+)
+
+
+@dataclass(frozen=True)
+class Field:
+    """A key of a scene as a control.
+
+    Attributes
+    ----------
+    path : str
+        "object.0.radius", as `Session.patch` takes it.
+    label, symbol, unit : str
+        Symbol of the thesis, "" where it has none.
+    kind : {"number", "vector", "choice", "text", "flag", "image"}
+    default : Any
+        The value that the key has if it is not given; None for none.
+    least, most : float or None
+        What is valid; of a vector, each component.
+    step : float
+        Of a slider.
+    choices : tuple of (value, label)
+        Of a number or an image: what may be there instead.
+    help : str
+    slider : tuple of two float, or None
+        Ends of a slider; beyond them a number is typed.
+    components : tuple of str
+        Labels of the components of a vector.
+    fewest : int
+        How many components must be given.
+    is_integer : bool
+    """
+
+    path: str
+    label: str
+    symbol: str = ""
+    unit: str = ""
+    kind: str = "number"
+    default: Any = None
+    least: float | None = None
+    most: float | None = None
+    step: float = 0.0
+    choices: tuple[tuple[Any, str], ...] = ()
+    help: str = ""
+    slider: tuple[float, float] | None = None
+    components: tuple[str, ...] = ()
+    fewest: int = 0
+    is_integer: bool = False
+
+    @property
+    def key(self) -> str:
+        """The last part of the path."""
+        return self.path.rpartition(".")[2]
+
+    @property
+    def name(self) -> str:
+        """Label with symbol and unit, as who hears the control is told."""
+        symbol = f" {self.symbol}" if self.symbol else ""
+        return f"{self.label}{symbol}" + (f" ({self.unit})" if self.unit else "")
+
+    def component(self, index: int) -> Field:
+        """A component of a vector as a number."""
+        label = self.components[index]
+        part = f"{index // 2}.{index % 2}" if self.is_paired else str(index)
+        default = flat(self.default)[index] if isinstance(self.default, list) else None
+        symbol = f"{self.symbol}{label}" if self.symbol and len(label) == 1 else ""
+        slider = POINT.get(label, self.slider) if self.key in ("center", "apex", "position", "origin") else self.slider
+        return replace(
+            self, path=f"{self.path}.{part}", label=f"{self.label} {label}", symbol=symbol, kind="number",
+            default=default, components=(), fewest=0, slider=slider, step=_step(slider, self.is_integer),
+        )  # fmt: skip
+
+    @property
+    def is_paired(self) -> bool:
+        """Whether the value is a list of pairs."""
+        return self.key == "bounds"
+
+    def value(self, numbers: Sequence[float]) -> Any:
+        """The value of a vector of these components, in their order."""
+        listed = list(numbers)
+        return [listed[k : k + 2] for k in range(0, len(listed), 2)] if self.is_paired else listed
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Fields under a title; `is_open`: those of the thesis are seen at once."""
+
+    title: str
+    fields: tuple[Field, ...]
+    is_open: bool = False
+
+
+def flat(value: Any) -> list[Any]:
+    """Components of a vector, those of pairs one after the other."""
+    if not isinstance(value, list | tuple):
+        return [value]
+    return [entry for part in value for entry in (part if isinstance(part, list | tuple) else [part])]
+
+
+def panels(session: Session, index: int = 0) -> tuple[Panel, ...]:
+    """Panels with a field for every key that a scene may have.
+
+    Parameters
+    ----------
+    session : Session
+    index : int
+        Of the object whose keys are shown.
+
+    Returns
+    -------
+    tuple of Panel
+        The five of the thesis first.
+    """
+    shape = session.shown(f"object.{index}.shape")
+    shape = shape if isinstance(shape, str) and shape in SHAPES else session.known(f"object.{index}.shape")
+    of_object = {field.path.split(".", 2)[2]: field for field in _fields(session, SHAPES[shape], f"object.{index}")}
+    scene = {field.path: field for field in _of_scene(session)}
+    groups = [
+        field
+        for number in range(len(session.table.get("group", ())))
+        for field in _fields(session, Group, f"group.{number}")
+    ]
+
+    def taken(keys: Sequence[str], start: str = "") -> tuple[Field, ...]:
+        source = scene if start else of_object
+        return tuple(source.pop(start + key) for key in keys if start + key in source)
+
+    motion = taken(("motion.velocity", "motion.angular_velocity"))
+    image, kind = taken(("texture",)), taken(("shape",))
+    shared = [
+        key
+        for key in of_object
+        if key.startswith(("texture_", "rotation", "motion")) or key in ("name", "group", "bounds")
+    ]
+    own = sorted((key for key in of_object if key not in shared), key=lambda key: key in OWN_ORDER)
+    camera = (
+        "focal_length", "aperture_diameter", "pixel_pitch", "sensor_distance", "normalization_distance",
+        "focus_distance", "f_number", "resolution",
+    )  # fmt: skip
+    found = [
+        Panel(THESIS_TITLES[0], image, True),
+        Panel(THESIS_TITLES[1], kind, True),
+        Panel(THESIS_TITLES[2], taken(own), True),
+        Panel(THESIS_TITLES[3], motion + taken(("frames", "interval"), "sequence."), True),
+        Panel(THESIS_TITLES[4], taken(camera, "camera."), True),
+    ]
+    rest = (
+        ("PSF and method", ("psf.", "aperture.")),
+        ("Sequence and motion in detail", ("sequence.", "motion.", "camera.")),
+        ("Fill", ("fill.",)),
+        ("Light", ("light.",)),
+        ("Stereo", ("stereo.",)),
+        ("Title and image", ("title", "image.")),
+    )
+    surface = taken([key for key in of_object if key.startswith("texture_")])
+    found += [Panel("Texture on the surface", surface), Panel("Name, pose and bounds", taken(list(of_object)))]
+    for title, starts in rest:
+        keys = [path for path in scene if path.startswith(starts)]
+        found.append(Panel(title, tuple(scene.pop(path) for path in keys)))
+    if groups:
+        found.append(Panel("Groups", tuple(groups)))
+    if scene:  # sections that the rows above do not know
+        found.append(Panel("More", tuple(scene.values())))
+    return tuple(panel for panel in found if panel.fields)
+
+
+def field_at(session: Session, path: str) -> Field | None:
+    """The field of a path, or of the vector that it is a component of; None where there is none."""
+    index = int(path.split(".")[1]) if path.startswith("object.") else 0
+    listed = [field for panel in panels(session, index) for field in panel.fields]
+    return next((field for field in listed if path == field.path or path.startswith(f"{field.path}.")), None)
+
+
+@cache
+def _schema() -> dict[str, Any]:
+    return scene_schema()
+
+
+def _of_scene(session: Session) -> Iterator[Field]:
+    """Fields of all that is not of an object or a group."""
+    for key, entry in _schema()["properties"].items():
+        if key in ("object", "group"):
+            continue
+        if key in SECTIONS:
+            yield from _fields(session, SECTIONS[key], key)
+        else:
+            yield _field(session, Scene, key, key, entry, _kinds(entry), None)
+
+
+def _fields(session: Session, model: Any, start: str) -> Iterator[Field]:
+    """Fields of the keys of a model, which is at `start` in the scene."""
+    definition = _schema()["$defs"][model.__name__]
+    for key, entry in definition["properties"].items():
+        path = f"{start}.{key}" if start else key
+        annotation = model.model_fields[key]
+        kinds = _kinds(entry)
+        inner = [kind["$ref"].rpartition("/")[2] for kind in kinds if "$ref" in kind]
+        if kinds and not all("$ref" in kind for kind in kinds):
+            yield _field(session, model, path, key, entry, kinds, _limits(annotation))
+        for name in inner:
+            yield from _fields(session, _inner_model(annotation.annotation, name), path)
+
+
+def _inner_model(annotation: Any, name: str) -> Any:
+    """The model of a name in an annotation."""
+    known = {"AxisAngle": AxisAngle, "UnitQuaternion": UnitQuaternion}
+    return known.get(name) or next(part for part in (annotation, *get_args(annotation)) if part.__name__ == name)
+
+
+def _kinds(entry: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """The forms that one value of a key may have, but for none."""
+    several = entry.get("anyOf")
+    if several is None:
+        return [entry]
+    if several and several[-1].get("$ref") == "#/$defs/Range":  # what a sweep may have besides
+        several = several[:1]
+    return [kind for part in several for kind in _kinds(part) if kind.get("type") != "null"]
+
+
+def _limits(field: Any) -> Within | None:
+    """The limits of a number, or of the components of a vector, with its unit."""
+    waiting: list[Any] = [*field.metadata, field.annotation]
+    while waiting:
+        part = waiting.pop(0)
+        if isinstance(part, Within):
+            return part
+        if part is not SHAPES and not isinstance(part, type):
+            waiting += [*get_args(part), *getattr(part, "__metadata__", ())]
+        elif hasattr(part, "__metadata__"):
+            waiting += part.__metadata__
+    return None
+
+
+def _field(
+    session: Session, model: Any, path: str, key: str, entry: Mapping[str, Any], kinds: Any, limits: Within | None
+) -> Field:
+    """The field of one key."""
+    shape = kinds[0]
+    kind = "number"
+    choices: tuple[tuple[Any, str], ...] = ()
+    components: tuple[str, ...] = ()
+    if key == "shape" and path.startswith("object."):
+        order = [*SHAPE_LABELS, *(name for name in SHAPES if name not in SHAPE_LABELS)]
+        kind, choices = "choice", tuple((name, SHAPE_LABELS.get(name, words(name))) for name in order)
+    elif "enum" in shape:
+        kind, choices = "choice", tuple((value, words(value)) for value in shape["enum"])
+    elif shape["type"] == "boolean":
+        kind = "flag"
+    elif shape["type"] == "string":
+        kind = "image" if key in FILE_KEYS else "text"
+        choices = tuple((name, words(name)) for name in BUILT_IN_TEXTURES) if kind == "image" and key != "depth" else ()
+    elif shape["type"] == "array":
+        kind = "vector"
+        count = len(shape.get("prefixItems", ())) or shape["maxItems"]
+        components = COMPONENTS.get(key, ("x", "y", "z"))
+        components = components if key == "bounds" else components[:count]
+    instead = [(form["const"], words(form["const"])) for form in kinds[1:] if "const" in form]
+    is_integer = shape.get("type") == "integer" or any(
+        part.get("type") == "integer" for part in shape.get("prefixItems", ())
+    )
+    slider = _slider(key, limits) if kind in ("number", "vector") else None
+    if key in BY_FOCAL_LENGTH:
+        f = session.known("camera.focal_length")
+        low, high = BY_FOCAL_LENGTH[key]
+        slider = (low * f, high * f) if isinstance(f, int | float) else slider
+    where = path.split(".")
+    if where[0] == "object" and len(where) > 2:
+        symbol = SYMBOLS.get(f"{session.known('.'.join(where[:2]) + '.shape')}.{key}", "") or (
+            SYMBOLS.get(".".join(where[2:]), "") if where[2] == "motion" else ""
+        )
+    else:
+        symbol = SYMBOLS.get(path, "")
+    return Field(
+        path=path,
+        label=LABELS_AT.get(path) or pose_label(path) or LABELS.get(key) or words(key),
+        symbol=symbol,
+        unit=limits.unit if limits is not None else "",
+        kind=kind,
+        default=_default(session, model, path, key),
+        least=limits.low if limits is not None else None,
+        most=limits.high if limits is not None else None,
+        step=_step(slider, is_integer),
+        choices=choices or tuple(instead),
+        help=" ".join(str(entry.get("description", "")).split()),
+        slider=slider,
+        components=components,
+        fewest=len(components) if shape.get("minItems") != 1 else 1,
+        is_integer=is_integer,
+    )
+
+
+def _slider(key: str, limits: Within | None) -> tuple[float, float] | None:
+    """Ends of a slider: where useful values are, within what is valid."""
+    if limits is None or key in ("coefficients", "bounds", "quaternion"):
+        return None
+    low, high = SLIDERS.get(key) or BY_UNIT.get(limits.unit) or (limits.low, limits.high)
+    return (max(low, limits.low), min(high, limits.high)) if high - low <= 1e4 else None
+
+
+def _step(slider: tuple[float, float] | None, is_integer: bool) -> float:
+    """About a thousandth of a slider, as 1, 2 or 5 times a power of ten."""
+    if is_integer or slider is None:
+        return 1.0 if is_integer else 0.0
+    rough = (slider[1] - slider[0]) / 1000.0
+    power = 10.0 ** math.floor(math.log10(rough))
+    return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= rough * 0.999)
+
+
+def _default(session: Session, model: Any, path: str, key: str) -> Any:
+    """The value that a key has if it is not given, where it follows from the keys beside it."""
+    field = model.model_fields[key]
+    if field.default_factory is None:
+        return None if field.is_required() else _plain(field.default)
+    table = at(session.table, path.split(".")[:-1])
+    try:
+        return _plain(getattr(model.model_validate(without(dict(table or {}), [key])), key))
+    except ValueError:  # several values, or another key is at fault
+        return None
+
+
+def _plain(value: Any) -> Any:
+    return [_plain(entry) for entry in value] if isinstance(value, list | tuple) else value

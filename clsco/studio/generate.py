@@ -1,0 +1,126 @@
+"""What Generate and its kin run: scenes beside their frames, and the command lines that make these."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+from clsco.errors import ClscoError
+from clsco.files.atomic import write_whole
+from clsco.scene.sweep import parse_sweep
+from clsco.scene.toml import toml_text
+from clsco.studio.jobs import Job, Jobs
+from clsco.studio.session import Session
+from clsco.studio.store import moved
+from clsco.studio.tables import Table, sparse, with_value
+
+SCENE_FILE = "scene.toml"
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is written besides the frames.
+
+    truth: formats as for `clsco render --truth`; preset: of a clip beside the frames, "" for none.
+    """
+
+    truth: str = ""
+    subframes: bool = False
+    preset: str = ""
+    device: str = ""
+
+    def options(self) -> list[str]:
+        """Of `clsco render`."""
+        found = ["--truth", self.truth] if self.truth else []
+        found += ["--subframes"] if self.subframes else []
+        found += ["--video", self.preset] if self.preset else []
+        return found + (["--device", self.device] if self.device else [])
+
+
+def free_folder(session: Session, kind: str = "frames") -> str:
+    """A name for an output folder, of the scene's file or title, that nothing has below the root."""
+    stem = session.path.stem if session.path is not None else str(session.table.get("title", ""))
+    stem = re.sub(r"[^a-z0-9]+", "_", stem.lower()).strip("_")[:40] or "scene"
+    names = (f"{kind}/{stem}" if k == 1 else f"{kind}/{stem}_{k}" for k in range(1, 10**6))
+    return next(name for name in names if not (session.root / name).exists())
+
+
+def generate(session: Session, jobs: Jobs, folder: str, wanted: Wanted = Wanted()) -> Job:
+    """Write all frames of the scene as `clsco render` does.
+
+    Parameters
+    ----------
+    session : Session
+    jobs : Jobs
+    folder : str
+        For the frames, and the scene file that they are made of; below the root.
+    wanted : Wanted
+
+    Returns
+    -------
+    Job
+
+    Raises
+    ------
+    ClscoError
+        As `Jobs.add`; values that are not valid wait in their boxes.
+    """
+    return _render(session, jobs, folder, session.table, "Frames", wanted)
+
+
+def focal_stack(
+    session: Session, jobs: Jobs, folder: str, nearest: float, farthest: float, steps: int, wanted: Wanted = Wanted()
+) -> Job:  # fmt: skip
+    """Write frames at focus distances at equal steps from `nearest` to `farthest`, mm. As `generate`."""
+    focus = {"from": nearest, "to": farthest, "steps": steps}
+    table = with_value(session.table, ["camera", "focus_distance"], focus)
+    return _render(session, jobs, folder, table, f"Focal stack of {steps}", wanted)
+
+
+def clip(session: Session, jobs: Jobs, frames: str, file: str, view: str = "color", preset: str = "") -> Job:
+    """Make a clip of frames that are there, by `clsco video`. Raises ClscoError as `Jobs.add`."""
+    source, target = _name(session, frames), Path(_name(session, file))
+    arguments = ["video", source, "-o", str(target), "--view", view] + (["--preset", preset] if preset else [])
+    return jobs.add(f"Clip {target.name}", arguments, str(target.parent), target.name, 1)
+
+
+def has_data_sets() -> bool:
+    """Whether this version makes data sets."""
+    return find_spec("clsco.cli.batch") is not None
+
+
+def data_set(session: Session, jobs: Jobs, distribution: str, folder: str, count: int, seed: int = 0) -> Job:
+    """Make a data set from a distribution file, by `clsco batch`. Raises ClscoError as `Jobs.add`."""
+    source, name = _name(session, distribution), _name(session, folder)
+    if not (session.root / source).is_file():
+        raise ClscoError(f"distribution: must be an existing file; got {distribution!r}")
+    arguments = [
+        "batch", source, "-o", name, "--count", str(count), "--seed", str(seed), "--resume", "--quiet"
+    ]  # fmt: skip
+    return jobs.add(f"Data set of {count}", arguments, name, "**/*", 0)
+
+
+def _render(session: Session, jobs: Jobs, folder: str, table: Table, what: str, wanted: Wanted) -> Job:
+    """Write a scene into a folder, and begin to render it."""
+    if session.refused:
+        raise ClscoError(f"{next(iter(session.faults))}: must be valid before frames are generated")
+    name = _name(session, folder)
+    target = session.root / name
+    placed = moved(table, session.folder, target)
+    scenes = parse_sweep(placed).scenes
+    jobs.require_free(name)
+    target.mkdir(parents=True, exist_ok=True)
+    write_whole(target / SCENE_FILE, toml_text(sparse(placed)).encode())
+    title = str(table.get("title", "")) or "scene"
+    arguments = ["render", f"{name}/{SCENE_FILE}", "-o", name, *wanted.options()]
+    pattern = "frame_[0-9]*.json" if len(scenes) == 1 else "*/frame_[0-9]*.json"
+    count = sum(scene.sequence.frames for scene in scenes)
+    return jobs.add(f"{what}: {title}", arguments, name, pattern, count)
+
+
+def _name(session: Session, path: str) -> str:
+    """A path below the root, relative to it, that is no option of a command. Raises SceneError."""
+    name = session.inside(Path(path)).relative_to(session.root).as_posix()
+    return f"./{name}" if name.startswith("-") else name

@@ -1,0 +1,201 @@
+"""What stands before every request to the studio: who may ask, from where, and how much may be sent.
+
+The studio listens on the loopback interface, which all users of the machine and all pages in the user's browser reach.
+So a request must name this server as its host (a foreign name that points here is DNS rebinding), come from the
+studio's own page, and bring the secret that only the address printed at the start has.
+"""
+
+from __future__ import annotations
+
+import hmac
+from collections.abc import Awaitable, Callable, Collection, Iterable, MutableMapping
+from http.cookies import CookieError, SimpleCookie
+from typing import Any
+from urllib.parse import parse_qs
+
+Message = MutableMapping[str, Any]
+Scope = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[Message]]
+Send = Callable[[Message], Awaitable[None]]
+Application = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+MAX_BODY = 64 * 2**20  # bytes of a request: an image
+MAX_MESSAGE = 2**20  # bytes from a WebSocket
+TOO_LARGE, TOO_BIG_A_MESSAGE = 413, 1009
+
+# NiceGUI compiles its templates in the browser, and has scripts and styles in its page.
+_POLICY = (
+    "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
+    "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self' {sockets}; object-src 'none'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+
+
+class Guard:
+    """The outermost layer of the studio's server, for HTTP and WebSockets alike.
+
+    Parameters
+    ----------
+    app : ASGI application
+        What is guarded.
+    hosts : collection of str
+        What the header Host may be, with the port.
+    token : str
+        The secret; in the first address as `?t=`, then in a cookie.
+    """
+
+    def __init__(self, app: Application, hosts: Collection[str], token: str) -> None:
+        self.app = app
+        self._hosts = frozenset(hosts)
+        self._origins = frozenset(f"http://{host}" for host in hosts)
+        self._token = token.encode()
+        self.cookie = f"clsco-{next(iter(hosts)).rpartition(':')[2]}"  # ports share their cookies
+        sockets = " ".join(f"ws://{host}" for host in sorted(self._hosts) if not host.startswith("["))
+        self._headers = [
+            (b"content-security-policy", _POLICY.format(sockets=sockets).encode()),
+            (b"x-content-type-options", b"nosniff"),
+            (b"x-frame-options", b"DENY"),
+            (b"referrer-policy", b"no-referrer"),
+            (b"cross-origin-opener-policy", b"same-origin"),
+            (b"cross-origin-resource-policy", b"same-origin"),
+        ]
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] not in ("http", "websocket"):
+            await self.app(scope, receive, send)
+            return
+        headers = _headers_of(scope)
+        if (rule := self._refusal(scope, headers)) is not None:
+            await self._refuse(scope, send, 403, rule)
+        elif scope["type"] == "websocket":
+            await self.app(scope, _counted_socket(receive, send), send)
+        elif self._is_first(scope):
+            await self._admit(send)
+        elif not self._knows(headers):
+            await self._refuse(scope, send, 403, "the address must be the one that `clsco studio` printed")
+        else:
+            await self._limited(scope, headers, receive, send)
+
+    def _refusal(self, scope: Scope, headers: dict[str, list[str]]) -> str | None:
+        """The rule that a request breaks, whatever it asks for."""
+        if len(headers.get("host", ())) != 1 or headers["host"][0] not in self._hosts:
+            return "Host must be this server"
+        origins = headers.get("origin", [])
+        if any(origin not in self._origins for origin in origins) or len(origins) > 1:
+            return "Origin must be this server"
+        needs_origin = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")
+        if needs_origin and not origins:
+            return "Origin must be sent"
+        if any(site not in ("same-origin", "none") for site in headers.get("sec-fetch-site", ())):
+            return "must come from the studio's own page"
+        if scope["type"] == "websocket" and not self._knows(headers):
+            return "must have the studio's cookie"
+        return None
+
+    def _knows(self, headers: dict[str, list[str]]) -> bool:
+        """Whether the secret came along, compared in constant time."""
+        for line in headers.get("cookie", ()):
+            try:
+                found = SimpleCookie(line).get(self.cookie)
+            except CookieError:
+                continue
+            if found is not None and hmac.compare_digest(found.value.encode(), self._token):
+                return True
+        return False
+
+    def _is_first(self, scope: Scope) -> bool:
+        """Whether this is the printed address."""
+        if scope["method"] != "GET" or scope["path"] != "/":
+            return False
+        (given, *_) = parse_qs(scope["query_string"].decode("latin-1")).get("t", [""])
+        return hmac.compare_digest(given.encode(), self._token)
+
+    async def _admit(self, send: Send) -> None:
+        """Turn the secret of the address into a cookie, and go to an address without it."""
+        cookie = f"{self.cookie}={self._token.decode()}; HttpOnly; SameSite=Strict; Path=/"
+        headers = [(b"set-cookie", cookie.encode()), (b"location", b"/"), (b"cache-control", b"no-store")]
+        await _respond(send, 303, [*headers, *self._headers], b"")
+
+    async def _refuse(self, scope: Scope, send: Send, status: int, rule: str) -> None:
+        if scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1008, "reason": rule})  # before it opens: HTTP 403
+            return
+        # What is left of the body is not read.
+        await _respond(send, status, [*self._headers, (b"connection", b"close")], f"refused: {rule}\n".encode())
+
+    async def _limited(self, scope: Scope, headers: dict[str, list[str]], receive: Receive, send: Send) -> None:
+        """Let a request through, with headers of ours, as long as its body is small enough."""
+        started, ended, count = False, False, 0
+        is_read = "content-length" not in headers and "transfer-encoding" not in headers
+        rule = f"a request must have at most {MAX_BODY >> 20} MiB"
+        (length, *_) = headers.get("content-length", ["0"])
+        if not length.isdecimal() or len(length) > 18 or int(length) > MAX_BODY:
+            await self._refuse(scope, send, TOO_LARGE, rule)
+            return
+
+        async def counted() -> Message:
+            nonlocal count, ended, is_read
+            if ended:
+                return {"type": "http.disconnect"}
+            message = await receive()
+            count += len(message.get("body", b""))
+            if count > MAX_BODY:
+                ended = True
+                if not started:
+                    await self._refuse(scope, send, TOO_LARGE, rule)
+                return {"type": "http.disconnect"}
+            is_read = is_read or not message.get("more_body", False)
+            return message
+
+        async def with_headers(message: Message) -> None:
+            nonlocal started
+            if ended:
+                return
+            if message["type"] == "http.response.start":
+                started = True
+                message["headers"] = [*_others(message.get("headers", ()), self._headers), *self._headers]
+                if not is_read:  # what is left of the body is not waited for
+                    message["headers"].append((b"connection", b"close"))
+            await send(message)
+
+        try:
+            await self.app(scope, counted, with_headers)
+        except Exception:
+            if not ended:  # else it is about the end that was told
+                raise
+
+
+def _headers_of(scope: Scope) -> dict[str, list[str]]:
+    found: dict[str, list[str]] = {}
+    for name, value in scope["headers"]:
+        found.setdefault(name.decode("latin-1").lower(), []).append(value.decode("latin-1"))
+    return found
+
+
+def _others(headers: Iterable[tuple[bytes, bytes]], ours: Iterable[tuple[bytes, bytes]]) -> list[tuple[bytes, bytes]]:
+    names = {name for name, _ in ours}
+    return [(name, value) for name, value in headers if name.lower() not in names]
+
+
+def _counted_socket(receive: Receive, send: Send) -> Receive:
+    """Messages of a WebSocket, until one is too long, which ends it."""
+    ended = False
+
+    async def counted() -> Message:
+        nonlocal ended
+        if not ended:
+            message = await receive()
+            size = len(message.get("bytes") or b"") + len(message.get("text") or "")
+            if size <= MAX_MESSAGE:
+                return message
+            ended = True
+            await send({"type": "websocket.close", "code": TOO_BIG_A_MESSAGE})
+        return {"type": "websocket.disconnect", "code": TOO_BIG_A_MESSAGE}
+
+    return counted
+
+
+async def _respond(send: Send, status: int, headers: list[tuple[bytes, bytes]], body: bytes) -> None:
+    about = [(b"content-type", b"text/plain; charset=utf-8"), (b"content-length", str(len(body)).encode())]
+    await send({"type": "http.response.start", "status": status, "headers": [*about, *headers]})
+    await send({"type": "http.response.body", "body": body})

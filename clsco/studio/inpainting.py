@@ -1,0 +1,268 @@
+"""Inpainting in the studio: a mask that is painted, methods side by side, and what they have taken."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.errors import ImageError, SceneError
+from clsco.files.atomic import together
+from clsco.files.images import Picture, read_image, write_png
+from clsco.files.png import png_parts
+from clsco.files.transfer import encode
+from clsco.studio.session import Session
+
+METHODS = ("mean-median", "biharmonic", "texture")
+"""Of `clsco inpaint`, that of the thesis first."""
+MOST_RUNS = 2**20
+LARGEST = 2**24  # pixels that are filled while somebody waits
+ROWS = {  # of the table in figure 5.21, with what `Report.figures` calls them
+    "missing_pixels": "Missing pixels",
+    "border_pixels": "Border pixels",
+    "gradient_range": "Range of gradients",
+    "threshold": "Threshold of the gradient",
+    "sweeps": "Sweeps",
+    "blended_pixels": "Blended pixels",
+    "seconds": "Seconds",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Filled:
+    """What a method has made.
+
+    method : str
+    image : (rows, columns[, 3]) of the image's type
+    figures : of `clsco.inpainting.report.Report.figures`
+    """
+
+    method: str
+    image: NDArray[Any]
+    figures: dict[str, Any]
+
+
+class Inpainting:
+    """An image, the mask of what is missing in it, and what methods fill in.
+
+    Parameters
+    ----------
+    root : Path
+        Folder with all files that may be read and written.
+    device : str, optional
+        As for `clsco.inpaint`.
+
+    Notes
+    -----
+    Methods run in a process of their own, which may end without the studio.
+    """
+
+    def __init__(self, root: Path, device: str | None = None) -> None:
+        self.root, self.device = root.resolve(), device
+        self.name = ""
+        self.image: NDArray[Any] = np.zeros((1, 1), np.uint8)
+        self.mask = np.zeros((1, 1), np.bool_)
+        self.results: dict[str, Filled] = {}
+        self._pool: ProcessPoolExecutor | None = None
+
+    def open(self, name: str) -> None:
+        """Take another image, without a mask.
+
+        Parameters
+        ----------
+        name : str
+            Relative to the root.
+
+        Raises
+        ------
+        ImageError
+            It is not below the root, cannot be read, or has more than 2^24 pixels.
+        """
+        image = self._read(name).data
+        if image.shape[0] * image.shape[1] > LARGEST:
+            raise ImageError(f"{name}: must have at most {LARGEST} pixels to be filled here; use clsco inpaint")
+        self.name, self.image = name, image
+        self.mask = np.zeros(image.shape[:2], np.bool_)
+        self.results = {}
+
+    def paint(self, columns: int, rows: int, runs: Sequence[int]) -> None:
+        """Take a mask as runs, row after row: known pixels, missing ones, known ones, and so on.
+
+        Raises
+        ------
+        ImageError
+            It is not of the size of the image, or the runs do not make it up.
+        """
+        if (rows, columns) != self.mask.shape:
+            got = f"{columns} x {rows}"
+            raise ImageError(f"mask: must have {self.mask.shape[1]} x {self.mask.shape[0]} pixels; got {got}")
+        lengths = list(runs)
+        if len(lengths) > MOST_RUNS or not all(type(run) is int and 0 <= run <= rows * columns for run in lengths):
+            raise ImageError(f"mask: must be at most {MOST_RUNS} lengths of runs")
+        if sum(lengths) != rows * columns:
+            raise ImageError(f"mask: runs must make up {rows * columns} pixels; got {sum(lengths)}")
+        values = np.arange(len(lengths)) % 2 == 1
+        self.mask = np.repeat(values, lengths).reshape(rows, columns)
+        self.results = {}
+
+    def runs(self) -> list[int]:
+        """The mask as runs, as `paint` takes them."""
+        flat = self.mask.ravel()
+        ends = np.flatnonzero(flat[1:] != flat[:-1]) + 1
+        edges = [0, *([0] if flat[0] else []), *ends.tolist(), flat.size]
+        return [end - start for start, end in pairwise(edges)]
+
+    def add_color(self, column: int, row: int, tolerance: float) -> None:
+        """Add all pixels that look like one of them to the mask, as the letters of figure 5.16.
+
+        Parameters
+        ----------
+        column, row : int
+            Of the pixel.
+        tolerance : float
+            Largest difference of a channel, as a share of white.
+
+        Raises
+        ------
+        ImageError
+            There is no such pixel.
+        """
+        if not (0 <= row < self.mask.shape[0] and 0 <= column < self.mask.shape[1]):
+            raise ImageError(f"color: must be that of a pixel of the image; got column {column}, row {row}")
+        codes = self.shown(self.image).astype(np.int16)
+        difference = np.abs(codes - codes[row, column])
+        if difference.ndim == 3:
+            difference = difference.max(axis=2)
+        self.mask = self.mask | (difference <= 255.0 * tolerance)
+        self.results = {}
+
+    def load_mask(self, name: str) -> None:
+        """Take the mask of a file: white is missing. Raises ImageError."""
+        values = self._read(name).data
+        values = values if values.ndim == 2 else values[..., 0]
+        if values.shape != self.mask.shape:
+            got = f"{values.shape[1]} x {values.shape[0]}"
+            raise ImageError(f"{name}: must have the size of the image; got {got} pixels")
+        half = 0.5 if values.dtype.kind == "f" else np.iinfo(values.dtype).max / 2
+        self.mask = values > half
+        self.results = {}
+
+    def fill(self, method: str) -> Filled:
+        """Fill what is missing, and keep the result beside those of other methods.
+
+        Raises
+        ------
+        ImageError, SceneError, DeviceError
+            As `clsco.inpaint`; nothing is missing; the process of the method ended.
+        """
+        if method not in METHODS:
+            raise SceneError(f"method: must be one of {', '.join(METHODS)}; got {method!r}")
+        if not self.mask.any():
+            raise ImageError("mask: some pixel must be missing; paint over what is to go")
+        if self._pool is None:
+            self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
+        mask = self.mask
+        try:
+            image, figures = self._pool.submit(_filled, self.image, mask, method, self.device).result()
+        except BrokenProcessPool:
+            self._pool = None
+            raise ImageError(f"{method}: its process ended; it is begun again with the next try") from None
+        found = Filled(method, image, figures)
+        if mask is self.mask:  # unless it was painted meanwhile
+            self.results[method] = found
+        return found
+
+    def table(self) -> list[tuple[str, list[str]]]:
+        """Figures of the methods that were run, as in figure 5.21: rows with a value for each, "" for none."""
+        return [
+            (label, [_figure(filled.figures.get(key)) for filled in self.results.values()])
+            for key, label in ROWS.items()
+        ]
+
+    def command(self, method: str) -> str:
+        """The command line that makes the same, once image and mask are written by `save`."""
+        return f"clsco inpaint image.png mask.png -o {method}.png --method {method}"
+
+    def save(self, folder: str) -> list[str]:
+        """Write image, mask and results as PNG, all or none; returns their names. Raises ImageError."""
+        target = (self.root / folder).resolve()
+        if not target.is_relative_to(self.root) or target == self.root:
+            raise ImageError(f"folder: must be below the folder of the studio; got {folder!r}")
+        if self.image.dtype.kind == "f":
+            raise ImageError("image: must be of 8 or 16 bits to be written as PNG; use clsco inpaint for floats")
+        target.mkdir(parents=True, exist_ok=True)
+        with together(target, "inpainting") as made:
+            write_png(made / "image.png", self.image)
+            write_png(made / "mask.png", np.where(self.mask, 255, 0).astype(np.uint8))
+            for filled in self.results.values():
+                write_png(made / f"{filled.method}.png", filled.image)
+            return sorted(path.name for path in made.iterdir())
+
+    def picture(self, which: str) -> bytes:
+        """PNG of 8 bits of "image", or of what a method made; nothing where there is none."""
+        if which == "image":
+            return b"".join(png_parts(self.shown(self.image)))
+        filled = self.results.get(which)
+        return b"" if filled is None else b"".join(png_parts(self.shown(filled.image)))
+
+    @staticmethod
+    def shown(image: NDArray[Any]) -> NDArray[np.uint8]:
+        """An image in 8 bits, as it is seen."""
+        if image.dtype.kind == "f":
+            return encode(np.clip(image.astype(np.float32), 0.0, 1.0), 8, "srgb").astype(np.uint8)
+        return np.ascontiguousarray(image if image.dtype == np.uint8 else (image >> 8).astype(np.uint8))
+
+    def close(self) -> None:
+        """End the process of the methods."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=False, cancel_futures=True)
+            self._pool = None
+
+    def _read(self, name: str) -> Picture:
+        try:
+            path = (self.root / name).resolve()
+        except (OSError, ValueError, RuntimeError):
+            path = Path("/")
+        if not path.is_relative_to(self.root) or not path.is_file():
+            raise ImageError(f"image: must be a file below the folder of the studio; got {name!r}")
+        try:
+            return read_image(path)
+        except ImageError as error:
+            raise ImageError(str(error).replace(str(path), name)) from None
+
+
+def _filled(
+    image: NDArray[Any], mask: NDArray[np.bool_], method: str, device: str | None
+) -> tuple[NDArray[Any], dict[str, Any]]:
+    """Fill an image; for the process of the methods."""
+    from clsco.engine.inpaint import inpaint
+
+    filled, report = inpaint(image, mask, method=method, device=device, return_report=True)
+    return filled, report.figures()
+
+
+def _figure(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, list):
+        return " to ".join(map(_figure, value))
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+_OPENED: WeakKeyDictionary[Session, Inpainting] = WeakKeyDictionary()
+
+
+def inpainting_of(session: Session, device: str | None = None) -> Inpainting:
+    """The inpainting of a tab, by its session."""
+    if session not in _OPENED:
+        _OPENED[session] = Inpainting(session.root, device)
+    return _OPENED[session]

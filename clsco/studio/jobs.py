@@ -1,0 +1,352 @@
+"""Work of the studio that takes long: command lines of `clsco` in processes of their own, one at a time.
+
+They go on when the studio ends, and the next one finds them: `.clsco-studio/jobs.json` below the root says what was
+begun, a file beside it how each process ended.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from clsco.errors import ClscoError
+from clsco.files.atomic import write_whole
+
+STATE_FOLDER = ".clsco-studio"
+GRACE = 10.0  # seconds that a canceled command has to end
+_TAIL = 4000  # bytes of what a command said
+# The end of a command goes to a file, as who began it may be gone by then; ^C is for the command alone.
+_SHELL = 'trap : INT TERM; "$@"; printf %s "$?" > "$0.part" && mv "$0.part" "$0"'
+_PYTHON = (sys.executable, "-P", "-c", "from clsco.cli.process import run; run()")
+
+Status = Literal["waiting", "running", "done", "failed", "canceled", "interrupted"]
+UNFINISHED = ("waiting", "running")
+
+
+@dataclass(frozen=True)
+class Job:
+    """One command.
+
+    Attributes
+    ----------
+    number : int
+    title : str
+    arguments : tuple of str
+        Of `clsco`; paths are relative to the root.
+    folder : str
+        Where its files go, relative to the root.
+    pattern : str
+        Of the files in the folder that are counted as progress.
+    total : int
+        How many of them there will be; 0 where nobody knows.
+    status : str
+    done : int
+        Files that are there.
+    began, ended : float
+        Seconds since 1970; 0 before.
+    process, process_began : int
+        Of the running command, by number and start time, as numbers come again.
+    message : str
+        What went wrong.
+    """
+
+    number: int
+    title: str
+    arguments: tuple[str, ...]
+    folder: str
+    pattern: str
+    total: int
+    status: Status = "waiting"
+    done: int = 0
+    began: float = 0.0
+    ended: float = 0.0
+    process: int = 0
+    process_began: int = 0
+    message: str = ""
+
+    @property
+    def line(self) -> str:
+        """The command line, to be run in the root."""
+        return shlex.join(["clsco", *self.arguments])
+
+    @property
+    def is_unfinished(self) -> bool:
+        return self.status in UNFINISHED
+
+    def seconds_left(self, now: float) -> float | None:
+        """By what is done; None where that says nothing."""
+        if self.status != "running" or not 0 < self.done < self.total:
+            return None
+        return (now - self.began) / self.done * (self.total - self.done)
+
+
+class Jobs:
+    """The commands of a studio, in the order in which they were asked for.
+
+    Parameters
+    ----------
+    root : Path
+        Folder that all of them work in.
+    environment : mapping, optional
+        Of the processes, besides that of this one.
+
+    Raises
+    ------
+    ClscoError
+        Another studio has the folder.
+    """
+
+    def __init__(self, root: Path, environment: Mapping[str, str] | None = None) -> None:
+        self.root = root.resolve()
+        self._environment = {**os.environ, **(environment or {})}
+        self._place = self.root / STATE_FOLDER
+        self._place.mkdir(mode=0o700, exist_ok=True)
+        self._lock = open(self._place / "lock", "a")  # noqa: SIM115
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            self._lock.close()
+            raise ClscoError(f"{self.root}: another studio is at work in this folder") from None
+        self._listeners: list[Callable[[], None]] = []
+        self._canceled: dict[int, float] = {}
+        self._processes: dict[int, subprocess.Popen[bytes]] = {}
+        self._jobs = _read(self._place / "jobs.json")
+
+    @property
+    def listed(self) -> tuple[Job, ...]:
+        """All jobs, the last one first."""
+        return tuple(reversed(self._jobs))
+
+    def subscribe(self, listener: Callable[[], None]) -> Callable[[], None]:
+        """Have a function called after each change; returns what ends it."""
+        self._listeners.append(listener)
+        return lambda: self._listeners.remove(listener) if listener in self._listeners else None
+
+    def add(self, title: str, arguments: Sequence[str], folder: str, pattern: str, total: int) -> Job:
+        """Begin a command, or have it wait for those before.
+
+        Raises
+        ------
+        ClscoError
+            The folder is not below the root, or another command that is not done writes to it.
+        """
+        self.require_free(folder)
+        number = 1 + max((job.number for job in self._jobs), default=0)
+        self._put(Job(number, title, tuple(arguments), folder, pattern, total))
+        self.poll()
+        return self.job(number)
+
+    def require_free(self, folder: str) -> None:
+        """Raise ClscoError where a folder is not below the root, or a command that is not done writes to it."""
+        target = (self.root / folder).resolve()
+        if not target.is_relative_to(self.root) or target.is_relative_to(self._place) or target == self.root:
+            raise ClscoError(f"output folder: must be below the folder of the studio; got {folder!r}")
+        for other in self._jobs:
+            if other.is_unfinished and (self.root / other.folder).resolve() == target:
+                raise ClscoError(f"output folder: job {other.number} writes to it already; got {folder!r}")
+
+    def job(self, number: int) -> Job:
+        """A job by its number. Raises KeyError."""
+        return {job.number: job for job in self._jobs}[number]
+
+    def cancel(self, number: int) -> None:
+        """End a job. Files that are whole stay, others go."""
+        job = self.job(number)
+        if job.status == "waiting":
+            self._put(replace(job, status="canceled", ended=time.time()))
+        elif job.status == "running":
+            self._canceled.setdefault(number, time.monotonic())
+            _signal(job, signal.SIGINT, number in self._processes)
+        self.poll()
+
+    def again(self, number: int) -> Job:
+        """Run a finished job once more; frames that are whole are left out."""
+        job = self.job(number)
+        arguments = job.arguments
+        if arguments[0] == "render" and "--resume" not in arguments:
+            arguments = (*arguments, "--resume")
+        return self.add(job.title, arguments, job.folder, job.pattern, job.total)
+
+    def forget(self, number: int) -> None:
+        """Take a finished job off the list; its files stay."""
+        job = self.job(number)
+        if not job.is_unfinished:
+            self._jobs = [other for other in self._jobs if other.number != number]
+            for path in (self._log(job), self._end(job)):
+                path.unlink(missing_ok=True)
+            self._write()
+            self._tell()
+
+    def files(self, number: int) -> list[Path]:
+        """What a job has made and can be shown, in the order of its names."""
+        folder = self.root / self.job(number).folder
+        found = [path for end in ("png", "mp4", "webm") for path in folder.rglob(f"*.{end}")]
+        return sorted(path for path in found if "/." not in f"/{path.relative_to(folder).as_posix()}")
+
+    def poll(self) -> None:
+        """Look at the running command, and begin the next one; to be called every half second or so."""
+        changed = False
+        for job in [job for job in self._jobs if job.status == "running"]:
+            changed |= self._look_at(job)
+        if not any(job.status == "running" for job in self._jobs):
+            waiting = [job for job in self._jobs if job.status == "waiting"]
+            if waiting:
+                self._begin(waiting[0])
+                changed = True
+        if changed:
+            self._tell()
+
+    def close(self) -> None:
+        """Let go of the folder; a running command goes on."""
+        self._lock.close()
+
+    def _begin(self, job: Job) -> None:
+        for path in (self._log(job), self._end(job)):
+            path.unlink(missing_ok=True)
+        command = ["sh", "-c", _SHELL, str(self._end(job)), *_PYTHON, *job.arguments]
+        try:
+            with open(self._log(job), "wb") as log:
+                process = subprocess.Popen(
+                    command, cwd=self.root, env=self._environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+                    start_new_session=True,
+                )  # fmt: skip
+        except OSError as error:
+            self._put(replace(job, status="failed", message=f"{error.strerror}", ended=time.time()))
+            return
+        self._processes[job.number] = process
+        now = time.time()
+        self._put(
+            replace(job, status="running", began=now, process=process.pid, process_began=_began(process.pid) or 0)
+        )
+
+    def _look_at(self, job: Job) -> bool:
+        """Bring a running job up to date; whether it changed."""
+        process = self._processes.get(job.number)
+        if process is not None:
+            process.poll()  # so that it does not stay as a zombie
+        is_alive = _began(job.process) == job.process_began and (process is None or process.returncode is None)
+        if process is not None:  # the shell may end before the command, if it is killed
+            is_alive = is_alive or _has_group(job.process)
+        since = self._canceled.get(job.number)
+        if is_alive and since is not None and time.monotonic() - since > GRACE:
+            _signal(job, signal.SIGKILL, process is not None)
+        done = self._count(job)
+        if is_alive:
+            if done == job.done:
+                return False
+            self._jobs = [replace(job, done=done) if other.number == job.number else other for other in self._jobs]
+            return True
+        code = self._code(job)
+        if since is not None and code != 0:
+            status: Status = "canceled"
+        elif code is None:
+            status = "interrupted"
+        else:
+            status = "done" if code == 0 else "canceled" if code == 130 else "failed"
+        _remove_parts(self.root / job.folder)
+        message = "" if status == "done" else self._said(job)
+        if (ended := self._processes.pop(job.number, None)) is not None:
+            ended.wait()
+        self._canceled.pop(job.number, None)
+        self._put(replace(job, status=status, done=done, ended=time.time(), message=message))
+        return True
+
+    def _count(self, job: Job) -> int:
+        """Files that were made since the job began, or that it need not make again."""
+        folder, since = self.root / job.folder, 0.0 if "--resume" in job.arguments else job.began - 1.0
+        count = 0
+        for path in folder.glob(job.pattern):
+            with contextlib.suppress(OSError):
+                count += path.stat().st_mtime >= since
+        return min(count, job.total) if job.total else count
+
+    def _code(self, job: Job) -> int | None:
+        """Exit status of a command that ended, None where it was killed with all that was around it."""
+        try:
+            return int(self._end(job).read_text())
+        except (OSError, ValueError):
+            return None
+
+    def _said(self, job: Job) -> str:
+        """The end of what a command said."""
+        try:
+            text = self._log(job).read_bytes()[-_TAIL:].decode(errors="replace")
+        except OSError:
+            return ""
+        return "\n".join(text.strip().splitlines()[-8:])
+
+    def _log(self, job: Job) -> Path:
+        return self._place / f"job_{job.number}.log"
+
+    def _end(self, job: Job) -> Path:
+        return self._place / f"job_{job.number}.end"
+
+    def _put(self, job: Job) -> None:
+        """Take a job in place of that of its number, or as the last one, on the disk, too."""
+        others = [job if other.number == job.number else other for other in self._jobs]
+        self._jobs = others if job in others else [*others, job]
+        self._write()
+        self._tell()
+
+    def _write(self) -> None:
+        write_whole(self._place / "jobs.json", json.dumps([asdict(job) for job in self._jobs], indent=1).encode())
+
+    def _tell(self) -> None:
+        for listener in tuple(self._listeners):
+            listener()
+
+
+def _read(path: Path) -> list[Job]:
+    """Jobs of a file; none where there is none, or it is not what was written."""
+    try:
+        listed: list[dict[str, Any]] = json.loads(path.read_bytes())
+        return [Job(**{**entry, "arguments": tuple(entry["arguments"])}) for entry in listed]
+    except (OSError, ValueError, TypeError, KeyError):
+        return []
+
+
+def _began(process: int) -> int | None:
+    """When a process began, in the clock's ticks since the system did; None where there is none that runs."""
+    try:
+        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return None
+    return None if fields[0] == "Z" else int(fields[19])
+
+
+def _has_group(group: int) -> bool:
+    """Whether a process of a group runs."""
+    for place in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            fields = place.read_text().rpartition(")")[2].split()
+            if int(fields[2]) == group and fields[0] != "Z":
+                return True
+    return False
+
+
+def _signal(job: Job, number: signal.Signals, is_ours: bool) -> None:
+    """Send a signal to the group of a job's command, if that is still the one; is_ours: this process began it."""
+    if job.process and (_began(job.process) == job.process_began or (is_ours and _has_group(job.process))):
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(job.process, number)
+
+
+def _remove_parts(folder: Path) -> None:
+    """Remove temporary files and folders of commands that were killed while they wrote."""
+    for path in folder.rglob(".*.part"):
+        process = path.name.split(".")[-2].partition("-")[0]
+        if process.isdecimal() and _began(int(process)) is None:
+            with contextlib.suppress(OSError):
+                shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()

@@ -1,0 +1,85 @@
+"""Coarser renderings while a slider is dragged: how small they have to be to come in time."""
+
+from __future__ import annotations
+
+from clsco.scene.model import Scene
+
+BUDGET = 0.040  # s
+EIGHTHS = 8  # of the full width and height
+MOST_SAMPLES = 3
+_WEIGHT = 0.4  # of the latest measurement
+_STALL = 4.0  # times the prediction: a compilation, say
+_STALLS = 2  # in a row that are left out
+
+
+class Ladder:
+    """Chooses the largest picture whose predicted time is within the budget.
+
+    The time is that of a pixel and time sample, as an exponential mean of what was measured, times their number.
+
+    Attributes
+    ----------
+    ns : float
+        Predicted time per pixel and time sample.
+    """
+
+    def __init__(self) -> None:
+        self.ns = 150.0
+        self._stalls = 0
+        self._is_measured = False
+
+    def eighths(self, work: float) -> int:
+        """Side of the picture in eighths of the full one, whose number of pixels times time samples is `work`."""
+        fitting = (size for size in range(EIGHTHS, 1, -1) if self.predicted(work, size) <= BUDGET)
+        return next(fitting, 1)
+
+    def predicted(self, work: float, eighths: int) -> float:
+        """Time of a picture of this size, s."""
+        return self.ns * 1e-9 * work * (eighths / EIGHTHS) ** 2
+
+    def measured(self, work: float, eighths: int, seconds: float) -> None:
+        """Learn how long a picture took; what is far too long is believed the third time."""
+        if seconds > _STALL * max(self.predicted(work, eighths), 0.25 * BUDGET) and self._stalls < _STALLS:
+            self._stalls += 1
+            return
+        self._stalls = 0
+        ns = 1e9 * seconds / (work * (eighths / EIGHTHS) ** 2)
+        self.ns = self.ns + _WEIGHT * (ns - self.ns) if self._is_measured else ns
+        self._is_measured = True
+
+
+def work_of(scene: Scene, size: tuple[int, int]) -> float:
+    """Pixels times time samples of a preview of full size."""
+    return size[0] * size[1] * (_preview_samples(scene) if scene.moves else 1)
+
+
+def coarser(scene: Scene, size: tuple[int, int], eighths: int) -> Scene:
+    """The scene with the same field of view in fewer pixels, and with what takes the most time left out.
+
+    Parameters
+    ----------
+    scene : Scene
+    size : (int, int)
+        Its columns and rows.
+    eighths : int
+        Columns and rows that are left, in eighths. A scene with depth maps keeps all, as they have one value per pixel.
+
+    Returns
+    -------
+    Scene
+        With one source per pixel at silhouettes, and few time samples.
+    """
+    known = scene.psf.model_copy(update={"silhouette_samples": 1})
+    changes: dict[str, object] = {"psf": known}
+    if scene.moves:
+        changes["sequence"] = scene.sequence.model_copy(update={"samples": _preview_samples(scene)})
+    if scene.is_analytic and eighths < EIGHTHS:
+        columns, rows = (max(side * eighths // EIGHTHS, 1) for side in size)
+        pitch = scene.camera.pixel_pitch * size[0] / columns
+        changes["camera"] = scene.camera.model_copy(update={"resolution": (columns, rows), "pixel_pitch": pitch})
+    return scene.model_copy(update=changes)
+
+
+def _preview_samples(scene: Scene) -> int:
+    samples = scene.sequence.samples
+    return min(samples, MOST_SAMPLES) if isinstance(samples, int) else MOST_SAMPLES

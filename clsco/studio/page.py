@@ -1,0 +1,158 @@
+"""The page of the studio, drawn with NiceGUI; no other module but its widgets imports it."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from fastapi import FastAPI
+from nicegui import ui
+
+from clsco.studio.pictures import VIEWS
+from clsco.studio.server import Studio
+from clsco.studio.session import Session
+from clsco.studio.widgets.files import open_dialog, preset_dialog, save_dialog, share_dialog
+from clsco.studio.widgets.inpainting import inpainting_dialog
+from clsco.studio.widgets.jobs import draw_jobs, generate_dialog
+from clsco.studio.widgets.panels import draw_panels
+from clsco.studio.widgets.plain import button, say
+
+KEYS = (
+    ("← → ↑ ↓", "step of a slider; with Shift ten times, with Alt a tenth"),
+    ("1 … 9", "views"),
+    (", .", "frame before, next frame"),
+    ("F, then a click", "focus on what is there"),
+    ("P, Space", "pin the exact frame; see it while the key is down"),
+    ("Ctrl Z, Shift Ctrl Z", "undo, redo"),
+    ("Ctrl S", "save"),
+    ("Ctrl Enter", "generate"),
+    ("Esc", "take back what is being dragged"),
+    ("?", "this list"),
+)
+SCRIPTS = ("colors", "studio", "inspect", "forms", "brush")
+STYLES = ("studio", "forms")
+
+
+def attach(app: FastAPI, studio: Studio) -> None:
+    """Add the page to the server."""
+
+    @ui.page("/", title="clsco studio", language="en-US")
+    def page(s: str = "") -> None:
+        name = studio.tab(s)
+        ui.add_head_html("".join(f'<link rel="stylesheet" href="/static/{style}.css">' for style in STYLES))
+        ui.add_body_html("".join(f'<script defer src="/static/{script}.js"></script>' for script in SCRIPTS))
+        draw(name, studio)
+
+    ui.run_with(app, title="clsco studio", show_welcome_message=False, tailwind=False, dark=True)
+
+
+def draw(name: str, studio: Studio) -> None:
+    """Draw the page of a tab."""
+    session = studio.tabs[name].session
+    with say("div", id="studio", data_tab=name):
+        say("div", "The studio does not answer; it is tried again.", id="lost", role="status", hidden=True)
+        with say("header"):
+            _header(session, studio, name)
+        with say("nav", id="panels", aria_label="Panels"):
+            with say("div", id="panels-scroll"):
+                ends = [draw_panels(session)]
+            with say("div", id="panels-end"):
+                say("button", "Reset", id="reset", data_do="reset", title="Panels 2 to 5 to their defaults")
+                button("Generate", generate_dialog(session, studio.jobs, studio.device or ""), id="generate").classes(
+                    "primary"
+                )
+        with say("main", id="middle"):
+            _middle()
+        with say("aside", id="side", aria_label="Inspector and jobs"):
+            _inspector()
+            ends.append(draw_jobs(session, studio.jobs))
+    with say("dialog", id="keys", aria_label="Keyboard"):
+        with say("table"):
+            for keys, meaning in KEYS:
+                with say("tr"):
+                    say("th", keys, scope="row")
+                    say("td", meaning)
+        say("button", "Close", data_close="#keys")
+    for end in ends:
+        ui.context.client.on_delete(end)
+
+
+def _header(session: Session, studio: Studio, name: str) -> None:
+    """Title, files, and the way back."""
+    say("button", "☰", id="drawer", aria_label="Panels", data_toggle="open")
+    say("h1", id="title")
+    save, save_as = save_dialog(session)
+    button("Open", open_dialog(session))
+    button("Presets", preset_dialog(session))
+    button("Save", save, id="save")
+    button("Save as", save_as)
+    button("Share", share_dialog(session))
+    button("Inpaint", inpainting_dialog(session, name, studio.device))
+    say("button", "Undo", id="undo", data_do="undo", disabled=True)
+    say("button", "Redo", id="redo", data_do="redo", disabled=True)
+    if kept := studio.kept():
+        button(
+            "Recover", partial(session.recover, kept[0]), title="The scene of a studio that ended before it was saved"
+        )
+    say("div").classes("spread")
+    say("button", "?", aria_label="Keyboard", data_show="#keys")
+    say("button", "Inspector", id="inspector", data_toggle="sided")
+
+
+def _middle() -> None:
+    """Tabs of the views, the canvas and the time line."""
+    with say("div", id="views", role="tablist", aria_label="Views"):
+        for view in VIEWS:
+            say(
+                "button", view, role="tab", data_view=view, aria_selected="true" if view == "color" else "false",
+                aria_controls="stage",
+            )  # fmt: skip
+    with say("div", id="stage", role="tabpanel", aria_label="Picture"):
+        say("canvas", id="canvas", width=1, height=1, role="img", aria_label="Rendered frame")
+        say("canvas", id="pinned", width=1, height=1, hidden=True, aria_hidden="true")
+        say("canvas", id="over", aria_hidden="true")
+        say("div", id="badge")
+        say("div", id="message", role="alert", hidden=True)
+        with say("div", id="legend", hidden=True):
+            with say("div", id="legend-row"):
+                say("span", id="legend-least")
+                say("canvas", id="legend-bar", width=160, height=10, aria_hidden="true")
+                say("span", id="legend-most")
+            say("div", id="legend-about")
+    with say("div", id="tools"):
+        say("button", "Focus", id="focus", aria_pressed="false", title="Then click what is to be in focus (F)")
+        say("button", "Pin", id="pin", title="Keep the exact frame to compare with (P)")
+        say("button", "Pin as the thesis", data_do="pin thesis", title="The frame with PSF and method of the thesis")
+        with say("select", id="compare", aria_label="Compare with the pinned frame", disabled=True):
+            for value, label in (
+                ("off", "no comparison"), ("wipe", "wipe"), ("flip", "flip (Space)"), ("difference", "difference × 8"),
+            ):  # fmt: skip
+                say("option", label, value=value)
+        say("input", id="wipe", type="range", min=0, max=100, value=50, aria_label="Wipe", hidden=True)
+        say("div").classes("spread")
+        say("span", id="size")
+        say("span", id="zoom")
+        say("button", "Fit", id="fit")
+        say("button", "1:1", id="actual")
+    with say("div", id="line"):
+        say("button", "▶", id="play", aria_label="Play", aria_pressed="false")
+        say("input", id="frame", type="range", min=0, max=0, value=0, step=1, aria_label="Frame")
+        say("span", id="time")
+
+
+def _inspector() -> None:
+    """What is known of the pixel under the cursor."""
+    with say("section", aria_label="Inspector"):
+        with say("div").classes("row"):
+            say("h2", "Inspector")
+            say("span", "point at the picture", id="pixel")
+        say("table", id="values")
+        with say("div", id="psf-part", hidden=True):
+            say("h3", "Point spread function")
+            with say("div").classes("row"):
+                say("canvas", id="psf", width=130, height=130, role="img", aria_label="Point spread function")
+                with say("div"):
+                    say("p", id="psf-side").classes("quiet")
+                    say("p", id="psf-about").classes("quiet")
+        say("h3", "Lens")
+        say("canvas", id="lens", width=276, height=100, role="img", aria_label="Thin lens, not to scale")
+        say("p", id="lens-about").classes("quiet")

@@ -1,0 +1,106 @@
+"""Pictures on their way to the browser: what is seen of a frame, and its bytes behind a header."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.files.png import png_parts
+from clsco.files.transfer import encode
+from clsco.frame.frame import Frame
+from clsco.scene.model import Scene
+
+VIEWS = {
+    "color": "color",
+    "sharp": "sharp",
+    "depth": "depth",
+    "blur radius": "blur_radius",
+    "flow": "flow",
+    "normal": "normal",
+    "id": "object_id",
+    "mask": "mask",
+    "missing": "missing",
+}
+"""Attributes of a frame, by what the studio calls them, in the order of the tabs."""
+
+DRAGGING, LOSSY, EXACT, PINNED = range(4)
+MESSAGE, JPEG, PNG, FLOAT16, FLOAT32 = range(5)
+HEADER = struct.Struct("<IBBHHBHHx")
+IMAGES = ("color", "sharp")  # views; all others are floats
+QUALITY = {DRAGGING: 80, LOSSY: 95}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What is shown of a frame.
+
+    Attributes
+    ----------
+    rung : int
+        DRAGGING, LOSSY or EXACT; PINNED: an exact picture of another scene, to compare with.
+    view : str
+        One of VIEWS.
+    size, full : (int, int)
+        Columns and rows of the picture, and of the frame.
+    encoding : int
+        JPEG or PNG, or FLOAT16 or FLOAT32: little endian, channels last.
+    payload : bytes
+    seconds : float
+        Time that it took to render.
+    """
+
+    rung: int
+    view: str
+    size: tuple[int, int]
+    full: tuple[int, int]
+    encoding: int
+    payload: bytes
+    seconds: float
+
+    def packed(self, revision: int) -> bytes:
+        """The bytes for the browser."""
+        number = list(VIEWS).index(self.view)
+        return HEADER.pack(revision, self.rung, number, *self.size, self.encoding, *self.full) + self.payload
+
+
+def packed_message(revision: int, content: dict[str, Any]) -> bytes:
+    """A message in JSON, behind a header like that of a picture."""
+    return HEADER.pack(revision, 0, 0, 0, 0, MESSAGE, 0, 0) + json.dumps(content).encode()
+
+
+def truth_of(view: str) -> tuple[str, ...]:
+    """What has to be rendered besides the color to see this."""
+    return () if view == "color" else (VIEWS[view],)
+
+
+def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int, int], seconds: float) -> Picture:
+    """Encode what is shown of a frame.
+
+    Images are JPEG, but for EXACT the PNG that `clsco render` writes; all else is floats, for DRAGGING of 16 bits.
+    """
+    data: NDArray[Any] = getattr(frame, VIEWS[view])
+    if view in IMAGES:
+        is_exact = rung in (EXACT, PINNED)
+        bits = min(frame.metadata["bits"], 16) if is_exact else 8
+        codes = encode(data, bits, scene.image.transfer)
+        encoding, payload = (PNG, b"".join(png_parts(codes))) if is_exact else (JPEG, _jpeg(codes, QUALITY[rung]))
+    else:
+        dtype, encoding = ("<f2", FLOAT16) if rung == DRAGGING else ("<f4", FLOAT32)
+        with np.errstate(over="ignore"):  # infinite in 16 bits
+            payload = np.ascontiguousarray(data, dtype).tobytes()
+    rows, columns = data.shape[:2]
+    return Picture(rung, view, (columns, rows), full, encoding, payload, seconds)
+
+
+def _jpeg(codes: NDArray[Any], quality: int) -> bytes:
+    from PIL import Image
+
+    file = io.BytesIO()
+    Image.fromarray(codes).save(file, "JPEG", quality=quality, subsampling=0 if quality > 90 else 2)
+    return file.getvalue()

@@ -1,0 +1,87 @@
+"""Scenes to start from: the figures of the thesis with the numbers of their captions, and the examples."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+from clsco.resources import folder
+from clsco.scene.examples import EXAMPLES
+from clsco.scene.file import read_mapping
+from clsco.studio.session import Session
+from clsco.studio.tables import Table
+
+OF_THE_THESIS, OTHERS = "Figures of the thesis", "Examples"
+_METHOD = ("psf", "image", "motion", "fill")  # sections that say how, and not what
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A scene that is shipped with the package.
+
+    Attributes
+    ----------
+    name : str
+        "thesis/fig_3_04_left" or "sphere": its file among the examples.
+    title : str
+        The caption.
+    group : str
+    """
+
+    name: str
+    title: str
+    group: str
+
+    @property
+    def path(self) -> Path:
+        return Path(str(folder("examples"))) / f"{self.name}.toml"
+
+
+@cache
+def presets() -> tuple[Preset, ...]:
+    """The figures of the thesis in their order, then the examples."""
+    root = Path(str(folder("examples")))
+    paths = sorted((root / "thesis").glob("*.toml"))
+    figures = [
+        Preset(f"thesis/{path.stem}", str(read_mapping(str(path), ())["title"]), OF_THE_THESIS) for path in paths
+    ]
+    examples = [Preset(name, text[:1].upper() + text[1:], OTHERS) for name, text in EXAMPLES.items()]
+    titles = [figure.title for figure in figures]
+    figures = [_numbered(figure) if titles.count(figure.title) > 1 else figure for figure in figures]
+    return (*figures, *examples)
+
+
+def load_preset(session: Session, name: str) -> None:
+    """Go to the scene of a preset, as a step of undo. Raises SceneError, KeyError for no preset."""
+    preset = {each.name: each for each in presets()}[name]
+    session.load_table(read_mapping(str(preset.path), ()), preset.path.parent)
+
+
+def is_as_the_thesis(session: Session) -> bool:
+    """Whether PSF and method are those of the thesis."""
+    return {key: session.table.get(key) for key in _METHOD[:2]} == {key: _thesis()[key] for key in _METHOD[:2]}
+
+
+def choose_method(session: Session, as_the_thesis: bool) -> None:
+    """Take PSF and method of the thesis, or the defaults of clsco, as a step of undo. Raises SceneError.
+
+    Forward warp and filling come with the thesis' method; objects, camera and sequence stay.
+    """
+    table = {key: value for key, value in session.table.items() if key not in _METHOD}
+    if as_the_thesis:
+        table |= {key: _thesis()[key] for key in _METHOD}
+    session.take(replace(session.state, table=table))
+
+
+@cache
+def _thesis() -> Table:
+    """Sections of a figure with motion."""
+    return read_mapping(str(Path(str(folder("examples"))) / "thesis" / "fig_4_13.toml"), ())
+
+
+def _numbered(preset: Preset) -> Preset:
+    """A preset whose title others have, too, with the part of its figure."""
+    part = re.search(r"_([a-z])$", preset.name)
+    return replace(preset, title=preset.title.replace(":", f" {part[1]}:", 1)) if part else preset

@@ -1,0 +1,182 @@
+"""What one tab is shown: coarse pictures while something is dragged, then the exact one; the latest state wins."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncGenerator, Awaitable, Callable
+from contextlib import aclosing
+from typing import Any, Protocol
+
+from clsco.errors import CanceledError, ClscoError
+from clsco.scene.model import Scene
+from clsco.studio.pictures import DRAGGING, EXACT, PINNED, VIEWS, Picture, packed_message
+from clsco.studio.renderer import Job, Question, RendererEndedError
+
+REST = 0.120  # s without a change
+MOST_UNSEEN = 2  # pictures that the browser has not painted yet
+_MOST_CRASHES = 2  # of the renderer with the same scene
+
+
+Told = Callable[[dict[str, Any]], Awaitable[None]]
+
+
+class Edited(Protocol):
+    """What a preview needs of a `Session`."""
+
+    @property
+    def scene(self) -> Scene: ...
+    @property
+    def revision(self) -> int: ...
+
+
+class Renders(Protocol):
+    """What a preview needs of a `Renderer`."""
+
+    def pictures(self, job: Job) -> AsyncGenerator[Picture, None]: ...
+    async def inspect(self, question: Question) -> dict[str, Any]: ...
+    def cancel(self) -> None: ...
+
+
+class Preview:
+    """Pictures of a session for one tab.
+
+    There is one slot: a picture that nobody has begun is forgotten as soon as there is a later state. No more than two
+    pictures are on their way, so that a slow browser gets fewer of them, and not late ones.
+
+    Parameters
+    ----------
+    session : Session
+    renderer : Renderer
+    send : coroutine function of bytes
+        Takes pictures to the browser.
+    """
+
+    def __init__(self, session: Edited, renderer: Renders, send: Callable[[bytes], Awaitable[None]]) -> None:
+        self._session, self._renderer, self._send = session, renderer, send
+        self._view, self._index = "color", 0
+        self._state = 1  # counts all changes; a revision is one of the scene alone
+        self._done = (0, EXACT)  # state and rung of the latest picture
+        self._changed_at = 0.0
+        self._news = asyncio.Event()
+        self._unseen: list[tuple[int, int]] = []
+        self._is_exact_underway = False
+        self._crashes = 0
+        self._point: tuple[int, int, Told] | None = None
+        self._other: Scene | None = None
+
+    def changed(self) -> None:
+        """The session has another scene."""
+        self._state += 1
+        self._changed_at, self._crashes = time.monotonic(), 0
+        self._news.set()
+        if self._is_exact_underway:
+            self._renderer.cancel()
+
+    def look(self, view: str | None = None, index: int | None = None) -> None:
+        """Show another view, or another frame."""
+        before = self._view, self._index
+        if view in VIEWS:
+            self._view = view
+        if index is not None:
+            self._index = min(max(index, 0), self._session.scene.sequence.frames - 1)
+        if before != (self._view, self._index):
+            self.changed()
+
+    def acknowledge(self, revision: int, rung: int) -> None:
+        """The browser has painted a picture, or thrown it away."""
+        if (revision, rung) in self._unseen:
+            self._unseen.remove((revision, rung))
+            self._news.set()
+
+    def inspect(self, x: int, y: int, told: Told) -> None:
+        """Have `told` called with what is known of a pixel, once the exact frame is there; the latest pixel wins."""
+        self._point = x, y, told
+        self._news.set()
+
+    def pin(self, scene: Scene) -> None:
+        """Send the exact frame of another scene, to compare with, once that of the session is there."""
+        self._other = scene
+        self._news.set()
+
+    async def tell(self, **content: Any) -> None:
+        """Send a message that is no picture."""
+        await self._send(packed_message(self._session.revision, content))
+
+    async def run(self) -> None:
+        """Send pictures until canceled."""
+        while True:
+            await self._room()
+            done, rung = self._done
+            if done < self._state:
+                await self._show(DRAGGING)
+            elif rung < EXACT:
+                if not await self._changes_within(self._changed_at + REST - time.monotonic()):
+                    await self._show(EXACT)
+            elif self._other is not None:
+                await self._show(PINNED)
+            elif self._point is not None:
+                await self._ask(*self._point)
+            else:
+                self._news.clear()
+                await self._news.wait()
+
+    async def _room(self) -> None:
+        """Wait until one more picture may be on its way."""
+        while len(self._unseen) >= MOST_UNSEEN:
+            self._news.clear()
+            await self._news.wait()
+
+    async def _changes_within(self, seconds: float) -> bool:
+        """Wait so long, or until the state changes."""
+        state, end = self._state, time.monotonic() + seconds
+        while self._state == state and (left := end - time.monotonic()) > 0:
+            self._news.clear()
+            try:
+                await asyncio.wait_for(self._news.wait(), left)
+            except TimeoutError:
+                break
+        return self._state != state
+
+    async def _show(self, rung: int) -> None:
+        """Render and send the pictures of a rung, or say why there are none."""
+        state, revision, scene = self._state, self._session.revision, self._session.scene
+        if rung == PINNED and self._other is not None:
+            scene, self._other = self._other, None
+        index = min(self._index, scene.sequence.frames - 1)
+        self._is_exact_underway = rung != DRAGGING
+        try:
+            async with aclosing(self._renderer.pictures(Job(scene, index, self._view, rung))) as pictures:
+                async for picture in pictures:
+                    await self._room()
+                    if rung != DRAGGING and self._state != state:
+                        return
+                    self._unseen.append((revision, picture.rung))
+                    await self._send(picture.packed(revision))
+            self._done = (state, min(rung, EXACT))
+        except CanceledError:
+            return
+        except RendererEndedError as error:
+            self._crashes += 1
+            if self._crashes >= _MOST_CRASHES:
+                self._done = (state, EXACT)
+            await self.tell(error=[str(error)])
+        except ClscoError as error:
+            self._done = (state, EXACT)
+            await self.tell(error=list(getattr(error, "messages", None) or [str(error)]))
+        finally:
+            self._is_exact_underway = False
+
+    async def _ask(self, x: int, y: int, told: Told) -> None:
+        """Answer what is asked of a pixel."""
+        self._is_exact_underway, self._point = True, None
+        index = min(self._index, self._session.scene.sequence.frames - 1)
+        key = id(self), self._session.revision, index
+        try:
+            await told(await self._renderer.inspect(Question(self._session.scene, index, key, x, y)))
+        except CanceledError:
+            return
+        except ClscoError as error:
+            await self.tell(error=[str(error)])
+        finally:
+            self._is_exact_underway = False

@@ -1,0 +1,318 @@
+"""The studio's server: routes of its own beside NiceGUI's page, behind the guard, on one socket."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import secrets
+import socket
+import webbrowser
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from fastapi import FastAPI, Request, WebSocket, WebSocketDisconnect
+from fastapi.responses import JSONResponse, Response
+from starlette.staticfiles import StaticFiles
+
+from clsco.errors import ImageError, SceneError
+from clsco.files.atomic import writable_folder
+from clsco.scene.model import Scene
+from clsco.scene.toml import toml_text
+from clsco.studio.guard import MAX_MESSAGE, Guard
+from clsco.studio.jobs import STATE_FOLDER, Jobs
+from clsco.studio.presets import choose_method
+from clsco.studio.preview import Preview
+from clsco.studio.renderer import Renderer
+from clsco.studio.routes import add_routes
+from clsco.studio.session import Session
+from clsco.studio.uploads import keep_image
+
+MAX_PATCH = 2**16  # bytes
+LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
+STATIC = Path(__file__).parent / "static"
+MOST_TABS = 64
+MOST_WATCHED = 2000  # keys with a control
+TICK = 0.5  # s between looks at the jobs
+KEPT = "kept"  # folder of scenes, in that of the state
+
+
+class Tab:
+    """A tab of the browser: its session, and where its pictures go while it is there."""
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self.preview: Preview | None = None
+        self.watched: tuple[str, ...] = ()
+        self.told = asyncio.Event()  # that there is something to tell
+
+
+class Studio:
+    """What all tabs share.
+
+    Parameters
+    ----------
+    root : Path
+        Folder with all files that may be read and written.
+    scene : Path, optional
+        What a new tab begins with.
+    device : str, optional
+        As for `clsco.render`.
+    """
+
+    def __init__(self, root: Path, scene: Path | None = None, device: str | None = None) -> None:
+        self.root, self.scene, self.device = root.resolve(), scene, device
+        self.renderer = Renderer(device)
+        self.jobs = Jobs(self.root)
+        self.tabs: dict[str, Tab] = {}
+
+    def new_session(self) -> Session:
+        """A session with the scene of the command line."""
+        session = Session(self.root)
+        if self.scene is not None:
+            session.open(self.scene.absolute())
+            session.forget_past()
+        return session
+
+    def tab(self, name: str = "") -> str:
+        """The name of a tab that is known and not being looked at, for a page that is loaded again, or of a new one."""
+        if name in self.tabs and self.tabs[name].preview is None:
+            return name
+        forgotten = [name for name, tab in self.tabs.items() if tab.preview is None]
+        for old in forgotten[: max(len(self.tabs) - MOST_TABS + 1, 0)]:
+            del self.tabs[old]
+        new = secrets.token_urlsafe(12)
+        self.tabs[new] = Tab(self.new_session())
+        return new
+
+    def kept(self) -> list[Path]:
+        """Scenes that were kept when a studio ended, the latest first."""
+        folder = self.root / STATE_FOLDER / KEPT
+        found = [path for path in folder.glob("*.json") if path.stem not in self.tabs]
+        return sorted(found, key=lambda path: path.stat().st_mtime, reverse=True)
+
+    def keep(self) -> None:
+        """Keep all scenes that changed."""
+        for name, tab in self.tabs.items():
+            if tab.session.can_undo and not tab.session.is_saved:
+                with suppress(ImageError, OSError):
+                    tab.session.keep(writable_folder(self.root / STATE_FOLDER / KEPT) / f"{name}.json")
+
+    async def watch(self) -> None:
+        """Look at the jobs and keep the scenes, until canceled."""
+        count = 0
+        while True:
+            await asyncio.sleep(TICK)
+            count += 1
+            self.jobs.poll()
+            if count % 4 == 0:
+                self.keep()
+
+    async def frames(self, socket: WebSocket) -> None:
+        """Talk to a tab: patches up, pictures down."""
+        tab = self.tabs.get(socket.query_params.get("tab", ""))
+        if tab is None or tab.preview is not None:
+            await socket.close(1008)
+            return
+        await socket.accept()
+        sending = asyncio.Lock()
+
+        async def send(data: bytes) -> None:
+            async with sending:
+                await socket.send_bytes(data)
+
+        preview = tab.preview = Preview(tab.session, self.renderer, send)
+        endings = [tab.session.subscribe(listener) for listener in (preview.changed, tab.told.set)]
+        tasks = [asyncio.create_task(preview.run()), asyncio.create_task(_tell(tab, preview))]
+        try:
+            with suppress(WebSocketDisconnect, RuntimeError):
+                while True:
+                    text = await socket.receive_text()
+                    if len(text) > MAX_PATCH:
+                        await socket.close(1009)
+                        break
+                    await self._heard(tab, preview, text)
+        finally:
+            for end in endings:
+                end()
+            tab.preview = None
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _heard(self, tab: Tab, preview: Preview, text: str) -> None:
+        """What a tab says; nothing in it is code, and what is none of these is passed over."""
+        try:
+            said = json.loads(text)
+        except ValueError:
+            return
+        if not isinstance(said, dict):
+            return
+        match said:
+            case {"ack": [int(revision), int(rung)]}:
+                preview.acknowledge(revision, rung)
+            case {"path": str(path), "value": value}:
+                drag = said.get("drag")
+                try:
+                    tab.session.patch(path, value, drag if isinstance(drag, int) else None)
+                except SceneError as error:
+                    await preview.tell(error=error.messages)
+            case {"watch": list(paths)}:
+                tab.watched = tuple(path for path in paths[:MOST_WATCHED] if isinstance(path, str))
+                tab.told.set()
+            case {"at": [int(x), int(y)]} if min(x, y) >= 0:
+
+                async def told(found: dict[str, Any]) -> None:
+                    await preview.tell(inspected=found)
+
+                preview.inspect(x, y, told)
+            case {"focus": [int(x), int(y)], "drag": int(drag)} if min(x, y) >= 0:
+
+                async def focus(found: dict[str, Any]) -> None:
+                    depth = found["values"]["depth"]
+                    if depth is None:
+                        await preview.tell(error=["focus: there must be a surface; got none"])
+                    else:
+                        tab.session.patch("camera.focus_distance", depth, drag)
+
+                preview.inspect(x, y, focus)
+            case {"link": str(link)}:
+                try:
+                    tab.session.load_share(link)
+                except SceneError as error:
+                    await preview.tell(error=error.messages)
+            case {"do": "pin thesis"}:
+                preview.pin(as_the_thesis(tab.session))
+            case {"do": "undo"}:
+                tab.session.undo()
+            case {"do": "redo"}:
+                tab.session.redo()
+            case {"do": "reset"}:
+                tab.session.reset()
+            case {"view": str(view)}:
+                preview.look(view=view)
+            case {"frame": int(index)}:
+                preview.look(index=index)
+            case _:
+                return
+
+
+def as_the_thesis(session: Session) -> Scene:
+    """The scene with PSF and method of the thesis; the session stays as it is."""
+    other = Session(session.root)
+    other.take(session.state)
+    choose_method(other, True)
+    return other.scene
+
+
+async def _tell(tab: Tab, preview: Preview) -> None:
+    """Send what follows from a change, each time that there was one: values, messages at fields, length of the clip."""
+    before: dict[str, Any] = {}
+    values: dict[str, Any] = {}
+    while True:
+        tab.told.clear()
+        session = tab.session
+        state = {
+            "title": session.scene.title,
+            "faults": dict(session.faults),
+            "undo": session.can_undo,
+            "redo": session.can_redo,
+            "frames": session.scene.sequence.frames,
+            "interval": session.scene.sequence.interval,
+        }
+        now = {path: session.shown(path) for path in tab.watched}
+        changed = {path: value for path, value in now.items() if path not in values or values[path] != value}
+        if state != before or changed:
+            await preview.tell(**state, **({"values": changed} if changed else {}))
+        before, values = state, now
+        await tab.told.wait()
+        await asyncio.sleep(0.03)  # what comes together is told together
+
+
+Attach = Callable[[FastAPI, Studio], None]
+
+
+def application(studio: Studio, attach: Attach) -> FastAPI:
+    """The routes of the studio, without the guard."""
+
+    @asynccontextmanager
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        watching = asyncio.create_task(studio.watch())
+        yield
+        watching.cancel()
+        studio.keep()
+
+    app = FastAPI(lifespan=lifespan, docs_url=None, redoc_url=None, openapi_url=None)
+    app.add_api_websocket_route("/frames", studio.frames)
+
+    @app.get("/scene")
+    async def scene(tab: str) -> Response:
+        """The scene of a tab, as a file to keep."""
+        known = studio.tabs.get(tab)
+        if known is None:
+            return Response("no such tab\n", 404, media_type="text/plain")
+        about = {"content-disposition": 'attachment; filename="scene.toml"', "cache-control": "no-store"}
+        return Response(toml_text(known.session.table), media_type="application/toml", headers=about)
+
+    @app.post("/texture")
+    async def texture(request: Request, tab: str, kind: str) -> JSONResponse:
+        """Keep an image that was dropped, under a name made of its content, and say what it is called."""
+        if tab not in studio.tabs:
+            return JSONResponse({"error": "no such tab"}, 404)
+        content = await request.body()  # the guard bounds it
+        try:
+            return JSONResponse({"name": await asyncio.to_thread(keep_image, studio.root, content, kind)})
+        except ImageError as error:
+            return JSONResponse({"error": str(error)}, 400)
+
+    add_routes(app, studio.jobs, lambda name: studio.tabs[name].session if name in studio.tabs else None)
+    app.mount("/static", StaticFiles(directory=STATIC))
+    attach(app, studio)  # NiceGUI takes all other paths
+    return app
+
+
+def serve(
+    studio: Studio, host: str, port: int, attach: Attach, show: Callable[[str], None], opens_browser: bool
+) -> None:
+    """Serve the studio until interrupted.
+
+    Parameters
+    ----------
+    studio : Studio
+    host : str
+        Address to listen at.
+    port : int
+        0: any that is free.
+    attach : function
+        Adds the page.
+    show : function of str
+        Is given the address.
+    opens_browser : bool
+
+    Raises
+    ------
+    OSError
+        The address is taken.
+    """
+    listener = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
+    port = listener.getsockname()[1]
+    token = secrets.token_urlsafe(32)
+    shown = f"[{host}]" if ":" in host else host
+    guarded = Guard(application(studio, attach), [f"{name}:{port}" for name in (shown, *LOOPBACK)], token)
+    config = uvicorn.Config(
+        guarded, log_level="warning", access_log=False, server_header=False, proxy_headers=False,
+        ws_max_size=MAX_MESSAGE, timeout_graceful_shutdown=1,
+    )  # fmt: skip
+    address = f"http://{shown}:{port}/?t={token}"
+    show(address)
+    if opens_browser:
+        webbrowser.open(address)
+    try:
+        with suppress(KeyboardInterrupt):
+            uvicorn.Server(config).run(sockets=[listener])
+    finally:
+        studio.renderer.close()
+        studio.jobs.close()
+        listener.close()

@@ -1,0 +1,157 @@
+"""What a tab of the studio works on: a scene with its file, its link, and what is kept of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from clsco.errors import SceneError
+from clsco.files.atomic import write_whole
+from clsco.scene.faults import items
+from clsco.scene.text import shown
+from clsco.scene.texture_keys import is_drawn
+from clsco.studio.editing import Editor, State
+from clsco.studio.store import (
+    ConflictError,
+    difference,
+    digest_of,
+    from_link,
+    keep,
+    kept,
+    link_of,
+    moved,
+    read_scene,
+    scene_text,
+)
+from clsco.studio.tables import Table, named_files
+
+__all__ = ["ConflictError", "Session"]
+
+
+class Session(Editor):
+    """A scene that is changed key by key, opened and saved, and shared as a link.
+
+    Parameters
+    ----------
+    root : Path
+        Folder with all files that may be read and written.
+    """
+
+    def __init__(self, root: Path) -> None:
+        super().__init__(root)
+        self._digests: dict[Path, str] = {}
+        self._saved: tuple[Path | None, Table] = (None, self.table)
+        self._kept = 0
+
+    @property
+    def is_saved(self) -> bool:
+        """Whether the scene is what is in its file, or a new one."""
+        return self._saved == (self.path, self.table)
+
+    def open(self, path: Path) -> None:
+        """Go to the scene of a file below the root, as a step of undo.
+
+        Raises
+        ------
+        SceneError
+            As `clsco.load_sweep`; the file or one that it names is not below the root. Then all stays as it is.
+        """
+        target = self.inside(path)
+        table, digest = read_scene(target)
+        self.take(self._state_of(table, target))
+        self._digests[target] = digest
+        self._saved = target, self.table
+
+    def save(self, path: Path | None = None, overwrite: bool = False) -> None:
+        """Write the scene to a file below the root, which keeps its comments.
+
+        Parameters
+        ----------
+        path : Path, optional
+            Ends in .toml or .json; by default the file that the scene is from.
+        overwrite : bool
+            Although the file is not the one that was opened or saved.
+
+        Raises
+        ------
+        ConflictError
+            The file was changed meanwhile, or is another one.
+        SceneError
+            It is not below the root, or its name has another end.
+        ImageError
+            It cannot be written.
+        """
+        target, text, table = self._written(path)
+        if not overwrite and digest_of(target) != self._digests.get(target, ""):
+            rule = "is on the disk with other content" if target in self._digests else "is there already"
+            raise ConflictError(f"{target.name}: {rule}: overwrite it, or save under another name")
+        write_whole(target, text.encode())
+        self._digests[target] = digest_of(target)
+        self._state = State(table, self._state.apart, target)
+        self._saved = target, table
+        self._tell()
+
+    def difference(self, path: Path | None = None) -> str:
+        """What `save` would change in a file, as a unified diff. Raises SceneError."""
+        target, text, _ = self._written(path)
+        return difference(target, text)
+
+    def share(self) -> str:
+        """The fragment of an address that has the scene in it: "#s=..."."""
+        return link_of(self.table, self.folder, self.root)
+
+    def load_share(self, text: str) -> None:
+        """Go to the scene of a link, as a step of undo.
+
+        Images that are not there have their names in `refused`. Raises SceneError; then all stays as it is.
+        """
+        table, missing = from_link(text, self.readable)
+        self.take(self._state_of(table, None), missing)
+
+    def load_table(self, table: Table, start: Path) -> None:
+        """Go to a scene whose files are relative to a folder, as a step of undo. Raises SceneError."""
+        state = self._state_of(table, None)
+        if start.is_relative_to(self.root):
+            self.take(replace(state, table=moved(table, start, self.root)))
+            return
+        objects = [dict(item) for item in items(table)]
+        for index, key, name in named_files(table):
+            objects[index][key] = str(start / name)
+        self.take(replace(state, table=table | {"object": objects}))
+
+    def keep(self, path: Path) -> None:
+        """Write the scene so that `recover` finds it, if it changed since. Raises ImageError."""
+        if self._kept != self.revision:
+            keep(self.table, self.folder, path)
+            self._kept = self.revision
+
+    def recover(self, path: Path) -> None:
+        """Go to a scene that was kept, as a step of undo. Raises SceneError."""
+        self.load_table(*kept(path))
+
+    def inside(self, path: Path) -> Path:
+        """A path below the root, with all links followed. Raises SceneError for any other."""
+        try:
+            target = (self.root / path).resolve()
+        except (OSError, ValueError, RuntimeError):
+            target = Path("/")
+        if not target.is_relative_to(self.root) or target == self.root:
+            raise SceneError(f"file: must be below the folder of the studio; got {shown(str(path))}")
+        return target
+
+    def source(self, name: str) -> str:
+        """A texture as `clsco.inputs` takes it: the name of a pattern, a color, or an absolute path."""
+        return name if is_drawn(name) else str(self.folder / name)
+
+    def _state_of(self, table: Table, path: Path | None) -> State:
+        return State(table, ({},) * len(items(table)), path)
+
+    def _written(self, path: Path | None) -> tuple[Path, str, Table]:
+        """The file that a scene is saved to, its text, and the table with names relative to its folder."""
+        if path is None and self.path is None:
+            raise SceneError("file: must have a name to be saved")
+        target = self.inside(path or self.path or Path())
+        if target.suffix.lower() not in (".toml", ".json"):
+            raise SceneError(f"{target.name}: a scene file must end in .toml or .json")
+        table = moved(self.table, self.folder, target.parent)
+        return target, scene_text(table, target, self.path), table

@@ -1,0 +1,301 @@
+"""Scenes of the studio on the disk, in links, and kept for the case that the studio ends."""
+
+from __future__ import annotations
+
+import base64
+import difflib
+import json
+import os
+import tomllib
+import zlib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from clsco.errors import ClscoError, SceneError
+from clsco.files.atomic import sha256, write_whole
+from clsco.scene.file import read_mapping
+from clsco.scene.shapes import SHAPES
+from clsco.scene.toml import toml_text
+from clsco.studio.tables import Table, named_files, sparse
+
+LARGEST = 2**20  # bytes of a link's content
+START = "#s="
+
+
+class ConflictError(ClscoError):
+    """A file on the disk is not the one that was read or written."""
+
+
+def read_scene(path: Path) -> tuple[Table, str]:
+    """Content of a scene file and its digest. Raises SceneError as `clsco.load_scene`."""
+    digest = digest_of(path)  # before it is read: where it is changed meanwhile, saving says so
+    return read_mapping(str(path), ()), digest
+
+
+def digest_of(path: Path) -> str:
+    """SHA-256 of a scene file; "" where there is none."""
+    try:
+        return sha256(path) if path.is_file() else ""
+    except OSError:
+        return ""
+
+
+def scene_text(table: Mapping[str, Any], path: Path, old: Path | None) -> str:
+    """Text of a scene file: what is given and differs from the defaults.
+
+    Parameters
+    ----------
+    table : mapping
+    path : Path
+        Ends in .toml or .json.
+    old : Path or None
+        The file that the scene was in, whose comments, order and keys at their defaults stay, as far as the scene has
+        them.
+
+    Returns
+    -------
+    str
+    """
+    if path.suffix.lower() == ".json":
+        return json.dumps(_kept(sparse(table), table, _content(old)), indent=2, ensure_ascii=False) + "\n"
+    if old is None or old.suffix.lower() != ".toml":
+        return toml_text(sparse(table))
+    import tomlkit
+    from tomlkit.exceptions import TOMLKitError
+
+    try:
+        document = tomlkit.parse(old.read_text("utf-8-sig"))
+        wanted = _kept(sparse(table), table, document.unwrap())
+        _update(document, wanted)
+        text = tomlkit.dumps(document)
+        if tomllib.loads(text) == wanted:
+            return text
+    except (OSError, ValueError, TOMLKitError):  # it is gone, or no longer what was opened
+        pass
+    return toml_text(sparse(table))
+
+
+def _content(path: Path | None) -> Any:
+    """Content of a file that a scene was in, {} where it is gone."""
+    try:
+        return read_mapping(str(path), ()) if path is not None else {}
+    except SceneError:
+        return {}
+
+
+def _kept(fewer: Any, table: Any, old: Any) -> Any:
+    """The sparse form of a table, with the keys at their defaults that a file has, too."""
+    if not isinstance(table, Mapping):
+        return table
+    found = {}
+    for key, value in table.items():
+        before = old.get(key) if isinstance(old, Mapping) else None
+        if isinstance(value, Mapping) and (key in fewer or isinstance(before, Mapping)):
+            if part := _kept(fewer.get(key, {}), value, before):
+                found[key] = part
+        elif isinstance(value, list) and value and isinstance(value[0], Mapping):
+            listed = before if isinstance(before, list) else []
+            less = fewer.get(key, value)
+            found[key] = [
+                _kept(less[k], item, _twin(item, k, listed)) if len(less) == len(value) else item
+                for k, item in enumerate(value)
+            ]
+        elif key in fewer or before is not None:
+            found[key] = value
+    return found
+
+
+def _twin(item: Mapping[str, Any], index: int, listed: list[Any]) -> Any:
+    """The table of a file that one of the scene came from: the same, of the same name, or at its place."""
+    others = [other for other in listed if isinstance(other, Mapping)]
+    same = [other for other in others if other == item]
+    same = [other for k, other in enumerate(listed) if k == index and other in same] or same
+    same += [other for other in others if "name" in item and other.get("name") == item["name"]]
+    if same:
+        return same[0]
+    return listed[index] if index < len(listed) else None
+
+
+def _update(document: Any, table: Mapping[str, Any]) -> None:
+    """Give a table of tomlkit other content; comments stay at what they are of."""
+    import tomlkit
+
+    for key in [key for key in document if key not in table]:
+        del document[key]
+    for key, value in table.items():
+        before = document.get(key)
+        if isinstance(value, Mapping) and isinstance(before, Mapping):
+            _update(before, value)
+        elif isinstance(value, list) and value and isinstance(value[0], Mapping):
+            listed = before if isinstance(before, list) else []
+            plain = [other.unwrap() for other in listed]
+            if len(plain) == len(value) and all(_twin(item, k, plain) is plain[k] for k, item in enumerate(value)):
+                for part, item in zip(listed, value, strict=True):
+                    _update(part, item)
+                continue
+            array, unused = tomlkit.aot(), dict(enumerate(listed))
+            for index, item in enumerate(value):
+                twin = _twin(item, index, [plain[k] if k in unused else None for k in range(len(plain))])
+                place = next((k for k in unused if plain[k] is twin), None)
+                part = unused.pop(place) if place is not None else tomlkit.table()
+                _update(part, item)
+                array.append(part)
+            if key in document:
+                document.remove(key)
+            document.append(key, array)
+        elif before is None:
+            _append(document, key, value)
+        elif not _same(before, value):
+            document[key] = value
+
+
+def _append(document: Any, key: str, value: Any) -> None:
+    """Add a key after the others, and before what stands above the next table."""
+    body = getattr(getattr(document, "value", None), "body", [])  # of a table; that of the whole file has none
+    last: list[Any] = []
+    while len(body) > 1 and body[-1][0] is None:
+        last.insert(0, body.pop())
+    document[key] = value
+    body.extend(last)
+
+
+def _same(before: Any, value: Any) -> bool:
+    """Whether a value of tomlkit is that of a scene, of the same type."""
+    plain = before.unwrap() if hasattr(before, "unwrap") else before
+    return bool(plain == value) and repr(plain) == repr(value)
+
+
+def difference(path: Path, text: str) -> str:
+    """What a text would change in a file, as a unified diff."""
+    before = path.read_text("utf-8-sig", errors="replace").splitlines() if path.is_file() else []
+    return "\n".join(difflib.unified_diff(before, text.splitlines(), "on the disk", "in the studio", lineterm=""))
+
+
+def moved(table: Table, start: Path, to: Path) -> Table:
+    """The table with relative names of files as from another folder."""
+    if start == to:
+        return table
+    objects = [dict(item) for item in table["object"]]
+    for index, key, name in named_files(table):
+        if not Path(name).is_absolute():
+            objects[index][key] = Path(os.path.relpath(start / name, to)).as_posix()
+    return table | {"object": objects}
+
+
+def link_of(table: Table, start: Path, root: Path) -> str:
+    """A scene as the fragment of an address.
+
+    Parameters
+    ----------
+    table : dict
+        A valid scene.
+    start : Path
+        Folder that its files are relative to.
+    root : Path
+        Folder of the studio, which they are relative to in the link; files elsewhere have their names alone.
+
+    Returns
+    -------
+    str
+        "#s=" and JSON of the keys that differ from their defaults, deflated, in base64 for addresses; with the SHA-256
+        of each file.
+    """
+    few = sparse(table)
+    files: dict[str, str] = {}
+    for index, key, name in named_files(few):
+        path = (start / name).resolve()
+        shared = path.relative_to(root).as_posix() if path.is_relative_to(root) else path.name
+        few["object"][index][key] = shared
+        files[shared] = digest_of(path)
+    content: Table = few | ({"files": files} if files else {})
+    text = json.dumps(content, separators=(",", ":"), ensure_ascii=False).encode()
+    pressed = zlib.compressobj(9, zlib.DEFLATED, -15)
+    return START + base64.urlsafe_b64encode(pressed.compress(text) + pressed.flush()).decode().rstrip("=")
+
+
+def from_link(text: str, places: Iterable[Path]) -> tuple[Table, dict[str, tuple[Any, str]]]:
+    """The scene of a link.
+
+    Parameters
+    ----------
+    text : str
+        From `link_of`, with or without "#s=".
+    places : iterable of Path
+        Where its files may be; the first is the folder of the studio.
+
+    Returns
+    -------
+    table : dict
+        Not validated. In place of an image that is not there is the default.
+    missing : dict
+        Names of those with messages, by the paths of their keys.
+
+    Raises
+    ------
+    SceneError
+        It is no link, holds more than 1 MiB, or needs a depth map that is not there.
+    """
+    content = _unpacked(text.strip().rpartition(START)[2])
+    digests = content.pop("files", {})
+    missing: dict[str, tuple[Any, str]] = {}
+    first, *others = places
+    for index, key, name in named_files(content):
+        stated = digests.get(name) if isinstance(digests, Mapping) else None
+        if Path(name).is_absolute():
+            raise SceneError(f"scene: object[{index}].{key}: must not be an absolute path in a link")
+        item = content["object"][index]
+        if digest_of(first / name) == stated and stated:
+            continue
+        found = [path for place in others for path in place.rglob(Path(name).name) if digest_of(path) == stated]
+        if stated and found:
+            item[key] = str(found[0])
+            continue
+        rule = f"needs the file {Path(name).name} (SHA-256 {str(stated)[:12]}...), which is not there: choose it"
+        if key == "depth":
+            raise SceneError(f"scene: object[{index}].{key}: {rule}")
+        missing[f"object.{index}.{key}"] = name, rule
+        if key == "texture":
+            item[key] = SHAPES["plane"].model_fields["texture"].default
+        else:
+            del item[key]
+    return content, missing
+
+
+def _unpacked(text: str) -> Table:
+    """The JSON of a link. Raises SceneError."""
+    try:
+        if len(text) > 2 * LARGEST:
+            raise SceneError("link: must hold at most 1 MiB")
+        pressed = base64.b64decode(text + "=" * (-len(text) % 4), altchars=b"-_", validate=True)
+        opened = zlib.decompressobj(-15)
+        content = opened.decompress(pressed, LARGEST + 1)
+        if len(content) > LARGEST:
+            raise SceneError("link: must hold at most 1 MiB")
+        if not opened.eof:
+            raise SceneError("link: must be whole; got a part of it")
+        table = json.loads(content)
+    except (ValueError, zlib.error, RecursionError):
+        raise SceneError("link: must be one that the studio made") from None
+    if not isinstance(table, dict):
+        raise SceneError("link: must hold a scene")
+    return table
+
+
+def keep(table: Table, start: Path, path: Path) -> None:
+    """Write a scene so that it can be recovered, whole or not at all. Raises ImageError."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    content = {"folder": str(start), "scene": table}
+    write_whole(path, json.dumps(content, ensure_ascii=False).encode())
+
+
+def kept(path: Path) -> tuple[Table, Path]:
+    """A scene that was kept, and the folder that its files are relative to. Raises SceneError."""
+    try:
+        if path.stat().st_size > 2 * LARGEST:
+            raise SceneError(f"{path.name}: must have at most {2 * LARGEST} bytes")
+        content = json.loads(path.read_bytes())
+        table, start = content["scene"], Path(content["folder"])
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        raise SceneError(f"{path.name}: must be what the studio kept") from None
+    return table, start

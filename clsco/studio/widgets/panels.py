@@ -1,0 +1,268 @@
+"""Panels of the scene's keys: those of the thesis in its words, then all others.
+
+Controls with `data-path` are read and written by `static/studio.js`; what changes which controls there are goes through
+NiceGUI.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+from nicegui import ui
+
+from clsco.studio.folder import IMAGES, listed
+from clsco.studio.forms import Field, Panel, panels
+from clsco.studio.presets import choose_method, is_as_the_thesis
+from clsco.studio.session import Session
+from clsco.studio.tables import at
+from clsco.studio.widgets.live import number
+from clsco.studio.widgets.objects import object_list
+from clsco.studio.widgets.plain import button, check_box, say
+
+_MOTIONS = {"velocity": "Translation", "angular_velocity": "Rotation"}
+_TYPE, _PROPERTIES, _MOTION = 1, 2, 3  # of the panels of the thesis
+
+
+@dataclass
+class Chosen:
+    """What the panels of a page are of.
+
+    index: of the object; is_open: panels by title; before: motions that were given up, by path.
+    """
+
+    index: int = 0
+    is_open: dict[str, bool] = field(default_factory=dict)
+    before: dict[str, Any] = field(default_factory=dict)
+
+
+def draw_panels(session: Session, chosen: Chosen | None = None) -> Callable[[], None]:
+    """Draw the objects of a session and all panels, and draw them again when there are others.
+
+    Parameters
+    ----------
+    session : Session
+    chosen : Chosen, optional
+
+    Returns
+    -------
+    function
+        Ends it, when the page is closed.
+    """
+    now = chosen or Chosen()
+
+    @ui.refreshable
+    def objects() -> None:
+        object_list(session, now.index, choose)
+
+    @ui.refreshable
+    def method() -> None:
+        _method(session)
+
+    @ui.refreshable
+    def area() -> None:
+        for position, panel in enumerate(panels(session, now.index)):
+            _draw(session, panel, position, now, method)
+
+    parts: list[tuple[Any, Callable[[Session, Chosen], Any], Any]] = [
+        (objects, _names, _names(session, now)),
+        (method, _is_thesis, _is_thesis(session, now)),
+        (area, _form, _form(session, now)),
+    ]
+
+    def choose(index: int) -> None:
+        now.index = index
+        changed()
+
+    def changed() -> None:
+        now.index = min(now.index, len(session.table["object"]) - 1)
+        for position, (part, of, before) in enumerate(parts):
+            if (after := of(session, now)) != before:
+                parts[position] = part, of, after
+                part.refresh()
+
+    objects()
+    area()
+    return session.subscribe(changed)
+
+
+def _names(session: Session, chosen: Chosen) -> Any:
+    """What the list of objects is drawn by: it is drawn again where it differs."""
+    return chosen.index, [(item["shape"], item.get("name")) for item in session.table["object"]]
+
+
+def _is_thesis(session: Session, chosen: Chosen) -> Any:  # noqa: ARG001 - as `_names`
+    return is_as_the_thesis(session)
+
+
+def _form(session: Session, chosen: Chosen) -> Any:
+    """What panels are drawn by; nothing that is typed or dragged in them, as who does that must not be disturbed."""
+    path = f"object.{chosen.index}"
+    moves = [is_chosen(session, f"{path}.motion.{key}") for key in _MOTIONS]
+    counts = [len(session.table.get(key, ())) for key in ("object", "group")]
+    return chosen.index, session.shown(f"{path}.shape"), counts, moves
+
+
+def is_chosen(session: Session, path: str) -> bool:
+    """Whether a motion is: it is given, be it 0."""
+    return at(session.table, path.split(".")) is not None or any(key.startswith(path) for key in session.refused)
+
+
+def _draw(session: Session, panel: Panel, position: int, chosen: Chosen, method: Callable[[], Any]) -> None:
+    is_open = chosen.is_open.get(panel.title, panel.is_open)
+    with say("details", open=is_open or None).classes("panel") as details:
+        details.on(
+            "toggle",
+            lambda event: chosen.is_open.__setitem__(panel.title, bool(event.args)),
+            js_handler="(event) => emit(event.target.open)",
+        )
+        say("summary", panel.title)
+        if panel.title == "PSF and method":
+            method()
+        if position == _PROPERTIES:
+            say("p", "In the thesis centers are on the axis, and |R| is at most about 6 px.").classes("quiet")
+        for each in panel.fields:
+            if position == _TYPE:
+                _shapes(session, each)
+            elif position == _MOTION and each.key in _MOTIONS:
+                _motion(session, each, chosen)
+            else:
+                draw_field(session, each)
+
+
+def draw_field(session: Session, shown: Field) -> None:
+    """Draw one field: its control or those of its components, with what it means, and the way back to its default."""
+    value = session.shown(shown.path)
+    if shown.kind == "number":
+        with say("div").classes("field"):
+            number(shown, value)
+            _back(shown)
+    elif shown.kind == "vector":
+        with say("fieldset").classes("vector"):
+            say("legend", shown.name, title=shown.help)
+            _components(session, shown)
+            _back(shown)
+            if shown.key == "semi_axes":
+                check_box("c = b, as in the thesis", session.is_linked, partial(setattr, session, "is_linked"))
+    elif shown.kind == "flag":
+        with say("div").classes("field"):
+            with say("label").classes("check"):
+                say("input", type="checkbox", checked=bool(value) or None, title=shown.help, data_path=shown.path)
+                say("span", shown.label)
+            _back(shown)
+            _fault(shown)
+    else:
+        with say("div").classes("field"):
+            box = f"box-{shown.path}"
+            say("label", shown.name, for_=box)
+            if shown.kind == "choice":
+                with say("div").classes("row"):
+                    _select(shown, value, box)
+                    _back(shown)
+            else:
+                _text(session, shown, value, box)
+            _fault(shown)
+
+
+def _components(session: Session, shown: Field) -> None:
+    """The components of a vector, each in a row after its letter."""
+    for index, letter in enumerate(shown.components):
+        part = shown.component(index)
+        with say("div").classes("component"):
+            say("span", letter, aria_hidden="true").classes("letter")
+            number(part, session.shown(part.path))
+
+
+def _select(shown: Field, value: Any, box: str) -> None:
+    with say("select", id=box, data_path=shown.path, aria_label=shown.name, title=shown.help):
+        if shown.default is None:
+            say("option", "by default", value="", selected=value is None or None)
+        for option, label in shown.choices:
+            say("option", label, value=option, selected=True if option == value else None)
+
+
+def _text(session: Session, shown: Field, value: Any, box: str) -> None:
+    names = f"names-{shown.path}" if shown.kind == "image" else None
+    with say("div").classes("row"):
+        say(
+            "input", id=box, type="text", data_path=shown.path, value="" if value is None else str(value), list=names,
+            aria_label=shown.name, title=shown.help, autocomplete="off",
+        )  # fmt: skip
+        if shown.kind == "image":
+            say("input", type="file", accept=",".join(IMAGES), hidden=True, data_upload=shown.path, tabindex="-1")
+            say("button", "Browse", type="button", data_browse=shown.path, aria_label=f"Browse for {shown.label}")
+        _back(shown)
+    if names is not None:
+        with say("datalist", id=names):
+            for name in [name for name, _ in shown.choices] + listed(session.folder, IMAGES)[:100]:
+                say("option", value=name)
+    if shown.key == "texture":
+        with say("div", data_drop=shown.path).classes("drop"):
+            say("img", data_thumbnail=shown.path, alt="", hidden=True).classes("thumbnail")
+            say("span", "Drop an image here", data_about=shown.path)
+
+
+def _back(shown: Field) -> None:
+    """The way back to the default, and what that is."""
+    default = "none" if shown.default is None else _brief(shown.default)
+    unit = f" {shown.unit}" if shown.unit and shown.default is not None else ""
+    limits = (
+        "" if shown.least is None else f"; {shown.least:g} to {shown.most:g}{f' {shown.unit}' if shown.unit else ''}"
+    )
+    say(
+        "button", "↺", type="button", data_clear=shown.path, aria_label=f"Default of {shown.label}",
+        title=f"Default: {default}{unit}{limits}",
+    ).classes("back")  # fmt: skip
+
+
+def _brief(value: Any) -> str:
+    if isinstance(value, list):
+        return ", ".join(_brief(entry) for entry in value)
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _fault(shown: Field) -> None:
+    say("div", data_fault=shown.path, role="alert", hidden=True)
+
+
+def _shapes(session: Session, shown: Field) -> None:
+    """Radio buttons of the types: the five of the thesis, and the others below."""
+    value = session.shown(shown.path)
+    with say("div", role="radiogroup", aria_label=shown.label).classes("shapes"):
+        for option, label in shown.choices:
+            with say("label").classes("check"):
+                radio = say(
+                    "input", type="radio", name=shown.path, value=option, checked=True if option == value else None
+                )
+                radio.on("change", partial(session.patch, shown.path, option), args=[])
+                say("span", label)
+    _fault(shown)
+
+
+def _motion(session: Session, shown: Field, chosen: Chosen) -> None:
+    """A motion that is chosen or not, and its boxes."""
+    path, is_on = shown.path, is_chosen(session, shown.path)
+
+    def choose(on: bool) -> None:
+        if on:
+            session.patch(path, chosen.before.pop(path, None) or [0.0, 0.0, 0.0])
+        else:
+            chosen.before[path] = session.known(path)
+            session.patch(path, None)
+
+    check_box(_MOTIONS[shown.key], is_on, choose, title=shown.help)
+    with say("fieldset", disabled=None if is_on else True).classes("vector"):
+        say("legend", f"{shown.symbol} ({shown.unit})")
+        _components(session, shown)
+    _fault(shown)
+
+
+def _method(session: Session) -> None:
+    """The switch between the thesis and clsco."""
+    is_thesis = is_as_the_thesis(session)
+    with say("div", role="group", aria_label="Method").classes("row"):
+        for on, text in ((True, "As the thesis"), (False, "Defaults of clsco")):
+            pressed = "true" if is_thesis is on else "false"
+            button(text, partial(choose_method, session, on), aria_pressed=pressed)

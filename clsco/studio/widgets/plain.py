@@ -1,0 +1,105 @@
+"""Elements of HTML as they are: text that is never read as markup, buttons, boxes, and dialogs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from nicegui import ui
+
+from clsco.errors import ClscoError, SceneError
+
+_VALUE = "(event) => emit(event.target.value)"
+_CHECKED = "(event) => emit(event.target.checked)"
+
+
+def say(tag: str, text: str = "", **attributes: Any) -> ui.element:
+    """An element with a text, whatever is in it; attributes have `_` for `-`, and those that are None are left out.
+
+    The value of a box is what it begins with: Vue would give it that again each time that anything on the page changes.
+    """
+    element = ui.element(tag)
+    for name, value in attributes.items():
+        if value is not None:
+            key = name.rstrip("_").replace("_", "-")
+            element.props["^value" if tag == "input" and key == "value" else key] = value
+    if text:
+        element.props["innerText"] = text
+    return element
+
+
+def button(text: str, pressed: Callable[[], object], **attributes: Any) -> ui.element:
+    """A button; what it refuses is shown."""
+
+    def handle() -> None:
+        tried(pressed)
+
+    return say("button", text, type="button", **attributes).on("click", handle, args=[])
+
+
+def tried(action: Callable[[], object]) -> bool:
+    """Do something, and show what is wrong with it; whether nothing was."""
+    try:
+        action()
+    except ClscoError as error:
+        messages = error.messages if isinstance(error, SceneError) else (str(error),)
+        ui.notify("\n".join(messages[:6]), type="negative", multi_line=True, close_button="Close", timeout=12000)
+        return False
+    return True
+
+
+def text_box(label: str, value: str, typed: Callable[[str], object], **attributes: Any) -> ui.element:
+    """A labeled box for text; `typed` is called with each change."""
+    with say("label").classes("box"):
+        say("span", label)
+        return say("input", type="text", value=value, autocomplete="off", **attributes).on(
+            "input", lambda event: typed(str(event.args)), js_handler=_VALUE
+        )
+
+
+def check_box(label: str, is_on: bool, changed: Callable[[bool], object], **attributes: Any) -> ui.element:
+    """A labeled check box."""
+    with say("label").classes("check"):
+        box = say("input", type="checkbox", checked=is_on or None, **attributes)
+        box.on("change", lambda event: changed(bool(event.args)), js_handler=_CHECKED)
+        say("span", label)
+    return box
+
+
+def choice(label: str, options: Mapping[str, str] | Sequence[str], value: str, chosen: Callable[[str], object]) -> None:
+    """A labeled list to choose one value of; `options`: values with their labels."""
+    named = options if isinstance(options, Mapping) else {option: option for option in options}
+    with say("label").classes("box"):
+        say("span", label)
+        with say("select").on("change", lambda event: chosen(str(event.args)), js_handler=_VALUE):
+            for option, text in named.items():
+                say("option", text, value=option, selected=True if option == value else None)
+
+
+class Dialog:
+    """A dialog of the browser's own, which keeps the focus inside, and closes with Esc."""
+
+    def __init__(self, title: str) -> None:
+        self.element = say("dialog", aria_label=title).classes("studio-dialog")
+        with self.element:
+            say("h2", title)
+            self.body = ui.element("div")
+            with ui.element("div").classes("dialog-end"):
+                self.actions = ui.element("span")
+                button("Close", self.close)
+
+    def open(self) -> None:
+        """Show it."""
+        ui.run_javascript(f"getHtmlElement({self.element.id}).showModal()")
+
+    def close(self) -> None:
+        """Hide it."""
+        ui.run_javascript(f"getHtmlElement({self.element.id}).close()")
+
+    @contextmanager
+    def filled(self) -> Iterator[None]:
+        """Fill it anew."""
+        self.body.clear()
+        with self.body:
+            yield

@@ -1,0 +1,225 @@
+"""The security rules of the studio, each against the running server."""
+
+from __future__ import annotations
+
+import json
+import re
+import socket
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+
+pytest.importorskip("nicegui", reason="needs the extra clsco[studio]")
+
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+
+from clsco.files.png import png_parts
+from clsco.studio.guard import MAX_BODY
+from clsco.studio.pictures import MESSAGE
+from tests.studio.running import Running, studio
+
+POLLING = "/_nicegui_ws/socket.io/?EIO=4&transport=polling&implicit_handshake=false"
+SOCKETS = ("/frames?tab=none", "/_nicegui_ws/socket.io/?EIO=4&transport=websocket")
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    with studio(tmp_path_factory.mktemp("root")) as opened:
+        yield opened
+
+
+def get(running: Running, path: str = "/", **headers: str) -> httpx.Response:
+    given = {**running.cookie, **{name.replace("_", "-"): value for name, value in headers.items()}}
+    return httpx.get(running.origin + path, headers=given)
+
+
+def status_of_socket(running: Running, path: str, headers: dict[str, str], origin: str | None) -> int:
+    try:
+        with running.connect(path, headers, origin):
+            return 101
+    except InvalidStatus as refused:
+        return refused.response.status_code
+
+
+def test_the_printed_address_gives_a_cookie_that_scripts_do_not_see(running: Running) -> None:
+    answer = httpx.get(running.address)
+    assert answer.status_code == 303
+    assert answer.headers["location"] == "/"
+    token = running.address.rpartition("=")[2]
+    assert len(token) >= 43  # 256 bits
+    assert re.fullmatch(rf"clsco-\d+={token}; HttpOnly; SameSite=Strict; Path=/", answer.headers["set-cookie"])
+    assert get(running).status_code == 200
+
+
+@pytest.mark.parametrize("path", ["/", POLLING, "/static/studio.js", "/scene?tab=x", "/no/such/page"])
+def test_nothing_without_the_token(running: Running, path: str) -> None:
+    for headers in ({}, {"Cookie": f"clsco-{running.host.rpartition(':')[2]}=wrong"}, {"Cookie": "other=1"}):
+        answer = httpx.get(running.origin + path, headers=headers)
+        assert answer.status_code == 403
+        assert "clsco studio" in answer.text
+    assert httpx.get(running.origin + "/?t=wrong").status_code == 403
+    assert httpx.get(running.origin + "/?t=").status_code == 403
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", "localhost.evil.example:{port}", ""]
+)
+@pytest.mark.parametrize("path", ["/", POLLING])
+def test_a_forged_host_is_refused(running: Running, host: str, path: str) -> None:
+    forged = host.format(port=running.host.rpartition(":")[2])
+    assert get(running, path, Host=forged).status_code in (400, 403)
+    both = {"Host": forged, "Origin": f"http://{forged}"}  # DNS rebinding forges them alike
+    assert get(running, path, **both).status_code in (400, 403)
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "null", "{own}.evil.example", "https://{host}", "{own}/"])
+def test_a_foreign_origin_is_refused(running: Running, origin: str) -> None:
+    foreign = origin.format(own=running.origin, host=running.host)
+    assert get(running, Origin=foreign).status_code == 403
+    assert get(running, POLLING, Origin=foreign).status_code == 403
+    for path in SOCKETS:
+        assert status_of_socket(running, path, running.cookie, foreign) == 403
+
+
+def test_requests_of_other_sites_are_refused(running: Running) -> None:
+    for site in ("cross-site", "same-site"):  # another port of this machine is the same site
+        assert get(running, Sec_Fetch_Site=site).status_code == 403
+    assert get(running, Sec_Fetch_Site="none").status_code == 200
+    assert get(running, Sec_Fetch_Site="same-origin").status_code == 200
+
+
+@pytest.mark.parametrize("path", SOCKETS)
+def test_sockets_need_origin_and_token(running: Running, path: str) -> None:
+    assert status_of_socket(running, path, running.cookie, None) == 403
+    assert status_of_socket(running, path, {}, running.origin) == 403
+    assert status_of_socket(running, path, {**running.cookie, "Host": "evil.example"}, running.origin) in (400, 403)
+
+
+def test_the_own_page_opens_both_transports_of_nicegui(running: Running) -> None:
+    assert status_of_socket(running, SOCKETS[1], running.cookie, running.origin) == 101
+    answer = get(running, POLLING, Origin=running.origin)
+    assert answer.status_code == 200
+    session = json.loads(answer.text[1:])["sid"]
+    with running.client() as client:
+        assert client.post(f"{POLLING}&sid={session}", content="40").status_code == 200
+    for headers in ({"Origin": running.origin}, running.cookie, {**running.cookie, "Origin": "null"}):
+        assert httpx.post(f"{running.origin}{POLLING}&sid={session}", content="40", headers=headers).status_code == 403
+
+
+def test_a_form_of_another_page_is_refused(running: Running) -> None:
+    for headers in ({}, {"Origin": "null"}, {"Origin": "http://evil.example"}):
+        answer = httpx.post(f"{running.origin}/", data={"a": "b"}, headers={**running.cookie, **headers})
+        assert answer.status_code == 403
+
+
+def test_an_upload_is_counted_while_it_comes(running: Running) -> None:
+    sent = 0
+
+    def body() -> Iterator[bytes]:
+        nonlocal sent
+        while sent < 10 * 2**30:
+            sent += 2**20
+            yield bytes(2**20)
+
+    with running.client() as client:
+        assert client.post(f"/texture?tab={tab_of(running)}&kind=png", content=body()).status_code == 413
+        assert sent < MAX_BODY + 2**25
+        assert client.get("/").status_code == 200
+    raw(running, "POST /texture?tab=x&kind=png", f"Content-Length: {10 * 2**30}", status=413)
+
+
+@pytest.mark.parametrize(
+    "path", ["/static/../server.py", "/static/%2e%2e/server.py", "/static/..%2fserver.py", "/static//etc/passwd",
+             "/_nicegui/3.18.0/static/../../../x", "/scene?tab=../../etc/passwd", "/file=/etc/passwd"],
+)  # fmt: skip
+def test_no_path_leaves_its_folder(running: Running, path: str) -> None:
+    assert b"root:" not in raw(running, f"GET {path}", "Connection: close", status=404)
+
+
+def raw(running: Running, line: str, *headers: str, status: int) -> bytes:
+    """What a client answers that checks nothing of what it sends."""
+    host, port = running.host.split(":")
+    own = (f"Host: {running.host}", f"Cookie: {running.cookie['Cookie']}", f"Origin: {running.origin}")
+    answer = b""
+    with socket.create_connection((host, int(port)), timeout=10) as plain:
+        plain.sendall("\r\n".join([f"{line} HTTP/1.1", *own, *headers, "", ""]).encode())
+        while chunk := plain.recv(65536):
+            answer += chunk
+    assert answer.split()[1] == str(status).encode()
+    return answer
+
+
+def test_every_answer_has_its_headers(running: Running) -> None:
+    for path in ("/", "/static/studio.js", "/no/such/page"):
+        headers = get(running, path).headers
+        assert headers["x-content-type-options"] == "nosniff"
+        assert headers["referrer-policy"] == "no-referrer"
+        policy = dict(part.strip().partition(" ")[::2] for part in headers["content-security-policy"].split(";"))
+        assert policy["default-src"] == "'self'"
+        assert policy["object-src"] == policy["frame-ancestors"] == policy["form-action"] == "'none'"
+        assert "http:" not in headers["content-security-policy"]
+        assert "access-control-allow-origin" not in headers
+
+
+def message(data: str | bytes) -> dict[str, Any]:
+    assert isinstance(data, bytes)
+    found: dict[str, Any] = json.loads(data[16:]) if data[12] == MESSAGE else {}
+    return found
+
+
+def tab_of(running: Running) -> str:
+    found = re.search(r"data-tab=\\?\"([\w-]+)|\"data-tab\":\"([\w-]+)\"", get(running).text)
+    assert found is not None
+    return found[1] or found[2]
+
+
+def test_a_script_in_a_title_is_text(running: Running) -> None:
+    tab = tab_of(running)
+    attack = "</script><script>alert(1)</script><img src=x onerror=alert(1)>"
+    with running.frames(tab) as opened:
+        opened.send(json.dumps({"path": "title", "value": attack}))
+        while message(opened.recv(timeout=10)).get("title") != attack:
+            pass
+    answer = get(running, f"/?s={tab}")
+    assert "<script>alert" not in answer.text
+    assert "<img src=x" not in answer.text
+
+
+def test_patches_out_of_the_root_and_too_long_ones(running: Running) -> None:
+    tab = tab_of(running)
+    with running.frames(tab) as opened:
+        for name in ("/etc/passwd", "../../../../etc/passwd", "a/../../x.png"):
+            opened.send(json.dumps({"path": "object.0.texture", "value": name}))
+            while "faults" not in (said := message(opened.recv(timeout=10))) or not said["faults"]:
+                pass
+            assert "object.0.texture" in said["faults"]
+            opened.send(json.dumps({"path": "object.0.texture", "value": "brick"}))
+        opened.send("x" * (2**16 + 1))
+        with pytest.raises(ConnectionClosed):
+            list(opened)
+
+
+def test_an_upload_that_is_no_plain_image_is_refused(running: Running, tmp_path: Path) -> None:
+    bomb = b"".join([b"\x89PNG\r\n\x1a\n", _chunk(b"IHDR", struct.pack(">IIBBBBB", 60000, 60000, 8, 0, 0, 0, 0)),
+                     _chunk(b"IDAT", zlib.compress(bytes(2**20))), _chunk(b"IEND", b"")])  # fmt: skip
+    drawing = b"<svg xmlns='http://www.w3.org/2000/svg'><script>alert(1)</script></svg>"
+    image = b"".join(png_parts(np.full((4, 5), 7, np.uint8)))
+    with running.client() as client:
+        tab = tab_of(running)
+        for content, kind in ((bomb, "png"), (drawing, "svg"), (drawing, "png"), (image, "../x"), (image, "jpg")):
+            answer = client.post("/texture", params={"tab": tab, "kind": kind}, content=content)
+            assert answer.status_code == 400, (kind, answer.text)
+            assert answer.headers["content-type"] == "application/json"
+        assert client.post("/texture", params={"tab": "x", "kind": "png"}, content=image).status_code == 404
+        answer = client.post("/texture", params={"tab": tab, "kind": "png"}, content=image)
+        assert re.fullmatch(r"uploads/[0-9a-f]{20}\.png", answer.json()["name"])
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))

@@ -1,0 +1,127 @@
+"""Inpainting in the studio: masks as they are painted, methods side by side, and nothing elsewhere."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import clsco
+from clsco import ImageError, SceneError
+from clsco.cli.main import main
+from clsco.files.images import read_image, write_png
+from clsco.studio.inpainting import METHODS, Inpainting
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+@pytest.fixture
+def inpainting(tmp_path: Path) -> Iterator[Inpainting]:
+    draw = np.random.default_rng(1)
+    write_png(tmp_path / "small.png", draw.integers(0, 255, (12, 16, 3), np.uint8))
+    opened = Inpainting(tmp_path, "pocl")
+    opened.open("small.png")
+    yield opened
+    opened.close()
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_a_mask_comes_back_from_its_runs(inpainting: Inpainting, share: float) -> None:
+    mask = np.random.default_rng(2).random((12, 16)) < share
+    inpainting.mask = mask
+    runs = inpainting.runs()
+    inpainting.paint(16, 12, [192])
+    assert not inpainting.mask.any()
+    inpainting.paint(16, 12, runs)
+    assert np.array_equal(inpainting.mask, mask)
+
+
+@pytest.mark.parametrize(
+    ("columns", "rows", "runs", "rule"),
+    [
+        (16, 13, [208], "must have 16 x 12 pixels; got 16 x 13"),
+        (16, 12, [191], "runs must make up 192 pixels; got 191"),
+        (16, 12, [-1, 193], "lengths of runs"),
+        (16, 12, [10**30], "lengths of runs"),
+        (16, 12, ["192"], "lengths of runs"),
+        (16, 12, [True, 191], "lengths of runs"),
+        (16, 12, [0] * (2**20 + 1), "at most 1048576 lengths"),
+    ],
+)
+def test_what_is_no_mask_is_refused(
+    inpainting: Inpainting, columns: int, rows: int, runs: list[int], rule: str
+) -> None:
+    with pytest.raises(ImageError, match=rule):
+        inpainting.paint(columns, rows, runs)
+    assert not inpainting.mask.any()
+
+
+def test_letters_of_one_color_are_found(inpainting: Inpainting) -> None:
+    image = np.full((12, 16, 3), 90, np.uint8)
+    image[3:6, 2:9] = (200, 20, 30)
+    image[4, 4] = (190, 25, 35)
+    write_png(inpainting.root / "letters.png", image)
+    inpainting.open("letters.png")
+    inpainting.add_color(2, 3, 0.0)
+    assert inpainting.mask.sum() == 20
+    inpainting.add_color(2, 3, 0.05)
+    assert np.array_equal(np.argwhere(inpainting.mask).min(axis=0), (3, 2))
+    assert inpainting.mask.sum() == 21
+    with pytest.raises(ImageError, match="must be that of a pixel"):
+        inpainting.add_color(16, 3, 0.0)
+
+
+def test_methods_side_by_side_are_those_of_the_command(inpainting: Inpainting) -> None:
+    with pytest.raises(ImageError, match="some pixel must be missing"):
+        inpainting.fill("mean-median")
+    with pytest.raises(SceneError, match="must be one of mean-median"):
+        inpainting.fill("magic")
+    inpainting.paint(16, 12, [50, 4, 12, 4, 122])
+    filled = inpainting.fill("mean-median")
+    expected = clsco.inpaint(inpainting.image, inpainting.mask, method="mean-median", device="pocl")
+    assert np.array_equal(filled.image, expected)
+    table = dict(inpainting.table())
+    assert table["Missing pixels"] == ["8"]
+    assert table["Sweeps"] == [str(filled.figures["sweeps"])]
+    assert " to " in table["Range of gradients"][0]
+    assert inpainting.save("out") == ["image.png", "mask.png", "mean-median.png"]
+    _, _, image, mask, *_ = inpainting.command("mean-median").split()
+    arguments = ["inpaint", f"out/{image}", f"out/{mask}", "-o", "again.png", "--method", "mean-median"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(inpainting.root)
+        assert CliRunner().invoke(main, arguments).exit_code == 0
+    assert np.array_equal(read_image(inpainting.root / "again.png").data, expected)
+    assert inpainting.picture("mean-median").startswith(b"\x89PNG")
+    assert inpainting.picture("texture") == b""
+    inpainting.paint(16, 12, [192])
+    assert not inpainting.results
+
+
+@pytest.mark.slow
+def test_all_methods_fill_the_damaged_picture(tmp_path: Path) -> None:
+    for name in ("damaged.png", "damaged_mask.png"):
+        shutil.copy(EXAMPLES / name, tmp_path)
+    inpainting = Inpainting(tmp_path, "pocl")
+    inpainting.open("damaged.png")
+    inpainting.load_mask("damaged_mask.png")
+    for method in METHODS:
+        inpainting.fill(method)
+    assert list(inpainting.results) == list(METHODS)
+    assert [len(values) for _, values in inpainting.table()] == [3] * 7
+    inpainting.close()
+
+
+@pytest.mark.parametrize("name", ["../x.png", "/etc/passwd", "link.png", "gone.png", "", "a\0.png"])
+def test_nothing_elsewhere_is_read(inpainting: Inpainting, tmp_path_factory: pytest.TempPathFactory, name: str) -> None:
+    outside = tmp_path_factory.mktemp("outside") / "secret.png"
+    shutil.copy(EXAMPLES / "damaged.png", outside)
+    (inpainting.root / "link.png").symlink_to(outside)
+    for action in (inpainting.open, inpainting.load_mask):
+        with pytest.raises(ImageError, match="must be a file below the folder of the studio"):
+            action(name)
+    with pytest.raises(ImageError, match="must be below the folder of the studio"):
+        inpainting.save("../out")

@@ -1,0 +1,265 @@
+"""Jobs: command lines that write what `clsco render` would, that are canceled, and that a restart finds."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from clsco import ClscoError
+from clsco.cli.main import main
+from clsco.studio import jobs as jobs_module
+from clsco.studio.generate import Wanted, clip, data_set, focal_stack, free_folder, generate
+from clsco.studio.jobs import Job, Jobs
+from clsco.studio.presets import load_preset, presets
+from clsco.studio.session import Session
+
+# In place of clsco: `work FOLDER COUNT SECONDS` writes files as frames are written, one after the other.
+SLOW = """
+import sys, time
+from pathlib import Path
+from clsco.files.atomic import whole_file
+_, folder, count, seconds, *_ = sys.argv[1:]
+if count == "none":
+    sys.exit("error: it cannot be")
+for k in range(int(count)):
+    with whole_file(Path(folder) / f"frame_{k:04d}.json") as file:
+        file.write(b"begun")
+        file.flush()
+        time.sleep(float(seconds))
+        file.write(b" and done")
+"""
+
+
+@pytest.fixture
+def jobs(tmp_path: Path) -> Iterator[Jobs]:
+    opened = Jobs(tmp_path)
+    yield opened
+    for job in opened.listed:
+        opened.cancel(job.number)
+    until(opened, lambda: not any(job.is_unfinished for job in opened.listed))
+    opened.close()
+
+
+@pytest.fixture
+def slow(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(jobs_module, "_PYTHON", (sys.executable, "-c", SLOW))
+
+
+def until(jobs: Jobs, holds: Callable[[], bool], seconds: float = 60.0) -> None:
+    """Wait for what comes by itself."""
+    end = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < end, jobs.listed
+        jobs.poll()
+        time.sleep(0.02)
+
+
+def work(jobs: Jobs, name: str, count: object, seconds: float = 0.0) -> Job:
+    (jobs.root / name).mkdir(exist_ok=True)
+    return jobs.add(
+        name, ["work", name, str(count), str(seconds)], name, "frame_*.json", int(str(count).replace("none", "0"))
+    )
+
+
+def written(folder: Path) -> dict[str, bytes]:
+    """Images, and JSON files but for the seconds that passes took."""
+    found = {path.name: path.read_bytes() for path in sorted(folder.rglob("frame_*.png"))}
+    for path in folder.rglob("frame_*.json"):
+        content = json.loads(path.read_text())
+        views = [content, *content.get("views", {}).values()]
+        for view in views:
+            view.pop("seconds", None)
+        found[path.name] = json.dumps(content).encode()
+    return found
+
+
+def same_as_the_command(session: Session, jobs: Jobs) -> None:
+    """Generate, save, and render what was saved."""
+    folder = free_folder(session)
+    job = generate(session, jobs, folder)
+    until(jobs, lambda: not jobs.job(job.number).is_unfinished, 300.0)
+    job = jobs.job(job.number)
+    assert job.status == "done", job.message
+    assert job.done == job.total
+    session.save(Path("saved.toml"), overwrite=True)
+    out = jobs.root / "by_command"
+    result = CliRunner().invoke(main, ["render", str(jobs.root / "saved.toml"), "-o", str(out), "--quiet"])
+    assert result.exit_code == 0, result.output
+    ours, theirs = written(jobs.root / folder), written(out)
+    assert ours == theirs
+    assert len([name for name in ours if name.endswith(".png")]) >= 1
+
+
+def test_generated_files_are_those_of_the_command(tmp_path: Path, jobs: Jobs) -> None:
+    session = Session(tmp_path)
+    for path, value in {"title": "A; b $(c)", "camera.resolution": [24, 16], "sequence.frames": 2}.items():
+        session.patch(path, value)
+    session.patch("object.0.motion.velocity.0", 1.0)
+    assert free_folder(session) == "frames/a_b_c"
+    same_as_the_command(session, jobs)
+    assert jobs.listed[0].line == "clsco render frames/a_b_c/scene.toml -o frames/a_b_c"
+    assert [path.name for path in jobs.files(1)] == ["frame_0000.png", "frame_0001.png"]
+    assert free_folder(session) == "frames/saved"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [preset.name for preset in presets()])
+def test_presets_generated_are_those_of_the_command(tmp_path: Path, jobs: Jobs, name: str) -> None:
+    session = Session(tmp_path)
+    load_preset(session, name)
+    if session.scene.is_analytic:  # a depth map has its size
+        session.patch("camera.resolution", [64, 48])
+    same_as_the_command(session, jobs)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", ["plane", "cylinder", "sphere", "cone", "ellipsoid"])
+def test_shapes_generated_are_those_of_the_command(tmp_path: Path, jobs: Jobs, shape: str) -> None:
+    session = Session(tmp_path)
+    session.patch("object.0.shape", shape)
+    session.patch("camera.resolution", [64, 48])
+    same_as_the_command(session, jobs)
+
+
+def test_jobs_wait_for_each_other_and_tell_how_far_they_are(jobs: Jobs, slow: None) -> None:
+    told: list[int] = []
+    jobs.subscribe(lambda: told.append(len(jobs.listed)))
+    first, second, third = work(jobs, "a", 3, 0.2), work(jobs, "b", 1), work(jobs, "c", "none")
+    assert [job.status for job in jobs.listed] == ["waiting", "waiting", "running"]
+    until(jobs, lambda: jobs.job(first.number).done == 1)
+    running = jobs.job(first.number)
+    left = running.seconds_left(time.time())
+    assert left is not None
+    assert 0.0 < left < 60.0
+    with pytest.raises(ClscoError, match="job 1 writes to it already"):
+        work(jobs, "a", 1)
+    until(jobs, lambda: not any(job.is_unfinished for job in jobs.listed))
+    assert [(job.status, job.done) for job in jobs.listed] == [("failed", 0), ("done", 1), ("done", 3)]
+    assert jobs.job(third.number).message == "error: it cannot be"
+    assert told
+    jobs.forget(second.number)
+    assert [job.number for job in jobs.listed] == [3, 1]
+
+
+def test_what_is_canceled_leaves_nothing_half_written(jobs: Jobs, slow: None) -> None:
+    job, waiting = work(jobs, "a", 50, 0.15), work(jobs, "b", 1)
+    jobs.cancel(waiting.number)
+    until(jobs, lambda: jobs.job(job.number).done >= 1)
+    process = jobs.job(job.number).process
+    jobs.cancel(job.number)
+    until(jobs, lambda: not jobs.job(job.number).is_unfinished)
+    assert [each.status for each in jobs.listed] == ["canceled", "canceled"]
+    with pytest.raises(ProcessLookupError):
+        os.killpg(process, 0)
+    files = list((jobs.root / "a").iterdir())
+    assert files
+    assert all(path.name.startswith("frame_") and path.read_bytes() == b"begun and done" for path in files)
+
+
+def test_what_does_not_listen_is_killed(jobs: Jobs, slow: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    deaf = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)" + SLOW
+    monkeypatch.setattr(jobs_module, "_PYTHON", (sys.executable, "-c", deaf))
+    monkeypatch.setattr(jobs_module, "GRACE", 0.2)
+    job = work(jobs, "a", 50, 5.0)
+    until(jobs, lambda: any((jobs.root / "a").iterdir()))
+    jobs.cancel(job.number)
+    until(jobs, lambda: not jobs.job(job.number).is_unfinished)
+    assert jobs.job(job.number).status == "canceled"
+    assert not list((jobs.root / "a").iterdir())
+
+
+def test_a_restart_finds_what_runs_and_what_is_done(tmp_path: Path, slow: None) -> None:
+    program = f"""
+import sys
+from clsco.studio import jobs
+jobs._PYTHON = (sys.executable, "-c", {SLOW!r})
+opened = jobs.Jobs(jobs.Path({str(tmp_path)!r}))
+(opened.root / "a").mkdir()
+opened.add("one", ["work", "a", "3", "0.4"], "a", "frame_*.json", 3)
+opened.add("two", ["work", "b", "none", "0"], "b", "frame_*.json", 3)
+import os, signal
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+    ended = subprocess.run([sys.executable, "-c", program], check=False)
+    assert ended.returncode == -signal.SIGKILL
+    jobs = Jobs(tmp_path)
+    with pytest.raises(ClscoError, match="another studio is at work"):
+        Jobs(tmp_path)
+    assert [job.status for job in jobs.listed] == ["waiting", "running"]
+    until(jobs, lambda: not any(job.is_unfinished for job in jobs.listed))
+    assert [(job.status, job.done) for job in jobs.listed] == [("failed", 0), ("done", 3)]
+    jobs.close()
+    again = Jobs(tmp_path)
+    assert [job.status for job in again.listed] == ["failed", "done"]
+    again.close()
+
+
+def test_a_machine_that_stopped_leaves_an_interrupted_job(jobs: Jobs, slow: None) -> None:
+    job = work(jobs, "a", 50, 5.0)
+    until(jobs, lambda: any((jobs.root / "a").iterdir()))
+    os.killpg(jobs.job(job.number).process, signal.SIGKILL)
+    until(jobs, lambda: not jobs.job(job.number).is_unfinished)
+    assert jobs.job(job.number).status == "interrupted"
+    assert not list((jobs.root / "a").iterdir())
+
+
+def test_a_broken_list_is_an_empty_one(tmp_path: Path) -> None:
+    place = tmp_path / jobs_module.STATE_FOLDER
+    place.mkdir()
+    for text in ("", "[1]", '[{"number": 1}]', "{}"):
+        (place / "jobs.json").write_text(text)
+        jobs = Jobs(tmp_path)
+        assert jobs.listed == ()
+        jobs.close()
+
+
+@pytest.mark.parametrize("folder", ["..", "../x", "/etc/x", ".", "", ".clsco-studio", "link/x"])
+def test_nothing_is_written_elsewhere(jobs: Jobs, tmp_path_factory: pytest.TempPathFactory, folder: str) -> None:
+    outside = tmp_path_factory.mktemp("outside")
+    (jobs.root / "link").symlink_to(outside)
+    session = Session(jobs.root)
+    with pytest.raises(ClscoError, match="below the folder of the studio"):
+        generate(session, jobs, folder)
+    with pytest.raises(ClscoError, match="below the folder of the studio"):
+        jobs.add("x", ["render"], folder, "*", 1)
+    assert not jobs.listed
+    assert not list(outside.iterdir())
+
+
+def test_values_that_are_not_valid_are_not_left_out_silently(jobs: Jobs) -> None:
+    session = Session(jobs.root)
+    session.patch("object.0.distance", -1.0)
+    with pytest.raises(ClscoError, match=r"object\.0\.distance: must be valid before frames"):
+        generate(session, jobs, "out")
+
+
+def test_command_lines(jobs: Jobs, slow: None) -> None:
+    session = Session(jobs.root)
+    (jobs.root / "d.toml").write_text("")
+    work(jobs, "busy", 1, 30.0)
+    options = Wanted(truth="npz", subframes=True, preset="mp4", device="pocl")
+    made = [
+        generate(session, jobs, "-o/x", options),
+        focal_stack(session, jobs, "stack", 200.0, 300.0, 5),
+        clip(session, jobs, "stack", "clips/a b.mp4", "depth", "mp4"),
+        data_set(session, jobs, "d.toml", "data", 100, 7),
+    ]
+    assert [job.line for job in made] == [
+        "clsco render ./-o/x/scene.toml -o ./-o/x --truth npz --subframes --video mp4 --device pocl",
+        "clsco render stack/scene.toml -o stack",
+        "clsco video stack -o 'clips/a b.mp4' --view depth --preset mp4",
+        "clsco batch d.toml -o data --count 100 --seed 7 --resume --quiet",
+    ]
+    assert made[1].total == 5
+    stack = tomllib.loads((jobs.root / "stack/scene.toml").read_text())
+    assert stack["camera"] == {"focus_distance": {"from": 200.0, "to": 300.0, "steps": 5}}

@@ -1,0 +1,257 @@
+"""Previews with a renderer that the tests command: which pictures are made, and which are never sent."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncGenerator, Callable, Coroutine
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+
+from clsco import Scene, parse_scene
+from clsco.errors import CanceledError, ClscoError, SceneError
+from clsco.studio.ladder import BUDGET, Ladder, coarser, work_of
+from clsco.studio.pictures import DRAGGING, EXACT, HEADER, LOSSY, MESSAGE, PINNED, Picture
+from clsco.studio.preview import MOST_UNSEEN, REST, Preview
+from clsco.studio.renderer import Job, Question, RendererEndedError
+
+
+class Session:
+    """A scene whose focus is dragged."""
+
+    def __init__(self) -> None:
+        self.scene, self.revision = scene(), 0
+
+    def step(self) -> None:
+        self.revision += 1
+        self.scene = self.scene.replace("camera.focus_distance", 250.0 + self.revision)
+
+
+def scene(**camera: Any) -> Scene:
+    return parse_scene({"camera": {"resolution": [64, 48], **camera}, "object": [{"shape": "sphere"}]})
+
+
+@dataclass
+class Renderer:
+    """Takes `seconds` for a picture, and notes what it was asked for."""
+
+    seconds: float = 0.001
+    jobs: list[Job] = field(default_factory=list)
+    canceled: int = 0
+    faults: list[ClscoError] = field(default_factory=list)
+    questions: list[Question] = field(default_factory=list)
+
+    async def pictures(self, job: Job) -> AsyncGenerator[Picture, None]:
+        self.jobs.append(job)
+        for rung in (LOSSY, EXACT) if job.rung == EXACT else (job.rung,):
+            count = self.canceled
+            await asyncio.sleep(self.seconds)
+            if self.faults:
+                raise self.faults.pop(0)
+            if self.canceled > count:
+                raise CanceledError("canceled")
+            yield Picture(rung, job.view, (64, 48), (64, 48), 1, b"", self.seconds)
+
+    async def inspect(self, question: Question) -> dict[str, Any]:
+        self.questions.append(question)
+        await asyncio.sleep(self.seconds)
+        return {"at": [question.x, question.y]}
+
+    def cancel(self) -> None:
+        self.canceled += 1
+
+
+@dataclass
+class Browser:
+    """Gets pictures, and acknowledges those it has painted unless it is slow."""
+
+    is_slow: bool = False
+    got: list[tuple[int, int]] = field(default_factory=list)
+    said: list[dict[str, Any]] = field(default_factory=list)
+    preview: Preview | None = None
+
+    async def send(self, data: bytes) -> None:
+        revision, rung, _, _, _, encoding, _, _ = HEADER.unpack_from(data)
+        if encoding == MESSAGE:
+            self.said.append(json.loads(data[HEADER.size :]))
+            return
+        self.got.append((revision, rung))
+        if not self.is_slow:
+            asyncio.get_running_loop().call_later(0.001, self.seen, revision, rung)
+
+    def seen(self, revision: int, rung: int) -> None:
+        assert self.preview is not None
+        self.preview.acknowledge(revision, rung)
+
+
+Play = Callable[[Session, Renderer, Browser, Preview], Coroutine[Any, Any, None]]
+
+
+def played(play: Play, **renderer: Any) -> tuple[Session, Renderer, Browser]:
+    """A session that somebody works with."""
+
+    async def run() -> tuple[Session, Renderer, Browser]:
+        session, renders, browser = Session(), Renderer(**renderer), Browser()
+        browser.preview = preview = Preview(session, renders, browser.send)
+        running = asyncio.create_task(preview.run())
+        await play(session, renders, browser, preview)
+        running.cancel()
+        with suppress(asyncio.CancelledError):
+            await running
+        return session, renders, browser
+
+    return asyncio.run(run())
+
+
+def test_a_scene_at_rest_is_shown_once_by_each_rung() -> None:
+    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
+        await asyncio.sleep(2 * REST)
+
+    _, renders, browser = played(play)
+    assert browser.got == [(0, DRAGGING), (0, LOSSY), (0, EXACT)]
+    assert [job.rung for job in renders.jobs] == [DRAGGING, EXACT]
+
+
+def test_of_many_changes_the_latest_is_shown_and_none_after_it() -> None:
+    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
+        for _ in range(60):
+            session.step()
+            preview.changed()
+            await asyncio.sleep(0.002)
+        await asyncio.sleep(0.3)
+
+    session, renders, browser = played(play, seconds=0.01)
+    revisions = [revision for revision, _ in browser.got]
+    assert revisions == sorted(revisions)
+    assert browser.got[-3:] == [(60, DRAGGING), (60, LOSSY), (60, EXACT)]
+    assert 5 < len(renders.jobs) < 30  # of 60 steps those that there was time for
+    assert renders.jobs[-1].scene == session.scene
+
+
+def test_the_exact_frame_waits_for_rest_and_ends_with_a_change() -> None:
+    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
+        await asyncio.sleep(0.01)
+        assert [job.rung for job in renders.jobs] == [DRAGGING]
+        preview.changed()  # while the first picture is made
+        await asyncio.sleep(REST - 0.03)
+        assert [job.rung for job in renders.jobs] == [DRAGGING, DRAGGING]
+        await asyncio.sleep(0.06)
+        assert [job.rung for job in renders.jobs] == [DRAGGING, DRAGGING, EXACT]
+        session.step()
+        preview.changed()
+        await asyncio.sleep(0.4)
+
+    _, renders, browser = played(play, seconds=0.05)
+    assert renders.canceled == 1
+    assert browser.got == [(0, DRAGGING), (0, DRAGGING), (1, DRAGGING), (1, LOSSY), (1, EXACT)]
+
+
+def test_nothing_piles_up_before_a_slow_browser() -> None:
+    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
+        browser.is_slow = True
+        for _ in range(40):
+            session.step()
+            preview.changed()
+            await asyncio.sleep(0.004)
+        assert len(browser.got) == MOST_UNSEEN
+        assert len(renders.jobs) == MOST_UNSEEN  # nor is anything rendered in vain
+        browser.is_slow = False
+        for picture in list(browser.got):
+            preview.acknowledge(*picture)
+        await asyncio.sleep(2 * REST)
+
+    _, _, browser = played(play)
+    assert browser.got[MOST_UNSEEN:] == [(40, DRAGGING), (40, LOSSY), (40, EXACT)]
+
+
+def test_views_and_frames_are_states_of_their_own() -> None:
+    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
+        session.scene = session.scene.replace("sequence.frames", 3)
+        for view, index in (("depth", 1), ("depth", 1), ("no such view", 7), ("color", None)):
+            preview.look(view, index)
+            await asyncio.sleep(0.02)
+
+    _, renders, _ = played(play)
+    assert [(job.view, job.index) for job in renders.jobs] == [("depth", 1), ("depth", 2), ("color", 2)]
+
+
+def test_pixels_are_told_of_when_the_exact_frame_is_there() -> None:
+    found: list[dict[str, Any]] = []
+
+    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
+        async def told(answer: dict[str, Any]) -> None:
+            assert browser.got[-1] == (0, EXACT)
+            found.append(answer)
+
+        for x in range(5):
+            preview.inspect(x, 2, told)
+        await asyncio.sleep(2 * REST)
+
+    _, renders, _ = played(play)
+    assert found == [{"at": [4, 2]}]  # the latest
+    assert [(question.x, question.index) for question in renders.questions] == [(4, 0)]
+
+
+def test_another_scene_is_pinned_once() -> None:
+    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
+        preview.pin(session.scene.replace("psf.model", "gaussian"))
+        await asyncio.sleep(2 * REST)
+
+    _, renders, browser = played(play)
+    assert browser.got == [(0, DRAGGING), (0, LOSSY), (0, EXACT), (0, PINNED)]
+    assert renders.jobs[-1].scene.psf.model == "gaussian"
+
+
+def test_a_fault_of_the_scene_is_told_once() -> None:
+    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
+        await asyncio.sleep(2 * REST)
+
+    _, renders, browser = played(play, faults=[SceneError("scene: must fit; got none")])
+    assert browser.said == [{"error": ["scene: must fit; got none"]}]
+    assert len(renders.jobs) == 1
+
+
+def test_a_renderer_that_ends_is_asked_again_once() -> None:
+    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
+        await asyncio.sleep(3 * REST)
+
+    _, renders, browser = played(play, faults=[RendererEndedError("ended")])
+    assert browser.said == [{"error": ["ended"]}]
+    assert browser.got[-1] == (0, EXACT)
+    _, renders, browser = played(play, faults=[RendererEndedError("ended") for _ in range(9)])
+    assert len(renders.jobs) == 2
+
+
+def test_the_ladder_keeps_to_its_budget() -> None:
+    ladder, work = Ladder(), 512.0 * 512.0
+    for seconds_full in (0.030, 0.090, 0.500):
+        for _ in range(30):
+            size = ladder.eighths(work)
+            ladder.measured(work, size, seconds_full * (size / 8) ** 2)
+        assert ladder.predicted(work, size) <= BUDGET
+        assert size == 8 or ladder.predicted(work, size + 1) > BUDGET
+    assert size == 2
+
+
+def test_the_ladder_believes_a_stall_the_third_time() -> None:
+    ladder, work = Ladder(), 1e5
+    ladder.measured(work, 8, 0.020)
+    for _ in range(2):
+        ladder.measured(work, 8, 2.0)  # a compilation
+        assert ladder.eighths(work) == 8
+    ladder.measured(work, 8, 2.0)
+    assert ladder.eighths(work) < 8
+
+
+@pytest.mark.parametrize("eighths", [1, 3, 8])
+def test_coarser_scenes_have_the_same_field_of_view(eighths: int) -> None:
+    full = scene(pixel_pitch=0.02).replace("object.0.motion.velocity", [5.0, 0.0, 0.0])
+    small = coarser(full, (64, 48), eighths)
+    assert small.camera.resolution == (8 * eighths, 6 * eighths)
+    assert small.camera.pixel_pitch * 8 * eighths == pytest.approx(0.02 * 64)
+    assert small.psf.silhouette_samples == 1
+    assert small.sequence.samples == 3
+    assert work_of(full, (64, 48)) == 3 * 64 * 48

@@ -1,0 +1,133 @@
+"""The renderer's process: its pictures are those of `clsco.render`, and its end is no end of the studio."""
+
+from __future__ import annotations
+
+import asyncio
+import io
+import os
+import signal
+from collections.abc import AsyncIterator
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+import clsco
+from clsco import Scene, parse_scene
+from clsco.errors import CanceledError, SceneError
+from clsco.files.transfer import encode
+from clsco.studio.pictures import DRAGGING, EXACT, FLOAT32, JPEG, LOSSY, PNG, VIEWS, Picture
+from clsco.studio.preview import Preview
+from clsco.studio.renderer import Job, Renderer, RendererEndedError
+from tests.studio.test_preview import Browser, Session
+
+
+def small() -> Scene:
+    return parse_scene({
+        "camera": {"resolution": [48, 40], "focus_distance": 262.0, "pixel_pitch": 0.1},
+        "object": [{"shape": "sphere", "radius": 30.0, "center": [0.0, 0.0, 280.0], "texture": "checkerboard"}],
+    })  # fmt: skip
+
+
+async def all_of(pictures: AsyncIterator[Picture]) -> list[Picture]:
+    return [picture async for picture in pictures]
+
+
+def test_the_renderer_from_its_start_to_its_crash() -> None:
+    async def run() -> None:
+        renderer = Renderer("pocl")
+        try:
+            await rungs(renderer)
+            await views(renderer)
+            await faults(renderer)
+            await previews(renderer)
+            await crash(renderer)
+        finally:
+            renderer.close()
+
+    asyncio.run(run())
+
+
+async def rungs(renderer: Renderer) -> None:
+    scene = small()
+    (coarse,) = await all_of(renderer.pictures(Job(scene, 0, "color", DRAGGING)))
+    assert (coarse.rung, coarse.encoding, coarse.full) == (DRAGGING, JPEG, (48, 40))
+    lossy, exact = await all_of(renderer.pictures(Job(scene, 0, "color", EXACT)))
+    assert (lossy.rung, lossy.encoding, lossy.size) == (LOSSY, JPEG, (48, 40))
+    assert (exact.rung, exact.encoding, exact.size) == (EXACT, PNG, (48, 40))
+    assert np.array_equal(np.asarray(Image.open(io.BytesIO(exact.payload))), codes(scene))
+
+
+def codes(scene: Scene) -> NDArray[Any]:
+    (frame,) = clsco.render(scene, truth=(), device="pocl")
+    return encode(frame.color, min(frame.metadata["bits"], 16), "srgb")
+
+
+async def views(renderer: Renderer) -> None:
+    scene = small()
+    (frame,) = clsco.render(scene, device="pocl")
+    for view, name in VIEWS.items():
+        if view in ("color", "sharp"):
+            continue
+        (exact,) = await all_of(renderer.pictures(Job(scene, 0, view, EXACT)))
+        expected = np.asarray(getattr(frame, name), np.float32)
+        assert (exact.encoding, exact.size) == (FLOAT32, (48, 40))
+        assert np.array_equal(np.frombuffer(exact.payload, "<f4").reshape(expected.shape), expected, equal_nan=True)
+
+
+async def faults(renderer: Renderer) -> None:
+    wrong = small().replace("object.0.texture", "/no/such/file.png")
+    with pytest.raises(SceneError, match="texture"):
+        await all_of(renderer.pictures(Job(wrong, 0, "color", EXACT)))
+    large = small().replace("camera.resolution", [2048, 2048])
+    waiting = asyncio.ensure_future(all_of(renderer.pictures(Job(large, 0, "color", EXACT))))
+    await asyncio.sleep(0.1)
+    renderer.cancel()
+    with pytest.raises(CanceledError):
+        await waiting
+
+
+async def previews(renderer: Renderer) -> None:
+    session, pictures = Session(), list[bytes]()
+    session.scene = small()
+    browser = Browser()
+
+    async def send(data: bytes) -> None:
+        pictures.append(data)
+        await browser.send(data)
+
+    browser.preview = preview = Preview(session, renderer, send)
+    running = asyncio.create_task(preview.run())
+    for _ in range(20):
+        session.step()
+        preview.changed()
+        await asyncio.sleep(0.01)
+    for _ in range(200):
+        await asyncio.sleep(0.02)
+        if browser.got and browser.got[-1] == (20, EXACT):
+            break
+    running.cancel()
+    with suppress(asyncio.CancelledError):
+        await running
+    revisions = [revision for revision, _ in browser.got]
+    assert revisions == sorted(revisions)
+    assert browser.got[-1] == (20, EXACT)
+    assert np.array_equal(np.asarray(Image.open(io.BytesIO(pictures[-1][16:]))), codes(session.scene))
+
+
+async def crash(renderer: Renderer) -> None:
+    before = renderer.pid
+    assert before is not None
+    waiting = asyncio.ensure_future(
+        all_of(renderer.pictures(Job(small().replace("camera.resolution", [1024, 1024]), 0, "color", EXACT)))
+    )
+    await asyncio.sleep(0.05)
+    os.kill(before, signal.SIGKILL)
+    with pytest.raises(RendererEndedError, match="signal 9"):
+        await waiting
+    _, exact = await all_of(renderer.pictures(Job(small(), 0, "color", EXACT)))
+    assert renderer.pid != before
+    assert np.array_equal(np.asarray(Image.open(io.BytesIO(exact.payload))), codes(small()))

@@ -1,0 +1,282 @@
+"""Open, save, share and recover."""
+
+from __future__ import annotations
+
+import base64
+import json
+import shutil
+import tomllib
+import zlib
+from pathlib import Path
+
+import pytest
+
+from clsco import SceneError, load_scene, load_sweep
+from clsco.studio.session import ConflictError, Session
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+SCENES = [*sorted(EXAMPLES.glob("*.toml")), *sorted(EXAMPLES.glob("thesis/*.toml"))]
+
+COMMENTED = """\
+# A ball before a wall.
+title = "Ball"          # its name
+
+[camera]
+# where it is sharp
+focus_distance = 250.0  # mm
+focal_length = 20.0     # the default, written out
+
+# The wall is far away.
+[[object]]
+name = "wall"
+shape = "plane"
+distance = 400.0
+
+# The ball
+[[object]]
+name = "ball"           # round
+shape = "sphere"
+center = [0.0, 0.0, 280.0]
+radius = 30.0           # mm
+texture = "a.png"
+
+[object.motion]
+velocity = [1.0, 0.0, 0.0]  # to the right
+"""
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Session:
+    shutil.copy(EXAMPLES / "depth_map_image.png", tmp_path / "a.png")
+    (tmp_path / "ball.toml").write_text(COMMENTED)
+    session = Session(tmp_path)
+    session.open(Path("ball.toml"))
+    return session
+
+
+@pytest.fixture
+def elsewhere(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder beside that of the session."""
+    return tmp_path_factory.mktemp("elsewhere")
+
+
+@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+def test_examples_come_back_from_a_link_and_from_a_file(tmp_path: Path, path: Path) -> None:
+    session = Session(EXAMPLES)
+    session.open(path)
+    scene, table = session.scene, session.table
+    assert scene == load_sweep(path).scenes[0]
+    link = session.share()
+    assert 40 < len(link) < 700
+    other = Session(EXAMPLES)
+    other.load_share(link)
+    assert other.scene == scene
+    assert not other.faults
+    for image in EXAMPLES.glob("**/*.png"):
+        (tmp_path / image.name).symlink_to(image)
+    moved = Session(EXAMPLES.parent)
+    moved.root = tmp_path
+    moved.load_table(table, path.parent)
+    moved.save(Path("saved.toml"))
+    assert load_sweep(tmp_path / "saved.toml") == load_sweep(path)
+    moved.open(Path("saved.toml"))
+    moved.save()
+
+
+def test_a_file_keeps_its_comments_and_order(session: Session) -> None:
+    session.patch("object.1.radius", 31.0)
+    session.patch("camera.f_number", 4.0)
+    session.patch("camera.focus_distance", 260.0)
+    session.patch("object.0.slope_x", 0.0)  # the default, and not in the file
+    assert not session.is_saved
+    session.save()
+    assert session.is_saved
+    expected = COMMENTED.replace("radius = 30.0", "radius = 31.0").replace("= 250.0 ", "= 260.0 ")
+    expected = expected.replace("written out\n", "written out\nf_number = 4.0\n")
+    assert (session.root / "ball.toml").read_text() == expected
+
+
+def test_comments_go_with_their_objects(session: Session) -> None:
+    session.move_object(1, 0)
+    session.copy_object(0)
+    session.patch("object.0.motion", None)
+    session.patch("title", None)
+    session.save()
+    text = (session.root / "ball.toml").read_text()
+    assert [line for line in text.splitlines() if "#" in line and "round" in line]
+    assert "# where it is sharp" in text
+    assert load_scene(session.root / "ball.toml") == session.scene
+    session.delete_object(2)
+    session.save()
+    assert load_scene(session.root / "ball.toml") == session.scene
+
+
+def test_only_what_differs_from_defaults_is_written(tmp_path: Path) -> None:
+    session = Session(tmp_path)
+    for path, value in {
+        "object.0.distance": 250.0, "object.0.texture": "bricks", "camera.f_number": 2.5, "camera.pixel_pitch": 0.01,
+        "psf.tilt": False, "sequence.shutter": 1.0, "sequence.frames": 2,
+    }.items():  # fmt: skip
+        assert session.patch(path, value)
+    session.save(Path("new.toml"))
+    assert tomllib.loads((tmp_path / "new.toml").read_text()) == {
+        "object": [{"shape": "plane"}],
+        "camera": {"f_number": 2.5},
+        "psf": {"tilt": False},
+        "sequence": {"frames": 2},
+    }
+    session.save(Path("new.json"))
+    assert json.loads((tmp_path / "new.json").read_text())["camera"] == {"f_number": 2.5}
+    session.open(Path("new.json"))
+    session.patch("camera.f_number", None)
+    session.save()
+    assert load_scene(tmp_path / "new.json") == session.scene
+
+
+def test_a_file_that_changed_meanwhile_is_not_overwritten(session: Session) -> None:
+    file = session.root / "ball.toml"
+    session.patch("object.1.radius", 31.0)
+    file.write_text(COMMENTED.replace("Ball", "Other"))
+    with pytest.raises(ConflictError, match=r"ball\.toml: is on the disk with other content"):
+        session.save()
+    assert "Other" in file.read_text()
+    shown = session.difference()
+    assert "-radius = 30.0           # mm" in shown
+    assert "+radius = 31.0           # mm" in shown
+    session.save(overwrite=True)
+    session.save()
+    assert load_scene(file) == session.scene
+    (session.root / "there.toml").write_text("")
+    with pytest.raises(ConflictError, match="is there already"):
+        session.save(Path("there.toml"))
+    file.write_text("not toml [")
+    session.patch("title", "New")
+    session.save(overwrite=True)
+    assert load_scene(file) == session.scene
+
+
+def test_two_sessions_on_one_file(session: Session) -> None:
+    other = Session(session.root)
+    other.open(Path("ball.toml"))
+    other.patch("title", "theirs")
+    other.save()
+    session.patch("title", "ours")
+    with pytest.raises(ConflictError):
+        session.save()
+
+
+def test_saved_elsewhere_the_images_are_still_found(session: Session) -> None:
+    (session.root / "sub").mkdir()
+    session.save(Path("sub/copy.toml"))
+    assert session.table["object"][1]["texture"] == "../a.png"
+    assert load_scene(session.root / "sub/copy.toml").objects[1].files() == {
+        "texture": str(session.root / "sub/../a.png")
+    }
+    assert session.path == session.root / "sub/copy.toml"
+
+
+@pytest.mark.parametrize(
+    ("path", "rule"),
+    [
+        ("../out.toml", "below the folder of the studio"),
+        ("/etc/out.toml", "below the folder of the studio"),
+        ("link/out.toml", "below the folder of the studio"),
+        ("", "below the folder of the studio"),
+        ("a\0.toml", "below the folder of the studio"),
+        ("a.txt", r"must end in \.toml or \.json"),
+    ],
+)
+def test_nothing_is_written_or_read_elsewhere(session: Session, elsewhere: Path, path: str, rule: str) -> None:
+    (session.root / "link").symlink_to(elsewhere)
+    (elsewhere / "out.toml").write_text(COMMENTED)
+    for action in (session.save, session.open):
+        with pytest.raises(SceneError, match=rule):
+            action(Path(path))
+    assert [entry.name for entry in elsewhere.iterdir()] == ["out.toml"]
+
+
+def test_a_scene_that_names_files_elsewhere_is_not_opened(session: Session, elsewhere: Path) -> None:
+    secret = elsewhere / "secret.png"
+    shutil.copy(EXAMPLES / "depth_map_image.png", secret)
+    before = session.table
+    for name in (str(secret), f"../{elsewhere.name}/secret.png"):
+        (session.root / "bad.toml").write_text(f'[[object]]\nshape = "plane"\ntexture = "{name}"\n')
+        with pytest.raises(SceneError, match="must be a file below the folder of the studio"):
+            session.open(Path("bad.toml"))
+    assert session.table == before
+    assert session.path == session.root / "ball.toml"
+
+
+def test_open_is_a_step_of_undo(session: Session) -> None:
+    session.patch("title", "x")
+    (session.root / "other.toml").write_text('[[object]]\nshape = "sphere"\n')
+    session.open(Path("other.toml"))
+    session.undo()
+    assert session.known("title") == "x"
+    assert session.path == session.root / "ball.toml"
+    session.save()
+    assert load_scene(session.root / "ball.toml").title == "x"
+
+
+def test_a_link_asks_for_images_that_are_not_there(session: Session, elsewhere: Path) -> None:
+    link = session.share()
+    other = Session(elsewhere)
+    other.load_share(link)
+    assert other.scene.objects[1].texture == "bricks"
+    assert other.refused == {"object.1.texture": "a.png"}
+    assert "needs the file a.png" in other.fault("object.1.texture")
+    shutil.copy(EXAMPLES / "damaged.png", other.root / "a.png")  # another image of this name
+    other.load_share(link)
+    assert other.refused
+    shutil.copy(session.root / "a.png", other.root / "a.png")
+    assert other.patch("object.1.texture", "a.png")
+    assert not other.faults
+    assert other.table == {key: value for key, value in session.table.items() if key != "camera"} | {
+        "camera": {"focus_distance": 250.0},
+        "object": [session.table["object"][0], {**other.table["object"][1]}],
+    }
+
+
+def linked(content: bytes) -> str:
+    pressed = zlib.compressobj(9, zlib.DEFLATED, -15)
+    return "#s=" + base64.urlsafe_b64encode(pressed.compress(content) + pressed.flush()).decode()
+
+
+@pytest.mark.parametrize(
+    ("link", "rule"),
+    [
+        (linked(b" " * (2**20 + 1)), "must hold at most 1 MiB"),
+        (linked(b"0" * 2**26), "must hold at most 1 MiB"),
+        ("#s=" + "A" * (2**21 + 1), "must hold at most 1 MiB"),
+        (linked(b"[" * 2**19), "must be one that the studio made"),
+        (linked(b"[]"), "must hold a scene"),
+        (linked(b'{"object": 3}'), "must be an array of tables"),
+        (linked(b'{"object": [{"shape": "plane", "distance": NaN}]}'), "finite"),
+        (linked(b'{"object": [{"shape": "plane", "texture": "/etc/passwd"}]}'), "must not be an absolute path"),
+        (linked(b'{"object": [{"shape": "depth_map", "depth": "d.png"}]}'), "needs the file d.png"),
+        (linked(b'{"evil": 1, "object": [{"shape": "plane"}]}'), "unknown key"),
+        (linked(b'{"object": [{"shape": "plane"}]}')[:-6], "must be"),
+        ("#s=***", "must be one that the studio made"),
+        ("", "must be"),
+    ],
+)
+def test_bad_links_are_refused(session: Session, link: str, rule: str) -> None:
+    before = session.table
+    with pytest.raises(SceneError, match=rule):
+        session.load_share(link)
+    assert session.table is before
+
+
+def test_what_was_kept_is_recovered(session: Session) -> None:
+    session.patch("object.1.radius", 33.0)
+    file = session.root / ".clsco-studio" / "one.json"
+    session.keep(file)
+    written = file.stat().st_mtime_ns
+    session.keep(file)
+    assert file.stat().st_mtime_ns == written
+    other = Session(session.root)
+    other.recover(file)
+    assert other.scene == session.scene
+    file.write_text("{")
+    with pytest.raises(SceneError, match="must be what the studio kept"):
+        other.recover(file)
