@@ -213,7 +213,8 @@ def _joined_taps(found: list[WeightBlock]) -> NDArray[np.float32]:
     most, count = max(len(block.taps) for block in found), sum(block.taps.shape[2] for block in found)
     if not count:
         return np.zeros(0, np.float32)
-    joined, start = np.zeros((most, POWERS, count + WIDE_LANES - TAP_LANES), np.float32), 0
+    whole = -(-count // TAP_LANES) * TAP_LANES  # a table of few intervals fills no window otherwise
+    joined, start = np.zeros((most, POWERS, whole + WIDE_LANES - TAP_LANES), np.float32), 0
     for block in found:
         joined[: len(block.taps), :, start : start + block.taps.shape[2]] = block.taps
         start += block.taps.shape[2]

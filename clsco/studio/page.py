@@ -36,8 +36,8 @@ def attach(app: FastAPI, studio: Studio) -> None:
     """Add the page to the server."""
 
     @ui.page("/", title="clsco studio", language="en-US")
-    def page(s: str = "") -> None:
-        name = studio.tab(s)
+    async def page(s: str = "") -> None:
+        name = await studio.tab(s)
         ui.add_head_html("".join(f'<link rel="stylesheet" href="/static/{style}.css">' for style in STYLES))
         ui.add_body_html("".join(f'<script defer src="/static/{script}.js"></script>' for script in SCRIPTS))
         draw(name, studio)

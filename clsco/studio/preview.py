@@ -62,7 +62,7 @@ class Preview:
         self._unseen: list[tuple[int, int]] = []
         self._is_exact_underway = False
         self._crashes = 0
-        self._point: tuple[int, int, Told] | None = None
+        self._asked: dict[str, tuple[int, int, Told]] = {}
         self._other: Scene | None = None
 
     def changed(self) -> None:
@@ -89,9 +89,12 @@ class Preview:
             self._unseen.remove((revision, rung))
             self._news.set()
 
-    def inspect(self, x: int, y: int, told: Told) -> None:
-        """Have `told` called with what is known of a pixel, once the exact frame is there; the latest pixel wins."""
-        self._point = x, y, told
+    def inspect(self, x: int, y: int, told: Told, purpose: str = "") -> None:
+        """Have `told` called with what is known of a pixel, once the exact frame is there.
+
+        Of pixels that are asked for with one purpose the latest wins.
+        """
+        self._asked[purpose] = x, y, told
         self._news.set()
 
     def pin(self, scene: Scene) -> None:
@@ -115,8 +118,8 @@ class Preview:
                     await self._show(EXACT)
             elif self._other is not None:
                 await self._show(PINNED)
-            elif self._point is not None:
-                await self._ask(*self._point)
+            elif self._asked:
+                await self._ask(*self._asked.pop(next(iter(self._asked))))
             else:
                 self._news.clear()
                 await self._news.wait()
@@ -169,7 +172,7 @@ class Preview:
 
     async def _ask(self, x: int, y: int, told: Told) -> None:
         """Answer what is asked of a pixel."""
-        self._is_exact_underway, self._point = True, None
+        self._is_exact_underway = True
         index = min(self._index, self._session.scene.sequence.frames - 1)
         key = id(self), self._session.revision, index
         try:

@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import threading
 import time
+import traceback
 from collections.abc import AsyncGenerator
 from contextlib import aclosing, suppress
 from dataclasses import dataclass
@@ -241,6 +242,9 @@ class _Worker:
             error = raised
         except MemoryError:
             error = SceneError("memory: must hold the arrays of the scene; got too little of it")
+        except Exception as raised:  # a fault of ours, which is no reason to lose what is kept
+            traceback.print_exc()
+            error = ClscoError(f"renderer: must not fail; got {type(raised).__name__}: {raised}")
         self._pipe.send((number, error))
 
     def _coarse(self, number: int, job: Job) -> None:

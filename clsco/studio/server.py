@@ -34,6 +34,7 @@ MAX_PATCH = 2**16  # bytes
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 STATIC = Path(__file__).parent / "static"
 MOST_TABS = 64
+LEAVING = '{"leaving":true}'  # says a page that is loaded again, or left
 MOST_WATCHED = 2000  # keys with a control
 TICK = 0.5  # s between looks at the jobs
 KEPT = "kept"  # folder of scenes, in that of the state
@@ -76,9 +77,17 @@ class Studio:
             session.forget_past()
         return session
 
-    def tab(self, name: str = "") -> str:
-        """The name of a tab that is known and not being looked at, for a page that is loaded again, or of a new one."""
-        if name in self.tabs and self.tabs[name].preview is None:
+    async def tab(self, name: str = "") -> str:
+        """The name of a tab that nobody looks at, for a page that is loaded again, or of a new one.
+
+        A page that is loaded again has said that it leaves; a copy of a tab has not.
+        """
+        known = self.tabs.get(name)
+        for _ in range(10):
+            if known is None or known.preview is None:
+                break
+            await asyncio.sleep(0.05)
+        if known is not None and known.preview is None:
             return name
         forgotten = [name for name, tab in self.tabs.items() if tab.preview is None]
         for old in forgotten[: max(len(self.tabs) - MOST_TABS + 1, 0)]:
@@ -133,6 +142,9 @@ class Studio:
                     if len(text) > MAX_PATCH:
                         await socket.close(1009)
                         break
+                    if text == LEAVING:
+                        await socket.close()
+                        break
                     await self._heard(tab, preview, text)
         finally:
             for end in endings:
@@ -177,7 +189,7 @@ class Studio:
                     else:
                         tab.session.patch("camera.focus_distance", depth, drag)
 
-                preview.inspect(x, y, focus)
+                preview.inspect(x, y, focus, "focus")
             case {"link": str(link)}:
                 try:
                     tab.session.load_share(link)

@@ -22,7 +22,7 @@ from clsco.optics.psf import (
     weights,
 )
 from clsco.optics.psf_grid import table_coordinate, table_radius
-from clsco.optics.psf_tables import PsfTable, psf_table, table_bytes
+from clsco.optics.psf_tables import PsfTable, psf_table, table_bytes, table_of
 from clsco.reference.common.geometry import table_coordinate as float32_coordinate
 from clsco.scene.model import Psf
 
@@ -472,3 +472,10 @@ def test_tables_too_large_to_make_are_counted_at_once() -> None:
     begun = time.process_time()
     assert table_bytes(Psf(model="gaussian", edge="sampled"), 0.0, 500.0) > 2**40
     assert time.process_time() - begun < 2.0
+
+
+def test_a_table_of_fewer_radii_than_a_vector_holds_fills_one() -> None:
+    whole, few = (table_of(Psf(), range(80, end)) for end in (80 + TAP_LANES, 84))
+    assert whole.taps.shape[1:] == few.taps.shape[1:] == (1, POWERS, WIDE_LANES)
+    assert np.array_equal(few.taps[..., :4], whole.taps[: len(few.taps), ..., :4])
+    assert not few.taps[..., 4:].any()

@@ -41,21 +41,28 @@ PIXELS = """() => {
 @contextmanager
 def opened(running: Running, width: int = 1280, height: int = 720) -> Iterator[Any]:
     """A page of the studio, which shows an exact frame; it fails where the page reports an error."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright: pip install playwright")
-    path = shutil.which("chromium")
-    if path is None:
-        pytest.skip("needs chromium: apt-get install chromium")
     errors: list[str] = []
-    with playwright.sync_playwright() as started:
-        browser = started.chromium.launch(executable_path=path, args=["--no-sandbox"])
-        page = browser.new_page(viewport={"width": width, "height": height})
+    with chromium() as browser:
+        page = browser.new_context(viewport={"width": width, "height": height}).new_page()
         page.on("pageerror", lambda error: errors.append(str(error)))
         page.on("console", lambda said: errors.append(said.text) if said.type == "error" else None)
         page.goto(running.address)
         rest(page)
         yield page
-        browser.close()
     assert errors == []
+
+
+@contextmanager
+def chromium() -> Iterator[Any]:
+    """Chromium, where it is installed."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright: pip install playwright")
+    path = shutil.which("chromium")
+    if path is None:
+        pytest.skip("needs chromium: apt-get install chromium")
+    with playwright.sync_playwright() as started:
+        browser = started.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        yield browser
+        browser.close()
 
 
 def rest(page: Any) -> None:

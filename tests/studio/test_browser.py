@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -21,8 +22,14 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
 @pytest.fixture(scope="module")
-def running() -> Iterator[Running]:
-    with studio(EXAMPLES, str(EXAMPLES / "sphere.toml"), "--device", "pocl") as started:
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("root")
+
+
+@pytest.fixture(scope="module")
+def running(root: Path) -> Iterator[Running]:
+    shutil.copy(EXAMPLES / "sphere.toml", root)
+    with studio(root, str(root / "sphere.toml"), "--device", "pocl") as started:
         yield started
 
 

@@ -263,6 +263,7 @@
 
   const give = (control, value) => {
     if (control.type === "checkbox") control.checked = Boolean(value);
+    else if (control.type === "radio") control.checked = control.value === value;
     else if (control.type === "range") control.value = value ?? control.dataset.default ?? control.min;
     else control.value = value === null || value === undefined ? "" : shown(value);
   };
@@ -422,6 +423,7 @@
     one("#frame").addEventListener("input", (event) => seek(Number(event.target.value)));
     one("#play").addEventListener("click", () => play(!player));
     line();
+    window.addEventListener("beforeunload", () => { tries = 4; send({ leaving: true }); });
     connect();
   };
 

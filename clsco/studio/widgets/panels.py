@@ -233,10 +233,10 @@ def _shapes(session: Session, shown: Field) -> None:
     with say("div", role="radiogroup", aria_label=shown.label).classes("shapes"):
         for option, label in shown.choices:
             with say("label").classes("check"):
-                radio = say(
-                    "input", type="radio", name=shown.path, value=option, checked=True if option == value else None
-                )
-                radio.on("change", partial(session.patch, shown.path, option), args=[])
+                say(
+                    "input", type="radio", name=shown.path, value=option, checked=True if option == value else None,
+                    data_path=shown.path,
+                )  # fmt: skip
                 say("span", label)
     _fault(shown)
 
