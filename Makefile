@@ -30,6 +30,7 @@ soak: .venv/dev.stamp
 	$(BIN)/python -m pytest -q $(PARALLEL) -m soak
 	$(BIN)/python -m tests.faults.kills --kills $(KILLS)
 	$(BIN)/python -m tests.faults.kills --kills 100 --naive
+	$(BIN)/python -m tests.faults.batch_kills --kills $$(( $(KILLS) / 10 ))
 
 # Each law 500 times.
 laws: .venv/dev.stamp

@@ -16,6 +16,7 @@ import sys
 import time
 import tomllib
 from collections.abc import Iterator
+from contextlib import suppress
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -75,12 +76,13 @@ def hashes(examples: Path, only: str, methods: list[str]) -> Iterator[tuple[str,
                     for array, values in arrays(frame).items():
                         where = f"{name} {k} {precision} {method} {memory or 'whole'} {frame.eye} {array}"
                         yield where, digest(values)
+            yield from of_coverage(name, k, scene)
     if not only:
         yield from of_images(examples)
 
 
 def clsco_errors() -> tuple[type[Exception], ...]:
-    """What a version raises where a scene and a method do not go together."""
+    """What a version raises where a scene and a method, or an output, do not go together."""
     from clsco.errors import ClscoError
 
     return (ClscoError,)
@@ -100,9 +102,17 @@ def rendered(scene: Any, options: dict[str, Any], memory: str | None) -> list[An
 def arrays(frame: Any) -> dict[str, Any]:
     """All arrays of a frame by the names that their files use."""
     names = ("color", "sharp", "depth", "mask", "filled", "object_id", "normal", "flow", "hidden", "disparity")
-    found = {name: getattr(frame, name) for name in (*names, "occluded")}
+    more = ("occluded", "uv", "flow_backward", "flow_occluded", "missing")  # of which older versions lack some
+    found = {name: getattr(frame, name, None) for name in (*names, *more)}
     found["coc"] = frame.blur_radius if hasattr(frame, "blur_radius") else frame.coc
     return {name: values for name, values in found.items() if values is not None}
+
+
+def of_coverage(name: str, k: int, scene: Any) -> Iterator[tuple[str, str]]:
+    """Coverage, which is rendered by name only; nothing of a version that has none."""
+    with suppress(*clsco_errors()):
+        for frame in clsco.render(scene, truth=["alpha"], precision="double", frames=[0]):
+            yield f"{name} {k} double auto whole {frame.eye} alpha", digest(frame.alpha)
 
 
 def of_images(examples: Path) -> Iterator[tuple[str, str]]:

@@ -1,4 +1,4 @@
-"""Scenes that tests build: of objects, of tables as a scene file has them, and files; and the plans of scenes."""
+"""Scenes that tests build: of objects, of tables as a scene file has them, and files; their plans and frames."""
 
 from __future__ import annotations
 
@@ -6,6 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+import clsco
+from clsco.cli.check import compare
+from clsco.frame.frame import Frame
 from clsco.plan.buffers import DeviceFacts
 from clsco.plan.plan import Plan, make_plan
 from clsco.scene.file import parse_scene
@@ -41,3 +46,22 @@ def scene_file(path: Path, text: str) -> Path:
     """Write a scene file; gives its path."""
     path.write_text(text, "utf-8")
     return path
+
+
+def rendered(wanted: Scene, **options: Any) -> list[Frame]:
+    """All frames of a scene."""
+    return list(clsco.render(wanted, **options))
+
+
+def assert_agree(frames: list[Frame], exact: list[Frame], least: float = 0.02) -> None:
+    """All outputs of frames are those of others, which may be the reference's, and there is something to compare.
+
+    least: share of pixels that show a surface.
+    """
+    assert len(frames) == len(exact) > 0
+    found = [difference for pair in zip(frames, exact, strict=True) for difference in compare(*pair)]
+    assert [difference for difference in found if difference.count] == []
+    for frame in frames:
+        assert np.ptp(frame.color) > 0.1
+        assert frame.mask is not None
+        assert frame.mask.mean() >= least

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clsco import __version__
+from clsco.cli.batch import batch
+from clsco.cli.convert import convert
 from clsco.cli.options import (
     PATH,
     Commands,
@@ -389,6 +391,8 @@ def _first(
     return first
 
 
+main.add_command(batch)
+main.add_command(convert)
 main.add_command(render)
 main.add_command(video)
 main.add_command(studio)

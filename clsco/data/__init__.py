@@ -1,1 +1,23 @@
-"""Data sets: many samples drawn from one distribution file, and the containers that they are stored in."""
+"""Data sets: samples drawn from distributions, the formats that hold them, and the loader.
+
+`clsco.data.open("DATA", "train")` opens one: `Dataset` has length, index, slices and iteration, and gives `Record`s.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from clsco.data.dataset import Dataset as Dataset
+    from clsco.data.dataset import open as open  # noqa: A004
+    from clsco.data.record import Record as Record
+
+_HOME = {"open": "clsco.data.dataset", "Dataset": "clsco.data.dataset", "Record": "clsco.data.record"}
+__all__ = ["Dataset", "Record", "open"]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(import_module(_HOME[name]), name)
+    raise AttributeError(f"module clsco.data has no attribute {name}")

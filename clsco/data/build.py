@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from clsco.data.values import Placed
 from clsco.errors import ImageError, SceneError
 from clsco.inputs.textures import texture_size
 from clsco.scene.changes import displace
+from clsco.scene.file import absolute
 from clsco.scene.shapes import SHAPES
 from clsco.scene.sweep import Sweep, parse_sweep
 from clsco.scene.text import shown
@@ -73,7 +74,6 @@ class Builder:
                 self._parameters[population.count.name] = len(members)
                 for element, member in enumerate(members):
                     self._add(population, element, member)
-            self._locate()
             if parts.sized:
                 self._size()
             if self._placed:
@@ -85,7 +85,8 @@ class Builder:
             raise
         except SceneError as error:
             raise SceneError([self._varied(message.removeprefix(": ")) for message in error.messages]) from error
-        return Built(self._table, self._parameters, sweep)
+        scenes = tuple(absolute(scene, self._folder) for scene in sweep.scenes)
+        return Built(self._table, self._parameters, replace(sweep, scenes=scenes))
 
     def _set(self, table: Any, location: Location, value: Any, name: str) -> None:
         for part in location[:-1]:
@@ -129,7 +130,8 @@ class Builder:
         if isinstance(camera, dict) and "resolution" not in camera and isinstance(first, dict):
             texture = first.get("texture", "bricks")
             try:
-                camera["resolution"] = list(texture_size(texture) if isinstance(texture, str) else (1, 1))
+                name = str(self._folder / texture) if is_file("texture", texture) else texture
+                camera["resolution"] = list(texture_size(name) if isinstance(texture, str) else (1, 1))
             except ImageError as error:
                 raise SceneError(f"object[0].texture: {error}") from None
 
@@ -155,15 +157,6 @@ class Builder:
         self._table.setdefault(section, {})[name] = self._parameters[f"{section}.{name}"] = found
         return parse_sweep(self._table, "")
 
-    def _locate(self) -> None:
-        """Make the paths of the table absolute."""
-        objects = self._table.get("object")
-        for item in objects if isinstance(objects, list) else ():
-            for key in FILE_KEYS:
-                name = item.get(key) if isinstance(item, dict) else None
-                if isinstance(name, str) and is_file(key, name):
-                    item[key] = str(self._folder / name)
-
     def _varied(self, message: str) -> str:
         """A message with its key as the distribution file has it."""
         for key, source in self._sources.items():
@@ -172,6 +165,19 @@ class Builder:
         varied = (".".join(map(str, one.location)) for one in self._parts.parameters)
         key = message.partition(":")[0].replace("[", ".").replace("]", "")
         return f"vary.{message}" if any(key == one or key.startswith(f"{one}.") for one in varied) else message
+
+
+def located(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """The content of a scene file with paths that start at a folder. Raises SceneError for those that leave it."""
+    found: dict[str, Any] = copied(table)
+    for number, item in enumerate(found.get("object", [])):
+        for key in FILE_KEYS:
+            name = item.get(key) if isinstance(item, dict) else None
+            if isinstance(name, str) and is_file(key, name):
+                if Path(name).is_absolute() or ".." in Path(name).parts:
+                    raise SceneError(f"object[{number}].{key}: must lie in {folder}; got {shown(name)}")
+                item[key] = str(folder / name)
+    return found
 
 
 def _first(key: str, value: Any) -> Any:

@@ -46,7 +46,7 @@ class Sample:
     parameters : dict
         Values by name, such as "camera.focus_distance": what JSON can have.
     table : dict
-        Content of a scene file that renders the sample by itself; paths are absolute.
+        Content of a scene file that renders the sample by itself, in the folder of the distribution file.
     labels : tuple of str
         Of the variants, as of a sweep; ("",) for one.
     scenes : tuple of Scene

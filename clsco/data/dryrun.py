@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.data.acceptance import Look, looks_of
+from clsco.data.build import located
 from clsco.data.distribution import Distribution, Drawn, Sample
 from clsco.data.parts import Parameter
 from clsco.data.splits import of_samples
@@ -178,7 +179,8 @@ def show(distribution: Distribution, seed: int, number: int) -> str:
     """The scene file of one sample, as TOML that renders it by itself. Raises SceneError as `Distribution.draw`."""
     sample = distribution.draw(seed, number)
     split = f", split {sample.split}" if sample.split else ""
-    return f"# Sample {number} of seed {seed}{split}, drawn {sample.attempts} times.\n{toml_text(sample.table)}"
+    text = toml_text(located(sample.table, distribution.folder))
+    return f"# Sample {number} of seed {seed}{split}, drawn {sample.attempts} times.\n{text}"
 
 
 class _Collected:

@@ -6,7 +6,7 @@ A point p of an object's own frame (mm) is q = frame p. Two coordinates of q are
     cylinder    (phi, q_y),  phi = atan2(q_x, q_z)                    rad, mm
     longitude   (phi, theta),  theta = atan2(q_y, hypot(q_x, q_z))    rad
     cone        s (sin psi, cos psi),  s = |q|,  psi = phi sin(half angle): the cone rolled out    mm
-    triplanar   the two other components of q, for each of three axes, by weights |n|^4 of the normal    mm
+    triplanar   the two other components of q, for each of three axes, weighted by ((n^2 - 0.1)+)^2    mm
     cube        the two other components over the largest one, for each of six sides                 -1 to 1
 
 and (column, row) = scale (x, y) + shift in texels, with edges of texels at whole numbers: column 0 is the left border

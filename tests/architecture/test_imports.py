@@ -24,7 +24,10 @@ ONLY = {
     "opencl": {"constants", "errors", "kept", "resources", "records"},
     "records": set[str](),
 }
-ON_OPENCL = ("opencl", "passes", "engine", "inpainting", "cli.bench", "cli.check", "cli.thesis", "cli.warm")
+ON_OPENCL = (
+    "opencl", "passes", "engine", "inpainting", "data.shards", "data.verify",
+    "cli.bench", "cli.check", "cli.thesis", "cli.warm",
+)  # fmt: skip
 OUTSIDE = {
     "pyopencl": ("opencl", "inpainting", "passes", "engine", "cli.bench"),
     "imageio": ("files.decoders",),

@@ -62,8 +62,11 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def shipped() -> set[str]:
     """What the wheel has to hold, as its names: the package, the kernels, and the example scenes."""
-    examples = (".py", ".toml", ".png")
-    suffixes = {"clsco": (".py", ".js", ".css"), "kernels": (".py", ".cl", ".clh"), "examples": examples}
+    suffixes = {
+        "clsco": (".py", ".js", ".css"),
+        "kernels": (".py", ".cl", ".clh"),
+        "examples": (".py", ".toml", ".png"),
+    }
     names = [path.relative_to(ROOT) for path in repository_files()]
     wanted = [name for name in names if name.suffix in suffixes.get(name.parts[0], ()) or name.name == "py.typed"]
     return {name.as_posix() if name.parts[0] == "clsco" else f"clsco/{name.as_posix()}" for name in wanted}

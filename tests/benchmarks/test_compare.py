@@ -229,6 +229,7 @@ def test_what_is_asked_for_alone_has_no_frames(session: Session) -> None:
     )
 
 
+@pytest.mark.slow  # each peer takes its time
 def test_a_comparison_has_the_rows_of_its_peers(session: Session) -> None:
     pytest.importorskip("cv2")
     grid = replace(Grid(), sizes=(24,), radii=(2.0,), channels=(1,), rounds=1, longest_s=100.0, slowest=inf)

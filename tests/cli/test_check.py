@@ -23,3 +23,12 @@ def test_differences() -> None:
     assert (found.largest, found.row, found.column, found.count) == (np.inf, 1, 2, 2)
     mask = np.array([[True, False]])
     assert check.difference("mask", ~mask, mask).count == 2
+
+
+def test_places_in_many_copies_of_an_image_are_floats() -> None:
+    wanted = np.array([[[0.5, 3e6], [-2e6, 0.0]]])
+    got = wanted.astype(np.float32)
+    got[0, 0, 1] = np.nextafter(got[0, 0, 1], np.float32(np.inf))
+    assert check.difference("uv", got, wanted).count == 0
+    got[0, 1, 1] = 2e-5
+    assert check.difference("uv", got, wanted).count == 1

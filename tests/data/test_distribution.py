@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from clsco.data.build import located
 from clsco.data.distribution import Distribution, Sample
 from clsco.data.dryrun import show
 from clsco.errors import SceneError
@@ -102,7 +103,7 @@ def test_the_table_of_a_sample_renders_it_by_itself(load: Load) -> None:
     distribution = load(ALL)
     for number in range(3):
         sample = distribution.draw(1, number)
-        sweep = parse_sweep(sample.table)
+        sweep = parse_sweep(located(sample.table, distribution.folder))
         assert (sweep.labels, sweep.scenes) == (sample.labels, sample.scenes)
         assert parse_sweep(tomllib.loads(show(distribution, 1, number))).scenes == sample.scenes
         assert len(sample.scenes[0].objects) == 1 + sample.parameters["object.ball.count"]
@@ -273,9 +274,9 @@ def test_a_texture_never_occurs_in_two_splits(load: Load, tmp_path: Path) -> Non
     seen: dict[str, set[str]] = {"train": set(), "val": set(), "test": set()}
     for number in range(300):
         sample = distribution.draw(1, number)
-        path = Path(sample.table["object"][0]["texture"])
+        path = tmp_path / sample.table["object"][0]["texture"]
         assert path.is_file()
-        assert path.is_relative_to(tmp_path.resolve())
+        assert sample.scenes[0].objects[0].texture == str(path.resolve())
         seen[sample.split].add(distribution_digest(path))
     assert all(seen.values())
     assert not seen["train"] & seen["val"]

@@ -1,8 +1,8 @@
 """Random small scenes, rendered: python -m tests.hostile.frames --cases 1000
 
-A case draws every key that changes what is computed, from shapes and bounds to the PSF, occlusion, motion, filling,
-stereo and method; keys that do not go together make it one of those that are refused. Its first frame has to agree
-with the reference as `clsco check` asks, in double precision. A case that does not, or that ends the process, is
+A case draws every key that changes what is computed (`drawn.py`), and the method; keys that do not go together make it
+one of those that are refused. Its first frame has to agree with the reference as `clsco check` asks, in double
+precision. A case that does not, or that ends the process, is
 reported with its number, which repeats it: --first N --cases 1.
 """
 
@@ -26,75 +26,7 @@ from clsco.errors import ClscoError, SceneError
 from clsco.plan.methods import MANY_RADII
 from clsco.scene.file import parse_scene
 from clsco.scene.model import Scene
-
-TEXTURES = ("bricks", "checkerboard", "slanted_edge", "siemens_star")
-BOXES = (
-    [[-30.0, 30.0], [-30.0, 30.0], [-3.0, 60.0]],
-    [[-9.0, 12.0], [-30.0, 8.0], [-60.0, 5.0]],
-    [[-60.0, 60.0], [-60.0, 60.0], [-60.0, 60.0]],
-)
-
-
-def sections(number: int) -> dict[str, Any]:
-    """The scene of a case, as a file would have it."""
-    rng = np.random.default_rng([7, number])
-
-    def one(*values: Any) -> Any:
-        return values[rng.integers(len(values))]
-
-    def near(low: float, high: float) -> float:
-        return round(float(rng.uniform(low, high)), 3)
-
-    def motion() -> dict[str, Any]:
-        found: dict[str, Any] = {}
-        if one(True, False):
-            found["velocity"] = [near(-12, 12), near(-12, 12), near(-25, 25)]
-        if one(True, False):
-            found["angular_velocity"] = [near(-60, 60) * one(0, 1) for _ in range(3)]
-        return found
-
-    def item() -> dict[str, Any]:
-        center = [near(-15, 15), near(-15, 15), near(170, 330)]
-        axis = [near(-1, 1), near(-1, 1), near(0.1, 1)]
-        found: dict[str, Any] = one(
-            {"shape": "plane", "distance": near(170, 350), "slope_x": one(0, near(-1, 1)), "slope_y": one(0, 0.4)},
-            {"shape": "sphere", "center": center, "radius": near(5, 45)},
-            {"shape": "cylinder", "center": center, "radius": near(5, 30), "axis": axis},
-            {"shape": "cone", "apex": center, "half_angle": near(5, 60), "axis": axis},
-            {"shape": "ellipsoid", "center": center, "semi_axes": [near(5, 40) for _ in range(3)]},
-            {"shape": "quadric", "center": center,
-             "coefficients": [1.0, near(-1, 1), one(0, near(-1, 1)), 0, 0, 0, 0, 0, near(-40, 40), near(-500, 500)]},
-        )  # fmt: skip
-        if one(True, False, False):
-            found["bounds"] = one(*BOXES)
-        return found | {"texture": one(*TEXTURES)} | ({"motion": moving} if (moving := motion()) else {})
-
-    count = int(one(1, 1, 1, 2, 2, 3))
-    camera = {
-        "resolution": [int(one(1, 17, 32, 45)), int(one(1, 14, 24, 66))],
-        "pixel_pitch": one(0.08, 0.15), "aperture_diameter": one(4.0, 10.0, 30.0), "focus_distance": near(180, 340),
-    }  # fmt: skip
-    if one(*[False] * 5, True):
-        camera["motion"] = motion()
-    found: dict[str, Any] = {"camera": camera, "object": [item() for _ in range(count)]}
-    found["psf"] = {
-        "model": one("pillbox", "gaussian"), "edge": one("sampled", "area", "integrated"), "tilt": one(True, False),
-        "silhouette_samples": int(one(1, 2, 4)), "border": one("lose", "renormalize"),
-        "occlusion": one("visibility", "layered", "none"),
-    }  # fmt: skip
-    found["sequence"] = {"samples": one(1, 2, 3), "sampling": one("midpoint", "endpoint"), "shutter": one(0.1, 1.0)}
-    found["motion"] = {"rotation": one("euler", "axis")}
-    if one(True, False):
-        found["motion"]["warp"] = "forward"
-        found["fill"] = {"method": one("ait", "mean_median", "none"), "domain": one("surface", "span")}
-    else:
-        found["motion"]["texture_filter"] = one("bicubic", "bilinear", "nearest")
-    if one(*[False] * 7, True):
-        found["stereo"] = {"baseline": near(2, 12), "toe_in": one(0.0, 1.0)}
-    if one(*[False] * 3, True):
-        place = one("direction", "position")
-        found["light"] = {place: [near(-1, 1), near(0, 1), near(0.5, 1)], "ambient": one(0.0, 0.3)}
-    return found
+from tests.hostile.drawn import sections
 
 
 def agrees(scene: Scene, method: str) -> list[str]:

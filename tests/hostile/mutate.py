@@ -24,19 +24,22 @@ NUMBERS: tuple[Any, ...] = (
 )  # fmt: skip
 WORDS: tuple[str, ...] = (
     "", " ", "x", "auto", "bricks", "visibility", "layered", "forward", "inverse", "gaussian", "plane", "sphere",
-    "depth_map", "disparity", "1", "nan", "true", "\0", "\n", "\x1b[31m", "\x7f", "\u202e", "\ufeff", "\uffff",
+    "depth_map", "disparity", "disc", "box", "background", "surface", "triplanar", "cube", "mirror", "cart", "#c86432",
+    "1", "nan", "true", "\0", "\n", "\x1b[31m", "\x7f", "\u202e", "\ufeff", "\uffff",
     "\U0010ffff", "é" * 3000,
     "a" * 100_000, "../../../etc/passwd", "/dev/zero", "/dev/stdin", ".", "..", "frame_0000.png", "%s%n{}{0}",
     "a/" * 3000,
     "'; drop", "\\", '"', "con.png", "//", "~", "$HOME",
 )  # fmt: skip
 ODD: tuple[Any, ...] = (
-    True, False, [], {}, [[]], [{}], [0, 0, 0], [1e9, -1e9, 1e9], [1, 2], [[0, 1], [0, 1], [0, 1]], [[1, 0], [1, 0], [1,
-    0]],
-    [math.nan] * 3, [10**400] * 10, [None], [0] * 5000, ["a", 1, []], {"from": 1, "to": 2, "steps": 3}, {"from": 1,
+    True, False, [], {}, [[]], [{}], [0, 0, 0], [1e9, -1e9, 1e9], [1, 2], [[0, 1], [0, 1], [0, 1]],
+    [[1, 0], [1, 0], [1, 0]], [math.nan] * 3, [10**400] * 10,
+    [None], [0] * 5000, ["a", 1, []], {"from": 1, "to": 2, "steps": 3}, {"from": 1,
     "to": 1, "steps": 2},
     {"from": 0, "to": 1e300, "steps": 4096}, {"from": [0, 0, 0], "to": [1, 1], "steps": 2}, {"steps": 10**400},
-    {"from": math.nan},
+    {"from": math.nan}, {"axis": [0, 0, 1], "angle": 30.0}, {"axis": [0, 0, 0], "angle": 1.0},
+    {"quaternion": [1, 0, 0, 0]}, {"quaternion": [0] * 4},
+    [{"name": "cart"}], {"direction": [0, 0, 1]}, {"position": [0, 0, 0], "ambient": 2},
     [1, 1], [1, 2, 3, 4], ["midpoint", "endpoint"], ["midpoint", 3], {"shape": "sphere"}, [{"shape": "plane"}] * 3,
     datetime.date(1979, 5, 27), datetime.time(7, 32), datetime.datetime(1979, 5, 27, tzinfo=datetime.UTC),
 )  # fmt: skip

@@ -13,7 +13,9 @@ import clsco
 from clsco import reference
 from clsco.errors import SceneError
 from clsco.scene.model import Scene
+from clsco.scene.texture_keys import RULES
 from tests.hostile import frames
+from tests.hostile.drawn import WRAPS
 
 
 def test_cases_are_valid_and_of_every_kind(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -22,7 +24,10 @@ def test_cases_are_valid_and_of_every_kind(monkeypatch: pytest.MonkeyPatch) -> N
     def noted(scene: Scene, method: str) -> list[str]:
         seen.update((method, scene.psf.occlusion, scene.motion.warp, scene.psf.edge, f"{len(scene.objects)} objects"))
         seen.update(item.shape for item in scene.objects)
+        seen.update(each for item in scene.objects if item.mapped for each in (item.mapped, item.wrap))
         kinds = {"cut": any(item.bounds for item in scene.objects), "moves": scene.moves, "pair": scene.stereo}
+        kinds |= {"rotated": any(item.rotation for item in scene.objects), "lit": scene.light is not None}
+        kinds |= {"grouped": any(item.group for item in scene.objects)}
         seen.update(kind for kind, found in kinds.items() if found)
         return []
 
@@ -33,7 +38,8 @@ def test_cases_are_valid_and_of_every_kind(monkeypatch: pytest.MonkeyPatch) -> N
     assert tally == {"cases": 200, "refused": 0}
     wanted = {"auto", "gather", "scatter", "tiles", "visibility", "layered", "none", "inverse", "forward", "sampled"}
     wanted |= {"plane", "sphere", "cylinder", "cone", "ellipsoid", "quadric", "1 objects", "2 objects", "3 objects"}
-    wanted |= {"cut", "moves", "pair"}
+    wanted |= {"rectangle", "disc", "background", "cut", "moves", "pair", "rotated", "lit", "grouped"}
+    wanted |= {*RULES, *WRAPS}
     assert wanted <= seen.keys()
     assert min(seen[name] for name in wanted) >= 5
 
@@ -47,10 +53,10 @@ def test_what_is_wrong_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
 
     tally = {"cases": 0, "refused": 0}
     monkeypatch.setattr(clsco, "render", brighter)
-    assert all("color" in fault for fault in frames.outcome(3, tally))
-    assert len(frames.outcome(3, tally)) == 1
+    assert all("color" in fault for fault in frames.outcome(25, tally))
+    assert len(frames.outcome(25, tally)) == 1
     monkeypatch.setattr(clsco, "render", refused)
-    assert frames.outcome(3, tally) == ["message: something"]
+    assert frames.outcome(25, tally) == ["message: something"]
 
 
 @pytest.mark.slow

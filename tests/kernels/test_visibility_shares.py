@@ -174,7 +174,8 @@ def at_taps(p: Array, x: Array, y: Array) -> Array:
 
 
 def independent(given: Surfaces) -> tuple[Array, Array]:
-    """Shares (N, T), and B^2 - C F, which is positive inside of outlines: roots, and what changes from tap to tap."""
+    """Shares (N, T), and how far inside of outlines, over the width of the edge: roots, and what changes from tap to
+    tap."""
     m, far = given.occluder, 1e-4
     own, f, soft = m.f0[:, None] == 0, m.f0[:, None], m.soft[:, None]
 
@@ -185,13 +186,13 @@ def independent(given: Surfaces) -> tuple[Array, Array]:
         b, c, root = at_taps(m.b, x, y), at_taps(m.c, x, y), np.sqrt(np.maximum(discriminant(x, y), 0))
         return np.where(own, -2 * b, -b + sign * root) / c
 
-    def softened(height: Callable[[Array, Array], Array]) -> Array:
+    def inside(height: Callable[[Array, Array], Array]) -> Array:
         x, y = given.x, given.y
         across, down = height(x + far, y) - height(x - far, y), height(x, y + far) - height(x, y - far)
-        return step(height(x, y) * soft / np.maximum(np.hypot(across, down) / (2 * far), 1e-30))
+        return np.asarray(height(x, y) * soft / np.maximum(np.hypot(across, down) / (2 * far), 1e-30))
 
     def condition(limit: Array, sign: float) -> Array:
-        return softened(lambda x, y: limit[:, :1] + crossing(x, y, sign) * at_taps(limit[:, 1:], x, y))
+        return step(inside(lambda x, y: limit[:, :1] + crossing(x, y, sign) * at_taps(limit[:, 1:], x, y)))
 
     best = np.zeros_like(given.x)
     for sign in (1.0, -1.0):
@@ -200,7 +201,8 @@ def independent(given: Surfaces) -> tuple[Array, Array]:
             share = condition(given.limits[:, k], sign)
             least = np.where(given.count[:, None] > k, np.minimum(least, share), least)
         best = np.maximum(best, np.where(own | (crossing(given.x, given.y, sign) > 0), least, 0))
-    return np.where(f > 0, best * softened(discriminant), best), discriminant(given.x, given.y)
+    away = inside(discriminant)
+    return np.where(f > 0, best * step(away), best), away
 
 
 @pytest.mark.parametrize("gather", [1, 0])
@@ -210,7 +212,7 @@ def test_shares(session: Session, run_source: Runner, kind: str, gather: int) ->
     expected, share = given.shares(), found(session, run_source, given, gather).share
     if kind != "no conditions":
         exact, inside = independent(given)
-        clear = (inside > 0.01) | (kind != "twice")  # at an outline the crossings change by any amount
+        clear = (inside > 0.25) | (kind != "twice")  # at an outline the crossings change by any amount
         np.testing.assert_allclose(expected[clear], exact[clear], rtol=0, atol=1e-7)
     # Some ten roundings of 6e-8 of numbers around 1, of which the step makes up to some 5 times as much. A little
     # outside of an outline all depends on a difference that is 0 but for rounding.

@@ -38,6 +38,7 @@ from clsco.scene.model import (
     Cylinder,
     DepthMap,
     Fill,
+    Light,
     Motion,
     Object,
     ObjectMotion,
@@ -96,6 +97,7 @@ CHOICES: dict[str, Sequence[Any]] = {
     "fill": ("ait", "mean_median", "none"),
     "domain": ("surface", "span"),
     "stereo": (False, False, False, True),
+    "light": (None, None, None, Light(position=(-5.0, 8.0, 150.0), ambient=0.2)),
     "channels": (1, 3),
     "method": ("auto", "auto", "gather", "scatter", "tiles", "coarse2"),
     "truth": ("none", "all", "one", "some"),
@@ -133,6 +135,8 @@ def scenes_of(drawn: Drawn) -> list[Scene]:
         sections["sequence"] = Frames(samples=1 + (drawn["seed"] % 4 == 0))
         if forward:
             sections["fill"] = Fill(method=drawn["fill"], domain=drawn["domain"])
+    if drawn["light"] is not None:
+        sections["light"] = drawn["light"]
     if drawn["stereo"]:
         sections["stereo"] = Stereo(baseline=5.0, toe_in=0.5 * (drawn["seed"] % 2))
     rows, columns = drawn["shape"]

@@ -72,6 +72,7 @@ LONG |= {
 LONG |= {"fig_3_15_right", "fig_4_17", "fig_4_19"}
 LONG |= {"background"}  # see tests/pipeline/test_background.py
 LONG |= {"disc"}  # see tests/pipeline/test_rotated.py
+LONG |= {"lit"}  # see tests/pipeline/test_surface_textures.py and test_light.py
 LONG |= {"card", "ellipsoid"}  # see tests/pipeline/test_occlusion.py
 # Figures of the thesis that vary others by their numbers alone.
 LONG |= {
@@ -146,7 +147,7 @@ def test_methods_agree_where_they_can_do_the_scene(method: str, small: Small, ex
     assert [found for found in worst(frames, exact(path)) if found.count] == []
 
 
-@pytest.mark.parametrize("stem", mostly_slow(SEVERAL, ["cone_turning", "quadric"]))
+@pytest.mark.parametrize("stem", mostly_slow(SEVERAL, ["quadric"]))
 def test_scatter_agrees(stem: str, small: Small, exact: Exact) -> None:
     (path,) = (path for path in PATHS if path.stem == stem)
     frames = list(clsco.render(small(path), truth=(), method="scatter"))

@@ -9,9 +9,9 @@ import pytest
 
 import clsco
 from clsco import reference
-from clsco.cli.check import compare
 from clsco.scene.model import Scene
-from tests.pipeline.test_scenes import BALL, GOING, PLAIN, rendered, scene
+from tests.pipeline.test_scenes import BALL, GOING, PLAIN, scene
+from tests.scenes import assert_agree, rendered
 from tests.slow import combined
 
 WHITE = BALL | {"texture": "#ffffff"}
@@ -42,8 +42,7 @@ def test_agrees_with_the_reference(name: str, precision: Any) -> None:
     items, sections = CASES[name]
     wanted = scene(*items, **sections)
     frames, exact = rendered(wanted, precision=precision), list(reference.render(wanted))
-    found = [one for pair in zip(frames, exact, strict=True) for one in compare(*pair)]
-    assert [one for one in found if one.count] == []
+    assert_agree(frames, exact)
     without = rendered(wanted.replace("light", None), precision=precision)
     assert np.abs(without[0].color - frames[0].color).max() > 0.05
 

@@ -309,3 +309,20 @@ def test_a_plane_hides_the_same_however_it_is_written() -> None:
     np.testing.assert_allclose(one.depth, other.depth, rtol=1e-6)
     np.testing.assert_allclose(one.color, other.color, atol=1e-6)
     assert np.ptp(one.color) > 0.1
+
+
+@pytest.mark.parametrize("shape", ["cylinder", "cone"])
+def test_what_is_cut_off_hides_nothing(shape: str) -> None:
+    """Nothing of a body is in view: not where its outline would go on, nor that of the other nappe."""
+    items: dict[str, dict[str, Any]] = {
+        "cylinder": {"center": [1.5, 0.0, 280.0], "radius": 2.0, "bounds": [[-9, 9], [-20, -12], [-9, 9]]},
+        "cone": {"apex": [0.0, -4.0, 265.0], "half_angle": 15.0, "rotation": [80.0, 0.0, 0.0]},
+    }
+    camera = {"resolution": [24, 6], "pixel_pitch": 0.02, "f_number": 4.0, "focus_distance": 265.0}
+    behind = {"shape": "background", "texture": "#808080"}
+    scene = clsco.parse_scene({"camera": camera, "object": [{"shape": shape} | items[shape], behind]})
+    (frame,), (exact,) = clsco.render(scene), reference.render(scene)
+    assert frame.mask is not None
+    assert not frame.mask.any()
+    assert np.ptp(frame.color) < 1e-6
+    assert np.ptp(exact.color) < 1e-6

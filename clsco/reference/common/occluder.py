@@ -63,10 +63,14 @@ class Crossing:
     y: Array
 
 
-def crossing_at(m: Occluder, v: Array, b: Array, c: Array, x: Array, y: Array) -> Crossing:
-    """The crossing at w + v (N,); b, c, x, y: (N,), at the taps."""
+def crossing_at(m: Occluder, v: Array, b: Array, c: Array, x: Array, y: Array, least: Array) -> Crossing:
+    """The crossing at w + v (N,); b, c, x, y: (N,), at the taps.
+
+    least: of C v + B = sqrt(D) or -sqrt(D), with its sign: without it v changes endlessly at the outline, where no
+    condition would ever be clear.
+    """
     steep = c * v + b
-    scale = -v / np.where(np.abs(steep) > TINY, steep, TINY)
+    scale = -v / np.where(np.abs(steep) > np.abs(least), steep, least)
     _, c_x, c_y, c_xx, c_xy, c_yy = m.c.T
     vx = scale * (m.b[:, 1] + 0.5 * v * (c_x + 2 * c_xx * x + c_xy * y))
     vy = scale * (m.b[:, 2] + 0.5 * v * (c_y + c_xy * x + 2 * c_yy * y))
@@ -89,14 +93,23 @@ def crossing_share(m: Occluder, at: Crossing, x: Array, y: Array) -> Array:
     return np.where((m.f0 == 0) | (at.v > 0), least, 0.0)
 
 
-def find_crossings(m: Occluder, x: Array, y: Array) -> tuple[Crossing, Crossing]:
-    """Both crossings at taps x, y (N,), or the one."""
+def outline_gradient(m: Occluder, x: Array, y: Array) -> Array:
+    """Gradient (N,) of D = B^2 - C F at taps x, y (N,)."""
+    _, d_x, d_y, d_xx, d_xy, d_yy = m.d.T
+    return np.asarray(np.hypot(d_x + 2 * d_xx * x + d_xy * y, d_y + d_xy * x + 2 * d_yy * y))
+
+
+def find_crossings(m: Occluder, x: Array, y: Array, width: float = 1.0) -> tuple[Crossing, Crossing]:
+    """Both crossings at taps x, y (N,), or the one; width: 0 to leave no condition clear at an outline."""
     b = m.b[:, 0] + m.b[:, 1] * x + m.b[:, 2] * y
     c, d = (p[:, 0] + x * (p[:, 1] + p[:, 3] * x + p[:, 4] * y) + y * (p[:, 2] + p[:, 5] * y) for p in (m.c, m.d))
     root = np.sqrt(np.maximum(d, 0.0))
     t = np.where(b < 0, root - b, -b - root)
     t = np.where(np.abs(t) > TINY, t, TINY)
-    return crossing_at(m, t / c, b, c, x, y), crossing_at(m, m.f0 / t, b, c, x, y)
+    # Of two crossings: over the width of the edge sqrt(D) changes by at most sqrt(width |gradient of D|).
+    least = np.where(m.f0 <= 0, 0.0, 0.5 * np.sqrt(width * outline_gradient(m, x, y) / m.soft)) + TINY
+    least = np.where(b < 0, least, -least)
+    return crossing_at(m, t / c, b, c, x, y, least), crossing_at(m, m.f0 / t, b, c, x, y, -least)
 
 
 def occluded_height(m: Occluder, x: Array, y: Array) -> Array:
@@ -118,9 +131,10 @@ def occluded_share(m: Occluder, x: Array, y: Array) -> Array:
     # Without any condition left, a surface that is crossed twice is as one that never had any.
     share, d = np.where(m.f0 == 0, one, np.maximum(one, other)), m.d
     height = d[:, 0] + x * (d[:, 1] + d[:, 3] * x + d[:, 4] * y) + y * (d[:, 2] + d[:, 5] * y)
-    slope = np.hypot(d[:, 1] + 2 * d[:, 3] * x + d[:, 4] * y, d[:, 2] + d[:, 4] * x + 2 * d[:, 5] * y)
     twice = np.where(
-        np.any(m.kept, axis=0), share * soft_step(height * m.soft / (slope + TINY)), soft_step(occluded_height(m, x, y))
+        np.any(m.kept, axis=0),
+        share * soft_step(height * m.soft / (outline_gradient(m, x, y) + TINY)),
+        soft_step(occluded_height(m, x, y)),
     )
     return np.where(m.crossings == 1, share, twice)
 
@@ -138,7 +152,7 @@ def hides_all(m: Occluder, most: Array) -> tuple[Mask, tuple[Mask, ...]]:
             x, y = radius * np.cos(angle), radius * np.sin(angle)
             hidden &= occluded_share(m, x, y) >= 1.0
             with np.errstate(all="ignore"):
-                for at in find_crossings(m, x, y):
+                for at in find_crossings(m, x, y, 0.0):
                     for k, limit in enumerate(m.limits):
                         kept[k] |= (at.v > 0) & (limit_share(m, limit, at, x, y) < 1.0)
     return hidden, tuple(kept)

@@ -1,0 +1,96 @@
+"""docs/textures.png, how textures lie on surfaces: python -m benchmarks.textures_picture [-o FILE]"""
+
+from __future__ import annotations
+
+import argparse
+import colorsys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+import clsco
+from clsco.cli.demo import BACKGROUND, TEXT, Picture, photograph
+
+SIDE, GAP, LINE, ACROSS = 240, 8, 22, 4
+CELL = 64
+CAMERA = {"resolution": [SIDE, SIDE], "pixel_pitch": 5.12 / SIDE, "f_number": 4.0, "focus_distance": 265.0}
+LIGHT = {"direction": [-0.7, 0.9, 1.0], "ambient": 0.3}
+LAID = {"texture_mapping": "surface"}
+BACK_DOWN = {"quaternion": [0.0, 0.0, 0.54, 0.84]}  # what is away from the camera turned down, what is up to the front
+TILTED = [-25.0, -25.0, 0.0]  # seen from above
+
+
+def grid(columns: int, rows: int, hue: float | None = None, letters: str = "ABCDEFGH") -> Picture:
+    """Squares with a letter for the column and a number for the row; of one hue, or one for each column."""
+    image = Image.new("RGB", (CELL * columns, CELL * rows))
+    draw, font = ImageDraw.Draw(image), ImageFont.load_default(34)
+    for row in range(rows):
+        for column in range(columns):
+            shade = 0.95 if (row + column) % 2 else 0.7
+            ink = colorsys.hsv_to_rgb(column / columns if hue is None else hue, 0.25 + 0.5 * row / rows, shade)
+            x, y = CELL * column, CELL * row
+            draw.rectangle((x, y, x + CELL - 1, y + CELL - 1), tuple(round(255 * part) for part in ink))
+            label = f"{letters[column]}{row + 1}" if hue is None else letters
+            draw.text((x + CELL / 2, y + CELL / 2), label, (25, 25, 25), font, "mm")
+    return np.array(image)
+
+
+def sky() -> NDArray[np.float32]:
+    """Linear radiance, bluer above."""
+    share = np.linspace(0.0, 1.0, SIDE)[:, None, None]
+    colors = (1 - share) * np.array([0.16, 0.32, 0.62]) + share * np.array([0.75, 0.8, 0.85])
+    return np.broadcast_to(colors, (SIDE, SIDE, 3)).astype(np.float32)
+
+
+def objects() -> dict[str, dict[str, Any]]:
+    """What is shown, by label."""
+    image, place = grid(8, 4), [0.0, 0.0, 280.0]
+    sides = ("texture", "texture_back", "texture_left", "texture_right", "texture_top", "texture_bottom")
+    cube = {key: grid(2, 2, k / 6, key.split("_")[-1][0].upper()) for k, key in enumerate(sides)}
+    cube["texture"] = grid(2, 2, 0.0, "F")
+    around = LAID | {"texture": image, "rotation": TILTED, "center": place}
+    plane = LAID | {"shape": "plane", "distance": 285.0, "texture": image, "texture_size": 50.0}
+    card = LAID | {"shape": "rectangle", "center": place, "size": [58.0, 58.0], "texture": grid(4, 4)}
+    return {
+        "plane": plane | {"rotation": [-65.0, 0.0, 0.0], "bounds": [[-90, 90], [-90, 40], [-1, 1]]},
+        "cylinder": around | {"shape": "cylinder", "radius": 18.0, "bounds": [[-20, 20], [-24, 24], [-20, 20]]},
+        "cone": LAID | {"shape": "cone", "half_angle": 32.0, "texture": image, "texture_size": 60.0,
+                        "texture_angle": 180.0, "rotation": BACK_DOWN, "apex": [0.0, 26.0, 265.0]},
+        "box": around | {"shape": "box", "size": [44.0, 22.0, 30.0], "texture_top": grid(4, 4)},
+        "sphere, longitude and latitude": around | {"shape": "sphere", "radius": 26.0},
+        'sphere, "cube"': around | cube | {"shape": "sphere", "radius": 26.0, "texture_mapping": "cube"},
+        "ellipsoid": around | {"shape": "ellipsoid", "semi_axes": [30.0, 17.0, 17.0]},
+        'quadric, "triplanar"': around | {
+            "shape": "quadric", "coefficients": [1, -0.35, 1, 0, 0, 0, 0, 0, 0, -150], "texture_size": 40.0},
+        **{f'texture_wrap = "{wrap}"': card | {"texture_size": 24.0, "texture_wrap": wrap, "texture_angle": 10.0}
+           for wrap in ("repeat", "mirror", "clamp", "none")},
+    }  # fmt: skip
+
+
+def picture() -> Picture:
+    """The frames of all objects with their labels, (rows, columns, 3)."""
+    shown = objects()
+    rows = -(-len(shown) // ACROSS)
+    sheet = Image.new("RGB", (GAP + ACROSS * (SIDE + GAP), GAP + rows * (SIDE + LINE + GAP)), BACKGROUND)
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(14)
+    behind = {"shape": "background", "texture": sky()}
+    for number, (label, item) in enumerate(shown.items()):
+        scene = clsco.parse_scene({"camera": CAMERA, "light": LIGHT, "object": [item, behind]})
+        x, y = GAP + number % ACROSS * (SIDE + GAP), GAP + number // ACROSS * (SIDE + LINE + GAP)
+        sheet.paste(Image.fromarray(photograph(clsco.render_frame(scene, truth=()).color)), (x, y))
+        draw.text((x, y + SIDE + 2), label, TEXT, font)
+    return np.asarray(sheet)
+
+
+def main() -> None:
+    """Write the picture."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-o", dest="out", type=Path, default=Path(__file__).parents[1] / "docs" / "textures.png")
+    Image.fromarray(picture()).save(parser.parse_args().out, optimize=True)
+
+
+if __name__ == "__main__":
+    main()

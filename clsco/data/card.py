@@ -1,0 +1,218 @@
+"""What a data set says of itself: dataset.json for programs, README.md for people and for the Hugging Face hub."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from clsco.data.containers import CONTAINERS
+from clsco.data.encoding import is_png
+from clsco.data.manifest import UNSPLIT, Identity, Parts, parsed_part, rows_of
+from clsco.data.storage import Storage
+
+CARD, README = "dataset.json", "README.md"
+# Of https://huggingface.co/docs/hub/repositories-licenses those that data have; others have a name of their own.
+_HUB_LICENSES = (
+    "cc0-1.0", "cc-by-4.0", "cc-by-sa-4.0", "cc-by-nc-4.0", "cc-by-nc-sa-4.0", "cc-by-nd-4.0", "cc-by-nc-nd-4.0",
+    "odc-by", "odbl", "pddl", "cdla-permissive-2.0", "mit", "apache-2.0", "bsd-3-clause",
+)  # fmt: skip
+_SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**7, "1M<n<10M"))
+_HUB_FORMATS = ("webdataset", "parquet")
+
+
+def split_files(storage: Storage) -> dict[str, list[tuple[str, int]]]:
+    """Files of each split with the number of samples in them, by the parts of the manifest.
+
+    Parameters
+    ----------
+    storage : Storage
+
+    Returns
+    -------
+    dict
+        Split to files, in the order of the shards; "" of a set without splits.
+
+    Raises
+    ------
+    ImageError
+        A part is damaged.
+    """
+    found: dict[str, list[tuple[str, int]]] = {}
+    for _, data in Parts(storage).read():
+        part = parsed_part(data)
+        counts: dict[str, int] = {}
+        if len(part.files) == 1 and (only := next(iter(part.files))).count("/") == 1:
+            counts[only] = part.made
+        else:
+            for row in rows_of(data)[0]:
+                counts[row["file"]] = counts.get(row["file"], 0) + 1
+        for file, count in sorted(counts.items()):
+            split = file.partition("/")[0]
+            found.setdefault("" if split == UNSPLIT else split, []).append((file, count))
+    return {split: found[split] for split in sorted(found)}
+
+
+def write_card(storage: Storage, identity: Identity) -> None:
+    """Complete the card of a set whose shards are all done, and write README.md.
+
+    Parameters
+    ----------
+    storage : Storage
+        Its `dataset.json` is kept, what it has of the license and the distribution above all, and gains arrays, files,
+        counts, how to load it and how to cite it.
+    identity : Identity
+        Of the set.
+
+    Raises
+    ------
+    ImageError
+        The set cannot be read or written.
+    """
+    card = json.loads(storage.read(CARD) or b"{}")
+    files = split_files(storage)
+    counts = {split: sum(count for _, count in listed) for split, listed in files.items()}
+    samples = range(*card["samples"])
+    total = sum(counts.values())
+    card["license"] = card.get("license") or "unspecified"
+    card |= {
+        "counts": {"samples": total, "failed": len(samples) - total, "splits": counts},
+        "arrays": _arrays(storage, identity, files),
+        "conventions": "Row 0 is on top, column 0 on the left, pixel centers at integer coordinates; lengths in mm.",
+        "load": _loading(identity.format),
+        "cite": _citation(identity),
+        "files": files,
+    }
+    storage.write(README, readme(card).encode())
+    storage.write(CARD, f"{json.dumps(card, indent=2, allow_nan=False)}\n".encode())
+
+
+def _arrays(storage: Storage, identity: Identity, files: Mapping[str, list[tuple[str, int]]]) -> dict[str, Any]:
+    """What the first sample says of its arrays, and how the container holds them."""
+    first = next((file for listed in files.values() for file, count in listed if count), None)
+    if first is None:
+        return {}
+    container = CONTAINERS[identity.format]
+    reader = container.read(storage.local(first))
+    try:
+        described = reader.record(0, ()).meta["arrays"]
+    finally:
+        reader.close()
+    for about in described.values():
+        about.pop("clipped", None)  # of this sample alone
+        about["encoding"] = _encoding(container.name, about)
+    return dict(described)
+
+
+def _encoding(form: str, about: Mapping[str, Any]) -> str:
+    name, _, raw = form.partition("+")
+    picture = is_png(about["dtype"], tuple(about["shape"]))
+    if name in ("webdataset", "folders"):
+        return "npy" if raw else "png" if picture else "npy.zst"
+    if name == "parquet":
+        return "Image" if picture else f"Array{len(about['shape'])}D"
+    if name == "tfrecord":
+        return "png in bytes_list" if picture else "flat list, with its shape in NAME/shape"
+    return {"npz": "npy", "hdf5": "dataset", "zarr": "array"}[name]
+
+
+def _loading(form: str) -> dict[str, str]:
+    """Code that loads a set, by package."""
+    name, pattern = form.partition("+")[0], f"SPLIT/*{CONTAINERS[form].suffix}"
+    found = {
+        "clsco": 'import clsco.data\nrecord = clsco.data.open("DATA", "SPLIT")[0]\nrecord["color"], record.meta',
+        "torch": 'torch.utils.data.DataLoader(clsco.data.open("DATA", "SPLIT"), batch_size=None, num_workers=4)',
+    }
+    more = {
+        "webdataset": {
+            "webdataset": f'webdataset.WebDataset(glob.glob("DATA/{pattern}"), shardshuffle=100).decode()',
+            "datasets": f'datasets.load_dataset("webdataset", data_files="DATA/{pattern}", streaming=True)',
+        },
+        "parquet": {"datasets": f'datasets.load_dataset("parquet", data_files="DATA/{pattern}")'},
+        "hdf5": {"h5py": 'h5py.File("DATA/SPLIT/000000.h5")["000000000/depth"][()]'},
+        "zarr": {"zarr": 'zarr.open_group("DATA/SPLIT/000000.zarr", mode="r")["depth"][0]'},
+        "npz": {"numpy": 'numpy.load("DATA/SPLIT/000000/000000000.npz")["depth"]'},
+        "tfrecord": {"tensorflow": f'tf.data.TFRecordDataset(tf.io.gfile.glob("DATA/{pattern}"))'},
+    }
+    return found | more.get(name, {})
+
+
+def _citation(identity: Identity) -> str:
+    made = f"distribution {identity.distribution[:16]}, seed {identity.seed}, clsco {identity.version}"
+    return f"Synthetic images with defocus and motion blur and their ground truth: {made}."
+
+
+def readme(card: Mapping[str, Any]) -> str:
+    """The text of README.md: a header for the hub, and what people want to know.
+
+    Parameters
+    ----------
+    card : mapping
+        The whole card.
+
+    Returns
+    -------
+    str
+    """
+    identity, counts = card["identity"], card["counts"]
+    lines = [
+        "---", *_header(card), "---", "", "# Synthetic images with defocus and motion blur", "",
+        f"{counts['samples']} samples" + (f", {counts['failed']} that failed" if counts["failed"] else "")
+        + f", made by clsco {identity['version']} from one distribution of scenes. `dataset.json` has all that follows"
+        " for programs, `manifest.jsonl` a line for each sample with its parameters and hashes.", "",
+        "| | |", "|---|---|",
+        *(f"| split {split} | {count} |" for split, count in counts["splits"].items() if split),
+        f"| seed | {identity['seed']} |",
+        f"| distribution, SHA-256 | `{identity['distribution']}` |",
+        f"| devices | {_cell(identity['device_family'])} |",
+        f"| format | {identity['format']} |",
+        f"| license | {_cell(card['license'])} |", "",
+        "## Arrays", "", card["conventions"], "",
+        "| array | type | shape | unit | in files | what it is |", "|---|---|---|---|---|---|",
+    ]  # fmt: skip
+    for name, about in card["arrays"].items():
+        shape = " x ".join(map(str, about["shape"]))
+        transfer = f" Codes: {about['transfer']}." if "transfer" in about else ""
+        convention = f"{about['convention']}.{transfer}"
+        lines.append(f"| {name} | {about['dtype']} | {shape} | {about['unit']} | {about['encoding']} | {convention} |")
+    lines += ["", "## Loading", ""]
+    for package, code in card["load"].items():
+        lines += [f"{package}:", "", "```python", code, "```", ""]
+    if card.get("recipe"):
+        lines += ["## Distribution", "", *_fenced(card["recipe"]), ""]
+    lines += ["## How to cite", "", card["cite"], ""]
+    return "\n".join(lines)
+
+
+def _header(card: Mapping[str, Any]) -> list[str]:
+    """YAML that the hub reads. JSON strings are YAML strings."""
+    license_text, identity = str(card["license"]), card["identity"]
+    known = license_text.lower()
+    if known == "unspecified":
+        found = ["license: unknown"]
+    elif known in _HUB_LICENSES:
+        found = [f"license: {known}"]
+    else:
+        found = ["license: other", f"license_name: {json.dumps(license_text)}"]
+    found += ["task_categories:", "- depth-estimation", "- image-to-image"]
+    found += ["tags:", "- synthetic", "- defocus", "- motion-blur", "- depth-from-defocus"]
+    total = card["counts"]["samples"]
+    found += ["size_categories:", f"- {next((text for most, text in _SIZES if total < most), 'n>10M')}"]
+    form = identity["format"]
+    if form.partition("+")[0] in _HUB_FORMATS:
+        found += ["configs:", "- config_name: default", "  data_files:"]
+        for split in card["files"]:
+            path = json.dumps(f"{split or UNSPLIT}/*{CONTAINERS[form].suffix}")
+            found += [f"  - split: {json.dumps(split or 'train')}", f"    path: {path}"]
+    return found
+
+
+def _cell(text: str) -> str:
+    return " ".join(str(text).split()).replace("|", "\\|")
+
+
+def _fenced(text: str) -> list[str]:
+    fence = "```"
+    while fence in text:
+        fence += "`"
+    return [f"{fence}toml", text.rstrip("\n"), fence]

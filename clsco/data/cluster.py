@@ -1,0 +1,211 @@
+"""Shards of a set as tasks of dask.distributed, on the workers of a cluster."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import logging
+import os
+import pickle
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any
+
+from clsco import __version__
+from clsco.data.pool import limit_threads, processors, stoppable
+from clsco.data.schedule import DIED, Schedule, Task
+from clsco.data.storage import open_storage
+from clsco.data.worker import device_of, failure_of, perform
+from clsco.errors import ClscoError, DeviceError, ImageError
+
+if TYPE_CHECKING:
+    from clsco.data.shards import Job, ShardMaker
+
+WORKERS_S = 600.0  # until a cluster has a worker, which may wait in a queue
+LOOK_S = 1.0  # between looks at the workers there are
+RESOURCE = "device"  # what workers of a cluster say they have, where they say anything
+_lock = threading.Lock()  # a process has one device, however many threads take tasks
+_makers: dict[str, ShardMaker] = {}
+
+
+def cluster_device(address: str) -> tuple[str, str]:
+    """Device family and precision of a worker of a cluster. Raises ClscoError where there is none."""
+    distributed = _distributed()
+    with _client(distributed, address) as client:
+        workers = _workers(client, address)
+        future = client.submit(_described, _per_host(workers), pure=False, resources=_resources(workers))
+        try:
+            family, precision = future.result(timeout=WORKERS_S)
+        except TimeoutError:
+            raise ClscoError(f"--scheduler: {address} must have a worker; got none in {WORKERS_S:.0f} s") from None
+        except (ImportError, AttributeError) as error:
+            raise ClscoError(f"--scheduler: workers must have this version of clsco; got {error}") from error
+        return str(family), str(precision)
+
+
+def run_cluster(job: Job, shards: Sequence[int], address: str, advance: Callable[[int], object]) -> None:
+    """Make shards on the workers of a cluster, one at a time on each.
+
+    Parameters
+    ----------
+    job : Job
+    shards : sequence of int
+    address : str
+        Of the scheduler, such as tcp://host:8786.
+    advance : callable
+        Takes numbers of samples that are done since the last call.
+
+    Raises
+    ------
+    ClscoError
+        There is no scheduler, it goes away, the storage fails, or a shard cannot be made.
+    """
+    distributed = _distributed()
+    schedule = Schedule((shard, job.numbers(shard)) for shard in shards)
+    packed = pickle.dumps(job)
+    running: dict[Any, Task] = {}
+    ended = threading.Event()
+    with stoppable(), _client(distributed, address) as client:
+        try:
+            while not schedule.is_over:
+                workers = _workers(client, address)
+                while schedule.waiting and len(running) < _room(workers):
+                    task = schedule.waiting.popleft()
+                    found = client.submit(
+                        _perform, packed, task, _per_host(workers), pure=False, resources=_resources(workers)
+                    )
+                    running[found] = task
+                    found.add_done_callback(lambda _: ended.set())
+                ended.wait(LOOK_S)
+                ended.clear()
+                for future in [future for future in running if future.done()]:
+                    task = running.pop(future)
+                    if _ended_well(distributed, schedule, task, future, address) and task.tried is None:
+                        advance(len(job.numbers(task.shard)))
+        except (OSError, distributed.comm.CommClosedError, distributed.client.FutureCancelledError) as error:
+            raise _lost(address) from error
+        finally:
+            with suppress(Exception):  # the scheduler is gone
+                client.cancel(list(running), force=True)
+    open_storage(job.where).tidy()
+
+
+def _ended_well(distributed: Any, schedule: Schedule, task: Task, future: Any, address: str) -> bool:
+    """What has come of a task. Raises ClscoError where no other will do better."""
+    if future.status == "cancelled":
+        raise _lost(address)
+    if future.status == "error":
+        error = future.exception()
+        if not isinstance(error, distributed.KilledWorker):
+            raise ClscoError(f"worker: must have what is installed here; got {error!r}")
+        schedule.died(task, DIED)  # the scheduler has tried it again already
+        return False
+    kind, content = future.result()
+    if kind == "fatal":
+        raise ClscoError(content)
+    if kind == "failed":
+        schedule.died(task, content)
+        return False
+    schedule.done(task)
+    return True
+
+
+def _lost(address: str) -> ClscoError:
+    rule = "must be there until the set is made, which --resume goes on with"
+    return ClscoError(f"--scheduler: {address} {rule}; got a lost connection")
+
+
+@contextmanager
+def _client(distributed: Any, address: str) -> Iterator[Any]:
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what is lost is told in one line
+    try:
+        client = distributed.Client(address, timeout=20, set_as_default=False)
+    except (OSError, ValueError) as error:
+        got = str(error) or type(error).__name__
+        raise ClscoError(f"--scheduler: must be the address of a scheduler; got {address}: {got}") from error
+    try:
+        yield client
+    finally:
+        with suppress(Exception):  # of a scheduler that is gone
+            client.close(timeout=5)
+
+
+def _distributed() -> Any:
+    try:
+        return importlib.import_module("distributed")
+    except ImportError:
+        rule = "needs dask.distributed: pip install 'clsco[distributed]'"
+        raise ImageError(f"--scheduler: {rule}; got no such module") from None
+
+
+def _workers(client: Any, address: str) -> Mapping[str, Any]:
+    """What the scheduler says of its workers. Raises ClscoError where it is gone, and so says nothing."""
+    found: Mapping[str, Any] | None = client.scheduler_info(n_workers=-1).get("workers")
+    if found is None:
+        raise _lost(address)
+    return found
+
+
+def _room(workers: Mapping[str, Any]) -> int:
+    """Tasks that are on their way at a time: where a worker dies, none is blamed but the one that it was at."""
+    return max(1, sum(int(worker["resources"].get(RESOURCE, 1)) for worker in workers.values()))
+
+
+def _resources(workers: Mapping[str, Any]) -> dict[str, int] | None:
+    has = any(RESOURCE in worker["resources"] for worker in workers.values())
+    return {RESOURCE: 1} if has else None
+
+
+def _per_host(workers: Mapping[str, Any]) -> dict[str, int]:
+    return dict(Counter(worker["host"] for worker in workers.values()))
+
+
+def _prepare(per_host: Mapping[str, int]) -> Any:
+    """The device of this process, which shares the processor with others of its machine."""
+    worker = _distributed().get_worker()
+    host = worker.address.rpartition("://")[2].rpartition(":")[0]
+    limit_threads(max(1, processors() // per_host.get(host, 1)), os.environ)
+    return device_of(None)
+
+
+def _described(per_host: Mapping[str, int]) -> tuple[str, str]:
+    from clsco.data.shards import device_family
+
+    with _lock:
+        device = _prepare(per_host)
+        return device_family(device), "double" if device.has_fp64 else "single"
+
+
+def _perform(packed: bytes, task: Task, per_host: Mapping[str, int]) -> tuple[str, str]:
+    """In a worker: do a task; "done", "failed" or "fatal", and why."""
+    with _lock:
+        try:
+            maker = _maker(packed, per_host)
+            try:
+                perform(maker, task)
+            finally:
+                maker.storage.close()
+        except Exception as error:  # whatever it is, it is told to who waits
+            return failure_of(error)
+        return "done", ""
+
+
+def _maker(packed: bytes, per_host: Mapping[str, int]) -> ShardMaker:
+    from clsco.data.shards import ShardMaker, device_family
+
+    name = hashlib.sha256(packed).hexdigest()
+    if name not in _makers:
+        job: Job = pickle.loads(packed)
+        if job.identity.version != __version__:
+            rule = f"worker: must have version {job.identity.version} of clsco"
+            raise ClscoError(f"{rule}; got {__version__}") from OSError()
+        device, storage = _prepare(per_host), open_storage(job.where)
+        if device_family(device) != job.identity.device_family:
+            rule = f"device: all of a set must be of the family {job.identity.device_family}"
+            raise DeviceError(f"{rule}; got {device_family(device)}") from OSError()
+        storage.tidy()
+        _makers.clear()
+        _makers[name] = ShardMaker(job, storage, device, device.kind != "cpu")
+    return _makers[name]

@@ -1,0 +1,51 @@
+"""Formats that hold the samples of a shard, in one table."""
+
+from __future__ import annotations
+
+from functools import partial
+from importlib.util import find_spec
+
+from clsco.data.containers import folders, hdf5, npz, parquet, tfrecord, webdataset, zarr3
+from clsco.data.containers.base import Container as Container
+from clsco.data.containers.base import ShardReader as ShardReader
+from clsco.data.encoding import NEEDS
+from clsco.errors import ImageError, SceneError
+
+DEFAULT = "webdataset"
+# One row for each format: the commands take their names from here. With "+raw" nothing is compressed.
+CONTAINERS = {
+    container.name: container
+    for container in (
+        Container("webdataset", ".tar", webdataset.write, webdataset.TarReader, NEEDS),
+        Container("webdataset+raw", ".tar", partial(webdataset.write, raw=True), webdataset.TarReader),
+        Container("folders", "", folders.write, folders.FolderReader, NEEDS),
+        Container("folders+raw", "", partial(folders.write, raw=True), folders.FolderReader),
+        Container("npz", "", npz.write, npz.NpzReader),
+        Container("npz+raw", "", partial(npz.write, raw=True), npz.NpzReader),
+        Container("hdf5", ".h5", hdf5.write, hdf5.Hdf5Reader, hdf5.NEEDS),
+        Container("hdf5+raw", ".h5", partial(hdf5.write, raw=True), hdf5.Hdf5Reader, hdf5.NEEDS),
+        Container("zarr", ".zarr", zarr3.write, zarr3.ZarrReader, zarr3.NEEDS),
+        Container("zarr+raw", ".zarr", partial(zarr3.write, raw=True), zarr3.ZarrReader, zarr3.NEEDS),
+        Container("parquet", ".parquet", parquet.write, parquet.ParquetReader, parquet.NEEDS),
+        Container("tfrecord", ".tfrecord", tfrecord.write, tfrecord.TfRecordReader, tfrecord.NEEDS),
+    )
+}
+
+
+def container_named(name: str) -> Container:
+    """The container of a name, which can be used.
+
+    Raises
+    ------
+    SceneError
+        There is none of this name.
+    ImageError
+        The extra that it needs is not installed.
+    """
+    if name not in CONTAINERS:
+        raise SceneError(f"format: must be one of {', '.join(CONTAINERS)}; got {name}")
+    container = CONTAINERS[name]
+    if container.needs is not None and find_spec(container.needs[0]) is None:
+        module, extra = container.needs
+        raise ImageError(f"format: {name} needs {module}: pip install 'clsco[{extra}]'; got no such module")
+    return container

@@ -1,0 +1,102 @@
+"""What all containers have in common: how a shard is written, and read one record at a time."""
+
+from __future__ import annotations
+
+import contextlib
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from clsco.data.record import Record
+from clsco.errors import ClscoError
+from clsco.files.atomic import refuse
+
+
+class ShardReader(ABC):
+    """The records of a shard, in the order in which they were written.
+
+    Nothing is open before the first record is read; a closed reader opens again. A reader is used by one thread at a
+    time.
+
+    Attributes
+    ----------
+    path : Path
+    keys : tuple of str
+    """
+
+    def __init__(self, path: Path, keys: Iterable[str]) -> None:
+        self.path = path
+        self.keys = tuple(keys)
+
+    @abstractmethod
+    def record(self, index: int, wanted: Collection[str] | None = None) -> Record:
+        """Read one record.
+
+        Parameters
+        ----------
+        index : int
+            From 0.
+        wanted : collection of str, optional
+            Names of arrays, whole ones or what they hold; nothing else is read where the format has it apart.
+
+        Returns
+        -------
+        Record
+
+        Raises
+        ------
+        ImageError
+            The shard is damaged.
+        """
+
+    def close(self) -> None:  # noqa: B027, some keep nothing open
+        """Close what is open."""
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    def __getitem__(self, index: int) -> Record:
+        return self.record(range(len(self))[index])
+
+    def __iter__(self) -> Iterator[Record]:
+        return (self.record(index) for index in range(len(self)))
+
+
+@dataclass(frozen=True)
+class Container:
+    """A format that holds the records of a shard in one file, or in one folder.
+
+    Attributes
+    ----------
+    name : str
+        As users give it.
+    suffix : str
+        Of a shard's name; "" where it is a folder without one.
+    write : callable
+        Takes a new local path and records; the same records give the same bytes. Few records are in memory at a time.
+    read : callable
+        Takes a local path and gives a ShardReader. Raises ImageError where it is no whole shard.
+    needs : (str, str), optional
+        Module that it needs, and the extra of clsco that brings it.
+    """
+
+    name: str
+    suffix: str
+    write: Callable[[Path, Iterable[Record]], None]
+    read: Callable[[Path], ShardReader]
+    needs: tuple[str, str] | None = None
+
+
+@contextlib.contextmanager
+def whole(path: Path, kind: str) -> Iterator[None]:
+    """Turn any error of a codec into an ImageError: each has its own exceptions for damage, and none lists them."""
+    try:
+        yield
+    except ClscoError:
+        raise
+    except OSError as error:
+        rule = f"must be a {kind} that can be read" if error.errno else f"must be a whole {kind}"
+        refuse(path, rule, error, error)
+    except Exception as error:
+        refuse(path, f"must be a whole {kind}", error, error)

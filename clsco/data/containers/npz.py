@@ -1,0 +1,69 @@
+"""A folder with an NPZ per sample, for np.load, which gives the bytes of its member meta.json, too.
+
+Read back with numpy.
+"""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from collections.abc import Collection, Iterable
+from pathlib import Path
+
+from clsco.data.containers.base import ShardReader, whole
+from clsco.data.encoding import LARGEST_META, described, meta_bytes, npy_array, npy_bytes, npy_size, parsed_meta
+from clsco.data.record import Record, is_wanted
+
+
+def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
+    """Write records to a new folder, KEY.npz each.
+
+    Parameters
+    ----------
+    path : Path
+    records : iterable of Record
+    raw : bool
+        Nothing is compressed; else masks, codes and numbers of objects are, floats never: deflate takes 0.3 s for 10 MB
+        of them.
+    """
+    path.mkdir()
+    for record in records:
+        with zipfile.ZipFile(path / f"{record.key}.npz", "x") as archive:
+            content = {"meta.json": (meta_bytes(record), not raw)}
+            for name, array in record.arrays.items():
+                content[f"{name}.npy"] = (npy_bytes(array), not raw and array.dtype.kind != "f")
+            for name, (part, compressed) in content.items():
+                entry = zipfile.ZipInfo(name)  # its fixed date keeps the time of writing out of the file
+                entry.compress_type = zipfile.ZIP_DEFLATED if compressed else zipfile.ZIP_STORED
+                archive.writestr(entry, part, compresslevel=1)
+
+
+class NpzReader(ShardReader):
+    """Records of a folder of NPZ files."""
+
+    def __init__(self, path: Path) -> None:
+        with whole(path, "folder"), os.scandir(path) as entries:
+            found = (entry.name for entry in entries if entry.is_file(follow_symlinks=False))
+            keys = sorted(name.removesuffix(".npz") for name in found if name.endswith(".npz"))
+        super().__init__(path, keys)
+
+    def record(self, index: int, wanted: Collection[str] | None = None) -> Record:
+        """Read the members that are wanted."""
+        path = self.path / f"{self.keys[index]}.npz"
+        with whole(path, "NPZ"), zipfile.ZipFile(path) as archive:
+
+            def content(member: str, most: int) -> bytes:
+                size = archive.getinfo(member).file_size  # no more is unpacked than that
+                if size > most:
+                    raise ValueError(f"{size} bytes in {member}")
+                return archive.read(member)
+
+            meta = parsed_meta(path, content("meta.json", LARGEST_META))
+            arrays = {}
+            for member in archive.namelist():
+                name = member.removesuffix(".npy")
+                if name != member and is_wanted(name, wanted):
+                    about = described(path, meta, name)
+                    dtype, shape = about["dtype"], about["shape"]
+                    arrays[name] = npy_array(content(member, npy_size(dtype, shape)), dtype, shape)
+        return Record(self.keys[index], arrays, meta)

@@ -1,0 +1,293 @@
+"""What a data set holds: one part of the manifest for each shard, and all of them together.
+
+A part is a file of JSON lines: the first one describes the shard and its files, then there is a line for each sample
+in it, and at last a line for each sample that failed. It is a function of the set and the number of the shard alone.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from clsco.data.storage import Storage, checked_key
+from clsco.errors import ImageError
+
+PARTS, MERGED, FAILED, LOG = "manifest", "manifest.jsonl", "failed.jsonl", "log"
+CONFLICT = "conflict"  # folder of shards that were made otherwise before
+UNSPLIT = "data"  # folder of the shards of a set without splits
+AT_ONCE = 16  # parts that are read at the same time
+
+
+@dataclass(frozen=True)
+class Identity:
+    """All that decides the bytes of a set besides the number of its samples.
+
+    Attributes
+    ----------
+    distribution : str
+        Digest of the distribution.
+    seed : int
+    first : int
+        Number of the first sample.
+    shard_size : int
+    format : str
+    arrays : tuple of str
+        As they are called in files.
+    precision : str
+        Of the geometry: "double" or "single".
+    splits : tuple of (str, float)
+    version : str
+        Of clsco.
+    device_family : str
+    types : tuple of (str, str)
+        Of arrays that are not stored as by default, as `parse_stored` gives them.
+    """
+
+    distribution: str
+    seed: int
+    first: int
+    shard_size: int
+    format: str
+    arrays: tuple[str, ...]
+    precision: str
+    splits: tuple[tuple[str, float], ...]
+    version: str
+    device_family: str
+    types: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all of it."""
+        return hashlib.sha256(line(self.record()).encode()).hexdigest()
+
+    def record(self) -> dict[str, Any]:
+        """As JSON holds it."""
+        found: dict[str, Any] = json.loads(json.dumps(asdict(self)))
+        return found
+
+    def differences(self, record: Mapping[str, Any]) -> list[str]:
+        """What of the record of another is not as here: "seed must be 1, as in the set; got 2"."""
+        return [
+            f"{name.replace('_', ' ')} must be {_shown(value)}, as in the set; got {_shown(record.get(name))}"
+            for name, value in self.record().items()
+            if record.get(name) != value
+        ]
+
+
+@dataclass(frozen=True)
+class Part:
+    """The part of the manifest of a shard.
+
+    Attributes
+    ----------
+    shard : int
+    identity : str
+        Digest of that of its set.
+    first, count : int
+        Numbers of its samples.
+    made, failed : int
+        How many of them are in its files, and how many are not.
+    files : mapping
+        Key to its bytes and SHA-256.
+    rows : str
+        SHA-256 of the lines that follow.
+    """
+
+    shard: int
+    identity: str
+    first: int
+    count: int
+    made: int
+    failed: int
+    files: Mapping[str, tuple[int, str]]
+    rows: str
+
+    @property
+    def numbers(self) -> range:
+        """Of its samples."""
+        return range(self.first, self.first + self.count)
+
+
+def line(value: Mapping[str, Any]) -> str:
+    """A line of JSON, always the same for the same value."""
+    return json.dumps(value, separators=(",", ":"), allow_nan=False)
+
+
+def part_key(shard: int) -> str:
+    """Where the part of a shard is."""
+    return f"{PARTS}/{shard:06d}.jsonl"
+
+
+def part_bytes(
+    shard: int, identity: str, numbers: range, files: Mapping[str, tuple[int, str]],
+    rows: Sequence[Mapping[str, Any]], failures: Sequence[Mapping[str, Any]],
+) -> bytes:  # fmt: skip
+    """The content of a part."""
+    body = "".join(f"{line(row)}\n" for row in (*rows, *failures)).encode()
+    head = Part(
+        shard, identity, numbers.start, len(numbers), len(rows), len(failures), files, hashlib.sha256(body).hexdigest()
+    )
+    return f"{line(asdict(head))}\n".encode() + body
+
+
+def parsed_part(data: bytes) -> Part:
+    """The description of a shard from the first line of its part. Raises ImageError where it is none."""
+    try:
+        found = json.loads(data.partition(b"\n")[0])
+        files = {checked_key(str(key)): (int(size), str(digest)) for key, (size, digest) in found.pop("files").items()}
+        numbers = {name: int(found.pop(name)) for name in ("shard", "first", "count", "made", "failed")}
+        part = Part(**numbers, files=files, identity=str(found.pop("identity")), rows=str(found.pop("rows")))
+        counts_agree = min(numbers.values()) >= 0 and part.made + part.failed == part.count
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise ImageError(f"manifest: a part must begin with a line about its shard; got {error!r}") from None
+    if found or not counts_agree:
+        raise ImageError(f"manifest: samples made and failed must add up; got {part.made} + {part.failed}")
+    return part
+
+
+def rows_of(data: bytes) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """The samples and the failures of a part. Raises ImageError where they are not as its first line says."""
+    part = parsed_part(data)
+    require_rows(part, data)
+    found = [json.loads(text) for text in data.splitlines()[1:]]
+    return found[: part.made], found[part.made :]
+
+
+def require_rows(part: Part, data: bytes) -> None:
+    """Raise ImageError where the lines of a part are not those that its first line describes."""
+    if hashlib.sha256(data.partition(b"\n")[2]).hexdigest() != part.rows:
+        raise ImageError(f"{part_key(part.shard)}: lines must have the SHA-256 that the first one names; got another")
+
+
+def shard_numbers(samples: range, size: int) -> range:
+    """Numbers of the shards of a set."""
+    return range(samples.start // size, -(-samples.stop // size))
+
+
+def numbers_of(shard: int, samples: range, size: int) -> range:
+    """Numbers of the samples of a shard."""
+    return range(max(samples.start, shard * size), min(samples.stop, (shard + 1) * size))
+
+
+class Parts:
+    """The parts of a set in a storage, and which of its shards are done.
+
+    Parameters
+    ----------
+    storage : Storage
+    """
+
+    def __init__(self, storage: Storage) -> None:
+        self.storage = storage
+        self.keys = sorted(key for key in storage.sizes(PARTS) if key.endswith(".jsonl"))
+
+    def read(self, wanted: Iterable[str] | None = None) -> Iterator[tuple[str, bytes]]:
+        """Content of parts, in order; several are read at a time."""
+        keys = self.keys if wanted is None else list(wanted)
+        with ThreadPoolExecutor(AT_ONCE) as threads:
+            for start in range(0, len(keys), 8 * AT_ONCE):  # not all of them in memory
+                chunk = keys[start : start + 8 * AT_ONCE]
+                for key, data in zip(chunk, threads.map(self.storage.read, chunk), strict=True):
+                    if data is not None:
+                        yield key, data
+
+    def done(
+        self, identity: str, samples: range, size: int, shards: Iterable[int], hashes: bool, faults: list[str]
+    ) -> dict[int, Part]:
+        """Shards whose part is there, of this set, with all of their samples, and whose files are whole.
+
+        Parameters
+        ----------
+        identity : str
+            Digest of that of the set.
+        samples : range
+            Of the set.
+        size : int
+            Samples of a shard.
+        shards : iterable of int
+            Those that are looked at.
+        hashes : bool
+            Whether files must have the SHA-256 that their part names; else their sizes are compared.
+        faults : list of str
+            A line is added for each part that is there, but whose shard is not whole.
+
+        Returns
+        -------
+        dict
+            Number to part.
+        """
+        there, found = set(self.keys), dict[int, Part]()
+        keys = {part_key(shard): shard for shard in shards}
+        sizes = None if hashes else self._all_sizes()
+        for key, data in self.read(key for key in keys if key in there):
+            wanted = numbers_of(keys[key], samples, size)
+            try:
+                part = parsed_part(data)
+                fault = self._fault(part, data, sizes, hashes)
+            except ImageError as error:
+                faults.append(f"{key}: {str(error).partition(': ')[2]}")
+                continue
+            if part.shard != keys[key] or part.identity != identity:
+                faults.append(f"{key}: must be of shard {keys[key]} of this set; got another one's")
+            elif part.numbers != wanted:
+                rule = f"must have the samples {wanted.start} to {wanted.stop - 1}"
+                faults.append(f"{key}: {rule}; got {part.first} to {part.numbers.stop - 1}")
+            elif fault:
+                faults.append(fault)
+            else:
+                found[keys[key]] = part
+        return found
+
+    def _fault(self, part: Part, data: bytes, sizes: Mapping[str, int] | None, hashes: bool) -> str:
+        """What is wrong with the files of a part, "" for nothing."""
+        if hashes:
+            require_rows(part, data)
+        for name, (size, digest) in part.files.items():
+            got = self.storage.digest(name) if sizes is None else sizes.get(name)
+            if got is None:
+                return f"{name}: must be there, as {part_key(part.shard)} names it; got no such file"
+            if got != (digest if sizes is None else size):
+                what = "SHA-256" if sizes is None else "size"
+                return f"{name}: must have the {what} that {part_key(part.shard)} names; got another"
+        return ""
+
+    def _all_sizes(self) -> dict[str, int]:
+        folders = {name.partition("/")[0] for _, data in self.read() for name in _files_of(data)}
+        return {key: size for folder in sorted(folders) for key, size in self.storage.sizes(folder).items()}
+
+    def merged(self) -> tuple[Path, Path]:
+        """Files in the scratch folder with the lines of all samples, and of those that failed."""
+        folder = self.storage.scratch()
+        merged, failed = folder / MERGED, folder / FAILED
+        with open(merged, "wb") as rows, open(failed, "wb") as failures:
+            for _, data in self.read():
+                part, (_, _, body) = parsed_part(data), data.partition(b"\n")
+                if not part.failed:
+                    rows.write(body)
+                    continue
+                lines = body.splitlines(keepends=True)
+                rows.writelines(lines[: part.made])
+                failures.writelines(lines[part.made :])
+        return merged, failed
+
+    def merge(self) -> None:
+        """Write `manifest.jsonl` and `failed.jsonl`."""
+        for key, path in zip((MERGED, FAILED), self.merged(), strict=True):
+            self.storage.put(key, path)
+
+
+def _files_of(data: bytes) -> Sequence[str]:
+    try:
+        return tuple(parsed_part(data).files)
+    except ImageError:
+        return ()
+
+
+def _shown(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value)
+    return text if len(text) <= 64 else f"{text[:61]}..."

@@ -1,0 +1,254 @@
+"""Processes of one machine that make the shards of a set, each on one device."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, MutableMapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
+from types import FrameType
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from clsco.data.schedule import RETRIES, Schedule, Task
+from clsco.data.storage import open_storage
+from clsco.data.worker import DeviceName, run_worker
+from clsco.errors import ClscoError, DeviceError
+
+if TYPE_CHECKING:
+    from clsco.data.shards import Job
+
+RECYCLED_SHARDS = 32  # after so many a process is replaced: what leaks in drivers goes with it
+END_S = 20.0  # until a process that was asked to end is killed
+THREADS = "POCL_MAX_PTHREAD_COUNT"
+"""What the wheel of PoCL 3.0 reads; later ones read the other name."""
+_THREAD_VARIABLES = (THREADS, "POCL_CPU_MAX_CU_COUNT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a process works: its device, and how many threads it takes on a processor, 0 where that is left open."""
+
+    device: DeviceName
+    threads: int = 0
+
+
+Advance = Callable[[int], object]
+"""Takes the number of samples that are done since the last call."""
+
+
+@dataclass
+class _Worker:
+    process: SpawnProcess
+    pipe: Connection
+    place: Place
+    is_ready: bool = False
+    is_leaving: bool = False
+    task: Task | None = None
+    shards: int = 0
+
+
+def processors() -> int:
+    """Processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def places(devices: Sequence[tuple[DeviceName, bool]], workers: int | None) -> list[Place]:
+    """Where processes work: one for each graphics card, on a processor one for each of its cores.
+
+    Parameters
+    ----------
+    devices : sequence of (str or int or None, bool)
+        Each with whether it is a processor.
+    workers : int, optional
+        Processes in all, which take the devices in turn.
+
+    Returns
+    -------
+    list of Place
+    """
+    cores = processors()
+    if workers is None:
+        counts = [cores if is_cpu else 1 for _, is_cpu in devices]
+    else:
+        counts = [len(range(k, workers, len(devices))) for k in range(len(devices))]
+    return [
+        Place(device, max(1, cores // count) if is_cpu else 0)
+        for (device, is_cpu), count in zip(devices, counts, strict=True)
+        for _ in range(count)
+    ]
+
+
+def run_pool(job: Job, shards: Sequence[int], where: Sequence[Place], advance: Advance, memory: int) -> None:
+    """Make shards in processes.
+
+    Parameters
+    ----------
+    job : Job
+    shards : sequence of int
+    where : sequence of Place
+        One for each process.
+    advance : callable
+        Takes numbers of samples that are done since the last call.
+    memory : int
+        Bytes beyond which a process is replaced after its shard.
+
+    Raises
+    ------
+    ClscoError
+        No process starts, a device is of another family, the storage fails, or a shard cannot be made.
+    """
+    _Pool(job, shards, where, advance, memory).run()
+
+
+class _Pool:
+    def __init__(self, job: Job, shards: Sequence[int], where: Sequence[Place], advance: Advance, memory: int) -> None:
+        self.job, self.advance, self.memory = job, advance, memory
+        self.schedule = Schedule((shard, job.numbers(shard)) for shard in shards)
+        self.where = list(where[: max(1, len(shards))])
+        self.workers: list[_Worker] = []
+        self.seen: dict[int, int] = {}
+        self.stillborn = 0
+
+    def run(self) -> None:
+        with stoppable():
+            try:
+                self.workers = [self._start(place) for place in self.where]
+                while not self.schedule.is_over:
+                    self._step()
+            finally:
+                self._end()
+
+    def _start(self, place: Place) -> _Worker:
+        own, other = multiprocessing.get_context("spawn").Pipe()
+        overlapped = not place.threads
+        process = multiprocessing.get_context("spawn").Process(
+            target=run_worker, args=(other, self.job, place.device, overlapped), daemon=True
+        )
+        with _threads(place.threads):
+            process.start()
+        other.close()
+        return _Worker(process, own, place)
+
+    def _step(self) -> None:
+        """Give tasks to those that wait, and hear what any of them says."""
+        for worker in self.workers:
+            if worker.is_ready and worker.task is None and not worker.is_leaving and self.schedule.waiting:
+                worker.task = self.schedule.waiting.popleft()
+                with suppress(OSError):  # it has died, which is heard next
+                    worker.pipe.send(worker.task)
+        heard = wait([worker.pipe for worker in self.workers])
+        for worker in [worker for worker in self.workers if worker.pipe in heard]:
+            try:
+                self._hear(worker, worker.pipe.recv())
+            except (EOFError, OSError):
+                self._buried(worker)
+
+    def _hear(self, worker: _Worker, message: tuple[Any, ...]) -> None:
+        kind, *content = message
+        if kind == "fatal":
+            raise ClscoError(content[0])
+        if kind == "ready":
+            worker.is_ready, self.stillborn = True, 0
+            wanted = self.job.identity.device_family
+            if content[0] != wanted:
+                raise DeviceError(f"device: all of a set must be of the family {wanted}; got {content[0]}")
+        elif kind == "progress":
+            self._count(*content)
+        else:
+            task, worker.task = worker.task, None
+            assert task is not None
+            if kind == "failed":
+                self.schedule.died(task, content[0])
+                return
+            self.schedule.done(task)
+            if task.tried is None:
+                self._count(task.shard, len(self.job.numbers(task.shard)))
+            worker.shards += 1
+            if worker.shards >= RECYCLED_SHARDS or content[2] > self.memory:
+                worker.is_leaving = True
+                worker.pipe.send(None)
+
+    def _count(self, shard: int, done: int) -> None:
+        before = self.seen.get(shard, 0)
+        if done > before:
+            self.seen[shard] = done
+            self.advance(done - before)
+
+    def _buried(self, worker: _Worker) -> None:
+        """After the end of a process: its task is done again, and another process takes its place."""
+        worker.process.join()
+        worker.pipe.close()
+        self.workers.remove(worker)
+        open_storage(self.job.where).tidy()
+        if worker.task is not None:
+            self.schedule.died(worker.task)
+        elif not worker.is_ready:
+            self.stillborn += 1
+            if self.stillborn >= RETRIES * len(self.where):
+                got = f"exit status {worker.process.exitcode}"
+                raise ClscoError(f"worker: a process must start and find its device; got {got}")
+        if not self.schedule.is_over:
+            self.workers.append(self._start(worker.place))
+
+    def _end(self) -> None:
+        """Have all processes end, by force where they do not."""
+        for worker in self.workers:
+            if self.schedule.is_over:
+                with suppress(OSError):
+                    worker.pipe.send(None)
+            else:
+                worker.process.terminate()
+        forced = False
+        for worker in self.workers:
+            worker.process.join(END_S)
+            if worker.process.is_alive():
+                worker.process.kill()
+                worker.process.join()
+            forced |= worker.process.exitcode not in (0, None)
+            worker.pipe.close()
+        if forced:
+            with suppress(ClscoError):
+                open_storage(self.job.where).tidy()
+
+
+@contextmanager
+def stoppable() -> Iterator[None]:
+    """Have SIGTERM end the block as Ctrl-C does, and what follows it."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(number: int, _: FrameType | None) -> NoReturn:
+        raise SystemExit(128 + number)
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def limit_threads(count: int, environ: MutableMapping[str, str]) -> None:
+    """Have what is loaded from now on, or processes with this environment, take so many threads on a processor."""
+    for name in _THREAD_VARIABLES:
+        environ.setdefault(name, str(count))
+
+
+@contextmanager
+def _threads(count: int) -> Iterator[None]:
+    """Have a process that is started in the block take so many threads on a processor; 0: what it likes."""
+    before = dict(os.environ)
+    if count:
+        limit_threads(count, os.environ)
+    try:
+        yield
+    finally:
+        for name in os.environ.keys() - before.keys():
+            del os.environ[name]

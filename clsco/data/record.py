@@ -1,0 +1,248 @@
+"""One sample of a data set: its arrays by name, and what describes them."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco import __version__
+from clsco.errors import ImageError, SceneError
+from clsco.files.transfer import decode, encode
+from clsco.frame.frame import FILE_NAMES, Frame
+
+if TYPE_CHECKING:
+    from clsco.data.distribution import Sample
+
+# What an array holds, by its name in files: unit and convention.
+ABOUT = {
+    "color": ("1 = white", "radiance, blurred by defocus and motion; linear, or codes of the transfer curve"),
+    "sharp": ("1 = white", "radiance, all in focus; linear, or codes of the transfer curve"),
+    "depth": ("mm", "planar Z at the pixel center, +inf where nothing is"),
+    "coc": ("px", "signed radius of the blur, positive behind the focal surface"),
+    "mask": ("", "True where a surface is"),
+    "filled": ("", "0 known, 1 filled, 2 could not be filled"),
+    "missing": ("", "True where the forward warp left the pixel missing in a time sample"),
+    "object_id": ("", "position in the scene's objects, -1 none"),
+    "normal": ("", "unit vector in the camera frame, x right, y up, z into the scene"),
+    "flow": ("px", "x right, y down, to the next frame"),
+    "hidden": ("", "True where the point is hidden in the reference pose"),
+    "flow_backward": ("px", "x right, y down, to the frame before"),
+    "flow_occluded": ("", "True where the point is not visible in the next frame"),
+    "uv": ("images", "place in the image of the texture, right and up from the lower left corner"),
+    "disparity": ("px", "column in the left view less column in the right one, 0 where nothing is"),
+    "occluded": ("", "True where the point is not visible in the other view"),
+    "alpha": ("", "share of the light that comes from surfaces"),
+    "subframes": ("1 = white", "linear radiance of each time sample"),
+}
+CODES = {"uint8": 8, "uint16": 16}
+PICTURES = ("color", "sharp")  # what codes can hold
+# Of a frame's metadata what depends on its scene alone, not on memory, devices or clocks.
+_OF_FRAMES = ("frame", "samples", "intermediate", "bits", "precision", "blur_method", "approximation")
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One sample.
+
+    Attributes
+    ----------
+    key : str
+        Its number in nine digits.
+    arrays : mapping of str to ndarray
+        By name in files, such as "color" or "coc". Of several frames "f0003.depth", of a stereo pair "left.color", of
+        several variants "v01.color", of all three "v01.f0003.left.color". Images are codes, uint8 or uint16, or linear
+        floats.
+    meta : mapping
+        What JSON holds: number, seed, split, attempts, version, parameters, scene, labels; `arrays`, by name dtype,
+        shape, unit, convention, of codes the transfer curve and the share of values that were `clipped`; and `frames`.
+    """
+
+    key: str
+    arrays: Mapping[str, NDArray[Any]]
+    meta: Mapping[str, Any]
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self.arrays[name]
+
+    def radiance(self, name: str = "color") -> NDArray[np.float32]:
+        """Linear radiance of an image, 1 = white, whether it is stored as codes or as floats.
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        ndarray of float32, (rows, columns[, 3])
+        """
+        return decode(self.arrays[name], self.meta["arrays"][name].get("transfer", "linear")).astype(np.float32)
+
+    def sha256(self) -> dict[str, str]:
+        """SHA-256 of each array's dtype, shape and bytes, whatever holds it."""
+        return {name: array_sha256(array) for name, array in self.arrays.items()}
+
+
+def array_sha256(array: NDArray[Any]) -> str:
+    """SHA-256 in hexadecimal of dtype, shape and bytes, in C order and little endian.
+
+    Parameters
+    ----------
+    array : ndarray of numbers or bool, any shape
+
+    Returns
+    -------
+    str
+    """
+    plain = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
+    digest = hashlib.sha256(f"{array.dtype.name} {','.join(map(str, array.shape))}\n".encode())
+    digest.update(plain.data.cast("B"))
+    return digest.hexdigest()
+
+
+def is_wanted(name: str, wanted: Collection[str] | None) -> bool:
+    """Whether an array is one of those wanted, by its whole name or by what it holds: "left.color" is a "color"."""
+    return wanted is None or name in wanted or name.rpartition(".")[2] in wanted
+
+
+def parse_stored(text: str) -> dict[str, str]:
+    """Types in which arrays are stored, by name.
+
+    Parameters
+    ----------
+    text : str
+        Such as "color=float32,depth=float16". Images can be codes, uint8 or uint16 (default), or linear floats; what
+        else is in floats can be float32 (default) or float16.
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    SceneError
+        Anything else; one message for each.
+    """
+    found: dict[str, str] = {}
+    faults = []
+    for part in text.split(",") if text else ():
+        name, _, dtype = part.partition("=")
+        known = ("float32", "float16", *(CODES if name in PICTURES else ()))
+        if name not in ABOUT:
+            faults.append(f"types: must name arrays, some of {', '.join(ABOUT)}; got {part}")
+        elif dtype not in known:
+            faults.append(f"types: {name} must be one of {', '.join(known)}; got {part}")
+        elif name in found:
+            faults.append(f"types: must name each array once; got {name} twice")
+        else:
+            found[name] = dtype
+    if faults:
+        raise SceneError(faults)
+    return found
+
+
+def make_record(
+    sample: Sample,
+    seed: int,
+    frames: Sequence[Sequence[Frame]],
+    wanted: Collection[str],
+    stored: Mapping[str, str] | None = None,
+) -> Record:
+    """Make the record of a sample from its frames.
+
+    Parameters
+    ----------
+    sample : Sample
+    seed : int
+        Of the data set.
+    frames : sequence of sequence of Frame
+        Of each variant all frames in their order, of a stereo pair left and right after each other.
+    wanted : collection of str
+        Names in files. What a frame does not have is left out, such as `uv` where no texture lies on a surface.
+    stored : mapping, optional
+        Types as `parse_stored` gives them.
+
+    Returns
+    -------
+    Record
+
+    Raises
+    ------
+    ImageError
+        A value does not fit: radiance that is not finite; floats beyond float16.
+
+    Notes
+    -----
+    Codes end at white as those of a sensor do, and at black, below which interpolated textures may go at an edge. Both
+    are no error, but what share of an array was clipped is in `meta["arrays"][name]["clipped"]`; float32 keeps all.
+    """
+    types = dict.fromkeys(PICTURES, "uint16") | dict(stored or {})
+    arrays: dict[str, NDArray[Any]] = {}
+    about: dict[str, dict[str, Any]] = {}
+    described = []
+    several = len({frame.index for views in frames for frame in views}) > 1
+    attributes = [(attribute, name) for attribute, name in FILE_NAMES.items() if name in wanted]
+    for variant, (views, scene) in enumerate(zip(frames, sample.scenes, strict=True)):
+        stereo = len({frame.eye for frame in views}) > 1
+        for frame in views:
+            parts = [f"v{variant:02d}"] if len(frames) > 1 else []
+            parts += [f"f{frame.index:04d}"] if several else []
+            parts += [frame.eye] if stereo else []
+            for attribute, name in attributes:
+                array = getattr(frame, attribute)
+                if array is None:
+                    continue
+                whole = ".".join([*parts, name])
+                where = f"sample {sample.number}: {whole}"
+                arrays[whole], about[whole] = _stored(where, name, array, types.get(name), scene.image.transfer)
+            known = {name: frame.metadata[name] for name in _OF_FRAMES if name in frame.metadata}
+            described.append({"prefix": "".join(f"{part}." for part in parts), "eye": frame.eye, **known})
+    meta = {
+        "number": sample.number,
+        "seed": seed,
+        "split": sample.split,
+        "attempts": sample.attempts,
+        "version": __version__,
+        "parameters": sample.parameters,
+        "labels": list(sample.labels),
+        "scene": sample.table,
+        "arrays": about,
+        "frames": described,
+    }
+    return Record(f"{sample.number:09d}", arrays, meta)
+
+
+def _stored(
+    where: str, name: str, array: NDArray[Any], dtype: str | None, transfer: str
+) -> tuple[NDArray[Any], dict[str, Any]]:
+    """An array in the type that it is stored in, and what describes it."""
+    unit, convention = ABOUT[name]
+    more: dict[str, Any] = {}
+    if dtype in CODES:
+        bits = CODES[dtype]
+        half = 0.5 / (2**bits - 1)  # what rounds to white or black is not clipped
+        _refuse(where, array, ~np.isfinite(array), "radiance must be a finite number")
+        # Below black: where the cubic between texels, and what sharpens it, goes below them at an edge.
+        beyond = np.count_nonzero((array > 1 + half) | (array < -half))
+        more = {"transfer": transfer, "clipped": float(beyond / array.size)}
+        array = encode(array, bits, transfer)
+    elif dtype == "float16" and array.dtype.kind == "f":
+        with np.errstate(over="ignore"):  # what becomes infinite is refused next
+            half_precision = array.astype(np.float16)
+        beyond = np.isinf(half_precision) & np.isfinite(array)
+        _refuse(where, array, beyond, "sizes must be at most 65504 in float16")
+        array = half_precision
+    about = {"dtype": array.dtype.name, "shape": list(array.shape), "unit": unit, "convention": convention}
+    return np.ascontiguousarray(array), about | more
+
+
+def _refuse(where: str, array: NDArray[Any], wrong: NDArray[np.bool_], rule: str) -> None:
+    """Raise ImageError where values are wrong, with the first of them."""
+    if wrong.any():
+        first = tuple(int(index) for index in np.unravel_index(int(wrong.argmax()), wrong.shape))
+        place = f"row {first[0]}, column {first[1]} ({int(wrong.sum())} in all)"
+        raise ImageError(f"{where}: {rule}; got {array[first]:.6g} at {place}")

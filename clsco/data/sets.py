@@ -1,0 +1,204 @@
+"""Data sets in a folder or a store: begun, gone on with, looked at, and ended."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from clsco.data.card import CARD, write_card
+from clsco.data.manifest import LOG, Identity, Part, Parts, numbers_of, part_key, rows_of, shard_numbers
+from clsco.data.storage import Storage
+from clsco.errors import ImageError, SceneError
+
+MOST_SHARDS = 10**6
+LATEST = 64  # shards from whose times the rate is taken
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """A set in a storage.
+
+    Attributes
+    ----------
+    storage : Storage
+    identity : Identity
+    samples : range
+    """
+
+    storage: Storage
+    identity: Identity
+    samples: range
+
+    @property
+    def shards(self) -> range:
+        """Numbers of all shards."""
+        return shard_numbers(self.samples, self.identity.shard_size)
+
+    def numbers(self, shard: int) -> range:
+        """Of the samples of a shard."""
+        return numbers_of(shard, self.samples, self.identity.shard_size)
+
+    def done(self, shards: Iterable[int], hashes: bool, faults: list[str]) -> dict[int, Part]:
+        """`Parts.done` of this set."""
+        identity = self.identity
+        return Parts(self.storage).done(identity.digest, self.samples, identity.shard_size, shards, hashes, faults)
+
+    def lines(self, shard: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+        """What the manifest says of the samples of a shard, and of those that failed; nothing without a part."""
+        data = self.storage.read(part_key(shard))
+        return ([], []) if data is None else rows_of(data)
+
+    def write(self, about: Mapping[str, Any]) -> None:
+        """Write the card, which is there before any shard. about: what else it says."""
+        card = {"identity": self.identity.record(), "samples": [self.samples.start, self.samples.stop], **about}
+        self.storage.write(CARD, f"{json.dumps(card, indent=2, allow_nan=False)}\n".encode())
+
+
+def open_set(storage: Storage) -> DataSet:
+    """The set in a storage. Raises ImageError where there is none, or its card is damaged."""
+    data = storage.read(CARD)
+    if data is None:
+        raise ImageError(f"{storage.where}: must hold a data set that clsco batch made; got no {CARD}")
+    try:
+        card = json.loads(data)
+        about = dict(card["identity"])
+        about["arrays"] = tuple(map(str, about["arrays"]))
+        about["splits"] = tuple((str(name), float(share)) for name, share in about["splits"])
+        about["types"] = tuple((str(name), str(kind)) for name, kind in about["types"])
+        samples, identity = range(*(int(number) for number in card["samples"])), Identity(**about)
+        if not samples or samples.start < 0 or len(shard_numbers(samples, identity.shard_size)) > MOST_SHARDS:
+            raise ValueError(f"samples are {samples}")
+    except (ValueError, TypeError, KeyError, ArithmeticError, RecursionError) as error:
+        raise ImageError(f"{storage.where}/{CARD}: must describe a data set; got {error!r}") from None
+    return DataSet(storage, identity, samples)
+
+
+def known_license(storage: Storage) -> str:
+    """What the card of a set says of its license, "" where there is none."""
+    try:
+        return str(json.loads(storage.read(CARD) or b"{}").get("license", ""))
+    except (ValueError, AttributeError, RecursionError):
+        return ""
+
+
+def begun(wanted: DataSet, goes_on: bool) -> bool:
+    """Whether a set is in the storage that may be gone on with.
+
+    Parameters
+    ----------
+    wanted : DataSet
+    goes_on : bool
+        Whether it should be.
+
+    Raises
+    ------
+    SceneError
+        The set there is another one, has samples that are not wanted, or is not to be gone on with; or the folder has
+        other files.
+    """
+    storage, where = wanted.storage, wanted.storage.where
+    if storage.read(CARD) is None:
+        if storage.has_others():
+            raise SceneError(f"{where}: must be an empty folder, or hold a data set; got other files")
+        return False
+    there = open_set(storage)
+    if not goes_on:
+        raise SceneError(f"{where}: holds a data set already, which --resume goes on with; got no --resume")
+    faults = there.identity.differences(wanted.identity.record())
+    if there.samples.stop > wanted.samples.stop:
+        faults.append(f"count must be at least {there.samples.stop}, as in the set; got {wanted.samples.stop}")
+    if faults:
+        raise SceneError([f"{where}: {fault}" for fault in faults])
+    return True
+
+
+@dataclass(frozen=True)
+class Status:
+    """How far a set has come.
+
+    Attributes
+    ----------
+    shards, samples : int
+        Of the whole set.
+    done : mapping
+        Parts of the shards that are whole, by number.
+    faults : tuple of str
+        A line for each part whose shard is not.
+    rate : float or None
+        Samples per second over the latest shards, of all processes together; None where it is not known.
+    """
+
+    shards: int
+    samples: int
+    done: Mapping[int, Part]
+    faults: tuple[str, ...]
+    rate: float | None
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all shards are done."""
+        return len(self.done) == self.shards
+
+    @property
+    def made(self) -> int:
+        """Samples that are in files."""
+        return sum(part.made for part in self.done.values())
+
+    @property
+    def failed(self) -> int:
+        """Samples that failed."""
+        return sum(part.failed for part in self.done.values())
+
+    @property
+    def bytes(self) -> int:
+        """Of all files of shards."""
+        return sum(size for part in self.done.values() for size, _ in part.files.values())
+
+    @property
+    def seconds_left(self) -> float | None:
+        """Until the set is whole, at the rate that it has."""
+        return None if not self.rate else (self.samples - self.made - self.failed) / self.rate
+
+
+def status_of(there: DataSet, hashes: bool = False) -> Status:
+    """How far a set has come, by the parts of its manifest and the sizes of its files, or their hashes."""
+    faults: list[str] = []
+    done = there.done(there.shards, hashes, faults)
+    return Status(len(there.shards), len(there.samples), done, tuple(faults), _rate(there, done))
+
+
+def finish(there: DataSet, status: Status) -> None:
+    """Put the manifest of a whole set together, and complete its card."""
+    if status.is_whole:
+        Parts(there.storage).merge()
+        write_card(there.storage, there.identity)
+        there.storage.close()
+
+
+def _rate(there: DataSet, done: Iterable[int]) -> float | None:
+    """From the log, which counts for nothing else."""
+    found = []
+    for shard in sorted(done)[-LATEST:]:
+        data = there.storage.read(f"{LOG}/{shard:06d}.jsonl")
+        try:
+            known = json.loads(data or b"")
+            found.append((float(known["began"]), float(known["ended"]), int(known["samples"])))
+        except (ValueError, KeyError, TypeError):
+            continue
+    if not found:
+        return None
+    spent = max(end for _, end, _ in found) - min(begin for begin, _, _ in found)
+    return sum(count for _, _, count in found) / max(1e-3, spent)
+
+
+def ranges(numbers: Iterable[int]) -> str:
+    """Numbers as people write them: 3, 7-9."""
+    found: list[list[int]] = []
+    for number in sorted(numbers):
+        if found and number == found[-1][1] + 1:
+            found[-1][1] = number
+        else:
+            found.append([number, number])
+    return ", ".join(f"{first}" if first == last else f"{first}-{last}" for first, last in found)

@@ -1,0 +1,347 @@
+"""One shard of a data set: its samples drawn, rendered and written, and the part of the manifest that describes it."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import shutil
+import time
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.data.ahead import ahead
+from clsco.data.containers import Container, container_named
+from clsco.data.distribution import Distribution, Sample
+from clsco.data.manifest import CONFLICT, LOG, UNSPLIT, Identity, line, numbers_of, parsed_part, part_bytes, part_key
+from clsco.data.record import Record, make_record
+from clsco.data.storage import Storage
+from clsco.engine.sequence import render_prepared
+from clsco.errors import ImageError, KernelError, SceneError
+from clsco.frame.frame import Frame
+from clsco.frame.truth_files import ATTRIBUTES
+from clsco.inputs.files import InputFiles
+from clsco.opencl.device import Device
+from clsco.opencl.session import session_on
+from clsco.plan.predict import without_lens
+from clsco.plan.prepare import prepare_sweep
+from clsco.plan.request import Request
+from clsco.scene.model import Scene
+from clsco.scene.sweep import Sweep
+
+KEPT_BYTES = 2**28  # on the device, and as many on the host
+MEASURED = ("depth", "coc", "flow")
+MOST_MEASURED = 4096  # pixels of an array of which quantiles are taken
+QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
+
+
+@dataclass(frozen=True)
+class Job:
+    """A set that is to be made; it travels to worker processes.
+
+    Attributes
+    ----------
+    distribution : Distribution
+    identity : Identity
+    samples : range
+        Numbers of all samples of the set.
+    where : str
+        Folder or address of the set.
+    """
+
+    distribution: Distribution
+    identity: Identity
+    samples: range
+    where: str
+
+    def numbers(self, shard: int) -> range:
+        """Of the samples of a shard."""
+        return numbers_of(shard, self.samples, self.identity.shard_size)
+
+
+@dataclass(frozen=True)
+class Made:
+    """Files of a shard in the scratch folder, with the content of its part."""
+
+    shard: int
+    files: Mapping[str, Path]
+    part: bytes
+    samples: int
+    failed: int
+    began: float
+    seconds: Mapping[str, float] = field(default_factory=dict)
+
+
+def device_family(device: Device) -> str:
+    """What devices that give the same bits have in common.
+
+    Of processors the driver and the width of its vectors, not the name; of others the name as well.
+    """
+    if device.kind == "cpu":
+        return f"cpu, {device.platform} {device.driver}, vectors of {device.vector_width} floats"
+    return f"{device.kind}, {device.platform}, {device.name}, {device.driver}"
+
+
+class Renderer:
+    """Renders samples one after the other on one device; what several of them need is kept.
+
+    Parameters
+    ----------
+    device : Device
+    arrays : tuple of str
+        Arrays besides color, as they are called in files.
+    precision : str
+        Of the geometry.
+    """
+
+    def __init__(self, device: Device, arrays: tuple[str, ...], precision: str) -> None:
+        self.device = device
+        self.session = session_on(device).beside(KEPT_BYTES)
+        self.files = InputFiles(KEPT_BYTES)
+        truth = tuple(ATTRIBUTES[name] for name in arrays if name != "color")
+        self.request = Request(truth, precision=precision)
+        self._before: Scene | None = None
+
+    def render(self, sample: Sample) -> list[list[Frame]]:
+        """Frames of each variant of a sample, of a stereo pair the left and the right one after each other.
+
+        Raises as `clsco.render`.
+        """
+        sweep = Sweep(sample.labels, sample.scenes)
+        prepared = prepare_sweep(sweep, self.request, self.device, self.files)
+        bare = without_lens(sample.scenes[0])
+        keeps, self._before = bare == self._before, bare  # rays, where samples differ in the lens alone
+        found: list[list[Frame]] = [[] for _ in sample.labels]
+        for variant, frame in render_prepared(self.session, prepared, keeps_rays=keeps):
+            found[variant].append(frame)
+        return found
+
+
+class ShardMaker:
+    """Makes shards of a set, one after the other, on one device.
+
+    Parameters
+    ----------
+    job : Job
+    storage : Storage
+    device : Device
+    overlapped : bool
+        Samples are encoded while the next ones are rendered, in another thread.
+    """
+
+    def __init__(self, job: Job, storage: Storage, device: Device, overlapped: bool) -> None:
+        self.job, self.storage, self.overlapped = job, storage, overlapped
+        identity = job.identity
+        self.container: Container = container_named(identity.format)
+        self.arrays, self.types = identity.arrays, dict(identity.types)
+        self.renderer = Renderer(device, self.arrays, identity.precision)
+
+    def make(
+        self,
+        shard: int,
+        numbers: Iterable[int] | None = None,
+        failed: Mapping[int, str] | None = None,
+        advance: Callable[[], object] = lambda: None,
+    ) -> Made:
+        """Make the files of a shard in the scratch folder.
+
+        Parameters
+        ----------
+        shard : int
+        numbers : iterable of int, optional
+            Its samples; by default all.
+        failed : mapping, optional
+            Samples that are not to be rendered, with what is wrong with them.
+        advance : callable
+            Is called after each sample.
+
+        Returns
+        -------
+        Made
+            A sample that cannot be drawn or rendered is among its failures.
+
+        Raises
+        ------
+        ClscoError
+            The device fails, or files cannot be written.
+        """
+        began, spent = time.time(), {"draw": 0.0, "render": 0.0, "all": time.perf_counter()}
+        wanted = self.job.numbers(shard) if numbers is None else numbers
+        rows: dict[int, dict[str, Any]] = {}
+        failures: dict[int, dict[str, Any]] = {}
+        splits: dict[str, list[Sample]] = {}
+        for number in wanted:
+            start = time.perf_counter()
+            try:
+                sample = self.job.distribution.draw(self.job.identity.seed, number)
+            except (SceneError, ImageError) as error:
+                failures[number] = {"number": number, "error": self._portable(error), "scene": None}
+                advance()
+                continue
+            finally:
+                spent["draw"] += time.perf_counter() - start
+            if failed and number in failed:
+                failures[number] = _failure(sample, self._portable(failed[number]))
+                advance()
+                continue
+            splits.setdefault(sample.split, []).append(sample)
+
+        def records(samples: Sequence[Sample], key: str) -> Generator[Record, None, None]:
+            for sample in samples:
+                start = time.perf_counter()
+                try:
+                    frames = self.renderer.render(sample)
+                    spent["render"] += time.perf_counter() - start
+                    record = make_record(sample, self.job.identity.seed, frames, self.arrays, self.types)
+                except (SceneError, ImageError, KernelError) as error:
+                    failures[sample.number] = _failure(sample, self._portable(error))
+                    advance()
+                    continue
+                rows[sample.number] = _row(sample, key, record)
+                yield record
+                advance()
+
+        files, folder = dict[str, Path](), self.storage.scratch()
+        for split in sorted(splits):
+            key = f"{split or UNSPLIT}/{shard:06d}{self.container.suffix}"
+            path = folder / key.replace("/", "_")
+            produced = records(splits[split], key)
+            with closing(ahead(produced) if self.overlapped else produced) as source:
+                first = next(source, None)
+                if first is None:
+                    continue
+                _remove(path)
+                self.container.write(path, _chained(first, source))
+            files[key] = path
+        for offsets in _by_file(rows.values()):
+            for offset, row in enumerate(offsets):
+                row["offset"] = offset
+        described = {name: about for key, path in files.items() for name, about in _described(key, path)}
+        part = part_bytes(
+            shard, self.job.identity.digest, self.job.numbers(shard), described,
+            [rows[number] for number in sorted(rows)], [failures[number] for number in sorted(failures)],
+        )  # fmt: skip
+        spent["all"] = time.perf_counter() - spent["all"]
+        return Made(shard, files, part, len(rows), len(failures), began, spent)
+
+    def _portable(self, error: object) -> str:
+        """What is wrong, without the place of the distribution on this machine."""
+        distribution = self.job.distribution
+        text = str(error).replace(distribution.where, Path(distribution.where).name)
+        return text.replace(f"{distribution.folder}/", "")
+
+    def deliver(self, made: Made, about: Mapping[str, Any]) -> None:
+        """Move the files of a shard to the set, then its part, and note in the log how long it took.
+
+        about: of the process, for the log. Raises ImageError where another process has made other bytes of the shard;
+        then both are kept.
+        """
+        key = part_key(made.shard)
+        there = self.storage.read(key)
+        if there is not None and there != made.part:
+            if self._is_whole(there, made.shard):
+                self._keep_both(made)
+            self.storage.remove(key)  # what it names is about to change
+        for name, path in made.files.items():
+            self.storage.put(name, path)
+        self.storage.write(key, made.part)
+        took = {name: round(value, 3) for name, value in made.seconds.items()}
+        log: dict[str, Any] = {
+            "shard": made.shard,
+            "samples": made.samples,
+            "failed": made.failed,
+            "began": round(made.began, 3),
+        }
+        log |= {"ended": round(time.time(), 3), "seconds": took, **about}
+        self.storage.write(f"{LOG}/{made.shard:06d}.jsonl", f"{line(log)}\n".encode())
+
+    def _is_whole(self, data: bytes, shard: int) -> bool:
+        """Whether the part of a shard is of this set, with all samples, and its files are as it says."""
+        try:
+            part = parsed_part(data)
+        except ImageError:
+            return False
+        same = (part.shard, part.identity, part.numbers) == (shard, self.job.identity.digest, self.job.numbers(shard))
+        return same and all(self.storage.digest(name) == digest for name, (_, digest) in part.files.items())
+
+    def _keep_both(self, made: Made) -> NoReturn:
+        """Put a shard beside another one that should be the same: a device is broken, of this process or another."""
+        beside = f"{CONFLICT}/{hashlib.sha256(made.part).hexdigest()[:16]}"
+        for name, path in made.files.items():
+            self.storage.put(f"{beside}/{name}", path)
+        self.storage.write(f"{beside}/{part_key(made.shard)}", made.part)
+        rule = "all that make a shard must make the same bytes"
+        raise ImageError(f"{part_key(made.shard)}: {rule}; got others, which are in {beside}") from OSError(rule)
+
+    def drop(self, made: Made) -> None:
+        """Remove the files of a shard from the scratch folder."""
+        for path in made.files.values():
+            _remove(path)
+
+
+def _chained(first: Record, rest: Iterator[Record]) -> Iterator[Record]:
+    yield first
+    yield from rest
+
+
+def _failure(sample: Sample, error: str) -> dict[str, Any]:
+    return {"number": sample.number, "split": sample.split, "error": error, "scene": sample.table}
+
+
+def _row(sample: Sample, key: str, record: Record) -> dict[str, Any]:
+    """The line of a sample in the manifest; its place in the file follows when all are written."""
+    return {
+        "number": sample.number,
+        "split": sample.split,
+        "file": key,
+        "offset": 0,
+        "attempts": sample.attempts,
+        "parameters": sample.parameters,
+        "arrays": record.sha256(),
+        "statistics": statistics(record.arrays),
+    }
+
+
+def statistics(arrays: Mapping[str, NDArray[Any]]) -> dict[str, list[float | None]]:
+    """Share of valid pixels, and quantiles of depth, |R| and the length of the flow, at some of the pixels."""
+    found: dict[str, list[float | None]] = {}
+    for name, array in arrays.items():
+        kind = name.rpartition(".")[2]
+        if kind not in MEASURED:
+            continue
+        step = max(1, math.isqrt(array.shape[0] * array.shape[1] // MOST_MEASURED))
+        some = np.asarray(array[::step, ::step], np.float64)
+        sizes = (np.hypot(some[..., 0], some[..., 1]) if kind == "flow" else np.abs(some)).ravel()
+        finite = np.sort(sizes[np.isfinite(sizes)])
+        places = [round(share * (finite.size - 1)) for share in QUANTILES] if finite.size else []
+        found[name] = [float(f"{finite.size / sizes.size:.4g}"), *(float(f"{finite[at]:.6g}") for at in places)]
+    return found
+
+
+def _by_file(rows: Iterable[dict[str, Any]]) -> list[list[dict[str, Any]]]:
+    found: dict[str, list[dict[str, Any]]] = {}
+    for row in sorted(rows, key=lambda row: row["number"]):
+        found.setdefault(row["file"], []).append(row)
+    return list(found.values())
+
+
+def _described(key: str, path: Path) -> Iterator[tuple[str, tuple[int, str]]]:
+    """Keys of the files of a path, with their bytes and SHA-256."""
+    inside = sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
+    for each in inside:
+        with open(each, "rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        name = key if each == path else f"{key}/{each.relative_to(path).as_posix()}"
+        yield name, (each.stat().st_size, digest)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)

@@ -1,0 +1,328 @@
+"""Where a data set is: a local folder, or an address of an object store by fsspec. Objects are whole or absent."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import os
+import platform
+import secrets
+import shutil
+import tempfile
+from collections.abc import Callable
+from contextlib import suppress
+from functools import wraps
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+from clsco.errors import ImageError
+from clsco.files.atomic import refuse
+
+_HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:8]
+_RUN = secrets.token_hex(4)  # differs from that of an earlier process of the same number
+ABANDONED_S = 24 * 3600.0  # a temporary folder of another machine that has not changed for so long is left over
+BLOCK = 2**20
+Call = TypeVar("Call", bound=Callable[..., Any])
+
+
+class Storage(Protocol):
+    """A place for objects by their keys, which are relative paths with "/". All raise ImageError where it fails.
+
+    Attributes
+    ----------
+    where : str
+        For messages, and to open it again in another process.
+    is_local : bool
+        A folder of this machine, or of a shared file system.
+    """
+
+    where: str
+    is_local: bool
+
+    def scratch(self) -> Path:
+        """The folder of this process for files that are not whole yet."""
+
+    def put(self, key: str, path: Path) -> None:
+        """Move a file, or a folder of files, from the scratch folder under its final key."""
+
+    def write(self, key: str, data: bytes) -> None:
+        """Put bytes under a key."""
+
+    def read(self, key: str) -> bytes | None:
+        """What is under a key, None where nothing is."""
+
+    def digest(self, key: str) -> str | None:
+        """SHA-256 of what is under a key, None where nothing is."""
+
+    def local(self, key: str) -> Path:
+        """A local file or folder with what is under a key."""
+
+    def sizes(self, prefix: str) -> dict[str, int]:
+        """Keys that begin with `prefix`, a folder, with their bytes."""
+
+    def has_others(self) -> bool:
+        """Whether anything is there that is not hidden."""
+
+    def remove(self, key: str) -> None:
+        """Remove a file or a folder, if it is there."""
+
+    def tidy(self) -> None:
+        """Remove temporary files of processes that are gone."""
+
+    def close(self) -> None:
+        """Remove those of this process."""
+
+
+def open_storage(where: str | os.PathLike[str]) -> Storage:
+    """The storage of a data set: a folder, or an address such as s3://bucket/set. Raises ImageError for neither."""
+    text = os.fspath(where)
+    if "://" not in text:
+        return _Folder(Path(text))
+    if text.startswith("file://"):
+        return _Folder(Path(text.removeprefix("file://")))
+    return _Remote(text)
+
+
+def checked_key(key: str) -> str:
+    """A key that stays in its storage; raises ImageError for any other, as a file of a stranger may name one."""
+    parts = key.split("/")
+    if not key.isprintable() or "\\" in key or any(part in ("", ".", "..") for part in parts):
+        raise ImageError(f"{key!a}: a file of a data set must lie in its folder; got another place")
+    return key
+
+
+def _failing(function: Call) -> Call:
+    """Give errors of a storage their place and one line."""
+
+    @wraps(function)
+    def call(self: Any, *args: Any) -> Any:
+        try:
+            return function(self, *args)
+        except ImageError:
+            raise
+        except OSError as error:
+            place = Path(self.where) / str(args[0]) if args else Path(self.where)
+            refuse(place, "the data set must be writable and readable", error, error)
+        except Exception as error:
+            if self.is_local:
+                raise
+            got = " ".join(str(error).split()) or type(error).__name__  # of the store's own client
+            raise ImageError(f"{self.where}: the store must answer; got {got}") from OSError(got)
+
+    return call  # type: ignore[return-value]
+
+
+def _work_name(prefix: str) -> str:
+    return f"{prefix}.{_HOST}-{os.getpid()}-{_RUN}.part"
+
+
+def _remove_left(folder: Path, prefix: str) -> None:
+    """Remove temporary folders of processes that are gone: of this machine by their number, of others by their age."""
+    for path in folder.glob(f"{prefix}.*.part"):
+        with suppress(OSError, ValueError):
+            host, process, run = path.name.split(".")[-2].split("-")
+            if host != _HOST:
+                newest = max(each.stat().st_mtime for each in (path, *path.rglob("*")))
+                left = newest < _now(folder) - ABANDONED_S
+            elif int(process) == os.getpid():
+                left = run != _RUN
+            else:
+                left = _is_gone(int(process))
+            if left and not path.is_symlink():
+                shutil.rmtree(path, ignore_errors=True)
+
+
+def _is_gone(process: int) -> bool:
+    """Whether a process of this machine has ended, also where nobody has asked yet how."""
+    try:
+        os.kill(process, 0)
+        with open(f"/proc/{process}/stat", "rb") as file:
+            return file.read().rpartition(b")")[2].split()[0] in (b"Z", b"X")
+    except ProcessLookupError:
+        return True
+    except OSError:  # somebody else's, or on a system without /proc
+        return False
+
+
+def _now(folder: Path) -> float:
+    """The time by the clock of a file system, which may be another machine's."""
+    with tempfile.TemporaryFile(dir=folder) as probe:
+        return os.fstat(probe.fileno()).st_mtime
+
+
+def _sync(path: Path) -> None:
+    """Have what is written to a file, or what a folder lists, on the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+class _Folder:
+    """A folder. A file gets its name when all of it is on the disk: it is made in a hidden folder beside."""
+
+    is_local = True
+
+    def __init__(self, root: Path) -> None:
+        self.root = root.absolute()
+        self.where = str(self.root)
+
+    @_failing
+    def scratch(self) -> Path:
+        path = self.root / _work_name(".work")
+        path.mkdir(parents=True, exist_ok=True)
+        return path
+
+    @_failing
+    def put(self, key: str, path: Path) -> None:
+        target = self.root / checked_key(key)
+        for each in path.rglob("*") if path.is_dir() else (path,):
+            _sync(each)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if target.is_dir() and not target.is_symlink():
+            shutil.rmtree(target)
+        path.replace(target)
+        _sync(target.parent)
+
+    @_failing
+    def write(self, key: str, data: bytes) -> None:
+        path = self.scratch() / f"{secrets.token_hex(4)}.tmp"
+        path.write_bytes(data)
+        self.put(key, path)
+
+    @_failing
+    def read(self, key: str) -> bytes | None:
+        path = self.root / checked_key(key)
+        return path.read_bytes() if path.is_file() else None
+
+    @_failing
+    def digest(self, key: str) -> str | None:
+        path = self.root / checked_key(key)
+        if not path.is_file():
+            return None
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+
+    def local(self, key: str) -> Path:
+        return self.root / checked_key(key)
+
+    @_failing
+    def sizes(self, prefix: str) -> dict[str, int]:
+        folder, found = self.root / checked_key(prefix), dict[str, int]()
+        for inside, _, names in os.walk(folder):
+            for name in names:
+                path = Path(inside) / name
+                with suppress(FileNotFoundError):  # replaced meanwhile
+                    found[path.relative_to(self.root).as_posix()] = path.lstat().st_size
+        return found
+
+    @_failing
+    def has_others(self) -> bool:
+        return self.root.is_dir() and any(not path.name.startswith(".") for path in self.root.iterdir())
+
+    @_failing
+    def remove(self, key: str) -> None:
+        path = self.root / checked_key(key)
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
+
+    @_failing
+    def tidy(self) -> None:
+        _remove_left(self.root, ".work")
+
+    def close(self) -> None:
+        shutil.rmtree(self.root / _work_name(".work"), ignore_errors=True)
+
+
+class _Remote:
+    """An object store, or any other file system of fsspec. A file is made locally and sent by one request."""
+
+    is_local = False
+
+    def __init__(self, url: str) -> None:
+        try:
+            core = importlib.import_module("fsspec.core")
+        except ImportError:
+            rule = "an address needs fsspec: pip install 'clsco[distributed]'"
+            raise ImageError(f"{url}: {rule}; got no such module") from None
+        self.where = url
+        try:
+            self.system, self.root = core.url_to_fs(url, use_listings_cache=False)
+        except (ImportError, ValueError, OSError) as error:
+            raise ImageError(f"{url}: must be an address that fsspec opens; got {error}") from error
+
+    def _path(self, key: str) -> str:
+        return f"{self.root.rstrip('/')}/{checked_key(key)}"
+
+    @_failing
+    def scratch(self) -> Path:
+        path = Path(tempfile.gettempdir()) / _work_name("clsco-batch")
+        path.mkdir(mode=0o700, exist_ok=True)
+        return path
+
+    @_failing
+    def put(self, key: str, path: Path) -> None:
+        if path.is_dir():
+            for each in sorted(each for each in path.rglob("*") if each.is_file()):
+                self.system.put_file(str(each), self._path(f"{key}/{each.relative_to(path).as_posix()}"))
+            shutil.rmtree(path)
+        else:
+            self.system.put_file(str(path), self._path(key))
+            path.unlink()
+
+    @_failing
+    def write(self, key: str, data: bytes) -> None:
+        self.system.pipe_file(self._path(key), data)
+
+    @_failing
+    def read(self, key: str) -> bytes | None:
+        try:
+            found: bytes = self.system.cat_file(self._path(key))
+        except FileNotFoundError:
+            return None
+        return found
+
+    @_failing
+    def digest(self, key: str) -> str | None:
+        total = hashlib.sha256()
+        try:
+            with self.system.open(self._path(key), "rb") as file:
+                while block := file.read(BLOCK):
+                    total.update(block)
+        except FileNotFoundError:
+            return None
+        return total.hexdigest()
+
+    @_failing
+    def local(self, key: str) -> Path:
+        target = self.scratch() / "read" / checked_key(key)
+        if not target.exists():
+            target.parent.mkdir(parents=True, exist_ok=True)
+            self.system.get(self._path(key), str(target), recursive=self.system.isdir(self._path(key)))
+        return target
+
+    @_failing
+    def sizes(self, prefix: str) -> dict[str, int]:
+        self.system.invalidate_cache()
+        found = self.system.find(self._path(prefix), detail=True)
+        start = len(self.root.rstrip("/")) + 1
+        return {name[start:]: int(about["size"]) for name, about in found.items() if about.get("type") != "directory"}
+
+    @_failing
+    def has_others(self) -> bool:
+        return bool(self.system.find(self.root, maxdepth=2))
+
+    @_failing
+    def remove(self, key: str) -> None:
+        with suppress(FileNotFoundError):
+            self.system.rm(self._path(key), recursive=True)
+
+    @_failing
+    def tidy(self) -> None:
+        _remove_left(Path(tempfile.gettempdir()), "clsco-batch")
+
+    def close(self) -> None:
+        shutil.rmtree(Path(tempfile.gettempdir()) / _work_name("clsco-batch"), ignore_errors=True)

@@ -1,0 +1,186 @@
+"""`clsco batch`: sets made, gone on with, in parts, looked at and checked; one line for what is wrong."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+import clsco
+from clsco.cli.main import main
+from clsco.data import pool
+from clsco.data.shards import ShardMaker
+from clsco.data.storage import open_storage
+from clsco.data.worker import perform
+from clsco.opencl.device import choose
+from tests.data.test_shards import files
+
+DISTRIBUTION = """
+[camera]
+resolution = [24, 16]
+pixel_pitch = 0.2
+[vary.camera]
+focus_distance = { uniform = [220, 320] }
+[[object]]
+shape = "sphere"
+center = [0.0, 0.0, 280.0]
+radius = 30.0
+"""
+BEFORE, NOW = '["color", "sharp", "depth", "coc"]', '["color", "depth"]'
+
+
+class HerePool(pool._Pool):
+    """Does all tasks in this process."""
+
+    def run(self) -> None:
+        storage = open_storage(self.job.where)
+        maker = ShardMaker(self.job, storage, choose(), False)
+        while self.schedule.waiting:
+            task = self.schedule.waiting.popleft()
+            perform(maker, task)
+            self.schedule.done(task)
+        storage.close()
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(pool, "_Pool", HerePool)
+    monkeypatch.chdir(tmp_path)
+    Path("set.toml").write_text(DISTRIBUTION)
+    return tmp_path
+
+
+def batch(*words: object) -> Result:
+    return CliRunner().invoke(main, ["batch", *map(str, words)])
+
+
+def make(*words: object) -> Result:
+    return batch("set.toml", "--shard-size", 4, *words)
+
+
+def fault(result: Result, status: int = 1) -> list[str]:
+    assert (result.exit_code, result.stdout) == (status, ""), result.output
+    return result.stderr.splitlines()
+
+
+def test_a_set_is_made_looked_at_and_checked(place: Path) -> None:
+    result = make("-o", "one", "--count", 10, "--seed", 5, "--license", "CC0-1.0")
+    assert (result.exit_code, result.stdout) == (0, f"one: 10 samples in 3 shards, {size(place / 'one')}\n")
+    for k in (2, 0, 1):
+        result = make("-o", "parts", "--count", 10, "--seed", 5, "--part", f"{k}/3", "--license", "CC0-1.0")
+        assert result.exit_code == 0
+        if k == 2:
+            assert result.stdout.startswith("parts: 2 samples in 1 shards of 3, as far as it is made, ")
+            shown = batch("status", "parts").stdout.splitlines()
+            assert shown[:2] == ["shards: 1 of 3", f"samples: 2 made, 0 failed, of 10; {size(place / 'parts')}"]
+            assert shown[2].startswith("rate: ")
+            assert shown[3:] == ["missing: 0-1"]
+    assert files(place / "one") == files(place / "parts")
+    assert not list(place.glob("*/.*"))
+    assert batch("status", "one").stdout.startswith("shards: 3 of 3\nsamples: 10 made, 0 failed, of 10; ")
+    assert batch("verify", "one", "--sample", 2).stdout == "one: 10 samples as recorded, 2 rendered again\n"
+    assert clsco.parse_scene(batch("show", "one", 7).stdout).camera.resolution == (24, 16)
+    (place / "one" / "data" / "000002.tar").unlink()
+    result = batch("verify", "one", "--sample", 0)
+    assert result.exit_code == 1
+    assert result.stdout == "data/000002.tar: must be there, as manifest/000002.jsonl names it; got no such file\n"
+    assert "incomplete: data/000002.tar: must be there" in batch("status", "one").stdout
+
+
+def size(folder: Path) -> str:
+    return f"{sum(path.stat().st_size for path in (folder / 'data').iterdir()) / 1024:.1f} KiB"
+
+
+def test_a_set_is_gone_on_with_and_grows(place: Path) -> None:
+    assert make("-o", "whole", "--count", 10).exit_code == 0
+    assert make("-o", "grown", "--count", 6).exit_code == 0
+    before = (place / "grown" / "data" / "000000.tar").stat().st_mtime_ns
+    assert fault(make("-o", "grown", "--count", 10)) == [
+        f"error: {place}/grown: holds a data set already, which --resume goes on with; got no --resume"
+    ]
+    (
+        place / "grown" / f".work.{open_storage(place).scratch().name.split('.')[2].split('-')[0]}-999999999-0.part"
+    ).mkdir()
+    assert make("-o", "grown", "--count", 10, "--resume").exit_code == 0
+    assert files(place / "whole") == files(place / "grown")
+    assert (place / "grown" / "data" / "000000.tar").stat().st_mtime_ns == before
+    assert fault(make("-o", "grown", "--count", 10, "--seed", 1, "--truth", "depth", "--resume")) == [
+        f"error: {place}/grown: seed must be 0, as in the set; got 1",
+        f"error: {place}/grown: arrays must be {BEFORE}, as in the set; got {NOW}",
+    ]
+    assert fault(make("-o", "grown", "--count", 3, "--resume")) == [
+        f"error: {place}/grown: count must be at least 10, as in the set; got 3"
+    ]
+    (place / "set.toml").write_text(DISTRIBUTION.replace("320", "321"))
+    (line,) = fault(make("-o", "grown", "--count", 10, "--resume"))
+    assert "distribution must be " in line
+    assert make("-o", "some", "--count", 10, "--only", "3:6").stdout.startswith("some: 3 samples in 2 shards, ")
+    assert batch("verify", "some", "--sample", 1).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "message"),
+    [
+        (["--count", "4", "--format", "nosuch"], 1, "error: format: must be one of webdataset, "),
+        (["--count", "0"], 2, "0 is not in the range"),
+        ([], 2, "--count: must be given; got nothing"),
+        (["--count", "4", "--part", "3/3"], 2, "must be I/N, with I from 0 to N - 1; got 3/3"),
+        (["--count", "4", "--only", "2:5"], 2, "--only: must lie within 0:4; got 2:5"),
+        (["--count", "4", "--only", "5:2"], 2, "must be A:B, samples A to B - 1 counted from 0; got 5:2"),
+        (["--count", "4", "--truth", "blur"], 2, "must be some of color,sharp,depth,coc"),
+        (["--count", "4", "--device", "nosuch"], 3, "error: --device: must be a part of the name"),
+        (["--count", "4", "--split", "log=0.5,test=0.5"], 1, "error: --split: names must be others than manifest, log"),
+        (["--count", "4", "--scheduler", "tcp://h:1", "--workers", "2"], 2, "--scheduler: its workers have devices"),
+        (["--count", "4", "--devices", "all", "--device", "cpu"], 2, "--devices: all are meant"),
+    ],
+)
+def test_what_cannot_be_is_told_before_anything_is_written(
+    place: Path, words: list[str], status: int, message: str
+) -> None:
+    lines = fault(make("-o", "set", *words), status)
+    assert message in "\n".join(lines)
+    assert sorted(path.name for path in place.iterdir()) == ["set.toml"]
+
+
+def test_a_folder_without_a_set_is_no_set(place: Path) -> None:
+    for words in (("status", "no"), ("verify", "no"), ("show", "no", 1)):
+        assert fault(batch(*words)) == [
+            f"error: {place}/no: must hold a data set that clsco batch made; got no dataset.json"
+        ]
+    assert sorted(path.name for path in place.iterdir()) == ["set.toml"]
+
+
+def test_help_has_the_options_and_the_other_commands() -> None:
+    shown = batch("--help").stdout
+    assert "--shard-size" in shown
+    assert "status DATA" in shown
+    assert batch().stdout == shown
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_command_that_is_asked_to_end_leaves_no_stray_files(tmp_path: Path, number: signal.Signals) -> None:
+    (tmp_path / "set.toml").write_text(DISTRIBUTION)
+    words = ["batch", str(tmp_path / "set.toml"), "-o", str(tmp_path / "out"), "--count", "4000", "--shard-size", "4"]
+    process = subprocess.Popen(
+        [sys.executable, "-c", "from clsco.cli.process import run; run()", *words, "--workers", "2"],
+        stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+    while not list((tmp_path / "out").glob("manifest/*")):
+        assert process.poll() is None
+        time.sleep(0.05)
+    os.killpg(process.pid, number) if number == signal.SIGINT else process.send_signal(number)
+    _, told = process.communicate(timeout=60)
+    assert (process.returncode, told) == ((130, "interrupted\n") if number == signal.SIGINT else (143, ""))
+    assert not list((tmp_path / "out").glob(".*"))
+    assert all(
+        (tmp_path / "out" / "data" / f"{path.stem}.tar").exists() for path in (tmp_path / "out").glob("manifest/*")
+    )
+    shutil.rmtree(tmp_path / "out")

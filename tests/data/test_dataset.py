@@ -1,0 +1,132 @@
+"""The loader: a data set as a sequence, in processes and threads."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import pickle
+import time
+import tracemalloc
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+import clsco.data
+from clsco.data.record import Record
+from clsco.errors import ImageError, SceneError
+from tests.data.samples import make_set, record, same
+
+ORDER = [0, 1, 3, 2, 4, 6, 7, 9, 8]  # by shards of four, then by splits; 5 failed
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_set(tmp_path_factory.mktemp("set") / "data")
+
+
+def numbers(records: clsco.data.Dataset) -> list[int]:
+    return [each.meta["number"] for each in records]
+
+
+def test_a_set_is_a_sequence(folder: Path) -> None:
+    opened = clsco.data.open(folder)
+    assert len(opened) == 9
+    assert numbers(opened) == ORDER
+    assert opened.keys == tuple(f"{number:09d}" for number in ORDER)
+    assert opened[-1].meta["number"] == 8
+    assert same(opened[3], record(2))
+    assert numbers(opened[2:7:2]) == ORDER[2:7:2]
+    assert numbers(opened[::-1]) == ORDER[::-1]
+    assert numbers(opened[1:][1:][-2:]) == ORDER[-2:]
+    assert len(opened[20:]) == 0
+    for index in (9, -10):
+        with pytest.raises(IndexError):
+            opened[index]
+    opened.close()
+    assert opened[0].meta["number"] == 0
+
+
+def test_splits_and_arrays(folder: Path) -> None:
+    assert numbers(clsco.data.open(folder, "train")) == [0, 1, 3, 4, 6, 7, 9]
+    some = clsco.data.open(str(folder), split="val", arrays=("depth", "color"))
+    assert [list(each.arrays) for each in some] == [["color", "depth"]] * 2
+    assert list(clsco.data.open(folder, arrays="coc")[0].arrays) == ["coc"]
+    with pytest.raises(SceneError, match="split: must be one of train, val; got test"):
+        clsco.data.open(folder, "test")
+    with pytest.raises(SceneError, match=r"arrays: must be some of color, .*; got colour"):
+        clsco.data.open(folder, arrays=("colour",))
+
+
+def test_what_is_no_set(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(ImageError, match=r"dataset\.json: must be the card of a data set; got No such file"):
+        clsco.data.open(tmp_path)
+    with pytest.raises(ImageError, match="must be a folder; got an address"):
+        clsco.data.open("s3://bucket/set")
+    with pytest.raises(AttributeError):
+        clsco.data.load  # noqa: B018
+
+
+def test_a_set_that_is_being_made(tmp_path: Path) -> None:
+    folder = make_set(tmp_path / "data")
+    card = json.loads((folder / "dataset.json").read_text())
+    (folder / "dataset.json").write_text(json.dumps({name: card[name] for name in ("identity", "samples")}))
+    (folder / "manifest/000001.jsonl").unlink()
+    assert numbers(clsco.data.open(folder)) == [0, 1, 3, 2, 9, 8]
+
+
+def test_a_set_without_splits(tmp_path: Path) -> None:
+    folder = make_set(tmp_path / "data", splits=False)
+    assert numbers(clsco.data.open(folder)) == [0, 1, 2, 3, 4, 6, 7, 8, 9]
+    assert clsco.data.open(folder).card["counts"] == {"samples": 9, "failed": 1, "splits": {"": 9}}
+
+
+def in_worker(opened: clsco.data.Dataset) -> list[int]:
+    return [opened[index].meta["number"] for index in range(len(opened))]
+
+
+@pytest.mark.parametrize("form", ["webdataset", "hdf5"])
+def test_forked_workers_have_shards_of_their_own(form: str, tmp_path: Path) -> None:
+    opened = clsco.data.open(make_set(tmp_path / "data", form), arrays=("depth",))
+    assert in_worker(opened) == ORDER  # open in the parent, too
+    with multiprocessing.get_context("fork").Pool(2) as pool:
+        assert pool.map(in_worker, [opened] * 2) == [ORDER] * 2
+        assert [each.meta["number"] for each in pool.imap(opened.__getitem__, range(9))] == ORDER
+    assert in_worker(opened) == ORDER
+
+
+def test_it_is_small_when_it_is_pickled(folder: Path) -> None:
+    opened = clsco.data.open(folder)[1:]
+    assert in_worker(opened) == ORDER[1:]
+    content = pickle.dumps(opened)
+    assert len(content) < 8000
+    assert in_worker(pickle.loads(content)) == ORDER[1:]
+
+
+def test_threads(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("clsco.data.dataset.MOST_OPEN", 2)
+    opened = clsco.data.open(folder, arrays=("depth",))
+    with ThreadPoolExecutor(4) as threads:
+        found = list(threads.map(lambda index: opened[index].meta["number"], list(range(9)) * 5))
+    assert found == ORDER * 5
+
+
+def test_a_million_samples_open_at_once(folder: Path, tmp_path: Path) -> None:
+    card = json.loads((folder / "dataset.json").read_text())
+    card["files"] = {"train": [[f"train/{shard:06d}.tar", 256] for shard in range(4000)]}
+    (tmp_path / "dataset.json").write_text(json.dumps(card))
+    start = time.process_time()
+    opened = clsco.data.open(tmp_path)
+    spent = time.process_time() - start
+    assert len(opened[100:]) == 1_024_000 - 100
+    assert spent < 0.5  # 0.02 s on a free core
+    tracemalloc.start()
+    opened = clsco.data.open(tmp_path)
+    assert tracemalloc.get_traced_memory()[1] < 4 * 2**20
+    tracemalloc.stop()
+
+
+def test_records_have_their_arrays_by_name(folder: Path) -> None:
+    found = clsco.data.open(folder)[0]
+    assert isinstance(found, Record)
+    assert found["depth"] is found.arrays["depth"]

@@ -1,0 +1,259 @@
+"""Shards and cards of strangers: sizes are checked before memory is taken, nothing leaves its folder, nothing runs."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import pickle
+import tarfile
+import tracemalloc
+import zipfile
+import zlib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import imagecodecs
+import numpy as np
+import pytest
+
+import clsco.data
+from clsco.data.containers import CONTAINERS
+from clsco.data.encoding import decoded, encoded, meta_bytes, npy_bytes, parsed_meta
+from clsco.errors import ImageError
+from clsco.files.png import png_parts
+from tests.data.samples import make_set, record
+
+HERE = Path("shard")
+
+
+def about(dtype: str, *shape: int) -> dict[str, Any]:
+    return {"dtype": np.dtype(dtype), "shape": shape}
+
+
+def npy_of(shape: tuple[int, ...], dtype: str = "<f4", content: bytes = b"") -> bytes:
+    """An NPY whose header says what it likes."""
+    file = io.BytesIO()
+    np.lib.format.write_array_header_1_0(file, {"descr": dtype, "fortran_order": False, "shape": shape})
+    return file.getvalue() + content
+
+
+def bomb() -> bytes:
+    return bytes(imagecodecs.zstd_encode(bytes(2**25), 3))
+
+
+def large_png() -> bytes:
+    """A PNG of 2^31 pixels under a header of four."""
+    parts = png_parts(np.zeros((2, 2), np.uint8))
+    pixels = zlib.compress(bytes(2**24))
+    chunk = len(pixels).to_bytes(4, "big") + b"IDAT" + pixels + zlib.crc32(b"IDAT" + pixels).to_bytes(4, "big")
+    joined = b"".join(parts)
+    return joined[:33] + chunk + joined[-12:]
+
+
+@pytest.mark.parametrize(
+    ("extension", "content"),
+    [
+        ("npy", npy_of((2**20, 2**20))),
+        ("npy", npy_of((2, 2), content=bytes(8))),
+        ("npy", npy_of((2, 2), content=bytes(32))),
+        ("npy", npy_of((2, 2), "|O", pickle.dumps([print] * 4))),
+        ("npy", npy_of((2, 2), "<f8", bytes(32))),
+        ("npy", b"\x93NUMPY\x01\x00\xff\xff" + b"(" * 65535),
+        ("npy", b"\x93NUMPY\x03\x00\x10\x00\x00\x00" + b" " * 16),
+        ("npy.zst", imagecodecs.zstd_encode(npy_of((2**20, 2**20)), 3)),
+        ("npy.zst", bomb()),
+        ("npy.zst", bytes.fromhex("28b52ffda0") + (2**31 - 1).to_bytes(4, "little") + b"\0" * 8),
+        ("npy.zst", b""),
+    ],
+)
+def test_lies_about_sizes_take_no_memory(extension: str, content: bytes) -> None:
+    tracemalloc.start()
+    with pytest.raises(Exception):  # noqa: B017, PT011, any: readers turn all of them into an ImageError
+        decoded(HERE, extension, content, about("f4", 2, 2))
+    assert tracemalloc.get_traced_memory()[1] < 2**20
+    tracemalloc.stop()
+
+
+def test_a_png_is_sized_by_what_describes_it() -> None:
+    whole = encoded(HERE, np.zeros((2, 2), np.uint8))[1]
+    for wrong in (about("u1", 2, 3), about("u2", 2, 2), about("u1", 2, 2, 3), about("f4", 2, 2)):
+        with pytest.raises(ValueError, match="a PNG of 2 x 2, 8 bits, color type 0"):
+            decoded(HERE, "png", whole, wrong)
+    assert decoded(HERE, "png", large_png(), about("u1", 2, 2)).shape == (2, 2)  # libpng reads no more than four
+
+
+@pytest.mark.parametrize(
+    "meta",
+    [
+        b"[]",
+        b"{",
+        b'{"arrays": []}',
+        b'{"arrays": {"a": 1}}',
+        b'{"arrays": {"../a": {"dtype": "uint8", "shape": [2, 2]}}}',
+        b'{"arrays": {"a": {"dtype": "object", "shape": [2, 2]}}}',
+        b'{"arrays": {"a": {"dtype": ["uint8"], "shape": [2, 2]}}}',
+        b'{"arrays": {"a": {"dtype": "uint8", "shape": [1099511627776]}}}',
+        b'{"arrays": {"a": {"dtype": "uint8", "shape": [-1, 2]}}}',
+        b'{"arrays": {"a": {"dtype": "uint8", "shape": [2.0, true]}}}',
+        b'{"arrays": {"a": {"dtype": "uint8", "shape": []}}}',
+        b'{"arrays": "' + b"[" * 100000 + b'"}',
+    ],
+)
+def test_meta_that_no_record_has(meta: bytes) -> None:
+    with pytest.raises((ImageError, ValueError, RecursionError)):
+        parsed_meta(HERE, meta)
+
+
+def tar_of(path: Path, *entries: tuple[tarfile.TarInfo, bytes]) -> Path:
+    with tarfile.open(path, "w") as tar:
+        for entry, content in entries:
+            entry.size = len(content)
+            tar.addfile(entry, io.BytesIO(content))
+    return path
+
+
+def test_members_that_a_tar_must_not_have(tmp_path: Path) -> None:
+    link = tarfile.TarInfo("000000001.color.png")
+    link.type, link.linkname = tarfile.SYMTYPE, "/etc/passwd"
+    tar = tar_of(tmp_path / "link.tar", (link, b""))
+    with pytest.raises(ImageError, match=r"must hold whole, plain files alone; got '000000001\.color\.png'"):
+        CONTAINERS["webdataset"].read(tar)
+    outside = tar_of(tmp_path / "outside.tar", (tarfile.TarInfo("../../evil.meta.json"), b"{}"))
+    reader = CONTAINERS["webdataset"].read(outside)
+    with pytest.raises(ImageError, match=r"outside\.tar"):
+        list(reader)
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["link.tar", "outside.tar"]
+    again = [(tarfile.TarInfo(f"00000000{n}.meta.json"), b"{}") for n in (1, 2, 1)]
+    with pytest.raises(ImageError, match="files of a sample must follow each other"):
+        CONTAINERS["webdataset"].read(tar_of(tmp_path / "again.tar", *again))
+
+
+def test_a_tar_whose_headers_lie(tmp_path: Path) -> None:
+    path = tmp_path / "a.tar"
+    CONTAINERS["webdataset"].write(path, iter([record(1)]))
+    content = bytearray(path.read_bytes())
+    header = content[:512]
+    header[124:136] = b"77777777777\0"  # 8 GiB
+    header[148:156] = b" " * 8
+    header[148:156] = b"%06o\0 " % sum(header)
+    path.write_bytes(header + content[512:])
+    with pytest.raises(ImageError, match=r"a\.tar: must "):
+        CONTAINERS["webdataset"].read(path)
+
+
+def test_links_in_folders_are_not_followed(tmp_path: Path) -> None:
+    secret = tmp_path / "secret"
+    secret.write_bytes(npy_bytes(np.zeros((9, 12), np.float32)))
+    path = tmp_path / "shard"
+    CONTAINERS["folders+raw"].write(path, iter([record(1)]))
+    (path / "000000001/depth.npy").unlink()
+    (path / "000000001/depth.npy").symlink_to(secret)
+    with pytest.raises(ImageError, match="000000001: must be a sample that can be read"):
+        list(CONTAINERS["folders+raw"].read(path))
+    (path / "000000001/depth.npy").unlink()
+    os.mkfifo(path / "000000001/depth.npy")  # would block for ever
+    with pytest.raises(ImageError, match=r"depth\.npy: must be a plain file"):
+        list(CONTAINERS["folders+raw"].read(path))
+
+
+def test_npz_bombs_and_pickles(tmp_path: Path) -> None:
+    wanted = record(1, (2, 2), ("depth",))
+    for member in (npy_of((2, 2), content=bytes(2**20)), npy_of((2, 2), "|O", pickle.dumps([print] * 4))):
+        with zipfile.ZipFile(tmp_path / "000000001.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("meta.json", meta_bytes(wanted))
+            archive.writestr("depth.npy", member)
+        with pytest.raises(ImageError, match=r"000000001\.npz: must be a whole NPZ"):
+            list(CONTAINERS["npz"].read(tmp_path))
+
+
+def external(group: Any, folder: Path) -> None:
+    del group["depth"]
+    with h5py.File(folder / "other.h5", "w") as other:
+        other["depth"] = np.zeros((9, 12), np.float32)
+    group["depth"] = h5py.ExternalLink("other.h5", "depth")
+
+
+def raw_file(group: Any, folder: Path) -> None:
+    del group["depth"]
+    (folder / "secret").write_bytes(bytes(4 * 9 * 12))
+    group.create_dataset("depth", (9, 12), "<f4", external=[(str(folder / "secret"), 0, 432)])
+
+
+def virtual(group: Any, folder: Path) -> None:
+    external(group, folder)
+    del group["depth"]
+    layout = h5py.VirtualLayout((9, 12), "<f4")
+    layout[:] = h5py.VirtualSource(str(folder / "other.h5"), "depth", (9, 12))
+    group.create_virtual_dataset("depth", layout)
+
+
+def large(group: Any, folder: Path) -> None:
+    del group["depth"]
+    group.create_dataset("depth", (2**20, 2**20), "<f4", chunks=(64, 64))
+
+
+@pytest.mark.parametrize("change", [external, raw_file, virtual, large])
+def test_hdf5_that_leads_elsewhere(change: Callable[[Any, Path], None], tmp_path: Path) -> None:
+    path = tmp_path / "a.h5"
+    CONTAINERS["hdf5"].write(path, iter([record(1)]))
+    with h5py.File(path, "r+") as file:
+        change(file["000000001"], tmp_path)
+    reader = CONTAINERS["hdf5"].read(path)
+    with pytest.raises(ImageError, match=r"a\.h5: (depth must be a dataset in the file itself|must be a whole HDF5)"):
+        reader.record(0)
+    assert list(reader.record(0, ("color",)).arrays) == ["color"]
+    reader.close()
+
+
+def test_what_json_cannot_hold_is_not_written(tmp_path: Path) -> None:
+    wrong = record(1)
+    wrong = replace(wrong, meta={**wrong.meta, "parameters": {"camera.focus_distance": np.inf}})
+    for form, container in CONTAINERS.items():
+        with pytest.raises(ImageError, match="sample 000000001: must be values that JSON holds"):
+            container.write(tmp_path / form, iter([wrong]))
+
+
+def changed_card(folder: Path, **values: Any) -> None:
+    card = json.loads((folder / "dataset.json").read_text())
+    (folder / "dataset.json").write_text(json.dumps(card | values))
+
+
+@pytest.mark.parametrize(
+    ("values", "rule"),
+    [
+        ({"files": {"train": [["../../etc/passwd", 1]]}}, "must lie in its folder"),
+        ({"files": {"train": [["/etc/passwd", 1]]}}, "must lie in its folder"),
+        ({"files": {"train": [["train/000000.tar", -1]]}}, "must be the card of a data set"),
+        ({"files": {"train": [["train/000000.tar", 10**30]]}}, "must be the card of a data set"),
+        ({"files": ["train"]}, "must be the card of a data set"),
+        ({"identity": {"format": ["webdataset"]}}, "must be the card of a data set"),
+        ({"identity": {}}, "must be the card of a data set"),
+    ],
+)
+def test_cards_of_strangers(values: dict[str, Any], rule: str, tmp_path: Path) -> None:
+    make_set(tmp_path / "set")
+    changed_card(tmp_path / "set", **values)
+    with pytest.raises(ImageError, match=rule):
+        clsco.data.open(tmp_path / "set")
+
+
+def test_shards_that_are_links_out_of_the_folder(tmp_path: Path) -> None:
+    make_set(tmp_path / "set")
+    shard = tmp_path / "set/train/000000.tar"
+    shard.rename(tmp_path / "elsewhere.tar")
+    shard.symlink_to(tmp_path / "elsewhere.tar")
+    opened = clsco.data.open(tmp_path / "set", "train")
+    with pytest.raises(ImageError, match="must lie in the folder of the data set"):
+        opened[0]
+
+
+def test_a_card_that_counts_wrong(tmp_path: Path) -> None:
+    make_set(tmp_path / "set")
+    changed_card(tmp_path / "set", files={"train": [["train/000000.tar", 2]]})
+    opened = clsco.data.open(tmp_path / "set", "train")
+    with pytest.raises(ImageError, match=r"000000\.tar: must hold 2 samples, as dataset.json says; got 3"):
+        opened[0]

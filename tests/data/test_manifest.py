@@ -1,0 +1,102 @@
+"""Parts of the manifest, and all of them together."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from clsco.data.manifest import (
+    Identity,
+    Part,
+    Parts,
+    line,
+    numbers_of,
+    parsed_part,
+    part_bytes,
+    part_key,
+    rows_of,
+    shard_numbers,
+)
+from clsco.data.storage import open_storage
+from clsco.errors import ImageError
+
+IDENTITY = Identity("d", 1, 0, 4, "webdataset", ("color",), "double", (("train", 0.5), ("test", 0.5)), "1.0", "cpu")
+
+
+def test_what_differs_from_a_set_is_named() -> None:
+    assert IDENTITY.differences(IDENTITY.record()) == []
+    other = replace(IDENTITY, seed=2, arrays=("color", "depth"))
+    assert IDENTITY.differences(other.record()) == [
+        "seed must be 1, as in the set; got 2",
+        'arrays must be ["color"], as in the set; got ["color", "depth"]',
+    ]
+    assert other.digest != IDENTITY.digest
+
+
+def test_shards_hold_all_samples_once() -> None:
+    for samples in (range(10), range(3, 10), range(8), range(7, 9)):
+        shards = shard_numbers(samples, 4)
+        assert [n for shard in shards for n in numbers_of(shard, samples, 4)] == list(samples)
+
+
+def test_a_part_is_read_as_it_was_written_and_damage_is_found() -> None:
+    data = part_bytes(
+        2,
+        "id",
+        range(8, 12),
+        {"data/000002.tar": (3, "ab")},
+        [{"number": 8}, {"number": 9}],
+        [{"number": 10}, {"number": 11}],
+    )
+    part = parsed_part(data)
+    assert (part.shard, part.numbers, part.made, part.failed) == (2, range(8, 12), 2, 2)
+    assert rows_of(data) == ([{"number": 8}, {"number": 9}], [{"number": 10}, {"number": 11}])
+    with pytest.raises(ImageError, match="lines must have the SHA-256"):
+        rows_of(data.replace(b'{"number":9}', b'{"number":7}'))
+    for damaged in (
+        b"",
+        b"{}",
+        b"[]",
+        data.replace(b'"made":2', b'"made":3'),
+        data.replace(b"data/", b"../a/"),
+        data[:20],
+    ):
+        with pytest.raises(ImageError):
+            parsed_part(damaged)
+
+
+def test_parts_are_merged_in_order_with_failures_apart(tmp_path: Path) -> None:
+    storage = open_storage(tmp_path)
+    for shard in (1, 0):
+        rows = [{"number": 2 * shard}]
+        storage.write(
+            part_key(shard),
+            part_bytes(shard, "id", range(2 * shard, 2 * shard + 2), {}, rows, [{"number": 2 * shard + 1}]),
+        )
+    Parts(storage).merge()
+    assert [json.loads(text)["number"] for text in (tmp_path / "manifest.jsonl").read_text().splitlines()] == [0, 2]
+    assert [json.loads(text)["number"] for text in (tmp_path / "failed.jsonl").read_text().splitlines()] == [1, 3]
+
+
+@pytest.mark.slow
+def test_a_million_rows_of_a_thousand_parts_are_merged_in_seconds(tmp_path: Path) -> None:
+    storage = open_storage(tmp_path)
+    row: dict[str, Any] = {"number": "NUMBER", "file": "data/000000.tar"}
+    row["parameters"] = {f"camera.key_{k}": 1.2345678901 for k in range(8)}
+    row["arrays"] = dict.fromkeys(("color", "sharp", "depth", "coc"), "0" * 64)
+    text = f"{line(row)}\n".replace('"NUMBER"', "%d")
+    for shard in range(1000):
+        body = "".join(text % number for number in range(1000 * shard, 1000 * shard + 1000)).encode()
+        head = Part(shard, "id", 1000 * shard, 1000, 1000, 0, {}, hashlib.sha256(body).hexdigest())
+        storage.write(part_key(shard), f"{line(asdict(head))}\n".encode() + body)
+    start = time.perf_counter()
+    Parts(storage).merge()
+    assert time.perf_counter() - start < 10.0
+    with open(tmp_path / "manifest.jsonl", "rb") as file:
+        assert sum(1 for _ in file) == 10**6

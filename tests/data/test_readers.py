@@ -1,0 +1,194 @@
+"""Each format read by the field's own reader, without clsco."""
+
+from __future__ import annotations
+
+import io
+import json
+import multiprocessing
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clsco.data
+from clsco.data.containers import CONTAINERS
+from clsco.data.record import Record
+from tests.data.samples import make_set, record
+
+RECORDS = [record(number) for number in range(3)]
+
+
+def written(folder: Path, form: str) -> Path:
+    path = folder / f"000000{CONTAINERS[form].suffix}"
+    CONTAINERS[form].write(path, iter(RECORDS))
+    return path
+
+
+def png(content: bytes) -> np.ndarray[Any, Any]:
+    found: np.ndarray[Any, Any] = pytest.importorskip("imagecodecs").png_decode(content)
+    return found
+
+
+def npy(content: bytes) -> np.ndarray[Any, Any]:
+    """The two lines of docs/datasets.md."""
+    zstandard = pytest.importorskip("zstandard")
+    found: np.ndarray[Any, Any] = np.load(io.BytesIO(zstandard.decompress(content)))
+    return found
+
+
+def check(wanted: Record, arrays: dict[str, np.ndarray[Any, Any]], exact: bool = True) -> None:
+    """Arrays are those of a record; where not `exact`, masks are 0 and 255."""
+    assert arrays
+    for name, array in arrays.items():
+        given = wanted[name]
+        np.testing.assert_array_equal(array, given if exact or given.dtype != bool else given * np.uint8(255))
+        assert array.dtype == given.dtype or (not exact and given.dtype == bool)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning", "ignore::ResourceWarning")  # its files
+def test_webdataset(tmp_path: Path) -> None:
+    webdataset = pytest.importorskip("webdataset")
+    samples = list(webdataset.WebDataset(str(written(tmp_path, "webdataset")), shardshuffle=False).decode())
+    assert [sample["__key__"] for sample in samples] == [each.key for each in RECORDS]
+    for sample, wanted in zip(samples, RECORDS, strict=True):
+        assert json.loads(sample["meta.json"]["parameters"]) == wanted.meta["parameters"]
+        zst = {name.removesuffix(".npy.zst"): npy(data) for name, data in sample.items() if name.endswith(".npy.zst")}
+        pictures = {name.removesuffix(".png"): png(data) for name, data in sample.items() if name.endswith(".png")}
+        assert zst.keys() | pictures.keys() == wanted.arrays.keys()
+        check(wanted, zst | pictures, exact=False)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning", "ignore::ResourceWarning")  # its files
+def test_webdataset_decodes_npy(tmp_path: Path) -> None:
+    webdataset = pytest.importorskip("webdataset")
+    samples = list(webdataset.WebDataset(str(written(tmp_path, "webdataset+raw")), shardshuffle=False).decode())
+    arrays = {name.removesuffix(".npy"): data for name, data in samples[1].items() if name.endswith(".npy")}
+    assert arrays.keys() == RECORDS[1].arrays.keys()
+    check(RECORDS[1], arrays)
+
+
+def test_folders(tmp_path: Path) -> None:
+    folder = written(tmp_path, "folders") / RECORDS[2].key
+    assert json.loads((folder / "meta.json").read_text()) == RECORDS[2].meta
+    arrays = {file.name.partition(".")[0]: npy(file.read_bytes()) for file in folder.glob("*.npy.zst")}
+    check(RECORDS[2], arrays | {file.stem: png(file.read_bytes()) for file in folder.glob("*.png")}, exact=False)
+
+
+def test_npz(tmp_path: Path) -> None:
+    with np.load(written(tmp_path, "npz") / f"{RECORDS[1].key}.npz") as found:
+        assert json.loads(found["meta.json"]) == RECORDS[1].meta
+        check(RECORDS[1], {name: found[name] for name in found.files if name != "meta.json"})
+
+
+@pytest.mark.parametrize("form", ["hdf5", "hdf5+raw"])
+def test_h5py(form: str, tmp_path: Path) -> None:
+    with pytest.importorskip("h5py").File(written(tmp_path, form)) as file:
+        group = file[RECORDS[1].key]
+        assert json.loads(group["meta"][()]) == RECORDS[1].meta
+        assert group["depth"].attrs["unit"] == "mm"
+        check(RECORDS[1], {name: group[name][()] for name in group if name != "meta"})
+
+
+def test_zarr(tmp_path: Path) -> None:
+    path = written(tmp_path, "zarr")
+    group = pytest.importorskip("zarr").open_group(path, mode="r")
+    check(RECORDS[1], {name: group[name][1] for name in RECORDS[1].arrays})
+    first, end = group["meta_ends"][1:3]
+    assert json.loads(group["meta"][first:end].tobytes()) == RECORDS[1].meta
+    assert group["keys"][:].tolist() == [0, 1, 2]
+    assert len([each for each in path.rglob("*") if each.is_file()]) == 1 + 2 * (
+        len(RECORDS[0].arrays) + 3
+    )  # few files
+
+
+def test_pyarrow(tmp_path: Path) -> None:
+    table = pytest.importorskip("pyarrow.parquet").read_table(written(tmp_path, "parquet"))
+    row = table.slice(1, 1).to_pylist()[0]
+    assert (row["key"], json.loads(row["meta"])) == (RECORDS[1].key, RECORDS[1].meta)
+    pictures = {name: png(value["bytes"]) for name, value in row.items() if isinstance(value, dict)}
+    lists = {name: np.array(value, RECORDS[1][name].dtype) for name, value in row.items() if isinstance(value, list)}
+    assert pictures.keys() | lists.keys() == RECORDS[1].arrays.keys()
+    check(RECORDS[1], pictures | lists, exact=False)
+
+
+def test_tfrecord(tmp_path: Path) -> None:
+    reader = pytest.importorskip("tfrecord.reader")
+    features = {"depth": "float", "depth/shape": "int", "object_id": "int"} | dict.fromkeys(
+        ("color", "mask", "meta"), "byte"
+    )
+    found = list(reader.tfrecord_loader(str(written(tmp_path, "tfrecord")), None, features))[1]
+    assert json.loads(bytes(found["meta"])) == RECORDS[1].meta
+    depth = found["depth"].reshape(found["depth/shape"])
+    pictures = {name: png(bytes(found[name])) for name in ("color", "mask")}
+    check(RECORDS[1], {"depth": depth, **pictures}, exact=False)
+    np.testing.assert_array_equal(found["object_id"].reshape(9, 12), RECORDS[1]["object_id"])
+
+
+def test_opencv(tmp_path: Path) -> None:
+    cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed")
+    folder = written(tmp_path, "folders") / RECORDS[0].key
+    color = cv2.imread(str(folder / "color.png"), cv2.IMREAD_UNCHANGED)
+    check(RECORDS[0], {"color": color[..., ::-1]})  # which it gives as blue, green, red
+    check(RECORDS[0], {"mask": cv2.imread(str(folder / "mask.png"), cv2.IMREAD_UNCHANGED)}, exact=False)
+
+
+HUB = {
+    "parquet": lambda datasets, path: datasets.Dataset.from_parquet(str(path), cache_dir=str(path.parent / "cache")),
+    "webdataset": lambda datasets, path: datasets.load_dataset(
+        "webdataset", data_files=str(path), split="train", streaming=True
+    ),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # of the package and what it imports
+@pytest.mark.parametrize("form", HUB)
+def test_hugging_face(form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    datasets = pytest.importorskip("datasets", reason="datasets is not installed: pip install datasets")
+    load: Callable[[Any, Path], Any] = HUB[form]
+    rows = list(load(datasets, written(tmp_path, form)))
+    suffix = "" if form == "parquet" else ".npy.zst"
+    for row, wanted in zip(rows, RECORDS, strict=True):
+        for name in ("depth", "flow", "object_id"):
+            check(wanted, {name: np.array(row[f"{name}{suffix}"], wanted[name].dtype)})
+        mask = row["mask" if form == "parquet" else "mask.png"]
+        check(wanted, {"mask": np.asarray(mask)}, exact=False)
+
+
+def test_spawned_workers_read_a_set(tmp_path: Path) -> None:
+    """What a DataLoader does: a data set that is sent to a process without anything of its parent."""
+    opened = clsco.data.open(make_set(tmp_path / "set"), arrays=("depth",))
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        found = pool.map(opened.__getitem__, range(len(opened)))
+    assert [each.meta["number"] for each in found] == [0, 1, 3, 2, 4, 6, 7, 9, 8]
+    assert list(found[0].arrays) == ["depth"]
+
+
+RECIPES = Path(__file__).resolve().parents[2] / "docs/datasets.md"
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(
+    ("package", "form"), [("torch", "webdataset"), ("jax", "webdataset"), ("tensorflow", "tfrecord")]
+)
+def test_recipes_of_the_documentation(package: str, form: str, tmp_path: Path) -> None:
+    """Each recipe gives `color` and `depth`, a batch of two, as a script of its own."""
+    pytest.importorskip(package, reason=f"{package} is not installed: pip install {package}")
+    folder = make_set(tmp_path / "set", form)
+    blocks = [block for block in RECIPES.read_text().split("```python\n")[1:] if f"import {package}" in block]
+    assert blocks
+    for block in blocks:
+        code = block.partition("```")[0].replace('"DATA', f'"{folder}')
+        script = tmp_path / "recipe.py"
+        shown = "import numpy\nprint(tuple(color.shape), tuple(depth.shape), numpy.max(numpy.asarray(color)) > 0)"
+        script.write_text(f"{code}\n{shown}")
+        run = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=False)
+        assert run.stdout.split("\n")[-2] in ("(2, 3, 9, 12) (2, 9, 12) True", "(2, 9, 12, 3) (2, 9, 12) True"), (
+            run.stderr
+        )

@@ -1,0 +1,123 @@
+"""Records: names, types, and what is refused or noted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clsco.data.record import ABOUT, array_sha256, is_wanted, make_record, parse_stored
+from clsco.errors import ImageError, SceneError
+from clsco.files.transfer import encode
+from clsco.frame.frame import FILE_NAMES
+from tests.data.samples import drawn, frame, record
+
+
+def test_every_array_of_a_frame_is_described() -> None:
+    assert set(ABOUT) == set(FILE_NAMES.values())
+
+
+def test_arrays_of_one_frame() -> None:
+    made = record(7)
+    assert made.key == "000000007"
+    assert list(made.arrays) == [*("color", "sharp", "depth", "coc", "mask", "filled", "object_id", "normal", "flow")]
+    assert made["color"].dtype == np.uint16
+    np.testing.assert_array_equal(made["color"], encode(frame(7).color, 16, "srgb"))
+    np.testing.assert_array_equal(made["depth"], frame(7).depth)
+    about = made.meta["arrays"]["color"]
+    assert (about["dtype"], about["shape"], about["transfer"], about["clipped"]) == ("uint16", [9, 12, 3], "srgb", 0.0)
+    assert made.meta["arrays"]["depth"]["unit"] == "mm"
+    assert made.meta["frames"] == [
+        {"prefix": "", "eye": "", "frame": 0, "samples": 1, "bits": 16}
+    ]  # no clock, no device
+    np.testing.assert_allclose(made.radiance(), frame(7).color, atol=2e-5)
+
+
+@pytest.mark.parametrize(
+    ("frames", "variants", "names"),
+    [
+        ([frame(1, index=3), frame(1, index=4)], 1, ["f0003.depth", "f0004.depth"]),
+        ([frame(1, eye="left"), frame(1, eye="right")], 1, ["left.depth", "right.depth"]),
+        ([frame(1)], 2, ["v00.depth", "v01.depth"]),
+        (
+            [frame(1, index=n, eye=eye) for n in (0, 1) for eye in ("left", "right")],
+            2,
+            [f"v0{v}.f000{n}.{eye}.depth" for v in (0, 1) for n in (0, 1) for eye in ("left", "right")],
+        ),
+    ],
+)
+def test_names_have_what_there_is_several_of(frames: list[object], variants: int, names: list[str]) -> None:
+    made = make_record(drawn(1, variants), 0, [frames] * variants, ("depth",))  # type: ignore[list-item]
+    assert list(made.arrays) == names
+    assert [f"{each['prefix']}depth" for each in made.meta["frames"]] == names
+
+
+def test_codes_note_what_they_clip() -> None:
+    color = np.full((4, 5), 0.5, np.float32)
+    color[0, 0], color[0, 1], color[0, 2] = 3.0, 1 + 1e-6, -0.01  # the second one is white, rounded
+    made = make_record(drawn(1), 0, [[replace(frame(1), color=color)]], ("color",))
+    assert made.meta["arrays"]["color"]["clipped"] == 2 / 20
+    assert made["color"][0, :3].tolist() == [65535, 65535, 0]
+    exact = make_record(drawn(1), 0, [[replace(frame(1), color=color)]], ("color",), {"color": "float32"})
+    np.testing.assert_array_equal(exact["color"], color)
+    np.testing.assert_array_equal(exact.radiance(), color)
+    assert "clipped" not in exact.meta["arrays"]["color"]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "stored", "rule"),
+    [
+        (
+            "color",
+            np.nan,
+            {},
+            "sample 1: color: radiance must be a finite number; got nan at row 2, column 3 (1 in all)",
+        ),
+        ("color", -np.inf, {}, "radiance must be a finite number; got -inf"),
+        ("depth", 1e5, {"depth": "float16"}, "sample 1: depth: sizes must be at most 65504 in float16; got 100000"),
+    ],
+)
+def test_what_does_not_fit_is_refused(name: str, value: float, stored: dict[str, str], rule: str) -> None:
+    made = frame(1)
+    array = getattr(made, name).copy()
+    array[(2, 3, 0) if array.ndim == 3 else (2, 3)] = value
+    with pytest.raises(ImageError) as error:
+        make_record(drawn(1), 0, [[replace(made, **{name: array})]], (name,), stored)
+    assert rule in str(error.value)
+
+
+def test_infinite_depth_fits_float16() -> None:
+    made = make_record(drawn(1), 0, [[frame(1)]], ("depth", "mask"), {"depth": "float16"})
+    assert made["depth"].dtype == np.float16
+    np.testing.assert_array_equal(np.isfinite(made["depth"]), made["mask"])
+
+
+def test_types_are_parsed_with_all_faults() -> None:
+    assert parse_stored("color=uint8,depth=float16") == {"color": "uint8", "depth": "float16"}
+    assert parse_stored("") == {}
+    with pytest.raises(SceneError) as error:
+        parse_stored("colour=uint8,depth=uint16,coc=float32,coc=float16,sharp")
+    assert [message.partition(":")[2] for message in error.value.messages] == [
+        f" must name arrays, some of {', '.join(ABOUT)}; got colour=uint8",
+        " depth must be one of float32, float16; got depth=uint16",
+        " must name each array once; got coc twice",
+        " sharp must be one of float32, float16, uint8, uint16; got sharp",
+    ]
+
+
+def test_digests_know_type_and_shape() -> None:
+    values = np.arange(6, dtype=np.float32)
+    digests = {
+        array_sha256(each) for each in (values, values.reshape(2, 3), values.astype(np.float64), values.view("i4"))
+    }
+    assert len(digests) == 4
+    assert array_sha256(values.astype(">f4")) == array_sha256(values)
+    assert array_sha256(np.asfortranarray(values.reshape(2, 3))) == array_sha256(values.reshape(2, 3))
+
+
+def test_names_of_what_is_wanted() -> None:
+    assert is_wanted("left.color", {"color"})
+    assert is_wanted("left.color", {"left.color"})
+    assert not is_wanted("right.color", {"left.color"})
+    assert is_wanted("depth", None)
