@@ -60,7 +60,7 @@ def draw(name: str, studio: Studio) -> None:
                 button("Generate", generate_dialog(session, studio.jobs, studio.device or ""), id="generate").classes(
                     "primary"
                 )
-        with say("main", id="middle"):
+        with say("section", id="middle", aria_label="Picture and time line"):
             _middle()
         with say("aside", id="side", aria_label="Inspector and jobs"):
             _inspector()

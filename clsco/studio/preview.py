@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import AsyncGenerator, Awaitable, Callable
-from contextlib import aclosing
+from contextlib import aclosing, suppress
 from typing import Any, Protocol
 
 from clsco.errors import CanceledError, ClscoError
@@ -35,6 +35,7 @@ class Renders(Protocol):
 
     def pictures(self, job: Job) -> AsyncGenerator[Picture, None]: ...
     async def inspect(self, question: Question) -> dict[str, Any]: ...
+    async def warm(self, scene: Scene) -> None: ...
     def cancel(self) -> None: ...
 
 
@@ -64,6 +65,7 @@ class Preview:
         self._crashes = 0
         self._asked: dict[str, tuple[int, int, Told]] = {}
         self._other: Scene | None = None
+        self._warm: set[Any] = set()  # kinds of scenes whose kernels, and those near, are compiled
 
     def changed(self) -> None:
         """The session has another scene."""
@@ -118,6 +120,10 @@ class Preview:
                     await self._show(EXACT)
             elif self._other is not None:
                 await self._show(PINNED)
+            elif (kind := _kind(self._session.scene)) not in self._warm:
+                self._warm.add(kind)
+                with suppress(ClscoError):  # what is wrong is told by the pictures
+                    await self._renderer.warm(self._session.scene)
             elif self._asked:
                 await self._ask(next(iter(self._asked)))
             else:
@@ -185,3 +191,8 @@ class Preview:
             await self.tell(error=[str(error)])
         finally:
             self._is_exact_underway = False
+
+
+def _kind(scene: Scene) -> Any:
+    """What scenes that use the same kernels have in common."""
+    return tuple(item.shape for item in scene.objects), scene.psf.model, scene.aperture.shape, scene.motion.warp

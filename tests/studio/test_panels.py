@@ -284,3 +284,16 @@ def test_a_server_that_stops_is_told_of(tmp_path: Path) -> None:
         running.process.kill()
         page.locator("#lost").wait_for(state="visible", timeout=20000)
         assert page.locator("#canvas").is_visible()
+
+
+@pytest.mark.parametrize("width", [1280, 800])
+def test_axe_finds_nothing(running: Running, width: int) -> None:
+    axe = pytest.importorskip("axe_playwright_python", reason="needs axe: pip install axe-playwright-python")
+    (script,) = Path(axe.__file__).parent.rglob("axe.min.js")
+    with opened(running, width) as page:
+        if width < 900:
+            page.locator("#drawer").click()
+        page.evaluate(script.read_text())
+        found = page.evaluate("axe.run()")
+        assert [(fault["id"], fault["nodes"][0]["html"]) for fault in found["violations"]] == []
+        assert len(found["passes"]) > 20

@@ -43,6 +43,7 @@ class Renderer:
     canceled: int = 0
     faults: list[ClscoError] = field(default_factory=list)
     questions: list[Question] = field(default_factory=list)
+    warmed: list[Scene] = field(default_factory=list)
 
     async def pictures(self, job: Job) -> AsyncGenerator[Picture, None]:
         self.jobs.append(job)
@@ -59,6 +60,9 @@ class Renderer:
         self.questions.append(question)
         await asyncio.sleep(self.seconds)
         return {"at": [question.x, question.y]}
+
+    async def warm(self, scene: Scene) -> None:
+        self.warmed.append(scene)
 
     def cancel(self) -> None:
         self.canceled += 1
@@ -113,6 +117,7 @@ def test_a_scene_at_rest_is_shown_once_by_each_rung() -> None:
     _, renders, browser = played(play)
     assert browser.got == [(0, DRAGGING), (0, LOSSY), (0, EXACT)]
     assert [job.rung for job in renders.jobs] == [DRAGGING, EXACT]
+    assert len(renders.warmed) == 1  # afterwards
 
 
 def test_of_many_changes_the_latest_is_shown_and_none_after_it() -> None:
