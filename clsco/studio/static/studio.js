@@ -6,6 +6,7 @@
   const LOSSY = 1, EXACT = 2, PINNED = 3; // 0: while something is dragged
   const MESSAGE = 0, JPEG = 1, PNG = 2, FLOAT16 = 3;
   const VIEWS = ["color", "sharp", "depth", "blur radius", "flow", "normal", "id", "mask", "missing"];
+  const ECHO = 300; // ms in which the server answers a change
   const NUMBERS_FROM = 24; // CSS px per pixel of the image
   const one = (selector) => document.querySelector(selector);
   const all = (selector) => [...document.querySelectorAll(selector)];
@@ -257,6 +258,7 @@
       drag += 1;
       dragged = { path, before: studio.values[path] };
     }
+    dragged.at = performance.now();
     for (const other of sameKey(path)) if (other !== control) give(other, value);
     put(path, value);
   };
@@ -310,7 +312,8 @@
     if (said.values) {
       Object.assign(studio.values, said.values);
       for (const [path, value] of Object.entries(said.values)) {
-        for (const control of sameKey(path)) if (control !== document.activeElement || dragged === null) give(control, value);
+        if (dragged?.path === path && performance.now() - dragged.at < ECHO) continue; // older than what is in the box
+        for (const control of sameKey(path)) give(control, value);
       }
     }
     if (said.faults) { studio.faults = said.faults; mark(); }
@@ -392,6 +395,7 @@
   // ---- keyboard ---------------------------------------------------------------------------------------------------
   const keys = (event) => {
     const control = event.ctrlKey || event.metaKey, press = (selector) => { event.preventDefault(); one(selector)?.click(); };
+    if (control && event.key.toLowerCase() === "z") dragged = null;
     if (control && event.key.toLowerCase() === "z") return press(event.shiftKey ? "#redo" : "#undo");
     if (control && event.key.toLowerCase() === "s") return press("#save");
     if (control && event.key === "Enter") return press("#generate");
