@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco import __version__
-from clsco.errors import ImageError, SceneError
+from clsco.errors import SceneError
+from clsco.files.ranges import refuse_values
 from clsco.files.transfer import decode, encode
 from clsco.frame.frame import FILE_NAMES, Frame
 
@@ -225,7 +226,7 @@ def _stored(
     if dtype in CODES:
         bits = CODES[dtype]
         half = 0.5 / (2**bits - 1)  # what rounds to white or black is not clipped
-        _refuse(where, array, ~np.isfinite(array), "radiance must be a finite number")
+        refuse_values(where, "radiance must be a finite number", array, ~np.isfinite(array))
         # Below black: where the cubic between texels, and what sharpens it, goes below them at an edge.
         beyond = np.count_nonzero((array > 1 + half) | (array < -half))
         more = {"transfer": transfer, "clipped": float(beyond / array.size)}
@@ -234,15 +235,7 @@ def _stored(
         with np.errstate(over="ignore"):  # what becomes infinite is refused next
             half_precision = array.astype(np.float16)
         beyond = np.isinf(half_precision) & np.isfinite(array)
-        _refuse(where, array, beyond, "sizes must be at most 65504 in float16")
+        refuse_values(where, "sizes must be at most 65504 in float16", array, beyond)
         array = half_precision
     about = {"dtype": array.dtype.name, "shape": list(array.shape), "unit": unit, "convention": convention}
     return np.ascontiguousarray(array), about | more
-
-
-def _refuse(where: str, array: NDArray[Any], wrong: NDArray[np.bool_], rule: str) -> None:
-    """Raise ImageError where values are wrong, with the first of them."""
-    if wrong.any():
-        first = tuple(int(index) for index in np.unravel_index(int(wrong.argmax()), wrong.shape))
-        place = f"row {first[0]}, column {first[1]} ({int(wrong.sum())} in all)"
-        raise ImageError(f"{where}: {rule}; got {array[first]:.6g} at {place}")
