@@ -119,7 +119,7 @@ def _lost(address: str) -> ClscoError:
 
 @contextmanager
 def _client(distributed: Any, address: str) -> Iterator[Any]:
-    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what is lost is told in one line
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # losses are reported in one line
     try:
         client = distributed.Client(address, timeout=20, set_as_default=False)
     except (OSError, ValueError) as error:
@@ -187,7 +187,7 @@ def _perform(packed: bytes, task: Task, per_host: Mapping[str, int]) -> tuple[st
                 perform(maker, task)
             finally:
                 maker.storage.close()
-        except Exception as error:  # whatever it is, it is told to who waits
+        except Exception as error:  # any error is reported to the client
             return failure_of(error)
         return "done", ""
 

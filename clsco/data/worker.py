@@ -1,4 +1,4 @@
-"""A process that makes shards on one device, told by its parent which."""
+"""A process that makes shards on one device, which its parent assigns."""
 
 from __future__ import annotations
 
@@ -89,18 +89,18 @@ def resident_bytes() -> int:
 
 
 def _answer(maker: ShardMaker, task: Task, pipe: Connection) -> tuple[Any, ...]:
-    count, told = 0, time.monotonic()
+    count, reported = 0, time.monotonic()
 
     def advance() -> None:
-        nonlocal count, told
+        nonlocal count, reported
         count += 1
-        if task.tried is None and time.monotonic() > told + REPORT_S:
-            told = time.monotonic()
+        if task.tried is None and time.monotonic() > reported + REPORT_S:
+            reported = time.monotonic()
             pipe.send(("progress", task.shard, count))
 
     try:
         made, failed = perform(maker, task, advance)
-    except Exception as error:  # whatever it is, it is told to the parent, which goes on
+    except Exception as error:  # whatever it is, it is reported to the parent, which goes on
         return failure_of(error)
     return "done", made, failed, resident_bytes()
 
