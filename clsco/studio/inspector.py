@@ -33,8 +33,8 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int) -> dict[str, Any]:
     Returns
     -------
     dict
-        `values` by name, as JSON can hold them, None for what is infinite; `psf` and `lens` as `point_spread` and
-        `lens_figures` give them, of the pixel's depth.
+        `index` of the frame; `values` by name, as JSON can hold them, None for what is infinite; `psf` and `lens` as
+        `point_spread` and `lens_figures` give them, of the pixel's depth.
     """
     values: dict[str, Any] = {"x": x, "y": y}
     values["codes"] = _plain(encode(frame.color[y, x], min(frame.metadata["bits"], 16), scene.image.transfer))
@@ -52,7 +52,7 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int) -> dict[str, Any]:
     radius, depth = values.get("blur_radius"), values.get("depth")
     if radius is not None and scene.psf.model == "gaussian":
         values["sigma"] = scene.psf.sigma_ratio * abs(radius)
-    found: dict[str, Any] = {"values": values, "lens": lens_figures(scene, depth)}
+    found: dict[str, Any] = {"index": frame.index, "values": values, "lens": lens_figures(scene, depth)}
     if radius is not None and values["mask"]:
         found["psf"] = point_spread(scene, radius)
     return found

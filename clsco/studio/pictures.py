@@ -29,9 +29,10 @@ VIEWS = {
 }
 """Attributes of a frame, by what the studio calls them, in the order of the tabs."""
 
-DRAGGING, LOSSY, EXACT, PINNED = range(4)
+DRAGGING, LOSSY, EXACT, PINNED, STACKED = range(5)
 MESSAGE, JPEG, PNG, FLOAT16, FLOAT32 = range(5)
-HEADER = struct.Struct("<IBBHHBHHx")
+HEADER = struct.Struct("<IBBHHBHHxI")
+NO_NUMBER = 2**32 - 1
 IMAGES = ("color", "sharp")  # views; all others are floats
 QUALITY = {DRAGGING: 80, LOSSY: 95}
 
@@ -43,7 +44,8 @@ class Picture:
     Attributes
     ----------
     rung : int
-        DRAGGING, LOSSY or EXACT; PINNED: an exact picture of another scene, to compare with.
+        DRAGGING, LOSSY or EXACT; PINNED: an exact picture of another scene, to compare with; STACKED: one of a focal
+        stack.
     view : str
         One of VIEWS.
     size, full : (int, int)
@@ -53,6 +55,8 @@ class Picture:
     payload : bytes
     seconds : float
         Time that it took to render.
+    about : dict, optional
+        What else is known of an exact frame, as JSON can hold it.
     """
 
     rung: int
@@ -62,16 +66,17 @@ class Picture:
     encoding: int
     payload: bytes
     seconds: float
+    about: dict[str, Any] | None = None
 
-    def packed(self, revision: int) -> bytes:
-        """The bytes for the browser."""
-        number = list(VIEWS).index(self.view)
-        return HEADER.pack(revision, self.rung, number, *self.size, self.encoding, *self.full) + self.payload
+    def packed(self, revision: int, number: int) -> bytes:
+        """The bytes for the browser; number: of the frame, or in a focal stack, NO_NUMBER for one without."""
+        view = list(VIEWS).index(self.view)
+        return HEADER.pack(revision, self.rung, view, *self.size, self.encoding, *self.full, number) + self.payload
 
 
 def packed_message(revision: int, content: dict[str, Any]) -> bytes:
     """A message in JSON, behind a header like that of a picture."""
-    return HEADER.pack(revision, 0, 0, 0, 0, MESSAGE, 0, 0) + json.dumps(content).encode()
+    return HEADER.pack(revision, 0, 0, 0, 0, MESSAGE, 0, 0, NO_NUMBER) + json.dumps(content).encode()
 
 
 def truth_of(view: str) -> tuple[str, ...]:
@@ -86,7 +91,7 @@ def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int
     """
     data: NDArray[Any] = getattr(frame, VIEWS[view])
     if view in IMAGES:
-        is_exact = rung in (EXACT, PINNED)
+        is_exact = rung in (EXACT, PINNED, STACKED)
         bits = min(frame.metadata["bits"], 16) if is_exact else 8
         codes = encode(data, bits, scene.image.transfer)
         encoding, payload = (PNG, b"".join(png_parts(codes))) if is_exact else (JPEG, _jpeg(codes, QUALITY[rung]))

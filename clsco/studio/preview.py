@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncGenerator, Awaitable, Callable
+from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
 from contextlib import aclosing, suppress
 from typing import Any, Protocol
 
 from clsco.errors import CanceledError, ClscoError
 from clsco.scene.model import Scene
-from clsco.studio.pictures import DRAGGING, EXACT, PINNED, VIEWS, Picture, packed_message
+from clsco.studio.moments import moment_of
+from clsco.studio.pictures import DRAGGING, EXACT, NO_NUMBER, PINNED, STACKED, VIEWS, Picture, packed_message
 from clsco.studio.renderer import Job, Question, RendererEndedError
 
 REST = 0.120  # s without a change
+LATEST = 1e9  # s, of a time sample
 MOST_UNSEEN = 2  # pictures that the browser has not painted yet
 _MOST_CRASHES = 2  # of the renderer with the same scene
 
@@ -56,6 +58,7 @@ class Preview:
     def __init__(self, session: Edited, renderer: Renders, send: Callable[[bytes], Awaitable[None]]) -> None:
         self._session, self._renderer, self._send = session, renderer, send
         self._view, self._index = "color", 0
+        self._time: float | None = None  # of the one time sample that is shown
         self._state = 1  # counts all changes; a revision is one of the scene alone
         self._done = (0, EXACT)  # state and rung of the latest picture
         self._changed_at = 0.0
@@ -65,24 +68,27 @@ class Preview:
         self._crashes = 0
         self._asked: dict[str, tuple[int, int, Told]] = {}
         self._other: Scene | None = None
+        self._stack: list[tuple[int, Scene]] = []  # what is missing of it, with its numbers
         self._warm: set[Any] = set()  # kinds of scenes whose kernels, and those near, are compiled
 
     def changed(self) -> None:
         """The session has another scene."""
         self._state += 1
         self._changed_at, self._crashes = time.monotonic(), 0
+        self._stack = []
         self._news.set()
         if self._is_exact_underway:
             self._renderer.cancel()
 
-    def look(self, view: str | None = None, index: int | None = None) -> None:
-        """Show another view, or another frame."""
-        before = self._view, self._index
+    def look(self, view: str | None = None, index: int | None = None, time: float | None = None) -> None:
+        """Show another view, or another frame, of which the one time sample at `time`, s, if any."""
+        before = self._view, self._index, self._time
         if view in VIEWS:
             self._view = view
         if index is not None:
             self._index = min(max(index, 0), self._session.scene.sequence.frames - 1)
-        if before != (self._view, self._index):
+            self._time = time if time is not None and abs(time) <= LATEST else None
+        if before != (self._view, self._index, self._time):
             self.changed()
 
     def acknowledge(self, revision: int, rung: int) -> None:
@@ -104,6 +110,11 @@ class Preview:
         self._other = scene
         self._news.set()
 
+    def stack(self, scenes: Sequence[Scene]) -> None:
+        """Send the exact frames of a focal stack, until something changes."""
+        self._stack = list(enumerate(scenes))
+        self._news.set()
+
     async def tell(self, **content: Any) -> None:
         """Send a message that is no picture."""
         await self._send(packed_message(self._session.revision, content))
@@ -120,6 +131,8 @@ class Preview:
                     await self._show(EXACT)
             elif self._other is not None:
                 await self._show(PINNED)
+            elif self._stack:
+                await self._show(STACKED)
             elif (kind := _kind(self._session.scene)) not in self._warm:
                 self._warm.add(kind)
                 with suppress(ClscoError):  # what is wrong is told by the pictures
@@ -153,7 +166,11 @@ class Preview:
         other = self._other if rung == PINNED else None
         if other is not None:
             scene, self._other = other, None
-        index = min(self._index, scene.sequence.frames - 1)
+        index = number = min(self._index, scene.sequence.frames - 1)
+        if rung == STACKED:
+            number, scene = self._stack.pop(0)
+        if self._time is not None and scene.moves:
+            scene, number = moment_of(scene, index, self._time), number if rung == STACKED else NO_NUMBER
         self._is_exact_underway = rung != DRAGGING
         try:
             async with aclosing(self._renderer.pictures(Job(scene, index, self._view, rung))) as pictures:
@@ -162,7 +179,9 @@ class Preview:
                     if rung != DRAGGING and self._state != state:
                         return
                     self._unseen.append((revision, picture.rung))
-                    await self._send(picture.packed(revision))
+                    await self._send(picture.packed(revision, number))
+                    if picture.about is not None:
+                        await self.tell(about=picture.about)
             self._done = (state, min(rung, EXACT))
         except CanceledError:
             self._other = self._other or other
@@ -181,10 +200,13 @@ class Preview:
         """Answer what is asked of a pixel; a change in between has it asked again."""
         x, y, told = asked = self._asked.pop(purpose)
         self._is_exact_underway = True
-        index = min(self._index, self._session.scene.sequence.frames - 1)
-        key = id(self), self._session.revision, index
+        scene = self._session.scene
+        index = min(self._index, scene.sequence.frames - 1)
+        if self._time is not None and scene.moves:
+            scene = moment_of(scene, index, self._time)
+        key = id(self), self._session.revision, index, self._time
         try:
-            await told(await self._renderer.inspect(Question(self._session.scene, index, key, x, y)))
+            await told(await self._renderer.inspect(Question(scene, index, key, x, y)))
         except CanceledError:
             self._asked.setdefault(purpose, asked)
         except ClscoError as error:

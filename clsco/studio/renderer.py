@@ -10,13 +10,13 @@ import time
 import traceback
 from collections.abc import AsyncGenerator
 from contextlib import aclosing, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from typing import Any
 
 from clsco.errors import CanceledError, ClscoError, SceneError
 from clsco.scene.model import Scene
-from clsco.studio.pictures import DRAGGING, EXACT, IMAGES, LOSSY, PINNED, Picture
+from clsco.studio.pictures import DRAGGING, EXACT, IMAGES, LOSSY, Picture
 
 
 class RendererEndedError(ClscoError):
@@ -50,7 +50,7 @@ class Question:
 
     scene: Scene
     index: int
-    key: tuple[int, int, int]
+    key: tuple[int, int, int, float | None]
     x: int
     y: int
 
@@ -264,16 +264,20 @@ class _Worker:
         self._pipe.send((number, picture))
 
     def _exact(self, number: int, job: Job) -> None:
+        from clsco.studio.moments import exposure_of
         from clsco.studio.pictures import picture_of, truth_of
 
         self._check(number)
         start = time.perf_counter()
         frame = self._frame(job.scene, job.index, truth_of(job.view))
         seconds, (rows, columns) = time.perf_counter() - start, frame.color.shape[:2]
-        rungs = (PINNED,) if job.rung == PINNED else (LOSSY, EXACT) if job.view in IMAGES else (EXACT,)
+        rungs = (LOSSY, EXACT) if job.view in IMAGES and job.rung == EXACT else (job.rung,)
         for rung in rungs:
             self._check(number)
-            self._pipe.send((number, picture_of(frame, job.scene, job.view, rung, (columns, rows), seconds)))
+            picture = picture_of(frame, job.scene, job.view, rung, (columns, rows), seconds)
+            if rung == EXACT:
+                picture = replace(picture, about=exposure_of(frame, job.scene))
+            self._pipe.send((number, picture))
 
     def _inspect(self, number: int, question: Question) -> dict[str, Any]:
         from clsco.frame.frame import ALL_TRUTH

@@ -78,7 +78,7 @@ class Browser:
     preview: Preview | None = None
 
     async def send(self, data: bytes) -> None:
-        revision, rung, _, _, _, encoding, _, _ = HEADER.unpack_from(data)
+        revision, rung, _, _, _, encoding, _, _, _ = HEADER.unpack_from(data)
         if encoding == MESSAGE:
             self.said.append(json.loads(data[HEADER.size :]))
             return

@@ -19,7 +19,7 @@ import clsco
 from clsco import Scene, parse_scene
 from clsco.errors import CanceledError, SceneError
 from clsco.files.transfer import encode
-from clsco.studio.pictures import DRAGGING, EXACT, FLOAT32, JPEG, LOSSY, PNG, VIEWS, Picture
+from clsco.studio.pictures import DRAGGING, EXACT, FLOAT32, HEADER, JPEG, LOSSY, PNG, VIEWS, Picture
 from clsco.studio.preview import Preview
 from clsco.studio.renderer import Job, Renderer, RendererEndedError
 from tests.studio.test_preview import Browser, Session
@@ -115,7 +115,7 @@ async def previews(renderer: Renderer) -> None:
     revisions = [revision for revision, _ in browser.got]
     assert revisions == sorted(revisions)
     assert browser.got[-1] == (20, EXACT)
-    assert np.array_equal(np.asarray(Image.open(io.BytesIO(pictures[-1][16:]))), codes(session.scene))
+    assert np.array_equal(np.asarray(Image.open(io.BytesIO(pictures[-1][HEADER.size :]))), codes(session.scene))
 
 
 async def crash(renderer: Renderer) -> None:

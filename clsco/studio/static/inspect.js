@@ -117,16 +117,10 @@
       if (found === null) return;
       drag += 1;
       studio.send({ focus: found, drag });
-      tool("");
+      studio.take("");
     });
   };
   studio.rested = () => { compare(); ask(); };
-
-  const tool = (name) => {
-    studio.tool = name;
-    one("#stage").classList.toggle("aiming", name === "focus");
-    one("#focus").setAttribute("aria-pressed", String(name === "focus"));
-  };
 
   // ---- comparing with a pinned frame ------------------------------------------------------------------------------
   let pinned = null, mode = "off", flipped = false;
@@ -179,7 +173,8 @@
   };
 
   studio.extra = (event) => {
-    if (event.key === "f" || event.key === "F") return tool(studio.tool === "focus" ? "" : "focus");
+    if (event.key === "f" || event.key === "F") return studio.take("focus");
+    if (event.key === "m" || event.key === "M") return studio.take("move");
     if (event.key === "p" || event.key === "P") return pin();
     if (event.key === " " && event.target === document.body && !event.repeat) {
       event.preventDefault();
@@ -192,7 +187,6 @@
   studio.begin = () => {
     pointer();
     document.addEventListener("keyup", (event) => { if (event.key === " ") { flipped = false; compare(); } });
-    one("#focus").addEventListener("click", () => tool(studio.tool === "focus" ? "" : "focus"));
     one("#pin").addEventListener("click", pin);
     one("#compare").addEventListener("change", (event) => choose(event.target.value));
     one("#wipe").addEventListener("input", compare);
