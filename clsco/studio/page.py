@@ -22,6 +22,7 @@ KEYS = (
     (", .", "frame before, next frame"),
     ("F, then a click", "focus on what is there"),
     ("M, then a drag", "move the object that is there at its depth; with Shift along z, which planes always do"),
+    ("B", "inpainting; there [ and ] make the brush smaller and larger, E erases, 0 fits, Ctrl Z takes a stroke back"),
     ("P, Space", "pin the exact frame; see it while the key is down"),
     ("Ctrl Z, Shift Ctrl Z", "undo, redo"),
     ("Ctrl S", "save"),
@@ -94,7 +95,7 @@ def _header(session: Session, studio: Studio, name: str) -> None:
     button("Save", save, id="save")
     button("Save as", save_as)
     button("Share", share_dialog(session))
-    button("Inpaint", inpainting_dialog(session, name, studio.device))
+    button("Inpaint", inpainting_dialog(session, studio.jobs, name, studio.device), id="inpaint")
     say("button", "Undo", id="undo", data_do="undo", disabled=True)
     say("button", "Redo", id="redo", data_do="redo", disabled=True)
     if kept := studio.kept():

@@ -96,8 +96,13 @@ def add_routes(app: FastAPI, jobs: Jobs, session_of: Callable[[str], Session | N
             match json.loads(await request.body()):
                 case {"columns": int(columns), "rows": int(rows), "runs": list(runs)}:
                     inpainting.paint(columns, rows, runs)
-                case {"column": int(column), "row": int(row), "tolerance": int() | float() as tolerance}:
-                    inpainting.add_color(column, row, tolerance)
+                case {
+                    "column": int(column),
+                    "row": int(row),
+                    "tolerance": int() | float() as tolerance,
+                    "erase": bool(erase),
+                }:
+                    inpainting.add_color(column, row, tolerance, erase)
                 case _:
                     return JSONResponse({"error": "mask: must be runs or a color"}, 400)
         except (ImageError, ValueError, RecursionError) as error:
