@@ -16,7 +16,7 @@ from clsco.studio.moving import ALONG, grip
 from clsco.studio.session import Session
 
 SIZE = 64
-ROUND = [
+ROUND: list[dict[str, Any]] = [
     {"shape": "sphere", "center": [3.0, -2.0, 280.0], "radius": 20.0},
     {"shape": "ellipsoid", "center": [3.0, -2.0, 280.0]},
     {"shape": "cylinder", "center": [3.0, -2.0, 280.0]},
@@ -56,11 +56,13 @@ def test_along_z_the_depth_is_multiplied(tmp_path: Path) -> None:
 def test_planes_move_by_their_distance(tmp_path: Path) -> None:
     plane = {"shape": "plane", "distance": 250.0, "slope_x": 0.4, "slope_y": -0.2, "rotation": [0.0, 10.0, 0.0]}
     session = session_of(tmp_path, plane)
-    frame = clsco.render_frame(session.scene, truth=("depth",))
-    held = grip(session, 0, 0, float(frame.depth[30, 20]))
+    depth = clsco.render_frame(session.scene, truth=("depth",)).depth
+    assert depth is not None
+    held = grip(session, 0, 0, float(depth[30, 20]))
     assert session.patch(held.path, held.value(session.scene.camera, 5.0, -2.0, False))
-    moved = clsco.render_frame(session.scene, truth=("depth",))
-    assert moved.depth[28, 25] == pytest.approx(frame.depth[30, 20], rel=1e-6)
+    moved = clsco.render_frame(session.scene, truth=("depth",)).depth
+    assert moved is not None
+    assert moved[28, 25] == pytest.approx(depth[30, 20], rel=1e-6)
 
 
 def test_a_camera_that_turned_moves_things_along_its_own_axes(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ import clsco
 from clsco import Scene, parse_scene
 from clsco.errors import CanceledError, SceneError
 from clsco.files.transfer import encode
-from clsco.studio.pictures import DRAGGING, EXACT, FLOAT32, HEADER, JPEG, LOSSY, PNG, VIEWS, Picture
+from clsco.studio.pictures import DRAGGING, EXACT, FLOAT32, HEADER, JPEG, LOSSY, MESSAGE, PNG, VIEWS, Picture
 from clsco.studio.preview import Preview
 from clsco.studio.renderer import Job, Renderer, RendererEndedError
 from tests.studio.test_preview import Browser, Session
@@ -96,7 +96,8 @@ async def previews(renderer: Renderer) -> None:
     browser = Browser()
 
     async def send(data: bytes) -> None:
-        pictures.append(data)
+        if HEADER.unpack_from(data)[5] != MESSAGE:
+            pictures.append(data)
         await browser.send(data)
 
     browser.preview = preview = Preview(session, renderer, send)
