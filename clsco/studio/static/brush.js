@@ -17,6 +17,7 @@
   let past = [], future = []; // masks as runs
   let pointer = null; // pixel of the image under the pointer
   let path = null, before = null; // pixels that a stroke went through; runs of the mask when it began
+  let wantsFrame = false; // B takes the frame that is shown, where no image is open
   const fingers = new Map();
   let pinch = null;
 
@@ -344,8 +345,9 @@
     const command = event.ctrlKey || event.metaKey;
     if (!isOpen()) {
       const isFree = !command && !event.altKey && !typing && !document.querySelector("dialog[open]");
-      if (event.key === "b" && isFree) document.querySelector("#inpaint").click();
-      return;
+      wantsFrame = event.key === "b" && isFree;
+      if (wantsFrame) document.querySelector("#inpaint").click();
+      return undefined;
     }
     if (event.key === "Escape" && path !== null) event.preventDefault(); // the stroke goes, the dialog stays
     if (event.key === "Escape") return letGo();
@@ -365,6 +367,11 @@
 
   window.studioBrush = {
     load, replaced, shownFrame, sent: () => sending,
-    opened: (name) => { if (image === null) (name ? load() : one("frame").click()); else draw(); },
+    opened: (hasImage) => {
+      if (image !== null) draw();
+      else if (hasImage) load();
+      else if (wantsFrame) one("frame").click();
+      wantsFrame = false;
+    },
   };
 })();
