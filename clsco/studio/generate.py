@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from clsco.errors import ClscoError, SceneError
 from clsco.files.atomic import writable_folder, write_whole
+from clsco.plan.prepare import prepare_sweep
 from clsco.scene.file import absolute, swept_keys
 from clsco.scene.model import Scene
 from clsco.scene.sweep import parse_sweep
@@ -163,8 +164,10 @@ def _render(session: Session, jobs: Jobs, folder: str, table: Table, what: str, 
     name = _name(session, folder)
     target = session.root / name
     placed = moved(table, session.folder, target)
-    scenes = parse_sweep(placed).scenes
+    sweep = parse_sweep(placed)
+    scenes = tuple(absolute(scene, target) for scene in sweep.scenes)
     jobs.require_free(name)
+    prepare_sweep(replace(sweep, scenes=scenes))  # says what is beyond the limits, before anything is begun
     target.mkdir(parents=True, exist_ok=True)
     write_whole(target / SCENE_FILE, toml_text(sparse(placed)).encode())
     title = str(table.get("title", "")) or "scene"

@@ -15,6 +15,7 @@ from clsco.studio.widgets.inpainting import inpainting_dialog
 from clsco.studio.widgets.jobs import draw_jobs, generate_dialog
 from clsco.studio.widgets.panels import draw_panels
 from clsco.studio.widgets.plain import button, say
+from clsco.studio.widgets.sweep import draw_sweep
 
 KEYS = (
     ("← → ↑ ↓", "step of a slider; with Shift ten times, with Alt a tenth"),
@@ -63,7 +64,7 @@ def draw(name: str, studio: Studio) -> None:
             _header(session, studio, name)
         with say("nav", id="panels", aria_label="Panels"):
             with say("div", id="panels-scroll"):
-                ends = [draw_panels(session)]
+                ends = [draw_sweep(session), draw_panels(session)]
             with say("div", id="panels-end"):
                 say("button", "Reset", id="reset", data_do="reset", title="Panels 2 to 5 to their defaults")
                 button("Generate", generate_dialog(session, studio.jobs, studio.device or ""), id="generate").classes(

@@ -253,6 +253,18 @@ def test_values_that_are_not_valid_are_not_left_out_silently(jobs: Jobs) -> None
         generate(session, jobs, "out")
 
 
+def test_what_is_beyond_the_limits_is_said_before_it_is_begun(jobs: Jobs) -> None:
+    session = Session(jobs.root)
+    session.patch("camera.pixel_pitch", 1e-4)
+    session.patch("camera.focus_distance", 30.0)
+    with pytest.raises(ClscoError, match="the blur radius must be at most 512 px"):
+        generate(session, jobs, "out")
+    with pytest.raises(ClscoError, match=r"at most 512 px.*\(with focus_distance_30\)"):
+        focal_stack(session, jobs, "out", 30.0, 250.0, 3)
+    assert not jobs.listed
+    assert not (jobs.root / "out").exists()
+
+
 def test_command_lines(jobs: Jobs, slow: None) -> None:
     session = Session(jobs.root)
     (jobs.root / "d.toml").write_text("")
@@ -348,4 +360,5 @@ def test_all_formats_of_truth_are_written(tmp_path: Path, jobs: Jobs, name: str)
     job = generate(session, jobs, "out", Wanted(truth=name))
     until(jobs, lambda: not jobs.job(job.number).is_unfinished, 120.0)
     assert jobs.job(job.number).status == "done", jobs.job(job.number).message
-    assert len(list((tmp_path / "out").rglob("*"))) > 2 + len(list((tmp_path / "out").glob("frame_*.png")))
+    plain = {"frame_0000.png", "frame_0000.json", "frame_0000_left.png", "frame_0000_right.png", "scene.toml"}
+    assert {path.name for path in (tmp_path / "out").rglob("*")} - plain

@@ -112,9 +112,8 @@ def generate_dialog(session: Session, jobs: Jobs, device: str = "") -> Callable[
                 "Clip beside the frames", {"": "none"} | {n: n for n in clips}, answers.preset, set_("preset"), clips
             )
             check_box("Image of each time sample, too", answers.subframes, set_("subframes"))
-            count = session.scene.sequence.frames
             with ui.element("div").classes("row"):
-                button(f"Write {count} frame{'s' if count > 1 else ''}", frames).classes("primary")
+                button(_all_frames(session), frames).classes("primary")
             with say("details"):
                 say("summary", "Focal stack")
                 text_box("Nearest focus distance (mm)", answers.nearest, set_("nearest"), inputmode="decimal")
@@ -127,6 +126,14 @@ def generate_dialog(session: Session, jobs: Jobs, device: str = "") -> Callable[
         dialog.open()
 
     return show
+
+
+def _all_frames(session: Session) -> str:
+    """What Generate writes, in words."""
+    scenes, frames = len(session.state.labels), session.scene.sequence.frames
+    if scenes > 1:
+        return f"Write the frames of {scenes} scenes"
+    return f"Write {frames} frame{'s' if frames > 1 else ''}"
 
 
 def clip_dialog(session: Session, jobs: Jobs) -> Callable[[Job], None]:
