@@ -102,6 +102,7 @@ def _header(session: Session, studio: Studio, name: str) -> None:
             "Recover", partial(session.recover, kept[0]), title="The scene of a studio that ended before it was saved"
         )
     say("div").classes("spread")
+    say("span", id="plan", title="Of the exact frame: passes, time, and memory on the device, as `clsco plan` reports")
     say("button", "?", aria_label="Keyboard", data_show="#keys")
     say("button", "Inspector", id="inspector", data_toggle="sided")
 

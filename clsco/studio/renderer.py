@@ -15,6 +15,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from clsco.errors import CanceledError, ClscoError, SceneError
+from clsco.frame.frame import Frame
 from clsco.scene.model import Scene
 from clsco.studio.ladder import Ladders, coarser, work_of
 from clsco.studio.pictures import DRAGGING, EXACT, IMAGES, LOSSY, Picture
@@ -263,7 +264,6 @@ class _Worker:
         self._pipe.send((number, replace(picture, is_plain=is_plain)))
 
     def _exact(self, number: int, job: Job) -> None:
-        from clsco.studio.moments import exposure_of
         from clsco.studio.pictures import picture_of, truth_of
 
         self._check(number)
@@ -276,8 +276,18 @@ class _Worker:
             self._check(number)
             picture = picture_of(frame, job.scene, job.view, rung, (columns, rows), seconds)
             if rung == EXACT:
-                picture = replace(picture, about=exposure_of(frame, job.scene))
+                picture = replace(picture, about=self._about(job, frame, seconds))
             self._pipe.send((number, picture))
+
+    def _about(self, job: Job, frame: Frame, seconds: float) -> dict[str, Any]:
+        from clsco.plan.prepare import prepare
+        from clsco.plan.request import Request
+        from clsco.studio.moments import exposure_of
+        from clsco.studio.pictures import truth_of
+        from clsco.studio.planned import plan_line
+
+        prepared = prepare(job.scene, Request(truth_of(job.view)), self._live.session.device, self._live.files)
+        return {"plan": plan_line(prepared, seconds)} | exposure_of(frame, job.scene)
 
     def _ladders_of(self, job: Job) -> Ladders:
         return self._ladders.setdefault((job.view, len(job.scene.objects), job.scene.moves), Ladders())
