@@ -104,6 +104,7 @@ def _header(session: Session, studio: Studio, name: str) -> None:
             "Recover", partial(session.recover, kept[0]), title="The scene of a studio that ended before it was saved"
         )
     say("div").classes("spread")
+    say("span", id="plan", title="Of the exact frame: passes, time, and memory on the device, as `clsco plan` reports")
     say("button", "?", aria_label="Keyboard", data_show="#keys")
     say("button", "Inspector", id="inspector", data_toggle="sided")
 
@@ -171,13 +172,13 @@ def _shown() -> None:
     """How the view shows the picture, which it leaves as it is."""
     with say("details", id="shown"):
         with say("summary", title="Exposure and gamma of the view; the scene and its files stay as they are"):
-            say("span", "View:")
+            say("span", "View: ")
             say("span", "as it is", id="view-about")
         with say("div", id="shown-panel"):
             say("label", "Exposure of the view (EV)", for_="exposure")
-            say("input", id="exposure", type="range", min=-4, max=4, value=0, step=0.25)
+            say("input", id="exposure", type="range", min=-4, max=4, step=0.25, value=0)
             say("label", "Gamma of the view", for_="gamma")
-            say("input", id="gamma", type="range", min=0.4, max=2.6, value=1, step=0.1)
+            say("input", id="gamma", type="range", min=0.4, max=2.6, step=0.1, value=1)
             with say("label"):
                 say("input", id="arrows", type="checkbox")
                 say("span", "Arrows of motion")
