@@ -164,11 +164,11 @@ def _render(session: Session, jobs: Jobs, folder: str, table: Table, what: str, 
         raise ClscoError(f"{next(iter(session.faults))}: must be valid before frames are generated")
     name = _name(session, folder)
     target = session.root / name
-    placed = moved(table, session.folder, target)
-    sweep = parse_sweep(placed)
-    scenes = tuple(absolute(scene, target) for scene in sweep.scenes)
+    sweep = parse_sweep(table)
     jobs.require_free(name)
+    scenes = tuple(absolute(scene, session.folder) for scene in sweep.scenes)
     prepare_sweep(replace(sweep, scenes=scenes))  # says what is beyond the limits, before anything is begun
+    placed = moved(table, session.folder, target)
     target.mkdir(parents=True, exist_ok=True)
     write_whole(target / SCENE_FILE, toml_text(sparse(placed)).encode())
     title = str(table.get("title", "")) or "scene"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -15,7 +16,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from clsco import ClscoError
+from clsco import ClscoError, load_scene
 from clsco.cli.main import main
 from clsco.studio import jobs as jobs_module
 from clsco.studio import offers
@@ -82,14 +83,15 @@ def work(jobs: Jobs, name: str, count: object, seconds: float = 0.0) -> Job:
 
 
 def written(folder: Path) -> dict[str, bytes]:
-    """Images, and JSON files but for the seconds that passes took."""
+    """Images, and JSON files but for the seconds that passes took and the way to images, which starts elsewhere."""
     found = {path.name: path.read_bytes() for path in sorted(folder.rglob("frame_*.png"))}
     for path in folder.rglob("frame_*.json"):
         content = json.loads(path.read_text())
         views = [content, *content.get("views", {}).values()]
         for view in views:
             view.pop("seconds", None)
-        found[path.name] = json.dumps(content).encode()
+        text = re.sub(r'"(/[^"]+)"', lambda path: f'"{Path(path[1]).resolve()}"', json.dumps(content))
+        found[path.name] = text.encode()
     return found
 
 
@@ -263,6 +265,18 @@ def test_what_is_beyond_the_limits_is_said_before_it_is_begun(jobs: Jobs) -> Non
         focal_stack(session, jobs, "out", 30.0, 250.0, 3)
     assert not jobs.listed
     assert not (jobs.root / "out").exists()
+
+
+def test_images_are_found_from_the_output_folder(jobs: Jobs, slow: None) -> None:
+    session = Session(jobs.root)
+    load_preset(session, "depth_map")
+    work(jobs, "busy", 1, 30.0)
+    generate(session, jobs, "deep/out")
+    scene = load_scene(jobs.root / "deep/out/scene.toml")
+    assert scene.objects[0].files() == {
+        "texture": str(jobs.root / "deep/out/../../images/depth_map_image.png"),
+        "depth": str(jobs.root / "deep/out/../../images/depth_map_depth.png"),
+    }
 
 
 def test_command_lines(jobs: Jobs, slow: None) -> None:
