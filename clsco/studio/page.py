@@ -28,7 +28,7 @@ KEYS = (
     ("Esc", "take back what is being dragged"),
     ("?", "this list"),
 )
-SCRIPTS = ("colors", "studio", "inspect", "forms", "brush")
+SCRIPTS = ("colors", "studio", "compare", "inspect", "forms", "brush")
 STYLES = ("studio", "forms")
 
 
@@ -149,10 +149,19 @@ def _inspector() -> None:
         with say("div", id="psf-part", hidden=True):
             say("h3", "Point spread function")
             with say("div").classes("row"):
-                say("canvas", id="psf", width=130, height=130, role="img", aria_label="Point spread function")
-                with say("div"):
-                    say("p", id="psf-side").classes("quiet")
-                    say("p", id="psf-about").classes("quiet")
+                for name, label in (("psf", "Model"), ("response", "Measured")):
+                    with say("figure"):
+                        say("canvas", id=name, width=130, height=130, role="img", aria_label=f"{label} spread")
+                        say("figcaption", label)
+            say("p", id="psf-side").classes("quiet")
+            with say("table"):
+                with say("thead"), say("tr"):
+                    for label in ("", "Model", "Measured"):
+                        say("th" if label else "td", label)
+                say("tbody", id="psf-values")
+            say("p", id="psf-about").classes("quiet")
+            say("p", id="unmeasured", role="status").classes("quiet")
+            say("button", "Measure", id="measure", title="Render the scene with only this source lit", hidden=True)
         say("h3", "Lens")
         say("canvas", id="lens", width=276, height=100, role="img", aria_label="Thin lens, not to scale")
         say("p", id="lens-about").classes("quiet")

@@ -14,6 +14,7 @@ from clsco.studio.pictures import DRAGGING, EXACT, PINNED, VIEWS, Picture, packe
 from clsco.studio.renderer import Job, Question, RendererEndedError
 
 REST = 0.120  # s without a change
+MEASURE = "measure"  # purpose of a question
 MOST_UNSEEN = 2  # pictures that the browser has not painted yet
 _MOST_CRASHES = 2  # of the renderer with the same scene
 
@@ -94,7 +95,8 @@ class Preview:
     def inspect(self, x: int, y: int, told: Told, purpose: str = "") -> None:
         """Have `told` called with what is known of a pixel, once the exact frame is there.
 
-        Of pixels that are asked for with one purpose the latest wins.
+        Of pixels that are asked for with one purpose the latest wins. With MEASURE, what is asked for is the response
+        of the pixel's source.
         """
         self._asked[purpose] = x, y, told
         self._news.set()
@@ -183,8 +185,9 @@ class Preview:
         self._is_exact_underway = True
         index = min(self._index, self._session.scene.sequence.frames - 1)
         key = id(self), self._session.revision, index
+        question = Question(self._session.scene, index, key, x, y, purpose == MEASURE)
         try:
-            await told(await self._renderer.inspect(Question(self._session.scene, index, key, x, y)))
+            await told(await self._renderer.inspect(question))
         except CanceledError:
             self._asked.setdefault(purpose, asked)
         except ClscoError as error:

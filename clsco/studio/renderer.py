@@ -46,13 +46,17 @@ class Job:
 
 @dataclass(frozen=True)
 class Question:
-    """What is known of a pixel is asked for; frames of one `key` are the same."""
+    """What is known of a pixel is asked for; frames of one `key` are the same.
+
+    measures: the response of its source is asked for, which takes a rendering of its own.
+    """
 
     scene: Scene
     index: int
     key: tuple[int, int, int]
     x: int
     y: int
+    measures: bool = False
 
 
 class Renderer:
@@ -107,7 +111,14 @@ class Renderer:
                 yield answer
 
     async def inspect(self, question: Question) -> dict[str, Any]:
-        """What `clsco.studio.inspector.inspected` gives for a pixel. Raises as `pictures`."""
+        """What is known of a pixel. Raises as `pictures`.
+
+        Returns
+        -------
+        dict
+            What `clsco.studio.inspector.inspected` gives, and `seconds` that measuring takes; or where the question
+            measures `x`, `y`, and `response`, what `clsco.studio.inspector.figures_of` gives of the response.
+        """
         async with aclosing(self._ask("inspect", question)) as answers:
             return await anext(answers)
 
@@ -205,6 +216,16 @@ def _work(pipe: Connection, device: str | None) -> None:
         worker.answer(*jobs.get())
 
 
+@dataclass
+class _Known:
+    """A frame with all of its ground truth, whether tilt counts in it, and the time of a response, s."""
+
+    key: tuple[int, int, int]
+    frame: Any
+    is_tilted: bool
+    seconds: float
+
+
 class _Worker:
     """Renders in the process."""
 
@@ -215,7 +236,7 @@ class _Worker:
         self._canceled = 0
         self._ladders: dict[Any, Ladder] = {}
         self._live: Any = None
-        self._known: tuple[Any, Any] | None = None  # key and frame with all of its ground truth
+        self._known: _Known | None = None
 
     def cancel(self, number: int) -> None:
         self._canceled = max(self._canceled, number)
@@ -276,16 +297,35 @@ class _Worker:
             self._pipe.send((number, picture_of(frame, job.scene, job.view, rung, (columns, rows), seconds)))
 
     def _inspect(self, number: int, question: Question) -> dict[str, Any]:
-        from clsco.frame.frame import ALL_TRUTH
-        from clsco.studio.inspector import inspected
+        from clsco.studio.inspector import figures_of, inspected, source_of
 
-        if self._known is None or self._known[0] != question.key:
+        known, scene = self._frame_of(number, question), question.scene
+        rows, columns = known.frame.color.shape[:2]
+        x, y = min(question.x, columns - 1), min(question.y, rows - 1)
+        if not question.measures:
+            return inspected(known.frame, scene, x, y, known.is_tilted) | {"seconds": known.seconds}
+        source = source_of(known.frame, scene, x, y)
+        if isinstance(source, str):
+            return {"x": x, "y": y, "unmeasured": source}
+        self._check(number)
+        start = time.perf_counter()
+        response = self._live.response(scene, *source[:2], question.index, item=source[2])
+        known.seconds = time.perf_counter() - start
+        return {"x": x, "y": y, "response": figures_of(response, x, y)}
+
+    def _frame_of(self, number: int, question: Question) -> _Known:
+        """The frame that is asked about, with all of its ground truth."""
+        from clsco.frame.frame import ALL_TRUTH
+        from clsco.plan.prepare import prepare
+
+        if self._known is None or self._known.key != question.key:
             self._check(number)
             self._known = None
-            self._known = question.key, self._frame(question.scene, question.index, ALL_TRUTH)
-        frame = self._known[1]
-        rows, columns = frame.color.shape[:2]
-        return inspected(frame, question.scene, min(question.x, columns - 1), min(question.y, rows - 1))
+            plan = prepare(question.scene, None, self._live.session.device, self._live.files).plan
+            frame = self._frame(question.scene, question.index, ALL_TRUTH)
+            seconds = sum(frame.metadata["seconds"].values())  # in kernels, without what was compiled
+            self._known = _Known(question.key, frame, plan.tilt and plan.occlusion != "layered", seconds)
+        return self._known
 
     def _frame(self, scene: Scene, index: int, truth: tuple[str, ...]) -> Any:
         from clsco.engine.sequence import render

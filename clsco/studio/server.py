@@ -24,7 +24,7 @@ from clsco.scene.toml import toml_text
 from clsco.studio.guard import MAX_MESSAGE, Guard
 from clsco.studio.jobs import STATE_FOLDER, Jobs
 from clsco.studio.presets import choose_method
-from clsco.studio.preview import Preview
+from clsco.studio.preview import MEASURE, Preview
 from clsco.studio.renderer import Renderer
 from clsco.studio.routes import add_routes
 from clsco.studio.session import Session
@@ -180,6 +180,12 @@ class Studio:
                     await preview.tell(inspected=found)
 
                 preview.inspect(x, y, told)
+            case {"measure": [int(x), int(y)]} if min(x, y) >= 0:
+
+                async def measured(found: dict[str, Any]) -> None:
+                    await preview.tell(measured=found)
+
+                preview.inspect(x, y, measured, MEASURE)
             case {"focus": [int(x), int(y)], "drag": int(drag)} if min(x, y) >= 0:
 
                 async def focus(found: dict[str, Any]) -> None:

@@ -15,7 +15,7 @@ from clsco import Scene, parse_scene
 from clsco.errors import CanceledError, ClscoError, SceneError
 from clsco.studio.ladder import BUDGET, Ladder, coarser, work_of
 from clsco.studio.pictures import DRAGGING, EXACT, HEADER, LOSSY, MESSAGE, PINNED, Picture
-from clsco.studio.preview import MOST_UNSEEN, REST, Preview
+from clsco.studio.preview import MEASURE, MOST_UNSEEN, REST, Preview
 from clsco.studio.renderer import Job, Question, RendererEndedError
 
 
@@ -59,6 +59,8 @@ class Renderer:
     async def inspect(self, question: Question) -> dict[str, Any]:
         self.questions.append(question)
         await asyncio.sleep(self.seconds)
+        if self.faults:
+            raise self.faults.pop(0)
         return {"at": [question.x, question.y]}
 
     async def warm(self, scene: Scene) -> None:
@@ -198,6 +200,29 @@ def test_pixels_are_told_of_when_the_exact_frame_is_there() -> None:
     _, renders, _ = played(play)
     assert found == [{"at": [4, 2]}]  # the latest
     assert [(question.x, question.index) for question in renders.questions] == [(4, 0)]
+
+
+def test_a_response_is_measured_after_all_else_and_again_after_a_change() -> None:
+    found: list[dict[str, Any]] = []
+
+    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
+        async def told(answer: dict[str, Any]) -> None:
+            found.append(answer)
+
+        await asyncio.sleep(2 * REST)
+        renders.seconds = 0.05
+        preview.inspect(3, 2, told, MEASURE)
+        await asyncio.sleep(0.02)
+        session.step()
+        preview.changed()
+        renders.faults = [CanceledError("canceled")]
+        await asyncio.sleep(4 * REST)
+
+    _, renders, browser = played(play)
+    assert [question.measures for question in renders.questions] == [True, True]
+    assert renders.canceled == 1
+    assert found == [{"at": [3, 2]}]
+    assert browser.got[-1] == (1, EXACT)
 
 
 def test_another_scene_is_pinned_once() -> None:

@@ -19,9 +19,10 @@ import clsco
 from clsco import Scene, parse_scene
 from clsco.errors import CanceledError, SceneError
 from clsco.files.transfer import encode
+from clsco.studio.inspector import figures_of
 from clsco.studio.pictures import DRAGGING, EXACT, FLOAT32, JPEG, LOSSY, PNG, VIEWS, Picture
 from clsco.studio.preview import Preview
-from clsco.studio.renderer import Job, Renderer, RendererEndedError
+from clsco.studio.renderer import Job, Question, Renderer, RendererEndedError
 from tests.studio.test_preview import Browser, Session
 
 
@@ -42,6 +43,7 @@ def test_the_renderer_from_its_start_to_its_crash() -> None:
         try:
             await rungs(renderer)
             await views(renderer)
+            await pixels(renderer)
             await faults(renderer)
             await previews(renderer)
             await crash(renderer)
@@ -76,6 +78,19 @@ async def views(renderer: Renderer) -> None:
         expected = np.asarray(getattr(frame, name), np.float32)
         assert (exact.encoding, exact.size) == (FLOAT32, (48, 40))
         assert np.array_equal(np.frombuffer(exact.payload, "<f4").reshape(expected.shape), expected, equal_nan=True)
+
+
+async def pixels(renderer: Renderer) -> None:
+    scene = small()
+    (frame,) = clsco.render(scene, device="pocl")
+    found = await renderer.inspect(Question(scene, 0, (1, 1, 0), 20, 15))
+    assert found["values"]["depth"] == float(frame.depth[15, 20])  # type: ignore[index]
+    assert 0.0 < found["seconds"] < 1.0
+    measured = await renderer.inspect(Question(scene, 0, (1, 1, 0), 20, 15, measures=True))
+    expected = figures_of(clsco.response(scene, 20, 15, device="pocl"), 20, 15)
+    assert measured == {"x": 20, "y": 15, "response": expected}
+    beside = await renderer.inspect(Question(scene, 0, (1, 1, 0), 99, 99, measures=True))
+    assert beside == {"x": 47, "y": 39, "unmeasured": "no surface"}
 
 
 async def faults(renderer: Renderer) -> None:

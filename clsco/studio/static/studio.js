@@ -309,6 +309,7 @@
   const told = (said) => {
     if (said.error) { fail(said.error); studio.notInspected(); }
     if (said.inspected) studio.inspected(said.inspected);
+    if (said.measured) studio.measured(said.measured);
     if (said.values) {
       Object.assign(studio.values, said.values);
       for (const [path, value] of Object.entries(said.values)) {
