@@ -25,8 +25,21 @@ KEYS = (
     ("Ctrl Z, Shift Ctrl Z", "undo, redo"),
     ("Ctrl S", "save"),
     ("Ctrl Enter", "generate"),
-    ("Esc", "take back what is being dragged"),
+    ("Esc", "take back what is being dragged; cancel what takes long"),
     ("?", "this list"),
+)
+PINS = (
+    ("", "Pin …"),
+    ("this", "this frame (P)"),
+    ("thesis", "as the thesis"),
+    ("reference", "as the reference, in NumPy"),
+)
+COMPARISONS = (
+    ("off", "not compared"),
+    ("wipe", "wipe"),
+    ("flip", "flip (Space)"),
+    ("8", "difference × 8"),
+    ("64", "difference × 64"),
 )
 SCRIPTS = ("colors", "studio", "compare", "inspect", "forms", "brush")
 STYLES = ("studio", "forms")
@@ -111,6 +124,7 @@ def _middle() -> None:
         say("canvas", id="pinned", width=1, height=1, hidden=True, aria_hidden="true")
         say("canvas", id="over", aria_hidden="true")
         say("div", id="badge")
+        say("div", id="pin-badge", hidden=True)
         say("div", id="message", role="alert", hidden=True)
         with say("div", id="legend", hidden=True):
             with say("div", id="legend-row"):
@@ -120,12 +134,11 @@ def _middle() -> None:
             say("div", id="legend-about")
     with say("div", id="tools"):
         say("button", "Focus", id="focus", aria_pressed="false", title="Then click what is to be in focus (F)")
-        say("button", "Pin", id="pin", title="Keep the exact frame to compare with (P)")
-        say("button", "Pin as the thesis", data_do="pin thesis", title="The frame with PSF and method of the thesis")
+        with say("select", id="pin", aria_label="Pin a frame to compare with"):
+            for value, label in PINS:
+                say("option", label, value=value)
         with say("select", id="compare", aria_label="Compare with the pinned frame", disabled=True):
-            for value, label in (
-                ("off", "no comparison"), ("wipe", "wipe"), ("flip", "flip (Space)"), ("difference", "difference × 8"),
-            ):  # fmt: skip
+            for value, label in COMPARISONS:
                 say("option", label, value=value)
         say("input", id="wipe", type="range", min=0, max=100, value=50, aria_label="Wipe", hidden=True)
         say("div").classes("spread")
@@ -133,6 +146,9 @@ def _middle() -> None:
         say("span", id="zoom")
         say("button", "Fit", id="fit")
         say("button", "1:1", id="actual")
+    with say("div", id="reference", hidden=True):
+        say("span", id="reference-about", role="status")
+        say("button", "Cancel", id="reference-cancel", data_do="cancel", title="Esc")
     with say("div", id="line"):
         say("button", "▶", id="play", aria_label="Play", aria_pressed="false")
         say("input", id="frame", type="range", min=0, max=0, value=0, step=1, aria_label="Frame")

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncGenerator, Awaitable, Callable
+from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine
 from contextlib import aclosing, suppress
 from typing import Any, Protocol
 
 from clsco.errors import CanceledError, ClscoError
 from clsco.scene.model import Scene
-from clsco.studio.pictures import DRAGGING, EXACT, PINNED, VIEWS, Picture, packed_message
+from clsco.studio.pictures import DRAGGING, EXACT, PINNED, REFERENCE, VIEWS, Picture, packed_message
+from clsco.studio.reference import reference_picture
 from clsco.studio.renderer import Job, Question, RendererEndedError
 
 REST = 0.120  # s without a change
@@ -20,6 +21,7 @@ _MOST_CRASHES = 2  # of the renderer with the same scene
 
 
 Told = Callable[[dict[str, Any]], Awaitable[None]]
+Refer = Callable[[Job, Callable[[float], Coroutine[Any, Any, None]]], Awaitable[Picture]]
 
 
 class Edited(Protocol):
@@ -52,10 +54,15 @@ class Preview:
     renderer : Renderer
     send : coroutine function of bytes
         Takes pictures to the browser.
+    refer : coroutine function, optional
+        `clsco.studio.reference.reference_picture`, or what stands for it.
     """
 
-    def __init__(self, session: Edited, renderer: Renders, send: Callable[[bytes], Awaitable[None]]) -> None:
-        self._session, self._renderer, self._send = session, renderer, send
+    def __init__(
+        self, session: Edited, renderer: Renders, send: Callable[[bytes], Awaitable[None]],
+        refer: Refer = reference_picture,
+    ) -> None:  # fmt: skip
+        self._session, self._renderer, self._send, self._refer = session, renderer, send, refer
         self._view, self._index = "color", 0
         self._state = 1  # counts all changes; a revision is one of the scene alone
         self._done = (0, EXACT)  # state and rung of the latest picture
@@ -66,6 +73,8 @@ class Preview:
         self._crashes = 0
         self._asked: dict[str, tuple[int, int, Told]] = {}
         self._other: Scene | None = None
+        self._reference: asyncio.Task[None] | None = None
+        self._ready: tuple[int, Picture] | None = None  # by the reference, and of which revision
         self._warm: set[Any] = set()  # kinds of scenes whose kernels, and those near, are compiled
 
     def changed(self) -> None:
@@ -106,12 +115,42 @@ class Preview:
         self._other = scene
         self._news.set()
 
+    def pin_reference(self) -> None:
+        """Have the frame made by the reference meanwhile; it is sent once there is nothing else to do."""
+        self.cancel_reference()
+        index = min(self._index, self._session.scene.sequence.frames - 1)
+        job = Job(self._session.scene, index, self._view, REFERENCE)
+        self._reference = asyncio.create_task(self._by_reference(job, self._session.revision))
+
+    def cancel_reference(self) -> None:
+        """End the reference's work, if there is any."""
+        if self._reference is not None:
+            self._reference.cancel()
+
+    async def _by_reference(self, job: Job, revision: int) -> None:
+        async def predicted(seconds: float) -> None:
+            await self.tell(reference={"revision": revision, "seconds": seconds})
+
+        try:
+            await self.tell(reference={"revision": revision})
+            self._ready = revision, await self._refer(job, predicted)
+            self._news.set()
+        except ClscoError as error:
+            await self.tell(error=[str(error)])
+        await self.tell(reference=None)
+
     async def tell(self, **content: Any) -> None:
         """Send a message that is no picture."""
         await self._send(packed_message(self._session.revision, content))
 
     async def run(self) -> None:
         """Send pictures until canceled."""
+        try:
+            await self._run()
+        finally:
+            self.cancel_reference()
+
+    async def _run(self) -> None:
         while True:
             await self._room()
             done, rung = self._done
@@ -122,6 +161,10 @@ class Preview:
                     await self._show(EXACT)
             elif self._other is not None:
                 await self._show(PINNED)
+            elif self._ready is not None:
+                (revision, picture), self._ready = self._ready, None
+                self._unseen.append((revision, picture.rung))
+                await self._send(picture.packed(revision))
             elif (kind := _kind(self._session.scene)) not in self._warm:
                 self._warm.add(kind)
                 with suppress(ClscoError):  # what is wrong is told by the pictures

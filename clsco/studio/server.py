@@ -203,6 +203,10 @@ class Studio:
                     await preview.tell(error=error.messages)
             case {"do": "pin thesis"}:
                 preview.pin(as_the_thesis(tab.session))
+            case {"do": "pin reference"}:
+                preview.pin_reference()
+            case {"do": "cancel"}:
+                preview.cancel_reference()
             case {"do": "undo"}:
                 tab.session.undo()
             case {"do": "redo"}:

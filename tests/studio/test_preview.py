@@ -14,7 +14,7 @@ import pytest
 from clsco import Scene, parse_scene
 from clsco.errors import CanceledError, ClscoError, SceneError
 from clsco.studio.ladder import BUDGET, Ladder, coarser, work_of
-from clsco.studio.pictures import DRAGGING, EXACT, HEADER, LOSSY, MESSAGE, PINNED, Picture
+from clsco.studio.pictures import DRAGGING, EXACT, HEADER, LOSSY, MESSAGE, PINNED, REFERENCE, Picture
 from clsco.studio.preview import MEASURE, MOST_UNSEEN, REST, Preview
 from clsco.studio.renderer import Job, Question, RendererEndedError
 
@@ -96,12 +96,19 @@ class Browser:
 Play = Callable[[Session, Renderer, Browser, Preview], Coroutine[Any, Any, None]]
 
 
+async def refer(job: Job, predicted: Callable[[float], Coroutine[Any, Any, None]]) -> Picture:
+    """A reference that takes a while, and says so."""
+    await predicted(7.0)
+    await asyncio.sleep(REST)
+    return Picture(REFERENCE, job.view, (64, 48), (64, 48), 2, b"", REST)
+
+
 def played(play: Play, **renderer: Any) -> tuple[Session, Renderer, Browser]:
     """A session that somebody works with."""
 
     async def run() -> tuple[Session, Renderer, Browser]:
         session, renders, browser = Session(), Renderer(**renderer), Browser()
-        browser.preview = preview = Preview(session, renders, browser.send)
+        browser.preview = preview = Preview(session, renders, browser.send, refer)
         running = asyncio.create_task(preview.run())
         await play(session, renders, browser, preview)
         running.cancel()
@@ -233,6 +240,33 @@ def test_another_scene_is_pinned_once() -> None:
     _, renders, browser = played(play)
     assert browser.got == [(0, DRAGGING), (0, LOSSY), (0, EXACT), (0, PINNED)]
     assert renders.jobs[-1].scene.psf.model == "gaussian"
+
+
+def test_the_reference_goes_on_beside_changes_and_says_of_which_revision_it_is() -> None:
+    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
+        await asyncio.sleep(2 * REST)
+        preview.pin_reference()
+        await asyncio.sleep(0.02)
+        session.step()
+        preview.changed()
+        await asyncio.sleep(3 * REST)
+
+    _, _, browser = played(play)
+    assert browser.got[3:] == [(1, DRAGGING), (1, LOSSY), (1, EXACT), (0, REFERENCE)]
+    said = [content["reference"] for content in browser.said]
+    assert said == [{"revision": 0}, {"revision": 0, "seconds": 7.0}, None]
+
+
+def test_a_canceled_reference_is_not_sent() -> None:
+    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
+        preview.pin_reference()
+        await asyncio.sleep(0.02)
+        preview.cancel_reference()
+        await asyncio.sleep(3 * REST)
+
+    _, _, browser = played(play)
+    assert REFERENCE not in [rung for _, rung in browser.got]
+    assert browser.said[-1] == {"reference": {"revision": 0, "seconds": 7.0}}
 
 
 def test_a_fault_of_the_scene_is_told_once() -> None:

@@ -3,7 +3,7 @@
 "use strict";
 
 (() => {
-  const LOSSY = 1, EXACT = 2, PINNED = 3; // 0: while something is dragged
+  const LOSSY = 1, EXACT = 2, PINNED = 3; // 0: while something is dragged; from PINNED on: to compare with
   const MESSAGE = 0, JPEG = 1, PNG = 2, FLOAT16 = 3;
   const VIEWS = ["color", "sharp", "depth", "blur radius", "flow", "normal", "id", "mask", "missing"];
   const ECHO = 300; // ms in which the server answers a change
@@ -63,11 +63,11 @@
     const drawable = picture.encoding === JPEG || picture.encoding === PNG ? decoded(picture, buffer) : plane(picture, buffer);
     queue = queue.then(async () => {
       const image = await drawable;
-      if (picture.rung === PINNED) studio.pinned(image, ...picture.full);
+      if (picture.rung >= PINNED) studio.pinned(image, picture);
       else if (picture.view === studio.view && picture.revision >= studio.revision) paint(picture, image);
       await new Promise(requestAnimationFrame);
       send({ ack: [picture.revision, picture.rung] });
-      if (picture.view !== studio.view || picture.rung === PINNED) return;
+      if (picture.view !== studio.view || picture.rung >= PINNED) return;
       if (picture.rung === EXACT) studio.rested();
       studio.painted.push([picture.revision, picture.rung, performance.now()]);
       if (studio.painted.length > 500) studio.painted.shift();
@@ -309,6 +309,7 @@
   const told = (said) => {
     if (said.error) { fail(said.error); studio.notInspected(); }
     if (said.inspected) studio.inspected(said.inspected);
+    if ("reference" in said) studio.referring(said.reference);
     if (said.measured) studio.measured(said.measured);
     if (said.values) {
       Object.assign(studio.values, said.values);
@@ -407,6 +408,7 @@
       dragged = null;
       return undefined;
     }
+    if (event.key === "Escape") studio.escape();
     const typing = event.target.closest?.("input:not([type=range]):not([type=checkbox]):not([type=radio]), textarea, select");
     if (control || event.altKey || typing) return undefined;
     if (/^[1-9]$/.test(event.key)) return look(VIEWS[Number(event.key) - 1]);
