@@ -142,7 +142,7 @@ class Live:
             Ends when all is compiled; nobody has to wait for it.
         """
         known = scene_of(scene)
-        thread = threading.Thread(target=warm, args=(self.session, known, self.files), daemon=True)
+        thread = threading.Thread(target=warm, args=(self.session.unwatched(), known, self.files), daemon=True)
         self._warming.append(thread)
         thread.start()
         return thread

@@ -41,7 +41,7 @@ COMPARISONS = (
     ("8", "difference × 8"),
     ("64", "difference × 64"),
 )
-SCRIPTS = ("colors", "studio", "compare", "inspect", "forms", "brush")
+SCRIPTS = ("colors", "studio", "compare", "progress", "inspect", "forms", "brush")
 STYLES = ("studio", "forms")
 
 
@@ -125,6 +125,7 @@ def _middle() -> None:
         say("canvas", id="over", aria_hidden="true")
         say("div", id="badge")
         say("div", id="pin-badge", hidden=True)
+        say("div", id="progress", role="status", hidden=True)
         say("div", id="message", role="alert", hidden=True)
         with say("div", id="legend", hidden=True):
             with say("div", id="legend-row"):

@@ -6,13 +6,14 @@ import asyncio
 import time
 from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine
 from contextlib import aclosing, suppress
+from dataclasses import asdict
 from typing import Any, Protocol
 
 from clsco.errors import CanceledError, ClscoError
 from clsco.scene.model import Scene
 from clsco.studio.pictures import DRAGGING, EXACT, PINNED, REFERENCE, VIEWS, Picture, packed_message
 from clsco.studio.reference import reference_picture
-from clsco.studio.renderer import Job, Question, RendererEndedError
+from clsco.studio.renderer import Job, Progress, Question, RendererEndedError, Watch
 
 REST = 0.120  # s without a change
 MEASURE = "measure"  # purpose of a question
@@ -36,8 +37,8 @@ class Edited(Protocol):
 class Renders(Protocol):
     """What a preview needs of a `Renderer`."""
 
-    def pictures(self, job: Job) -> AsyncGenerator[Picture, None]: ...
-    async def inspect(self, question: Question) -> dict[str, Any]: ...
+    def pictures(self, job: Job, watch: Watch | None = None) -> AsyncGenerator[Picture, None]: ...
+    async def inspect(self, question: Question, watch: Watch | None = None) -> dict[str, Any]: ...
     async def warm(self, scene: Scene) -> None: ...
     def cancel(self) -> None: ...
 
@@ -70,6 +71,7 @@ class Preview:
         self._news = asyncio.Event()
         self._unseen: list[tuple[int, int]] = []
         self._is_exact_underway = False
+        self._stops, self._is_stopped = 0, False  # by the user; the latter until the next change
         self._crashes = 0
         self._asked: dict[str, tuple[int, int, Told]] = {}
         self._other: Scene | None = None
@@ -80,8 +82,26 @@ class Preview:
     def changed(self) -> None:
         """The session has another scene."""
         self._state += 1
+        self._is_stopped = False
         self._changed_at, self._crashes = time.monotonic(), 0
         self._news.set()
+        if self._is_exact_underway:
+            self._renderer.cancel()
+
+    def stop(self) -> None:
+        """Cancel what takes long: the reference, else what is rendered. What is shown stays until the next change."""
+        if self._reference is not None and not self._reference.done():
+            self._reference.cancel()
+            return
+        is_done = self._done == (self._state, EXACT)
+        if is_done and not self._is_exact_underway:
+            return
+        self._stops += 1
+        self._asked.clear()
+        self._other = None
+        if not is_done:
+            self._state += 1
+            self._done, self._is_stopped = (self._state, EXACT), True
         if self._is_exact_underway:
             self._renderer.cancel()
 
@@ -105,8 +125,10 @@ class Preview:
         """Have `told` called with what is known of a pixel, once the exact frame is there.
 
         Of pixels that are asked for with one purpose the latest wins. With MEASURE, what is asked for is the response
-        of the pixel's source.
+        of the pixel's source. After `stop` there is no answer.
         """
+        if self._is_stopped:
+            return
         self._asked[purpose] = x, y, told
         self._news.set()
 
@@ -175,6 +197,9 @@ class Preview:
                 self._news.clear()
                 await self._news.wait()
 
+    async def _watch(self, progress: Progress) -> None:
+        await self.tell(progress=asdict(progress))
+
     async def _room(self) -> None:
         """Wait until one more picture may be on its way."""
         while len(self._unseen) >= MOST_UNSEEN:
@@ -195,22 +220,24 @@ class Preview:
     async def _show(self, rung: int) -> None:
         """Render and send the pictures of a rung, or say why there are none."""
         state, revision, scene = self._state, self._session.revision, self._session.scene
-        other = self._other if rung == PINNED else None
+        stops, other = self._stops, self._other if rung == PINNED else None
         if other is not None:
             scene, self._other = other, None
         index = min(self._index, scene.sequence.frames - 1)
-        self._is_exact_underway = rung != DRAGGING
+        self._is_exact_underway, job = rung != DRAGGING, Job(scene, index, self._view, rung)
         try:
-            async with aclosing(self._renderer.pictures(Job(scene, index, self._view, rung))) as pictures:
+            async with aclosing(self._renderer.pictures(job, self._watch)) as pictures:
                 async for picture in pictures:
                     await self._room()
                     if rung != DRAGGING and self._state != state:
                         return
                     self._unseen.append((revision, picture.rung))
                     await self._send(picture.packed(revision))
-            self._done = (state, min(rung, EXACT))
+            if self._stops == stops:
+                self._done = (state, min(rung, EXACT))
         except CanceledError:
-            self._other = self._other or other
+            if self._stops == stops:
+                self._other = self._other or other
         except RendererEndedError as error:
             self._crashes += 1
             if self._crashes >= _MOST_CRASHES:
@@ -225,14 +252,16 @@ class Preview:
     async def _ask(self, purpose: str) -> None:
         """Answer what is asked of a pixel; a change in between has it asked again."""
         x, y, told = asked = self._asked.pop(purpose)
+        stops = self._stops
         self._is_exact_underway = True
         index = min(self._index, self._session.scene.sequence.frames - 1)
         key = id(self), self._session.revision, index
         question = Question(self._session.scene, index, key, x, y, purpose == MEASURE)
         try:
-            await told(await self._renderer.inspect(question))
+            await told(await self._renderer.inspect(question, self._watch))
         except CanceledError:
-            self._asked.setdefault(purpose, asked)
+            if self._stops == stops:
+                self._asked.setdefault(purpose, asked)
         except ClscoError as error:
             await self.tell(error=[str(error)])
         finally:

@@ -206,7 +206,8 @@ class Studio:
             case {"do": "pin reference"}:
                 preview.pin_reference()
             case {"do": "cancel"}:
-                preview.cancel_reference()
+                preview.stop()
+                await preview.tell(stopped=True)
             case {"do": "undo"}:
                 tab.session.undo()
             case {"do": "redo"}:

@@ -89,12 +89,7 @@
     one("#reference-about").textContent = `The reference renders revision ${run.revision}: ${Math.round((performance.now() - started) / 1000)} s${about}`;
   };
 
-  studio.escape = () => {
-    if (run === null || document.querySelector("dialog[open], .q-dialog")) return;
-    studio.send({ do: "cancel" });
-    studio.referring(null);
-  };
-
+  studio.isReferring = () => run !== null;
   studio.compare = compare;
   studio.compares = (event) => { // a key
     if (event.key === "p" || event.key === "P") pin();

@@ -10,7 +10,7 @@
   // ---- values under the cursor ------------------------------------------------------------------------------------
   let at = null, asked = false, again = false, drag = 1e6;
   const ask = () => {
-    if (at === null) return;
+    if (at === null || studio.isCanceled()) return;
     if (asked) { again = true; return; }
     asked = true;
     studio.send({ at });
@@ -29,6 +29,7 @@
 
   studio.inspected = ({ values, psf, lens, unmeasured, seconds }) => {
     asked = false;
+    studio.done();
     one("#pixel").textContent = `x ${values.x}, y ${values.y}`;
     const table = one("#values");
     table.replaceChildren(...ROWS.filter(([name]) => name in values).map(([name, label, unit]) => {
@@ -69,6 +70,7 @@
   };
 
   studio.measured = ({ x, y, response: found, unmeasured }) => {
+    studio.done();
     if (shownAt === null || shownAt[0] !== x || shownAt[1] !== y) return;
     one("#unmeasured").textContent = unmeasured === undefined ? "" : `Not measured: ${unmeasured}`;
     response = found ?? null;

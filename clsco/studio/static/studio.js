@@ -118,6 +118,7 @@
       : `preview ${Math.round((8 * picture.width) / columns)}/8`;
     one("#badge").dataset.rung = picture.rung;
     one("#size").textContent = `${columns} × ${rows} px`;
+    studio.done();
     legend(picture.legend);
     place();
   };
@@ -310,6 +311,8 @@
     if (said.error) { fail(said.error); studio.notInspected(); }
     if (said.inspected) studio.inspected(said.inspected);
     if ("reference" in said) studio.referring(said.reference);
+    if (said.progress) studio.progressed(said.progress);
+    if (said.stopped) studio.stopped();
     if (said.measured) studio.measured(said.measured);
     if (said.values) {
       Object.assign(studio.values, said.values);
