@@ -138,6 +138,12 @@ class Editor:
         return self._state.path.parent if self._state.path is not None else self.root
 
     @property
+    def object_entries(self) -> list[int]:
+        """Position in the file of each object of the scene, in which the faces of a box are objects."""
+        models = [self._object(index) for index in range(len(self._state.objects))]
+        return [index for index, item in enumerate(models) for _ in (item.faces() if item.shape == "box" else (item,))]
+
+    @property
     def can_undo(self) -> bool:
         return bool(self._history.past)
 

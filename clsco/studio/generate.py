@@ -7,9 +7,12 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from clsco.errors import ClscoError
+from clsco.errors import ClscoError, SceneError
 from clsco.files.atomic import write_whole
+from clsco.scene.file import absolute, swept_keys
+from clsco.scene.model import Scene
 from clsco.scene.sweep import parse_sweep
+from clsco.scene.text import key_name
 from clsco.scene.toml import toml_text
 from clsco.studio.jobs import Job, Jobs
 from clsco.studio.session import Session
@@ -17,6 +20,7 @@ from clsco.studio.store import moved
 from clsco.studio.tables import Table, sparse, with_value
 
 SCENE_FILE = "scene.toml"
+MOST_LOOKED_AT = 64  # frames of a stack
 
 
 @dataclass(frozen=True)
@@ -74,9 +78,31 @@ def focal_stack(
     session: Session, jobs: Jobs, folder: str, nearest: float, farthest: float, steps: int, wanted: Wanted = Wanted()
 ) -> Job:  # fmt: skip
     """Write frames at focus distances at equal steps from `nearest` to `farthest`, mm. As `generate`."""
-    focus = {"from": nearest, "to": farthest, "steps": steps}
-    table = with_value(session.table, ["camera", "focus_distance"], focus)
+    table = _stack_table(session, nearest, farthest, steps)
     return _render(session, jobs, folder, table, f"Focal stack of {steps}", wanted)
+
+
+def stack_scenes(session: Session, nearest: float, farthest: float, steps: int) -> tuple[Scene, ...]:
+    """The scenes of a focal stack that is looked at, as `focal_stack` writes it.
+
+    Raises
+    ------
+    SceneError
+        The distances cannot be, there are more than MOST_LOOKED_AT, or the scene has several values of another key.
+    """
+    if not 2 <= steps <= MOST_LOOKED_AT:
+        raise SceneError(f"focal stack: must have 2 to {MOST_LOOKED_AT} steps to be looked at; got {steps}")
+    table = _stack_table(session, nearest, farthest, steps)
+    others = [key_name(place) for place, _ in swept_keys(table) if place != ("camera", "focus_distance")]
+    if others:
+        raise SceneError(f"focal stack: {others[0]} must have one value; got several")
+    scenes = parse_sweep(table, "focal stack").scenes
+    return tuple(absolute(scene, session.folder) for scene in scenes)
+
+
+def _stack_table(session: Session, nearest: float, farthest: float, steps: int) -> Table:
+    focus = {"from": nearest, "to": farthest, "steps": steps}
+    return with_value(session.table, ["camera", "focus_distance"], focus)
 
 
 def clip(session: Session, jobs: Jobs, frames: str, file: str, view: str = "color", preset: str = "") -> Job:

@@ -21,6 +21,7 @@ KEYS = (
     ("1 … 9", "views"),
     (", .", "frame before, next frame"),
     ("F, then a click", "focus on what is there"),
+    ("M, then a drag", "move the object that is there at its depth; with Shift along z, which planes always do"),
     ("P, Space", "pin the exact frame; see it while the key is down"),
     ("Ctrl Z, Shift Ctrl Z", "undo, redo"),
     ("Ctrl S", "save"),
@@ -41,8 +42,15 @@ COMPARISONS = (
     ("8", "difference × 8"),
     ("64", "difference × 64"),
 )
-SCRIPTS = ("colors", "studio", "compare", "progress", "inspect", "forms", "brush")
+SCRIPTS = ("colors", "studio", "tools", "line", "compare", "progress", "inspect", "forms", "brush")
 STYLES = ("studio", "forms")
+_VIEW_FILTER = """<svg width="0" height="0" aria-hidden="true">
+<filter id="view-filter" x="0" y="0" width="1" height="1">
+<feComponentTransfer class="stops" color-interpolation-filters="linearRGB">
+<feFuncR type="linear"/><feFuncG type="linear"/><feFuncB type="linear"/></feComponentTransfer>
+<feComponentTransfer class="gamma" color-interpolation-filters="sRGB">
+<feFuncR type="gamma"/><feFuncG type="gamma"/><feFuncB type="gamma"/></feComponentTransfer>
+</filter></svg>"""
 
 
 def attach(app: FastAPI, studio: Studio) -> None:
@@ -107,6 +115,7 @@ def _header(session: Session, studio: Studio, name: str) -> None:
             "Recover", partial(session.recover, kept[0]), title="The scene of a studio that ended before it was saved"
         )
     say("div").classes("spread")
+    say("span", id="plan", title="Of the exact frame: passes, time, and memory on the device, as `clsco plan` reports")
     say("button", "?", aria_label="Keyboard", data_show="#keys")
     say("button", "Inspector", id="inspector", data_toggle="sided")
 
@@ -122,7 +131,10 @@ def _middle() -> None:
     with say("div", id="stage", role="tabpanel", aria_label="Picture"):
         say("canvas", id="canvas", width=1, height=1, role="img", aria_label="Rendered frame")
         say("canvas", id="pinned", width=1, height=1, hidden=True, aria_hidden="true")
+        say("canvas", id="stacked", width=1, height=1, hidden=True, role="img", aria_label="Frame of the focal stack")
         say("canvas", id="over", aria_hidden="true")
+        say("div", id="hint", hidden=True)
+        ui.html(_VIEW_FILTER, sanitize=False)
         say("div", id="badge")
         say("div", id="pin-badge", hidden=True)
         say("div", id="progress", role="status", hidden=True)
@@ -134,7 +146,14 @@ def _middle() -> None:
                 say("span", id="legend-most")
             say("div", id="legend-about")
     with say("div", id="tools"):
-        say("button", "Focus", id="focus", aria_pressed="false", title="Then click what is to be in focus (F)")
+        say(
+            "button", "Focus", id="focus", aria_pressed="false", data_tool="focus",
+            title="Then click what is to be in focus (F)",
+        )  # fmt: skip
+        say(
+            "button", "Move", id="move", aria_pressed="false", data_tool="move",
+            title="Then drag an object, with Shift along z (M)",
+        )  # fmt: skip
         with say("select", id="pin", aria_label="Pin a frame to compare with"):
             for value, label in PINS:
                 say("option", label, value=value)
@@ -143,6 +162,8 @@ def _middle() -> None:
                 say("option", label, value=value)
         say("input", id="wipe", type="range", min=0, max=100, value=50, aria_label="Wipe", hidden=True)
         say("div").classes("spread")
+        _shown()
+        say("button", "Focal stack", id="stack", aria_pressed="false", aria_controls="stack-row")
         say("span", id="size")
         say("span", id="zoom")
         say("button", "Fit", id="fit")
@@ -150,10 +171,56 @@ def _middle() -> None:
     with say("div", id="reference", hidden=True):
         say("span", id="reference-about", role="status")
         say("button", "Cancel", id="reference-cancel", data_do="cancel", title="Esc")
+    _stack()
+    with say("div", id="exposure-row", hidden=True):
+        with say("div", id="exposed", role="group", aria_label="Time samples"):
+            pass
+        say("div", id="band", aria_hidden="true")
+        say("span", id="exposure-about")
     with say("div", id="line"):
         say("button", "▶", id="play", aria_label="Play", aria_pressed="false")
         say("input", id="frame", type="range", min=0, max=0, value=0, step=1, aria_label="Frame")
         say("span", id="time")
+
+
+def _shown() -> None:
+    """How the view shows the picture, which it leaves as it is."""
+    with say("details", id="shown"):
+        with say("summary", title="Exposure and gamma of the view; the scene and its files stay as they are"):
+            say("span", "View:")
+            say("span", "as it is", id="view-about")
+        with say("div", id="shown-panel"):
+            say("label", "Exposure of the view (EV)", for_="exposure")
+            say("input", id="exposure", type="range", min=-4, max=4, value=0, step=0.25)
+            say("label", "Gamma of the view", for_="gamma")
+            say("input", id="gamma", type="range", min=0.4, max=2.6, value=1, step=0.1)
+            with say("label"):
+                say("input", id="arrows", type="checkbox")
+                say("span", "Arrows of motion")
+            say("button", "As it is", id="neutral")
+
+
+def _stack() -> None:
+    """Frames at focus distances at equal steps, which are looked through without waiting."""
+    with say("div", id="stack-row", hidden=True, role="group", aria_label="Focal stack"):
+        for name, label, value in (("nearest", "from", 200), ("farthest", "to", 400), ("steps", "mm, steps", 9)):
+            say("label", label, for_=f"stack-{name}")
+            say("input", id=f"stack-{name}", type="number", value=value, min=1, step="any")
+        say("button", "Render", id="render-stack")
+        say(
+            "input",
+            id="step",
+            type="range",
+            min=0,
+            max=0,
+            value=0,
+            step=1,
+            aria_label="Step of the stack",
+            disabled=True,
+        )
+        say("span", id="step-about")
+        say("button", "Focus here", id="refocus", disabled=True)
+        say("span", id="stack-about", role="status")
 
 
 def _inspector() -> None:

@@ -29,9 +29,10 @@ VIEWS = {
 }
 """Attributes of a frame, by what the studio calls them, in the order of the tabs."""
 
-DRAGGING, LOSSY, EXACT, PINNED, REFERENCE = range(5)
+DRAGGING, LOSSY, EXACT, PINNED, STACKED, REFERENCE = range(6)
 MESSAGE, JPEG, PNG, FLOAT16, FLOAT32 = range(5)
-HEADER = struct.Struct("<IBBHHBHHx")
+HEADER = struct.Struct("<IBBHHBHH?I")
+NO_NUMBER = 2**32 - 1
 IMAGES = ("color", "sharp")  # views; all others are floats
 QUALITY = {DRAGGING: 80, LOSSY: 95}
 
@@ -44,7 +45,7 @@ class Picture:
     ----------
     rung : int
         DRAGGING, LOSSY or EXACT; to compare with these PINNED, an exact picture of another scene, and REFERENCE, one by
-        `clsco.reference`.
+        `clsco.reference`; STACKED: one of a focal stack.
     view : str
         One of VIEWS.
     size, full : (int, int)
@@ -54,6 +55,10 @@ class Picture:
     payload : bytes
     seconds : float
         Time that it took to render.
+    about : dict, optional
+        What else is known of an exact frame, as JSON can hold it.
+    is_plain : bool
+        Without occlusion.
     """
 
     rung: int
@@ -63,16 +68,19 @@ class Picture:
     encoding: int
     payload: bytes
     seconds: float
+    about: dict[str, Any] | None = None
+    is_plain: bool = False
 
-    def packed(self, revision: int) -> bytes:
-        """The bytes for the browser."""
-        number = list(VIEWS).index(self.view)
-        return HEADER.pack(revision, self.rung, number, *self.size, self.encoding, *self.full) + self.payload
+    def packed(self, revision: int, number: int) -> bytes:
+        """The bytes for the browser; number: of the frame, or in a focal stack, NO_NUMBER for one without."""
+        view = list(VIEWS).index(self.view)
+        sizes = *self.size, self.encoding, *self.full
+        return HEADER.pack(revision, self.rung, view, *sizes, self.is_plain, number) + self.payload
 
 
 def packed_message(revision: int, content: dict[str, Any]) -> bytes:
     """A message in JSON, behind a header like that of a picture."""
-    return HEADER.pack(revision, 0, 0, 0, 0, MESSAGE, 0, 0) + json.dumps(content).encode()
+    return HEADER.pack(revision, 0, 0, 0, 0, MESSAGE, 0, 0, False, NO_NUMBER) + json.dumps(content).encode()
 
 
 def truth_of(view: str) -> tuple[str, ...]:

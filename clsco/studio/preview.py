@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine
+from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Sequence
 from contextlib import aclosing, suppress
 from dataclasses import asdict
 from typing import Any, Protocol
 
 from clsco.errors import CanceledError, ClscoError
 from clsco.scene.model import Scene
-from clsco.studio.pictures import DRAGGING, EXACT, PINNED, REFERENCE, VIEWS, Picture, packed_message
+from clsco.studio.moments import moment_of
+from clsco.studio.pictures import DRAGGING, EXACT, NO_NUMBER, PINNED, REFERENCE, STACKED, VIEWS, Picture, packed_message
 from clsco.studio.reference import reference_picture
 from clsco.studio.renderer import Job, Progress, Question, RendererEndedError, Watch
 
 REST = 0.120  # s without a change
+LATEST = 1e9  # s, of a time sample
 MEASURE = "measure"  # purpose of a question
 MOST_UNSEEN = 2  # pictures that the browser has not painted yet
 _MOST_CRASHES = 2  # of the renderer with the same scene
@@ -65,6 +67,7 @@ class Preview:
     ) -> None:  # fmt: skip
         self._session, self._renderer, self._send, self._refer = session, renderer, send, refer
         self._view, self._index = "color", 0
+        self._time: float | None = None  # of the one time sample that is shown
         self._state = 1  # counts all changes; a revision is one of the scene alone
         self._done = (0, EXACT)  # state and rung of the latest picture
         self._changed_at = 0.0
@@ -77,6 +80,7 @@ class Preview:
         self._other: Scene | None = None
         self._reference: asyncio.Task[None] | None = None
         self._ready: tuple[int, Picture] | None = None  # by the reference, and of which revision
+        self._stack: list[tuple[int, Scene]] = []  # what is missing of it, with its numbers
         self._warm: set[Any] = set()  # kinds of scenes whose kernels, and those near, are compiled
 
     def changed(self) -> None:
@@ -84,6 +88,7 @@ class Preview:
         self._state += 1
         self._is_stopped = False
         self._changed_at, self._crashes = time.monotonic(), 0
+        self._stack = []
         self._news.set()
         if self._is_exact_underway:
             self._renderer.cancel()
@@ -98,21 +103,22 @@ class Preview:
             return
         self._stops += 1
         self._asked.clear()
-        self._other = None
+        self._other, self._stack = None, []
         if not is_done:
             self._state += 1
             self._done, self._is_stopped = (self._state, EXACT), True
         if self._is_exact_underway:
             self._renderer.cancel()
 
-    def look(self, view: str | None = None, index: int | None = None) -> None:
-        """Show another view, or another frame."""
-        before = self._view, self._index
+    def look(self, view: str | None = None, index: int | None = None, time: float | None = None) -> None:
+        """Show another view, or another frame, of which the one time sample at `time`, s, if any."""
+        before = self._view, self._index, self._time
         if view in VIEWS:
             self._view = view
         if index is not None:
             self._index = min(max(index, 0), self._session.scene.sequence.frames - 1)
-        if before != (self._view, self._index):
+            self._time = time if time is not None and abs(time) <= LATEST else None
+        if before != (self._view, self._index, self._time):
             self.changed()
 
     def acknowledge(self, revision: int, rung: int) -> None:
@@ -140,8 +146,8 @@ class Preview:
     def pin_reference(self) -> None:
         """Have the frame made by the reference meanwhile; it is sent once there is nothing else to do."""
         self.cancel_reference()
-        index = min(self._index, self._session.scene.sequence.frames - 1)
-        job = Job(self._session.scene, index, self._view, REFERENCE)
+        scene, index = self._shown()
+        job = Job(scene, index, self._view, REFERENCE)
         self._reference = asyncio.create_task(self._by_reference(job, self._session.revision))
 
     def cancel_reference(self) -> None:
@@ -160,6 +166,11 @@ class Preview:
         except ClscoError as error:
             await self.tell(error=[str(error)])
         await self.tell(reference=None)
+
+    def stack(self, scenes: Sequence[Scene]) -> None:
+        """Send the exact frames of a focal stack, until something changes."""
+        self._stack = list(enumerate(scenes))
+        self._news.set()
 
     async def tell(self, **content: Any) -> None:
         """Send a message that is no picture."""
@@ -186,7 +197,9 @@ class Preview:
             elif self._ready is not None:
                 (revision, picture), self._ready = self._ready, None
                 self._unseen.append((revision, picture.rung))
-                await self._send(picture.packed(revision))
+                await self._send(picture.packed(revision, NO_NUMBER))
+            elif self._stack:
+                await self._show(STACKED)
             elif (kind := _kind(self._session.scene)) not in self._warm:
                 self._warm.add(kind)
                 with suppress(ClscoError):  # what is wrong is told by the pictures
@@ -196,6 +209,14 @@ class Preview:
             else:
                 self._news.clear()
                 await self._news.wait()
+
+    def _shown(self) -> tuple[Scene, int]:
+        """The scene whose exact frame is shown at rest, and the number of that frame."""
+        scene = self._session.scene
+        index = min(self._index, scene.sequence.frames - 1)
+        if self._time is not None and scene.moves:
+            scene = moment_of(scene, index, self._time)
+        return scene, index
 
     async def _watch(self, progress: Progress) -> None:
         await self.tell(progress=asdict(progress))
@@ -223,7 +244,11 @@ class Preview:
         stops, other = self._stops, self._other if rung == PINNED else None
         if other is not None:
             scene, self._other = other, None
-        index = min(self._index, scene.sequence.frames - 1)
+        index = number = min(self._index, scene.sequence.frames - 1)
+        if rung == STACKED:
+            number, scene = self._stack.pop(0)
+        if self._time is not None and scene.moves:
+            scene, number = moment_of(scene, index, self._time), number if rung == STACKED else NO_NUMBER
         self._is_exact_underway, job = rung != DRAGGING, Job(scene, index, self._view, rung)
         try:
             async with aclosing(self._renderer.pictures(job, self._watch)) as pictures:
@@ -232,7 +257,9 @@ class Preview:
                     if rung != DRAGGING and self._state != state:
                         return
                     self._unseen.append((revision, picture.rung))
-                    await self._send(picture.packed(revision))
+                    await self._send(picture.packed(revision, number))
+                    if picture.about is not None:
+                        await self.tell(about=picture.about)
             if self._stops == stops:
                 self._done = (state, min(rung, EXACT))
         except CanceledError:
@@ -254,11 +281,10 @@ class Preview:
         x, y, told = asked = self._asked.pop(purpose)
         stops = self._stops
         self._is_exact_underway = True
-        index = min(self._index, self._session.scene.sequence.frames - 1)
-        key = id(self), self._session.revision, index
-        question = Question(self._session.scene, index, key, x, y, purpose == MEASURE)
+        scene, index = self._shown()
+        key = id(self), self._session.revision, index, self._time
         try:
-            await told(await self._renderer.inspect(question, self._watch))
+            await told(await self._renderer.inspect(Question(scene, index, key, x, y, purpose == MEASURE), self._watch))
         except CanceledError:
             if self._stops == stops:
                 self._asked.setdefault(purpose, asked)

@@ -19,12 +19,15 @@ from starlette.staticfiles import StaticFiles
 
 from clsco.errors import ImageError, SceneError
 from clsco.files.atomic import writable_folder
+from clsco.optics.lens import focus_distance
 from clsco.scene.model import Scene
 from clsco.scene.toml import toml_text
+from clsco.studio.generate import stack_scenes
 from clsco.studio.guard import MAX_MESSAGE, Guard
 from clsco.studio.jobs import STATE_FOLDER, Jobs
+from clsco.studio.pointing import Pointer
 from clsco.studio.presets import choose_method
-from clsco.studio.preview import MEASURE, Preview
+from clsco.studio.preview import Preview
 from clsco.studio.renderer import Renderer
 from clsco.studio.routes import add_routes
 from clsco.studio.session import Session
@@ -133,6 +136,7 @@ class Studio:
                 await socket.send_bytes(data)
 
         preview = tab.preview = Preview(tab.session, self.renderer, send)
+        pointer = Pointer(tab.session, preview)
         endings = [tab.session.subscribe(listener) for listener in (preview.changed, tab.told.set)]
         tasks = [asyncio.create_task(preview.run()), asyncio.create_task(_tell(tab, preview))]
         try:
@@ -145,7 +149,7 @@ class Studio:
                     if text == LEAVING:
                         await socket.close()
                         break
-                    await self._heard(tab, preview, text)
+                    await self._heard(tab, preview, pointer, text)
         finally:
             for end in endings:
                 end()
@@ -154,7 +158,7 @@ class Studio:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
 
-    async def _heard(self, tab: Tab, preview: Preview, text: str) -> None:
+    async def _heard(self, tab: Tab, preview: Preview, pointer: Pointer, text: str) -> None:
         """What a tab says; nothing in it is code, and what is none of these is passed over."""
         try:
             said = json.loads(text)
@@ -175,27 +179,19 @@ class Studio:
                 tab.watched = tuple(path for path in paths[:MOST_WATCHED] if isinstance(path, str))
                 tab.told.set()
             case {"at": [int(x), int(y)]} if min(x, y) >= 0:
-
-                async def told(found: dict[str, Any]) -> None:
-                    await preview.tell(inspected=found)
-
-                preview.inspect(x, y, told)
+                pointer.ask(x, y)
             case {"measure": [int(x), int(y)]} if min(x, y) >= 0:
-
-                async def measured(found: dict[str, Any]) -> None:
-                    await preview.tell(measured=found)
-
-                preview.inspect(x, y, measured, MEASURE)
+                pointer.measure(x, y)
             case {"focus": [int(x), int(y)], "drag": int(drag)} if min(x, y) >= 0:
-
-                async def focus(found: dict[str, Any]) -> None:
-                    depth = found["values"]["depth"]
-                    if depth is None:
-                        await preview.tell(error=["focus: there must be a surface; got none"])
-                    else:
-                        tab.session.patch("camera.focus_distance", depth, drag)
-
-                preview.inspect(x, y, focus, "focus")
+                pointer.focus(x, y, drag)
+            case {"grab": [int(x), int(y)], "drag": int(drag)} if min(x, y) >= 0:
+                pointer.grab(x, y, drag)
+            case {
+                "pull": [int() | float() as across, int() | float() as down],
+                "along": bool(along),
+                "drag": int(drag),
+            }:
+                pointer.pull(across, down, along, drag)
             case {"link": str(link)}:
                 try:
                     tab.session.load_share(link)
@@ -216,8 +212,16 @@ class Studio:
                 tab.session.reset()
             case {"view": str(view)}:
                 preview.look(view=view)
-            case {"frame": int(index)}:
-                preview.look(index=index)
+            case {"frame": int(index), "time": int() | float() | None as time}:
+                preview.look(index=index, time=time)
+            case {"stack": [int() | float() as nearest, int() | float() as farthest, int(steps)]}:
+                try:
+                    scenes = stack_scenes(tab.session, nearest, farthest, steps)
+                except SceneError as error:
+                    await preview.tell(error=error.messages)
+                else:
+                    await preview.tell(stack=[focus_distance(scene.camera) for scene in scenes])
+                    preview.stack(scenes)
             case _:
                 return
 

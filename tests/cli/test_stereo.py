@@ -15,9 +15,11 @@ import clsco
 from clsco.cli.check import compare_frames
 from clsco.cli.main import main
 from clsco.engine import batch
-from clsco.engine.sequence import render_sweep
+from clsco.engine.sequence import render_prepared
 from clsco.frame.files import read_complete
 from clsco.frame.frame import FILE_NAMES, IMAGE_NAMES, MAPPING_NAMES
+from clsco.opencl.session import Session
+from clsco.plan.prepare import Prepared
 from tests.scenes import scene_file
 from tests.slow import mostly_slow
 
@@ -140,11 +142,11 @@ def test_long_sweeps_are_rendered_in_parts(
 ) -> None:
     sizes: list[int] = []
 
-    def counted(scenes: list[clsco.Scene], **options: object) -> object:
-        sizes.append(len(scenes))
-        return render_sweep(scenes, **options)  # type: ignore[arg-type]
+    def counted(session: Session, prepared: list[Prepared], frames: list[int]) -> object:
+        sizes.append(len(prepared))
+        return render_prepared(session, prepared, frames)
 
-    monkeypatch.setattr(batch, "render_sweep", counted)
+    monkeypatch.setattr(batch, "render_prepared", counted)
     monkeypatch.setattr(batch, limit, 2 if limit == "TOGETHER" else 2 * 40 * 24)
     values = ["--set", "camera.f_number=[2, 3, 4, 5, 6]", "--frames", ":1"]
     assert clsco_("render", scene, "-o", tmp_path / "out", *values).exit_code == 0

@@ -287,7 +287,7 @@ KILLED = """
 import contextlib, os, random, signal, sys, time
 from pathlib import Path
 import numpy as np
-from clsco.files import images
+from clsco.files import atomic, images
 from clsco.frame import files as framefiles
 from clsco.frame.frame import Frame
 
@@ -313,7 +313,7 @@ for round in range(100):
     time.sleep(random.uniform(0.001, 0.04))
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
-    files.remove_stale(folder)
+    atomic.remove_stale(folder)
     names = sorted(path.name for path in folder.iterdir())
     assert not [name for name in names if not name.startswith("frame_")], names
     for path in folder.glob("*.png"):

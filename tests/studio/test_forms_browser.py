@@ -16,7 +16,7 @@ from clsco.studio.session import Session
 from tests.studio.browser import opened, rest
 from tests.studio.running import Running, studio
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.browser
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 

@@ -21,7 +21,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from clsco.files.png import png_parts
 from clsco.studio.guard import MAX_BODY
-from clsco.studio.pictures import MESSAGE
+from clsco.studio.pictures import HEADER, MESSAGE
 from tests.studio.running import Running, studio
 
 POLLING = "/_nicegui_ws/socket.io/?EIO=4&transport=polling&implicit_handshake=false"
@@ -169,7 +169,7 @@ def test_every_answer_has_its_headers(running: Running) -> None:
 
 def message(data: str | bytes) -> dict[str, Any]:
     assert isinstance(data, bytes)
-    found: dict[str, Any] = json.loads(data[16:]) if data[12] == MESSAGE else {}
+    found: dict[str, Any] = json.loads(data[HEADER.size :]) if HEADER.unpack_from(data)[5] == MESSAGE else {}
     return found
 
 

@@ -20,7 +20,7 @@ from tests.studio.browser import chromium, opened, rest
 from tests.studio.running import Running, studio
 from tests.studio.test_browser import children
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.browser
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SHAPES = {
     "Planar": "plane", "Cylindrical": "cylinder", "Spherical": "sphere", "Conical": "cone", "Elliptical": "ellipsoid",

@@ -21,7 +21,7 @@ from clsco import Scene, parse_scene
 from clsco.errors import CanceledError, DeviceError, SceneError
 from clsco.files.transfer import encode
 from clsco.studio.inspector import figures_of
-from clsco.studio.pictures import DRAGGING, EXACT, FLOAT32, JPEG, LOSSY, PNG, VIEWS, Picture
+from clsco.studio.pictures import DRAGGING, EXACT, FLOAT32, HEADER, JPEG, LOSSY, MESSAGE, PNG, VIEWS, Picture
 from clsco.studio.preview import Preview
 from clsco.studio.renderer import Job, Progress, Question, Renderer, RendererEndedError, _Worker
 from tests.studio.test_preview import Browser, Session
@@ -112,13 +112,13 @@ async def views(renderer: Renderer) -> None:
 async def pixels(renderer: Renderer) -> None:
     scene = small()
     (frame,) = clsco.render(scene, device="pocl")
-    found = await renderer.inspect(Question(scene, 0, (1, 1, 0), 20, 15))
+    found = await renderer.inspect(Question(scene, 0, (1, 1, 0, None), 20, 15))
     assert found["values"]["depth"] == float(frame.depth[15, 20])  # type: ignore[index]
     assert 0.0 < found["seconds"] < 1.0
-    measured = await renderer.inspect(Question(scene, 0, (1, 1, 0), 20, 15, measures=True))
+    measured = await renderer.inspect(Question(scene, 0, (1, 1, 0, None), 20, 15, measures=True))
     expected = figures_of(clsco.response(scene, 20, 15, device="pocl"), 20, 15)
     assert measured == {"x": 20, "y": 15, "response": expected}
-    beside = await renderer.inspect(Question(scene, 0, (1, 1, 0), 99, 99, measures=True))
+    beside = await renderer.inspect(Question(scene, 0, (1, 1, 0, None), 99, 99, measures=True))
     assert beside == {"x": 47, "y": 39, "unmeasured": "no surface"}
 
 
@@ -162,7 +162,8 @@ async def previews(renderer: Renderer) -> None:
     browser = Browser()
 
     async def send(data: bytes) -> None:
-        pictures.append(data)
+        if HEADER.unpack_from(data)[5] != MESSAGE:
+            pictures.append(data)
         await browser.send(data)
 
     browser.preview = preview = Preview(session, renderer, send)
@@ -181,7 +182,7 @@ async def previews(renderer: Renderer) -> None:
     revisions = [revision for revision, _ in browser.got]
     assert revisions == sorted(revisions)
     assert browser.got[-1] == (20, EXACT)
-    assert np.array_equal(np.asarray(Image.open(io.BytesIO(pictures[-1][16:]))), codes(session.scene))
+    assert np.array_equal(np.asarray(Image.open(io.BytesIO(pictures[-1][HEADER.size :]))), codes(session.scene))
 
 
 async def crash(renderer: Renderer) -> None:

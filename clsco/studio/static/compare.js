@@ -4,7 +4,7 @@
 (() => {
   const one = (selector) => document.querySelector(selector);
   const studio = window.studio;
-  const WHAT = { 2: "pinned frame", 3: "as the thesis", 4: "reference" }; // by rung
+  const WHAT = { 2: "pinned frame", 3: "as the thesis", 5: "reference" }; // by rung
 
   let pinned = null, mode = "off", flipped = false; // pinned: { image, what, revision, view }
   const pin = () => {
@@ -99,7 +99,8 @@
     compare();
   };
 
-  studio.beginComparing = () => {
+  studio.hearing.push((said) => { if ("reference" in said) studio.referring(said.reference); });
+  studio.parts.push(() => {
     document.addEventListener("keyup", (event) => { if (event.key === " ") { flipped = false; compare(); } });
     one("#pin").addEventListener("change", ({ target }) => {
       if (target.value === "this") pin();
@@ -109,5 +110,5 @@
     one("#compare").addEventListener("change", (event) => choose(event.target.value));
     one("#wipe").addEventListener("input", compare);
     one("#reference-cancel").addEventListener("click", () => studio.referring(null));
-  };
+  });
 })();

@@ -69,6 +69,7 @@
     studio.send({ measure: shownAt });
   };
 
+  studio.hearing.push((said) => { if (said.measured) studio.measured(said.measured); });
   studio.measured = ({ x, y, response: found, unmeasured }) => {
     studio.done();
     if (shownAt === null || shownAt[0] !== x || shownAt[1] !== y) return;
@@ -170,26 +171,19 @@
       if (found === null) return;
       drag += 1;
       studio.send({ focus: found, drag });
-      tool("");
+      studio.take("");
     });
   };
   studio.rested = () => { studio.compare(); ask(); };
 
-  const tool = (name) => {
-    studio.tool = name;
-    one("#stage").classList.toggle("aiming", name === "focus");
-    one("#focus").setAttribute("aria-pressed", String(name === "focus"));
-  };
-
   studio.extra = (event) => {
-    if (event.key === "f" || event.key === "F") tool(studio.tool === "focus" ? "" : "focus");
+    if (event.key === "f" || event.key === "F") studio.take("focus");
+    else if (event.key === "m" || event.key === "M") studio.take("move");
     else studio.compares(event);
   };
 
   studio.begin = () => {
     pointer();
-    one("#focus").addEventListener("click", () => tool(studio.tool === "focus" ? "" : "focus"));
     one("#measure").addEventListener("click", measure);
-    studio.beginComparing();
   };
 })();

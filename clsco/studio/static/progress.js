@@ -9,7 +9,7 @@
 
   let said = -Infinity, canceled = false;
 
-  studio.progressed = ({ doing, done, total, still }) => {
+  const progressed = ({ doing, done, total, still }) => {
     if (canceled) return; // it was said before
     if (performance.now() - said < PACE && !one("#progress").hidden) return;
     said = performance.now();
@@ -26,13 +26,18 @@
     one("#progress").hidden = true;
   };
 
-  studio.stopped = () => {
+  const stopped = () => {
     studio.notInspected();
     canceled = studio.rung !== 2;
     one("#progress").hidden = !canceled;
     if (canceled) one("#progress").textContent = "canceled: the exact frame comes with the next change";
   };
   studio.isCanceled = () => canceled;
+
+  studio.hearing.push((said) => {
+    if (said.progress) progressed(said.progress);
+    if (said.stopped) stopped();
+  });
 
   studio.escape = () => {
     if (document.querySelector("dialog[open], .q-dialog")) return;

@@ -3,7 +3,8 @@
 "use strict";
 
 (() => {
-  const LOSSY = 1, EXACT = 2, PINNED = 3; // 0: while something is dragged; from PINNED on: to compare with
+  const HEAD = 20; // bytes before the pixels
+  const LOSSY = 1, EXACT = 2, PINNED = 3, STACKED = 4; // 0: while something is dragged; from PINNED on: to compare with
   const MESSAGE = 0, JPEG = 1, PNG = 2, FLOAT16 = 3;
   const VIEWS = ["color", "sharp", "depth", "blur radius", "flow", "normal", "id", "mask", "missing"];
   const ECHO = 300; // ms in which the server answers a change
@@ -13,7 +14,10 @@
 
   const studio = {
     painted: [], // [revision, rung, time], the latest 500
-    revision: -1, rung: -1, view: "color", index: 0, frames: 1, interval: 1, values: {}, faults: {},
+    hearing: [], // functions of what the server says
+    overlays: [], // functions that draw over the picture, of a context and of what makes pixels of the frame those of the stage
+    parts: [], // functions that begin the other files' work
+    revision: -1, rung: -1, view: "color", index: 0, moment: null, values: {}, faults: {},
   };
   window.studio = studio;
 
@@ -36,7 +40,7 @@
       if (link) send({ link });
       link = "";
       send({ view: studio.view });
-      send({ frame: studio.index });
+      send({ frame: studio.index, time: studio.moment });
     };
     socket.onmessage = (event) => received(event.data);
     socket.onclose = () => {
@@ -47,13 +51,13 @@
   };
 
   const received = (buffer) => {
-    const head = new DataView(buffer, 0, 16);
+    const head = new DataView(buffer, 0, HEAD);
     const picture = {
       revision: head.getUint32(0, true), rung: head.getUint8(4), view: VIEWS[head.getUint8(5)],
       width: head.getUint16(6, true), height: head.getUint16(8, true), encoding: head.getUint8(10),
-      full: [head.getUint16(11, true), head.getUint16(13, true)],
+      full: [head.getUint16(11, true), head.getUint16(13, true)], plain: head.getUint8(15) === 1, number: head.getUint32(16, true),
     };
-    if (picture.encoding === MESSAGE) told(JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 16))));
+    if (picture.encoding === MESSAGE) told(JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, HEAD))));
     else show(picture, buffer);
   };
 
@@ -63,7 +67,8 @@
     const drawable = picture.encoding === JPEG || picture.encoding === PNG ? decoded(picture, buffer) : plane(picture, buffer);
     queue = queue.then(async () => {
       const image = await drawable;
-      if (picture.rung >= PINNED) studio.pinned(image, picture);
+      if (picture.rung === STACKED) studio.stacked(picture, image);
+      else if (picture.rung >= PINNED) studio.pinned(image, picture);
       else if (picture.view === studio.view && picture.revision >= studio.revision) paint(picture, image);
       await new Promise(requestAnimationFrame);
       send({ ack: [picture.revision, picture.rung] });
@@ -78,11 +83,11 @@
   };
 
   const decoded = (picture, buffer) => createImageBitmap(
-    new Blob([new Uint8Array(buffer, 16)], { type: picture.encoding === JPEG ? "image/jpeg" : "image/png" }),
+    new Blob([new Uint8Array(buffer, HEAD)], { type: picture.encoding === JPEG ? "image/jpeg" : "image/png" }),
     { colorSpaceConversion: "none", premultiplyAlpha: "none" });
 
   const plane = async (picture, buffer) => {
-    const values = picture.encoding === FLOAT16 ? halves(buffer) : new Float32Array(buffer, 16);
+    const values = picture.encoding === FLOAT16 ? halves(buffer) : new Float32Array(buffer, HEAD);
     picture.values = values;
     const { data, legend } = studioColors(picture.view, values, picture.width, picture.height);
     picture.legend = legend;
@@ -90,8 +95,8 @@
   };
 
   const halves = (buffer) => {
-    if (typeof Float16Array !== "undefined") return new Float32Array(new Float16Array(buffer, 16));
-    const codes = new Uint16Array(buffer, 16), values = new Float32Array(codes.length);
+    if (typeof Float16Array !== "undefined") return new Float32Array(new Float16Array(buffer, HEAD));
+    const codes = new Uint16Array(buffer, HEAD), values = new Float32Array(codes.length);
     codes.forEach((code, at) => {
       const sign = code & 0x8000 ? -1 : 1, exponent = (code >> 10) & 31, rest = code & 1023;
       values[at] = sign * (exponent === 31 ? (rest ? NaN : Infinity)
@@ -115,12 +120,13 @@
     studio.revision = picture.revision;
     studio.rung = picture.rung;
     one("#badge").textContent = picture.rung === EXACT ? "exact" : picture.rung === LOSSY ? "full size"
-      : `preview ${Math.round((8 * picture.width) / columns)}/8`;
+      : `preview ${Math.round((8 * picture.width) / columns)}/8${picture.plain ? ", no occlusion" : ""}`;
     one("#badge").dataset.rung = picture.rung;
     one("#size").textContent = `${columns} × ${rows} px`;
     studio.done();
     legend(picture.legend);
     place();
+    studio.drawn(picture);
   };
 
   const legend = (about) => {
@@ -160,7 +166,7 @@
 
   const place = () => {
     const canvas = one("#canvas");
-    for (const each of [canvas, one("#pinned")]) {
+    for (const each of [canvas, one("#pinned"), one("#stacked")]) {
       each.style.transform = `translate(${left}px, ${top}px) scale(${scale})`;
       each.style.imageRendering = scale >= 1.5 ? "pixelated" : "auto";
     }
@@ -172,6 +178,8 @@
     const over = one("#over"), box = stage(), context = over.getContext("2d");
     over.width = box.width;
     over.height = box.height;
+    const place = (x, y) => [left + (x + 0.5) * scale, top + (y + 0.5) * scale];
+    for (const draw of studio.overlays) draw(context, place);
     if (scale < NUMBERS_FROM) return;
     const canvas = one("#canvas"), first = [Math.max(0, Math.floor(-left / scale)), Math.max(0, Math.floor(-top / scale))];
     const columns = Math.min(canvas.width - first[0], Math.ceil(box.width / scale) + 1);
@@ -197,6 +205,9 @@
     const at = [Math.floor((x - box.left - left) / scale), Math.floor((y - box.top - top) / scale)];
     return at[0] >= 0 && at[1] >= 0 && at[0] < canvas.width && at[1] < canvas.height ? at : null;
   };
+
+  studio.scale = () => scale; // CSS px per pixel of the frame
+  studio.place = () => place();
 
   const pointing = () => {
     const element = one("#stage");
@@ -241,6 +252,7 @@
     waiting.set(path, [value, drag]);
   };
   studio.put = put;
+  studio.set = (path, value) => { drag += 1; put(path, value); }; // as a step of undo of its own
 
   const valueOf = (control) => {
     if (control.type === "checkbox") return control.checked;
@@ -310,10 +322,7 @@
   const told = (said) => {
     if (said.error) { fail(said.error); studio.notInspected(); }
     if (said.inspected) studio.inspected(said.inspected);
-    if ("reference" in said) studio.referring(said.reference);
-    if (said.progress) studio.progressed(said.progress);
-    if (said.stopped) studio.stopped();
-    if (said.measured) studio.measured(said.measured);
+    if (said.about) one("#plan").textContent = said.about.plan;
     if (said.values) {
       Object.assign(studio.values, said.values);
       for (const [path, value] of Object.entries(said.values)) {
@@ -327,7 +336,7 @@
       document.title = said.title ? `${said.title} · clsco studio` : "clsco studio";
       one("#title").textContent = said.title || "untitled";
     }
-    if ("frames" in said) { studio.frames = said.frames; studio.interval = said.interval; line(); }
+    for (const hear of studio.hearing) hear(said);
   };
 
   const fail = (messages) => {
@@ -362,40 +371,16 @@
     new MutationObserver(() => requestAnimationFrame(watch)).observe(document.body, { childList: true, subtree: true });
   };
 
-  // ---- views and time line ----------------------------------------------------------------------------------------
+  // ---- views ------------------------------------------------------------------------------------------------------
   const look = (view) => {
     studio.view = view;
     studio.rung = -1;
     for (const button of all("[data-view]")) button.setAttribute("aria-selected", String(button.dataset.view === view));
     send({ view });
+    studio.unstack();
+    studio.expose();
   };
   studio.look = look;
-
-  const seek = (index) => {
-    studio.index = Math.min(Math.max(index, 0), studio.frames - 1);
-    studio.rung = -1;
-    send({ frame: studio.index });
-    line();
-  };
-
-  const line = () => {
-    studio.index = Math.min(studio.index, studio.frames - 1);
-    const slider = one("#frame");
-    slider.max = studio.frames - 1;
-    slider.value = studio.index;
-    slider.disabled = one("#play").disabled = studio.frames < 2;
-    const time = Number((studio.index * studio.interval).toPrecision(6));
-    one("#time").textContent = `frame ${studio.index + 1} of ${studio.frames}, t = ${time} s`;
-    if (studio.frames < 2) play(false);
-  };
-
-  let player = 0;
-  const play = (on) => {
-    clearInterval(player);
-    player = on ? setInterval(() => seek((studio.index + 1) % studio.frames), Math.max(1000 * studio.interval, 40)) : 0;
-    one("#play").setAttribute("aria-pressed", String(Boolean(player)));
-    one("#play").textContent = player ? "❚❚" : "▶";
-  };
 
   // ---- keyboard ---------------------------------------------------------------------------------------------------
   const keys = (event) => {
@@ -415,8 +400,8 @@
     const typing = event.target.closest?.("input:not([type=range]):not([type=checkbox]):not([type=radio]), textarea, select");
     if (control || event.altKey || typing) return undefined;
     if (/^[1-9]$/.test(event.key)) return look(VIEWS[Number(event.key) - 1]);
-    if (event.key === ",") return seek(studio.index - 1);
-    if (event.key === ".") return seek(studio.index + 1);
+    if (event.key === ",") return studio.seek(studio.index - 1);
+    if (event.key === ".") return studio.seek(studio.index + 1);
     if (event.key === "?") return one("#keys").showModal();
     return studio.extra?.(event);
   };
@@ -430,14 +415,12 @@
     controls();
     studio.begin();
     document.addEventListener("keydown", keys);
-    one("#frame").addEventListener("input", (event) => seek(Number(event.target.value)));
-    one("#play").addEventListener("click", () => play(!player));
-    line();
+    for (const part of studio.parts) part();
     window.addEventListener("beforeunload", () => { tries = 4; send({ leaving: true }); });
     connect();
   };
 
-  const begin = () => (one("#studio") && one("#canvas") && window.studioColors && studio.begin
+  const begin = () => (one("#studio") && one("#canvas") && window.studioColors && studio.begin && studio.parts.length === 3
     ? studio.start(one("#studio").dataset.tab) : requestAnimationFrame(begin));
   begin();
 })();

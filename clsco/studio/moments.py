@@ -1,0 +1,82 @@
+"""The exposure of a frame: its time samples, one of them alone, and how far objects move meanwhile."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from clsco.frame.frame import Frame
+from clsco.frame.provenance import views
+from clsco.optics.motion import poses_at, rest_center
+from clsco.reference.common.geometry import project
+from clsco.scene.model import Scene
+
+LEAST_SHARE = 1e-6  # of the interval, after the shutter opens
+SHORTEST_PX = 0.5  # of an arrow
+NEAREST = 1e-3  # mm; what is nearer to the lens, or behind it, has no place in the frame
+
+
+def moment_of(scene: Scene, index: int, time: float) -> Scene:
+    """The scene whose frame has one time sample.
+
+    Parameters
+    ----------
+    scene : Scene
+    index : int
+        Of the frame.
+    time : float
+        Seconds since the reference pose, taken to be within the interval of the frame.
+
+    Returns
+    -------
+    Scene
+        Its frame of the same number is the sub-frame at this time, and all ground truth is that of this time; the
+        flow leads over one interval.
+
+    Notes
+    -----
+    A shutter of twice the time since the frame began has its only sample then; it may exceed the interval, which files
+    may not ask for. Validated by the sub-frames of `clsco.render`.
+    """
+    interval = scene.sequence.interval
+    since = min(max(time - index * interval, LEAST_SHARE * interval), interval)
+    changes = {"shutter": 2.0 * since, "samples": 1, "sampling": "midpoint"}
+    return scene.model_copy(update={"sequence": scene.sequence.model_copy(update=changes)})
+
+
+def exposure_of(frame: Frame, scene: Scene) -> dict[str, Any]:
+    """What the time line shows of a frame.
+
+    Parameters
+    ----------
+    frame : Frame
+    scene : Scene
+
+    Returns
+    -------
+    dict
+        `times` of its samples and `shutter`, when it opens and closes, in s since the reference pose; `arrows`: column
+        and row of the origin of each object that moves, at both of these.
+    """
+    if not scene.moves:
+        return {"times": [], "shutter": None, "arrows": []}
+    begin = frame.index * scene.sequence.interval
+    assert scene.sequence.shutter is not None
+    shutter = [begin, begin + scene.sequence.shutter]
+    times = [sample["time"] for sample in frame.metadata["intermediate"]]
+    return {"times": times, "shutter": shutter, "arrows": _arrows(scene, shutter, frame.color.shape[:2])}
+
+
+def _arrows(scene: Scene, shutter: list[float], shape: tuple[int, ...]) -> list[list[float]]:
+    camera = scene.camera.model_copy(update={"resolution": (shape[1], shape[0])})
+    eye, found = views(scene)[0], []
+    for item, *poses in zip(scene.objects, *(poses_at(scene, time, eye) for time in shutter), strict=True):
+        points = np.array([rest_center(item) + pose.shift for pose in poses])
+        if item.is_background or (points[:, 2] < NEAREST).any():
+            continue
+        row, column = project(camera, points)
+        arrow = [float(column[0]), float(row[0]), float(column[1]), float(row[1])]
+        if np.hypot(arrow[2] - arrow[0], arrow[3] - arrow[1]) >= SHORTEST_PX:
+            found.append(arrow)
+    return found

@@ -1,0 +1,79 @@
+"""What the pointer does in the picture of a tab: ask, measure, focus, and drag objects."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from clsco.errors import SceneError
+from clsco.studio.moving import Grip, grip
+from clsco.studio.preview import MEASURE, Preview
+from clsco.studio.session import Session
+
+MOST_PX = 1e6  # of a drag
+
+
+class Pointer:
+    """The pointer of a tab.
+
+    Parameters
+    ----------
+    session : Session
+    preview : Preview
+        Knows what is at a pixel.
+    """
+
+    def __init__(self, session: Session, preview: Preview) -> None:
+        self._session, self._preview = session, preview
+        self._held: tuple[int, Grip] | None = None  # by the drag of this number
+
+    def ask(self, x: int, y: int) -> None:
+        """Report what is known of a pixel."""
+
+        async def report(found: dict[str, Any]) -> None:
+            await self._preview.tell(inspected=found)
+
+        self._preview.inspect(x, y, report)
+
+    def measure(self, x: int, y: int) -> None:
+        """Report the response of a pixel's source."""
+
+        async def report(found: dict[str, Any]) -> None:
+            await self._preview.tell(measured=found)
+
+        self._preview.inspect(x, y, report, MEASURE)
+
+    def focus(self, x: int, y: int, drag: int) -> None:
+        """Focus on what is at a pixel, as one step of undo."""
+
+        async def focus(found: dict[str, Any]) -> None:
+            depth = found["values"]["depth"]
+            if depth is None:
+                await self._preview.tell(error=["focus: there must be a surface; got none"])
+            else:
+                self._session.patch("camera.focus_distance", depth, drag)
+
+        self._preview.inspect(x, y, focus, "focus")
+
+    def grab(self, x: int, y: int, drag: int) -> None:
+        """Take hold of the object at a pixel, and report its name."""
+
+        async def take(found: dict[str, Any]) -> None:
+            values = found["values"]
+            try:
+                depth = math.inf if values["depth"] is None else values["depth"]
+                self._held = drag, grip(self._session, found["index"], values["object_id"], depth)
+            except SceneError as error:
+                self._held = None
+                await self._preview.tell(error=error.messages, grabbed={"drag": drag, "name": None})
+            else:
+                await self._preview.tell(grabbed={"drag": drag, "name": values["object"]})
+
+        self._preview.inspect(x, y, take, "grab")
+
+    def pull(self, across: float, down: float, is_along: bool, drag: int) -> None:
+        """Move the object that a drag holds so many pixels from where it was; all of it is one step of undo."""
+        if self._held is not None and self._held[0] == drag and max(abs(across), abs(down)) <= MOST_PX:
+            held = self._held[1]
+            value = held.value(self._session.scene.camera, across, down, is_along)
+            self._session.patch(held.path, value, drag)

@@ -1,0 +1,140 @@
+// What the pointer does in the picture besides moving it, and how the picture is shown: nothing here changes its codes.
+"use strict";
+
+(() => {
+  const one = (selector) => document.querySelector(selector);
+  const all = (selector) => [...document.querySelectorAll(selector)];
+  const studio = window.studio;
+
+  // ---- tools ------------------------------------------------------------------------------------------------------
+  studio.take = (name) => { // a tool; the same once more, or "", puts it away
+    studio.tool = studio.tool === name ? "" : name;
+    one("#stage").dataset.tool = studio.tool;
+    for (const button of all("[data-tool]")) button.setAttribute("aria-pressed", String(button.dataset.tool === studio.tool));
+    hint("");
+  };
+
+  // ---- objects are dragged ----------------------------------------------------------------------------------------
+  const FIRST = 2e6; // numbers of drags, which those of controls do not reach
+  let drag = FIRST, held = null; // held: where the pointer took hold, and whether the server knows of what
+  let frame = 0; // that the next change waits for
+
+  const hint = (text, event) => {
+    const label = one("#hint");
+    label.textContent = text;
+    label.hidden = !text;
+    if (!event) return;
+    const box = one("#stage").getBoundingClientRect();
+    label.style.left = `${event.clientX - box.left + 14}px`;
+    label.style.top = `${event.clientY - box.top + 14}px`;
+  };
+
+  const pull = () => {
+    frame = 0;
+    if (held === null || !held.known) return;
+    const scale = studio.scale();
+    studio.send({
+      pull: [(held.to[0] - held.from[0]) / scale, (held.to[1] - held.from[1]) / scale], along: held.along, drag: held.drag,
+    });
+  };
+
+  const pulled = () => { frame ||= requestAnimationFrame(pull); };
+
+  const moving = () => {
+    const stage = one("#stage");
+    stage.addEventListener("pointerdown", (event) => {
+      const at = event.button === 0 && studio.tool === "move" ? studio.pixelAt(event.clientX, event.clientY) : null;
+      if (at === null) return;
+      drag += 1;
+      const place = [event.clientX, event.clientY];
+      held = { drag, from: place, to: place, along: event.shiftKey, known: false };
+      stage.setPointerCapture(event.pointerId);
+      studio.send({ grab: at, drag });
+    });
+    stage.addEventListener("pointermove", (event) => {
+      if (held !== null) {
+        held.to = [event.clientX, event.clientY];
+        held.along = event.shiftKey;
+        pulled();
+        hint(held.name ?? "", event);
+      } else if (studio.tool === "move") {
+        hint(studio.pixelAt(event.clientX, event.clientY) === null ? "" : (studio.under ?? ""), event);
+      }
+    });
+    stage.addEventListener("pointerleave", () => { if (held === null) hint(""); });
+    const end = () => {
+      if (held === null) return;
+      if (frame) { cancelAnimationFrame(frame); pull(); }
+      if (held.known) held = null;
+      else held.ended = true; // once it is known what was held, it is moved
+    };
+    stage.addEventListener("pointerup", end);
+    stage.addEventListener("pointercancel", end);
+    document.addEventListener("keydown", (event) => {
+      if (event.key !== "Escape") return;
+      if (held !== null) {
+        held.to = held.from;
+        held.along = false;
+        pull();
+        held = null;
+      } else if (!document.querySelector("dialog[open]") && studio.tool) studio.take("");
+    });
+  };
+
+  studio.hearing.push((said) => {
+    if (said.inspected) studio.under = said.inspected.values.object;
+    if (!said.grabbed || held === null || said.grabbed.drag !== held.drag) return;
+    if (said.grabbed.name === null) { held = null; return; }
+    held.known = true;
+    held.name = said.grabbed.name;
+    pull();
+    if (held.ended) held = null;
+  });
+
+  // ---- exposure and gamma of the view -----------------------------------------------------------------------------
+  const expose = () => {
+    const stops = Number(one("#exposure").value), gamma = Number(one("#gamma").value);
+    const neutral = stops === 0 && gamma === 1;
+    for (const part of all("#view-filter .stops > *")) part.setAttribute("slope", 2 ** stops);
+    for (const part of all("#view-filter .gamma > *")) part.setAttribute("exponent", 1 / gamma);
+    for (const canvas of all("#canvas, #pinned")) canvas.style.filter = neutral || !shows() ? "" : "url(#view-filter)";
+    one("#view-about").textContent = neutral ? "as it is" : `${stops > 0 ? "+" : ""}${stops} EV, gamma ${gamma}`;
+    one("#shown").toggleAttribute("data-changed", !neutral);
+  };
+  const shows = () => studio.view === "color" || studio.view === "sharp";
+  studio.expose = expose;
+
+  // ---- arrows of motion -------------------------------------------------------------------------------------------
+  studio.arrows = [];
+  studio.overlays.push((context, place) => {
+    if (!one("#arrows").checked) return;
+    context.lineWidth = 2;
+    context.strokeStyle = context.fillStyle = "#ffd24d";
+    for (const [x0, y0, x1, y1] of studio.arrows) {
+      const from = place(x0, y0), to = place(x1, y1), angle = Math.atan2(to[1] - from[1], to[0] - from[0]);
+      context.beginPath();
+      context.moveTo(...from);
+      context.lineTo(...to);
+      context.stroke();
+      context.beginPath();
+      context.moveTo(...to);
+      for (const turn of [2.7, -2.7]) context.lineTo(to[0] + 10 * Math.cos(angle + turn), to[1] + 10 * Math.sin(angle + turn));
+      context.fill();
+    }
+  });
+
+  studio.parts.push(() => {
+    moving();
+    for (const slider of all("#exposure, #gamma")) slider.addEventListener("input", expose);
+    one("#neutral").addEventListener("click", () => {
+      one("#exposure").value = 0;
+      one("#gamma").value = 1;
+      expose();
+    });
+    one("#arrows").addEventListener("change", () => studio.place());
+    document.addEventListener("click", (event) => {
+      const button = event.target.closest?.("[data-tool]");
+      if (button) studio.take(button.dataset.tool);
+    });
+  });
+})();

@@ -1,0 +1,60 @@
+"""One time sample alone is the sub-frame, and the time line shows the exposure that is rendered."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import clsco
+from clsco.files.transfer import encode
+from clsco.scene.model import Scene
+from clsco.studio.moments import exposure_of, moment_of
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def scene_of(warp: str = "inverse") -> Scene:
+    scene = clsco.load_scene(EXAMPLES / "sphere_turning.toml").replace("camera.resolution", [64, 64])
+    scene = scene.replace("camera.pixel_pitch", 0.08).replace("object.0.motion.velocity", [5.0, 3.0, 0.0])
+    scene = scene.replace("sequence", {"frames": 3, "interval": 0.5, "shutter": 0.4})
+    return scene.replace("object.0.texture_mapping", "projected").replace("motion.warp", warp)
+
+
+@pytest.mark.parametrize("warp", ["inverse", "forward"])
+def test_a_moment_is_the_subframe(warp: str) -> None:
+    scene = scene_of(warp)
+    frame = clsco.render_frame(scene, 2, truth=("subframes",))
+    assert frame.subframes is not None
+    times = [sample["time"] for sample in frame.metadata["intermediate"]]
+    assert len(times) > 2
+    for time, image in ((times[0], frame.subframes[0]), (times[-1], frame.subframes[-1])):
+        alone = clsco.render_frame(moment_of(scene, 2, time), 2, truth=())
+        codes = [encode(each, 8, "srgb").astype(int) for each in (alone.color, image)]
+        assert np.abs(codes[0] - codes[1]).max() <= 1
+    assert np.abs(frame.subframes[0] - frame.subframes[-1]).max() > 0.1
+
+
+def test_times_beyond_the_interval_are_taken_to_be_within() -> None:
+    scene = scene_of()
+    for time in (-7.0, 0.0, 99.0, 1e9):
+        assert 0 < moment_of(scene, 1, time).sequence.shutter <= 2 * scene.sequence.interval
+
+
+def test_the_exposure_is_that_of_the_frame() -> None:
+    scene = scene_of()
+    frame = clsco.render_frame(scene, 1, truth=())
+    found = exposure_of(frame, scene)
+    assert found["shutter"] == pytest.approx([0.5, 0.9])
+    assert all(0.5 < time < 0.9 for time in found["times"])
+    assert len(found["times"]) == frame.metadata["samples"]
+    (arrow,) = found["arrows"]
+    step = scene.camera.pixel_pitch / scene.camera.normalization_distance
+    assert arrow[2] - arrow[0] == pytest.approx(5.0 * 0.4 / 280.0 / step, rel=1e-6)  # its center stays at its depth
+    assert arrow[3] - arrow[1] == pytest.approx(-3.0 * 0.4 / 280.0 / step, rel=1e-6)
+
+
+def test_what_does_not_move_has_no_exposure() -> None:
+    scene = clsco.load_scene(EXAMPLES / "sphere.toml").replace("camera.resolution", [32, 32])
+    assert exposure_of(clsco.render_frame(scene, truth=()), scene) == {"times": [], "shutter": None, "arrows": []}
