@@ -180,6 +180,8 @@ class Studio:
                 tab.told.set()
             case {"at": [int(x), int(y)]} if min(x, y) >= 0:
                 pointer.ask(x, y)
+            case {"measure": [int(x), int(y)]} if min(x, y) >= 0:
+                pointer.measure(x, y)
             case {"focus": [int(x), int(y)], "drag": int(drag)} if min(x, y) >= 0:
                 pointer.focus(x, y, drag)
             case {"grab": [int(x), int(y)], "drag": int(drag)} if min(x, y) >= 0:
@@ -197,6 +199,11 @@ class Studio:
                     await preview.tell(error=error.messages)
             case {"do": "pin thesis"}:
                 preview.pin(as_the_thesis(tab.session))
+            case {"do": "pin reference"}:
+                preview.pin_reference()
+            case {"do": "cancel"}:
+                preview.stop()
+                await preview.tell(stopped=True)
             case {"do": "undo"}:
                 tab.session.undo()
             case {"do": "redo"}:
