@@ -170,13 +170,13 @@ def _shown() -> None:
     """How the view shows the picture, which it leaves as it is."""
     with say("details", id="shown"):
         with say("summary", title="Exposure and gamma of the view; the scene and its files stay as they are"):
-            say("span", "View:")
+            say("span", "View: ")
             say("span", "as it is", id="view-about")
         with say("div", id="shown-panel"):
             say("label", "Exposure of the view (EV)", for_="exposure")
-            say("input", id="exposure", type="range", min=-4, max=4, value=0, step=0.25)
+            say("input", id="exposure", type="range", min=-4, max=4, step=0.25, value=0)
             say("label", "Gamma of the view", for_="gamma")
-            say("input", id="gamma", type="range", min=0.4, max=2.6, value=1, step=0.1)
+            say("input", id="gamma", type="range", min=0.4, max=2.6, step=0.1, value=1)
             with say("label"):
                 say("input", id="arrows", type="checkbox")
                 say("span", "Arrows of motion")
