@@ -39,9 +39,9 @@
 
   // ---- the exposure: its time samples as ticks, the open shutter as a band ----------------------------------------
   const exposure = ({ times, shutter, arrows }) => {
+    if (studio.moment !== null) return; // ticks and arrows are those of the whole frame
     studio.arrows = arrows;
     studio.place();
-    if (studio.moment !== null) return; // the ticks are those of the whole frame
     one("#exposure-row").hidden = shutter === null;
     if (shutter === null) return;
     const begin = studio.index * interval, share = (time) => `${(100 * (time - begin)) / interval}%`;

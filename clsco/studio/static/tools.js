@@ -118,18 +118,19 @@
   studio.arrows = [];
   studio.overlays.push((context, place) => {
     if (!one("#arrows").checked) return;
-    context.lineWidth = 2;
-    context.strokeStyle = context.fillStyle = "#ffd24d";
     for (const [x0, y0, x1, y1] of studio.arrows) {
       const from = place(x0, y0), to = place(x1, y1), angle = Math.atan2(to[1] - from[1], to[0] - from[0]);
-      context.beginPath();
-      context.moveTo(...from);
-      context.lineTo(...to);
-      context.stroke();
-      context.beginPath();
-      context.moveTo(...to);
-      for (const turn of [2.7, -2.7]) context.lineTo(to[0] + 10 * Math.cos(angle + turn), to[1] + 10 * Math.sin(angle + turn));
-      context.fill();
+      const barb = (turn) => [to[0] + 10 * Math.cos(angle + turn), to[1] + 10 * Math.sin(angle + turn)];
+      for (const [width, color] of [[6, "#141517"], [2.5, "#ffd24d"]]) { // the first is its edge, on light and dark
+        [context.lineWidth, context.strokeStyle] = [width, color];
+        context.beginPath();
+        context.moveTo(...from);
+        context.lineTo(...to);
+        context.moveTo(...barb(2.6));
+        context.lineTo(...to);
+        context.lineTo(...barb(-2.6));
+        context.stroke();
+      }
     }
   });
 
