@@ -214,6 +214,8 @@ class Studio:
                 preview.look(view=view)
             case {"frame": int(index), "time": int() | float() | None as time}:
                 preview.look(index=index, time=time)
+                if said.get("again"):
+                    preview.changed()
             case {"stack": [int() | float() as nearest, int() | float() as farthest, int(steps)]}:
                 try:
                     scenes = stack_scenes(tab.session, nearest, farthest, steps)
