@@ -197,6 +197,16 @@ class Studio:
                     await preview.tell(error=error.messages)
             case {"do": "pin thesis"}:
                 preview.pin(as_the_thesis(tab.session))
+            case {"do": "keep"}:
+                await preview.tell(kept=tab.session.remembered())
+            case {"resume": {"scene": str(link), "file": str(file), "digest": str(digest)}, "tab": str(before)}:
+                if before not in self.tabs:  # else it is still there, and this is a copy of its page
+                    try:
+                        tab.session.resume(link, file, digest)
+                    except SceneError as error:
+                        await preview.tell(error=error.messages)
+                    else:
+                        await preview.tell(resumed=True)
             case {"do": "undo"}:
                 tab.session.undo()
             case {"do": "redo"}:
