@@ -175,6 +175,8 @@ class Studio:
                     tab.session.patch(path, value, drag if isinstance(drag, int) else None)
                 except SceneError as error:
                     await preview.tell(error=error.messages)
+            case {"hidden": bool(is_hidden)}:
+                preview.hide(is_hidden)
             case {"watch": list(paths)}:
                 tab.watched = tuple(path for path in paths[:MOST_WATCHED] if isinstance(path, str))
                 tab.told.set()

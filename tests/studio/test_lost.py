@@ -57,7 +57,9 @@ def test_a_studio_that_is_killed_and_started_again_has_the_scene(tmp_path: Path)
             assert "does not answer" in page.locator("#lost").inner_text()
             assert page.locator("#canvas").is_visible()
             assert number(page, "object.0.radius") == 27.5
-            assert page.evaluate("[...document.querySelectorAll('#studio button, #studio input')].every((c) => c.inert)")
+            assert page.evaluate(
+                "[...document.querySelectorAll('#studio button, #studio input')].every((c) => c.inert)"
+            )
             port = running.host.rpartition(":")[2]
         with studio(tmp_path, "--device", "pocl", "--port", port) as again:
             page.wait_for_timeout(1500)
@@ -82,4 +84,3 @@ def test_a_studio_that_is_killed_and_started_again_has_the_scene(tmp_path: Path)
             page.locator("#save").click()
             page.wait_for_timeout(700)
             assert "radius = 27.5" in (tmp_path / "sphere.toml").read_text()  # no question: the file is as it was
-

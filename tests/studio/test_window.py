@@ -1,4 +1,4 @@
-"""The window as a stranger uses it: by keys alone, in several tabs, closed and loaded again in the middle of something."""
+"""The window as a stranger uses it: by keys alone, in several tabs, closed and loaded again meanwhile."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from websockets.exceptions import InvalidStatus
 
-from tests.studio.browser import SMALL, axe_faults, box, number, open_scene, opened, rest, type_in
+from tests.studio.browser import SMALL, axe_faults, number, open_scene, opened, rest, type_in
 from tests.studio.running import Running, studio
 
 pytestmark = pytest.mark.browser
@@ -21,8 +21,9 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SCENE = "fetch(`/scene?tab=${studio.tab}`).then((answer) => answer.text())"
 FOCUSED = """() => {
   const element = document.activeElement, style = getComputedStyle(element);
-  const part = ["header", "#panels", "#middle", "#side", "dialog"].find((each) => element.closest(each)) ?? element.tagName;
-  return { part, id: element.id, text: element.innerText ?? "", style: style.outlineStyle, width: parseFloat(style.outlineWidth) };
+  const part = ["dialog", "header", "#panels", "#middle", "#side"].find((each) => element.closest(each));
+  const text = element.innerText ?? "", width = parseFloat(style.outlineWidth);
+  return { part: part ?? element.tagName, text, style: style.outlineStyle, width };
 }"""
 DIALOGS = ("Open", "Presets", "Save as", "Share", "Inpaint", "Generate", "Keyboard")
 
@@ -174,6 +175,11 @@ def test_jobs_go_on_without_their_page_and_previews_do_not(page: Any, running: R
     page.wait_for_function("document.querySelector('.job.running progress').value > 0", timeout=60000)
     page.reload()
     job.locator("progress").wait_for(timeout=20000)  # it is there again, and how far it is
+    cancel = page.get_by_role("button", name="Cancel job")
+    cancel.focus()
+    before = page.locator(".job.running progress").evaluate("bar => bar.value")
+    page.wait_for_function(f"document.querySelector('.job.running progress').value > {before}", timeout=20000)
+    assert cancel.evaluate("button => button === document.activeElement")  # what is pressed stays as the job gets on
     done = len(list((root / "long").glob("*.png")))
     tab, origin = page.evaluate("studio.tab"), page.context
     page.evaluate("look = studio.look; studio.set('object.0.distance', 260)")
@@ -181,8 +187,8 @@ def test_jobs_go_on_without_their_page_and_previews_do_not(page: Any, running: R
     end = time.monotonic() + 3
     while True:  # the socket of a tab that is still shown something is refused
         try:
-            running.frames(tab).close()
-            break
+            with running.frames(tab):
+                break
         except InvalidStatus:
             assert time.monotonic() < end
             time.sleep(0.05)
@@ -190,7 +196,7 @@ def test_jobs_go_on_without_their_page_and_previews_do_not(page: Any, running: R
     assert len(list((root / "long").glob("*.png"))) > done
     again = origin.new_page()
     again.goto(running.origin)
-    again.locator(".job.running:has-text('long')").get_by_role("button", name="Cancel").click()
+    again.locator(".job.running:has-text('long')").get_by_role("button", name="Cancel job").click()
     again.locator(".job.canceled:has-text('long')").wait_for(timeout=20000)
 
 

@@ -66,8 +66,12 @@
     if (studio.tab && !studio.isOpen() && !event.key.includes("Tab")) event.stopImmediatePropagation();
   }, true);
 
+  const visibility = () => studio.send({ hidden: document.hidden }); // what is in front is rendered first
+  document.addEventListener("visibilitychange", visibility);
+
   studio.opened = () => {
     say("");
+    visibility();
     still(false);
     const before = sessionStorage.getItem("tab");
     sessionStorage.setItem("tab", studio.tab);

@@ -99,11 +99,18 @@ def generate_dialog(session: Session, jobs: Jobs, device: str = "") -> Callable[
 def draw_jobs(session: Session, jobs: Jobs) -> Callable[[], None]:
     """Draw the jobs, and draw them again when they change.
 
+    While they only get on, what can be pressed stays: else clicks and the focus would be lost.
+
     Returns
     -------
     function
         Ends it, when the page is closed.
     """
+
+    followed: dict[int, Callable[[Job], None]] = {}
+
+    def listed() -> list[tuple[Any, ...]]:
+        return [(job.number, job.status, job.message, job.total) for job in jobs.listed]
 
     @ui.refreshable
     def area() -> None:
@@ -112,14 +119,19 @@ def draw_jobs(session: Session, jobs: Jobs) -> Callable[[], None]:
             if not jobs.listed:
                 say("p", "Generate writes frames; what runs is seen here.").classes("quiet")
             for job in jobs.listed:
-                _draw(session, jobs, job)
+                followed[job.number] = _draw(session, jobs, job)
 
     said = say("div", role="status", aria_live="polite").classes("for-listeners")
     area()
-    last: dict[str, Any] = {"told": 0.0, "text": ""}
+    last: dict[str, Any] = {"told": 0.0, "text": "", "listed": listed()}
 
     def changed() -> None:
-        area.refresh()
+        if (now_listed := listed()) != last["listed"]:
+            last["listed"] = now_listed
+            area.refresh()
+        for job in jobs.listed:
+            if job.status == "running":
+                followed[job.number](job)
         text = "; ".join(f"job {job.number} {_state(job)}" for job in jobs.listed if job.is_unfinished)
         now = time.monotonic()
         if text != last["text"] and now - last["told"] > 2.0:  # not more often than can be listened to
@@ -149,24 +161,22 @@ def _duration(seconds: float) -> str:
     )
 
 
-def _draw(session: Session, jobs: Jobs, job: Job) -> None:
+def _draw(session: Session, jobs: Jobs, job: Job) -> Callable[[Job], None]:
+    """Draw a job; returns what shows how far it is."""
+    bar = None
     with say("article", aria_label=f"Job {job.number}").classes(f"job {job.status}"):
         say("h3", f"{job.number} {job.title}")
-        say("p", f"{_state(job).capitalize()}, in {job.folder}")
+        words = say("p", _how_far(job))
         if job.status == "running":
             value = str(job.done) if job.total else None
-            say("progress", value=value, max=str(max(job.total, 1)), aria_label=f"Progress of job {job.number}")
+            bar = say("progress", value=value, max=str(max(job.total, 1)), aria_label=f"Progress of job {job.number}")
         with say("div").classes("row"):
             say("code", job.line)
             say("button", "Copy", type="button", data_copy=job.line, aria_label="Copy the command line")
         if job.message:
             say("pre", job.message, role="alert").classes("difference")
-        files = jobs.files(job.number) if job.arguments[0] in ("render", "video") else []
-        pictures = [path for path in files if path.suffix == ".png" and "sample" not in path.name]
-        with say("div").classes("pictures"):
-            for path in pictures[-SHOWN:]:
-                name = path.relative_to(jobs.root / job.folder).as_posix()
-                say("img", src=f"/result?job={job.number}&name={quote(name)}", alt=path.stem, loading="lazy")
+        with say("div").classes("pictures") as frame:
+            pictures = _pictures(jobs, job)
         with say("div").classes("row"):
             if job.is_unfinished:
                 button("Cancel", partial(jobs.cancel, job.number), aria_label=f"Cancel job {job.number}")
@@ -176,6 +186,32 @@ def _draw(session: Session, jobs: Jobs, job: Job) -> None:
                 elif job.arguments[0] == "render" and len(pictures) > 1:
                     button("Make a clip", partial(_clip, session, jobs, job))
                 button("Off the list", partial(jobs.forget, job.number), aria_label=f"Take job {job.number} off")
+
+    def follow(now: Job) -> None:
+        words.props["innerText"] = _how_far(now)
+        words.update()
+        if bar is not None and now.total:
+            bar.props["value"] = str(now.done)
+            bar.update()
+        frame.clear()
+        with frame:
+            _pictures(jobs, now)
+
+    return follow
+
+
+def _how_far(job: Job) -> str:
+    return f"{_state(job).capitalize()}, in {job.folder}"
+
+
+def _pictures(jobs: Jobs, job: Job) -> list[Path]:
+    """Draw the latest frames of a job; returns all."""
+    files = jobs.files(job.number) if job.arguments[0] in ("render", "video") else []
+    pictures = [path for path in files if path.suffix == ".png" and "sample" not in path.name]
+    for path in pictures[-SHOWN:]:
+        name = path.relative_to(jobs.root / job.folder).as_posix()
+        say("img", src=f"/result?job={job.number}&name={quote(name)}", alt=path.stem, loading="lazy")
+    return pictures
 
 
 def _clip(session: Session, jobs: Jobs, job: Job) -> None:
