@@ -47,11 +47,22 @@ class State:
     table: Table
     apart: tuple[Mapping[str, Table], ...]  # of each object, the keys of the shapes that it has had
     path: Path | None = None  # of the scene file
+    label: str = ""  # of the scene that is shown, of several
 
     @cached_property
     def objects(self) -> list[Table]:
         """Tables of the objects."""
         return self.table["object"]
+
+    @cached_property
+    def labels(self) -> tuple[str, ...]:
+        """Of all scenes of a valid table, as `clsco render` calls their folders; "" for the only one."""
+        return parse_sweep(self.table).labels if swept_keys(self.table) else ("",)
+
+    @property
+    def shown(self) -> int:
+        """Position of the scene that is shown; the first where the labels have changed."""
+        return self.labels.index(self.label) if self.label in self.labels else 0
 
 
 @dataclass(frozen=True)
@@ -88,7 +99,7 @@ class Editor:
     Attributes
     ----------
     scene : Scene
-        The last valid one, with absolute paths; of a table with several values for a key the first of its scenes.
+        The last valid one, with absolute paths; of a table with several values for a key one of its scenes.
     revision : int
         Grows with each change of the scene.
     faults : dict
@@ -271,6 +282,12 @@ class Editor:
         of_parts = (message for key, message in self.faults.items() if key.startswith(f"{path}."))
         return self.faults.get(path) or next(of_parts, "")
 
+    def show_scene(self, label: str) -> None:
+        """Show another scene of a table with several values for a key, as a step of undo. Raises SceneError."""
+        if label not in self._state.labels:
+            raise SceneError(f"scene: must be one of the {len(self._state.labels)} of the file; got {shown(label)}")
+        self.take(replace(self._state, label=label))
+
     def forget_past(self) -> None:
         """Let the way back begin here."""
         self._history = _History()
@@ -298,7 +315,7 @@ class Editor:
     def _accept(self, state: State, scene: Scene, drag: int | None) -> bool:
         """Make a valid state the current one; whether it differs."""
         before = self._state
-        changed = state.table != before.table or state.path != before.path
+        changed = (state.table, state.path, state.label) != (before.table, before.path, before.label)
         if changed:
             self._history.push(_Step(before, self.scene, drag))
             self._set(state, scene)
@@ -383,7 +400,7 @@ class Editor:
     def _valid(self, state: State) -> Scene:
         """The scene of a state, with absolute paths. Raises SceneError."""
         table = state.table
-        scene = parse_sweep(table).scenes[0] if swept_keys(table) else parse_scene(table)
+        scene = parse_sweep(table).scenes[state.shown] if swept_keys(table) else parse_scene(table)
         start = state.path.parent if state.path is not None else self.root
         faults = []
         for index, key, name in named_files(table):

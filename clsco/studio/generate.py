@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
-from importlib.util import find_spec
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from clsco.errors import ClscoError, SceneError
-from clsco.files.atomic import write_whole
+from clsco.files.atomic import writable_folder, write_whole
+from clsco.plan.prepare import prepare_sweep
 from clsco.scene.file import absolute, swept_keys
 from clsco.scene.model import Scene
 from clsco.scene.sweep import parse_sweep
 from clsco.scene.text import key_name
 from clsco.scene.toml import toml_text
 from clsco.studio.jobs import Job, Jobs
+from clsco.studio.offers import shipped_distributions
 from clsco.studio.session import Session
 from clsco.studio.store import moved
 from clsco.studio.tables import Table, sparse, with_value
 
 SCENE_FILE = "scene.toml"
 MOST_LOOKED_AT = 64  # frames of a stack
+LARGEST_SHARD = 256  # samples, as of `clsco batch`
+STEPS = 16  # at which the progress of a data set is seen, at least
 
 
 @dataclass(frozen=True)
@@ -112,20 +115,46 @@ def clip(session: Session, jobs: Jobs, frames: str, file: str, view: str = "colo
     return jobs.add(f"Clip {target.name}", arguments, str(target.parent), target.name, 1)
 
 
-def has_data_sets() -> bool:
-    """Whether this version makes data sets."""
-    return find_spec("clsco.cli.batch") is not None
+def data_set(
+    session: Session, jobs: Jobs, distribution: str, folder: str, count: int, seed: int = 0, form: str = "",
+    device: str = "",
+) -> Job:  # fmt: skip
+    """Make a data set from a distribution file, by `clsco batch`.
 
+    Parameters
+    ----------
+    session : Session
+    jobs : Jobs
+    distribution : str
+        Its name below the root; one of `offers.shipped_distributions` is copied there first.
+    folder : str
+        For the set.
+    count, seed : int
+    form : str
+        As for `clsco batch --format`, "" for its default.
+    device : str
 
-def data_set(session: Session, jobs: Jobs, distribution: str, folder: str, count: int, seed: int = 0) -> Job:
-    """Make a data set from a distribution file, by `clsco batch`. Raises ClscoError as `Jobs.add`."""
+    Returns
+    -------
+    Job
+
+    Raises
+    ------
+    ClscoError
+        As `Jobs.add`.
+    """
     source, name = _name(session, distribution), _name(session, folder)
+    jobs.require_free(name)
+    shipped = shipped_distributions().get(source)
+    if shipped is not None and not (session.root / source).exists():
+        write_whole(writable_folder((session.root / source).parent) / shipped.name, shipped.read_bytes())
     if not (session.root / source).is_file():
         raise ClscoError(f"distribution: must be an existing file; got {distribution!r}")
-    arguments = [
-        "batch", source, "-o", name, "--count", str(count), "--seed", str(seed), "--resume", "--quiet"
-    ]  # fmt: skip
-    return jobs.add(f"Data set of {count}", arguments, name, "**/*", 0)
+    shard = min(LARGEST_SHARD, -(-count // STEPS))
+    arguments = ["batch", source, "-o", name, "--count", str(count), "--seed", str(seed), "--shard-size", str(shard)]
+    arguments += ["--format", form] if form else []
+    arguments += ["--device", device] if device else []
+    return jobs.add(f"Data set of {count}", [*arguments, "--resume", "--quiet"], name, "", count)
 
 
 def _render(session: Session, jobs: Jobs, folder: str, table: Table, what: str, wanted: Wanted) -> Job:
@@ -135,8 +164,10 @@ def _render(session: Session, jobs: Jobs, folder: str, table: Table, what: str, 
     name = _name(session, folder)
     target = session.root / name
     placed = moved(table, session.folder, target)
-    scenes = parse_sweep(placed).scenes
+    sweep = parse_sweep(placed)
+    scenes = tuple(absolute(scene, target) for scene in sweep.scenes)
     jobs.require_free(name)
+    prepare_sweep(replace(sweep, scenes=scenes))  # says what is beyond the limits, before anything is begun
     target.mkdir(parents=True, exist_ok=True)
     write_whole(target / SCENE_FILE, toml_text(sparse(placed)).encode())
     title = str(table.get("title", "")) or "scene"

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import multiprocessing
+import shlex
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -16,10 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import ImageError, SceneError
-from clsco.files.atomic import together
+from clsco.files.atomic import together, writable_folder
 from clsco.files.images import Picture, read_image, write_png
 from clsco.files.png import png_parts
 from clsco.files.transfer import encode
+from clsco.studio.filling import Filler
+from clsco.studio.jobs import Job, Jobs
+from clsco.studio.removals import REMOVALS
 from clsco.studio.session import Session
 
 METHODS = ("mean-median", "biharmonic", "texture")
@@ -61,18 +62,19 @@ class Inpainting:
     device : str, optional
         As for `clsco.inpaint`.
 
-    Notes
-    -----
-    Methods run in a process of their own, which may end without the studio.
+    Attributes
+    ----------
+    filler : Filler
+        Runs the methods.
     """
 
     def __init__(self, root: Path, device: str | None = None) -> None:
-        self.root, self.device = root.resolve(), device
+        self.root = root.resolve()
+        self.filler = Filler(device)
         self.name = ""
         self.image: NDArray[Any] = np.zeros((1, 1), np.uint8)
         self.mask = np.zeros((1, 1), np.bool_)
         self.results: dict[str, Filled] = {}
-        self._pool: ProcessPoolExecutor | None = None
 
     def open(self, name: str) -> None:
         """Take another image, without a mask.
@@ -92,6 +94,14 @@ class Inpainting:
             raise ImageError(f"{name}: must have at most {LARGEST} pixels to be filled here; use clsco inpaint")
         self.name, self.image = name, image
         self.mask = np.zeros(image.shape[:2], np.bool_)
+        self.results = {}
+
+    def open_removal(self, name: str) -> None:
+        """Take one of `REMOVALS`, with its mask. Raises SceneError."""
+        if name not in REMOVALS:
+            raise SceneError(f"preset: must be one of {', '.join(REMOVALS)}; got {name!r}")
+        self.name = f"{name}.png"
+        self.image, self.mask = REMOVALS[name].make()
         self.results = {}
 
     def paint(self, columns: int, rows: int, runs: Sequence[int]) -> None:
@@ -121,7 +131,7 @@ class Inpainting:
         edges = [0, *([0] if flat[0] else []), *ends.tolist(), flat.size]
         return [end - start for start, end in pairwise(edges)]
 
-    def add_color(self, column: int, row: int, tolerance: float) -> None:
+    def add_color(self, column: int, row: int, tolerance: float, erase: bool = False) -> None:
         """Add all pixels that look like one of them to the mask, as the letters of figure 5.16.
 
         Parameters
@@ -130,6 +140,8 @@ class Inpainting:
             Of the pixel.
         tolerance : float
             Largest difference of a channel, as a share of white.
+        erase : bool
+            Take them off the mask instead.
 
         Raises
         ------
@@ -142,7 +154,8 @@ class Inpainting:
         difference = np.abs(codes - codes[row, column])
         if difference.ndim == 3:
             difference = difference.max(axis=2)
-        self.mask = self.mask | (difference <= 255.0 * tolerance)
+        chosen = difference <= 255.0 * tolerance
+        self.mask = self.mask & ~chosen if erase else self.mask | chosen
         self.results = {}
 
     def load_mask(self, name: str) -> None:
@@ -156,30 +169,54 @@ class Inpainting:
         self.mask = values > half
         self.results = {}
 
-    def fill(self, method: str) -> Filled:
+    def save_mask(self, name: str) -> None:
+        """Write the mask as PNG, white where pixels are missing. Raises ImageError."""
+        target = self._target(name)
+        if target.suffix.lower() != ".png":
+            raise ImageError(f"mask: must be written to a file that ends in .png; got {name!r}")
+        if target == (self.root / self.name).resolve():
+            raise ImageError(f"mask: must not take the place of the image; got {name!r}")
+        write_png(writable_folder(target.parent) / target.name, self._mask_codes())
+
+    def fill(self, method: str) -> Filled | None:
         """Fill what is missing, and keep the result beside those of other methods.
+
+        Returns
+        -------
+        Filled or None
+            None where it was canceled.
 
         Raises
         ------
-        ImageError, SceneError, DeviceError
+        ClscoError
             As `clsco.inpaint`; nothing is missing; the process of the method ended.
         """
-        if method not in METHODS:
-            raise SceneError(f"method: must be one of {', '.join(METHODS)}; got {method!r}")
-        if not self.mask.any():
-            raise ImageError("mask: some pixel must be missing; paint over what is to go")
-        if self._pool is None:
-            self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
+        self._require(method)
         mask = self.mask
-        try:
-            image, figures = self._pool.submit(_filled, self.image, mask, method, self.device).result()
-        except BrokenProcessPool:
-            self._pool = None
-            raise ImageError(f"{method}: its process ended; it is begun again with the next try") from None
-        found = Filled(method, image, figures)
+        made = self.filler.fill(self.image, mask, method)
+        if made is None:
+            return None
+        found = Filled(method, *made)
         if mask is self.mask:  # unless it was painted meanwhile
             self.results[method] = found
         return found
+
+    def begin(self, jobs: Jobs, methods: Sequence[str], folder: str) -> list[Job]:
+        """Write image and mask into a folder, and have methods fill it as jobs. Raises ClscoError."""
+        for method in methods:
+            self._require(method)
+            jobs.require_free(f"{folder}/{method}")
+        self._write(folder, ())
+        return [
+            jobs.add(
+                f"Inpainting: {method}",
+                shlex.split(self.command(method, folder))[1:],
+                f"{folder}/{method}",
+                "filled.png",
+                1,
+            )
+            for method in methods
+        ]
 
     def table(self) -> list[tuple[str, list[str]]]:
         """Figures of the methods that were run, as in figure 5.21: rows with a value for each, "" for none."""
@@ -188,24 +225,16 @@ class Inpainting:
             for key, label in ROWS.items()
         ]
 
-    def command(self, method: str) -> str:
-        """The command line that makes the same, once image and mask are written by `save`."""
-        return f"clsco inpaint image.png mask.png -o {method}.png --method {method}"
+    def command(self, method: str, folder: str) -> str:
+        """The command line that makes the same of the image and mask that `save` and `begin` write."""
+        name = self._target(folder).relative_to(self.root).as_posix()
+        start = f"./{name}" if name.startswith("-") else name
+        image, mask, out = (f"{start}/{end}" for end in ("image.png", "mask.png", f"{method}/filled.png"))
+        return shlex.join(["clsco", "inpaint", image, mask, "-o", out, "--method", method])
 
     def save(self, folder: str) -> list[str]:
         """Write image, mask and results as PNG, all or none; returns their names. Raises ImageError."""
-        target = (self.root / folder).resolve()
-        if not target.is_relative_to(self.root) or target == self.root:
-            raise ImageError(f"folder: must be below the folder of the studio; got {folder!r}")
-        if self.image.dtype.kind == "f":
-            raise ImageError("image: must be of 8 or 16 bits to be written as PNG; use clsco inpaint for floats")
-        target.mkdir(parents=True, exist_ok=True)
-        with together(target, "inpainting") as made:
-            write_png(made / "image.png", self.image)
-            write_png(made / "mask.png", np.where(self.mask, 255, 0).astype(np.uint8))
-            for filled in self.results.values():
-                write_png(made / f"{filled.method}.png", filled.image)
-            return sorted(path.name for path in made.iterdir())
+        return self._write(folder, tuple(self.results.values()))
 
     def picture(self, which: str) -> bytes:
         """PNG of 8 bits of "image", or of what a method made; nothing where there is none."""
@@ -223,9 +252,38 @@ class Inpainting:
 
     def close(self) -> None:
         """End the process of the methods."""
-        if self._pool is not None:
-            self._pool.shutdown(wait=False, cancel_futures=True)
-            self._pool = None
+        self.filler.close()
+
+    def _require(self, method: str) -> None:
+        if method not in METHODS:
+            raise SceneError(f"method: must be one of {', '.join(METHODS)}; got {method!r}")
+        if not self.mask.any():
+            raise ImageError("mask: some pixel must be missing; paint over what is to go")
+
+    def _mask_codes(self) -> NDArray[np.uint8]:
+        return np.where(self.mask, 255, 0).astype(np.uint8)
+
+    def _write(self, folder: str, results: Sequence[Filled]) -> list[str]:
+        """Write image, mask and results, all or none."""
+        target = self._target(folder)
+        if self.image.dtype.kind == "f":
+            raise ImageError("image: must be of 8 or 16 bits to be written as PNG; use clsco inpaint for floats")
+        with together(writable_folder(target), "inpainting") as made:
+            write_png(made / "image.png", self.image)
+            write_png(made / "mask.png", self._mask_codes())
+            for filled in results:
+                write_png(made / f"{filled.method}.png", filled.image)
+            return sorted(path.name for path in made.iterdir())
+
+    def _target(self, name: str) -> Path:
+        """A place for what is written, below the root."""
+        try:
+            target = (self.root / name).resolve()
+        except (OSError, ValueError, RuntimeError):
+            target = self.root
+        if not target.is_relative_to(self.root) or target == self.root:
+            raise ImageError(f"output: must be below the folder of the studio; got {name!r}")
+        return target
 
     def _read(self, name: str) -> Picture:
         try:
@@ -238,16 +296,6 @@ class Inpainting:
             return read_image(path)
         except ImageError as error:
             raise ImageError(str(error).replace(str(path), name)) from None
-
-
-def _filled(
-    image: NDArray[Any], mask: NDArray[np.bool_], method: str, device: str | None
-) -> tuple[NDArray[Any], dict[str, Any]]:
-    """Fill an image; for the process of the methods."""
-    from clsco.engine.inpaint import inpaint
-
-    filled, report = inpaint(image, mask, method=method, device=device, return_report=True)
-    return filled, report.figures()
 
 
 def _figure(value: Any) -> str:

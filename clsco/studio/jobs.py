@@ -23,6 +23,7 @@ from typing import Any, Literal
 
 from clsco.errors import ClscoError
 from clsco.files.atomic import write_whole
+from clsco.studio.samples import samples_made
 
 STATE_FOLDER = ".clsco-studio"
 GRACE = 10.0  # seconds that a canceled command has to end
@@ -48,12 +49,12 @@ class Job:
     folder : str
         Where its files go, relative to the root.
     pattern : str
-        Of the files in the folder that are counted as progress.
+        Of the files in the folder that are counted as progress; of data sets their samples are.
     total : int
         How many of them there will be; 0 where nobody knows.
     status : str
     done : int
-        Files that are there.
+        Files or samples that are there.
     began, ended : float
         Seconds since 1970; 0 before.
     process, process_began : int
@@ -80,6 +81,11 @@ class Job:
     def line(self) -> str:
         """The command line, to be run in the root."""
         return shlex.join(["clsco", *self.arguments])
+
+    @property
+    def command(self) -> str:
+        """Of `clsco`: "render", "video", "batch", "inpaint"."""
+        return self.arguments[0]
 
     @property
     def is_unfinished(self) -> bool:
@@ -121,6 +127,7 @@ class Jobs:
             raise ClscoError(f"{self.root}: another studio is at work in this folder") from None
         self._listeners: list[Callable[[], None]] = []
         self._canceled: dict[int, float] = {}
+        self._next_count = 0.0
         self._processes: dict[int, subprocess.Popen[bytes]] = {}
         self._jobs = _read(self._place / "jobs.json")
 
@@ -175,7 +182,7 @@ class Jobs:
         """Run a finished job once more; frames that are whole are left out."""
         job = self.job(number)
         arguments = job.arguments
-        if arguments[0] == "render" and "--resume" not in arguments:
+        if job.command == "render" and "--resume" not in arguments:
             arguments = (*arguments, "--resume")
         return self.add(job.title, arguments, job.folder, job.pattern, job.total)
 
@@ -242,7 +249,7 @@ class Jobs:
         since = self._canceled.get(job.number)
         if is_alive and since is not None and time.monotonic() - since > GRACE:
             _signal(job, signal.SIGKILL, process is not None)
-        done = self._count(job)
+        done = self._count(job, not is_alive)
         if is_alive:
             if done == job.done:
                 return False
@@ -263,14 +270,26 @@ class Jobs:
         self._put(replace(job, status=status, done=done, ended=time.time(), message=message))
         return True
 
-    def _count(self, job: Job) -> int:
-        """Files that were made since the job began, or that it need not make again."""
+    def _count(self, job: Job, is_over: bool) -> int:
+        """Files that were made since the job began, or that it need not make again; samples of a data set."""
+        if job.command == "batch":
+            return self._count_samples(job, is_over)
         folder, since = self.root / job.folder, 0.0 if "--resume" in job.arguments else job.began - 1.0
         count = 0
         for path in folder.glob(job.pattern):
             with contextlib.suppress(OSError):
                 count += path.stat().st_mtime >= since
         return min(count, job.total) if job.total else count
+
+    def _count_samples(self, job: Job, is_over: bool) -> int:
+        """Samples of a data set, which take a tenth of the time at most to count while it is made."""
+        began = time.monotonic()
+        if not is_over and began < self._next_count:
+            return job.done
+        made = samples_made(self.root / job.folder)
+        now = time.monotonic()
+        self._next_count = now + 9.0 * (now - began)
+        return made
 
     def _code(self, job: Job) -> int | None:
         """Exit status of a command that ended, None where it was killed with all that was around it."""

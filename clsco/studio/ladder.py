@@ -1,4 +1,4 @@
-"""Coarser renderings while a slider is dragged: how small they have to be to come in time."""
+"""Coarser renderings while something is dragged: how small they have to be to come in time, and what they leave out."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from clsco.scene.model import Scene
 BUDGET = 0.040  # s
 EIGHTHS = 8  # of the full width and height
 MOST_SAMPLES = 3
+LEAST = 5  # eighths; where fewer come in time, occlusion is left out
+FIXED = 30_000.0  # pixels whose time a picture takes besides that of its own
 _WEIGHT = 0.4  # of the latest measurement
 _STALL = 4.0  # times the prediction: a compilation, say
 _STALLS = 2  # in a row that are left out
@@ -15,7 +17,8 @@ _STALLS = 2  # in a row that are left out
 class Ladder:
     """Chooses the largest picture whose predicted time is within the budget.
 
-    The time is that of a pixel and time sample, as an exponential mean of what was measured, times their number.
+    The time is that of a pixel and time sample, as an exponential mean of what was measured, times their number and
+    FIXED more.
 
     Attributes
     ----------
@@ -35,7 +38,7 @@ class Ladder:
 
     def predicted(self, work: float, eighths: int) -> float:
         """Time of a picture of this size, s."""
-        return self.ns * 1e-9 * work * (eighths / EIGHTHS) ** 2
+        return self.ns * 1e-9 * _pixels(work, eighths)
 
     def measured(self, work: float, eighths: int, seconds: float) -> None:
         """Learn how long a picture took; what is far too long is believed the third time."""
@@ -43,9 +46,35 @@ class Ladder:
             self._stalls += 1
             return
         self._stalls = 0
-        ns = 1e9 * seconds / (work * (eighths / EIGHTHS) ** 2)
+        ns = 1e9 * seconds / _pixels(work, eighths)
         self.ns = self.ns + _WEIGHT * (ns - self.ns) if self._is_measured else ns
         self._is_measured = True
+
+    def bounded(self, work: float, seconds: float) -> None:
+        """Learn from an exact frame, which takes longer than a preview of full size."""
+        self.ns = min(self.ns, 1e9 * seconds / _pixels(work, EIGHTHS))
+
+
+def _pixels(work: float, eighths: int) -> float:
+    return work * (eighths / EIGHTHS) ** 2 + FIXED
+
+
+class Ladders:
+    """Previews of a kind of scenes, with occlusion and without, which is the most that several objects take.
+
+    Attributes
+    ----------
+    whole, plain : Ladder
+    """
+
+    def __init__(self) -> None:
+        self.whole, self.plain = Ladder(), Ladder()
+
+    def choose(self, scene: Scene, work: float) -> tuple[Ladder, int]:
+        """The ladder to take, `plain` only where the budget needs it, and the eighths of its picture."""
+        is_plain = scene.psf.occlusion != "none" and self.whole.eighths(work) < LEAST
+        ladder = self.plain if is_plain else self.whole
+        return ladder, ladder.eighths(work) if scene.is_analytic else EIGHTHS
 
 
 def work_of(scene: Scene, size: tuple[int, int]) -> float:
@@ -53,7 +82,7 @@ def work_of(scene: Scene, size: tuple[int, int]) -> float:
     return size[0] * size[1] * (_preview_samples(scene) if scene.moves else 1)
 
 
-def coarser(scene: Scene, size: tuple[int, int], eighths: int) -> Scene:
+def coarser(scene: Scene, size: tuple[int, int], eighths: int, is_plain: bool = False) -> Scene:
     """The scene with the same field of view in fewer pixels, and with what takes the most time left out.
 
     Parameters
@@ -63,14 +92,16 @@ def coarser(scene: Scene, size: tuple[int, int], eighths: int) -> Scene:
         Its columns and rows.
     eighths : int
         Columns and rows that are left, in eighths. A scene with depth maps keeps all, as they have one value per pixel.
+    is_plain : bool
+        Without occlusion.
 
     Returns
     -------
     Scene
         With one source per pixel at silhouettes, and few time samples.
     """
-    known = scene.psf.model_copy(update={"silhouette_samples": 1})
-    changes: dict[str, object] = {"psf": known}
+    left_out = {"silhouette_samples": 1} | ({"occlusion": "none"} if is_plain else {})
+    changes: dict[str, object] = {"psf": scene.psf.model_copy(update=left_out)}
     if scene.moves:
         changes["sequence"] = scene.sequence.model_copy(update={"samples": _preview_samples(scene)})
     if scene.is_analytic and eighths < EIGHTHS:

@@ -15,6 +15,7 @@ from clsco.studio.widgets.inpainting import inpainting_dialog
 from clsco.studio.widgets.jobs import draw_jobs, generate_dialog
 from clsco.studio.widgets.panels import draw_panels
 from clsco.studio.widgets.plain import button, say
+from clsco.studio.widgets.sweep import draw_sweep
 
 KEYS = (
     ("← → ↑ ↓", "step of a slider; with Shift ten times, with Alt a tenth"),
@@ -22,6 +23,7 @@ KEYS = (
     (", .", "frame before, next frame"),
     ("F, then a click", "focus on what is there"),
     ("M, then a drag", "move the object that is there at its depth; with Shift along z, which planes always do"),
+    ("B", "inpainting; there [ and ] make the brush smaller and larger, E erases, 0 fits, Ctrl Z takes a stroke back"),
     ("P, Space", "pin the exact frame; see it while the key is down"),
     ("Ctrl Z, Shift Ctrl Z", "undo, redo"),
     ("Ctrl S", "save"),
@@ -62,7 +64,7 @@ def draw(name: str, studio: Studio) -> None:
             _header(session, studio, name)
         with say("nav", id="panels", aria_label="Panels"):
             with say("div", id="panels-scroll"):
-                ends = [draw_panels(session)]
+                ends = [draw_sweep(session), draw_panels(session)]
             with say("div", id="panels-end"):
                 say("button", "Reset", id="reset", data_do="reset", title="Panels 2 to 5 to their defaults")
                 button("Generate", generate_dialog(session, studio.jobs, studio.device or ""), id="generate").classes(
@@ -94,7 +96,7 @@ def _header(session: Session, studio: Studio, name: str) -> None:
     button("Save", save, id="save")
     button("Save as", save_as)
     button("Share", share_dialog(session))
-    button("Inpaint", inpainting_dialog(session, name, studio.device))
+    button("Inpaint", inpainting_dialog(session, studio.jobs, name, studio.device), id="inpaint")
     say("button", "Undo", id="undo", data_do="undo", disabled=True)
     say("button", "Redo", id="redo", data_do="redo", disabled=True)
     if kept := studio.kept():
@@ -102,6 +104,7 @@ def _header(session: Session, studio: Studio, name: str) -> None:
             "Recover", partial(session.recover, kept[0]), title="The scene of a studio that ended before it was saved"
         )
     say("div").classes("spread")
+    say("span", id="plan", title="Of the exact frame: passes, time, and memory on the device, as `clsco plan` reports")
     say("button", "?", aria_label="Keyboard", data_show="#keys")
     say("button", "Inspector", id="inspector", data_toggle="sided")
 
@@ -169,13 +172,13 @@ def _shown() -> None:
     """How the view shows the picture, which it leaves as it is."""
     with say("details", id="shown"):
         with say("summary", title="Exposure and gamma of the view; the scene and its files stay as they are"):
-            say("span", "View:")
+            say("span", "View: ")
             say("span", "as it is", id="view-about")
         with say("div", id="shown-panel"):
             say("label", "Exposure of the view (EV)", for_="exposure")
-            say("input", id="exposure", type="range", min=-4, max=4, value=0, step=0.25)
+            say("input", id="exposure", type="range", min=-4, max=4, step=0.25, value=0)
             say("label", "Gamma of the view", for_="gamma")
-            say("input", id="gamma", type="range", min=0.4, max=2.6, value=1, step=0.1)
+            say("input", id="gamma", type="range", min=0.4, max=2.6, step=0.1, value=1)
             with say("label"):
                 say("input", id="arrows", type="checkbox")
                 say("span", "Arrows of motion")

@@ -31,7 +31,7 @@ VIEWS = {
 
 DRAGGING, LOSSY, EXACT, PINNED, STACKED = range(5)
 MESSAGE, JPEG, PNG, FLOAT16, FLOAT32 = range(5)
-HEADER = struct.Struct("<IBBHHBHHxI")
+HEADER = struct.Struct("<IBBHHBHH?I")
 NO_NUMBER = 2**32 - 1
 IMAGES = ("color", "sharp")  # views; all others are floats
 QUALITY = {DRAGGING: 80, LOSSY: 95}
@@ -57,6 +57,8 @@ class Picture:
         Time that it took to render.
     about : dict, optional
         What else is known of an exact frame, as JSON can hold it.
+    is_plain : bool
+        Without occlusion.
     """
 
     rung: int
@@ -67,16 +69,18 @@ class Picture:
     payload: bytes
     seconds: float
     about: dict[str, Any] | None = None
+    is_plain: bool = False
 
     def packed(self, revision: int, number: int) -> bytes:
         """The bytes for the browser; number: of the frame, or in a focal stack, NO_NUMBER for one without."""
         view = list(VIEWS).index(self.view)
-        return HEADER.pack(revision, self.rung, view, *self.size, self.encoding, *self.full, number) + self.payload
+        sizes = *self.size, self.encoding, *self.full
+        return HEADER.pack(revision, self.rung, view, *sizes, self.is_plain, number) + self.payload
 
 
 def packed_message(revision: int, content: dict[str, Any]) -> bytes:
     """A message in JSON, behind a header like that of a picture."""
-    return HEADER.pack(revision, 0, 0, 0, 0, MESSAGE, 0, 0, NO_NUMBER) + json.dumps(content).encode()
+    return HEADER.pack(revision, 0, 0, 0, 0, MESSAGE, 0, 0, False, NO_NUMBER) + json.dumps(content).encode()
 
 
 def truth_of(view: str) -> tuple[str, ...]:

@@ -7,12 +7,15 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
+from clsco.files.atomic import writable_folder, write_whole
 from clsco.resources import folder
 from clsco.scene.examples import EXAMPLES
 from clsco.scene.file import read_mapping
 from clsco.studio.session import Session
-from clsco.studio.tables import Table
+from clsco.studio.tables import Table, named_files
+from clsco.studio.uploads import keep_image
 
+IMAGES = "images"  # folder below the root for those of presets
 OF_THE_THESIS, OTHERS = "Figures of the thesis", "Examples"
 _METHOD = ("psf", "image", "motion", "fill")  # sections that say how, and not what
 
@@ -54,9 +57,36 @@ def presets() -> tuple[Preset, ...]:
 
 
 def load_preset(session: Session, name: str) -> None:
-    """Go to the scene of a preset, as a step of undo. Raises SceneError, KeyError for no preset."""
+    """Go to the scene of a preset, as a step of undo; its images are copied below the root.
+
+    Raises
+    ------
+    SceneError
+    ImageError
+        The root cannot be written.
+    KeyError
+        There is no such preset.
+    """
     preset = {each.name: each for each in presets()}[name]
-    session.load_table(read_mapping(str(preset.path), ()), preset.path.parent)
+    table, start = read_mapping(str(preset.path), ()), preset.path.parent
+    if start.is_relative_to(session.root):
+        session.load_table(table, start)
+        return
+    objects = [dict(item) for item in table["object"]]
+    for index, key, file in named_files(table):
+        objects[index][key] = _copied(start / file, session.root)
+    session.load_table(table | {"object": objects}, session.root)
+
+
+def _copied(path: Path, root: Path) -> str:
+    """Name of a copy of a file below the root, so that a saved scene works wherever its folder is taken."""
+    content = path.read_bytes()
+    target = root / IMAGES / path.name
+    if not target.exists():
+        write_whole(writable_folder(target.parent) / target.name, content)
+    elif target.read_bytes() != content:  # somebody's other image
+        return keep_image(root, content, path.suffix[1:])
+    return target.relative_to(root).as_posix()
 
 
 def is_as_the_thesis(session: Session) -> bool:

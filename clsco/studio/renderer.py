@@ -15,7 +15,9 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from clsco.errors import CanceledError, ClscoError, SceneError
+from clsco.frame.frame import Frame
 from clsco.scene.model import Scene
+from clsco.studio.ladder import Ladders, coarser, work_of
 from clsco.studio.pictures import DRAGGING, EXACT, IMAGES, LOSSY, Picture
 
 
@@ -209,11 +211,9 @@ class _Worker:
     """Renders in the process."""
 
     def __init__(self, pipe: Connection, device: str | None) -> None:
-        from clsco.studio.ladder import Ladder
-
         self._pipe, self._device = pipe, device
         self._canceled = 0
-        self._ladders: dict[Any, Ladder] = {}
+        self._ladders: dict[Any, Ladders] = {}
         self._live: Any = None
         self._known: tuple[Any, Any] | None = None  # key and frame with all of its ground truth
 
@@ -249,35 +249,48 @@ class _Worker:
 
     def _coarse(self, number: int, job: Job) -> None:
         from clsco.inputs.textures import texture_size
-        from clsco.studio.ladder import Ladder, coarser, work_of
         from clsco.studio.pictures import picture_of, truth_of
 
         size = job.scene.camera.resolution or texture_size(job.scene.objects[0].inputs()["texture"])
         work = work_of(job.scene, size)
-        ladder = self._ladders.setdefault((job.view, len(job.scene.objects), job.scene.moves), Ladder())
-        eighths = ladder.eighths(work) if job.scene.is_analytic else 8
+        ladders = self._ladders_of(job)
+        ladder, eighths = ladders.choose(job.scene, work)
+        is_plain = ladder is ladders.plain
         start = time.perf_counter()
-        scene = coarser(job.scene, size, eighths)
+        scene = coarser(job.scene, size, eighths, is_plain)
         frame = self._frame(scene, job.index, truth_of(job.view))
         picture = picture_of(frame, scene, job.view, DRAGGING, size, time.perf_counter() - start)
         ladder.measured(work, eighths, time.perf_counter() - start)
-        self._pipe.send((number, picture))
+        self._pipe.send((number, replace(picture, is_plain=is_plain)))
 
     def _exact(self, number: int, job: Job) -> None:
-        from clsco.studio.moments import exposure_of
         from clsco.studio.pictures import picture_of, truth_of
 
         self._check(number)
         start = time.perf_counter()
         frame = self._frame(job.scene, job.index, truth_of(job.view))
         seconds, (rows, columns) = time.perf_counter() - start, frame.color.shape[:2]
+        self._ladders_of(job).whole.bounded(work_of(job.scene, (columns, rows)), seconds)
         rungs = (LOSSY, EXACT) if job.view in IMAGES and job.rung == EXACT else (job.rung,)
         for rung in rungs:
             self._check(number)
             picture = picture_of(frame, job.scene, job.view, rung, (columns, rows), seconds)
             if rung == EXACT:
-                picture = replace(picture, about=exposure_of(frame, job.scene))
+                picture = replace(picture, about=self._about(job, frame, seconds))
             self._pipe.send((number, picture))
+
+    def _about(self, job: Job, frame: Frame, seconds: float) -> dict[str, Any]:
+        from clsco.plan.prepare import prepare
+        from clsco.plan.request import Request
+        from clsco.studio.moments import exposure_of
+        from clsco.studio.pictures import truth_of
+        from clsco.studio.planned import plan_line
+
+        prepared = prepare(job.scene, Request(truth_of(job.view)), self._live.session.device, self._live.files)
+        return {"plan": plan_line(prepared, seconds)} | exposure_of(frame, job.scene)
+
+    def _ladders_of(self, job: Job) -> Ladders:
+        return self._ladders.setdefault((job.view, len(job.scene.objects), job.scene.moves), Ladders())
 
     def _inspect(self, number: int, question: Question) -> dict[str, Any]:
         from clsco.frame.frame import ALL_TRUTH

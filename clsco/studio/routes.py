@@ -15,10 +15,10 @@ from clsco.files.transfer import encode
 from clsco.inputs.textures import load_texture
 from clsco.studio.inpainting import Inpainting, inpainting_of
 from clsco.studio.jobs import Jobs
+from clsco.studio.samples import SMALL, sample_picture
 from clsco.studio.session import Session
 from clsco.studio.tables import FILE_KEYS
 
-SMALL = 160  # px of a small picture, at most
 _TYPES = {".png": "image/png", ".mp4": "video/mp4", ".webm": "video/webm"}
 
 
@@ -45,6 +45,19 @@ def add_routes(app: FastAPI, jobs: Jobs, session_of: Callable[[str], Session | N
         if not found or not found[0].resolve().is_relative_to(jobs.root):
             return Response("no such result\n", 404, media_type="text/plain")
         return FileResponse(found[0], media_type=_TYPES[found[0].suffix], headers={"cache-control": "no-cache"})
+
+    @app.get("/sample")
+    def sample(job: int, part: int, parts: int) -> Response:
+        """A small picture of a sample of a data set: the first of one of equal parts of the set."""
+        try:
+            folder = jobs.root / jobs.job(job).folder
+            content = sample_picture(folder, part, parts) if 0 <= part < parts else b""
+        except (ClscoError, KeyError, IndexError, OSError, StopIteration):
+            content = b""
+        if not content:
+            return Response("no such sample\n", 404, media_type="text/plain")
+        kept = {"cache-control": "private, max-age=86400"}  # a set that is made anew has another address
+        return Response(content, media_type="image/png", headers=kept)
 
     @app.get("/thumbnail")
     def thumbnail(tab: str, path: str) -> Response:
@@ -96,8 +109,8 @@ def add_routes(app: FastAPI, jobs: Jobs, session_of: Callable[[str], Session | N
             match json.loads(await request.body()):
                 case {"columns": int(columns), "rows": int(rows), "runs": list(runs)}:
                     inpainting.paint(columns, rows, runs)
-                case {"column": int(column), "row": int(row), "tolerance": int() | float() as tolerance}:
-                    inpainting.add_color(column, row, tolerance)
+                case {"column": int(column), "row": int(row), "tolerance": int() | float() as tolerance, **rest}:
+                    inpainting.add_color(column, row, tolerance, erase=rest.get("erase") is True)
                 case _:
                     return JSONResponse({"error": "mask: must be runs or a color"}, 400)
         except (ImageError, ValueError, RecursionError) as error:

@@ -88,7 +88,7 @@ class Session(Editor):
             raise ConflictError(f"{target.name}: {rule}: overwrite it, or save under another name")
         write_whole(target, text.encode())
         self._digests[target] = digest_of(target)
-        self._state = State(table, self._state.apart, target)
+        self._state = replace(self._state, table=table, path=target)
         self._saved = target, table
         self._tell()
 

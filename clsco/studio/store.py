@@ -17,6 +17,7 @@ from clsco.files.atomic import sha256, write_whole
 from clsco.scene.file import read_mapping
 from clsco.scene.shapes import SHAPES
 from clsco.scene.toml import toml_text
+from clsco.studio.blocks import arranged
 from clsco.studio.tables import Table, named_files, sparse
 
 LARGEST = 2**20  # bytes of a link's content
@@ -65,8 +66,9 @@ def scene_text(table: Mapping[str, Any], path: Path, old: Path | None) -> str:
     from tomlkit.exceptions import TOMLKitError
 
     try:
-        document = tomlkit.parse(old.read_text("utf-8-sig"))
-        wanted = _kept(sparse(table), table, document.unwrap())
+        before = old.read_text("utf-8-sig")
+        wanted = _kept(sparse(table), table, tomllib.loads(before))
+        document = tomlkit.parse(_arranged(before, wanted))
         _update(document, wanted)
         text = tomlkit.dumps(document)
         if tomllib.loads(text) == wanted:
@@ -117,37 +119,43 @@ def _twin(item: Mapping[str, Any], index: int, listed: list[Any]) -> Any:
     return listed[index] if index < len(listed) else None
 
 
+def _arranged(text: str, table: Table) -> str:
+    """The text of a scene file with objects and groups in the order of another scene, which has some of them."""
+    content = tomllib.loads(text)
+    for key in ("object", "group"):
+        listed, wanted = content.get(key, []), table.get(key, [])
+        unused: list[Any] = list(listed)
+        order: list[int | None] = []
+        for index, item in enumerate(wanted):
+            twin = _twin(item, index, unused)
+            order.append(next((k for k, other in enumerate(unused) if other is twin), None) if twin else None)
+            if order[-1] is not None:
+                unused[order[-1]] = None
+        new = ["" if number is not None else toml_text({key: [wanted[k]]}) for k, number in enumerate(order)]
+        text = arranged(text, key, order, new)
+    return text
+
+
 def _update(document: Any, table: Mapping[str, Any]) -> None:
     """Give a table of tomlkit other content; comments stay at what they are of."""
-    import tomlkit
-
     for key in [key for key in document if key not in table]:
         del document[key]
     for key, value in table.items():
         before = document.get(key)
         if isinstance(value, Mapping) and isinstance(before, Mapping):
             _update(before, value)
-        elif isinstance(value, list) and value and isinstance(value[0], Mapping):
-            listed = before if isinstance(before, list) else []
-            plain = [other.unwrap() for other in listed]
-            if len(plain) == len(value) and all(_twin(item, k, plain) is plain[k] for k, item in enumerate(value)):
-                for part, item in zip(listed, value, strict=True):
-                    _update(part, item)
-                continue
-            array, unused = tomlkit.aot(), dict(enumerate(listed))
-            for index, item in enumerate(value):
-                twin = _twin(item, index, [plain[k] if k in unused else None for k in range(len(plain))])
-                place = next((k for k in unused if plain[k] is twin), None)
-                part = unused.pop(place) if place is not None else tomlkit.table()
+        elif _is_array(before) and _is_array(value) and len(before) == len(value):
+            for part, item in zip(before, value, strict=True):
                 _update(part, item)
-                array.append(part)
-            if key in document:
-                document.remove(key)
-            document.append(key, array)
         elif before is None:
             _append(document, key, value)
         elif not _same(before, value):
             document[key] = value
+
+
+def _is_array(value: Any) -> bool:
+    """Whether a value is an array of tables."""
+    return isinstance(value, list) and bool(value) and all(isinstance(item, Mapping) for item in value)
 
 
 def _append(document: Any, key: str, value: Any) -> None:

@@ -192,16 +192,12 @@ def test_painted_pixels_are_filled_by_all_methods(page: Any, root: Path) -> None
     page.get_by_label(f"Image in {root.name}").fill("damaged.png")
     page.get_by_role("button", name="Open the image").click()
     page.wait_for_function("document.querySelector('[data-brush=canvas]').width === 300")
-    page.get_by_label("Mask from a file").fill("damaged_mask.png")
-    page.get_by_role("button", name="Take the mask").click()
+    page.get_by_label("Mask (PNG)").fill("damaged_mask.png")
+    page.get_by_role("button", name="Load the mask").click()
     page.locator("[data-brush=told]", has_text="of 90000 pixels are missing").wait_for()
     page.wait_for_timeout(500)
     count = int(page.locator("[data-brush=told]").inner_text().split()[0])
-    place = page.locator("[data-brush=canvas]").bounding_box()
-    page.mouse.move(place["x"] + 60, place["y"] + 60)
-    page.mouse.down()
-    page.mouse.move(place["x"] + 120, place["y"] + 80, steps=5)
-    page.mouse.up()
+    drawn(page, (-40, -40), (20, -20))
     page.wait_for_timeout(300)
     assert int(page.locator("[data-brush=told]").inner_text().split()[0]) > count + 100
     page.get_by_role("button", name="Fill", exact=True).click()
@@ -209,7 +205,73 @@ def test_painted_pixels_are_filled_by_all_methods(page: Any, root: Path) -> None
     assert page.locator(".figures th[scope=row]").all_inner_texts()[0] == "Missing pixels"
     page.get_by_role("button", name="Write the results").click()
     page.wait_for_timeout(700)
-    assert {path.name for path in (root / "inpainting").iterdir()} == {
+    assert {path.name for path in (root / "inpainting").glob("*.png")} == {
         "image.png", "mask.png", "mean-median.png", "biharmonic.png", "texture.png",
     }  # fmt: skip
     assert read_image(root / "inpainting" / "mask.png").data.max() == 255
+
+
+def missing(page: Any) -> int:
+    page.wait_for_timeout(300)
+    return int(page.locator("[data-brush=told]").inner_text().split()[0])
+
+
+def drawn(page: Any, *points: tuple[float, float]) -> None:
+    """Draw with the tool that is chosen, in CSS px from the middle of the canvas."""
+    place = page.locator("[data-brush=canvas]").bounding_box()
+    x, y = place["x"] + place["width"] / 2, place["y"] + place["height"] / 2
+    page.mouse.move(x + points[0][0], y + points[0][1])
+    page.mouse.down()
+    for across, down in points[1:]:
+        page.mouse.move(x + across, y + down, steps=6)
+    page.mouse.up()
+
+
+def test_the_brush_opens_by_its_key_with_the_frame_and_takes_strokes_back(page: Any) -> None:
+    page.keyboard.press("b")
+    page.locator("[data-brush=told]", has_text="0 of 262144 pixels").wait_for()
+    scale = page.evaluate("parseFloat(document.querySelector('[data-brush=zoom]').textContent) / 100")
+    page.locator("[data-brush=tool][value=rectangle]").check()
+    drawn(page, (-60, -60), (-20, -40))
+    rectangle = missing(page)
+    assert rectangle == pytest.approx(40 * 20 / scale**2, rel=0.1)
+    page.locator("[data-brush=tool][value=lasso]").check()
+    drawn(page, (10, 0), (70, 0), (70, 40), (10, 40))
+    lasso = missing(page) - rectangle
+    assert lasso == pytest.approx(60 * 40 / scale**2, rel=0.1)
+    page.locator("[data-brush=erase]").check()
+    drawn(page, (5, 20), (75, 20), (75, 45), (5, 45))
+    assert missing(page) - rectangle == pytest.approx(lasso / 2, rel=0.2)
+    page.keyboard.press("Control+z")
+    assert missing(page) == rectangle + lasso
+    page.keyboard.press("Control+z")
+    page.keyboard.press("Control+z")
+    assert missing(page) == 0
+    page.keyboard.press("Control+Shift+Z")
+    assert missing(page) == rectangle
+    runs = page.evaluate("fetch(`/inpainting/mask?tab=${studio.tab}`).then((answer) => answer.json())")["runs"]
+    assert sum(runs[1::2]) == rectangle
+    assert not page.locator("#redo").is_enabled()
+    width = page.locator("[data-brush=size]").input_value()
+    page.keyboard.press("]")
+    assert int(page.locator("[data-brush=size]").input_value()) > int(width)
+
+
+def test_zoom_in_the_brush_makes_strokes_finer(page: Any) -> None:
+    page.keyboard.press("b")
+    page.locator("[data-brush=told]", has_text="0 of 262144 pixels").wait_for()
+    page.locator("[data-brush=tool][value=rectangle]").check()
+    drawn(page, (-20, -20), (20, 20))
+    before = missing(page)
+    page.locator("[data-brush=clear]").click()
+    page.locator("[data-brush=larger]").click()
+    page.locator("[data-brush=larger]").click()
+    drawn(page, (-20, -20), (20, 20))
+    assert missing(page) == pytest.approx(before / 1.5**4, rel=0.15)
+    page.locator("[data-brush=canvas]").focus()
+    page.keyboard.press("Enter")  # the keyboard paints, too
+    page.locator("[data-brush=clear]").click()
+    assert missing(page) == 0
+    page.locator("[data-brush=canvas]").focus()
+    page.keyboard.press("Enter")
+    assert missing(page) == pytest.approx(113, abs=15)  # a disc of 12 px

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,10 +14,12 @@ import pytest
 from click.testing import CliRunner
 
 import clsco
-from clsco import ImageError, SceneError
+from clsco import ClscoError, ImageError, SceneError
 from clsco.cli.main import main
 from clsco.files.images import read_image, write_png
 from clsco.studio.inpainting import METHODS, Inpainting
+from clsco.studio.jobs import Jobs
+from clsco.studio.removals import REMOVALS
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -71,6 +76,9 @@ def test_letters_of_one_color_are_found(inpainting: Inpainting) -> None:
     inpainting.add_color(2, 3, 0.05)
     assert np.array_equal(np.argwhere(inpainting.mask).min(axis=0), (3, 2))
     assert inpainting.mask.sum() == 21
+    inpainting.add_color(4, 4, 0.0, erase=True)
+    assert inpainting.mask.sum() == 20
+    assert not inpainting.mask[4, 4]
     with pytest.raises(ImageError, match="must be that of a pixel"):
         inpainting.add_color(16, 3, 0.0)
 
@@ -82,6 +90,8 @@ def test_methods_side_by_side_are_those_of_the_command(inpainting: Inpainting) -
         inpainting.fill("magic")
     inpainting.paint(16, 12, [50, 4, 12, 4, 122])
     filled = inpainting.fill("mean-median")
+    assert filled is not None
+    assert inpainting.filler.share > 0.99
     expected = clsco.inpaint(inpainting.image, inpainting.mask, method="mean-median", device="pocl")
     assert np.array_equal(filled.image, expected)
     table = dict(inpainting.table())
@@ -89,16 +99,86 @@ def test_methods_side_by_side_are_those_of_the_command(inpainting: Inpainting) -
     assert table["Sweeps"] == [str(filled.figures["sweeps"])]
     assert " to " in table["Range of gradients"][0]
     assert inpainting.save("out") == ["image.png", "mask.png", "mean-median.png"]
-    _, _, image, mask, *_ = inpainting.command("mean-median").split()
-    arguments = ["inpaint", f"out/{image}", f"out/{mask}", "-o", "again.png", "--method", "mean-median"]
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(inpainting.root)
-        assert CliRunner().invoke(main, arguments).exit_code == 0
-    assert np.array_equal(read_image(inpainting.root / "again.png").data, expected)
+        assert CliRunner().invoke(main, shlex.split(inpainting.command("mean-median", "out"))[1:]).exit_code == 0
+    assert np.array_equal(read_image(inpainting.root / "out/mean-median/filled.png").data, expected)
     assert inpainting.picture("mean-median").startswith(b"\x89PNG")
     assert inpainting.picture("texture") == b""
     inpainting.paint(16, 12, [192])
     assert not inpainting.results
+
+
+@pytest.mark.slow
+def test_what_is_being_filled_is_canceled(inpainting: Inpainting) -> None:
+    inpainting.image = np.zeros((2000, 2000, 3), np.uint8)
+    inpainting.mask = np.random.default_rng(4).random((2000, 2000)) < 0.5
+    found: list[object] = []
+    work = threading.Thread(target=lambda: found.append(inpainting.fill("texture")))
+    work.start()
+    until = time.monotonic() + 60.0
+    while not (0.0 < inpainting.filler.share < 1.0) and time.monotonic() < until:
+        time.sleep(0.01)
+    with pytest.raises(ImageError, match="must wait for what is being filled"):
+        inpainting.fill("texture")
+    inpainting.filler.cancel()
+    work.join(10.0)
+    assert found == [None]
+    assert not inpainting.results
+    inpainting.open("small.png")
+    inpainting.paint(16, 12, [50, 4, 138])
+    assert inpainting.fill("mean-median") is not None
+
+
+def test_masks_are_written_and_read(inpainting: Inpainting) -> None:
+    mask = np.random.default_rng(3).random((12, 16)) < 0.4
+    inpainting.mask = mask
+    inpainting.save_mask("masks/one.png")
+    inpainting.paint(16, 12, [192])
+    inpainting.load_mask("masks/one.png")
+    assert np.array_equal(inpainting.mask, mask)
+    for name, rule in (
+        ("../m.png", "below the folder"),
+        ("m.jpg", r"ends in \.png"),
+        ("small.png", "place of the image"),
+    ):
+        with pytest.raises(ImageError, match=rule):
+            inpainting.save_mask(name)
+
+
+@pytest.mark.slow
+def test_jobs_fill_what_was_painted(inpainting: Inpainting) -> None:
+    jobs = Jobs(inpainting.root)
+    with pytest.raises(ImageError, match="some pixel must be missing"):
+        inpainting.begin(jobs, METHODS, "out")
+    inpainting.paint(16, 12, [50, 4, 12, 4, 122])
+    first, second = inpainting.begin(jobs, ["biharmonic", "mean-median"], "out")
+    assert second.line == "clsco inpaint out/image.png out/mask.png -o out/mean-median/filled.png --method mean-median"
+    with pytest.raises(ClscoError, match="writes to it already"):
+        inpainting.begin(jobs, ["texture", "biharmonic"], "out")
+    jobs.cancel(second.number)
+    until = time.monotonic() + 60.0
+    while jobs.job(first.number).is_unfinished and time.monotonic() < until:
+        jobs.poll()
+        time.sleep(0.05)
+    assert [(job.status, job.done) for job in jobs.listed] == [("canceled", 0), ("done", 1)]
+    assert [path.name for path in jobs.files(first.number)] == ["filled.png"]
+    jobs.close()
+
+
+@pytest.mark.parametrize("name", REMOVALS)
+def test_presets_have_something_to_remove(inpainting: Inpainting, name: str) -> None:
+    inpainting.open_removal(name)
+    assert inpainting.image.shape[:2] == inpainting.mask.shape
+    assert 0.01 < inpainting.mask.mean() < 0.2
+    column, row = np.argwhere(inpainting.mask)[0][::-1]
+    mask = inpainting.mask
+    if name == "red_letters":  # as the thesis makes its mask
+        inpainting.paint(*mask.shape[::-1], [mask.size])
+        inpainting.add_color(int(column), int(row), 0.0)
+        assert np.array_equal(inpainting.mask, mask)
+    with pytest.raises(SceneError, match="must be one of red_letters, rope"):
+        inpainting.open_removal("other")
 
 
 @pytest.mark.slow

@@ -18,9 +18,19 @@ from click.testing import CliRunner
 from clsco import ClscoError
 from clsco.cli.main import main
 from clsco.studio import jobs as jobs_module
+from clsco.studio import offers
 from clsco.studio.generate import Wanted, clip, data_set, focal_stack, free_folder, generate
 from clsco.studio.jobs import Job, Jobs
+from clsco.studio.offers import (
+    clip_name,
+    clip_presets,
+    distributions,
+    set_formats,
+    shipped_distributions,
+    truth_formats,
+)
 from clsco.studio.presets import load_preset, presets
+from clsco.studio.samples import sample_picture
 from clsco.studio.session import Session
 
 # In place of clsco: `work FOLDER COUNT SECONDS` writes files as frames are written, one after the other.
@@ -243,6 +253,18 @@ def test_values_that_are_not_valid_are_not_left_out_silently(jobs: Jobs) -> None
         generate(session, jobs, "out")
 
 
+def test_what_is_beyond_the_limits_is_said_before_it_is_begun(jobs: Jobs) -> None:
+    session = Session(jobs.root)
+    session.patch("camera.pixel_pitch", 1e-4)
+    session.patch("camera.focus_distance", 30.0)
+    with pytest.raises(ClscoError, match="the blur radius must be at most 512 px"):
+        generate(session, jobs, "out")
+    with pytest.raises(ClscoError, match=r"at most 512 px.*\(with focus_distance_30\)"):
+        focal_stack(session, jobs, "out", 30.0, 250.0, 3)
+    assert not jobs.listed
+    assert not (jobs.root / "out").exists()
+
+
 def test_command_lines(jobs: Jobs, slow: None) -> None:
     session = Session(jobs.root)
     (jobs.root / "d.toml").write_text("")
@@ -252,14 +274,91 @@ def test_command_lines(jobs: Jobs, slow: None) -> None:
         generate(session, jobs, "-o/x", options),
         focal_stack(session, jobs, "stack", 200.0, 300.0, 5),
         clip(session, jobs, "stack", "clips/a b.mp4", "depth", "mp4"),
-        data_set(session, jobs, "d.toml", "data", 100, 7),
+        data_set(session, jobs, "d.toml", "data", 100, 7, "npz"),
     ]
     assert [job.line for job in made] == [
         "clsco render ./-o/x/scene.toml -o ./-o/x --truth npz --subframes --video mp4 --device pocl",
         "clsco render stack/scene.toml -o stack",
         "clsco video stack -o 'clips/a b.mp4' --view depth --preset mp4",
-        "clsco batch d.toml -o data --count 100 --seed 7 --resume --quiet",
+        "clsco batch d.toml -o data --count 100 --seed 7 --shard-size 7 --format npz --resume --quiet",
     ]
     assert made[1].total == 5
     stack = tomllib.loads((jobs.root / "stack/scene.toml").read_text())
     assert stack["camera"] == {"focus_distance": {"from": 200.0, "to": 300.0, "steps": 5}}
+
+
+DISTRIBUTION = """
+camera.resolution = [24, 16]
+[[object]]
+shape = "sphere"
+[[vary.object]]
+index = 0
+radius = { uniform = [20, 40] }
+"""
+
+
+@pytest.mark.slow
+def test_a_data_set_counts_its_samples_and_goes_on_after_a_cancel(jobs: Jobs) -> None:
+    session = Session(jobs.root)
+    (jobs.root / "d.toml").write_text(DISTRIBUTION)
+    job = data_set(session, jobs, "d.toml", "data", 40, 3, device="pocl")
+    assert job.total == 40
+    until(jobs, lambda: jobs.job(job.number).done > 0, 120.0)
+    jobs.cancel(job.number)
+    until(jobs, lambda: not jobs.job(job.number).is_unfinished)
+    canceled = jobs.job(job.number)
+    assert canceled.status == "canceled", canceled.message
+    assert 0 < canceled.done < 40
+    assert canceled.done % 3 == 0  # whole shards
+    again = jobs.again(job.number)
+    until(jobs, lambda: not jobs.job(again.number).is_unfinished, 120.0)
+    done = jobs.job(again.number)
+    assert (done.status, done.done) == ("done", 40), done.message
+    assert sample_picture(jobs.root / "data", 11, 12).startswith(b"\x89PNG")
+    result = CliRunner().invoke(main, ["batch", "verify", str(jobs.root / "data"), "--sample", "2", "--quiet"])
+    assert result.exit_code == 0, result.output
+
+
+def test_distributions_of_the_folder_and_of_the_package_are_offered(jobs: Jobs, slow: None) -> None:
+    (jobs.root / "mine.toml").write_text(DISTRIBUTION)
+    (jobs.root / "scene.toml").write_text('[[object]]\nshape = "plane"\n')
+    (jobs.root / "broken.toml").write_text("[vary")
+    names = distributions(jobs.root)
+    assert names[0] == "mine.toml"
+    assert {"scene.toml", "broken.toml"}.isdisjoint(names)
+    assert names[1:] == list(shipped_distributions())
+    work(jobs, "busy", 1, 30.0)
+    session = Session(jobs.root)
+    job = data_set(session, jobs, names[1], "data", 5)
+    assert job.arguments[1] == names[1]
+    copied = jobs.root / names[1]
+    assert copied.read_bytes() == shipped_distributions()[names[1]].read_bytes()
+    copied.write_text(DISTRIBUTION)  # what is there is not overwritten
+    data_set(session, jobs, names[1], "other", 5)
+    assert copied.read_text() == DISTRIBUTION
+    assert names[1] in distributions(jobs.root)
+
+
+def test_what_is_not_installed_is_said_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert set(truth_formats()) >= {"npz", "exr", "flo", "kitti_depth", "colmap"}
+    assert set(clip_presets()) >= {"mp4", "webm", "ffv1-16", "prores-hq"}
+    assert clip_name("ffv1") == "clip.mkv"
+    assert set(truth_formats().values()) == {""}
+    monkeypatch.setattr(offers, "find_spec", lambda name: None)
+    assert truth_formats()["exr"] == "needs OpenEXR: pip install 'clsco[exr]'"
+    assert truth_formats()["npz"] == ""
+    assert clip_presets()["mp4"] == "needs av: pip install 'clsco[video]'"
+    assert set_formats()["webdataset"] == "needs imagecodecs: pip install 'clsco[formats]'"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [*truth_formats()])
+def test_all_formats_of_truth_are_written(tmp_path: Path, jobs: Jobs, name: str) -> None:
+    session = Session(tmp_path)
+    load_preset(session, "stereo" if name == "kitti_disparity" else "sphere_moving")
+    session.patch("camera.resolution", [48, 32])
+    job = generate(session, jobs, "out", Wanted(truth=name))
+    until(jobs, lambda: not jobs.job(job.number).is_unfinished, 120.0)
+    assert jobs.job(job.number).status == "done", jobs.job(job.number).message
+    plain = {"frame_0000.png", "frame_0000.json", "frame_0000_left.png", "frame_0000_right.png", "scene.toml"}
+    assert {path.name for path in (tmp_path / "out").rglob("*")} - plain

@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from clsco import load_scene
+from clsco import Scene, load_scene
 from clsco.studio.presets import OF_THE_THESIS, choose_method, is_as_the_thesis, load_preset, presets
 from clsco.studio.session import Session
+from clsco.studio.tables import FILE_KEYS
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 @pytest.fixture
 def session(tmp_path: Path) -> Session:
     return Session(tmp_path)
+
+
+def bare(scene: Scene) -> dict[str, Any]:
+    """Content of a scene, with names of files in place of their paths."""
+    content = scene.model_dump()
+    for item in content["objects"]:
+        item |= {key: Path(item[key]).name for key in FILE_KEYS if isinstance(item.get(key), str)}
+    return content
 
 
 def test_every_figure_that_a_scene_makes_is_a_preset(session: Session) -> None:
@@ -26,10 +39,36 @@ def test_every_figure_that_a_scene_makes_is_a_preset(session: Session) -> None:
     for preset in presets():
         load_preset(session, preset.name)
         if preset.name not in ("thesis/section_4_3_3",):
-            assert session.scene == load_scene(preset.path)
+            assert bare(session.scene) == bare(load_scene(preset.path))
         assert session.path is None
     while session.undo():
         pass
+
+
+@pytest.mark.parametrize("name", ["depth_map", "thesis/fig_4_19"])
+def test_a_saved_preset_has_its_images_beside_it(session: Session, tmp_path_factory: Any, name: str) -> None:
+    load_preset(session, name)
+    session.save(Path("saved.toml"))
+    elsewhere = tmp_path_factory.mktemp("other") / "copy"
+    session.root.rename(elsewhere)
+    scene = load_scene(elsewhere / "saved.toml")
+    original = {preset.name: preset for preset in presets()}[name].path
+    assert bare(scene) == bare(load_scene(original))
+    for item, other in zip(scene.objects, load_scene(original).objects, strict=True):
+        for key, file in item.files().items():
+            assert Path(file).is_relative_to(elsewhere)
+            assert Path(file).read_bytes() == Path(other.files()[key]).read_bytes()
+
+
+def test_images_of_presets_leave_those_of_others(session: Session) -> None:
+    place = session.root / "images" / "road.png"
+    place.parent.mkdir()
+    shutil.copy(EXAMPLES / "depth_map_image.png", place)
+    before = place.read_bytes()
+    load_preset(session, "thesis/fig_4_19")
+    assert place.read_bytes() == before
+    (name,) = {file for item in session.scene.objects for file in item.files().values()}
+    assert Path(name).read_bytes() == (EXAMPLES / "thesis" / "road.png").read_bytes()
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import pytest
 
 from clsco import Scene, parse_scene
 from clsco.errors import CanceledError, ClscoError, SceneError
-from clsco.studio.ladder import BUDGET, Ladder, coarser, work_of
+from clsco.studio.ladder import BUDGET, LEAST, Ladder, Ladders, coarser, work_of
 from clsco.studio.pictures import DRAGGING, EXACT, HEADER, LOSSY, MESSAGE, PINNED, Picture
 from clsco.studio.preview import MOST_UNSEEN, REST, Preview
 from clsco.studio.renderer import Job, Question, RendererEndedError
@@ -78,7 +78,7 @@ class Browser:
     preview: Preview | None = None
 
     async def send(self, data: bytes) -> None:
-        revision, rung, _, _, _, encoding, _, _, _ = HEADER.unpack_from(data)
+        revision, rung, _, _, _, encoding, *_ = HEADER.unpack_from(data)
         if encoding == MESSAGE:
             self.said.append(json.loads(data[HEADER.size :]))
             return
@@ -287,6 +287,29 @@ def test_the_ladder_believes_a_stall_the_third_time() -> None:
         assert ladder.eighths(work) == 8
     ladder.measured(work, 8, 2.0)
     assert ladder.eighths(work) < 8
+
+
+def test_occlusion_is_left_out_where_the_budget_needs_it() -> None:
+    ladders, work, known = Ladders(), 512.0 * 512.0, scene()
+    ladders.whole.measured(work, 8, 0.030)
+    assert ladders.choose(known, work) == (ladders.whole, 8)
+    for _ in range(9):
+        ladders.whole.measured(work, 8, 0.110)
+    ladders.plain.measured(work, 8, 0.038)
+    assert ladders.whole.eighths(work) < LEAST
+    assert ladders.choose(known, work) == (ladders.plain, 8)
+    assert ladders.choose(known.replace("psf.occlusion", "none"), work)[0] is ladders.whole
+    assert coarser(known, (64, 48), 8, is_plain=True).psf.occlusion == "none"
+    assert coarser(known, (64, 48), 8).psf.occlusion == known.psf.occlusion
+    ladders.whole.bounded(work, 0.035)  # an exact frame came in time
+    assert ladders.choose(known, work) == (ladders.whole, 8)
+
+
+def test_small_pictures_cost_more_than_their_pixels() -> None:
+    """So that one who learns from a small one does not stay there."""
+    ladder, work = Ladder(), 512.0 * 512.0
+    ladder.measured(work, 1, 0.012)
+    assert ladder.eighths(work) >= 3
 
 
 @pytest.mark.parametrize("eighths", [1, 3, 8])

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from clsco import SceneError, parse_scene
+from clsco.optics.lens import focus_distance
 from clsco.scene.schema import scene_schema
 from clsco.studio.editing import STEPS, THESIS
 from clsco.studio.session import Session
@@ -318,3 +319,33 @@ def test_defaults_in_force_are_those_of_the_schema(session: Session) -> None:
         for key, entry in definitions[section.capitalize()]["properties"].items():
             if "default" in entry:
                 assert session.known(f"{section}.{key}") == entry["default"]
+
+
+def test_each_scene_of_a_sweep_can_be_shown(tmp_path: Path) -> None:
+    session = Session(tmp_path)
+    assert session.state.labels == ("",)
+    session.patch("camera.f_number", [2.0, 4.0])
+    session.patch("camera.focus_distance", {"from": 200.0, "to": 300.0, "steps": 2})
+    labels = session.state.labels
+    assert len(labels) == 4
+    assert focus(session) == (2.0, pytest.approx(200.0))
+    revision = session.revision
+    session.show_scene(labels[3])
+    assert focus(session) == (4.0, pytest.approx(300.0))
+    assert session.revision > revision
+    session.patch("object.0.distance", 240.0)  # which leaves it shown
+    assert focus(session) == (4.0, pytest.approx(300.0))
+    session.save(Path("sweep.toml"))
+    assert session.state.shown == 3
+    session.patch("camera.f_number", 8.0)  # the labels are others now
+    assert session.state.shown == 0
+    session.undo()
+    assert focus(session) == (4.0, pytest.approx(300.0))
+    with pytest.raises(SceneError, match="must be one of the 4 of the file"):
+        session.show_scene("other")
+
+
+def focus(session: Session) -> tuple[float, float]:
+    """F-number and focus distance of the scene that is shown."""
+    camera = session.scene.camera
+    return camera.focal_length / camera.aperture_diameter, focus_distance(camera)

@@ -96,19 +96,80 @@ def test_a_file_keeps_its_comments_and_order(session: Session) -> None:
     assert (session.root / "ball.toml").read_text() == expected
 
 
+WALL = COMMENTED[COMMENTED.index("# The wall") : COMMENTED.index("\n# The ball")]
+BALL = COMMENTED[COMMENTED.index("# The ball") :]
+HEAD = COMMENTED[: COMMENTED.index("# The wall")]
+
+
+def saved(session: Session) -> str:
+    session.save()
+    assert load_scene(session.root / "ball.toml") == session.scene
+    return (session.root / "ball.toml").read_text()
+
+
 def test_comments_go_with_their_objects(session: Session) -> None:
+    session.move_object(1, 0)
+    assert saved(session) == f"{HEAD}{BALL}\n{WALL}"
+    session.move_object(1, 0)
+    assert saved(session) == COMMENTED
+    session.delete_object(0)
+    assert saved(session) == f"{HEAD}{BALL}"
+
+
+def test_comments_stay_where_objects_are_added(session: Session) -> None:
     session.move_object(1, 0)
     session.copy_object(0)
     session.patch("object.0.motion", None)
     session.patch("title", None)
-    session.save()
-    text = (session.root / "ball.toml").read_text()
-    assert [line for line in text.splitlines() if "#" in line and "round" in line]
+    text = saved(session)
     assert "# where it is sharp" in text
-    assert load_scene(session.root / "ball.toml") == session.scene
+    assert text.index("# The ball") < text.index("# round") < text.index("# The wall") < text.index('"wall"')
+    assert text.count("[[object]]") == 3
+    assert text.count("#") == COMMENTED.count("#") - 2  # those of the title and of the motion
     session.delete_object(2)
+    assert '"wall"' not in saved(session)
+
+
+def test_objects_between_other_tables_keep_their_comments(session: Session) -> None:
+    text = """\
+[[object]]
+shape = "sphere"  # first
+name = "a"
+
+# of the camera
+[camera]
+f_number = 4.0  # bright
+
+# second, above
+[[object]]
+shape = "plane"
+name = "b"
+distance = 400.0
+# at the end
+"""
+    (session.root / "between.toml").write_text(text)
+    session.open(Path("between.toml"))
+    session.move_object(0, 1)
+    session.add_object("cone")
     session.save()
-    assert load_scene(session.root / "ball.toml") == session.scene
+    lines = (session.root / "between.toml").read_text().splitlines()
+    assert load_scene(session.root / "between.toml") == session.scene
+    expected = [
+        "# of the camera", "[camera]", "# second, above", 'shape = "plane"', "# at the end",
+        'shape = "sphere"  # first', 'shape = "cone"',
+    ]  # fmt: skip
+    places = [lines.index(line) for line in expected]
+    assert places == sorted(places)
+
+
+def test_objects_in_one_line_are_put_into_another_order(session: Session) -> None:
+    text = '# one line\nobject = [{name = "a", shape = "plane", distance = 400.0}, {shape = "sphere"}]\n'
+    (session.root / "line.toml").write_text(text)
+    session.open(Path("line.toml"))
+    session.move_object(0, 1)
+    session.save()
+    assert load_scene(session.root / "line.toml") == session.scene
+    assert (session.root / "line.toml").read_text().startswith("# one line\n")
 
 
 def test_only_what_differs_from_defaults_is_written(tmp_path: Path) -> None:

@@ -163,7 +163,10 @@ def slopes_of(surface: PlacedSurface, e: Equation, w: Array, d: Array) -> Slopes
 def crossing_place(camera: Camera, e: Equation, d: Array) -> Array:
     """Where the line meets the surface, or passes it: (N,) distance in the image, px per lens radius."""
     root = np.sqrt(np.maximum(d, 0.0))
-    v = np.where(e.once, np.where(e.B < 0, (root - e.B) / e.C, -e.F / (e.B + root)), -e.B / e.C)
+    # The outline itself is at sqrt(F / C): half of it keeps its edge from growing endlessly where the line passes the
+    # surface next to the point.
+    passed = np.maximum(np.abs(e.B), 0.5 * np.sqrt(np.maximum(e.C * e.F, 0.0))) / e.C
+    v = np.where(e.once, np.where(e.B < 0, (root - e.B) / e.C, -e.F / (e.B + root)), passed)
     return np.maximum(np.abs(blur_scale(camera) * v), TINY)
 
 

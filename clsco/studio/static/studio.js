@@ -57,7 +57,7 @@
     const picture = {
       revision: head.getUint32(0, true), rung: head.getUint8(4), view: VIEWS[head.getUint8(5)],
       width: head.getUint16(6, true), height: head.getUint16(8, true), encoding: head.getUint8(10),
-      full: [head.getUint16(11, true), head.getUint16(13, true)], number: head.getUint32(16, true),
+      full: [head.getUint16(11, true), head.getUint16(13, true)], plain: head.getUint8(15) === 1, number: head.getUint32(16, true),
     };
     if (picture.encoding === MESSAGE) told(JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, HEAD))));
     else show(picture, buffer);
@@ -122,7 +122,7 @@
     studio.revision = picture.revision;
     studio.rung = picture.rung;
     one("#badge").textContent = picture.rung === EXACT ? "exact" : picture.rung === LOSSY ? "full size"
-      : `preview ${Math.round((8 * picture.width) / columns)}/8`;
+      : `preview ${Math.round((8 * picture.width) / columns)}/8${picture.plain ? ", no occlusion" : ""}`;
     one("#badge").dataset.rung = picture.rung;
     one("#size").textContent = `${columns} × ${rows} px`;
     legend(picture.legend);
@@ -333,6 +333,7 @@
   const told = (said) => {
     if (said.error) { fail(said.error); studio.notInspected(); }
     if (said.inspected) studio.inspected(said.inspected);
+    if (said.about) one("#plan").textContent = said.about.plan;
     if (said.values) {
       Object.assign(studio.values, said.values);
       for (const [path, value] of Object.entries(said.values)) {

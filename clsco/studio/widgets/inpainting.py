@@ -11,20 +11,28 @@ from nicegui import run, ui
 from clsco.errors import ClscoError
 from clsco.studio.folder import IMAGES, listed
 from clsco.studio.inpainting import METHODS, Inpainting, inpainting_of
+from clsco.studio.jobs import Jobs
+from clsco.studio.removals import REMOVALS
 from clsco.studio.session import Session
 from clsco.studio.widgets.plain import Dialog, button, check_box, say, text_box, tried
 
-_TOOLS = {"brush": "Brush", "erase": "Erase", "rectangle": "Rectangle", "color": "Pixels of a color"}
+_TOOLS = {
+    "brush": "Brush", "rectangle": "Rectangle", "lasso": "Lasso", "color": "Pixels of a color", "move": "Move the view",
+}  # fmt: skip
 _LABELS = {"mean-median": "Mean and median (thesis)", "biharmonic": "Biharmonic", "texture": "Texture"}
-_FRAME = "async () => emit(await window.studioBrush.frame())"
+_FRAME = "async () => emit(await window.studioBrush.shownFrame())"
+_ALL_SENT = "async () => { await window.studioBrush.sent(); emit(); }"
+_BLANK = "what is hatched is filled; wheel or fingers zoom, Shift and a drag move the view"
+_TICK = 0.4  # s between looks at a method
 
 
-def inpainting_dialog(session: Session, tab: str, device: str | None = None) -> Callable[[], None]:
+def inpainting_dialog(session: Session, jobs: Jobs, tab: str, device: str | None = None) -> Callable[[], None]:
     """The dialog of inpainting.
 
     Parameters
     ----------
     session : Session
+    jobs : Jobs
     tab : str
         Name of the tab.
     device : str, optional
@@ -37,35 +45,67 @@ def inpainting_dialog(session: Session, tab: str, device: str | None = None) -> 
     inpainting = inpainting_of(session, device)
     dialog = Dialog("Inpainting")
     dialog.element.classes("wide")
-    typed = {"name": "", "mask": "", "folder": "inpainting"}
+    typed = {"name": "", "mask": "inpainting/mask.png", "folder": "inpainting"}
     wanted = dict.fromkeys(METHODS, True)
+    running: list[tuple[str, float]] = []  # method that fills, and when it began
+
+    def loaded() -> None:
+        ui.run_javascript("studioBrush.load()")
+        results.refresh()
 
     def opened(name: str) -> None:
         inpainting.open(name)
-        ui.run_javascript("studioBrush.load()")
-        results.refresh()
+        loaded()
+
+    def removal(name: str) -> None:
+        inpainting.open_removal(name)
+        loaded()
 
     def masked() -> None:
         inpainting.load_mask(typed["mask"])
-        ui.run_javascript("studioBrush.load()")
+        ui.run_javascript("studioBrush.replaced()")
         results.refresh()
+
+    def mask_saved() -> None:
+        inpainting.save_mask(typed["mask"])
+        ui.notify(f"Wrote {typed['mask']}", type="positive")
 
     def saved() -> None:
         names = inpainting.save(typed["folder"])
         ui.notify(f"Wrote {', '.join(names)} to {typed['folder']}", type="positive")
 
+    def chosen() -> list[str]:
+        return [method for method, is_on in wanted.items() if is_on]
+
+    def begin() -> None:
+        inpainting.begin(jobs, chosen(), typed["folder"])
+        dialog.close()
+
     async def fill() -> None:
-        for method in [method for method, is_on in wanted.items() if is_on]:
+        results.refresh()
+        for method in chosen():
+            running.append((method, time.monotonic()))
+            progress.refresh()
             try:
-                await run.io_bound(inpainting.fill, method)
+                found = await run.io_bound(inpainting.fill, method)
             except ClscoError as error:
                 ui.notify(str(error), type="negative", close_button="Close")
-                return
+                break
+            finally:
+                running.clear()
+                progress.refresh()
+            if found is None:
+                break
             results.refresh()
 
     @ui.refreshable
+    def progress() -> None:
+        for method, began in running:
+            _progress(inpainting, method, time.monotonic() - began)
+
+    @ui.refreshable
     def results() -> None:
-        _results(inpainting, tab)
+        _results(inpainting, tab, typed["folder"])
 
     with dialog.body:
         names = "names-inpainting"
@@ -75,24 +115,44 @@ def inpainting_dialog(session: Session, tab: str, device: str | None = None) -> 
         with say("div").classes("row"):
             text_box(f"Image in {session.root.name}", "", lambda name: typed.update(name=name), list=names)
             button("Open the image", lambda: opened(typed["name"]))
-            say("button", "Take the frame shown", type="button").on(
+            say("button", "Take the frame shown", type="button", data_brush="frame").on(
                 "click", lambda event: tried(lambda: opened(str(event.args))), js_handler=_FRAME
             )
+        with say("div", role="group", aria_label="Presets").classes("row"):
+            say("span", "Presets:").classes("quiet")
+            for name, preset in REMOVALS.items():
+                button(preset.title, partial(removal, name))
         _tools()
-        say("canvas", width=1, height=1, data_brush="canvas", role="img", aria_label="Image with what is missing")
-        say("p", "Open an image, and paint over what is to go.", data_brush="told", role="status").classes("quiet")
+        say(
+            "canvas", data_brush="canvas", tabindex="0", role="img",
+            aria_label="Image with its mask; arrows move the brush, Enter paints",
+        )  # fmt: skip
         with say("div").classes("row"):
-            text_box("Mask from a file", "", lambda name: typed.update(mask=name), list=names)
-            button("Take the mask", masked)
+            say("span", "Open an image, and paint over what is to go.", data_brush="told", role="status")
+            say("span", _BLANK).classes("quiet")
+        with say("div").classes("row"):
+            text_box("Mask (PNG)", typed["mask"], lambda name: typed.update(mask=name), list=names)
+            button("Load the mask", masked)
+            say("button", "Save the mask", type="button").on("click", lambda _: tried(mask_saved), js_handler=_ALL_SENT)
         with say("div", role="group", aria_label="Methods").classes("row"):
             for method in METHODS:
                 check_box(_LABELS[method], True, partial(wanted.__setitem__, method))
-            say("button", "Fill", type="button").classes("primary").on("click", fill, args=[])
+            say("button", "Fill", type="button").classes("primary").on("click", fill, js_handler=_ALL_SENT)
+        progress()
+        ui.timer(_TICK, lambda: progress.refresh() if running else None)
         results()
         with say("div").classes("row"):
             text_box("Folder for the results", typed["folder"], lambda name: typed.update(folder=name))
             button("Write the results", saved)
-    return dialog.open
+            say("button", "Fill as jobs", type="button", title="Goes on when the page is closed").on(
+                "click", lambda _: tried(begin), js_handler=_ALL_SENT
+            )
+
+    def show() -> None:
+        dialog.open()
+        ui.run_javascript(f"studioBrush.opened({'true' if inpainting.name else 'false'})")
+
+    return show
 
 
 def _tools() -> None:
@@ -105,28 +165,52 @@ def _tools() -> None:
                     checked=True if tool == "brush" else None,
                 )  # fmt: skip
                 say("span", label)
+        with say("label", title="E").classes("check"):
+            say("input", type="checkbox", data_brush="erase")
+            say("span", "Erase")
     with say("div").classes("row"):
-        with say("label").classes("check"):
+        with say("label", title="[ and ]").classes("check"):
             say("span", "Width of the brush (px)")
-            say("input", type="range", min="1", max="100", step="1", value="12", data_brush="size")
+            say("input", type="range", min="1", max="200", step="1", value="12", data_brush="size")
         with say("label").classes("check"):
             say("span", "Tolerance of a color (% of white)")
             say("input", type="range", min="0", max="50", step="1", value="8", data_brush="tolerance")
+    with say("div").classes("row"):
+        say("button", "Undo stroke", type="button", data_brush="undo", title="Ctrl Z", disabled=True)
+        say("button", "Redo stroke", type="button", data_brush="redo", title="Shift Ctrl Z", disabled=True)
         say("button", "Clear the mask", type="button", data_brush="clear")
+        say("span").classes("spread")
+        say("span", "", data_brush="zoom").classes("quiet")
+        say("button", "−", type="button", data_brush="smaller", aria_label="Zoom out")
+        say("button", "+", type="button", data_brush="larger", aria_label="Zoom in")
+        say("button", "Fit", type="button", data_brush="fit", title="0")
 
 
-def _results(inpainting: Inpainting, tab: str) -> None:
+def _progress(inpainting: Inpainting, method: str, seconds: float) -> None:
+    """How far a method is, and what ends it."""
+    share = inpainting.filler.share
+    with say("div").classes("row"):
+        say("span", f"{_LABELS[method]}: {100.0 * share:.0f} %, {seconds:.0f} s")
+        say("progress", value=f"{share:.3f}" if share else None, max="1", aria_label=f"Progress of {method}")
+        button("Cancel", inpainting.filler.cancel)
+
+
+def _results(inpainting: Inpainting, tab: str, folder: str) -> None:
     """What the methods have made, and the table of figure 5.21."""
     if not inpainting.results:
         return
     now = time.monotonic_ns()
     with say("div").classes("beside"):
         for method in inpainting.results:
+            place = f"/inpainting/picture?tab={tab}&which={method}&at={now}"
             with say("figure"):
-                say("img", src=f"/inpainting/picture?tab={tab}&which={method}&at={now}", alt=f"Filled by {method}")
-                say("figcaption", _LABELS[method])
-    with say("table").classes("figures"):
-        say("caption", "What each method has taken")
+                say("img", src=place, alt=f"Filled by {method}")
+                with say("figcaption"):
+                    say("span", f"{_LABELS[method]} ")
+                    if inpainting.image.dtype == "uint8":  # else what is shown has fewer bits
+                        say("a", "Save as PNG", href=place, download=f"{method}.png")
+    with say("div").classes("scrolled"), say("table").classes("figures"):
+        say("caption", "Figures of the methods, as in figure 5.21")
         with say("tr"):
             say("td")
             for method in inpainting.results:
@@ -137,4 +221,7 @@ def _results(inpainting: Inpainting, tab: str) -> None:
                 for value in values:
                     say("td", value or "–")
     for method in inpainting.results:
-        say("code", inpainting.command(method)).classes("line")
+        line = inpainting.command(method, folder)
+        with say("div").classes("row"):
+            say("code", line).classes("line")
+            say("button", "Copy", type="button", data_copy=line, aria_label=f"Copy the command line of {method}")

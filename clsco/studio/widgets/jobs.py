@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,8 +13,9 @@ from urllib.parse import quote
 from nicegui import ui
 
 from clsco.errors import ClscoError
-from clsco.studio.generate import Wanted, clip, data_set, focal_stack, free_folder, generate, has_data_sets
+from clsco.studio.generate import Wanted, clip, data_set, focal_stack, free_folder, generate
 from clsco.studio.jobs import Job, Jobs
+from clsco.studio.offers import clip_name, clip_presets, distributions, set_formats, truth_formats
 from clsco.studio.session import Session
 from clsco.studio.widgets.plain import Dialog, button, check_box, choice, say, text_box
 
@@ -23,14 +24,18 @@ WORDS = {
     "waiting": "waits", "running": "runs", "done": "done", "failed": "failed", "canceled": "canceled",
     "interrupted": "interrupted",
 }  # fmt: skip
-_TRUTH = {"": "none", "npz": "npz", "exr": "exr", "npz,exr": "npz and exr"}
-_CLIPS = {"": "none", "mp4": "mp4", "ffv1": "ffv1", "prores": "prores"}
+VIEWS = {
+    "color": "color", "sharp": "all in focus", "coc": "blur radius", "depth": "depth", "flow": "flow",
+    "compare": "sharp and color side by side",
+}  # fmt: skip
+PLAYED = (".mp4", ".webm")
 
 
 @dataclass
 class _Answers:
     folder: str = ""
-    truth: str = ""
+    set_folder: str = ""
+    truth: dict[str, bool] = field(default_factory=dict)
     subframes: bool = False
     preset: str = ""
     nearest: str = "200"
@@ -39,9 +44,11 @@ class _Answers:
     distribution: str = ""
     count: str = "100"
     seed: str = "0"
+    form: str = ""
 
     def wanted(self, device: str) -> Wanted:
-        return Wanted(self.truth, self.subframes, self.preset, device)
+        truth = ",".join(name for name, is_on in self.truth.items() if is_on)
+        return Wanted(truth, self.subframes, self.preset, device)
 
 
 def generate_dialog(session: Session, jobs: Jobs, device: str = "") -> Callable[[], None]:
@@ -62,35 +69,92 @@ def generate_dialog(session: Session, jobs: Jobs, device: str = "") -> Callable[
         begin(lambda: focal_stack(session, jobs, answers.folder, *ends, steps, answers.wanted(device)))
 
     def many() -> None:
-        count, seed = _whole(answers.count, "samples"), _whole(answers.seed, "seed")
-        begin(lambda: data_set(session, jobs, answers.distribution, answers.folder, count, seed))
+        count, seed = _whole(answers.count, "samples"), _whole(answers.seed, "seed", 0)
+        chosen = answers.distribution, answers.set_folder
+        begin(lambda: data_set(session, jobs, *chosen, count, seed, answers.form, device))
 
     def set_(name: str) -> Callable[[object], None]:
         return lambda value: setattr(answers, name, value)
 
+    def truth() -> None:
+        with say("fieldset").classes("vector"):
+            say("legend", "Ground truth")
+            with say("div").classes("choices"):
+                for name, lacks in truth_formats().items():
+                    is_on = answers.truth.get(name, False)
+                    label = f"{name} ({lacks})" if lacks else name
+                    check_box(label, is_on, partial(answers.truth.__setitem__, name), disabled=bool(lacks) or None)
+
+    def sets() -> None:
+        names = distributions(session.root)
+        answers.distribution = answers.distribution if answers.distribution in names else names[0]
+        choice("Distribution file", names, answers.distribution, set_("distribution"))
+        text_box(f"Folder of the set in {session.root.name}", answers.set_folder, set_("set_folder"))
+        text_box("Samples", answers.count, set_("count"), inputmode="numeric")
+        text_box("Seed", answers.seed, set_("seed"), inputmode="numeric")
+        forms = set_formats()
+        choice(
+            "Format",
+            {"": "webdataset, the default"} | {name: name for name in forms},
+            answers.form,
+            set_("form"),
+            forms,
+        )
+        button("Make the set", many)
+
     def show() -> None:
-        answers.folder = free_folder(session)
+        answers.folder, answers.set_folder = free_folder(session), free_folder(session, "sets")
         with dialog.filled():
             text_box(f"Output folder in {session.root.name}", answers.folder, set_("folder"))
-            choice("Ground truth", _TRUTH, answers.truth, set_("truth"))
-            choice("Clip beside the frames", _CLIPS, answers.preset, set_("preset"))
+            truth()
+            clips = clip_presets()
+            choice(
+                "Clip beside the frames", {"": "none"} | {n: n for n in clips}, answers.preset, set_("preset"), clips
+            )
             check_box("Image of each time sample, too", answers.subframes, set_("subframes"))
-            count = session.scene.sequence.frames
             with ui.element("div").classes("row"):
-                button(f"Write {count} frame{'s' if count > 1 else ''}", frames).classes("primary")
+                button(_all_frames(session), frames).classes("primary")
             with say("details"):
                 say("summary", "Focal stack")
                 text_box("Nearest focus distance (mm)", answers.nearest, set_("nearest"), inputmode="decimal")
                 text_box("Farthest focus distance (mm)", answers.farthest, set_("farthest"), inputmode="decimal")
                 text_box("Steps", answers.steps, set_("steps"), inputmode="numeric")
                 button("Write the stack", stack)
-            if has_data_sets():
-                with say("details"):
-                    say("summary", "Data set")
-                    text_box("Distribution file", answers.distribution, set_("distribution"))
-                    text_box("Samples", answers.count, set_("count"), inputmode="numeric")
-                    text_box("Seed", answers.seed, set_("seed"), inputmode="numeric")
-                    button("Make the set", many)
+            with say("details"):
+                say("summary", "Data set")
+                sets()
+        dialog.open()
+
+    return show
+
+
+def _all_frames(session: Session) -> str:
+    """What Generate writes, in words."""
+    scenes, frames = len(session.state.labels), session.scene.sequence.frames
+    if scenes > 1:
+        return f"Write the frames of {scenes} scenes"
+    return f"Write {frames} frame{'s' if frames > 1 else ''}"
+
+
+def clip_dialog(session: Session, jobs: Jobs) -> Callable[[Job], None]:
+    """The dialog of a clip of a job's frames; returns what opens it."""
+    dialog = Dialog("Clip")
+    answers = {"preset": "mp4", "view": "color"}
+
+    def begin(job: Job) -> None:
+        file = Path(job.folder) / clip_name(answers["preset"])
+        clip(session, jobs, job.folder, str(file), answers["view"], answers["preset"])
+        dialog.close()
+
+    def show(job: Job) -> None:
+        with dialog.filled():
+            say("p", f"Of the frames in {job.folder}")
+            clips = clip_presets()
+            choice("Preset", list(clips), answers["preset"], lambda name: answers.update(preset=name), clips)
+            needs = "" if "--truth" in job.arguments else "needs ground truth beside the frames, in npz or exr"
+            missing = {view: needs for view in VIEWS if view != "color"}
+            choice("View", VIEWS, answers["view"], lambda view: answers.update(view=view), missing)
+            button("Make the clip", lambda: begin(job)).classes("primary")
         dialog.open()
 
     return show
@@ -106,11 +170,12 @@ def draw_jobs(session: Session, jobs: Jobs) -> Callable[[], None]:
     function
         Ends it, when the page is closed.
     """
-
     followed: dict[int, Callable[[Job], None]] = {}
 
     def listed() -> list[tuple[Any, ...]]:
         return [(job.number, job.status, job.message, job.total) for job in jobs.listed]
+
+    clips = clip_dialog(session, jobs)
 
     @ui.refreshable
     def area() -> None:
@@ -119,7 +184,7 @@ def draw_jobs(session: Session, jobs: Jobs) -> Callable[[], None]:
             if not jobs.listed:
                 say("p", "Generate writes frames; what runs is seen here.").classes("quiet")
             for job in jobs.listed:
-                followed[job.number] = _draw(session, jobs, job)
+                followed[job.number] = _draw(jobs, job, clips)
 
     said = say("div", role="status", aria_live="polite").classes("for-listeners")
     area()
@@ -161,7 +226,7 @@ def _duration(seconds: float) -> str:
     )
 
 
-def _draw(session: Session, jobs: Jobs, job: Job) -> Callable[[Job], None]:
+def _draw(jobs: Jobs, job: Job, make_clip: Callable[[Job], None]) -> Callable[[Job], None]:
     """Draw a job; returns what shows how far it is."""
     bar = None
     with say("article", aria_label=f"Job {job.number}").classes(f"job {job.status}"):
@@ -175,16 +240,16 @@ def _draw(session: Session, jobs: Jobs, job: Job) -> Callable[[Job], None]:
             say("button", "Copy", type="button", data_copy=job.line, aria_label="Copy the command line")
         if job.message:
             say("pre", job.message, role="alert").classes("difference")
-        with say("div").classes("pictures") as frame:
-            pictures = _pictures(jobs, job)
+        with say("div") as made:
+            count = _pictures(jobs, job)
         with say("div").classes("row"):
             if job.is_unfinished:
                 button("Cancel", partial(jobs.cancel, job.number), aria_label=f"Cancel job {job.number}")
             else:
                 if job.status != "done":
                     button("Again", partial(jobs.again, job.number), aria_label=f"Run job {job.number} again")
-                elif job.arguments[0] == "render" and len(pictures) > 1:
-                    button("Make a clip", partial(_clip, session, jobs, job))
+                elif job.command == "render" and count > 1:
+                    button("Make a clip", partial(make_clip, job))
                 button("Off the list", partial(jobs.forget, job.number), aria_label=f"Take job {job.number} off")
 
     def follow(now: Job) -> None:
@@ -193,8 +258,8 @@ def _draw(session: Session, jobs: Jobs, job: Job) -> Callable[[Job], None]:
         if bar is not None and now.total:
             bar.props["value"] = str(now.done)
             bar.update()
-        frame.clear()
-        with frame:
+        made.clear()
+        with made:
             _pictures(jobs, now)
 
     return follow
@@ -204,18 +269,28 @@ def _how_far(job: Job) -> str:
     return f"{_state(job).capitalize()}, in {job.folder}"
 
 
-def _pictures(jobs: Jobs, job: Job) -> list[Path]:
-    """Draw the latest frames of a job; returns all."""
-    files = jobs.files(job.number) if job.arguments[0] in ("render", "video") else []
+def _pictures(jobs: Jobs, job: Job) -> int:
+    """What a job has made, as small pictures and clips; returns how many pictures there are."""
+    if job.command == "batch":
+        parts = min(job.done, SHOWN) if job.status == "done" else 0
+        with say("div").classes("pictures"):
+            for part in range(parts):
+                place = f"/sample?job={job.number}&part={part}&parts={parts}&at={job.ended:.0f}"
+                say("img", src=place, alt=f"Sample {part + 1} of {parts}", loading="lazy")
+        return parts
+    files = jobs.files(job.number)
     pictures = [path for path in files if path.suffix == ".png" and "sample" not in path.name]
-    for path in pictures[-SHOWN:]:
-        name = path.relative_to(jobs.root / job.folder).as_posix()
-        say("img", src=f"/result?job={job.number}&name={quote(name)}", alt=path.stem, loading="lazy")
-    return pictures
+    with say("div").classes("pictures"):
+        for path in pictures[-SHOWN:]:
+            say("img", src=_address(jobs, job, path), alt=path.stem, loading="lazy")
+        for path in files if job.status == "done" else ():
+            if path.suffix in PLAYED and (job.command == "render" or path.name == job.pattern):
+                say("video", src=_address(jobs, job, path), controls=True, preload="metadata", aria_label=path.name)
+    return len(pictures)
 
 
-def _clip(session: Session, jobs: Jobs, job: Job) -> None:
-    clip(session, jobs, job.folder, str(Path(job.folder) / "clip.mp4"))
+def _address(jobs: Jobs, job: Job, path: Path) -> str:
+    return f"/result?job={job.number}&name={quote(path.relative_to(jobs.root / job.folder).as_posix())}"
 
 
 def _number(text: str, what: str) -> float:
@@ -225,8 +300,8 @@ def _number(text: str, what: str) -> float:
         raise ClscoError(f"{what}: must be a number; got {text!r}") from None
 
 
-def _whole(text: str, what: str) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        raise ClscoError(f"{what}: must be an integer; got {text!r}") from None
+def _whole(text: str, what: str, least: int = 1) -> int:
+    digits = text.strip()
+    if not (digits.isascii() and digits.isdecimal() and len(digits) < 19 and int(digits) >= least):
+        raise ClscoError(f"{what}: must be an integer from {least} on; got {text[:40]!r}")
+    return int(digits)

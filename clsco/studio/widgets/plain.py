@@ -67,14 +67,28 @@ def check_box(label: str, is_on: bool, changed: Callable[[bool], object], **attr
     return box
 
 
-def choice(label: str, options: Mapping[str, str] | Sequence[str], value: str, chosen: Callable[[str], object]) -> None:
-    """A labeled list to choose one value of; `options`: values with their labels."""
+def choice(
+    label: str,
+    options: Mapping[str, str] | Sequence[str],
+    value: str,
+    chosen: Callable[[str], object],
+    missing: Mapping[str, str] | None = None,
+) -> None:
+    """A labeled list to choose one value of.
+
+    options: values with their labels; missing: what those that cannot be chosen need, by value, or "".
+    """
     named = options if isinstance(options, Mapping) else {option: option for option in options}
+    needs = missing or {}
     with say("label").classes("box"):
         say("span", label)
         with say("select").on("change", lambda event: chosen(str(event.args)), js_handler=_VALUE):
             for option, text in named.items():
-                say("option", text, value=option, selected=True if option == value else None)
+                lacks = needs.get(option, "")
+                say(
+                    "option", f"{text} ({lacks})" if lacks else text, value=option,
+                    selected=True if option == value else None, disabled=True if lacks else None,
+                )  # fmt: skip
 
 
 class Dialog:

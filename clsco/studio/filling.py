@@ -1,0 +1,109 @@
+"""Methods of inpainting in a process of their own, which says how far it is, and may be ended."""
+
+from __future__ import annotations
+
+import multiprocessing
+from multiprocessing.connection import Connection
+from threading import Lock
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.errors import ClscoError, ImageError
+
+
+class Filler:
+    """Fills images one after the other; its process is begun with the first, and stays.
+
+    Parameters
+    ----------
+    device : str, optional
+        As for `clsco.inpaint`.
+
+    Attributes
+    ----------
+    share : float
+        Of the image that is being filled, from 0 to 1.
+    """
+
+    def __init__(self, device: str | None = None) -> None:
+        self.device = device
+        self.share = 0.0
+        self._process: multiprocessing.process.BaseProcess | None = None
+        self._pipe: Connection | None = None
+        self._working, self._is_canceled = Lock(), False
+
+    def fill(
+        self, image: NDArray[Any], mask: NDArray[np.bool_], method: str
+    ) -> tuple[NDArray[Any], dict[str, Any]] | None:
+        """Fill an image; returns it with the figures of its report, or None where `cancel` ended it.
+
+        Raises
+        ------
+        ClscoError
+            As `clsco.inpaint`; the process ended by itself; another image is being filled.
+        """
+        if not self._working.acquire(blocking=False):
+            raise ImageError(f"{method}: must wait for what is being filled")
+        try:
+            self.share, self._is_canceled = 0.0, False
+            pipe = self._begun()
+            pipe.send((image, mask, method, self.device))
+            while True:
+                what, *content = pipe.recv()
+                if what == "share":
+                    (self.share,) = content
+                elif what == "refused":
+                    raise content[0]
+                else:
+                    image, figures = content
+                    return image, figures
+        except (EOFError, OSError):
+            self._process = None
+            if self._is_canceled:
+                return None
+            raise ImageError(f"{method}: its process ended; it is begun again with the next try") from None
+        finally:
+            self._working.release()
+
+    def cancel(self) -> None:
+        """End what is being filled, if anything is."""
+        if self._working.locked():
+            self._is_canceled = True
+            self.close()
+
+    def close(self) -> None:
+        """End the process."""
+        if self._process is not None:
+            self._process.kill()
+
+    def _begun(self) -> Connection:
+        if self._process is None or not self._process.is_alive():
+            context = multiprocessing.get_context("spawn")
+            self._pipe, theirs = context.Pipe()
+            self._process = context.Process(target=_work, args=(theirs,), daemon=True)
+            self._process.start()
+            theirs.close()  # so that its end is heard here
+        assert self._pipe is not None
+        return self._pipe
+
+
+def _work(pipe: Connection) -> None:
+    """What the process does until the studio is gone."""
+    from clsco.engine.inpaint import inpaint
+
+    while True:
+        try:
+            image, mask, method, device = pipe.recv()
+        except (EOFError, OSError, KeyboardInterrupt):
+            return
+        try:
+            filled, report = inpaint(
+                image, mask, method=method, device=device, return_report=True,
+                progress=lambda share: pipe.send(("share", share)),
+            )  # fmt: skip
+        except ClscoError as error:
+            pipe.send(("refused", error))
+        else:
+            pipe.send(("filled", filled, report.figures()))

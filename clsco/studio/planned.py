@@ -1,0 +1,21 @@
+"""What the picture at rest takes, in a line."""
+
+from __future__ import annotations
+
+from clsco.plan.memory import device_bytes
+from clsco.plan.prepare import Prepared
+
+
+def plan_line(prepared: Prepared, seconds: float) -> str:
+    """Kinds of passes, time, and memory on the device: "3 passes, 41 ms, 15 MiB".
+
+    Parameters
+    ----------
+    prepared : Prepared
+        As `clsco plan` has it; of a stereo pair both views count.
+    seconds : float
+        Time that the frame took.
+    """
+    count = len({step.kind for plan in prepared.plans for step in plan.passes})
+    memory = device_bytes(prepared.plan, len(prepared.plans)) / 2**20
+    return f"{count} pass{'es' if count > 1 else ''}, {1000 * seconds:.0f} ms, {memory:.0f} MiB"
