@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from clsco import ClscoError
+from clsco import ClscoError, load_scene
 from clsco.cli.main import main
 from clsco.studio import jobs as jobs_module
 from clsco.studio import offers
@@ -120,6 +120,14 @@ def test_generated_files_are_those_of_the_command(tmp_path: Path, jobs: Jobs) ->
     assert jobs.listed[0].line == "clsco render frames/a_b_c/scene.toml -o frames/a_b_c"
     assert [path.name for path in jobs.files(1)] == ["frame_0000.png", "frame_0001.png"]
     assert free_folder(session) == "frames/saved"
+
+
+def test_images_are_found_from_a_folder_that_is_made_for_the_frames(jobs: Jobs, slow: None) -> None:
+    session = Session(jobs.root)
+    load_preset(session, "depth_map")
+    job = generate(session, jobs, "new/frames")
+    scene = load_scene(jobs.root / job.folder / "scene.toml")
+    assert all(Path(str(source)).is_file() for item in scene.objects for source in item.inputs().values())
 
 
 @pytest.mark.slow
