@@ -25,8 +25,8 @@ pytestmark = pytest.mark.browser
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 CHECKLIST = {  # labels and values of the five panels
     "object.0.distance": ("Distance a (mm)", "250"),
-    "object.0.slope_x": ("Slope along x b", "0"),
-    "object.0.slope_y": ("Slope along y c", "0"),
+    "object.0.slope_x": ("Slope along x b (mm per mm)", "0"),
+    "object.0.slope_y": ("Slope along y c (mm per mm)", "0"),
     "object.0.motion.velocity.0": ("Translation x vx (mm/s)", "0"),
     "object.0.motion.velocity.1": ("Translation y vy (mm/s)", "0"),
     "object.0.motion.velocity.2": ("Translation z vz (mm/s)", "0"),
@@ -93,10 +93,10 @@ def test_values_of_a_shape_are_there_when_one_comes_back(page: Any) -> None:
 
 def test_a_motion_that_is_not_chosen_is_none(page: Any) -> None:
     page.get_by_label("Translation", exact=True).check()
-    page.wait_for_function("!document.querySelector('input[data-path=\"object.0.motion.velocity.0\"]').disabled")
+    page.wait_for_function("!document.querySelector('input[data-path=\"object.0.motion.velocity.0\"]').matches(':disabled')")
     type_in(page, "object.0.motion.velocity.0", "3")
     page.get_by_label("Translation", exact=True).uncheck()
-    page.wait_for_function("document.querySelector('input[data-path=\"object.0.motion.velocity.0\"]').disabled")
+    page.wait_for_function("document.querySelector('input[data-path=\"object.0.motion.velocity.0\"]').matches(':disabled')")
     assert box(page, "object.0.motion.velocity.0").input_value() == "0"
 
 
@@ -137,7 +137,7 @@ def test_shapes_generated_are_those_of_the_command(page: Any, root: Path, label:
     assert_made_by_the_command(folder, folder / "scene.toml", tmp_path)
 
 
-@pytest.mark.parametrize("name", ["fig_3_04_left", "fig_3_12_left", "fig_4_04"])
+@pytest.mark.parametrize("name", ["fig_3_04_left", "fig_3_12_left", "fig_4_13"])
 def test_presets_generated_are_those_of_the_command(page: Any, root: Path, name: str, tmp_path: Path) -> None:
     (title,) = [preset.title for preset in presets() if preset.name == f"thesis/{name}"]
     page.get_by_role("button", name="Presets").click()
