@@ -93,10 +93,14 @@ def test_values_of_a_shape_are_there_when_one_comes_back(page: Any) -> None:
 
 def test_a_motion_that_is_not_chosen_is_none(page: Any) -> None:
     page.get_by_label("Translation", exact=True).check()
-    page.wait_for_function("!document.querySelector('input[data-path=\"object.0.motion.velocity.0\"]').matches(':disabled')")
+    page.wait_for_function(
+        "!document.querySelector('input[data-path=\"object.0.motion.velocity.0\"]').matches(':disabled')"
+    )
     type_in(page, "object.0.motion.velocity.0", "3")
     page.get_by_label("Translation", exact=True).uncheck()
-    page.wait_for_function("document.querySelector('input[data-path=\"object.0.motion.velocity.0\"]').matches(':disabled')")
+    page.wait_for_function(
+        "document.querySelector('input[data-path=\"object.0.motion.velocity.0\"]').matches(':disabled')"
+    )
     assert box(page, "object.0.motion.velocity.0").input_value() == "0"
 
 
