@@ -44,7 +44,7 @@ COMPARISONS = (
     ("8", "difference × 8"),
     ("64", "difference × 64"),
 )
-SCRIPTS = ("colors", "studio", "tools", "line", "compare", "progress", "inspect", "forms", "brush")
+SCRIPTS = ("colors", "studio", "keep", "tools", "line", "compare", "progress", "inspect", "forms", "brush")
 STYLES = ("studio", "forms")
 _VIEW_FILTER = """<svg width="0" height="0" aria-hidden="true">
 <filter id="view-filter" x="0" y="0" width="1" height="1">
@@ -72,7 +72,7 @@ def draw(name: str, studio: Studio) -> None:
     """Draw the page of a tab."""
     session = studio.tabs[name].session
     with say("div", id="studio", data_tab=name):
-        say("div", "The studio does not answer; it is tried again.", id="lost", role="status", hidden=True)
+        say("div", id="lost", role="status", hidden=True)
         with say("header"):
             _header(session, studio, name)
         with say("nav", id="panels", aria_label="Panels"):

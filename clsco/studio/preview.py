@@ -73,7 +73,7 @@ class Preview:
         self._changed_at = 0.0
         self._news = asyncio.Event()
         self._unseen: list[tuple[int, int]] = []
-        self._is_exact_underway = False
+        self._is_exact_underway = self._is_hidden = False
         self._stops, self._is_stopped = 0, False  # by the user; the latter until the next change
         self._crashes = 0
         self._asked: dict[str, tuple[int, int, Told]] = {}
@@ -126,6 +126,13 @@ class Preview:
         if (revision, rung) in self._unseen:
             self._unseen.remove((revision, rung))
             self._news.set()
+
+    def hide(self, is_hidden: bool) -> None:
+        """Nobody sees the pictures, or somebody does again: the renderer is left to the tabs in front."""
+        self._is_hidden = is_hidden
+        self._news.set()
+        if is_hidden and self._is_exact_underway:
+            self._renderer.cancel()
 
     def inspect(self, x: int, y: int, told: Told, purpose: str = "") -> None:
         """Have `told` called with what is known of a pixel, once the exact frame is there.
@@ -210,6 +217,10 @@ class Preview:
                 self._news.clear()
                 await self._news.wait()
 
+    @property
+    def _is_full(self) -> bool:
+        return self._is_hidden or len(self._unseen) >= MOST_UNSEEN
+
     def _shown(self) -> tuple[Scene, int]:
         """The scene whose exact frame is shown at rest, and the number of that frame."""
         scene = self._session.scene
@@ -223,7 +234,7 @@ class Preview:
 
     async def _room(self) -> None:
         """Wait until one more picture may be on its way."""
-        while len(self._unseen) >= MOST_UNSEEN:
+        while self._is_full:
             self._news.clear()
             await self._news.wait()
 
@@ -249,17 +260,23 @@ class Preview:
             number, scene = self._stack.pop(0)
         if self._time is not None and scene.moves:
             scene, number = moment_of(scene, index, self._time), number if rung == STACKED else NO_NUMBER
+        late: list[Picture] = []
         self._is_exact_underway, job = rung != DRAGGING, Job(scene, index, self._view, rung)
         try:
             async with aclosing(self._renderer.pictures(job, self._watch)) as pictures:
                 async for picture in pictures:
-                    await self._room()
                     if rung != DRAGGING and self._state != state:
                         return
-                    self._unseen.append((revision, picture.rung))
-                    await self._send(picture.packed(revision, number))
-                    if picture.about is not None:
-                        await self.tell(about=picture.about)
+                    if late or self._is_full:
+                        late.append(picture)  # it waits when the renderer is free for other tabs
+                    else:
+                        await self._post(picture, revision, number)
+            self._is_exact_underway = False
+            for picture in late:
+                await self._room()
+                if rung != DRAGGING and self._state != state:
+                    return
+                await self._post(picture, revision, number)
             if self._stops == stops:
                 self._done = (state, min(rung, EXACT))
         except CanceledError:
@@ -275,6 +292,12 @@ class Preview:
             await self.tell(error=list(getattr(error, "messages", None) or [str(error)]))
         finally:
             self._is_exact_underway = False
+
+    async def _post(self, picture: Picture, revision: int, number: int) -> None:
+        self._unseen.append((revision, picture.rung))
+        await self._send(picture.packed(revision, number))
+        if picture.about is not None:
+            await self.tell(about=picture.about)
 
     async def _ask(self, purpose: str) -> None:
         """Answer what is asked of a pixel; a change in between has it asked again."""

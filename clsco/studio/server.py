@@ -175,6 +175,8 @@ class Studio:
                     tab.session.patch(path, value, drag if isinstance(drag, int) else None)
                 except SceneError as error:
                     await preview.tell(error=error.messages)
+            case {"hidden": bool(is_hidden)}:
+                preview.hide(is_hidden)
             case {"watch": list(paths)}:
                 tab.watched = tuple(path for path in paths[:MOST_WATCHED] if isinstance(path, str))
                 tab.told.set()
@@ -204,6 +206,16 @@ class Studio:
             case {"do": "cancel"}:
                 preview.stop()
                 await preview.tell(stopped=True)
+            case {"do": "keep"}:
+                await preview.tell(kept=tab.session.remembered())
+            case {"resume": {"scene": str(link), "file": str(file), "digest": str(digest)}, "tab": str(before)}:
+                if before not in self.tabs:  # else it is still there, and this is a copy of its page
+                    try:
+                        tab.session.resume(link, file, digest)
+                    except SceneError as error:
+                        await preview.tell(error=error.messages)
+                    else:
+                        await preview.tell(resumed=True)
             case {"do": "undo"}:
                 tab.session.undo()
             case {"do": "redo"}:

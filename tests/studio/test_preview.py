@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import AsyncGenerator, Callable, Coroutine
-from contextlib import suppress
+from contextlib import aclosing, suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -181,6 +181,44 @@ def test_nothing_piles_up_before_a_slow_browser() -> None:
 
     _, _, browser = played(play)
     assert browser.got[MOST_UNSEEN:] == [(40, DRAGGING), (40, LOSSY), (40, EXACT)]
+
+
+def test_a_browser_that_sees_nothing_leaves_the_renderer_to_others() -> None:
+    class InTurns(Renderer):
+        """Works for one tab at a time."""
+
+        turn: asyncio.Lock
+
+        async def pictures(self, job: Job, watch: Watch | None = None) -> AsyncGenerator[Picture, None]:
+            async with self.turn, aclosing(super().pictures(job, watch)) as found:
+                async for picture in found:
+                    yield picture
+
+    async def run() -> tuple[Browser, Browser, Browser]:
+        renders = InTurns()
+        renders.turn = asyncio.Lock()
+        slow, hidden, quick = Browser(is_slow=True), Browser(), Browser()
+        running = []
+        for browser in (slow, hidden, quick):
+            session = Session()
+            browser.preview = Preview(session, renders, browser.send)
+            browser.preview.hide(browser is hidden)
+            browser.preview.changed()
+            running.append(asyncio.create_task(browser.preview.run()))
+        await asyncio.sleep(3 * REST)
+        assert hidden.preview is not None
+        assert hidden.got == []
+        hidden.preview.hide(False)
+        await asyncio.sleep(2 * REST)
+        for task in running:
+            task.cancel()
+        await asyncio.gather(*running, return_exceptions=True)
+        return slow, hidden, quick
+
+    slow, hidden, quick = asyncio.run(run())
+    assert len(slow.got) == MOST_UNSEEN
+    assert [rung for _, rung in quick.got] == [DRAGGING, LOSSY, EXACT]
+    assert [rung for _, rung in hidden.got] == [DRAGGING, LOSSY, EXACT]
 
 
 def test_views_and_frames_are_states_of_their_own() -> None:

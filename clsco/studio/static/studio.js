@@ -17,6 +17,7 @@
     hearing: [], // functions of what the server says
     overlays: [], // functions that draw over the picture, of a context and of what makes pixels of the frame those of the stage
     parts: [], // functions that begin the other files' work
+    sent: new Map(), // values by path, since the server was asked for its scene
     revision: -1, rung: -1, view: "color", index: 0, moment: null, values: {}, faults: {},
   };
   window.studio = studio;
@@ -27,6 +28,7 @@
     if (socket !== null && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(content));
   };
   studio.send = send;
+  studio.isOpen = () => socket !== null && socket.readyState === WebSocket.OPEN;
 
   const connect = () => {
     socket = new WebSocket(`ws${location.protocol === "https:" ? "s" : ""}://${location.host}/frames?tab=${tab}`);
@@ -34,17 +36,17 @@
     socket.onopen = () => {
       tries = 0;
       studio.revision = -1;
-      one("#lost").hidden = true;
       watched = "";
       watch();
       if (link) send({ link });
       link = "";
       send({ view: studio.view });
       send({ frame: studio.index, time: studio.moment });
+      studio.opened();
     };
     socket.onmessage = (event) => received(event.data);
     socket.onclose = () => {
-      one("#lost").hidden = false;
+      studio.closed();
       tries += 1;
       setTimeout(connect, Math.min(250 * 2 ** tries, 8000));
     };
@@ -243,9 +245,13 @@
   let watched = "";
 
   const flush = () => {
-    for (const [path, [value, number]] of waiting) send({ path, value, drag: number });
+    for (const [path, [value, number]] of waiting) {
+      send({ path, value, drag: number });
+      studio.sent.set(path, value);
+    }
     waiting.clear();
   };
+  studio.flush = flush;
 
   const put = (path, value) => {
     if (!waiting.size) requestAnimationFrame(flush);
@@ -297,12 +303,18 @@
     changing(control);
   };
 
+  const filled = new WeakSet(); // controls; those that are drawn anew may have values that are older than what was told
   const watch = () => { // tell the server which keys are on the page, so that it tells their values
+    const fresh = all("[data-path]").filter((control) => !filled.has(control));
+    for (const control of fresh) {
+      filled.add(control);
+      if (control.dataset.path in studio.values) give(control, studio.values[control.dataset.path]);
+    }
+    if (fresh.length) mark();
     const paths = [...new Set(all("[data-path]").map((control) => control.dataset.path))];
     if (paths.join("\n") === watched) return;
     watched = paths.join("\n");
     send({ watch: paths });
-    mark();
   };
 
   const mark = () => {
