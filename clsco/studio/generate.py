@@ -165,12 +165,11 @@ def _render(session: Session, jobs: Jobs, folder: str, table: Table, what: str, 
     name = _name(session, folder)
     target = session.root / name
     sweep = parse_sweep(table)
+    scenes = tuple(absolute(scene, session.folder) for scene in sweep.scenes)  # the other folder may not be there yet
     jobs.require_free(name)
-    scenes = tuple(absolute(scene, session.folder) for scene in sweep.scenes)
     prepare_sweep(replace(sweep, scenes=scenes))  # says what is beyond the limits, before anything is begun
-    placed = moved(table, session.folder, target)
     target.mkdir(parents=True, exist_ok=True)
-    write_whole(target / SCENE_FILE, toml_text(sparse(placed)).encode())
+    write_whole(target / SCENE_FILE, toml_text(sparse(moved(table, session.folder, target))).encode())
     title = str(table.get("title", "")) or "scene"
     arguments = ["render", f"{name}/{SCENE_FILE}", "-o", name, *wanted.options()]
     pattern = "frame_[0-9]*.json" if len(scenes) == 1 else "*/frame_[0-9]*.json"
