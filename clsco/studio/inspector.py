@@ -14,6 +14,7 @@ from clsco.frame.frame import Frame
 from clsco.optics.lens import blur_radius, blur_scale, focus_distance, focus_power
 from clsco.optics.psf import reach, weights
 from clsco.scene.model import Scene
+from clsco.studio.moments import eye_of
 
 SHARP = 0.5  # px, |R| up to which a point counts as in focus
 PLOTTED = 32  # px from the center of the plot to its border
@@ -33,8 +34,8 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int) -> dict[str, Any]:
     Returns
     -------
     dict
-        `index` of the frame; `values` by name, as JSON can hold them, None for what is infinite; `psf` and `lens` as
-        `point_spread` and `lens_figures` give them, of the pixel's depth.
+        `index` and `eye` of the frame; `values` by name, as JSON can hold them, None for what is infinite; `psf` and
+        `lens` as `point_spread` and `lens_figures` give them, of the pixel's depth.
     """
     values: dict[str, Any] = {"x": x, "y": y}
     values["codes"] = _plain(encode(frame.color[y, x], min(frame.metadata["bits"], 16), scene.image.transfer))
@@ -52,7 +53,8 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int) -> dict[str, Any]:
     radius, depth = values.get("blur_radius"), values.get("depth")
     if radius is not None and scene.psf.model == "gaussian":
         values["sigma"] = scene.psf.sigma_ratio * abs(radius)
-    found: dict[str, Any] = {"index": frame.index, "values": values, "lens": lens_figures(scene, depth)}
+    found: dict[str, Any] = {"index": frame.index, "eye": eye_of(frame), "values": values}
+    found["lens"] = lens_figures(scene, depth)
     if radius is not None and values["mask"]:
         found["psf"] = point_spread(scene, radius)
     return found

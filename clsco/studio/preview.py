@@ -9,6 +9,7 @@ from contextlib import aclosing, suppress
 from typing import Any, Protocol
 
 from clsco.errors import CanceledError, ClscoError
+from clsco.optics.motion import Eye
 from clsco.scene.model import Scene
 from clsco.studio.moments import moment_of
 from clsco.studio.pictures import DRAGGING, EXACT, NO_NUMBER, PINNED, STACKED, VIEWS, Picture, packed_message
@@ -59,6 +60,7 @@ class Preview:
         self._session, self._renderer, self._send = session, renderer, send
         self._view, self._index = "color", 0
         self._time: float | None = None  # of the one time sample that is shown
+        self._eye: Eye = "left"  # of a stereo pair
         self._state = 1  # counts all changes; a revision is one of the scene alone
         self._done = (0, EXACT)  # state and rung of the latest picture
         self._changed_at = 0.0
@@ -80,15 +82,18 @@ class Preview:
         if self._is_exact_underway:
             self._renderer.cancel()
 
-    def look(self, view: str | None = None, index: int | None = None, time: float | None = None) -> None:
-        """Show another view, or another frame, of which the one time sample at `time`, s, if any."""
-        before = self._view, self._index, self._time
+    def look(
+        self, view: str | None = None, index: int | None = None, time: float | None = None, eye: Eye | None = None
+    ) -> None:
+        """Show another view, or another frame, of which the one time sample at `time`, s, if any; or another eye's."""
+        before = self._view, self._index, self._time, self._eye
         if view in VIEWS:
             self._view = view
         if index is not None:
             self._index = min(max(index, 0), self._session.scene.sequence.frames - 1)
             self._time = time if time is not None and abs(time) <= LATEST else None
-        if before != (self._view, self._index, self._time):
+        self._eye = eye or self._eye
+        if before != (self._view, self._index, self._time, self._eye):
             self.changed()
 
     def acknowledge(self, revision: int, rung: int) -> None:
@@ -173,7 +178,7 @@ class Preview:
             scene, number = moment_of(scene, index, self._time), number if rung == STACKED else NO_NUMBER
         self._is_exact_underway = rung != DRAGGING
         try:
-            async with aclosing(self._renderer.pictures(Job(scene, index, self._view, rung))) as pictures:
+            async with aclosing(self._renderer.pictures(Job(scene, index, self._view, rung, self._eye))) as pictures:
                 async for picture in pictures:
                     await self._room()
                     if rung != DRAGGING and self._state != state:
@@ -204,9 +209,9 @@ class Preview:
         index = min(self._index, scene.sequence.frames - 1)
         if self._time is not None and scene.moves:
             scene = moment_of(scene, index, self._time)
-        key = id(self), self._session.revision, index, self._time
+        key = id(self), self._session.revision, index, self._time, self._eye
         try:
-            await told(await self._renderer.inspect(Question(scene, index, key, x, y)))
+            await told(await self._renderer.inspect(Question(scene, index, key, x, y, self._eye)))
         except CanceledError:
             self._asked.setdefault(purpose, asked)
         except ClscoError as error:

@@ -8,7 +8,7 @@ import os
 import signal
 from collections.abc import AsyncIterator
 from contextlib import suppress
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -19,6 +19,7 @@ import clsco
 from clsco import Scene, parse_scene
 from clsco.errors import CanceledError, SceneError
 from clsco.files.transfer import encode
+from clsco.optics.motion import Eye
 from clsco.studio.pictures import DRAGGING, EXACT, FLOAT32, HEADER, JPEG, LOSSY, MESSAGE, PNG, VIEWS, Picture
 from clsco.studio.preview import Preview
 from clsco.studio.renderer import Job, Renderer, RendererEndedError
@@ -42,6 +43,7 @@ def test_the_renderer_from_its_start_to_its_crash() -> None:
         try:
             await rungs(renderer)
             await views(renderer)
+            await eyes(renderer)
             await faults(renderer)
             await previews(renderer)
             await crash(renderer)
@@ -76,6 +78,19 @@ async def views(renderer: Renderer) -> None:
         expected = np.asarray(getattr(frame, name), np.float32)
         assert (exact.encoding, exact.size) == (FLOAT32, (48, 40))
         assert np.array_equal(np.frombuffer(exact.payload, "<f4").reshape(expected.shape), expected, equal_nan=True)
+
+
+async def eyes(renderer: Renderer) -> None:
+    scene = small().replace("stereo", {"baseline": 6.0})
+    frames = {frame.eye: frame for frame in clsco.render(scene, truth=(), device="pocl")}
+    shown = []
+    for eye in get_args(Eye):
+        _, exact = await all_of(renderer.pictures(Job(scene, 0, "color", EXACT, eye)))
+        shown.append(np.asarray(Image.open(io.BytesIO(exact.payload))))
+        frame = frames[eye]
+        assert np.array_equal(shown[-1], encode(frame.color, min(frame.metadata["bits"], 16), "srgb"))
+        assert exact.packed(3, 0)[15] == (2 if eye == "right" else 0)
+    assert not np.array_equal(shown[0], shown[1])
 
 
 async def faults(renderer: Renderer) -> None:
