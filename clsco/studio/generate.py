@@ -163,13 +163,12 @@ def _render(session: Session, jobs: Jobs, folder: str, table: Table, what: str, 
         raise ClscoError(f"{next(iter(session.faults))}: must be valid before frames are generated")
     name = _name(session, folder)
     target = session.root / name
-    placed = moved(table, session.folder, target)
-    sweep = parse_sweep(placed)
-    scenes = tuple(absolute(scene, target) for scene in sweep.scenes)
+    sweep = parse_sweep(table)
+    scenes = tuple(absolute(scene, session.folder) for scene in sweep.scenes)  # the other folder may not be there yet
     jobs.require_free(name)
     prepare_sweep(replace(sweep, scenes=scenes))  # says what is beyond the limits, before anything is begun
     target.mkdir(parents=True, exist_ok=True)
-    write_whole(target / SCENE_FILE, toml_text(sparse(placed)).encode())
+    write_whole(target / SCENE_FILE, toml_text(sparse(moved(table, session.folder, target))).encode())
     title = str(table.get("title", "")) or "scene"
     arguments = ["render", f"{name}/{SCENE_FILE}", "-o", name, *wanted.options()]
     pattern = "frame_[0-9]*.json" if len(scenes) == 1 else "*/frame_[0-9]*.json"

@@ -175,11 +175,15 @@ class Studio:
                     tab.session.patch(path, value, drag if isinstance(drag, int) else None)
                 except SceneError as error:
                     await preview.tell(error=error.messages)
+            case {"hidden": bool(is_hidden)}:
+                preview.hide(is_hidden)
             case {"watch": list(paths)}:
                 tab.watched = tuple(path for path in paths[:MOST_WATCHED] if isinstance(path, str))
                 tab.told.set()
             case {"at": [int(x), int(y)]} if min(x, y) >= 0:
                 pointer.ask(x, y)
+            case {"measure": [int(x), int(y)]} if min(x, y) >= 0:
+                pointer.measure(x, y)
             case {"focus": [int(x), int(y)], "drag": int(drag)} if min(x, y) >= 0:
                 pointer.focus(x, y, drag)
             case {"grab": [int(x), int(y)], "drag": int(drag)} if min(x, y) >= 0:
@@ -197,6 +201,21 @@ class Studio:
                     await preview.tell(error=error.messages)
             case {"do": "pin thesis"}:
                 preview.pin(as_the_thesis(tab.session))
+            case {"do": "pin reference"}:
+                preview.pin_reference()
+            case {"do": "cancel"}:
+                preview.stop()
+                await preview.tell(stopped=True)
+            case {"do": "keep"}:
+                await preview.tell(kept=tab.session.remembered())
+            case {"resume": {"scene": str(link), "file": str(file), "digest": str(digest)}, "tab": str(before)}:
+                if before not in self.tabs:  # else it is still there, and this is a copy of its page
+                    try:
+                        tab.session.resume(link, file, digest)
+                    except SceneError as error:
+                        await preview.tell(error=error.messages)
+                    else:
+                        await preview.tell(resumed=True)
             case {"do": "undo"}:
                 tab.session.undo()
             case {"do": "redo"}:

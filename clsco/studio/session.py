@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from clsco.errors import SceneError
 from clsco.files.atomic import write_whole
@@ -107,6 +108,27 @@ class Session(Editor):
         """
         table, missing = from_link(text, self.readable)
         self.take(self._state_of(table, None), missing)
+
+    def remembered(self) -> dict[str, Any]:
+        """What `resume` needs: the link of the scene, its file below the root and the digest of that, and the values
+        that are not valid.
+        """
+        path = self.path
+        return {
+            "scene": self.share(),
+            "file": path.relative_to(self.root).as_posix() if path is not None else "",
+            "digest": self._digests.get(path, "") if path is not None else "",
+            "typed": self.refused,
+        }
+
+    def resume(self, link: str, file: str, digest: str) -> None:
+        """Go to a scene that `remembered` told of, as a step of undo. Raises SceneError; then all stays as it is."""
+        table, missing = from_link(link, self.readable)
+        target = self.inside(Path(file)) if file else None
+        start = target.parent if target is not None else self.root
+        self.take(self._state_of(moved(table, self.root, start), target), missing)
+        if target is not None:
+            self._digests[target] = digest
 
     def load_table(self, table: Table, start: Path) -> None:
         """Go to a scene whose files are relative to a folder, as a step of undo. Raises SceneError."""

@@ -1,10 +1,11 @@
-"""Chromium with the studio in it."""
+"""Chromium with the studio in it, and what is done with its page."""
 
 from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -74,3 +75,54 @@ def rest(page: Any) -> None:
             "[studio.revision, studio.rung, studio.painted.slice(-4), document.querySelector('#message').textContent]"
         )
         raise AssertionError(page.evaluate(state)) from error
+
+
+SHAPES = {
+    "Planar": "plane", "Cylindrical": "cylinder", "Spherical": "sphere", "Conical": "cone", "Elliptical": "ellipsoid",
+}  # fmt: skip
+SMALL = '[camera]\nresolution = [64, 48]\npixel_pitch = 0.1\n[[object]]\nshape = "plane"\ntexture = "checkerboard"\n'
+
+
+def box(page: Any, path: str) -> Any:
+    """The box of a key."""
+    return page.locator(f'[data-path="{path}"]:not([type=range])')
+
+
+def number(page: Any, path: str) -> float:
+    """The number in the box of a key."""
+    return float(box(page, path).input_value())
+
+
+def type_in(page: Any, path: str, value: str) -> None:
+    """Type a value, leave the box, and wait for the answer."""
+    before = page.evaluate("[studio.revision, JSON.stringify(studio.faults)]")
+    box(page, path).fill(value)
+    box(page, path).blur()
+    answer = "(before) => studio.revision > before[0] || JSON.stringify(studio.faults) !== before[1]"
+    page.wait_for_function(answer, arg=before, timeout=20000)
+
+
+def choose(page: Any, shape: str) -> None:
+    """Choose an object type, and wait for its panel."""
+    page.get_by_role("radio", name=shape, exact=True).check()
+    page.wait_for_function(f"studio.values['object.0.shape'] === '{SHAPES[shape]}'", timeout=20000)
+    path = {"Planar": "distance", "Conical": "apex.2"}.get(shape, "center.2")
+    box(page, f"object.0.{path}").wait_for(timeout=20000)
+
+
+def open_scene(page: Any, name: str) -> None:
+    """Open a scene of the folder."""
+    page.get_by_role("button", name="Open", exact=True).click()
+    page.get_by_role("button", name=name, exact=True).click()
+    page.locator("dialog[open]").wait_for(state="hidden")
+    rest(page)
+
+
+def axe_faults(page: Any) -> list[tuple[str, str]]:
+    """What axe has against a page: the rule, and the first element that breaks it."""
+    axe = pytest.importorskip("axe_playwright_python", reason="needs axe: pip install axe-playwright-python")
+    (script,) = Path(axe.__file__).parent.rglob("axe.min.js")
+    page.evaluate(script.read_text())
+    found = page.evaluate("axe.run()")
+    assert len(found["passes"]) > 10
+    return [(fault["id"], fault["nodes"][0]["html"]) for fault in found["violations"]]

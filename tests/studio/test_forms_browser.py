@@ -1,4 +1,4 @@
-"""The panels in Chromium: the words of the thesis, Reset, Generate, and what goes wrong."""
+"""Files, links, images and the brush in Chromium."""
 
 from __future__ import annotations
 
@@ -8,12 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner
 
-from clsco.cli.main import main
 from clsco.files.images import read_image
 from clsco.studio.session import Session
-from tests.studio.browser import opened, rest
+from tests.studio.browser import box, open_scene, opened, type_in
 from tests.studio.running import Running, studio
 
 pytestmark = pytest.mark.browser
@@ -33,97 +31,8 @@ def running(root: Path) -> Iterator[Running]:
         yield started
 
 
-@pytest.fixture
-def page(running: Running) -> Iterator[Any]:
-    with opened(running) as shown:
-        yield shown
-
-
-def box(page: Any, path: str) -> Any:
-    return page.locator(f'#panels input[data-kind=number][data-path="{path}"]')
-
-
-def panel(page: Any, title: str) -> Any:
-    return page.locator("details.panel", has=page.locator("summary", has_text=title)).first
-
-
-def typed(page: Any, path: str, value: str) -> None:
-    box(page, path).fill(value)
-    box(page, path).blur()
-    page.wait_for_timeout(300)
-
-
-def test_the_panels_are_those_of_the_thesis(page: Any) -> None:
-    titles = [text.strip() for text in page.locator("details.panel > summary").all_inner_texts()]
-    assert titles[:5] == [
-        "Input Image File", "Select Object Type", "Select Object Properties", "Motion parameters",
-        "Camera Specifications",
-    ]  # fmt: skip
-    types = panel(page, "Select Object Type").locator("label.check").all_inner_texts()
-    assert [text.strip() for text in types][:5] == ["Planar", "Cylindrical", "Spherical", "Conical", "Elliptical"]
-    shown = {
-        "camera.focal_length": ("Focal length f (mm)", "20"),
-        "camera.aperture_diameter": ("Aperture diameter D (mm)", "10"),
-        "camera.pixel_pitch": ("Pixel pitch p (mm)", "0.01"),
-        "camera.sensor_distance": ("Lens to sensor distance s (mm)", "21.739"),
-        "camera.normalization_distance": ("Magnification normalization distance s0 (mm)", "20"),
-        "camera.f_number": ("F-number f/D", "2"),
-        "sequence.frames": ("Number of frames n", "1"),
-        "sequence.interval": ("Inter-frame interval t (s)", "1"),
-        "object.0.distance": ("Distance a (mm)", "250"),
-        "object.0.motion.velocity.0": ("Translation x vx (mm/s)", "0"),
-        "object.0.motion.angular_velocity.1": ("Rotation y ωy (deg/s)", "0"),
-    }
-    for path, (name, value) in shown.items():
-        assert box(page, path).get_attribute("aria-label") == name
-        assert box(page, path).input_value() == value
-    assert box(page, "camera.focus_distance").input_value().startswith("250.0")
-    assert page.locator("#reset").inner_text() == "Reset"
-    assert page.locator("#generate").inner_text() == "Generate"
-    assert box(page, "object.0.motion.velocity.0").is_disabled()
-
-
-def test_shapes_keep_their_values_and_reset_leaves_the_image(page: Any) -> None:
-    panel(page, "Input Image File").locator("input[type=text]").fill("checkerboard")
-    page.get_by_role("radio", name="Spherical").check()
-    box(page, "object.0.radius").wait_for()
-    typed(page, "object.0.radius", "12")
-    page.get_by_role("radio", name="Conical").check()
-    box(page, "object.0.half_angle").wait_for()
-    page.get_by_role("radio", name="Spherical").check()
-    box(page, "object.0.radius").wait_for()
-    assert box(page, "object.0.radius").input_value() == "12"
-    page.get_by_label("Translation", exact=True).check()
-    page.wait_for_function("!document.querySelector('input[data-path=\"object.0.motion.velocity.0\"]').disabled")
-    typed(page, "object.0.motion.velocity.0", "3")
-    page.get_by_label("Translation", exact=True).uncheck()
-    page.wait_for_timeout(500)
-    assert box(page, "object.0.motion.velocity.0").input_value() == "0"
-    typed(page, "camera.focal_length", "25")
-    page.locator("#reset").click()
-    box(page, "object.0.distance").wait_for()
-    page.wait_for_timeout(300)
-    assert page.get_by_role("radio", name="Planar").is_checked()
-    assert box(page, "camera.focal_length").input_value() == "20"
-    assert panel(page, "Input Image File").locator("input[type=text]").input_value() == "checkerboard"
-    page.locator("#undo").click()
-    box(page, "object.0.radius").wait_for()
-    assert box(page, "camera.focal_length").input_value() == "25"
-
-
-def test_what_is_wrong_is_said_beside_its_box(page: Any) -> None:
-    typed(page, "object.0.distance", "-4")
-    fault = page.locator('[data-fault="object.0.distance"]')
-    fault.wait_for(state="visible")
-    assert fault.inner_text() == "must be greater than 0 mm; got -4"
-    assert box(page, "object.0.distance").input_value() == "-4"
-    assert box(page, "object.0.distance").get_attribute("aria-invalid") == "true"
-    typed(page, "object.0.distance", "300")
-    fault.wait_for(state="hidden")
-
-
 def test_boxes_keep_what_is_typed_when_the_page_changes(page: Any) -> None:
-    typed(page, "object.0.distance", "320")
+    type_in(page, "object.0.distance", "320")
     page.get_by_role("button", name="Presets").click()
     page.locator("dialog[open]").wait_for()
     page.keyboard.press("Escape")
@@ -133,37 +42,14 @@ def test_boxes_keep_what_is_typed_when_the_page_changes(page: Any) -> None:
     assert box(page, "object.0.distance").input_value() == "320"
 
 
-def test_generate_writes_what_the_command_does(page: Any, root: Path) -> None:
-    page.get_by_role("button", name="Presets").click()
-    page.get_by_role("button", name="Figure 3.12 left: sphere, pillbox").click()
-    box(page, "object.0.radius").wait_for()
-    rest(page)
-    page.locator("#generate").click()
-    page.get_by_role("button", name="Write 1 frame").click()
-    page.locator(".job.done").wait_for(timeout=60000)
-    line = page.locator(".job code").inner_text()
-    picture = page.locator(".job img")
-    page.wait_for_function("document.querySelector('.job img').naturalWidth === 512")
-    assert picture.count() == 1
-    folder = root / line.split(" -o ")[1].split()[0]
-    out = root / "by_command"
-    scene = str(EXAMPLES / "thesis" / "fig_3_12_left.toml")
-    assert CliRunner().invoke(main, ["render", scene, "-o", str(out)]).exit_code == 0
-    assert (folder / "frame_0000.png").read_bytes() == (out / "frame_0000.png").read_bytes()
-
-
 def test_save_asks_before_it_overwrites(page: Any, root: Path) -> None:
-    page.get_by_role("button", name="Open", exact=True).click()
-    page.get_by_role("button", name="sphere.toml").click()
-    box(page, "object.0.radius").wait_for()
-    typed(page, "object.0.radius", "28")
+    open_scene(page, "sphere.toml")
+    type_in(page, "object.0.radius", "28")
     other = Session(root)
     other.open(Path("sphere.toml"))
     other.patch("title", "theirs")
     other.save()
     page.locator("#save").click()
-    page.get_by_role("button", name="Show the difference").click()
-    page.locator("pre.difference", has_text="+radius = 28").wait_for()
     page.get_by_role("button", name="Overwrite").click()
     page.wait_for_timeout(700)
     assert "radius = 28" in (root / "sphere.toml").read_text()

@@ -16,24 +16,38 @@ from click.testing import CliRunner
 
 import clsco
 from clsco.cli.main import main
-from tests.studio.browser import chromium, opened, rest
+from clsco.studio.presets import presets
+from tests.studio.browser import SHAPES, SMALL, box, choose, chromium, number, open_scene, rest, type_in
 from tests.studio.running import Running, studio
 from tests.studio.test_browser import children
 
 pytestmark = pytest.mark.browser
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
-SHAPES = {
-    "Planar": "plane", "Cylindrical": "cylinder", "Spherical": "sphere", "Conical": "cone", "Elliptical": "ellipsoid",
-}  # fmt: skip
+CHECKLIST = {  # labels and values of the five panels
+    "object.0.distance": ("Distance a (mm)", "250"),
+    "object.0.slope_x": ("Slope along x b (mm per mm)", "0"),
+    "object.0.slope_y": ("Slope along y c (mm per mm)", "0"),
+    "object.0.motion.velocity.0": ("Translation x vx (mm/s)", "0"),
+    "object.0.motion.velocity.1": ("Translation y vy (mm/s)", "0"),
+    "object.0.motion.velocity.2": ("Translation z vz (mm/s)", "0"),
+    "object.0.motion.angular_velocity.0": ("Rotation x ωx (deg/s)", "0"),
+    "object.0.motion.angular_velocity.1": ("Rotation y ωy (deg/s)", "0"),
+    "object.0.motion.angular_velocity.2": ("Rotation z ωz (deg/s)", "0"),
+    "sequence.frames": ("Number of frames n", "1"),
+    "sequence.interval": ("Inter-frame interval t (s)", "1"),
+    "camera.focal_length": ("Focal length f (mm)", "20"),
+    "camera.aperture_diameter": ("Aperture diameter D (mm)", "10"),
+    "camera.pixel_pitch": ("Pixel pitch p (mm)", "0.01"),
+    "camera.sensor_distance": ("Lens to sensor distance s (mm)", "21.739"),
+    "camera.normalization_distance": ("Magnification normalization distance s0 (mm)", "20"),
+}
 
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("root")
     shutil.copy(EXAMPLES / "damaged.png", folder)
-    (folder / "small.toml").write_text(
-        '[camera]\nresolution = [64, 48]\npixel_pitch = 0.1\n[[object]]\nshape = "plane"\ntexture = "checkerboard"\n'
-    )
+    (folder / "small.toml").write_text(SMALL)
     return folder
 
 
@@ -41,35 +55,6 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def running(root: Path) -> Iterator[Running]:
     with studio(root, "--device", "pocl") as started:
         yield started
-
-
-@pytest.fixture
-def page(running: Running) -> Iterator[Any]:
-    with opened(running) as shown:
-        yield shown
-
-
-def box(page: Any, path: str) -> Any:
-    return page.locator(f'[data-path="{path}"]:not([type=range])')
-
-
-def number(page: Any, path: str) -> float:
-    return float(box(page, path).input_value())
-
-
-def type_in(page: Any, path: str, value: str) -> None:
-    """Type a value, and leave the box."""
-    before = page.evaluate("studio.revision")
-    box(page, path).fill(value)
-    box(page, path).blur()
-    page.wait_for_function(f"studio.revision > {before} || Object.keys(studio.faults).length", timeout=20000)
-
-
-def choose(page: Any, shape: str) -> None:
-    page.get_by_role("radio", name=shape, exact=True).check()
-    page.wait_for_function(f"studio.values['object.0.shape'] === '{SHAPES[shape]}'", timeout=20000)
-    path = {"Planar": "distance", "Conical": "apex.2"}.get(shape, "center.2")
-    box(page, f"object.0.{path}").wait_for(timeout=20000)
 
 
 def test_the_panels_of_the_thesis_with_its_defaults(page: Any) -> None:
@@ -82,27 +67,13 @@ def test_the_panels_of_the_thesis_with_its_defaults(page: Any) -> None:
     assert [text.strip() for text in shapes][:5] == list(SHAPES)
     assert page.get_by_role("radio", name="Planar", exact=True).is_checked()
     assert box(page, "object.0.texture").input_value() == "bricks"
-    camera = {"focal_length": 20, "aperture_diameter": 10, "pixel_pitch": 0.01, "sensor_distance": 21.739,
-              "normalization_distance": 20}  # fmt: skip
-    for key, value in camera.items():
-        assert number(page, f"camera.{key}") == value
-    for index in range(3):
-        for key in ("velocity", "angular_velocity"):
-            motion = box(page, f"object.0.motion.{key}.{index}")
-            assert motion.input_value() == "0"
-            assert motion.is_disabled()
-    assert number(page, "sequence.frames") == 1
-    assert number(page, "sequence.interval") == 1
-    for path in ("object.0.distance", "object.0.slope_x", "object.0.slope_y"):
+    for path, (name, value) in CHECKLIST.items():
+        assert box(page, path).get_attribute("aria-label") == name
+        assert box(page, path).input_value() == value
         assert box(page, path).is_visible()
-    for name, symbol in (
-        ("focal_length", "f"),
-        ("aperture_diameter", "D"),
-        ("pixel_pitch", "p"),
-        ("sensor_distance", "s"),
-    ):
-        label = box(page, f"camera.{name}").get_attribute("aria-label")
-        assert f" {symbol} (mm)" in label
+        assert box(page, path).is_disabled() == (".motion." in path)
+    assert number(page, "camera.focus_distance") == pytest.approx(250.0, abs=0.02)  # what these amount to
+    assert number(page, "camera.f_number") == 2.0
     assert page.locator("#reset").inner_text() == "Reset"
     assert page.locator("#generate").inner_text() == "Generate"
     assert page.evaluate(
@@ -118,6 +89,19 @@ def test_values_of_a_shape_are_there_when_one_comes_back(page: Any) -> None:
         rest(page)
     choose(page, "Spherical")
     assert number(page, "object.0.radius") == 41.5
+
+
+def test_a_motion_that_is_not_chosen_is_none(page: Any) -> None:
+    page.get_by_label("Translation", exact=True).check()
+    page.wait_for_function(
+        "!document.querySelector('input[data-path=\"object.0.motion.velocity.0\"]').matches(':disabled')"
+    )
+    type_in(page, "object.0.motion.velocity.0", "3")
+    page.get_by_label("Translation", exact=True).uncheck()
+    page.wait_for_function(
+        "document.querySelector('input[data-path=\"object.0.motion.velocity.0\"]').matches(':disabled')"
+    )
+    assert box(page, "object.0.motion.velocity.0").input_value() == "0"
 
 
 def test_reset_leaves_the_image(page: Any) -> None:
@@ -148,29 +132,47 @@ def test_a_wrong_value_stays_in_its_box_with_its_message(page: Any) -> None:
 
 
 @pytest.mark.parametrize("label", list(SHAPES))
-def test_generate_writes_the_bytes_of_the_command(page: Any, root: Path, label: str, tmp_path: Path) -> None:
-    page.get_by_role("button", name="Open", exact=True).click()
-    page.get_by_role("button", name="small.toml").click()
-    page.wait_for_function("studio.values['camera.pixel_pitch'] === 0.1", timeout=20000)
+def test_shapes_generated_are_those_of_the_command(page: Any, root: Path, label: str, tmp_path: Path) -> None:
+    open_scene(page, "small.toml")
     choose(page, label)
     type_in(page, "sequence.frames", "2")
+    folder = generated(page, root, f"out/{SHAPES[label]}")
+    assert tomllib.loads((folder / "scene.toml").read_text())["object"][0]["shape"] == SHAPES[label]
+    assert_made_by_the_command(folder, folder / "scene.toml", tmp_path)
+
+
+@pytest.mark.parametrize("name", ["fig_3_04_left", "fig_3_12_left", "fig_4_13"])
+def test_presets_generated_are_those_of_the_command(page: Any, root: Path, name: str, tmp_path: Path) -> None:
+    (title,) = [preset.title for preset in presets() if preset.name == f"thesis/{name}"]
+    page.get_by_role("button", name="Presets").click()
+    page.get_by_role("button", name=title, exact=True).click()
+    page.wait_for_function("(title) => document.querySelector('#title').textContent.includes(title)", arg=title[:12])
     rest(page)
+    folder = generated(page, root, f"out/{name}")
+    assert_made_by_the_command(folder, EXAMPLES / "thesis" / f"{name}.toml", tmp_path)
+
+
+def generated(page: Any, root: Path, name: str) -> Path:
+    """Press Generate; the folder with what it wrote."""
     page.locator("#generate").click()
-    name = f"out/{SHAPES[label]}"
     page.get_by_label("Output folder").fill(name)
-    page.get_by_role("button", name="Write 2 frames").click()
+    page.get_by_role("button", name="Write").first.click()
     page.locator(f".job.done:has-text('{name}')").wait_for(timeout=60000)
-    scene = root / name / "scene.toml"
-    assert tomllib.loads(scene.read_text())["object"][0]["shape"] == SHAPES[label]
-    result = CliRunner().invoke(
-        main, ["render", str(scene), "-o", str(tmp_path / "out"), "--device", "pocl", "--quiet"]
-    )
+    return root / name
+
+
+def assert_made_by_the_command(folder: Path, scene: Path, other: Path) -> None:
+    """The files of a folder are those of `clsco render`, byte by byte, but for the seconds in them."""
+    command = ["render", str(scene), "-o", str(other), "--device", "pocl", "--quiet"]
+    result = CliRunner().invoke(main, command)
     assert result.exit_code == 0, result.output
-    for index in range(2):
-        file = f"frame_{index:04d}"
-        assert (root / name / f"{file}.png").read_bytes() == (tmp_path / "out" / f"{file}.png").read_bytes()
-        ours, theirs = (json.loads((place / f"{file}.json").read_text()) for place in (root / name, tmp_path / "out"))
-        assert {key for key in ours if ours[key] != theirs[key]} <= {"seconds"}
+    names = [path.name for path in other.glob("frame_*.png")]
+    assert sorted(path.name for path in folder.glob("frame_*.png")) == sorted(names) != []
+    for name in names:
+        assert (folder / name).read_bytes() == (other / name).read_bytes()
+        about = name.replace(".png", ".json")
+        ours, theirs = (json.loads((place / about).read_text()) for place in (folder, other))
+        assert {key for key in ours | theirs if ours.get(key) != theirs.get(key)} <= {"seconds"}
 
 
 def test_a_click_focuses_on_what_is_there(page: Any) -> None:
@@ -236,19 +238,6 @@ def test_a_killed_renderer_is_started_again(page: Any, running: Running) -> None
     rest(page)
 
 
-def test_two_tabs_are_two_sessions(page: Any, running: Running) -> None:
-    other = page.context.new_page()
-    other.goto(running.origin)
-    rest(other)
-    type_in(other, "camera.focal_length", "33")
-    rest(other)
-    assert number(page, "camera.focal_length") == 20
-    same = page.context.new_page()  # a tab that is duplicated has the address of the first
-    same.goto(other.url)
-    rest(same)
-    assert same.evaluate("studio.tab") != other.evaluate("studio.tab")
-
-
 def test_a_hostile_page_gets_nothing(running: Running) -> None:
     attack = """async (origin) => {
       const opens = (url) => new Promise((done) => {
@@ -274,26 +263,3 @@ def test_a_hostile_page_gets_nothing(running: Running) -> None:
         with hostile.expect_navigation() as form:
             hostile.click("button")
         assert form.value.status == 403
-
-
-def test_a_server_that_stops_is_told_of(tmp_path: Path) -> None:
-    with studio(tmp_path, "--device", "pocl") as running, chromium() as browser:
-        page = browser.new_page()
-        page.goto(running.address)
-        rest(page)
-        running.process.kill()
-        page.locator("#lost").wait_for(state="visible", timeout=20000)
-        assert page.locator("#canvas").is_visible()
-
-
-@pytest.mark.parametrize("width", [1280, 800])
-def test_axe_finds_nothing(running: Running, width: int) -> None:
-    axe = pytest.importorskip("axe_playwright_python", reason="needs axe: pip install axe-playwright-python")
-    (script,) = Path(axe.__file__).parent.rglob("axe.min.js")
-    with opened(running, width) as page:
-        if width < 900:
-            page.locator("#drawer").click()
-        page.evaluate(script.read_text())
-        found = page.evaluate("axe.run()")
-        assert [(fault["id"], fault["nodes"][0]["html"]) for fault in found["violations"]] == []
-        assert len(found["passes"]) > 20

@@ -4,7 +4,7 @@
 
 (() => {
   const HEAD = 20; // bytes before the pixels
-  const LOSSY = 1, EXACT = 2, PINNED = 3, STACKED = 4; // 0: while something is dragged
+  const LOSSY = 1, EXACT = 2, PINNED = 3, STACKED = 4; // 0: while something is dragged; from PINNED on: to compare with
   const MESSAGE = 0, JPEG = 1, PNG = 2, FLOAT16 = 3;
   const VIEWS = ["color", "sharp", "depth", "blur radius", "flow", "normal", "id", "mask", "missing"];
   const ECHO = 300; // ms in which the server answers a change
@@ -17,6 +17,7 @@
     hearing: [], // functions of what the server says
     overlays: [], // functions that draw over the picture, of a context and of what makes pixels of the frame those of the stage
     parts: [], // functions that begin the other files' work
+    sent: new Map(), // values by path, since the server was asked for its scene
     revision: -1, rung: -1, view: "color", index: 0, moment: null, right: false, values: {}, faults: {},
   };
   window.studio = studio;
@@ -27,6 +28,7 @@
     if (socket !== null && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(content));
   };
   studio.send = send;
+  studio.isOpen = () => socket !== null && socket.readyState === WebSocket.OPEN;
 
   const connect = () => {
     socket = new WebSocket(`ws${location.protocol === "https:" ? "s" : ""}://${location.host}/frames?tab=${tab}`);
@@ -34,17 +36,17 @@
     socket.onopen = () => {
       tries = 0;
       studio.revision = -1;
-      one("#lost").hidden = true;
       watched = "";
       watch();
       if (link) send({ link });
       link = "";
       send({ view: studio.view });
       send(studio.wanted());
+      studio.opened();
     };
     socket.onmessage = (event) => received(event.data);
     socket.onclose = () => {
-      one("#lost").hidden = false;
+      studio.closed();
       tries += 1;
       setTimeout(connect, Math.min(250 * 2 ** tries, 8000));
     };
@@ -68,8 +70,8 @@
     const drawable = picture.encoding === JPEG || picture.encoding === PNG ? decoded(picture, buffer) : plane(picture, buffer);
     queue = queue.then(async () => {
       const image = await drawable;
-      if (picture.rung === PINNED) studio.pinned(image, ...picture.full);
-      else if (picture.rung === STACKED) studio.stacked(picture, image);
+      if (picture.rung === STACKED) studio.stacked(picture, image);
+      else if (picture.rung >= PINNED) studio.pinned(image, picture);
       else if (asked(picture) && picture.revision >= studio.revision) paint(picture, image);
       await new Promise(requestAnimationFrame);
       send({ ack: [picture.revision, picture.rung] });
@@ -126,6 +128,7 @@
       : `preview ${Math.round((8 * picture.width) / columns)}/8${picture.plain ? ", no occlusion" : ""}`;
     one("#badge").dataset.rung = picture.rung;
     one("#size").textContent = `${columns} × ${rows} px`;
+    studio.done();
     legend(picture.legend);
     place();
     studio.drawn(picture);
@@ -245,9 +248,13 @@
   let watched = "";
 
   const flush = () => {
-    for (const [path, [value, number]] of waiting) send({ path, value, drag: number });
+    for (const [path, [value, number]] of waiting) {
+      send({ path, value, drag: number });
+      studio.sent.set(path, value);
+    }
     waiting.clear();
   };
+  studio.flush = flush;
 
   const put = (path, value) => {
     if (!waiting.size) requestAnimationFrame(flush);
@@ -299,12 +306,18 @@
     changing(control);
   };
 
+  const filled = new WeakSet(); // controls; those that are drawn anew may have values that are older than what was told
   const watch = () => { // tell the server which keys are on the page, so that it tells their values
+    const fresh = all("[data-path]").filter((control) => !filled.has(control));
+    for (const control of fresh) {
+      filled.add(control);
+      if (control.dataset.path in studio.values) give(control, studio.values[control.dataset.path]);
+    }
+    if (fresh.length) mark();
     const paths = [...new Set(all("[data-path]").map((control) => control.dataset.path))];
     if (paths.join("\n") === watched) return;
     watched = paths.join("\n");
     send({ watch: paths });
-    mark();
   };
 
   const mark = () => {
@@ -398,6 +411,7 @@
       dragged = null;
       return undefined;
     }
+    if (event.key === "Escape") studio.escape();
     const typing = event.target.closest?.("input:not([type=range]):not([type=checkbox]):not([type=radio]), textarea, select");
     if (control || event.altKey || typing) return undefined;
     if (/^[1-9]$/.test(event.key)) return look(VIEWS[Number(event.key) - 1]);
@@ -422,7 +436,7 @@
     connect();
   };
 
-  const begin = () => (one("#studio") && one("#canvas") && window.studioColors && studio.begin && studio.parts.length === 2
+  const begin = () => (one("#studio") && one("#canvas") && window.studioColors && studio.begin && studio.parts.length === 3
     ? studio.start(one("#studio").dataset.tab) : requestAnimationFrame(begin));
   begin();
 })();

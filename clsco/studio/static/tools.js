@@ -76,15 +76,15 @@
     };
     stage.addEventListener("pointerup", end);
     stage.addEventListener("pointercancel", end);
-    document.addEventListener("keydown", (event) => {
-      if (event.key !== "Escape") return;
-      if (held !== null) {
-        held.to = held.from;
-        held.along = false;
-        pull();
-        held = null;
-      } else if (!document.querySelector("dialog[open]") && studio.tool) studio.take("");
-    });
+    document.addEventListener("keydown", (event) => { // before others; in a drag it takes that back alone
+      if (event.key !== "Escape" || one("dialog[open]") || (held === null && !studio.tool)) return;
+      if (held === null) { studio.take(""); return; }
+      event.stopImmediatePropagation();
+      held.to = held.from;
+      held.along = false;
+      pull();
+      held = null;
+    }, true);
   };
 
   studio.hearing.push((said) => {

@@ -163,11 +163,17 @@ def clip_dialog(session: Session, jobs: Jobs) -> Callable[[Job], None]:
 def draw_jobs(session: Session, jobs: Jobs) -> Callable[[], None]:
     """Draw the jobs, and draw them again when they change.
 
+    While they only get on, what can be pressed stays: else clicks and the focus would be lost.
+
     Returns
     -------
     function
         Ends it, when the page is closed.
     """
+    followed: dict[int, Callable[[Job], None]] = {}
+
+    def listed() -> list[tuple[Any, ...]]:
+        return [(job.number, job.status, job.message, job.total) for job in jobs.listed]
 
     clips = clip_dialog(session, jobs)
 
@@ -178,14 +184,19 @@ def draw_jobs(session: Session, jobs: Jobs) -> Callable[[], None]:
             if not jobs.listed:
                 say("p", "Generate writes frames; what runs is seen here.").classes("quiet")
             for job in jobs.listed:
-                _draw(jobs, job, clips)
+                followed[job.number] = _draw(jobs, job, clips)
 
     said = say("div", role="status", aria_live="polite").classes("for-listeners")
     area()
-    last: dict[str, Any] = {"told": 0.0, "text": ""}
+    last: dict[str, Any] = {"told": 0.0, "text": "", "listed": listed()}
 
     def changed() -> None:
-        area.refresh()
+        if (now_listed := listed()) != last["listed"]:
+            last["listed"] = now_listed
+            area.refresh()
+        for job in jobs.listed:
+            if job.status == "running":
+                followed[job.number](job)
         text = "; ".join(f"job {job.number} {_state(job)}" for job in jobs.listed if job.is_unfinished)
         now = time.monotonic()
         if text != last["text"] and now - last["told"] > 2.0:  # not more often than can be listened to
@@ -215,19 +226,22 @@ def _duration(seconds: float) -> str:
     )
 
 
-def _draw(jobs: Jobs, job: Job, make_clip: Callable[[Job], None]) -> None:
+def _draw(jobs: Jobs, job: Job, make_clip: Callable[[Job], None]) -> Callable[[Job], None]:
+    """Draw a job; returns what shows how far it is."""
+    bar = None
     with say("article", aria_label=f"Job {job.number}").classes(f"job {job.status}"):
         say("h3", f"{job.number} {job.title}")
-        say("p", f"{_state(job).capitalize()}, in {job.folder}")
+        words = say("p", _how_far(job))
         if job.status == "running":
             value = str(job.done) if job.total else None
-            say("progress", value=value, max=str(max(job.total, 1)), aria_label=f"Progress of job {job.number}")
+            bar = say("progress", value=value, max=str(max(job.total, 1)), aria_label=f"Progress of job {job.number}")
         with say("div").classes("row"):
             say("code", job.line)
             say("button", "Copy", type="button", data_copy=job.line, aria_label="Copy the command line")
         if job.message:
             say("pre", job.message, role="alert").classes("difference")
-        count = _pictures(jobs, job)
+        with say("div") as made:
+            count = _pictures(jobs, job)
         with say("div").classes("row"):
             if job.is_unfinished:
                 button("Cancel", partial(jobs.cancel, job.number), aria_label=f"Cancel job {job.number}")
@@ -237,6 +251,22 @@ def _draw(jobs: Jobs, job: Job, make_clip: Callable[[Job], None]) -> None:
                 elif job.command == "render" and count > 1:
                     button("Make a clip", partial(make_clip, job))
                 button("Off the list", partial(jobs.forget, job.number), aria_label=f"Take job {job.number} off")
+
+    def follow(now: Job) -> None:
+        words.props["innerText"] = _how_far(now)
+        words.update()
+        if bar is not None and now.total:
+            bar.props["value"] = str(now.done)
+            bar.update()
+        made.clear()
+        with made:
+            _pictures(jobs, now)
+
+    return follow
+
+
+def _how_far(job: Job) -> str:
+    return f"{_state(job).capitalize()}, in {job.folder}"
 
 
 def _pictures(jobs: Jobs, job: Job) -> int:

@@ -1,0 +1,86 @@
+"""The studio ends while its page is open: nothing that was done there is lost."""
+
+from __future__ import annotations
+
+import shutil
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from clsco.scene.sweep import parse_sweep
+from clsco.studio.session import Session
+from tests.studio.browser import box, chromium, number, open_scene, rest, type_in
+from tests.studio.running import studio
+
+SCENE = "fetch(`/scene?tab=${studio.tab}`).then((answer) => answer.text())"
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+
+
+def test_a_scene_is_resumed_with_its_file(tmp_path: Path) -> None:
+    (tmp_path / "deep").mkdir()
+    shutil.copy(EXAMPLES / "sphere.toml", tmp_path / "deep" / "a.toml")
+    shutil.copy(EXAMPLES / "damaged.png", tmp_path / "deep" / "image.png")
+    first, second = Session(tmp_path), Session(tmp_path)
+    first.open(Path("deep/a.toml"))
+    first.patch("object.0.texture", "image.png")
+    first.patch("camera.focal_length", 21.0)
+    first.patch("object.0.radius", -1.0)
+    kept = first.remembered()
+    assert kept["typed"] == {"object.0.radius": -1.0}
+    second.resume(kept["scene"], kept["file"], kept["digest"])
+    assert (second.scene, second.path) == (first.scene, first.path)
+    second.save()
+    assert "focal_length = 21" in (tmp_path / "deep" / "a.toml").read_text()
+    assert second.undo()
+    assert second.scene == Session(tmp_path).scene
+
+
+@pytest.mark.browser
+def test_a_studio_that_is_killed_and_started_again_has_the_scene(tmp_path: Path) -> None:
+    shutil.copy(EXAMPLES / "sphere.toml", tmp_path)
+    with chromium() as browser:
+        context = browser.new_context()
+        page = context.new_page()
+        with studio(tmp_path, "--device", "pocl") as running:
+            page.goto(running.address)
+            rest(page)
+            open_scene(page, "sphere.toml")
+            type_in(page, "object.0.radius", "27.5")
+            rest(page)
+            type_in(page, "camera.aperture_diameter", "-2")
+            page.wait_for_function("JSON.stringify({ ...localStorage }).includes('-2')", timeout=20000)
+            (scene,) = parse_sweep(tomllib.loads(page.evaluate(SCENE))).scenes
+            box(page, "camera.focal_length").fill("19.5")  # of which the server may not know any more
+            running.process.kill()
+            page.locator("#lost").wait_for(state="visible", timeout=20000)
+            assert "does not answer" in page.locator("#lost").inner_text()
+            assert page.locator("#canvas").is_visible()
+            assert number(page, "object.0.radius") == 27.5
+            assert page.evaluate(
+                "[...document.querySelectorAll('#studio button, #studio input')].every((c) => c.inert)"
+            )
+            port = running.host.rpartition(":")[2]
+        with studio(tmp_path, "--device", "pocl", "--port", port) as again:
+            page.wait_for_timeout(1500)
+            assert "does not answer" in page.locator("#lost").inner_text()  # the old cookie is not taken
+            other = context.new_page()
+            other.goto(again.address)
+            page.locator("#lost", has_text="was started again").wait_for(timeout=30000)
+            rest(page)
+            page.wait_for_function("studio.values['camera.focal_length'] === 19.5", timeout=20000)
+            (found,) = parse_sweep(tomllib.loads(page.evaluate(SCENE))).scenes
+            page.wait_for_function("studio.faults['camera.aperture_diameter']", timeout=20000)
+            page.wait_for_timeout(500)
+            assert box(page, "camera.aperture_diameter").input_value() == "-2"
+            assert "got -2" in page.locator('[data-fault="camera.aperture_diameter"]').inner_text()
+            assert found == scene.replace("camera.focal_length", 19.5)
+            assert number(other, "object.0.distance") == 250  # another tab has nothing of it
+            page.reload()  # the studio knows the tab now
+            rest(page)
+            assert number(page, "object.0.radius") == 27.5
+            assert page.locator("#lost").is_hidden()
+            type_in(page, "camera.aperture_diameter", "9")
+            page.locator("#save").click()
+            page.wait_for_timeout(700)
+            assert "radius = 27.5" in (tmp_path / "sphere.toml").read_text()  # no question: the file is as it was

@@ -1,0 +1,216 @@
+"""The window as a stranger uses it: by keys alone, in several tabs, closed and loaded again meanwhile."""
+
+from __future__ import annotations
+
+import itertools
+import random
+import shutil
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from websockets.exceptions import InvalidStatus
+
+from tests.studio.browser import SMALL, axe_faults, number, open_scene, opened, rest, type_in
+from tests.studio.running import Running, studio
+
+pytestmark = pytest.mark.browser
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+SCENE = "fetch(`/scene?tab=${studio.tab}`).then((answer) => answer.text())"
+FOCUSED = """() => {
+  const element = document.activeElement, style = getComputedStyle(element);
+  const part = ["dialog", "header", "#panels", "#middle", "#side"].find((each) => element.closest(each));
+  const text = element.innerText ?? "", width = parseFloat(style.outlineWidth);
+  return { part: part ?? element.tagName, text, style: style.outlineStyle, width };
+}"""
+DIALOGS = ("Open", "Presets", "Save as", "Share", "Inpaint", "Generate", "Keyboard")
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("root")
+    shutil.copy(EXAMPLES / "sphere.toml", folder)
+    (folder / "small.toml").write_text(SMALL)
+    (folder / "many.toml").write_text(SMALL.replace("[[object]]", "[sequence]\nframes = 400\n[[object]]"))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def running(root: Path) -> Iterator[Running]:
+    with studio(root, "--device", "pocl") as started:
+        yield started
+
+
+def focused(page: Any) -> dict[str, Any]:
+    """What has the focus, which is seen."""
+    found: dict[str, Any] = page.evaluate(FOCUSED)
+    if found["part"] != "BODY":
+        assert found["style"] != "none", found
+        assert found["width"] >= 2, found
+    return found
+
+
+def walk(page: Any, key: str, text: str) -> list[str]:
+    """Press a key until a button with a text has the focus; the parts of the page that were passed."""
+    parts: list[str] = []
+    for _ in range(400):
+        page.keyboard.press(key)
+        at = focused(page)
+        parts.append(at["part"])
+        if at["text"] == text:
+            return [part for part, _ in itertools.groupby(parts)]
+    raise AssertionError(f"{text}: is not reached by {key}; {parts}")
+
+
+def test_from_a_scene_to_its_frame_by_keys_alone(page: Any, root: Path) -> None:
+    walk(page, "Tab", "Open")
+    page.keyboard.press("Enter")
+    page.locator("dialog[open] .names").wait_for()
+    inside = set()
+    for _ in range(12):
+        page.keyboard.press("Tab")
+        inside.add(focused(page)["part"])
+    assert inside <= {"dialog", "BODY"}  # the focus does not leave a dialog for the page behind
+    page.keyboard.press("Escape")
+    page.locator("dialog[open]").wait_for(state="detached" if page.locator("dialog[open]").count() == 0 else "hidden")
+    assert focused(page)["text"] == "Open"  # and it comes back to what opened it
+    page.keyboard.press("Enter")
+    page.locator("dialog[open] .names").wait_for()
+    assert walk(page, "Tab", "small.toml")[-1] == "dialog"
+    page.keyboard.press("Enter")
+    page.wait_for_function("studio.values['camera.pixel_pitch'] === 0.1 && studio.rung === 2", timeout=20000)
+    assert walk(page, "Tab", "Generate") in (["header", "#panels"], ["#panels"])
+    assert walk(page, "Tab", "1:1") == ["#panels", "#middle"] or focused(page)["part"] == "#middle"
+    assert walk(page, "Shift+Tab", "Generate") == ["#middle", "#panels"]
+    page.keyboard.press("Enter")
+    page.get_by_label("Output folder").wait_for()
+    walk(page, "Tab", "Write 1 frame")
+    page.keyboard.press("Enter")
+    page.locator(".job.done").first.wait_for(timeout=60000)
+    assert (root / "frames" / "small" / "frame_0000.png").is_file()
+    page.keyboard.press("Control+Enter")
+    page.get_by_label("Output folder").wait_for()
+    page.keyboard.press("Escape")
+    page.get_by_label("Output folder").wait_for(state="hidden")
+
+
+def test_undo_and_redo_walk_back_and_forth(page: Any) -> None:
+    draw = random.Random(7)
+    values = {
+        "object.0.distance": (150, 600), "object.0.slope_x": (0, 1), "camera.f_number": (1, 9),
+        "camera.focal_length": (10, 30), "sequence.interval": (1, 5),
+    }  # fmt: skip
+    states = [page.evaluate(SCENE)]
+    for _ in range(40):
+        path = draw.choice(list(values))
+        value = round(draw.uniform(*values[path]), 3)
+        before = page.evaluate("studio.values")[path]
+        page.evaluate("([path, value]) => studio.set(path, value)", [path, value])
+        page.wait_for_function("([path, before]) => studio.values[path] !== before", arg=[path, before], timeout=20000)
+        states.append(page.evaluate(SCENE))
+    for key, way in (("Control+z", states[-2::-1]), ("Control+Shift+z", states[1:])):
+        for state in way:
+            page.keyboard.press(key)
+            wait_for_scene(page, state)
+    assert page.locator("#redo").is_disabled()
+
+
+def wait_for_scene(page: Any, state: str) -> None:
+    end = time.monotonic() + 10
+    while (found := page.evaluate(SCENE)) != state:
+        assert time.monotonic() < end, f"{found}\nis not\n{state}"
+
+
+def test_two_tabs_do_not_write_over_each_other(page: Any, running: Running, root: Path) -> None:
+    other = page.context.new_page()
+    other.goto(running.origin)
+    rest(other)
+    for tab in (page, other):
+        open_scene(tab, "sphere.toml")
+    type_in(page, "object.0.radius", "21")
+    type_in(other, "object.0.radius", "22")
+    page.locator("#save").click()
+    page.wait_for_timeout(700)
+    other.locator("#save").click()
+    dialog = other.locator("dialog[open]")
+    dialog.get_by_role("alert").wait_for()
+    assert "with other content" in dialog.get_by_role("alert").inner_text()
+    dialog.get_by_role("button", name="Show the difference").click()
+    dialog.locator("pre.difference", has_text="-radius = 21").wait_for()
+    assert "+radius = 22" in dialog.locator("pre.difference").inner_text()
+    assert "radius = 21" in (root / "sphere.toml").read_text()
+    dialog.get_by_role("button", name="Save under another name").click()
+    dialog.get_by_label("File in").fill("other.toml")
+    dialog.get_by_role("button", name="Save", exact=True).click()
+    dialog.wait_for(state="hidden")
+    other.wait_for_timeout(500)
+    assert "radius = 22" in (root / "other.toml").read_text()
+    assert "radius = 21" in (root / "sphere.toml").read_text()
+    type_in(page, "object.0.radius", "23")
+    rest(page)
+    assert number(other, "object.0.radius") == 22
+
+
+def test_a_copy_of_a_tab_is_a_session_of_its_own(page: Any, running: Running) -> None:
+    type_in(page, "object.0.distance", "310")
+    copy = page.context.new_page()
+    copy.add_init_script(f"sessionStorage.setItem('tab', {page.evaluate('studio.tab')!r})")  # as browsers copy it
+    copy.goto(page.url)
+    rest(copy)
+    assert copy.evaluate("studio.tab") != page.evaluate("studio.tab")
+    type_in(copy, "object.0.distance", "320")
+    rest(copy)
+    assert number(page, "object.0.distance") == 310
+
+
+def test_jobs_go_on_without_their_page_and_previews_do_not(page: Any, running: Running, root: Path) -> None:
+    open_scene(page, "many.toml")
+    page.locator("#generate").click()
+    page.get_by_label("Output folder").fill("long")
+    page.get_by_role("button", name="Write 400 frames").click()
+    job = page.locator(".job.running:has-text('long')")
+    job.locator("progress").wait_for(timeout=30000)
+    page.wait_for_function("document.querySelector('.job.running progress').value > 0", timeout=60000)
+    page.reload()
+    job.locator("progress").wait_for(timeout=20000)  # it is there again, and how far it is
+    cancel = page.get_by_role("button", name="Cancel job")
+    cancel.focus()
+    before = page.locator(".job.running progress").evaluate("bar => bar.value")
+    page.wait_for_function(f"document.querySelector('.job.running progress').value > {before}", timeout=20000)
+    assert cancel.evaluate("button => button === document.activeElement")  # what is pressed stays as the job gets on
+    done = len(list((root / "long").glob("*.png")))
+    tab, origin = page.evaluate("studio.tab"), page.context
+    page.evaluate("look = studio.look; studio.set('object.0.distance', 260)")
+    page.close()
+    end = time.monotonic() + 3
+    while True:  # the socket of a tab that is still shown something is refused
+        try:
+            with running.frames(tab):
+                break
+        except InvalidStatus:
+            assert time.monotonic() < end
+            time.sleep(0.05)
+    time.sleep(1)
+    assert len(list((root / "long").glob("*.png"))) > done
+    again = origin.new_page()
+    again.goto(running.origin)
+    again.locator(".job.running:has-text('long')").get_by_role("button", name="Cancel job").click()
+    again.locator(".job.canceled:has-text('long')").wait_for(timeout=20000)
+
+
+@pytest.mark.parametrize("width", [1280, 800])
+def test_axe_finds_nothing_in_any_dialog(running: Running, width: int) -> None:
+    with opened(running, width) as page:
+        if width < 900:
+            page.locator("#drawer").click()
+        faults = {"page": axe_faults(page)}
+        for name in DIALOGS:
+            page.get_by_role("button", name=name, exact=True).click()
+            page.locator("dialog[open]").wait_for()
+            page.wait_for_timeout(300)
+            faults[name] = axe_faults(page)
+            page.keyboard.press("Escape")
+            page.wait_for_function("document.querySelector('dialog[open]') === null")
+        assert {name: found for name, found in faults.items() if found} == {}
