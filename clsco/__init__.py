@@ -21,6 +21,8 @@ Functions
 ---------
 render, render_frame, render_sweep
     All frames of a scene, one frame, the frames of several scenes.
+response
+    What a frame receives from one source: the point spread function with occlusion, motion and border.
 defocus, inpaint
     Blur an image by its map of blur radii; fill its missing pixels.
 load_scene, parse_scene
@@ -52,8 +54,8 @@ ClscoError
     CanceledError.
 
 `device=` takes a part of a device's name, "cpu", "gpu", or a Device, Context or CommandQueue of pyopencl. Each name is
-imported when it is first used: without OpenCL everything but `render`, `render_frame`, `render_sweep`, `Live`,
-`defocus`, `inpaint` and `list_devices` works.
+imported when it is first used: without OpenCL everything but `render`, `render_frame`, `render_sweep`,
+`response`, `Live`, `defocus`, `inpaint` and `list_devices` works.
 """
 
 from __future__ import annotations
@@ -66,6 +68,7 @@ if TYPE_CHECKING:
     from clsco.engine.defocus import defocus as defocus
     from clsco.engine.inpaint import inpaint as inpaint
     from clsco.engine.live import Live as Live
+    from clsco.engine.response import response as response
     from clsco.engine.sequence import render as render
     from clsco.engine.sequence import render_frame as render_frame
     from clsco.engine.sequence import render_sweep as render_sweep
@@ -108,6 +111,7 @@ _NAMES = {
     "clsco.engine.defocus": ("defocus",),
     "clsco.engine.inpaint": ("inpaint",),
     "clsco.engine.live": ("Live",),
+    "clsco.engine.response": ("response",),
     "clsco.scene.file": ("load_scene", "parse_scene"),
     "clsco.scene.sweep": ("load_sweep", "parse_sweep"),
     "clsco.inputs.dump": ("dump_scene",),
@@ -124,8 +128,8 @@ _NAMES = {
 }
 _HOME = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = [  # noqa: RUF022, verbs and then types
-    "render", "render_frame", "render_sweep", "defocus", "inpaint", "load_scene", "parse_scene", "load_sweep",
-    "parse_sweep", "dump_scene", "write_video", "list_devices", "reference",
+    "render", "render_frame", "render_sweep", "response", "defocus", "inpaint", "load_scene", "parse_scene",
+    "load_sweep", "parse_sweep", "dump_scene", "write_video", "list_devices", "reference",
     "Scene", "Camera", "Psf", "Light", "Group",
     "Plane", "Rectangle", "Disc", "Box", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background",
     "Frame", "Live", "MeanMedian",

@@ -7,6 +7,10 @@ from collections.abc import Iterable
 from types import TracebackType
 from typing import Self
 
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.engine.response import only_lit
 from clsco.engine.sequence import checked_request, frame_numbers, render_prepared
 from clsco.engine.warm import warm
 from clsco.errors import SceneError
@@ -98,6 +102,28 @@ class Live:
             ((_, frame),) = render_prepared(self.session, [prepared], [number], keeps_rays=True)
         return frame
 
+    def response(self, scene: SceneLike, x: int, y: int, index: int = 0, *, item: int = 0) -> NDArray[np.float32]:
+        """What a frame receives from one source.
+
+        Parameters
+        ----------
+        scene, x, y, index, item
+            As for `clsco.response`.
+
+        Returns
+        -------
+        ndarray of float32, (rows, columns)
+
+        Raises
+        ------
+        CanceledError
+            `cancel` was called meanwhile.
+        SceneError, ImageError, DeviceError, KernelError
+            As `clsco.response`.
+        """
+        lit = only_lit(scene_of(scene), x, y, index, item, self.files)
+        return lit.inside(self.render(lit.scene, index, truth=()))
+
     def cancel(self) -> None:
         """End the render that another thread waits for before its next pass; without one nothing happens."""
         if self._lock.locked():
@@ -116,7 +142,7 @@ class Live:
             Ends when all is compiled; nobody has to wait for it.
         """
         known = scene_of(scene)
-        thread = threading.Thread(target=warm, args=(self.session, known, self.files), daemon=True)
+        thread = threading.Thread(target=warm, args=(self.session.unwatched(), known, self.files), daemon=True)
         self._warming.append(thread)
         thread.start()
         return thread

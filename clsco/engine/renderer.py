@@ -17,7 +17,7 @@ from clsco.errors import DeviceError
 from clsco.frame.frame import Frame
 from clsco.frame.strips import Strip
 from clsco.opencl.buffers import download
-from clsco.opencl.session import Session
+from clsco.opencl.session import Progress, Session
 from clsco.optics.slabs import Slabs
 from clsco.passes.blur import Events
 from clsco.passes.multigrid import Multigrid
@@ -141,6 +141,7 @@ class Renderer:
         work.report = {"time": time, "weight": weight} | NOTHING_MISSING
         for step in self.plan.passes:
             self.scene.session.go_on()
+            self.scene.session.doing(step.kind)
             if step.kind != "ground truth":
                 self._ready.run(step, work)
         self.reports.append(work.report)
@@ -252,14 +253,25 @@ def expose(renderers: Sequence[Renderer], index: int) -> None:
     """Radiance of the frame of this number, strip by strip and time sample by time sample, for renderers with the same
     of both."""
     times, weights = exposure(renderers[0].plan, index)
+    strips = renderers[0].plan.strips
     for renderer in renderers:
         renderer.begin(times.tolist())
-    for strip in renderers[0].plan.strips:
+    for number, strip in enumerate(strips):
         for renderer in renderers:
             renderer.add_subframes(strip, times.tolist())
             renderer.begin_strip()
-        for time, weight in zip(times.tolist(), weights.tolist(), strict=True):
+        for count, (time, weight) in enumerate(zip(times.tolist(), weights.tolist(), strict=True)):
+            before = [renderer.events[-1:] for renderer in renderers]
             for renderer in renderers:
                 renderer.add(strip, time, weight)
+            if (progress := renderers[0].scene.session.progress) is not None:
+                _keep_pace(before, progress, number * len(times) + count, len(strips) * len(times))
         for renderer in renderers:
             renderer.end_strip(strip)
+
+
+def _keep_pace(before: Sequence[Events], progress: Progress, done: int, total: int) -> None:
+    """Wait for all but the latest time sample, so that a cancel comes soon, and what is done is known."""
+    for _, event in (latest for events in before for latest in events):
+        event.wait()
+    progress.done, progress.total = done, total

@@ -99,6 +99,7 @@ def build(
     key = "\n".join([*options, text])
     with session.lock:
         if key not in session.programs:
+            session.doing(f"compiling {', '.join(sources)}")
             with session.compiling():
                 session.programs[key] = _built(session, ", ".join(sources), text, options)
         return session.programs[key]
@@ -132,6 +133,7 @@ def launch(
         with session.lock:  # a kernel's arguments and its launch belong together
             if shape in session.compiled:
                 return kernel(session.queue, padded, local_size, *args)
+            session.doing(f"compiling {kernel.function_name}")
             with session.compiling():
                 event = kernel(session.queue, padded, local_size, *args)
                 session.queue.finish()  # the compiler runs in the queue, not in the call

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Hashable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from copy import copy
+from dataclasses import dataclass
 from functools import lru_cache
 from types import TracebackType
 from typing import Self, TypeAlias
@@ -29,6 +30,23 @@ Program: TypeAlias = dict[str, cl.Kernel]
 """A built program: its kernels by name. Looking a kernel up in OpenCL costs 0.2 ms, so they are kept."""
 
 
+@dataclass
+class Progress:
+    """How far a rendering is, for another thread to look at.
+
+    Attributes
+    ----------
+    doing : str
+        What was begun last: the kind of a pass, or what is compiled.
+    done, total : int
+        Time samples, of all strips.
+    """
+
+    doing: str = ""
+    done: int = 0
+    total: int = 0
+
+
 class Session:
     """A context and an in-order queue that times its commands, on one device, with the programs built in it;
     released by `close` or `with`.
@@ -47,6 +65,8 @@ class Session:
         """Buffers that are filled once: textures, tables, what rays hit, by what they contain."""
         self.canceled = threading.Event()
         """Set to have what works here end at its next step; see `go_on`."""
+        self.progress: Progress | None = None
+        """Where somebody looks at it. The host then runs ahead of the device by a time sample, and no farther."""
         self.programs: dict[Hashable, Program] = {}
         """What `program.build` has built here, by text and options, and by the features that gave these."""
         self.compiled: set[tuple[cl.Kernel, tuple[int, ...], bool]] = set()
@@ -68,8 +88,19 @@ class Session:
     def beside(self, kept: int) -> Session:
         """A session in the same queue, with the same programs, that keeps up to so many bytes of buffers of its own."""
         found = copy(self)
-        found.kept, found.canceled = Kept(kept), threading.Event()
+        found.kept, found.canceled, found.progress = Kept(kept), threading.Event(), Progress()
         return found
+
+    def unwatched(self) -> Session:
+        """The same session for work that nobody waits for."""
+        found = copy(self)
+        found.progress = None
+        return found
+
+    def doing(self, what: str) -> None:
+        """Note what is begun, where somebody looks."""
+        if self.progress is not None:
+            self.progress.doing = what
 
     def go_on(self) -> None:
         """Raise CanceledError where the work is canceled."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -125,11 +125,12 @@ def _crop(array: NDArray[Any], guard: int) -> NDArray[Any]:
     return array[guard : array.shape[0] - guard, guard : array.shape[1] - guard]
 
 
-def render(scene: Scene, *, subframes: bool = False) -> Iterator[Frame]:
+def render(scene: Scene, *, subframes: bool = False, frames: Iterable[int] | None = None) -> Iterator[Frame]:
     """Frames of a scene, each with all its ground truth, and with `subframes` if asked; float arrays are float64.
 
-    Errors: those of the plan and of the textures. Metadata: {"intermediate": [...]}, one mapping per time
-    sample with its time in s, its weight and the counts of `clsco.reference.inpainting.fill.FillReport`.
+    frames: numbers of the wanted frames, by default all. Errors: those of the plan and of the textures. Metadata:
+    {"intermediate": [...]}, one mapping per time sample with its time in s, its weight and the counts of
+    `clsco.reference.inpainting.fill.FillReport`.
     """
     scene, loaded = load_scene_textures(scene)
     images = [image for texture in loaded for image in texture.images]
@@ -138,7 +139,7 @@ def render(scene: Scene, *, subframes: bool = False) -> Iterator[Frame]:
     maps = load_scene_depths(scene)
     eyes: tuple[Eye, ...] = ("left",) if scene.stereo is None else ("left", "right")
     plans = [make_plan(scene, channels, eye=eye, maps=maps) for eye in eyes]
-    for frame in range(scene.sequence.frames):
+    for frame in range(scene.sequence.frames) if frames is None else frames:
         for plan in plans:
             yield _frame(plan, textures, maps, frame, subframes)
 

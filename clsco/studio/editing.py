@@ -84,6 +84,11 @@ class _History:
             self.past.append(before)
             del self.past[:-STEPS]
 
+    def came_back(self, state: State, drag: int | None) -> None:
+        """Forget a drag that is taken back: it ends where it began."""
+        if drag is not None and self.past[-1].drag == drag and self.past[-1].state == state:
+            self.past.pop()
+
 
 class Editor:
     """A scene that is changed key by key.
@@ -318,6 +323,7 @@ class Editor:
         changed = (state.table, state.path, state.label) != (before.table, before.path, before.label)
         if changed:
             self._history.push(_Step(before, self.scene, drag))
+            self._history.came_back(state, drag)
             self._set(state, scene)
         self._tell()
         return changed

@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from clsco.data.containers import DEFAULT
 from clsco.errors import ClscoError, SceneError
 from clsco.files.atomic import writable_folder, write_whole
 from clsco.plan.prepare import prepare_sweep
@@ -116,7 +117,7 @@ def clip(session: Session, jobs: Jobs, frames: str, file: str, view: str = "colo
 
 
 def data_set(
-    session: Session, jobs: Jobs, distribution: str, folder: str, count: int, seed: int = 0, form: str = "",
+    session: Session, jobs: Jobs, distribution: str, folder: str, count: int, seed: int = 0, form: str = DEFAULT,
     device: str = "",
 ) -> Job:  # fmt: skip
     """Make a data set from a distribution file, by `clsco batch`.
@@ -131,7 +132,7 @@ def data_set(
         For the set.
     count, seed : int
     form : str
-        As for `clsco batch --format`, "" for its default.
+        As for `clsco batch --format`.
     device : str
 
     Returns
@@ -152,7 +153,7 @@ def data_set(
         raise ClscoError(f"distribution: must be an existing file; got {distribution!r}")
     shard = min(LARGEST_SHARD, -(-count // STEPS))
     arguments = ["batch", source, "-o", name, "--count", str(count), "--seed", str(seed), "--shard-size", str(shard)]
-    arguments += ["--format", form] if form else []
+    arguments += ["--format", form]
     arguments += ["--device", device] if device else []
     return jobs.add(f"Data set of {count}", [*arguments, "--resume", "--quiet"], name, "", count)
 

@@ -11,15 +11,18 @@ from numpy.typing import NDArray
 
 from clsco.files.transfer import encode
 from clsco.frame.frame import Frame
-from clsco.optics.lens import blur_radius, blur_scale, focus_distance, focus_power
+from clsco.optics.lens import blur_radius, blur_scale, focus_distance, focus_power, ray_step
+from clsco.optics.motion import middle_time, poses_at, rest_center
 from clsco.optics.psf import reach, weights
+from clsco.reference.blur.blur import tilt_factor
+from clsco.reference.common.geometry import tilt_slope
 from clsco.scene.model import Scene
 
 SHARP = 0.5  # px, |R| up to which a point counts as in focus
 PLOTTED = 32  # px from the center of the plot to its border
 
 
-def inspected(frame: Frame, scene: Scene, x: int, y: int) -> dict[str, Any]:
+def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = False) -> dict[str, Any]:
     """All that a frame holds of a pixel, and what follows from it.
 
     Parameters
@@ -29,12 +32,15 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int) -> dict[str, Any]:
     scene : Scene
     x, y : int
         Column and row.
+    is_tilted : bool
+        Weights depend on the gradient of R in this scene.
 
     Returns
     -------
     dict
         `index` of the frame; `values` by name, as JSON can hold them, None for what is infinite; `psf` and `lens` as
-        `point_spread` and `lens_figures` give them, of the pixel's depth.
+        `point_spread` and `lens_figures` give them, of the pixel's depth; `unmeasured`: why there is no response of
+        the pixel's source.
     """
     values: dict[str, Any] = {"x": x, "y": y}
     values["codes"] = _plain(encode(frame.color[y, x], min(frame.metadata["bits"], 16), scene.image.transfer))
@@ -54,41 +60,121 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int) -> dict[str, Any]:
         values["sigma"] = scene.psf.sigma_ratio * abs(radius)
     found: dict[str, Any] = {"index": frame.index, "values": values, "lens": lens_figures(scene, depth)}
     if radius is not None and values["mask"]:
-        found["psf"] = point_spread(scene, radius)
+        gradient = radius_gradient(frame, scene, x, y) if is_tilted else np.zeros(2)
+        found["psf"] = point_spread(scene, radius, gradient)
+        source = source_of(frame, scene, x, y)
+        if isinstance(source, str):
+            found["unmeasured"] = source
     return found
 
 
-def point_spread(scene: Scene, radius: float) -> dict[str, Any]:
-    """The point spread function of the scene's lens at a signed blur radius, px.
+def source_of(frame: Frame, scene: Scene, x: int, y: int) -> tuple[int, int, int] | str:
+    """Where the point that a pixel shows in the middle of the exposure was in the reference pose.
+
+    Returns
+    -------
+    (int, int, int) or str
+        Column, row and object, as `clsco.response` takes them; or why there is no such source.
+    """
+    if scene.stereo is not None:
+        return "not of a stereo pair"
+    assert frame.depth is not None
+    assert frame.object_id is not None
+    number, depth = int(frame.object_id[y, x]), float(frame.depth[y, x])
+    if number < 0 or not math.isfinite(depth):
+        return "no surface"
+    if frame.hidden is not None and frame.hidden[y, x]:
+        return "the point is hidden at t = 0"
+    if not scene.moves:
+        return x, y, number
+    rows, columns = frame.depth.shape
+    step, middle = ray_step(scene.camera), np.array([(columns - 1) / 2, (rows - 1) / 2])
+    pose = poses_at(scene, middle_time(scene.sequence, frame.index))[number]
+    center = rest_center(scene.objects[number])
+    point = depth * np.array([(x - middle[0]) * step, (middle[1] - y) * step, 1.0])
+    rest = center + (point - center - pose.shift) @ pose.rotation
+    if rest[2] <= 0:
+        return "the point is behind the lens at t = 0"
+    column, row = np.rint(middle + rest[:2] / rest[2] / step * (1, -1)).astype(int).tolist()
+    if not (0 <= column < columns and 0 <= row < rows):
+        return "the point is beside the frame at t = 0"
+    return column, row, number
+
+
+def radius_gradient(frame: Frame, scene: Scene, x: int, y: int) -> NDArray[np.float64]:
+    """Gradient of R at a pixel in px per px, right and down, from depth and normal; 0 where there is no surface."""
+    assert frame.depth is not None
+    assert frame.normal is not None
+    normal, depth = frame.normal[y, x].astype(np.float64), float(frame.depth[y, x])
+    (rows, columns), step = frame.depth.shape, ray_step(scene.camera)
+    ray = np.array([(x - (columns - 1) / 2) * step, ((rows - 1) / 2 - y) * step, 1.0])
+    facing = float(normal @ ray)
+    if not math.isfinite(depth) or facing == 0.0:
+        return np.zeros(2)
+    # On the tangent plane 1/Z is linear in the direction of the ray, and R = kappa (K - 1/Z).
+    return -blur_scale(scene.camera) * step / (facing * depth) * normal[:2] * (1.0, -1.0)
+
+
+def point_spread(scene: Scene, radius: float, gradient: NDArray[np.float64]) -> dict[str, Any]:
+    """The point spread function of the scene's lens at a signed blur radius.
+
+    Parameters
+    ----------
+    scene : Scene
+    radius : float
+        px.
+    gradient : ndarray of float64, (2,)
+        Of R, px per px, right and down, by which weights are tilted.
 
     Returns
     -------
     dict
-        `reach`, px: how far weights are from the center; `plot`: base64 of (2 PLOTTED + 1)^2 weights in 8 bits, the
-        largest 255; `largest`; `sum`; `centroid`, px; `rms`, px, per axis, which is |R| / 2 of a large disc.
+        As `figures_of`, and `radius`.
     """
     psf = scene.psf.through(scene.aperture)
     far = max(reach(psf, abs(radius)), 1)
-    axis = np.arange(-far, far + 1, dtype=np.float64)
-    dx, dy = np.meshgrid(axis, axis)
-    table = weights(psf, dx, dy, np.full_like(dx, radius))
-    total = float(table.sum())
-    center = float((table * dx).sum() / total), float((table * dy).sum() / total)
-    second = float((table * ((dx - center[0]) ** 2 + (dy - center[1]) ** 2)).sum() / total)
+    offset = np.arange(-far, far + 1, dtype=np.float64)
+    table = weights(psf, offset, offset[:, None], np.asarray(radius))
+    table = table * tilt_factor(offset, offset[:, None], tilt_slope(gradient, radius))
+    return figures_of(table, far, far) | {"radius": radius}
+
+
+def figures_of(spread: NDArray[np.floating], column: int, row: int) -> dict[str, Any]:
+    """What is known of how the light of a source spreads.
+
+    Parameters
+    ----------
+    spread : ndarray of float, (rows, columns)
+        Weights.
+    column, row : int
+        Of the source.
+
+    Returns
+    -------
+    dict
+        `plot`: base64 of (2 PLOTTED + 1)^2 weights about the source in 8 bits, the largest 255; `largest`; `sum`; and
+        but for a sum of 0 `centroid`, px right and down of the source, and `rms`, px along both axes about it, which is
+        |R| / 2 for a large disc; `reach`, px: how far from the source weights are that the plot can show.
+    """
+    rows, columns = spread.shape
+    found: dict[str, Any] = {"largest": float(spread.max()), "sum": float(spread.sum(dtype=np.float64))}
     plot = np.zeros((2 * PLOTTED + 1, 2 * PLOTTED + 1))
-    inside = min(far, PLOTTED)
-    size = slice(PLOTTED - inside, PLOTTED + inside + 1), slice(far - inside, far + inside + 1)
-    plot[size[0], size[0]] = table[size[1], size[1]]
-    codes = np.round(255 * plot / plot.max()).astype(np.uint8)
-    return {
-        "plot": base64.b64encode(codes.tobytes()).decode(),
-        "largest": float(table.max()),
-        "sum": total,
-        "centroid": [round(part, 9) + 0.0 for part in center],
-        "rms": math.sqrt(second / 2),
-        "radius": radius,
-        "reach": far,
-    }
+    top, left = max(row - PLOTTED, 0), max(column - PLOTTED, 0)
+    part = spread[top : row + PLOTTED + 1, left : column + PLOTTED + 1]
+    start = top - row + PLOTTED, left - column + PLOTTED
+    plot[start[0] : start[0] + part.shape[0], start[1] : start[1] + part.shape[1]] = part
+    codes = np.round(255 * np.clip(plot / max(found["largest"], 1e-30), 0, 1)).astype(np.uint8)
+    at = np.abs(np.argwhere(codes) - PLOTTED)
+    found |= {"plot": base64.b64encode(codes.tobytes()).decode(), "reach": int(at.max(initial=0))}
+    if found["sum"] <= 0.0:
+        return found
+    share = spread / found["sum"]
+    axes = (np.arange(columns) - column, share.sum(axis=0)), (np.arange(rows) - row, share.sum(axis=1))
+    center = [float(offset @ weight) for offset, weight in axes]
+    square = [float((offset - c) ** 2 @ weight) for (offset, weight), c in zip(axes, center, strict=True)]
+    found["centroid"] = [round(part, 9) + 0.0 for part in center]
+    found["rms"] = [math.sqrt(max(part, 0.0)) for part in square]
+    return found
 
 
 def lens_figures(scene: Scene, depth: float | None) -> dict[str, Any]:

@@ -28,10 +28,23 @@ KEYS = (
     ("Ctrl Z, Shift Ctrl Z", "undo, redo"),
     ("Ctrl S", "save"),
     ("Ctrl Enter", "generate"),
-    ("Esc", "take back what is being dragged"),
+    ("Esc", "take back what is being dragged; cancel what takes long"),
     ("?", "this list"),
 )
-SCRIPTS = ("colors", "studio", "keep", "tools", "line", "inspect", "forms", "brush")
+PINS = (
+    ("", "Pin …"),
+    ("this", "this frame (P)"),
+    ("thesis", "as the thesis"),
+    ("reference", "as the reference, in NumPy"),
+)
+COMPARISONS = (
+    ("off", "not compared"),
+    ("wipe", "wipe"),
+    ("flip", "flip (Space)"),
+    ("8", "difference × 8"),
+    ("64", "difference × 64"),
+)
+SCRIPTS = ("colors", "studio", "keep", "tools", "line", "compare", "progress", "inspect", "forms", "brush")
 STYLES = ("studio", "forms")
 _VIEW_FILTER = """<svg width="0" height="0" aria-hidden="true">
 <filter id="view-filter" x="0" y="0" width="1" height="1">
@@ -125,6 +138,8 @@ def _middle() -> None:
         say("div", id="hint", hidden=True)
         ui.html(_VIEW_FILTER, sanitize=False)
         say("div", id="badge")
+        say("div", id="pin-badge", hidden=True)
+        say("div", id="progress", role="status", hidden=True)
         say("div", id="message", role="alert", hidden=True)
         with say("div", id="legend", hidden=True):
             with say("div", id="legend-row"):
@@ -141,12 +156,11 @@ def _middle() -> None:
             "button", "Move", id="move", aria_pressed="false", data_tool="move",
             title="Then drag an object, with Shift along z (M)",
         )  # fmt: skip
-        say("button", "Pin", id="pin", title="Keep the exact frame to compare with (P)")
-        say("button", "Pin as the thesis", data_do="pin thesis", title="The frame with PSF and method of the thesis")
+        with say("select", id="pin", aria_label="Pin a frame to compare with"):
+            for value, label in PINS:
+                say("option", label, value=value)
         with say("select", id="compare", aria_label="Compare with the pinned frame", disabled=True):
-            for value, label in (
-                ("off", "no comparison"), ("wipe", "wipe"), ("flip", "flip (Space)"), ("difference", "difference × 8"),
-            ):  # fmt: skip
+            for value, label in COMPARISONS:
                 say("option", label, value=value)
         say("input", id="wipe", type="range", min=0, max=100, value=50, aria_label="Wipe", hidden=True)
         say("div").classes("spread")
@@ -156,6 +170,9 @@ def _middle() -> None:
         say("span", id="zoom")
         say("button", "Fit", id="fit")
         say("button", "1:1", id="actual")
+    with say("div", id="reference", hidden=True):
+        say("span", id="reference-about", role="status")
+        say("button", "Cancel", id="reference-cancel", data_do="cancel", title="Esc")
     _stack()
     with say("div", id="exposure-row", hidden=True):
         with say("div", id="exposed", role="group", aria_label="Time samples"):
@@ -218,10 +235,19 @@ def _inspector() -> None:
         with say("div", id="psf-part", hidden=True):
             say("h3", "Point spread function")
             with say("div").classes("row"):
-                say("canvas", id="psf", width=130, height=130, role="img", aria_label="Point spread function")
-                with say("div"):
-                    say("p", id="psf-side").classes("quiet")
-                    say("p", id="psf-about").classes("quiet")
+                for name, label in (("psf", "Model"), ("response", "Measured")):
+                    with say("figure"):
+                        say("canvas", id=name, width=130, height=130, role="img", aria_label=f"{label} spread")
+                        say("figcaption", label)
+            say("p", id="psf-side").classes("quiet")
+            with say("table"):
+                with say("thead"), say("tr"):
+                    for label in ("", "Model", "Measured"):
+                        say("th" if label else "td", label)
+                say("tbody", id="psf-values")
+            say("p", id="psf-about").classes("quiet")
+            say("p", id="unmeasured", role="status").classes("quiet")
+            say("button", "Measure", id="measure", title="Render the scene with only this source lit", hidden=True)
         say("h3", "Lens")
         say("canvas", id="lens", width=276, height=100, role="img", aria_label="Thin lens, not to scale")
         say("p", id="lens-about").classes("quiet")

@@ -29,7 +29,7 @@ VIEWS = {
 }
 """Attributes of a frame, by what the studio calls them, in the order of the tabs."""
 
-DRAGGING, LOSSY, EXACT, PINNED, STACKED = range(5)
+DRAGGING, LOSSY, EXACT, PINNED, STACKED, REFERENCE = range(6)
 MESSAGE, JPEG, PNG, FLOAT16, FLOAT32 = range(5)
 HEADER = struct.Struct("<IBBHHBHH?I")
 NO_NUMBER = 2**32 - 1
@@ -44,8 +44,8 @@ class Picture:
     Attributes
     ----------
     rung : int
-        DRAGGING, LOSSY or EXACT; PINNED: an exact picture of another scene, to compare with; STACKED: one of a focal
-        stack.
+        DRAGGING, LOSSY or EXACT; to compare with these PINNED, an exact picture of another scene, and REFERENCE, one by
+        `clsco.reference`; STACKED: one of a focal stack.
     view : str
         One of VIEWS.
     size, full : (int, int)
@@ -95,7 +95,7 @@ def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int
     """
     data: NDArray[Any] = getattr(frame, VIEWS[view])
     if view in IMAGES:
-        is_exact = rung in (EXACT, PINNED, STACKED)
+        is_exact = rung >= EXACT
         bits = min(frame.metadata["bits"], 16) if is_exact else 8
         codes = encode(data, bits, scene.image.transfer)
         encoding, payload = (PNG, b"".join(png_parts(codes))) if is_exact else (JPEG, _jpeg(codes, QUALITY[rung]))

@@ -18,4 +18,5 @@ def plan_line(prepared: Prepared, seconds: float) -> str:
     """
     count = len({step.kind for plan in prepared.plans for step in plan.passes})
     memory = device_bytes(prepared.plan, len(prepared.plans)) / 2**20
-    return f"{count} pass{'es' if count > 1 else ''}, {1000 * seconds:.0f} ms, {memory:.0f} MiB"
+    time = f"{1000 * seconds:.0f} ms" if seconds < 1 else f"{seconds:.1f} s"
+    return f"{count} pass{'es' if count > 1 else ''}, {time}, {memory:.0f} MiB"

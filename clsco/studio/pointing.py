@@ -1,4 +1,4 @@
-"""What the pointer does in the picture of a tab: ask, focus, and drag objects."""
+"""What the pointer does in the picture of a tab: ask, measure, focus, and drag objects."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 from clsco.errors import SceneError
 from clsco.studio.moving import Grip, grip
-from clsco.studio.preview import Preview
+from clsco.studio.preview import MEASURE, Preview
 from clsco.studio.session import Session
 
 MOST_PX = 1e6  # of a drag
@@ -34,6 +34,14 @@ class Pointer:
             await self._preview.tell(inspected=found)
 
         self._preview.inspect(x, y, report)
+
+    def measure(self, x: int, y: int) -> None:
+        """Report the response of a pixel's source."""
+
+        async def report(found: dict[str, Any]) -> None:
+            await self._preview.tell(measured=found)
+
+        self._preview.inspect(x, y, report, MEASURE)
 
     def focus(self, x: int, y: int, drag: int) -> None:
         """Focus on what is at a pixel, as one step of undo."""

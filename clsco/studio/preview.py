@@ -4,23 +4,27 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
+from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Sequence
 from contextlib import aclosing, suppress
+from dataclasses import asdict
 from typing import Any, Protocol
 
 from clsco.errors import CanceledError, ClscoError
 from clsco.scene.model import Scene
 from clsco.studio.moments import moment_of
-from clsco.studio.pictures import DRAGGING, EXACT, NO_NUMBER, PINNED, STACKED, VIEWS, Picture, packed_message
-from clsco.studio.renderer import Job, Question, RendererEndedError
+from clsco.studio.pictures import DRAGGING, EXACT, NO_NUMBER, PINNED, REFERENCE, STACKED, VIEWS, Picture, packed_message
+from clsco.studio.reference import reference_picture
+from clsco.studio.renderer import Job, Progress, Question, RendererEndedError, Watch
 
 REST = 0.120  # s without a change
 LATEST = 1e9  # s, of a time sample
+MEASURE = "measure"  # purpose of a question
 MOST_UNSEEN = 2  # pictures that the browser has not painted yet
 _MOST_CRASHES = 2  # of the renderer with the same scene
 
 
 Told = Callable[[dict[str, Any]], Awaitable[None]]
+Refer = Callable[[Job, Callable[[float], Coroutine[Any, Any, None]]], Awaitable[Picture]]
 
 
 class Edited(Protocol):
@@ -35,8 +39,8 @@ class Edited(Protocol):
 class Renders(Protocol):
     """What a preview needs of a `Renderer`."""
 
-    def pictures(self, job: Job) -> AsyncGenerator[Picture, None]: ...
-    async def inspect(self, question: Question) -> dict[str, Any]: ...
+    def pictures(self, job: Job, watch: Watch | None = None) -> AsyncGenerator[Picture, None]: ...
+    async def inspect(self, question: Question, watch: Watch | None = None) -> dict[str, Any]: ...
     async def warm(self, scene: Scene) -> None: ...
     def cancel(self) -> None: ...
 
@@ -53,10 +57,15 @@ class Preview:
     renderer : Renderer
     send : coroutine function of bytes
         Takes pictures to the browser.
+    refer : coroutine function, optional
+        `clsco.studio.reference.reference_picture`, or what stands for it.
     """
 
-    def __init__(self, session: Edited, renderer: Renders, send: Callable[[bytes], Awaitable[None]]) -> None:
-        self._session, self._renderer, self._send = session, renderer, send
+    def __init__(
+        self, session: Edited, renderer: Renders, send: Callable[[bytes], Awaitable[None]],
+        refer: Refer = reference_picture,
+    ) -> None:  # fmt: skip
+        self._session, self._renderer, self._send, self._refer = session, renderer, send, refer
         self._view, self._index = "color", 0
         self._time: float | None = None  # of the one time sample that is shown
         self._state = 1  # counts all changes; a revision is one of the scene alone
@@ -65,18 +74,39 @@ class Preview:
         self._news = asyncio.Event()
         self._unseen: list[tuple[int, int]] = []
         self._is_exact_underway = self._is_hidden = False
+        self._stops, self._is_stopped = 0, False  # by the user; the latter until the next change
         self._crashes = 0
         self._asked: dict[str, tuple[int, int, Told]] = {}
         self._other: Scene | None = None
+        self._reference: asyncio.Task[None] | None = None
+        self._ready: tuple[int, Picture] | None = None  # by the reference, and of which revision
         self._stack: list[tuple[int, Scene]] = []  # what is missing of it, with its numbers
         self._warm: set[Any] = set()  # kinds of scenes whose kernels, and those near, are compiled
 
     def changed(self) -> None:
         """The session has another scene."""
         self._state += 1
+        self._is_stopped = False
         self._changed_at, self._crashes = time.monotonic(), 0
         self._stack = []
         self._news.set()
+        if self._is_exact_underway:
+            self._renderer.cancel()
+
+    def stop(self) -> None:
+        """Cancel what takes long: the reference, else what is rendered. What is shown stays until the next change."""
+        if self._reference is not None and not self._reference.done():
+            self._reference.cancel()
+            return
+        is_done = self._done == (self._state, EXACT)
+        if is_done and not self._is_exact_underway:
+            return
+        self._stops += 1
+        self._asked.clear()
+        self._other, self._stack = None, []
+        if not is_done:
+            self._state += 1
+            self._done, self._is_stopped = (self._state, EXACT), True
         if self._is_exact_underway:
             self._renderer.cancel()
 
@@ -107,8 +137,11 @@ class Preview:
     def inspect(self, x: int, y: int, told: Told, purpose: str = "") -> None:
         """Have `told` called with what is known of a pixel, once the exact frame is there.
 
-        Of pixels that are asked for with one purpose the latest wins.
+        Of pixels that are asked for with one purpose the latest wins. With MEASURE, what is asked for is the response
+        of the pixel's source. After `stop` there is no answer.
         """
+        if self._is_stopped:
+            return
         self._asked[purpose] = x, y, told
         self._news.set()
 
@@ -116,6 +149,30 @@ class Preview:
         """Send the exact frame of another scene, to compare with, once that of the session is there."""
         self._other = scene
         self._news.set()
+
+    def pin_reference(self) -> None:
+        """Have the frame made by the reference meanwhile; it is sent once there is nothing else to do."""
+        self.cancel_reference()
+        scene, index = self._shown()
+        job = Job(scene, index, self._view, REFERENCE)
+        self._reference = asyncio.create_task(self._by_reference(job, self._session.revision))
+
+    def cancel_reference(self) -> None:
+        """End the reference's work, if there is any."""
+        if self._reference is not None:
+            self._reference.cancel()
+
+    async def _by_reference(self, job: Job, revision: int) -> None:
+        async def predicted(seconds: float) -> None:
+            await self.tell(reference={"revision": revision, "seconds": seconds})
+
+        try:
+            await self.tell(reference={"revision": revision})
+            self._ready = revision, await self._refer(job, predicted)
+            self._news.set()
+        except ClscoError as error:
+            await self.tell(error=[str(error)])
+        await self.tell(reference=None)
 
     def stack(self, scenes: Sequence[Scene]) -> None:
         """Send the exact frames of a focal stack, until something changes."""
@@ -128,6 +185,12 @@ class Preview:
 
     async def run(self) -> None:
         """Send pictures until canceled."""
+        try:
+            await self._run()
+        finally:
+            self.cancel_reference()
+
+    async def _run(self) -> None:
         while True:
             await self._room()
             done, rung = self._done
@@ -138,6 +201,10 @@ class Preview:
                     await self._show(EXACT)
             elif self._other is not None:
                 await self._show(PINNED)
+            elif self._ready is not None:
+                (revision, picture), self._ready = self._ready, None
+                self._unseen.append((revision, picture.rung))
+                await self._send(picture.packed(revision, NO_NUMBER))
             elif self._stack:
                 await self._show(STACKED)
             elif (kind := _kind(self._session.scene)) not in self._warm:
@@ -153,6 +220,17 @@ class Preview:
     @property
     def _is_full(self) -> bool:
         return self._is_hidden or len(self._unseen) >= MOST_UNSEEN
+
+    def _shown(self) -> tuple[Scene, int]:
+        """The scene whose exact frame is shown at rest, and the number of that frame."""
+        scene = self._session.scene
+        index = min(self._index, scene.sequence.frames - 1)
+        if self._time is not None and scene.moves:
+            scene = moment_of(scene, index, self._time)
+        return scene, index
+
+    async def _watch(self, progress: Progress) -> None:
+        await self.tell(progress=asdict(progress))
 
     async def _room(self) -> None:
         """Wait until one more picture may be on its way."""
@@ -174,7 +252,7 @@ class Preview:
     async def _show(self, rung: int) -> None:
         """Render and send the pictures of a rung, or say why there are none."""
         state, revision, scene = self._state, self._session.revision, self._session.scene
-        other = self._other if rung == PINNED else None
+        stops, other = self._stops, self._other if rung == PINNED else None
         if other is not None:
             scene, self._other = other, None
         index = number = min(self._index, scene.sequence.frames - 1)
@@ -183,9 +261,9 @@ class Preview:
         if self._time is not None and scene.moves:
             scene, number = moment_of(scene, index, self._time), number if rung == STACKED else NO_NUMBER
         late: list[Picture] = []
-        self._is_exact_underway = rung != DRAGGING
+        self._is_exact_underway, job = rung != DRAGGING, Job(scene, index, self._view, rung)
         try:
-            async with aclosing(self._renderer.pictures(Job(scene, index, self._view, rung))) as pictures:
+            async with aclosing(self._renderer.pictures(job, self._watch)) as pictures:
                 async for picture in pictures:
                     if rung != DRAGGING and self._state != state:
                         return
@@ -199,9 +277,11 @@ class Preview:
                 if rung != DRAGGING and self._state != state:
                     return
                 await self._post(picture, revision, number)
-            self._done = (state, min(rung, EXACT))
+            if self._stops == stops:
+                self._done = (state, min(rung, EXACT))
         except CanceledError:
-            self._other = self._other or other
+            if self._stops == stops:
+                self._other = self._other or other
         except RendererEndedError as error:
             self._crashes += 1
             if self._crashes >= _MOST_CRASHES:
@@ -222,16 +302,15 @@ class Preview:
     async def _ask(self, purpose: str) -> None:
         """Answer what is asked of a pixel; a change in between has it asked again."""
         x, y, told = asked = self._asked.pop(purpose)
+        stops = self._stops
         self._is_exact_underway = True
-        scene = self._session.scene
-        index = min(self._index, scene.sequence.frames - 1)
-        if self._time is not None and scene.moves:
-            scene = moment_of(scene, index, self._time)
+        scene, index = self._shown()
         key = id(self), self._session.revision, index, self._time
         try:
-            await told(await self._renderer.inspect(Question(scene, index, key, x, y)))
+            await told(await self._renderer.inspect(Question(scene, index, key, x, y, purpose == MEASURE), self._watch))
         except CanceledError:
-            self._asked.setdefault(purpose, asked)
+            if self._stops == stops:
+                self._asked.setdefault(purpose, asked)
         except ClscoError as error:
             await self.tell(error=[str(error)])
         finally:

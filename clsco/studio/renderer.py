@@ -8,17 +8,19 @@ import os
 import threading
 import time
 import traceback
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable, Coroutine
 from contextlib import aclosing, suppress
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from typing import Any
 
-from clsco.errors import CanceledError, ClscoError, SceneError
+from clsco.errors import CanceledError, ClscoError, DeviceError, SceneError
 from clsco.frame.frame import Frame
 from clsco.scene.model import Scene
 from clsco.studio.ladder import Ladders, coarser, work_of
 from clsco.studio.pictures import DRAGGING, EXACT, IMAGES, LOSSY, Picture
+
+TICK = 0.5  # s between words of what takes long
 
 
 class RendererEndedError(ClscoError):
@@ -48,13 +50,40 @@ class Job:
 
 @dataclass(frozen=True)
 class Question:
-    """What is known of a pixel is asked for; frames of one `key` are the same."""
+    """What is known of a pixel is asked for; frames of one `key` are the same.
+
+    measures: the response of its source is asked for, which takes a rendering of its own.
+    """
 
     scene: Scene
     index: int
     key: tuple[int, int, int, float | None]
     x: int
     y: int
+    measures: bool = False
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far work is that takes long.
+
+    Attributes
+    ----------
+    doing : str
+        What is waited for: a pass, what is compiled, or another tab.
+    done, total : int
+        Time samples.
+    still : float
+        Time since any of these changed, s.
+    """
+
+    doing: str
+    done: int
+    total: int
+    still: float
+
+
+Watch = Callable[[Progress], Coroutine[Any, Any, None]]
 
 
 class Renderer:
@@ -92,8 +121,14 @@ class Renderer:
         loop = asyncio.get_running_loop()
         threading.Thread(target=_listen, args=(self._pipe, loop, self._answers), daemon=True).start()
 
-    async def pictures(self, job: Job) -> AsyncGenerator[Picture, None]:
+    async def pictures(self, job: Job, watch: Watch | None = None) -> AsyncGenerator[Picture, None]:
         """Pictures of a job, as they come.
+
+        Parameters
+        ----------
+        job : Job
+        watch : coroutine function of Progress, optional
+            Called twice a second while it takes long.
 
         Raises
         ------
@@ -104,13 +139,20 @@ class Renderer:
         SceneError, ImageError, DeviceError, KernelError
             As `clsco.render`.
         """
-        async with aclosing(self._ask("render", job)) as answers:
+        async with aclosing(self._ask("render", job, watch)) as answers:
             async for answer in answers:
                 yield answer
 
-    async def inspect(self, question: Question) -> dict[str, Any]:
-        """What `clsco.studio.inspector.inspected` gives for a pixel. Raises as `pictures`."""
-        async with aclosing(self._ask("inspect", question)) as answers:
+    async def inspect(self, question: Question, watch: Watch | None = None) -> dict[str, Any]:
+        """What is known of a pixel. `watch` and what it raises are as for `pictures`.
+
+        Returns
+        -------
+        dict
+            What `clsco.studio.inspector.inspected` gives, and `seconds` that measuring takes; or where the question
+            measures `x`, `y`, and `response`, what `clsco.studio.inspector.figures_of` gives of the response.
+        """
+        async with aclosing(self._ask("inspect", question, watch)) as answers:
             return await anext(answers)
 
     async def warm(self, scene: Scene) -> None:
@@ -118,8 +160,20 @@ class Renderer:
         async for _ in self._ask("warm", scene):
             pass
 
-    async def _ask(self, what: str, content: Any) -> AsyncGenerator[Any, None]:
-        async with self._turn:
+    async def _wait_for_turn(self, watch: Watch | None) -> None:
+        start, turn = time.monotonic(), asyncio.ensure_future(self._turn.acquire())
+        try:
+            while not (await asyncio.wait({turn}, timeout=TICK))[0]:
+                if watch is not None:
+                    await watch(Progress("another tab", 0, 0, time.monotonic() - start))
+        except BaseException:
+            if not turn.cancel():
+                self._turn.release()
+            raise
+
+    async def _ask(self, what: str, content: Any, watch: Watch | None = None) -> AsyncGenerator[Any, None]:
+        await self._wait_for_turn(watch)
+        try:
             self.start()
             assert self._pipe is not None
             self._number += 1
@@ -132,6 +186,10 @@ class Renderer:
                         raise EOFError
                     if of != number:
                         continue  # of a job that nobody waits for any more
+                    if isinstance(answer, Progress):
+                        if watch is not None:
+                            await watch(answer)
+                        continue
                     if answer is None or isinstance(answer, ClscoError):
                         is_whole = True
                     if isinstance(answer, ClscoError):
@@ -145,6 +203,8 @@ class Renderer:
             finally:
                 if not is_whole:
                     self.cancel()
+        finally:
+            self._turn.release()
 
     def cancel(self) -> None:
         """End the job that is worked on before its next pass."""
@@ -202,9 +262,20 @@ def _work(pipe: Connection, device: str | None) -> None:
         except (EOFError, OSError):
             os._exit(0)  # the server has ended
 
-    threading.Thread(target=listen, daemon=True).start()
+    for task in (listen, worker.watch):
+        threading.Thread(target=task, daemon=True).start()
     while True:
         worker.answer(*jobs.get())
+
+
+@dataclass
+class _Known:
+    """A frame with all of its ground truth, whether tilt counts in it, and the time of a response, s."""
+
+    key: tuple[int, int, int, float | None]
+    frame: Any
+    is_tilted: bool
+    seconds: float
 
 
 class _Worker:
@@ -215,7 +286,9 @@ class _Worker:
         self._canceled = 0
         self._ladders: dict[Any, Ladders] = {}
         self._live: Any = None
-        self._known: tuple[Any, Any] | None = None  # key and frame with all of its ground truth
+        self._known: _Known | None = None
+        self._sending = threading.Lock()
+        self._current: tuple[int, float] | None = None  # number of the job, and when it began
 
     def cancel(self, number: int) -> None:
         self._canceled = max(self._canceled, number)
@@ -225,6 +298,7 @@ class _Worker:
     def answer(self, what: str, number: int, content: Any) -> None:
         """Do a job, and say that it is done, or why not."""
         error: ClscoError | None = None
+        self._current = number, time.monotonic()
         try:
             if self._live is None:
                 from clsco.engine.live import Live
@@ -233,19 +307,57 @@ class _Worker:
             if what == "warm":
                 self._live.warm(content)
             elif what == "inspect":
-                self._pipe.send((number, self._inspect(number, content)))
+                self._send(number, self._inspect(number, content))
             elif content.rung == DRAGGING:
                 self._coarse(number, content)
             else:
                 self._exact(number, content)
+        except MemoryError:
+            error = self._short_of_memory(content)
+        except DeviceError as raised:
+            error = self._short_of_memory(content) if raised.short_of_memory else raised
         except ClscoError as raised:
             error = raised
-        except MemoryError:
-            error = SceneError("memory: must hold the arrays of the scene; got too little of it")
         except Exception as raised:  # a fault of ours, which is no reason to lose what is kept
             traceback.print_exc()
             error = ClscoError(f"renderer: must not fail; got {type(raised).__name__}: {raised}")
-        self._pipe.send((number, error))
+        self._current = None
+        self._send(number, error)
+
+    def _short_of_memory(self, content: Job | Question | Scene) -> ClscoError:
+        """What is said where the device is too small even for strips, or the host for the frame."""
+        from clsco.plan.memory import device_bytes, free_bytes
+        from clsco.plan.prepare import prepare
+
+        scene = content if isinstance(content, Scene) else content.scene
+        try:
+            needed = device_bytes(prepare(scene, None, self._live.session.device, self._live.files).plan)
+        except (MemoryError, ClscoError):
+            return SceneError("memory: must hold the textures of the scene; got too little of it")
+        free = free_bytes()
+        got = "too little of it" if free is None else f"{free >> 20} MiB"
+        return SceneError(f"memory: must be about {needed >> 20} MiB for this frame, beside its arrays; got {got}")
+
+    def _send(self, number: int, answer: Any) -> None:
+        with self._sending:
+            self._pipe.send((number, answer))
+
+    def watch(self) -> None:
+        """Say how far a job is that takes long, for ever."""
+        before, since = None, 0.0
+        while True:
+            time.sleep(TICK)
+            current, live, now = self._current, self._live, time.monotonic()
+            if current is None or now - current[1] < TICK:
+                continue
+            progress = live.session.progress if live is not None else None
+            found = Progress("starting the device", 0, 0, 0.0)
+            if progress is not None:
+                found = Progress(progress.doing, progress.done, progress.total, 0.0)
+            if before != (current, found):
+                before, since = (current, found), now
+            with suppress(OSError):
+                self._send(current[0], replace(found, still=now - since))
 
     def _coarse(self, number: int, job: Job) -> None:
         from clsco.inputs.textures import texture_size
@@ -261,7 +373,7 @@ class _Worker:
         frame = self._frame(scene, job.index, truth_of(job.view))
         picture = picture_of(frame, scene, job.view, DRAGGING, size, time.perf_counter() - start)
         ladder.measured(work, eighths, time.perf_counter() - start)
-        self._pipe.send((number, replace(picture, is_plain=is_plain)))
+        self._send(number, replace(picture, is_plain=is_plain))
 
     def _exact(self, number: int, job: Job) -> None:
         from clsco.studio.pictures import picture_of, truth_of
@@ -277,7 +389,7 @@ class _Worker:
             picture = picture_of(frame, job.scene, job.view, rung, (columns, rows), seconds)
             if rung == EXACT:
                 picture = replace(picture, about=self._about(job, frame, seconds))
-            self._pipe.send((number, picture))
+            self._send(number, picture)
 
     def _about(self, job: Job, frame: Frame, seconds: float) -> dict[str, Any]:
         from clsco.plan.prepare import prepare
@@ -293,16 +405,35 @@ class _Worker:
         return self._ladders.setdefault((job.view, len(job.scene.objects), job.scene.moves), Ladders())
 
     def _inspect(self, number: int, question: Question) -> dict[str, Any]:
-        from clsco.frame.frame import ALL_TRUTH
-        from clsco.studio.inspector import inspected
+        from clsco.studio.inspector import figures_of, inspected, source_of
 
-        if self._known is None or self._known[0] != question.key:
+        known, scene = self._frame_of(number, question), question.scene
+        rows, columns = known.frame.color.shape[:2]
+        x, y = min(question.x, columns - 1), min(question.y, rows - 1)
+        if not question.measures:
+            return inspected(known.frame, scene, x, y, known.is_tilted) | {"seconds": known.seconds}
+        source = source_of(known.frame, scene, x, y)
+        if isinstance(source, str):
+            return {"x": x, "y": y, "unmeasured": source}
+        self._check(number)
+        start = time.perf_counter()
+        response = self._live.response(scene, *source[:2], question.index, item=source[2])
+        known.seconds = time.perf_counter() - start
+        return {"x": x, "y": y, "response": figures_of(response, x, y)}
+
+    def _frame_of(self, number: int, question: Question) -> _Known:
+        """The frame that is asked about, with all of its ground truth."""
+        from clsco.frame.frame import ALL_TRUTH
+        from clsco.plan.prepare import prepare
+
+        if self._known is None or self._known.key != question.key:
             self._check(number)
             self._known = None
-            self._known = question.key, self._frame(question.scene, question.index, ALL_TRUTH)
-        frame = self._known[1]
-        rows, columns = frame.color.shape[:2]
-        return inspected(frame, question.scene, min(question.x, columns - 1), min(question.y, rows - 1))
+            plan = prepare(question.scene, None, self._live.session.device, self._live.files).plan
+            frame = self._frame(question.scene, question.index, ALL_TRUTH)
+            seconds = sum(frame.metadata["seconds"].values())  # in kernels, without what was compiled
+            self._known = _Known(question.key, frame, plan.tilt and plan.occlusion != "layered", seconds)
+        return self._known
 
     def _frame(self, scene: Scene, index: int, truth: tuple[str, ...]) -> Any:
         from clsco.engine.sequence import render

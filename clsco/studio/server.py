@@ -182,6 +182,8 @@ class Studio:
                 tab.told.set()
             case {"at": [int(x), int(y)]} if min(x, y) >= 0:
                 pointer.ask(x, y)
+            case {"measure": [int(x), int(y)]} if min(x, y) >= 0:
+                pointer.measure(x, y)
             case {"focus": [int(x), int(y)], "drag": int(drag)} if min(x, y) >= 0:
                 pointer.focus(x, y, drag)
             case {"grab": [int(x), int(y)], "drag": int(drag)} if min(x, y) >= 0:
@@ -199,6 +201,11 @@ class Studio:
                     await preview.tell(error=error.messages)
             case {"do": "pin thesis"}:
                 preview.pin(as_the_thesis(tab.session))
+            case {"do": "pin reference"}:
+                preview.pin_reference()
+            case {"do": "cancel"}:
+                preview.stop()
+                await preview.tell(stopped=True)
             case {"do": "keep"}:
                 await preview.tell(kept=tab.session.remembered())
             case {"resume": {"scene": str(link), "file": str(file), "digest": str(digest)}, "tab": str(before)}:
@@ -219,6 +226,8 @@ class Studio:
                 preview.look(view=view)
             case {"frame": int(index), "time": int() | float() | None as time}:
                 preview.look(index=index, time=time)
+                if said.get("again"):
+                    preview.changed()
             case {"stack": [int() | float() as nearest, int() | float() as farthest, int(steps)]}:
                 try:
                     scenes = stack_scenes(tab.session, nearest, farthest, steps)

@@ -8,10 +8,12 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+import pyopencl as cl
 import pytest
 
 import clsco
 from clsco.engine.live import Live
+from clsco.engine.renderer import Renderer
 from clsco.frame.frame import ALL_TRUTH, Frame
 from clsco.opencl.device import choose
 from clsco.opencl.session import Session
@@ -21,6 +23,7 @@ from clsco.scene.model import Scene
 from tests.scenes import scene_from
 from tests.slow import mostly_slow
 
+COMPLETE = cl.command_execution_status.COMPLETE
 TABLES: dict[str, Any] = {
     "camera": {"resolution": [72, 56], "pixel_pitch": 0.06, "aperture_diameter": 12.0},
     "sequence": {"samples": 3, "shutter": 0.2},
@@ -132,6 +135,23 @@ def test_a_render_ends_when_it_is_canceled(live: Live, monkeypatch: pytest.Monke
     assert count[0] == 5
     monkeypatch.undo()
     same(live.render(scene, truth=()), expected)
+
+
+def test_the_host_runs_ahead_by_a_time_sample_at_most(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    add, unfinished, latest = Renderer.add, list[int](), list[int]()
+
+    def noted(self: Renderer, *of_sample: Any) -> None:
+        earlier = self.events[: latest[-1]] if latest else []
+        unfinished.append(sum(event.command_execution_status != COMPLETE for _, event in earlier))
+        latest.append(len(self.events))
+        add(self, *of_sample)
+
+    monkeypatch.setattr(Renderer, "add", noted)
+    live.render(SCENES["moving"].replace("sequence.samples", 40), truth=())
+    assert unfinished == [0] * 40
+    progress = live.session.progress
+    assert progress is not None
+    assert (progress.doing, progress.done, progress.total) == ("blur", 39, 40)
 
 
 def test_threads_have_the_bits_of_one(live: Live) -> None:

@@ -161,3 +161,59 @@ def test_zoom_in_the_brush_makes_strokes_finer(page: Any) -> None:
     page.locator("[data-brush=canvas]").focus()
     page.keyboard.press("Enter")
     assert missing(page) == pytest.approx(113, abs=15)  # a disc of 12 px
+
+
+DISTRIBUTION = """
+camera.resolution = [24, 16]
+[[object]]
+shape = "sphere"
+[[vary.object]]
+index = 0
+radius = { uniform = [20, 40] }
+"""
+
+
+def test_a_data_set_is_made_and_survives_a_reload(page: Any, root: Path) -> None:
+    (root / "mine.toml").write_text(DISTRIBUTION)
+    page.locator("#generate").click()
+    page.locator("dialog[open] summary", has_text="Data set").click()
+    dialog = page.locator("dialog[open]")
+    assert "sets/stereo.toml" in dialog.get_by_label("Distribution file").locator("option").all_inner_texts()
+    dialog.get_by_label("Distribution file").select_option("mine.toml")
+    dialog.get_by_label("Samples", exact=True).fill("0")
+    dialog.get_by_role("button", name="Make the set").click()
+    page.get_by_text("samples: must be an integer from 1 on; got '0'").wait_for()
+    dialog.get_by_label("Samples", exact=True).fill("18")
+    dialog.get_by_role("button", name="Make the set").click()
+    page.locator(".job").wait_for()
+    page.reload()
+    rest(page)
+    page.locator(".job.done").wait_for(timeout=60000)
+    assert page.locator(".job code").inner_text() == (
+        "clsco batch mine.toml -o sets/scene --count 18 --seed 0 --shard-size 2 --format webdataset --device pocl "
+        "--resume --quiet"
+    )
+    page.wait_for_function(
+        "[...document.querySelectorAll('.job img')].filter((image) => image.naturalWidth === 24).length === 12"
+    )
+
+
+def test_each_scene_of_a_sweep_is_shown(page: Any, root: Path) -> None:
+    shutil.copy(EXAMPLES / "focal_stack.toml", root)
+    page.get_by_role("button", name="Open", exact=True).click()
+    page.get_by_role("button", name="focal_stack.toml").click()
+    chosen = page.get_by_label("Scene that is shown")
+    chosen.wait_for()
+    rest(page)
+    first = page.evaluate("document.querySelector('#canvas').toDataURL()")
+    revision = page.evaluate("studio.revision")
+    chosen.select_option(index=8)
+    page.wait_for_function(f"studio.revision > {revision}")
+    rest(page)
+    assert page.evaluate("document.querySelector('#canvas').toDataURL()") != first
+    page.locator("#generate").click()
+    page.get_by_role("button", name="Write the frames of 9 scenes").wait_for()
+    page.keyboard.press("Escape")
+    page.get_by_role("button", name="Open", exact=True).click()
+    page.get_by_role("button", name="sphere.toml").click()
+    chosen.wait_for(state="detached")

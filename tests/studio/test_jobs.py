@@ -83,7 +83,7 @@ def work(jobs: Jobs, name: str, count: object, seconds: float = 0.0) -> Job:
 
 
 def written(folder: Path) -> dict[str, bytes]:
-    """Images, and JSON files but for the seconds that passes took, and for the way from the scene to its images."""
+    """Images, and JSON files but for the seconds that passes took; the way to an image depends on the place."""
     found = {path.name: path.read_bytes() for path in sorted(folder.rglob("frame_*.png"))}
     for path in folder.rglob("frame_*.json"):
         content = json.loads(path.read_text())

@@ -14,9 +14,9 @@ import pytest
 from clsco import Scene, parse_scene
 from clsco.errors import CanceledError, ClscoError, SceneError
 from clsco.studio.ladder import BUDGET, LEAST, Ladder, Ladders, coarser, work_of
-from clsco.studio.pictures import DRAGGING, EXACT, HEADER, LOSSY, MESSAGE, PINNED, Picture
-from clsco.studio.preview import MOST_UNSEEN, REST, Preview
-from clsco.studio.renderer import Job, Question, RendererEndedError
+from clsco.studio.pictures import DRAGGING, EXACT, HEADER, LOSSY, MESSAGE, PINNED, REFERENCE, Picture
+from clsco.studio.preview import MEASURE, MOST_UNSEEN, REST, Preview
+from clsco.studio.renderer import Job, Progress, Question, RendererEndedError, Watch
 
 
 class Session:
@@ -45,10 +45,12 @@ class Renderer:
     questions: list[Question] = field(default_factory=list)
     warmed: list[Scene] = field(default_factory=list)
 
-    async def pictures(self, job: Job) -> AsyncGenerator[Picture, None]:
+    async def pictures(self, job: Job, watch: Watch | None = None) -> AsyncGenerator[Picture, None]:
         self.jobs.append(job)
         for rung in (LOSSY, EXACT) if job.rung == EXACT else (job.rung,):
             count = self.canceled
+            if watch is not None and self.seconds > 0.1:
+                await watch(Progress("blur", 1, 60, 0.0))
             await asyncio.sleep(self.seconds)
             if self.faults:
                 raise self.faults.pop(0)
@@ -56,9 +58,11 @@ class Renderer:
                 raise CanceledError("canceled")
             yield Picture(rung, job.view, (64, 48), (64, 48), 1, b"", self.seconds)
 
-    async def inspect(self, question: Question) -> dict[str, Any]:
+    async def inspect(self, question: Question, watch: Watch | None = None) -> dict[str, Any]:
         self.questions.append(question)
         await asyncio.sleep(self.seconds)
+        if self.faults:
+            raise self.faults.pop(0)
         return {"at": [question.x, question.y]}
 
     async def warm(self, scene: Scene) -> None:
@@ -94,12 +98,19 @@ class Browser:
 Play = Callable[[Session, Renderer, Browser, Preview], Coroutine[Any, Any, None]]
 
 
+async def refer(job: Job, predicted: Callable[[float], Coroutine[Any, Any, None]]) -> Picture:
+    """A reference that takes a while, and says so."""
+    await predicted(7.0)
+    await asyncio.sleep(REST)
+    return Picture(REFERENCE, job.view, (64, 48), (64, 48), 2, b"", REST)
+
+
 def played(play: Play, **renderer: Any) -> tuple[Session, Renderer, Browser]:
     """A session that somebody works with."""
 
     async def run() -> tuple[Session, Renderer, Browser]:
         session, renders, browser = Session(), Renderer(**renderer), Browser()
-        browser.preview = preview = Preview(session, renders, browser.send)
+        browser.preview = preview = Preview(session, renders, browser.send, refer)
         running = asyncio.create_task(preview.run())
         await play(session, renders, browser, preview)
         running.cancel()
@@ -178,8 +189,8 @@ def test_a_browser_that_sees_nothing_leaves_the_renderer_to_others() -> None:
 
         turn: asyncio.Lock
 
-        async def pictures(self, job: Job) -> AsyncGenerator[Picture, None]:
-            async with self.turn, aclosing(super().pictures(job)) as found:
+        async def pictures(self, job: Job, watch: Watch | None = None) -> AsyncGenerator[Picture, None]:
+            async with self.turn, aclosing(super().pictures(job, watch)) as found:
                 async for picture in found:
                     yield picture
 
@@ -238,6 +249,29 @@ def test_pixels_are_told_of_when_the_exact_frame_is_there() -> None:
     assert [(question.x, question.index) for question in renders.questions] == [(4, 0)]
 
 
+def test_a_response_is_measured_after_all_else_and_again_after_a_change() -> None:
+    found: list[dict[str, Any]] = []
+
+    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
+        async def told(answer: dict[str, Any]) -> None:
+            found.append(answer)
+
+        await asyncio.sleep(2 * REST)
+        renders.seconds = 0.05
+        preview.inspect(3, 2, told, MEASURE)
+        await asyncio.sleep(0.02)
+        session.step()
+        preview.changed()
+        renders.faults = [CanceledError("canceled")]
+        await asyncio.sleep(4 * REST)
+
+    _, renders, browser = played(play)
+    assert [question.measures for question in renders.questions] == [True, True]
+    assert renders.canceled == 1
+    assert found == [{"at": [3, 2]}]
+    assert browser.got[-1] == (1, EXACT)
+
+
 def test_another_scene_is_pinned_once() -> None:
     async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
         preview.pin(session.scene.replace("psf.model", "gaussian"))
@@ -246,6 +280,84 @@ def test_another_scene_is_pinned_once() -> None:
     _, renders, browser = played(play)
     assert browser.got == [(0, DRAGGING), (0, LOSSY), (0, EXACT), (0, PINNED)]
     assert renders.jobs[-1].scene.psf.model == "gaussian"
+
+
+def test_the_reference_goes_on_beside_changes_and_says_of_which_revision_it_is() -> None:
+    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
+        await asyncio.sleep(2 * REST)
+        preview.pin_reference()
+        await asyncio.sleep(0.02)
+        session.step()
+        preview.changed()
+        await asyncio.sleep(3 * REST)
+
+    _, _, browser = played(play)
+    assert browser.got[3:] == [(1, DRAGGING), (1, LOSSY), (1, EXACT), (0, REFERENCE)]
+    said = [content["reference"] for content in browser.said]
+    assert said == [{"revision": 0}, {"revision": 0, "seconds": 7.0}, None]
+
+
+def test_a_canceled_reference_is_not_sent() -> None:
+    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
+        preview.pin_reference()
+        await asyncio.sleep(0.02)
+        preview.stop()
+        await asyncio.sleep(3 * REST)
+
+    _, _, browser = played(play)
+    assert REFERENCE not in [rung for _, rung in browser.got]
+    assert browser.said[-1] == {"reference": {"revision": 0, "seconds": 7.0}}
+
+
+def test_what_takes_long_says_how_far_it_is_and_is_left_when_it_is_canceled() -> None:
+    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
+        async def told(answer: dict[str, Any]) -> None:
+            raise AssertionError(answer)
+
+        await asyncio.sleep(REST + 0.05)
+        renders.seconds = 0.3
+        await asyncio.sleep(REST)
+        assert browser.said[-1] == {"progress": {"doing": "blur", "done": 1, "total": 60, "still": 0.0}}
+        preview.inspect(1, 1, told)
+        preview.stop()
+        await asyncio.sleep(0.5)
+        preview.inspect(1, 1, told)  # would take as long
+        await asyncio.sleep(0.1)
+        assert browser.got == [(0, DRAGGING), (0, LOSSY)]
+        renders.seconds = 0.001
+        session.step()
+        preview.changed()
+        await asyncio.sleep(2 * REST)
+
+    _, renders, browser = played(play, seconds=0.1)
+    assert renders.canceled == 1
+    assert browser.got == [(0, DRAGGING), (0, LOSSY), (1, DRAGGING), (1, LOSSY), (1, EXACT)]
+
+
+def test_a_cancel_of_nothing_changes_nothing() -> None:
+    found: list[dict[str, Any]] = []
+
+    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
+        async def told(answer: dict[str, Any]) -> None:
+            found.append(answer)
+
+        await asyncio.sleep(2 * REST)
+        preview.stop()
+        preview.inspect(1, 1, told)
+        await asyncio.sleep(0.05)
+        renders.seconds = 0.2
+        preview.inspect(2, 2, told)
+        await asyncio.sleep(0.05)
+        renders.faults = [CanceledError("canceled")]
+        preview.stop()
+        await asyncio.sleep(0.3)
+        renders.seconds = 0.001
+        preview.inspect(3, 3, told)
+        await asyncio.sleep(0.05)
+
+    _, renders, _ = played(play)
+    assert found == [{"at": [1, 1]}, {"at": [3, 3]}]
+    assert renders.canceled == 1
 
 
 def test_a_fault_of_the_scene_is_told_once() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import io
 import os
+import re
 import signal
 from collections.abc import AsyncIterator
 from contextlib import suppress
@@ -17,11 +18,12 @@ from PIL import Image
 
 import clsco
 from clsco import Scene, parse_scene
-from clsco.errors import CanceledError, SceneError
+from clsco.errors import CanceledError, DeviceError, SceneError
 from clsco.files.transfer import encode
+from clsco.studio.inspector import figures_of
 from clsco.studio.pictures import DRAGGING, EXACT, FLOAT32, HEADER, JPEG, LOSSY, MESSAGE, PNG, VIEWS, Picture
 from clsco.studio.preview import Preview
-from clsco.studio.renderer import Job, Renderer, RendererEndedError
+from clsco.studio.renderer import Job, Progress, Question, Renderer, RendererEndedError, _Worker
 from tests.studio.test_preview import Browser, Session
 
 
@@ -30,6 +32,33 @@ def small() -> Scene:
         "camera": {"resolution": [48, 40], "focus_distance": 262.0, "pixel_pitch": 0.1},
         "object": [{"shape": "sphere", "radius": 30.0, "center": [0.0, 0.0, 280.0], "texture": "checkerboard"}],
     })  # fmt: skip
+
+
+class Pipe:
+    """Keeps what the process says."""
+
+    def __init__(self) -> None:
+        self.said: list[tuple[int, Any]] = []
+
+    def send(self, answer: tuple[int, Any]) -> None:
+        self.said.append(answer)
+
+
+@pytest.mark.parametrize("error", [MemoryError(), DeviceError("device: must go on; got -4", short_of_memory=True)])
+def test_a_want_of_memory_is_told_with_the_number(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
+    pipe = Pipe()
+    worker = _Worker(pipe, "pocl")  # type: ignore[arg-type]
+
+    def short(*_: Any) -> None:
+        raise error
+
+    monkeypatch.setattr(worker, "_frame", short)
+    worker.answer("render", 3, Job(small(), 0, "color", EXACT))
+    ((number, said),) = pipe.said
+    assert number == 3
+    assert re.fullmatch(
+        r"memory: must be about \d+ MiB for this frame, beside its arrays; got \d+ MiB", said.messages[0]
+    )
 
 
 async def all_of(pictures: AsyncIterator[Picture]) -> list[Picture]:
@@ -42,7 +71,9 @@ def test_the_renderer_from_its_start_to_its_crash() -> None:
         try:
             await rungs(renderer)
             await views(renderer)
+            await pixels(renderer)
             await faults(renderer)
+            await progress(renderer)
             await previews(renderer)
             await crash(renderer)
         finally:
@@ -78,6 +109,19 @@ async def views(renderer: Renderer) -> None:
         assert np.array_equal(np.frombuffer(exact.payload, "<f4").reshape(expected.shape), expected, equal_nan=True)
 
 
+async def pixels(renderer: Renderer) -> None:
+    scene = small()
+    (frame,) = clsco.render(scene, device="pocl")
+    found = await renderer.inspect(Question(scene, 0, (1, 1, 0, None), 20, 15))
+    assert found["values"]["depth"] == float(frame.depth[15, 20])  # type: ignore[index]
+    assert 0.0 < found["seconds"] < 1.0
+    measured = await renderer.inspect(Question(scene, 0, (1, 1, 0, None), 20, 15, measures=True))
+    expected = figures_of(clsco.response(scene, 20, 15, device="pocl"), 20, 15)
+    assert measured == {"x": 20, "y": 15, "response": expected}
+    beside = await renderer.inspect(Question(scene, 0, (1, 1, 0, None), 99, 99, measures=True))
+    assert beside == {"x": 47, "y": 39, "unmeasured": "no surface"}
+
+
 async def faults(renderer: Renderer) -> None:
     wrong = small().replace("object.0.texture", "/no/such/file.png")
     with pytest.raises(SceneError, match="texture"):
@@ -88,6 +132,28 @@ async def faults(renderer: Renderer) -> None:
     renderer.cancel()
     with pytest.raises(CanceledError):
         await waiting
+
+
+async def progress(renderer: Renderer) -> None:
+    said: list[Progress] = []
+
+    async def watch(found: Progress) -> None:
+        said.append(found)
+
+    long = small().replace("object.0.motion.velocity", [2.0, 0.0, 0.0]).replace("sequence.samples", 400)
+    job = Job(long.replace("camera.resolution", [256, 256]), 0, "color", EXACT)
+    first = asyncio.ensure_future(all_of(renderer.pictures(job, watch)))
+    await asyncio.sleep(0)
+    second = asyncio.ensure_future(all_of(renderer.pictures(Job(small(), 0, "color", DRAGGING), watch)))
+    while not any(found.done for found in said):
+        await asyncio.sleep(0.05)
+    renderer.cancel()
+    with pytest.raises(CanceledError):
+        await first
+    assert len(await second) == 1
+    counts = [found.done for found in said if found.total == 400]
+    assert counts == sorted(counts)
+    assert "another tab" in [found.doing for found in said]
 
 
 async def previews(renderer: Renderer) -> None:

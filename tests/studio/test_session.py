@@ -151,6 +151,14 @@ def test_a_drag_is_one_step(session: Session) -> None:
     assert not session.redo()
 
 
+def test_a_drag_that_is_taken_back_is_no_step(session: Session) -> None:
+    session.patch("object.0.distance", 260.0)
+    for value in (300.0, 310.0, 260.0):
+        session.patch("object.0.distance", value, drag=17)
+    assert session.undo()
+    assert not session.can_undo
+
+
 def test_undo_has_its_number_of_steps(session: Session) -> None:
     for k in range(STEPS + 5):
         session.patch("object.0.distance", 200.0 + k)

@@ -41,13 +41,12 @@
     let at = 0;
     runs.forEach((run, k) => { if (k % 2) mask.fill(1, at, at + run); at += run; });
     hatch(0, 0, columns, rows);
-    count();
+    count(runs);
     draw();
   };
 
-  const count = () => {
-    let missing = 0;
-    for (const value of mask) missing += value;
+  const count = (runs) => {
+    const missing = runs.reduce((sum, run, k) => (k % 2 ? sum + run : sum), 0);
     say(`${missing} of ${mask.length} pixels are missing`);
     one("undo").disabled = !past.length;
     one("redo").disabled = !future.length;
@@ -85,18 +84,20 @@
     while (past.length > STEPS || (kept > MOST_KEPT && past.length > 1)) kept -= past.shift().length;
   };
 
-  const painted = (runs) => { // runs: of the mask before
-    remember(runs);
-    count();
+  const painted = (then) => { // then: runs of the mask before
+    const runs = runsOf();
+    remember(then);
+    count(runs);
     draw();
-    send({ columns, rows, runs: runsOf() });
+    send({ columns, rows, runs });
   };
 
   const back = (from, to) => {
     if (!from.length) return;
+    const runs = from.pop();
     to.push(runsOf());
-    fromRuns(from.pop());
-    send({ columns, rows, runs: runsOf() });
+    fromRuns(runs);
+    send({ columns, rows, runs });
   };
 
   // ---- shapes -----------------------------------------------------------------------------------------------------

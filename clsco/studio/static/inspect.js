@@ -1,14 +1,16 @@
-// What is known of the pixel under the cursor and comparing with a pinned frame.
+// What is known of the pixel under the cursor, and how the light of its source spreads.
 "use strict";
 
 (() => {
   const one = (selector) => document.querySelector(selector);
   const studio = window.studio;
+  const SOON = 0.1, REST = 150; // s up to which a response is measured unasked; ms of rest before that
+  const PLOTTED = 32; // px from the middle of a plot to its border
 
   // ---- values under the cursor ------------------------------------------------------------------------------------
   let at = null, asked = false, again = false, drag = 1e6;
   const ask = () => {
-    if (at === null) return;
+    if (at === null || studio.isCanceled()) return;
     if (asked) { again = true; return; }
     asked = true;
     studio.send({ at });
@@ -25,8 +27,9 @@
     ["flow_occluded", "Hidden in the next frame", ""], ["uv", "Place in the texture", ""],
   ];
 
-  studio.inspected = ({ values, psf, lens }) => {
+  studio.inspected = ({ values, psf, lens, unmeasured, seconds }) => {
     asked = false;
+    studio.done();
     one("#pixel").textContent = `x ${values.x}, y ${values.y}`;
     const table = one("#values");
     table.replaceChildren(...ROWS.filter(([name]) => name in values).map(([name, label, unit]) => {
@@ -37,27 +40,77 @@
       row.append(head, cell);
       return row;
     }));
-    spread(psf);
+    shownAt = [values.x, values.y];
+    model = psf;
+    response = null;
+    one("#psf-part").hidden = psf === undefined;
+    if (psf !== undefined) spread();
     diagram(lens);
+    measurable(psf === undefined ? "no surface" : unmeasured, seconds);
     if (again) { again = false; ask(); }
   };
   studio.notInspected = () => { asked = false; };
 
-  const spread = (psf) => {
-    const plot = one("#psf"), context = plot.getContext("2d");
-    one("#psf-part").hidden = psf === undefined;
-    if (psf === undefined) return;
-    const codes = Uint8Array.from(atob(psf.plot), (letter) => letter.charCodeAt(0));
-    const data = new Uint8ClampedArray(4 * codes.length);
+  // ---- the point spread function: that of the model, and as measured: a rendering with nothing else lit ------------
+  let model, response = null, shownAt = null, timer = 0;
+
+  const measurable = (why, seconds) => {
+    clearTimeout(timer);
+    const button = one("#measure"), offers = why === undefined && seconds > SOON;
+    button.hidden = !offers;
+    if (offers) button.textContent = `Measure, about ${number(Number(seconds.toPrecision(2)))} s`;
+    one("#unmeasured").textContent = why === undefined ? "" : `Not measured: ${why}`;
+    if (why === undefined && !offers) timer = setTimeout(measure, REST);
+  };
+
+  const measure = () => {
+    if (shownAt === null) return;
+    one("#measure").hidden = true;
+    studio.send({ measure: shownAt });
+  };
+
+  studio.hearing.push((said) => { if (said.measured) studio.measured(said.measured); });
+  studio.measured = ({ x, y, response: found, unmeasured }) => {
+    studio.done();
+    if (shownAt === null || shownAt[0] !== x || shownAt[1] !== y) return;
+    one("#unmeasured").textContent = unmeasured === undefined ? "" : `Not measured: ${unmeasured}`;
+    response = found ?? null;
+    if (model !== undefined) spread();
+  };
+
+  const spread = () => {
+    const side = 2 * Math.min(PLOTTED, Math.ceil(1.3 * Math.max(model.reach, response?.reach ?? 0)) + 2) + 1;
+    plot(one("#psf"), model, side);
+    plot(one("#response"), response, side);
+    one("#psf-side").textContent = `${side} × ${side} px about the source, each as bright as its largest weight`;
+    const rows = [["Sum", "sum"], ["Centroid, px", "centroid"], ["RMS per axis, px", "rms"], ["Largest weight", "largest"]];
+    one("#psf-values").replaceChildren(...rows.map(([label, name]) => {
+      const row = document.createElement("tr");
+      [label, rounded(model[name]), response === null ? "–" : rounded(response[name])].forEach((text, at) => {
+        const cell = document.createElement(at ? "td" : "th");
+        if (!at) cell.scope = "row";
+        cell.textContent = text;
+        row.append(cell);
+      });
+      return row;
+    }));
+    one("#psf-about").textContent = `|R| ${number(Math.abs(model.radius))} px; of a wide disc RMS is |R| / 2 = ${rounded(Math.abs(model.radius) / 2)} px`;
+  };
+
+  const rounded = (value) => (value === undefined ? "–" : Array.isArray(value) ? value.map(rounded).join(", ")
+    : String(Number(value.toFixed(Math.abs(value) < 0.1 ? 5 : 3))));
+
+  const plot = (canvas, weights, seen) => { // the middle of what there is, `seen` pixels wide
+    const context = canvas.getContext("2d");
+    context.clearRect(0, 0, canvas.width, canvas.height);
+    if (weights === null) return;
+    const codes = Uint8Array.from(atob(weights.plot), (letter) => letter.charCodeAt(0));
+    const data = new Uint8ClampedArray(4 * codes.length), side = Math.sqrt(codes.length), edge = (side - seen) / 2;
     codes.forEach((code, index) => data.set([code, code, code, 255], 4 * index));
-    const side = Math.sqrt(codes.length), whole = new OffscreenCanvas(side, side);
+    const whole = new OffscreenCanvas(side, side);
     whole.getContext("2d").putImageData(new ImageData(data, side, side), 0, 0);
-    const seen = Math.min(side, 2 * Math.ceil(1.3 * psf.reach + 2) + 1), edge = (side - seen) / 2;
     context.imageSmoothingEnabled = false;
-    context.drawImage(whole, edge, edge, seen, seen, 0, 0, plot.width, plot.height);
-    one("#psf-side").textContent = `${seen} × ${seen} px`;
-    one("#psf-about").textContent = `|R| ${number(Math.abs(psf.radius))} px, sum ${number(psf.sum)}, centroid ${number(psf.centroid)} px, `
-      + `RMS per axis ${number(psf.rms)} px (|R| / 2 = ${number(Math.abs(psf.radius) / 2)}), largest weight ${number(psf.largest)}`;
+    context.drawImage(whole, edge, edge, seen, seen, 0, 0, canvas.width, canvas.height);
   };
 
   const diagram = (lens) => { // a schema: distances before the lens by their inverse, those behind it stretched
@@ -110,85 +163,27 @@
       const found = studio.pixelAt(event.clientX, event.clientY);
       if (found === null || (at !== null && at[0] === found[0] && at[1] === found[1])) return;
       at = found;
+      clearTimeout(timer);
       ask();
     });
-    stage.addEventListener("click", (event) => {
-      const found = studio.tool === "focus" ? studio.pixelAt(event.clientX, event.clientY) : null;
+    stage.addEventListener("pointerdown", (event) => { // a click has whole coordinates, which may be of another pixel
+      const found = studio.tool === "focus" && event.button === 0 ? studio.pixelAt(event.clientX, event.clientY) : null;
       if (found === null) return;
       drag += 1;
       studio.send({ focus: found, drag });
       studio.take("");
     });
   };
-  studio.rested = () => { compare(); ask(); };
-
-  // ---- comparing with a pinned frame ------------------------------------------------------------------------------
-  let pinned = null, mode = "off", flipped = false;
-  const copied = (source) => {
-    const copy = document.createElement("canvas");
-    [copy.width, copy.height] = [source.width, source.height];
-    copy.getContext("2d").drawImage(source, 0, 0);
-    return copy;
-  };
-
-  const pin = () => {
-    if (studio.rung !== 2) return;
-    pinned = copied(one("#canvas"));
-    choose(mode === "off" ? "wipe" : mode);
-  };
-
-  studio.pinned = (image, columns, rows) => {
-    pinned = document.createElement("canvas");
-    [pinned.width, pinned.height] = [columns, rows];
-    pinned.getContext("2d").drawImage(image, 0, 0);
-    choose(mode === "off" ? "wipe" : mode);
-  };
-
-  const choose = (name) => {
-    mode = pinned === null ? "off" : name;
-    one("#compare").value = mode;
-    compare();
-  };
-
-  const compare = () => {
-    const over = one("#pinned"), canvas = one("#canvas");
-    const fits = pinned !== null && pinned.width === canvas.width && pinned.height === canvas.height;
-    over.hidden = !fits || (mode === "off" && !flipped) || (mode === "flip" && !flipped);
-    one("#wipe").hidden = !fits || mode !== "wipe";
-    one("#compare").disabled = pinned === null;
-    if (over.hidden) return;
-    if (over.width !== canvas.width) over.width = canvas.width;
-    if (over.height !== canvas.height) over.height = canvas.height;
-    const context = over.getContext("2d");
-    context.drawImage(pinned, 0, 0);
-    over.style.clipPath = "";
-    if (mode === "wipe" && !flipped) over.style.clipPath = `inset(0 0 0 ${one("#wipe").value}%)`;
-    if (mode !== "difference" || flipped) return;
-    const size = [0, 0, canvas.width, canvas.height], now = canvas.getContext("2d").getImageData(...size);
-    const then = context.getImageData(...size);
-    for (let index = 0; index < now.data.length; index += 1) {
-      then.data[index] = index % 4 === 3 ? 255 : 8 * Math.abs(now.data[index] - then.data[index]);
-    }
-    context.putImageData(then, 0, 0);
-  };
+  studio.rested = () => { studio.compare(); ask(); };
 
   studio.extra = (event) => {
-    if (event.key === "f" || event.key === "F") return studio.take("focus");
-    if (event.key === "m" || event.key === "M") return studio.take("move");
-    if (event.key === "p" || event.key === "P") return pin();
-    if (event.key === " " && event.target === document.body && !event.repeat) {
-      event.preventDefault();
-      flipped = true;
-      compare();
-    }
-    return undefined;
+    if (event.key === "f" || event.key === "F") studio.take("focus");
+    else if (event.key === "m" || event.key === "M") studio.take("move");
+    else studio.compares(event);
   };
 
   studio.begin = () => {
     pointer();
-    document.addEventListener("keyup", (event) => { if (event.key === " ") { flipped = false; compare(); } });
-    one("#pin").addEventListener("click", pin);
-    one("#compare").addEventListener("change", (event) => choose(event.target.value));
-    one("#wipe").addEventListener("input", compare);
+    one("#measure").addEventListener("click", measure);
   };
 })();

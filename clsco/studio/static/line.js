@@ -39,9 +39,9 @@
 
   // ---- the exposure: its time samples as ticks, the open shutter as a band ----------------------------------------
   const exposure = ({ times, shutter, arrows }) => {
+    if (studio.moment !== null) return; // ticks and arrows are those of the whole frame
     studio.arrows = arrows;
     studio.place();
-    if (studio.moment !== null) return; // the ticks are those of the whole frame
     one("#exposure-row").hidden = shutter === null;
     if (shutter === null) return;
     const begin = studio.index * interval, share = (time) => `${(100 * (time - begin)) / interval}%`;
@@ -90,8 +90,11 @@
   };
 
   let player = 0;
+  const still = matchMedia("(prefers-reduced-motion: reduce)"); // then it is played once
+
   const step = async () => {
     const next = (studio.index + 1) % frames;
+    if (next === 0 && still.matches) { play(false); return; }
     if (of !== `${studio.revision} ${studio.view}` || !kept.has(next)) { studio.seek(next); return; }
     studio.index = next;
     studio.rung = -1;
@@ -104,7 +107,7 @@
   };
 
   const play = (on) => {
-    if (!on && player) studio.send({ frame: studio.index, time: null }); // to be seen as it is
+    if (!on && player) studio.send({ frame: studio.index, time: null, again: true }); // to be seen as it is
     clearInterval(player);
     player = on ? setInterval(step, Math.max(1000 * interval, 40)) : 0;
     one("#play").setAttribute("aria-pressed", String(Boolean(player)));

@@ -4,7 +4,7 @@
 
 (() => {
   const HEAD = 20; // bytes before the pixels
-  const LOSSY = 1, EXACT = 2, PINNED = 3, STACKED = 4; // 0: while something is dragged
+  const LOSSY = 1, EXACT = 2, PINNED = 3, STACKED = 4; // 0: while something is dragged; from PINNED on: to compare with
   const MESSAGE = 0, JPEG = 1, PNG = 2, FLOAT16 = 3;
   const VIEWS = ["color", "sharp", "depth", "blur radius", "flow", "normal", "id", "mask", "missing"];
   const ECHO = 300; // ms in which the server answers a change
@@ -69,8 +69,8 @@
     const drawable = picture.encoding === JPEG || picture.encoding === PNG ? decoded(picture, buffer) : plane(picture, buffer);
     queue = queue.then(async () => {
       const image = await drawable;
-      if (picture.rung === PINNED) studio.pinned(image, ...picture.full);
-      else if (picture.rung === STACKED) studio.stacked(picture, image);
+      if (picture.rung === STACKED) studio.stacked(picture, image);
+      else if (picture.rung >= PINNED) studio.pinned(image, picture);
       else if (picture.view === studio.view && picture.revision >= studio.revision) paint(picture, image);
       await new Promise(requestAnimationFrame);
       send({ ack: [picture.revision, picture.rung] });
@@ -125,6 +125,7 @@
       : `preview ${Math.round((8 * picture.width) / columns)}/8${picture.plain ? ", no occlusion" : ""}`;
     one("#badge").dataset.rung = picture.rung;
     one("#size").textContent = `${columns} × ${rows} px`;
+    studio.done();
     legend(picture.legend);
     place();
     studio.drawn(picture);
@@ -407,6 +408,7 @@
       dragged = null;
       return undefined;
     }
+    if (event.key === "Escape") studio.escape();
     const typing = event.target.closest?.("input:not([type=range]):not([type=checkbox]):not([type=radio]), textarea, select");
     if (control || event.altKey || typing) return undefined;
     if (/^[1-9]$/.test(event.key)) return look(VIEWS[Number(event.key) - 1]);
@@ -430,7 +432,7 @@
     connect();
   };
 
-  const begin = () => (one("#studio") && one("#canvas") && window.studioColors && studio.begin && studio.parts.length === 2
+  const begin = () => (one("#studio") && one("#canvas") && window.studioColors && studio.begin && studio.parts.length === 3
     ? studio.start(one("#studio").dataset.tab) : requestAnimationFrame(begin));
   begin();
 })();

@@ -10,7 +10,7 @@
   studio.take = (name) => { // a tool; the same once more, or "", puts it away
     studio.tool = studio.tool === name ? "" : name;
     one("#stage").dataset.tool = studio.tool;
-    for (const button of all("[data-tool]")) button.setAttribute("aria-pressed", String(button.dataset.tool === studio.tool));
+    for (const button of all("button[data-tool]")) button.setAttribute("aria-pressed", String(button.dataset.tool === studio.tool));
     hint("");
   };
 
@@ -18,16 +18,21 @@
   const FIRST = 2e6; // numbers of drags, which those of controls do not reach
   let drag = FIRST, held = null; // held: where the pointer took hold, and whether the server knows of what
   let frame = 0; // that the next change waits for
+  let under = ""; // the name of the object under the pointer
 
-  const hint = (text, event) => {
+  let pointer = null; // where it is in the page
+
+  const hint = (text) => { // the name of what is held or would be, beside the pointer
     const label = one("#hint");
     label.textContent = text;
     label.hidden = !text;
-    if (!event) return;
+    if (!text || pointer === null) return;
     const box = one("#stage").getBoundingClientRect();
-    label.style.left = `${event.clientX - box.left + 14}px`;
-    label.style.top = `${event.clientY - box.top + 14}px`;
+    label.style.left = `${pointer[0] - box.left + 14}px`;
+    label.style.top = `${pointer[1] - box.top + 14}px`;
   };
+
+  const hover = () => hint(pointer !== null && studio.tool === "move" && studio.pixelAt(...pointer) !== null ? under : "");
 
   const pull = () => {
     frame = 0;
@@ -52,16 +57,17 @@
       studio.send({ grab: at, drag });
     });
     stage.addEventListener("pointermove", (event) => {
-      if (held !== null) {
-        held.to = [event.clientX, event.clientY];
-        held.along = event.shiftKey;
-        pulled();
-        hint(held.name ?? "", event);
-      } else if (studio.tool === "move") {
-        hint(studio.pixelAt(event.clientX, event.clientY) === null ? "" : (studio.under ?? ""), event);
-      }
+      pointer = [event.clientX, event.clientY];
+      if (held === null) { hover(); return; }
+      held.to = pointer;
+      held.along = event.shiftKey;
+      pulled();
+      hint(held.name ?? "");
     });
-    stage.addEventListener("pointerleave", () => { if (held === null) hint(""); });
+    stage.addEventListener("pointerleave", () => {
+      pointer = null;
+      if (held === null) hint("");
+    });
     const end = () => {
       if (held === null) return;
       if (frame) { cancelAnimationFrame(frame); pull(); }
@@ -82,11 +88,15 @@
   };
 
   studio.hearing.push((said) => {
-    if (said.inspected) studio.under = said.inspected.values.object;
+    if (said.inspected) {
+      under = said.inspected.values.object ?? "";
+      if (held === null) hover();
+    }
     if (!said.grabbed || held === null || said.grabbed.drag !== held.drag) return;
     if (said.grabbed.name === null) { held = null; return; }
     held.known = true;
     held.name = said.grabbed.name;
+    hint(held.name);
     pull();
     if (held.ended) held = null;
   });
@@ -97,7 +107,7 @@
     const neutral = stops === 0 && gamma === 1;
     for (const part of all("#view-filter .stops > *")) part.setAttribute("slope", 2 ** stops);
     for (const part of all("#view-filter .gamma > *")) part.setAttribute("exponent", 1 / gamma);
-    for (const canvas of all("#canvas, #pinned")) canvas.style.filter = neutral || !shows() ? "" : "url(#view-filter)";
+    for (const canvas of all("#canvas, #pinned, #stacked")) canvas.style.filter = neutral || !shows() ? "" : "url(#view-filter)";
     one("#view-about").textContent = neutral ? "as it is" : `${stops > 0 ? "+" : ""}${stops} EV, gamma ${gamma}`;
     one("#shown").toggleAttribute("data-changed", !neutral);
   };
@@ -108,18 +118,19 @@
   studio.arrows = [];
   studio.overlays.push((context, place) => {
     if (!one("#arrows").checked) return;
-    context.lineWidth = 2;
-    context.strokeStyle = context.fillStyle = "#ffd24d";
     for (const [x0, y0, x1, y1] of studio.arrows) {
       const from = place(x0, y0), to = place(x1, y1), angle = Math.atan2(to[1] - from[1], to[0] - from[0]);
-      context.beginPath();
-      context.moveTo(...from);
-      context.lineTo(...to);
-      context.stroke();
-      context.beginPath();
-      context.moveTo(...to);
-      for (const turn of [2.7, -2.7]) context.lineTo(to[0] + 10 * Math.cos(angle + turn), to[1] + 10 * Math.sin(angle + turn));
-      context.fill();
+      const barb = (turn) => [to[0] + 10 * Math.cos(angle + turn), to[1] + 10 * Math.sin(angle + turn)];
+      for (const [width, color] of [[6, "#141517"], [2.5, "#ffd24d"]]) { // the first is its edge, on light and dark
+        [context.lineWidth, context.strokeStyle] = [width, color];
+        context.beginPath();
+        context.moveTo(...from);
+        context.lineTo(...to);
+        context.moveTo(...barb(2.6));
+        context.lineTo(...to);
+        context.lineTo(...barb(-2.6));
+        context.stroke();
+      }
     }
   });
 
@@ -133,7 +144,7 @@
     });
     one("#arrows").addEventListener("change", () => studio.place());
     document.addEventListener("click", (event) => {
-      const button = event.target.closest?.("[data-tool]");
+      const button = event.target.closest?.("button[data-tool]");
       if (button) studio.take(button.dataset.tool);
     });
   });

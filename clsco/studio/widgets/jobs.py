@@ -12,6 +12,7 @@ from urllib.parse import quote
 
 from nicegui import ui
 
+from clsco.data.containers import DEFAULT
 from clsco.errors import ClscoError
 from clsco.studio.generate import Wanted, clip, data_set, focal_stack, free_folder, generate
 from clsco.studio.jobs import Job, Jobs
@@ -44,7 +45,7 @@ class _Answers:
     distribution: str = ""
     count: str = "100"
     seed: str = "0"
-    form: str = ""
+    form: str = DEFAULT
 
     def wanted(self, device: str) -> Wanted:
         truth = ",".join(name for name, is_on in self.truth.items() if is_on)
@@ -93,13 +94,7 @@ def generate_dialog(session: Session, jobs: Jobs, device: str = "") -> Callable[
         text_box("Samples", answers.count, set_("count"), inputmode="numeric")
         text_box("Seed", answers.seed, set_("seed"), inputmode="numeric")
         forms = set_formats()
-        choice(
-            "Format",
-            {"": "webdataset, the default"} | {name: name for name in forms},
-            answers.form,
-            set_("form"),
-            forms,
-        )
+        choice("Format", list(forms), answers.form, set_("form"), forms)
         button("Make the set", many)
 
     def show() -> None:
@@ -248,7 +243,7 @@ def _draw(jobs: Jobs, job: Job, make_clip: Callable[[Job], None]) -> Callable[[J
             else:
                 if job.status != "done":
                     button("Again", partial(jobs.again, job.number), aria_label=f"Run job {job.number} again")
-                elif job.command == "render" and count > 1:
+                elif job.command == "render" and count > 1 and "/" not in job.pattern:  # of one scene
                     button("Make a clip", partial(make_clip, job))
                 button("Off the list", partial(jobs.forget, job.number), aria_label=f"Take job {job.number} off")
 

@@ -1,0 +1,166 @@
+"""How the light of one source spreads over a frame: frames of scenes in which nothing else is lit."""
+
+from __future__ import annotations
+
+import math
+import operator
+from dataclasses import dataclass
+from typing import SupportsIndex
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.engine.sequence import frame_numbers, render_frame
+from clsco.errors import SceneError
+from clsco.frame.frame import Frame
+from clsco.inputs.files import InputFiles
+from clsco.opencl.session import DeviceLike
+from clsco.optics.lens import ray_step
+from clsco.optics.motion import poses_at, rest_center, rest_poses
+from clsco.optics.quadrics import place, predict_inverse_depth
+from clsco.plan.prepare import prepare
+from clsco.scene.arrays import ArrayInput
+from clsco.scene.file import SceneLike, scene_of
+from clsco.scene.model import Object, Scene
+from clsco.scene.text import shown
+from clsco.scene.texture_keys import SixSided, Textured
+
+BLACK = "#000000"
+GRID = 33  # points per axis at which motions are looked at
+TIMES = 9  # of an exposure
+FILTER_REACH = 2  # texels of a bicubic filter
+
+
+@dataclass(frozen=True)
+class Lit:
+    """A scene in which one source is lit.
+
+    Attributes
+    ----------
+    scene : Scene
+        Its frame has a margin.
+    margin : int
+        px on each side.
+    """
+
+    scene: Scene
+    margin: int
+
+    def inside(self, frame: Frame) -> NDArray[np.float32]:
+        """What arrives in the frame without its margin, (rows, columns)."""
+        image = frame.color if frame.color.ndim == 2 else frame.color[..., 0]
+        rows, columns = image.shape
+        return image[self.margin : rows - self.margin, self.margin : columns - self.margin]
+
+
+def response(
+    scene: SceneLike,
+    x: int,
+    y: int,
+    index: int = 0,
+    *,
+    item: int = 0,
+    device: DeviceLike = None,
+    precision: str | None = None,
+) -> NDArray[np.float32]:
+    """What a frame receives from one source: its point spread function, as the scene lets it through.
+
+    Parameters
+    ----------
+    scene : Scene, mapping or path
+        As for `render_frame`.
+    x, y : int
+        Column and row of the source in the reference pose (t = 0), px; also beside the frame, as far as the blur
+        reaches, but for `border = "renormalize"` and depth maps.
+    index : int
+        Number of the frame, from 0.
+    item : int
+        Number of the object that the source is on, from 0.
+    device, precision
+        As for `render_frame`.
+
+    Returns
+    -------
+    ndarray of float32, (rows, columns)
+        Irradiance in the frame where the source has radiance 1, and all else is black.
+
+    Raises
+    ------
+    SceneError, ImageError, DeviceError, KernelError
+        As `render_frame`; there is no such source.
+
+    Notes
+    -----
+    The frame is linear in the radiance of its sources as long as nothing is filled in: it is the sum over all sources
+    of radiance times response. Occlusion, motion, the border, and what `psf` has are as in the frame. The source is the
+    pixel of a projected texture, wherever the surface carries it; how textures are mapped and lit does not matter.
+    Validated: that sum, and the response that `clsco.reference` gives (tests/engine/test_response.py).
+    """
+    lit = only_lit(scene_of(scene), x, y, index, item)
+    return lit.inside(render_frame(lit.scene, index, truth=(), device=device, precision=precision))
+
+
+def only_lit(
+    scene: Scene, x: SupportsIndex, y: SupportsIndex, index: int = 0, item: int = 0, files: InputFiles | None = None
+) -> Lit:
+    """The scene with the source of `response` lit. Raises as `response` for what cannot be.
+
+    files: as for `clsco.plan.prepare.prepare`.
+    """
+    frame_numbers([scene], [index])
+    number = _within("item", item, 0, len(scene.objects) - 1)
+    plan = prepare(scene, files=files).plan
+    widens = scene.is_analytic and scene.psf.border == "lose"
+    beside = plan.guard_px if widens else 0
+    column = _within("x", x, -beside, plan.columns - 1 + beside)
+    row = _within("y", y, -beside, plan.rows - 1 + beside)
+    # Textures go on mirrored beyond the frame. With a margin, the source's mirror images are too far off to be seen.
+    inward = min(column, row, plan.columns - 1 - column, plan.rows - 1 - row)
+    far = plan.guard_px + FILTER_REACH + (_longest_way(plan.scene, number, index) if scene.moves else 0)
+    margin = far - min(inward, 0) if widens and inward < far else 0
+    columns, rows = plan.columns + 2 * margin, plan.rows + 2 * margin
+    texture = np.zeros((rows, columns) if plan.channels == 1 else (rows, columns, 3), np.float32)
+    texture[row + margin, column + margin] = 1.0
+    objects = [_projected(each, BLACK) for each in scene.objects]
+    objects[number] = _projected(scene.objects[number], ArrayInput(texture, "texture"))
+    camera = scene.camera.model_copy(update={"resolution": (columns, rows)})
+    return Lit(scene.model_copy(update={"camera": camera, "objects": tuple(objects), "light": None}), margin)
+
+
+def _within(name: str, value: SupportsIndex, least: int, most: int) -> int:
+    """A whole number within limits. Raises SceneError."""
+    try:
+        found = operator.index(value)
+    except TypeError:
+        found = least - 1
+    if not least <= found <= most:
+        raise SceneError(f"{name}: must be a whole number from {least} to {most}; got {shown(value)}")
+    return found
+
+
+def _projected(item: Object, texture: str | ArrayInput) -> Object:
+    """The object with a texture that the camera sees at t = 0."""
+    keys = {*Textured.model_fields, *SixSided.model_fields} & type(item).model_fields.keys()
+    plain = {key: type(item).model_fields[key].default for key in keys}
+    return item.model_copy(update=plain | {"texture": texture})
+
+
+def _longest_way(scene: Scene, number: int, index: int) -> int:
+    """Way in px, rounded up, of the point of an object that the exposure finds farthest from its reference pose."""
+    assert scene.camera.resolution is not None
+    assert scene.sequence.shutter is not None
+    item, step = scene.objects[number], ray_step(scene.camera)
+    x, y = np.meshgrid(*(np.linspace(-0.5, 0.5, GRID) * side * step for side in scene.camera.resolution))
+    w = predict_inverse_depth(item, place(item, rest_poses(scene)[number]), x, y)
+    there = (w > 0) | item.is_background
+    if not there.any():
+        return 0
+    rays, center = np.stack([x, y, np.ones_like(x)])[:, there], rest_center(item)[:, None]
+    body = rays - w[there] * center  # homogeneous: a point at infinity has w = 0
+    opens, longest = index * scene.sequence.interval, 0.0
+    for time in np.linspace(opens, opens + scene.sequence.shutter, TIMES).tolist():
+        pose = poses_at(scene, time)[number]
+        point = w[there] * (center + pose.shift[:, None]) + pose.rotation @ body
+        moved = point[:2] / np.maximum(point[2], 1e-3) - rays[:2]
+        longest = max(longest, float(np.hypot(*moved).max()) / step)
+    return math.ceil(min(longest, max(scene.camera.resolution)))

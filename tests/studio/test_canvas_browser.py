@@ -1,0 +1,272 @@
+"""The picture in Chromium: objects dragged in it, its time samples, playing, focal stack, and how it is shown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import clsco
+from clsco.files.transfer import encode
+from tests.studio.browser import PIXELS, opened, rest
+from tests.studio.running import Running, studio
+
+pytestmark = pytest.mark.browser
+SCENE = """
+[camera]
+resolution = [128, 128]
+pixel_pitch = 0.04
+
+[sequence]
+frames = 3
+interval = 0.5
+shutter = 0.4
+
+[[object]]
+name = "ball"
+shape = "sphere"
+center = [0.0, 0.0, 250.0]
+radius = 12.0
+texture = "bricks"
+
+[object.motion]
+velocity = [8.0, 0.0, 0.0]
+
+[[object]]
+name = "wall"
+shape = "plane"
+distance = 300.0
+texture = "checkerboard"
+bounds = [[-20.0, 20.0], [-50.0, 50.0], [0.0, 1000.0]]
+
+[[object]]
+name = "sky"
+shape = "background"
+texture = "#204060"
+"""
+STILL = SCENE.replace("velocity = [8.0", "velocity = [0.0")
+
+
+@contextmanager
+def with_scene(folder: Path, text: str) -> Iterator[Running]:
+    (folder / "scene.toml").write_text(text)
+    with studio(folder, str(folder / "scene.toml"), "--device", "pocl") as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def moves(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    with with_scene(tmp_path_factory.mktemp("moves"), SCENE) as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def rests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    with with_scene(tmp_path_factory.mktemp("rests"), STILL) as started:
+        yield started
+
+
+@pytest.fixture
+def moving(moves: Running) -> Iterator[Any]:
+    with opened(moves) as shown:
+        yield shown
+
+
+@pytest.fixture
+def still(rests: Running) -> Iterator[Any]:
+    with opened(rests) as shown:
+        yield shown
+
+
+def shown(page: Any, canvas: str = "#canvas") -> NDArray[np.int64]:
+    columns, rows, data = page.evaluate(PIXELS.replace("#canvas", canvas))
+    return np.array(data).reshape(rows, columns, 4)[..., :3]
+
+
+def codes(scene: clsco.Scene, index: int = 0) -> NDArray[np.int64]:
+    return encode(clsco.render_frame(scene, index, truth=(), device="pocl").color, 8, "srgb").astype(int)
+
+
+def at(page: Any, column: float, row: float) -> tuple[float, float]:
+    """Where a pixel of the frame is on the page."""
+    box = page.locator("#canvas").bounding_box()
+    return box["x"] + (column + 0.5) * box["width"] / 128, box["y"] + (row + 0.5) * box["height"] / 128
+
+
+def becomes(page: Any, wanted: NDArray[np.int64], most: int = 0) -> None:
+    """Wait until this is shown, with codes that are off by `most` or less."""
+    for _ in range(100):
+        off = np.abs(shown(page) - wanted).max()
+        if off <= most:
+            return
+        page.wait_for_timeout(100)
+    raise AssertionError(f"off by {off}")
+
+
+def drag(page: Any, start: tuple[float, float], end: tuple[float, float], escape: bool = False) -> None:
+    """Drag from pixel to pixel with the tool that is taken, and wait for the exact frame."""
+    before = page.evaluate("studio.revision")
+    page.mouse.move(*at(page, *start))
+    page.mouse.down()
+    page.mouse.move(*at(page, *end), steps=8)
+    page.wait_for_function(f"studio.revision > {before}")
+    if escape:
+        page.keyboard.press("Escape")
+    page.mouse.up()
+    settle(page)
+
+
+def settle(page: Any) -> None:
+    page.wait_for_timeout(300)
+    rest(page)
+
+
+def values(page: Any, name: str, count: int = 3) -> list[float]:
+    return [page.evaluate(f"studio.values['{name}.{k}']") for k in range(count)]
+
+
+def test_an_object_is_dragged_with_the_pointer(still: Any) -> None:
+    before = shown(still)
+    still.keyboard.press("m")
+    assert still.locator("#move").get_attribute("aria-pressed") == "true"
+    drag(still, (64, 64), (84, 54))
+    step = 0.04 * 250.0 / 20.0  # mm per pixel at the center of the ball, whose front is nearer
+    front = (250.0 - 12.0) / 250.0
+    x, y, z = values(still, "object.0.center")
+    assert (x, y) == pytest.approx((20 * step * front, 10 * step * front), rel=0.03)
+    assert z == 250.0
+    scene = clsco.parse_scene(STILL).replace("object.0.center", [x, y, z])
+    becomes(still, codes(scene))
+    boxes = still.locator("[data-path='object.0.center.0']").evaluate_all("all => all.map((each) => +each.value)")
+    assert boxes == [x, x]  # slider and number
+    still.keyboard.press("Control+z")  # the drag was one step
+    becomes(still, before)
+    assert values(still, "object.0.center") == [0.0, 0.0, 250.0]
+    assert still.locator("#undo").is_disabled()
+
+
+def test_a_drag_is_taken_back_and_goes_along_z_with_shift(still: Any) -> None:
+    still.locator("#move").click()
+    drag(still, (64, 64), (84, 54), escape=True)
+    assert values(still, "object.0.center") == [0.0, 0.0, 250.0]
+    assert still.locator("#undo").is_disabled()
+    still.keyboard.down("Shift")
+    drag(still, (64, 64), (84, 44))
+    still.keyboard.up("Shift")
+    x, y, z = values(still, "object.0.center")
+    assert (x, y) == (0.0, 0.0)
+    assert z > 255.0
+
+
+def test_planes_are_dragged_and_the_background_is_not(still: Any) -> None:
+    still.keyboard.press("m")
+    still.keyboard.down("Shift")
+    drag(still, (64, 100), (64, 60))
+    still.keyboard.up("Shift")
+    still.locator("button", has_text="2 wall").click()
+    still.wait_for_function("studio.values['object.1.distance'] > 305")
+    still.mouse.move(*at(still, 3, 64))
+    still.mouse.down()
+    still.wait_for_function("document.querySelector('#message').textContent.includes('move: there must be an object')")
+    still.mouse.up()
+
+
+def test_the_name_of_what_would_be_moved_is_shown(still: Any) -> None:
+    still.keyboard.press("m")
+    for pixel, name in (((64, 64), "ball"), ((64, 110), "wall")):
+        still.mouse.move(*at(still, *pixel), steps=3)
+        still.wait_for_function(f"document.querySelector('#hint').textContent === '{name}'")
+    still.keyboard.press("Escape")
+    assert still.locator("#move").get_attribute("aria-pressed") == "false"
+
+
+def test_a_time_sample_is_seen_alone(moving: Any) -> None:
+    scene = clsco.parse_scene(SCENE)
+    frame = clsco.render_frame(scene, 0, truth=("subframes",), device="pocl")
+    assert frame.subframes is not None
+    ticks = moving.locator("#exposed button")
+    assert ticks.count() == len(frame.subframes)
+    whole = shown(moving)
+    assert np.array_equal(whole, codes(scene))
+    ticks.last.click()
+    alone = encode(frame.subframes[-1], 8, "srgb").astype(int)
+    becomes(moving, alone, most=1)
+    assert np.abs(whole - alone).max() > 20
+    assert ticks.last.get_attribute("aria-pressed") == "true"
+    ticks.last.click()
+    becomes(moving, whole)
+
+
+def test_frames_are_played_from_what_came(moving: Any) -> None:
+    scene = clsco.parse_scene(SCENE)
+    moving.locator("#play").click()
+    moving.wait_for_function("document.querySelector('#badge').textContent === 'played'", timeout=20000)
+    assert moving.locator("#play").get_attribute("aria-pressed") == "true"
+    seen = set()
+    for _ in range(40):
+        seen.add(moving.locator("#frame").input_value())
+        moving.wait_for_timeout(60)
+    assert seen == {"0", "1", "2"}
+    moving.locator("#play").click()
+    becomes(moving, codes(scene, int(moving.locator("#frame").input_value())))
+    rest(moving)  # and is said to be exact
+
+
+def test_motion_is_shown_as_arrows(moving: Any) -> None:
+    drawn = """() => { const over = document.querySelector('#over');
+      const { data } = over.getContext('2d').getImageData(0, 0, over.width, over.height);
+      let count = 0;
+      for (let k = 0; k < data.length; k += 4) count += data[k] > 200 && data[k + 2] < 120 && data[k + 3] > 200;
+      return count; }"""
+    assert moving.evaluate(drawn) == 0
+    moving.locator("#shown summary").click()
+    moving.locator("#arrows").check()
+    assert moving.evaluate(drawn) > 30
+
+
+def test_a_focal_stack_is_looked_through(still: Any) -> None:
+    still.locator("#stack").click()
+    for name, value in (("nearest", "240"), ("farthest", "300"), ("steps", "4")):
+        still.locator(f"#stack-{name}").fill(value)
+    still.locator("#render-stack").click()
+    still.wait_for_function("document.querySelector('#stack-about').textContent === '4 frames'", timeout=30000)
+    for step, distance in ((3, 300.0), (1, 260.0)):
+        still.locator("#step").fill(str(step))
+        scene = clsco.parse_scene(STILL).replace("camera.focus_distance", distance)
+        assert np.array_equal(shown(still, "#stacked"), codes(scene))
+        assert f"{distance:g} mm" in still.locator("#step-about").inner_text()
+    still.locator("#refocus").click()
+    still.wait_for_function("studio.values['camera.focus_distance'] === 260")
+    assert still.locator("#stacked").is_hidden()
+    becomes(still, codes(clsco.parse_scene(STILL).replace("camera.focus_distance", 260.0)))
+
+
+def test_exposure_and_gamma_are_of_the_view(still: Any) -> None:
+    before, values = shown(still), still.evaluate("studio.values")
+    look = still.locator("#stage").screenshot()
+    still.locator("#shown summary").click()
+    still.locator("#exposure").fill("2")
+    still.locator("#gamma").fill("1.6")
+    assert still.locator("#view-about").inner_text() == "+2 EV, gamma 1.6"
+    still.locator("#shown summary").click()
+    assert still.locator("#stage").screenshot() != look
+    assert np.array_equal(shown(still), before)
+    assert still.evaluate("studio.values") == values
+    assert still.locator("#undo").is_disabled()
+    still.locator("#shown summary").click()
+    still.locator("#neutral").click()
+    still.locator("#shown summary").click()
+    assert still.evaluate("getComputedStyle(document.querySelector('#canvas')).filter") == "none"
+    assert still.locator("#stage").screenshot() == look
+
+
+def test_the_header_says_what_the_picture_takes(still: Any) -> None:
+    passes, time, memory = still.locator("#plan").inner_text().split(", ")
+    assert passes.endswith(" passes")
+    assert time.endswith(("ms", " s"))
+    assert memory.endswith(" MiB")

@@ -1,0 +1,108 @@
+"""The inspector in Chromium: its numbers are those of the files, and its response that of `clsco.response`."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import clsco
+from clsco.cli.main import main
+from clsco.studio.inspector import figures_of
+from tests.studio.browser import opened, rest
+from tests.studio.running import Running, studio
+
+pytestmark = pytest.mark.slow
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+PLACES = ((0.17, 0.42), (0.52, 0.5), (0.8, 0.2))
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("root")
+    shutil.copy(EXAMPLES / "occlusion_three.toml", folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def running(root: Path) -> Iterator[Running]:
+    with studio(root, str(root / "occlusion_three.toml"), "--device", "pocl") as started:
+        yield started
+
+
+@pytest.fixture
+def page(running: Running) -> Iterator[Any]:
+    with opened(running) as shown:
+        shown.evaluate("""() => {
+          for (const name of ["inspected", "measured"]) {
+            const shows = studio[name];
+            studio[name] = (found) => { window[`latest_${name}`] = found; shows(found); };
+          }
+        }""")
+        yield shown
+
+
+def point_at(page: Any, place: tuple[float, float]) -> tuple[int, int]:
+    """Move to a place of the picture, in parts of its sides; gives the pixel."""
+    box = page.locator("#canvas").bounding_box()
+    x, y = (
+        box[start] + part * box[side] for start, side, part in (("x", "width", place[0]), ("y", "height", place[1]))
+    )
+    page.mouse.move(x, y)
+    column, row = page.evaluate("([x, y]) => studio.pixelAt(x, y)", [x, y])
+    page.wait_for_function(
+        f"window.latest_inspected?.values.x === {column} && latest_inspected.values.y === {row}", timeout=20000
+    )
+    return column, row
+
+
+def test_values_are_those_of_the_files(page: Any, root: Path, tmp_path: Path) -> None:
+    command = ["render", str(root / "occlusion_three.toml"), "-o", str(tmp_path), "--truth", "npz", "--device", "pocl"]
+    result = CliRunner().invoke(main, command)
+    assert result.exit_code == 0, result.output
+    (path,) = tmp_path.glob("**/*.npz")
+    with np.load(path) as truth:
+        for place in PLACES:
+            column, row = point_at(page, place)
+            values = page.evaluate("latest_inspected.values")
+            for name, key in (
+                ("depth", "depth"),
+                ("blur_radius", "coc"),
+                ("normal", "normal"),
+                ("object_id", "object_id"),
+            ):
+                np.testing.assert_array_equal(np.float32(values[name]), truth[key][row, column], name)
+
+
+def test_the_response_under_the_pointer(page: Any, root: Path) -> None:
+    scene = clsco.load_scene(root / "occlusion_three.toml")
+    column, row = point_at(page, PLACES[0])
+    page.wait_for_function("window.latest_measured || document.querySelector('#measure').offsetParent", timeout=20000)
+    if page.locator("#measure").is_visible():  # it takes longer than it does unasked
+        page.locator("#measure").click()
+    page.wait_for_function("window.latest_measured", timeout=20000)
+    measured = page.evaluate("latest_measured")
+    expected = figures_of(clsco.response(scene, column, row, item=2, device="pocl"), column, row)
+    assert measured == {"x": column, "y": row, "response": expected}
+    assert expected["sum"] < 0.9  # behind the ball
+    text = page.locator("#psf-values").inner_text().split()
+    assert str(round(expected["sum"], 3)) in text
+
+
+def test_a_click_focuses_on_what_is_there(page: Any, running: Running) -> None:
+    point_at(page, PLACES[1])
+    depth = page.evaluate("latest_inspected.values.depth")
+    page.keyboard.press("f")
+    page.mouse.down()
+    page.mouse.up()
+    page.wait_for_function(f"Math.abs(studio.values['camera.focus_distance'] - {depth}) < 1e-3", timeout=20000)
+    rest(page)
+    focus = page.evaluate("studio.values['camera.focus_distance']")
+    assert focus == pytest.approx(depth, rel=1e-6)
+    point_at(page, PLACES[1])
+    page.wait_for_function("Math.abs(latest_inspected.values.blur_radius) < 1e-3", timeout=20000)
