@@ -11,7 +11,7 @@ import pytest
 
 from clsco.files.images import read_image
 from clsco.studio.session import Session
-from tests.studio.browser import box, open_scene, opened, type_in
+from tests.studio.browser import box, open_scene, opened, rest, type_in
 from tests.studio.running import Running, studio
 
 pytestmark = pytest.mark.browser
