@@ -50,7 +50,7 @@ def opened(running: Running, width: int = 1280, height: int = 720) -> Iterator[A
         page.goto(running.address)
         rest(page)
         yield page
-    assert errors == []
+    assert not errors, errors
 
 
 @contextmanager

@@ -88,6 +88,7 @@ def test_from_a_scene_to_its_frame_by_keys_alone(page: Any, root: Path) -> None:
     page.get_by_label("Output folder").wait_for()
     walk(page, "Tab", "Write 1 frame")
     page.keyboard.press("Enter")
+    page.locator("dialog[open]").wait_for(state="hidden", timeout=10000)
     page.locator(".job.done").first.wait_for(timeout=60000)
     assert (root / "frames" / "small" / "frame_0000.png").is_file()
     page.keyboard.press("Control+Enter")
@@ -197,6 +198,7 @@ def test_jobs_go_on_without_their_page_and_previews_do_not(page: Any, running: R
     again = origin.new_page()
     again.goto(running.origin)
     again.locator(".job.running:has-text('long')").get_by_role("button", name="Cancel job").click()
+    rest(again)
     again.locator(".job.canceled:has-text('long')").wait_for(timeout=20000)
 
 

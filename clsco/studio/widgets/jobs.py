@@ -190,7 +190,7 @@ def draw_jobs(session: Session, jobs: Jobs) -> Callable[[], None]:
             last["listed"] = now_listed
             area.refresh()
         for job in jobs.listed:
-            if job.status == "running":
+            if job.status == "running" and job.number in followed:  # else it is drawn in a moment
                 followed[job.number](job)
         text = "; ".join(f"job {job.number} {_state(job)}" for job in jobs.listed if job.is_unfinished)
         now = time.monotonic()
