@@ -204,8 +204,11 @@ class Jobs:
     def files(self, number: int) -> list[Path]:
         """What a job has made and can be shown, in the order of its names."""
         folder = self.root / self.job(number).folder
-        found = [path for end in ("png", "mp4", "webm") for path in folder.rglob(f"*.{end}")]
-        return sorted(path for path in found if "/." not in f"/{path.relative_to(folder).as_posix()}")
+        found: list[Path] = []
+        for place, folders, names in os.walk(folder):  # passes over folders of unfinished work, which may go meanwhile
+            folders[:] = [name for name in folders if not name.startswith(".")]
+            found += [Path(place) / name for name in names if not name.startswith(".")]
+        return sorted(path for path in found if path.suffix in (".png", ".mp4", ".webm"))
 
     def poll(self) -> None:
         """Look at the running command, and begin the next one; to be called every half second or so."""

@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 import tomllib
 from collections.abc import Callable, Iterator
@@ -267,6 +268,34 @@ def test_commands_of_strangers_are_not_run(tmp_path: Path, slow: None, monkeypat
     jobs_module._key.cache_clear()
     assert found(text) == 0
     jobs_module._key.cache_clear()
+
+
+def test_results_are_listed_while_folders_of_unfinished_work_come_and_go(jobs: Jobs, slow: None) -> None:
+    job = work(jobs, "a", 1)
+    until(jobs, lambda: not jobs.job(job.number).is_unfinished)
+    folder = jobs.root / "a"
+    (folder / "deep").mkdir()
+    for name in ("deep/b.png", "a.png", "c.txt", ".d.png"):
+        (folder / name).write_bytes(b"")
+    going, ended = threading.Event(), threading.Event()
+
+    def come_and_go() -> None:
+        while not ended.is_set():
+            for k in range(20):
+                (folder / f".unfinished{k}").mkdir()
+            going.set()
+            for k in range(20):
+                (folder / f".unfinished{k}").rmdir()
+
+    thread = threading.Thread(target=come_and_go)
+    thread.start()
+    try:
+        going.wait()
+        for _ in range(300):
+            assert [path.name for path in jobs.files(job.number)] == ["a.png", "b.png"]
+    finally:
+        ended.set()
+        thread.join()
 
 
 @pytest.mark.parametrize("folder", ["..", "../x", "/etc/x", ".", "", ".clsco-studio", "link/x"])
