@@ -33,7 +33,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("root")
     shutil.copy(EXAMPLES / "sphere.toml", folder)
     (folder / "small.toml").write_text(SMALL)
-    (folder / "many.toml").write_text(SMALL.replace("[[object]]", "[sequence]\nframes = 400\n[[object]]"))
+    (folder / "many.toml").write_text(SMALL.replace("[[object]]", "[sequence]\nframes = 3000\n[[object]]"))
     return folder
 
 
@@ -170,7 +170,7 @@ def test_jobs_go_on_without_their_page_and_previews_do_not(page: Any, running: R
     open_scene(page, "many.toml")
     page.locator("#generate").click()
     page.get_by_label("Output folder").fill("long")
-    page.get_by_role("button", name="Write 400 frames").click()
+    page.get_by_role("button", name="Write 3000 frames").click()
     job = page.locator(".job.running:has-text('long')")
     job.locator("progress").wait_for(timeout=30000)
     page.wait_for_function("document.querySelector('.job.running progress').value > 0", timeout=60000)
