@@ -17,6 +17,7 @@ from clsco.optics.psf import reach, weights
 from clsco.reference.blur.blur import tilt_factor
 from clsco.reference.common.geometry import tilt_slope
 from clsco.scene.model import Scene
+from clsco.studio.moments import eye_of
 
 SHARP = 0.5  # px, |R| up to which a point counts as in focus
 PLOTTED = 32  # px from the center of the plot to its border
@@ -38,9 +39,9 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = Fals
     Returns
     -------
     dict
-        `index` of the frame; `values` by name, as JSON can hold them, None for what is infinite; `psf` and `lens` as
-        `point_spread` and `lens_figures` give them, of the pixel's depth; `unmeasured`: why there is no response of
-        the pixel's source.
+        `index` and `eye` of the frame; `values` by name, as JSON can hold them, None for what is infinite; `psf` and
+        `lens` as `point_spread` and `lens_figures` give them, of the pixel's depth; `unmeasured`: why there is no
+        response of the pixel's source.
     """
     values: dict[str, Any] = {"x": x, "y": y}
     values["codes"] = _plain(encode(frame.color[y, x], min(frame.metadata["bits"], 16), scene.image.transfer))
@@ -58,7 +59,8 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = Fals
     radius, depth = values.get("blur_radius"), values.get("depth")
     if radius is not None and scene.psf.model == "gaussian":
         values["sigma"] = scene.psf.sigma_ratio * abs(radius)
-    found: dict[str, Any] = {"index": frame.index, "values": values, "lens": lens_figures(scene, depth)}
+    found: dict[str, Any] = {"index": frame.index, "eye": eye_of(frame), "values": values}
+    found["lens"] = lens_figures(scene, depth)
     if radius is not None and values["mask"]:
         gradient = radius_gradient(frame, scene, x, y) if is_tilted else np.zeros(2)
         found["psf"] = point_spread(scene, radius, gradient)

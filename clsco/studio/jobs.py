@@ -1,15 +1,18 @@
 """Work of the studio that takes long: command lines of `clsco` in processes of their own, one at a time.
 
 They go on when the studio ends, and the next one finds them: `.clsco-studio/jobs.json` below the root says what was
-begun, a file beside it how each process ended.
+begun, a file beside it how each process ended. The list is sealed with a key of the user, so that a folder from
+strangers has no commands run.
 """
 
 from __future__ import annotations
 
 import contextlib
 import fcntl
+import hmac
 import json
 import os
+import secrets
 import shlex
 import shutil
 import signal
@@ -18,11 +21,13 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
 from clsco.errors import ClscoError
 from clsco.files.atomic import write_whole
+from clsco.resources import ExposedFolderError, private_folder
 from clsco.studio.samples import samples_made
 
 STATE_FOLDER = ".clsco-studio"
@@ -129,7 +134,7 @@ class Jobs:
         self._canceled: dict[int, float] = {}
         self._next_count = 0.0
         self._processes: dict[int, subprocess.Popen[bytes]] = {}
-        self._jobs = _read(self._place / "jobs.json")
+        self._jobs = _read(self._place)
 
     @property
     def listed(self) -> tuple[Job, ...]:
@@ -320,20 +325,42 @@ class Jobs:
         self._tell()
 
     def _write(self) -> None:
-        write_whole(self._place / "jobs.json", json.dumps([asdict(job) for job in self._jobs], indent=1).encode())
+        listed = [asdict(job) for job in self._jobs]
+        content = {"seal": _seal(self._place, listed), "jobs": listed}
+        write_whole(self._place / "jobs.json", json.dumps(content, indent=1).encode())
 
     def _tell(self) -> None:
         for listener in tuple(self._listeners):
             listener()
 
 
-def _read(path: Path) -> list[Job]:
-    """Jobs of a file; none where there is none, or it is not what was written."""
+def _read(place: Path) -> list[Job]:
+    """Jobs of a folder; none where its list is not what this user's studio wrote there, and no stranger's commands."""
     try:
-        listed: list[dict[str, Any]] = json.loads(path.read_bytes())
+        content = json.loads((place / "jobs.json").read_bytes())
+        listed = content["jobs"]
+        if not hmac.compare_digest(content["seal"], _seal(place, listed)):
+            return []
         return [Job(**{**entry, "arguments": tuple(entry["arguments"])}) for entry in listed]
-    except (OSError, ValueError, TypeError, KeyError):
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
         return []
+
+
+def _seal(place: Path, listed: list[dict[str, Any]]) -> str:
+    """What only who has the key of this user can put on a list of jobs in a folder."""
+    return hmac.new(_key(), f"{place}\n{json.dumps(listed)}".encode(), "sha256").hexdigest()
+
+
+@cache
+def _key() -> bytes:
+    """The key of this user, made when it is first needed; where no folder is private, one that ends with the studio."""
+    try:
+        path = private_folder("clsco", "studio") / "key"
+        if not path.exists():
+            write_whole(path, secrets.token_hex(32).encode())
+        return path.read_bytes()
+    except (ExposedFolderError, ClscoError, OSError, RuntimeError):
+        return secrets.token_bytes(32)
 
 
 def _began(process: int) -> int | None:

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from clsco.frame.frame import Frame
-from clsco.frame.provenance import views
-from clsco.optics.motion import poses_at, rest_center
+from clsco.optics.motion import Eye, poses_at, rest_center
 from clsco.reference.common.geometry import project
 from clsco.scene.model import Scene
 
@@ -45,6 +44,11 @@ def moment_of(scene: Scene, index: int, time: float) -> Scene:
     return scene.model_copy(update={"sequence": scene.sequence.model_copy(update=changes)})
 
 
+def eye_of(frame: Frame) -> Eye:
+    """Whose view a frame is; one that is no half of a pair is that of the left eye, where the camera is."""
+    return "right" if frame.eye == "right" else "left"
+
+
 def exposure_of(frame: Frame, scene: Scene) -> dict[str, Any]:
     """What the time line shows of a frame.
 
@@ -65,12 +69,13 @@ def exposure_of(frame: Frame, scene: Scene) -> dict[str, Any]:
     assert scene.sequence.shutter is not None
     shutter = [begin, begin + scene.sequence.shutter]
     times = [sample["time"] for sample in frame.metadata["intermediate"]]
-    return {"times": times, "shutter": shutter, "arrows": _arrows(scene, shutter, frame.color.shape[:2])}
+    return {"times": times, "shutter": shutter, "arrows": _arrows(scene, shutter, frame)}
 
 
-def _arrows(scene: Scene, shutter: list[float], shape: tuple[int, ...]) -> list[list[float]]:
-    camera = scene.camera.model_copy(update={"resolution": (shape[1], shape[0])})
-    eye, found = views(scene)[0], []
+def _arrows(scene: Scene, shutter: list[float], frame: Frame) -> list[list[float]]:
+    rows, columns = frame.color.shape[:2]
+    camera = scene.camera.model_copy(update={"resolution": (columns, rows)})
+    eye, found = eye_of(frame), []
     for item, *poses in zip(scene.objects, *(poses_at(scene, time, eye) for time in shutter), strict=True):
         points = np.array([rest_center(item) + pose.shift for pose in poses])
         if item.is_background or (points[:, 2] < NEAREST).any():

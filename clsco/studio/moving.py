@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import SceneError
-from clsco.frame.provenance import views
 from clsco.optics.lens import ray_step
-from clsco.optics.motion import eye_pose, middle_time, static_rotation
+from clsco.optics.motion import Eye, eye_pose, middle_time, static_rotation
 from clsco.scene.model import Camera, Plane
 from clsco.studio.session import Session
 
@@ -76,7 +75,7 @@ class Grip:
         return [round(old + float(new), _DIGITS) for old, new in zip(self.start, by, strict=True)]
 
 
-def grip(session: Session, index: int, object_id: int, depth: float) -> Grip:
+def grip(session: Session, index: int, object_id: int, depth: float, eye: Eye = "left") -> Grip:
     """Take hold of an object.
 
     Parameters
@@ -88,6 +87,8 @@ def grip(session: Session, index: int, object_id: int, depth: float) -> Grip:
         As the frame has it, in which a box is six objects.
     depth : float
         Of the point that is held, mm.
+    eye : {"left", "right"}
+        Of a stereo pair.
 
     Returns
     -------
@@ -112,6 +113,6 @@ def grip(session: Session, index: int, object_id: int, depth: float) -> Grip:
     if isinstance(surface, Plane):
         tilted = static_rotation(surface) @ np.array([-surface.slope_x, -surface.slope_y, 1.0])
         normal = tilted / tilted[2] if abs(tilted[2]) > STEEPEST else normal
-    if scene.moves:
-        axes = eye_pose(scene, views(scene)[0], middle_time(scene.sequence, index)).rotation
+    if scene.moves or scene.stereo is not None:
+        axes = eye_pose(scene, eye, middle_time(scene.sequence, index)).rotation
     return Grip(path, tuple(map(float, start)), normal, depth, axes)

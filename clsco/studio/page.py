@@ -24,6 +24,7 @@ KEYS = (
     ("F, then a click", "focus on what is there"),
     ("M, then a drag", "move the object that is there at its depth; with Shift along z, which planes always do"),
     ("B", "inpainting; there [ and ] make the brush smaller and larger, E erases, 0 fits, Ctrl Z takes a stroke back"),
+    ("E", "the right eye's view of a stereo pair, and back"),
     ("P, Space", "pin the exact frame; see it while the key is down"),
     ("Ctrl Z, Shift Ctrl Z", "undo, redo"),
     ("Ctrl S", "save"),
@@ -164,6 +165,10 @@ def _middle() -> None:
                 say("option", label, value=value)
         say("input", id="wipe", type="range", min=0, max=100, value=50, aria_label="Wipe", hidden=True)
         say("div").classes("spread")
+        say(
+            "button", "Right eye", id="eye", aria_pressed="false", hidden=True,
+            title="The other view of the stereo pair (E)",
+        )  # fmt: skip
         _shown()
         say("button", "Focal stack", id="stack", aria_pressed="false", aria_controls="stack-row")
         say("span", id="size")

@@ -31,7 +31,7 @@ VIEWS = {
 
 DRAGGING, LOSSY, EXACT, PINNED, STACKED, REFERENCE = range(6)
 MESSAGE, JPEG, PNG, FLOAT16, FLOAT32 = range(5)
-HEADER = struct.Struct("<IBBHHBHH?I")
+HEADER = struct.Struct("<IBBHHBHHBI")
 NO_NUMBER = 2**32 - 1
 IMAGES = ("color", "sharp")  # views; all others are floats
 QUALITY = {DRAGGING: 80, LOSSY: 95}
@@ -59,6 +59,8 @@ class Picture:
         What else is known of an exact frame, as JSON can hold it.
     is_plain : bool
         Without occlusion.
+    eye : str
+        "left" or "right" of a stereo pair, else "".
     """
 
     rung: int
@@ -70,17 +72,18 @@ class Picture:
     seconds: float
     about: dict[str, Any] | None = None
     is_plain: bool = False
+    eye: str = ""
 
     def packed(self, revision: int, number: int) -> bytes:
         """The bytes for the browser; number: of the frame, or in a focal stack, NO_NUMBER for one without."""
         view = list(VIEWS).index(self.view)
-        sizes = *self.size, self.encoding, *self.full
-        return HEADER.pack(revision, self.rung, view, *sizes, self.is_plain, number) + self.payload
+        sizes, flags = (*self.size, self.encoding, *self.full), self.is_plain | (self.eye == "right") << 1
+        return HEADER.pack(revision, self.rung, view, *sizes, flags, number) + self.payload
 
 
 def packed_message(revision: int, content: dict[str, Any]) -> bytes:
     """A message in JSON, behind a header like that of a picture."""
-    return HEADER.pack(revision, 0, 0, 0, 0, MESSAGE, 0, 0, False, NO_NUMBER) + json.dumps(content).encode()
+    return HEADER.pack(revision, 0, 0, 0, 0, MESSAGE, 0, 0, 0, NO_NUMBER) + json.dumps(content).encode()
 
 
 def truth_of(view: str) -> tuple[str, ...]:
@@ -104,7 +107,7 @@ def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int
         with np.errstate(over="ignore"):  # infinite in 16 bits
             payload = np.ascontiguousarray(data, dtype).tobytes()
     rows, columns = data.shape[:2]
-    return Picture(rung, view, (columns, rows), full, encoding, payload, seconds)
+    return Picture(rung, view, (columns, rows), full, encoding, payload, seconds, eye=frame.eye)
 
 
 def _jpeg(codes: NDArray[Any], quality: int) -> bytes:

@@ -62,7 +62,7 @@ class Pointer:
             values = found["values"]
             try:
                 depth = math.inf if values["depth"] is None else values["depth"]
-                self._held = drag, grip(self._session, found["index"], values["object_id"], depth)
+                self._held = drag, grip(self._session, found["index"], values["object_id"], depth, found["eye"])
             except SceneError as error:
                 self._held = None
                 await self._preview.tell(error=error.messages, grabbed={"drag": drag, "name": None})

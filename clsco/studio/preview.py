@@ -10,6 +10,7 @@ from dataclasses import asdict
 from typing import Any, Protocol
 
 from clsco.errors import CanceledError, ClscoError
+from clsco.optics.motion import Eye
 from clsco.scene.model import Scene
 from clsco.studio.moments import moment_of
 from clsco.studio.pictures import DRAGGING, EXACT, NO_NUMBER, PINNED, REFERENCE, STACKED, VIEWS, Picture, packed_message
@@ -68,6 +69,7 @@ class Preview:
         self._session, self._renderer, self._send, self._refer = session, renderer, send, refer
         self._view, self._index = "color", 0
         self._time: float | None = None  # of the one time sample that is shown
+        self._eye: Eye = "left"  # of a stereo pair
         self._state = 1  # counts all changes; a revision is one of the scene alone
         self._done = (0, EXACT)  # state and rung of the latest picture
         self._changed_at = 0.0
@@ -110,15 +112,18 @@ class Preview:
         if self._is_exact_underway:
             self._renderer.cancel()
 
-    def look(self, view: str | None = None, index: int | None = None, time: float | None = None) -> None:
-        """Show another view, or another frame, of which the one time sample at `time`, s, if any."""
-        before = self._view, self._index, self._time
+    def look(
+        self, view: str | None = None, index: int | None = None, time: float | None = None, eye: Eye | None = None
+    ) -> None:
+        """Show another view, or another frame, of which the one time sample at `time`, s, if any; or another eye's."""
+        before = self._view, self._index, self._time, self._eye
         if view in VIEWS:
             self._view = view
         if index is not None:
             self._index = min(max(index, 0), self._session.scene.sequence.frames - 1)
             self._time = time if time is not None and abs(time) <= LATEST else None
-        if before != (self._view, self._index, self._time):
+        self._eye = eye or self._eye
+        if before != (self._view, self._index, self._time, self._eye):
             self.changed()
 
     def acknowledge(self, revision: int, rung: int) -> None:
@@ -154,7 +159,7 @@ class Preview:
         """Have the frame made by the reference meanwhile; it is sent once there is nothing else to do."""
         self.cancel_reference()
         scene, index = self._shown()
-        job = Job(scene, index, self._view, REFERENCE)
+        job = Job(scene, index, self._view, REFERENCE, self._eye)
         self._reference = asyncio.create_task(self._by_reference(job, self._session.revision))
 
     def cancel_reference(self) -> None:
@@ -261,7 +266,7 @@ class Preview:
         if self._time is not None and scene.moves:
             scene, number = moment_of(scene, index, self._time), number if rung == STACKED else NO_NUMBER
         late: list[Picture] = []
-        self._is_exact_underway, job = rung != DRAGGING, Job(scene, index, self._view, rung)
+        self._is_exact_underway, job = rung != DRAGGING, Job(scene, index, self._view, rung, self._eye)
         try:
             async with aclosing(self._renderer.pictures(job, self._watch)) as pictures:
                 async for picture in pictures:
@@ -305,9 +310,10 @@ class Preview:
         stops = self._stops
         self._is_exact_underway = True
         scene, index = self._shown()
-        key = id(self), self._session.revision, index, self._time
+        key = id(self), self._session.revision, index, self._time, self._eye
         try:
-            await told(await self._renderer.inspect(Question(scene, index, key, x, y, purpose == MEASURE), self._watch))
+            question = Question(scene, index, key, x, y, self._eye, purpose == MEASURE)
+            await told(await self._renderer.inspect(question, self._watch))
         except CanceledError:
             if self._stops == stops:
                 self._asked.setdefault(purpose, asked)

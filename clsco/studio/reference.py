@@ -76,7 +76,8 @@ def _work(pipe: Connection, job: Job) -> None:
             raise SceneError(f"reference: {rule}; got {_words(seconds)} for this scene")
         pipe.send(seconds)
         start = time.perf_counter()
-        frame = next(reference.render(job.scene, frames=(job.index,)))
+        frames = reference.render(job.scene, frames=(job.index,))
+        frame = next(frame for frame in frames if frame.eye in ("", job.eye))
         bits = max(texture.bits for texture in load_scene_textures(job.scene)[1])
         frame = replace(frame, metadata={**frame.metadata, "bits": bits})
         rows, columns = frame.color.shape[:2]

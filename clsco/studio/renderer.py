@@ -16,6 +16,7 @@ from typing import Any
 
 from clsco.errors import CanceledError, ClscoError, DeviceError, SceneError
 from clsco.frame.frame import Frame
+from clsco.optics.motion import Eye
 from clsco.scene.model import Scene
 from clsco.studio.ladder import Ladders, coarser, work_of
 from clsco.studio.pictures import DRAGGING, EXACT, IMAGES, LOSSY, Picture
@@ -40,12 +41,15 @@ class Job:
         One of `pictures.VIEWS`.
     rung : int
         DRAGGING: one picture, as large as the time for it allows. EXACT: the frame, lossy first where that is quicker.
+    eye : {"left", "right"}
+        Of a stereo pair.
     """
 
     scene: Scene
     index: int
     view: str
     rung: int
+    eye: Eye = "left"
 
 
 @dataclass(frozen=True)
@@ -57,9 +61,10 @@ class Question:
 
     scene: Scene
     index: int
-    key: tuple[int, int, int, float | None]
+    key: tuple[int, int, int, float | None, Eye]
     x: int
     y: int
+    eye: Eye = "left"
     measures: bool = False
 
 
@@ -272,7 +277,7 @@ def _work(pipe: Connection, device: str | None) -> None:
 class _Known:
     """A frame with all of its ground truth, whether tilt counts in it, and the time of a response, s."""
 
-    key: tuple[int, int, int, float | None]
+    key: tuple[int, int, int, float | None, Eye]
     frame: Any
     is_tilted: bool
     seconds: float
@@ -370,7 +375,7 @@ class _Worker:
         is_plain = ladder is ladders.plain
         start = time.perf_counter()
         scene = coarser(job.scene, size, eighths, is_plain)
-        frame = self._frame(scene, job.index, truth_of(job.view))
+        frame = self._frame(scene, job, truth_of(job.view))
         picture = picture_of(frame, scene, job.view, DRAGGING, size, time.perf_counter() - start)
         ladder.measured(work, eighths, time.perf_counter() - start)
         self._send(number, replace(picture, is_plain=is_plain))
@@ -380,7 +385,7 @@ class _Worker:
 
         self._check(number)
         start = time.perf_counter()
-        frame = self._frame(job.scene, job.index, truth_of(job.view))
+        frame = self._frame(job.scene, job, truth_of(job.view))
         seconds, (rows, columns) = time.perf_counter() - start, frame.color.shape[:2]
         self._ladders_of(job).whole.bounded(work_of(job.scene, (columns, rows)), seconds)
         rungs = (LOSSY, EXACT) if job.view in IMAGES and job.rung == EXACT else (job.rung,)
@@ -430,17 +435,19 @@ class _Worker:
             self._check(number)
             self._known = None
             plan = prepare(question.scene, None, self._live.session.device, self._live.files).plan
-            frame = self._frame(question.scene, question.index, ALL_TRUTH)
+            frame = self._frame(question.scene, question, ALL_TRUTH)
             seconds = sum(frame.metadata["seconds"].values())  # in kernels, without what was compiled
             self._known = _Known(question.key, frame, plan.tilt and plan.occlusion != "layered", seconds)
         return self._known
 
-    def _frame(self, scene: Scene, index: int, truth: tuple[str, ...]) -> Any:
+    def _frame(self, scene: Scene, of: Job | Question, truth: tuple[str, ...]) -> Frame:
         from clsco.engine.sequence import render
 
-        if scene.stereo is not None:  # the left view of a pair
-            return next(iter(render(scene, truth=truth, device=self._device, frames=(index,))))
-        return self._live.render(scene, index, truth=truth)
+        if scene.stereo is not None:
+            views = render(scene, truth=truth, device=self._device, frames=(of.index,))
+            return next(frame for frame in views if frame.eye == of.eye)
+        frame: Frame = self._live.render(scene, of.index, truth=truth)
+        return frame
 
     def _check(self, number: int) -> None:
         if self._canceled >= number:

@@ -225,7 +225,8 @@ class Studio:
             case {"view": str(view)}:
                 preview.look(view=view)
             case {"frame": int(index), "time": int() | float() | None as time}:
-                preview.look(index=index, time=time)
+                eye = said.get("eye")
+                preview.look(index=index, time=time, eye=eye if eye in ("left", "right") else None)
                 if said.get("again"):
                     preview.changed()
             case {"stack": [int() | float() as nearest, int() | float() as farthest, int(steps)]}:
@@ -262,6 +263,7 @@ async def _tell(tab: Tab, preview: Preview) -> None:
             "redo": session.can_redo,
             "frames": session.scene.sequence.frames,
             "interval": session.scene.sequence.interval,
+            "pair": session.scene.stereo is not None,
         }
         now = {path: session.shown(path) for path in tab.watched}
         changed = {path: value for path, value in now.items() if path not in values or values[path] != value}

@@ -242,8 +242,8 @@ def test_a_focal_stack_is_looked_through(still: Any) -> None:
         assert f"{distance:g} mm" in still.locator("#step-about").inner_text()
     still.locator("#refocus").click()
     still.wait_for_function("studio.values['camera.focus_distance'] === 260")
-    assert still.locator("#stacked").is_hidden()
     becomes(still, codes(clsco.parse_scene(STILL).replace("camera.focus_distance", 260.0)))
+    assert still.locator("#stacked").is_hidden()
 
 
 def test_exposure_and_gamma_are_of_the_view(still: Any) -> None:
@@ -263,6 +263,26 @@ def test_exposure_and_gamma_are_of_the_view(still: Any) -> None:
     still.locator("#shown summary").click()
     assert still.evaluate("getComputedStyle(document.querySelector('#canvas')).filter") == "none"
     assert still.locator("#stage").screenshot() == look
+
+
+def test_the_right_eye_of_a_pair_is_seen(still: Any) -> None:
+    assert still.locator("#eye").is_hidden()
+    still.evaluate("studio.set('stereo.baseline', 4)")
+    still.wait_for_function("!document.querySelector('#eye').hidden")
+    scene = clsco.parse_scene(STILL).replace("stereo", {"baseline": 4.0})
+    frames = clsco.render(scene, frames=[0], device="pocl")
+    left, right = (encode(frame.color, 8, "srgb").astype(int) for frame in frames)
+    becomes(still, left)
+    still.keyboard.press("e")
+    assert still.locator("#eye").get_attribute("aria-pressed") == "true"
+    becomes(still, right)
+    still.keyboard.press("m")
+    drag(still, (46, 64), (56, 64))
+    assert values(still, "object.0.center")[0] == pytest.approx(10 * 0.04 * 238.0 / 20.0, rel=0.03)
+    still.evaluate("studio.set('stereo.baseline', null)")
+    still.wait_for_function("document.querySelector('#eye').hidden")
+    rest(still)
+    assert still.locator("#eye").get_attribute("aria-pressed") == "false"
 
 
 def test_the_header_says_what_the_picture_takes(still: Any) -> None:

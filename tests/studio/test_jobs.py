@@ -242,6 +242,33 @@ def test_a_broken_list_is_an_empty_one(tmp_path: Path) -> None:
         jobs.close()
 
 
+def test_commands_of_strangers_are_not_run(tmp_path: Path, slow: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    place = tmp_path / "ours" / jobs_module.STATE_FOLDER
+    place.parent.mkdir()
+    jobs = Jobs(place.parent)
+    work(jobs, "a", 1)
+    work(jobs, "b", 1)
+    until(jobs, lambda: not any(job.is_unfinished for job in jobs.listed))
+    jobs.close()
+    text = (place / "jobs.json").read_bytes()
+
+    def found(text: bytes, root: Path = place.parent) -> int:
+        (root / jobs_module.STATE_FOLDER).mkdir(exist_ok=True, parents=True)
+        (root / jobs_module.STATE_FOLDER / "jobs.json").write_bytes(text)
+        jobs = Jobs(root)
+        jobs.close()
+        return len(jobs.listed)
+
+    assert found(text) == 2
+    assert found(text.replace(b'"b"', b'"c"')) == 0
+    assert found(text.replace(b'"seal": "', b'"seal": "\xc3\xa9')) == 0
+    assert found(text, tmp_path / "copied") == 0  # a list belongs to its folder
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "other"))  # of somebody else
+    jobs_module._key.cache_clear()
+    assert found(text) == 0
+    jobs_module._key.cache_clear()
+
+
 @pytest.mark.parametrize("folder", ["..", "../x", "/etc/x", ".", "", ".clsco-studio", "link/x"])
 def test_nothing_is_written_elsewhere(jobs: Jobs, tmp_path_factory: pytest.TempPathFactory, folder: str) -> None:
     outside = tmp_path_factory.mktemp("outside")

@@ -10,7 +10,7 @@ import pytest
 
 import clsco
 from clsco import SceneError
-from clsco.optics.motion import middle_time, poses_at, rest_center
+from clsco.optics.motion import Eye, middle_time, poses_at, rest_center
 from clsco.reference.common.geometry import pixel_ray, project
 from clsco.studio.moving import ALONG, grip
 from clsco.studio.session import Session
@@ -75,6 +75,22 @@ def test_a_camera_that_turned_moves_things_along_its_own_axes(tmp_path: Path) ->
 
     before = seen()
     held = grip(session, 2, 0, float(before[2]))
+    session.patch(held.path, held.value(session.scene.camera, 4.0, 6.0, False))
+    row, column = project(session.scene.camera, np.stack([before, seen()]))
+    assert column[1] - column[0] == pytest.approx(4.0, abs=1e-3)
+    assert row[1] - row[0] == pytest.approx(6.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("eye", ["left", "right"])
+def test_each_eye_moves_things_along_its_own_axes(tmp_path: Path, eye: Eye) -> None:
+    session = session_of(tmp_path, ROUND[0], stereo={"baseline": 8.0, "toe_in": 6.0})
+
+    def seen() -> Any:
+        pose = poses_at(session.scene, 0.0, eye)[0]
+        return rest_center(session.scene.objects[0]) + pose.shift
+
+    before = seen()
+    held = grip(session, 0, 0, float(before[2]), eye)
     session.patch(held.path, held.value(session.scene.camera, 4.0, 6.0, False))
     row, column = project(session.scene.camera, np.stack([before, seen()]))
     assert column[1] - column[0] == pytest.approx(4.0, abs=1e-3)

@@ -9,7 +9,7 @@ import re
 import signal
 from collections.abc import AsyncIterator
 from contextlib import suppress
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -20,6 +20,7 @@ import clsco
 from clsco import Scene, parse_scene
 from clsco.errors import CanceledError, DeviceError, SceneError
 from clsco.files.transfer import encode
+from clsco.optics.motion import Eye
 from clsco.studio.inspector import figures_of
 from clsco.studio.pictures import DRAGGING, EXACT, FLOAT32, HEADER, JPEG, LOSSY, MESSAGE, PNG, VIEWS, Picture
 from clsco.studio.preview import Preview
@@ -71,6 +72,7 @@ def test_the_renderer_from_its_start_to_its_crash() -> None:
         try:
             await rungs(renderer)
             await views(renderer)
+            await eyes(renderer)
             await pixels(renderer)
             await faults(renderer)
             await progress(renderer)
@@ -109,16 +111,29 @@ async def views(renderer: Renderer) -> None:
         assert np.array_equal(np.frombuffer(exact.payload, "<f4").reshape(expected.shape), expected, equal_nan=True)
 
 
+async def eyes(renderer: Renderer) -> None:
+    scene = small().replace("stereo", {"baseline": 6.0})
+    frames = {frame.eye: frame for frame in clsco.render(scene, truth=(), device="pocl")}
+    shown = []
+    for eye in get_args(Eye):
+        _, exact = await all_of(renderer.pictures(Job(scene, 0, "color", EXACT, eye)))
+        shown.append(np.asarray(Image.open(io.BytesIO(exact.payload))))
+        frame = frames[eye]
+        assert np.array_equal(shown[-1], encode(frame.color, min(frame.metadata["bits"], 16), "srgb"))
+        assert exact.packed(3, 0)[15] == (2 if eye == "right" else 0)
+    assert not np.array_equal(shown[0], shown[1])
+
+
 async def pixels(renderer: Renderer) -> None:
     scene = small()
     (frame,) = clsco.render(scene, device="pocl")
-    found = await renderer.inspect(Question(scene, 0, (1, 1, 0, None), 20, 15))
+    found = await renderer.inspect(Question(scene, 0, (1, 1, 0, None, "left"), 20, 15))
     assert found["values"]["depth"] == float(frame.depth[15, 20])  # type: ignore[index]
     assert 0.0 < found["seconds"] < 1.0
-    measured = await renderer.inspect(Question(scene, 0, (1, 1, 0, None), 20, 15, measures=True))
+    measured = await renderer.inspect(Question(scene, 0, (1, 1, 0, None, "left"), 20, 15, measures=True))
     expected = figures_of(clsco.response(scene, 20, 15, device="pocl"), 20, 15)
     assert measured == {"x": 20, "y": 15, "response": expected}
-    beside = await renderer.inspect(Question(scene, 0, (1, 1, 0, None), 99, 99, measures=True))
+    beside = await renderer.inspect(Question(scene, 0, (1, 1, 0, None, "left"), 99, 99, measures=True))
     assert beside == {"x": 47, "y": 39, "unmeasured": "no surface"}
 
 

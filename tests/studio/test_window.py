@@ -200,6 +200,20 @@ def test_jobs_go_on_without_their_page_and_previews_do_not(page: Any, running: R
     again.locator(".job.canceled:has-text('long')").wait_for(timeout=20000)
 
 
+@pytest.mark.parametrize("width", [1280, 1000, 800])
+def test_nothing_is_cut_off(running: Running, width: int) -> None:
+    with opened(running, width) as page:
+        beyond = """[...document.querySelectorAll('header *, #views *, #tools *, #line *, #badge')]
+          .filter((each) => each.getBoundingClientRect().right > innerWidth).map((each) => each.outerHTML)"""
+        assert page.evaluate(beyond) == []
+        assert {box["height"] for box in map(boxed, page.locator("header button:visible").all())} == {26}
+
+
+def boxed(element: Any) -> dict[str, float]:
+    found: dict[str, float] = element.bounding_box()
+    return found
+
+
 @pytest.mark.parametrize("width", [1280, 800])
 def test_axe_finds_nothing_in_any_dialog(running: Running, width: int) -> None:
     with opened(running, width) as page:

@@ -16,12 +16,16 @@
     ask();
   };
 
+  studio.wanted = () => ({ frame: studio.index, time: studio.moment, eye: studio.right ? "right" : "left" });
+
   const ask = () => {
     studio.rung = -1;
     forget();
-    studio.send({ frame: studio.index, time: studio.moment });
+    studio.send(studio.wanted());
     line();
   };
+
+  studio.ask = ask;
 
   const line = () => {
     studio.index = Math.min(studio.index, frames - 1);
@@ -79,7 +83,7 @@
       forget();
     }
     if (frames < 2 || picture.number >= frames) return;
-    const { width, height } = one("#canvas"), key = `${picture.revision} ${picture.view}`;
+    const { width, height } = one("#canvas"), key = `${picture.revision} ${picture.view} ${picture.right}`;
     if (key !== of) {
       for (const [, image] of kept) image.then((each) => each.close());
       [kept, of] = [new Map(), key];
@@ -95,8 +99,8 @@
   const step = async () => {
     const next = (studio.index + 1) % frames;
     if (next === 0 && still.matches) { play(false); return; }
-    if (of !== `${studio.revision} ${studio.view}` || !kept.has(next)) { studio.seek(next); return; }
-    studio.index = next;
+    if (of !== `${studio.revision} ${studio.view} ${studio.right}` || !kept.has(next)) { studio.seek(next); return; }
+    [studio.index, studio.moment] = [next, null];
     studio.rung = -1;
     const image = await kept.get(next);
     if (!player || studio.index !== next) return;
@@ -107,7 +111,7 @@
   };
 
   const play = (on) => {
-    if (!on && player) studio.send({ frame: studio.index, time: null, again: true }); // to be seen as it is
+    if (!on && player) studio.send({ ...studio.wanted(), again: true }); // to be seen as it is
     clearInterval(player);
     player = on ? setInterval(step, Math.max(1000 * interval, 40)) : 0;
     one("#play").setAttribute("aria-pressed", String(Boolean(player)));

@@ -18,7 +18,7 @@
     overlays: [], // functions that draw over the picture, of a context and of what makes pixels of the frame those of the stage
     parts: [], // functions that begin the other files' work
     sent: new Map(), // values by path, since the server was asked for its scene
-    revision: -1, rung: -1, view: "color", index: 0, moment: null, values: {}, faults: {},
+    revision: -1, rung: -1, view: "color", index: 0, moment: null, right: false, values: {}, faults: {},
   };
   window.studio = studio;
 
@@ -41,7 +41,7 @@
       if (link) send({ link });
       link = "";
       send({ view: studio.view });
-      send({ frame: studio.index, time: studio.moment });
+      send(studio.wanted());
       studio.opened();
     };
     socket.onmessage = (event) => received(event.data);
@@ -57,7 +57,8 @@
     const picture = {
       revision: head.getUint32(0, true), rung: head.getUint8(4), view: VIEWS[head.getUint8(5)],
       width: head.getUint16(6, true), height: head.getUint16(8, true), encoding: head.getUint8(10),
-      full: [head.getUint16(11, true), head.getUint16(13, true)], plain: head.getUint8(15) === 1, number: head.getUint32(16, true),
+      full: [head.getUint16(11, true), head.getUint16(13, true)], plain: Boolean(head.getUint8(15) & 1),
+      right: Boolean(head.getUint8(15) & 2), number: head.getUint32(16, true),
     };
     if (picture.encoding === MESSAGE) told(JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, HEAD))));
     else show(picture, buffer);
@@ -71,10 +72,10 @@
       const image = await drawable;
       if (picture.rung === STACKED) studio.stacked(picture, image);
       else if (picture.rung >= PINNED) studio.pinned(image, picture);
-      else if (picture.view === studio.view && picture.revision >= studio.revision) paint(picture, image);
+      else if (asked(picture) && picture.revision >= studio.revision) paint(picture, image);
       await new Promise(requestAnimationFrame);
       send({ ack: [picture.revision, picture.rung] });
-      if (picture.view !== studio.view || picture.rung >= PINNED) return;
+      if (!asked(picture) || picture.rung >= PINNED) return;
       if (picture.rung === EXACT) studio.rested();
       studio.painted.push([picture.revision, picture.rung, performance.now()]);
       if (studio.painted.length > 500) studio.painted.shift();
@@ -83,6 +84,8 @@
       told({ error: [`picture: ${error.message}`] });
     });
   };
+
+  const asked = (picture) => picture.view === studio.view && picture.right === studio.right;
 
   const decoded = (picture, buffer) => createImageBitmap(
     new Blob([new Uint8Array(buffer, HEAD)], { type: picture.encoding === JPEG ? "image/jpeg" : "image/png" }),
@@ -414,6 +417,7 @@
     if (/^[1-9]$/.test(event.key)) return look(VIEWS[Number(event.key) - 1]);
     if (event.key === ",") return studio.seek(studio.index - 1);
     if (event.key === ".") return studio.seek(studio.index + 1);
+    if (event.key.toLowerCase() === "e" && !one("#eye").hidden) return press("#eye");
     if (event.key === "?") return one("#keys").showModal();
     return studio.extra?.(event);
   };

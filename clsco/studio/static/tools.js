@@ -76,15 +76,15 @@
     };
     stage.addEventListener("pointerup", end);
     stage.addEventListener("pointercancel", end);
-    document.addEventListener("keydown", (event) => {
-      if (event.key !== "Escape") return;
-      if (held !== null) {
-        held.to = held.from;
-        held.along = false;
-        pull();
-        held = null;
-      } else if (!document.querySelector("dialog[open]") && studio.tool) studio.take("");
-    });
+    document.addEventListener("keydown", (event) => { // before others; in a drag it takes that back alone
+      if (event.key !== "Escape" || one("dialog[open]") || (held === null && !studio.tool)) return;
+      if (held === null) { studio.take(""); return; }
+      event.stopImmediatePropagation();
+      held.to = held.from;
+      held.along = false;
+      pull();
+      held = null;
+    }, true);
   };
 
   studio.hearing.push((said) => {
@@ -114,6 +114,19 @@
   const shows = () => studio.view === "color" || studio.view === "sharp";
   studio.expose = expose;
 
+  // ---- the eyes of a stereo pair ----------------------------------------------------------------------------------
+  const turn = (right) => {
+    studio.right = right;
+    one("#eye").setAttribute("aria-pressed", String(right));
+    studio.ask();
+  };
+
+  studio.hearing.push((said) => {
+    if (!("pair" in said)) return;
+    one("#eye").hidden = !said.pair;
+    if (!said.pair && studio.right) turn(false);
+  });
+
   // ---- arrows of motion -------------------------------------------------------------------------------------------
   studio.arrows = [];
   studio.overlays.push((context, place) => {
@@ -142,6 +155,7 @@
       one("#gamma").value = 1;
       expose();
     });
+    one("#eye").addEventListener("click", () => turn(!studio.right));
     one("#arrows").addEventListener("change", () => studio.place());
     document.addEventListener("click", (event) => {
       const button = event.target.closest?.("button[data-tool]");

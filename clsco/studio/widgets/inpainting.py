@@ -83,6 +83,7 @@ def inpainting_dialog(session: Session, jobs: Jobs, tab: str, device: str | None
 
     async def fill() -> None:
         results.refresh()
+        timer.activate()
         for method in chosen():
             running.append((method, time.monotonic()))
             progress.refresh()
@@ -97,6 +98,7 @@ def inpainting_dialog(session: Session, jobs: Jobs, tab: str, device: str | None
             if found is None:
                 break
             results.refresh()
+        timer.deactivate()
 
     @ui.refreshable
     def progress() -> None:
@@ -139,7 +141,7 @@ def inpainting_dialog(session: Session, jobs: Jobs, tab: str, device: str | None
                 check_box(_LABELS[method], True, partial(wanted.__setitem__, method))
             say("button", "Fill", type="button").classes("primary").on("click", fill, js_handler=_ALL_SENT)
         progress()
-        ui.timer(_TICK, lambda: progress.refresh() if running else None)
+        timer = ui.timer(_TICK, progress.refresh, active=False)
         results()
         with say("div").classes("row"):
             text_box("Folder for the results", typed["folder"], lambda name: typed.update(folder=name))
