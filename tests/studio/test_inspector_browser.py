@@ -17,7 +17,7 @@ from clsco.studio.inspector import figures_of
 from tests.studio.browser import opened, rest
 from tests.studio.running import Running, studio
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.browser
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 PLACES = ((0.17, 0.42), (0.52, 0.5), (0.8, 0.2))
 

@@ -37,14 +37,15 @@
     const wanted = pinned !== null && (mode !== "off" || flipped), factor = flipped ? 0 : Number(mode) || 0;
     const fits = wanted && pinned.image.width === canvas.width && pinned.image.height === canvas.height
       && pinned.view === studio.view;
-    over.hidden = !fits || (mode === "flip" && !flipped);
+    const waits = factor > 0 && studio.rung !== 2; // a preview differs anyway
+    over.hidden = !fits || waits || (mode === "flip" && !flipped);
     one("#wipe").hidden = !fits || mode !== "wipe";
     one("#compare").disabled = pinned === null;
     badge.hidden = !wanted;
     if (!wanted) return;
     const now = pinned.revision === studio.revision ? "" : ` (now ${studio.revision})`;
     const of = `${pinned.what}, revision ${pinned.revision}${now}`;
-    badge.textContent = fits ? of : `${of}: of another view or size`;
+    badge.textContent = !fits ? `${of}: of another view or size` : waits ? `difference × ${factor} to ${of}: once it is exact` : of;
     if (over.hidden) return;
     if (over.width !== canvas.width) over.width = canvas.width;
     if (over.height !== canvas.height) over.height = canvas.height;

@@ -174,7 +174,7 @@
       studio.take("");
     });
   };
-  studio.rested = () => { studio.compare(); ask(); };
+  studio.rested = () => ask();
 
   studio.extra = (event) => {
     if (event.key === "f" || event.key === "F") studio.take("focus");

@@ -129,6 +129,7 @@
     one("#badge").dataset.rung = picture.rung;
     one("#size").textContent = `${columns} × ${rows} px`;
     studio.done();
+    studio.compare();
     legend(picture.legend);
     place();
     studio.drawn(picture);
