@@ -7,7 +7,7 @@ import mmap
 import sys
 import threading
 import weakref
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from contextlib import suppress
 from functools import cache
 from typing import Any
@@ -33,7 +33,8 @@ class Pages:
 
     def __init__(self, limit: int = KEPT_BYTES) -> None:
         self.limit = limit
-        self._lock = threading.RLock()  # a finalizer may run in the thread that holds it
+        self._lock = threading.Lock()
+        self._back: deque[mmap.mmap] = deque()  # given back by finalizers, which may run amid what holds the lock
         self._free: OrderedDict[int, mmap.mmap] = OrderedDict()
         self._bytes = 0
 
@@ -44,6 +45,7 @@ class Pages:
         """
         wanted = block_size(size)
         with self._lock:
+            self._take_back()
             free = ((len(block), key) for key, block in self._free.items())
             found, key = min((each for each in free if wanted <= each[0] <= wanted + wanted // SLACK), default=(0, 0))
             block = self._free.pop(key, None)
@@ -58,7 +60,16 @@ class Pages:
         return array[:size]
 
     def _give(self, block: mmap.mmap) -> None:
-        with self._lock:
+        self._back.append(block)
+        if self._lock.acquire(blocking=False):
+            try:
+                self._take_back()
+            finally:
+                self._lock.release()
+
+    def _take_back(self) -> None:
+        while self._back:
+            block = self._back.popleft()
             self._free[id(block)] = block
             self._bytes += len(block)
             while self._bytes > self.limit:
@@ -72,6 +83,7 @@ class Pages:
     def clear(self) -> None:
         """Give all blocks that nobody uses back to the system."""
         with self._lock:
+            self._take_back()
             self._free.clear()
             self._bytes = 0
 

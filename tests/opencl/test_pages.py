@@ -59,3 +59,13 @@ def test_buffers_use_blocks_again(session: Session) -> None:
     buffer = empty(session, 2**20 - 100)
     assert shared_pages().bytes == before
     assert buffer.size == 2**20 - 100
+
+
+def test_a_block_that_comes_back_amid_a_search_waits_for_its_end() -> None:
+    pages = Pages()
+    array = pages.take(SMALLEST)
+    address = array.ctypes.data
+    with pages._lock:  # as in `take`, where the garbage collector may run
+        del array
+        assert not pages._free
+    assert pages.take(SMALLEST).ctypes.data == address

@@ -155,18 +155,19 @@ async def progress(renderer: Renderer) -> None:
     async def watch(found: Progress) -> None:
         said.append(found)
 
-    long = small().replace("object.0.motion.velocity", [2.0, 0.0, 0.0]).replace("sequence.samples", 400)
+    long = small().replace("object.0.motion.velocity", [2.0, 0.0, 0.0]).replace("sequence.samples", 4000)
     job = Job(long.replace("camera.resolution", [256, 256]), 0, "color", EXACT)
     first = asyncio.ensure_future(all_of(renderer.pictures(job, watch)))
     await asyncio.sleep(0)
     second = asyncio.ensure_future(all_of(renderer.pictures(Job(small(), 0, "color", DRAGGING), watch)))
     while not any(found.done for found in said):
+        assert not first.done()
         await asyncio.sleep(0.05)
     renderer.cancel()
     with pytest.raises(CanceledError):
         await first
     assert len(await second) == 1
-    counts = [found.done for found in said if found.total == 400]
+    counts = [found.done for found in said if found.total == 4000]
     assert counts == sorted(counts)
     assert "another tab" in [found.doing for found in said]
 
