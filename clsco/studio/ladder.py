@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from clsco.scene.model import Scene
 
-BUDGET = 0.040  # s
+BUDGET = 0.030  # s
 EIGHTHS = 8  # of the full width and height
 MOST_SAMPLES = 3
 LEAST = 5  # eighths; where fewer come in time, occlusion is left out

@@ -115,7 +115,7 @@ def test_undo_and_redo_walk_back_and_forth(page: Any) -> None:
         for state in way:
             page.keyboard.press(key)
             wait_for_scene(page, state)
-    assert page.locator("#redo").is_disabled()
+    page.wait_for_function("document.querySelector('#redo').disabled")
 
 
 def wait_for_scene(page: Any, state: str) -> None:
