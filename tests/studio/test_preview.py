@@ -403,17 +403,17 @@ def test_the_ladder_believes_a_stall_the_third_time() -> None:
 
 def test_occlusion_is_left_out_where_the_budget_needs_it() -> None:
     ladders, work, known = Ladders(), 512.0 * 512.0, scene()
-    ladders.whole.measured(work, 8, 0.030)
+    ladders.whole.measured(work, 8, 0.75 * BUDGET)
     assert ladders.choose(known, work) == (ladders.whole, 8)
     for _ in range(9):
-        ladders.whole.measured(work, 8, 0.110)
-    ladders.plain.measured(work, 8, 0.038)
+        ladders.whole.measured(work, 8, 2.75 * BUDGET)
+    ladders.plain.measured(work, 8, 0.95 * BUDGET)
     assert ladders.whole.eighths(work) < LEAST
     assert ladders.choose(known, work) == (ladders.plain, 8)
     assert ladders.choose(known.replace("psf.occlusion", "none"), work)[0] is ladders.whole
     assert coarser(known, (64, 48), 8, is_plain=True).psf.occlusion == "none"
     assert coarser(known, (64, 48), 8).psf.occlusion == known.psf.occlusion
-    ladders.whole.bounded(work, 0.035)  # an exact frame came in time
+    ladders.whole.bounded(work, 0.9 * BUDGET)  # an exact frame came in time
     assert ladders.choose(known, work) == (ladders.whole, 8)
 
 
