@@ -26,15 +26,15 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module", params=["sphere", "sphere_moving"])
-def running(root: Path, request: pytest.FixtureRequest) -> Iterator[tuple[str, Running]]:
+@pytest.fixture(scope="module")
+def running(root: Path, request: pytest.FixtureRequest) -> Iterator[Running]:
     with studio(root, str(root / f"{request.param}.toml"), "--device", "pocl") as started:
-        yield request.param, started
+        yield started
 
 
 @pytest.fixture
-def page(running: tuple[str, Running]) -> Iterator[Any]:
-    with opened(running[1]) as shown:
+def page(running: Running) -> Iterator[Any]:
+    with opened(running) as shown:
         yield shown
 
 
@@ -52,9 +52,8 @@ def put(page: Any, path: str, value: float) -> None:
     page.wait_for_function("([path, value]) => studio.values[path] === value", arg=[path, value], timeout=20000)
 
 
-def test_the_reference_runs_beside_the_work(page: Any, running: tuple[str, Running]) -> None:
-    if running[0] != "sphere":
-        pytest.skip("takes the reference too long")
+@pytest.mark.parametrize("running", ["sphere"], indirect=True)
+def test_the_reference_runs_beside_the_work(page: Any) -> None:
     put(page, "camera.resolution.0", 128)
     put(page, "camera.resolution.1", 128)
     page.wait_for_function("studio.revision === 2 && studio.rung === 2", timeout=60000)
@@ -77,9 +76,8 @@ def test_the_reference_runs_beside_the_work(page: Any, running: tuple[str, Runni
     assert page.locator(REFERENCE).is_hidden()
 
 
-def test_time_samples_are_counted_and_esc_ends_them(page: Any, running: tuple[str, Running]) -> None:
-    if running[0] != "sphere_moving":
-        pytest.skip("has one time sample")
+@pytest.mark.parametrize("running", ["sphere_moving"], indirect=True)
+def test_time_samples_are_counted_and_esc_ends_them(page: Any) -> None:
     put(page, "sequence.samples", 200)
     shown(page, PROGRESS, "of 200 · Esc cancels")
     page.get_by_role("tab", name="depth").focus()  # the page is alive
