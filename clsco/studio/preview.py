@@ -24,7 +24,7 @@ MOST_UNSEEN = 2  # pictures that the browser has not painted yet
 _MOST_CRASHES = 2  # of the renderer with the same scene
 
 
-Told = Callable[[dict[str, Any]], Awaitable[None]]
+Report = Callable[[dict[str, Any]], Awaitable[None]]
 Refer = Callable[[Job, Callable[[float], Coroutine[Any, Any, None]]], Awaitable[Picture]]
 
 
@@ -78,7 +78,7 @@ class Preview:
         self._is_exact_underway = self._is_hidden = False
         self._stops, self._is_stopped = 0, False  # by the user; the latter until the next change
         self._crashes = 0
-        self._asked: dict[str, tuple[int, int, Told]] = {}
+        self._asked: dict[str, tuple[int, int, Report]] = {}
         self._other: Scene | None = None
         self._reference: asyncio.Task[None] | None = None
         self._ready: tuple[int, Picture] | None = None  # by the reference, and of which revision
@@ -139,15 +139,15 @@ class Preview:
         if is_hidden and self._is_exact_underway:
             self._renderer.cancel()
 
-    def inspect(self, x: int, y: int, told: Told, purpose: str = "") -> None:
-        """Have `told` called with what is known of a pixel, once the exact frame is there.
+    def inspect(self, x: int, y: int, report: Report, purpose: str = "") -> None:
+        """Have `report` called with what is known of a pixel, once the exact frame is there.
 
         Of pixels that are asked for with one purpose the latest wins. With MEASURE, what is asked for is the response
         of the pixel's source. After `stop` there is no answer.
         """
         if self._is_stopped:
             return
-        self._asked[purpose] = x, y, told
+        self._asked[purpose] = x, y, report
         self._news.set()
 
     def pin(self, scene: Scene) -> None:
@@ -214,7 +214,7 @@ class Preview:
                 await self._show(STACKED)
             elif (kind := _kind(self._session.scene)) not in self._warm:
                 self._warm.add(kind)
-                with suppress(ClscoError):  # what is wrong is told by the pictures
+                with suppress(ClscoError):  # what is wrong is reported by the pictures
                     await self._renderer.warm(self._session.scene)
             elif self._asked:
                 await self._ask(next(iter(self._asked)))
@@ -261,8 +261,9 @@ class Preview:
         if other is not None:
             scene, self._other = other, None
         index = number = min(self._index, scene.sequence.frames - 1)
-        if rung == STACKED:
-            number, scene = self._stack.pop(0)
+        step = self._stack.pop(0) if rung == STACKED else None
+        if step is not None:
+            number, scene = step
         if self._time is not None and scene.moves:
             scene, number = moment_of(scene, index, self._time), number if rung == STACKED else NO_NUMBER
         late: list[Picture] = []
@@ -287,6 +288,8 @@ class Preview:
         except CanceledError:
             if self._stops == stops:
                 self._other = self._other or other
+                if step is not None and self._state == state:  # the tab was hidden meanwhile
+                    self._stack.insert(0, step)
         except RendererEndedError as error:
             self._crashes += 1
             if self._crashes >= _MOST_CRASHES:
@@ -306,14 +309,14 @@ class Preview:
 
     async def _ask(self, purpose: str) -> None:
         """Answer what is asked of a pixel; a change in between has it asked again."""
-        x, y, told = asked = self._asked.pop(purpose)
+        x, y, report = asked = self._asked.pop(purpose)
         stops = self._stops
         self._is_exact_underway = True
         scene, index = self._shown()
         key = id(self), self._session.revision, index, self._time, self._eye
         try:
             question = Question(scene, index, key, x, y, self._eye, purpose == MEASURE)
-            await told(await self._renderer.inspect(question, self._watch))
+            await report(await self._renderer.inspect(question, self._watch))
         except CanceledError:
             if self._stops == stops:
                 self._asked.setdefault(purpose, asked)

@@ -122,7 +122,7 @@ class Session(Editor):
         }
 
     def resume(self, link: str, file: str, digest: str) -> None:
-        """Go to a scene that `remembered` told of, as a step of undo. Raises SceneError; then all stays as it is."""
+        """Go to a scene that `remembered` described, as a step of undo. Raises SceneError; then all stays as it is."""
         table, missing = from_link(link, self.readable)
         target = self.inside(Path(file)) if file else None
         start = target.parent if target is not None else self.root

@@ -14,7 +14,7 @@ import pytest
 from clsco import Scene, parse_scene
 from clsco.errors import CanceledError, ClscoError, SceneError
 from clsco.studio.ladder import BUDGET, LEAST, Ladder, Ladders, coarser, work_of
-from clsco.studio.pictures import DRAGGING, EXACT, HEADER, LOSSY, MESSAGE, PINNED, REFERENCE, Picture
+from clsco.studio.pictures import DRAGGING, EXACT, HEADER, LOSSY, MESSAGE, PINNED, REFERENCE, STACKED, Picture
 from clsco.studio.preview import MEASURE, MOST_UNSEEN, REST, Preview
 from clsco.studio.renderer import Job, Progress, Question, RendererEndedError, Watch
 
@@ -280,6 +280,22 @@ def test_another_scene_is_pinned_once() -> None:
     _, renders, browser = played(play)
     assert browser.got == [(0, DRAGGING), (0, LOSSY), (0, EXACT), (0, PINNED)]
     assert renders.jobs[-1].scene.psf.model == "gaussian"
+
+
+def test_a_focal_stack_is_whole_although_its_tab_was_hidden_meanwhile() -> None:
+    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
+        await asyncio.sleep(2 * REST)
+        renders.seconds = 0.05
+        preview.stack([session.scene] * 3)
+        await asyncio.sleep(0.02)
+        preview.hide(True)
+        await asyncio.sleep(0.05)
+        preview.hide(False)
+        await asyncio.sleep(2 * REST + 0.2)
+
+    _, renders, browser = played(play)
+    assert renders.canceled == 1
+    assert browser.got[3:] == [(0, STACKED)] * 3
 
 
 def test_the_reference_goes_on_beside_changes_and_says_of_which_revision_it_is() -> None:
