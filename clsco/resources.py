@@ -1,7 +1,9 @@
-"""Folders: those that are shipped with the package, kernels and example scenes, and those of the user's cache."""
+"""Folders that are shipped, kernels and example scenes, and those of the user's cache; and regular files, opened so
+that no link, pipe or device can stand in for one."""
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import stat
@@ -11,6 +13,10 @@ from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from types import ModuleType
+from typing import BinaryIO
+
+# Opening a pipe would block for ever without the second; neither is there on Windows.
+_SAFELY = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 
 
 @cache
@@ -90,3 +96,70 @@ def _exposed(root: Path, *ours: Path) -> Path | None:
         if not stat.S_ISDIR(found.st_mode) or found.st_uid != user or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
             return folder
     return None
+
+
+def open_regular(
+    path: str | os.PathLike[str], most: int | None = None, *, follow: bool = False, folder: int | None = None
+) -> BinaryIO:
+    """Open a regular file to be read; nothing else is opened for longer than it takes to see what it is.
+
+    Parameters
+    ----------
+    path : path
+    most : int, optional
+        Bytes that it may have. A file can grow while it is read: `read_regular` holds that, too.
+    follow : bool
+        The file may be a symbolic link, as what a user names may be one. Links of folders above it are followed always.
+    folder : int, optional
+        Descriptor of the folder that a relative path starts at.
+
+    Returns
+    -------
+    BinaryIO
+
+    Raises
+    ------
+    OSError
+        It cannot be opened, is something else, or is larger; `strerror` says what it is in place of a regular file, as
+        in "a device or a pipe".
+
+    Examples
+    --------
+    >>> from clsco.resources import open_regular
+    >>> with open_regular(__file__, 2**20, follow=True) as file:
+    ...     line = file.readline()
+    """
+    flags = _SAFELY & ~getattr(os, "O_NOFOLLOW", 0) if follow else _SAFELY
+    try:
+        handle = os.open(path, flags, dir_fd=folder)
+    except OSError as error:
+        if error.errno == errno.ELOOP and not follow:
+            raise OSError(error.errno, "a symbolic link", error.filename) from None
+        if error.errno in (errno.ENXIO, errno.ENODEV):  # a socket, or a device that is not there
+            raise OSError(error.errno, "a device or a pipe", error.filename) from None
+        raise
+    try:
+        about = os.fstat(handle)
+        if stat.S_ISDIR(about.st_mode):
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), os.fspath(path))
+        if not stat.S_ISREG(about.st_mode):
+            raise OSError(errno.EINVAL, "a device or a pipe", os.fspath(path))
+        if most is not None and about.st_size > most:
+            raise _too_large(path, about.st_size, most)
+        return os.fdopen(handle, "rb")
+    except BaseException:
+        os.close(handle)
+        raise
+
+
+def read_regular(path: str | os.PathLike[str], most: int, *, follow: bool = False, folder: int | None = None) -> bytes:
+    """Read the content of a regular file of at most `most` bytes. Arguments and errors are those of `open_regular`."""
+    with open_regular(path, most, follow=follow, folder=folder) as file:
+        content = file.read(most + 1)
+    if len(content) > most:
+        raise _too_large(path, len(content), most)
+    return content
+
+
+def _too_large(path: str | os.PathLike[str], size: int, most: int) -> OSError:
+    return OSError(errno.EFBIG, f"{size} bytes, more than {most}", os.fspath(path))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
-import stat
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import Any, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 
 from clsco.errors import SceneError
+from clsco.resources import read_regular
 from clsco.scene.changes import override
 from clsco.scene.faults import MAX_MESSAGES, at_most, items, messages, parsed, sections
 from clsco.scene.model import AnyShape, ObjectMotion, Psf, Scene
@@ -252,15 +253,11 @@ def _read(where: str) -> dict[str, Any]:
     if kind not in (".toml", ".json"):
         raise SceneError(f"{where}: a scene file must end in .toml or .json")
     try:
-        mode = Path(where).stat().st_mode
-        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # opening a pipe would block for ever
-            raise SceneError(f"{where}: must be a file; got a device or a pipe")
-        with open(where, "rb") as file:
-            content = file.read(MAX_FILE_BYTES + 1)
+        content = read_regular(where, MAX_FILE_BYTES, follow=True)
     except (OSError, ValueError) as error:
+        if getattr(error, "errno", None) == errno.EFBIG:
+            raise SceneError(f"{where}: a scene file must have at most {MAX_FILE_BYTES} bytes") from None
         raise SceneError(f"{where}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
-    if len(content) > MAX_FILE_BYTES:
-        raise SceneError(f"{where}: a scene file must have at most {MAX_FILE_BYTES} bytes")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

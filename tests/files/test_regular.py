@@ -1,0 +1,78 @@
+"""Files of strangers: what is no regular file is not opened for longer than that takes to see."""
+
+from __future__ import annotations
+
+import os
+import socket
+from pathlib import Path
+
+import pytest
+
+from clsco.resources import open_regular, read_regular
+
+
+def got(path: Path | str, most: int = 100, *, follow: bool = False) -> str:
+    try:
+        read_regular(path, most, follow=follow)
+    except OSError as error:
+        return str(error.strerror)
+    raise AssertionError(path)
+
+
+def test_what_is_read(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"12345")
+    (tmp_path / "link").symlink_to("a")
+    assert read_regular(tmp_path / "a", 5) == b"12345"
+    assert read_regular(tmp_path / "link", 5, follow=True) == b"12345"
+    folder = os.open(tmp_path, os.O_RDONLY)
+    try:
+        with open_regular("a", folder=folder) as file:
+            assert file.read(2) == b"12"
+    finally:
+        os.close(folder)
+
+
+def test_what_stands_in_for_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a").write_bytes(b"123456")
+    (tmp_path / "link").symlink_to("a")
+    (tmp_path / "lost").symlink_to("nothing")
+    (tmp_path / "zero").symlink_to("/dev/zero")
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "to_pipe").symlink_to("pipe")
+    (tmp_path / "folder").mkdir()
+    monkeypatch.chdir(tmp_path)  # names of sockets are short
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind("socket")
+    assert got(tmp_path / "a", 5) == "6 bytes, more than 5"
+    for name in ("link", "lost", "zero", "to_pipe"):
+        assert got(tmp_path / name) == "a symbolic link"
+    for name in ("zero", "to_pipe"):
+        assert got(tmp_path / name, follow=True) == "a device or a pipe"
+    for name in ("pipe", "socket"):
+        assert got(tmp_path / name) == "a device or a pipe"
+    assert got("/dev/zero") == "a device or a pipe"
+    assert got(tmp_path / "folder") == "Is a directory"
+    assert got(tmp_path / "nothing") == "No such file or directory"
+
+
+def test_a_file_that_grows_while_it_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a").write_bytes(b"123")
+    about = os.fstat
+
+    def grown(handle: int) -> os.stat_result:
+        found = about(handle)
+        with open(tmp_path / "a", "ab") as file:
+            file.write(b"4567")
+        return found
+
+    monkeypatch.setattr(os, "fstat", grown)
+    assert got(tmp_path / "a", 5) == "6 bytes, more than 5"
+
+
+def test_no_handle_is_left(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    for _ in range(20):
+        got(tmp_path / "pipe")
+        got(tmp_path)
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
