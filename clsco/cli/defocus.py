@@ -1,4 +1,4 @@
-"""What `clsco defocus` does: an image and its depth map to scenes, what the map leaves out, and one image file."""
+"""What `clsco defocus` does: an image and its depth map to scenes, and one image file."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from clsco.files.atomic import refuse, same_place, writable_folder
 from clsco.files.images import WRITERS, image_size, writer_for
 from clsco.files.transfer import encode
 from clsco.frame.frame import Frame
-from clsco.inputs.depth_files import read_depth
-from clsco.inputs.depth_maps import check_sizes, inverse_depth
+from clsco.inputs.depth_maps import check_sizes
+from clsco.inputs.files import shared_files
 from clsco.scene.changes import override
 from clsco.scene.model import DepthMap, Scene
 from clsco.scene.sweep import Sweep, parse_sweep
@@ -47,22 +47,13 @@ def scenes_from_files(image: Path, depth: Path, options: Mapping[str, Any], over
     return parse_sweep(data, WHERE)
 
 
-def depth_report(scene: Scene) -> list[str]:
-    """Read the depth maps of a scene, and report in one line for each which of its pixels have no depth, if any.
-
-    Raises ImageError where a map and its image differ in size, and as `clsco.inputs.depth_files.read_depth` and
-    `clsco.inputs.depth_maps.inverse_depth` do.
-    """
-    lines = []
+def check_pair(scene: Scene) -> None:
+    """Read an image and its depth map. Raises ImageError where one cannot be read, or where they differ in size."""
     for item in scene.objects:
         if isinstance(item, DepthMap):
             image, depth = str(item.texture), str(item.depth)
-            raw = read_depth(depth)
-            rows, columns = raw.shape
+            rows, columns = shared_files().depth(depth).shape
             check_sizes(image, image_size(image), depth, (columns, rows))
-            values = inverse_depth(raw, item.unit, item.scale, scene.camera, item.baseline, depth, item.offset)
-            lines += [f"{depth}: {values.report()}"] if values.report() else []
-    return lines
 
 
 def is_image_file(out: Path) -> bool:

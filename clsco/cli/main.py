@@ -16,6 +16,7 @@ import click
 from clsco import __version__
 from clsco.cli.batch import batch
 from clsco.cli.convert import convert
+from clsco.cli.focus import focus_at_option, focus_depth_option, focused_files, parsed_focus, report_lens
 from clsco.cli.options import (
     PATH,
     Commands,
@@ -261,6 +262,8 @@ def _number(name: str, text: str) -> Callable[[Callable[..., None]], Callable[..
 @_number("--f-number", "f / D.")
 @_number("--aperture-diameter", "D, mm; instead of the f-number.")
 @_number("--focus-distance", "Distance in focus, mm.")
+@focus_at_option
+@focus_depth_option
 @_number("--sensor-distance", "Distance from lens to detector, mm; instead of the distance in focus.")
 @_number("--pixel-pitch", "Distance between pixels on the detector, mm.")
 @click.option("--model", metavar="MODEL", help="Of the blur: pillbox (default) or gaussian.")
@@ -276,6 +279,8 @@ def defocus(
     out: Path,
     files: tuple[TruthFile, ...],
     overrides: tuple[str, ...],
+    focus_at: tuple[int, int] | None,
+    focus_depth: float | None,
     computation: Computation,
     quiet: bool,
     **options: str | float | None,
@@ -285,20 +290,26 @@ def defocus(
     DEPTH is a PNG, TIFF, EXR, PFM, NPY or NPZ. All else is as in a scene with this one object, whose other keys
     --set reaches. Where --set gives a key of the camera several values, each has a folder in OUT.
     """
-    from clsco.cli.defocus import depth_report, is_image_file, prepare_image, scenes_from_files, write_color
+    from clsco.cli.defocus import check_pair, is_image_file, prepare_image, scenes_from_files, write_color
     from clsco.plan.prepare import prepare_files
 
     alone, request = is_image_file(out), request_for((), computation)
     if alone and files:
         raise click.UsageError(f"--truth: OUT must be a folder; got {click.format_filename(out)}")
+    focus = parsed_focus(focus_at, focus_depth)
+    for name in ("focus_distance", "sensor_distance"):
+        if focus is not None and options[name] is not None:
+            raise click.UsageError(f"{focus.option}: goes without --{name.replace('_', '-')}; got both")
     sweep = scenes_from_files(image, depth, options, overrides)
-    for line in depth_report(sweep.scenes[0]):
-        click.echo(line, err=True)
+    check_pair(sweep.scenes[0])
+    loaded = focused_files([(Path("defocus"), sweep)], focus)
     if not alone:
-        render_to_folders([(image, sweep)], out, files, computation, quiet)
+        render_to_folders(loaded, out, files, computation, quiet)
         return
-    found = [each for _, _, prepared in prepare_files([(image, sweep)], request) for each in prepared]
+    planned = prepare_files(loaded, request)
+    found = [each for _, _, prepared in planned for each in prepared]
     prepare_image([each.scene for each in found], out)
+    report_lens(planned)
     require_device(computation.device)
     from clsco.cli.progress import progress
     from clsco.engine.sequence import render_prepared

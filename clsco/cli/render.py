@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from clsco.cli.focus import focus_at_option, focus_depth_option, focused_files, parsed_focus, report_lens
 from clsco.cli.options import (
     PATH,
     Computation,
@@ -41,6 +42,8 @@ if TYPE_CHECKING:
     "--frames", "span", metavar="A:B", type=parse_span, default=":", help="Frames A to B - 1, counted from 0."
 )
 @set_option
+@focus_at_option
+@focus_depth_option
 @computation_options
 @click.option("--subframes", is_flag=True, help="Also write the image of each time sample: frame_0000_sample_00.png.")
 @click.option(
@@ -56,6 +59,8 @@ def render(
     files: tuple[TruthFile, ...],
     span: Span,
     overrides: tuple[str, ...],
+    focus_at: tuple[int, int] | None,
+    focus_depth: float | None,
     computation: Computation,
     subframes: bool,
     preset: str | None,
@@ -74,9 +79,11 @@ def render(
             raise click.UsageError(f"-o -: needs --video y4m, which alone goes to a pipe; got {preset or 'no --video'}")
         if files or subframes or resume:
             raise click.UsageError("-o -: writes no files, so must be without --truth, --subframes and --resume")
-        _render_to_pipe(load_sweeps(scenes, overrides), computation, quiet, span)
+    focus = parsed_focus(focus_at, focus_depth)
+    loaded = focused_files(load_sweeps(scenes, overrides), focus)
+    if str(out) == "-":
+        _render_to_pipe(loaded, computation, quiet, span)
         return
-    loaded = load_sweeps(scenes, overrides)
     render_to_folders(loaded, out, files, computation, quiet, span, resume, subframes, preset)
 
 
@@ -123,6 +130,7 @@ def render_to_folders(
     if subframes:
         request = replace(request, truth=tuple(dict.fromkeys((*request.truth, "subframes"))))
     prepared = prepare_files(loaded, request)
+    report_lens(prepared)
     require_device(computation.device)
     from clsco.engine import batch
 
@@ -155,6 +163,7 @@ def _render_to_pipe(
 
     planned = prepare_files(loaded, request_for((), computation))
     require_clips(planned, "y4m")
+    report_lens(planned)
     found = [(path, each) for path, _, prepared in planned for each in prepared]
     ((path, prepared), *others) = found
     scene = prepared.scene

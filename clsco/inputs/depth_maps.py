@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -176,7 +176,7 @@ def load_scene_depths(
     ImageError
         A file cannot be read, has another size than the frame, or does not fit the camera; of several the first one.
     """
-    of_map = load or (lambda scene, item: map_inverse_depth(scene, item, depth_numbers(item.inputs()["depth"])))
+    of_map = load or (lambda scene, item: map_values(scene, item, depth_numbers(item.inputs()["depth"])).inverse_depth)
     return tuple(of_map(scene, item) if isinstance(item, DepthMap) else None for item in scene.objects)
 
 
@@ -185,8 +185,8 @@ def depth_numbers(source: str | ArrayInput) -> Array:
     return read_depth(source) if isinstance(source, str) else source.array
 
 
-def map_inverse_depth(scene: Scene, item: DepthMap, raw: Array) -> Array:
-    """Inverse depth (rows, columns) in 1/mm of an object of a scene; 0 where nothing is.
+def map_values(scene: Scene, item: DepthMap, raw: Array) -> DepthValues:
+    """Depths of an object of a scene, and the counts of what its file or array has.
 
     scene: with its resolution. raw: numbers of its file or array. Where the file has no depth it is taken from around
     (`fill_depth`), so that the image is complete, unless fill.method is none: then nothing is there.
@@ -196,8 +196,9 @@ def map_inverse_depth(scene: Scene, item: DepthMap, raw: Array) -> Array:
     name = str(item.depth)
     check_sizes("the frame", scene.camera.resolution, name, (raw.shape[1], raw.shape[0]))
     values = inverse_depth(raw, item.unit, item.scale, scene.camera, item.baseline, name, item.offset)
-    w = values.inverse_depth
-    return fill_depth(w) if values.invalid and scene.fill.method != "none" else w
+    if not values.invalid or scene.fill.method == "none":
+        return values
+    return replace(values, inverse_depth=fill_depth(values.inverse_depth))
 
 
 def _check_numbers(unit: str, scale: float, baseline: float | None, where: str) -> None:

@@ -18,7 +18,7 @@ from clsco.files.array_cache import ArrayCache, user_cache
 from clsco.files.atomic import sha256
 from clsco.files.images import Picture
 from clsco.inputs import textures
-from clsco.inputs.depth_maps import depth_numbers, load_scene_depths, map_inverse_depth
+from clsco.inputs.depth_maps import DepthValues, depth_numbers, load_scene_depths, map_values
 from clsco.inputs.textures import (
     PATTERNS,
     Texture,
@@ -134,16 +134,20 @@ class InputFiles:
         return self._once("depth", source, lambda: depth_numbers(source), lambda array: array.nbytes)
 
     def map(self, scene: Scene, item: DepthMap) -> NDArray[np.float64]:
-        """`clsco.inputs.depth_maps.map_inverse_depth` of an object, once per content and camera."""
+        """Inverse depth (rows, columns) in 1/mm of an object, see `depth_values`."""
+        return self.depth_values(scene, item).inverse_depth
+
+    def depth_values(self, scene: Scene, item: DepthMap) -> DepthValues:
+        """`clsco.inputs.depth_maps.map_values` of an object, once per content and camera."""
         source = item.inputs()["depth"]
         content = self._content(source)
         if content is None:
-            return map_inverse_depth(scene, item, depth_numbers(source))
+            return map_values(scene, item, depth_numbers(source))
         numbers = (item.unit, item.scale, item.baseline, item.offset, scene.fill.method == "none")
         return self.kept.get(
             ("inverse depth", content, numbers, scene.camera.model_dump_json()),
-            lambda: map_inverse_depth(scene, item, self.depth(source)),
-            lambda array: array.nbytes,
+            lambda: map_values(scene, item, self.depth(source)),
+            lambda values: values.inverse_depth.nbytes,
         )
 
     def digest(self, path: str) -> str:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from clsco.scene.model import Camera
 
 LARGEST_BLUR = 512.0  # px; a source beyond it spreads over a million pixels
+SHARP = 0.5  # px, |R| up to which a point counts as in focus
 
 
 def focus_power(camera: Camera) -> float:

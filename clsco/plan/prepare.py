@@ -136,11 +136,16 @@ def prepare_files(
     return found
 
 
-def _planned(scene: Scene, channels: int, request: Request, device: DeviceFacts | None, files: InputFiles) -> Prepared:
+def with_resolution(scene: Scene) -> Scene:
+    """The scene with its resolution: its own, or that of the first texture. Raises ImageError as `texture_size`."""
     camera = scene.camera
     if camera.resolution is None:
         camera = camera.model_copy(update={"resolution": texture_size(scene.objects[0].inputs()["texture"])})
-    sized = scene.model_copy(update={"camera": camera})
+    return scene.model_copy(update={"camera": camera})
+
+
+def _planned(scene: Scene, channels: int, request: Request, device: DeviceFacts | None, files: InputFiles) -> Prepared:
+    sized = with_resolution(scene)
     maps = _maps(sized, files)
     options = (request.truth, request.method)
     plans = [make_plan(sized, channels, *options, eye, maps, request.tolerance, device) for eye in views(scene)]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clsco.files.transfer import encode
 from clsco.frame.frame import Frame
-from clsco.optics.lens import blur_radius, blur_scale, focus_distance, focus_power, ray_step
+from clsco.optics.lens import SHARP, blur_radius, blur_scale, focus_distance, focus_power, ray_step
 from clsco.optics.motion import middle_time, poses_at, rest_center
 from clsco.optics.psf import reach, weights
 from clsco.reference.blur.blur import tilt_factor
@@ -19,7 +19,6 @@ from clsco.reference.common.geometry import tilt_slope
 from clsco.scene.model import Scene
 from clsco.studio.moments import eye_of
 
-SHARP = 0.5  # px, |R| up to which a point counts as in focus
 PLOTTED = 32  # px from the center of the plot to its border
 
 

@@ -14,7 +14,7 @@ import pytest
 import tifffile
 from click.testing import CliRunner, Result
 
-from clsco.cli.defocus import depth_report, is_image_file, prepare_image, scenes_from_files, write_color
+from clsco.cli.defocus import check_pair, is_image_file, prepare_image, scenes_from_files, write_color
 from clsco.cli.main import main
 from clsco.errors import ClscoError, ImageError, SceneError
 from clsco.files.images import read_image, write_png
@@ -125,23 +125,11 @@ def test_all_faults_are_reported_at_once(files: tuple[Path, Path]) -> None:
     assert len(caught.value.messages) == 3
 
 
-def test_the_report_counts_what_has_no_depth(files: tuple[Path, Path]) -> None:
-    image, depth = files
-    scene = scene_of(image, depth)
-    assert depth_report(scene) == []
-    codes = DEPTHS.copy()
-    codes[0, :5] = 0
-    write_png(depth, codes)
-    assert depth_report(scene) == [f"{depth}: 5 of 108 pixels have no depth (5 zero)"]
-    with pytest.raises(ImageError, match=r"depth\.png: the blur radius must be at most 512 px.*give unit mm"):
-        depth_report(scene_of(image, depth, {"unit": "inverse_mm"}))
-
-
 def test_sizes_must_agree(files: tuple[Path, Path]) -> None:
     image, depth = files
     write_png(depth, DEPTHS[:-1])
     with pytest.raises(ImageError) as caught:
-        depth_report(scene_of(image, depth))
+        check_pair(scene_of(image, depth))
     assert str(caught.value) == f"{depth}: the size must be that of {image}, 12 x 9 pixels; got 12 x 8"
 
 
@@ -149,7 +137,7 @@ def test_sizes_must_agree(files: tuple[Path, Path]) -> None:
 def test_missing_files_are_named(files: tuple[Path, Path], broken: int) -> None:
     files[broken].unlink()
     with pytest.raises(ImageError) as caught:
-        depth_report(scene_of(*files))
+        check_pair(scene_of(*files))
     assert str(caught.value) == f"{files[broken]}: must be a file that can be read; got No such file or directory"
 
 
@@ -280,6 +268,16 @@ def test_the_command_tells_of_wrong_usage_and_of_what_it_was_given(files: tuple[
         ([image, depth, "-o", tmp_path / "a", "--scale", "1e-3"], 1, "give unit m"),
         ([image, tmp_path / "none.exr", "-o", tmp_path / "a"], 1, "none.exr: must be a file that can be read; got "),
         ([image, depth, "-o", tmp_path / "a", "--f-number", 2, "--aperture-diameter", 3], 1, "not both; got 3.0"),
+        ([image, depth, "-o", tmp_path / "a", "--focus-at", "3;4"], 2, "must be X,Y, a pixel's column and row counted"),
+        ([image, depth, "-o", tmp_path / "a", "--focus-at", "12,0"], 1, "defocus: --focus-at: must be a pixel of"),
+        ([image, depth, "-o", tmp_path / "a", "--focus-depth", "1.5"], 2, "1.5 is not in the range 0.0<=x<=1.0"),
+        ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--focus-depth", "0.5"], 2, "without --focus-depth"),
+        ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--focus-distance", "250"], 2, "got both"),
+        ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--focal-length", "400"], 1, "greater than focal_l"),
+        ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--unit", "coc", "--scale", "0.1"], 1,
+         'defocus: --focus-at: depths must be known; got unit = "coc"'),
+        ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--set", "camera.focus_distance=[250, 300]"], 1,
+         "defocus: --focus-at: goes without several values of the focus; got 2"),
     ]  # fmt: skip
     for words, status, message in cases:
         result = clsco_("defocus", *words)

@@ -47,7 +47,9 @@ OPTIONS = ("--unit", "m", "--pixel-pitch", 0.05, "--focus-distance", 250)  # R =
 def test_a_wall_of_depths_is_a_plane(wall: tuple[Path, Path], tmp_path: Path) -> None:
     image, depth = wall
     result = clsco_("defocus", image, depth, "-o", tmp_path / "out.tif", *OPTIONS)
-    assert (result.exit_code, result.output) == (0, "")
+    assert (result.exit_code, result.stdout) == (0, "")
+    at = "(depths 400 to 400, focus at 250 mm; --focus-at and --focus-depth focus on what is there)"
+    assert result.stderr == f"{depth}: R 3 to 3 px; in focus: 0 % of the picture {at}\n"
     camera = {"pixel_pitch": 0.05, "focus_distance": 250.0}
     plane = {"shape": "plane", "distance": 400.0, "texture": str(image)}
     (frame,) = clsco.reference.render(parse_scene({"camera": camera, "object": [plane]}))
@@ -65,7 +67,9 @@ def test_a_folder_gets_frames_and_a_file_the_same_image(wall: tuple[Path, Path],
     for out in ("all", "one.png", "one.exr"):
         result = clsco_("defocus", *wall, "-o", tmp_path / out, *OPTIONS, *(["--truth", "npz"] if out == "all" else []))
         assert (result.exit_code, result.stdout) == (0, ""), result.output
-        assert result.stderr == f"{wall[1]}: 3 of 1280 pixels have no depth (1 zero, 1 negative, 1 NaN)\n"
+        counted, lens = result.stderr.splitlines()
+        assert counted == f"{wall[1]}: 3 of 1280 pixels have no depth (1 zero, 1 negative, 1 NaN)"
+        assert lens.startswith(f"{wall[1]}: R 3 to 3 px; in focus: 0 % of the picture (")
     assert sorted(path.name for path in (tmp_path / "all").iterdir()) == [
         "frame_0000.json", "frame_0000.npz", "frame_0000.png",
     ]  # fmt: skip
@@ -138,7 +142,7 @@ def test_files_of_other_programs(tmp_path: Path, kind: str) -> None:
     result = clsco_(
         "defocus", tmp_path / "photo.png", path, "-o", tmp_path / "out", *options, *camera, "--truth", "npz"
     )
-    assert (result.exit_code, result.stderr) == (0, f"{path}: {recorded}")
+    assert (result.exit_code, "".join(result.stderr.splitlines(keepends=True)[:-1])) == (0, f"{path}: {recorded}")
     with np.load(tmp_path / "out" / "frame_0000.npz") as truth:
         near, far = truth["coc"][:, 1:14], truth["coc"][:, 18:]
         # KITTI's 51/256 m is 199.2 mm, where R is 10,000 / 5 px mm * (1 / 200 - 1 / 199.2) = -0.04 px.
@@ -148,3 +152,29 @@ def test_files_of_other_programs(tmp_path: Path, kind: str) -> None:
         assert np.isfinite(truth["color"]).all()
         # Of a disc of 0.04 px in a pixel, 2 R / (3 pi) = 0.85 % of the light cross each of four sides.
         np.testing.assert_allclose(truth["color"][:, 1:3], truth["sharp"][:, 1:3], rtol=0, atol=0.034)
+
+
+def test_a_point_or_a_share_comes_into_focus(wall: tuple[Path, Path], tmp_path: Path) -> None:
+    depths = np.full((32, 40), 0.4, np.float32)
+    depths[:, :10] = 0.3
+    np.save(wall[1], depths)
+    sharp = read_image(wall[0]).data
+    for words, inside in ((["--focus-at", "3,20"], 4), (["--focus-at", "30,2"], 30), (["--focus-depth", "0"], 4)):
+        result = clsco_("defocus", *wall, "-o", tmp_path / "out.tif", *OPTIONS[:-2], *words)
+        assert result.exit_code == 0
+        share = 25 if inside == 4 else 75
+        assert f"px; in focus: {share} % of the picture\n" in result.stderr
+        image = read_image(tmp_path / "out.tif").data
+        np.testing.assert_allclose(image[8:-8, inside], sharp[8:-8, inside], rtol=0, atol=1e-5)
+        assert np.abs(image[8:-8, 34 - inside] - sharp[8:-8, 34 - inside]).max() > 0.1
+
+
+def test_every_scene_of_a_focal_stack_says_what_its_lens_did(wall: tuple[Path, Path], tmp_path: Path) -> None:
+    swept = "camera.focus_distance=[250, 400]"
+    result = clsco_("defocus", *wall, "-o", tmp_path / "all", *OPTIONS[:-2], "--set", swept)
+    first, second = result.stderr.splitlines()
+    assert first.startswith(f"{wall[1]} (with focus_distance_250): R 3 to 3 px; in focus: 0 % of the picture (")
+    assert second == (
+        f"{wall[1]} (with focus_distance_400): R 0 to 0 px; in focus: 100 % of the picture (nothing is blurred by more "
+        "than a pixel: depths 400 to 400, focus at 400 mm)"
+    )

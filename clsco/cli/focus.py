@@ -1,0 +1,93 @@
+"""What commands report of depth maps and of the lens, and `--focus-at` and `--focus-depth`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from clsco.errors import ImageError, SceneError
+
+if TYPE_CHECKING:
+    from clsco.inputs.focus import Focus
+    from clsco.plan.prepare import PreparedFile
+    from clsco.scene.sweep import Sweep
+
+
+def _point(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d{1,5}),(\d{1,5})", text, re.ASCII)
+    if match is None:
+        raise click.BadParameter(f"must be X,Y, a pixel's column and row counted from 0; got {text}")
+    return int(match[1]), int(match[2])
+
+
+focus_at_option = click.option(
+    "--focus-at", metavar="X,Y", type=_point,
+    help="Focus on what is in this pixel, column and row counted from 0, in place of a distance in focus.",
+)  # fmt: skip
+focus_depth_option = click.option(
+    "--focus-depth", metavar="SHARE", type=click.FloatRange(0.0, 1.0),
+    help="Focus on the depth that this share of the picture is nearer than: 0 the nearest, 0.5 the median, 1 the "
+    "farthest.",
+)  # fmt: skip
+
+
+def parsed_focus(at: tuple[int, int] | None, share: float | None) -> Focus | None:
+    """What is to be in focus; None where neither option is given. Raises click.UsageError for both."""
+    if at is None and share is None:
+        return None
+    if at is not None and share is not None:
+        raise click.UsageError("--focus-at: goes without --focus-depth; got both")
+    from clsco.inputs.focus import Focus
+
+    return Focus(at, share)
+
+
+def focused_files(
+    loaded: Sequence[tuple[Path, Sweep | SceneError]], focus: Focus | None
+) -> Sequence[tuple[Path, Sweep | SceneError]]:  # fmt: skip
+    """Scenes with the lens focused so; those of a file that has a fault, and all without `focus`, stay as they are.
+
+    In place of scenes that cannot be focused is a SceneError, as of `clsco.inputs.focus.focused`, or where the scenes
+    of a file have several focus distances.
+    """
+    if focus is None:
+        return loaded
+    return [(path, _focused(path, item, focus) if not isinstance(item, SceneError) else item) for path, item in loaded]
+
+
+def _focused(path: Path, sweep: Sweep, focus: Focus) -> Sweep | SceneError:
+    from clsco.inputs.files import shared_files
+    from clsco.inputs.focus import focused
+    from clsco.plan.prepare import with_resolution
+
+    cameras = [scene.camera for scene in sweep.scenes]
+    distances = {camera.focus_distance or camera.sensor_distance for camera in cameras}
+    if len(distances) > 1:
+        return SceneError(f"{path}: {focus.option}: goes without several values of the focus; got {len(distances)}")
+    try:
+        scenes = tuple(focused(with_resolution(scene), shared_files(), focus) for scene in sweep.scenes)
+    except (ImageError, SceneError) as error:
+        return SceneError([f"{path}: {message}" for message in getattr(error, "messages", [error])])
+    return replace(sweep, scenes=scenes)
+
+
+def report_lens(planned: Sequence[PreparedFile]) -> None:
+    """On stderr, for each depth map of scenes: which of its pixels have no depth, and what the lens makes of it."""
+    from clsco.inputs.focus import lens_line
+    from clsco.scene.model import DepthMap
+
+    for _, labels, prepared in planned:
+        for label, each in zip(labels, prepared, strict=True):
+            for item in each.scene.objects:
+                if isinstance(item, DepthMap):
+                    values = each.files.depth_values(each.scene, item)
+                    if label == labels[0] and values.report():
+                        click.echo(f"{item.depth}: {values.report()}", err=True)
+                    with_label = f" (with {label})" if label else ""
+                    line = lens_line(each.scene.camera, values.inverse_depth)
+                    click.echo(f"{item.depth}{with_label}: {line}", err=True)

@@ -1,0 +1,143 @@
+"""What a lens does to depth maps, in a line, and the lens that focuses on a point or on a share of a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.errors import SceneError
+from clsco.inputs.depth_maps import FARTHEST
+from clsco.inputs.files import InputFiles
+from clsco.optics.lens import SHARP, blur_radius, focus_distance, ray_step
+from clsco.optics.motion import poses_at
+from clsco.optics.quadrics import place, predict_inverse_depth
+from clsco.scene.model import Camera, DepthMap, Scene
+from clsco.scene.quantities import MAX_LENGTH_MM, MIN_LENGTH_MM
+
+Array = NDArray[np.float64]
+COARSE_PITCH = 0.1  # mm; pixels of cameras are 0.0005 to 0.03 mm wide
+MOST_POINTS = 2**20  # of a frame, whose depths a share is taken of
+
+
+@dataclass(frozen=True)
+class Focus:
+    """What is to be in focus: a point of the picture, or a share of its depths.
+
+    Attributes
+    ----------
+    at : (int, int), optional
+        Column and row, px, from 0 in the upper left corner.
+    share : float, optional
+        Of the picture that is nearer: 0 the nearest depth, 0.5 the median, 1 the farthest.
+    """
+
+    at: tuple[int, int] | None = None
+    share: float | None = None
+
+    @property
+    def option(self) -> str:
+        """What a command calls it."""
+        return "--focus-depth" if self.at is None else "--focus-at"
+
+
+def lens_line(camera: Camera, w: Array) -> str:
+    """Range of the blur radius over a depth map, how much of it is in focus, and why that may not be what was meant.
+
+    Parameters
+    ----------
+    camera : Camera
+    w : ndarray of float64, (rows, columns)
+        Inverse depth, 1/mm; 0 where nothing is. Some pixel has one.
+
+    Returns
+    -------
+    str
+        Such as "R -0.1 to 33 px; in focus: 12 % of the picture". In focus is what has |R| of at most `SHARP`.
+    """
+    seen = w[w > 0]
+    near, far = float(seen.max()), float(seen.min())
+    sharp = int(np.count_nonzero(np.abs(blur_radius(camera, seen)) <= SHARP))
+    low, high = (round(float(blur_radius(camera, end)), 2) + 0.0 for end in (near, far))
+    percent = "under 1" if 0 < 100 * sharp < w.size else f"{100 * sharp // w.size}"
+    line = f"R {low:.3g} to {high:.3g} px; in focus: {percent} % of the picture"
+    depths = f"depths {_distance(near)} to {_distance(far)}, focus at {focus_distance(camera):.6g} mm"
+    if sharp == 0:
+        line += f" ({depths}; --focus-at and --focus-depth focus on what is there)"
+    elif sharp == seen.size:
+        line += f" (nothing is blurred by more than a pixel: {depths})"
+    if camera.pixel_pitch > COARSE_PITCH:
+        line += f" (the pixel pitch is {camera.pixel_pitch:g} mm: one of 4.5 um is 0.0045)"
+    return line
+
+
+def _distance(w: float) -> str:
+    return f"{1.0 / w:.6g}" if w > FARTHEST else "infinity"
+
+
+def focused(scene: Scene, files: InputFiles, focus: Focus) -> Scene:
+    """The scene with a lens that is focused on what is at a point, or at a share of the depths, at t = 0.
+
+    Parameters
+    ----------
+    scene : Scene
+        With its resolution.
+    files : InputFiles
+        That the depth maps are read by.
+    focus : Focus
+
+    Returns
+    -------
+    Scene
+        With `camera.focus_distance`, or where that is infinite with the detector at the focal length.
+
+    Raises
+    ------
+    SceneError
+        The point is outside of the picture, nothing is there, it is within the focal length, or a depth map has blur
+        radii, whose depths follow from the focus.
+    ImageError
+        A depth map cannot be read.
+
+    Notes
+    -----
+    Shares are of at most 2^20 pixels at equal steps. Validated on planes, spheres and depth maps of known depth.
+    """
+    assert scene.camera.resolution is not None
+    columns, rows = scene.camera.resolution
+    if any(isinstance(item, DepthMap) and item.unit == "coc" for item in scene.objects):
+        raise SceneError(f'{focus.option}: depths must be known; got unit = "coc", whose radii say what is in focus')
+    pinhole = scene.camera.model_copy(update={"aperture_diameter": MIN_LENGTH_MM})  # which blurs nothing too much
+    maps = files.maps(scene.model_copy(update={"camera": pinhole}))
+    if focus.at is not None:
+        x, y = focus.at
+        if not (0 <= x < columns and 0 <= y < rows):
+            raise SceneError(f"{focus.option}: must be a pixel of the {columns} x {rows}, counted from 0; got {x},{y}")
+        w = float(_nearest(scene, maps, np.array([y]), np.array([x]))[0, 0])
+        if w == 0 and not any(item.is_background for item in scene.objects):
+            raise SceneError(f"{focus.option}: must be on a surface; got nothing at {x},{y}")
+    else:
+        step = 1 + int(np.sqrt(rows * columns / MOST_POINTS))
+        found = _nearest(scene, maps, np.arange(0, rows, step), np.arange(0, columns, step))
+        if not (found > 0).any():
+            raise SceneError(f"{focus.option}: must be on a surface; got nothing in the picture")
+        assert focus.share is not None
+        w = float(np.quantile(found[found > 0], 1.0 - focus.share, method="nearest"))
+    if w * MAX_LENGTH_MM < 1.0:
+        return scene.replace("camera.sensor_distance", scene.camera.focal_length)
+    return scene.replace("camera.focus_distance", 1.0 / w)
+
+
+def _nearest(scene: Scene, maps: Sequence[Array | None], i: NDArray[np.intp], j: NDArray[np.intp]) -> Array:
+    """Inverse depth in 1/mm of what is seen in rows i and columns j at t = 0, (len(i), len(j)); 0 where nothing is."""
+    assert scene.camera.resolution is not None
+    columns, rows = scene.camera.resolution
+    step = ray_step(scene.camera)
+    x, y = np.meshgrid((j - (columns - 1) / 2) * step, ((rows - 1) / 2 - i) * step)
+    nearest = np.zeros(x.shape)
+    for item, pose, depth in zip(scene.objects, poses_at(scene, 0.0), maps, strict=True):
+        w = predict_inverse_depth(item, place(item, pose), x, y) if depth is None else depth[np.ix_(i, j)]
+        np.maximum(nearest, w, out=nearest)
+    return nearest
