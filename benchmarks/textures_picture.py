@@ -20,7 +20,10 @@ CAMERA = {"resolution": [SIDE, SIDE], "pixel_pitch": 5.12 / SIDE, "f_number": 4.
 LIGHT = {"direction": [-0.7, 0.9, 1.0], "ambient": 0.3}
 LAID = {"texture_mapping": "surface"}
 BACK_DOWN = {"quaternion": [0.0, 0.0, 0.54, 0.84]}  # what is away from the camera turned down, what is up to the front
-TILTED = [-25.0, -25.0, 0.0]  # seen from above
+TILTED = [-25.0, -25.0, 0.0]  # seen from above, before and left of it
+BEHIND = [-25.0, 155.0, 0.0]  # from below, behind and right of it
+LETTERS = {"texture": "F", "texture_back": "B", "texture_left": "L", "texture_right": "R",
+           "texture_top": "T", "texture_bottom": "G"}  # fmt: skip
 
 
 def grid(columns: int, rows: int, hue: float | None = None, letters: str = "ABCDEFGH") -> Picture:
@@ -48,10 +51,11 @@ def sky() -> NDArray[np.float32]:
 def objects() -> dict[str, dict[str, Any]]:
     """What is shown, by label."""
     image, place = grid(8, 4), [0.0, 0.0, 280.0]
-    sides = ("texture", "texture_back", "texture_left", "texture_right", "texture_top", "texture_bottom")
-    cube = {key: grid(2, 2, k / 6, key.split("_")[-1][0].upper()) for k, key in enumerate(sides)}
-    cube["texture"] = grid(2, 2, 0.0, "F")
+    sides = {key: grid(2, 2, k / 6, letter) for k, (key, letter) in enumerate(LETTERS.items())}
     around = LAID | {"texture": image, "rotation": TILTED, "center": place}
+    box = around | sides | {"shape": "box", "size": [40.0, 34.0, 30.0]}
+    cube = around | sides | {"shape": "sphere", "radius": 26.0, "texture_mapping": "cube"}
+    saddle = around | {"shape": "quadric", "coefficients": [1, -0.35, 1, 0, 0, 0, 0, 0, 0, -150], "texture_size": 40.0}
     plane = LAID | {"shape": "plane", "distance": 285.0, "texture": image, "texture_size": 50.0}
     card = LAID | {"shape": "rectangle", "center": place, "size": [58.0, 58.0], "texture": grid(4, 4)}
     return {
@@ -59,12 +63,15 @@ def objects() -> dict[str, dict[str, Any]]:
         "cylinder": around | {"shape": "cylinder", "radius": 18.0, "bounds": [[-20, 20], [-24, 24], [-20, 20]]},
         "cone": LAID | {"shape": "cone", "half_angle": 32.0, "texture": image, "texture_size": 60.0,
                         "texture_angle": 180.0, "rotation": BACK_DOWN, "apex": [0.0, 26.0, 265.0]},
-        "box": around | {"shape": "box", "size": [44.0, 22.0, 30.0], "texture_top": grid(4, 4)},
+        "disc": around | {"shape": "disc", "radius": 28.0},
+        "box": box,
+        "box from behind and below": box | {"rotation": BEHIND},
+        'sphere, "cube"': cube,
+        "from behind and below": cube | {"rotation": BEHIND},
         "sphere, longitude and latitude": around | {"shape": "sphere", "radius": 26.0},
-        'sphere, "cube"': around | cube | {"shape": "sphere", "radius": 26.0, "texture_mapping": "cube"},
         "ellipsoid": around | {"shape": "ellipsoid", "semi_axes": [30.0, 17.0, 17.0]},
-        'quadric, "triplanar"': around | {
-            "shape": "quadric", "coefficients": [1, -0.35, 1, 0, 0, 0, 0, 0, 0, -150], "texture_size": 40.0},
+        'quadric, "triplanar"': saddle,
+        "from behind: mirrored": saddle | {"rotation": [-25.0, 155.0, 0.0]},
         **{f'texture_wrap = "{wrap}"': card | {"texture_size": 24.0, "texture_wrap": wrap, "texture_angle": 10.0}
            for wrap in ("repeat", "mirror", "clamp", "none")},
     }  # fmt: skip

@@ -202,16 +202,16 @@ class Box(SixSided, _Object):
         Those that are all behind the lens are left out, as objects there are refused.
         """
         x, y, z = self.size
-        about_x, about_y = (90.0, 0.0, 0.0), (0.0, 90.0, 0.0)  # turn the z axis of a face down, and to the right
+        # Each is the front turned to its place, so that an image on it is seen from outside.
         placed: tuple[tuple[str, tuple[float, float], float, Vector | None], ...] = (
-            ("front", (x, y), -0.5 * z, None), ("back", (x, y), 0.5 * z, None),
-            ("left", (z, y), -0.5 * x, about_y), ("right", (z, y), 0.5 * x, about_y),
-            ("top", (x, z), -0.5 * y, about_x), ("bottom", (x, z), 0.5 * y, about_x),
+            ("front", (x, y), z, None), ("back", (x, y), z, (0.0, 180.0, 0.0)),
+            ("left", (z, y), x, (0.0, 90.0, 0.0)), ("right", (z, y), x, (0.0, -90.0, 0.0)),
+            ("top", (x, z), y, (90.0, 0.0, 0.0)), ("bottom", (x, z), y, (-90.0, 0.0, 0.0)),
         )  # fmt: skip
         alike = self.texture_keys() | {"motion": self.motion, "group": self.group, "center": self.center}
         found = []
-        for side, size, offset, turn in placed:
-            rotation = after(turn, self.rotation)
+        for side, size, deep, turn in placed:
+            rotation, offset = after(turn, self.rotation), -0.5 * deep
             sides = sum(0.5 * length * abs(r) for length, r in zip(size, depth_row(rotation)[:2], strict=True))
             if self.center[2] + sides + offset * depth_row(rotation)[2] > 0.0:
                 keys = {"name": f"{self.name} {side}", "size": size, "offset": offset, "rotation": rotation}
