@@ -40,9 +40,12 @@ reference
 
 Types
 -----
-Scene, Camera, Psf, Light, Group, Plane, Rectangle, Disc, Box, Sphere, Cylinder, Cone, Ellipsoid, Quadric, DepthMap,
-Background
-    What a scene holds, frozen and validated; lengths in mm, angles in degrees, times in s.
+Scene, Camera, Aperture, Psf, Sequence, Motion, Fill, ImageOptions, Light, Stereo, Group
+    A scene and its sections, frozen and validated; lengths in mm, angles in degrees, times in s.
+ObjectMotion, CameraMotion
+    Velocities of an object or a group, and of the camera.
+Plane, Rectangle, Disc, Box, Sphere, Cylinder, Cone, Ellipsoid, Quadric, DepthMap, Background
+    What a scene holds.
 Frame
     A rendered image with its ground truth.
 Live
@@ -85,22 +88,30 @@ if TYPE_CHECKING:
     from clsco.opencl.device import list_devices as list_devices
     from clsco.scene.file import load_scene as load_scene
     from clsco.scene.file import parse_scene as parse_scene
+    from clsco.scene.model import Aperture as Aperture
     from clsco.scene.model import Background as Background
     from clsco.scene.model import Box as Box
     from clsco.scene.model import Camera as Camera
+    from clsco.scene.model import CameraMotion as CameraMotion
     from clsco.scene.model import Cone as Cone
     from clsco.scene.model import Cylinder as Cylinder
     from clsco.scene.model import DepthMap as DepthMap
     from clsco.scene.model import Disc as Disc
     from clsco.scene.model import Ellipsoid as Ellipsoid
+    from clsco.scene.model import Fill as Fill
     from clsco.scene.model import Group as Group
+    from clsco.scene.model import ImageOptions as ImageOptions
     from clsco.scene.model import Light as Light
+    from clsco.scene.model import Motion as Motion
+    from clsco.scene.model import ObjectMotion as ObjectMotion
     from clsco.scene.model import Plane as Plane
     from clsco.scene.model import Psf as Psf
     from clsco.scene.model import Quadric as Quadric
     from clsco.scene.model import Rectangle as Rectangle
     from clsco.scene.model import Scene as Scene
+    from clsco.scene.model import Sequence as Sequence
     from clsco.scene.model import Sphere as Sphere
+    from clsco.scene.model import Stereo as Stereo
     from clsco.scene.sweep import load_sweep as load_sweep
     from clsco.scene.sweep import parse_sweep as parse_sweep
 
@@ -117,7 +128,20 @@ _NAMES = {
     "clsco.inputs.dump": ("dump_scene",),
     "clsco.opencl.device": ("list_devices",),
     "clsco.scene.model": (
-        *("Scene", "Camera", "Psf", "Light", "Group"),
+        *(
+            "Scene",
+            "Camera",
+            "Aperture",
+            "Psf",
+            "Sequence",
+            "Motion",
+            "Fill",
+            "ImageOptions",
+            "Light",
+            "Stereo",
+            "Group",
+        ),
+        *("ObjectMotion", "CameraMotion"),
         *("Plane", "Rectangle", "Disc", "Box", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric"),
         *("DepthMap", "Background"),
     ),
@@ -130,7 +154,8 @@ _HOME = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = [  # noqa: RUF022, verbs and then types
     "render", "render_frame", "render_sweep", "response", "defocus", "inpaint", "load_scene", "parse_scene",
     "load_sweep", "parse_sweep", "dump_scene", "write_video", "list_devices", "reference",
-    "Scene", "Camera", "Psf", "Light", "Group",
+    "Scene", "Camera", "Aperture", "Psf", "Sequence", "Motion", "Fill", "ImageOptions", "Light", "Stereo", "Group",
+    "ObjectMotion", "CameraMotion",
     "Plane", "Rectangle", "Disc", "Box", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background",
     "Frame", "Live", "MeanMedian",
     "ClscoError", "SceneError", "ImageError", "DeviceError", "KernelError", "CanceledError",

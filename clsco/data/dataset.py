@@ -14,10 +14,11 @@ from typing import Any, overload
 
 from clsco.data.card import CARD, split_files
 from clsco.data.containers import ShardReader, container_named
-from clsco.data.record import ABOUT, Record
+from clsco.data.record import ABOUT, Record, is_wanted
 from clsco.data.storage import checked_key, open_storage
 from clsco.errors import ImageError, SceneError
 from clsco.files.atomic import refuse
+from clsco.frame.shown import html_to_show
 
 MOST_OPEN = 16  # shards, of the formats that keep a file or a row group
 LARGEST_CARD = 2**28
@@ -113,6 +114,16 @@ class Dataset(Sequence[Record]):
 
     def __iter__(self) -> Iterator[Record]:
         return (self._shards.record(place, self._wanted) for place in self._span)
+
+    def __repr__(self) -> str:
+        arrays = [name for name in self.card.get("arrays", ()) if is_wanted(name, self._wanted)]
+        named = f": {', '.join(map(str, arrays))}" if arrays else ""
+        return f"<Dataset of {len(self)} samples, {self._shards.form}{named}>"
+
+    def _repr_html_(self) -> str:
+        """The line of `print` with the images of the first samples, for notebooks."""
+        pictures = [radiance for record in self[:4] for radiance in record.pictures().values()]
+        return html_to_show(repr(self), pictures[:8])
 
     @property
     def keys(self) -> tuple[str, ...]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,9 +14,11 @@ from numpy.typing import NDArray
 
 from clsco import __version__
 from clsco.errors import SceneError
+from clsco.files.images import save_image, write_npz
 from clsco.files.ranges import refuse_values
 from clsco.files.transfer import decode, encode
 from clsco.frame.frame import FILE_NAMES, Frame
+from clsco.frame.shown import codes_to_show, html_to_show
 
 if TYPE_CHECKING:
     from clsco.data.distribution import Sample
@@ -46,7 +50,7 @@ PICTURES = ("color", "sharp")  # what codes can hold
 _OF_FRAMES = ("frame", "samples", "intermediate", "bits", "precision", "blur_method", "approximation")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Record:
     """One sample.
 
@@ -68,7 +72,67 @@ class Record:
     meta: Mapping[str, Any]
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        return self.arrays[name]
+        """An array by its name; raises KeyError, which names those there are."""
+        try:
+            return self.arrays[name]
+        except KeyError:
+            known = ", ".join(self.arrays) or "none"
+            raise KeyError(f"record {self.key}: must be one of {known}; got {name}") from None
+
+    def __repr__(self) -> str:
+        arrays = (f"{name} {'x'.join(map(str, array.shape))} {array.dtype}" for name, array in self.arrays.items())
+        split = str(self.meta.get("split") or "")
+        return f"<Record {self.key!r}{f' of {split!r}' if split else ''}: {', '.join(arrays) or 'no arrays'}>"
+
+    def image(self, name: str = "color") -> NDArray[np.uint8]:
+        """An image as 8-bit codes of sRGB, for `matplotlib.pyplot.imshow`, Pillow and OpenCV.
+
+        Parameters
+        ----------
+        name : str
+            Such as "color", or of a stereo pair "left.sharp".
+
+        Returns
+        -------
+        ndarray of uint8, (rows, columns, 3)
+
+        Raises
+        ------
+        KeyError
+            The record has no such array.
+        """
+        return codes_to_show(self.radiance(name))
+
+    def save(self, path: str | os.PathLike[str], name: str = "color") -> None:
+        """Write one image, or all arrays, to a file.
+
+        Parameters
+        ----------
+        path : path
+            .png in sRGB codes of 16 bits, .tif, .tiff and .exr in linear float32; .npz holds all arrays as they are
+            stored.
+        name : str
+            Of the image.
+
+        Raises
+        ------
+        KeyError
+            The record has no such array.
+        ImageError
+            The extension is another one, the extra that the format needs is missing, or the file cannot be written.
+        """
+        if Path(path).suffix.lower() == ".npz":
+            write_npz(path, self.arrays)
+        else:
+            save_image(path, self.radiance(name))
+
+    def pictures(self) -> dict[str, NDArray[np.float32]]:
+        """Linear radiance of each image of the record, by its name."""
+        return {name: self.radiance(name) for name in self.arrays if name.rpartition(".")[2] in PICTURES}
+
+    def _repr_html_(self) -> str:
+        """The line of `print` with the images, for notebooks."""
+        return html_to_show(repr(self), list(self.pictures().values())[:8])
 
     def radiance(self, name: str = "color") -> NDArray[np.float32]:
         """Linear radiance of an image, 1 = white, whether it is stored as codes or as floats.
@@ -81,7 +145,7 @@ class Record:
         -------
         ndarray of float32, (rows, columns[, 3])
         """
-        return decode(self.arrays[name], self.meta["arrays"][name].get("transfer", "linear")).astype(np.float32)
+        return decode(self[name], self.meta["arrays"][name].get("transfer", "linear")).astype(np.float32)
 
     def sha256(self) -> dict[str, str]:
         """SHA-256 of each array's dtype, shape and bytes, whatever holds it."""
@@ -186,16 +250,16 @@ def make_record(
     about: dict[str, dict[str, Any]] = {}
     described = []
     several = len({frame.index for views in frames for frame in views}) > 1
-    attributes = [(attribute, name) for attribute, name in FILE_NAMES.items() if name in wanted]
+    chosen = [name for name in FILE_NAMES.values() if name in wanted]
     for variant, (views, scene) in enumerate(zip(frames, sample.scenes, strict=True)):
         stereo = len({frame.eye for frame in views}) > 1
         for frame in views:
             parts = [f"v{variant:02d}"] if len(frames) > 1 else []
             parts += [f"f{frame.index:04d}"] if several else []
             parts += [frame.eye] if stereo else []
-            for attribute, name in attributes:
-                array = getattr(frame, attribute)
-                if array is None:
+            held = frame.arrays()
+            for name in chosen:
+                if (array := held.get(name)) is None:
                     continue
                 whole = ".".join([*parts, name])
                 where = f"sample {sample.number}: {whole}"

@@ -237,6 +237,7 @@ class Renderer:
             "blur_method": self.plan.blur,
             "approximation": None if report is None else asdict(report),
             "bits": self.scene.bits,
+            "f_number": self.plan.scene.camera.opening,
             "device": str(device),
             "precision": "double" if self.scene.real == "double" else "single",
             "version": __version__,

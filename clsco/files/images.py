@@ -17,6 +17,7 @@ from clsco.files.atomic import refuse, whole_file
 from clsco.files.decoders import checked_size, codec, decoded, opened, path_of
 from clsco.files.png import png_parts
 from clsco.files.ranges import first_of
+from clsco.files.transfer import encode
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,3 +290,28 @@ def writer_for(path: Path) -> ImageWriter:
     if writer.needs is not None:
         codec(path, *writer.needs)
     return writer
+
+
+def save_image(path: str | os.PathLike[str], image: NDArray[np.float32], bits: int = 16) -> None:
+    """Write linear radiance to a file of any extension that holds images.
+
+    Parameters
+    ----------
+    path : path
+        .png in sRGB codes, .tif, .tiff and .exr in linear float32.
+    image : ndarray of float32, (rows, columns[, 3])
+        1 = white; codes end at 0 and 1.
+    bits : {8, 16, 32}
+        Of codes; 32 makes 16.
+
+    Raises
+    ------
+    ImageError
+        The extension is another one, the extra that the format needs is missing, or the file cannot be written.
+    """
+    to, ending = Path(path), Path(path).suffix.lower()
+    if ending not in WRITERS:
+        known = ", ".join((*WRITERS, ".npz"))
+        refuse(to, f"the extension must be one of {known}", ending or "none")
+    writer = writer_for(to)
+    writer.write(to, image if writer.floats else encode(image, min(bits, 16), "srgb"))

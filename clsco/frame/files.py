@@ -23,46 +23,11 @@ from clsco.files.images import write_exr, write_json, write_npz, write_png
 from clsco.files.npy import ZSTD, npy_bytes
 from clsco.files.transfer import encode
 from clsco.frame.cameras import all_pinholes, exr_attributes, eye_of, gets_behind, pinhole
-from clsco.frame.frame import ALL_TRUTH, FILE_NAMES, IMAGE_NAMES, STEREO_NAMES, Frame
+from clsco.frame.channels import exr_channels
+from clsco.frame.frame import ALL_TRUTH, FILE_NAMES, IMAGE_NAMES, Frame
 from clsco.frame.truth_files import ATTRIBUTES, Shot, TruthFile, TruthFormat, parse_truth
 from clsco.optics.motion import Eye
 from clsco.scene.model import Scene
-
-
-def exr_channels(frame: Frame, wanted: TruthFile | None = None) -> dict[str, NDArray[Any]]:
-    """Name a frame's arrays as channels R G B A, Z, coc, sharp.R, N.X, flow.u, id, mask, filled, missing, hidden.
-
-    A scene that moves has flow_backward.u and flow_occluded, one with textures on surfaces uv.u, a stereo pair
-    disparity and occluded, too; sub-frames are sample_00.R and so on. A gray frame has R, G and B, so that every reader
-    shows it. A is the alpha where it was requested, else 1: a photograph covers all of its pixels. wanted: which of the
-    arrays, and how; by default all as they are.
-    """
-    arrays = (wanted or TruthFile("exr")).arrays(frame)
-    color, plain = arrays.get("color"), ("coc", "mask", "filled", "missing", "hidden", "flow_occluded", *STEREO_NAMES)
-
-    def split(layer: str, names: str, array: NDArray[Any] | None) -> dict[str, NDArray[Any]]:
-        if array is None:
-            return {}
-        return {layer + name: array if array.ndim == 2 else array[..., n] for n, name in enumerate(names)}
-
-    alpha = arrays.get("alpha")
-    if alpha is None and color is not None:
-        alpha = np.ones(color.shape[:2], color.dtype)
-    subframes: dict[str, NDArray[Any]] = {}
-    for number, image in enumerate(arrays.get("subframes", ())):
-        subframes |= split(f"sample_{number:02d}.", "RGB", image)
-    single = {"Z": "depth", "id": "object_id"} | {name: name for name in plain}
-    return {
-        **split("", "RGB", color),
-        **({} if alpha is None else {"A": alpha}),
-        **{channel: arrays[name] for channel, name in single.items() if name in arrays},
-        **split("sharp.", "RGB", arrays.get("sharp")),
-        **split("N.", "XYZ", arrays.get("normal")),
-        **split("flow.", "uv", arrays.get("flow")),
-        **split("flow_backward.", "uv", arrays.get("flow_backward")),
-        **split("uv.", "uv", arrays.get("uv")),
-        **subframes,
-    }
 
 
 def _single(shot: Shot, wanted: TruthFile) -> NDArray[Any]:
@@ -78,7 +43,7 @@ def _write_npz(path: Path, shot: Shot, wanted: TruthFile) -> None:
 
 
 def _write_exr(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    channels = [exr_channels(frame, wanted) for frame in shot.views]
+    channels = [exr_channels(wanted.arrays(frame)) for frame in shot.views]
     names = [frame.eye for frame in shot.views] if len(shot.views) > 1 else ()
     known = [] if shot.scene is None else [exr_attributes(shot.scene, view.index, eye_of(view)) for view in shot.views]
     write_exr(path, *channels, names=names, attributes=known)

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import SceneError
+from clsco.files.images import save_image, write_exr, write_npz
+from clsco.frame.channels import exr_channels
+from clsco.frame.shown import codes_to_show, html_to_show, png_to_show
 
 TRUTH_NAMES = ("sharp", "depth", "blur_radius", "mask", "filled", "missing", "object_id", "normal", "flow", "hidden")
 MOTION_NAMES = ("flow_backward", "flow_occluded")  # besides, where something moves
@@ -42,7 +47,7 @@ def truth_names(truth: str | Iterable[str]) -> tuple[str, ...]:
     return names
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Frame:
     """A rendered frame: the image and its ground truth.
 
@@ -128,3 +133,76 @@ class Frame:
         """Former name of `blur_radius`, for one release."""
         warnings.warn("Frame.coc: the name is blur_radius; coc goes with the next release", DeprecationWarning, 2)
         return self.blur_radius
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """The image and all truth that was requested, by their names in files, such as "color" and "coc"."""
+        found = {in_file: getattr(self, name) for name, in_file in FILE_NAMES.items()}
+        return {name: array for name, array in found.items() if array is not None}
+
+    def image(self) -> NDArray[np.uint8]:
+        """The image as 8-bit codes of sRGB, for `matplotlib.pyplot.imshow`, Pillow and OpenCV.
+
+        Returns
+        -------
+        ndarray of uint8, (rows, columns, 3)
+            Red, green, blue, also of a gray scene. Radiance below 0 and above 1 is clipped.
+
+        Examples
+        --------
+        >>> import clsco
+        >>> scene = clsco.Scene(camera=clsco.Camera(resolution=(8, 6)), objects=(clsco.Plane(),))
+        >>> clsco.render_frame(scene).image().shape
+        (6, 8, 3)
+        """
+        return codes_to_show(self.color)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the frame to one file, whose extension says what of it.
+
+        Parameters
+        ----------
+        path : path
+            .png, .tif or .tiff: the image, PNG in sRGB codes of 8 bits, or of 16 where the textures have more, TIFF in
+            linear float32. .exr and .npz: the image and all truth of the frame, linear, as `clsco render --truth`
+            writes them.
+
+        Raises
+        ------
+        ImageError
+            The extension is another one, the extra that the format needs is missing, or the file cannot be written.
+
+        Examples
+        --------
+        >>> import clsco, tempfile
+        >>> scene = clsco.Scene(camera=clsco.Camera(resolution=(8, 6)), objects=(clsco.Plane(),))
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     clsco.render_frame(scene).save(f"{folder}/plane.png")
+        """
+        ending = Path(path).suffix.lower()
+        if ending == ".npz":
+            write_npz(path, self.arrays())
+        elif ending == ".exr":
+            write_exr(path, exr_channels(self.arrays()))
+        else:
+            save_image(path, self.color, self.metadata.get("bits", 8))
+
+    def __repr__(self) -> str:
+        rows, columns = self.color.shape[:2]
+        parts = [f"Frame {self.index}" + (f" ({self.eye})" if self.eye else "")]
+        parts.append(f"{columns} x {rows} px, {'gray' if self.color.ndim == 2 else 'color'}")
+        if "f_number" in self.metadata:
+            parts.append(f"f/{self.metadata['f_number']:.3g}")
+        if self.blur_radius is not None:
+            known = self.blur_radius[np.isfinite(self.blur_radius)]
+            ends = [f"{round(float(end), 2) + 0.0:g}" for end in (known.min(), known.max())] if known.size else []
+            parts.append(f"R {ends[0]} to {ends[1]} px" if ends else "R nowhere")
+        names = [name for name in FILE_NAMES if name != "color" and getattr(self, name) is not None]
+        return f"<{parts[0]}: {', '.join(parts[1:])}; {' '.join(names) or 'no truth'}>"
+
+    def _repr_png_(self) -> bytes:
+        """The image, for notebooks."""
+        return png_to_show(self.color)
+
+    def _repr_html_(self) -> str:
+        """The line of `print` with the image, for notebooks."""
+        return html_to_show(repr(self), [self.color])

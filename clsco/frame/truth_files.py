@@ -50,8 +50,8 @@ class TruthFile:
 
     def arrays(self, frame: Frame) -> dict[str, NDArray[Any]]:
         """The arrays of a frame in it, as they are called in files. Raises ImageError for floats beyond float16."""
-        known = {in_file: getattr(frame, name) for name, in_file in FILE_NAMES.items()}
-        found = {n: array for n, array in known.items() if array is not None and n in (self.names or known)}
+        known = frame.arrays()
+        found = {name: array for name, array in known.items() if name in (self.names or known)}
         return {name: self._stored(f"frame {frame.index}: {name}", array) for name, array in found.items()}
 
     def _stored(self, where: str, array: NDArray[Any]) -> NDArray[Any]:

@@ -23,7 +23,7 @@ from clsco.inputs.mipmaps import mipmap
 from clsco.inputs.resampling import resample
 from clsco.scene.arrays import ArrayInput
 from clsco.scene.model import Scene
-from clsco.scene.texture_keys import is_drawn
+from clsco.scene.texture_keys import is_drawn, missing_texture
 
 DEFAULT_SIDE = 512
 ROWS_AT_A_TIME = 128
@@ -241,8 +241,7 @@ def cube_map(sides: Sequence[Texture]) -> Texture:
 def require_suffix(source: str) -> None:
     """Raise ImageError for a name that is neither a pattern nor has an extension."""
     if not Path(source).suffix:
-        rule = f"must be one of {', '.join(PATTERNS)}, a color #rrggbb, or an image file"
-        raise ImageError(f"texture: {rule}; got {source!r}")
+        raise ImageError(f"texture: {missing_texture(source)}; got {Path(source).name!r}")
 
 
 # Patterns are drawn in full, or the rows from `first` up to `end` of them.

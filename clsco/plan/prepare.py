@@ -155,7 +155,7 @@ def _planned(scene: Scene, channels: int, request: Request, device: DeviceFacts 
 
 def _channels(scene: Scene, files: InputFiles) -> int:
     """Channels of the image, from all files and arrays of a scene, whose faults are raised together."""
-    faults, gray = list[str](), True
+    faults, gray = dict[str, str](), True
     for index, item in enumerate(scene.objects):
         sources = item.inputs()
         for key, texture in sources.items():
@@ -171,24 +171,25 @@ def _channels(scene: Scene, files: InputFiles) -> int:
             with _collected(faults, f"object[{index}].depth"):
                 files.depth(sources["depth"])
     if faults:
-        raise SceneError(faults)
+        raise SceneError([f"{where}: {fault}" for fault, where in faults.items()])
     return 1 if gray else 3
 
 
 def _maps(scene: Scene, files: InputFiles) -> Maps:
     """Inverse depth of the objects that are depth maps; refuses what does not fit the frame or the camera."""
-    faults, found = list[str](), list[NDArray[np.float64] | None]()
+    faults, found = dict[str, str](), list[NDArray[np.float64] | None]()
     for index, item in enumerate(scene.objects):
         with _collected(faults, f"object[{index}].depth"):
             found.append(files.map(scene, item) if isinstance(item, DepthMap) else None)
     if faults:
-        raise SceneError(faults)
+        raise SceneError([f"{where}: {fault}" for fault, where in faults.items()])
     return tuple(found)
 
 
 @contextmanager
-def _collected(faults: list[str], where: str) -> Iterator[None]:
+def _collected(faults: dict[str, str], where: str) -> Iterator[None]:
+    """Keep the place of a fault of a file by its message: once, whichever objects, or faces of a box, have the file."""
     try:
         yield
     except ImageError as error:
-        faults.append(f"{where}: {error}")
+        faults.setdefault(str(error), where)

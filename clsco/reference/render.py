@@ -206,7 +206,7 @@ def _frame(plan: Plan, textures: tuple[Texture, ...], maps: Maps, index: int, su
             arrays |= _map_truth(plan, textures, maps, middle, index)
     sharp = _without_channel(arrays.pop("sharp"))
     eye = plan.eye if scene.stereo else ""
-    about = {"intermediate": samples}
+    about = {"intermediate": samples, "f_number": scene.camera.opening}
     return Frame(index=index, color=_without_channel(color), sharp=sharp, metadata=about, eye=eye, **arrays)
 
 

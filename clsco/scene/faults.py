@@ -72,9 +72,21 @@ def parsed(root: type[Root], mapping: Any, where: str) -> Root:
     raise SceneError(at_most(where, found))
 
 
-def messages(error: ValidationError, root: type[BaseModel], place: tuple[str, ...] = ()) -> list[str]:
+def messages(error: ValidationError, root: type[BaseModel], place: tuple[str | int, ...] = ()) -> list[str]:
     """Messages on the faults that pydantic found in a scene, or in the table of it at `place`."""
     return [_message({**fault, "loc": (*place, *fault["loc"])}, root) for fault in _faults(error)]
+
+
+def refusal(root: type[BaseModel], model: type[BaseModel], error: ValidationError) -> SceneError:
+    """Error of a part of a scene that is made by itself, `Sphere: radius: rule; got value`; root: the scene's model."""
+    place = {root: (), Group: ("group", 0), ObjectMotion: ("object", 0, "sphere", "motion")}.get(model)
+    if place is None:
+        shapes = {shape: ("object", 0, name) for name, shape in SHAPES.items()}
+        tables = {table: tuple(path.split(".")) for path, table in _places(root)}
+        place = (tables | shapes)[model]
+    start = key_name(tuple(part for part in place if part not in SHAPES))
+    found = (message.removeprefix(f"{start}.").removeprefix(f"{start}: ") for message in messages(error, root, place))
+    return SceneError(at_most(model.__name__, found))
 
 
 def at_most(where: str, messages: Iterable[str]) -> list[str]:
@@ -105,8 +117,10 @@ def _message(fault: Mapping[str, Any], root: type[BaseModel]) -> str:
     """Message `key: rule; got value` of one fault that pydantic found."""
     kind, given, context = fault["type"], fault["input"], fault.get("ctx", {})
     loc, shape = tuple(fault["loc"]), None
-    if kind == "rule" and loc == ("objects",):  # pydantic's name where the default is at fault
-        loc = ("object",)
+    if (
+        loc[:1] == ("objects",) and kind != "extra_forbidden"
+    ):  # of a constructor, or a default at fault
+        loc = ("object", *loc[1:])
     if len(loc) > 2 and loc[0] == "object" and loc[2] in SHAPES:
         shape, loc = loc[2], loc[:2] + loc[3:]
     if kind == "missing":

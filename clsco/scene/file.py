@@ -18,7 +18,7 @@ from clsco.scene.changes import override
 from clsco.scene.faults import MAX_MESSAGES, at_most, items, messages, parsed, sections
 from clsco.scene.model import AnyShape, ObjectMotion, Psf, Scene
 from clsco.scene.text import key_name, shown
-from clsco.scene.texture_keys import is_drawn
+from clsco.scene.texture_keys import SixSided, is_drawn, missing_texture
 
 MAX_FILE_BYTES = 2**20
 MAX_OUTPUTS = 4096  # of a sweep
@@ -131,17 +131,18 @@ def absolute(scene: Scene, folder: Path) -> Scene:
 
 def missing_files(data: Mapping[str, Any], folder: Path, where: str) -> list[str]:
     """Messages on files that do not exist, for a scene with other faults: files of a valid scene are read anyway."""
-    rules = {
-        "texture": "must be an existing file, a built-in pattern or a color #rrggbb",
-        "depth": "must be an existing file",
-    }
     return [
-        f"{where}: object[{index}].{key}: {rule}; got {shown(name)}"
+        f"{where}: object[{index}].{key}: {missing_input(key, name)}; got {shown(name)}"
         for index, item in enumerate(items(data)[:MAX_MESSAGES])
-        for key, rule in rules.items()
+        for key in ("texture", *SixSided.__annotations__, "depth")
         if isinstance(name := item.get(key), str) and name and not _exists(folder, name)
-        if key != "texture" or not is_drawn(name)
+        if key == "depth" or not is_drawn(name)
     ]
+
+
+def missing_input(key: str, name: str) -> str:
+    """Rule for a file that there is not, which an object names under a key."""
+    return "must be an existing file" if key == "depth" else missing_texture(name)
 
 
 def _exists(folder: Path, name: str) -> bool:

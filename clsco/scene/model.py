@@ -8,11 +8,13 @@ turns violated rules into messages.
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
 from clsco.scene.changes import replaced
+from clsco.scene.faults import refusal
 from clsco.scene.groups import Group, Groups, unknown_groups
 from clsco.scene.objects import MAX_OBJECTS, Object, Objects
 from clsco.scene.quantities import (
@@ -127,9 +129,14 @@ class Camera(Strict):
     motion: CameraMotion = CameraMotion()
     """Velocities of the camera itself; static if none are given."""
 
+    @property
+    def opening(self) -> float:
+        """F-number f / D, whichever of it and the aperture's diameter was given."""
+        return self.focal_length / self.aperture_diameter
+
     @field_validator("f_number")
     @classmethod
-    def _opening(cls, value: float | None, info: ValidationInfo) -> float | None:
+    def _opening_within_limits(cls, value: float | None, info: ValidationInfo) -> float | None:
         f = info.data.get("focal_length")
         if value is not None and f is not None and not MIN_LENGTH_MM <= f / value <= MAX_LENGTH_MM:
             raise fault(f"must leave an aperture between {MIN_LENGTH_MM:g} and {MAX_LENGTH_MM:g} mm")
@@ -446,3 +453,6 @@ class Scene(Strict):
     def is_analytic(self) -> bool:
         """Whether every object is: there is no depth map."""
         return all(item.is_analytic for item in self.objects)
+
+
+Strict.refusal = partial(refusal, Scene)

@@ -7,7 +7,7 @@ import threading
 import unicodedata
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import (
@@ -208,6 +208,24 @@ class Strict(BaseModel):
 
     # Most scenes have few of the shapes: what checks them is built for those that a process meets.
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, defer_build=True)
+
+    refusal: ClassVar[Callable[[type[BaseModel], ValidationError], Exception]]
+    """The error that a constructor raises; given by `clsco.scene.model`, as messages need to know all models."""
+
+    if not TYPE_CHECKING:  # which knows the arguments from the fields
+
+        def __init__(self, /, **values: Any) -> None:
+            """Raises SceneError, one message per fault."""
+            try:
+                super().__init__(**values)
+            except ValidationError as error:
+                found = error
+            else:
+                return
+            raise Strict.refusal(type(self), found)
+
+        # By this pydantic knows its own constructor, which it passes by for the parts of a model.
+        __init__.__pydantic_base_init__ = True
 
     @classmethod
     def model_rebuild(cls, **options: Any) -> bool | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from pathlib import PurePath
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, cast
 
 from pydantic import BeforeValidator, Field
@@ -22,6 +23,18 @@ Wrap = Literal["repeat", "mirror", "clamp", "none"]
 def is_drawn(texture: object) -> bool:
     """Whether a texture is built in, or a color, and neither a file nor an array."""
     return isinstance(texture, str) and (texture in BUILT_IN_TEXTURES or COLOR.fullmatch(texture) is not None)
+
+
+def missing_texture(name: str) -> str:
+    """Rule for the name of a texture that there is not: an image that is not found, or a pattern of another name."""
+    base = PurePath(name).name
+    if PurePath(base).suffix:
+        return "must be an existing file, a built-in pattern or a color #rrggbb"
+    from difflib import get_close_matches
+
+    near = get_close_matches(base.lower(), BUILT_IN_TEXTURES, n=1)
+    meant = f" (did you mean {near[0]}?)" if near else ""
+    return f"must be one of {', '.join(BUILT_IN_TEXTURES)}, a color #rrggbb, or an image file{meant}"
 
 
 def _one_or_two(value: Any) -> Any:

@@ -10,7 +10,7 @@ from typing import Any
 
 from clsco.errors import SceneError
 from clsco.resources import folder
-from clsco.scene.file import absolute, parse_scene, swept_keys
+from clsco.scene.file import absolute, missing_input, parse_scene, swept_keys
 from clsco.scene.model import Scene
 from clsco.scene.shapes import SHAPES
 from clsco.scene.sweep import parse_sweep
@@ -34,10 +34,6 @@ THESIS: Table = {"object": [{"shape": "plane"}]}
 """The defaults of the thesis: all but the shape are those of clsco, too."""
 # Choices in a table of an object with keys beside them that other choices have no use for.
 _CHOICES = ("texture_mapping", "unit")
-_EXISTING = {
-    "texture": "must be an existing file, a built-in pattern or a color #rrggbb",
-    "depth": "must be an existing file",
-}
 
 
 @dataclass(frozen=True)
@@ -422,9 +418,9 @@ class Editor:
             path = (start / name).resolve()
             if not any(path.is_relative_to(place) for place in self.readable):
                 return "must be a file below the folder of the studio"
-            return "" if path.is_file() else _EXISTING[key.partition("_")[0]]
+            return "" if path.is_file() else missing_input(key, name)
         except (OSError, ValueError, RuntimeError):  # not a file name: too long, a null character, a link to itself
-            return _EXISTING[key.partition("_")[0]]
+            return missing_input(key, name)
 
     def _derived(self, parts: list[str]) -> Any:
         """A default that is in force."""

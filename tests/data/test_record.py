@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from clsco.data.record import ABOUT, array_sha256, is_wanted, make_record, parse_stored
 from clsco.errors import ImageError, SceneError
+from clsco.files.images import read_image
 from clsco.files.transfer import encode
 from clsco.frame.frame import FILE_NAMES
 from tests.data.samples import drawn, frame, record
@@ -121,3 +123,22 @@ def test_names_of_what_is_wanted() -> None:
     assert is_wanted("left.color", {"left.color"})
     assert not is_wanted("right.color", {"left.color"})
     assert is_wanted("depth", None)
+
+
+def test_a_record_prints_as_one_line_and_shows_its_images() -> None:
+    made = record(7, wanted=("color", "depth"))
+    assert repr(made) == "<Record '000000007' of 'train': color 9x12x3 uint16, depth 9x12 float32>"
+    np.testing.assert_array_equal(made.image(), frame(7).image())
+    assert made._repr_html_().count("<img") == 1
+
+
+def test_a_name_that_a_record_lacks_is_answered_by_those_it_has(tmp_path: Path) -> None:
+    made = record(7, wanted=("color", "depth"))
+    for call in (lambda: made["colour"], lambda: made.image("colour"), lambda: made.radiance("colour")):
+        with pytest.raises(KeyError, match="record 000000007: must be one of color, depth; got colour"):
+            call()
+    made.save(tmp_path / "record.png")
+    np.testing.assert_array_equal(read_image(tmp_path / "record.png").data, made["color"])
+    made.save(tmp_path / "record.npz")
+    with np.load(tmp_path / "record.npz") as saved:
+        assert set(saved) == {"color", "depth"}

@@ -22,7 +22,8 @@ from clsco.files import atomic as files
 from clsco.files.atomic import remove_stale, writable_folder
 from clsco.files.images import read_image, write_exr, write_json, write_npz, write_png
 from clsco.files.transfer import encode
-from clsco.frame.files import exr_channels, frame_files, read_complete, truth_files, write_frame
+from clsco.frame.channels import exr_channels
+from clsco.frame.files import frame_files, read_complete, truth_files, write_frame
 from clsco.frame.frame import FILE_NAMES, TRUTH_NAMES, Frame
 
 NPZ, BOTH = truth_files("npz"), truth_files("npz,exr")
@@ -71,7 +72,7 @@ def test_frame_files_hold_the_frame(tmp_path: Path, channels: int) -> None:
             np.testing.assert_array_equal(truth[FILE_NAMES[name]], getattr(shown, name), strict=True)
 
     stored = OpenEXR.File(str(tmp_path / "frame_0003.exr"), separate_channels=True).channels()
-    wanted = exr_channels(shown)
+    wanted = exr_channels(shown.arrays())
     assert set(stored) == set(wanted)
     expected = "R G B A Z coc sharp.R sharp.G sharp.B N.X N.Y N.Z flow.u flow.v id mask filled missing hidden"
     assert set(stored) == set(expected.split())
@@ -118,7 +119,7 @@ def test_a_stereo_pair_has_files_of_each_view_and_one_exr(tmp_path: Path) -> Non
     parts = OpenEXR.File(str(tmp_path / "frame_0003.exr"), separate_channels=True).parts
     assert [part.name() for part in parts] == [part.header["view"] for part in parts] == ["left", "right"]
     for shown, part in zip(views, parts, strict=True):
-        wanted = exr_channels(shown)
+        wanted = exr_channels(shown.arrays())
         assert (
             set(part.channels)
             == set(wanted)

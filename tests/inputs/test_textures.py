@@ -269,7 +269,9 @@ def test_a_scene_gets_its_textures_and_its_size(tmp_path: Path) -> None:
 @pytest.mark.parametrize("load", [texture_size, lambda name: load_texture(name, "srgb")])
 def test_names_what_textures_there_are(load: Any, tmp_path: Path) -> None:
     names = "bricks, checkerboard, slanted_edge, siemens_star, a color #rrggbb"
-    with pytest.raises(ImageError, match=rf"texture: must be one of {names}, or an image file; got 'brick'"):
-        load("brick")
+    with pytest.raises(ImageError, match=rf"texture: must be one of {names}, or an image file; got 'tiles'"):
+        load("tiles")
+    with pytest.raises(ImageError, match=r"image file \(did you mean bricks\?\); got 'Brick'"):
+        load(tmp_path / "Brick")
     with pytest.raises(ImageError, match=r"none.png: must be a file that can be read; got No such file"):
         load(tmp_path / "none.png")

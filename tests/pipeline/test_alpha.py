@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import clsco
-from clsco.frame.files import exr_channels
+from clsco.frame.channels import exr_channels
 from clsco.frame.frame import Frame
 from clsco.plan.memory import device_bytes
 from clsco.plan.prepare import prepare
@@ -76,11 +76,11 @@ def test_over_another_image_it_is_the_image_before_that() -> None:
 def test_it_is_asked_for_by_name() -> None:
     (frame,) = clsco.render(scene(BALL), truth="all")
     assert frame.alpha is None
-    assert (exr_channels(frame)["A"] == 1).all()
+    assert (exr_channels(frame.arrays())["A"] == 1).all()
     (frame,) = frames_of(scene(BALL), "alpha")
     assert frame.mask is None
     assert frame.alpha is not None
-    np.testing.assert_array_equal(exr_channels(frame)["A"], frame.alpha)
+    np.testing.assert_array_equal(exr_channels(frame.arrays())["A"], frame.alpha)
     with pytest.raises(clsco.SceneError, match=r"truth: must be .*, occluded, alpha, subframes; got 'alfa'"):
         frames_of(scene(BALL), "alfa")
 

@@ -10,7 +10,7 @@ import pytest
 import clsco
 from clsco import reference
 from clsco.engine.renderer import Renderer
-from clsco.frame.files import exr_channels
+from clsco.frame.channels import exr_channels
 from clsco.frame.frame import Frame
 from clsco.passes.warp import ForwardWarp
 from clsco.plan.memory import device_bytes
@@ -167,7 +167,7 @@ def test_layered_occlusion_in_strips() -> None:
 
 def test_an_exr_has_them_as_layers() -> None:
     frame = rendered(CASES["color"], "subframes", frames=[0])[0]
-    channels = exr_channels(frame)
+    channels = exr_channels(frame.arrays())
     assert frame.subframes is not None
     assert [name for name in channels if name.startswith("sample_")] == [
         f"sample_0{number}.{color}" for number in range(3) for color in "RGB"

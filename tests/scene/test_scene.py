@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from pydantic import BaseModel, ValidationError
 
+from clsco.errors import SceneError
 from clsco.scene.model import (
     AnyShape,
     Camera,
@@ -220,7 +221,7 @@ def test_objects_without_a_name_are_numbered() -> None:
     assert [item.name for item in scene.objects] == ["sphere", "plane 2", "sphere 3", "sphere 2", "plane"]
     again = Scene(objects=(*scene.objects[1:3], *Scene(objects=(Sphere(), Sphere())).objects))
     assert [item.name for item in again.objects] == ["plane", "sphere", "sphere 2", "sphere 3"]
-    with pytest.raises(ValidationError, match="names must differ"):
+    with pytest.raises(SceneError, match="names must differ"):
         Scene(objects=(Sphere(name="ball"), Plane(name="ball")))
     assert len(Scene(objects=(Sphere(),) * 64).objects) == 64
 

@@ -1,0 +1,46 @@
+"""Channels of an EXR file of a frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+_STEREO = ("disparity", "occluded")
+
+
+def exr_channels(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Name a frame's arrays, by their names in files, as channels of an EXR.
+
+    They are R G B A, Z, coc, sharp.R, N.X, flow.u, id, mask, filled, missing, hidden. A scene that moves has
+    flow_backward.u and flow_occluded, one with textures on surfaces uv.u, a stereo pair disparity and occluded, too;
+    sub-frames are sample_00.R and so on. A gray frame has R, G and B, so that every reader shows it. A is the alpha
+    where it was requested, else 1: a photograph covers all of its pixels.
+    """
+    color, plain = arrays.get("color"), (*("coc", "mask", "filled", "missing", "hidden", "flow_occluded"), *_STEREO)
+
+    def split(layer: str, names: str, array: NDArray[Any] | None) -> dict[str, NDArray[Any]]:
+        if array is None:
+            return {}
+        return {layer + name: array if array.ndim == 2 else array[..., n] for n, name in enumerate(names)}
+
+    alpha = arrays.get("alpha")
+    if alpha is None and color is not None:
+        alpha = np.ones(color.shape[:2], color.dtype)
+    subframes: dict[str, NDArray[Any]] = {}
+    for number, image in enumerate(arrays.get("subframes", ())):
+        subframes |= split(f"sample_{number:02d}.", "RGB", image)
+    single = {"Z": "depth", "id": "object_id"} | {name: name for name in plain}
+    return {
+        **split("", "RGB", color),
+        **({} if alpha is None else {"A": alpha}),
+        **{channel: arrays[name] for channel, name in single.items() if name in arrays},
+        **split("sharp.", "RGB", arrays.get("sharp")),
+        **split("N.", "XYZ", arrays.get("normal")),
+        **split("flow.", "uv", arrays.get("flow")),
+        **split("flow_backward.", "uv", arrays.get("flow_backward")),
+        **split("uv.", "uv", arrays.get("uv")),
+        **subframes,
+    }
