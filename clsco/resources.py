@@ -13,10 +13,16 @@ from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from types import ModuleType
-from typing import BinaryIO
+from typing import BinaryIO, Literal
 
 # Opening a pipe would block for ever without the second; neither is there on Windows.
 _SAFELY = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+
+
+Kind = Literal["cache", "state"]
+_PLACES: dict[Kind, tuple[str, str]] = {
+    "cache": ("XDG_CACHE_HOME", ".cache"), "state": ("XDG_STATE_HOME", ".local/state"),
+}  # fmt: skip
 
 
 @cache
@@ -51,15 +57,18 @@ class ExposedFolderError(Exception):
         super().__init__(f"{folder}: must belong to you, and be writable by you alone")
 
 
-def private_folder(*names: str, environ: Mapping[str, str] = os.environ) -> Path:
-    """A folder in the user's cache folder that nobody else can write to; it is made where it is not there.
+def private_folder(*names: str, environ: Mapping[str, str] = os.environ, kind: Kind = "cache") -> Path:
+    """A folder in the user's cache or state folder that nobody else can write to; it is made where it is not there.
 
     Parameters
     ----------
     *names : str
         Of the folder and those above it, from the top.
     environ : mapping
-        XDG_CACHE_HOME names the cache folder, by default ~/.cache.
+        XDG_CACHE_HOME names the cache folder, by default ~/.cache; XDG_STATE_HOME that of state, by default
+        ~/.local/state.
+    kind : {"cache", "state"}
+        State is what cannot be computed again.
 
     Returns
     -------
@@ -72,7 +81,8 @@ def private_folder(*names: str, environ: Mapping[str, str] = os.environ) -> Path
     OSError, RuntimeError
         It cannot be made, or the user has no home.
     """
-    root = Path(environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    variable, default = _PLACES[kind]
+    root = Path(environ.get(variable) or Path.home() / default)
     root.mkdir(mode=0o700, parents=True, exist_ok=True)
     made = [root.joinpath(*names[: k + 1]) for k in range(len(names))]
     for one in made:  # one by one: the mode is not that of parents

@@ -18,9 +18,10 @@ import pytest
 if not os.environ.get("POCL_CACHE_DIR"):
     os.environ["POCL_CACHE_DIR"] = tempfile.mkdtemp(prefix="clsco-tests-")
     atexit.register(shutil.rmtree, os.environ["POCL_CACHE_DIR"], ignore_errors=True)
-if "PYTEST_XDIST_WORKER" not in os.environ:  # tables and textures of all workers, and none of the user's
-    os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="clsco-cache-")
-    atexit.register(shutil.rmtree, os.environ["XDG_CACHE_HOME"], ignore_errors=True)
+if "PYTEST_XDIST_WORKER" not in os.environ:  # tables, textures and studios of all workers, and none of the user's
+    for place in ("XDG_CACHE_HOME", "XDG_STATE_HOME"):
+        os.environ[place] = tempfile.mkdtemp(prefix="clsco-cache-")
+        atexit.register(shutil.rmtree, os.environ[place], ignore_errors=True)
 if "PYTEST_XDIST_WORKER" in os.environ:
     own = Path(os.environ["POCL_CACHE_DIR"]) / os.environ["PYTEST_XDIST_WORKER"]
     own.mkdir(parents=True, exist_ok=True)

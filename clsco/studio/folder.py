@@ -1,4 +1,4 @@
-"""What a studio's folder has for it: scenes, images and depth maps, and nothing else."""
+"""What a studio's folder has for it: scenes, images and depth maps, and nothing else, and nothing outside of it."""
 
 from __future__ import annotations
 
@@ -6,10 +6,24 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+from clsco.errors import SceneError
+from clsco.scene.text import shown
+
 SCENES = (".toml", ".json")
 IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".pfm", ".npy", ".npz")
 MOST = 500  # names in a list
 DEEPEST = 4  # folders in each other
+
+
+def below(root: Path, path: str | Path) -> Path:
+    """A path below a folder, with all links followed. Raises SceneError for any other."""
+    try:
+        target = (root / path).resolve()
+    except (OSError, ValueError, RuntimeError):  # no name of a file, or a link to itself
+        target = root
+    if not target.is_relative_to(root) or target == root:
+        raise SceneError(f"file: must be below the folder of the studio; got {shown(str(path))}")
+    return target
 
 
 def listed(root: Path, endings: tuple[str, ...]) -> list[str]:

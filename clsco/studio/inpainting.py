@@ -19,6 +19,7 @@ from clsco.files.images import Picture, read_image, write_png
 from clsco.files.png import png_parts
 from clsco.files.transfer import encode
 from clsco.studio.filling import Filler
+from clsco.studio.folder import below
 from clsco.studio.jobs import Job, Jobs
 from clsco.studio.removals import REMOVALS
 from clsco.studio.session import Session
@@ -278,19 +279,17 @@ class Inpainting:
     def _target(self, name: str) -> Path:
         """A place for what is written, below the root."""
         try:
-            target = (self.root / name).resolve()
-        except (OSError, ValueError, RuntimeError):
-            target = self.root
-        if not target.is_relative_to(self.root) or target == self.root:
-            raise ImageError(f"output: must be below the folder of the studio; got {name!r}")
-        return target
+            return below(self.root, name)
+        except SceneError:
+            raise ImageError(f"output: must be below the folder of the studio; got {name!r}") from None
 
     def _read(self, name: str) -> Picture:
         try:
-            path = (self.root / name).resolve()
-        except (OSError, ValueError, RuntimeError):
-            path = Path("/")
-        if not path.is_relative_to(self.root) or not path.is_file():
+            path = below(self.root, name)
+            is_file = path.is_file()
+        except (SceneError, OSError):  # the latter: too long a name
+            is_file = False
+        if not is_file:
             raise ImageError(f"image: must be a file below the folder of the studio; got {name!r}")
         try:
             return read_image(path)

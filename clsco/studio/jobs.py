@@ -1,18 +1,15 @@
 """Work of the studio that takes long: command lines of `clsco` in processes of their own, one at a time.
 
-They go on when the studio ends, and the next one finds them: `.clsco-studio/jobs.json` below the root says what was
-begun, a file beside it how each process ended. The list is sealed with a key of the user, so that a folder from
-strangers has no commands run.
+They go on when the studio ends, and the next one finds them: `jobs.json` in the user's own state folder says what was
+begun, a file beside it how each process ended. Nothing of this is in the studio's folder: one from strangers has no
+commands run.
 """
 
 from __future__ import annotations
 
 import contextlib
-import fcntl
-import hmac
 import json
 import os
-import secrets
 import shlex
 import shutil
 import signal
@@ -21,18 +18,19 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from clsco.errors import ClscoError
-from clsco.files.atomic import write_whole
-from clsco.resources import ExposedFolderError, private_folder
 from clsco.studio.samples import samples_made
+from clsco.studio.state import StateFolder
 
-STATE_FOLDER = ".clsco-studio"
+LIST = "jobs.json"
+LARGEST = 2**23  # bytes of the list
+MOST = 500  # jobs in it; of those that are finished the oldest go
 GRACE = 10.0  # seconds that a canceled command has to end
 _TAIL = 4000  # bytes of what a command said
+_TITLE = 200  # characters
 # The end of a command goes to a file, as who began it may be gone by then; ^C is for the command alone.
 _SHELL = 'trap : INT TERM; "$@"; printf %s "$?" > "$0.part" && mv "$0.part" "$0"'
 _PYTHON = (sys.executable, "-P", "-c", "from clsco.cli.process import run; run()")
@@ -113,6 +111,11 @@ class Jobs:
     environment : mapping, optional
         Of the processes, besides that of this one.
 
+    Attributes
+    ----------
+    state : StateFolder
+        What is kept for the next studio.
+
     Raises
     ------
     ClscoError
@@ -122,19 +125,12 @@ class Jobs:
     def __init__(self, root: Path, environment: Mapping[str, str] | None = None) -> None:
         self.root = root.resolve()
         self._environment = {**os.environ, **(environment or {})}
-        self._place = self.root / STATE_FOLDER
-        self._place.mkdir(mode=0o700, exist_ok=True)
-        self._lock = open(self._place / "lock", "a")  # noqa: SIM115
-        try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            self._lock.close()
-            raise ClscoError(f"{self.root}: another studio is at work in this folder") from None
+        self.state = StateFolder(self.root)
         self._listeners: list[Callable[[], None]] = []
         self._canceled: dict[int, float] = {}
         self._next_count = 0.0
         self._processes: dict[int, subprocess.Popen[bytes]] = {}
-        self._jobs = _read(self._place)
+        self._jobs = _read(self.state)
 
     @property
     def listed(self) -> tuple[Job, ...]:
@@ -156,14 +152,14 @@ class Jobs:
         """
         self.require_free(folder)
         number = 1 + max((job.number for job in self._jobs), default=0)
-        self._put(Job(number, title, tuple(arguments), folder, pattern, total))
+        self._put(Job(number, title[:_TITLE], tuple(arguments), folder, pattern, total))
         self.poll()
         return self.job(number)
 
     def require_free(self, folder: str) -> None:
         """Raise ClscoError where a folder is not below the root, or a command that is not done writes to it."""
         target = (self.root / folder).resolve()
-        if not target.is_relative_to(self.root) or target.is_relative_to(self._place) or target == self.root:
+        if not target.is_relative_to(self.root) or target.is_relative_to(self.state.path) or target == self.root:
             raise ClscoError(f"output folder: must be below the folder of the studio; got {folder!r}")
         for other in self._jobs:
             if other.is_unfinished and (self.root / other.folder).resolve() == target:
@@ -196,8 +192,7 @@ class Jobs:
         job = self.job(number)
         if not job.is_unfinished:
             self._jobs = [other for other in self._jobs if other.number != number]
-            for path in (self._log(job), self._end(job)):
-                path.unlink(missing_ok=True)
+            self._drop(job)
             self._write()
             self._tell()
 
@@ -225,14 +220,17 @@ class Jobs:
 
     def close(self) -> None:
         """Let go of the folder; a running command goes on."""
-        self._lock.close()
+        self.state.close()
+
+    def _drop(self, job: Job) -> None:
+        """Remove what a job has said."""
+        self.state.remove(_log(job), _end(job), f"{_end(job)}.part")
 
     def _begin(self, job: Job) -> None:
-        for path in (self._log(job), self._end(job)):
-            path.unlink(missing_ok=True)
-        command = ["sh", "-c", _SHELL, str(self._end(job)), *_PYTHON, *job.arguments]
+        self._drop(job)
+        command = ["sh", "-c", _SHELL, str(self.state.path / _end(job)), *_PYTHON, *job.arguments]
         try:
-            with open(self._log(job), "wb") as log:
+            with open(self.state.path / _log(job), "xb") as log:
                 process = subprocess.Popen(
                     command, cwd=self.root, env=self._environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log,
                     start_new_session=True,
@@ -270,7 +268,7 @@ class Jobs:
             status = "interrupted"
         else:
             status = "done" if code == 0 else "canceled" if code == 130 else "failed"
-        _remove_parts(self.root / job.folder)
+        _remove_parts(self.root, job.folder)
         message = "" if status == "done" else self._said(job)
         if (ended := self._processes.pop(job.number, None)) is not None:
             ended.wait()
@@ -302,68 +300,52 @@ class Jobs:
     def _code(self, job: Job) -> int | None:
         """Exit status of a command that ended, None where it was killed with all that was around it."""
         try:
-            return int(self._end(job).read_text())
+            return int(self.state.read(_end(job), 16))
         except (OSError, ValueError):
             return None
 
     def _said(self, job: Job) -> str:
         """The end of what a command said."""
         try:
-            text = self._log(job).read_bytes()[-_TAIL:].decode(errors="replace")
+            text = self.state.tail(_log(job), _TAIL).decode(errors="replace")
         except OSError:
             return ""
         return "\n".join(text.strip().splitlines()[-8:])
-
-    def _log(self, job: Job) -> Path:
-        return self._place / f"job_{job.number}.log"
-
-    def _end(self, job: Job) -> Path:
-        return self._place / f"job_{job.number}.end"
 
     def _put(self, job: Job) -> None:
         """Take a job in place of that of its number, or as the last one, on the disk, too."""
         others = [job if other.number == job.number else other for other in self._jobs]
         self._jobs = others if job in others else [*others, job]
+        for old in [other for other in self._jobs if not other.is_unfinished][: max(len(self._jobs) - MOST, 0)]:
+            self._jobs.remove(old)
+            self._drop(old)
         self._write()
         self._tell()
 
     def _write(self) -> None:
         listed = [asdict(job) for job in self._jobs]
-        content = {"seal": _seal(self._place, listed), "jobs": listed}
-        write_whole(self._place / "jobs.json", json.dumps(content, indent=1).encode())
+        self.state.write(LIST, json.dumps(listed, indent=1).encode())
 
     def _tell(self) -> None:
         for listener in tuple(self._listeners):
             listener()
 
 
-def _read(place: Path) -> list[Job]:
-    """Jobs of a folder; none where its list is not what this user's studio wrote there, and no stranger's commands."""
+def _log(job: Job) -> str:
+    return f"job_{job.number}.log"
+
+
+def _end(job: Job) -> str:
+    return f"job_{job.number}.end"
+
+
+def _read(state: StateFolder) -> list[Job]:
+    """Jobs of a list; none where it is not what a studio wrote."""
     try:
-        content = json.loads((place / "jobs.json").read_bytes())
-        listed = content["jobs"]
-        if not hmac.compare_digest(content["seal"], _seal(place, listed)):
-            return []
+        listed = json.loads(state.read(LIST, LARGEST))
         return [Job(**{**entry, "arguments": tuple(entry["arguments"])}) for entry in listed]
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
         return []
-
-
-def _seal(place: Path, listed: list[dict[str, Any]]) -> str:
-    """What only who has the key of this user can put on a list of jobs in a folder."""
-    return hmac.new(_key(), f"{place}\n{json.dumps(listed)}".encode(), "sha256").hexdigest()
-
-
-@cache
-def _key() -> bytes:
-    """The key of this user, made when it is first needed; where no folder is private, one that ends with the studio."""
-    try:
-        path = private_folder("clsco", "studio") / "key"
-        if not path.exists():
-            write_whole(path, secrets.token_hex(32).encode())
-        return path.read_bytes()
-    except (ExposedFolderError, ClscoError, OSError, RuntimeError):
-        return secrets.token_bytes(32)
 
 
 def _began(process: int) -> int | None:
@@ -392,9 +374,11 @@ def _signal(job: Job, number: signal.Signals, is_ours: bool) -> None:
             os.killpg(job.process, number)
 
 
-def _remove_parts(folder: Path) -> None:
-    """Remove temporary files and folders of commands that were killed while they wrote."""
-    for path in folder.rglob(".*.part"):
+def _remove_parts(root: Path, folder: str) -> None:
+    """Remove temporary files and folders of commands that were killed while they wrote below the root."""
+    if not (root / folder).resolve().is_relative_to(root):  # it may be another folder by now
+        return
+    for path in (root / folder).rglob(".*.part"):
         process = path.name.split(".")[-2].partition("-")[0]
         if process.isdecimal() and _began(int(process)) is None:
             with contextlib.suppress(OSError):

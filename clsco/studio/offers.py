@@ -10,7 +10,7 @@ from pathlib import Path
 from clsco.data.containers import CONTAINERS
 from clsco.files.video import PRESETS
 from clsco.frame.files import TRUTH_FORMATS
-from clsco.resources import folder
+from clsco.resources import folder, read_regular
 from clsco.studio.folder import listed
 
 _LARGEST = 2**20  # bytes of a file that may be a distribution
@@ -52,9 +52,7 @@ def shipped_distributions() -> dict[str, Path]:
 
 def _is_distribution(path: Path) -> bool:
     try:
-        if path.stat().st_size > _LARGEST:
-            return False
-        content = tomllib.loads(path.read_text("utf-8-sig"))
+        content = tomllib.loads(read_regular(path, _LARGEST, follow=True).decode("utf-8-sig"))
     except (OSError, ValueError, RecursionError):
         return False
     return bool({"vary", "derive", "accept"} & content.keys())

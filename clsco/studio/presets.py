@@ -11,9 +11,10 @@ from clsco.files.atomic import writable_folder, write_whole
 from clsco.resources import folder
 from clsco.scene.examples import EXAMPLES
 from clsco.scene.file import read_mapping
+from clsco.studio.folder import below
 from clsco.studio.session import Session
 from clsco.studio.tables import Table, named_files
-from clsco.studio.uploads import keep_image
+from clsco.studio.uploads import holds, keep_image
 
 IMAGES = "images"  # folder below the root for those of presets
 OF_THE_THESIS, OTHERS = "Figures of the thesis", "Examples"
@@ -81,12 +82,13 @@ def load_preset(session: Session, name: str) -> None:
 def _copied(path: Path, root: Path) -> str:
     """Name of a copy of a file below the root, so that a saved scene works wherever its folder is taken."""
     content = path.read_bytes()
-    target = root / IMAGES / path.name
+    name = f"{IMAGES}/{path.name}"
+    target = below(root, name)
     if not target.exists():
         write_whole(writable_folder(target.parent) / target.name, content)
-    elif target.read_bytes() != content:  # somebody's other image
+    elif not holds(target, content):  # somebody's other image
         return keep_image(root, content, path.suffix[1:])
-    return target.relative_to(root).as_posix()
+    return name
 
 
 def is_as_the_thesis(session: Session) -> bool:

@@ -42,7 +42,7 @@ def add_routes(app: FastAPI, jobs: Jobs, session_of: Callable[[str], Session | N
             found = [path for path in jobs.files(job) if path.relative_to(folder).as_posix() == name]
         except (KeyError, OSError):
             found = []
-        if not found or not found[0].resolve().is_relative_to(jobs.root):
+        if not found or not found[0].is_file() or not found[0].resolve().is_relative_to(jobs.root):
             return Response("no such result\n", 404, media_type="text/plain")
         return FileResponse(found[0], media_type=_TYPES[found[0].suffix], headers={"cache-control": "no-cache"})
 

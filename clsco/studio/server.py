@@ -17,14 +17,13 @@ from fastapi import FastAPI, Request, WebSocket, WebSocketDisconnect
 from fastapi.responses import JSONResponse, Response
 from starlette.staticfiles import StaticFiles
 
-from clsco.errors import ImageError, SceneError
-from clsco.files.atomic import writable_folder
+from clsco.errors import ClscoError, ImageError, SceneError
 from clsco.optics.lens import focus_distance
 from clsco.scene.model import Scene
 from clsco.scene.toml import toml_text
 from clsco.studio.generate import stack_scenes
 from clsco.studio.guard import MAX_MESSAGE, Guard
-from clsco.studio.jobs import STATE_FOLDER, Jobs
+from clsco.studio.jobs import Jobs
 from clsco.studio.pointing import Pointer
 from clsco.studio.presets import choose_method
 from clsco.studio.preview import Preview
@@ -40,7 +39,8 @@ MOST_TABS = 64
 LEAVING = '{"leaving":true}'  # says a page that is loaded again, or left
 MOST_WATCHED = 2000  # keys with a control
 TICK = 0.5  # s between looks at the jobs
-KEPT = "kept"  # folder of scenes, in that of the state
+KEPT = "kept_"  # names of scenes begin with it, in the folder of the state
+MOST_KEPT = 64
 
 
 class Tab:
@@ -71,6 +71,7 @@ class Studio:
         self.renderer = Renderer(device)
         self.jobs = Jobs(self.root)
         self.tabs: dict[str, Tab] = {}
+        self.jobs.state.remove(*(path.name for path in self.kept()[MOST_KEPT:]))
 
     def new_session(self) -> Session:
         """A session with the scene of the command line."""
@@ -101,16 +102,19 @@ class Studio:
 
     def kept(self) -> list[Path]:
         """Scenes that were kept when a studio ended, the latest first."""
-        folder = self.root / STATE_FOLDER / KEPT
-        found = [path for path in folder.glob("*.json") if path.stem not in self.tabs]
-        return sorted(found, key=lambda path: path.stat().st_mtime, reverse=True)
+        ours = {self._kept(name) for name in self.tabs}
+        found = [path for path in self.jobs.state.path.glob(f"{KEPT}*.json") if path not in ours]
+        return sorted(found, key=lambda path: path.lstat().st_mtime, reverse=True)
 
     def keep(self) -> None:
         """Keep all scenes that changed."""
         for name, tab in self.tabs.items():
             if tab.session.can_undo and not tab.session.is_saved:
-                with suppress(ImageError, OSError):
-                    tab.session.keep(writable_folder(self.root / STATE_FOLDER / KEPT) / f"{name}.json")
+                with suppress(ImageError):
+                    tab.session.keep(self._kept(name))
+
+    def _kept(self, name: str) -> Path:
+        return self.jobs.state.path / f"{KEPT}{name}.json"
 
     async def watch(self) -> None:
         """Look at the jobs and keep the scenes, until canceled."""
@@ -307,7 +311,7 @@ def application(studio: Studio, attach: Attach) -> FastAPI:
         content = await request.body()  # the guard bounds it
         try:
             return JSONResponse({"name": await asyncio.to_thread(keep_image, studio.root, content, kind)})
-        except ImageError as error:
+        except ClscoError as error:
             return JSONResponse({"error": str(error)}, 400)
 
     add_routes(app, studio.jobs, lambda name: studio.tabs[name].session if name in studio.tabs else None)

@@ -9,9 +9,9 @@ from typing import Any
 from clsco.errors import SceneError
 from clsco.files.atomic import write_whole
 from clsco.scene.faults import items
-from clsco.scene.text import shown
 from clsco.scene.texture_keys import is_drawn
 from clsco.studio.editing import Editor, State
+from clsco.studio.folder import below
 from clsco.studio.store import (
     ConflictError,
     difference,
@@ -153,13 +153,7 @@ class Session(Editor):
 
     def inside(self, path: Path) -> Path:
         """A path below the root, with all links followed. Raises SceneError for any other."""
-        try:
-            target = (self.root / path).resolve()
-        except (OSError, ValueError, RuntimeError):
-            target = Path("/")
-        if not target.is_relative_to(self.root) or target == self.root:
-            raise SceneError(f"file: must be below the folder of the studio; got {shown(str(path))}")
-        return target
+        return below(self.root, path)
 
     def source(self, name: str) -> str:
         """A texture as `clsco.inputs` takes it: the name of a pattern, a color, or an absolute path."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import difflib
+import hashlib
 import json
 import os
 import tomllib
@@ -13,14 +14,16 @@ from pathlib import Path
 from typing import Any
 
 from clsco.errors import ClscoError, SceneError
-from clsco.files.atomic import sha256, write_whole
+from clsco.files.atomic import write_whole
+from clsco.resources import open_regular, read_regular
 from clsco.scene.file import read_mapping
 from clsco.scene.shapes import SHAPES
 from clsco.scene.toml import toml_text
 from clsco.studio.blocks import arranged
 from clsco.studio.tables import Table, named_files, sparse
 
-LARGEST = 2**20  # bytes of a link's content
+LARGEST = 2**20  # bytes of a scene file, or of a link's content
+LARGEST_IMAGE = 2**30  # bytes of a file that has a digest
 START = "#s="
 
 
@@ -35,10 +38,11 @@ def read_scene(path: Path) -> tuple[Table, str]:
 
 
 def digest_of(path: Path) -> str:
-    """SHA-256 of a scene file; "" where there is none."""
+    """SHA-256 of a scene or an image; "" where there is no such file, or one of more than 1 GiB."""
     try:
-        return sha256(path) if path.is_file() else ""
-    except OSError:
+        with open_regular(path, LARGEST_IMAGE, follow=True) as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except (OSError, ValueError):
         return ""
 
 
@@ -66,7 +70,7 @@ def scene_text(table: Mapping[str, Any], path: Path, old: Path | None) -> str:
     from tomlkit.exceptions import TOMLKitError
 
     try:
-        before = old.read_text("utf-8-sig")
+        before = read_regular(old, LARGEST, follow=True).decode("utf-8-sig")
         wanted = _kept(sparse(table), table, tomllib.loads(before))
         document = tomlkit.parse(_arranged(before, wanted))
         _update(document, wanted)
@@ -176,7 +180,10 @@ def _same(before: Any, value: Any) -> bool:
 
 def difference(path: Path, text: str) -> str:
     """What a text would change in a file, as a unified diff."""
-    before = path.read_text("utf-8-sig", errors="replace").splitlines() if path.is_file() else []
+    try:
+        before = read_regular(path, LARGEST, follow=True).decode("utf-8-sig", "replace").splitlines()
+    except OSError:  # none, or what is no scene
+        before = []
     return "\n".join(difflib.unified_diff(before, text.splitlines(), "on the disk", "in the studio", lineterm=""))
 
 
@@ -255,7 +262,12 @@ def from_link(text: str, places: Iterable[Path]) -> tuple[Table, dict[str, tuple
         item = content["object"][index]
         if digest_of(first / name) == stated and stated:
             continue
-        found = [path for place in others for path in place.rglob(Path(name).name) if digest_of(path) == stated]
+        found = [
+            path
+            for place in others
+            for path in place.rglob("*")
+            if path.name == Path(name).name and digest_of(path) == stated
+        ]
         if stated and found:
             item[key] = str(found[0])
             continue
@@ -292,7 +304,6 @@ def _unpacked(text: str) -> Table:
 
 def keep(table: Table, start: Path, path: Path) -> None:
     """Write a scene so that it can be recovered, whole or not at all. Raises ImageError."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     content = {"folder": str(start), "scene": table}
     write_whole(path, json.dumps(content, ensure_ascii=False).encode())
 
@@ -300,9 +311,7 @@ def keep(table: Table, start: Path, path: Path) -> None:
 def kept(path: Path) -> tuple[Table, Path]:
     """A scene that was kept, and the folder that its files are relative to. Raises SceneError."""
     try:
-        if path.stat().st_size > 2 * LARGEST:
-            raise SceneError(f"{path.name}: must have at most {2 * LARGEST} bytes")
-        content = json.loads(path.read_bytes())
+        content = json.loads(read_regular(path, 2 * LARGEST))
         table, start = content["scene"], Path(content["folder"])
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         raise SceneError(f"{path.name}: must be what the studio kept") from None

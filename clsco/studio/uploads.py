@@ -9,6 +9,8 @@ from pathlib import Path
 from clsco.errors import ImageError
 from clsco.files.atomic import writable_folder, write_whole
 from clsco.files.images import read_image
+from clsco.resources import read_regular
+from clsco.studio.folder import below
 
 UPLOADS = "uploads"  # folder below the root
 KINDS = ("png", "jpg", "jpeg", "tif", "tiff", "exr", "pfm", "npy")
@@ -26,11 +28,13 @@ def keep_image(root: Path, content: bytes, kind: str) -> str:
     ------
     ImageError
         For everything that `clsco.files.images.read_image` refuses, and where it cannot be written.
+    SceneError
+        A link would have it written outside of the root.
     """
     if kind not in KINDS:
         raise ImageError(f"image: must be one of {', '.join(KINDS)}; got {kind[:20]!r}")
-    path = root / UPLOADS / f"{hashlib.sha256(content).hexdigest()[:20]}.{kind}"
-    if not path.exists():
+    name = f"{UPLOADS}/{hashlib.sha256(content).hexdigest()[:20]}.{kind}"
+    if not holds(path := below(root, name), content):
         with tempfile.TemporaryDirectory(prefix="clsco-") as scratch:
             trial = Path(scratch) / path.name
             trial.write_bytes(content)
@@ -39,4 +43,12 @@ def keep_image(root: Path, content: bytes, kind: str) -> str:
             except ImageError as error:
                 raise ImageError(str(error).replace(str(trial), "image")) from None
         write_whole(writable_folder(path.parent) / path.name, content)
-    return path.relative_to(root).as_posix()
+    return name
+
+
+def holds(path: Path, content: bytes) -> bool:
+    """Whether a file, and nothing that stands in for one, has this content."""
+    try:
+        return read_regular(path, len(content)) == content
+    except OSError:
+        return False

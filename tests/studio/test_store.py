@@ -330,7 +330,7 @@ def test_bad_links_are_refused(session: Session, link: str, rule: str) -> None:
 
 def test_what_was_kept_is_recovered(session: Session) -> None:
     session.patch("object.1.radius", 33.0)
-    file = session.root / ".clsco-studio" / "one.json"
+    file = session.root / "one.json"
     session.keep(file)
     written = file.stat().st_mtime_ns
     session.keep(file)

@@ -1,0 +1,199 @@
+"""A studio in a folder of strangers: its state is elsewhere, and what they planted is not followed, nor waited for."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("fastapi", reason="needs the extra studio")
+
+from clsco import ClscoError, ImageError, SceneError
+from clsco.files.images import write_png
+from clsco.studio.jobs import Job
+from clsco.studio.offers import distributions
+from clsco.studio.presets import load_preset
+from clsco.studio.server import Studio
+from clsco.studio.session import Session
+from clsco.studio.state import StateFolder
+from clsco.studio.store import digest_of
+from clsco.studio.uploads import keep_image
+from tests.studio.running import studio
+
+NAMES = ("lock", "jobs.json", "job_1.end", "job_1.end.part", "job_1.log", "kept", "kept_one.json", "key")
+
+
+def plant(place: Path, how: str, outside: Path) -> None:
+    """Something in place of each file that a studio has, or had."""
+    place.mkdir(parents=True, exist_ok=True)
+    for name in NAMES:
+        (place / name).unlink(missing_ok=True)
+        match how:
+            case "link":
+                (place / name).symlink_to(outside / name)
+            case "dangling":
+                (place / name).symlink_to(outside / "none" / name)
+            case "zero":
+                (place / name).symlink_to("/dev/zero")
+            case "pipe":
+                os.mkfifo(place / name)
+            case "folder":
+                (place / name).mkdir()
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@pytest.fixture
+def outside(tmp_path: Path) -> Path:
+    folder = tmp_path / "outside"
+    folder.mkdir()
+    for name in NAMES:
+        (folder / name).write_bytes(b"[]")
+    return folder
+
+
+@pytest.mark.parametrize("how", ["link", "dangling", "zero", "pipe", "folder"])
+def test_a_planted_state(tmp_path: Path, outside: Path, how: str) -> None:
+    root = tmp_path / "root"
+    plant(root / ".clsco-studio", how, outside)
+    before = contents(outside)
+    opened = Studio(root)
+    place = opened.jobs.state.path
+    look_at(opened, [])
+    opened.jobs.close()
+    assert contents(outside) == before
+    assert [path.name for path in root.iterdir()] == [".clsco-studio"]
+    plant(place, how, outside)  # as a backup might have it, or who has the user's rights
+    (place / "lock").rmdir() if how == "folder" else (place / "lock").unlink()
+    again = Studio(root)
+    assert again.jobs.state.path == place
+    for name in NAMES[1:]:
+        assert refused(again.jobs.state.read, name)
+        assert refused(again.jobs.state.tail, name)
+    look_at(again, ["kept_one.json"])
+    again.jobs.close()
+    assert contents(outside) == before
+
+
+def refused(read: Callable[[str, int], bytes], name: str) -> bool:
+    try:
+        read(name, 100)
+    except OSError:
+        return True
+    return False
+
+
+def look_at(opened: Studio, kept: list[str]) -> None:
+    """All that has to do with the state."""
+    assert opened.jobs.listed == ()
+    assert [path.name for path in opened.kept()] == kept
+    for path in opened.kept():
+        with pytest.raises(SceneError):
+            Session(opened.root).recover(path)
+    opened.keep()
+    with suppress(ImageError):  # a folder cannot be replaced
+        opened.jobs._put(Job(1, "one", ("render",), "out", "*", 1, "running", process=1))
+        opened.jobs.poll()
+        assert opened.jobs.job(1).status == "interrupted"
+        opened.jobs.forget(1)
+
+
+def test_the_state_is_the_users_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    root = tmp_path / "root"
+    root.mkdir()
+    (tmp_path / "link").symlink_to("root")
+    state = StateFolder(root)
+    state.write("a", b"1")
+    assert state.path.is_relative_to(tmp_path / "state" / "clsco" / "studio")
+    assert stat.S_IMODE(state.path.stat().st_mode) == 0o700
+    assert not list(root.iterdir())
+    with pytest.raises(ClscoError, match="another studio is at work in this folder"):
+        StateFolder(tmp_path / "link")  # the same folder
+    state.close()
+    state = StateFolder(tmp_path / "link")
+    assert state.read("a", 10) == b"1"
+    state.close()
+    other = StateFolder(tmp_path)
+    with pytest.raises(FileNotFoundError):
+        other.read("a", 10)
+    other.close()
+
+
+@pytest.mark.parametrize("why", ["no home", "a file", "exposed", "link"])
+def test_without_a_private_place_the_state_is_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, why: str) -> None:
+    home = tmp_path / "home"
+    monkeypatch.setenv("XDG_STATE_HOME", str(home))
+    match why:
+        case "no home":
+            monkeypatch.setenv("XDG_STATE_HOME", "/proc/none")
+        case "a file":
+            home.write_text("")
+        case "exposed":
+            (home / "clsco").mkdir(parents=True)
+            (home / "clsco").chmod(0o777)
+        case "link":
+            home.mkdir()
+            (home / "clsco").symlink_to(tmp_path)
+    state = StateFolder(tmp_path)
+    assert state.is_lost
+    assert not state.path.is_relative_to(tmp_path)
+    assert stat.S_IMODE(state.path.stat().st_mode) == 0o700
+    state.write("a", b"1")
+    assert state.read("a", 10) == b"1"
+    state.close()
+    assert not state.path.exists()
+
+
+@pytest.mark.parametrize("name", ["uploads", "images"])
+def test_what_comes_in_stays_below_the_root(tmp_path: Path, outside: Path, name: str) -> None:
+    image = tmp_path / "a.png"
+    write_png(image, np.zeros((2, 3), np.uint8))
+    root, before = tmp_path / "root", contents(outside)
+    root.mkdir()
+    (root / name).symlink_to(outside)
+
+    come = {
+        "uploads": lambda: keep_image(root, image.read_bytes(), "png"),
+        "images": lambda: load_preset(Session(root), "depth_map"),
+    }
+    with pytest.raises(SceneError, match="below the folder"):
+        come[name]()
+    assert contents(outside) == before
+
+
+def test_a_pipe_in_place_of_an_upload_is_replaced(tmp_path: Path) -> None:
+    write_png(tmp_path / "a.png", np.zeros((2, 3), np.uint8))
+    content = (tmp_path / "a.png").read_bytes()
+    name = keep_image(tmp_path, content, "png")
+    (tmp_path / name).unlink()
+    os.mkfifo(tmp_path / name)
+    assert keep_image(tmp_path, content, "png") == name
+    assert (tmp_path / name).read_bytes() == content
+
+
+def test_pipes_and_growth_among_the_files_of_the_folder(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "set.toml")
+    (tmp_path / "zero.toml").symlink_to("/dev/zero")
+    with open(tmp_path / "large.png", "wb") as file:
+        file.truncate(2**40)
+    assert not any(name.endswith(("set.toml", "zero.toml")) for name in distributions(tmp_path) if "/" not in name)
+    assert [digest_of(tmp_path / name) for name in ("set.toml", "zero.toml", "large.png", "x" * 5000, "\0")] == [""] * 5
+
+
+def test_a_studio_in_a_folder_with_nicegui_storage_of_strangers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("nicegui", reason="needs the extra clsco[studio]")
+    (tmp_path / ".nicegui").mkdir()
+    os.mkfifo(tmp_path / ".nicegui" / "storage-general.json")  # is read as soon as NiceGUI is imported
+    monkeypatch.chdir(tmp_path)
+    with studio(tmp_path) as running, running.client() as client:
+        assert client.get("/").status_code == 200
