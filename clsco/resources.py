@@ -11,9 +11,10 @@ from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
+from io import BufferedReader
 from pathlib import Path
 from types import ModuleType
-from typing import BinaryIO, Literal
+from typing import Literal
 
 # Opening a pipe would block for ever without the second; neither is there on Windows.
 _SAFELY = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
@@ -110,7 +111,7 @@ def _exposed(root: Path, *ours: Path) -> Path | None:
 
 def open_regular(
     path: str | os.PathLike[str], most: int | None = None, *, follow: bool = False, folder: int | None = None
-) -> BinaryIO:
+) -> BufferedReader:
     """Open a regular file to be read; nothing else is opened for longer than it takes to see what it is.
 
     Parameters
@@ -125,7 +126,7 @@ def open_regular(
 
     Returns
     -------
-    BinaryIO
+    BufferedReader
 
     Raises
     ------

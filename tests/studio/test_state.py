@@ -160,7 +160,7 @@ def test_what_comes_in_stays_below_the_root(tmp_path: Path, outside: Path, name:
     root.mkdir()
     (root / name).symlink_to(outside)
 
-    come = {
+    come: dict[str, Callable[[], object]] = {
         "uploads": lambda: keep_image(root, image.read_bytes(), "png"),
         "images": lambda: load_preset(Session(root), "depth_map"),
     }
