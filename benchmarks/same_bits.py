@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import inspect
 import json
 import re
 import sys
@@ -27,6 +28,8 @@ import clsco
 
 SAMPLES = "sequence.samples=5"  # where a scene does not say: the default has changed once
 METHODS = ("auto", "gather", "scatter", "tiles")  # of the blur; "auto" is `convolve` or `gather` on a processor
+# Of an image, which old versions have without asking.
+BLACK: Any = {"outside": "black"} if "outside" in inspect.signature(clsco.defocus).parameters else {}
 STRIPS = "1MiB"  # less than any frame needs: the message says how much the smallest strips take
 
 
@@ -128,9 +131,9 @@ def of_images(examples: Path) -> Iterator[tuple[str, str]]:
         for method in ("gather", "scatter", "tiles", "coarse4"):
             if (occlusion == "layered") and method == "coarse4":
                 continue
-            blurred = clsco.defocus(image, radii, psf, method=method)
+            blurred = clsco.defocus(image, radii, psf, method=method, **BLACK)
             yield f"defocus {model} {edge} {tilt} {occlusion} {method}", digest(blurred)
-        same = clsco.defocus(image, np.full(radii.shape, 5.3), psf | {"occlusion": "none"})
+        same = clsco.defocus(image, np.full(radii.shape, 5.3), psf | {"occlusion": "none"}, **BLACK)
         yield f"defocus {model} {edge} {tilt} {occlusion} convolve", digest(same)
     photo, holes = iio.imread(examples / "damaged.png"), iio.imread(examples / "damaged_mask.png") > 127
     for method, kind in product(("mean-median", "biharmonic", "texture", "auto"), (np.uint8, np.float32)):

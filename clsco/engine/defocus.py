@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import wraps
-from typing import Any, Literal, ParamSpec, TypeVar, overload
+from typing import Any, Literal, ParamSpec, TypeVar, get_args, overload
 
 import numpy as np
 import pyopencl as cl
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from clsco.constants import TAP_LANES
 from clsco.engine.shrinking import Shrinking
-from clsco.errors import ImageError
+from clsco.errors import ImageError, SceneError
 from clsco.files.transfer import decode, encode
-from clsco.frame.strips import Grid, Strip, frame_struct
+from clsco.frame.strips import Grid, Strip, around, frame_struct
 from clsco.opencl.arrays import check_image, on_host, without_mask
 from clsco.opencl.buffers import allocate, lent
 from clsco.opencl.device import Device
@@ -42,12 +42,14 @@ from clsco.plan.approximation import (
 from clsco.plan.buffers import image_buffers
 from clsco.plan.memory import Limit, defocus_bytes, defocus_strips, fits, is_layered, limit_of, rows_that_fit
 from clsco.plan.methods import Blur, BlurSpec, choose_blur, is_sharp
+from clsco.plan.predict import guard_band
 from clsco.records import Real, Struct, flat, in_parts
 from clsco.scene.file import PsfLike, psf_of
 from clsco.scene.model import Psf
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
+Outside = Literal["mirror", "black"]
 
 
 def _with_old_name(function: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -67,25 +69,25 @@ def _with_old_name(function: Callable[_P, _R]) -> Callable[_P, _R]:
 def defocus(
     image: NDArray[Any], blur_radius: NDArray[Any], psf: PsfLike = None, *, device: DeviceLike = None,
     method: str = "auto", tolerance: float | None = None, memory: str | int | None = None,
-    return_report: Literal[False] = False,
+    outside: Outside = "mirror", return_report: Literal[False] = False,
 ) -> NDArray[Any]: ...  # fmt: skip
 @overload
 def defocus(
     image: NDArray[Any], blur_radius: NDArray[Any], psf: PsfLike = None, *, device: DeviceLike = None,
     method: str = "auto", tolerance: float | None = None, memory: str | int | None = None,
-    return_report: Literal[True],
+    outside: Outside = "mirror", return_report: Literal[True],
 ) -> tuple[NDArray[Any], ApproximationReport]: ...  # fmt: skip
 @overload
 def defocus(
     image: cl_array.Array, blur_radius: cl_array.Array, psf: PsfLike = None, *, device: DeviceLike = None,
     method: str = "auto", tolerance: float | None = None, memory: str | int | None = None,
-    return_report: Literal[False] = False,
+    outside: Outside = "mirror", return_report: Literal[False] = False,
 ) -> cl_array.Array: ...  # fmt: skip
 @overload
 def defocus(
     image: cl_array.Array, blur_radius: cl_array.Array, psf: PsfLike = None, *, device: DeviceLike = None,
     method: str = "auto", tolerance: float | None = None, memory: str | int | None = None,
-    return_report: Literal[True],
+    outside: Outside = "mirror", return_report: Literal[True],
 ) -> tuple[cl_array.Array, ApproximationReport]: ...  # fmt: skip
 @_with_old_name
 def defocus(
@@ -97,6 +99,7 @@ def defocus(
     method: str = "auto",
     tolerance: float | None = None,
     memory: str | int | None = None,
+    outside: Outside = "mirror",
     return_report: bool = False,
 ) -> Any:
     """Blur an image by a map of signed blur radii, each pixel by its own PSF (equation 2.40).
@@ -109,7 +112,8 @@ def defocus(
     blur_radius : array (rows, columns), px
         Signed R, at most 512 px, positive behind the focal surface.
     psf : Psf, mapping or str, optional
-        Keys of the scene file's [psf] with their values, or its `model` alone: "pillbox" or "gaussian".
+        Keys of the scene file's [psf] with their values, or its `model` alone: "pillbox" or "gaussian". Occlusion is
+        "layered" or "none"; by default layered.
     device : str, pyopencl.Device, Context or CommandQueue, optional
         Part of a device's name, "cpu" or "gpu", or where to work. The queue of pyopencl arrays is worked in.
     method : str
@@ -119,6 +123,9 @@ def defocus(
         RMS error of white up to which an approximation is taken where it is faster; None for the exact blur.
     memory : int or str, optional
         Most that buffers on the device take, in bytes or like "1.5GiB"; by default half of what is free.
+    outside : {"mirror", "black"}
+        What lights the image from beyond its border: its mirror image, as a depth map's, so that uniform radiance stays
+        uniform; or nothing, so that it darkens there. With border = "renormalize" nothing does.
     return_report : bool
         Return an `ApproximationReport` besides.
 
@@ -134,46 +141,53 @@ def defocus(
     ImageError
         Arrays that cannot be, such as of masked or infinite values.
     SceneError
-        Other arguments that cannot be.
+        Other arguments that cannot be, such as occlusion = "visibility".
     DeviceError
         There is no such device, or it fails.
 
     Notes
     -----
-    Nothing is known outside of the image, so with border = "lose" it darkens where light leaves it. Sources have their
-    pixel's center, and the gradient for `tilt` comes from differences of `blur_radius`. With occlusion = "layered"
-    smaller signed radii, which are nearer, hide larger ones at depth discontinuities; with any other nothing hides
-    anything. An image that needs more than `memory` is blurred in horizontal strips, with the same bits, but for an
-    approximation, which needs the whole image (where a tolerance leaves the choice, the exact blur is taken).
+    It is what a scene of one static depth map with unit = "coc" gives, and `clsco defocus`. Sources have their pixel's
+    center, and the gradient for `tilt` comes from differences of `blur_radius`. With occlusion = "layered" smaller
+    signed radii, which are nearer, hide larger ones at depth discontinuities. An image that needs more than `memory` is
+    blurred in horizontal strips, with the same bits, but for an approximation, which needs the whole image (where a
+    tolerance leaves the choice, the exact blur is taken).
     Validated against `clsco.reference.blur.blur.scatter` and `clsco.reference.layered.layered.layered` to 1e-5.
     """
-    model = psf_of(psf)
+    model = psf_of(psf).of_images()
+    if outside not in get_args(Outside):
+        raise SceneError(f'outside: must be "mirror" or "black"; got {outside!r}')
     session, (picture, radii), as_given = on_host(device, image=image, blur_radius=blur_radius)
     picture, radii = without_mask("image", picture), without_mask("blur_radius", radii)
     codes = picture.dtype in (np.uint8, np.uint16)
     linear = decode(picture, "srgb").astype(np.float32) if codes else picture
+    given = _checked(linear, radii, outside == "mirror" and model.border == "lose")
     with session.reporting():
-        result, report = _defocus(session, _checked(linear, radii), model, (method, tolerance), memory, return_report)
+        result, report = _defocus(session, given, model, (method, tolerance), memory, return_report)
         blurred = as_given(encode(result, 8 * picture.dtype.itemsize, "srgb") if codes else result)
     return (blurred, report) if return_report else blurred
 
 
 @dataclass(frozen=True)
 class _Given:
-    """An image, (rows, columns[, channels]), with its map of signed radii, and what is in them."""
+    """An image, (rows, columns[, channels]), with its map of signed radii, and what is in them.
+
+    mirrored: both go on beyond the border.
+    """
 
     image: NDArray[Any]
     coc: NDArray[Any]
     smallest: float
     largest: float
     brightest: float
+    mirrored: bool
 
     @property
     def channels(self) -> int:
         return int(self.image.shape[2]) if self.image.ndim == 3 else 1
 
 
-def _checked(picture: NDArray[Any], radii: NDArray[Any]) -> _Given:
+def _checked(picture: NDArray[Any], radii: NDArray[Any], mirrored: bool) -> _Given:
     check_image(picture)
     if radii.shape != picture.shape[:2]:
         rule = f"must have the rows and columns of the image, {picture.shape[:2]}"
@@ -192,7 +206,7 @@ def _checked(picture: NDArray[Any], radii: NDArray[Any]) -> _Given:
         raise ImageError(f"blur_radius: must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
     low, high = ends[1]
     smallest = 0.0 if low <= 0.0 <= high else min(abs(low), abs(high))  # or less than that, without reading all again
-    return _Given(picture, radii, smallest, largest, float(np.float32(brightest)))
+    return _Given(picture, radii, smallest, largest, float(np.float32(brightest)), mirrored)
 
 
 def _choose(psf: Psf, method: str, given: _Given, gpu: bool) -> Blur:
@@ -234,7 +248,10 @@ def _defocus(
 
 
 def _guard(given: _Given, psf: Psf, blur: Blur) -> int:
-    return reach(psf, given.largest) + 2 * TAP_LANES if blur == "convolve" else 0
+    lanes = 2 * TAP_LANES if blur == "convolve" else 0
+    if given.mirrored:
+        return guard_band(psf, given.largest) + lanes
+    return reach(psf, given.largest) + lanes if lanes else 0
 
 
 def _spec(given: _Given, psf: Psf, blur: Blur, least: float | None) -> BlurSpec:
@@ -355,23 +372,19 @@ class _Engine:
         return None
 
     def _send(self, strip: Strip) -> None:
-        """What of image and radii lights a strip to the device: with zeros around where the image ends."""
-        rows, guard = len(self.given.coc), self.guard
-        top, end = max(strip.top - strip.above, 0), min(strip.top + strip.rows + strip.below, rows)
-        planes = flat(self.given.image[top:end], np.float32)
-        if guard:
-            missing = top - (strip.top - strip.above)
-            widths = ((0, 0), (missing, strip.height - missing - (end - top)), (guard, guard))
-            planes = np.pad(planes, widths)
+        """Send what of image and radii lights a strip to the device."""
+        planes = flat(self._around(self.given.image, strip), np.float32)
         self.value = self._sent(self.value, planes)
         if self.source is not None or self.layers is not None:
             self._send_radii(strip)
 
     def _send_radii(self, strip: Strip) -> None:
         """The radii around a strip to the device."""
-        near = slice(max(strip.top - strip.above, 0), strip.top + strip.rows + strip.below)
-        radii = np.ascontiguousarray(self.given.coc[near], np.float32 if self.floats else np.float64)
+        radii = self._around(self.given.coc, strip).astype(np.float32 if self.floats else np.float64, "C", copy=False)
         self.coc = self._sent(self.coc, radii if self.floats else in_parts(radii, self.target.real))
+
+    def _around(self, plane: NDArray[Any], strip: Strip) -> NDArray[Any]:
+        return around(plane, strip, self.guard, "symmetric" if self.given.mirrored else "constant")
 
     @property
     def _maps(self) -> tuple[cl.Buffer, cl.Buffer]:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
 
 from clsco.records import Real, Struct, filled
 
@@ -67,6 +70,30 @@ def cut(rows: int, tallest: int, guard: int, reach: int, step: int = 1) -> tuple
         above, below = (min(max(guard, reach), left + guard) for left in (top, rows - end))
         found.append(Strip(top, end - top, above + (top + guard - above) % step, below))
     return tuple(found)
+
+
+def around(
+    plane: NDArray[Any], strip: Strip, guard: int, outside: Literal["symmetric", "constant"] = "symmetric"
+) -> NDArray[Any]:
+    """The part of an image that is on the grid of a strip, with an apron beyond the image's border.
+
+    Parameters
+    ----------
+    plane : ndarray (rows, columns[, channels])
+    strip : Strip
+    guard : int
+        Width of the apron, px.
+    outside : {"symmetric", "constant"}
+        In the apron is its mirror image, or 0.
+
+    Returns
+    -------
+    ndarray (height, width[, channels])
+    """
+    begin, end = strip.top - strip.above, strip.top + strip.rows + strip.below
+    first, last = max(begin, 0), min(end, len(plane))
+    widths = [(first - begin, end - last), (guard, guard), (0, 0)][: plane.ndim]
+    return np.pad(plane[first:last], widths, mode=outside) if guard else plane[first:last]
 
 
 @dataclass(frozen=True)

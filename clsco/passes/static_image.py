@@ -9,7 +9,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clsco.frame.strips import Strip
+from clsco.frame.strips import Strip, around
 from clsco.opencl.session import Session
 from clsco.optics.lens import blur_radius
 from clsco.records import Real, flat, in_parts
@@ -69,8 +69,4 @@ class StaticMap:
         }
 
     def _around(self, plane: NDArray[Any], strip: Strip) -> NDArray[Any]:
-        """What of an image is on the grid of a strip, (height, width[, channels])."""
-        begin, end = strip.top - strip.above, strip.top + strip.rows + strip.below
-        first, last = max(begin, 0), min(end, len(plane))
-        widths = [(first - begin, end - last), (self.guard, self.guard), (0, 0)][: plane.ndim]
-        return np.pad(plane[first:last], widths, mode="symmetric")
+        return around(plane, strip, self.guard)

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
+from clsco.errors import SceneError
 from clsco.scene.changes import replaced
 from clsco.scene.faults import refusal
 from clsco.scene.groups import Group, Groups, unknown_groups
@@ -85,6 +86,8 @@ __all__ = [
     "Within",
     "origin",
 ]
+
+NEEDS_RAYS = '"visibility" needs analytic surfaces, which rays can be cast at; use "layered" or "none"'
 
 
 def _aperture_mm(data: dict[str, Any]) -> float:
@@ -213,6 +216,18 @@ class Psf(Strict):
         return value
 
     _aperture: Aperture = PrivateAttr(default=Aperture())
+
+    @property
+    def asks_for_rays(self) -> bool:
+        """Whether visibility tests are not only the default, but given."""
+        return self.occlusion == "visibility" and "occlusion" in self.model_fields_set
+
+    def of_images(self) -> Self:
+        """The PSF for images whose surfaces are not analytic: layered, unless it says how nearer surfaces hide farther
+        ones. Raises SceneError where that is by visibility tests."""
+        if self.asks_for_rays:
+            raise SceneError(f"psf.occlusion: {NEEDS_RAYS}; got {self.occlusion}")
+        return self.model_copy(update={"occlusion": "layered"}) if self.occlusion == "visibility" else self
 
     @property
     def aperture(self) -> Aperture:
@@ -383,10 +398,8 @@ class Scene(Strict):
 
     @model_validator(mode="after")
     def _visibility_needs_rays(self) -> Self:
-        explicit = "occlusion" in self.psf.model_fields_set and self.psf.occlusion == "visibility"
-        if explicit and not self.is_ray_castable:
-            rule = '"visibility" needs analytic surfaces, which rays can be cast at; use "layered" or "none"'
-            raise at_keys([(("psf", "occlusion"), fault(rule), self.psf.occlusion)])
+        if self.psf.asks_for_rays and not self.is_ray_castable:
+            raise at_keys([(("psf", "occlusion"), fault(NEEDS_RAYS), self.psf.occlusion)])
         return self
 
     @model_validator(mode="after")

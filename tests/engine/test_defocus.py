@@ -9,6 +9,7 @@ import pyopencl.array as cl_array
 import pytest
 from numpy.typing import NDArray
 
+import clsco
 from clsco.engine.defocus import defocus
 from clsco.errors import ClscoError
 from clsco.opencl.session import Session
@@ -28,6 +29,12 @@ def reference(image: Array, coc: Array, psf: Psf) -> Array:
     values = np.asarray(image, np.float64).reshape(*coc.shape, -1)
     sources = Sources(values, np.ones(coc.shape), valid.astype(np.uint8), coc, prepare_sources(coc, valid), valid)
     return np.asarray(scatter(psf, sources, None, coc.shape, 0)).reshape(image.shape)
+
+
+def apart(image: Array, coc: Array, psf: Psf | None = None, method: str = "auto") -> Array:
+    """Each pixel by itself, and nothing beyond the border: the sum that the reference makes."""
+    plain = (psf or Psf()).model_copy(update={"occlusion": "none"})
+    return defocus(image, coc, plain, method=method, outside="black")
 
 
 def picture(rows: int, columns: int, channels: int = 1) -> tuple[Array, Array]:
@@ -71,7 +78,7 @@ def test_radii_of_few_bits_are_blurred_as_those_of_many(method: str, psf: Psf, k
 @pytest.mark.parametrize("psf", mostly_slow(PSFS, KEPT), ids=lambda p: f"{p.model}-{p.edge}-{p.tilt}")
 def test_every_psf_agrees_with_the_reference(psf: Psf, method: str) -> None:
     image, coc = picture(70, 90)
-    error = np.abs(defocus(image, coc, psf, method=method) - reference(image, coc, psf))
+    error = np.abs(apart(image, coc, psf, method) - reference(image, coc, psf))
     worst = np.unravel_index(int(error.argmax()), error.shape)
     assert error.max() < FIGURE, f"{error.max():.2e} at {worst}, {(error > FIGURE).sum()} pixels"
 
@@ -92,7 +99,7 @@ def test_one_radius_is_a_convolution(psf: Psf, radius: float) -> None:
     expected = reference(image, coc, psf)
     for method in ("auto", "convolve", "gather", "scatter"):
         if method == "convolve" or abs(radius) > 0.5 or method == "auto":
-            assert np.abs(defocus(image, coc, psf, method=method) - expected).max() < FIGURE, method
+            assert np.abs(apart(image, coc, psf, method) - expected).max() < FIGURE, method
 
 
 @pytest.mark.parametrize("method", mostly_slow(["gather", "scatter"], ["gather"]))
@@ -101,11 +108,12 @@ def test_what_is_nearer_hides_what_is_farther(psf: Psf, method: str) -> None:
     """A disc of -4 px before the waves, with layers; a map without jumps is as without them."""
     image, coc = picture(60, 80, channels=3)
     model = psf.model_copy(update={"occlusion": "layered"})
-    assert np.array_equal(defocus(image, coc, model, method=method), defocus(image, coc, psf, method=method))
+    black: Any = {"method": method, "outside": "black"}
+    assert np.array_equal(defocus(image, coc, model, **black), apart(image, coc, psf, method))
     i, j = np.mgrid[0:60, 0:80]
     disc = np.hypot(i - 28, j - 33) < 15
     image, coc = np.where(disc[..., None], 0.2 * image, image), np.where(disc, -4.0, 1.0 + 0.6 * np.abs(coc))
-    found = defocus(image, coc, model, method=method)
+    found = defocus(image, coc, model, **black)
     light, largest = np.asarray(image, np.float64), float(np.abs(coc).max())
     expected, count = layered(model, light, coc, np.ones(coc.shape, bool), coc.shape, 0, largest)
     assert count == 2
@@ -127,14 +135,44 @@ def test_a_wide_blur_leaves_a_uniform_image_as_it_is(radius: float, method: str)
     assert np.abs(inside / 0.73 - 1.0).max() < 1.2e-6
 
 
+@pytest.mark.parametrize("psf", [{}, {"occlusion": "none", "model": "gaussian"}, {"border": "renormalize"}], ids=str)
+def test_arrays_are_blurred_as_the_files_of_the_command(psf: dict[str, Any]) -> None:
+    """A scene of one depth map: layered, and lit by its mirror image; radii come back rounded."""
+    rows, columns = 50, 40
+    image, _ = picture(rows, columns, 3)
+    coc = np.where(np.hypot(*np.ogrid[-20:30, -20:20]) < 12, -4.1, 1.03 + 0.02 * np.arange(columns))
+    item = {"shape": "depth_map", "texture": image, "depth": coc, "unit": "coc"}
+    camera = {"focus_distance": 250.0, "pixel_pitch": 0.02, "resolution": (columns, rows)}
+    frame = clsco.render_frame(clsco.parse_scene({"camera": camera, "psf": psf, "object": [item]}), truth=())
+    np.testing.assert_allclose(defocus(image, coc, psf), frame.color, rtol=1e-6)
+
+
+def test_uniform_light_stays_uniform_up_to_the_border() -> None:
+    image, coc = np.full((40, 50), 0.5, np.float32), np.full((40, 50), 6.0)
+    np.testing.assert_allclose(defocus(image, coc), 0.5, rtol=1e-6)
+    coc[:, 20:] = 0.0  # what is in focus, behind a near half
+    np.testing.assert_allclose(defocus(image, coc), 0.5, rtol=1e-5)
+    dark = defocus(image, np.full(coc.shape, 12.0), outside="black")
+    assert 0.125 < dark[0, 0] < 0.15  # a quarter of its light, and of half a pixel more
+    with pytest.raises(ClscoError, match='outside: must be "mirror" or "black"; got \'zero\''):
+        defocus(image, coc, outside="zero")  # type: ignore[call-overload]
+
+
+def test_a_blurred_background_does_not_bleed_into_what_is_in_focus() -> None:
+    coc = np.where(np.arange(64) < 32, 0.0, 8.0) * np.ones((48, 1))
+    image = np.where(coc > 0, 1.0, 0.0).astype(np.float32)
+    assert defocus(image, coc)[:, :31].max() < 1e-6
+    assert apart(image, coc)[10:-10, 30].min() > 0.3
+
+
 def test_renormalized_border_loses_no_light() -> None:
     image, coc = picture(50, 60)
-    psf = Psf(border="renormalize")
+    psf = Psf(border="renormalize", occlusion="none")
     result = defocus(image, coc, psf)
     # float32 sums of 3000 pixels: 1e-6 of the total is ten times their rounding
     assert result.sum(dtype=np.float64) == pytest.approx(image.sum(dtype=np.float64), rel=1e-6)
     assert np.abs(result - reference(image, coc, psf)).max() < FIGURE
-    lost = defocus(image, coc).sum(dtype=np.float64)
+    lost = apart(image, coc).sum(dtype=np.float64)
     assert lost < 0.99 * image.sum(dtype=np.float64)
 
 
@@ -147,7 +185,7 @@ def test_in_focus_is_the_image_itself() -> None:
 def test_small_and_odd_sizes(shape: tuple[int, int]) -> None:
     image = np.random.default_rng(1).random(shape, dtype=np.float32)
     coc = np.linspace(-3.0, 4.0, image.size).reshape(shape)
-    assert np.abs(defocus(image, coc) - reference(image, coc, Psf())).max() < FIGURE
+    assert np.abs(apart(image, coc) - reference(image, coc, Psf())).max() < FIGURE
 
 
 def test_device_arrays_come_back_as_device_arrays(session: Session) -> None:
@@ -195,6 +233,7 @@ ONES = np.ones((4, 5), np.float32)
         ((ONES, np.full((4, 5), 1e4)), "blur_radius: must be at most 512 px; got 1e+04 px"),
         ((ONES, ONES, {"edge": "sharp"}), "psf.edge"),
         ((ONES, ONES, {"sigma_ratio": 1.0}), "psf.sigma_ratio"),
+        ((ONES, ONES, {"occlusion": "visibility"}), 'psf.occlusion: "visibility" needs analytic surfaces'),
     ],
 )
 def test_what_is_refused(arguments: tuple[Any, ...], message: str) -> None:

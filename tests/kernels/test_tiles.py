@@ -152,7 +152,7 @@ def test_an_image_on_a_gpu(occlusion: Any, on_a_gpu: list[str]) -> None:
         values = (image[..., None].astype(np.float64), coc, np.ones(coc.shape, bool), coc.shape, 0, 4.0)
         expected = layered(psf, *values)[0][..., 0]
         assert np.abs(expected - blurred_by_reference(image, coc, psf)).max() > 0.1
-    assert_close(clsco.defocus(image, coc, psf), expected, 1e-5)  # as in test_defocus.py
+    assert_close(clsco.defocus(image, coc, psf, outside="black"), expected, 1e-5)  # as in test_defocus.py
     assert {"tiles", "prepare_sources"} <= set(on_a_gpu)
     assert not {"gather", "scatter"} & set(on_a_gpu)
 
