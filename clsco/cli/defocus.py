@@ -8,10 +8,10 @@ from typing import Any
 
 from clsco.errors import ImageError, SceneError
 from clsco.files.atomic import refuse, same_place, writable_folder
-from clsco.files.images import WRITERS, image_size, writer_for
+from clsco.files.images import WRITERS, check_alike, writer_for
 from clsco.files.transfer import encode
 from clsco.frame.frame import Frame
-from clsco.inputs.depth_maps import check_sizes
+from clsco.inputs.depth_files import DEPTH_FORMATS
 from clsco.inputs.files import shared_files
 from clsco.scene.changes import override
 from clsco.scene.model import DepthMap, Scene
@@ -51,9 +51,8 @@ def check_pair(scene: Scene) -> None:
     """Read an image and its depth map. Raises ImageError where one cannot be read, or where they differ in size."""
     for item in scene.objects:
         if isinstance(item, DepthMap):
-            image, depth = str(item.texture), str(item.depth)
-            rows, columns = shared_files().depth(depth).shape
-            check_sizes(image, image_size(image), depth, (columns, rows))
+            rows, columns = shared_files().depth(str(item.depth)).shape
+            check_alike(str(item.texture), str(item.depth), (columns, rows), DEPTH_FORMATS)
 
 
 def is_image_file(out: Path) -> bool:

@@ -7,12 +7,13 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import ImageError, SceneError
 from clsco.files.atomic import refuse, same_place, writable_folder
-from clsco.files.images import WRITERS, ImageWriter, image_size, read_image, writer_for
+from clsco.files.images import WRITERS, ImageWriter, check_alike, image_size, read_image, upright_note, writer_for
 from clsco.inpainting.rules import MeanMedian
 
 
@@ -26,10 +27,9 @@ def read_pair(image: Path, mask: Path, threshold: float | None = None) -> tuple[
     """
     if threshold is not None and not math.isfinite(threshold):
         raise ImageError(f"--threshold: must be a finite number; got {threshold}")
-    size, wanted = image_size(mask), image_size(image)
-    if size != wanted:
-        sizes = [f"{columns} x {rows}" for columns, rows in (wanted, size)]
-        refuse(mask, f"the size must be that of {image}, {sizes[0]} pixels", sizes[1])
+    check_alike(str(image), str(mask), image_size(mask))
+    if note := upright_note(str(image), str(mask)):
+        click.echo(note, err=True)
     missing = _missing(mask, threshold)
     if missing.all():
         refuse(mask, "some pixel must be known, and be 0", "only missing ones")

@@ -16,7 +16,7 @@ import click
 from clsco import __version__
 from clsco.cli.batch import batch
 from clsco.cli.convert import convert
-from clsco.cli.focus import focus_at_option, focus_depth_option, focused_files, parsed_focus, report_lens
+from clsco.cli.focus import focus_at_option, focus_depth_option, focused_files, parsed_focus, report_inputs
 from clsco.cli.options import (
     PATH,
     Commands,
@@ -309,7 +309,7 @@ def defocus(
     planned = prepare_files(loaded, request)
     found = [each for _, _, prepared in planned for each in prepared]
     prepare_image([each.scene for each in found], out)
-    report_lens(planned)
+    report_inputs(planned)
     require_device(computation.device)
     from clsco.cli.progress import progress
     from clsco.engine.sequence import render_prepared

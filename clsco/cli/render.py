@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clsco.cli.focus import focus_at_option, focus_depth_option, focused_files, parsed_focus, report_lens
+from clsco.cli.focus import focus_at_option, focus_depth_option, focused_files, parsed_focus, report_inputs
 from clsco.cli.options import (
     PATH,
     Computation,
@@ -130,7 +130,7 @@ def render_to_folders(
     if subframes:
         request = replace(request, truth=tuple(dict.fromkeys((*request.truth, "subframes"))))
     prepared = prepare_files(loaded, request)
-    report_lens(prepared)
+    report_inputs(prepared)
     require_device(computation.device)
     from clsco.engine import batch
 
@@ -163,7 +163,7 @@ def _render_to_pipe(
 
     planned = prepare_files(loaded, request_for((), computation))
     require_clips(planned, "y4m")
-    report_lens(planned)
+    report_inputs(planned)
     found = [(path, each) for path, _, prepared in planned for each in prepared]
     ((path, prepared), *others) = found
     scene = prepared.scene

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from clsco.errors import ImageError
 from clsco.files.atomic import refuse
 from clsco.files.png import GRAY, GRAY_ALPHA, PALETTE, RGB_ALPHA, SIGNATURE, checked_png, png_size
+from clsco.files.tags import Tags, jpeg_segments, jpeg_tags, png_tags, tiff_tags, upright
 
 MAX_PIXELS = 2**27
 MAX_SIDE = 65536
@@ -110,11 +111,23 @@ def codec(path: Path, module: str, extra: str) -> Any:
 
 
 def checked_size(file: BinaryIO, kind: str) -> tuple[int, int]:
-    """(columns, rows) of an opened file's header; goes back to its first byte. Raises as `image_size`."""
+    """(columns, rows) of an opened file's header, upright; goes back to its first byte. Raises as `image_size`."""
+    columns, rows = _stored_size(file, kind)
+    return (rows, columns) if tags(file, kind).is_laid_down else (columns, rows)
+
+
+def _stored_size(file: BinaryIO, kind: str) -> tuple[int, int]:
     columns, rows = _CODECS[kind][0](file)
     file.seek(0)
     check_limits(Path(file.name), columns, rows)
     return columns, rows
+
+
+def tags(file: BinaryIO, kind: str) -> Tags:
+    """What an opened file says about its pixels; goes back to its first byte."""
+    found = _TAGS.get(kind, lambda _: Tags())(file)
+    file.seek(0)
+    return found
 
 
 def check_limits(path: Path, columns: int, rows: int) -> None:
@@ -125,23 +138,24 @@ def check_limits(path: Path, columns: int, rows: int) -> None:
 
 
 def decoded(file: BinaryIO, kind: str) -> NDArray[Any]:
-    """Decode an opened file whose header is within the limits.
+    """Decode an opened file whose header is within the limits, and turn it upright.
 
     Returns
     -------
     ndarray, (rows, columns[, channels])
-        Values as stored.
+        Values as stored, row 0 on top.
 
     Raises
     ------
     Exception
         Any of the codecs', which `opened` turns into an ImageError.
     """
-    columns, rows = checked_size(file, kind)
+    columns, rows = _stored_size(file, kind)
+    orientation = tags(file, kind).orientation
     data: NDArray[Any] = _CODECS[kind][1](file)
     if data.shape[:2] != (rows, columns):
         raise ValueError(f"{data.shape[1]} x {data.shape[0]} pixels under a header of {columns} x {rows}")
-    return data
+    return upright(data, orientation)
 
 
 def _without_alpha(file: BinaryIO, data: NDArray[Any]) -> NDArray[Any]:
@@ -160,43 +174,30 @@ def _decode_png(file: BinaryIO) -> NDArray[Any]:
     if depth == 16 and color != GRAY:  # Pillow drops the lower 8 bits without a word
         data = codec(path_of(file), "imagecodecs", "formats").png_decode(png)
     else:
-        data = _by_imageio("imread", png, ".png")
+        data = _by_imageio(png, ".png")
     if data.dtype == bool:
         data = data.astype(np.uint8) * np.uint8(255)
     return _without_alpha(file, data) if color in (GRAY_ALPHA, RGB_ALPHA) else data
 
 
-def _by_imageio(function: str, content: bytes, extension: str, **options: bool) -> Any:
+def _by_imageio(content: bytes, extension: str) -> NDArray[Any]:
     import imageio.v3  # 75 ms, and most commands read no image
 
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Image size")  # that limit is checked from the header already
-        return getattr(imageio.v3, function)(content, plugin="pillow", extension=extension, **options)
+        return imageio.v3.imread(content, plugin="pillow", extension=extension)
 
 
 def _jpeg_size(file: BinaryIO) -> tuple[int, int]:
-    """Walk the segments to the frame header; swap the sides where EXIF rotates the image by a quarter turn."""
-    file.seek(2)
-    while True:
-        mark, kind, length = struct.unpack(">BBH", file.read(4))
-        if mark != 0xFF or kind in (0xD9, 0xDA):
-            raise ValueError("no frame header")
-        if kind == 0xFF:  # padding
-            file.seek(-3, os.SEEK_CUR)
-            continue
-        body = file.read(length - 2)
+    for kind, body in jpeg_segments(file):
         if 0xC0 <= kind <= 0xCF and kind not in (0xC4, 0xC8, 0xCC):
-            break
-    rows, columns = struct.unpack(">HH", body[1:5])
-    if columns * rows > MAX_PIXELS:
-        return columns, rows  # refused by the caller, so nothing else reads it
-    file.seek(0)
-    laid_down = _by_imageio("immeta", file.read(), ".jpg", exclude_applied=False).get("Orientation", 1) >= 5
-    return (rows, columns) if laid_down else (columns, rows)
+            rows, columns = struct.unpack(">HH", body[1:5])
+            return columns, rows
+    raise ValueError("no frame header")
 
 
 def _decode_jpeg(file: BinaryIO) -> NDArray[Any]:
-    data: NDArray[Any] = _by_imageio("imread", file.read(), ".jpg", rotate=True)
+    data: NDArray[Any] = _by_imageio(file.read(), ".jpg")
     if data.ndim == 3 and data.shape[2] == 4:
         refuse(path_of(file), "a JPEG must be gray or RGB", "CMYK")
     return data
@@ -213,6 +214,11 @@ def _tiff_page(file: BinaryIO) -> Iterator[Any]:
 def _tiff_size(file: BinaryIO) -> tuple[int, int]:
     with _tiff_page(file) as page:
         return page.imagewidth, page.imagelength
+
+
+def _tiff_tags(file: BinaryIO) -> Tags:
+    with _tiff_page(file) as page:
+        return tiff_tags(page.tags)
 
 
 def _decode_tiff(file: BinaryIO) -> NDArray[Any]:
@@ -310,3 +316,4 @@ _CODECS = {
     "PFM": (_pfm_size, _decode_pfm),
     "NPY": (_npy_size, _decode_npy),
 }
+_TAGS = {"PNG": png_tags, "JPEG": jpeg_tags, "TIFF": _tiff_tags}

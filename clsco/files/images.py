@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.files.atomic import refuse, whole_file
-from clsco.files.decoders import checked_size, codec, decoded, opened, path_of
+from clsco.files.decoders import IMAGE_FORMATS, checked_size, codec, decoded, opened, path_of, tags
 from clsco.files.png import png_parts
 from clsco.files.ranges import first_of
 from clsco.files.transfer import encode
@@ -66,9 +66,9 @@ def read_image(path: str | os.PathLike[str], hidden: NDArray[np.bool_] | None = 
     Notes
     -----
     8 and 16 bits come as stored; palettes and 1-, 2- and 4-bit grays become 8 bits, float16 and float64 become float32.
-    A JPEG is turned upright by its EXIF orientation. Opaque alpha is dropped. Of an EXR the channels R G B or Y are
-    read. Color profiles, gamma chunks and the scale of a PFM are not applied. Validated against files written by
-    Pillow, tifffile, imagecodecs and OpenEXR, and by hand.
+    PNG, JPEG and TIFF are turned upright by their orientation. Opaque alpha is dropped. Of an EXR the channels R G B
+    or Y are read. Color profiles, gamma chunks and the scale of a PFM are not applied. Validated against files written
+    by Pillow, tifffile, imagecodecs and OpenEXR, and by hand.
     """
     with opened(path) as (file, kind):
         return Picture(np.ascontiguousarray(_as_stored(file, decoded(file, kind), hidden)))
@@ -89,6 +89,67 @@ def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
     """
     with opened(path) as (file, kind):
         return checked_size(file, kind)
+
+
+def check_sizes(
+    image: str, wanted: tuple[int, int], other: str, size: tuple[int, int], hint: str = "one of them lies on its side"
+) -> None:  # fmt: skip
+    """Raise ImageError where a mask or a depth map has not the size of its image.
+
+    Parameters
+    ----------
+    image, other : str
+        Their names.
+    wanted, size : (int, int)
+        Columns and rows.
+    hint : str
+        Where rows and columns are exchanged.
+    """
+    if size != wanted:
+        sizes = [f"{columns} x {rows}" for columns, rows in (wanted, size)]
+        got = f"{sizes[1]} ({hint})" if size == wanted[::-1] else sizes[1]
+        refuse(Path(other), f"the size must be that of {image}, {sizes[0]} pixels", got)
+
+
+def check_alike(image: str, other: str, size: tuple[int, int], formats: Mapping[str, str] = IMAGE_FORMATS) -> None:
+    """Raise ImageError where the file of a mask or a depth map has not the size of its image, or that cannot be read.
+
+    Parameters
+    ----------
+    image, other : str
+        Paths.
+    size : (int, int)
+        Columns and rows of the other file, upright.
+    formats : mapping
+        Of the other file, as for `clsco.files.decoders.opened`.
+    """
+    _, turned, untagged = _turned_alone(image, other, formats)
+    hint = f"{turned} is turned upright by its orientation tag, and {untagged} has none: turn it likewise"
+    check_sizes(image, image_size(image), other, size, *([hint] if turned else []))
+
+
+def upright_note(image: str, other: str, formats: Mapping[str, str] = IMAGE_FORMATS) -> str:
+    """One line where an image or its mask or depth map has an orientation, and sizes do not show that the other file,
+    which has none, is upright; else "". Parameters and errors as for `check_alike`."""
+    orientation, turned, untagged = _turned_alone(image, other, formats)
+    columns, rows = image_size(image)
+    if not turned or (orientation >= 5 and columns != rows):
+        return ""
+    return f"{untagged}: is taken to be upright, as {turned} is turned by its orientation tag"
+
+
+def _turned_alone(image: str, other: str, formats: Mapping[str, str]) -> tuple[int, str, str]:
+    """The only orientation that two files have, which of them has it, and which not; 1 and "" where none or both do."""
+    found = {image: _orientation(image, IMAGE_FORMATS), other: _orientation(other, formats)}
+    turned = [path for path, orientation in found.items() if orientation != 1]
+    if len(turned) != 1:
+        return 1, "", ""
+    return found[turned[0]], turned[0], other if turned[0] == image else image
+
+
+def _orientation(path: str, formats: Mapping[str, str]) -> int:
+    with opened(path, formats) as (file, kind):
+        return tags(file, kind).orientation
 
 
 def _as_stored(file: BinaryIO, data: NDArray[Any], hidden: NDArray[np.bool_] | None) -> NDArray[Any]:

@@ -18,7 +18,7 @@ from clsco.files.decoders import IMAGE_FORMATS, check_limits, checked_size, code
 Array = NDArray[np.float64]
 MOST_ARRAYS = 256  # in an NPZ
 
-_FORMATS = {suffix: kind for suffix, kind in IMAGE_FORMATS.items() if kind != "JPEG"} | {".npz": "NPZ"}
+DEPTH_FORMATS = {suffix: kind for suffix, kind in IMAGE_FORMATS.items() if kind != "JPEG"} | {".npz": "NPZ"}
 
 
 def read_depth(path: str | os.PathLike[str]) -> Array:
@@ -34,7 +34,7 @@ def read_depth(path: str | os.PathLike[str]) -> Array:
     extension, damaged, over 2^27 pixels or 65536 a side (refused from the header), channels that differ.
     Validated against files written by imagecodecs, Pillow, OpenCV, tifffile, OpenEXR and NumPy, and by hand.
     """
-    with opened(path, _FORMATS) as (file, kind):
+    with opened(path, DEPTH_FORMATS) as (file, kind):
         if kind == "EXR":
             data = _decode_exr(file)
         elif kind == "NPZ":

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import ImageError
-from clsco.files.atomic import refuse
+from clsco.files.images import check_sizes
 from clsco.inputs.depth_files import read_depth
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, blur_scale, focus_power
 from clsco.scene.arrays import ArrayInput
@@ -58,16 +57,6 @@ class DepthValues:
                 f"{self.far} {verb} infinitely far" if why else f"{self.far} of {size} pixels {verb} infinitely far"
             )
         return ", ".join(parts)
-
-
-def check_sizes(image: str, image_size: tuple[int, int], depth: str, depth_size: tuple[int, int]) -> None:
-    """Raise ImageError where an image and its depth map differ in size.
-
-    image, depth: their names for the message; sizes: (columns, rows), px.
-    """
-    if image_size != depth_size:
-        wanted, got = (f"{columns} x {rows}" for columns, rows in (image_size, depth_size))
-        refuse(Path(depth), f"the size must be that of {image}, {wanted} pixels", got)
 
 
 def inverse_depth(

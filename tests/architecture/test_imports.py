@@ -34,7 +34,7 @@ OUTSIDE = {
     "imagecodecs": ("files.decoders",),
     "tifffile": ("files.decoders",),
     "OpenEXR": ("files.decoders",),
-    "PIL": ("files.decoders", "cli.demo", "cli.thesis", "data.dryrun", "studio.pictures", "studio.removals"),
+    "PIL": ("files.tags", "cli.demo", "cli.thesis", "data.dryrun", "studio.pictures", "studio.removals"),
     "av": (),
     "nicegui": ("studio.page", "studio.widgets"),
     "fastapi": ("studio.page", "studio.routes", "studio.server"),

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from clsco.errors import ImageError
+from clsco.files.images import check_sizes
 from clsco.inputs.depth_files import read_depth
-from clsco.inputs.depth_maps import check_sizes, inverse_depth
+from clsco.inputs.depth_maps import inverse_depth
 from clsco.scene.model import Camera
 
 Array = NDArray[Any]
@@ -318,7 +319,10 @@ def test_sizes_must_be_the_same() -> None:
     check_sizes("a.png", (640, 480), "b.exr", (640, 480))
     with pytest.raises(ImageError) as caught:
         check_sizes("a.png", (640, 480), "b.exr", (480, 640))
-    assert str(caught.value) == "b.exr: the size must be that of a.png, 640 x 480 pixels; got 480 x 640"
+    assert (
+        str(caught.value)
+        == "b.exr: the size must be that of a.png, 640 x 480 pixels; got 480 x 640 (one of them lies on its side)"
+    )
 
 
 def test_files_of_kitti_and_middlebury_work_as_they_are(tmp_path: Path) -> None:

@@ -1,0 +1,114 @@
+"""What image files say about their pixels: the orientation of the camera that took them."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+MOST_CHUNKS = 2**20  # of a PNG: its pixels in pieces of 1 kB
+LONGEST = 2**22  # bytes of a tag that is read
+_PNG_TAGS = (b"eXIf", b"iTXt")
+_JPEG_EXIF, _JPEG_XMP, _PNG_XMP = b"Exif\0\0", b"http://ns.adobe.com/xap/1.0/\0", b"XML:com.adobe.xmp\0\0\0\0\0"
+_XMP_ORIENTATION = re.compile(rb'tiff:Orientation(?:="|>)([1-8])["<]')
+_ORIENTATION = 0x0112  # in EXIF
+
+
+@dataclass(frozen=True)
+class Tags:
+    """Tags of an image file.
+
+    Attributes
+    ----------
+    orientation : int
+        1 to 8, as EXIF and TIFF count: how stored rows and columns lie in the upright image.
+    """
+
+    orientation: int = 1
+
+    @property
+    def is_laid_down(self) -> bool:
+        """Whether stored rows are columns of the upright image."""
+        return self.orientation >= 5
+
+
+def upright(data: NDArray[Any], orientation: int) -> NDArray[Any]:
+    """Stored pixels (rows, columns[, channels]) as they are seen: row 0 on top, column 0 on the left."""
+    if orientation in (2, 3, 7):
+        data = data[:, ::-1]
+    if orientation in (3, 4, 7):
+        data = data[::-1]
+    if orientation in (5, 7):
+        return data.swapaxes(0, 1)
+    return np.rot90(data, {6: -1, 8: 1}.get(orientation, 0))
+
+
+def png_tags(file: BinaryIO) -> Tags:
+    """Tags of an opened PNG, from its chunks."""
+    exif = xmp = b""
+    file.seek(8)
+    for _ in range(MOST_CHUNKS):
+        head = file.read(8)
+        if len(head) < 8 or head[4:] == b"IEND":
+            return Tags(_orientation(exif, xmp))
+        length, kind = struct.unpack(">I4s", head)
+        body = file.read(length) if kind in _PNG_TAGS and length <= LONGEST else b""
+        file.seek(length - len(body) + 4, 1)
+        if kind == b"eXIf":
+            exif = exif or body
+        elif body.startswith(_PNG_XMP):
+            xmp = xmp or body
+    raise ValueError(f"more than {MOST_CHUNKS} chunks")
+
+
+def jpeg_tags(file: BinaryIO) -> Tags:
+    """Tags of an opened JPEG, from its segments."""
+    exif = xmp = b""
+    for kind, body in jpeg_segments(file):
+        if kind == 0xE1 and body.startswith(_JPEG_EXIF):
+            exif = exif or body.removeprefix(_JPEG_EXIF)
+        elif kind == 0xE1 and body.startswith(_JPEG_XMP):
+            xmp = xmp or body
+    return Tags(_orientation(exif, xmp))
+
+
+def jpeg_segments(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
+    """Kind and content of the segments of a JPEG before its pixels. Raises ValueError or struct.error for damage."""
+    file.seek(2)
+    while True:
+        mark, kind, length = struct.unpack(">BBH", file.read(4))
+        if kind == 0xFF:  # padding
+            file.seek(-3, 1)
+            continue
+        if mark != 0xFF or kind == 0xD9 or length < 2:
+            raise ValueError("no frame header")
+        if kind == 0xDA:
+            return
+        yield kind, file.read(length - 2)
+
+
+def tiff_tags(values: Any) -> Tags:
+    """Tags of a page of a TIFF; values: `tifffile.TiffTags`."""
+    found = values.valueof(_ORIENTATION, default=1)
+    return Tags(found if found in range(1, 9) else 1)
+
+
+def _orientation(exif: bytes, xmp: bytes) -> int:
+    """As the EXIF says, else the XMP; 1 where neither does, or what they say is no orientation."""
+    found: Any = None
+    if exif:
+        from PIL import Image
+
+        with contextlib.suppress(Exception):  # a damaged tag says nothing of the pixels, and each damage has its own
+            known = Image.Exif()
+            known.load(exif)
+            found = known.get(_ORIENTATION)
+    if found is None and (match := _XMP_ORIENTATION.search(xmp)):
+        found = int(match[1])
+    return found if found in range(1, 9) else 1
