@@ -96,20 +96,23 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
 def thesis(out: Path, wanted: tuple[str, ...], device: str | None, quiet: bool) -> None:
     """Render the figures of the thesis, with a page of the numbers that it states and those that are measured.
 
-    DIR/thesis.md is the page, written when all else is there; each scene has a folder with its frames in DIR.
+    DIR/thesis.html is the page, for a browser, and DIR/thesis.md the same as text; with --only they are called
+    thesis_only. They are written when all else is there; each scene has a folder with its frames in DIR.
     """
     from clsco.cli.thesis_figures import chosen
 
     figures, numbers = chosen(wanted)
     require_device(device)
-    from clsco.cli.thesis import PAGE, render, write_page
+    from clsco.cli.thesis import PAGE, PART, render, write_page
     from clsco.files.atomic import remove, writable_folder
 
-    page = writable_folder(out) / PAGE
-    remove(page)  # an older page is not whole any more
+    name = PART if wanted else PAGE
+    pages = [writable_folder(out) / f"{name}{ending}" for ending in (".html", ".md")]
+    for page in pages:
+        remove(page)  # an older page is not whole any more
     values = render(out, figures, numbers, device, quiet)
-    write_page(out, figures, values)
-    click.echo(f"{click.format_filename(page)}: figures, and numbers as stated and as measured")
+    write_page(out, name, figures, values)
+    click.echo(f"{click.format_filename(pages[0])}: figures, and numbers as stated and as measured")
 
 
 @main.command()

@@ -1,14 +1,14 @@
-"""The page of the thesis: its figures as files, its numbers beside those that are measured, and a sheet of pictures."""
+"""The page of the thesis: its figures, each with a caption, and its numbers beside those that are measured."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
+from html import escape
 from importlib.resources import as_file
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image
 
 from clsco.cli.progress import progress
 from clsco.cli.thesis_figures import (
@@ -23,7 +23,7 @@ from clsco.cli.thesis_figures import (
 )
 from clsco.engine import batch
 from clsco.engine.batch import Job
-from clsco.files.atomic import together, whole_file
+from clsco.files.atomic import together, whole_file, writable_folder
 from clsco.files.images import read_image, write_png
 from clsco.frame.frame import Frame
 from clsco.plan.prepare import prepare
@@ -32,9 +32,10 @@ from clsco.resources import folder
 from clsco.scene.file import load_scene
 from clsco.scene.model import Scene
 
-PAGE, SHEET = "thesis.md", "thesis.png"
-ACROSS, SIDE, GAP, LINE = 12, 72, 6, 16  # pictures in a row of the sheet, and px
-PAPER, INK = 250, 20
+PAGE, PART = "thesis", "thesis_only"  # of all figures, and of some; .md and .html
+PICTURES = "thesis_figures"
+ACROSS, SIDE, GAP, PAPER = 3, 256, 6, 250  # pictures in a row of a figure, and px
+QUALITY = 80  # of the figures beside the page, WebP; their files in DIR are PNG
 MOST_NAMED = 3  # files of a figure; of more the first two and the last are
 
 INTRODUCTION = """\
@@ -42,27 +43,23 @@ INTRODUCTION = """\
 
 This page compares the figures and numbers of K. Sathyanarayana's thesis *Generating Video Frames with Depth Of Field
 and Motion Blur Effects for 3D Animation* with those that clsco makes by the thesis' own method. `clsco thesis -o DIR`
-renders all of them, and writes this page.
+renders all of them, and writes this page, and DIR/thesis.html with the figures in full size. With `--only` the pages
+are called thesis_only.
 """
 NUMBERS_HEAD = """\
 ## Numbers
 
-A number agrees where it is the stated one in all digits that are stated, or within "about". What clsco takes over as it
-is stated is an input. Where the thesis does not state the sizes or distances that a number depends on, they are chosen,
+A number agrees where it is the stated one in all digits that are stated, or within a bound that is stated: the thesis
+restricts the largest blur radius to "(around) 6 pixels", which is read as at most 6.5. What clsco takes over as it is
+stated is an input. Where the thesis does not state the sizes or distances that a number depends on, they are chosen,
 and it cannot be expected to agree: those of figures 4.13, 4.16 and 4.17, of a sphere, a cylinder and a cone.
 
-| figure | what | stated | got | verdict | scene | note |
-|---|---|---|---|---|---|---|
 """
-FIGURES_HEAD = f"""\
+COLUMNS = ("figure", "what", "stated", "got", "verdict", "scene", "note")
+FIGURES_HEAD = """\
 ## Figures
 
-![The pictures of all figures, in order]({SHEET})
-
-Files are in DIR, each in a folder of the name of its scene in `examples/thesis`.
-
-| figure | shows | files | what the thesis does not state, and is chosen |
-|---|---|---|---|
+The files are in DIR, each in a folder of the name of its scene in `examples/thesis`; here they are made smaller.
 """
 OTHERS_HEAD = """\
 ## Not rendered
@@ -127,52 +124,92 @@ def _row(cells: Iterable[str]) -> str:
     return f"| {' | '.join(cells)} |\n"
 
 
-def _number_row(number: Number, got: float) -> str:
+def _number_cells(number: Number, got: float) -> tuple[str, ...]:
+    """Cells of a row, as COLUMNS has them."""
     scene = f"`{number.scenes[0]}`" if number.scenes else "defaults of `clsco inpaint`"
     more = f" and {len(number.scenes) - 1} more" if len(number.scenes) > 1 else ""
     value = f"{got + 0.0:.{number.digits}f}"
-    return _row(
-        (number.figure, number.what, number.stated, value, _verdict(number, got), scene + more, number.note)
-    )  # fmt: skip
+    return number.figure, number.what, number.stated, value, _verdict(number, got), scene + more, number.note
 
 
-def _figure_row(figure: Figure) -> str:
+def _files(figure: Figure) -> str:
     files = [f"`{picture}`" for picture in figure.pictures]
-    if len(files) > MOST_NAMED:
-        files = [*files[:1], f"{files[1]} to {files[-1]}"]
-    return _row((figure.number, figure.shows, ", ".join(files), figure.chosen))
+    return ", ".join(files if len(files) <= MOST_NAMED else [files[0], f"{files[1]} to {files[-1]}"])
+
+
+def _caption(figure: Figure) -> str:
+    chosen = f" Chosen, as the thesis does not state it: {figure.chosen}." if figure.chosen else ""
+    return f"Figure {figure.number}: {figure.shows}.{chosen}"
+
+
+def _small(figure: Figure) -> str:
+    """Name of the picture of a figure beside the page."""
+    return f"{PICTURES}/{figure.number}.webp"
 
 
 def page(figures: Collection[Figure], values: Values) -> str:
     """The page in Markdown: numbers, figures, and what is not rendered."""
     parts = [INTRODUCTION]
     if values:
-        parts.append(NUMBERS_HEAD + "".join(_number_row(number, got) for number, got in values.items()))
+        head = _row(COLUMNS) + "|---" * len(COLUMNS) + "|\n"
+        parts.append(NUMBERS_HEAD + head + "".join(_row(_number_cells(*item)) for item in values.items()))
     if figures:
-        parts.append(FIGURES_HEAD + "".join(map(_figure_row, figures)))
+        parts.append(FIGURES_HEAD)
+        for figure in figures:
+            lines = [f"### Figure {figure.number}", f"![{figure.shows}]({_small(figure)})", _caption(figure)]
+            parts += [f"{line}\n" for line in [*lines, f"Files: {_files(figure)}."]]
     parts.append(OTHERS_HEAD + "".join(map(_row, OTHERS)))
     return "\n".join(parts)
 
 
-def sheet(out: Path, figures: Iterable[Figure]) -> NDArray[np.uint8]:
-    """All pictures with the figure's number below each, gray (rows, columns)."""
-    pictures = [(figure.number, picture) for figure in figures for picture in figure.pictures]
-    rows = -(-len(pictures) // ACROSS)
-    paper = Image.new("L", (GAP + ACROSS * (SIDE + GAP), GAP + rows * (SIDE + LINE + GAP)), PAPER)
-    draw, font = ImageDraw.Draw(paper), ImageFont.load_default(11)
-    for place, (number, name) in enumerate(pictures):
+def _plain(cell: str) -> str:
+    """A cell of the page in Markdown without its marks of code."""
+    return cell.replace("`", "")
+
+
+STYLE = """\
+body { font: 16px/1.5 sans-serif; max-width: 1600px; margin: 2em auto; padding: 0 1em }
+figure { margin: 2em 0 } figure img { max-width: 100%; margin: 0 6px 6px 0 }
+figcaption { max-width: 60em } table { border-collapse: collapse } td, th { border: 1px solid #bbb; padding: 2px 8px }
+"""
+
+
+def html_page(figures: Iterable[Figure], values: Values) -> str:
+    """The page in HTML: each figure in full size with its caption, its numbers below it."""
+    shown = []
+    for figure in figures:
+        rows = [row for row in values if figure.number in numbers_named(row.figure)]
+        images = "".join(f'<img alt="" src="{escape(picture)}">' for picture in figure.pictures)
+        cells = (_number_cells(row, values[row]) for row in rows)
+        table = "".join(f"<tr>{''.join(f'<td>{escape(_plain(cell))}</td>' for cell in row)}</tr>" for row in cells)
+        head = "<tr>" + "".join(f"<th>{name}</th>" for name in COLUMNS) + "</tr>"
+        numbers = f"<table>{head}{table}</table>" if rows else ""
+        shown.append(f"<figure>{images}<figcaption>{escape(_caption(figure))}</figcaption>{numbers}</figure>\n")
+    title = "The thesis, figure by figure"
+    start = f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>\n'
+    return f"{start}<style>\n{STYLE}</style></head><body>\n<h1>{title}</h1>\n{''.join(shown)}</body></html>\n"
+
+
+def small_figure(out: Path, figure: Figure) -> Image.Image:
+    """The pictures of a figure in rows, each SIDE px wide, gray."""
+    rows = -(-len(figure.pictures) // ACROSS)
+    across = min(len(figure.pictures), ACROSS)
+    paper = Image.new("L", (across * (SIDE + GAP) - GAP, rows * (SIDE + GAP) - GAP), PAPER)
+    for place, name in enumerate(figure.pictures):
         row, column = divmod(place, ACROSS)
-        x, y = GAP + column * (SIDE + GAP), GAP + row * (SIDE + LINE + GAP)
         small = Image.fromarray(read_image(out / name).data).resize((SIDE, SIDE), Image.Resampling.BOX)
-        paper.paste(small, (x, y))
-        draw.text((x, y + SIDE + 1), number, fill=INK, font=font)
-    return np.asarray(paper)
+        paper.paste(small, (column * (SIDE + GAP), row * (SIDE + GAP)))
+    return paper
 
 
-def write_page(out: Path, figures: Collection[Figure], values: Values) -> None:
-    """Write page and sheet, both or none. Raises ImageError where they cannot be written."""
-    with together(out, "thesis") as made:
-        if figures:
-            write_png(made / SHEET, sheet(out, figures))
-        with whole_file(made / PAGE) as file:
-            file.write(page(figures, values).encode())
+def write_page(out: Path, name: str, figures: Collection[Figure], values: Values) -> None:
+    """Write the pictures of figures, and then both pages, which are called `name`. Raises ImageError."""
+    if figures:
+        with together(writable_folder(out / PICTURES), "figures") as made:
+            for figure in figures:
+                with whole_file(made / Path(_small(figure)).name) as file:
+                    small_figure(out, figure).save(file, "WEBP", quality=QUALITY)
+    with together(out, name) as made:
+        for ending, text in ((".md", page(figures, values)), (".html", html_page(figures, values))):
+            with whole_file(made / f"{name}{ending}") as file:
+                file.write(text.encode())

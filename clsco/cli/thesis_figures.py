@@ -86,7 +86,8 @@ class Number:
     digits : int
         Decimals that are shown.
     most : float, optional
-        Up to which "about" and the like hold; by default the number must agree in the digits that are stated.
+        Up to which a stated bound holds, "at most about 6" up to 6.5; by default the number must agree in the digits
+        that are stated.
     note : str
     is_input : bool
         It is given to clsco, and not measured.
@@ -298,6 +299,11 @@ def _filling(before: str, after: str, stated: str) -> tuple[Number, ...]:
     )
 
 
+def _blur(figure: str, what: str, scenes: tuple[str, ...], note: str = "") -> Number:
+    """The largest blur radius, of which the thesis states a bound."""
+    return Number(figure, what, "at most about 6", scenes, _largest_blur, 2, 6.5, note)
+
+
 NUMBERS = (
     _camera("focal_length", "20.0", 1),
     _camera("aperture_diameter", "10.0", 1),
@@ -312,18 +318,18 @@ NUMBERS = (
     _input("3.4", "cut of the Gaussian, sigma", "2", "fig_3_04_left", lambda made: made.scene.psf.truncation),
     Number("3.4", "left: distance, mm", "230", ("fig_3_04_left",), lambda made: float(made.of_surface("depth").mean())),
     Number("3.4", "left: R differs by, px", "0", ("fig_3_04_left",), _spread("blur_radius"), 2),
-    Number("3.4", "left: largest blur radius, px", "about 6", ("fig_3_04_left",), _largest_blur, 2, 6.5),
+    _blur("3.4", "left: largest blur radius, px", ("fig_3_04_left",)),
     Number("3.4", "right: slope along x", "1.5", ("fig_3_04_right",), _slope(0), 2, note="along y in the caption"),
     Number("3.4", "right: R differs along y by, px", "0", ("fig_3_04_right",), _spread("blur_radius", 0), 2),
-    Number("3.4", "right: largest blur radius, px", "about 6", ("fig_3_04_right",), _largest_blur, 2, 6.5, WIDE),
+    _blur("3.4", "right: largest blur radius, px", ("fig_3_04_right",), WIDE),
     Number("3.5", "left: slope along y", "0.7", ("fig_3_05_left",), _slope(1), 2, note="along x in the caption"),
     Number("3.5", "left: R differs along x by, px", "0", ("fig_3_05_left",), _spread("blur_radius", 1), 2),
-    Number("3.5", "left: largest blur radius, px", "about 6", ("fig_3_05_left",), _largest_blur, 2, 6.5),
+    _blur("3.5", "left: largest blur radius, px", ("fig_3_05_left",)),
     Number("3.5", "right: slope along x", "1", ("fig_3_05_right",), _slope(0), 2),
     Number("3.5", "right: slope along y", "1", ("fig_3_05_right",), _slope(1), 2),
     Number("3.5", "right: R on the main diagonal, px", "0", ("fig_3_05_right",), _diagonal_blur, 2),
-    Number("3.5", "right: largest blur radius, px", "about 6", ("fig_3_05_right",), _largest_blur, 2, 6.5, WIDE),
-    Number("3.8 to 3.17", "largest blur radius, px", "about 6", CHOSEN_BLUR, _largest_blur, 2, 6.5, "sizes chosen so"),
+    _blur("3.5", "right: largest blur radius, px", ("fig_3_05_right",), WIDE),
+    _blur("3.8 to 3.17", "largest blur radius, px", CHOSEN_BLUR, "sizes chosen so"),
     Number("3.8 to 3.17", "R in the middle, px", "0", IN_FOCUS, _middle_blur, 2, note="distances chosen so"),
     _input("4.2", "sub-frames", "5", "fig_4_02", lambda made: len(made.samples())),
     Number("4.2", "displacement differs by, px", "0", ("fig_4_02",), _spread("flow"), 2),

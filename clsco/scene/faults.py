@@ -117,9 +117,7 @@ def _message(fault: Mapping[str, Any], root: type[BaseModel]) -> str:
     """Message `key: rule; got value` of one fault that pydantic found."""
     kind, given, context = fault["type"], fault["input"], fault.get("ctx", {})
     loc, shape = tuple(fault["loc"]), None
-    if (
-        loc[:1] == ("objects",) and kind != "extra_forbidden"
-    ):  # of a constructor, or a default at fault
+    if loc[:1] == ("objects",) and kind != "extra_forbidden":  # of a constructor, or a default at fault
         loc = ("object", *loc[1:])
     if len(loc) > 2 and loc[0] == "object" and loc[2] in SHAPES:
         shape, loc = loc[2], loc[:2] + loc[3:]
