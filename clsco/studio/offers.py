@@ -7,7 +7,7 @@ import tomllib
 from importlib.util import find_spec
 from pathlib import Path
 
-from clsco.data.containers import CONTAINERS
+from clsco.data.containers import CONTAINERS, DEFAULT
 from clsco.files.video import PRESETS
 from clsco.frame.files import TRUTH_FORMATS
 from clsco.resources import folder, read_regular
@@ -36,6 +36,12 @@ def clip_name(preset: str) -> str:
 def set_formats() -> dict[str, str]:
     """Formats of `clsco batch --format`, likewise."""
     return {name: _missing(container.needs) for name, container in CONTAINERS.items()}
+
+
+def first_format() -> str:
+    """The format that a form shows at first: the default, or where its extra is not installed the first that is."""
+    forms = set_formats()
+    return next(name for name in (DEFAULT, *forms) if not forms[name])
 
 
 def distributions(root: Path) -> list[str]:

@@ -19,6 +19,8 @@ from click.testing import CliRunner
 
 from clsco import ClscoError, load_scene
 from clsco.cli.main import main
+from clsco.data.containers import CONTAINERS, DEFAULT
+from clsco.frame.files import TRUTH_FORMATS
 from clsco.studio import jobs as jobs_module
 from clsco.studio import offers
 from clsco.studio.generate import Wanted, clip, data_set, focal_stack, free_folder, generate
@@ -27,6 +29,7 @@ from clsco.studio.offers import (
     clip_name,
     clip_presets,
     distributions,
+    first_format,
     set_formats,
     shipped_distributions,
     truth_formats,
@@ -396,6 +399,17 @@ def test_what_is_not_installed_is_said_in_words(monkeypatch: pytest.MonkeyPatch)
     assert truth_formats()["npz"] == ""
     assert clip_presets()["mp4"] == "needs av: pip install 'clsco[video]'"
     assert set_formats()["webdataset"] == "needs imagecodecs: pip install 'clsco[formats]'"
+    assert first_format() == "webdataset+raw"
+
+
+def test_the_extra_of_the_studio_brings_what_its_forms_offer_first() -> None:
+    assert first_format() == DEFAULT
+    needed = [CONTAINERS[DEFAULT].needs, TRUTH_FORMATS["exr"].needs, offers._VIDEO]
+    extras = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"][
+        "optional-dependencies"
+    ]
+    (own,) = (line for line in extras["studio"] if line.startswith("clsco["))
+    assert {extra for _, extra in filter(None, needed)} <= set(own[6:-1].split(","))
 
 
 @pytest.mark.slow

@@ -12,11 +12,10 @@ from urllib.parse import quote
 
 from nicegui import ui
 
-from clsco.data.containers import DEFAULT
 from clsco.errors import ClscoError
 from clsco.studio.generate import Wanted, clip, data_set, focal_stack, free_folder, generate
 from clsco.studio.jobs import Job, Jobs
-from clsco.studio.offers import clip_name, clip_presets, distributions, set_formats, truth_formats
+from clsco.studio.offers import clip_name, clip_presets, distributions, first_format, set_formats, truth_formats
 from clsco.studio.session import Session
 from clsco.studio.widgets.plain import Dialog, button, check_box, choice, say, text_box
 
@@ -45,7 +44,7 @@ class _Answers:
     distribution: str = ""
     count: str = "100"
     seed: str = "0"
-    form: str = DEFAULT
+    form: str = field(default_factory=first_format)
 
     def wanted(self, device: str) -> Wanted:
         truth = ",".join(name for name, is_on in self.truth.items() if is_on)
