@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 from clsco.data.containers import CONTAINERS
@@ -74,12 +75,13 @@ def write_card(storage: Storage, identity: Identity) -> None:
     counts = {split: sum(count for _, count in listed) for split, listed in files.items()}
     samples = range(*card["samples"])
     total = sum(counts.values())
+    first = _first(storage, identity, files)
     card["license"] = card.get("license") or "unspecified"
     card |= {
         "counts": {"samples": total, "failed": len(samples) - total, "splits": counts},
-        "arrays": _arrays(storage, identity, files),
+        "arrays": first.arrays,
         "conventions": "Row 0 is on top, column 0 on the left, pixel centers at integer coordinates; lengths in mm.",
-        "load": _loading(identity.format),
+        "load": _loading(identity.format, first),
         "cite": _citation(identity),
         "files": files,
     }
@@ -87,21 +89,30 @@ def write_card(storage: Storage, identity: Identity) -> None:
     storage.write(CARD, f"{json.dumps(card, indent=2, allow_nan=False)}\n".encode())
 
 
-def _arrays(storage: Storage, identity: Identity, files: Mapping[str, list[tuple[str, int]]]) -> dict[str, Any]:
-    """What the first sample says of its arrays, and how the container holds them."""
-    first = next((file for listed in files.values() for file, count in listed if count), None)
-    if first is None:
-        return {}
+@dataclass(frozen=True)
+class _First:
+    """The first sample of a set: its shard, its key, and what it says of its arrays, by their names."""
+
+    file: str = "SPLIT/000000"
+    key: str = "000000000"
+    arrays: Mapping[str, Any] = field(default_factory=dict)
+
+
+def _first(storage: Storage, identity: Identity, files: Mapping[str, list[tuple[str, int]]]) -> _First:
+    file = next((file for listed in files.values() for file, count in listed if count), None)
+    if file is None:
+        return _First()
     container = CONTAINERS[identity.format]
-    reader = container.read(storage.local(first))
+    reader = container.read(storage.local(file))
     try:
         described = reader.record(0, ()).meta["arrays"]
+        key = reader.keys[0]
     finally:
         reader.close()
     for about in described.values():
         about.pop("clipped", None)  # of this sample alone
         about["encoding"] = _encoding(container.name, about)
-    return dict(described)
+    return _First(file, key, dict(described))
 
 
 def _encoding(form: str, about: Mapping[str, Any]) -> str:
@@ -116,25 +127,34 @@ def _encoding(form: str, about: Mapping[str, Any]) -> str:
     return {"npz": "npy", "hdf5": "dataset", "zarr": "array"}[name]
 
 
-def _loading(form: str) -> dict[str, str]:
-    """Code that loads a set, by package."""
-    name, pattern = form.partition("+")[0], f"SPLIT/*{CONTAINERS[form].suffix}"
+def _loading(form: str, first: _First) -> dict[str, str]:
+    """Code that loads a set, by package, with names that the set has."""
+    folder = first.file.partition("/")[0]
+    opened = "" if folder == UNSPLIT else f", {_text(folder)}"
+    name, pattern = form.partition("+")[0], _text(f"DATA/{folder}/*{CONTAINERS[form].suffix}")
+    array = next(iter(first.arrays), "color")
     found = {
-        "clsco": 'import clsco.data\nrecord = clsco.data.open("DATA", "SPLIT")[0]\nrecord["color"], record.meta',
-        "torch": 'torch.utils.data.DataLoader(clsco.data.open("DATA", "SPLIT"), batch_size=None, num_workers=4)',
+        "clsco": f'import clsco.data\nrecord = clsco.data.open("DATA"{opened})[0]\nrecord[{_text(array)}], record.meta',
+        "torch": f'torch.utils.data.DataLoader(clsco.data.open("DATA"{opened}), batch_size=None, num_workers=4)',
     }
+    shard, place = f"DATA/{first.file}", f"{first.key}/{array}"
     more = {
         "webdataset": {
-            "webdataset": f'webdataset.WebDataset(glob.glob("DATA/{pattern}"), shardshuffle=100).decode()',
-            "datasets": f'datasets.load_dataset("webdataset", data_files="DATA/{pattern}", streaming=True)',
+            "webdataset": f"webdataset.WebDataset(glob.glob({pattern}), shardshuffle=100).decode()",
+            "datasets": f'datasets.load_dataset("webdataset", data_files={pattern}, streaming=True)',
         },
-        "parquet": {"datasets": f'datasets.load_dataset("parquet", data_files="DATA/{pattern}")'},
-        "hdf5": {"h5py": 'h5py.File("DATA/SPLIT/000000.h5")["000000000/depth"][()]'},
-        "zarr": {"zarr": 'zarr.open_group("DATA/SPLIT/000000.zarr", mode="r")["depth"][0]'},
-        "npz": {"numpy": 'numpy.load("DATA/SPLIT/000000/000000000.npz")["depth"]'},
-        "tfrecord": {"tensorflow": f'tf.data.TFRecordDataset(tf.io.gfile.glob("DATA/{pattern}"))'},
+        "parquet": {"datasets": f'datasets.load_dataset("parquet", data_files={pattern})'},
+        "hdf5": {"h5py": f"h5py.File({_text(shard)})[{_text(place)}][()]"},
+        "zarr": {"zarr": f'zarr.open_group({_text(shard)}, mode="r")[{_text(array)}][0]'},
+        "npz": {"numpy": f"numpy.load({_text(f'{shard}/{first.key}.npz')})[{_text(array)}]"},
+        "tfrecord": {"tensorflow": f"tf.data.TFRecordDataset(tf.io.gfile.glob({pattern}))"},
     }
     return found | more.get(name, {})
+
+
+def _text(text: str) -> str:
+    """A text as Python code has it."""
+    return json.dumps(text)
 
 
 def _citation(identity: Identity) -> str:

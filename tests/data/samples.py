@@ -68,7 +68,9 @@ def same(one: Record, other: Record) -> bool:
     return arrays and one.key == other.key and one.meta == other.meta
 
 
-def make_set(folder: Path, form: str = "webdataset", count: int = 10, size: int = 4, splits: bool = True) -> Path:
+def make_set(
+    folder: Path, form: str = "webdataset", count: int = 10, size: int = 4, splits: bool = True, variants: int = 1
+) -> Path:
     """A whole set of small records, as `clsco batch` makes it but for the rendering. Sample 5 failed."""
     storage, container = open_storage(folder), CONTAINERS[form]
     shares = (("train", 0.7), ("val", 0.3)) if splits else ()
@@ -85,7 +87,8 @@ def make_set(folder: Path, form: str = "webdataset", count: int = 10, size: int 
             split = ("val" if number % 3 == 2 else "train") if splits else ""
             key = f"{split or 'data'}/{shard:06d}{container.suffix}"
             if number != 5:
-                files.setdefault(key, []).append(record(number))
+                frames = [[frame(number)]] * variants
+                files.setdefault(key, []).append(make_record(drawn(number, variants), 7, frames, identity.arrays))
                 row = {"number": number, "split": split, "file": key, "offset": len(files[key]) - 1}
                 rows.append({**row, "parameters": {}, "arrays": files[key][-1].sha256()})
         described: dict[str, tuple[int, str]] = {}

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import multiprocessing
 import pickle
+import re
 import time
 import tracemalloc
 from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -130,3 +132,22 @@ def test_records_have_their_arrays_by_name(folder: Path) -> None:
     found = clsco.data.open(folder)[0]
     assert isinstance(found, Record)
     assert found["depth"] is found.arrays["depth"]
+
+
+@pytest.mark.parametrize("form", ["webdataset", "npz", "hdf5", "zarr"])
+@pytest.mark.parametrize(("splits", "variants"), [(True, 1), (False, 2)])
+def test_the_examples_of_a_sets_own_readme_run(
+    form: str, splits: bool, variants: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = (make_set(tmp_path / "DATA", form, splits=splits, variants=variants) / "README.md").read_text("utf-8")
+    monkeypatch.chdir(tmp_path)
+    names = {"clsco": "clsco", "webdataset": "webdataset", "hdf5": "h5py", "zarr": "zarr", "npz": "numpy"}
+    examples = dict(re.findall(r"^(\w+):\n\n```python\n(.*?)\n```", text, re.DOTALL | re.MULTILINE))
+    for name in ("clsco", names[form]):
+        exec(examples[name], {name: import_module(name), "glob": import_module("glob")})
+
+
+def test_a_set_prints_as_one_line_and_shows_its_images(folder: Path) -> None:
+    opened = clsco.data.open(folder, "train", ("color", "depth"))
+    assert repr(opened) == "<Dataset of 7 samples, webdataset: color, depth>"
+    assert opened._repr_html_().count("<img") == 4
