@@ -8,6 +8,7 @@ from typing import Any
 
 from clsco.errors import ImageError, SceneError
 from clsco.files.atomic import refuse, same_place, writable_folder
+from clsco.files.color import SRGB, Color
 from clsco.files.images import WRITERS, check_alike, writer_for
 from clsco.files.transfer import encode
 from clsco.frame.frame import Frame
@@ -82,7 +83,7 @@ def prepare_image(scenes: Sequence[Scene], out: Path) -> None:
     writable_folder(out.parent)
 
 
-def write_color(out: Path, frame: Frame, bits: int, transfer: str) -> None:
+def write_color(out: Path, frame: Frame, bits: int, transfer: str, color: Color = SRGB) -> None:
     """Write the color of a frame to one file, in the format of its extension.
 
     Parameters
@@ -94,6 +95,8 @@ def write_color(out: Path, frame: Frame, bits: int, transfer: str) -> None:
         linear float32.
     transfer : {"srgb", "linear"}
         Of codes.
+    color : Color, optional
+        Of the image that was blurred, and so of the file; its curve takes the place of "srgb".
 
     Raises
     ------
@@ -102,4 +105,5 @@ def write_color(out: Path, frame: Frame, bits: int, transfer: str) -> None:
     """
     writer = writer_for(out)
     as_floats = writer.floats and (bits == 32 or not writer.code_bits)
-    writer.write(out, frame.color if as_floats else encode(frame.color, min(bits, writer.code_bits), transfer))
+    codes = None if as_floats else encode(frame.color, min(bits, writer.code_bits), color.transfer(transfer))
+    writer.save(out, frame.color if codes is None else codes, color)

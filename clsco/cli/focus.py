@@ -1,4 +1,4 @@
-"""What commands report of depth maps and of the lens, and `--focus-at` and `--focus-depth`."""
+"""The options `--focus-at` and `--focus-depth`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from clsco.errors import ImageError, SceneError
 
 if TYPE_CHECKING:
     from clsco.inputs.focus import Focus
-    from clsco.plan.prepare import PreparedFile
     from clsco.scene.sweep import Sweep
 
 
@@ -74,30 +73,3 @@ def _focused(path: Path, sweep: Sweep, focus: Focus) -> Sweep | SceneError:
     except (ImageError, SceneError) as error:
         return SceneError([f"{path}: {message}" for message in getattr(error, "messages", [error])])
     return replace(sweep, scenes=scenes)
-
-
-def report_inputs(planned: Sequence[PreparedFile]) -> None:
-    """On stderr, for each depth map of scenes: whether it may not be upright, which of its pixels have no depth, and
-    what the lens makes of it."""
-    from clsco.files.images import upright_note
-    from clsco.inputs.depth_files import DEPTH_FORMATS
-    from clsco.inputs.focus import lens_line
-    from clsco.scene.model import DepthMap
-
-    for _, labels, prepared in planned:
-        for label, each in zip(labels, prepared, strict=True):
-            for item in each.scene.objects:
-                if not isinstance(item, DepthMap):
-                    continue
-                values, files = each.files.depth_values(each.scene, item), item.files()
-                if label == labels[0]:
-                    if files.keys() >= {"texture", "depth"}:
-                        _say(upright_note(files["texture"], files["depth"], DEPTH_FORMATS))
-                    _say(values.report(), f"{item.depth}: ")
-                where = f"{item.depth} (with {label}): " if label else f"{item.depth}: "
-                _say(lens_line(each.scene.camera, values.inverse_depth), where)
-
-
-def _say(line: str, where: str = "") -> None:
-    if line:
-        click.echo(f"{where}{line}", err=True)

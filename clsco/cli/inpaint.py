@@ -13,11 +13,20 @@ from numpy.typing import NDArray
 
 from clsco.errors import ImageError, SceneError
 from clsco.files.atomic import refuse, same_place, writable_folder
-from clsco.files.images import WRITERS, ImageWriter, check_alike, image_size, read_image, upright_note, writer_for
+from clsco.files.images import (
+    WRITERS,
+    ImageWriter,
+    Picture,
+    check_alike,
+    image_size,
+    read_image,
+    upright_note,
+    writer_for,
+)
 from clsco.inpainting.rules import MeanMedian
 
 
-def read_pair(image: Path, mask: Path, threshold: float | None = None) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+def read_pair(image: Path, mask: Path, threshold: float | None = None) -> tuple[Picture, NDArray[np.bool_]]:
     """Read an image (rows, columns[, 3]) as stored, and which of its pixels are missing (rows, columns).
 
     Missing is where the mask is white: 255, 65535, or 1.0 in floats; where it is 0 all is known. threshold: what is
@@ -33,7 +42,7 @@ def read_pair(image: Path, mask: Path, threshold: float | None = None) -> tuple[
     missing = _missing(mask, threshold)
     if missing.all():
         refuse(mask, "some pixel must be known, and be 0", "only missing ones")
-    return read_image(image, missing).data, missing
+    return read_image(image, missing), missing
 
 
 def _missing(mask: Path, threshold: float | None) -> NDArray[np.bool_]:

@@ -16,7 +16,8 @@ import click
 from clsco import __version__
 from clsco.cli.batch import batch
 from clsco.cli.convert import convert
-from clsco.cli.focus import focus_at_option, focus_depth_option, focused_files, parsed_focus, report_inputs
+from clsco.cli.focus import focus_at_option, focus_depth_option, focused_files, parsed_focus
+from clsco.cli.inputs import report_color, report_inputs, report_loss
 from clsco.cli.options import (
     PATH,
     Commands,
@@ -313,6 +314,7 @@ def defocus(
     found = [each for _, _, prepared in planned for each in prepared]
     prepare_image([each.scene for each in found], out)
     report_inputs(planned)
+    report_loss(out, found[0].color)
     require_device(computation.device)
     from clsco.cli.progress import progress
     from clsco.engine.sequence import render_prepared
@@ -320,7 +322,7 @@ def defocus(
 
     with progress(1, quiet) as advance:
         for _, frame in render_prepared(session_for(computation.device), found):
-            write_color(out, frame, frame.metadata["bits"], found[0].scene.image.transfer)
+            write_color(out, frame, frame.metadata["bits"], found[0].scene.image.transfer, found[0].color)
             report_approximation(out, frame)
             advance()
 
@@ -362,8 +364,11 @@ def inpaint(
     from clsco.cli.inpaint import mean_median_options, prepare_out, read_pair
 
     prepare_out(out, image, mask)
-    pixels, missing = read_pair(image, mask, threshold)
-    writer = prepare_out(out, image, mask, pixels.dtype.kind == "f")
+    picture, missing = read_pair(image, mask, threshold)
+    pixels, color = picture.data, picture.color
+    writer = prepare_out(out, image, mask, picture.is_float)
+    report_color(str(image), color)
+    report_loss(out, color)
     require_device(device)
     from clsco import inpaint as fill
     from clsco.cli.progress import shares
@@ -380,7 +385,7 @@ def inpaint(
         filled, report = fill(
             pixels, missing, method=method, device=device, progress=progress, options=chosen, return_report=True
         )
-    writer.write(out, filled)
+    writer.save(out, filled, color)
     if folder is not None:
         write_report(folder, report, pixels, missing, filled)
     print_tables(*inpaint_tables(report))

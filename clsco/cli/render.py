@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clsco.cli.focus import focus_at_option, focus_depth_option, focused_files, parsed_focus, report_inputs
+from clsco.cli.focus import focus_at_option, focus_depth_option, focused_files, parsed_focus
+from clsco.cli.inputs import report_inputs
 from clsco.cli.options import (
     PATH,
     Computation,

@@ -209,9 +209,8 @@ def _run_together(session: Session, jobs: Sequence[Job]) -> Iterator[tuple[Job, 
         if _written(job.folder, frame.index) != job.before[frame.index]:
             where = frame_json(job.folder, frame.index)
             raise ImageError(f"{where}: frames must have one writer at a time; got one that another process wrote")
-        transfer = job.prepared.scene.image.transfer
-        write_frame(
-            job.folder, views, frame.metadata["bits"], transfer, job.files, job.record, scene=job.prepared.scene
-        )
+        scene = job.prepared.scene
+        about = job.folder, views, frame.metadata["bits"], scene.image.transfer, job.files, job.record
+        write_frame(*about, scene=scene, color=job.prepared.color)
         left = None
         yield job, views

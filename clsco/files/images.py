@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.files.atomic import refuse, whole_file
+from clsco.files.color import SRGB, Color
 from clsco.files.decoders import IMAGE_FORMATS, checked_size, codec, decoded, opened, path_of, tags
 from clsco.files.png import png_parts
 from clsco.files.ranges import first_of
@@ -28,9 +29,12 @@ class Picture:
     ----------
     data : ndarray, (rows, columns) or (rows, columns, 3)
         Gray, or red, green, blue; row 0 on top.
+    color : Color
+        What its codes stand for.
     """
 
     data: NDArray[Any]
+    color: Color = SRGB
 
     @property
     def bits(self) -> int:
@@ -67,11 +71,12 @@ def read_image(path: str | os.PathLike[str], hidden: NDArray[np.bool_] | None = 
     -----
     8 and 16 bits come as stored; palettes and 1-, 2- and 4-bit grays become 8 bits, float16 and float64 become float32.
     PNG, JPEG and TIFF are turned upright by their orientation. Opaque alpha is dropped. Of an EXR the channels R G B
-    or Y are read. Color profiles, gamma chunks and the scale of a PFM are not applied. Validated against files written
-    by Pillow, tifffile, imagecodecs and OpenEXR, and by hand.
+    or Y are read. The color space is given and not applied; neither is the scale of a PFM. Validated against files
+    written by Pillow, tifffile, imagecodecs and OpenEXR, and by hand.
     """
     with opened(path) as (file, kind):
-        return Picture(np.ascontiguousarray(_as_stored(file, decoded(file, kind), hidden)))
+        data = np.ascontiguousarray(_as_stored(file, decoded(file, kind), hidden))
+        return Picture(data, tags(file, kind).color(1 if data.ndim == 2 else 3))
 
 
 def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
@@ -170,13 +175,17 @@ def _as_stored(file: BinaryIO, data: NDArray[Any], hidden: NDArray[np.bool_] | N
     return data
 
 
-def write_png(path: str | os.PathLike[str], data: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+def write_png(
+    path: str | os.PathLike[str], data: NDArray[np.uint8] | NDArray[np.uint16], color: Color = SRGB
+) -> None:  # fmt: skip
     """Write codes as a PNG of 8 or 16 bits.
 
     Parameters
     ----------
     path : path
     data : ndarray of uint8 or uint16, (rows, columns) or (rows, columns, 3)
+    color : Color, optional
+        What the codes stand for; by default nothing is said, which is sRGB.
 
     Raises
     ------
@@ -184,16 +193,18 @@ def write_png(path: str | os.PathLike[str], data: NDArray[np.uint8] | NDArray[np
         The file cannot be written.
     """
     with whole_file(Path(path)) as file:
-        file.writelines(png_parts(data))
+        file.writelines(png_parts(data, color.png_chunks()))
 
 
-def write_tiff(path: str | os.PathLike[str], data: NDArray[Any]) -> None:
+def write_tiff(path: str | os.PathLike[str], data: NDArray[Any], color: Color = SRGB) -> None:
     """Write an image as a TIFF with lossless compression.
 
     Parameters
     ----------
     path : path
     data : ndarray of uint8, uint16 or float32, (rows, columns) or (rows, columns, 3)
+    color : Color, optional
+        Whose ICC profile goes into the file.
 
     Raises
     ------
@@ -201,9 +212,11 @@ def write_tiff(path: str | os.PathLike[str], data: NDArray[Any]) -> None:
         The extra `formats` is missing, or the file cannot be written.
     """
     tifffile = codec(Path(path), "tifffile", "formats")
-    options = {"photometric": "rgb" if data.ndim == 3 else "minisblack", "compression": "zlib", "metadata": None}
+    options: dict[str, Any] = {"photometric": "rgb" if data.ndim == 3 else "minisblack", "compression": "zlib"}
+    if color.icc:
+        options["iccprofile"] = color.icc
     with whole_file(Path(path)) as file:
-        tifffile.imwrite(file, data, **options)
+        tifffile.imwrite(file, data, metadata=None, **options)
 
 
 def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]], compressed: bool = False) -> None:
@@ -319,26 +332,39 @@ class ImageWriter:
     label : str
         Name of the format with its article, for messages.
     write : callable
-        Takes a path and an image (rows, columns[, 3]) of codes or of linear float32.
+        Takes a path, an image (rows, columns[, 3]) of codes or of linear float32, and with `color_kinds` a color space.
     code_bits : int
         Most bits of codes that the format holds; 0: none.
     floats : bool
         Whether it holds linear float32.
     needs : (str, str), optional
         Module that it needs, and the extra of clsco that brings it.
+    color_kinds : tuple of str
+        Attributes of `Color` that it has a place for.
     """
 
     label: str
-    write: Callable[[Path, NDArray[Any]], None]
+    write: Callable[..., None]
     code_bits: int
     floats: bool
     needs: tuple[str, str] | None = None
+    color_kinds: tuple[str, ...] = ()
+
+    def save(self, path: Path, image: NDArray[Any], color: Color) -> None:
+        """Write an image with its color space, as far as there is a place for it."""
+        self.write(path, image, *([color] if self.color_kinds else []))
+
+    def loss(self, color: Color) -> str:
+        """What such a file does not say of its colors, in one line; "" where nothing is lost."""
+        if color.is_plain or any(getattr(color, kind) for kind in self.color_kinds):
+            return ""
+        return f"{self.label} has no place for the color profile {color.name}, which is left out"
 
 
-_TIFF = ImageWriter("a TIFF", write_tiff, 16, True, ("tifffile", "formats"))
+_TIFF = ImageWriter("a TIFF", write_tiff, 16, True, ("tifffile", "formats"), ("icc",))
 # One row for each extension: the commands that write one image take their formats from here.
 WRITERS = {
-    ".png": ImageWriter("a PNG", write_png, 16, False),
+    ".png": ImageWriter("a PNG", write_png, 16, False, color_kinds=("icc", "chunks")),
     ".tif": _TIFF,
     ".tiff": _TIFF,
     ".exr": ImageWriter("an EXR", write_exr_image, 0, True, ("OpenEXR", "exr")),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
+from collections.abc import Iterable
 from typing import BinaryIO
 
 import numpy as np
@@ -18,12 +19,16 @@ _SAMPLES = {GRAY: 1, RGB: 3, PALETTE: 1, GRAY_ALPHA: 2, RGB_ALPHA: 4}
 _ADAM7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
 
 
-def png_parts(data: NDArray[np.uint8] | NDArray[np.uint16]) -> list[bytes]:
+def png_parts(
+    data: NDArray[np.uint8] | NDArray[np.uint16], chunks: Iterable[tuple[bytes, bytes]] = ()
+) -> list[bytes]:  # fmt: skip
     """Encode codes as a PNG of 8 or 16 bits.
 
     Parameters
     ----------
     data : ndarray of uint8 or uint16, (rows, columns) or (rows, columns, 3)
+    chunks : iterable of (bytes, bytes)
+        Kind and content of those that come before the pixels.
 
     Returns
     -------
@@ -49,7 +54,8 @@ def png_parts(data: NDArray[np.uint8] | NDArray[np.uint16]) -> list[bytes]:
     packed.append(compressor.flush())
     color = GRAY if data.ndim == 2 else RGB
     header = struct.pack(">IIBBBBB", columns, rows, 8 * data.dtype.itemsize, color, 0, 0, 0)
-    return [SIGNATURE, *_chunk(b"IHDR", [header]), *_chunk(b"IDAT", packed), *_chunk(b"IEND", [])]
+    before = [part for kind, body in chunks for part in _chunk(kind, [body])]
+    return [SIGNATURE, *_chunk(b"IHDR", [header]), *before, *_chunk(b"IDAT", packed), *_chunk(b"IEND", [])]
 
 
 def png_size(file: BinaryIO) -> tuple[int, int]:

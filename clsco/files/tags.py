@@ -1,10 +1,11 @@
-"""What image files say about their pixels: the orientation of the camera that took them."""
+"""What image files say about their pixels: how the camera was held, and the colors that their codes stand for."""
 
 from __future__ import annotations
 
 import contextlib
 import re
 import struct
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, BinaryIO
@@ -12,12 +13,16 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.files.color import LARGEST_PROFILE, Color, chunk_color, icc_color
+
 MOST_CHUNKS = 2**20  # of a PNG: its pixels in pieces of 1 kB
 LONGEST = 2**22  # bytes of a tag that is read
-_PNG_TAGS = (b"eXIf", b"iTXt")
+_PNG_COLORS = (b"cICP", b"sRGB", b"gAMA", b"cHRM")
+_PNG_TAGS = (b"eXIf", b"iTXt", b"iCCP", *_PNG_COLORS)
+_JPEG_ICC = b"ICC_PROFILE\0"
 _JPEG_EXIF, _JPEG_XMP, _PNG_XMP = b"Exif\0\0", b"http://ns.adobe.com/xap/1.0/\0", b"XML:com.adobe.xmp\0\0\0\0\0"
 _XMP_ORIENTATION = re.compile(rb'tiff:Orientation(?:="|>)([1-8])["<]')
-_ORIENTATION = 0x0112  # in EXIF
+_ORIENTATION, _ICC = 0x0112, 0x8773  # in EXIF and TIFF
 
 
 @dataclass(frozen=True)
@@ -28,14 +33,25 @@ class Tags:
     ----------
     orientation : int
         1 to 8, as EXIF and TIFF count: how stored rows and columns lie in the upright image.
+    icc : bytes
+        Its ICC profile; b"" for none.
+    chunks : tuple of (bytes, bytes)
+        Kind and content of the chunks of a PNG that stand for a profile.
     """
 
     orientation: int = 1
+    icc: bytes = b""
+    chunks: tuple[tuple[bytes, bytes], ...] = ()
 
     @property
     def is_laid_down(self) -> bool:
         """Whether stored rows are columns of the upright image."""
         return self.orientation >= 5
+
+    def color(self, channels: int) -> Color:
+        """Color space of the image, which has 1 or 3 channels."""
+        found = dict(self.chunks)
+        return icc_color(self.icc, channels) if self.icc and b"cICP" not in found else chunk_color(found)
 
 
 def upright(data: NDArray[Any], orientation: int) -> NDArray[Any]:
@@ -51,17 +67,22 @@ def upright(data: NDArray[Any], orientation: int) -> NDArray[Any]:
 
 def png_tags(file: BinaryIO) -> Tags:
     """Tags of an opened PNG, from its chunks."""
-    exif = xmp = b""
+    exif = xmp = icc = b""
+    colors: dict[bytes, bytes] = {}
     file.seek(8)
     for _ in range(MOST_CHUNKS):
         head = file.read(8)
         if len(head) < 8 or head[4:] == b"IEND":
-            return Tags(_orientation(exif, xmp))
+            return Tags(_orientation(exif, xmp), icc, tuple(colors.items()))
         length, kind = struct.unpack(">I4s", head)
         body = file.read(length) if kind in _PNG_TAGS and length <= LONGEST else b""
         file.seek(length - len(body) + 4, 1)
         if kind == b"eXIf":
             exif = exif or body
+        elif kind == b"iCCP":
+            icc = icc or _inflated(body)
+        elif kind in _PNG_COLORS:
+            colors.setdefault(kind, body)
         elif body.startswith(_PNG_XMP):
             xmp = xmp or body
     raise ValueError(f"more than {MOST_CHUNKS} chunks")
@@ -70,12 +91,15 @@ def png_tags(file: BinaryIO) -> Tags:
 def jpeg_tags(file: BinaryIO) -> Tags:
     """Tags of an opened JPEG, from its segments."""
     exif = xmp = b""
+    parts: dict[int, bytes] = {}
     for kind, body in jpeg_segments(file):
         if kind == 0xE1 and body.startswith(_JPEG_EXIF):
             exif = exif or body.removeprefix(_JPEG_EXIF)
         elif kind == 0xE1 and body.startswith(_JPEG_XMP):
             xmp = xmp or body
-    return Tags(_orientation(exif, xmp))
+        elif kind == 0xE2 and body.startswith(_JPEG_ICC) and len(body) > len(_JPEG_ICC) + 2:
+            parts.setdefault(body[len(_JPEG_ICC)], body[len(_JPEG_ICC) + 2 :])
+    return Tags(_orientation(exif, xmp), b"".join(parts[number] for number in sorted(parts)))
 
 
 def jpeg_segments(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
@@ -95,8 +119,17 @@ def jpeg_segments(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
 
 def tiff_tags(values: Any) -> Tags:
     """Tags of a page of a TIFF; values: `tifffile.TiffTags`."""
-    found = values.valueof(_ORIENTATION, default=1)
-    return Tags(found if found in range(1, 9) else 1)
+    found, icc = values.valueof(_ORIENTATION, default=1), values.valueof(_ICC, default=b"")
+    return Tags(found if found in range(1, 9) else 1, icc if isinstance(icc, bytes) else b"")
+
+
+def _inflated(chunk: bytes) -> bytes:
+    """The profile in a chunk iCCP, and one that is refused later in place of what is damaged or too large."""
+    packed = chunk.partition(b"\0")[2][1:]
+    try:
+        return zlib.decompressobj().decompress(packed, LARGEST_PROFILE + 1) or b"empty"
+    except zlib.error:
+        return b"damaged"
 
 
 def _orientation(exif: bytes, xmp: bytes) -> int:

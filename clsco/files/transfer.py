@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,17 +12,56 @@ from numpy.typing import NDArray
 
 TRANSFERS = ("srgb", "linear")
 AT_A_TIME = 2**20  # values, which bounds the memory of intermediate results
+CODES = np.arange(2**16, dtype=np.uint16)
 
 
-def decode(data: NDArray[np.generic], transfer: str) -> NDArray[np.float64]:
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A transfer curve that is none of `TRANSFERS`, such as that of a color profile.
+
+    Attributes
+    ----------
+    radiance : ndarray of float64, (1 or 3, 65536)
+        Linear radiance of each code of 16 bits, not decreasing: for all channels, or for red, green and blue.
+    """
+
+    radiance: NDArray[np.float64]
+
+    def of_codes(self, bits: int) -> NDArray[np.float64]:
+        """Radiance (1 or 3, 2^bits) of the codes of 8 or 16 bits."""
+        return self.radiance[:, :: 257 if bits == 8 else 1]
+
+    def starts(self, bits: int) -> NDArray[np.float64]:
+        """Radiance (1 or 3, 2^bits - 1) from which on each code but the first is the nearest: that of half codes."""
+        return self._starts_8 if bits == 8 else self._starts_16
+
+    @cached_property
+    def _starts_8(self) -> NDArray[np.float64]:
+        return self._above_codes(0.5 * (self.radiance[:, 128::257] + self.radiance[:, 129::257]), 8)
+
+    @cached_property
+    def _starts_16(self) -> NDArray[np.float64]:
+        return self._above_codes(0.5 * (self.radiance[:, :-1] + self.radiance[:, 1:]), 16)
+
+    def _above_codes(self, starts: NDArray[np.float64], bits: int) -> NDArray[np.float64]:
+        """Starts of codes, where the curve is flat moved beyond the code below, so that it comes back as itself."""
+        below, above = self.of_codes(bits)[:, :-1], self.of_codes(bits)[:, 1:]
+        return np.where(starts > below, starts, np.maximum(0.5 * (below + above), np.nextafter(below, 2.0)))
+
+
+Transfer = str | Curve
+
+
+def decode(data: NDArray[np.generic], transfer: Transfer) -> NDArray[np.float64]:
     """Linear radiance of stored values.
 
     Parameters
     ----------
     data : ndarray, any shape
         uint8 and uint16 are codes, 0 black and 255 or 65535 white; floats are linear already.
-    transfer : {"srgb", "linear"}
-        IEC 61966-2-1, piecewise, or none; without effect on floats.
+    transfer : "srgb", "linear" or Curve
+        IEC 61966-2-1, piecewise, none, or another one; without effect on floats. A curve for red, green and blue needs
+        them in the last axis.
 
     Returns
     -------
@@ -33,11 +74,17 @@ def decode(data: NDArray[np.generic], transfer: str) -> NDArray[np.float64]:
     """
     if data.dtype.kind == "f":
         return data.astype(np.float64)
-    radiance: NDArray[np.float64] = _radiance_of_codes(8 * data.dtype.itemsize, transfer)[data]
+    bits = 8 * data.dtype.itemsize
+    if isinstance(transfer, Curve):
+        tables = transfer.of_codes(bits)
+        by_channel = np.moveaxis(data, -1, 0) if len(tables) == 3 else data[None]
+        planes = [table[codes] for table, codes in zip(tables, by_channel, strict=True)]
+        return np.stack(planes, axis=-1) if len(tables) == 3 else planes[0]
+    radiance: NDArray[np.float64] = _radiance_of_codes(bits, transfer)[data]
     return radiance
 
 
-def encode(linear: NDArray[np.floating], bits: int, transfer: str) -> NDArray[np.uint8] | NDArray[np.uint16]:
+def encode(linear: NDArray[np.floating], bits: int, transfer: Transfer) -> NDArray[np.uint8] | NDArray[np.uint16]:
     """Codes of linear radiance, rounded half up in code values; the inverse of `decode` for every code.
 
     Parameters
@@ -45,7 +92,8 @@ def encode(linear: NDArray[np.floating], bits: int, transfer: str) -> NDArray[np
     linear : ndarray of float32 or float64, any shape
         1 = white; below 0 becomes 0, above 1 the largest code, NaN 0.
     bits : {8, 16}
-    transfer : {"srgb", "linear"}
+    transfer : "srgb", "linear" or Curve
+        As for `decode`.
 
     Returns
     -------
@@ -58,6 +106,12 @@ def encode(linear: NDArray[np.floating], bits: int, transfer: str) -> NDArray[np
     which sRGB codes are nearly even, finds a bin with at most one such start, and one comparison decides.
     """
     codes: NDArray[Any] = np.empty(linear.shape, f"u{bits // 8}")
+    if isinstance(transfer, Curve):
+        starts = transfer.starts(bits)
+        for channel, start in enumerate(starts):
+            at = (..., channel) if len(starts) == 3 else ...
+            codes[at] = np.searchsorted(start, np.fmax(linear[at], 0), side="right")
+        return codes
     given, out = linear.reshape(-1), codes.reshape(-1)
     for first in range(0, given.size, AT_A_TIME):
         out[first : first + AT_A_TIME] = _codes_of(given[first : first + AT_A_TIME], bits, transfer)

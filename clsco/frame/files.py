@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from clsco.errors import ImageError
 from clsco.files.atomic import refuse, remove, sha256, together, writable_folder, write_whole
 from clsco.files.cameras import cam_bytes, colmap_texts
+from clsco.files.color import SRGB, Color
 from clsco.files.depth_codes import dpt_bytes, kitti_depth_codes, kitti_disparity_codes, pfm_bytes
 from clsco.files.flow import flo_bytes, kitti_flow_codes
 from clsco.files.images import write_exr, write_json, write_npz, write_png
@@ -218,7 +219,7 @@ def frame_json(folder: str | os.PathLike[str], index: int) -> Path:
 
 def write_frame(
     folder: str | os.PathLike[str], views: Sequence[Frame], bits: int, transfer: str, truth: Sequence[TruthFile] = (),
-    about: Mapping[str, Any] | None = None, scene: Scene | None = None,
+    about: Mapping[str, Any] | None = None, scene: Scene | None = None, color: Color = SRGB,
 ) -> dict[str, Any]:  # fmt: skip
     """Write the files of a frame; frame_0000.json comes last and makes the frame complete.
 
@@ -239,6 +240,8 @@ def write_frame(
         Content of the JSON file besides the frame's own metadata.
     scene : Scene, optional
         What the frame shows, with its resolution: gives an EXR the attributes of its camera, and cam needs it.
+    color : Color, optional
+        Color space of the PNG, whose curve takes the place of "srgb"; by default sRGB.
 
     Returns
     -------
@@ -258,13 +261,13 @@ def write_frame(
     index, stereo = views[0].index, len(views) > 1
     by_eye = {frame.eye: frame for frame in views}
     held = {in_file for name, in_file in FILE_NAMES.items() if all(getattr(view, name) is not None for view in views)}
-    described = frame_json(folder, index)
+    described, curve = frame_json(folder, index), color.transfer(transfer)
     with together(Path(folder), _stem(index, "")) as made:
         for eye, frame in by_eye.items():
             images = [frame.color, *(() if frame.subframes is None else frame.subframes)]
             stem = _stem(index, eye if stereo else "")
             for name, image in zip(_pictures(stem, len(images) - 1), images, strict=True):
-                write_png(made / name, encode(image, min(bits, 16), transfer))
+                write_png(made / name, encode(image, min(bits, 16), curve), color)
         for file in truth:
             for name, eyes, wanted in _truth_names(index, list(by_eye), file, held):
                 shot = Shot(tuple(by_eye[eye] for eye in eyes), scene)

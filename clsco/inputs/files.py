@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from clsco.files import transfer as transfer_curves
 from clsco.files.array_cache import ArrayCache, user_cache
 from clsco.files.atomic import sha256
+from clsco.files.color import Color
 from clsco.files.images import Picture
 from clsco.inputs import textures
 from clsco.inputs.depth_maps import DepthValues, depth_numbers, load_scene_depths, map_values
@@ -128,6 +129,10 @@ class InputFiles:
     def picture(self, source: Source) -> Picture:
         """`clsco.inputs.textures.picture_of`, once per content."""
         return self._once("picture", source, lambda: picture_of(source), lambda picture: picture.data.nbytes)
+
+    def color(self, path: str) -> Color:
+        """Color space of an image file, once per content."""
+        return self._once("color", path, lambda: self.picture(path).color, lambda color: color.size)
 
     def depth(self, source: Source) -> NDArray[np.float64]:
         """`clsco.inputs.depth_maps.depth_numbers`, once per content."""

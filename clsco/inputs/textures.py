@@ -71,7 +71,8 @@ def load_texture(source: TextureSource, transfer: str, size: tuple[int, int] | N
     """Load a built-in pattern, an image file or an array as linear radiance.
 
     source: bricks, checkerboard, slanted_edge, siemens_star, a color "#rrggbb", a path, or an array. transfer: "srgb"
-    or "linear", of patterns and colors, which have 8 bits, and of images with 8 and 16 bits; floats are linear.
+    or "linear", of patterns and colors, which have 8 bits, and of images with 8 and 16 bits, whose own curve takes the
+    place of "srgb" where their color profile has another one; floats are linear.
     size: (rows, columns) of the frame; an image of another size is resampled to it (`resample`), a pattern is
     made for it, 512 x 512 by default.
     Raises ImageError where there is no such pattern or file, or the file cannot be read.
@@ -105,10 +106,10 @@ def radiance_of(picture: Picture | str, transfer: str, size: tuple[int, int] | N
             return aligned(np.broadcast_to(color, (rows, columns, *color.shape)))
         draw = PATTERNS[picture]
         return _by_rows((rows, columns), lambda a, b: decode(draw(rows, columns, a, b), transfer))
-    stored = picture.data
+    stored, curve = picture.data, picture.color.transfer(transfer)
     if size is None or stored.shape[:2] == size:
-        return _by_rows(stored.shape, lambda a, b: decode(stored[a:b], transfer))
-    linear, shape = decode(stored, transfer), (*size, *stored.shape[2:])
+        return _by_rows(stored.shape, lambda a, b: decode(stored[a:b], curve))
+    linear, shape = decode(stored, curve), (*size, *stored.shape[2:])
     return _by_rows(shape, lambda a, b: resample(linear, size, a, b))
 
 

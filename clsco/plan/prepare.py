@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import ImageError, SceneError
+from clsco.files.color import SRGB, Color
 from clsco.frame.provenance import views
 from clsco.inputs.files import InputFiles, Maps, shared_files
 from clsco.inputs.textures import Texture, is_gray, mapped_size, texture_size, with_coverage
@@ -59,6 +60,20 @@ class Prepared:
     def maps(self) -> Maps:
         """Of every object, see `InputFiles.maps`."""
         return self.files.maps(self.scene)
+
+    @cached_property
+    def color(self) -> Color:
+        """Color space of the frames: that of all image files where they have one for as many channels, else sRGB."""
+        found = set(self.colors.values())
+        color = found.pop() if len(found) == 1 else SRGB
+        colored = self.plan.channels - self.plan.alpha == 3
+        return SRGB if color.channels not in (0, 3 if colored else 1) else color
+
+    @cached_property
+    def colors(self) -> dict[str, Color]:
+        """Color space of every image file, by its path."""
+        paths = [path for item in self.scene.objects for key, path in item.files().items() if key != "depth"]
+        return {path: self.files.color(path) for path in paths}
 
     @property
     def plan(self) -> Plan:

@@ -334,7 +334,8 @@ class ImageOptions(Strict):
     """Reading and writing of images."""
 
     transfer: Literal["srgb", "linear"] = "srgb"
-    """Transfer of 8- and 16-bit files; float files are linear."""
+    """Transfer of 8- and 16-bit files: sRGB, or what the color profile of a file says in its place, or linear; float
+    files are linear."""
 
 
 class Scene(Strict):

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from clsco.errors import ImageError, SceneError
 from clsco.files.atomic import together, writable_folder
+from clsco.files.color import SRGB
 from clsco.files.images import Picture, read_image, write_png
 from clsco.files.png import png_parts
 from clsco.files.transfer import encode
@@ -74,6 +75,7 @@ class Inpainting:
         self.filler = Filler(device)
         self.name = ""
         self.image: NDArray[Any] = np.zeros((1, 1), np.uint8)
+        self.color = SRGB
         self.mask = np.zeros((1, 1), np.bool_)
         self.results: dict[str, Filled] = {}
 
@@ -90,10 +92,11 @@ class Inpainting:
         ImageError
             It is not below the root, cannot be read, or has more than 2^24 pixels.
         """
-        image = self._read(name).data
+        picture = self._read(name)
+        image = picture.data
         if image.shape[0] * image.shape[1] > LARGEST:
             raise ImageError(f"{name}: must have at most {LARGEST} pixels to be filled here; use clsco inpaint")
-        self.name, self.image = name, image
+        self.name, self.image, self.color = name, image, picture.color
         self.mask = np.zeros(image.shape[:2], np.bool_)
         self.results = {}
 
@@ -103,6 +106,7 @@ class Inpainting:
             raise SceneError(f"preset: must be one of {', '.join(REMOVALS)}; got {name!r}")
         self.name = f"{name}.png"
         self.image, self.mask = REMOVALS[name].make()
+        self.color = SRGB
         self.results = {}
 
     def paint(self, columns: int, rows: int, runs: Sequence[int]) -> None:
@@ -270,10 +274,10 @@ class Inpainting:
         if self.image.dtype.kind == "f":
             raise ImageError("image: must be of 8 or 16 bits to be written as PNG; use clsco inpaint for floats")
         with together(writable_folder(target), "inpainting") as made:
-            write_png(made / "image.png", self.image)
+            write_png(made / "image.png", self.image, self.color)
             write_png(made / "mask.png", self._mask_codes())
             for filled in results:
-                write_png(made / f"{filled.method}.png", filled.image)
+                write_png(made / f"{filled.method}.png", filled.image, self.color)
             return sorted(path.name for path in made.iterdir())
 
     def _target(self, name: str) -> Path:

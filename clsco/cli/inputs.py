@@ -1,0 +1,68 @@
+"""What commands say of the files that they were given: colors, depth maps, and what the lens makes of these."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from clsco.files.color import Color
+    from clsco.plan.prepare import Prepared, PreparedFile
+    from clsco.scene.model import DepthMap
+
+
+def report_inputs(planned: Sequence[PreparedFile]) -> None:
+    """Say on stderr what could not be taken from color profiles, and for each depth map of scenes whether it may not be
+    upright, which of its pixels have no depth, and what the lens makes of it."""
+    from clsco.inputs.focus import lens_line
+    from clsco.scene.model import DepthMap
+
+    for _, labels, prepared in planned:
+        for label, each in zip(labels, prepared, strict=True):
+            maps = [item for item in each.scene.objects if isinstance(item, DepthMap)]
+            if label == labels[0]:  # all scenes of a file have the same images
+                _report_colors(each)
+                for item in maps:
+                    _report_depth(each, item)
+            for item in maps:
+                where = f"{item.depth} (with {label})" if label else str(item.depth)
+                line = lens_line(each.scene.camera, each.files.map(each.scene, item))
+                click.echo(f"{where}: {line}", err=True)
+
+
+def report_color(path: str, color: Color) -> None:
+    """Say on stderr what could not be taken from the color profile of an image."""
+    if color.note:
+        click.echo(f"{path}: {color.note}", err=True)
+
+
+def report_loss(out: Path, color: Color) -> None:
+    """Say on stderr that a file has no place for a color profile."""
+    from clsco.files.images import WRITERS
+
+    if loss := WRITERS[out.suffix.lower()].loss(color):
+        click.echo(f"{click.format_filename(out)}: {loss}", err=True)
+
+
+def _report_colors(prepared: Prepared) -> None:
+    for path, color in prepared.colors.items():
+        report_color(path, color)
+    if prepared.color.is_plain:
+        for path, color in prepared.colors.items():
+            if not color.is_plain:
+                line = f"frames are in sRGB, and colors of the profile {color.name} are taken as such"
+                click.echo(f"{path}: {line}", err=True)
+
+
+def _report_depth(prepared: Prepared, item: DepthMap) -> None:
+    from clsco.files.images import upright_note
+    from clsco.inputs.depth_files import DEPTH_FORMATS
+
+    files = item.files()
+    if files.keys() >= {"texture", "depth"} and (note := upright_note(files["texture"], files["depth"], DEPTH_FORMATS)):
+        click.echo(note, err=True)
+    if report := prepared.files.depth_values(prepared.scene, item).report():
+        click.echo(f"{item.depth}: {report}", err=True)
