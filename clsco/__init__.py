@@ -63,6 +63,7 @@ imported when it is first used: without OpenCL everything but `render`, `render_
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -116,6 +117,10 @@ if TYPE_CHECKING:
     from clsco.scene.sweep import parse_sweep as parse_sweep
 
 __version__ = "0.1.0"
+
+# pyopencl keeps what it generates in the user's cache folder, as pickles, which it runs whoever has put them there, and
+# fails where it cannot write there. To generate it takes less time than to look it up.
+os.environ.setdefault("PYOPENCL_NO_CACHE", "1")
 
 _NAMES = {
     "clsco.engine.sequence": ("render", "render_frame", "render_sweep"),

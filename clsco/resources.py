@@ -1,13 +1,19 @@
-"""Folders that are shipped, kernels and example scenes, and those of the user's cache; and regular files, opened so
-that no link, pipe or device can stand in for one."""
+"""What the machine has: folders that are shipped, those of the user's cache, temporary ones; processors; and regular
+files, opened so that no link, pipe or device can stand in for one."""
 
 from __future__ import annotations
 
+import atexit
 import errno
 import hashlib
 import os
+import platform
+import secrets
+import shutil
 import stat
+import tempfile
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
@@ -15,6 +21,10 @@ from io import BufferedReader
 from pathlib import Path
 from types import ModuleType
 from typing import Literal
+
+_HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:8]
+_RUN = secrets.token_hex(4)  # differs from that of an earlier process of the same number
+ABANDONED_S = 24 * 3600.0  # a temporary folder of another machine that has not changed for so long is left over
 
 # Opening a pipe would block for ever without the second; neither is there on Windows.
 _SAFELY = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
@@ -174,3 +184,90 @@ def read_regular(path: str | os.PathLike[str], most: int, *, follow: bool = Fals
 
 def _too_large(path: str | os.PathLike[str], size: int, most: int) -> OSError:
     return OSError(errno.EFBIG, f"{size} bytes, more than {most}", os.fspath(path))
+
+
+def temporary_folder(name: str) -> Path:
+    """A new folder that nobody else reads, for this process and its children; it is removed when the process ends.
+
+    Where that was killed, the next one that asks for a folder of this name removes it. Raises OSError.
+    """
+    base = Path(tempfile.gettempdir())
+    remove_left(base, f"clsco-{name}")
+    first, last = work_name(f"clsco-{name}").split(".", 1)
+    made = Path(tempfile.mkdtemp(prefix=f"{first}.", suffix=f".{last}", dir=base))
+    atexit.register(shutil.rmtree, made, ignore_errors=True)
+    return made
+
+
+def work_name(prefix: str) -> str:
+    """The name of a folder of this process for what is not whole yet, or for a while only; see `remove_left`."""
+    return f"{prefix}.{_HOST}-{os.getpid()}-{_RUN}.part"
+
+
+def remove_left(folder: Path, prefix: str) -> None:
+    """Remove temporary folders of processes that are gone: of this machine by their number, of others by their age."""
+    for path in folder.glob(f"{prefix}.*.part"):
+        with suppress(OSError, ValueError):
+            host, process, run = path.name.split(".")[-2].split("-")
+            if host != _HOST:
+                newest = max(each.stat().st_mtime for each in (path, *path.rglob("*")))
+                left = newest < _now(folder) - ABANDONED_S
+            elif int(process) == os.getpid():
+                left = run != _RUN
+            else:
+                left = _is_gone(int(process))
+            if left and not path.is_symlink():
+                shutil.rmtree(path, ignore_errors=True)
+
+
+def _is_gone(process: int) -> bool:
+    """Whether a process of this machine has ended, also where nobody has asked yet how."""
+    try:
+        os.kill(process, 0)
+        with open(f"/proc/{process}/stat", "rb") as file:
+            return file.read().rpartition(b")")[2].split()[0] in (b"Z", b"X")
+    except ProcessLookupError:
+        return True
+    except OSError:  # somebody else's, or on a system without /proc
+        return False
+
+
+def _now(folder: Path) -> float:
+    """The time by the clock of a file system, which may be another machine's."""
+    with tempfile.TemporaryFile(dir=folder) as probe:
+        return os.fstat(probe.fileno()).st_mtime
+
+
+def processors(groups: Path = Path("/proc/self/cgroup"), mounted: Path = Path("/sys/fs/cgroup")) -> int:
+    """Processors that this process may use: those it is bound to, as far as the quotas of its control groups go.
+
+    groups, mounted: where Linux lists a process' groups, and has their settings, of either version.
+    """
+    if hasattr(os, "process_cpu_count"):  # Python 3.13
+        bound = os.process_cpu_count()
+    elif hasattr(os, "sched_getaffinity"):
+        bound = len(os.sched_getaffinity(0))
+    else:
+        bound = os.cpu_count()
+    return max(1, min([bound or 1, *_quotas(groups, mounted)]))
+
+
+def _quotas(groups: Path, mounted: Path) -> list[int]:
+    """Processors, rounded up, that each of the groups, and of those above them, lets a process use."""
+    found = []
+    with suppress(OSError, ValueError):
+        for line in groups.read_text("utf-8").splitlines():
+            _, kinds, path = line.split(":", 2)
+            if not kinds:
+                base, names = mounted, ["cpu.max"]
+            elif "cpu" in kinds.split(","):
+                base, names = mounted / "cpu", ["cpu.cfs_quota_us", "cpu.cfs_period_us"]
+            else:
+                continue
+            folder = base / path.strip("/")
+            for place in (folder, *folder.parents[: len(folder.parts) - len(base.parts)]):
+                with suppress(OSError, ValueError):  # no such setting, or "max"
+                    quota, period = (int(word) for name in names for word in (place / name).read_text("utf-8").split())
+                    if quota > 0 and period > 0:
+                        found.append(-(-quota // period))
+    return found

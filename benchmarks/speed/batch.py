@@ -27,6 +27,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from clsco.resources import processors
+
 DISTRIBUTION = """
 [camera]
 resolution = [256, 256]
@@ -69,7 +71,7 @@ def report(rounds: list[dict[str, Any]]) -> None:
     for name in ("old loop", "Live loop"):
         ratios = [each["batch"] / each[name] for each in rounds]
         steady = median(each["steady"] / each[name] for each in rounds)
-        cores = len(os.sched_getaffinity(0))
+        cores = processors()
         ideal = median(cores * each["spent"][name] / each["spent"]["batch"] for each in rounds)
         spread = f"{min(ratios):.2f} to {max(ratios):.2f}"
         print(f"batch / {name}: {median(ratios):.2f} ({spread}), steady {steady:.2f}; by processor time {ideal:.2f}")

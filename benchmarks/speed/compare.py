@@ -16,6 +16,7 @@ from benchmarks.speed.warp import WarpRow, warp_table
 from clsco.cli.bench import measure, report
 from clsco.cli.bench.cases import Grid, Peer
 from clsco.cli.bench.measure import Bench
+from clsco.files.plots import require_matplotlib
 from clsco.opencl.device import Device
 
 Advance = Callable[[], object]
@@ -62,7 +63,7 @@ class Comparison:
 
     def notices(self) -> list[str]:
         """What is left out, a line each. Raises ClscoError where plots could not be made."""
-        report.require_matplotlib()
+        require_matplotlib("bench", "bench")
         lines = [f"{tool}: left out, as {why}" for tool, why in self.missing.items()]
         if self.frames and (absent := lens.missing()):
             lines.append(f"traced frames: left out, as they need {absent}: pip install 'clsco[bench]'")

@@ -1,4 +1,5 @@
-"""Two versions of clsco on one machine, in turn: warm frames, and `clsco render` with an empty and a filled cache.
+"""Two versions of clsco on one machine, in turn: warm frames, `clsco render` with an empty and a filled cache, and
+`clsco plan`.
 
 Run it with the Python of each version; scenes come from a folder that both can read:
     .venv/bin/python benchmarks/speed/versions.py --old OLD/.venv/bin/python --new .venv/bin/python \
@@ -44,10 +45,10 @@ def main() -> None:
     for name, path in paths.items():
         row(f"{name}, warm frame", warm_frames(pythons, path, chosen.frames))
     first = next(iter(paths.values()))
-    for cache in ("empty", "filled"):
-        spent, elapsed = starts(pythons, first, chosen.starts, cache == "empty")
-        row(f"{first.stem}, {cache} cache", spent)
-        row(f"{first.stem}, {cache}, elapsed", elapsed)
+    for command, cache in (("render", "empty"), ("render", "filled"), ("plan", "filled")):
+        spent, elapsed = starts(pythons, command, first, chosen.starts, cache == "empty")
+        row(f"{command} {first.stem}, {cache} cache", spent)
+        row(f"{command} {first.stem}, {cache}, elapsed", elapsed)
 
 
 def row(label: str, pairs: list[tuple[float, float]]) -> None:
@@ -98,23 +99,27 @@ def serve() -> None:
 Pairs = list[tuple[float, float]]
 
 
-def starts(pythons: tuple[Path, Path], scene: Path, count: int, empty: bool) -> tuple[Pairs, Pairs]:
-    """Processor time and elapsed time in s of `clsco render` from its start to its end, in both versions by turns."""
+def starts(pythons: tuple[Path, Path], command: str, scene: Path, count: int, empty: bool) -> tuple[Pairs, Pairs]:
+    """Processor time and elapsed time in s of a command from its start to its end, in both versions by turns."""
     with tempfile.TemporaryDirectory() as base:
         found = []
         for turn in range(count + (not empty)):
             caches = [Path(base) / f"{version}{turn * empty}" for version in range(2)]
-            found.append([started(python, scene, cache) for python, cache in zip(pythons, caches, strict=True)])
+            found.append(
+                [started(python, command, scene, cache) for python, cache in zip(pythons, caches, strict=True)]
+            )
     kept = found[not empty :]
     return [(old[0], new[0]) for old, new in kept], [(old[1], new[1]) for old, new in kept]
 
 
-def started(python: Path, scene: Path, cache: Path) -> tuple[float, float]:
-    """Processor time and elapsed time in s of one `clsco render` beside this Python, with its cache of kernels in a
-    folder."""
+def started(python: Path, command: str, scene: Path, cache: Path) -> tuple[float, float]:
+    """Processor time and elapsed time in s of one `clsco render` or `clsco plan` beside this Python, with its cache of
+    kernels in a folder."""
     cache.mkdir(exist_ok=True)
     environ = {name: value for name, value in os.environ.items() if name != "POCL_CACHE_DIR"}
-    words = ["render", str(scene), "-o", str(cache / "out"), "--set", SAMPLES, "--frames", "0:1", "--quiet"]
+    words = [command, str(scene), "--set", SAMPLES]
+    if command == "render":
+        words += ["-o", str(cache / "out"), "--frames", "0:1", "--quiet"]
     before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     subprocess.run(
         [str(python.parent / "clsco"), *words], check=True, env=environ | {"XDG_CACHE_HOME": str(cache)},

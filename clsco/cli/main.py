@@ -374,10 +374,11 @@ def inpaint(
     from clsco.cli.progress import shares
     from clsco.cli.tables import inpaint_tables, print_tables
     from clsco.files.atomic import writable_folder
-    from clsco.inpainting.report import require_matplotlib, write_report
+    from clsco.files.plots import require_matplotlib
+    from clsco.inpainting.report import write_report
 
     if folder is not None:
-        require_matplotlib()
+        require_matplotlib("report", "report")
         writable_folder(folder)
     method = options.pop("method")
     chosen = mean_median_options(method, options)

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import atexit
 import gc
 import os
-import sys
-import threading
-from contextlib import suppress
 
 from clsco.cli.main import main
 
@@ -16,25 +12,15 @@ _OBJECTS = 50_000
 
 
 def run() -> None:
-    """Run the command line, and end the process.
+    """Run the command line.
 
     Modules are imported when a command needs them. Meanwhile Python would look for garbage a hundred times, and
-    pydantic for plug-ins in all installed packages.
-
-    Python and PoCL take a tenth of the first frame's time to take themselves apart (benchmarks/optimisation_log.md).
-    So the process ends when what was to be done at its end is done, unless a thread still works or a stream cannot be
-    written.
+    pydantic for plug-ins in all installed packages; at the end Python would look through all that was imported once
+    more, which takes a fifth of a short command's time (benchmarks/optimisation_log.md).
     """
     gc.set_threshold(_OBJECTS)
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     try:
         main()
-    except SystemExit as ended:
-        if not isinstance(ended.code, int) or threading.active_count() > 1:
-            raise
-        with suppress(OSError):  # which Python reports at an exit
-            for stream in (sys.stdout, sys.stderr):
-                stream.flush()
-            atexit._run_exitfuncs()
-            os._exit(ended.code)
-        raise
+    finally:
+        gc.freeze()

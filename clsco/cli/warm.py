@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
-import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 
+from clsco.data.pool import stoppable
 from clsco.engine.defocus import defocus
 from clsco.engine.inpaint import inpaint
 from clsco.engine.warm import run_near
@@ -23,6 +24,7 @@ from clsco.opencl.pocl_cache import VARIABLE, adopt
 from clsco.opencl.session import session_for
 from clsco.plan.prepare import prepare
 from clsco.plan.request import Request
+from clsco.resources import processors, temporary_folder
 from clsco.scene.examples import EXAMPLES, example
 
 SIDE = 32  # px, of images
@@ -48,7 +50,8 @@ class Warmed:
 
 
 def warm_cache(device: str | None, processes: int | None = None) -> Warmed:
-    """Compile what usual calls need into PoCL's cache, with a process for each core; on other devices in this process.
+    """Compile what usual calls need into PoCL's cache, with a process for each core that this one may use; on other
+    devices in this process.
 
     Parameters
     ----------
@@ -66,29 +69,54 @@ def warm_cache(device: str | None, processes: int | None = None) -> Warmed:
         There is no such device, or a process ends with an error.
     """
     start, session = time.perf_counter(), session_for(device)
-    count = processes or os.cpu_count() or 1
     if not session.device.is_pocl:
         return Warmed(work(device, 0, 1), len(session.programs), time.perf_counter() - start)
-    with tempfile.TemporaryDirectory(prefix="clsco-warm-") as base:
-        found = [Path(base) / str(k) / "clsco" / "pocl" for k in range(count)]
-        for folder in found:
-            folder.mkdir(mode=0o700, parents=True)
-        running = [
-            subprocess.Popen(
-                [sys.executable, "-c", f"from clsco.cli.warm import work; print(work({device!r}, {k}, {count}))"],
-                env=os.environ | {VARIABLE: str(folder)}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            )
-            for k, folder in enumerate(found)
-        ]  # fmt: skip
-        plans = 0
-        for process in running:
-            out, error = process.communicate()
-            if process.returncode:
-                last = (error.strip().splitlines() or [f"status {process.returncode}"])[-1]
-                raise DeviceError(f"device {session.device}: must compile kernels ahead; got {last}")
-            plans += int(out.split()[-1])
-        programs = sum(adopt(folder) for folder in found)
+    with stoppable():
+        plans, programs = _together(device, processes or processors())
     return Warmed(plans, programs, time.perf_counter() - start)
+
+
+def _together(device: str | None, count: int) -> tuple[int, int]:
+    """Have processes compile, each into a folder of its own; how many plans and programs there were."""
+    base, running = temporary_folder("warm"), list[subprocess.Popen[str]]()
+    try:
+        found = [base / str(k) / "clsco" / "pocl" for k in range(count)]
+        for k, folder in enumerate(found):
+            folder.mkdir(mode=0o700, parents=True)
+            code = f"from clsco.cli.warm import child; child({device!r}, {k}, {count})"
+            process = subprocess.Popen(
+                [sys.executable, "-c", code], env=os.environ | {VARIABLE: str(folder)},
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+            )  # fmt: skip
+            running.append(process)
+        plans = sum(_answer(process) for process in running)
+        return plans, sum(adopt(folder) for folder in found)
+    finally:
+        for process in running:
+            with process:
+                process.kill()
+        shutil.rmtree(base, ignore_errors=True)
+
+
+def _answer(process: subprocess.Popen[str]) -> int:
+    """What a process prints at last, once it has ended."""
+    assert process.stdout is not None
+    lines = process.stdout.read().strip().splitlines()
+    if process.wait():
+        got = lines[-1] if lines else f"status {process.returncode}"
+        raise DeviceError(f"device: PoCL must compile kernels ahead; got {got}")
+    return int(lines[-1])
+
+
+def child(device: str | None, first: int, step: int) -> None:
+    """Do a process' part of the work, and end at once where the parent ends, which holds the other end of the input."""
+
+    def wait() -> None:
+        os.read(sys.stdin.fileno(), 1)
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
+    print(work(device, first, step))
 
 
 def work(device: str | None, first: int, step: int) -> int:

@@ -18,6 +18,7 @@ from clsco.data.schedule import RETRIES, Schedule, Task
 from clsco.data.storage import open_storage
 from clsco.data.worker import DeviceName, run_worker
 from clsco.errors import ClscoError, DeviceError
+from clsco.resources import processors
 
 if TYPE_CHECKING:
     from clsco.data.shards import Job
@@ -50,13 +51,6 @@ class _Worker:
     is_leaving: bool = False
     task: Task | None = None
     shards: int = 0
-
-
-def processors() -> int:
-    """Processors that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def places(devices: Sequence[tuple[DeviceName, bool]], workers: int | None) -> list[Place]:

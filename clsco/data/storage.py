@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import importlib
 import os
-import platform
 import secrets
 import shutil
 import tempfile
@@ -17,10 +16,8 @@ from typing import Any, Protocol, TypeVar
 
 from clsco.errors import ImageError
 from clsco.files.atomic import refuse
+from clsco.resources import remove_left, work_name
 
-_HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:8]
-_RUN = secrets.token_hex(4)  # differs from that of an earlier process of the same number
-ABANDONED_S = 24 * 3600.0  # a temporary folder of another machine that has not changed for so long is left over
 BLOCK = 2**20
 Call = TypeVar("Call", bound=Callable[..., Any])
 
@@ -112,44 +109,6 @@ def _failing(function: Call) -> Call:
     return call  # type: ignore[return-value]
 
 
-def _work_name(prefix: str) -> str:
-    return f"{prefix}.{_HOST}-{os.getpid()}-{_RUN}.part"
-
-
-def _remove_left(folder: Path, prefix: str) -> None:
-    """Remove temporary folders of processes that are gone: of this machine by their number, of others by their age."""
-    for path in folder.glob(f"{prefix}.*.part"):
-        with suppress(OSError, ValueError):
-            host, process, run = path.name.split(".")[-2].split("-")
-            if host != _HOST:
-                newest = max(each.stat().st_mtime for each in (path, *path.rglob("*")))
-                left = newest < _now(folder) - ABANDONED_S
-            elif int(process) == os.getpid():
-                left = run != _RUN
-            else:
-                left = _is_gone(int(process))
-            if left and not path.is_symlink():
-                shutil.rmtree(path, ignore_errors=True)
-
-
-def _is_gone(process: int) -> bool:
-    """Whether a process of this machine has ended, also where nobody has asked yet how."""
-    try:
-        os.kill(process, 0)
-        with open(f"/proc/{process}/stat", "rb") as file:
-            return file.read().rpartition(b")")[2].split()[0] in (b"Z", b"X")
-    except ProcessLookupError:
-        return True
-    except OSError:  # somebody else's, or on a system without /proc
-        return False
-
-
-def _now(folder: Path) -> float:
-    """The time by the clock of a file system, which may be another machine's."""
-    with tempfile.TemporaryFile(dir=folder) as probe:
-        return os.fstat(probe.fileno()).st_mtime
-
-
 def _sync(path: Path) -> None:
     """Have what is written to a file, or what a folder lists, on the disk."""
     handle = os.open(path, os.O_RDONLY)
@@ -170,7 +129,7 @@ class _Folder:
 
     @_failing
     def scratch(self) -> Path:
-        path = self.root / _work_name(".work")
+        path = self.root / work_name(".work")
         path.mkdir(parents=True, exist_ok=True)
         return path
 
@@ -231,10 +190,10 @@ class _Folder:
 
     @_failing
     def tidy(self) -> None:
-        _remove_left(self.root, ".work")
+        remove_left(self.root, ".work")
 
     def close(self) -> None:
-        shutil.rmtree(self.root / _work_name(".work"), ignore_errors=True)
+        shutil.rmtree(self.root / work_name(".work"), ignore_errors=True)
 
 
 class _Remote:
@@ -259,7 +218,7 @@ class _Remote:
 
     @_failing
     def scratch(self) -> Path:
-        path = Path(tempfile.gettempdir()) / _work_name("clsco-batch")
+        path = Path(tempfile.gettempdir()) / work_name("clsco-batch")
         path.mkdir(mode=0o700, exist_ok=True)
         return path
 
@@ -322,7 +281,7 @@ class _Remote:
 
     @_failing
     def tidy(self) -> None:
-        _remove_left(Path(tempfile.gettempdir()), "clsco-batch")
+        remove_left(Path(tempfile.gettempdir()), "clsco-batch")
 
     def close(self) -> None:
-        shutil.rmtree(Path(tempfile.gettempdir()) / _work_name("clsco-batch"), ignore_errors=True)
+        shutil.rmtree(Path(tempfile.gettempdir()) / work_name("clsco-batch"), ignore_errors=True)

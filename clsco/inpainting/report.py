@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import ClscoError
 from clsco.files.atomic import together, writable_folder
 from clsco.files.images import write_json, write_png
+from clsco.files.plots import require_matplotlib
 from clsco.files.transfer import encode
 from clsco.inpainting.rules import COUNTS, MeanMedian
 
@@ -66,12 +65,6 @@ class Report:
         return found | {"seconds_by_stage": stages.seconds}
 
 
-def require_matplotlib() -> None:
-    """Raises ClscoError where plots could not be made."""
-    if find_spec("matplotlib") is None:
-        raise ClscoError("report: needs matplotlib: pip install 'clsco[report]'; got no such module")
-
-
 def write_report(
     folder: Path, report: Report, image: NDArray[Any], missing: NDArray[np.bool_], filled: NDArray[Any]
 ) -> list[str]:
@@ -82,7 +75,7 @@ def write_report(
     after these stages, mse.png (figure 5.3) and gradients.png (figure 5.6), as far as the stages were not turned off.
     Raises ClscoError without matplotlib, ImageError where the folder cannot be written.
     """
-    require_matplotlib()
+    require_matplotlib("report", "report")
     display, stages = Display(image, missing), report.stages
     mask = np.repeat(np.where(missing, 255, 0).astype(np.uint8)[..., None], 3, axis=-1)
     with together(writable_folder(folder), "report") as made:

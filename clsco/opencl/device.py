@@ -12,6 +12,8 @@ import pyopencl as cl
 from clsco.errors import DeviceError
 from clsco.opencl import pocl_cache as poclcache
 
+cl._PYOPENCL_NO_CACHE = True  # for where the user has imported it first, so that it has not seen the variable
+
 NO_DEVICE = (
     "device: OpenCL needs a driver, and none with a device was found; "
     'install PoCL for the processor with `pip install "clsco[pocl]"`, or your GPU vendor\'s OpenCL driver'

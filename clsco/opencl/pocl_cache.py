@@ -9,13 +9,11 @@ lock.
 
 from __future__ import annotations
 
-import atexit
 import json
 import os
 import shutil
 import stat
 import sys
-import tempfile
 import time
 import zlib
 from collections.abc import Iterator, MutableMapping
@@ -23,7 +21,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from clsco.resources import ExposedFolderError, private_folder
+from clsco.resources import ExposedFolderError, private_folder, temporary_folder
 
 try:
     import fcntl
@@ -67,9 +65,7 @@ def prepare(environ: MutableMapping[str, str] = os.environ) -> None:
         print(f"clsco: {exposed}, as what is in it is executed; kernels go to a temporary folder", file=sys.stderr)
     except (OSError, RuntimeError):  # read-only, full, or a user without a home
         pass
-    root = Path(tempfile.mkdtemp(prefix="clsco-"))
-    atexit.register(shutil.rmtree, root, ignore_errors=True)
-    environ[VARIABLE] = str(_made(root / "clsco" / "pocl"))
+    environ[VARIABLE] = str(_made(temporary_folder("kernels") / "clsco" / "pocl"))
 
 
 def is_on_disk() -> bool:

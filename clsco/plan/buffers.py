@@ -104,7 +104,7 @@ class ThisMachine:
 
     kind: str = "cpu"
     has_fp64: bool = True
-    compute_units: int = field(default_factory=lambda: os.cpu_count() or 1)
+    compute_units: int = field(default_factory=lambda: os.cpu_count() or 1)  # as PoCL counts, whatever it is allowed
     global_mem: int = UNKNOWN
     max_alloc: int = UNKNOWN
     unified_memory: bool = True

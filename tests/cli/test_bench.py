@@ -361,7 +361,7 @@ def without(monkeypatch: pytest.MonkeyPatch, *missing: str) -> None:
     def find_spec(name: str, package: str | None = None) -> Any:
         return None if name in missing else there(name, package)
 
-    monkeypatch.setattr(report, "find_spec", find_spec)
+    monkeypatch.setattr("clsco.files.plots.find_spec", find_spec)
 
 
 def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -191,7 +191,7 @@ def test_files_that_cannot_be_read_are_refused(save: Save, tmp_path: Path) -> No
 def test_a_report_needs_matplotlib_before_anything_is_done(
     save: Save, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("clsco.inpainting.report.find_spec", lambda name: None)
+    monkeypatch.setattr("clsco.files.plots.find_spec", lambda name: None)
     image, mask, out = save("image.png", CODES), save("mask.png", MASK), tmp_path / "out.png"
     result = run(image, mask, "-o", out, "--report", tmp_path / "report")
     assert result.exit_code == 1

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import resource
 import subprocess
 import sys
@@ -25,6 +24,7 @@ from clsco.errors import ClscoError, ImageError, SceneError
 from clsco.files.images import read_image
 from clsco.inputs.depth_files import read_depth
 from clsco.plan.prepare import prepare_sweep
+from clsco.resources import processors
 from clsco.scene.sweep import Sweep, load_sweep, parse_sweep
 from clsco.scene.text import key_name
 from tests.hostile.mutate import Case, make_case
@@ -44,7 +44,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after so many")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--first", type=int, default=0, help="number of the first case")
-    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--processes", type=int, default=processors())
     parser.add_argument("--what", choices=("scenes", "pictures"), default="scenes")
     parser.add_argument("--worker", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--tally", type=Path, help=argparse.SUPPRESS)

@@ -223,7 +223,7 @@ def test_the_report_leaves_out_what_was_turned_off(tmp_path: Path, monkeypatch: 
     names = write_report(tmp_path, report, image, missing, filled)
     assert names == ["1_filled.png", "before_mask_after.png", "report.json"]
     assert "mse" not in report.figures()
-    monkeypatch.setattr("clsco.inpainting.report.find_spec", lambda name: None)
+    monkeypatch.setattr("clsco.files.plots.find_spec", lambda name: None)
     with pytest.raises(ClscoError, match=r"report: needs matplotlib: pip install 'clsco\[report\]'"):
         write_report(tmp_path / "other", report, image, missing, filled)
     assert not (tmp_path / "other").exists()

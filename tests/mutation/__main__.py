@@ -26,6 +26,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
+from clsco.resources import processors
 from tests.mutation import simulated
 from tests.mutation.copies import Copy, copies
 from tests.mutation.memory import Killed, reason, reasons
@@ -53,7 +54,7 @@ def asked() -> argparse.Namespace:
     parser.add_argument("--files", nargs="+", default=files(), metavar="FILE", help="by default all of them")
     parser.add_argument("--share", type=int, default=1, metavar="N", help="one of N mutants")
     parser.add_argument("--part", type=int, default=0, metavar="K", help="which ones: 0 to N - 1")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--jobs", type=int, default=processors())
     parser.add_argument("--timeout", type=float, default=60.0, metavar="SECONDS", help="of a mutant, at least")
     parser.add_argument(
         "--against", nargs="+", choices=AGAINST, default=["quick"], help="which tests, by default quick"

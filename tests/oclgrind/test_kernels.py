@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import subprocess
 import sys
@@ -13,13 +12,14 @@ from typing import Any
 
 import pytest
 
+from clsco.resources import processors
 from tests.oclgrind import simulator
 from tests.oclgrind.cases import EVERY, SHAPES, drawn_scenes
 from tests.oclgrind.faults import FAULTS
 
 pytestmark = pytest.mark.oclgrind
 ROOT = Path(__file__).resolve().parents[2]
-PROCESSES = os.cpu_count() or 1
+PROCESSES = processors()
 Results = list[dict[str, Any]]
 
 

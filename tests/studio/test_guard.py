@@ -223,3 +223,10 @@ def test_an_upload_that_is_no_plain_image_is_refused(running: Running, tmp_path:
 
 def _chunk(kind: bytes, data: bytes) -> bytes:
     return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def test_nicegui_keeps_nothing_in_the_current_folder() -> None:
+    from nicegui.storage import Storage
+
+    assert not (Storage.path / "storage-general.json").exists()
+    assert not Storage.path.is_dir()

@@ -16,6 +16,7 @@ import clsco
 from clsco.cli.bench.cases import Grid, make_grid
 from clsco.cli.options import Extent
 from clsco.errors import ClscoError
+from clsco.files.plots import require_matplotlib
 from clsco.opencl.device import Device
 
 Advance = Callable[[], object]
@@ -41,9 +42,7 @@ class Speed:
     grid: Grid
 
     def notices(self) -> list[str]:
-        from clsco.cli.bench import report
-
-        report.require_matplotlib()
+        require_matplotlib("bench", "bench")
         return []
 
     def steps(self, device: Device) -> int:
@@ -66,9 +65,7 @@ class Stability:
     quick: bool
 
     def notices(self) -> list[str]:
-        from clsco.cli.bench import report
-
-        report.require_matplotlib()
+        require_matplotlib("bench", "bench")
         if find_spec("mpmath") is None:
             raise ClscoError("--stability: needs mpmath: pip install 'clsco[bench]'; got no such module")
         return []

@@ -6,7 +6,6 @@ import csv
 import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, fields
-from importlib.util import find_spec
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
@@ -30,12 +29,6 @@ COLORS = (
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#8c564b", "#7f7f7f", "#882255",
     "#999933", "#332288",
 )  # fmt: skip
-
-
-def require_matplotlib() -> None:
-    """Raises ClscoError where plots could not be made."""
-    if find_spec("matplotlib") is None:
-        raise ClscoError("bench: needs matplotlib: pip install 'clsco[bench]'; got no such module")
 
 
 def write(folder: Path, bench: Bench, also: Callable[[Path], None] = lambda _: None) -> None:

@@ -1,0 +1,50 @@
+"""matplotlib for figures: the same everywhere, and with nothing of its own outside of clsco's folders."""
+
+from __future__ import annotations
+
+import os
+from contextlib import chdir
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+
+from clsco.errors import ClscoError
+from clsco.resources import ExposedFolderError, private_folder, temporary_folder
+
+VARIABLE = "MPLCONFIGDIR"
+
+
+def require_matplotlib(what: str, extra: str) -> None:
+    """Import matplotlib, which keeps its list of fonts in clsco's folder; to be called before its modules are imported.
+
+    By itself it would take settings from a file `matplotlibrc` of the current folder, which may be a stranger's and can
+    have TeX run, and from the user's.
+
+    Parameters
+    ----------
+    what : str
+        What needs it, for the message.
+    extra : str
+        What to install of clsco for it.
+
+    Raises
+    ------
+    ClscoError
+        It is not installed, or there is no folder for its fonts.
+    """
+    if find_spec("matplotlib") is None:
+        raise ClscoError(f"{what}: needs matplotlib: pip install 'clsco[{extra}]'; got no such module")
+    try:
+        if not os.environ.get(VARIABLE):
+            os.environ[VARIABLE] = str(_folder())
+        with chdir(os.environ[VARIABLE]):
+            import_module("matplotlib")
+    except OSError as error:
+        raise ClscoError(f"{what}: matplotlib must have a folder for its fonts; got {error}") from error
+
+
+def _folder() -> Path:
+    try:
+        return private_folder("clsco", "matplotlib")
+    except (ExposedFolderError, OSError, RuntimeError):
+        return temporary_folder("matplotlib")

@@ -1,0 +1,30 @@
+"""Figures look the same everywhere: settings in the current folder, and in the home, are not matplotlib's."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("matplotlib")
+FIGURE = """
+from clsco.files.plots import require_matplotlib
+require_matplotlib("plots", "report")
+import matplotlib
+print(matplotlib.rcParams["text.usetex"], matplotlib.get_cachedir())
+"""
+
+
+@pytest.mark.parametrize("where", ["here", "home"])
+def test_settings_of_others_do_not_count(tmp_path: Path, where: str) -> None:
+    folder = tmp_path / ("" if where == "here" else "config/matplotlib")
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "matplotlibrc").write_text("text.usetex: True\n")
+    environ = os.environ | {"XDG_CACHE_HOME": f"{tmp_path}/cache", "XDG_CONFIG_HOME": f"{tmp_path}/config"}
+    printed = subprocess.run(
+        [sys.executable, "-c", FIGURE], check=True, capture_output=True, text=True, cwd=tmp_path, env=environ
+    )
+    assert (printed.stdout, printed.stderr) == (f"False {tmp_path}/cache/clsco/matplotlib\n", "")
