@@ -68,6 +68,7 @@ PUSH_PIXELS = 4  # pixels of a coarser level that a work-item makes
 
 # Forward warp (kernels/warp/warp.cl).
 OWNED_PIXELS = 64  # sources of a row that a work-item moves, where work-items own bands of the image
+WIDEST_GAP = 3  # px on each side of a gap in a surface that has grown, to four times its size at most
 NO_WINNER = 2**31 - 1  # instead of the number of a source, in a pixel where none comes
 
 # Filling of missing pixels (kernels/inpainting/fill.cl, fill_mean_median.cl, mean_median.cl).

@@ -113,6 +113,7 @@ class Filler:
     def __init__(self, target: Target, camera: Struct, features: Mapping[str, int], sizes: Sizes) -> None:
         self.target, self.session, self.camera = target, target.session, camera
         self.interpolates, self.smooths = bool(features["FILL_AIT"]), bool(features["FILL_MEAN_MEDIAN"])
+        self.fills = self.interpolates or self.smooths
         self.is_far = bool(features["FILL_FAR"])
         self.rows, self.columns = int(camera["height"]), int(camera["width"])
         self.planes = FillPlanes.allocated(self.session, sizes)
@@ -131,7 +132,7 @@ class Filler:
         sweeps = filled = first = 0
         most, least = CHAPTER5.minimum if self.smooths else 1, 0 if self.is_far else 1
         minimum = most
-        while (self.interpolates or self.smooths) and found[COUNTER_LEFT]:
+        while self.fills and found[COUNTER_LEFT]:
             self._sweep(source, found[COUNTER_LEFT], np.int32(wins), np.int32(minimum), events)
             found = self._settle(placed, source, left, found[COUNTER_LEFT], events)
             source, left = left, source

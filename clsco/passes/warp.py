@@ -148,6 +148,9 @@ class ForwardWarp:
         counters = self.filler.fill(sample.surfaces, len(sample.placed), events, brightest)
         if self.maps:
             out = (planes.value, planes.w, planes.coc, planes.valid)
+            seen = () if planes.object is None else (planes.object,)
+            if self.filler.fills:
+                self._per_line("fill_entered", events, *out, planes.status, *seen)
             self._per_pixel("extend_border", events, (plan.width, plan.height), self.camera, *out)
         return Warped(planes.value, planes.w, planes.coc, planes.valid, planes.status, planes.object, counters)
 
@@ -173,6 +176,8 @@ class ForwardWarp:
         seen = () if planes.object is None else (planes.object,)
         out = (planes.value, planes.w, planes.coc, planes.valid, planes.status, *seen)
         self._per_pixel("reproject_gather", events, (plan.width, plan.height), *head, *several, *out)
+        if self.maps:
+            self._per_line("mark_entered", events, self.winner, planes.valid, planes.status)
 
     def note_radii(self, statistics: cl.Buffer, events: Events) -> None:
         """Keep the range of the radii that `warp` has found, largest and smallest, in the first two of these ints."""
@@ -240,6 +245,12 @@ class ForwardWarp:
         self.kernels.run("reproject_targets", sources, LISTED, events, *args)
         self.kernels.run("reproject_depth", sources, LISTED, events, *tested)
         self.kernels.run("reproject_winner", sources, LISTED, events, *tested, self.winner)
+
+    def _per_line(self, name: str, events: Events, *args: Any) -> None:
+        """Run a kernel for all rows of the frame, and then for all columns."""
+        rows, lines = self.plan.rows, self.plan.rows + self.plan.columns
+        for first, end in ((0, rows), (rows, lines)):
+            self.kernels.run(name, (end - first,), LINES, events, self.camera, np.int32(first), np.int32(end), *args)
 
     def _per_pixel(self, name: str, events: Events, size: tuple[int, int], *args: Any) -> None:
         self.kernels.run(name, size, PIXELS, events, *args)

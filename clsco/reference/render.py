@@ -23,7 +23,7 @@ from clsco.plan.predict import Maps
 from clsco.reference.blur.accumulate import accumulate
 from clsco.reference.blur.blur import prepare_sources, scatter
 from clsco.reference.common.geometry import Array, blur_radius
-from clsco.reference.inpainting.fill import FillReport, fill_objects
+from clsco.reference.inpainting.fill import FILLED, UNFILLED, FillReport, fill_objects
 from clsco.reference.layered.layered import layered
 from clsco.reference.trace.mapping import MappedTexture, mapped_texture
 from clsco.reference.trace.trace import (
@@ -39,7 +39,7 @@ from clsco.reference.trace.trace import (
     view_at,
 )
 from clsco.reference.trace.truth import ground_truth
-from clsco.reference.warp.warp import extend_border, reproject
+from clsco.reference.warp.warp import extend_border, fill_entered, reproject
 from clsco.scene.model import Object, Scene
 
 
@@ -86,6 +86,9 @@ def _warped_sources(
         values, new.object, new.known, allowed, scene.fill.method, guard, far, brightest
     )
     valid = new.known | (status == 1)
+    if new.entered.any() and scene.fill.method != "none":
+        values, objects, valid = fill_entered(values, objects, valid, new.entered, guard)
+    status = np.where(new.entered & ~new.known, np.where(valid, FILLED, UNFILLED), status)
     if mapped:
         values, valid = extend_border(values, valid, guard)
     return _Warped(_sources(scene, values[..., :-1], values[..., -1], valid), objects, status, report)

@@ -21,8 +21,8 @@
 // FILL_FAR: what a moving edge uncovers lies behind it, and is filled from the farther side only. The nearest pair of
 // known pixels on opposite sides of a missing one gives the depth of its surface: that of the farther of the two. Known
 // neighbors that are more than FAR_SLACK nearer than that do not serve, and a pixel that has only such ones waits for
-// others to be filled, until nothing else can be. In the gap that a growing surface leaves, both sides are near, and
-// serve.
+// others to be filled, until nothing else can be. In the gap that a growing surface leaves, at most WIDEST_GAP px to
+// each side, both sides are near, and serve; in a wider hole between two near things what lies farther behind serves.
 
 #define FAR_SLACK 1.02f  // relative: a surface at 45 degrees changes less over two pixels of 0.5 degrees each
 
@@ -49,22 +49,40 @@ static bool may_be_missing(const camera_t camera, __constant surface_t *surfaces
 
 #if FILL_FAR
 // Bound on the inverse depth of neighbors that may serve a missing pixel. Of the row, the column and the two diagonals
-// the one decides that meets valid pixels on both sides first, that is within the fewest steps.
+// the one decides that meets valid pixels on both sides first, that is within the fewest steps; in a wide hole between
+// two sides that are equally deep the pair whose surface is the farthest at the pixel.
 static float far_bound(const camera_t camera, __global const uchar *valid, __global const wide_t *w, int x, int y)
 {
-    int ends[8];
+    int ends[8], steps[8];
     for (int k = 0; k < 8; ++k)
         ends[k] = -1;
-    for (int step = 1; step < MAX(camera.width, camera.height); ++step)
+    float found = INFINITY, farthest = INFINITY;
+    bool begun = false, open = true;
+    for (int step = 1; open; ++step) {
+        open = false;
         for (int k = 0; k < 8; ++k) {
             const int i = y + step * NEIGHBOR_Y[k], j = x + step * NEIGHBOR_X[k];
             const bool inside = i >= 0 && i < camera.height && j >= 0 && j < camera.width;
-            if (ends[k] < 0 && inside && valid[i * camera.width + j])
+            open = open || (ends[k] < 0 && inside);
+            if (ends[k] < 0 && inside && valid[i * camera.width + j]) {
                 ends[k] = i * camera.width + j;
-            if (k % 2 && ends[k - 1] >= 0 && ends[k] >= 0)
-                return FAR_SLACK * MIN((float)narrow(w[ends[k - 1]]), (float)narrow(w[ends[k]]));
+                steps[k] = step;
+            }
+            if (!(k % 2) || ends[k - 1] < 0 || ends[k] < 0 || MAX(steps[k - 1], steps[k]) != step)
+                continue;
+            const float one = (float)narrow(w[ends[k - 1]]), other = (float)narrow(w[ends[k]]);
+            const float near = steps[k - 1], far = steps[k], smaller = MIN(one, other);
+            const float here = (one * far + other * near) / (near + far);
+            if (!begun && (MAX(one, other) > FAR_SLACK * smaller || step <= WIDEST_GAP))
+                return FAR_SLACK * smaller;
+            if (!begun || FAR_SLACK * here < farthest) {
+                found = smaller;
+                farthest = here;
+            }
+            begun = true;
         }
-    return INFINITY;
+    }
+    return FAR_SLACK * found;
 }
 
 // Whether a valid pixel may serve one with this bound.

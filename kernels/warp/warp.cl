@@ -23,8 +23,8 @@
 // cannot move it across a pixel's edge. Both roundings in one are floor(p + ROUNDING).
 #define ROUNDING ((real)(0.5 + 0.5 / 4096))
 #define NO_OBJECT 255
+#define EDGE_PX 1         // from the frame's edge in the reference pose: beyond that pixel the image goes on outside
 #define SAME_DEPTH 1.02f  // relative: neighbors in the reference pose that differ by less are one surface
-#define WIDEST_GAP 3      // px on each side: surfaces may grow to four times their size
 
 // Sources of a row that a work-item moves. PoCL vectorizes a loop over them, but not work-items of one source each.
 #if OWNED
@@ -338,6 +338,95 @@ __kernel void reproject_gather(const camera_t camera, const float weight, __glob
 }
 
 #if MAPPED
+// Number of the pixel of the padded grid where a line of the frame begins, a row or, from camera.rows on, a column.
+static int line_start(const camera_t camera, int line)
+{
+    const int first = camera.guard * camera.width + camera.guard;
+    return first + (line < camera.rows ? line * camera.width : line - camera.rows);
+}
+
+// Number of the source in a pixel of the frame that is valid, or else of the outermost valid pixel of its row.
+static int outermost_source(const camera_t camera, __global const int *winner, __global const uchar *valid, int at)
+{
+    const int column = at % camera.width - camera.guard;
+    for (int i = 0; i < camera.columns; ++i) {
+        if (i <= column && valid[at - i])
+            return winner[at - i];
+        if (column + i < camera.columns && valid[at + i])
+            return winner[at + i];
+    }
+    return 0;
+}
+
+// Marks what shows the outside of the frame in the reference pose: pixels of the frame beyond the outermost known one
+// of their line, which was within EDGE_PX of the frame's edge on that side. Lines from `first` on, up to `end`, first
+// all rows and then all columns, where what is marked counts as known, with the source of its row's outermost one. In:
+// winner, valid. Out: status 1, or 2 where nothing is filled; it begins with 0.
+__kernel void mark_entered(const camera_t camera, const int first, const int end, __global const int *winner,
+                           __global const uchar *valid, __global uchar *status)
+{
+    const int line = first + get_global_id(0);
+    if (line >= end)
+        return;
+    const bool is_row = line < camera.rows;
+    const int length = is_row ? camera.columns : camera.rows, step = is_row ? 1 : camera.width;
+    for (int side = 0; side < 2; ++side) {
+        const int start = line_start(camera, line) + (side ? (length - 1) * step : 0), way = side ? -step : step;
+        int i = 0;
+        while (i < length && !valid[start + i * way] && !status[start + i * way])
+            ++i;
+        if (i == 0 || i == length)
+            continue;
+        const int source = outermost_source(camera, winner, valid, start + i * way);
+        const int place = is_row ? source % camera.columns : source / camera.columns;
+        if ((side ? length - 1 - place : place) > EDGE_PX)
+            continue;
+        while (i--)
+            status[start + i * way] = FILL_AIT || FILL_MEAN_MEDIAN ? 1 : 2;
+    }
+}
+
+// Mirrors the image into what has entered the frame, about the outermost valid pixels of a line: lines from `first` on,
+// up to `end`, first all rows and then all columns. In and out, on the padded grid: value, w, coc, valid, status, seen;
+// what no line reaches has status 2 after the columns.
+__kernel void fill_entered(const camera_t camera, const int first, const int end, __global float *value,
+                           __global wide_t *w, __global wide_t *coc, __global uchar *valid, __global uchar *status
+#if SEVERAL
+                           , __global uchar *seen
+#endif
+)
+{
+    const int line = first + get_global_id(0);
+    if (line >= end)
+        return;
+    const bool is_row = line < camera.rows;
+    const int length = is_row ? camera.columns : camera.rows, step = is_row ? 1 : camera.width;
+    const int start = line_start(camera, line), plane = camera.width * camera.height;
+    int low = 0, high = length - 1;
+    while (low < length && !valid[start + low * step])
+        ++low;
+    while (high > low && !valid[start + high * step])
+        --high;
+    for (int i = 0; i < length; ++i) {
+        const int at = start + i * step;
+        if (status[at] != 1 || valid[at])
+            continue;
+        const int from = low < length ? start + (low + mirror_index(i - low, high - low + 1)) * step : at;
+        if (valid[from]) {
+            for (int c = 0; c < CHANNELS; ++c)
+                value[c * plane + at] = value[c * plane + from];
+            w[at] = w[from];
+            coc[at] = coc[from];
+#if SEVERAL
+            seen[at] = seen[from];
+#endif
+            valid[at] = 1;
+        } else if (!is_row) {
+            status[at] = 2;
+        }
+    }
+}
+
 // A depth map knows nothing outside of the frame: there the image goes on as its mirror image, as textures do. In and
 // out, on the padded grid: value, w, coc, valid as in reproject_gather; pixels outside of the frame that are not valid
 // take what is in their mirror image.

@@ -22,6 +22,8 @@ from clsco.records import in_parts, structs
 from clsco.reference.warp.warp import (
     SAME_DEPTH,
     extend_border,
+    fill_entered,
+    mark_entered,
     reproject_depth,
     reproject_gaps,
     reproject_gather,
@@ -29,7 +31,7 @@ from clsco.reference.warp.warp import (
     reproject_targets,
     reproject_winner,
 )
-from clsco.scene.model import Sphere
+from clsco.scene.model import Fill, Sphere
 from tests.kernels.wide_numbers import whole
 
 Array = NDArray[Any]
@@ -197,6 +199,40 @@ def test_border_is_the_mirror_image_of_the_frame(session: Session, mapped: Any) 
     assert (np.stack([*found[0][:3], *found[1:3]], axis=-1) == expected).all()
     assert (found[0][3] == value[3]).all()
     assert (found[3] == after).all()
+
+
+def test_what_enters_the_frame_is_its_mirror_image(session: Session, mapped: Any) -> None:
+    """Winners and what is known at random, and mostly near the frame's edges, so that lines begin with what entered."""
+    rng, shape, guard = np.random.default_rng(13), mapped.shape, mapped.guard
+    filled = mapped.plan.scene.model_copy(update={"fill": Fill(method="ait")})
+    case = replace(mapped, plan=replace(mapped.plan, scene=filled))
+    rows, columns = 5, OWNED_PIXELS
+    entering = filling = 0
+    for share in (0.05, 0.3, 0.6, 0.9):
+        row, column = rng.integers(0, rows, shape), rng.choice([0, 1, 2, columns - 3, columns - 2, columns - 1], shape)
+        winner, known = row * columns + column, rng.random(shape) < share
+        marked, halves = Amid(session, np.zeros(shape, np.uint8), 0), ((0, rows), (rows, rows + columns))
+        given = Amid(session, winner.astype(np.int32), 0), Amid(session, known.astype(np.uint8), 0)
+        for first, end in halves:
+            run(session, case, "mark_entered", (end - first,), (8,), np.int32(first), np.int32(end), *given, marked)
+        entered = mark_entered(winner, known, guard)
+        assert (marked.now() == entered).all()
+        value, w, coc = rng.random((4, *shape)).astype(np.float32), rng.random(shape), rng.random(shape)
+        seen = rng.integers(0, 2, shape).astype(np.uint8)
+        planes = [Amid(session, plane, 0) for plane in (value, w, coc, known.astype(np.uint8))]
+        objects = Amid(session, seen, 0)
+        for first, end in halves:
+            lines = np.int32(first), np.int32(end), *planes, marked, objects
+            run(session, case, "fill_entered", (end - first,), (8,), *lines)
+        values = np.stack([*value[:3], w, coc], axis=-1)
+        expected, whose, valid = fill_entered(values, seen, known, entered, guard)
+        found = [plane.now() for plane in planes]
+        assert (np.stack([*found[0][:3], *found[1:3]], axis=-1) == expected).all()
+        assert (objects.now() == whose).all()
+        assert (found[3] == valid).all()
+        assert (marked.now() == np.where(entered, np.where(valid, 1, 2), 0)).all()
+        entering, filling = entering + int(entered.sum()), filling + int((valid & ~known).sum())
+    assert entering > filling > 50
 
 
 def test_where_nothing_is_the_first_object_stands(session: Session, mapped: Any) -> None:

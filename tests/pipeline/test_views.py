@@ -197,3 +197,47 @@ def test_sweeps_over_the_lens_have_the_bits_of_single_scenes(waves: str, key: st
     for one, other in zip(together, alone, strict=True):
         np.testing.assert_array_equal(one.color, other.color)
         np.testing.assert_array_equal(one.blur_radius, other.blur_radius)
+
+
+def two_discs(size: int, **sections: Any) -> Scene:
+    """A photograph of two near discs, close to each other, before a far wall of another brightness."""
+    i, j = np.indices((size, size))
+    near = np.minimum((j - 0.38 * size) ** 2, (j - 0.62 * size) ** 2) + (i - 0.5 * size) ** 2 < (0.1 * size) ** 2
+    image, depth = np.where(near, 0.9, 0.2).astype(np.float32), np.where(near, 180.0, 400.0)
+    item = {"shape": "depth_map", "texture": image, "depth": depth}
+    lens = {"camera": CAMERA | {"resolution": [size, size], "pixel_pitch": 4.8 / size}}
+    return scene_from({k: lens.get(k, {}) | sections.get(k, {}) for k in {*lens, *sections}}, item)
+
+
+MOVED: list[dict[str, Any]] = [
+    {"stereo": {"baseline": 14.0}},
+    {"camera": {"motion": {"velocity": [14.0, 2.0, 0.0]}}, "sequence": {"samples": 1, "sampling": "endpoint"}},
+    {"camera": {"motion": {"angular_velocity": [0.0, 0.0, 20.0]}}, "sequence": {"samples": 1}},
+]
+
+
+@pytest.mark.parametrize("moved", MOVED, ids=["stereo", "moved", "turned"])
+@pytest.mark.parametrize("method", ["ait", "mean_median", "none"])
+def test_what_a_moved_camera_uncovers_is_filled_from_behind_and_from_the_image(
+    moved: dict[str, Any], method: str
+) -> None:
+    """Between two near discs the wall comes to light, and at the frame's edge what was outside of it."""
+    whole = two_discs(SIZE, fill={"method": method}, motion={"warp": "forward"}, **moved)
+    frame, twin = list(clsco.render(whole))[-1], list(reference.render(whole))[-1]
+    for name in ("filled", "mask", "object_id", "missing"):
+        np.testing.assert_array_equal(getattr(frame, name), getattr(twin, name))
+    np.testing.assert_allclose(frame.color, twin.color, atol=2e-6)
+    assert frame.filled is not None
+    assert frame.sharp is not None
+    edge = np.concatenate([frame.filled[[0, -1]].ravel(), frame.filled[:, [0, -1]].ravel()])
+    if method == "none":
+        assert set(np.unique(frame.filled)) == {0, 2}
+        assert (edge == 2).sum() > 10
+        return
+    assert set(np.unique(frame.filled)) == {0, 1}
+    assert (edge == 1).sum() > 10
+    assert frame.mask is not None
+    assert frame.mask.all()
+    assert frame.sharp.min() > 0.15  # black nowhere
+    discs = (two_discs(SIZE).objects[0].inputs()["texture"].array > 0.5).sum()  # type: ignore[union-attr]
+    assert (frame.sharp > 0.55).sum() < 1.15 * discs  # which come at most a little nearer

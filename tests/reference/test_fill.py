@@ -318,6 +318,10 @@ def test_bounds_come_from_the_first_pair_on_opposite_sides() -> None:
         ({"NE": (1, FAR), "SW": (2, NEAR), "W": (3, NEAR), "E": (1, NEAR)}, FAR),
         ({"NW": (5, NEAR), "SE": (1, NEAR), "N": (1, FAR), "E": (1, FAR)}, NEAR),  # no other line has two ends
         ({"W": (1, FAR), "N": (1, FAR)}, np.inf),
+        ({"W": (5, NEAR), "E": (4, NEAR), "N": (9, FAR), "S": (8, FAR)}, FAR),  # a hole between two near things
+        ({"W": (5, NEAR), "E": (4, NEAR), "N": (9, FAR), "S": (6, NEAR), "NW": (7, FAR), "SE": (7, FAR)}, FAR),
+        ({"W": (5, FAR), "E": (4, FAR), "N": (9, 0.8 * FAR), "S": (9, 1.2 * FAR)}, FAR),  # one slanted plane
+        ({"W": (5, NEAR), "E": (4, FAR), "N": (9, 0.5 * FAR), "S": (8, 0.5 * FAR)}, FAR),
     ):
         w, known, wanted = np.zeros((19, 19)), np.zeros((19, 19), dtype=bool), np.zeros((19, 19), dtype=bool)
         wanted[9, 9] = True
@@ -346,6 +350,22 @@ def test_what_an_edge_uncovers_is_filled_from_the_far_side(method: Method) -> No
     assert (found == objects).all()
     across, *_ = fill(given, known, None, method, 0)
     assert np.abs(across - values)[..., 0].max() > 0.3
+
+
+@pytest.mark.parametrize("method", ["ait", "mean_median"])
+def test_a_hole_between_two_near_things_is_filled_from_behind_them(method: Method) -> None:
+    """Two cards (1) with a wall (2) behind them; what lies between the cards is hidden or uncovered."""
+    values, objects = np.zeros((30, 40, 2)), np.full((30, 40), 2, dtype=np.uint8)
+    values[..., 0], values[..., 1] = 0.2, FAR
+    for columns in (slice(6, 14), slice(22, 32)):
+        values[8:20, columns], objects[8:20, columns] = (0.9, NEAR), 1
+    known = np.ones((30, 40), dtype=bool)
+    known[8:20, 14:22] = False
+    given, seen = np.where(known[..., None], values, 0.0), np.where(known, objects, 255).astype(np.uint8)
+    result, found, *_ = fill_objects(given, seen, known, None, method, 0)
+    wide = slice(8, 20), slice(17, 19)  # beyond a gap that a growing card could leave
+    np.testing.assert_allclose(result[wide], values[wide], rtol=1e-12)
+    assert (found[wide] == 2).all()
 
 
 @pytest.mark.parametrize("method", ["ait", "mean_median"])

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import NO_WINNER
+from clsco.constants import NO_WINNER, WIDEST_GAP
 from clsco.optics.motion import Pose, rest_center
 from clsco.optics.quadrics import PlacedSurface
 from clsco.reference.common.geometry import Array, mirror_index, pixel_ray, project, solve_quadric
@@ -17,7 +17,7 @@ from clsco.scene.model import Scene
 
 NO_OBJECT = np.uint8(255)
 SAME_DEPTH = np.float32(1.02)  # relative: neighbors in the reference pose that differ by less are one surface
-WIDEST_GAP = 3  # px on each side: surfaces may grow to four times their size
+EDGE_PX = 1  # px from the frame's edge in the reference pose: beyond that pixel the image goes on outside
 SNAP = 4096  # steps per px: rounding errors far below it cannot move a position across a pixel's edge
 
 Surfaces = Sequence[PlacedSurface | None]
@@ -29,13 +29,15 @@ class Reprojected:
     """Pixels of the padded grid (H, W) after a move.
 
     known: some source came there; radiance (H, W, C); inverse_depth (H, W) 1/mm; object (H, W): number of the
-    visible object. All 0, and object 255, where nothing is known.
+    visible object. All 0, and object 255, where nothing is known. entered: (H, W), of scenes with a depth map, by
+    `mark_entered`.
     """
 
     known: NDArray[np.bool_]
     radiance: Array
     inverse_depth: Array
     object: NDArray[np.uint8]
+    entered: NDArray[np.bool_]
 
 
 def nearest_pixel(position: Array) -> NDArray[np.int64]:
@@ -189,7 +191,67 @@ def reproject(
     known, gathered = reproject_gather(winner, np.concatenate(values, axis=1))
     gathered, known = gathered.reshape(height, width, -1), known.reshape(height, width)
     seen = np.where(known, gathered[..., -1].astype(np.uint8), NO_OBJECT)
-    return Reprojected(known, gathered[..., :-2], gathered[..., -2], seen)
+    entered = np.zeros(known.shape, dtype=bool)
+    if any(surface is None for surface in surfaces):
+        entered = mark_entered(winner.reshape(height, width), known, guard)
+    return Reprojected(known, gathered[..., :-2], gathered[..., -2], seen, entered)
+
+
+def mark_entered(winner: NDArray[np.int64], known: NDArray[np.bool_], guard: int) -> NDArray[np.bool_]:
+    """Pixels (H, W) of the frame that show what was outside of it in the reference pose.
+
+    winner, known: (H, W). They lie beyond the outermost known pixel of their row of the frame, which was within EDGE_PX
+    of the frame's edge on that side; and likewise in columns, where such a pixel counts as known, with the source of
+    that outermost one.
+    """
+    rows, columns = (n - 2 * guard for n in known.shape)
+    inside = (slice(guard, guard + rows), slice(guard, guard + columns))
+    source, seen = winner[inside], known[inside]
+    by_row, outermost = _beyond_edge(seen, source % columns)
+    source = np.where(seen, source, np.take_along_axis(source, outermost, axis=1))
+    by_column, _ = _beyond_edge((seen | by_row).T, (source // columns).T)
+    entered = np.zeros(known.shape, dtype=bool)
+    entered[inside] = by_row | by_column.T
+    return entered
+
+
+def _beyond_edge(lines: NDArray[np.bool_], place: NDArray[np.int64]) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    """What is beyond the first or last known pixel of each line (L, N), where its place was at that end of the line;
+    and the number of the pixel (L, N) that is nearest of these two."""
+    length = lines.shape[1]
+    at, some = np.arange(length), lines.any(axis=1)
+    first, last = lines.argmax(axis=1), length - 1 - lines[:, ::-1].argmax(axis=1)
+    low, high = (np.take_along_axis(place, end[:, None], axis=1)[:, 0] for end in (first, last))
+    before = (some & (low <= EDGE_PX))[:, None] & (at < first[:, None])
+    after = (some & (length - 1 - high <= EDGE_PX))[:, None] & (at > last[:, None])
+    return before | after, np.where(at > last[:, None], last[:, None], first[:, None])
+
+
+def fill_entered(
+    values: Array, objects: NDArray[np.uint8], valid: NDArray[np.bool_], entered: NDArray[np.bool_], guard: int
+) -> tuple[Array, NDArray[np.uint8], NDArray[np.bool_]]:
+    """Values (H, W, K), objects (H, W) and validity (H, W) with the image mirrored into what has entered the frame.
+
+    values, objects, valid: (H, W, K), (H, W) and (H, W), with missing pixels filled; entered: (H, W), from
+    `mark_entered`. Each takes the mirror image about the outermost valid pixel of its row of the frame, else of its
+    column; what has none there stays as it is.
+    """
+    values, objects, valid = values.copy(), objects.copy(), valid.copy()
+    rows, columns = (n - 2 * guard for n in valid.shape)
+    inside = (slice(guard, guard + rows), slice(guard, guard + columns))
+    value, seen, known, open_ = values[inside], objects[inside], valid[inside], entered[inside]
+    for by_column in (False, True):
+        if by_column:
+            value, seen, known, open_ = value.swapaxes(0, 1), seen.T, known.T, open_.T
+        first = known.argmax(axis=1)
+        last = known.shape[1] - 1 - known[:, ::-1].argmax(axis=1)
+        for line in np.flatnonzero(known.any(axis=1) & (open_ & ~known).any(axis=1)):
+            at = np.flatnonzero(open_[line] & ~known[line])
+            source = first[line] + mirror_index(at - first[line], int(last[line] - first[line] + 1))
+            at, source = at[known[line, source]], source[known[line, source]]
+            value[line, at], seen[line, at] = value[line, source], seen[line, source]
+            known[line, at] = True
+    return values, objects, valid
 
 
 def extend_border(values: Array, valid: NDArray[np.bool_], guard: int) -> tuple[Array, NDArray[np.bool_]]:
