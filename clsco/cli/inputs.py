@@ -64,5 +64,7 @@ def _report_depth(prepared: Prepared, item: DepthMap) -> None:
     files = item.files()
     if files.keys() >= {"texture", "depth"} and (note := upright_note(files["texture"], files["depth"], DEPTH_FORMATS)):
         click.echo(note, err=True)
-    if report := prepared.files.depth_values(prepared.scene, item).report():
-        click.echo(f"{item.depth}: {report}", err=True)
+    values = prepared.files.depth_values(prepared.scene, item)
+    if report := values.report():
+        taken = "; those without are taken as infinitely far" if values.invalid and item.no_depth == "far" else ""
+        click.echo(f"{item.depth}: {report}{taken}", err=True)

@@ -262,6 +262,16 @@ def _number(name: str, text: str) -> Callable[[Callable[..., None]], Callable[..
 @click.option("--scale", metavar="NUMBER", type=_ratio, help="What 1 in DEPTH is worth, such as 0.001 or 1/256.")
 @_number("--baseline", "Distance between the views of a disparity, mm.")
 @_number("--offset", "Added to a disparity, px, such as doffs of Middlebury's calibrations.")
+@click.option(
+    "--depth-kind",
+    metavar="KIND",
+    help="Of DEPTH: z (default), along the optical axis, or ray, the distance from the lens along each pixel's ray.",
+)
+@click.option(
+    "--no-depth",
+    metavar="WHERE",
+    help="What has no depth, such as 0, is: around (default), at the depth around it, or far, as the sky.",
+)
 @_number("--focal-length", "f, mm.")
 @_number("--f-number", "f / D.")
 @_number("--aperture-diameter", "D, mm; instead of the f-number.")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from clsco.errors import ImageError
 from clsco.files.images import check_sizes
 from clsco.inputs.depth_files import read_depth
-from clsco.optics.lens import LARGEST_BLUR, blur_radius, blur_scale, focus_power
+from clsco.optics.lens import LARGEST_BLUR, blur_radius, blur_scale, focus_power, ray_step
 from clsco.scene.arrays import ArrayInput
 from clsco.scene.model import Camera, DepthMap, Scene
 from clsco.scene.quantities import MIN_LENGTH_MM
@@ -61,7 +61,7 @@ class DepthValues:
 
 def inverse_depth(
     raw: Array, unit: str, scale: float, camera: Camera, baseline: float | None = None, where: str = "depth",
-    offset: float | None = None,
+    offset: float | None = None, kind: str = "z",
 ) -> DepthValues:  # fmt: skip
     """Turn the numbers of a depth file into inverse depth.
 
@@ -101,7 +101,9 @@ def inverse_depth(
         value *= scale
         value += offset or 0.0
     w = _convert(value, unit, camera, baseline)
-    _check_blur(w, value, unit, camera, where)
+    if kind == "ray":
+        w *= _ray_lengths(raw.shape, camera)[valid]
+    _check_blur(w, value, unit, scale, camera, where)
     if unit == "coc":
         _check_reach(value, camera, where)
     far = int(np.count_nonzero(w <= FARTHEST))
@@ -177,14 +179,23 @@ def depth_numbers(source: str | ArrayInput) -> Array:
 def map_values(scene: Scene, item: DepthMap, raw: Array) -> DepthValues:
     """Depths of an object of a scene, and the counts of what its file or array has.
 
-    scene: with its resolution. raw: numbers of its file or array. Where the file has no depth it is taken from around
-    (`fill_depth`), so that the image is complete, unless fill.method is none: then nothing is there.
+    scene: with its resolution. raw: numbers of its file or array. Where the file has no depth it is infinite or taken
+    from around (`fill_depth`), so that the image is complete; of the latter nothing is there if fill.method is none.
     Raises ImageError where the size is not that of the frame, and as `inverse_depth`.
     """
     assert scene.camera.resolution is not None
     name = str(item.depth)
     check_sizes("the frame", scene.camera.resolution, name, (raw.shape[1], raw.shape[0]))
-    values = inverse_depth(raw, item.unit, item.scale, scene.camera, item.baseline, name, item.offset)
+    numbers = item.unit, item.scale, scene.camera, item.baseline, name, item.offset, item.depth_kind
+    values = inverse_depth(raw, *numbers)
+    if values.invalid and item.no_depth == "far":
+        if (radius := abs(float(blur_radius(scene.camera, FARTHEST)))) > LARGEST_BLUR:
+            rule = f"the blur radius must be at most {LARGEST_BLUR:g} px"
+            raise ImageError(
+                f"{name}: {rule}; got {radius:.4g} px at infinity, where no_depth puts {values.invalid} pixels"
+            )
+        w = values.inverse_depth
+        return replace(values, inverse_depth=np.where(w > 0, w, FARTHEST))
     if not values.invalid or scene.fill.method == "none":
         return values
     return replace(values, inverse_depth=fill_depth(values.inverse_depth))
@@ -213,20 +224,28 @@ def _convert(value: Array, unit: str, camera: Camera, baseline: float | None) ->
         return np.asarray((1.0 if unit == "mm" else 1e-3) / value)
 
 
-def _check_blur(w: Array, value: Array, unit: str, camera: Camera, where: str) -> None:
+def _ray_lengths(shape: tuple[int, ...], camera: Camera) -> Array:
+    """Distance along the ray of each pixel (rows, columns) per depth along the axis."""
+    rows, columns = shape
+    y, x = ((np.arange(size) - (size - 1) / 2) * ray_step(camera) for size in (rows, columns))
+    return np.asarray(np.sqrt(1.0 + x**2 + y[:, None] ** 2))
+
+
+def _check_blur(w: Array, value: Array, unit: str, scale: float, camera: Camera, where: str) -> None:
     # Linear in w: one of the ends has the largest.
     largest, at = max((abs(float(blur_radius(camera, w[at]))), -int(at)) for at in (w.argmin(), w.argmax()))
     if largest > LARGEST_BLUR:
         count = np.count_nonzero(np.abs(blur_radius(camera, w)) > LARGEST_BLUR)
+        cause = _probable_cause(value, unit, scale, camera)
         raise ImageError(
             f"{where}: the blur radius must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px at {value[-at]:.4g} "
-            f"{unit}, and more than that limit in {count} of {w.size} pixels ({_probable_cause(value, unit, camera)})"
+            f"{unit}, and more than that limit in {count} of {w.size} pixels ({cause})"
         )
     if w.max() > 1 / MIN_LENGTH_MM:
         raise ImageError(f"{where}: depth must be at least {MIN_LENGTH_MM:g} mm; got {1 / w.max():.4g} mm")
 
 
-def _probable_cause(value: Array, unit: str, camera: Camera) -> str:
+def _probable_cause(value: Array, unit: str, scale: float, camera: Camera) -> str:
     """Name the unit in which no radius is too large, and the radii are not all as at infinity."""
     at_infinity = abs(float(blur_radius(camera, 0.0)))
     if at_infinity > LARGEST_BLUR:
@@ -237,10 +256,17 @@ def _probable_cause(value: Array, unit: str, camera: Camera) -> str:
             radius = blur_radius(camera, _convert(value[value > 0], other, camera, None))
             if np.abs(radius).max() <= LARGEST_BLUR:
                 spans[other] = float(np.ptp(radius))
-    for other, span in spans.items():
-        if 10 * span >= max(spans.values()):  # meters are likelier than their inverse, which often gives about the same
-            return f"the depth is probably in {other}: give unit {other}"
-    return "no unit makes it less: scale, or the camera, is probably wrong"
+    likely = [other for other, span in spans.items() if 10 * span >= max(spans.values())]
+    if not likely:
+        return "no unit makes it less: scale, or the camera, is probably wrong"
+    hint = f"the depth is probably in {likely[0]}: give unit {likely[0]}"
+    if likely[0].startswith("inverse") or unit in ("disparity", "coc"):
+        return hint
+    inverse = unit if unit.startswith("inverse") else "inverse_m"  # numbers alone do not say which end is near
+    nearest = focus_power(camera) + LARGEST_BLUR / blur_scale(camera)
+    most = scale * nearest / float(_convert(value.max(), inverse, camera, None))
+    scaled = "" if inverse in spans else f" with a scale below {most:.2g}"
+    return f"{hint}; or where larger numbers are nearer, {inverse}{scaled}"
 
 
 def _check_reach(radius: Array, camera: Camera, where: str) -> None:

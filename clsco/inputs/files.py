@@ -148,7 +148,8 @@ class InputFiles:
         content = self._content(source)
         if content is None:
             return map_values(scene, item, depth_numbers(source))
-        numbers = (item.unit, item.scale, item.baseline, item.offset, scene.fill.method == "none")
+        kinds = item.depth_kind, item.no_depth, scene.fill.method == "none"
+        numbers = item.unit, item.scale, item.baseline, item.offset, *kinds
         return self.kept.get(
             ("inverse depth", content, numbers, scene.camera.model_dump_json()),
             lambda: map_values(scene, item, self.depth(source)),

@@ -328,6 +328,10 @@ class DepthMap(_Bounded):
     """Distance B between the views, mm: Z = B s0 / (p disparity); only with unit = "disparity"."""
     offset: Annotated[float, Within(0.0, 1e6, "px")] | None = None
     """Added to the disparity, px: `doffs` of Middlebury's calibrations; only with unit = "disparity"."""
+    depth_kind: Literal["z", "ray"] = "z"
+    """Depth along the optical axis, or distance from the lens along the ray of a pixel; the latter only of lengths."""
+    no_depth: Literal["around", "far"] = "around"
+    """Where the file has no depth, such as 0: depth of the surfaces around, or infinitely far, as the sky is."""
     center: Point = (0.0, 0.0, 0.0)
     """Center of rotation, mm; the origin. Default: in the lens."""
 
@@ -350,6 +354,14 @@ class DepthMap(_Bounded):
     def _unrotated(cls, value: Any) -> Any:
         if value is not None:
             raise fault("belongs to analytic shapes, not to depth_map")
+        return value
+
+    @field_validator("depth_kind")
+    @classmethod
+    def _of_lengths(cls, value: str, info: ValidationInfo) -> str:
+        unit = info.data.get("unit")
+        if value == "ray" and unit in ("disparity", "coc"):
+            raise fault(f'"ray" belongs to units of length and their inverse, not to "{unit}"')
         return value
 
     @field_validator("baseline", "offset")

@@ -59,6 +59,8 @@ def test_options_are_keys_of_the_scene(files: tuple[Path, Path]) -> None:
         "scale": 0.5,
         "baseline": 60.0,
         "offset": 124.343,
+        "depth_kind": "z",
+        "no_depth": "far",
         "focal_length": 50.0,
         "f_number": 2.8,
         "focus_distance": 900.0,
@@ -69,7 +71,8 @@ def test_options_are_keys_of_the_scene(files: tuple[Path, Path]) -> None:
     }
     scene = scene_of(*files, options)
     item, camera, psf = only_map(scene), scene.camera, scene.psf
-    given: list[Any] = [item.unit, item.scale, item.baseline, item.offset, camera.focal_length, camera.f_number]
+    given: list[Any] = [item.unit, item.scale, item.baseline, item.offset]
+    given += [item.depth_kind, item.no_depth, camera.focal_length, camera.f_number]
     given += [camera.focus_distance, camera.pixel_pitch, psf.model, psf.edge, psf.occlusion]
     assert given == list(options.values())
     pair = scene_of(*files, {"aperture_diameter": 3.0, "sensor_distance": 20.5}).camera

@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from clsco.errors import ImageError
-from clsco.inputs.depth_maps import FARTHEST, UNITS, fill_depth, inverse_depth
+from clsco.inputs.depth_maps import FARTHEST, UNITS, DepthValues, fill_depth, inverse_depth, map_values
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, blur_scale, focus_power
-from clsco.scene.model import Camera
+from clsco.scene.model import Camera, DepthMap
+from tests.scenes import scene_of
 
 Array = NDArray[Any]
 CAMERA = Camera()  # kappa = 10,000 px mm, in focus at 250.017 mm, 39.997 px at infinity
@@ -155,15 +156,17 @@ AT_INFINITY = "px, which the camera has at infinity"
 
 
 IN = "the depth is probably in {0}: give unit {0}".format
+OR = "{}; or where larger numbers are nearer, {} with a scale below {}".format
+EITHER = "; or where larger numbers are nearer, inverse_m"
 NO_UNIT = "no unit makes it less: scale, or the camera, is probably wrong"
 
 
 @pytest.mark.parametrize(("raw", "unit", "got", "pixels", "cause"), [
-    (METERS, "mm", "4.996e+04 px at 0.2 mm", "3 of 3", IN("m")),
-    ([0.8, 3.0], "mm", "1.246e+04 px at 0.8 mm", "2 of 2", IN("m")),
-    ([200.0, 5000.0], "inverse_m", "4.996e+04 px at 5000 inverse_m", "2 of 2", IN("mm")),
-    ([200.0, 5000.0], "inverse_mm", "5e+07 px at 5000 inverse_mm", "2 of 2", IN("mm")),
-    ([0.0, 300.0], "inverse_mm", "3e+06 px at 300 inverse_mm", "1 of 2", IN("mm")),
+    (METERS, "mm", "4.996e+04 px at 0.2 mm", "3 of 3", IN("m") + EITHER),
+    ([0.8, 3.0], "mm", "1.246e+04 px at 0.8 mm", "2 of 2", IN("m") + EITHER),
+    ([200.0, 5000.0], "inverse_m", "4.996e+04 px at 5000 inverse_m", "2 of 2", OR(IN("mm"), "inverse_m", 0.011)),
+    ([200.0, 5000.0], "inverse_mm", "5e+07 px at 5000 inverse_mm", "2 of 2", OR(IN("mm"), "inverse_mm", "1.1e-05")),
+    ([0.0, 300.0], "inverse_mm", "3e+06 px at 300 inverse_mm", "1 of 2", OR(IN("mm"), "inverse_mm", 0.00018)),
     ([0.003, 0.005], "mm", "3.333e+06 px at 0.003 mm", "2 of 2", IN("inverse_mm")),
     ([300.0, 5000.0], "coc", "5000 px at 5000 coc", "1 of 2", IN("mm")),
     ([-2000.0, 500.0], "coc", "2000 px at -2000 coc", "1 of 2", NO_UNIT),
@@ -257,3 +260,63 @@ def test_a_single_depth_fills_the_map() -> None:
     w[1, 5] = 1 / 300
     np.testing.assert_allclose(fill_depth(w), 1 / 300, rtol=1e-15)
     assert (fill_depth(np.zeros((2, 3))) == 0.0).all()
+
+
+def test_8_bits_of_relative_inverse_depth_are_not_taken_for_meters() -> None:
+    message = fault([1.0, 2.0, 128.0, 255.0], "mm")
+    assert message.endswith(f"({OR(IN('m'), 'inverse_m', 0.22)})")
+    w_of([1.0, 2.0, 128.0, 255.0], "inverse_m", scale=0.2)
+    limit = 1000 * (focus_power(CAMERA) + LARGEST_BLUR / blur_scale(CAMERA)) / 255
+    assert limit == pytest.approx(0.22, abs=0.005)
+    assert fault([2.0, 510.0], "mm", scale=0.5).endswith(f"({OR(IN('m'), 'inverse_m', 0.11)})")
+
+
+WIDE = Camera(focal_length=24.0, pixel_pitch=0.36)  # 100 columns see 74 degrees
+
+
+@pytest.mark.parametrize(("unit", "number"), [
+    ("mm", lambda z: z), ("m", lambda z: z / 1e3), ("inverse_mm", lambda z: 1 / z), ("inverse_m", lambda z: 1e3 / z),
+])  # fmt: skip
+def test_distances_along_rays_become_depths(unit: str, number: Any) -> None:
+    """A wall at 300 mm is farther along the rays of its corners."""
+    y, x = np.indices((67, 100)) - np.array([33.0, 49.5])[:, None, None]
+    distance = 300.0 * np.sqrt(1.0 + (x**2 + y**2) * (0.36 / 24.0) ** 2)
+    assert distance[0, 0] / 300 == pytest.approx(1.34, abs=0.01)
+    values = inverse_depth(number(distance), unit, 1.0, WIDE, kind="ray")
+    np.testing.assert_allclose(values.inverse_depth, 1 / 300, rtol=1e-14)
+    planar = inverse_depth(number(distance), unit, 1.0, WIDE)
+    # 24 mm at f/2.4 and this pitch have kappa = 333 px mm: the corner would be blurred by another 0.28 px.
+    off = blur_radius(WIDE, planar.inverse_depth) - blur_radius(WIDE, values.inverse_depth)
+    assert off[0, 0] == pytest.approx(blur_scale(WIDE) * (1 / 300 - 1 / distance[0, 0]), rel=1e-9)
+
+
+def test_infinity_along_a_ray_and_no_depth_stay_what_they_are() -> None:
+    values = inverse_depth(np.array([[np.inf, 0.0, np.nan, 300.0]]), "mm", 1.0, WIDE, kind="ray")
+    np.testing.assert_array_equal(values.inverse_depth[0, :3], [FARTHEST, 0.0, 0.0])
+    assert (values.far, values.zero, values.nan) == (1, 1, 1)
+
+
+def map_of(raw: list[list[float]], camera: dict[str, Any] | None = None, **keys: Any) -> DepthValues:
+    depth = np.array(raw)
+    scene = scene_of(DepthMap(texture="bricks", depth=depth, **keys), size=depth.T.shape, camera=camera)
+    (item,) = scene.objects
+    assert isinstance(item, DepthMap)
+    return map_values(scene, item, depth)
+
+
+def test_the_sky_is_far_where_it_is_said() -> None:
+    """A figure before pixels without a depth: these would be at its depth, and as sharp."""
+    raw = [[0.0, np.nan, -1.0, 0.0], [0.0, 250.0, 250.0, 0.0]]
+    around, far = map_of(raw), map_of(raw, no_depth="far")
+    np.testing.assert_array_equal(around.inverse_depth, 1 / 250)
+    np.testing.assert_array_equal(far.inverse_depth, [[FARTHEST] * 4, [FARTHEST, 1 / 250, 1 / 250, FARTHEST]])
+    assert around.report() == far.report() == "6 of 8 pixels have no depth (4 zero, 1 negative, 1 NaN)"
+    whole = map_of([[250.0, 300.0]], no_depth="far")
+    np.testing.assert_array_equal(whole.inverse_depth, map_of([[250.0, 300.0]]).inverse_depth)
+
+
+def test_a_sky_that_is_blurred_too_much_is_refused() -> None:
+    camera = {"focal_length": 50.0, "f_number": 0.5, "pixel_pitch": 0.005, "focus_distance": 250.0}
+    map_of([[0.0, 250.0]], camera)
+    with pytest.raises(ImageError, match=r"at most 512 px; got 2000 px at infinity, where no_depth puts 1 pixels"):
+        map_of([[0.0, 250.0]], camera, no_depth="far")

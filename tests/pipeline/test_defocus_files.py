@@ -178,3 +178,16 @@ def test_every_scene_of_a_focal_stack_says_what_its_lens_did(wall: tuple[Path, P
         f"{wall[1]} (with focus_distance_400): R 0 to 0 px; in focus: 100 % of the picture (nothing is blurred by more "
         "than a pixel: depths 400 to 400, focus at 400 mm)"
     )
+
+
+def test_the_sky_behind_a_figure_is_blurred(wall: tuple[Path, Path], tmp_path: Path) -> None:
+    depths = np.zeros((32, 40), np.float32)
+    depths[:, :10] = 0.25
+    np.save(wall[1], depths)
+    sharp, sky = read_image(wall[0]).data, np.s_[10:-10, 25:-10]
+    for words, radius in (([], 0), (["--no-depth", "far"], 8)):
+        result = clsco_("defocus", *wall, "-o", tmp_path / "out.tif", *OPTIONS, *words)
+        assert f"R 0 to {radius} px; in focus: {25 if radius else 100} % of the picture" in result.stderr
+        assert ("960 zero); those without are taken as infinitely far" in result.stderr) == bool(radius)
+        changed = np.abs(read_image(tmp_path / "out.tif").data[sky] - sharp[sky]).max()
+        assert (changed > 0.3) if radius else (changed < 1e-3)

@@ -195,6 +195,18 @@ OBJECTS: list[tuple[str, str]] = [
         f"object[0].shape: must be {SHAPES}; got nothing",
     ),
     ('shape = "depth_map"', "object[0].depth: must be given; got nothing"),
+    (
+        'shape = "depth_map", depth = "z.npy", depth_kind = "euclid"',
+        'object[0].depth_kind: must be z or ray; got "euclid"',
+    ),
+    (
+        'shape = "depth_map", depth = "z.npy", unit = "coc", depth_kind = "ray"',
+        'object[0].depth_kind: "ray" belongs to units of length and their inverse, not to "coc"; got "ray"',
+    ),
+    (
+        'shape = "depth_map", depth = "z.npy", no_depth = "near"',
+        'object[0].no_depth: must be around or far; got "near"',
+    ),
     ('shape = "depth_map", depth = ""', 'object[0].depth: must not be empty; got ""'),
     (
         'shape = "depth_map", depth = "z.png", unit = "cm"',
