@@ -13,6 +13,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.optics.bounds import Bounds, cutting
 from clsco.optics.motion import Pose, rest_center, static_rotation
 from clsco.scene.model import Background, Cone, Cylinder, Disc, Ellipsoid, Object, Plane, Quadric, Rectangle, Sphere
 
@@ -176,6 +177,29 @@ def canonical(item: Object) -> Canonical:
     return _canonical_quadric(tuple(factor * c for c in item.coefficients), FARTHEST_CENTER * distance)
 
 
+def cutting_bounds(item: Object) -> Bounds | None:
+    """Bounds of an object that cut its surface: all that rays and visibility tests know of them.
+
+    Parameters
+    ----------
+    item : Object
+        Analytic, or a depth map, which has none.
+
+    Returns
+    -------
+    tuple of three (low, high), or None
+        mm, in the object's own frame; infinite where the surface touches the bound at most. None if nothing cuts it.
+    """
+    if item.bounds is None:
+        return None
+    shape = canonical(item)
+    square, linear = shape.axes.T @ np.diag(shape.q) @ shape.axes, shape.axes.T @ shape.l
+    half = linear - square @ shape.origin
+    constant = -float(shape.origin @ (half + linear)) - shape.k
+    whole = np.block([[square, half[:, None]], [half, constant]])
+    return cutting(tuple(map(tuple, whole.tolist())), shape.nappe, item.bounds)
+
+
 def place(item: Object, pose: Pose) -> PlacedSurface:
     """Surface of an analytic object in a pose, in the frame of the lens.
 
@@ -264,7 +288,7 @@ def predict_inverse_depth(
     c = surface.constant
     root = np.sqrt(np.maximum(b * b - a * c, 0.0))
     own = np.tensordot(surface.own_turn, rays, axes=1)
-    best = np.zeros_like(a)
+    best, bounds = np.zeros_like(a), cutting_bounds(item)
     for sign in (1.0, -1.0):
         with np.errstate(all="ignore"):  # NaN is not kept
             w = (-b + sign * root) / c if c != 0 else -a / (2 * b)
@@ -274,8 +298,8 @@ def predict_inverse_depth(
             if surface.canonical.radius < inf:
                 across = (surface.offset[axis] * w + d[axis] for axis in (0, 1))
                 keep &= np.hypot(*across) <= surface.canonical.radius * w
-            if item.bounds is not None:
-                for axis, (low, high) in enumerate(item.bounds):
+            if bounds is not None:
+                for axis, (low, high) in enumerate(bounds):
                     along = surface.own_offset[axis] * w + own[axis]
                     keep &= (along >= low * w) & (along <= high * w)
         best = np.where(keep & (w > best), w, best)

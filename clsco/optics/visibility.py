@@ -19,7 +19,7 @@ from clsco.constants import LENS_CELLS
 from clsco.optics.lens import lens_radius
 from clsco.optics.motion import Pose
 from clsco.optics.psf import disc_coverage, shape_of, subpixel_weights
-from clsco.optics.quadrics import Extent, place
+from clsco.optics.quadrics import Extent, cutting_bounds, place
 from clsco.scene.model import Camera, Object, Plane, Psf, Rectangle
 
 Array = NDArray[np.float64]
@@ -102,7 +102,7 @@ def may_hide(near: Extent, far: Extent, camera: Camera, reach: float) -> bool:
 
 def is_hollow(item: Object) -> bool:
     """Whether the inside of a surface may be visible past its own edge: it is curved, and cut by bounds."""
-    return item.bounds is not None and not isinstance(item, Plane | Rectangle)
+    return not isinstance(item, Plane | Rectangle) and cutting_bounds(item) is not None
 
 
 def layers(items: Sequence[Object], extents: Sequence[Extent], camera: Camera, psf: Psf) -> tuple[Layer, ...]:

@@ -17,7 +17,7 @@ from clsco.optics.motion import Pose
 from clsco.optics.psf import MINIMUM_BLUR, sampled_key
 from clsco.optics.psf_grid import octaves_from, sampled_steps, table_steps
 from clsco.optics.psf_tables import PsfTable
-from clsco.optics.quadrics import PlacedSurface
+from clsco.optics.quadrics import PlacedSurface, cutting_bounds
 from clsco.optics.texture_mapping import TextureMap, texture_spread
 from clsco.optics.visibility import Layer, lens_extent
 from clsco.records import Real, Struct, filled, structs
@@ -48,7 +48,7 @@ def surface_structs(
 
 def _surface_struct(item: Object, surface: PlacedSurface, texture: int, real: Real) -> Struct:
     shape = surface.canonical
-    low, high = np.array(item.bounds or EVERYWHERE, dtype=np.float64).T
+    low, high = np.array(cutting_bounds(item) or EVERYWHERE, dtype=np.float64).T
     return filled(
         "surface_t",
         real,

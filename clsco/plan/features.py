@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import inf
 
-from clsco.optics.quadrics import canonical
+from clsco.optics.quadrics import canonical, cutting_bounds
 from clsco.scene.objects import Object
 
 
@@ -18,7 +18,7 @@ def shape_features(objects: Sequence[Object]) -> dict[str, int]:
     analytic = [item for item in objects if item.is_analytic]
     shapes, several = [canonical(item) for item in analytic], len(objects) > 1
     quadratic = any(shape.q.any() for shape in shapes)
-    bounded = any(item.bounds is not None for item in analytic) or any(shape.radius < inf for shape in shapes)
+    bounded = any(cutting_bounds(item) is not None for item in analytic) or any(shape.radius < inf for shape in shapes)
     return {
         "SEVERAL": int(several),
         "QUADRATIC": int(quadratic),

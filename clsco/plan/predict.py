@@ -14,7 +14,7 @@ from clsco.errors import SceneError
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center, static_rotation
 from clsco.optics.psf import reach
-from clsco.optics.quadrics import place, predict_inverse_depth
+from clsco.optics.quadrics import cutting_bounds, place, predict_inverse_depth
 from clsco.scene.model import Disc, Object, Plane, Psf, Rectangle, Scene
 
 Array = NDArray[np.float64]
@@ -163,7 +163,7 @@ def _samples(scene: Scene, maps: Maps) -> int:
 def _fills_view(scene: Scene, w: Array) -> bool:
     """Whether no silhouette is in sight: the surface is hit everywhere, and cannot have a hole between rays."""
     item = scene.objects[0]
-    simple = len(scene.objects) == 1 and item.bounds is None and item.shape != "quadric"
+    simple = len(scene.objects) == 1 and cutting_bounds(item) is None and item.shape != "quadric"
     return simple and bool((w > 0).all())
 
 

@@ -127,7 +127,10 @@ def root_counts(surface: PlacedSurface, bounds: Bounds | None, d: Array, own: Ar
             along = shift + own[..., axis]
             # A bound that touches the surface must not lose its last point to rounding.
             slack = BOUNDS_SLACK * (np.abs(shift) + np.abs(own[..., axis]))
-            counts &= (low * w - slack <= along) & (along <= high * w + slack)
+            if low > -np.inf:
+                counts &= low * w - slack <= along
+            if high < np.inf:
+                counts &= along <= high * w + slack
     if surface.canonical.radius < np.inf:
         shift, ray = surface.offset[:2] * w[..., None], d[..., :2]
         reach = surface.canonical.radius * w + BOUNDS_SLACK * (np.abs(shift) + np.abs(ray)).sum(axis=-1)

@@ -48,6 +48,8 @@ def _limits(surface: PlacedSurface, bounds: Bounds | None, w: Array, rays: Array
         for axis, (low, high) in enumerate(bounds):
             at, along = surface.own_offset[axis], e * surface.own_turn[axis, :2]
             for limit, sign in ((low, 1.0), (high, -1.0)):
+                if np.isinf(limit):
+                    continue
                 head = np.stack([own[:, axis] - limit * w, np.full(w.shape, at - limit)], axis=-1)
                 found.append(np.concatenate([head, along], axis=-1) * sign)
     return found

@@ -15,7 +15,7 @@ from clsco.optics.lens import ray_step
 from clsco.optics.light import PlacedLight, place_light
 from clsco.optics.motion import Eye, poses_at
 from clsco.optics.psf import subpixel_offsets
-from clsco.optics.quadrics import PlacedSurface, place
+from clsco.optics.quadrics import PlacedSurface, cutting_bounds, place
 from clsco.optics.visibility import Layer
 from clsco.reference.common.geometry import (
     Array,
@@ -151,7 +151,7 @@ def cast(
     texel: row and column of the pixel whose texel a ray shows in the reference pose; sources: per axis of a pixel.
     """
     scene, rays = view.scene, pixel_ray(view.scene.camera, row, column)
-    w, label, number = nearest_surface(view.surfaces, [item.bounds for item in scene.objects], layer, rays)
+    w, label, number = nearest_surface(view.surfaces, [cutting_bounds(item) for item in scene.objects], layer, rays)
     gradient, radiance = np.zeros((*w.shape, 2)), np.zeros((*w.shape, view.channels))
     parts, share = np.zeros(w.shape, np.intp), np.zeros(w.shape)
     for k, surface in enumerate(view.surfaces):
@@ -213,7 +213,7 @@ def trace(view: View, layer: Layer, guard: int) -> Sources:
     if layer.occluders:
         rays = pixel_ray(scene.camera, row, column)[lit]
         here = np.zeros(len(rays))
-        bounds = [item.bounds for item in scene.objects]
+        bounds = [cutting_bounds(item) for item in scene.objects]
         state, edge, seen = check_visibility(
             scene.camera,
             view.surfaces,
@@ -296,7 +296,7 @@ def trace_subpixels(
     if layer.occluders:
         rays = pixel_ray(scene.camera, at_row, at_column)[lit]
         x, y = (np.broadcast_to(n, lit.shape)[lit] for n in (offsets[None, :], offsets[:, None]))
-        bounds = [item.bounds for item in scene.objects]
+        bounds = [cutting_bounds(item) for item in scene.objects]
         state, _, visibility = check_visibility(
             scene.camera, view.surfaces, bounds, layer, scene.psf,
             Points(rays, hit.w[lit], hit.radius[lit], x, y, 1.0 / samples),

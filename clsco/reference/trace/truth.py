@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.optics.motion import Eye, Pose, middle_time, poses_at, rest_poses
-from clsco.optics.quadrics import PlacedSurface, place
+from clsco.optics.quadrics import PlacedSurface, cutting_bounds, place
 from clsco.plan.predict import displaced
 from clsco.reference.common.geometry import (
     Array,
@@ -56,7 +56,7 @@ def _hidden(view: View, rest: PlacedSurface, number: int, rays: Array, w: Array)
     """Points of an object's surface that were not visible in its reference pose."""
     scene, surface = view.scene, view.surfaces[number]
     row, column, valid = rest_pixel(surface, scene.camera, rays, w)
-    w_rest, _ = solve_quadric(rest, scene.objects[number].bounds, pixel_ray(scene.camera, row, column))
+    w_rest, _ = solve_quadric(rest, cutting_bounds(scene.objects[number]), pixel_ray(scene.camera, row, column))
     depth_ratio = np.where(valid, rest_position(surface, rays, w)[..., 2], 1.0)
     covered = w_rest * depth_ratio > w * (1.0 + 1e-6)
     return np.asarray((w > 0.0) & (~valid | outside_frame(scene.camera, row, column) | covered))
@@ -83,7 +83,7 @@ def occluded_among(
 ) -> NDArray[np.bool_]:
     """Whether points at inverse depth w are not visible in the pixels that `moved_pixel` gives, between surfaces."""
     row, column, ratio = pixel
-    bounds = [item.bounds for item in scene.objects]
+    bounds = [cutting_bounds(item) for item in scene.objects]
     seen, _, _ = nearest_surface(surfaces, bounds, everything(scene), pixel_ray(scene.camera, row, column))
     covered = seen * ratio > w * (1.0 + 1e-6)
     return np.asarray(covered | (ratio <= 0.0) | outside_frame(scene.camera, row, column))

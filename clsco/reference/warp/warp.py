@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from clsco.constants import NO_WINNER, WIDEST_GAP
 from clsco.optics.motion import Pose, rest_center
-from clsco.optics.quadrics import PlacedSurface
+from clsco.optics.quadrics import PlacedSurface, cutting_bounds
 from clsco.reference.common.geometry import Array, mirror_index, pixel_ray, project, solve_quadric
 from clsco.reference.trace.trace import padded_grid
 from clsco.scene.model import Scene
@@ -58,7 +58,7 @@ def reproject_rest(scene: Scene, surfaces: Surfaces, maps: Maps) -> tuple[Array,
     rays = pixel_ray(scene.camera, *padded_grid(scene.camera, 0))
     nearest, whose = np.zeros(rays.shape[:2]), np.zeros(rays.shape[:2], dtype=np.uint8)
     for k, (item, surface, depth) in enumerate(zip(scene.objects, surfaces, maps, strict=True)):
-        w = depth if surface is None else solve_quadric(surface, item.bounds, rays)[0]
+        w = depth if surface is None else solve_quadric(surface, cutting_bounds(item), rays)[0]
         assert w is not None  # an object is either
         nearer = w > nearest
         nearest, whose = np.where(nearer, w, nearest), np.where(nearer, np.uint8(k), whose)

@@ -1,0 +1,107 @@
+"""Which bounds of an object cut its surface: others would only cost time, and soften an edge that is none (pure).
+
+A surface is Q(p) = p M p + 2 L p + K = 0 in the object's own frame. Where no bound but one is left, the farthest point
+along that one's axis is a root of Q where Q does not change across the axis: inside of the other bounds, on their faces
+or on their edges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+from itertools import product
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+TOUCHING = 1e-7  # of the largest bound: nearer is a touch, as of bounds that were rounded to float32
+FAR = 1e3  # of the largest bound: where there is none
+NULL = 1e-13  # of the largest coefficient: none
+Interval = tuple[float, float]
+Bounds = tuple[Interval, Interval, Interval]
+Matrix = NDArray[np.float64]
+
+
+@lru_cache(maxsize=1024)
+def cutting(rows: tuple[tuple[float, ...], ...], nappe: int, bounds: Bounds) -> Bounds | None:
+    """Bounds that cut a surface.
+
+    Parameters
+    ----------
+    rows : tuple of four tuples of four float
+        (M, L; L, K), for mm.
+    nappe : int
+        Sign that the third coordinate must have, 0 for either.
+    bounds : tuple of three (low, high)
+        mm.
+
+    Returns
+    -------
+    tuple of three (low, high), or None
+        Infinite where the surface, cut by the others, touches the bound at most; None if all are.
+
+    Notes
+    -----
+    Validated against points of random surfaces, and by closed forms of spheres, cylinders, cones and paraboloids.
+    """
+    size = max(abs(limit) for interval in bounds for limit in interval)
+    unit = np.array([size, size, size, 1.0])
+    matrix, box = np.array(rows) * unit * unit[:, None], np.array(bounds) / size
+    half = np.array([[-inf, inf], [-inf, inf], [0.0 if nappe > 0 else -inf, 0.0 if nappe < 0 else inf]])
+    cuts = np.ones((3, 2), dtype=bool)
+    for axis, side in product(range(3), range(2)):
+        cuts[axis, side] = False
+        others = np.where(cuts, box, [-FAR, FAR])
+        others = np.stack([np.maximum(others[:, 0], half[:, 0]), np.minimum(others[:, 1], half[:, 1])], axis=1)
+        # The nappe alone holds along the axis itself, as both of its bounds may be left.
+        others[axis] = half[axis]
+        sign = 1.0 if side else -1.0
+        reached = [sign * place for place in _ends(matrix, axis, others)]
+        cuts[axis, side] = not reached or max(reached) > sign * box[axis, side] + TOUCHING
+    found = [tuple(np.where(keep, given, [-inf, inf]).tolist()) for keep, given in zip(cuts, bounds, strict=True)]
+    return (found[0], found[1], found[2]) if cuts.any() else None
+
+
+def _ends(matrix: Matrix, axis: int, box: Matrix) -> Iterator[float]:
+    """Where a surface may be farthest along an axis, in either direction; infinite where it has no end.
+
+    matrix: (M, L; L, K); box: (3, 2), low and high, which holds along the other axes and, of finite roots, along all.
+    """
+    order = [axis, *(k for k in range(3) if k != axis), 3]
+    m, (own, *sides) = matrix[np.ix_(order, order)], box[order[:3]]
+    least = NULL * np.abs(matrix).max()
+    slopes = [m[0, 1] * y + m[0, 2] * z + m[0, 3] for y, z in product(*sides)]
+    if abs(m[0, 0]) <= least and min(slopes) <= least and max(slopes) >= -least:
+        yield from (-inf, inf)  # not of second degree along the axis, and somewhere not of first degree either
+        return
+    # Each free axis is a linear function of x where Q does not change along it; the others are at an end of the box.
+    for fixed in product((0, 1, None), repeat=2):
+        free = [k + 1 for k, end in enumerate(fixed) if end is None]
+        held = np.zeros((4, 2))  # p = held (x, 1)
+        held[0, 0] = held[3, 1] = 1.0
+        for k, end in enumerate(fixed):
+            if end is not None:
+                held[k + 1, 1] = sides[k][end]
+        if free:
+            part = m[np.ix_(free, free)]
+            if abs(np.linalg.det(part)) <= (least if len(free) == 1 else least * np.abs(part).max()):
+                continue  # Q is of first degree along a line, which ends at others
+            held[free] = -np.linalg.solve(part, (m @ held)[free])
+        for x in _roots(held.T @ m @ held):
+            at = held @ (x, 1.0)
+            if all(low - TOUCHING <= c <= high + TOUCHING for c, (low, high) in zip(at, (own, *sides), strict=False)):
+                yield x
+
+
+def _roots(form: Matrix) -> Iterator[float]:
+    """Real x with (x, 1) form (x, 1) = 0."""
+    a, b, c = form[0, 0], form[0, 1], form[1, 1]
+    discriminant = b * b - a * c
+    if discriminant < 0.0:
+        return
+    t = -(b + np.copysign(np.sqrt(discriminant), b))
+    if a != 0.0:
+        yield t / a
+    if t != 0.0:
+        yield c / t
