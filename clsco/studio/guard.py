@@ -2,16 +2,18 @@
 
 The studio listens on the loopback interface, which all users of the machine and all pages in the user's browser reach.
 So a request must name this server as its host (a foreign name that points here is DNS rebinding), come from the
-studio's own page, and bring the secret that only the address printed at the start has.
+studio's own page, and bring a cookie that only who has the address printed at the start is given. Browsers send cookies
+to all ports of a host, so it is one of a path that no other server knows.
 """
 
 from __future__ import annotations
 
+import base64
 import hmac
+import secrets
+import time
 from collections.abc import Awaitable, Callable, Collection, Iterable, MutableMapping
-from http.cookies import CookieError, SimpleCookie
 from typing import Any
-from urllib.parse import parse_qs
 
 Message = MutableMapping[str, Any]
 Scope = MutableMapping[str, Any]
@@ -21,6 +23,7 @@ Application = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 MAX_BODY = 64 * 2**20  # bytes of a request: an image
 MAX_MESSAGE = 2**20  # bytes from a WebSocket
+CODE_SECONDS = 120.0  # in which the browser that is opened has to come
 TOO_LARGE, TOO_BIG_A_MESSAGE = 413, 1009
 
 # NiceGUI compiles its templates in the browser, and has scripts and styles in its page.
@@ -29,6 +32,12 @@ _POLICY = (
     "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self' {sockets}; object-src 'none'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
+# A link's scene is in the fragment of the address.
+_ADMITTED = """<!DOCTYPE html>
+<html lang="en"><meta charset="utf-8"><title>clsco studio</title>
+<script>location.replace("{place}/" + location.hash)</script>
+<noscript>The studio needs JavaScript.</noscript>
+"""
 
 
 class Guard:
@@ -41,15 +50,26 @@ class Guard:
     hosts : collection of str
         What the header Host may be, with the port.
     token : str
-        The secret; in the first address as `?t=`, then in a cookie.
+        The secret of the first address, `/?t=`, which gives a cookie for this server alone.
+    key : bytes
+        Another secret, which is the same for the next server at the same port, so that pages find it.
+
+    Attributes
+    ----------
+    place : str
+        Path of all that there is, but for the first address; nobody can guess it.
+    cookie : str
+        Name of the cookie, which nobody can guess, either.
     """
 
-    def __init__(self, app: Application, hosts: Collection[str], token: str) -> None:
+    def __init__(self, app: Application, hosts: Collection[str], token: str, key: bytes) -> None:
         self.app = app
         self._hosts = frozenset(hosts)
         self._origins = frozenset(f"http://{host}" for host in hosts)
-        self._token = token.encode()
-        self.cookie = f"clsco-{next(iter(hosts)).rpartition(':')[2]}"  # ports share their cookies
+        self._token, self._session = token.encode(), secrets.token_urlsafe(32).encode()
+        self._code, self._code_ends = b"", 0.0
+        port = next(iter(hosts)).rpartition(":")[2]
+        self.place, self.cookie = f"/{_derived(key, f'place {port}')}", f"clsco-{_derived(key, f'cookie {port}')}"
         sockets = " ".join(f"ws://{host}" for host in sorted(self._hosts) if not host.startswith("["))
         self._headers = [
             (b"content-security-policy", _POLICY.format(sockets=sockets).encode()),
@@ -67,14 +87,22 @@ class Guard:
         headers = _headers_of(scope)
         if (rule := self._refusal(scope, headers)) is not None:
             await self._refuse(scope, send, 403, rule)
-        elif scope["type"] == "websocket":
-            await self.app(scope, _counted_socket(receive, send), send)
         elif self._is_first(scope):
             await self._admit(send)
-        elif not self._knows(headers):
-            await self._refuse(scope, send, 403, "the address must be the one that `clsco studio` printed")
+        elif (rule := self._unknown(scope, headers)) is not None:
+            await self._refuse(scope, send, 403, rule)
         else:
-            await self._limited(scope, headers, receive, send)
+            inside = {**scope, "root_path": self.place}
+            if scope["type"] == "websocket":
+                await self.app(inside, _counted_socket(receive, send), send)
+            else:
+                await self._limited(inside, headers, receive, send)
+
+    def new_code(self) -> str:
+        """A secret for the first address, `/?c=`, that works once, and soon."""
+        code = secrets.token_urlsafe(32)
+        self._code, self._code_ends = code.encode(), time.monotonic() + CODE_SECONDS
+        return code
 
     def _refusal(self, scope: Scope, headers: dict[str, list[str]]) -> str | None:
         """The rule that a request breaks, whatever it asks for."""
@@ -86,35 +114,43 @@ class Guard:
         needs_origin = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")
         if needs_origin and not origins:
             return "Origin must be sent"
-        if any(site not in ("same-origin", "none") for site in headers.get("sec-fetch-site", ())):
-            return "must come from the studio's own page"
-        if scope["type"] == "websocket" and not self._knows(headers):
-            return "must have the studio's cookie"
         return None
 
-    def _knows(self, headers: dict[str, list[str]]) -> bool:
-        """Whether the secret came along, compared in constant time."""
+    def _unknown(self, scope: Scope, headers: dict[str, list[str]]) -> str | None:
+        """Why it is not known who asks."""
+        if any(site not in ("same-origin", "none") for site in headers.get("sec-fetch-site", ())):
+            return "must come from the studio's own page"
+        if not scope["path"].startswith(f"{self.place}/") or not self._has_cookie(headers):
+            return "the address must be the one that `clsco studio` printed"
+        return None
+
+    def _has_cookie(self, headers: dict[str, list[str]]) -> bool:
+        """Whether the cookie came along, compared in constant time."""
         for line in headers.get("cookie", ()):
-            try:
-                found = SimpleCookie(line).get(self.cookie)
-            except CookieError:
-                continue
-            if found is not None and hmac.compare_digest(found.value.encode(), self._token):
-                return True
+            for part in line.split(";"):
+                name, _, value = part.strip().partition("=")
+                if name == self.cookie and hmac.compare_digest(value.encode(), self._session):
+                    return True
         return False
 
     def _is_first(self, scope: Scope) -> bool:
-        """Whether this is the printed address."""
-        if scope["method"] != "GET" or scope["path"] != "/":
+        """Whether this is the printed address, or the one that the browser was opened with."""
+        if scope["type"] != "http" or scope["method"] != "GET" or scope["path"] != "/":
             return False
-        (given, *_) = parse_qs(scope["query_string"].decode("latin-1")).get("t", [""])
-        return hmac.compare_digest(given.encode(), self._token)
+        kind, _, given = scope["query_string"].partition(b"=")
+        if kind == b"c" and time.monotonic() < self._code_ends and hmac.compare_digest(given, self._code):
+            self._code_ends = 0.0
+            return True
+        return bool(kind == b"t" and hmac.compare_digest(given, self._token))
 
     async def _admit(self, send: Send) -> None:
-        """Turn the secret of the address into a cookie, and go to an address without it."""
-        cookie = f"{self.cookie}={self._token.decode()}; HttpOnly; SameSite=Strict; Path=/"
-        headers = [(b"set-cookie", cookie.encode()), (b"location", b"/"), (b"cache-control", b"no-store")]
-        await _respond(send, 303, [*headers, *self._headers], b"")
+        """Turn the secret of the address into a cookie, and go to an address without it.
+
+        By a page, as a redirection would count as of the page that led here, which gets no such cookie.
+        """
+        cookie = f"{self.cookie}={self._session.decode()}; HttpOnly; SameSite=Strict; Path={self.place}/"
+        headers = [(b"set-cookie", cookie.encode()), (b"cache-control", b"no-store"), *self._headers]
+        await _respond(send, 200, headers, _ADMITTED.format(place=self.place).encode(), b"text/html; charset=utf-8")
 
     async def _refuse(self, scope: Scope, send: Send, status: int, rule: str) -> None:
         if scope["type"] == "websocket":
@@ -165,6 +201,10 @@ class Guard:
                 raise
 
 
+def _derived(key: bytes, what: str) -> str:
+    return base64.b32encode(hmac.digest(key, what.encode(), "sha256"))[:26].decode().lower()
+
+
 def _headers_of(scope: Scope) -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     for name, value in scope["headers"]:
@@ -195,7 +235,9 @@ def _counted_socket(receive: Receive, send: Send) -> Receive:
     return counted
 
 
-async def _respond(send: Send, status: int, headers: list[tuple[bytes, bytes]], body: bytes) -> None:
-    about = [(b"content-type", b"text/plain; charset=utf-8"), (b"content-length", str(len(body)).encode())]
+async def _respond(
+    send: Send, status: int, headers: list[tuple[bytes, bytes]], body: bytes, kind: bytes = b"text/plain; charset=utf-8"
+) -> None:
+    about = [(b"content-type", kind), (b"content-length", str(len(body)).encode())]
     await send({"type": "http.response.start", "status": status, "headers": [*about, *headers]})
     await send({"type": "http.response.body", "body": body})

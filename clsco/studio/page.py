@@ -62,8 +62,8 @@ def attach(app: FastAPI, studio: Studio) -> None:
     @ui.page("/", title="clsco studio", language="en-US")
     async def page(s: str = "") -> None:
         name = await studio.tab(s)
-        ui.add_head_html("".join(f'<link rel="stylesheet" href="/static/{style}.css">' for style in STYLES))
-        ui.add_body_html("".join(f'<script defer src="/static/{script}.js"></script>' for script in SCRIPTS))
+        ui.add_head_html("".join(f'<link rel="stylesheet" href="static/{style}.css">' for style in STYLES))
+        ui.add_body_html("".join(f'<script defer src="static/{script}.js"></script>' for script in SCRIPTS))
         draw(name, studio)
 
     ui.run_with(app, title="clsco studio", show_welcome_message=False, tailwind=False, dark=True)

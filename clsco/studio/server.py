@@ -6,6 +6,7 @@ import asyncio
 import json
 import secrets
 import socket
+import threading
 import webbrowser
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
@@ -21,6 +22,7 @@ from clsco.errors import ClscoError, ImageError, SceneError
 from clsco.optics.lens import focus_distance
 from clsco.scene.model import Scene
 from clsco.scene.toml import toml_text
+from clsco.studio.door import door
 from clsco.studio.generate import stack_scenes
 from clsco.studio.guard import MAX_MESSAGE, Guard
 from clsco.studio.jobs import Jobs
@@ -41,6 +43,12 @@ MOST_WATCHED = 2000  # keys with a control
 TICK = 0.5  # s between looks at the jobs
 KEPT = "kept_"  # names of scenes begin with it, in the folder of the state
 MOST_KEPT = 64
+OPENING = "open.html"
+# What the browser is opened with, as all users of the machine see its command line: a file that is the user's alone.
+_OPENING = """<!DOCTYPE html>
+<html lang="en"><meta charset="utf-8"><title>clsco studio</title>
+<meta http-equiv="refresh" content="0; url={address}">
+"""
 
 
 class Tab:
@@ -320,6 +328,17 @@ def application(studio: Studio, attach: Attach) -> FastAPI:
     return app
 
 
+class _Server(uvicorn.Server):
+    """A server that has something done, by a thread that nobody waits for, as soon as it serves."""
+
+    begun: Callable[[], object] | None = None
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        if self.begun is not None:
+            threading.Thread(target=self.begun, daemon=True).start()
+
+
 def serve(
     studio: Studio, host: str, port: int, attach: Attach, show: Callable[[str], None], opens_browser: bool
 ) -> None:
@@ -347,19 +366,23 @@ def serve(
     port = listener.getsockname()[1]
     token = secrets.token_urlsafe(32)
     shown = f"[{host}]" if ":" in host else host
-    guarded = Guard(application(studio, attach), [f"{name}:{port}" for name in (shown, *LOOPBACK)], token)
+    state = studio.jobs.state
+    hosts = [f"{name}:{port}" for name in (shown, *LOOPBACK)]
+    guarded = Guard(application(studio, attach), hosts, token, state.key())
     config = uvicorn.Config(
         guarded, log_level="warning", access_log=False, server_header=False, proxy_headers=False,
-        ws_max_size=MAX_MESSAGE, timeout_graceful_shutdown=1,
+        ws_max_size=MAX_MESSAGE, timeout_graceful_shutdown=1, http=door(guarded.cookie),
     )  # fmt: skip
-    address = f"http://{shown}:{port}/?t={token}"
-    show(address)
+    show(f"http://{shown}:{port}/?t={token}")
+    server = _Server(config)
     if opens_browser:
-        webbrowser.open(address)
+        state.write(OPENING, _OPENING.format(address=f"http://{shown}:{port}/?c={guarded.new_code()}").encode())
+        server.begun = lambda: webbrowser.open((state.path / OPENING).as_uri())
     try:
         with suppress(KeyboardInterrupt):
-            uvicorn.Server(config).run(sockets=[listener])
+            server.run(sockets=[listener])
     finally:
+        state.remove(OPENING)
         studio.renderer.close()
         studio.jobs.close()
         listener.close()

@@ -6,15 +6,17 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import os
+import secrets
 import tempfile
 from contextlib import suppress
 from pathlib import Path
 
-from clsco.errors import ClscoError
+from clsco.errors import ClscoError, ImageError
 from clsco.files.atomic import write_whole
 from clsco.resources import ExposedFolderError, open_regular, private_folder, read_regular
 
-LOCK = "lock"
+LOCK, KEY = "lock", "key"
+KEY_BYTES = 32
 _LOCKED = os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
 
 
@@ -79,7 +81,17 @@ class StateFolder:
 
     def write(self, name: str, content: bytes) -> None:
         """Write a file that is whole or absent. Raises ImageError where that cannot be."""
-        write_whole(self.path / name, content)
+        write_whole(self.path / name, content)  # in a folder that nobody else can look into
+
+    def key(self) -> bytes:
+        """A secret that the next studio in the folder has, too, if it can be kept."""
+        with suppress(OSError):
+            if len(known := self.read(KEY, KEY_BYTES)) == KEY_BYTES:
+                return known
+        made = secrets.token_bytes(KEY_BYTES)
+        with suppress(ImageError):
+            self.write(KEY, made)
+        return made
 
     def remove(self, *names: str) -> None:
         """Remove files, where they are there."""

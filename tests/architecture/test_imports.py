@@ -39,7 +39,7 @@ OUTSIDE = {
     "nicegui": ("studio.page", "studio.widgets"),
     "fastapi": ("studio.page", "studio.routes", "studio.server"),
     "starlette": ("studio.server",),
-    "uvicorn": ("studio.server",),
+    "uvicorn": ("studio.door", "studio.server"),
     "click": ("cli",),
     "rich": ("cli",),
     "matplotlib": ("cli.bench", "inpainting.report"),

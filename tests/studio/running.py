@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -19,10 +20,12 @@ from websockets.typing import Origin
 
 @dataclass(frozen=True)
 class Running:
-    """Address, secret and process of a studio."""
+    """Address, process, path and cookie of a studio."""
 
     address: str
     process: subprocess.Popen[str]
+    place: str
+    cookie: dict[str, str]  # what a browser sends after the first address
 
     @property
     def origin(self) -> str:
@@ -38,9 +41,9 @@ class Running:
         return f"ws://{self.host}"
 
     @property
-    def cookie(self) -> dict[str, str]:
-        """What a browser sends after the first address."""
-        return {"Cookie": f"clsco-{self.host.rpartition(':')[2]}={self.address.rpartition('=')[2]}"}
+    def page(self) -> str:
+        """Address of the page itself."""
+        return f"{self.origin}{self.place}"
 
     def frames(self, tab: str) -> ClientConnection:
         """The socket of a tab."""
@@ -49,24 +52,31 @@ class Running:
     def connect(self, path: str, headers: dict[str, str], origin: str | None) -> ClientConnection:
         """Open a socket, as any page might."""
         given = None if origin is None else Origin(origin)
-        return connect(self.sockets + path, additional_headers=headers, origin=given, proxy=None, max_size=2**26)
+        return connect(
+            self.sockets + self.place + path, additional_headers=headers, origin=given, proxy=None, max_size=2**26
+        )
 
     def client(self) -> httpx.Client:
         """A browser's requests from the studio's own page."""
-        return httpx.Client(base_url=self.origin, headers={**self.cookie, "Origin": self.origin}, timeout=20)
+        return httpx.Client(base_url=self.page, headers={**self.cookie, "Origin": self.origin}, timeout=20)
 
 
 @contextmanager
-def studio(root: Path, *arguments: str) -> Iterator[Running]:
-    """Start `clsco studio`, and end it."""
-    command = [str(Path(sys.executable).parent / "clsco"), "studio", "--no-browser", "--root", str(root), *arguments]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ)
+def studio(root: Path, *arguments: str, browser: str = "") -> Iterator[Running]:
+    """Start `clsco studio`, and end it; browser: a command that it opens, else there is none."""
+    command = [str(Path(sys.executable).parent / "clsco"), "studio", "--root", str(root), *arguments]
+    command += [] if browser else ["--no-browser"]
+    environment = {**os.environ, "BROWSER": browser}
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
     try:
         assert process.stdout is not None
         assert process.stderr is not None
         line = process.stdout.readline()
         assert line.startswith("http://"), process.stderr.read()
-        yield Running(line.strip(), process)
+        answer = httpx.get(line.strip())
+        place = re.search(r'"(/\w+)/"', answer.text)
+        assert place is not None, answer.text
+        yield Running(line.strip(), process, place[1], {"Cookie": answer.headers["set-cookie"].partition(";")[0]})
     finally:
         if process.poll() is None:
             process.send_signal(signal.SIGINT)

@@ -135,7 +135,7 @@ def test_the_brush_opens_by_its_key_with_the_frame_and_takes_strokes_back(page: 
     assert missing(page) == 0
     page.keyboard.press("Control+Shift+Z")
     assert missing(page) == rectangle
-    runs = page.evaluate("fetch(`/inpainting/mask?tab=${studio.tab}`).then((answer) => answer.json())")["runs"]
+    runs = page.evaluate("fetch(`inpainting/mask?tab=${studio.tab}`).then((answer) => answer.json())")["runs"]
     assert sum(runs[1::2]) == rectangle
     assert not page.locator("#redo").is_enabled()
     width = page.locator("[data-brush=size]").input_value()

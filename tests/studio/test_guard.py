@@ -36,7 +36,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 
 def get(running: Running, path: str = "/", **headers: str) -> httpx.Response:
     given = {**running.cookie, **{name.replace("_", "-"): value for name, value in headers.items()}}
-    return httpx.get(running.origin + path, headers=given)
+    return httpx.get(running.page + path, headers=given)
 
 
 def status_of_socket(running: Running, path: str, headers: dict[str, str], origin: str | None) -> int:
@@ -48,23 +48,32 @@ def status_of_socket(running: Running, path: str, headers: dict[str, str], origi
 
 
 def test_the_printed_address_gives_a_cookie_that_scripts_do_not_see(running: Running) -> None:
-    answer = httpx.get(running.address)
-    assert answer.status_code == 303
-    assert answer.headers["location"] == "/"
-    token = running.address.rpartition("=")[2]
-    assert len(token) >= 43  # 256 bits
-    assert re.fullmatch(rf"clsco-\d+={token}; HttpOnly; SameSite=Strict; Path=/", answer.headers["set-cookie"])
+    for headers in ({}, {"Sec-Fetch-Site": "cross-site"}):  # from the file that opens it, say
+        answer = httpx.get(running.address, headers=headers)
+        assert answer.status_code == 200
+        token = running.address.rpartition("=")[2]
+        assert len(token) >= 43  # 256 bits
+        found = re.fullmatch(
+            r"clsco-[a-z2-7]{26}=([\w-]{43}); HttpOnly; SameSite=Strict; Path=(/[a-z2-7]{26})/",
+            answer.headers["set-cookie"],
+        )
+        assert found is not None
+        assert found[1] != token  # other servers of this machine may see the cookie
+        assert found[2] == running.place
+        assert token not in answer.text
     assert get(running).status_code == 200
 
 
 @pytest.mark.parametrize("path", ["/", POLLING, "/static/studio.js", "/scene?tab=x", "/no/such/page"])
 def test_nothing_without_the_token(running: Running, path: str) -> None:
-    for headers in ({}, {"Cookie": f"clsco-{running.host.rpartition(':')[2]}=wrong"}, {"Cookie": "other=1"}):
-        answer = httpx.get(running.origin + path, headers=headers)
+    name, _, value = running.cookie["Cookie"].partition("=")
+    for headers in ({}, {"Cookie": f"{name}=wrong"}, {"Cookie": "other=1"}, {"Cookie": f"x{name}={value}"}):
+        answer = httpx.get(running.page + path, headers=headers)
         assert answer.status_code == 403
         assert "clsco studio" in answer.text
-    assert httpx.get(running.origin + "/?t=wrong").status_code == 403
-    assert httpx.get(running.origin + "/?t=").status_code == 403
+    assert httpx.get(running.origin + path, headers=running.cookie).status_code == 403  # the path is a secret, too
+    for query in ("t=wrong", "t=", "c=", "c=wrong", f"T={running.address.rpartition('=')[2]}"):
+        assert httpx.get(f"{running.origin}/?{query}").status_code == 403
 
 
 @pytest.mark.parametrize(
@@ -109,12 +118,12 @@ def test_the_own_page_opens_both_transports_of_nicegui(running: Running) -> None
     with running.client() as client:
         assert client.post(f"{POLLING}&sid={session}", content="40").status_code == 200
     for headers in ({"Origin": running.origin}, running.cookie, {**running.cookie, "Origin": "null"}):
-        assert httpx.post(f"{running.origin}{POLLING}&sid={session}", content="40", headers=headers).status_code == 403
+        assert httpx.post(f"{running.page}{POLLING}&sid={session}", content="40", headers=headers).status_code == 403
 
 
 def test_a_form_of_another_page_is_refused(running: Running) -> None:
     for headers in ({}, {"Origin": "null"}, {"Origin": "http://evil.example"}):
-        answer = httpx.post(f"{running.origin}/", data={"a": "b"}, headers={**running.cookie, **headers})
+        answer = httpx.post(f"{running.page}/", data={"a": "b"}, headers={**running.cookie, **headers})
         assert answer.status_code == 403
 
 
@@ -148,7 +157,9 @@ def raw(running: Running, line: str, *headers: str, status: int) -> bytes:
     own = (f"Host: {running.host}", f"Cookie: {running.cookie['Cookie']}", f"Origin: {running.origin}")
     answer = b""
     with socket.create_connection((host, int(port)), timeout=10) as plain:
-        plain.sendall("\r\n".join([f"{line} HTTP/1.1", *own, *headers, "", ""]).encode())
+        plain.sendall(
+            "\r\n".join([f"{line.replace(' /', f' {running.place}/')} HTTP/1.1", *own, *headers, "", ""]).encode()
+        )
         while chunk := plain.recv(65536):
             answer += chunk
     assert answer.split()[1] == str(status).encode()

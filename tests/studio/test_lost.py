@@ -13,7 +13,7 @@ from clsco.studio.session import Session
 from tests.studio.browser import box, chromium, number, open_scene, rest, type_in
 from tests.studio.running import studio
 
-SCENE = "fetch(`/scene?tab=${studio.tab}`).then((answer) => answer.text())"
+SCENE = "fetch(`scene?tab=${studio.tab}`).then((answer) => answer.text())"
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 

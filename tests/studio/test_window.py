@@ -18,7 +18,7 @@ from tests.studio.running import Running, studio
 
 pytestmark = pytest.mark.browser
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
-SCENE = "fetch(`/scene?tab=${studio.tab}`).then((answer) => answer.text())"
+SCENE = "fetch(`scene?tab=${studio.tab}`).then((answer) => answer.text())"
 FOCUSED = """() => {
   const element = document.activeElement, style = getComputedStyle(element);
   const part = ["dialog", "header", "#panels", "#middle", "#side"].find((each) => element.closest(each));
@@ -126,7 +126,7 @@ def wait_for_scene(page: Any, state: str) -> None:
 
 def test_two_tabs_do_not_write_over_each_other(page: Any, running: Running, root: Path) -> None:
     other = page.context.new_page()
-    other.goto(running.origin)
+    other.goto(running.page + "/")
     rest(other)
     for tab in (page, other):
         open_scene(tab, "sphere.toml")
@@ -196,7 +196,7 @@ def test_jobs_go_on_without_their_page_and_previews_do_not(page: Any, running: R
     time.sleep(1)
     assert len(list((root / "long").glob("*.png"))) > done
     again = origin.new_page()
-    again.goto(running.origin)
+    again.goto(running.page + "/")
     again.locator(".job.running:has-text('long')").get_by_role("button", name="Cancel job").click()
     rest(again)
     again.locator(".job.canceled:has-text('long')").wait_for(timeout=20000)

@@ -7,7 +7,7 @@
   const LEAST_SCALE = 0.02, MOST_SCALE = 64; // CSS px per pixel of the image
   const tab = () => document.querySelector("#studio").dataset.tab;
   const one = (name) => document.querySelector(`[data-brush="${name}"]`);
-  const place = (what, rest = "") => `/inpainting/${what}?tab=${encodeURIComponent(tab())}${rest}`;
+  const place = (what, rest = "") => `inpainting/${what}?tab=${encodeURIComponent(tab())}${rest}`;
   const isOpen = () => Boolean(one("canvas")?.closest("dialog").open);
 
   let image = null, tool = "brush";
@@ -221,7 +221,7 @@
   // The frame that is shown, as an image of the studio's folder; gives its name.
   const shownFrame = async () => {
     const blob = await new Promise((done) => { document.querySelector("#canvas").toBlob(done, "image/png"); });
-    const address = `/texture?tab=${encodeURIComponent(tab())}&kind=png`;
+    const address = `texture?tab=${encodeURIComponent(tab())}&kind=png`;
     return (await (await fetch(address, { method: "POST", body: blob })).json()).name ?? "";
   };
 

@@ -8,7 +8,7 @@
 
   const upload = async (path, file) => {
     const kind = file.name.split(".").pop().toLowerCase();
-    const place = `/texture?tab=${encodeURIComponent(tab())}&kind=${encodeURIComponent(kind)}`;
+    const place = `texture?tab=${encodeURIComponent(tab())}&kind=${encodeURIComponent(kind)}`;
     try {
       const answer = await fetch(place, { method: "POST", body: file });
       const { name, error } = await answer.json();
@@ -49,7 +49,7 @@
 
   const small = async (image, path, name) => {
     const answer = await fetch(
-      `/thumbnail?tab=${encodeURIComponent(tab())}&path=${encodeURIComponent(path)}&of=${encodeURIComponent(name)}`);
+      `thumbnail?tab=${encodeURIComponent(tab())}&path=${encodeURIComponent(path)}&of=${encodeURIComponent(name)}`);
     const about = at("about", path);
     image.hidden = !answer.ok;
     if (answer.ok) image.src = URL.createObjectURL(await answer.blob());
@@ -61,7 +61,7 @@
   const shared = async () => {
     if (!document.querySelector("#studio")?.dataset.tab) { setTimeout(shared, 50); return; }
     if (!location.hash.startsWith("#s=")) return;
-    const answer = await fetch(`/share?tab=${encodeURIComponent(tab())}`, { method: "POST", body: location.hash });
+    const answer = await fetch(`share?tab=${encodeURIComponent(tab())}`, { method: "POST", body: location.hash });
     const { error } = await answer.json();
     history.replaceState(null, "", location.pathname + location.search);
     const place = document.querySelector("#message");

@@ -31,7 +31,7 @@
   studio.isOpen = () => socket !== null && socket.readyState === WebSocket.OPEN;
 
   const connect = () => {
-    socket = new WebSocket(`ws${location.protocol === "https:" ? "s" : ""}://${location.host}/frames?tab=${tab}`);
+    socket = new WebSocket(new URL(`frames?tab=${tab}`, location.href.replace(/^http/, "ws")));
     socket.binaryType = "arraybuffer";
     socket.onopen = () => {
       tries = 0;
@@ -427,7 +427,7 @@
     if (tab) return;
     tab = studio.tab = name;
     link = location.hash.startsWith("#s=") ? location.hash : "";
-    history.replaceState(null, "", `/?s=${name}`);
+    history.replaceState(null, "", `?s=${name}`);
     pointing();
     controls();
     studio.begin();

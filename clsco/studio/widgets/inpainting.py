@@ -204,7 +204,7 @@ def _results(inpainting: Inpainting, tab: str, folder: str) -> None:
     now = time.monotonic_ns()
     with say("div").classes("beside"):
         for method in inpainting.results:
-            place = f"/inpainting/picture?tab={tab}&which={method}&at={now}"
+            place = f"inpainting/picture?tab={tab}&which={method}&at={now}"
             with say("figure"):
                 say("img", src=place, alt=f"Filled by {method}")
                 with say("figcaption"):

@@ -269,7 +269,7 @@ def _pictures(jobs: Jobs, job: Job) -> int:
         parts = min(job.done, SHOWN) if job.status == "done" else 0
         with say("div").classes("pictures"):
             for part in range(parts):
-                place = f"/sample?job={job.number}&part={part}&parts={parts}&at={job.ended:.0f}"
+                place = f"sample?job={job.number}&part={part}&parts={parts}&at={job.ended:.0f}"
                 say("img", src=place, alt=f"Sample {part + 1} of {parts}", loading="lazy")
         return parts
     files = jobs.files(job.number)
@@ -284,7 +284,7 @@ def _pictures(jobs: Jobs, job: Job) -> int:
 
 
 def _address(jobs: Jobs, job: Job, path: Path) -> str:
-    return f"/result?job={job.number}&name={quote(path.relative_to(jobs.root / job.folder).as_posix())}"
+    return f"result?job={job.number}&name={quote(path.relative_to(jobs.root / job.folder).as_posix())}"
 
 
 def _number(text: str, what: str) -> float:

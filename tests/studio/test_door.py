@@ -1,0 +1,219 @@
+"""Connections that say nothing, or too much, and cookies of other servers; and the browser that is opened."""
+
+from __future__ import annotations
+
+import asyncio
+import http.server
+import re
+import socket
+import stat
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote, urlsplit
+
+import httpx
+import pytest
+
+pytest.importorskip("nicegui", reason="needs the extra clsco[studio]")
+
+import uvicorn
+from uvicorn.server import ServerState
+
+from clsco.studio import door as door_module
+from clsco.studio.door import MAX_HEADER, MOST_WAITING, door
+from tests.studio.browser import chromium, rest
+from tests.studio.running import Running, studio
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    with studio(tmp_path_factory.mktemp("root")) as opened:
+        yield opened
+
+
+def opened(running: Running) -> socket.socket:
+    host, port = running.host.split(":")
+    return socket.create_connection((host, int(port)), timeout=10)
+
+
+def handles(running: Running) -> int:
+    return len(list(Path(f"/proc/{running.process.pid}/fd").iterdir()))
+
+
+def test_connections_without_a_header_do_not_keep_others_out(running: Running) -> None:
+    before = handles(running)
+    held = []
+    try:
+        for k in range(825):
+            held.append(opened(running))
+            held[-1].sendall(b"GET / HTTP/1.1\r\nHost: "[: k % 20])
+        with running.client() as client:
+            assert client.get("/").status_code == 200
+        assert handles(running) <= before + MOST_WAITING + 8
+    finally:
+        for each in held:
+            each.close()
+
+
+async def _app(scope: Any, receive: Any, send: Any) -> None:
+    """Says which cookies came, after all of the request."""
+    while (await receive()).get("more_body"):
+        pass
+    cookies = b"|".join(value for name, value in scope["headers"] if name == b"cookie")
+    about = [(b"content-length", str(len(cookies)).encode())]
+    await send({"type": "http.response.start", "status": 200, "headers": about})
+    await send({"type": "http.response.body", "body": cookies})
+
+
+async def _talk(*parts: bytes, pause: float = 0.0) -> list[bytes]:
+    """What is answered to parts that are sent one after the other; it ends when the server ends the connection."""
+    loop, made = asyncio.get_running_loop(), door("ours")
+    config, state = uvicorn.Config(_app, log_level="critical"), ServerState()
+    server = await loop.create_server(lambda: made(config, state, {}), "127.0.0.1", 0)
+    answers: list[bytes] = []
+    reader, writer = await asyncio.open_connection(*server.sockets[0].getsockname())
+    try:
+        for part in parts:
+            writer.write(part)
+            await asyncio.sleep(pause)
+        while chunk := await asyncio.wait_for(reader.read(2**16), 5):
+            answers.append(chunk)
+    except ConnectionError:
+        answers.append(b"reset")
+    finally:
+        writer.close()
+        server.close()
+    return answers
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        (b"",),
+        (b"GET / HTTP/1.1\r\n",),
+        (b"GET / HTTP/1.1\r\n", *[b"A: b\r\n"] * 20),
+        (b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", b"GET / HT"),
+    ],
+)
+def test_a_header_that_does_not_come_is_not_waited_for(
+    monkeypatch: pytest.MonkeyPatch, parts: tuple[bytes, ...]
+) -> None:
+    monkeypatch.setattr(door_module, "HEADER_SECONDS", 0.3)
+    start = time.monotonic()
+    answers = asyncio.run(_talk(*parts, pause=0.02))
+    assert (b"200 OK" in b"".join(answers)) == (len(parts) == 2)
+    assert time.monotonic() - start < 3.0
+
+
+def test_a_header_without_end_is_refused() -> None:
+    large = b"GET / HTTP/1.1\r\nHost: x\r\nA: " + b"a" * 2 * MAX_HEADER
+    answers = b"".join(asyncio.run(_talk(large)))
+    assert answers.startswith(b"HTTP/1.1 400") or answers == b"reset"  # the rest is not read
+
+
+def test_a_body_is_no_header(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(door_module, "HEADER_SECONDS", 0.1)
+    head = f"POST / HTTP/1.1\r\nConnection: close\r\nContent-Length: {2 * MAX_HEADER}\r\n\r\n".encode()
+    assert asyncio.run(_talk(head, *[bytes(MAX_HEADER // 4)] * 8, pause=0.05))[0].startswith(b"HTTP/1.1 200")
+
+
+def test_cookies_of_others_are_dropped() -> None:
+    line = b'GET / HTTP/1.1\r\nCookie: a=1; ours=2; x-ours=3;ours=4; =; ours; b="ours=5"\r\nCookie: ours=6\r\n'
+    answer = b"".join(asyncio.run(_talk(line + b"Connection: close\r\n\r\n")))
+    assert answer.endswith(b"\r\n\r\nours=2; ours=4|ours=6")
+
+
+@pytest.mark.parametrize("other", ["a=" + "x" * 4000, 'a="' + "\\" * 4000, "a[]=b;c", "\xe4=\xf6", ";;=;", "="])
+def test_cookies_of_others_do_not_lock_out(running: Running, other: str) -> None:
+    cookies = {"Cookie": "; ".join([other] * (60 if len(other) > 99 else 4000) + [running.cookie["Cookie"]])}
+    start = time.monotonic()
+    answer = httpx.get(f"{running.page}/", headers=[(b"Cookie", cookies["Cookie"].encode("latin-1"))])
+    assert answer.status_code == 200
+    if other.isascii():
+        with running.connect("/_nicegui_ws/socket.io/?EIO=4&transport=websocket", cookies, running.origin):
+            pass
+    assert time.monotonic() - start < 5.0
+
+
+def test_a_long_cookie_without_the_secret_costs_nothing(running: Running) -> None:
+    start = time.monotonic()
+    for quoted in ('a="' + "\\" * 60000, 'a="' + 'b;"' * 20000, "a=" + "b;" * 30000):
+        assert httpx.get(f"{running.page}/", headers={"Cookie": quoted}).status_code == 403
+    assert time.monotonic() - start < 3.0
+
+
+def waiting_browser(folder: Path) -> tuple[str, Path]:
+    """A command that writes down what it is to open, and does not end; and where it does."""
+    script, said = folder / "browser", folder / "said"
+    script.write_text(f'#!/bin/sh\nexec >{said}.part 2>&1\necho "$1"\nmv {said}.part {said}\nexec sleep 30\n')
+    script.chmod(0o700)
+    return str(script), said
+
+
+def asked_to_open(said: Path) -> str:
+    end = time.monotonic() + 20
+    while not said.exists():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    return said.read_text().strip()
+
+
+def test_a_browser_that_waits_is_not_waited_for_and_its_command_line_has_no_secret(tmp_path: Path) -> None:
+    command, said = waiting_browser(tmp_path)
+    (tmp_path / "root").mkdir()
+    with studio(tmp_path / "root", browser=command) as running:
+        with running.client() as client:
+            assert client.get("/").status_code == 200
+        address = asked_to_open(said)
+        assert address.startswith("file:///")
+        page = Path(unquote(urlsplit(address).path))
+        assert stat.S_IMODE(page.parent.stat().st_mode) == 0o700
+        assert running.address.rpartition("=")[2] not in page.read_text() + address
+        found = re.search(r"url=(http://[^\"]+/\?c=[\w-]{43})\"", page.read_text())
+        assert found is not None
+        assert [httpx.get(found[1]).status_code for _ in range(3)] == [200, 403, 403]  # it works once
+    assert not page.exists()
+
+
+@pytest.mark.browser
+def test_what_the_browser_is_opened_with_leads_to_the_page(tmp_path: Path) -> None:
+    command, said = waiting_browser(tmp_path)
+    (tmp_path / "root").mkdir()
+    with studio(tmp_path / "root", "--device", "pocl", browser=command) as running, chromium() as browser:
+        page = browser.new_context().new_page()
+        page.goto(asked_to_open(said))
+        rest(page)
+        assert running.place in page.url
+
+
+@pytest.mark.browser
+def test_other_servers_of_the_machine_see_no_cookie(running: Running) -> None:
+    seen: list[str | None] = []
+
+    class Other(http.server.BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            seen.append(self.headers.get("Cookie"))
+            self.send_response(200)
+            self.send_header("Set-Cookie", f"{running.cookie['Cookie'].partition('=')[0]}=other; Path=/")
+            self.end_headers()
+
+        def log_message(self, *arguments: Any) -> None:
+            pass
+
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Other)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        with chromium() as browser:
+            page = browser.new_context().new_page()
+            page.goto(running.address)
+            rest(page)
+            page.goto(f"http://127.0.0.1:{server.server_port}/")
+            assert set(seen) == {None}
+            page.goto(f"{running.page}/")  # and theirs beside ours does not lock out
+            rest(page)
+    finally:
+        server.shutdown()
+        server.server_close()
