@@ -204,10 +204,15 @@ def _make(
                 run_pool(job, left, where, advance, _memory_limit(len(where)))
         status = status_of(wanted)
         finish(wanted, status)
+        failures = [row for shard in own if shard in status.done for row in wanted.lines(shard)[1]]
     finally:
         storage.tidy()  # what processes left that were still about to end before
         storage.close()
     click.echo(_line(out, status))
+    if failures:
+        first = f"the first, sample {failures[0]['number']}: {failures[0]['error']}"
+        count = sum(len(wanted.numbers(shard)) for shard in own)
+        raise ClscoError(f"{out}: every sample must be made; got {len(failures)} of {count} that failed; {first}")
 
 
 def _identity(drawn: Distribution, samples: range, options: dict[str, Any], precision: str, family: str) -> Identity:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import gc
+import io
 import os
+import sys
 
 from clsco.cli.main import main
 
@@ -18,6 +20,9 @@ def run() -> None:
     pydantic for plug-ins in all installed packages; at the end Python would look through all that was imported once
     more, which takes a fifth of a short command's time (benchmarks/optimisation_log.md).
     """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # what the terminal has no letter for is shown as its escape
+            stream.reconfigure(errors="backslashreplace")
     gc.set_threshold(_OBJECTS)
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     try:

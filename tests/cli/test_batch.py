@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -96,6 +97,30 @@ def test_a_set_is_made_looked_at_and_checked(place: Path) -> None:
 
 def size(folder: Path) -> str:
     return f"{sum(path.stat().st_size for path in (folder / 'data').iterdir()) / 1024:.1f} KiB"
+
+
+@pytest.mark.parametrize(("textures", "failed"), [('"none.png"', 6), ('"bricks", "none.png"', None)])
+def test_failed_samples_are_the_exit_status(place: Path, textures: str, failed: int | None) -> None:
+    """Those that this command was to make, now or before."""
+    text = DISTRIBUTION.replace(
+        "[[object]]", f"[[vary.object]]\nindex = 0\ntexture = {{ choice = [{textures}] }}\n[[object]]"
+    )
+    Path("set.toml").write_text(text)
+    Path("none.png").write_text("no image")
+    for options in ((), ("--resume",)):
+        result = make("-o", "one", "--count", 6, *options)
+        assert (place / "one" / "failed.jsonl").is_file(), result.output
+        rows = [json.loads(line) for line in (place / "one" / "failed.jsonl").read_text().splitlines()]
+        assert len(rows) == (failed or len(rows))
+        assert 0 < len(rows) < 6 + (failed is not None)
+        first = f"the first, sample {rows[0]['number']}: {rows[0]['error']}"
+        line = f"error: one: every sample must be made; got {len(rows)} of 6 that failed; {first}\n"
+        assert (result.exit_code, result.stderr) == (1, line)
+        assert f"{6 - len(rows)} samples in 2 shards, {len(rows)} failed" in result.stdout
+    for k in (0, 1):
+        numbers = range(4 * k, min(4 * k + 4, 6))
+        result = make("-o", "parts", "--count", 6, "--part", f"{k}/2")
+        assert result.exit_code == any(row["number"] in numbers for row in rows)
 
 
 def test_a_set_is_gone_on_with_and_grows(place: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -50,3 +51,18 @@ def test_output_that_cannot_be_written_is_an_error() -> None:
         process = ended("--version", stdout=full, stderr=subprocess.PIPE)
     assert process.returncode != 0
     assert "No space left" in process.stderr
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252", "utf-16"])
+def test_what_an_output_has_no_letters_for_is_printed_as_escapes(encoding: str, tmp_path: Path) -> None:
+    """In tables, whose frame is of other characters then, and in errors."""
+    scene = tmp_path / "scene.toml"
+    scene.write_text("title = 'winter \u2603'\n[[object]]\nshape = 'plane'\ndistance = 300\n", "utf-8")
+    environ = os.environ | {"PYTHONIOENCODING": encoding}
+    process = ended("plan", str(scene), capture_output=True, encoding=encoding, env=environ)
+    snow = "\\u2603" if encoding != "utf-16" else "\u2603"
+    assert (process.returncode, process.stderr, process.stdout.splitlines()[0]) == (0, "", f"Plan: winter {snow}")
+    assert "guard band" in process.stdout
+    process = ended("plan", "\u2603", capture_output=True, encoding=encoding, env=environ)
+    assert (process.returncode, process.stdout) == (1, "at the end\n")
+    assert process.stderr.startswith(f"error: {snow}: ")
