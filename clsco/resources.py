@@ -28,6 +28,7 @@ ABANDONED_S = 24 * 3600.0  # a temporary folder of another machine that has not 
 
 # Opening a pipe would block for ever without the second; neither is there on Windows.
 _SAFELY = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+DEVICE = "a device or a pipe"  # what errors say of a file that is neither regular nor a folder
 
 
 Kind = Literal["cache", "state"]
@@ -157,17 +158,17 @@ def open_regular(
         if error.errno == errno.ELOOP and not follow:
             raise OSError(error.errno, "a symbolic link", error.filename) from None
         if error.errno in (errno.ENXIO, errno.ENODEV):  # a socket, or a device that is not there
-            raise OSError(error.errno, "a device or a pipe", error.filename) from None
+            raise OSError(error.errno, DEVICE, error.filename) from None
         raise
     try:
         about = os.fstat(handle)
         if stat.S_ISDIR(about.st_mode):
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), os.fspath(path))
         if not stat.S_ISREG(about.st_mode):
-            raise OSError(errno.EINVAL, "a device or a pipe", os.fspath(path))
+            raise OSError(errno.EINVAL, DEVICE, os.fspath(path))
         if most is not None and about.st_size > most:
             raise _too_large(path, about.st_size, most)
-        return os.fdopen(handle, "rb")
+        return open(path, "rb", opener=lambda _path, _flags: handle)  # which knows its name, as os.fdopen does not
     except BaseException:
         os.close(handle)
         raise
@@ -176,7 +177,7 @@ def open_regular(
 def read_regular(path: str | os.PathLike[str], most: int, *, follow: bool = False, folder: int | None = None) -> bytes:
     """Read the content of a regular file of at most `most` bytes. Arguments and errors are those of `open_regular`."""
     with open_regular(path, most, follow=follow, folder=folder) as file:
-        content = file.read(most + 1)
+        content = file.read(min(most, os.fstat(file.fileno()).st_size) + 1)  # memory for all of `most` takes time
     if len(content) > most:
         raise _too_large(path, len(content), most)
     return content

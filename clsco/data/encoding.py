@@ -16,16 +16,19 @@ from numpy.typing import NDArray
 from clsco.data.record import Record
 from clsco.errors import ImageError
 from clsco.files.atomic import refuse
-from clsco.files.decoders import codec
+from clsco.files.bounded import npy_array as npy_array
+from clsco.files.bounded import npy_size as npy_size
+from clsco.files.bounded import unzstd
+from clsco.files.decoders import codec, require
 from clsco.files.png import GRAY, RGB, SIGNATURE, png_parts
 
 NEEDS = ("imagecodecs", "formats")  # the one package with both Zstandard and PNG of 16 bits in color
 EXTENSIONS = ("npy.zst", "npy", "png")
 LEVEL = 3  # 0.29 of the size at 500 MB/s; bytes shuffled first it is 0.26, and is read at half the rate
 LARGEST = 2**31  # bytes of an array
+LARGEST_RECORD = 2**32  # and of all arrays of a record
 LARGEST_META = 2**26
 NESTED = ("parameters", "labels", "scene", "arrays", "frames")  # in what describes a record
-HEADER = 2**14  # of an NPY file at most; numpy takes 10000
 _NAME = re.compile(r"[a-z0-9_]+(\.[a-z0-9_]+)*")
 _DTYPES = {np.dtype(name).name: np.dtype(name) for name in ("?", "u1", "u2", "i4", "i8", "f2", "f4", "f8")}
 
@@ -85,8 +88,14 @@ def decoded(path: Path, extension: str, content: bytes, about: Mapping[str, Any]
     if extension == "png":
         return _from_png(path, content, dtype, shape)
     if extension == "npy.zst":
-        content = codec(path, *NEEDS).zstd_decode(content, out=bytearray(npy_size(dtype, shape)))
+        require(path, *NEEDS)
+        return npy_array(unzstd(content, npy_size(dtype, shape)), dtype, shape)
     return npy_array(content, dtype, shape)
+
+
+def stored_size(about: Mapping[str, Any]) -> int:
+    """Bytes that hold an array at most, compressed or not: what cannot be compressed grows by less than an eighth."""
+    return npy_size(about["dtype"], about["shape"]) * 9 // 8
 
 
 def is_png(dtype: str, shape: tuple[int, ...]) -> bool:
@@ -118,27 +127,6 @@ def npy_bytes(array: NDArray[Any]) -> bytes:
     file = io.BytesIO()
     np.lib.format.write_array(file, np.ascontiguousarray(array), allow_pickle=False)
     return file.getvalue()
-
-
-def npy_size(dtype: np.dtype[Any], shape: tuple[int, ...]) -> int:
-    """Bytes that an NPY file of such an array has at most."""
-    return prod(shape) * dtype.itemsize + HEADER
-
-
-def npy_array(content: bytes | bytearray | memoryview, dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
-    """The array of an NPY file, which must have this type and shape; nothing is taken on the word of its header."""
-    file = io.BytesIO(content[:HEADER])
-    version = np.lib.format.read_magic(file)
-    if version not in ((1, 0), (2, 0)):
-        raise ValueError(f"NPY of version {version}")
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    found_shape, fortran, found = read(file)
-    if found.hasobject or (found.newbyteorder("="), found_shape) != (dtype, shape):
-        raise ValueError(f"{found} of shape {found_shape} for {dtype} {shape}")
-    if len(content) != file.tell() + prod(shape) * dtype.itemsize:
-        raise ValueError(f"{len(content)} bytes of {found} of shape {found_shape}")
-    plain = np.frombuffer(content, found, prod(shape), file.tell())
-    return np.array(plain.reshape(shape, order="F" if fortran else "C"), dtype, order="C")
 
 
 def meta_bytes(record: Record, flat: bool = False) -> bytes:
@@ -194,8 +182,9 @@ def parsed_meta(path: Path, content: bytes | str) -> dict[str, Any]:
         meta |= {name: json.loads(meta[name]) for name in NESTED if isinstance(meta.get(name), str)}
     if not isinstance(meta, dict) or not isinstance(meta.get("arrays"), dict):
         refuse(path, "meta.json must be an object with arrays", type(meta).__name__)
-    for name in meta["arrays"]:
-        described(path, meta, name)
+    known = [described(path, meta, name) for name in meta["arrays"]]
+    if (total := sum(prod(each["shape"]) * each["dtype"].itemsize for each in known)) > LARGEST_RECORD:
+        refuse(path, f"arrays of a sample must have at most {LARGEST_RECORD} bytes in all", total)
     return meta
 
 

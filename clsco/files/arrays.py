@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco.files.atomic import refuse
-from clsco.files.decoders import LARGEST_EXR, check_limits, codec, opened
+from clsco.files.bounded import member_array, npy_header, open_archive, open_member
+from clsco.files.decoders import check_limits, codec, exr_parts, opened
 
 
 def read_npz(path: Path, names: Sequence[str]) -> dict[str, NDArray[np.floating]]:
@@ -19,30 +18,20 @@ def read_npz(path: Path, names: Sequence[str]) -> dict[str, NDArray[np.floating]
 
     Raises ImageError where one is not there, is no such array, or has over 2^27 pixels.
     """
-    with opened(path, {".npz": "NPZ"}) as (file, _), zipfile.ZipFile(file) as archive:
+    with opened(path, {".npz": "NPZ"}) as (file, _), open_archive(file) as archive:
         found = {}
         for name in names:
             if f"{name}.npy" not in archive.NameToInfo:
                 refuse(path, f"must hold the array {name}", "none of this name")
-            shape, dtype = npy_header(archive, f"{name}.npy")
+            with open_member(archive, f"{name}.npy") as member:
+                header = npy_header(member)
+            shape, dtype = header.shape, header.dtype
             if len(shape) not in (2, 3) or shape[2:] not in ((), (2,), (3,)) or dtype.kind != "f" or dtype.itemsize > 8:
                 rule = f"array {name} must hold floats of shape (rows, columns[, 2 or 3])"
                 refuse(path, rule, f"{dtype} of shape {shape}")
             check_limits(path, shape[1], shape[0])
-            with archive.open(f"{name}.npy") as member:
-                found[name] = np.lib.format.read_array(member, allow_pickle=False)
-                if member.read(1):  # the archive checks its sum at the end alone
-                    raise ValueError("bytes after the array")
+            found[name] = member_array(archive, f"{name}.npy", header)
         return found
-
-
-def npy_header(archive: zipfile.ZipFile, entry: str) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Shape and type of an array in an NPZ, from its header alone."""
-    with archive.open(entry) as member:
-        version = np.lib.format.read_magic(member)
-        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, _fortran, dtype = read_header(member)
-    return shape, dtype
 
 
 def read_exr(path: Path, names: Sequence[str], view: str = "") -> list[NDArray[np.floating]]:
@@ -50,15 +39,8 @@ def read_exr(path: Path, names: Sequence[str], view: str = "") -> list[NDArray[n
 
     Raises ImageError where one is not there or holds no floats, and for over 2^27 pixels or 2^29 values in all.
     """
-    with opened(path, {".exr": "EXR"}):
-        exr = codec(path, "OpenEXR", "exr")
-        values, parts = 0, exr.File(str(path), header_only=True).parts
-        for part in parts:
-            (left, top), (right, bottom) = (corner.tolist() for corner in part.header["dataWindow"])
-            check_limits(path, right - left + 1, bottom - top + 1)
-            values += (right - left + 1) * (bottom - top + 1) * len(part.header["channels"])
-        if values > LARGEST_EXR:
-            refuse(path, f"an EXR must hold at most {LARGEST_EXR} values", values)
+    with opened(path, {".exr": "EXR"}) as (file, _):
+        parts, exr = exr_parts(file), codec(path, "OpenEXR", "exr")
         pages = exr.File(str(path), separate_channels=True).parts
         if len(pages) != len(parts):  # a part that cannot be decoded is left out by the library
             raise ValueError(f"{len(pages)} readable parts of {len(parts)}")

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import logging
+import math
 import os
-import stat
+import re
 import struct
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -18,13 +19,20 @@ from numpy.typing import NDArray
 
 from clsco.errors import ImageError
 from clsco.files.atomic import refuse
+from clsco.files.bounded import npy_header
+from clsco.files.confined import confined
 from clsco.files.png import GRAY, GRAY_ALPHA, PALETTE, RGB_ALPHA, SIGNATURE, checked_png, png_size
-from clsco.files.tags import Tags, jpeg_segments, jpeg_tags, png_tags, tiff_tags, upright
+from clsco.files.tags import Tags, jpeg_segments, jpeg_tags, png_tags, upright
+from clsco.resources import DEVICE, open_regular
 
 MAX_PIXELS = 2**27
 MAX_SIDE = 65536
 LARGEST_EXR = 2**29  # values in all channels, which are decoded together
-logging.getLogger("tifffile").addHandler(logging.NullHandler())  # its findings are reported once, as an error
+MOST_WINDOW = 4  # times the pixels of an EXR's display window that a part of it may have
+MOST_SCANS = 100  # of a JPEG, each of which goes over all pixels; encoders make up to about 20
+PIXEL_BYTES = 32  # of a file for each pixel, four of float64
+MOST_TAG = 2**24  # bytes of a color profile in a TIFF, of which larger ones than those of PNG are refused later
+OTHER_BYTES = 2**26  # of a file beside its pixels
 
 IMAGE_FORMATS = {
     ".png": "PNG",
@@ -71,12 +79,9 @@ def opened(path: str | os.PathLike[str], formats: Mapping[str, str] = IMAGE_FORM
     path = Path(path)
     kind = formats.get(path.suffix.lower(), "")
     try:
-        mode = path.stat().st_mode
-        if not stat.S_ISREG(mode):  # to open a pipe would block for ever
-            refuse(path, "must be an image file", "a folder" if stat.S_ISDIR(mode) else "a device or a pipe")
-        if not kind:
-            refuse(path, f"the extension must be one of {' '.join(formats)}", repr(path.suffix))
-        with open(path, "rb") as file:
+        with _opened(path) as file:
+            if not kind:
+                refuse(path, f"the extension must be one of {' '.join(formats)}", repr(path.suffix))
             head = file.read(8)
             if not head.startswith(_FIRST_BYTES[kind]):
                 found = next((name for name, first in _FIRST_BYTES.items() if head.startswith(first)), None)
@@ -97,6 +102,17 @@ def opened(path: str | os.PathLike[str], formats: Mapping[str, str] = IMAGE_FORM
         refuse(path, f"must be a whole {kind}", error, error)
 
 
+def _opened(path: Path) -> BinaryIO:
+    try:
+        return open_regular(path, follow=True)
+    except IsADirectoryError:
+        refuse(path, "must be an image file", "a folder")
+    except OSError as error:
+        if error.strerror != DEVICE:
+            raise
+        refuse(path, "must be an image file", DEVICE)
+
+
 def path_of(file: BinaryIO) -> Path:
     """Path of an opened file."""
     return Path(file.name)
@@ -110,6 +126,12 @@ def codec(path: Path, module: str, extra: str) -> Any:
         refuse(path, f"needs {module}: pip install 'clsco[{extra}]'", error, error)
 
 
+def require(path: Path, module: str, extra: str) -> None:
+    """Raise ImageError that names the extra of clsco that brings a module, where it is not there."""
+    if find_spec(module) is None:
+        refuse(path, f"needs {module}: pip install 'clsco[{extra}]'", "no such module")
+
+
 def checked_size(file: BinaryIO, kind: str) -> tuple[int, int]:
     """(columns, rows) of an opened file's header, upright; goes back to its first byte. Raises as `image_size`."""
     columns, rows = _stored_size(file, kind)
@@ -119,7 +141,10 @@ def checked_size(file: BinaryIO, kind: str) -> tuple[int, int]:
 def _stored_size(file: BinaryIO, kind: str) -> tuple[int, int]:
     columns, rows = _CODECS[kind][0](file)
     file.seek(0)
-    check_limits(Path(file.name), columns, rows)
+    check_limits(path_of(file), columns, rows)
+    size, most = os.fstat(file.fileno()).st_size, PIXEL_BYTES * columns * rows + OTHER_BYTES
+    if size > most and kind != "EXR":  # which may hold many layers
+        refuse(path_of(file), f"a file of {columns} x {rows} pixels must have at most {most} bytes", size)
     return columns, rows
 
 
@@ -197,56 +222,90 @@ def _jpeg_size(file: BinaryIO) -> tuple[int, int]:
     raise ValueError("no frame header")
 
 
+def _scans(content: bytes) -> int:
+    """Scans of a JPEG, up to its end: a few bytes each may have a decoder go over all pixels."""
+    found, at, mark = 0, 2, re.compile(rb"\xff+([\x01-\xcf\xd8-\xfe])")  # but for those within the pixels of a scan
+    while (match := mark.search(content, at)) is not None and match[1] != b"\xd9":
+        found += match[1] == b"\xda"
+        at = match.end() + int.from_bytes(content[match.end() : match.end() + 2], "big")
+    return found
+
+
 def _decode_jpeg(file: BinaryIO) -> NDArray[Any]:
-    data: NDArray[Any] = _by_imageio(file.read(), ".jpg")
+    content = file.read()
+    if (scans := _scans(content)) > MOST_SCANS:
+        refuse(path_of(file), f"a JPEG must have at most {MOST_SCANS} scans", scans)
+    data: NDArray[Any] = _by_imageio(content, ".jpg")
     if data.ndim == 3 and data.shape[2] == 4:
         refuse(path_of(file), "a JPEG must be gray or RGB", "CMYK")
     return data
 
 
-@contextlib.contextmanager
-def _tiff_page(file: BinaryIO) -> Iterator[Any]:
-    with codec(path_of(file), "tifffile", "formats").TiffFile(file) as tiff:
-        if len(tiff.pages) != 1:
-            refuse(path_of(file), "must be a single image", f"{len(tiff.pages)} pages")
-        yield tiff.pages[0]
+def _tiff_header(file: BinaryIO) -> tuple[dict[str, Any], bytes]:
+    """What a TIFF says of its page, and its color profile."""
+    require(path_of(file), "tifffile", "formats")
+    found, (profile,) = confined("clsco.files.tiff:header", file, MOST_TAG)
+    if found["pages"] != 1:
+        refuse(path_of(file), "must be a single image", f"{found['pages']} pages")
+    return found, profile.tobytes()
 
 
 def _tiff_size(file: BinaryIO) -> tuple[int, int]:
-    with _tiff_page(file) as page:
-        return page.imagewidth, page.imagelength
+    found, _ = _tiff_header(file)
+    return found["columns"], found["rows"]
 
 
 def _tiff_tags(file: BinaryIO) -> Tags:
-    with _tiff_page(file) as page:
-        return tiff_tags(page.tags)
+    found, profile = _tiff_header(file)
+    return Tags(found["orientation"], profile)
 
 
 def _decode_tiff(file: BinaryIO) -> NDArray[Any]:
-    with _tiff_page(file) as page:
-        extra = len(page.extrasamples)
-        kind = (getattr(page.photometric, "name", page.photometric), page.samplesperpixel - extra)
-        if kind not in (("MINISBLACK", 1), ("RGB", 3)) or extra > 1 or page.imagedepth != 1:
-            got = f"{kind[0]} with {page.samplesperpixel} samples per pixel"
-            refuse(path_of(file), "a TIFF must be gray (0 is black) or RGB, with at most an alpha channel", got)
-        if page.bitspersample not in (8, 16, 32, 64):
-            refuse(path_of(file), "a TIFF must have 8 or 16 bits, or floats", f"{page.bitspersample} bits")
-        data = np.moveaxis(page.asarray(), 0, 2) if page.axes == "SYX" else page.asarray()
-        return _without_alpha(file, data) if extra else data
+    found, _ = _tiff_header(file)
+    samples, extra, bits = found["samples"], found["extra"], found["bits"]
+    kind = (found["photometric"], samples - extra)
+    if kind not in (("MINISBLACK", 1), ("RGB", 3)) or extra > 1 or found["planes"] != 1:
+        got = f"{kind[0]} with {samples} samples per pixel"
+        refuse(path_of(file), "a TIFF must be gray (0 is black) or RGB, with at most an alpha channel", got)
+    if bits not in (8, 16, 32, 64):
+        refuse(path_of(file), "a TIFF must have 8 or 16 bits, or floats", f"{bits} bits")
+    most = found["columns"] * found["rows"] * samples * bits // 8
+    data = confined("clsco.files.tiff:pixels", file, most)[1][0]
+    return _without_alpha(file, data) if extra else data
+
+
+def exr_parts(file: BinaryIO) -> Sequence[Any]:
+    """Headers of the parts of an EXR, which are decoded together. Raises ImageError where they are too large."""
+    parts: Sequence[Any] = codec(path_of(file), "OpenEXR", "exr").File(str(file.name), header_only=True).parts
+    values, layers = 0, list[str]()
+    width, height = _window(parts[0].header["displayWindow"])  # which parts have in common
+    for part in parts:
+        columns, rows = _window(part.header["dataWindow"])
+        check_limits(path_of(file), columns, rows)
+        if columns * rows > MOST_WINDOW * max(width * height, 1):
+            rule = f"a data window must have at most {MOST_WINDOW} times the pixels of the display window"
+            refuse(path_of(file), rule, f"{columns} x {rows} of {width} x {height}")
+        if "deep" in str(part.header.get("type", "")).lower():
+            refuse(path_of(file), "an EXR must not be deep", part.header["type"])
+        values += len(part.header["channels"]) * columns * rows
+        layers.append(f"{len(part.header['channels'])} channels of {columns} x {rows}")
+    if values > LARGEST_EXR:
+        refuse(path_of(file), f"an EXR must hold at most {LARGEST_EXR} values", " and ".join(layers[:3]))
+    return parts
+
+
+def _window(corners: Sequence[Any]) -> tuple[int, int]:
+    """Columns and rows of a window of an EXR."""
+    (left, top), (right, bottom) = (corner.tolist() for corner in corners)
+    return right - left + 1, bottom - top + 1
 
 
 def _exr_size(file: BinaryIO) -> tuple[int, int]:
-    parts = codec(path_of(file), "OpenEXR", "exr").File(str(file.name), header_only=True).parts
-    header, count = parts[0].header, sum(len(part.header["channels"]) for part in parts)
+    header = exr_parts(file)[0].header
     window, display = ([corner.tolist() for corner in header[name]] for name in ("dataWindow", "displayWindow"))
     if window != display:
         refuse(path_of(file), f"the data window must be the display window, {display}", window)
-    (left, top), (right, bottom) = window
-    columns, rows = right - left + 1, bottom - top + 1
-    if count * columns * rows > LARGEST_EXR and columns * rows <= MAX_PIXELS:  # otherwise its size is refused
-        got = f"{count} channels of {columns} x {rows}"
-        refuse(path_of(file), f"an EXR must hold at most {LARGEST_EXR} values", got)
-    return columns, rows
+    return _window(header["dataWindow"])
 
 
 def _decode_exr(file: BinaryIO) -> NDArray[Any]:
@@ -287,20 +346,22 @@ def _pfm_size(file: BinaryIO) -> tuple[int, int]:
 
 def _decode_pfm(file: BinaryIO) -> NDArray[Any]:
     channels, columns, rows, scale = _pfm_header(file)
-    content = file.read()
-    if len(content) != 4 * channels * columns * rows:
-        raise ValueError(f"{len(content)} bytes of {columns} x {rows} x {channels} float32 pixels")
-    data = np.frombuffer(content, "<f4" if scale < 0 else ">f4").reshape(rows, columns, channels)[::-1]
+    needed, there = 4 * channels * columns * rows, os.fstat(file.fileno()).st_size - file.tell()
+    if there != needed:
+        raise ValueError(f"{there} bytes of {columns} x {rows} x {channels} float32 pixels")
+    data = np.frombuffer(file.read(needed), "<f4" if scale < 0 else ">f4").reshape(rows, columns, channels)[::-1]
     return data[..., 0] if channels == 1 else data
 
 
 def _npy_size(file: BinaryIO) -> tuple[int, int]:
-    version = np.lib.format.read_magic(file)
-    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, _fortran, dtype = read_header(file)
+    shape, _fortran, dtype, start = npy_header(file)
     if len(shape) not in (2, 3) or (len(shape) == 3 and shape[2] != 3) or dtype.kind not in "iuf":
         rule = "an NPY must hold numbers of shape (rows, columns) or (rows, columns, 3)"
         refuse(path_of(file), rule, f"{dtype} of shape {shape}")
+    check_limits(path_of(file), shape[1], shape[0])
+    needed, size = start + math.prod(shape) * dtype.itemsize, os.fstat(file.fileno()).st_size
+    if size < needed:  # before memory for it is taken
+        raise ValueError(f"{size} bytes of {needed}")
     return shape[1], shape[0]
 
 

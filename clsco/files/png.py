@@ -114,9 +114,19 @@ def checked_png(file: BinaryIO) -> tuple[bytes, int, int, bytes | None]:
     for column, row, right, down in _ADAM7 if laced else ((0, 0, 1, 1),):
         width, height = len(range(column, columns, right)), len(range(row, rows, down))
         expected += height * (1 + (width * depth * _SAMPLES[color] + 7) // 8) if width else 0
-    if len(zlib.decompressobj().decompress(b"".join(pixels), expected)) < expected:
+    if not _unpacks_to(pixels, expected):
         raise ValueError("fewer pixels than the header says")
     return png, depth, color, transparency
+
+
+def _unpacks_to(packed: list[bytes], count: int) -> bool:
+    """Whether deflated data have so many bytes or more; no more than BLOCK of them are there at once."""
+    inflater = zlib.decompressobj()
+    for part in packed:
+        while part and count > 0 and not inflater.eof:
+            count -= len(inflater.decompress(part, BLOCK))
+            part = inflater.unconsumed_tail
+    return count <= 0 or count <= len(inflater.flush(BLOCK))
 
 
 def _chunk(kind: bytes, body: list[bytes]) -> list[bytes]:

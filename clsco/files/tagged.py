@@ -5,6 +5,7 @@ All of it is little endian.
 
 from __future__ import annotations
 
+import os
 import struct
 from typing import BinaryIO
 
@@ -23,10 +24,9 @@ def read_floats(file: BinaryIO, channels: int) -> NDArray[np.float32]:
     """
     columns, rows = struct.unpack("<4xii", file.read(12))
     check_limits(path_of(file), columns, rows)
-    size = 4 * channels * columns * rows
-    content = file.read(size + 1)
-    if len(content) != size:
-        got = "more" if len(content) > size else f"{len(content)} bytes"
+    size, there = 4 * channels * columns * rows, os.fstat(file.fileno()).st_size - 12
+    if there != size:
+        got = "more" if there > size else f"{there} bytes"
         raise ValueError(f"{got} after a header of {columns} x {rows} pixels, which have {size} bytes")
     shape = (rows, columns) if channels == 1 else (rows, columns, channels)
-    return np.frombuffer(content, "<f4").reshape(shape).astype(np.float32)
+    return np.frombuffer(file.read(size), "<f4").reshape(shape).astype(np.float32)

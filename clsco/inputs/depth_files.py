@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import zipfile
 from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -11,9 +10,9 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.files.arrays import npy_header
 from clsco.files.atomic import refuse
-from clsco.files.decoders import IMAGE_FORMATS, check_limits, checked_size, codec, decoded, opened
+from clsco.files.bounded import member_array, npy_header, open_archive, open_member
+from clsco.files.decoders import IMAGE_FORMATS, check_limits, checked_size, codec, decoded, exr_parts, opened
 
 Array = NDArray[np.float64]
 MOST_ARRAYS = 256  # in an NPZ
@@ -65,8 +64,7 @@ def _single_channel(file: BinaryIO, data: NDArray[Any]) -> Array:
 def _decode_exr(file: BinaryIO) -> NDArray[Any]:
     path = Path(file.name)
     columns, rows = checked_size(file, "EXR")
-    exr = codec(path, "OpenEXR", "exr")
-    parts = exr.File(str(path), header_only=True).parts
+    parts, exr = exr_parts(file), codec(path, "OpenEXR", "exr")
     count = sum(len(part.header["channels"]) for part in parts)
     pages = exr.File(str(path), separate_channels=True).parts
     if len(pages) != len(parts):  # a part that cannot be decoded is left out by the library
@@ -120,25 +118,25 @@ def _names(names: list[str]) -> str:
 
 def _decode_npz(file: BinaryIO) -> NDArray[Any]:
     path = Path(file.name)
-    with zipfile.ZipFile(file) as archive:
+    with open_archive(file) as archive:
         names = (name for name in archive.namelist() if name.endswith(".npy"))
         found = {name.removesuffix(".npy"): name for name in islice(names, MOST_ARRAYS + 1)}
         if "depth.npy" in archive.NameToInfo:
             found = {"depth": "depth.npy"}
         elif len(found) > MOST_ARRAYS:
             refuse(path, f"an NPZ must hold an array depth, or at most {MOST_ARRAYS} arrays", "more")
-        headers = {name: npy_header(archive, entry) for name, entry in found.items()}
-        flat = [name for name, (shape, _dtype) in headers.items() if len(shape) == 2 or name == "depth"]
+        headers = {}
+        for name, entry in found.items():
+            with open_member(archive, entry) as member:
+                headers[name] = npy_header(member)
+        flat = [name for name, header in headers.items() if len(header.shape) == 2 or name == "depth"]
         if len(flat) != 1:
             rule = "an NPZ must hold an array depth, or one array with two dimensions"
             refuse(path, rule, f"arrays {_names(flat)}" if flat else "none")
-        shape, dtype = headers[flat[0]]
+        header = headers[flat[0]]
+        shape, dtype = header.shape, header.dtype
         if len(shape) not in (2, 3) or shape[2:] not in ((), (3,)) or dtype.kind not in "iuf":
             rule = f"array {_names(flat)} must hold numbers of shape (rows, columns)"
             refuse(path, rule, f"{dtype} of shape {shape}")
         check_limits(path, shape[1], shape[0])
-        with archive.open(found[flat[0]]) as member:
-            data: NDArray[Any] = np.lib.format.read_array(member, allow_pickle=False)
-            if member.read(1):  # the archive checks its sum at the end alone
-                raise ValueError("bytes after the array")
-            return data
+        return member_array(archive, found[flat[0]], header)

@@ -156,7 +156,7 @@ def test_links_in_folders_are_not_followed(tmp_path: Path) -> None:
         list(CONTAINERS["folders+raw"].read(path))
     (path / "000000001/depth.npy").unlink()
     os.mkfifo(path / "000000001/depth.npy")  # would block for ever
-    with pytest.raises(ImageError, match=r"depth\.npy: must be a plain file"):
+    with pytest.raises(ImageError, match="000000001: must be a sample that can be read; got a device or a pipe"):
         list(CONTAINERS["folders+raw"].read(path))
 
 

@@ -6,14 +6,13 @@ Read back with OpenCV, Pillow, `numpy` and `zstandard`.
 from __future__ import annotations
 
 import os
-import stat
 from collections.abc import Collection, Iterable
 from pathlib import Path
 
 from clsco.data.containers.base import ShardReader, whole
-from clsco.data.encoding import LARGEST, decoded, described, members, parsed_meta, split_name
+from clsco.data.encoding import LARGEST_META, decoded, described, members, parsed_meta, split_name, stored_size
 from clsco.data.record import Record, is_wanted
-from clsco.files.atomic import refuse
+from clsco.resources import read_regular
 
 
 def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
@@ -24,16 +23,6 @@ def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
         folder.mkdir()
         for name, content in members(path, record, raw):
             (folder / name).write_bytes(content)
-
-
-def read_file(path: Path) -> bytes:
-    """Content of a plain file that is no link. Raises ImageError for others, OSError where it cannot be read."""
-    handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)  # to open a pipe would block for ever
-    with open(handle, "rb", buffering=0) as file:
-        about = os.fstat(handle)
-        if not stat.S_ISREG(about.st_mode) or about.st_size > LARGEST:
-            refuse(path, f"must be a plain file of at most {LARGEST} bytes", about.st_size)
-        return file.read()
 
 
 class FolderReader(ShardReader):
@@ -48,13 +37,14 @@ class FolderReader(ShardReader):
         """Read the files that are wanted."""
         folder = self.path / self.keys[index]
         with whole(folder, "sample"):
-            meta = parsed_meta(folder, read_file(folder / "meta.json"))
+            meta = parsed_meta(folder, read_regular(folder / "meta.json", LARGEST_META))
             names = [each.name for each in folder.iterdir()]
             found = {split[0]: name for name in names if (split := split_name(name)) is not None}
             arrays = {}
             for name in meta["arrays"]:  # whose order is that of the record
                 if name in found and is_wanted(name, wanted):
                     extension = found[name].removeprefix(f"{name}.")
-                    content = read_file(folder / found[name])
-                    arrays[name] = decoded(folder, extension, content, described(folder, meta, name))
+                    about = described(folder, meta, name)
+                    content = read_regular(folder / found[name], stored_size(about))
+                    arrays[name] = decoded(folder, extension, content, about)
         return Record(self.keys[index], arrays, meta)

@@ -13,6 +13,8 @@ from pathlib import Path
 from clsco.data.containers.base import ShardReader, whole
 from clsco.data.encoding import LARGEST_META, described, meta_bytes, npy_array, npy_bytes, npy_size, parsed_meta
 from clsco.data.record import Record, is_wanted
+from clsco.files.bounded import member_bytes, open_archive
+from clsco.resources import open_regular
 
 
 def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
@@ -50,20 +52,13 @@ class NpzReader(ShardReader):
     def record(self, index: int, wanted: Collection[str] | None = None) -> Record:
         """Read the members that are wanted."""
         path = self.path / f"{self.keys[index]}.npz"
-        with whole(path, "NPZ"), zipfile.ZipFile(path) as archive:
-
-            def content(member: str, most: int) -> bytes:
-                size = archive.getinfo(member).file_size  # no more is unpacked than that
-                if size > most:
-                    raise ValueError(f"{size} bytes in {member}")
-                return archive.read(member)
-
-            meta = parsed_meta(path, content("meta.json", LARGEST_META))
+        with whole(path, "NPZ"), open_regular(path) as file, open_archive(file) as archive:
+            meta = parsed_meta(path, member_bytes(archive, "meta.json", LARGEST_META))
             arrays = {}
             for member in archive.namelist():
                 name = member.removesuffix(".npy")
                 if name != member and is_wanted(name, wanted):
                     about = described(path, meta, name)
                     dtype, shape = about["dtype"], about["shape"]
-                    arrays[name] = npy_array(content(member, npy_size(dtype, shape)), dtype, shape)
+                    arrays[name] = npy_array(member_bytes(archive, member, npy_size(dtype, shape)), dtype, shape)
         return Record(self.keys[index], arrays, meta)

@@ -6,25 +6,29 @@ Columns are `key`, one for each array, and `meta`, a string of JSON. Read back w
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco.data.containers.base import ShardReader, whole
 from clsco.data.containers.uniform import Layout, blocks, record_bytes
-from clsco.data.encoding import LARGEST, decoded, described, is_png, meta_bytes, parsed_meta, png_bytes
+from clsco.data.encoding import LARGEST, decoded, described, is_png, meta_bytes, parsed_meta, png_bytes, stored_size
 from clsco.data.record import Record, is_wanted
 from clsco.files.atomic import refuse
-from clsco.files.decoders import codec
+from clsco.files.confined import confined
+from clsco.files.decoders import codec, require
+from clsco.resources import open_regular
 
 NEEDS = ("pyarrow", "data")
 _EXTENSION = "ARROW:extension:"  # with the type of `datasets`, which others take for lists of lists
 MOST_ROWS = 2**16
+MOST_KEYS, MOST_META = 2**25, 2**26  # bytes of all keys, and of what describes the records of a row group
 GROUP = 2**23  # bytes, about, of a row group, which is what a reader reads at once
+_FILE = "clsco.data.containers.parquet_file"
 
 
 def write(path: Path, records: Iterable[Record]) -> None:
@@ -98,24 +102,32 @@ def _nested(pyarrow: Any, values: NDArray[Any]) -> Any:
     return column
 
 
+class _Column(NamedTuple):
+    """A column of a row group: where each row begins in its bytes, and its end; or for lists the values of all rows."""
+
+    places: NDArray[np.int64]
+    values: NDArray[Any]
+
+    def row(self, number: int) -> NDArray[np.uint8]:
+        """Bytes of a row."""
+        return self.values[self.places[number] : self.places[number + 1]]
+
+
 class ParquetReader(ShardReader):
     """Records of a Parquet file; the row group that was read last is kept."""
 
     def __init__(self, path: Path) -> None:
-        self._file: Any = None
-        self._kept: tuple[int, tuple[str, ...], Any] | None = None
-        self._parquet = codec(path, "pyarrow.parquet", "data")
+        self._kept: tuple[int, dict[str, _Column]] | None = None
         self._places: list[tuple[int, int]] = []
-        with whole(path, "Parquet file"), self._parquet.ParquetFile(path) as file:
-            about = file.metadata
-            for number in range(about.num_row_groups):
-                group = about.row_group(number)
-                if group.total_byte_size > LARGEST or group.num_rows > MOST_ROWS:
+        require(path, *NEEDS)
+        with whole(path, "Parquet file"), open_regular(path) as file:
+            about, _ = confined(f"{_FILE}:layout", file, MOST_KEYS)
+            for number, (size, rows) in enumerate(about["groups"]):
+                if size > LARGEST or rows > MOST_ROWS:
                     rule = f"row groups must have at most {LARGEST} bytes and {MOST_ROWS} rows"
-                    refuse(path, rule, f"{group.total_byte_size} and {group.num_rows}")
-                self._places += [(number, row) for row in range(group.num_rows)]
-            self._names = file.schema_arrow.names
-            keys = file.read(["key"])["key"].to_pylist()
+                    refuse(path, rule, f"{size} and {rows}")
+                self._places += [(number, row) for row in range(rows)]
+        self._names, keys = tuple(map(str, about["names"])), about["keys"]
         if len(keys) != len(self._places) or not all(isinstance(key, str) for key in keys):
             refuse(path, "must have a key in each row", f"{len(keys)} of {len(self._places)}")
         super().__init__(path, keys)
@@ -125,30 +137,34 @@ class ParquetReader(ShardReader):
         group, row = self._places[index]
         names = tuple(name for name in self._names if name not in ("key", "meta") and is_wanted(name, wanted))
         with whole(self.path, "Parquet file"):
-            if self._kept is None or self._kept[:2] != (group, names):
-                if self._file is None:
-                    self._file = self._parquet.ParquetFile(self.path)
-                self._kept = (group, names, self._file.read_row_group(group, ["meta", *names]))
-            table = self._kept[2].slice(row, 1)
-            meta = parsed_meta(self.path, table["meta"][0].as_py())
-            arrays = {name: self._array(table[name], described(self.path, meta, name)) for name in names}
+            if self._kept is None or self._kept[0] != group:
+                self._kept = (group, self._columns(group, ["meta"], MOST_META))
+            columns = self._kept[1]
+            meta = parsed_meta(self.path, bytes(columns["meta"].row(row)))
+            shapes = {name: described(self.path, meta, name) for name in names}
+            rows = len(columns["meta"].places) - 1
+            if missing := [name for name in names if name not in columns]:
+                most = rows * sum(stored_size(shapes[name]) for name in missing)
+                if most > LARGEST:
+                    raise ValueError(f"{rows} rows of {most // rows} bytes in a row group")
+                columns |= self._columns(group, missing, most)
+            arrays = {name: self._array(columns[name], row, rows, shapes[name]) for name in names}
         return Record(self.keys[index], arrays, meta)
 
-    def _array(self, column: Any, about: dict[str, Any]) -> NDArray[Any]:
+    def _columns(self, group: int, names: Sequence[str], most: int) -> dict[str, _Column]:
+        with open_regular(self.path) as file:
+            _, arrays = confined(f"{_FILE}:columns", file, most, group=group, names=list(names))
+        pairs = zip(names, arrays[::2], arrays[1::2], strict=True)
+        return {name: _Column(places, values) for name, places, values in pairs}
+
+    def _array(self, column: _Column, row: int, rows: int, about: dict[str, Any]) -> NDArray[Any]:
         dtype, shape = about["dtype"], about["shape"]
         if is_png(dtype.name, shape):
-            return decoded(self.path, "png", column[0]["bytes"].as_py(), about)
-        values = column.combine_chunks()
-        for _ in shape:
-            values = values.flatten()
-        flat = values.to_numpy(zero_copy_only=False)
-        if flat.dtype != dtype:
-            raise ValueError(f"{flat.dtype} for {dtype}")
-        return np.array(flat.reshape(shape))
+            return decoded(self.path, "png", bytes(column.row(row)), about)
+        if column.values.dtype != dtype or len(column.values) != rows * prod(shape):
+            raise ValueError(f"{len(column.values)} values of {column.values.dtype} for {rows} of {dtype} {shape}")
+        return np.array(column.values.reshape(rows, *shape)[row])
 
     def close(self) -> None:
-        """Close the file, and let go of the row group."""
+        """Let go of the row group."""
         self._kept = None
-        if self._file is not None:
-            self._file.close()
-            self._file = None

@@ -26,6 +26,7 @@ from clsco.data.encoding import LARGEST, decoded, described, is_png, meta_bytes,
 from clsco.data.record import Record, is_wanted
 from clsco.files.atomic import refuse
 from clsco.files.decoders import codec
+from clsco.resources import open_regular
 
 NEEDS = ("google_crc32c", "data")
 # tensorflow/core/example/feature.proto and example.proto.
@@ -136,7 +137,7 @@ class TfRecordReader(ShardReader):
         self._pb, self._checksum = _package(path)
         self._places, self._sizes = numbers("q"), numbers("q")
         keys: list[str] = []
-        with whole(path, "TFRecord file"), open(path, "rb", buffering=0) as file:
+        with whole(path, "TFRecord file"), open_regular(path) as file:
             end, place = os.fstat(file.fileno()).st_size, 0
             while place < end:
                 head = os.pread(file.fileno(), 12, place)
@@ -155,7 +156,7 @@ class TfRecordReader(ShardReader):
     def record(self, index: int, wanted: Collection[str] | None = None) -> Record:
         """Read a record whole, and convert what is wanted of it."""
         with whole(self.path, "TFRecord file"):
-            with open(self.path, "rb", buffering=0) as file:
+            with open_regular(self.path) as file:
                 size = self._sizes[index]
                 content = os.pread(file.fileno(), size + 4, self._places[index])
             if len(content) != size + 4 or self._checksum(content[:size]) != content[size:]:

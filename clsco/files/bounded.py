@@ -1,0 +1,105 @@
+"""NPY arrays, members of ZIP archives and Zstandard frames of strangers: no more is unpacked than is asked for."""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+import zipfile
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+HEADER = 2**14  # bytes of the header of an NPY at most; numpy takes 10000
+MOST_DIRECTORY = 2**22  # bytes of what an archive says of its members: 40,000 or more of them
+_END = b"PK\x05\x06"  # of an archive: 22 bytes and a comment of up to 65535
+
+
+class NpyHeader(NamedTuple):
+    """What an NPY says of its array, and where that begins."""
+
+    shape: tuple[int, ...]
+    fortran: bool
+    dtype: np.dtype[Any]
+    start: int
+
+
+def npy_header(file: BinaryIO | zipfile.ZipExtFile) -> NpyHeader:
+    """Header of an NPY that a file begins with. Raises ValueError where there is none."""
+    head = io.BytesIO(file.read(HEADER))
+    version = np.lib.format.read_magic(head)
+    if version not in ((1, 0), (2, 0)):
+        raise ValueError(f"NPY of version {version}")
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, fortran, dtype = read(head)
+    if any(size < 0 for size in shape):
+        raise ValueError(f"an array of shape {shape}")
+    return NpyHeader(shape, fortran, dtype, head.tell())
+
+
+def npy_size(dtype: np.dtype[Any], shape: tuple[int, ...]) -> int:
+    """Bytes that an NPY file of such an array has at most."""
+    return math.prod(shape) * dtype.itemsize + HEADER
+
+
+def npy_array(content: bytes | bytearray | memoryview, dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+    """The array of an NPY file, which must have this type and shape; nothing is taken on the word of its header.
+
+    It is in the memory of what can be written to.
+    """
+    found = npy_header(io.BytesIO(content[:HEADER]))
+    if found.dtype.hasobject or (found.dtype.newbyteorder("="), found.shape) != (dtype, shape):
+        raise ValueError(f"{found.dtype} of shape {found.shape} for {dtype} {shape}")
+    if len(content) != found.start + math.prod(shape) * dtype.itemsize:
+        raise ValueError(f"{len(content)} bytes of {found.dtype} of shape {found.shape}")
+    plain = np.frombuffer(content, found.dtype, math.prod(shape), found.start)
+    array = plain.reshape(shape, order="F" if found.fortran else "C")
+    return np.array(array, dtype, order="C", copy=None if plain.flags.writeable else True)
+
+
+def open_archive(file: BinaryIO) -> zipfile.ZipFile:
+    """Open a ZIP archive whose directory is small. Raises ValueError where it is not, BadZipFile for none."""
+    size = file.seek(0, os.SEEK_END)
+    file.seek(max(0, size - 22 - 65535))
+    tail = file.read(22 + 65535)
+    at = tail.rfind(_END)
+    if at >= 0 and (directory := int.from_bytes(tail[at + 12 : at + 16], "little")) > MOST_DIRECTORY:
+        raise ValueError(f"a directory of {directory} bytes")
+    return zipfile.ZipFile(file)
+
+
+def open_member(archive: zipfile.ZipFile, name: str) -> zipfile.ZipExtFile:
+    """Open a member that is stored or deflated; of other kinds Python unpacks more than is read at once."""
+    about = archive.getinfo(name)
+    if about.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ValueError(f"{name} compressed by another method than deflate")
+    return archive.open(about)  # type: ignore[return-value]
+
+
+def member_bytes(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
+    """Content of a member, of at most `most` bytes. Raises ValueError where it has more, or is damaged."""
+    size = archive.getinfo(name).file_size
+    if size > most:
+        raise ValueError(f"{size} bytes in {name}")
+    with open_member(archive, name) as member:
+        content = member.read(size + 1)  # without a size all that is there would be unpacked, and then cut off
+    if len(content) != size:
+        raise ValueError(f"{len(content)} bytes of {size} in {name}")
+    return content
+
+
+def member_array(archive: zipfile.ZipFile, name: str, header: NpyHeader) -> NDArray[Any]:
+    """The array of a member that is an NPY with this header, and nothing after it."""
+    needed = header.start + math.prod(header.shape) * header.dtype.itemsize
+    if archive.getinfo(name).file_size > needed:
+        raise ValueError("bytes after the array")
+    return npy_array(member_bytes(archive, name, needed), header.dtype.newbyteorder("="), header.shape)
+
+
+def unzstd(content: bytes, most: int) -> memoryview:
+    """Decompress a frame of Zstandard of at most `most` bytes. Raises an error of imagecodecs where it has more."""
+    import imagecodecs
+
+    unpacked = np.empty(most, np.uint8)  # whose pages nobody has before they are written
+    return memoryview(imagecodecs.zstd_decode(content, out=unpacked.data))

@@ -1,0 +1,219 @@
+"""Decoders whose memory and time no header bounds, such as those of TIFF and Parquet, in a process with limits of both.
+
+The process is started for the first call, serves all others, and ends with its parent. It is started anew after it was
+ended: by its limits, or by a decoder that crashes.
+"""
+
+from __future__ import annotations
+
+import atexit
+import importlib
+import json
+import math
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.resources import open_regular
+
+MEMORY = 2**28  # bytes that a decoder may take
+FACTOR = 4  # and so many times what it may give
+SECONDS, RATE = 20.0, 2**25  # of the processor's time that a decoder may take, and bytes that it gives in one more
+PATIENCE = 6  # times that, by the clock: the processor may have other work
+_ROOT = Path(__file__).resolve().parents[2]  # the folder of this very package, whatever the current folder has
+_COMMAND = "from clsco.files.confined import serve; serve()"
+_PIPE = 2**20  # bytes, where the system lets a user choose
+_MOST_LINE = 2**24  # bytes of a reply beside its arrays
+
+Found = tuple[dict[str, Any], list[NDArray[Any]]]
+
+
+class _Serving:
+    """The process of this one, if there is any, and who waits for it."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> subprocess.Popen[bytes]:
+        if self.process is None:
+            path = os.pathsep.join(filter(None, (str(_ROOT), os.environ.get("PYTHONPATH"))))
+            self.process = subprocess.Popen(
+                [sys.executable, "-P", "-c", _COMMAND], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL, pipesize=_PIPE,
+                start_new_session=True,  # or Ctrl-C would end it before its parent
+                env={**os.environ, "PYTHONPATH": path, "MALLOC_ARENA_MAX": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"},
+            )  # fmt: skip
+        return self.process
+
+    def end(self) -> int | None:
+        """End the process; returns its status, negative for a signal."""
+        process, self.process = self.process, None
+        if process is None:
+            return None
+        assert process.stdin is not None
+        assert process.stdout is not None
+        with suppress(OSError):
+            process.stdin.close()
+        process.stdout.close()
+        return process.wait()
+
+    def forget(self) -> None:
+        """Leave the process to the parent of this one, which is a copy of it."""
+        if self.process is not None:
+            self.process.returncode = 0
+        self.__init__()  # type: ignore[misc]
+
+
+_serving = _Serving()
+atexit.register(_serving.end)
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_serving.forget)
+
+
+def confined(function: str, file: BinaryIO, most: int, **options: Any) -> Found:
+    """Call a function on a file in the process with limits.
+
+    Parameters
+    ----------
+    function : str
+        "module:name" of one that takes an opened file and `options`, and gives a mapping for JSON and arrays.
+    file : BinaryIO
+        Opened by its path. The function gets the same file opened again, at its first byte.
+    most : int
+        Bytes of all arrays. The function may take four times as many and 256 MiB of memory, and 20 s of the
+        processor's time and one more for each 32 MiB.
+    **options
+        For JSON.
+
+    Returns
+    -------
+    (dict, list of ndarray)
+
+    Raises
+    ------
+    ValueError
+        The function failed, ended its process, or exceeded a limit; says which.
+    """
+    about, seconds = os.fstat(file.fileno()), SECONDS + most / RATE
+    memory = MEMORY + FACTOR * most
+    request = {
+        "function": function, "path": str(Path(file.name).absolute()), "file": [about.st_dev, about.st_ino],
+        "memory": memory, "seconds": seconds, "options": options,
+    }  # fmt: skip
+    with _serving.lock:
+        process = _serving.start()
+        killer = threading.Timer(PATIENCE * seconds, process.kill)
+        killer.daemon = True
+        killer.start()
+        try:
+            found = _answer(process, json.dumps(request).encode(), most)
+        except (EOFError, OSError):
+            status = _serving.end()
+            limits = f"{memory >> 20} MiB and {seconds:.0f} s"
+            raise ValueError(f"a decoder that ended with status {status}, allowed {limits}") from None
+        except BaseException:
+            process.kill()  # what is left of an answer belongs to no call
+            _serving.end()
+            raise
+        finally:
+            killer.cancel()
+    if isinstance(found, str):
+        raise ValueError(found)
+    return found
+
+
+def _answer(process: subprocess.Popen[bytes], request: bytes, most: int) -> Found | str:
+    """What the process says; a text for an error. Raises EOFError where it ends, ValueError for what is no answer."""
+    assert process.stdin is not None
+    assert process.stdout is not None
+    process.stdin.write(request + b"\n")
+    process.stdin.flush()
+    line = process.stdout.readline(_MOST_LINE)
+    if not line:
+        raise EOFError
+    told = json.loads(line)
+    if "error" in told:
+        return str(told["error"])
+    kinds = [(np.dtype(kind), tuple(map(int, shape))) for kind, shape in told["arrays"]]
+    if sum(kind.itemsize * math.prod(shape) for kind, shape in kinds) > most:
+        raise ValueError(f"arrays of more than {most} bytes")
+    arrays = [np.empty(shape, kind) for kind, shape in kinds]
+    for array in arrays:
+        left = _bytes(array)
+        while len(left):
+            if not (count := process.stdout.readinto(left)):  # type: ignore[attr-defined]
+                raise EOFError
+            left = left[count:]
+    return told["found"], arrays
+
+
+def _bytes(array: NDArray[Any]) -> memoryview:
+    return array.reshape(-1).view(np.uint8).data
+
+
+def serve() -> None:
+    """Answer calls on stdin until its end."""
+    threading.stack_size(2**20)  # of the threads of decoders, which count as memory
+    calls, answers = sys.stdin.buffer, sys.stdout.buffer
+    while line := calls.readline():
+        try:
+            found, arrays = _called(json.loads(line))
+        except MemoryError:
+            found, arrays = {"error": "more memory than its size allows"}, []
+        except Exception as error:
+            found, arrays = {"error": " ".join(str(error).split()) or type(error).__name__}, []
+        else:
+            found = {"found": found, "arrays": [(array.dtype.str, array.shape) for array in arrays]}
+        answers.write(json.dumps(found).encode() + b"\n")
+        for array in arrays:
+            answers.write(_bytes(np.ascontiguousarray(array)))
+        answers.flush()
+        del arrays
+
+
+def _called(call: Mapping[str, Any]) -> Found:
+    module, _, name = call["function"].partition(":")
+    _unlimit()  # what is imported is no decoder's
+    function = getattr(importlib.import_module(module), name)
+    _limit(call["memory"], call["seconds"])
+    with open_regular(call["path"], follow=True) as file:
+        about = os.fstat(file.fileno())
+        if [about.st_dev, about.st_ino] != call["file"]:
+            raise ValueError("another file than was opened first")
+        found: tuple[dict[str, Any], Sequence[NDArray[Any]]] = function(file, **call["options"])
+        return found[0], list(found[1])
+
+
+def _limit(memory: int, seconds: float) -> None:
+    """Let this process have so many more bytes and seconds, where the system can hold it to that."""
+    with suppress(ImportError, OSError, ValueError):
+        import resource
+
+        _soft(resource.RLIMIT_CORE, 0)
+        _soft(resource.RLIMIT_CPU, math.ceil(time.process_time() + seconds))
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        _soft(resource.RLIMIT_AS, pages * resource.getpagesize() + memory)
+
+
+def _unlimit() -> None:
+    with suppress(ImportError, OSError, ValueError):
+        import resource
+
+        for kind in (resource.RLIMIT_AS, resource.RLIMIT_CPU):
+            _soft(kind, resource.getrlimit(kind)[1])
+
+
+def _soft(kind: int, limit: int) -> None:
+    import resource
+
+    resource.setrlimit(kind, (limit, resource.getrlimit(kind)[1]))
