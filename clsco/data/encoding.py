@@ -18,8 +18,7 @@ from clsco.errors import ImageError
 from clsco.files.atomic import refuse
 from clsco.files.bounded import npy_array as npy_array
 from clsco.files.bounded import npy_size as npy_size
-from clsco.files.bounded import unzstd
-from clsco.files.decoders import codec, require
+from clsco.files.decoders import codec, unzstd
 from clsco.files.png import GRAY, RGB, SIGNATURE, png_parts
 
 NEEDS = ("imagecodecs", "formats")  # the one package with both Zstandard and PNG of 16 bits in color
@@ -88,8 +87,7 @@ def decoded(path: Path, extension: str, content: bytes, about: Mapping[str, Any]
     if extension == "png":
         return _from_png(path, content, dtype, shape)
     if extension == "npy.zst":
-        require(path, *NEEDS)
-        return npy_array(unzstd(content, npy_size(dtype, shape)), dtype, shape)
+        return npy_array(unzstd(path, content, npy_size(dtype, shape)), dtype, shape)
     return npy_array(content, dtype, shape)
 
 

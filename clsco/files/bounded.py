@@ -1,4 +1,4 @@
-"""NPY arrays, members of ZIP archives and Zstandard frames of strangers: no more is unpacked than is asked for."""
+"""NPY arrays and members of ZIP archives of strangers: no more is unpacked than is asked for."""
 
 from __future__ import annotations
 
@@ -95,11 +95,3 @@ def member_array(archive: zipfile.ZipFile, name: str, header: NpyHeader) -> NDAr
     if archive.getinfo(name).file_size > needed:
         raise ValueError("bytes after the array")
     return npy_array(member_bytes(archive, name, needed), header.dtype.newbyteorder("="), header.shape)
-
-
-def unzstd(content: bytes, most: int) -> memoryview:
-    """Decompress a frame of Zstandard of at most `most` bytes. Raises an error of imagecodecs where it has more."""
-    import imagecodecs
-
-    unpacked = np.empty(most, np.uint8)  # whose pages nobody has before they are written
-    return memoryview(imagecodecs.zstd_decode(content, out=unpacked.data))

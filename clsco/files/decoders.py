@@ -132,6 +132,12 @@ def require(path: Path, module: str, extra: str) -> None:
         refuse(path, f"needs {module}: pip install 'clsco[{extra}]'", "no such module")
 
 
+def unzstd(path: Path, content: bytes, most: int) -> memoryview:
+    """Decompress a frame of Zstandard of at most `most` bytes. Raises an error of imagecodecs where it has more."""
+    unpacked = np.empty(most, np.uint8)  # whose pages nobody has before they are written
+    return memoryview(codec(path, "imagecodecs", "formats").zstd_decode(content, out=unpacked.data))
+
+
 def checked_size(file: BinaryIO, kind: str) -> tuple[int, int]:
     """(columns, rows) of an opened file's header, upright; goes back to its first byte. Raises as `image_size`."""
     columns, rows = _stored_size(file, kind)

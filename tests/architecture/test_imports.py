@@ -32,7 +32,7 @@ OUTSIDE = {
     "pyopencl": ("opencl", "inpainting", "passes", "engine", "cli.bench"),
     "imageio": ("files.decoders",),
     "imagecodecs": ("files.decoders",),
-    "tifffile": ("files.decoders",),
+    "tifffile": ("files.tiff",),
     "OpenEXR": ("files.decoders",),
     "PIL": ("files.tags", "cli.demo", "cli.thesis", "data.dryrun", "studio.pictures", "studio.removals"),
     "av": (),

@@ -20,10 +20,8 @@ from numpy.typing import NDArray
 from clsco.data.containers.base import ShardReader, whole
 from clsco.data.containers.uniform import block_size, blocks
 from clsco.data.encoding import LARGEST_META, described, meta_bytes, parsed_meta, stored_size
-from clsco.data.encoding import NEEDS as ZSTD
 from clsco.data.record import Record, is_wanted
-from clsco.files.bounded import unzstd
-from clsco.files.decoders import codec, require
+from clsco.files.decoders import codec, require, unzstd
 from clsco.resources import open_regular, read_regular
 
 NEEDS = ("zarr", "data")
@@ -142,7 +140,7 @@ class _Column:
 
     def _unpacked(self, content: bytes, shape: tuple[int, ...]) -> NDArray[Any]:
         size = prod(shape) * self.dtype.itemsize
-        plain = unzstd(content, size) if self.is_packed else content
+        plain = unzstd(self.folder, content, size) if self.is_packed else content
         if len(plain) != size:
             raise ValueError(f"{len(plain)} bytes of {size} in {self.folder.name}")
         return np.frombuffer(plain, self.dtype.newbyteorder("<")).reshape(shape).astype(self.dtype)
@@ -178,7 +176,6 @@ class ZarrReader(ShardReader):
     """Records of a Zarr group as `write` makes it. The package zarr would unpack whatever a chunk holds."""
 
     def __init__(self, path: Path) -> None:
-        require(path, *ZSTD)
         require(path, *CHECKSUM)
         self._columns: dict[str, _Column] = {}
         with whole(path, "Zarr group"):
