@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 
 def report_inputs(planned: Sequence[PreparedFile]) -> None:
-    """Say on stderr what could not be taken from color profiles, and for each depth map of scenes whether it may not be
-    upright, which of its pixels have no depth, and what the lens makes of it."""
+    """Say on stderr what is to be known of the images of scenes, and for each depth map whether it may not be upright,
+    which of its pixels have no depth, and what the lens makes of it."""
     from clsco.inputs.focus import lens_line
     from clsco.scene.model import DepthMap
 
@@ -24,7 +24,7 @@ def report_inputs(planned: Sequence[PreparedFile]) -> None:
         for label, each in zip(labels, prepared, strict=True):
             maps = [item for item in each.scene.objects if isinstance(item, DepthMap)]
             if label == labels[0]:  # all scenes of a file have the same images
-                _report_colors(each)
+                _report_images(each)
                 for item in maps:
                     _report_depth(each, item)
             for item in maps:
@@ -33,10 +33,10 @@ def report_inputs(planned: Sequence[PreparedFile]) -> None:
                 click.echo(f"{where}: {line}", err=True)
 
 
-def report_color(path: str, color: Color) -> None:
-    """Say on stderr what could not be taken from the color profile of an image."""
-    if color.note:
-        click.echo(f"{path}: {color.note}", err=True)
+def report_notes(path: str, notes: Iterable[str]) -> None:
+    """Say on stderr what is to be known of an image, as `clsco.files.images.Picture.notes` gives it."""
+    for note in notes:
+        click.echo(f"{path}: {note}", err=True)
 
 
 def report_loss(out: Path, color: Color) -> None:
@@ -47,9 +47,9 @@ def report_loss(out: Path, color: Color) -> None:
         click.echo(f"{click.format_filename(out)}: {loss}", err=True)
 
 
-def _report_colors(prepared: Prepared) -> None:
-    for path, color in prepared.colors.items():
-        report_color(path, color)
+def _report_images(prepared: Prepared) -> None:
+    for path in prepared.colors:
+        report_notes(path, prepared.files.notes(path))
     if prepared.color.is_plain:
         for path, color in prepared.colors.items():
             if not color.is_plain:

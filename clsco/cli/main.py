@@ -17,7 +17,7 @@ from clsco import __version__
 from clsco.cli.batch import batch
 from clsco.cli.convert import convert
 from clsco.cli.focus import focus_at_option, focus_depth_option, focused_files, parsed_focus
-from clsco.cli.inputs import report_color, report_inputs, report_loss
+from clsco.cli.inputs import report_inputs, report_loss, report_notes
 from clsco.cli.options import (
     PATH,
     Commands,
@@ -377,7 +377,7 @@ def inpaint(
     picture, missing = read_pair(image, mask, threshold)
     pixels, color = picture.data, picture.color
     writer = prepare_out(out, image, mask, picture.is_float)
-    report_color(str(image), color)
+    report_notes(str(image), picture.notes())
     report_loss(out, color)
     require_device(device)
     from clsco import inpaint as fill

@@ -23,7 +23,7 @@ from clsco.files.transfer import encode
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """An image as its file stores it: uint8 and uint16 codes, or float32 linear radiance (finite, >= 0).
+    """An image as its file stores it: uint8 and uint16 codes, or float32 linear radiance (finite).
 
     Attributes
     ----------
@@ -31,10 +31,18 @@ class Picture:
         Gray, or red, green, blue; row 0 on top.
     color : Color
         What its codes stand for.
+    below : int
+        Values below 0, which floats may have, as of a filter that rings.
     """
 
     data: NDArray[Any]
     color: Color = SRGB
+    below: int = 0
+
+    def notes(self) -> tuple[str, ...]:
+        """What is to be known of it, in a line each."""
+        below = f"{self.below} of {self.data.size} values are below 0: floats keep them, codes end at 0"
+        return tuple(filter(None, (self.color.note, below if self.below else "")))
 
     @property
     def bits(self) -> int:
@@ -65,7 +73,7 @@ def read_image(path: str | os.PathLike[str], hidden: NDArray[np.bool_] | None = 
     ImageError
         In one line, for everything that is not exactly one such image: no readable file, wrong extension, damaged, over
         2^27 pixels or 65536 a side (refused from the header), transparent, CMYK, several pages, values that are
-        negative or not finite. Also where TIFF and 16-bit color PNG lack the extra `formats`, and EXR the extra `exr`.
+        not finite. Also where TIFF and 16-bit color PNG lack the extra `formats`, and EXR the extra `exr`.
 
     Notes
     -----
@@ -76,7 +84,8 @@ def read_image(path: str | os.PathLike[str], hidden: NDArray[np.bool_] | None = 
     """
     with opened(path) as (file, kind):
         data = np.ascontiguousarray(_as_stored(file, decoded(file, kind), hidden))
-        return Picture(data, tags(file, kind).color(1 if data.ndim == 2 else 3))
+        below = np.count_nonzero((data if hidden is None else data[~hidden]) < 0) if data.dtype.kind == "f" else 0
+        return Picture(data, tags(file, kind).color(1 if data.ndim == 2 else 3), int(below))
 
 
 def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
@@ -158,7 +167,7 @@ def _orientation(path: str, formats: Mapping[str, str]) -> int:
 
 
 def _as_stored(file: BinaryIO, data: NDArray[Any], hidden: NDArray[np.bool_] | None) -> NDArray[Any]:
-    """Refuse anything but a gray or RGB image of 8, 16 or 32 bits, and values that are negative or not finite."""
+    """Refuse anything but a gray or RGB image of 8, 16 or 32 bits, and values that are not finite."""
     if data.ndim not in (2, 3) or (data.ndim == 3 and data.shape[2] != 3):
         refuse(path_of(file), "shape must be (rows, columns) or (rows, columns, 3)", data.shape)
     if data.dtype.str[1:] in ("u1", "u2"):
@@ -167,11 +176,11 @@ def _as_stored(file: BinaryIO, data: NDArray[Any], hidden: NDArray[np.bool_] | N
         refuse(path_of(file), "values must be uint8, uint16, float16, float32 or float64", data.dtype)
     with np.errstate(over="ignore"):  # overflow becomes infinite, which is refused next
         data = data.astype(np.float32, copy=False)
-    wrong = ~((data >= 0) & (data < np.inf))
+    wrong = ~np.isfinite(data)
     if hidden is not None:
         wrong[hidden] = False
     if wrong.any():
-        refuse(path_of(file), "values must be finite and at least 0", first_of(data, wrong))
+        refuse(path_of(file), "values must be finite", first_of(data, wrong))
     return data
 
 

@@ -134,6 +134,10 @@ class InputFiles:
         """Color space of an image file, once per content."""
         return self._once("color", path, lambda: self.picture(path).color, lambda color: color.size)
 
+    def notes(self, path: str) -> tuple[str, ...]:
+        """`Picture.notes` of an image file, once per content."""
+        return self._once("notes", path, lambda: self.picture(path).notes(), lambda lines: sum(map(len, lines)))
+
     def depth(self, source: Source) -> NDArray[np.float64]:
         """`clsco.inputs.depth_maps.depth_numbers`, once per content."""
         return self._once("depth", source, lambda: depth_numbers(source), lambda array: array.nbytes)

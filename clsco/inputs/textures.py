@@ -38,7 +38,7 @@ TextureSource = str | os.PathLike[str] | ArrayInput
 class Texture:
     """What a surface looks like, in linear radiance.
 
-    radiance: float32 (rows, columns) or (rows, columns, 3), 1 = white, >= 0; row 0 on top.
+    radiance: float32 (rows, columns) or (rows, columns, 3), 1 = white, finite; row 0 on top.
     bits: 8, 16 or 32 per value, as it was stored. source: name of the pattern, path of the file, or what an array is
     called in messages. content: what identifies the radiance, the same for the same values; None where that is not
     known. others: of a cube map, the radiance of the sides after the first, in the order of `clsco.inputs.mipmaps`.
@@ -52,8 +52,8 @@ class Texture:
 
     @cached_property
     def brightest(self) -> float:
-        """Largest radiance."""
-        return max(float(image.max(initial=0.0)) for image in self.images)  # none is below 0
+        """Largest radiance; where some is negative, the span of all of it and 0, which no size exceeds."""
+        return max(radiance_span(image) for image in self.images)
 
     @property
     def images(self) -> tuple[NDArray[np.float32], ...]:
@@ -65,6 +65,11 @@ class Texture:
         wide = [image[..., None] if image.ndim == 2 else image for image in self.images]
         levels = mipmap([np.broadcast_to(image, (*image.shape[:2], channels)) for image in wide])
         return np.concatenate([level.ravel() for level in levels])
+
+
+def radiance_span(image: NDArray[np.floating]) -> float:
+    """Largest less smallest radiance of an image, 0 among them."""
+    return float(image.max(initial=0.0)) - float(image.min(initial=0.0))
 
 
 def load_texture(source: TextureSource, transfer: str, size: tuple[int, int] | None = None) -> Texture:

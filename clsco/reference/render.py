@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from clsco.frame.frame import MAPPING_NAMES, MOTION_NAMES, Frame
 from clsco.inputs.depth_maps import load_scene_depths
 from clsco.inputs.textures import Texture as TextureImage
-from clsco.inputs.textures import load_scene_textures
+from clsco.inputs.textures import load_scene_textures, radiance_span
 from clsco.optics.depth_truth import map_flow, map_normal, map_occluded, map_stereo
 from clsco.optics.motion import Eye, Pose, middle_time, poses_at, rest_poses
 from clsco.optics.quadrics import PlacedSurface, place
@@ -81,7 +81,7 @@ def _warped_sources(
         allowed = trace(view, everything(scene), guard).label > 0
     values = np.concatenate([new.radiance, new.inverse_depth[..., None]], axis=-1)
     far = mapped or len(scene.objects) > 1
-    brightest = max(float(np.abs(image).max()) for image in images)
+    brightest = max(map(radiance_span, images))
     values, objects, status, report = fill_objects(
         values, new.object, new.known, allowed, scene.fill.method, guard, far, brightest
     )

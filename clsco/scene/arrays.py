@@ -93,11 +93,11 @@ def _texture(array: NDArray[Any]) -> NDArray[Any]:
         return array.astype(array.dtype.newbyteorder("="))
     with np.errstate(over="ignore"):  # overflow becomes infinite, which is refused next
         radiance = array.astype(np.float32)
-    wrong = ~((radiance >= 0) & (radiance < np.inf))
+    wrong = ~np.isfinite(radiance)
     if wrong.any():
         first = tuple(int(index) for index in np.unravel_index(int(wrong.argmax()), wrong.shape))
         got = f"{array[first]} at row {first[0]}, column {first[1]} ({int(wrong.sum())} in all)"
-        raise fault("values of an array must be finite and at least 0", got)
+        raise fault("values of an array must be finite", got)
     return radiance
 
 

@@ -252,7 +252,7 @@ LIMIT = "columns and rows must be from 1 to 65536, and at most 134217728 pixels;
 HUGE = encoded(Image.new("L", (13000, 13000)).save, "PNG")
 assert len(HUGE) < 200_000
 
-VALUES = "values must be finite and at least 0; got "
+VALUES = "values must be finite; got "
 DTYPES = "values must be uint8, uint16, float16, float32 or float64; got "
 NUMBERS = "an NPY must hold numbers of shape (rows, columns) or (rows, columns, 3); got "
 CONTENT = "the content must be PNG, as the extension says; got "
@@ -295,7 +295,7 @@ REFUSED: dict[str, tuple[str, bytes, str]] = {
     "nan": ("a.npy", encoded(np.save, [[0, np.nan], [np.nan, 1]]), f"{VALUES}nan at row 0, column 1 (2 "),
     "infinite": ("a.exr", exr(Y=CHANNEL + np.float32(np.inf)), f"{VALUES}inf at row 0, column 0 (20 in all)"),
     "overflow": ("a.npy", encoded(np.save, [[1e39]]), f"{VALUES}inf at row 0, column 0 (1 in all)"),
-    "negative": ("a.pfm", b"Pf 2 1 -1 " + struct.pack("<ff", 1, -0.5), f"{VALUES}-0.5 at row 0, column 1"),
+    "minus infinite": ("a.pfm", b"Pf 2 1 -1 " + struct.pack("<ff", 1, -np.inf), f"{VALUES}-inf at row 0, column 1"),
     "many bytes": ("a.pfm", b"Pf 1 1 -1 12345678", "must be a whole PFM; got 8 bytes of 1 x 1 x 1"),
 }
 # fmt: on

@@ -85,7 +85,7 @@ def test_an_array_serves_as_the_other_kind() -> None:
 
 
 SIZE = "an array must have from 1 to 65536 rows and columns, and at most 134217728 pixels"
-VALUES = "values of an array must be finite and at least 0"
+VALUES = "values of an array must be finite"
 NAN = np.where(np.arange(48).reshape(6, 8) == 19, np.nan, 1.0)
 WRONG: list[tuple[Any, str]] = [
     (np.zeros(5), "an array must have the shape (rows, columns) or (rows, columns, 3); got (5,)"),
@@ -105,10 +105,6 @@ WRONG: list[tuple[Any, str]] = [
     (np.zeros((2, 2), object), "an array must hold uint8, uint16, float16, float32 or float64; got object"),
     (np.zeros((2, 2), int), "an array must hold uint8, uint16, float16, float32 or float64; got int64"),
     (NAN, f"{VALUES}; got nan at row 2, column 3 (1 in all)"),
-    (
-        -COLOR[..., 0],
-        f"{VALUES}; got {-COLOR[0, 0, 0]} at row 0, column 0 (48 in all)",
-    ),
     (
         np.full((2, 2), 1e39),
         f"{VALUES}; got 1e+39 at row 0, column 0 (4 in all)",
