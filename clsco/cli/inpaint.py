@@ -26,7 +26,9 @@ from clsco.files.images import (
 from clsco.inpainting.rules import MeanMedian
 
 
-def read_pair(image: Path, mask: Path, threshold: float | None = None) -> tuple[Picture, NDArray[np.bool_]]:
+def read_pair(
+    image: Path, mask: Path, threshold: float | None = None, layer: str | None = None
+) -> tuple[Picture, NDArray[np.bool_]]:  # fmt: skip
     """Read an image (rows, columns[, 3]) as stored, and which of its pixels are missing (rows, columns).
 
     Missing is where the mask is white: 255, 65535, or 1.0 in floats; where it is 0 all is known. threshold: what is
@@ -42,7 +44,7 @@ def read_pair(image: Path, mask: Path, threshold: float | None = None) -> tuple[
     missing = _missing(mask, threshold)
     if missing.all():
         refuse(mask, "some pixel must be known, and be 0", "only missing ones")
-    return read_image(image, missing), missing
+    return read_image(image, missing, layer), missing
 
 
 def _missing(mask: Path, threshold: float | None) -> NDArray[np.bool_]:

@@ -251,6 +251,11 @@ def _number(name: str, text: str) -> Callable[[Callable[..., None]], Callable[..
     return click.option(name, metavar="NUMBER", type=float, help=text)
 
 
+def _layer(name: str, argument: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    text = f"Of {argument}, an EXR with several: the layer, such as Combined or ViewLayer.Combined."
+    return click.option(name, metavar="NAME", help=text)
+
+
 @main.command()
 @click.argument("image", type=PATH)
 @click.argument("depth", type=PATH)
@@ -258,6 +263,8 @@ def _number(name: str, text: str) -> Callable[[Callable[..., None]], Callable[..
     "-o", "out", metavar="OUT", required=True, type=PATH,
     help="Folder for the frame, or a file .png, .tif or .exr for its image alone.",
 )  # fmt: skip
+@_layer("--image-layer", "IMAGE")
+@_layer("--depth-layer", "DEPTH")
 @click.option("--unit", metavar="UNIT", help="Of DEPTH: mm (default), m, inverse_mm, inverse_m, disparity or coc.")
 @click.option("--scale", metavar="NUMBER", type=_ratio, help="What 1 in DEPTH is worth, such as 0.001 or 1/256.")
 @_number("--baseline", "Distance between the views of a disparity, mm.")
@@ -293,6 +300,8 @@ def defocus(
     out: Path,
     files: tuple[TruthFile, ...],
     overrides: tuple[str, ...],
+    image_layer: str | None,
+    depth_layer: str | None,
     focus_at: tuple[int, int] | None,
     focus_depth: float | None,
     computation: Computation,
@@ -314,7 +323,7 @@ def defocus(
     for name in ("focus_distance", "sensor_distance"):
         if focus is not None and options[name] is not None:
             raise click.UsageError(f"{focus.option}: goes without --{name.replace('_', '-')}; got both")
-    sweep = scenes_from_files(image, depth, options, overrides)
+    sweep = scenes_from_files(image, depth, options, overrides, (image_layer, depth_layer))
     check_pair(sweep.scenes[0])
     loaded = focused_files([(Path("defocus"), sweep)], focus)
     if not alone:
@@ -322,7 +331,7 @@ def defocus(
         return
     planned = prepare_files(loaded, request)
     found = [each for _, _, prepared in planned for each in prepared]
-    prepare_image([each.scene for each in found], out)
+    prepare_image([each.scene for each in found], out, (image, depth))
     report_inputs(planned)
     report_loss(out, found[0].color)
     require_device(computation.device)
@@ -350,6 +359,7 @@ def defocus(
     "--method", metavar="METHOD", default="auto", show_default=True,
     help="mean-median, biharmonic, texture, or auto for the better of the last two.",
 )  # fmt: skip
+@_layer("--image-layer", "IMAGE")
 @_number("--threshold", "Values of MASK from this one on are missing; without it they must be 0 and white.")
 @click.option("--estimator", metavar="NAME", help="Of mean-median: scored (default), mean or median.")
 @click.option("--minimum", metavar="NUMBER", type=int, help="Of mean-median: known neighbors that a pixel needs, 4.")
@@ -362,6 +372,7 @@ def inpaint(
     mask: Path,
     out: Path,
     folder: Path | None,
+    image_layer: str | None,
     threshold: float | None,
     device: str | None,
     quiet: bool,
@@ -374,7 +385,7 @@ def inpaint(
     from clsco.cli.inpaint import mean_median_options, prepare_out, read_pair
 
     prepare_out(out, image, mask)
-    picture, missing = read_pair(image, mask, threshold)
+    picture, missing = read_pair(image, mask, threshold, image_layer)
     pixels, color = picture.data, picture.color
     writer = prepare_out(out, image, mask, picture.is_float)
     report_notes(str(image), picture.notes())

@@ -9,7 +9,7 @@ import os
 import re
 import struct
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -21,6 +21,7 @@ from clsco.errors import ImageError
 from clsco.files.atomic import refuse
 from clsco.files.bounded import npy_header
 from clsco.files.confined import confined
+from clsco.files.layers import full_names, image_channels, listed
 from clsco.files.png import GRAY, GRAY_ALPHA, PALETTE, RGB_ALPHA, SIGNATURE, checked_png, png_size
 from clsco.files.tags import Tags, jpeg_segments, jpeg_tags, png_tags, upright
 from clsco.resources import DEVICE, open_regular
@@ -169,8 +170,15 @@ def check_limits(path: Path, columns: int, rows: int) -> None:
         refuse(path, rule, f"{columns} x {rows}")
 
 
-def decoded(file: BinaryIO, kind: str) -> NDArray[Any]:
+def decoded(file: BinaryIO, kind: str, layer: str | None = None) -> NDArray[Any]:
     """Decode an opened file whose header is within the limits, and turn it upright.
+
+    Parameters
+    ----------
+    file : BinaryIO
+    kind : str
+    layer : str, optional
+        Of an EXR, as for `clsco.files.layers.image_channels`.
 
     Returns
     -------
@@ -184,7 +192,9 @@ def decoded(file: BinaryIO, kind: str) -> NDArray[Any]:
     """
     columns, rows = _stored_size(file, kind)
     orientation = tags(file, kind).orientation
-    data: NDArray[Any] = _CODECS[kind][1](file)
+    if layer is not None and kind != "EXR":
+        refuse(path_of(file), f"only an EXR has layers, such as {listed([layer])}", kind)
+    data: NDArray[Any] = _CODECS[kind][1](file) if layer is None else _decode_exr(file, layer)
     if data.shape[:2] != (rows, columns):
         raise ValueError(f"{data.shape[1]} x {data.shape[0]} pixels under a header of {columns} x {rows}")
     return upright(data, orientation)
@@ -307,27 +317,76 @@ def _window(corners: Sequence[Any]) -> tuple[int, int]:
 
 
 def _exr_size(file: BinaryIO) -> tuple[int, int]:
-    header = exr_parts(file)[0].header
-    window, display = ([corner.tolist() for corner in header[name]] for name in ("dataWindow", "displayWindow"))
-    if window != display:
-        refuse(path_of(file), f"the data window must be the display window, {display}", window)
-    return _window(header["dataWindow"])
+    columns, rows = _window(exr_parts(file)[0].header["displayWindow"])
+    return columns, rows
 
 
-def _decode_exr(file: BinaryIO) -> NDArray[Any]:
-    exr = codec(path_of(file), "OpenEXR", "exr").File(str(file.name), separate_channels=True)
-    if len(exr.parts) != 1:  # a part that cannot be decoded is left out by the library
-        refuse(path_of(file), "must be a single, whole image", f"{len(exr.parts)} readable parts")
-    channels = {name: channel.pixels for name, channel in exr.channels().items()}
-    names = "RGB" if "R" in channels else "Y"
-    if not set(names) <= set(channels) or "RY" in channels:
-        refuse(path_of(file), "an EXR must hold the channels R G B or Y", " ".join(channels))
-    if any(channels[name].dtype.kind != "f" for name in names):
-        refuse(path_of(file), "EXR pixels must be floats", channels[names[0]].dtype)
-    data = np.stack([channels[name] for name in (*names, "A") if name in channels], axis=-1)
-    if "A" in channels:
+def exr_planes(file: BinaryIO, choose: Callable[[list[str]], list[str]], outside: float) -> dict[str, NDArray[Any]]:
+    """Decode channels of an EXR, of any of its parts.
+
+    Parameters
+    ----------
+    file : BinaryIO
+    choose : callable
+        Gives the names of those that are wanted from all, which are as `full_names` makes them.
+    outside : float
+        What pixels of the display window have that are not in the data window of a part.
+
+    Returns
+    -------
+    dict of str to ndarray, (rows, columns) of the display window
+    """
+    parts, path = exr_parts(file), path_of(file)
+    named = full_names(
+        [(str(part.header.get("name", "")), [c.name for c in part.header["channels"]]) for part in parts]
+    )
+    wanted = choose([name for names in named for name in names.values()])
+    pages = codec(path, "OpenEXR", "exr").File(str(path), separate_channels=True).parts
+    if len(pages) != len(parts):  # a part that cannot be decoded is left out by the library
+        raise ValueError(f"{len(pages)} readable parts of {len(parts)}")
+    found = {}
+    for part, names, page in zip(parts, named, pages, strict=True):
+        for own, name in names.items():
+            if name in wanted:
+                plane = page.channels[own].pixels
+                if plane.shape != _window(part.header["dataWindow"])[::-1]:
+                    raise ValueError(f"channel {listed([name])} of shape {plane.shape}")
+                found[name] = _in_display(part.header, plane, outside)
+    return {name: found[name] for name in wanted}
+
+
+def _in_display(header: Mapping[str, Any], plane: NDArray[Any], outside: float) -> NDArray[Any]:
+    """A plane of a data window in the display window."""
+    (left, top), (right, bottom) = (corner.tolist() for corner in header["displayWindow"])
+    (first, above), (last, below) = (corner.tolist() for corner in header["dataWindow"])
+    if (left, top, right, bottom) == (first, above, last, below):
+        return plane
+    kind = plane.dtype if plane.dtype.kind == "f" else np.float64
+    shown = np.full((bottom - top + 1, right - left + 1), outside, kind)
+    rows = slice(max(top, above), min(bottom, below) + 1)
+    columns = slice(max(left, first), min(right, last) + 1)
+    if rows.start < rows.stop and columns.start < columns.stop:
+        inside = plane[rows.start - above : rows.stop - above, columns.start - first : columns.stop - first]
+        shown[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left] = inside
+    return shown
+
+
+def _decode_exr(file: BinaryIO, layer: str | None = None) -> NDArray[Any]:
+    def choose(names: list[str]) -> list[str]:
+        try:
+            return image_channels(names, layer)
+        except LookupError as error:
+            rule, got = error.args
+            refuse(path_of(file), rule, got)
+
+    planes = exr_planes(file, choose, 0.0)
+    for name, plane in planes.items():
+        if plane.dtype.kind != "f":
+            refuse(path_of(file), "EXR pixels must be floats", f"{plane.dtype} in {listed([name])}")
+    data = np.stack(list(planes.values()), axis=-1)
+    if len(planes) in (2, 4):
         return _without_alpha(file, data)
-    return data[..., 0] if names == "Y" else data
+    return data[..., 0] if len(planes) == 1 else data
 
 
 def _pfm_header(file: BinaryIO) -> tuple[int, int, int, float]:

@@ -55,7 +55,9 @@ class Picture:
         return self.data.dtype.kind == "f"
 
 
-def read_image(path: str | os.PathLike[str], hidden: NDArray[np.bool_] | None = None) -> Picture:
+def read_image(
+    path: str | os.PathLike[str], hidden: NDArray[np.bool_] | None = None, layer: str | None = None
+) -> Picture:  # fmt: skip
     """Read a gray or RGB image: PNG, JPEG, TIFF, EXR, PFM or NPY.
 
     Parameters
@@ -63,6 +65,8 @@ def read_image(path: str | os.PathLike[str], hidden: NDArray[np.bool_] | None = 
     path : path
     hidden : ndarray of bool, (rows, columns), optional
         Pixels that do not matter, and may hold any floats; none by default.
+    layer : str, optional
+        Of an EXR with several, as for `clsco.files.layers.image_channels`.
 
     Returns
     -------
@@ -79,11 +83,12 @@ def read_image(path: str | os.PathLike[str], hidden: NDArray[np.bool_] | None = 
     -----
     8 and 16 bits come as stored; palettes and 1-, 2- and 4-bit grays become 8 bits, float16 and float64 become float32.
     PNG, JPEG and TIFF are turned upright by their orientation. Opaque alpha is dropped. Of an EXR the channels R G B
-    or Y are read. The color space is given and not applied; neither is the scale of a PFM. Validated against files
-    written by Pillow, tifffile, imagecodecs and OpenEXR, and by hand.
+    or Y of one layer are read, in its display window: pixels outside of the data window are 0. The color space is given
+    and not applied; neither is the scale of a PFM. Validated against files written by Pillow, tifffile, imagecodecs and
+    OpenEXR, and by hand.
     """
     with opened(path) as (file, kind):
-        data = np.ascontiguousarray(_as_stored(file, decoded(file, kind), hidden))
+        data = np.ascontiguousarray(_as_stored(file, decoded(file, kind, layer), hidden))
         below = np.count_nonzero((data if hidden is None else data[~hidden]) < 0) if data.dtype.kind == "f" else 0
         return Picture(data, tags(file, kind).color(1 if data.ndim == 2 else 3), int(below))
 
@@ -154,6 +159,8 @@ def upright_note(image: str, other: str, formats: Mapping[str, str] = IMAGE_FORM
 
 def _turned_alone(image: str, other: str, formats: Mapping[str, str]) -> tuple[int, str, str]:
     """The only orientation that two files have, which of them has it, and which not; 1 and "" where none or both do."""
+    if image == other:
+        return 1, "", ""
     found = {image: _orientation(image, IMAGE_FORMATS), other: _orientation(other, formats)}
     turned = [path for path, orientation in found.items() if orientation != 1]
     if len(turned) != 1:

@@ -290,7 +290,7 @@ REFUSED: dict[str, tuple[str, bytes, str]] = {
     "objects": ("a.npy", OBJECTS, f"{NUMBERS}object"),
     "volume": ("a.npy", encoded(np.save, np.zeros((4, 5, 4))), f"{NUMBERS}float64 of shape (4, 5, 4)"),
     "depth only": ("a.exr", exr(Z=CHANNEL), "an EXR must hold the channels R G B or Y; got Z"),
-    "cropped": ("a.exr", CROPPED_EXR, "the data window must be the display window"),
+    "cropped": ("a.exr", CROPPED_EXR, "must be a whole EXR; got 0 readable parts of 1"),
     "integers": ("a.exr", exr(Y=CHANNEL.astype("u4")), "EXR pixels must be floats; got uint32"),
     "nan": ("a.npy", encoded(np.save, [[0, np.nan], [np.nan, 1]]), f"{VALUES}nan at row 0, column 1 (2 "),
     "infinite": ("a.exr", exr(Y=CHANNEL + np.float32(np.inf)), f"{VALUES}inf at row 0, column 0 (20 in all)"),

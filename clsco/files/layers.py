@@ -1,0 +1,137 @@
+"""Names of the channels of EXR files with several layers or parts: which of them are the image, and which the depth.
+
+A channel's name is that of its layer, and behind the last dot its own: "ViewLayer.Combined.R". In a file of several
+parts the name of the part comes before it. What is chosen without being named is what renderers call it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+MAIN_LAYERS = ("beauty", "color", "combined", "rgb", "rgba")  # as renderers call the image itself
+SHOWN = 20
+
+
+def full_names(parts: Sequence[tuple[str, Iterable[str]]]) -> list[dict[str, str]]:
+    """Names of channels by the names that they have in their part.
+
+    Parameters
+    ----------
+    parts : sequence of (str, iterable of str)
+        Name of each part, and of its channels.
+
+    Returns
+    -------
+    list of dict
+        One per part. Those of a file with one part are as they are.
+    """
+    if len(parts) == 1:
+        return [{name: name for name in parts[0][1]}]
+    known = [part for part, _ in parts]
+    labels = [name if name and known.count(name) == 1 else f"part{n}" for n, name in enumerate(known)]
+    return [
+        {name: name if name.startswith(f"{label}.") else f"{label}.{name}" for name in names}
+        for label, (_, names) in zip(labels, parts, strict=True)
+    ]
+
+
+def listed(names: Iterable[str]) -> str:
+    """Names for a message: printable, and not too many."""
+    found = sorted(names)
+    shown = [name if name.isprintable() else ascii(name) for name in found[:SHOWN]]
+    return " ".join(shown) + (f" and {len(found) - SHOWN} more" if len(found) > SHOWN else "")
+
+
+def image_channels(names: Sequence[str], layer: str | None = None) -> list[str]:
+    """The channels of an image: R G B or Y, and A if there is one.
+
+    Parameters
+    ----------
+    names : sequence of str
+    layer : str, optional
+        Its layer, or the end of its name; by default the only one, or that without a name or of a name in
+        `MAIN_LAYERS`.
+
+    Raises
+    ------
+    LookupError
+        With the rule, and what there is instead of one image.
+    """
+    layers = _layers(names)
+    images = [name for name, own in layers.items() if {"R", "G", "B"} <= own or ("Y" in own and not own & {"RY", "R"})]
+    if layer is not None:
+        images = _matching(images, layer)
+    elif "" in images:
+        images = [""]
+    elif len(images) > 1:
+        images = [name for name in images if name.rpartition(".")[2].lower() in MAIN_LAYERS] or images
+    if not images:
+        rule = "an EXR must hold the channels R G B or Y"
+        raise LookupError(rule if layer is None else f"{rule} in a layer {listed([layer])}", listed(names) or "none")
+    if len(images) > 1:
+        raise LookupError("an EXR must hold one image, or its layer must be named", f"layers {listed(images)}")
+    (found,) = images
+    own, prefix = layers[found], f"{found}." if found else ""
+    return [prefix + name for name in (*("RGB" if "R" in own else "Y"), *("A" if "A" in own else ""))]
+
+
+def depth_channels(names: Sequence[str], layer: str | None = None) -> list[str]:
+    """The channels that are equally likely to be the depth: the best of the kinds that are there, or none.
+
+    Z; else that of a layer called depth; else any other Z or V, but no third component of a vector; else R G B or Y;
+    else the only channel there is.
+
+    Parameters
+    ----------
+    names : sequence of str
+    layer : str, optional
+        Its layer, the end of its name, or that of the channel itself; by default any.
+    """
+    if layer is not None:
+        if layer in names:
+            return [layer]
+        found = _matching(list(_layers(names)), layer)
+        names = [name for name in names if name.rpartition(".")[0] in found]
+
+    def is_value(name: str) -> bool:
+        prefix, dot, last = name.rpartition(".")
+        return last in ("Z", "V") and not {f"{prefix}{dot}X", f"{prefix}{dot}Y"} <= set(names)
+
+    def is_depth(name: str) -> bool:
+        prefix, _, last = name.rpartition(".")
+        return last.lower() == "depth" or (is_value(name) and "depth" in prefix.lower().split("."))
+
+    kinds = (
+        [name for name in names if name == "Z" and is_value(name)],
+        [name for name in names if is_depth(name)],
+        [name for name in names if is_value(name)],
+        [name for name in names if _own(name, layer) in ("R", "G", "B")],
+        [name for name in names if _own(name, layer) == "Y"],
+        list(names) if len(names) == 1 else [],
+    )
+    return next((kind for kind in kinds if kind), [])
+
+
+def _own(name: str, layer: str | None) -> str:
+    """What a channel is called within the layer that was named, or in the file."""
+    return name if layer is None else name.rpartition(".")[2]
+
+
+def _layers(names: Iterable[str]) -> Mapping[str, set[str]]:
+    """What the channels of each layer are called within it."""
+    found: dict[str, set[str]] = {}
+    for name in names:
+        layer, _, own = name.rpartition(".")
+        found.setdefault(layer, set()).add(own)
+    return found
+
+
+def _matching(layers: Sequence[str], wanted: str) -> list[str]:
+    """The layers of a name: exactly, else but for capitals, else as the last of their words."""
+    low = wanted.lower()
+    kinds = (
+        [name for name in layers if name == wanted],
+        [name for name in layers if name.lower() == low],
+        [name for name in layers if name.lower().endswith(f".{low}")],
+    )
+    return next((kind for kind in kinds if kind), [])
