@@ -38,6 +38,15 @@ def npy_header(file: BinaryIO | zipfile.ZipExtFile) -> NpyHeader:
     return NpyHeader(shape, fortran, dtype, head.tell())
 
 
+def image_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
+    """Shape of an image or a map without axes of length 1 before and behind it, as of (1, rows, columns)."""
+    while len(shape) > 2 and shape[-1] == 1:
+        shape = shape[:-1]
+    while len(shape) > 2 and shape[0] == 1 and (len(shape) > 3 or shape[-1] != 3):
+        shape = shape[1:]
+    return shape
+
+
 def npy_size(dtype: np.dtype[Any], shape: tuple[int, ...]) -> int:
     """Bytes that an NPY file of such an array has at most."""
     return math.prod(shape) * dtype.itemsize + HEADER

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from clsco.errors import ImageError
 from clsco.files.atomic import refuse
-from clsco.files.bounded import npy_header
+from clsco.files.bounded import image_shape, npy_header
 from clsco.files.confined import confined
 from clsco.files.layers import full_names, image_channels, listed
 from clsco.files.png import GRAY, GRAY_ALPHA, PALETTE, RGB_ALPHA, SIGNATURE, checked_png, png_size
@@ -211,23 +211,33 @@ def _without_alpha(file: BinaryIO, data: NDArray[Any]) -> NDArray[Any]:
 
 def _decode_png(file: BinaryIO) -> NDArray[Any]:
     png, depth, color, transparency = checked_png(file)
-    if transparency is not None and (color != PALETTE or transparency.strip(b"\xff")):
-        refuse(path_of(file), "pixels must be opaque", "a transparent color (chunk tRNS)")
     if depth == 16 and color != GRAY:  # Pillow drops the lower 8 bits without a word
         data = codec(path_of(file), "imagecodecs", "formats").png_decode(png)
     else:
         data = _by_imageio(png, ".png")
     if data.dtype == bool:
         data = data.astype(np.uint8) * np.uint8(255)
+    if transparency is not None and (count := _keyed(png, data, depth, color, transparency)):
+        refuse(path_of(file), "pixels must be opaque", f"{count} of a transparent color (chunk tRNS)")
     return _without_alpha(file, data) if color in (GRAY_ALPHA, RGB_ALPHA) else data
 
 
-def _by_imageio(content: bytes, extension: str) -> NDArray[Any]:
+def _keyed(png: bytes, data: NDArray[Any], depth: int, color: int, transparency: bytes) -> int:
+    """How many pixels of a PNG have a color that its chunk tRNS makes transparent."""
+    if color == PALETTE:
+        seen_through = np.frombuffer(transparency.ljust(256, b"\xff")[:256], np.uint8) < 255
+        return int(seen_through[_by_imageio(png, ".png", mode="P")].sum()) if seen_through.any() else 0
+    samples = np.array(struct.unpack(">H" if color == GRAY else ">HHH", transparency)) & (2**depth - 1)
+    key = samples * (255 // (2**depth - 1)) if depth < 8 else samples
+    return int((data == key[0] if color == GRAY else (data == key).all(axis=-1)).sum())
+
+
+def _by_imageio(content: bytes, extension: str, mode: str | None = None) -> NDArray[Any]:
     import imageio.v3  # 75 ms, and most commands read no image
 
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Image size")  # that limit is checked from the header already
-        return imageio.v3.imread(content, plugin="pillow", extension=extension)
+        return imageio.v3.imread(content, plugin="pillow", extension=extension, mode=mode)
 
 
 def _jpeg_size(file: BinaryIO) -> tuple[int, int]:
@@ -420,19 +430,20 @@ def _decode_pfm(file: BinaryIO) -> NDArray[Any]:
 
 def _npy_size(file: BinaryIO) -> tuple[int, int]:
     shape, _fortran, dtype, start = npy_header(file)
-    if len(shape) not in (2, 3) or (len(shape) == 3 and shape[2] != 3) or dtype.kind not in "iuf":
+    flat = image_shape(shape)
+    if len(flat) not in (2, 3) or (len(flat) == 3 and flat[2] != 3) or dtype.kind not in "biuf":
         rule = "an NPY must hold numbers of shape (rows, columns) or (rows, columns, 3)"
         refuse(path_of(file), rule, f"{dtype} of shape {shape}")
-    check_limits(path_of(file), shape[1], shape[0])
+    check_limits(path_of(file), flat[1], flat[0])
     needed, size = start + math.prod(shape) * dtype.itemsize, os.fstat(file.fileno()).st_size
     if size < needed:  # before memory for it is taken
         raise ValueError(f"{size} bytes of {needed}")
-    return shape[1], shape[0]
+    return flat[1], flat[0]
 
 
 def _decode_npy(file: BinaryIO) -> NDArray[Any]:
     data: NDArray[Any] = np.load(file, allow_pickle=False)
-    return data
+    return data.reshape(image_shape(data.shape))
 
 
 _CODECS = {

@@ -81,11 +81,11 @@ def read_image(
 
     Notes
     -----
-    8 and 16 bits come as stored; palettes and 1-, 2- and 4-bit grays become 8 bits, float16 and float64 become float32.
-    PNG, JPEG and TIFF are turned upright by their orientation. Opaque alpha is dropped. Of an EXR the channels R G B
-    or Y of one layer are read, in its display window: pixels outside of the data window are 0. The color space is given
-    and not applied; neither is the scale of a PFM. Validated against files written by Pillow, tifffile, imagecodecs and
-    OpenEXR, and by hand.
+    8 and 16 bits come as stored; palettes, bools and 1-, 2- and 4-bit grays become 8 bits, float16 and float64 become
+    float32. Axes of length 1 before and behind the image in an NPY are dropped. PNG, JPEG and TIFF are turned upright
+    by their orientation. Opaque alpha is dropped. Of an EXR the channels R G B or Y of one layer are read, in its
+    display window: pixels outside of the data window are 0. The color space is given and not applied; neither is the
+    scale of a PFM. Validated against files written by Pillow, tifffile, imagecodecs and OpenEXR, and by hand.
     """
     with opened(path) as (file, kind):
         data = np.ascontiguousarray(_as_stored(file, decoded(file, kind, layer), hidden))
@@ -177,6 +177,8 @@ def _as_stored(file: BinaryIO, data: NDArray[Any], hidden: NDArray[np.bool_] | N
     """Refuse anything but a gray or RGB image of 8, 16 or 32 bits, and values that are not finite."""
     if data.ndim not in (2, 3) or (data.ndim == 3 and data.shape[2] != 3):
         refuse(path_of(file), "shape must be (rows, columns) or (rows, columns, 3)", data.shape)
+    if data.dtype == np.bool_:  # a mask of NumPy
+        return data.astype(np.uint8) * np.uint8(255)
     if data.dtype.str[1:] in ("u1", "u2"):
         return data.astype(data.dtype.newbyteorder("="), copy=False)
     if data.dtype.str[1:] not in ("f2", "f4", "f8"):

@@ -1,4 +1,4 @@
-"""Files of depth maps: PNG, TIFF, EXR, PFM, NPY, NPZ to arrays."""
+"""Files of depth maps: PNG, TIFF, EXR, PFM, NPY, NPZ, DPT to arrays."""
 
 from __future__ import annotations
 
@@ -11,20 +11,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.files.atomic import refuse
-from clsco.files.bounded import member_array, npy_header, open_archive, open_member
+from clsco.files.bounded import image_shape, member_array, npy_header, open_archive, open_member
 from clsco.files.decoders import IMAGE_FORMATS, check_limits, decoded, exr_planes, opened
 from clsco.files.layers import depth_channels, listed
+from clsco.files.tagged import read_floats
 
 Array = NDArray[np.float64]
 MOST_ARRAYS = 256  # in an NPZ
 
-DEPTH_FORMATS = {suffix: kind for suffix, kind in IMAGE_FORMATS.items() if kind != "JPEG"} | {".npz": "NPZ"}
+DEPTH_FORMATS = {suffix: kind for suffix, kind in IMAGE_FORMATS.items() if kind != "JPEG"} | {
+    ".npz": "NPZ",
+    ".dpt": "DPT",
+}
 
 
 def read_depth(path: str | os.PathLike[str], layer: str | None = None) -> Array:
     """Read the numbers of a depth file as it stores them; their meaning is for `inverse_depth`.
 
-    PNG (8 or 16 bits; fewer bits become 8), TIFF (integers or floats), PFM, NPY, NPZ (the array `depth`, or
+    PNG (8 or 16 bits; fewer bits become 8), TIFF (integers or floats), PFM, DPT, NPY, NPZ (the array `depth`, or
     the only one with two dimensions) and EXR (a channel of the layer, as `clsco.files.layers.depth_channels`
     chooses it; pixels outside of its data window are NaN). Three equal channels count as one. The scale of a PFM
     is not applied, as in the readers of Middlebury's files.
@@ -41,6 +45,8 @@ def read_depth(path: str | os.PathLike[str], layer: str | None = None) -> Array:
             refuse(Path(file.name), f"only an EXR has layers, such as {listed([layer])}", kind)
         elif kind == "NPZ":
             data = _decode_npz(file)
+        elif kind == "DPT":
+            data = read_floats(file, 1)
         else:
             data = decoded(file, kind)
         return _single_channel(file, data)
@@ -95,14 +101,14 @@ def _decode_npz(file: BinaryIO) -> NDArray[Any]:
         for name, entry in found.items():
             with open_member(archive, entry) as member:
                 headers[name] = npy_header(member)
-        flat = [name for name, header in headers.items() if len(header.shape) == 2 or name == "depth"]
+        flat = [name for name, header in headers.items() if len(image_shape(header.shape)) == 2 or name == "depth"]
         if len(flat) != 1:
             rule = "an NPZ must hold an array depth, or one array with two dimensions"
             refuse(path, rule, f"arrays {listed(flat)}" if flat else "none")
         header = headers[flat[0]]
-        shape, dtype = header.shape, header.dtype
+        shape, dtype = image_shape(header.shape), header.dtype
         if len(shape) not in (2, 3) or shape[2:] not in ((), (3,)) or dtype.kind not in "iuf":
             rule = f"array {listed(flat)} must hold numbers of shape (rows, columns)"
-            refuse(path, rule, f"{dtype} of shape {shape}")
+            refuse(path, rule, f"{dtype} of shape {header.shape}")
         check_limits(path, shape[1], shape[0])
-        return member_array(archive, found[flat[0]], header)
+        return member_array(archive, found[flat[0]], header).reshape(shape)

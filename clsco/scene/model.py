@@ -261,6 +261,13 @@ class Sequence(Strict):
     sampling: Literal["midpoint", "endpoint"] = "midpoint"
     """Position of each time sample in its share of the exposure."""
 
+    @field_validator("shutter", mode="before")
+    @classmethod
+    def _is_open(cls, value: Any) -> Any:
+        if type(value) in (int, float) and value == 0:
+            raise fault("must be greater than 0 s; for an instant give a short one, such as 1e-6")
+        return value
+
     @field_validator("shutter")
     @classmethod
     def _within_interval(cls, value: float, info: ValidationInfo) -> float:

@@ -131,6 +131,8 @@ def test_an_image_without_missing_pixels_is_copied_and_that_is_reported(save: Sa
         ("mask.png", np.stack([MASK] * 3, axis=-1)),
         ("mask.png", MASK.astype(np.uint16) * np.uint16(257)),
         ("mask.npy", MISSING.astype(np.float32)),
+        ("mask.npy", MISSING),
+        ("mask.npy", MISSING[None]),
     ],
 )
 def test_masks_of_other_kinds(save: Save, name: str, values: NDArray[Any]) -> None:

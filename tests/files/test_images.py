@@ -25,6 +25,7 @@ from PIL import Image
 
 from clsco.errors import ImageError
 from clsco.files.images import image_size, read_image, write_exr, write_png
+from clsco.inputs.depth_files import read_depth
 
 Array = NDArray[Any]
 SHAPES = {"grey": (13, 7), "rgb": (13, 7, 3), "row": (1, 9), "pixel": (1, 1, 3)}
@@ -132,7 +133,64 @@ def test_few_bits_and_palettes_become_8_bits(tmp_path: Path, bits: int) -> None:
     path.write_bytes(png(8, 1, bits, 3, b"\0" + packed, table, opaque))
     np.testing.assert_array_equal(read_image(path).data, colors[codes][None])
     path.write_bytes(png(8, 1, bits, 3, b"\0" + packed, table, chunk(b"tRNS", b"\xff\xfe")))
-    assert refusal(path).startswith("pixels must be opaque; got a transparent color")
+    assert refusal(path).startswith(f"pixels must be opaque; got {(codes == 1).sum()} of a transparent color")
+    if bits > 1:  # entries that no pixel has may be transparent
+        path.write_bytes(png(4, 1, bits, 3, b"\0" + bytes(2), table, chunk(b"tRNS", b"\xff\xfe")))
+        np.testing.assert_array_equal(read_image(path).data, np.repeat(colors[:1][None], 4, axis=1))
+
+
+@pytest.mark.parametrize("depth", [1, 2, 4, 8, 16])
+def test_a_transparent_gray_that_no_pixel_has_is_none(tmp_path: Path, depth: int) -> None:
+    packed = bytes(2 * depth)
+    for key, count in ((1, 0), (0, 16)):
+        rows = b"\0" + packed
+        (tmp_path / "a.png").write_bytes(png(16, 1, depth, 0, rows, chunk(b"tRNS", struct.pack(">H", key))))
+        if count:
+            assert refusal(tmp_path / "a.png") == "pixels must be opaque; got 16 of a transparent color (chunk tRNS)"
+        else:
+            np.testing.assert_array_equal(read_image(tmp_path / "a.png").data, np.zeros((1, 16)))
+
+
+@pytest.mark.parametrize("dtype", ["u1", "u2"])
+def test_a_transparent_color_that_no_pixel_has_is_none(tmp_path: Path, dtype: str) -> None:
+    data, bits = pixels(dtype, (4, 5, 3)), 8 * np.dtype(dtype).itemsize
+    rows = b"".join(b"\0" + row.astype(f">{dtype}").tobytes() for row in data)
+    other = (data[0, 0] ^ np.array([0, 0, 1], dtype)).tolist()
+    for key, count in ((other, 0), (data[0, 0].tolist(), 1)):
+        (tmp_path / "a.png").write_bytes(png(5, 4, bits, 2, rows, chunk(b"tRNS", struct.pack(">HHH", *key))))
+        if count:
+            assert refusal(tmp_path / "a.png") == "pixels must be opaque; got 1 of a transparent color (chunk tRNS)"
+        else:
+            np.testing.assert_array_equal(read_image(tmp_path / "a.png").data, data)
+    (tmp_path / "a.png").write_bytes(png(5, 4, bits, 2, rows, chunk(b"tRNS", b"\0")))
+    assert refusal(tmp_path / "a.png").startswith("must be a whole PNG; got ")
+
+
+@pytest.mark.parametrize(("shape", "wanted"), [
+    ((1, 6, 7), (6, 7)), ((6, 7, 1), (6, 7)), ((1, 1, 6, 7), (6, 7)), ((1, 6, 7, 1), (6, 7)), ((1, 6, 7, 3), (6, 7, 3)),
+    ((1, 7, 3), (1, 7, 3)), ((1, 1, 3), (1, 1, 3)), ((1, 1), (1, 1)), ((1, 1, 1, 1), (1, 1)), ((1, 7), (1, 7)),
+])  # fmt: skip
+@pytest.mark.parametrize("suffix", ["npy", "npz"])
+def test_axes_of_length_1_around_an_image_are_dropped(
+    tmp_path: Path, shape: tuple[int, ...], wanted: tuple[int, ...], suffix: str
+) -> None:
+    data = pixels("f4", shape)
+    if suffix == "npz":
+        np.savez(tmp_path / "a.npz", other=np.zeros(3), depth=data[..., :1] if wanted[-1] == 3 else data)
+        if wanted[-1] != 3:
+            np.testing.assert_array_equal(read_depth(tmp_path / "a.npz"), data.reshape(wanted))
+        return
+    np.save(tmp_path / "a.npy", data)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.npy").data, data.reshape(wanted), strict=True)
+    assert image_size(tmp_path / "a.npy") == (wanted[1], wanted[0])
+
+
+def test_bools_are_black_and_white(tmp_path: Path) -> None:
+    mask = pixels("u1", (5, 6)) > 100
+    np.save(tmp_path / "mask.npy", mask)
+    np.testing.assert_array_equal(read_image(tmp_path / "mask.npy").data, np.where(mask, 255, 0).astype(np.uint8))
+    with pytest.raises(ImageError, match=r"values must be integers or floats; got bool$"):
+        read_depth(tmp_path / "mask.npy")
 
 
 def test_interlaced_png(tmp_path: Path) -> None:
@@ -280,7 +338,7 @@ REFUSED: dict[str, tuple[str, bytes, str]] = {
     "bad filter": ("a.png", png(4, 4, 8, 0, b"\7aaaa" * 4), WHOLE),
     "bad color": ("a.png", png(4, 4, 8, 5, ROWS), f"{WHOLE}color type 5"),
     "animation": ("a.png", png(4, 4, 8, 0, ROWS, chunk(b"acTL", bytes(8))), f"{WHOLE}an animation"),
-    "keyed": ("a.png", png(4, 4, 8, 0, ROWS, chunk(b"tRNS", b"\0\5")), "pixels must be opaque; got "),
+    "keyed": ("a.png", png(4, 4, 8, 0, ROWS, chunk(b"tRNS", b"\0\0")), "pixels must be opaque; got "),
     "CMYK": ("a.jpg", encoded(Image.new("CMYK", (9, 9)).save, "JPEG"), "a JPEG must be gray or RGB; got "),
     "no frame": ("a.jpg", b"\xff\xd8\xff\xd9" + ROWS, "must be a whole JPEG; got no frame header"),
     "pages": ("a.tif", tiff(np.zeros((3, 8, 9), "u1")), "must be a single image; got 3 pages"),

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from clsco.errors import ImageError
+from clsco.files.depth_codes import dpt_bytes
 from clsco.files.images import check_sizes
 from clsco.inputs.depth_files import read_depth
 from clsco.inputs.depth_maps import inverse_depth
@@ -198,6 +199,20 @@ def save_parts(path: Path, *parts: dict[str, Array], **last: Any) -> None:
     OpenEXR.File(pages).write(str(path))
 
 
+def test_reads_what_sintel_and_clsco_write(tmp_path: Path) -> None:
+    """A .dpt is in m; clsco writes its mm so."""
+    depth = np.array([[200.0, 350.0, np.inf], [500.0, 1e5, 20.0]], np.float32)
+    (tmp_path / "depth.dpt").write_bytes(dpt_bytes(depth))
+    found = read_depth(tmp_path / "depth.dpt")
+    np.testing.assert_array_equal(found, (depth.astype(np.float64) / 1000).astype(np.float32))
+    w = inverse_depth(found, "m", 1.0, CAMERA).inverse_depth
+    np.testing.assert_allclose(w[:, :2], 1 / depth[:, :2], rtol=2.0**-23)
+    (tmp_path / "depth.dpt").write_bytes(dpt_bytes(depth)[:-1])
+    assert refusal(tmp_path / "depth.dpt").startswith(
+        "must be a whole DPT; got 23 bytes after a header of 3 x 2 pixels"
+    )
+
+
 def test_an_exr_may_have_parts(tmp_path: Path) -> None:
     path = tmp_path / "depth.exr"
     save_parts(path, {"ViewLayer.Combined.R": OTHER}, {"ViewLayer.Depth.Z": Z})
@@ -253,7 +268,7 @@ ONLY_NUMBERS = "array depth must hold numbers of shape (rows, columns); got "
 
 # fmt: off
 REFUSED: dict[str, tuple[str, bytes, str]] = {
-    "JPEG": ("a.jpg", b"\xff\xd8\xff", "the extension must be one of .png .tif .tiff .exr .pfm .npy .npz; got '.jpg'"),
+    "JPEG": ("a.jpg", b"\xff\xd8\xff", "the extension must be one of .png .tif .tiff .exr .pfm .npy .npz .dpt; got "),
     "no NPZ": ("a.npz", NPY, "the content must be NPZ, as the extension says; got NPY"),
     "empty": ("a.npz", b"", "the content must be NPZ, as the extension says; got an empty file"),
     "big PNG": ("a.png", stored(Image.new("L", (13000, 13000)).save, "PNG"), f"{LIMIT}13000 x 13000"),

@@ -130,6 +130,15 @@ SCENES: list[tuple[str, str]] = [
     ("sequence.interval = 0", "sequence.interval: must be greater than 0 s; got 0"),
     ("sequence.interval = 1e10", "sequence.interval: must be between 1e-09 and 1e+09 s; got 10000000000.0"),
     ("sequence.shutter = -1", "sequence.shutter: must be greater than 0 s; got -1"),
+    (
+        "sequence.shutter = 0",
+        "sequence.shutter: must be greater than 0 s; for an instant give a short one, such as 1e-6; got 0",
+    ),
+    (
+        "sequence.shutter = 0.0",
+        "sequence.shutter: must be greater than 0 s; for an instant give a short one, such as 1e-6; got 0.0",
+    ),
+    ("sequence.shutter = false", "sequence.shutter: must be a number; got false"),
     ("sequence.shutter = 1.5", "sequence.shutter: must be at most interval = 1 s; got 1.5"),
     (
         "sequence = {interval = 0.04, shutter = 0.05}",
