@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from unicodedata import category
 
 
 class ClscoError(Exception):
     """Something the user can mend; the message says `where: rule; got value`, on one line."""
 
     def __init__(self, message: str) -> None:
-        super().__init__(_one_line(message))
+        super().__init__(visible(message))
 
 
 class SceneError(ClscoError):
     """A scene is not valid; `messages` holds one line per fault, all faults of the scene at once."""
 
     def __init__(self, messages: str | Sequence[str]) -> None:
-        self.messages = tuple(map(_one_line, (messages,) if isinstance(messages, str) else messages))
+        self.messages = tuple(map(visible, (messages,) if isinstance(messages, str) else messages))
         Exception.__init__(self, "\n".join(self.messages))
 
     def __reduce__(self) -> tuple[type[SceneError], tuple[tuple[str, ...]]]:
@@ -46,8 +47,31 @@ class KernelError(ClscoError):
         Exception.__init__(self, message)
 
 
-def _one_line(message: str) -> str:
-    """The message with escapes in place of control characters, which names of files and values may have."""
-    if message.isprintable():
-        return message
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in message)
+def visible(text: str, lines: bool = False) -> str:
+    """A text with escapes in place of all that is neither seen nor a space, such as control characters, those that
+    turn the direction of writing, and halves of surrogates: names of files, and texts in them, may be anybody's.
+
+    Parameters
+    ----------
+    text : str
+    lines : bool
+        Ends of lines and tabs stay.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> from clsco.errors import visible
+    >>> visible("a\x1b[2J b")
+    'a\\x1b[2J b'
+    """
+    if text.isprintable():
+        return text
+    kept = "\n\t" if lines else ""
+
+    def is_seen(c: str) -> bool:
+        return c.isprintable() or c in kept or category(c) == "Zs"
+
+    return "".join(c if is_seen(c) else c.encode("unicode_escape").decode() for c in text)

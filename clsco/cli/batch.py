@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clsco.cli.options import PATH, precision_option, quiet_option, require_opencl, set_option
+from clsco.cli.output import echo
 from clsco.errors import ClscoError, SceneError
 
 if TYPE_CHECKING:
@@ -127,6 +128,8 @@ def make(distribution: Path, out: str, devices: tuple[str, ...], quiet: bool, **
     from clsco.data.containers import container_named
     from clsco.data.distribution import load_distribution
     from clsco.data.manifest import CONFLICT, LOG, PARTS, UNSPLIT
+    from clsco.resources import read_regular
+    from clsco.scene.file import MAX_FILE_BYTES
 
     container_named(options["form"])
     drawn = load_distribution(distribution, options["overrides"], options["splits"])
@@ -141,7 +144,7 @@ def make(distribution: Path, out: str, devices: tuple[str, ...], quiet: bool, **
         found = dry_run(drawn, options["seed"], len(samples), wanted=options["arrays"], sheet_path=sheet)
         print_dry_run(found)
         return
-    options["recipe"] = distribution.read_text("utf-8")
+    options["recipe"] = read_regular(distribution, MAX_FILE_BYTES, follow=True).decode("utf-8-sig")
     _make(drawn, out, samples, devices, quiet, options)
 
 
@@ -208,7 +211,7 @@ def _make(
     finally:
         storage.tidy()  # what processes left that were still about to end before
         storage.close()
-    click.echo(_line(out, status))
+    echo(_line(out, status))
     if failures:
         first = f"the first, sample {failures[0]['number']}: {failures[0]['error']}"
         count = sum(len(wanted.numbers(shard)) for shard in own)
@@ -281,14 +284,14 @@ def status(data: str) -> None:
 
     there = open_set(open_storage(data))
     found = status_of(there)
-    click.echo(f"shards: {len(found.done)} of {found.shards}")
-    click.echo(f"samples: {found.made} made, {found.failed} failed, of {found.samples}; {_size(found.bytes)}")
+    echo(f"shards: {len(found.done)} of {found.shards}")
+    echo(f"samples: {found.made} made, {found.failed} failed, of {found.samples}; {_size(found.bytes)}")
     if found.rate is not None and not found.is_whole:
-        click.echo(f"rate: {found.rate:.3g} samples/s, {_duration(found.seconds_left or 0.0)} left at this rate")
+        echo(f"rate: {found.rate:.3g} samples/s, {_duration(found.seconds_left or 0.0)} left at this rate")
     if missing := [shard for shard in there.shards if shard not in found.done]:
-        click.echo(f"missing: {ranges(missing)}")
+        echo(f"missing: {ranges(missing)}")
     for fault in found.faults:
-        click.echo(f"incomplete: {fault}")
+        echo(f"incomplete: {fault}")
     finish(there, found)
 
 
@@ -326,10 +329,10 @@ def verify(data: str, sample: int, device: str | None, base: Path, quiet: bool) 
     finally:
         storage.close()
     for finding in findings:
-        click.echo(finding)
+        echo(finding)
     if findings:
         raise ClscoError(f"{data}: must be as it was made; got {len(findings)} findings")
-    click.echo(f"{click.format_filename(data)}: {len(there.samples)} samples as recorded, {len(chosen)} rendered again")
+    echo(f"{click.format_filename(data)}: {len(there.samples)} samples as recorded, {len(chosen)} rendered again")
 
 
 @batch.command()
@@ -346,6 +349,6 @@ def show(data: str, number: int, base: Path) -> None:
 
     storage = open_storage(data)
     try:
-        click.echo(toml_text(located(scene_table(open_set(storage), number), base.absolute())), nl=False)
+        echo(toml_text(located(scene_table(open_set(storage), number), base.absolute())), nl=False)
     finally:
         storage.close()

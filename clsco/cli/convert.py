@@ -7,6 +7,7 @@ from contextlib import ExitStack
 import click
 
 from clsco.cli.options import quiet_option
+from clsco.cli.output import echo
 
 
 @click.command(short_help="Write a data set in another format.")
@@ -33,4 +34,4 @@ def convert(data: str, out: str, form: str, resume: bool, quiet: bool) -> None:
             source, target, form, resume, lambda count: stack.enter_context(progress(count, quiet, "shards"))
         )
     place = click.format_filename(out)
-    click.echo(f"{place}: {status.made} samples in {len(status.done)} shards, {status.failed} failed, as {form}")
+    echo(f"{place}: {status.made} samples in {len(status.done)} shards, {status.failed} failed, as {form}")

@@ -7,10 +7,10 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-import click
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.cli.output import echo
 from clsco.errors import ImageError, SceneError
 from clsco.files.atomic import refuse, same_place, writable_folder
 from clsco.files.images import (
@@ -40,7 +40,7 @@ def read_pair(
         raise ImageError(f"--threshold: must be a finite number; got {threshold}")
     check_alike(str(image), str(mask), image_size(mask))
     if note := upright_note(str(image), str(mask)):
-        click.echo(note, err=True)
+        echo(note, err=True)
     missing = _missing(mask, threshold)
     if missing.all():
         refuse(mask, "some pixel must be known, and be 0", "only missing ones")

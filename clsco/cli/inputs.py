@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from clsco.cli.output import echo
+
 if TYPE_CHECKING:
     from clsco.files.color import Color
     from clsco.plan.prepare import Prepared, PreparedFile
@@ -30,13 +32,13 @@ def report_inputs(planned: Sequence[PreparedFile]) -> None:
             for item in maps:
                 where = f"{item.depth} (with {label})" if label else str(item.depth)
                 line = lens_line(each.scene.camera, each.files.map(each.scene, item))
-                click.echo(f"{where}: {line}", err=True)
+                echo(f"{where}: {line}", err=True)
 
 
 def report_notes(path: str, notes: Iterable[str]) -> None:
     """Say on stderr what is to be known of an image, as `clsco.files.images.Picture.notes` gives it."""
     for note in notes:
-        click.echo(f"{path}: {note}", err=True)
+        echo(f"{path}: {note}", err=True)
 
 
 def report_loss(out: Path, color: Color) -> None:
@@ -44,7 +46,7 @@ def report_loss(out: Path, color: Color) -> None:
     from clsco.files.images import WRITERS
 
     if loss := WRITERS[out.suffix.lower()].loss(color):
-        click.echo(f"{click.format_filename(out)}: {loss}", err=True)
+        echo(f"{click.format_filename(out)}: {loss}", err=True)
 
 
 def _report_images(prepared: Prepared) -> None:
@@ -54,7 +56,7 @@ def _report_images(prepared: Prepared) -> None:
         for path, color in prepared.colors.items():
             if not color.is_plain:
                 line = f"frames are in sRGB, and colors of the profile {color.name} are taken as such"
-                click.echo(f"{path}: {line}", err=True)
+                echo(f"{path}: {line}", err=True)
 
 
 def _report_depth(prepared: Prepared, item: DepthMap) -> None:
@@ -63,8 +65,8 @@ def _report_depth(prepared: Prepared, item: DepthMap) -> None:
 
     files = item.files()
     if files.keys() >= {"texture", "depth"} and (note := upright_note(files["texture"], files["depth"], DEPTH_FORMATS)):
-        click.echo(note, err=True)
+        echo(note, err=True)
     values = prepared.files.depth_values(prepared.scene, item)
     if report := values.report():
         taken = "; those without are taken as infinitely far" if values.invalid and item.no_depth == "far" else ""
-        click.echo(f"{item.depth}: {report}{taken}", err=True)
+        echo(f"{item.depth}: {report}{taken}", err=True)

@@ -36,6 +36,7 @@ from clsco.cli.options import (
     set_option,
     truth_option,
 )
+from clsco.cli.output import echo
 from clsco.cli.render import render, render_to_folders, report_approximation, request_for
 from clsco.cli.studio import studio
 from clsco.cli.video import video
@@ -81,9 +82,9 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
             advance()
     write_contact_sheet(out / "contact_sheet.png", shown)
     place = click.format_filename(out)
-    click.echo(f"{place}/contact_sheet.png: all scenes, and the ground truth of some")
-    click.echo(f"{place}/NAME/frame_0000.png, .npz, .json: image, truth and parameters; NAME is one of")
-    click.echo(f"  {', '.join(jobs)}")
+    echo(f"{place}/contact_sheet.png: all scenes, and the ground truth of some")
+    echo(f"{place}/NAME/frame_0000.png, .npz, .json: image, truth and parameters; NAME is one of")
+    echo(f"  {', '.join(jobs)}")
 
 
 @main.command()
@@ -113,7 +114,7 @@ def thesis(out: Path, wanted: tuple[str, ...], device: str | None, quiet: bool) 
         remove(page)  # an older page is not whole any more
     values = render(out, figures, numbers, device, quiet)
     write_page(out, name, figures, values)
-    click.echo(f"{click.format_filename(pages[0])}: figures, and numbers as stated and as measured")
+    echo(f"{click.format_filename(pages[0])}: figures, and numbers as stated and as measured")
 
 
 @main.command()
@@ -174,7 +175,7 @@ def devices(device: str | None, tested: bool, warms: bool) -> None:
         print_tables(*device_tables(found, choice.device, checks))
     if choice.device is None:
         raise DeviceError(choice.reason)
-    click.echo(f"used: {choice.device} ({choice.reason})")
+    echo(f"used: {choice.device} ({choice.reason})")
     failed = [f"{item}: {check.name}" for item, results in checks.items() for check in results if not check.passed]
     if failed:
         raise ClscoError(f"self-test: every check must pass; got failures in {', '.join(failed)}")
@@ -182,7 +183,7 @@ def devices(device: str | None, tested: bool, warms: bool) -> None:
         from clsco.cli.warm import warm_cache
 
         done = warm_cache(device)
-        click.echo(f"warm: {done.programs} programs compiled for {done.plans} renders, in {done.seconds:.0f} s")
+        echo(f"warm: {done.programs} programs compiled for {done.plans} renders, in {done.seconds:.0f} s")
 
 
 @main.command()
@@ -190,7 +191,7 @@ def schema() -> None:
     """Print the JSON Schema of a scene file."""
     from clsco.scene.schema import scene_schema
 
-    click.echo(json.dumps(scene_schema(), indent=2))
+    echo(json.dumps(scene_schema(), indent=2))
 
 
 @main.command()
@@ -202,7 +203,7 @@ def validate(scenes: tuple[Path, ...]) -> None:
 
     for path, labels, _ in prepare_files(load_sweeps(scenes)):
         count = f", {len(labels)} scenes" if labels != ("",) else ""
-        click.echo(f"{click.format_filename(path)}: valid{count}")
+        echo(f"{click.format_filename(path)}: valid{count}")
 
 
 @main.command()
@@ -230,7 +231,7 @@ def bench(out: Path, extent: Extent, stability: bool, device: str | None, quiet:
     from clsco.opencl.device import choose
 
     for notice in task.notices():
-        click.echo(notice, err=True)
+        echo(notice, err=True)
     folder, chosen = writable_folder(out), choose(device)
     with progress(task.steps(chosen), quiet, "calls") as advance:
         tables, short = task.run(chosen, folder, advance)
@@ -412,7 +413,7 @@ def inpaint(
         write_report(folder, report, pixels, missing, filled)
     print_tables(*inpaint_tables(report))
     if not report.missing_pixels:
-        click.echo(f"no pixel is missing: {click.format_filename(out)} is a copy of {click.format_filename(image)}")
+        echo(f"no pixel is missing: {click.format_filename(out)} is a copy of {click.format_filename(image)}")
 
 
 def _first(
@@ -428,7 +429,7 @@ def _first(
     alone = replace(sweep, labels=sweep.labels[:1], scenes=sweep.scenes[:1])
     ((_, (label,), (first,)),) = prepare_files([(path, alone)], request, device)
     if label:
-        click.echo(f"the first of {len(sweep.labels)} scenes, {label}:")
+        echo(f"the first of {len(sweep.labels)} scenes, {label}:")
     return first
 
 

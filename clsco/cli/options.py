@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from clsco.cli.output import echo, visible_usage
 from clsco.errors import ClscoError, DeviceError, SceneError
 
 if TYPE_CHECKING:
@@ -26,24 +27,30 @@ USER_ERROR, NO_DEVICE, INTERRUPTED = 1, 3, 130
 class Commands(click.Group):
     """A group whose commands end with one line per error and the exit status that belongs to it."""
 
+    def make_context(self, *args: Any, **options: Any) -> click.Context:
+        """Parse a command line."""
+        with visible_usage():
+            return super().make_context(*args, **options)
+
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command; what the user can mend, and Ctrl-C, ends without a traceback."""
         try:
-            return super().invoke(ctx)
+            with visible_usage():
+                return super().invoke(ctx)
         except KeyboardInterrupt:
-            click.echo("interrupted", err=True)
+            echo("interrupted", err=True)
             ctx.exit(INTERRUPTED)
         except MemoryError:
-            click.echo("error: memory: must hold the arrays of the scene; got too little of it", err=True)
+            echo("error: memory: must hold the arrays of the scene; got too little of it", err=True)
             ctx.exit(USER_ERROR)
         except BrokenPipeError:
             raise  # who reads the output has had enough, which click takes for an end
         except OSError as error:
-            click.echo(f"error: {error.filename or 'output'}: must be writable; got {error.strerror}", err=True)
+            echo(f"error: {error.filename or 'output'}: must be writable; got {error.strerror}", err=True)
             ctx.exit(USER_ERROR)
         except ClscoError as error:
             for message in error.messages if isinstance(error, SceneError) else (str(error),):
-                click.echo(f"error: {message}", err=True)
+                echo(f"error: {message}", err=True)
             ctx.exit(NO_DEVICE if isinstance(error, DeviceError) else USER_ERROR)
 
 

@@ -23,6 +23,7 @@ from clsco.cli.options import (
     set_option,
     truth_option,
 )
+from clsco.cli.output import echo
 from clsco.errors import SceneError
 
 if TYPE_CHECKING:
@@ -105,7 +106,7 @@ def report_approximation(where: Path, frame: Frame) -> None:
     if values := frame.metadata["approximation"]:
         view = f" ({frame.eye})" if frame.eye else ""
         line = ApproximationReport(**values).line()
-        click.echo(f"{click.format_filename(where)}: frame {frame.index}{view}: {line}", err=True)
+        echo(f"{click.format_filename(where)}: frame {frame.index}{view}: {line}", err=True)
 
 
 def render_to_folders(
@@ -181,7 +182,7 @@ def _render_to_pipe(
     from clsco.opencl.session import session_for
 
     numbers, playing = wanted(scene, span, str(path)), Playing()
-    click.echo(f"{click.format_filename(path)}: {playing.about(scene.sequence.interval, str(path))}", err=True)
+    echo(f"{click.format_filename(path)}: {playing.about(scene.sequence.interval, str(path))}", err=True)
     rate, stream = playing.rate(scene.sequence.interval, str(path)), standard_output()
     with progress(len(numbers), quiet) as advance:
 
@@ -192,4 +193,4 @@ def _render_to_pipe(
                 advance()
 
         for change in write_clip(stream, codes(), rate, "y4m", scene.image.transfer):
-            click.echo(f"{click.format_filename(path)}: {change}", err=True)
+            echo(f"{click.format_filename(path)}: {change}", err=True)

@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from clsco.cli.options import PATH, device_option, require_device
+from clsco.cli.output import echo
 from clsco.errors import SceneError
 
 
@@ -52,5 +53,5 @@ def studio(
         warning = (
             "warning: other machines reach the studio, and what is sent is not encrypted; put a TLS proxy before it"
         )
-        click.echo(warning, err=True)
-    serve(opened, host, port, attach, click.echo, not no_browser)
+        echo(warning, err=True)
+    serve(opened, host, port, attach, echo, not no_browser)

@@ -11,6 +11,7 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from clsco.errors import visible
 from clsco.plan.buffers import Sizes
 from clsco.plan.left_out import left_out
 from clsco.plan.memory import device_bytes
@@ -31,8 +32,10 @@ def _table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], ri
     for name in columns:
         table.add_column(Text(name), justify="right" if name in right else "left", overflow="fold")
     for row in rows:
-        table.add_row(*(Text(cell) for cell in row))
-    return Group(Text(title, no_wrap=True, overflow="ignore", style="italic"), table)  # a table would wrap its own
+        table.add_row(*(Text(visible(cell)) for cell in row))
+    return Group(
+        Text(visible(title), no_wrap=True, overflow="ignore", style="italic"), table
+    )  # a table would wrap its own
 
 
 def plan_tables(plans: Sequence[Plan]) -> list[RenderableType]:
@@ -202,4 +205,5 @@ def print_tables(*things: RenderableType) -> None:
     if sys.stdout is None:
         return
     width = None if sys.stdout.isatty() else 160
-    Console(width=width, markup=False, highlight=False, emoji=False).print(*things, sep="\n", crop=False)
+    shown = [visible(thing, lines=True) if isinstance(thing, str) else thing for thing in things]
+    Console(width=width, markup=False, highlight=False, emoji=False).print(*shown, sep="\n", crop=False)

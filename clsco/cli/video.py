@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, BinaryIO
 import click
 
 from clsco.cli.options import PATH, parse_preset, quiet_option
+from clsco.cli.output import echo
 from clsco.errors import ImageError
 
 if TYPE_CHECKING:
@@ -97,7 +98,7 @@ def standard_output() -> BinaryIO:
 
 def _report(where: Path, facts: Sequence[str]) -> None:
     for fact in facts:
-        click.echo(f"{click.format_filename(where)}: {fact}", err=True)
+        echo(f"{click.format_filename(where)}: {fact}", err=True)
 
 
 def require_clips(planned: Sequence[PreparedFile], preset: str) -> None:

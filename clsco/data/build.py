@@ -170,7 +170,8 @@ class Builder:
 def located(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """The content of a scene file with paths that start at a folder. Raises SceneError for those that leave it."""
     found: dict[str, Any] = copied(table)
-    for number, item in enumerate(found.get("object", [])):
+    objects = found.get("object")
+    for number, item in enumerate(objects if isinstance(objects, list) else ()):
         for key in FILE_KEYS:
             name = item.get(key) if isinstance(item, dict) else None
             if isinstance(name, str) and is_file(key, name):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -16,6 +15,7 @@ from clsco.data.manifest import part_bytes, part_key
 from clsco.data.record import Record
 from clsco.data.sets import DataSet, Status, begun, finish, open_set, status_of
 from clsco.data.storage import Storage
+from clsco.data.strict import strict_json
 from clsco.errors import ImageError
 
 OWN = ("identity", "samples", "counts", "arrays", "conventions", "load", "cite", "files")  # of a card, not carried over
@@ -64,7 +64,7 @@ def convert(
         raise ImageError(f"{source.where}: all {status.shards} shards must be whole; got {found}")
     made = DataSet(target, replace(there.identity, format=form), there.samples)
     begun(made, resume)
-    card = json.loads(source.read(CARD) or b"{}")
+    card = strict_json(source.read(CARD) or b"{}")
     made.write({name: value for name, value in card.items() if name not in OWN})
     done = made.done(made.shards, target.is_local, [])
     left = [shard for shard in made.shards if shard not in done]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import threading
 from bisect import bisect_right
@@ -16,12 +15,14 @@ from clsco.data.card import CARD, split_files
 from clsco.data.containers import ShardReader, container_named
 from clsco.data.record import ABOUT, Record, is_wanted
 from clsco.data.storage import checked_key, open_storage
+from clsco.data.strict import strict_json
 from clsco.errors import ImageError, SceneError
 from clsco.files.atomic import refuse
 from clsco.frame.shown import html_to_show
+from clsco.resources import read_regular
 
 MOST_OPEN = 16  # shards, of the formats that keep a file or a row group
-LARGEST_CARD = 2**28
+LARGEST_CARD = 2**26
 
 
 class _Shards:
@@ -188,9 +189,7 @@ def _read_card(folder: Path) -> dict[str, Any]:
     """The card with the `files` of each split, which are checked. Raises ImageError."""
     path = folder / CARD
     try:
-        if path.stat().st_size > LARGEST_CARD:
-            refuse(path, f"must have at most {LARGEST_CARD} bytes", path.stat().st_size)
-        card = json.loads(path.read_bytes())
+        card = strict_json(read_regular(path, LARGEST_CARD))
         form = card["identity"]["format"]
         listed = card["files"] if "files" in card else split_files(open_storage(folder))
         files = {

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.data.record import Record
+from clsco.data.strict import strict_json
 from clsco.errors import ImageError
 from clsco.files.atomic import refuse
 from clsco.files.bounded import npy_array as npy_array
@@ -175,9 +176,9 @@ def parsed_meta(path: Path, content: bytes | str) -> dict[str, Any]:
     """
     if len(content) > LARGEST_META:
         refuse(path, f"meta.json must have at most {LARGEST_META} bytes", len(content))
-    meta = json.loads(content)
+    meta = strict_json(content)
     if isinstance(meta, dict) and isinstance(meta.get("arrays"), str):  # flat
-        meta |= {name: json.loads(meta[name]) for name in NESTED if isinstance(meta.get(name), str)}
+        meta |= {name: strict_json(meta[name]) for name in NESTED if isinstance(meta.get(name), str)}
     if not isinstance(meta, dict) or not isinstance(meta.get("arrays"), dict):
         refuse(path, "meta.json must be an object with arrays", type(meta).__name__)
     known = [described(path, meta, name) for name in meta["arrays"]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import os
 from collections.abc import Iterator
 from fnmatch import fnmatchcase
@@ -10,6 +11,7 @@ from pathlib import Path, PureWindowsPath
 from typing import Any
 
 from clsco.files.atomic import sha256
+from clsco.resources import open_regular
 from clsco.scene.text import shown
 
 MAX_NAME = 1024
@@ -134,7 +136,7 @@ class Folder:
         if path.suffix.lower() != ".csv":
             raise RefusedError("must end in .csv")
         try:
-            with open(path, encoding="utf-8-sig", newline="") as file:
+            with io.TextIOWrapper(open_regular(path), encoding="utf-8-sig", newline="") as file:
                 text = file.read(MAX_TABLE_BYTES + 1)
         except UnicodeDecodeError:
             raise RefusedError("must be UTF-8 text") from None

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from clsco.data.storage import Storage, checked_key
+from clsco.data.strict import strict_json
 from clsco.errors import ImageError
 
 PARTS, MERGED, FAILED, LOG = "manifest", "manifest.jsonl", "failed.jsonl", "log"
@@ -138,7 +139,7 @@ def part_bytes(
 def parsed_part(data: bytes) -> Part:
     """The description of a shard from the first line of its part. Raises ImageError where it is none."""
     try:
-        found = json.loads(data.partition(b"\n")[0])
+        found = strict_json(data.partition(b"\n")[0])
         files = {checked_key(str(key)): (int(size), str(digest)) for key, (size, digest) in found.pop("files").items()}
         numbers = {name: int(found.pop(name)) for name in ("shard", "first", "count", "made", "failed")}
         part = Part(**numbers, files=files, identity=str(found.pop("identity")), rows=str(found.pop("rows")))
@@ -154,8 +155,35 @@ def rows_of(data: bytes) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """The samples and the failures of a part. Raises ImageError where they are not as its first line says."""
     part = parsed_part(data)
     require_rows(part, data)
-    found = [json.loads(text) for text in data.splitlines()[1:]]
-    return found[: part.made], found[part.made :]
+    try:
+        found = [strict_json(text) for text in data.splitlines()[1:]]
+        rows, failures = found[: part.made], found[part.made :]
+        if len(found) != part.count or not (all(map(_is_row, rows)) and all(map(_is_failure, failures))):
+            raise ValueError("other values, or fewer lines")
+    except ValueError as error:
+        raise ImageError(f"{part_key(part.shard)}: each line must be about a sample; got {error}") from None
+    return rows, failures
+
+
+def _is_row(row: Any) -> bool:
+    """Whether it is about a sample that is in a file."""
+    if not isinstance(row, dict) or not _is_count(row.get("number")) or not _is_count(row.get("offset")):
+        return False
+    texts, tables = (row.get("file"), row.get("split")), (row.get("parameters"), row.get("arrays"))
+    if not all(isinstance(text, str) for text in texts) or not all(isinstance(table, dict) for table in tables):
+        return False
+    return all(isinstance(digest, str) for digest in row["arrays"].values())
+
+
+def _is_failure(row: Any) -> bool:
+    """Whether it is about a sample that failed."""
+    if not isinstance(row, dict) or not _is_count(row.get("number")) or not isinstance(row.get("error"), str):
+        return False
+    return "scene" in row and (row["scene"] is None or isinstance(row["scene"], dict))
+
+
+def _is_count(value: Any) -> bool:
+    return type(value) is int and 0 <= value <= 10**12
 
 
 def require_rows(part: Part, data: bytes) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 from clsco.data.card import CARD, write_card
 from clsco.data.manifest import LOG, Identity, Part, Parts, numbers_of, part_key, rows_of, shard_numbers
 from clsco.data.storage import Storage
+from clsco.data.strict import strict_json
 from clsco.errors import ImageError, SceneError
 
 MOST_SHARDS = 10**6
@@ -62,7 +63,9 @@ def open_set(storage: Storage) -> DataSet:
     if data is None:
         raise ImageError(f"{storage.where}: must hold a data set that clsco batch made; got no {CARD}")
     try:
-        card = json.loads(data)
+        card = strict_json(data)
+        if not all(isinstance(card.get(name, ""), str) for name in ("license", "recipe")):
+            raise TypeError("a license or recipe that is no text")
         about = dict(card["identity"])
         about["arrays"] = tuple(map(str, about["arrays"]))
         about["splits"] = tuple((str(name), float(share)) for name, share in about["splits"])
@@ -70,7 +73,7 @@ def open_set(storage: Storage) -> DataSet:
         samples, identity = range(*(int(number) for number in card["samples"])), Identity(**about)
         if not samples or samples.start < 0 or len(shard_numbers(samples, identity.shard_size)) > MOST_SHARDS:
             raise ValueError(f"samples are {samples}")
-    except (ValueError, TypeError, KeyError, ArithmeticError, RecursionError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, ArithmeticError, RecursionError) as error:
         raise ImageError(f"{storage.where}/{CARD}: must describe a data set; got {error!r}") from None
     return DataSet(storage, identity, samples)
 

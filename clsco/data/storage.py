@@ -15,10 +15,11 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from clsco.errors import ImageError
-from clsco.files.atomic import refuse
-from clsco.resources import remove_left, work_name
+from clsco.files.atomic import file_sha256, refuse
+from clsco.resources import open_regular, read_regular, remove_left, work_name
 
 BLOCK = 2**20
+MOST_BYTES = 2**30  # of a card or a part of a manifest
 Call = TypeVar("Call", bound=Callable[..., Any])
 
 
@@ -127,6 +128,13 @@ class _Folder:
         self.root = root.absolute()
         self.where = str(self.root)
 
+    def _path(self, key: str) -> Path:
+        """Where a key is. Raises ImageError where a link leads out of the set, as in a folder of a stranger one may."""
+        path = self.root / checked_key(key)
+        if not path.parent.resolve().is_relative_to(self.root.resolve()):
+            refuse(path, "must lie in the folder of the data set", "a link that leaves it")
+        return path
+
     @_failing
     def scratch(self) -> Path:
         path = self.root / work_name(".work")
@@ -135,7 +143,7 @@ class _Folder:
 
     @_failing
     def put(self, key: str, path: Path) -> None:
-        target = self.root / checked_key(key)
+        target = self._path(key)
         for each in path.rglob("*") if path.is_dir() else (path,):
             _sync(each)
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -152,19 +160,21 @@ class _Folder:
 
     @_failing
     def read(self, key: str) -> bytes | None:
-        path = self.root / checked_key(key)
-        return path.read_bytes() if path.is_file() else None
+        try:
+            return read_regular(self._path(key), MOST_BYTES)
+        except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
+            return None
 
     @_failing
     def digest(self, key: str) -> str | None:
-        path = self.root / checked_key(key)
-        if not path.is_file():
+        try:
+            with open_regular(self._path(key)) as file:
+                return file_sha256(file)
+        except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
             return None
-        with open(path, "rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
 
     def local(self, key: str) -> Path:
-        return self.root / checked_key(key)
+        return self._path(key)
 
     @_failing
     def sizes(self, prefix: str) -> dict[str, int]:
@@ -182,7 +192,7 @@ class _Folder:
 
     @_failing
     def remove(self, key: str) -> None:
-        path = self.root / checked_key(key)
+        path = self._path(key)
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)
         else:

@@ -18,7 +18,7 @@ from clsco.data.manifest import FAILED, MERGED, Parts, parsed_part, part_key
 from clsco.data.record import Record, make_record
 from clsco.data.sets import DataSet
 from clsco.data.shards import Renderer, device_family
-from clsco.errors import ClscoError, SceneError
+from clsco.errors import ClscoError, ImageError, SceneError
 from clsco.files.atomic import sha256
 from clsco.frame.frame import Frame
 from clsco.opencl.device import choose
@@ -26,6 +26,7 @@ from clsco.optics.motion import Eye, middle_time, poses_at, rest_center
 from clsco.reference.common.geometry import pixel_ray, project
 from clsco.scene.model import Scene
 from clsco.scene.sweep import parse_sweep
+from clsco.scene.text import shown
 
 FLOW_PX, FLOW_SHARE = 0.01, 1e-4
 """By how much flow may differ from where depth and motion lead: px, and of its length. Depth has 24 bits."""
@@ -161,8 +162,9 @@ def _verify_shard(there: DataSet, shard: int) -> Iterator[str]:
 
 def _compared(where: str, there: DataSet, row: Mapping[str, Any], record: Record) -> Iterator[str]:
     found = record.sha256()
-    if record.meta["number"] != row["number"] or record.meta["seed"] != there.identity.seed:
-        got = f"sample {record.meta['number']} of seed {record.meta['seed']}"
+    number, seed = record.meta.get("number"), record.meta.get("seed")
+    if number != row["number"] or seed != there.identity.seed:
+        got = f"sample {shown(number)} of seed {shown(seed)}"
         yield f"{where}: must be of seed {there.identity.seed}; got {got}"
     for name in sorted(found.keys() | row["arrays"].keys()):
         if found.get(name) != row["arrays"].get(name):
@@ -205,7 +207,15 @@ def _verify_sample(there: DataSet, number: int, renderer: Renderer, folder: Path
 def _stored(there: DataSet, row: Mapping[str, Any]) -> Record:
     """The record of a sample, by its line in the manifest."""
     with closing(container_named(there.identity.format).read(there.storage.local(row["file"]))) as reader:
-        return reader[row["offset"]]
+        if row["offset"] >= len(reader):
+            raise ImageError(f"{row['file']}: must hold sample {row['number']} as number {row['offset']}; got no such")
+        record = reader[row["offset"]]
+    kinds = {"scene": dict, "frames": list, "split": str, "attempts": int, "parameters": dict}
+    for name, kind in kinds.items():
+        if not isinstance(record.meta.get(name), kind):
+            rule = f"{row['file']}: sample {row['number']}: {name} must be there, as clsco batch writes it"
+            raise ImageError(f"{rule}; got {shown(record.meta.get(name))}")
+    return record
 
 
 def _strays(there: DataSet) -> list[str]:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.resources import ExposedFolderError, private_folder
+from clsco.resources import ExposedFolderError, private_folder, read_regular
 
 SUFFIX = ".arrays"
 MOST_BYTES = 2**29  # of a folder; then the files that were used longest ago go
@@ -49,7 +49,7 @@ class ArrayCache:
             return None
         path = self._path(key)
         try:
-            content = path.read_bytes()
+            content = read_regular(path, 2 * LARGEST)
             if hashlib.sha256(memoryview(content)[DIGEST:]).digest() != content[:DIGEST]:
                 return None
             os.utime(path)

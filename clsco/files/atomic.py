@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import BinaryIO, NoReturn
 
 from clsco.errors import ImageError
+from clsco.resources import open_regular
 
+_BLOCK = 2**18  # bytes that are read at once
 _RUN = secrets.token_hex(4)  # differs from that of an earlier process of the same number: in a container it is always 1
 
 
@@ -160,8 +162,17 @@ def same_place(path: str | os.PathLike[str], other: str | os.PathLike[str]) -> b
 
 def sha256(path: Path) -> str:
     """SHA-256 of a file's content in hexadecimal. Raises OSError where it cannot be read."""
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    with open_regular(path, follow=True) as file:
+        return file_sha256(file)
+
+
+def file_sha256(file: BinaryIO) -> str:
+    """SHA-256 of the bytes that an opened file has now: it may grow meanwhile."""
+    digest, left = hashlib.sha256(), os.fstat(file.fileno()).st_size
+    while left > 0 and (block := file.read(min(left, _BLOCK))):
+        digest.update(block)
+        left -= len(block)
+    return digest.hexdigest()
 
 
 def _temporary(path: Path) -> Path:

@@ -28,6 +28,7 @@ from clsco.frame.channels import exr_channels
 from clsco.frame.frame import ALL_TRUTH, FILE_NAMES, IMAGE_NAMES, Frame
 from clsco.frame.truth_files import ATTRIBUTES, Shot, TruthFile, TruthFormat, parse_truth
 from clsco.optics.motion import Eye
+from clsco.resources import read_regular
 from clsco.scene.model import Scene
 
 
@@ -114,6 +115,7 @@ def _known(shot: Shot, wanted: TruthFile) -> NDArray[np.bool_]:
 
 _FLOWS, _WHERE_FLOW_HOLDS = ("flow", "flow_backward"), ("mask", "depth", "object_id")
 # By name, one row for each format: `clsco render --truth` takes its names from here.
+LARGEST_JSON = 2**22  # bytes; 64 objects with all of their keys take a fiftieth
 TRUTH_FORMATS = {
     "npz": TruthFormat("{stem}.npz", _write_npz, options=("float16", "compressed")),
     "exr": TruthFormat("{stem}.exr", _write_exr, "frame", options=("float16",), needs=("OpenEXR", "exr")),
@@ -308,11 +310,11 @@ def read_complete(folder: str | os.PathLike[str], index: int) -> dict[str, Any] 
     described = frame_json(folder, index)
 
     def is_as_recorded(name: str, digest: str) -> bool:
-        path = described.parent / name  # to open a pipe would block for ever
-        return path.name == name and path.is_file() and sha256(path) == digest
+        path = described.parent / name
+        return path.name == name and sha256(path) == digest
 
     try:
-        content: dict[str, Any] = json.loads(described.read_bytes() if described.is_file() else b"")
+        content: dict[str, Any] = json.loads(read_regular(described, LARGEST_JSON, follow=True))
         whole = all(is_as_recorded(name, digest) for name, digest in content["files"].items())
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import re
-import stat
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -20,9 +19,9 @@ from clsco.files.arrays import read_exr, read_npz
 from clsco.files.atomic import refuse
 from clsco.files.images import read_image
 from clsco.files.transfer import TRANSFERS
-from clsco.frame.files import frame_json
+from clsco.frame.files import LARGEST_JSON, frame_json
+from clsco.resources import read_regular
 
-LARGEST_JSON = 2**22  # bytes; 64 objects with all of their keys take a fiftieth
 MOST_FAULTS = 20
 _CHANNELS = {
     "color": "R G B", "sharp": "sharp.R sharp.G sharp.B", "depth": "Z", "coc": "coc", "flow": "flow.u flow.v",
@@ -156,11 +155,7 @@ def _numbers(folder: Path) -> Iterator[int]:
 def _content(path: Path, faults: list[str]) -> Mapping[str, Any] | None:
     """The tables of a JSON file; None with a fault where it is none."""
     try:
-        about = path.stat()
-        if not stat.S_ISREG(about.st_mode) or about.st_size > LARGEST_JSON:  # to open a pipe would block for ever
-            faults.append(f"{path}: must be a file of at most {LARGEST_JSON} bytes; got another one")
-            return None
-        content = json.loads(path.read_bytes())
+        content = json.loads(read_regular(path, LARGEST_JSON, follow=True))
     except OSError as error:
         faults.append(f"{path}: must be there and readable, as it makes its frame whole; got {error.strerror}")
     except (ValueError, RecursionError) as error:

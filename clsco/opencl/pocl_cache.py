@@ -21,7 +21,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from clsco.resources import ExposedFolderError, private_folder, temporary_folder
+from clsco.resources import ExposedFolderError, private_folder, read_regular, temporary_folder
 
 try:
     import fcntl
@@ -31,6 +31,7 @@ except ImportError:  # Windows, where PoCL is not shipped
 VARIABLE = "POCL_CACHE_DIR"
 LOCK = "clsco.lock"
 LIST = "clsco.json"
+MOST_LIST = 2**26  # bytes of it
 ROOM = 16 * 2**20  # bytes; the largest program takes some 2 MB
 _LARGEST = 64 * 2**20
 """Bytes; a larger cache is emptied, since PoCL never removes what older versions of the kernels left."""
@@ -244,7 +245,7 @@ def _state(path: str, recorded: list[int] | None = None) -> list[int]:
 
 def _recorded(folder: Path) -> _Sums:
     try:
-        text, _, own = (folder / LIST).read_text("utf-8").rpartition("\n")
+        text, _, own = read_regular(folder / LIST, MOST_LIST).decode().rpartition("\n")
         if int(own) != zlib.crc32(text.encode()):  # a damaged list may lack the file that is damaged
             return {}
         entries = json.loads(text).items()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -27,10 +28,10 @@ def toml_text(table: Mapping[str, Any]) -> str:
 
 def _parts(table: Mapping[str, Any], name: str, header: str) -> list[str]:
     """A table under its header, then each table in it."""
-    values = [f"{key} = {_value(value)}" for key, value in table.items() if not _is_table(value)]
+    values = [f"{_key(key)} = {_value(value)}" for key, value in table.items() if not _is_table(value)]
     found = ["\n".join(([header] if header else []) + values)]
     for key, value in table.items():
-        inner = f"{name}.{key}" if name else key
+        inner = f"{name}.{_key(key)}" if name else _key(key)
         if isinstance(value, Mapping):
             found += _parts(value, inner, f"[{inner}]")
         elif _is_table(value):
@@ -44,10 +45,21 @@ def _is_table(value: Any) -> bool:
     return isinstance(value, Mapping) or (isinstance(value, list) and any(isinstance(v, Mapping) for v in value))
 
 
+def _key(key: str) -> str:
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _text(key)
+
+
+def _text(text: str) -> str:
+    """A text in quotes, with escapes for what is not seen; those of JSON are among those of TOML."""
+    quoted = json.dumps(text, ensure_ascii=False)
+    escaped = (c if c.isprintable() else f"\\U{ord(c):08x}" for c in quoted)
+    return quoted if quoted.isprintable() else "".join(escaped)
+
+
 def _value(value: Any) -> str:
     if isinstance(value, list):
         return f"[{', '.join(map(_value, value))}]"
     if isinstance(value, str):
-        text = json.dumps(value, ensure_ascii=False)  # the escapes of JSON are among those of TOML
+        text = _text(value)
         return text.replace(".", "\\u002e") if value.count(".") > MAX_DOTS // 2 else text
     return json.dumps(value) if isinstance(value, bool) else repr(value)

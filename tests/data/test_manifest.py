@@ -46,19 +46,25 @@ def test_shards_hold_all_samples_once() -> None:
 
 
 def test_a_part_is_read_as_it_was_written_and_damage_is_found() -> None:
+    empty: dict[str, Any] = {"file": "data/000002.tar", "split": "", "parameters": {}, "arrays": {}}
+    rows = [{"number": 8 + k, "offset": k, **empty} for k in range(2)]
+    failures: list[dict[str, Any]] = [{"number": 10 + k, "error": "e", "scene": None} for k in range(2)]
     data = part_bytes(
         2,
         "id",
         range(8, 12),
         {"data/000002.tar": (3, "ab")},
-        [{"number": 8}, {"number": 9}],
-        [{"number": 10}, {"number": 11}],
+        rows,
+        failures,
     )
     part = parsed_part(data)
     assert (part.shard, part.numbers, part.made, part.failed) == (2, range(8, 12), 2, 2)
-    assert rows_of(data) == ([{"number": 8}, {"number": 9}], [{"number": 10}, {"number": 11}])
+    assert rows_of(data) == (rows, failures)
     with pytest.raises(ImageError, match="lines must have the SHA-256"):
-        rows_of(data.replace(b'{"number":9}', b'{"number":7}'))
+        rows_of(data.replace(b'"number":9', b'"number":7'))
+    for row, failure in (({"number": 8}, failures[0]), (rows[0], {"number": 10}), ({**rows[0], "offset": -1}, {})):
+        with pytest.raises(ImageError, match="each line must be about a sample; got other values"):
+            rows_of(part_bytes(2, "id", range(8, 10), {}, [row], [failure]))
     for damaged in (
         b"",
         b"{}",
