@@ -107,7 +107,7 @@ HOSTILE: list[tuple[bytes, str]] = [
     (b"[]", "must be a table; got list"),
     (b"{}", "scene: must be a table, as clsco render writes it; got NoneType"),
     (b'{"scene": 3}', "scene: must be a table, as clsco render writes it; got int"),
-    (b" " * 5_000_000, "must be a file of at most 4194304 bytes; got another one"),
+    (b" " * 5_000_000, "must be there and readable, as it makes its frame whole; got 5000000 bytes, more than 4194304"),
     (b'{"scene": {"sequence": 3}}', "scene.sequence.interval: must be one of a scene; got None"),
     (b'{"scene": {"sequence": {"interval": "1"}}}', "scene.sequence.interval: must be one of a scene; got 1"),
     (b'{"scene": {"sequence": {"interval": NaN}}}', "scene.sequence.interval: must be one of a scene; got nan"),
@@ -133,7 +133,8 @@ def test_pipes_links_and_huge_numbers(tmp_path: Path) -> None:
     (tmp_path / "frame_00001.json").write_text("{}")  # not as frames are called
     found = faults(tmp_path)
     assert "must be there, as a clip has no hole in its frames; got 0 and then 999999999" in found[0]
-    assert found[1] == "frame_0000.json: must be a file of at most 4194304 bytes; got another one"
+    rule = "must be there and readable, as it makes its frame whole"
+    assert found[1] == f"frame_0000.json: {rule}; got a device or a pipe"
 
 
 def test_an_interval_of_many_digits(tmp_path: Path) -> None:
