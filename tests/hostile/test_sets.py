@@ -40,6 +40,12 @@ def test_changed_sets_end_in_errors_of_a_line(tmp_path: Path) -> None:
     assert refused > 5
 
 
+def test_damaged_shards_end_in_errors_of_a_line(tmp_path: Path) -> None:
+    found, refused = sets.shard_faults(5, range(96), tmp_path / "shards")
+    assert found == []
+    assert refused > 40
+
+
 def test_the_fuzzer_of_sets_finds_what_is_planted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def open_it(folder: Path) -> None:
         raise KeyError("identity")

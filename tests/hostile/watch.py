@@ -38,7 +38,8 @@ class TooLongError(Exception):
 def _seen(event: str, args: tuple[Any, ...]) -> None:
     if _watching is None:
         return
-    if event in CHANGES or (event == "open" and isinstance(args[2], int) and args[2] & WRITING):
+    is_file = not isinstance(args[0], int) and args[0] != os.devnull  # a process gets its streams so
+    if event in CHANGES or (event == "open" and is_file and isinstance(args[2], int) and args[2] & WRITING):
         _watching.append(f"{event} {args[0]!r}")
 
 
