@@ -11,8 +11,9 @@ demo: .venv/pocl.stamp
 # The tests of a file use the same kernels: one worker compiles them. Files with few tests, which are long ones, not last.
 PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
 
+# TESTS: files of them instead of all.
 test: .venv/dev.stamp
-	$(BIN)/python -m pytest -q $(PARALLEL)
+	$(BIN)/python -m pytest -q $(PARALLEL) $(TESTS)
 
 test-slow: .venv/dev.stamp
 	$(BIN)/python -m pytest -q $(PARALLEL) -m slow
@@ -71,10 +72,13 @@ bench: .venv/bench.stamp
 	$(BIN)/python -m benchmarks.truth.occlusion
 	$(BIN)/clsco bench --compare -o benchmarks/results/bench
 
+# What builds packages asks for a home, which a user of a container or a service may not have.
 .venv/%.stamp: pyproject.toml
 	@test -n "$(PYTHON)" || { echo "python: must be 3.11 or newer; give one with make PYTHON=..." >&2; exit 1; }
+	@test -x $(BIN)/python || "$(PYTHON)" -c "import ensurepip, venv" 2>/dev/null || \
+		{ echo "$(PYTHON): must have venv and ensurepip, on Debian and Ubuntu by apt-get install python3-venv" >&2; exit 1; }
 	test -x $(BIN)/python || "$(PYTHON)" -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[$(subst bench,bench$(comma)pocl$(comma)exr$(comma)formats,$*)]"
+	HOME="$${HOME:-$(CURDIR)/.venv}" $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[$(subst bench,bench$(comma)pocl$(comma)exr$(comma)formats,$*)]"
 	touch $@
 
 comma := ,

@@ -12,6 +12,16 @@ from pathlib import Path
 
 import pytest
 
+# Tests see what a user has who has set nothing; and what those who start them set: workers, other folders, simulators.
+if "PYTEST_XDIST_WORKER" not in os.environ:  # workers inherit it
+    kept = {
+        "PATH", "HOME", "USER", "LANG", "LC_ALL", "TMPDIR", "LD_LIBRARY_PATH", "CI",
+        "PYTHONPATH", "POCL_CACHE_DIR", "POCL_DEVICES", "PYOPENCL_BUILD_OPTIONS", "CLSCO_EVERY",
+    }  # fmt: skip
+    for name in os.environ.keys() - kept:
+        if not name.startswith("PYTEST_"):
+            del os.environ[name]
+
 # Before the first query of the platforms, hence not a fixture. In a folder that is not its own, clsco does not check
 # the files of all tests before; and workers, who inherit what the process that starts them has set, would wait for
 # each other's compilations in one folder.

@@ -9,6 +9,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
+from shutil import which
 from types import TracebackType
 from typing import Self, TypeAlias
 
@@ -116,7 +117,7 @@ class Session:
     def compiling(self) -> AbstractContextManager[None]:
         """To be held while the driver may compile: no other process then writes to its cache.
 
-        Raises DeviceError where the disk is so full that PoCL would abort.
+        Raises DeviceError where PoCL would abort: on a full disk, or without a linker.
         """
         if not self.device.is_pocl:
             return nullcontext()
@@ -126,6 +127,9 @@ class Session:
         if not poclcache.has_room():
             rule = f"the folder {os.environ[poclcache.VARIABLE]} must have {poclcache.ROOM >> 20} MiB for kernels"
             raise DeviceError(f"device {self.device}: {rule}; got a full disk")
+        if "PoCL 3." in self.device.platform_version and which("ld") is None:
+            rule = "kernels are linked by ld, which must be in a folder of PATH; Debian and Ubuntu have it in binutils"
+            raise DeviceError(f"device {self.device}: {rule}; got no such program")
         return poclcache.exclusive()
 
     def close(self) -> None:

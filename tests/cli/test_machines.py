@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from clsco.opencl.session import Session
+
 NOWHERE = "/proc/none"  # in which nobody makes a folder
 HOMES = {
     "home": {"HOME": NOWHERE},
@@ -52,6 +54,15 @@ def test_the_command_makes_a_frame_there(tmp_path: Path) -> None:
     assert (process.returncode, process.stderr) == (0, "")
     assert (tmp_path / "out" / "frame_0000.png").is_file()
     assert list((tmp_path / "tmp").iterdir()) == []
+
+
+def test_without_a_linker_there_is_a_message(tmp_path: Path, session: Session) -> None:
+    """PoCL 3.0 would end the process."""
+    if "PoCL 3." not in session.device.platform_version:
+        pytest.skip("another PoCL may bring its linker")
+    process = ran(BLUR, PATH=str(tmp_path), HOME=str(tmp_path), POCL_CACHE_DIR="")
+    assert process.returncode == 1
+    assert "kernels are linked by ld, which must be in a folder of PATH;" in process.stderr.splitlines()[-1]
 
 
 class Planted:
