@@ -280,6 +280,9 @@ def _layer(name: str, argument: str) -> Callable[[Callable[..., None]], Callable
     metavar="WHERE",
     help="What has no depth, such as 0, is: around (default), at the depth around it, or far, as the sky.",
 )
+@click.option(
+    "--soft-edges", metavar="METHOD", help="Depths between two surfaces at their edge: assign to one (default) or keep."
+)
 @_number("--focal-length", "f, mm.")
 @_number("--f-number", "f / D.")
 @_number("--aperture-diameter", "D, mm; instead of the f-number.")

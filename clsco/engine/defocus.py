@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import wraps
 from typing import Any, Literal, ParamSpec, TypeVar, get_args, overload
 
@@ -18,6 +18,7 @@ from clsco.engine.shrinking import Shrinking
 from clsco.errors import ImageError, SceneError
 from clsco.files.transfer import decode, encode
 from clsco.frame.strips import Grid, Strip, around, frame_struct
+from clsco.inputs.soft_edges import assign_soft_edges
 from clsco.opencl.arrays import check_image, on_host, without_mask
 from clsco.opencl.buffers import allocate, lent
 from clsco.opencl.device import Device
@@ -50,6 +51,7 @@ from clsco.scene.model import Psf
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 Outside = Literal["mirror", "black"]
+SoftEdges = Literal["assign", "keep"]
 
 
 def _with_old_name(function: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -69,26 +71,26 @@ def _with_old_name(function: Callable[_P, _R]) -> Callable[_P, _R]:
 def defocus(
     image: NDArray[Any], blur_radius: NDArray[Any], psf: PsfLike = None, *, device: DeviceLike = None,
     method: str = "auto", tolerance: float | None = None, memory: str | int | None = None,
-    outside: Outside = "mirror", return_report: Literal[False] = False,
+    outside: Outside = "mirror", soft_edges: SoftEdges = "assign", return_report: Literal[False] = False,
 ) -> NDArray[Any]: ...  # fmt: skip
 @overload
 def defocus(
     image: NDArray[Any], blur_radius: NDArray[Any], psf: PsfLike = None, *, device: DeviceLike = None,
     method: str = "auto", tolerance: float | None = None, memory: str | int | None = None,
-    outside: Outside = "mirror", return_report: Literal[True],
-) -> tuple[NDArray[Any], ApproximationReport]: ...  # fmt: skip
+    outside: Outside = "mirror", soft_edges: SoftEdges = "assign", return_report: Literal[True],
+) -> tuple[NDArray[Any], DefocusReport]: ...  # fmt: skip
 @overload
 def defocus(
     image: cl_array.Array, blur_radius: cl_array.Array, psf: PsfLike = None, *, device: DeviceLike = None,
     method: str = "auto", tolerance: float | None = None, memory: str | int | None = None,
-    outside: Outside = "mirror", return_report: Literal[False] = False,
+    outside: Outside = "mirror", soft_edges: SoftEdges = "assign", return_report: Literal[False] = False,
 ) -> cl_array.Array: ...  # fmt: skip
 @overload
 def defocus(
     image: cl_array.Array, blur_radius: cl_array.Array, psf: PsfLike = None, *, device: DeviceLike = None,
     method: str = "auto", tolerance: float | None = None, memory: str | int | None = None,
-    outside: Outside = "mirror", return_report: Literal[True],
-) -> tuple[cl_array.Array, ApproximationReport]: ...  # fmt: skip
+    outside: Outside = "mirror", soft_edges: SoftEdges = "assign", return_report: Literal[True],
+) -> tuple[cl_array.Array, DefocusReport]: ...  # fmt: skip
 @_with_old_name
 def defocus(
     image: NDArray[Any] | cl_array.Array,
@@ -100,6 +102,7 @@ def defocus(
     tolerance: float | None = None,
     memory: str | int | None = None,
     outside: Outside = "mirror",
+    soft_edges: SoftEdges = "assign",
     return_report: bool = False,
 ) -> Any:
     """Blur an image by a map of signed blur radii, each pixel by its own PSF (equation 2.40).
@@ -126,14 +129,17 @@ def defocus(
     outside : {"mirror", "black"}
         What lights the image from beyond its border: its mirror image, as a depth map's, so that uniform radiance stays
         uniform; or nothing, so that it darkens there. With border = "renormalize" nothing does.
+    soft_edges : {"assign", "keep"}
+        Radii between those of two surfaces at their edge, as of averaged or blurred depth: each becomes that of one of
+        the two, or all are kept. Hard edges have none.
     return_report : bool
-        Return an `ApproximationReport` besides.
+        Return a `DefocusReport` besides.
 
     Returns
     -------
     array of the image's shape
         float32, or codes of the image's dtype; NumPy or pyopencl as given.
-    ApproximationReport
+    DefocusReport
         Only with `return_report`.
 
     Raises
@@ -155,17 +161,38 @@ def defocus(
     Validated against `clsco.reference.blur.blur.scatter` and `clsco.reference.layered.layered.layered` to 1e-5.
     """
     model = psf_of(psf).of_images()
-    if outside not in get_args(Outside):
-        raise SceneError(f'outside: must be "mirror" or "black"; got {outside!r}')
+    for name, value, kinds in (("outside", outside, Outside), ("soft_edges", soft_edges, SoftEdges)):
+        if value not in get_args(kinds):
+            raise SceneError(f"{name}: must be {' or '.join(map(repr, get_args(kinds)))}; got {value!r}")
     session, (picture, radii), as_given = on_host(device, image=image, blur_radius=blur_radius)
     picture, radii = without_mask("image", picture), without_mask("blur_radius", radii)
     codes = picture.dtype in (np.uint8, np.uint16)
     linear = decode(picture, "srgb").astype(np.float32) if codes else picture
     given = _checked(linear, radii, outside == "mirror" and model.border == "lose")
+    given, soft = _with_hard_edges(given) if soft_edges == "assign" else (given, 0)
     with session.reporting():
         result, report = _defocus(session, given, model, (method, tolerance), memory, return_report)
         blurred = as_given(encode(result, 8 * picture.dtype.itemsize, "srgb") if codes else result)
-    return (blurred, report) if return_report else blurred
+    return (blurred, DefocusReport(**vars(report), soft_edges=soft)) if return_report else blurred
+
+
+@dataclass(frozen=True)
+class DefocusReport(ApproximationReport):
+    """How an image was blurred.
+
+    Attributes
+    ----------
+    soft_edges : int
+        Pixels whose radius was between those of two surfaces at their edge, and became that of one of them.
+    """
+
+    soft_edges: int = 0
+
+    def line(self) -> str:
+        """The same in a line."""
+        number = self.soft_edges
+        found = f"; {number} pixel{'s' * (number != 1)} at soft edges got the radius of one side" if number else ""
+        return super().line() + found
 
 
 @dataclass(frozen=True)
@@ -207,6 +234,17 @@ def _checked(picture: NDArray[Any], radii: NDArray[Any], mirrored: bool) -> _Giv
     low, high = ends[1]
     smallest = 0.0 if low <= 0.0 <= high else min(abs(low), abs(high))  # or less than that, without reading all again
     return _Given(picture, radii, smallest, largest, float(np.float32(brightest)), mirrored)
+
+
+def _with_hard_edges(given: _Given) -> tuple[_Given, int]:
+    """With the radius of one side where it was between those of two, and how many pixels that are."""
+    known = given.coc if given.coc.dtype in (np.float32, np.float64) else given.coc.astype(np.float64)
+    pixels, radii = assign_soft_edges(known, None, lambda: given.image)
+    if not len(pixels):
+        return given, 0
+    coc = given.coc.astype(np.float64)
+    coc.flat[pixels] = radii
+    return replace(given, coc=coc.astype(np.promote_types(given.coc.dtype, np.float16), copy=False)), len(pixels)
 
 
 def _choose(psf: Psf, method: str, given: _Given, gpu: bool) -> Blur:

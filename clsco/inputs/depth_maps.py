@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from clsco.errors import ImageError
 from clsco.files.images import check_sizes
 from clsco.inputs.depth_files import read_depth
+from clsco.inputs.soft_edges import assign_soft_edges
+from clsco.inputs.textures import load_texture
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, blur_scale, focus_power, ray_step
 from clsco.scene.arrays import ArrayInput
 from clsco.scene.model import Camera, DepthMap, Scene
@@ -32,6 +34,7 @@ class DepthValues:
     inverse_depth: (rows, columns), 1/mm, > 0; 0 where the map has no surface.
     zero, negative, nan, infinite: pixels without a surface, by the value that the file has there.
     far: pixels with a surface that is infinitely far, whose inverse depth is `FARTHEST`.
+    soft: pixels whose depth was between those of two surfaces at their edge, and is now that of one of them.
     """
 
     inverse_depth: Array
@@ -40,6 +43,7 @@ class DepthValues:
     nan: int
     infinite: int
     far: int
+    soft: int = 0
 
     @property
     def invalid(self) -> int:
@@ -47,7 +51,8 @@ class DepthValues:
         return self.zero + self.negative + self.nan + self.infinite
 
     def report(self) -> str:
-        """One line: how many pixels have no depth and why, and how many are infinitely far; "" where none."""
+        """One line: how many pixels have no depth and why, how many are infinitely far, and how many depths between
+        two surfaces belong to one of them; "" where none."""
         kinds = {"zero": self.zero, "negative": self.negative, "NaN": self.nan, "infinite": self.infinite}
         why = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
         size, verb = self.inverse_depth.size, "is" if self.far == 1 else "are"
@@ -56,6 +61,9 @@ class DepthValues:
             parts.append(
                 f"{self.far} {verb} infinitely far" if why else f"{self.far} of {size} pixels {verb} infinitely far"
             )
+        if self.soft:
+            subject = f"{self.soft}" if parts else f"{self.soft} of {size} pixels"
+            parts.append(f"{subject} at soft edges {'gets' if self.soft == 1 else 'get'} the depth of one side")
         return ", ".join(parts)
 
 
@@ -167,8 +175,15 @@ def load_scene_depths(
     ImageError
         A file cannot be read, has another size than the frame, or does not fit the camera; of several the first one.
     """
-    of_map = load or (lambda scene, item: map_values(scene, item, depth_numbers(item.inputs()["depth"])).inverse_depth)
+    of_map = load or _loaded
     return tuple(of_map(scene, item) if isinstance(item, DepthMap) else None for item in scene.objects)
+
+
+def _loaded(scene: Scene, item: DepthMap) -> Array:
+    def image() -> NDArray[np.float32]:
+        return load_texture(item.inputs()["texture"], scene.image.transfer, scene.camera.resolution).radiance
+
+    return map_values(scene, item, depth_numbers(item.inputs()["depth"]), image).inverse_depth
 
 
 def depth_numbers(source: str | ArrayInput) -> Array:
@@ -176,11 +191,15 @@ def depth_numbers(source: str | ArrayInput) -> Array:
     return read_depth(source) if isinstance(source, str) else source.array
 
 
-def map_values(scene: Scene, item: DepthMap, raw: Array) -> DepthValues:
+def map_values(
+    scene: Scene, item: DepthMap, raw: Array, image: Callable[[], NDArray[np.float32]] | None = None
+) -> DepthValues:
     """Depths of an object of a scene, and the counts of what its file or array has.
 
-    scene: with its resolution. raw: numbers of its file or array. Where the file has no depth it is infinite or taken
-    from around (`fill_depth`), so that the image is complete; of the latter nothing is there if fill.method is none.
+    scene: with its resolution. raw: numbers of its file or array. image: gives its radiance, which is only asked for
+    where edges are soft (`assign_soft_edges`); without it depths alone decide. Where the file has no depth it is
+    infinite or taken from around (`fill_depth`), so that the image is complete; of the latter nothing is there if
+    fill.method is none.
     Raises ImageError where the size is not that of the frame, and as `inverse_depth`.
     """
     assert scene.camera.resolution is not None
@@ -188,6 +207,8 @@ def map_values(scene: Scene, item: DepthMap, raw: Array) -> DepthValues:
     check_sizes("the frame", scene.camera.resolution, name, (raw.shape[1], raw.shape[0]))
     numbers = item.unit, item.scale, scene.camera, item.baseline, name, item.offset, item.depth_kind
     values = inverse_depth(raw, *numbers)
+    if item.soft_edges == "assign":
+        values = _without_soft_edges(values, raw if item.unit in ("mm", "m") else None, scene.camera, image)
     if values.invalid and item.no_depth == "far":
         if (radius := abs(float(blur_radius(scene.camera, FARTHEST)))) > LARGEST_BLUR:
             rule = f"the blur radius must be at most {LARGEST_BLUR:g} px"
@@ -199,6 +220,23 @@ def map_values(scene: Scene, item: DepthMap, raw: Array) -> DepthValues:
     if not values.invalid or scene.fill.method == "none":
         return values
     return replace(values, inverse_depth=fill_depth(values.inverse_depth))
+
+
+def _without_soft_edges(
+    values: DepthValues, depth: Array | None, camera: Camera, image: Callable[[], NDArray[np.float32]] | None
+) -> DepthValues:
+    """depth: numbers of the file where they are not linear in the blur radius."""
+    w, per_px = values.inverse_depth, abs(blur_scale(camera))
+    radius = w * per_px
+    if values.invalid:
+        radius[w == 0] = np.nan
+        depth = None if depth is None else np.where(w > 0, depth, np.nan)
+    pixels, found = assign_soft_edges(radius, depth, image)
+    if not len(pixels):
+        return values
+    w = w.copy()
+    w.flat[pixels] = np.maximum(found / per_px, FARTHEST)
+    return replace(values, inverse_depth=w, soft=len(pixels))
 
 
 def _check_numbers(unit: str, scale: float, baseline: float | None, where: str) -> None:

@@ -148,15 +148,21 @@ class InputFiles:
 
     def depth_values(self, scene: Scene, item: DepthMap) -> DepthValues:
         """`clsco.inputs.depth_maps.map_values` of an object, once per content and camera."""
-        source = item.inputs()["depth"]
-        content = self._content(source)
+        source, texture = item.inputs()["depth"], item.inputs()["texture"]
+        content, picture = self._content(source), texture if is_drawn(texture) else self._content(texture)
+
+        def image() -> NDArray[np.float32]:
+            return self.texture(texture, scene.image.transfer, scene.camera.resolution).radiance
+
+        known = None if picture is None else image  # a pipe is read once only
         if content is None:
-            return map_values(scene, item, depth_numbers(source))
+            return map_values(scene, item, depth_numbers(source), known)
         kinds = item.depth_kind, item.no_depth, scene.fill.method == "none"
         numbers = item.unit, item.scale, item.baseline, item.offset, *kinds
+        seen = (picture, scene.image.transfer) if item.soft_edges == "assign" else None
         return self.kept.get(
-            ("inverse depth", content, numbers, scene.camera.model_dump_json()),
-            lambda: map_values(scene, item, self.depth(source)),
+            ("inverse depth", content, numbers, seen, scene.camera.model_dump_json()),
+            lambda: map_values(scene, item, self.depth(source), known),
             lambda values: values.inverse_depth.nbytes,
         )
 

@@ -332,6 +332,9 @@ class DepthMap(_Bounded):
     """Depth along the optical axis, or distance from the lens along the ray of a pixel; the latter only of lengths."""
     no_depth: Literal["around", "far"] = "around"
     """Where the file has no depth, such as 0: depth of the surfaces around, or infinitely far, as the sky is."""
+    soft_edges: Literal["assign", "keep"] = "assign"
+    """Depths between two surfaces at their edge, as of averaged or blurred files: each becomes that of one of the two,
+    or all are kept."""
     center: Point = (0.0, 0.0, 0.0)
     """Center of rotation, mm; the origin. Default: in the lens."""
 

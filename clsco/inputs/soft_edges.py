@@ -1,0 +1,319 @@
+"""Soft depth edges: depths between two surfaces at their common edge, each given to one of the two (float64, pure).
+
+A depth that was averaged over its pixel, resampled, blurred or compressed goes from one surface to the other in a few
+steps. Each row and each column is searched for such steps by itself: they have one sign, are steepest in the middle,
+and begin and end at surfaces that are flat next to them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+LEAST_STEP = 1.0  # px of the blur radius between two surfaces, as of depth discontinuities (kernels/layered/layered.cl)
+LONGEST = 8  # steps on each side of the steepest one: of an edge at 45 degrees that is blurred by a Gaussian of 2 px
+SURFACE = 3  # px of both surfaces that are looked at
+REACH = LONGEST + SURFACE - 1  # steps
+LEAST = 0.05  # of the steepest step: smaller ones do not belong to the edge
+ENDS = (
+    4.0  # times as large as those next to it is the last step of a soft edge; at the limb of a sphere it is 3.2 times
+)
+FLAT = 0.25  # of the steepest step: those of the surfaces are not larger
+TAPER = 0.75  # of the steepest step: the outer ones of a soft edge are smaller, those of a ramp as large
+SHORT, FULL = 5, 0.7  # longer edges: all their steps have at most this share of what they had if all were the steepest
+LEAST_STEEPEST = 0.05  # of the whole edge, px, has the steepest step; of depths from 1 to 10 m, blurred by 2 px, 0.07
+OVER, RINGING = 0.01, 0.15  # of the whole step: so far an edge overshoots a surface, at least and at most
+SETTLED = 0.4  # of the overshoot: what is next to it varies by less; a slanted plane does by a half
+LARGER = 1.2  # times as large as another edge is the one that the other's surfaces may not be a part of
+ROWS = 64  # that are searched at once
+COLOR_NOISE = 0.03  # of the brighter surface: standard deviation of its color that is always counted with
+AROUND = 8  # px of both surfaces that say how much their colors vary
+SHIFT = 0.7  # px between an edge in depth and in color, standard deviation
+MIXED = 5.0  # standard deviations of the surfaces' color from all of their mixtures: something else is there
+
+
+@dataclass(frozen=True, eq=False)
+class _Edges:
+    """Soft edges that lines cross, one per entry.
+
+    line: that crosses it. first: place in it of the last pixel of the first surface, after which `count` pixels are
+    between the two. step: of the whole edge, with its sign, px. begin, end: radii of the surfaces at their last pixels.
+    begin_slope, end_slope: what those change by from pixel to pixel away from the edge. begin_over, end_over: how many
+    of the last pixels of a surface the edge overshoots in.
+    """
+
+    line: Indices
+    first: Indices
+    count: Indices
+    step: Array
+    begin: Array
+    end: Array
+    begin_slope: Array
+    end_slope: Array
+    begin_over: Indices
+    end_over: Indices
+
+    def __getitem__(self, chosen: NDArray[Any]) -> _Edges:
+        return _Edges(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
+
+
+def assign_soft_edges(
+    radius: Array, stored: Array | None = None, image: Callable[[], NDArray[Any]] | None = None
+) -> tuple[Indices, Array]:
+    """Find the pixels of a map whose depth is between two surfaces, and the depth of one of them for each.
+
+    Parameters
+    ----------
+    radius : ndarray (rows, columns)
+        Anything linear in the inverse depth, in px of the blur radius; NaN where nothing is.
+    stored : ndarray (rows, columns), optional
+        What was averaged or blurred where that is not linear in the radius, such as the depth; NaN where nothing is. An
+        edge is where it has half of its step.
+    image : callable, optional
+        Gives linear radiance (rows, columns[, channels]); called where there is a soft edge. Where the surfaces differ
+        in color, a pixel is of the one whose color it has more of.
+
+    Returns
+    -------
+    ndarray (pixels,)
+        Numbers of the pixels in the order of rows.
+    ndarray (pixels,)
+        `radius` of the surface that each belongs to.
+
+    Notes
+    -----
+    Nothing is found between surfaces that differ by less than LEAST_STEP, in steps of one px, as of hard edges and
+    stairs, on ramps, at the limb of a sphere, where a line beside it has no such edge, nor where a pixel between the
+    two has a color that is no mixture of theirs.
+    """
+    pixels, found = _found(radius, stored, image)
+    if not len(pixels):
+        return pixels, found
+    clean = radius.astype(np.float64)
+    clean.flat[pixels] = found
+    more, again = _found(clean, None, image)  # where edges cross lines that are straight only now
+    clean.flat[more] = again
+    pixels = np.union1d(pixels, more)
+    return pixels, np.clip(clean.flat[pixels], np.nanmin(radius), np.nanmax(radius))
+
+
+def _found(radius: Array, stored: Array | None, image: Callable[[], NDArray[Any]] | None) -> tuple[Indices, Array]:
+    """What `assign_soft_edges` finds at once."""
+    height, width = radius.shape
+    shapes = [radius] if stored is None else [stored, radius]  # an edge is as even in the one that was blurred
+    stored = shapes[0]
+    with np.errstate(invalid="ignore", divide="ignore"):  # of what is infinite, or not there
+        rows, columns = _soft_edges(radius, shapes), _soft_edges(radius.T, [shape.T for shape in shapes])
+    rows, columns = _between_surfaces(rows, columns, width)
+    if not len(rows.line) + len(columns.line):
+        return np.zeros(0, np.intp), np.zeros(0)
+    light = None if image is None else image().reshape(height, width, -1)
+    line, place, *row = _assigned(rows, stored, light)
+    column_line, column_place, *column = _assigned(columns, stored.T, None if light is None else light.swapaxes(0, 1))
+    pixel = np.concatenate([line * width + place, column_place * width + column_line])
+    value, step, count = (np.concatenate(pair) for pair in zip(row, column, strict=True))
+    order = np.lexsort((count, -np.abs(step), pixel))  # of two edges through a pixel the larger, then the shorter one
+    pixel, at = np.unique(pixel[order], return_index=True)
+    return pixel, value[order][at]
+
+
+def _soft_edges(radius: Array, shapes: list[Array]) -> _Edges:
+    """Those that rows cross, in any of the shapes."""
+    parts = []
+    for top in range(0, len(radius), ROWS):
+        strip = slice(top, top + ROWS)
+        line, column = _steep(radius[strip])
+        if len(line):
+            parts += [_edges(radius[strip], shape[strip], line, column, top) for shape in shapes]
+    none = np.zeros(0, np.intp)
+    parts = parts or [_edges(radius, radius, none, none, 0)]
+    joined = (np.concatenate([getattr(part, name) for part in parts]) for name in _Edges.__dataclass_fields__)
+    return _supported(_Edges(*joined), radius.shape[1])
+
+
+def _steep(radius: Array) -> tuple[Indices, Indices]:
+    """Lines and columns of steps that may be the steepest of an edge."""
+    steps = radius[:, 1:] - radius[:, :-1]
+    least = LEAST_STEP * LEAST_STEEPEST
+    if not steps.size or (steps.max() < least and steps.min() > -least):  # at a fifth of what looking for them takes
+        return np.zeros(0, np.intp), np.zeros(0, np.intp)
+    line, column = np.nonzero(np.abs(steps) >= least)
+    return line, column
+
+
+def _edges(radius: Array, stored: Array, line: Indices, column: Indices, top: int) -> _Edges:
+    """Those of lines from number `top` on that are steepest at places."""
+    near = _steps(stored, line, column, 2)
+    near /= near[:, 2:3].copy()
+    some = (np.abs(near[:, 1]) < 1) & (np.abs(near[:, 3]) <= 1) & (near >= -FLAT).all(axis=1)
+    line, column = line[some], column[some]
+    window = _steps(stored, line, column, REACH)
+    window /= window[:, REACH : REACH + 1].copy()
+    before, after = _length(window[:, :REACH][:, ::-1]), _length(window[:, REACH + 1 :])
+    n, count = np.arange(len(line)), before + after
+    outer = np.maximum(window[n, REACH - np.maximum(before, 0)], window[n, REACH + np.maximum(after, 0)])
+    inside = np.abs(np.arange(2 * REACH + 1) - REACH + 0.5 * (before - after)[:, None]) <= 0.5 * count[:, None]
+    soft = (before >= 0) & (after >= 0) & (count >= 1) & (np.abs(before - after) <= 1 + 3 * np.minimum(before, after))
+    soft &= (count == 1) | (outer <= TAPER)
+    soft &= (count < SHORT) | ((window * inside).sum(axis=1) <= FULL * (count + 1))
+    line, first, count = line[soft], (column - before)[soft], count[soft]
+    last = first + count + 1
+    step = radius[line, last] - radius[line, first]
+    begin, end = (_surface(radius, stored, line, *ends) for ends in ((first, last, -1), (last, first, 1)))
+    found = _Edges(line + top, first, count, step, begin[0], end[0], begin[1], end[1], begin[2], end[2])
+    return found[np.abs(found.end - found.begin) >= LEAST_STEP]
+
+
+def _steps(stored: Array, line: Indices, column: Indices, reach: int) -> Array:
+    """Steps (places, 2 reach + 1) up to `reach` before and after those that begin at places, 0 beyond the border."""
+    at = column[:, None] + np.arange(-reach, reach + 1)
+    inside = np.clip(at, 0, stored.shape[1] - 2)
+    steps = stored[line[:, None], inside + 1] - stored[line[:, None], inside]
+    return np.where(at == inside, steps, 0.0)
+
+
+def _length(steps: Array) -> Indices:
+    """Steps that belong to an edge, of those (edges, REACH) from its steepest one outwards, which is 1; -1 where the
+    surface behind them is not flat."""
+    run = np.minimum.accumulate(steps > LEAST, axis=1).sum(axis=1)
+    found = np.full(len(steps), -1)
+    for n in range(LONGEST + 1):
+        outside = steps[:, n : n + SURFACE - 1]
+        flat = (np.abs(outside) <= FLAT).all(axis=1)
+        ends = steps[:, n - 1] >= ENDS * outside.min(axis=1) if n else True
+        found[flat & ends & (n <= run)] = n
+    return np.where(run <= LONGEST, found, -1)
+
+
+def _surface(
+    radius: Array, stored: Array, line: Indices, place: Indices, other: Indices, way: int
+) -> tuple[Array, Array, Indices]:
+    """Radius of a surface at its last pixel, its slope away from the edge, and pixels in which the edge overshoots it.
+
+    place, other: of the last pixels of this surface and the other one; way: from the edge, 1 or -1.
+    """
+    at = line[:, None], np.clip(place[:, None] + way * np.arange(2 * SURFACE), 0, radius.shape[1] - 1)
+    values, shape = radius[at], stored[at]
+    changes = np.diff(values, axis=1)
+    rising, falling = (changes > 0).all(axis=1), (changes < 0).all(axis=1)
+    slope = np.where(rising, changes.min(axis=1), np.where(falling, changes.max(axis=1), 0.0))
+    value = np.median(values[:, :SURFACE] - slope[:, None] * np.arange(SURFACE), axis=1)
+    step = stored[line, place] - stored[line, other]
+    level = np.median(shape[:, SURFACE:], axis=1)
+    beyond = (shape[:, :SURFACE] - level[:, None]) / step[:, None]
+    most, spread = beyond.max(axis=1), np.ptp(shape[:, SURFACE:], axis=1) / np.abs(step)
+    over = np.where(beyond > OVER, np.arange(1, SURFACE + 1), 0).max(axis=1)
+    over[(most > RINGING) | (spread > np.maximum(2 * OVER, SETTLED * most))] = 0
+    level = np.median(values[:, SURFACE:], axis=1)
+    return np.where(over > 0, level, value), np.where(over > 0, 0.0, slope), over
+
+
+def _supported(edges: _Edges, columns: int) -> _Edges:
+    """Those that go on in the line above or below, up to two pixels to the side."""
+    middle = edges.first + (edges.count + 1) // 2
+    width = columns + 4
+    kept = np.zeros(len(middle), np.bool_)
+    for rising in (False, True):
+        same = (edges.step > 0) == rising
+        place = edges.line[same] * width + middle[same]
+        near = [place + up * width + aside for up in (-1, 1) for aside in range(-2, 3)]
+        kept[same] = np.isin(near, place).any(axis=0)
+    return edges[kept]
+
+
+def _between_surfaces(rows: _Edges, columns: _Edges, width: int) -> tuple[_Edges, _Edges]:
+    """Without edges between what are no surfaces, but pixels of a larger edge that the other lines cross."""
+
+    def pixels(edges: _Edges, place: Indices) -> Indices:
+        line = edges.line[:, None]
+        return line * width + place if edges is rows else place * width + line
+
+    inner = []
+    for edges in (rows, columns):
+        step = np.arange(1, int(edges.count.max(initial=0)) + 1)
+        between = step <= edges.count[:, None]
+        size = np.broadcast_to(np.abs(edges.step)[:, None], between.shape)
+        inner.append((pixels(edges, edges.first[:, None] + step)[between], size[between]))
+    pixel, size = (np.concatenate(pair) for pair in zip(*inner, strict=True))
+    order = np.lexsort((-size, pixel))
+    pixel, at = np.unique(pixel[order], return_index=True)
+    size = np.append(size[order][at], 0.0)
+    pixel = np.append(pixel, -1)
+    found = []
+    for edges in (rows, columns):
+        side, last = np.arange(SURFACE), edges.first + edges.count + 1
+        own = np.hstack([pixels(edges, edges.first[:, None] - side), pixels(edges, last[:, None] + side)])
+        at = np.searchsorted(pixel[:-1], own)
+        larger = (pixel[at] == own) & (size[at] > LARGER * np.abs(edges.step)[:, None])
+        found.append(edges[~larger.any(axis=1)])
+    return found[0], found[1]
+
+
+def _assigned(
+    edges: _Edges, stored: Array, image: NDArray[Any] | None
+) -> tuple[Indices, Indices, Array, Array, Indices]:
+    """Line, place in it and new value of the pixels that are on no surface, and the step and count of their edges."""
+    most = int(edges.count.max(initial=0))
+    inner = np.arange(1, most + 1)
+    between = inner <= edges.count[:, None]
+    places = edges.first[:, None] + np.where(between, inner, 0)
+    line, last = edges.line[:, None], edges.first + edges.count + 1
+    own = stored[line, places]
+    ends = stored[edges.line, edges.first], stored[edges.line, last]
+    half = 0.5 * (ends[0] + ends[1])
+    cut = (between & ((own > half[:, None]) != (ends[1] > ends[0])[:, None])).sum(axis=1)  # pixels of the first surface
+    kept = np.ones(len(edges.line), np.bool_)
+    if image is not None:
+        cut, kept = _cut_by_color(image, edges, places, between, _half_way(stored, edges, cut, half))
+    step = np.arange(1 - SURFACE, most + SURFACE + 1)
+    chosen = (step > -edges.begin_over[:, None]) & (step <= (edges.count + edges.end_over)[:, None]) & kept[:, None]
+    first = edges.begin[:, None] - edges.begin_slope[:, None] * step
+    second = edges.end[:, None] - edges.end_slope[:, None] * (edges.count[:, None] + 1 - step)
+    value = np.where(step <= cut[:, None], first, second)
+    place = edges.first[:, None] + step
+    size = (np.broadcast_to(each[:, None], chosen.shape)[chosen] for each in (edges.step, edges.count))
+    lines = np.broadcast_to(line, chosen.shape)
+    inside = np.clip(place, 0, stored.shape[1] - 1)
+    return lines[chosen], inside[chosen], value[chosen], *size
+
+
+def _half_way(stored: Array, edges: _Edges, cut: Indices, half: Array) -> Array:
+    """Pixels of the first surface, with a fraction: where `stored` has half of its step."""
+    before = stored[edges.line, edges.first + cut]
+    after = stored[edges.line, edges.first + cut + 1]
+    step = np.where(after == before, 1.0, after - before)
+    return cut + np.clip((half - before) / step, 0.0, 1.0) - 0.5
+
+
+def _cut_by_color(
+    image: NDArray[Any], edges: _Edges, places: Indices, between: NDArray[np.bool_], where: Array
+) -> tuple[Indices, NDArray[np.bool_]]:
+    """The likeliest number of pixels of the first surface, and whether those between are mixtures of the two."""
+    line, side = edges.line[:, None], np.arange(AROUND)
+    last = edges.first + edges.count + 1
+    ends = [np.clip(place, 0, image.shape[1] - 1) for place in (edges.first[:, None] - side, last[:, None] + side)]
+    colors = [image[line, place].astype(np.float64) for place in ends]  # (edges, AROUND, channels)
+    mean = [color[:, :SURFACE].mean(axis=1) for color in colors]
+    floor = COLOR_NOISE**2 * np.maximum(*((each**2).sum(axis=1) for each in mean))
+    spread = sum(color.var(axis=1).sum(axis=1) for color in colors) / 2 + np.maximum(floor, 1e-12)
+    own = image[line, places].astype(np.float64)
+    away = [((own - each[:, None]) ** 2).sum(axis=2) * between for each in mean]
+    first, second = (each / (2.0 * spread[:, None]) for each in away)
+    zero = np.zeros((len(first), 1))
+    cost = np.hstack([zero, np.cumsum(first - second, axis=1)])  # (edges, 1 + most): by pixels of the first surface
+    number = np.arange(cost.shape[1])
+    cost += (number - where[:, None]) ** 2 / (2.0 * SHIFT**2)
+    cost[number > edges.count[:, None]] = np.inf
+    across = mean[1] - mean[0]
+    square = np.maximum((across**2).sum(axis=1), 1e-12)
+    share = np.clip(((own - mean[0][:, None]) * across[:, None]).sum(axis=2) / square[:, None], 0.0, 1.0)
+    off = ((own - mean[0][:, None] - share[..., None] * across[:, None]) ** 2).sum(axis=2)
+    strange = (between & (off > MIXED**2 * spread[:, None])).any(axis=1)
+    return cost.argmin(axis=1), ~(strange & (edges.count <= 2))
