@@ -58,6 +58,7 @@ def measured(texture: str, lens: str, size: int) -> Iterator[dict[str, float | s
     fine = clsco.render_frame(scene(texture, lens, size * FINE), truth=("depth", "sharp"))
     assert hard is not None
     assert fine.sharp is not None
+    assert fine.depth is not None
     image = averaged(fine.sharp, FINE).astype(np.float32)
     camera = scene(texture, lens, size).camera
     exact, _ = error(image, blur_radius(camera, 1 / hard), truth, "keep")

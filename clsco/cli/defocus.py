@@ -38,8 +38,8 @@ def scenes_from_files(
     image, depth: files of the same size. options: value by key, of the depth map (unit, scale, baseline, offset,
     depth_kind, no_depth, soft_edges), of [camera] (focal_length, f_number, aperture_diameter, focus_distance,
     sensor_distance, pixel_pitch) or of [psf] (model, edge, occlusion); None stands for a key that is not given.
-    overrides: as of `clsco.load_sweep`, after the options. layers: of the image and of the depth, where they are EXR files with several;
-    what is in them goes into the scene as an array.
+    overrides: as of `clsco.load_sweep`, after the options. layers: of the image and of the depth, where they are EXR
+    files with several; what is in them goes into the scene as an array.
     Returns scenes with one object of shape depth_map, and absolute paths. Raises SceneError with a line per fault.
     """
     of_image, of_depth = layers

@@ -163,7 +163,8 @@ def defocus(
     model = psf_of(psf).of_images()
     for name, value, kinds in (("outside", outside, Outside), ("soft_edges", soft_edges, SoftEdges)):
         if value not in get_args(kinds):
-            raise SceneError(f"{name}: must be {' or '.join(map(repr, get_args(kinds)))}; got {value!r}")
+            names = " or ".join(f'"{kind}"' for kind in get_args(kinds))
+            raise SceneError(f"{name}: must be {names}; got {value!r}")
     session, (picture, radii), as_given = on_host(device, image=image, blur_radius=blur_radius)
     picture, radii = without_mask("image", picture), without_mask("blur_radius", radii)
     codes = picture.dtype in (np.uint8, np.uint16)

@@ -162,6 +162,7 @@ def _edges(radius: Array, stored: Array, line: Indices, column: Indices, top: in
     inside = np.abs(np.arange(2 * REACH + 1) - REACH + 0.5 * (before - after)[:, None]) <= 0.5 * count[:, None]
     soft = (before >= 0) & (after >= 0) & (count >= 1) & (np.abs(before - after) <= 1 + 3 * np.minimum(before, after))
     soft &= (count == 1) | (outer <= TAPER)
+    soft &= (column >= before + 1) & (column + after <= stored.shape[1] - 3)  # two pixels of each surface
     soft &= (count < SHORT) | ((window * inside).sum(axis=1) <= FULL * (count + 1))
     line, first, count = line[soft], (column - before)[soft], count[soft]
     last = first + count + 1

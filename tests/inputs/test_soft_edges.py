@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from typing import Any
 
 import imagecodecs
@@ -41,7 +42,7 @@ def smooth(image: Array, sigma: float) -> Array:
     for _ in range(2):
         padded = np.pad(image, ((8, 8), (0, 0)), mode="edge")
         rows = range(len(offset))
-        image = sum(weights[k] * padded[k : k + len(image)] for k in rows).T / weights.sum()  # type: ignore[union-attr]
+        image = sum(weights[k] * padded[k : k + len(image)] for k in rows).T / weights.sum()
     return image
 
 
@@ -58,7 +59,7 @@ def of_codes(radius: Array) -> Array:
     return (np.asarray(Image.open(file)).astype(np.float64) - 200) / 10
 
 
-WAYS = {
+WAYS: dict[str, Callable[[], Array]] = {
     "averaged": lambda: NEAR * COVERED + FAR * (1 - COVERED),
     "blurred by 0.7 px": lambda: smooth(HARD, 0.7),
     "blurred by 1 px": lambda: smooth(HARD, 1.0),
@@ -124,6 +125,7 @@ KEPT = {
     "a wire of 1 px": np.where(J == 40, -6.0, 4.0),
     "a post of 2 px between two walls": np.where(J < 40, 0.0, np.where(J < 42, 5.0, 10.0)),
     "a post of 5 px between two walls": np.where(J < 40, 0.0, np.where(J < 45, 5.0, 10.0)),
+    "fewer pixels than surfaces need": np.linspace(-3.0, 4.0, 6).reshape(2, 3),
     "a row": np.where(np.arange(9) < 4, 0.0, 5.0)[None],
     "less than a pixel": 0.04 * (HARD + smooth(HARD, 1.0)),
 }
@@ -183,7 +185,9 @@ def test_scenes_and_arrays_alike() -> None:
     between = [((each > NEAR + 1) & (each < FAR - 1)).sum() for each in (kept.blur_radius, frame.blur_radius)]
     assert between[0] > 100
     assert between[1] < 3
-    image, radius = np.asarray(scene.objects[0].texture), np.asarray(scene.objects[0].depth)
+    item = scene.objects[0]
+    assert isinstance(item, clsco.DepthMap)
+    image, radius = np.asarray(item.texture), np.asarray(item.depth)
     found, report = clsco.defocus(image, radius, return_report=True)
     np.testing.assert_allclose(found, frame.color, atol=1e-5)
     assert report.soft_edges == (kept.blur_radius != frame.blur_radius).sum()
@@ -192,7 +196,7 @@ def test_scenes_and_arrays_alike() -> None:
     np.testing.assert_allclose(as_given, kept.color, atol=1e-5)
     assert none.soft_edges == 0
     assert np.abs(found - as_given).max() > 0.05
-    with pytest.raises(clsco.ClscoError, match="soft_edges: must be 'assign' or 'keep'; got 'snap'"):
+    with pytest.raises(clsco.ClscoError, match='soft_edges: must be "assign" or "keep"; got \'snap\''):
         clsco.defocus(image, radius, soft_edges="snap")  # type: ignore[call-overload]
 
 

@@ -14,10 +14,11 @@ from click.testing import CliRunner
 
 import clsco
 from clsco.cli.main import main
+from clsco.engine.defocus import DefocusReport
 from clsco.errors import SceneError
 from clsco.optics.multigrid import coarse_frame, coarse_radius
 from clsco.optics.psf import weights
-from clsco.plan.approximation import METHODS, ApproximationReport, candidates, estimate, sample_places
+from clsco.plan.approximation import METHODS, candidates, estimate, sample_places
 from clsco.reference.blur.blur import scatter
 from clsco.reference.blur.multigrid import coarse
 from clsco.reference.trace.trace import Sources
@@ -166,7 +167,7 @@ def test_what_is_too_narrow_is_not_approximated() -> None:
     image, coc = np.ones((16, 16)), np.full((16, 16), 3.0)
     found, report = clsco.defocus(image, coc, tolerance=1.0, return_report=True)
     assert np.array_equal(found, clsco.defocus(image, coc))
-    assert report == ApproximationReport("exact", 1.0, 0.0, 0.0, 0)
+    assert report == DefocusReport("exact", 1.0, 0.0, 0.0, 0)
     assert report.line() == "exact: nothing that fits the memory is faster"
 
 
