@@ -51,7 +51,7 @@ def report_loss(out: Path, color: Color) -> None:
 
 def _report_images(prepared: Prepared) -> None:
     for path in prepared.colors:
-        report_notes(path, prepared.files.notes(path))
+        report_notes(path, prepared.files.about(path).notes)
     if prepared.color.is_plain:
         for path, color in prepared.colors.items():
             if not color.is_plain:

@@ -48,6 +48,8 @@ def _write_exr(path: Path, shot: Shot, wanted: TruthFile) -> None:
     channels = [exr_channels(wanted.arrays(frame)) for frame in shot.views]
     names = [frame.eye for frame in shot.views] if len(shot.views) > 1 else ()
     known = [] if shot.scene is None else [exr_attributes(shot.scene, view.index, eye_of(view)) for view in shot.views]
+    if not shot.color.is_plain:  # its primaries are in its profile, for which an EXR has no place
+        known = [{name: value for name, value in about.items() if name != "chromaticities"} for about in known]
     write_exr(path, *channels, names=names, attributes=known)
 
 
@@ -243,7 +245,8 @@ def write_frame(
     scene : Scene, optional
         What the frame shows, with its resolution: gives an EXR the attributes of its camera, and cam needs it.
     color : Color, optional
-        Color space of the PNG, whose curve takes the place of "srgb"; by default sRGB.
+        Color space of the PNG, whose curve takes the place of "srgb"; by default sRGB. Of another one the JSON file has
+        the name, and an EXR does not say that its primaries are those of BT.709.
 
     Returns
     -------
@@ -272,13 +275,14 @@ def write_frame(
                 write_png(made / name, encode(image, min(bits, 16), curve), color)
         for file in truth:
             for name, eyes, wanted in _truth_names(index, list(by_eye), file, held):
-                shot = Shot(tuple(by_eye[eye] for eye in eyes), scene)
+                shot = Shot(tuple(by_eye[eye] for eye in eyes), scene, color)
                 TRUTH_FORMATS[file.format].write(made / name, shot, wanted)
         digests = {path.name: sha256(path) for path in sorted(made.iterdir())}
         remove(described)  # an older frame is not whole any more
     recorded = {"views": {frame.eye: dict(frame.metadata) for frame in views}} if stereo else dict(views[0].metadata)
     partial = [str(file) for file in truth if str(file) != file.format]
-    content = {**(about or {}), **recorded, **({"truth": partial} if partial else {}), "files": digests}
+    profile = {} if color.is_plain else {"color_profile": color.name}
+    content = {**(about or {}), **recorded, **({"truth": partial} if partial else {}), **profile, "files": digests}
     write_json(described, content)
     return content
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import SceneError
+from clsco.files.color import SRGB, Color
 from clsco.files.ranges import refuse_values
 from clsco.frame.frame import FILE_NAMES, Frame
 from clsco.scene.model import Scene
@@ -74,10 +75,13 @@ class Shot:
         Of one file: a frame, or both views of a stereo pair.
     scene : Scene or None
         That they show, with its resolution.
+    color : Color
+        Color space whose primaries the radiance has.
     """
 
     views: tuple[Frame, ...]
     scene: Scene | None
+    color: Color = SRGB
 
 
 @dataclass(frozen=True)

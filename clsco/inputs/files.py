@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import cache, cached_property
 from pathlib import Path
 from stat import S_ISREG
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,14 @@ SETTLED_NS = 10**8  # a file that has changed less than so long ago may change a
 V = TypeVar("V")
 Maps = tuple[NDArray[np.float64] | None, ...]
 Source = str | ArrayInput
+
+
+class About(NamedTuple):
+    """An image without its pixels: whether it has one channel, its color space, and `Picture.notes`."""
+
+    is_gray: bool
+    color: Color
+    notes: tuple[str, ...]
 
 
 class InputFiles:
@@ -130,13 +138,14 @@ class InputFiles:
         """`clsco.inputs.textures.picture_of`, once per content."""
         return self._once("picture", source, lambda: picture_of(source), lambda picture: picture.data.nbytes)
 
-    def color(self, path: str) -> Color:
-        """Color space of an image file, once per content."""
-        return self._once("color", path, lambda: self.picture(path).color, lambda color: color.size)
+    def about(self, source: Source) -> About:
+        """What is to be known of `picture` without its pixels, once per content."""
 
-    def notes(self, path: str) -> tuple[str, ...]:
-        """`Picture.notes` of an image file, once per content."""
-        return self._once("notes", path, lambda: self.picture(path).notes(), lambda lines: sum(map(len, lines)))
+        def read() -> About:
+            picture = self.picture(source)
+            return About(picture.data.ndim == 2, picture.color, picture.notes())
+
+        return self._once("about", source, read, lambda about: about.color.size)
 
     def depth(self, source: Source) -> NDArray[np.float64]:
         """`clsco.inputs.depth_maps.depth_numbers`, once per content."""

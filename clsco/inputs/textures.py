@@ -124,11 +124,9 @@ def color_codes(color: str) -> Codes:
     return codes[0, ...] if (codes == codes[0]).all() else codes
 
 
-def is_gray(picture: Picture | str) -> bool:
-    """Whether a picture, a built-in pattern or a color has one channel."""
-    if isinstance(picture, str):
-        return picture in PATTERNS or color_codes(picture).ndim == 0
-    return picture.data.ndim == 2
+def is_gray(name: str) -> bool:
+    """Whether a built-in pattern or a color has one channel."""
+    return name in PATTERNS or color_codes(name).ndim == 0
 
 
 def with_coverage(texture: Texture, channels: int, covers: bool) -> Texture:

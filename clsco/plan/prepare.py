@@ -73,7 +73,7 @@ class Prepared:
     def colors(self) -> dict[str, Color]:
         """Color space of every image file, by its path."""
         paths = [path for item in self.scene.objects for key, path in item.files().items() if key != "depth"]
-        return {path: self.files.color(path) for path in paths}
+        return {path: self.files.about(path).color for path in paths}
 
     @property
     def plan(self) -> Plan:
@@ -178,7 +178,7 @@ def _channels(scene: Scene, files: InputFiles) -> int:
                 continue
             with _collected(faults, f"object[{index}].{key}"):
                 texture_size(texture)
-                gray = gray and is_gray(str(texture) if is_drawn(texture) else files.picture(texture))
+                gray = gray and (is_gray(str(texture)) if is_drawn(texture) else files.about(texture).is_gray)
         if item.mapped == "cube":
             with _collected(faults, f"object[{index}].texture"):
                 mapped_size(item.textures())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import struct
 import zlib
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 
 import imagecodecs
 import numpy as np
+import OpenEXR
 import pytest
 import tifffile
 from click.testing import CliRunner, Result
@@ -287,10 +289,19 @@ def test_kept_pixels_look_the_same(tmp_path: Path, out: str) -> None:
 def test_frames_in_a_folder_have_the_profile(tmp_path: Path) -> None:
     image = saved(tmp_path / "image.png", PHOTO, made("adobergb"))
     np.save(tmp_path / "radius.npy", np.zeros(PHOTO.shape[:2]))
-    result = clsco_("defocus", image, tmp_path / "radius.npy", "-o", tmp_path / "all", "--unit", "coc")
+    words = ("-o", tmp_path / "all", "--unit", "coc", "--truth", "exr")
+    result = clsco_("defocus", image, tmp_path / "radius.npy", *words)
     assert result.exit_code == 0, result.output
     assert icc_in(tmp_path / "all" / "frame_0000.png") == made("adobergb")
     np.testing.assert_array_equal(read_image(tmp_path / "all" / "frame_0000.png").data, PHOTO)
+    described = json.loads((tmp_path / "all" / "frame_0000.json").read_text())
+    assert described["color_profile"] == "Adobe RGB (compatible)"
+    header = OpenEXR.File(str(tmp_path / "all" / "frame_0000.exr"), header_only=True).header()
+    assert "aperture" in header
+    assert "chromaticities" not in header  # they are not those of sRGB
+    saved(image, PHOTO, made("srgb"))
+    clsco_("defocus", image, tmp_path / "radius.npy", *words)
+    assert json.loads((tmp_path / "all" / "frame_0000.json").read_text())["color_profile"] == "sRGB built-in"
 
 
 def test_blur_is_linear_in_the_images_own_light(tmp_path: Path) -> None:
