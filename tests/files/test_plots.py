@@ -1,4 +1,4 @@
-"""Figures look the same everywhere: settings in the current folder, and in the home, are not matplotlib's."""
+"""Settings of packages that others could leave: in the current folder, the home, the temporary folder."""
 
 from __future__ import annotations
 
@@ -28,3 +28,11 @@ def test_settings_of_others_do_not_count(tmp_path: Path, where: str) -> None:
         [sys.executable, "-c", FIGURE], check=True, capture_output=True, text=True, cwd=tmp_path, env=environ
     )
     assert (printed.stdout, printed.stderr) == (f"False {tmp_path}/cache/clsco/matplotlib\n", "")
+
+
+def test_settings_of_gnutls_are_not_read_from_the_temporary_folder() -> None:
+    """Its constructor opens them, and would wait for a pipe; GnuTLS takes them from this variable if it is set."""
+    code = "import os; from clsco.files.decoders import codec; codec('clip', 'av', 'video'); "
+    code += "print(os.environ['GNUTLS_SYSTEM_PRIORITY_FILE'])"
+    printed = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert printed.stdout == f"{os.devnull}\n"
