@@ -40,6 +40,7 @@ WIDE_LANES = 16
 
 # Blur by `gather` (kernels/blur/cpu).
 ROW_TILE = 256  # columns of a tile of a band, with whole rows of sources
+COLUMN_STEP = 32  # columns of sources that a launch cut into pieces takes at least, with columns of sources
 ROW_WINDOW = 16  # rows of sums that are kept where sources reach few: a power of 2 above twice their reach
 MOST_ITEMS = 256  # groups of sources of a column that are kept at a time, at most
 ITEMS_BYTES = 2**18  # bytes that groups of sources of Gaussians take, unless few of them take more

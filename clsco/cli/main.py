@@ -1,6 +1,7 @@
 """The command `clsco`: words to calls, results to tables, errors to one line each and an exit status.
 
-Exit status: 0 done; 1 a user's error, reported on stderr; 2 wrong usage; 3 no usable device; 130 interrupted.
+Exit status: 0 done; 1 a user's error, reported on stderr; 2 wrong usage; 3 no usable device; 130 interrupted, 143
+terminated.
 """
 
 from __future__ import annotations

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from functools import wraps
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import click
 
@@ -21,7 +24,28 @@ if TYPE_CHECKING:
     from clsco.frame.truth_files import TruthFile
 
 Command = TypeVar("Command", bound=Callable[..., Any])
-USER_ERROR, NO_DEVICE, INTERRUPTED = 1, 3, 130
+USER_ERROR, NO_DEVICE, INTERRUPTED, TERMINATED = 1, 3, 130, 143
+
+
+class _TerminatedError(KeyboardInterrupt):
+    """SIGTERM, which ends a command as Ctrl-C does."""
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Have SIGTERM end the block as Ctrl-C does, so that nothing is left half-written."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def end(*_: object) -> NoReturn:
+        raise _TerminatedError
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 class Commands(click.Group):
@@ -33,10 +57,13 @@ class Commands(click.Group):
             return super().make_context(*args, **options)
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run a command; what the user can mend, and Ctrl-C, ends without a traceback."""
+        """Run a command; what the user can mend, Ctrl-C and SIGTERM end it without a traceback."""
         try:
-            with visible_usage():
+            with visible_usage(), _terminable():
                 return super().invoke(ctx)
+        except _TerminatedError:
+            echo("terminated", err=True)
+            ctx.exit(TERMINATED)
         except KeyboardInterrupt:
             echo("interrupted", err=True)
             ctx.exit(INTERRUPTED)

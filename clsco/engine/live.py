@@ -125,7 +125,7 @@ class Live:
         return lit.inside(self.render(lit.scene, index, truth=()))
 
     def cancel(self) -> None:
-        """End the render that another thread waits for before its next pass; without one nothing happens."""
+        """End the render that another thread waits for within a fraction of a second; without one nothing happens."""
         if self._lock.locked():
             self.session.canceled.set()
 

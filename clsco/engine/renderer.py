@@ -17,6 +17,7 @@ from clsco.errors import DeviceError
 from clsco.frame.frame import Frame
 from clsco.frame.strips import Strip
 from clsco.opencl.buffers import download
+from clsco.opencl.pieces import spent
 from clsco.opencl.session import Progress, Session
 from clsco.optics.slabs import Slabs
 from clsco.passes.blur import Events
@@ -225,8 +226,7 @@ class Renderer:
     def _metadata(self, index: int) -> dict[str, Any]:
         seconds: dict[str, float] = {}
         for name, event in self.events:
-            spent = 1e-9 * (event.profile.end - event.profile.start)
-            seconds[name] = seconds.get(name, 0.0) + spent
+            seconds[name] = seconds.get(name, 0.0) + spent(event)
         device, report = self.scene.session.device, self._approximation_report()
         return {
             "frame": index,

@@ -328,7 +328,7 @@ class Holes:
         buffers = (upload(self.session, run), np.int32(len(run)), upload(self.session, single))
         items = len(run) + -(-single.size // FILL_LANES)
         # A single work-item needs no barrier between rounds, and takes less than launches where there is little to do.
-        by_one = group_size(self.session) == 1 and items * self.channels <= MOST_VECTORS
+        by_one = rounds > 1 and group_size(self.session) == 1 and items * self.channels <= MOST_VECTORS
         at_once = rounds if by_one else 1
         for n in range(0, rounds, at_once):
             # What has known neighbors only is the same in both sets after two rounds.

@@ -8,8 +8,9 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from importlib.resources.abc import Traversable
+from math import prod
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import pyopencl as cl
@@ -18,9 +19,11 @@ from numpy.typing import NDArray
 from clsco.constants import definitions
 from clsco.errors import DeviceError, KernelError
 from clsco.opencl.device import failure
+from clsco.opencl.pieces import in_pieces
 from clsco.opencl.session import Program, Session
 from clsco.resources import folder
 
+Argument: TypeAlias = cl.Buffer | np.generic | NDArray[np.void] | None
 HEADERS = ("common/wide.clh", "common/geometry.clh")
 # Built before all others: in OpenCL C 1.2, or for a processor in what its compiler makes more of.
 BUILTINS, CPU_BUILTINS = "common/builtins.clh", "common/cpu/builtins.clh"
@@ -117,25 +120,43 @@ def launch(
     kernel: cl.Kernel,
     global_size: tuple[int, ...],
     local_size: tuple[int, ...],
-    *args: cl.Buffer | np.generic | NDArray[np.void] | None,
-) -> cl.Event:
-    """Enqueue a kernel over at least `global_size` work-items and return its event; in order with all others.
+    *args: Argument,
+    work: float = 1.0,
+) -> list[cl.Event]:
+    """Enqueue a kernel over at least `global_size` work-items and return its events; in order with all others.
 
-    global_size is rounded up to whole groups of local_size, so the kernel's first statement has to be a
+    What takes long is cut into pieces of whole groups (`clsco.opencl.pieces`), so a kernel must not depend on how many
+    there are. global_size is rounded up to whole groups of local_size, so the kernel's first statement has to be a
     guard. local_size is fixed by the kernel, since each new one is compiled anew. args: buffers or None, NumPy
-    scalars, scalars of a structured dtype, in the kernel's order. Raises DeviceError when the device cannot
-    run it.
+    scalars, scalars of a structured dtype, in the kernel's order. work: of a work-item, 1 where it does about as much
+    as others do for a pixel. Raises DeviceError when the device cannot run it, CanceledError between two pieces.
     """
-    padded = tuple(-(-size // group) * group for size, group in zip(global_size, local_size, strict=True))
-    # PoCL compiles a kernel at its first launch, for a local size, and another time for small grids.
-    shape = (kernel, local_size, max(padded) < 2**16)
+    groups = tuple(-(-size // group) for size, group in zip(global_size, local_size, strict=True))
+    axis = groups.index(max(groups))
+    padded = tuple(count * group for count, group in zip(groups, local_size, strict=True))
+
+    def enqueue(begin: int, end: int) -> cl.Event:
+        size, offset = list(padded), [0] * len(padded)
+        size[axis], offset[axis] = (end - begin) * local_size[axis], begin * local_size[axis]
+        return launch_whole(session, kernel, tuple(size), local_size, *args, offset=tuple(offset) if begin else None)
+
+    return in_pieces(session, kernel, groups[axis], work * prod(padded), enqueue)
+
+
+def launch_whole(
+    session: Session, kernel: cl.Kernel, size: tuple[int, ...], local_size: tuple[int, ...], *args: Argument,
+    offset: tuple[int, ...] | None = None,
+) -> cl.Event:  # fmt: skip
+    """Enqueue a kernel at once over `size` work-items, whole groups; offset: number of the first one. As `launch`."""
+    # PoCL compiles a kernel at its first launch, for a local size, and other times for small grids and an offset.
+    shape = (kernel, local_size, max(size) < 2**16, offset is None)
     try:
         with session.lock:  # a kernel's arguments and its launch belong together
             if shape in session.compiled:
-                return kernel(session.queue, padded, local_size, *args)
+                return kernel(session.queue, size, local_size, *args, global_offset=offset)
             session.doing(f"compiling {kernel.function_name}")
             with session.compiling():
-                event = kernel(session.queue, padded, local_size, *args)
+                event = kernel(session.queue, size, local_size, *args, global_offset=offset)
                 session.queue.finish()  # the compiler runs in the queue, not in the call
             session.compiled.add(shape)
             return event

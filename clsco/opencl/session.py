@@ -20,6 +20,7 @@ from clsco.kept import Kept
 from clsco.opencl import pocl_cache as poclcache
 from clsco.opencl import pocl_cpu as poclcpu
 from clsco.opencl.device import Device, _not_forked, choose, described, failure
+from clsco.opencl.pieces import Pace
 
 KEPT_BYTES = 2**28
 _TIMED = cl.command_queue_properties.PROFILING_ENABLE
@@ -39,11 +40,14 @@ class Progress:
     ----------
     doing : str
         What was begun last: the kind of a pass, or what is compiled.
+    share : float
+        Of what was launched last, 0 to 1.
     done, total : int
         Time samples, of all strips.
     """
 
     doing: str = ""
+    share: float = 0.0
     done: int = 0
     total: int = 0
 
@@ -70,8 +74,9 @@ class Session:
         """Where somebody looks at it. The host then runs ahead of the device by a time sample, and no farther."""
         self.programs: dict[Hashable, Program] = {}
         """What `program.build` has built here, by text and options, and by the features that gave these."""
-        self.compiled: set[tuple[cl.Kernel, tuple[int, ...], bool]] = set()
+        self.compiled: set[tuple[cl.Kernel, tuple[int, ...], bool, bool]] = set()
         """Kernels and launch shapes that the driver has compiled already, kept by `program.launch`."""
+        self.pace = Pace()
         if device.is_pocl:
             poclcache.prepare()  # where the user has opened a queue before clsco asked for any device
             poclcache.check()
@@ -101,7 +106,7 @@ class Session:
     def doing(self, what: str) -> None:
         """Note what is begun, where somebody looks."""
         if self.progress is not None:
-            self.progress.doing = what
+            self.progress.doing, self.progress.share = what, 0.0
 
     def go_on(self) -> None:
         """Raise CanceledError where the work is canceled."""
@@ -138,6 +143,7 @@ class Session:
             self.queue.finish()
             self.kept.clear()
             self.compiled.clear()
+            self.pace.clear()
             self.programs.clear()
 
     def __enter__(self) -> Self:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from math import log
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import pyopencl as cl
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from clsco.constants import GROUP_COLUMNS, GROUP_ROWS, TAP_LANES
 from clsco.frame.strips import BAND, Grid
-from clsco.opencl.buffers import empty, filled_with, mapped, upload, upload_kept
+from clsco.opencl.buffers import empty, mapped, upload, upload_kept
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Program, Session
 from clsco.optics.psf_grid import NEAR
@@ -21,7 +21,7 @@ from clsco.optics.psf_tables import psf_features
 from clsco.optics.visibility import lens_floats
 from clsco.passes.pack import psf_struct
 from clsco.passes.tables import tables_of
-from clsco.plan.buffers import MOST_IN_ONE_SUM, Sizes, band_scratch, bands_at_a_time, margin
+from clsco.plan.buffers import Sizes, band_scratch, margin
 from clsco.plan.methods import MANY_RADII, Blur, BlurSpec
 from clsco.records import Real, Struct, structs
 
@@ -39,6 +39,8 @@ FILES_OF: dict[Blur, tuple[str, ...]] = {
     "convolve": (),
     "none": ("blur/accumulate.cl",),
 }
+
+UNITS_PER_TAP = 1 / 125  # of work (`clsco.opencl.pieces`), were all sources as wide as the widest
 
 # Features of what casts rays at surfaces, which a blur does not, and of what only sources on surfaces have.
 PLAIN = dict.fromkeys(
@@ -101,10 +103,11 @@ class Target:
     real: Real
 
     def run(
-        self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: object
-    ) -> None:  # fmt: skip
-        """Enqueue a kernel as `clsco.opencl.program.launch` does; events gets its name and event."""
-        events.append((name, launch(self.session, kernel(self.program, name), size, local, *args)))  # type: ignore[arg-type]
+        self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: Any, work: float = 1.0
+    ) -> None:
+        """Enqueue a kernel as `clsco.opencl.program.launch` does; events gets its name and its events."""
+        pieces = launch(self.session, kernel(self.program, name), size, local, *args, work=work)
+        events.extend((name, event) for event in pieces)
 
 
 def blur_target(session: Session, spec: BlurSpec, channels: int, real: Real, maps: Maps = "wide") -> Target:
@@ -219,7 +222,7 @@ class FrameSum:
 
     def __init__(self, target: Target, spec: BlurSpec, grid: Grid, camera: Struct, sizes: Sizes) -> None:
         self.target, self.spec, self.camera, self.channels = target, spec, camera, grid.channels
-        self.weights = tables_of(spec)
+        self.weights = tables_of(spec, target.session)
         self.struct = psf_struct(spec.psf, *self.weights, target.real)
         self.pad, self.pitch = margin(grid.columns, grid.guard, spec.reach)
         self.total = empty(target.session, sizes["total"])
@@ -295,7 +298,8 @@ class Tiles(TableBlur):
     """Each work-item gathers what reaches its pixel, for groups of pixels that share their sources."""
 
     def spread(self, head: tuple[object, ...], tail: tuple[object, ...], events: Events) -> None:
-        self.target.run("tiles", self.size, GROUP, events, *head, *self.layout, *tail)
+        work = UNITS_PER_TAP * (2 * self.spec.reach + 1) ** 2
+        self.target.run("tiles", self.size, GROUP, events, *head, *self.layout, *tail, work=work)
 
 
 class Scatter(TableBlur):
@@ -318,37 +322,9 @@ class Scatter(TableBlur):
 
     def spread(self, head: tuple[object, ...], tail: tuple[object, ...], events: Events) -> None:
         padded = (int(self.camera["width"]), int(self.camera["height"]))
-        self.target.run("scatter", padded, PIXELS, events, *head, *self.sink, *tail)
+        work = UNITS_PER_TAP * (2 * self.spec.reach + 1) ** 2
+        self.target.run("scatter", padded, PIXELS, events, *head, *self.sink, *tail, work=work)
 
     def resolve(self, events: Events) -> None:
         layout = np.int32(self.pitch), np.int32(self.pad), self.sums, self.total
         self.target.run("resolve", self.size, PIXELS, events, self.camera, np.float32(self.scale), *layout)
-
-
-class Gather(TableBlur):
-    """Each work-item walks the sources that reach a band of rows; some bands at a time, so that a large frame does not
-    take several times its size."""
-
-    def __init__(self, target: Target, spec: BlurSpec, grid: Grid, camera: Struct, sizes: Sizes) -> None:
-        super().__init__(target, spec, grid, camera, sizes)
-        session, table = target.session, self.weights[0]
-        alike = {"taps": table.taps, "outlines": table.outlines}
-        self.alike = tuple(
-            upload_kept(session, array, (table.place, name)) if array.size else None for name, array in alike.items()
-        )
-        # Rows of sources after which sums go on to the frame, 0 where they are short.
-        self.group = max(MOST_IN_ONE_SUM // (2 * spec.reach + 1), 1) if "part" in sizes else 0
-        self.part = filled_with(session, sizes["part"]) if "part" in sizes else self.total
-        self.scratch, self.bands = tuple[object, ...](), -(-grid.rows // BAND)
-        if {"part", "scratch"} & sizes.keys():
-            self.bands = bands_at_a_time(grid.rows, session.device.compute_units)
-        if "scratch" in sizes:
-            near = band_scratch(spec.psf, spec.largest, session.device.has_fp64) == "near"
-            number = sizes["scratch"] // (4 if near else 8)  # of floats, or doubles
-            self.scratch = (filled_with(session, sizes["scratch"]), np.int32(number // self.bands))
-
-    def spread(self, head: tuple[object, ...], tail: tuple[object, ...], events: Events) -> None:
-        parts = np.int32(self.group), self.part
-        for start in range(0, -(-int(self.camera["rows"]) // BAND), self.bands):
-            args = (*head, *self.alike, *self.scratch, np.int32(start), *parts, *self.layout, *tail)
-            self.target.run("gather", (self.bands,), (1,), events, *args)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from clsco.frame.strips import Grid
-from clsco.passes.blur import FrameSum, Gather, Scatter, Target, Tiles
+from clsco.passes.blur import FrameSum, Scatter, Target, Tiles
 from clsco.passes.convolve import Convolve
+from clsco.passes.gather import Gather
 from clsco.plan.buffers import blur_buffers
 from clsco.plan.methods import Blur, BlurSpec
 from clsco.records import Struct

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import replace
 from functools import cache, lru_cache
 from typing import Any, TypeVar
@@ -47,12 +47,19 @@ class TableStore:
         self._lock = threading.Lock()
         self._tables: OrderedDict[Hashable, PsfTable] = OrderedDict()
 
-    def table(self, psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> PsfTable:
+    def table(
+        self, psf: Psf, smallest: float, largest: float, subpixel: int = 0, go_on: Callable[[], object] = tuple
+    ) -> PsfTable:
         """`clsco.optics.psf_tables.psf_table`, with the arrays of an earlier one where these hold the range.
 
         A PSF has one table that grows, and the latest of those that are larger than it may be: so a rendering with a
-        wide blur leaves no more than the one before it.
+        wide blur leaves no more than the one before it. go_on: called before each block, and may raise.
         """
+
+        def block(psf: Psf, first: int, subpixel: int) -> WeightBlock:
+            go_on()
+            return self.block(psf, first, subpixel)
+
         span = rounded_span(psf, smallest, largest, subpixel)
         large = _size(psf, span, subpixel) > JOINED_BYTES
         place = _key(psf, subpixel), large
@@ -64,7 +71,7 @@ class TableStore:
                 wider = span if table is None else range(min(span.start, table.first), max(span.stop, _end(table)))
                 if _size(psf, wider, subpixel) <= JOINED_BYTES:
                     span = wider
-                table = self._tables[key] = _in_pages(replace(table_of(psf, span, subpixel, self.block), place=place))
+                table = self._tables[key] = _in_pages(replace(table_of(psf, span, subpixel, block), place=place))
                 trim()  # what its making took
             self._tables.move_to_end(key)
             while sum(map(_bytes, self._tables.values())) > self.limit and len(self._tables) > 1:
@@ -104,10 +111,13 @@ def shared_tables() -> TableStore:
     return TableStore(user_cache("tables"))
 
 
-def tables_of(spec: BlurSpec) -> tuple[PsfTable, PsfTable | None]:
-    """Tables of weights of pixels and, where there are such, of sub-pixel sources."""
-    store, ends = shared_tables(), (spec.smallest, spec.largest)
-    return store.table(spec.psf, *ends), store.table(spec.psf, *ends, spec.subpixels) if spec.subpixels else None
+def tables_of(spec: BlurSpec, session: Session) -> tuple[PsfTable, PsfTable | None]:
+    """Tables of weights of pixels and, where there are such, of sub-pixel sources. Raises CanceledError."""
+
+    def table(subpixel: int) -> PsfTable:
+        return shared_tables().table(spec.psf, spec.smallest, spec.largest, subpixel, session.go_on)
+
+    return table(0), table(spec.subpixels) if spec.subpixels else None
 
 
 def forget_others(session: Session) -> None:

@@ -185,7 +185,9 @@ def blur_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
     if spec.method == "gather":
         bands = bands_at_a_time(rows, device.compute_units)
         scratch = band_scratch(spec.psf, spec.largest, device.has_fp64)
-        if (2 * reach + 1) ** 2 > MOST_IN_ONE_SUM:
+        in_parts = (2 * reach + 1) ** 2 > MOST_IN_ONE_SUM
+        sizes["position"] = 4 * (bands if in_parts or scratch != "none" else ceil(rows / BAND))
+        if in_parts:
             sizes["part"] = 4 * channels * bands * BAND * pitch
         if scratch == "columns":
             sizes["scratch"] = bands * column_bytes(spec.psf, channels, reach)

@@ -115,7 +115,7 @@ __kernel void settle_holes(const int slots, const int begin, const int end, __gl
                            const int missing, const int minimum, __global const float *found, __global float *value,
                            __global int *near, __global int *lists, __global int *state)
 {
-    for (int i = begin + get_global_id(0); i < end; i += get_global_size(0))
+    for (int i = begin + get_global_id(0); i < end; i += ALONE ? 1 : end - begin)
         settle_entry(slots, lists[i], beside, missing, minimum, found, value, near, lists, state);
 }
 
@@ -213,7 +213,7 @@ __kernel void smooth_holes(const int slots, const int rounds, __global const int
 {
     const int items = runs + (singles + FILL_LANES - 1) / FILL_LANES;
     for (int n = 0; n < rounds; ++n)
-        for (int id = get_global_id(0); id < items; id += get_global_size(0))
+        for (int id = get_global_id(0); id < items; id += rounds > 1 ? 1 : items)
             smooth_vector(slots, id, run, runs, single, singles, beside, n % 2 ? found : value, n % 2 ? value : found);
 }
 

@@ -38,7 +38,7 @@ from clsco.cli.bench.roofline import Roof, intensity, multiply_add_rate, tap_rat
 from clsco.cli.main import main
 from clsco.errors import ClscoError, ImageError
 from clsco.opencl.session import Session
-from clsco.passes.blur import Gather
+from clsco.passes.gather import Gather
 from clsco.plan.buffers import row_bytes
 from clsco.plan.methods import Blur
 from clsco.scene.model import Psf

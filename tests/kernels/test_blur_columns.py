@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
@@ -112,7 +113,8 @@ def gathered(session: Session, given: Light, group: int = 0, part: Amid | None =
     head = (given.camera(), psf_struct(psf, table, None, "double"), planes.buffer, value.buffer)
     tail = (np.int32(group), (part or total).buffer, np.int32(pitch), np.int32(pad), total.buffer)
     tables = tuple(upload(session, each) for each in arrays)
-    launch(session, kernel(program, "gather"), (1,), (1,), *head, *tables, *scratch, np.int32(0), *tail)
+    whole = (cl.cltypes.make_int2(0, 0), None)  # type: ignore[attr-defined]
+    launch(session, kernel(program, "gather"), (1,), (1,), *head, *tables, *scratch, np.int32(0), *whole, *tail)
     assert memory.now().view(np.uint32).any(axis=1).tolist() == [False, True, False]
     return np.moveaxis(total.now()[..., pad : pad + columns], 0, -1)
 

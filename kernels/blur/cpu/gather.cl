@@ -90,9 +90,19 @@ static void settle(int first, int last, int apart, int shift, int plane, int pit
 #define ADD_ALIKE add_disc_rows
 #endif
 #define SOURCE_BLOCK WIDE_LANES  // sources of a row that are classified at once
+#define GATHER_STEP (BY_ROWS ? ROW_TILE : COLUMN_STEP)  // columns
+
+// Work in vectors of taps, roughly: of a block that has no other sources, of one that is hidden in part, and for each of
+// its vectors.
+#define BLOCK_WORK 32
+#define HIDDEN_WORK 256
+#define HIDDEN_TAPS 16
+#define DONE INT_MAX
 
 // Each work-item adds to BAND rows of `total`, the first one's band being `start`, all the radiance that reaches them,
-// row by row of sources. part: BAND rows for each work-item, of which every `group` rows of sources the sum goes on to
+// row by row of sources. budget: with 0 all of it; else of sources that fit in so many steps of columns, and then, by the
+// launches that follow, others of so much work, in vectors of taps: position, of a work-item, is what has been walked, 0
+// at first, DONE in the end. Such pieces give the sums of the whole, in its order. part: BAND rows for each work-item, of which every `group` rows of sources the sum goes on to
 // total; with group 0 it is total. scratch: see rows.clh, near.clh and columns.clh, zeros as well.
 __kernel void gather(const camera_t camera, const psf_t psf, __global const float *source,
                      __global const float *value, __global const int2 *intervals,
@@ -101,7 +111,8 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
 #if BY_ROWS || BY_COLUMNS
                      __global scratch_t *scratch, const int scratch_size,  // of a work-item
 #endif
-                     const int start, const int group, __global float *part, const int pitch, const int pad,
+                     const int start, const int2 budget, __global int *position,
+                     const int group, __global float *part, const int pitch, const int pad,
                      __global float *total
 #if SUBPIXELS
                      , __global const float4 *sub_source, __global const float *sub_value, const int capacity,
@@ -113,20 +124,43 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
     const int own = get_global_id(0), first = (start + own) * BAND;
     if (first >= camera.rows)
         return;
+    const bool cut = budget.x > 0;
     const int end = MIN(camera.rows, first + BAND);
     const int plane = camera.width * camera.height, total_plane = camera.rows * pitch;
     const int apart = group ? (int)get_global_size(0) * BAND * pitch : total_plane;
     const int shift = group ? (own * BAND - first) * pitch : 0;  // from a row of the frame to that of part
     const int from = MAX(first - psf.reach, -camera.above), to = MIN(end + psf.reach, camera.height - camera.above);
-#if BY_ROWS || BY_COLUMNS
-    if (!ADD_ALIKE(camera, psf, source, value, intervals, taps, outlines, first, end, scratch + own * scratch_size,
-                   pitch, pad, total))
+    int at_first = cut ? position[own] : 0;
+    if (at_first == DONE)
         return;
+#if BY_ROWS || BY_COLUMNS
+    const int steps = (camera.columns + GATHER_STEP - 1) / GATHER_STEP;
+    if (at_first < steps) {
+        const int until = cut ? MIN(at_first + budget.x, steps) : steps;
+        const bool others = ADD_ALIKE(camera, psf, source, value, intervals, taps, outlines, first, end,
+                                      at_first * GATHER_STEP, until * GATHER_STEP, scratch + own * scratch_size, pitch,
+                                      pad, total);
+        if (cut)
+            position[own] = until;
+        if (cut || !others)
+            return;
+        at_first = steps;
+    }
+    at_first -= steps;
+#else
+    const int steps = 0;
 #endif
-    bool added = false;  // anything to `part` since it was settled
-    for (int y = from; y < to; ++y) {
+    const int blocks = (camera.width + SOURCE_BLOCK - 1) / SOURCE_BLOCK;
+    int left = budget.y, block_first = at_first % blocks;
+    bool added = at_first > 0;  // anything to `part` since it was settled
+    for (int y = from + at_first / blocks; y < to; ++y, block_first = 0) {
     const int line = (y + camera.above) * camera.width, place = shift + y * pitch - camera.guard + pad;
-    for (int block = 0; block < camera.width; block += SOURCE_BLOCK) {
+    for (int block = block_first * SOURCE_BLOCK; block < camera.width; block += SOURCE_BLOCK) {
+    if (cut && left <= 0) {
+        position[own] = steps + (y - from) * blocks + block / SOURCE_BLOCK;
+        return;
+    }
+    left -= BLOCK_WORK;
     int single = (1 << MIN(SOURCE_BLOCK, camera.width - block)) - 1;
 #if BY_ROWS || BY_COLUMNS
     const int16 others = take_sources(psf, source, plane, line, block, camera.width, intervals, outlines).others;
@@ -150,8 +184,11 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
                 const spread_t spread = subpixel_spread(psf, sub_intervals, sub_coefficients, p.x, sub);
                 const int half_width = spread.half_width;
                 const int up = MIN(half_width, y - first), down = MIN(half_width, end - 1 - y);
+                const int vectors = MAX(up + down + 1, 0) * (spread.lanes / TAP_LANES);
+                left -= CHANNELS * vectors;
 #if OCCLUDED
                 if (as_int(p.w) == PARTLY_OCCLUDED) {
+                    left -= HIDDEN_WORK + HIDDEN_TAPS * vectors;
                     visibility_t visibility;
                     source_visibility(camera, surfaces, layer, psf, lens, camera.top + y + spread.oy,
                                       x - camera.guard + spread.ox,
@@ -173,20 +210,22 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
             continue;
         const spread_t spread = pixel_spread(psf, intervals, coefficients, s.x);
         const int half_width = spread.half_width;
+        const int up = MIN(half_width, y - first), down = MIN(half_width, end - 1 - y);
+        const int vectors = MAX(up + down + 1, 0) * (spread.lanes / TAP_LANES);
+        left -= CHANNELS * vectors;
 #if OCCLUDED
         if (as_int(s.w) == PARTLY_OCCLUDED) {
+            left -= HIDDEN_WORK + HIDDEN_TAPS * vectors;
             visibility_t visibility;
             source_visibility(camera, surfaces, layer, psf, lens, camera.top + y, x - camera.guard, depth[at], spread,
                               (real)1, &visibility);
-            add_occluded_rows(spread, &visibility, MIN(half_width, y - first), MIN(half_width, end - 1 - y),
-                              value + at, plane,
+            add_occluded_rows(spread, &visibility, up, down, value + at, plane,
                           s, out - half_width, apart, pitch);
             continue;
         }
 #endif
         for (int k = 0; k < CHANNELS; ++k)
-            add_rows(spread, MIN(half_width, y - first), MIN(half_width, end - 1 - y), value[k * plane + at], s,
-                     out + k * apart - half_width, pitch);
+            add_rows(spread, up, down, value[k * plane + at], s, out + k * apart - half_width, pitch);
     }
     }
     if (group && added && ((y + 1 - from) % group == 0 || y + 1 == to)) {
@@ -196,6 +235,8 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
         added = false;
     }
     }
+    if (cut)
+        position[own] = DONE;
 }
 
 #pragma OPENCL FP_CONTRACT OFF

@@ -1,0 +1,95 @@
+"""The blur on processors: bands of rows, each with all sources that reach it, in launches of a moment."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+
+from clsco.constants import COLUMN_STEP, ROW_TILE
+from clsco.frame.strips import BAND, Grid
+from clsco.opencl import pieces as cut
+from clsco.opencl.buffers import download_into, empty, filled_with, upload_kept
+from clsco.opencl.program import kernel, launch_whole
+from clsco.passes.blur import UNITS_PER_TAP, Events, TableBlur, Target
+from clsco.plan.buffers import MOST_IN_ONE_SUM, Sizes, band_scratch, bands_at_a_time
+from clsco.plan.methods import BlurSpec
+from clsco.records import Struct
+
+HIDDEN_TAP = 3e-9  # s, of a tap of a source that is hidden in part, sub-pixel sources and all
+LONGEST = 1.0  # s that a launch may take if all taps were such; a frame may have many more than the one before
+VECTOR = 1.5e-9  # s of the work of a vector of taps, before any was measured
+BRIEF = 4  # times shorter than others is a first piece
+MOST_VECTORS, DONE = 2**30, 2**31 - 1
+
+
+class Gather(TableBlur):
+    """Each work-item walks the sources that reach a band of rows; some bands at a time, so that a large frame does not
+    take several times its size."""
+
+    def __init__(self, target: Target, spec: BlurSpec, grid: Grid, camera: Struct, sizes: Sizes) -> None:
+        super().__init__(target, spec, grid, camera, sizes)
+        session, table = target.session, self.weights[0]
+        alike = {"taps": table.taps, "outlines": table.outlines}
+        self.alike = tuple(
+            upload_kept(session, array, (table.place, name)) if array.size else None for name, array in alike.items()
+        )
+        # Rows of sources after which sums go on to the frame, 0 where they are short.
+        self.group = max(MOST_IN_ONE_SUM // (2 * spec.reach + 1), 1) if "part" in sizes else 0
+        self.part = filled_with(session, sizes["part"]) if "part" in sizes else self.total
+        self.scratch, self.bands = tuple[object, ...](), -(-grid.rows // BAND)
+        self.step = grid.columns  # columns of sources that fit in, where there are such, which a piece takes at least
+        if {"part", "scratch"} & sizes.keys():
+            self.bands = bands_at_a_time(grid.rows, session.device.compute_units)
+        if "scratch" in sizes:
+            kind = band_scratch(spec.psf, spec.largest, session.device.has_fp64)
+            number = sizes["scratch"] // (4 if kind == "near" else 8)  # of floats, or doubles
+            self.scratch = (filled_with(session, sizes["scratch"]), np.int32(number // self.bands))
+            self.step = COLUMN_STEP if kind == "columns" else ROW_TILE
+        self.position = empty(session, sizes["position"])
+
+    def spread(self, head: tuple[object, ...], tail: tuple[object, ...], events: Events) -> None:
+        session, run = self.target.session, kernel(self.target.program, "gather")
+        rows, width, height = (int(self.camera[name]) for name in ("rows", "width", "height"))
+        walked = min(BAND + 2 * self.spec.reach, height)
+        taps = self.bands * walked * width * (2 * self.spec.reach + 1) ** 2
+        work, most = UNITS_PER_TAP * taps, HIDDEN_TAP * taps / session.device.compute_units
+        parts = np.int32(self.group), self.part
+        for start in range(0, -(-rows // BAND), self.bands):
+            before = (*head, *self.alike, *self.scratch, np.int32(start))
+            after = (self.position, *parts, *self.layout, *tail)
+            expected = session.pace.expected(run, work)
+            if expected <= cut.PIECE and (not self.spec.occluders or most <= LONGEST):
+                pieces = [self._launch(before, 0, 0, after)]
+                session.pace.launched(run, work, pieces, expected)
+            else:
+                pieces = self._in_pieces(before, after, min(self.bands, -(-rows // BAND) - start))
+                session.pace.measured(run, work, sum(map(cut.spent, pieces)))
+            events.extend(("gather", event) for event in pieces)
+
+    def _launch(self, before: tuple[Any, ...], steps: int, vectors: int, after: tuple[Any, ...]) -> cl.Event:
+        budget = cl.cltypes.make_int2(steps, vectors)  # type: ignore[attr-defined]
+        run = kernel(self.target.program, "gather")
+        return launch_whole(self.target.session, run, (self.bands,), (1,), *before, budget, *after)
+
+    def _in_pieces(self, before: tuple[Any, ...], after: tuple[Any, ...], bands: int) -> list[cl.Event]:
+        """Launch a few steps or vectors of each band at a time, as many as the time of those before suggests; nobody
+        knows before what is hidden, and where."""
+        session, columns = self.target.session, int(self.camera["columns"])
+        at_once = -(-bands // session.device.compute_units)  # bands that a core takes one after the other
+        steps, vectors = 1, max(1, int(cut.PIECE / BRIEF / VECTOR / at_once))
+        walked = np.zeros(self.bands, np.int32)
+        cl.enqueue_copy(session.queue, self.position, walked)
+        pieces: list[cl.Event] = []
+        while (least := int(walked[:bands].min())) != DONE:
+            session.go_on()
+            pieces.append(self._launch(before, steps, vectors, after))
+            download_into(session, self.position, walked)
+            if least * self.step < columns:
+                steps = cut.resized(steps, cut.spent(pieces[-1]))
+            else:
+                vectors = min(cut.resized(vectors, cut.spent(pieces[-1])), MOST_VECTORS)
+            if session.progress is not None:
+                session.progress.share = float(np.mean(walked[:bands] == DONE))
+        return pieces

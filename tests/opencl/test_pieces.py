@@ -1,0 +1,168 @@
+"""Launches in pieces: the bits of a whole one, none of them long, and an end between any two of them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clsco
+from clsco.errors import CanceledError
+from clsco.opencl import pieces
+from clsco.opencl.session import session_for
+from tests.slow import mostly_slow
+
+WIDE: dict[str, Any] = {
+    "camera": {
+        "focal_length": 35.0, "f_number": 0.9, "focus_distance": 1000.0, "pixel_pitch": 0.01, "resolution": (640, 480),
+    },
+    "object": [
+        {"shape": "rectangle", "center": (-60.0, 0.0, 1000.0), "size": (120.0, 150.0), "texture": "bricks"},
+        {"shape": "sphere", "center": (50.0, 10.0, 700.0), "radius": 40.0, "texture": "checkerboard"},
+        {"shape": "plane", "distance": 6000.0, "texture": "siemens_star"},
+    ],
+}  # fmt: skip
+"""A frame of half a minute: R up to 64 px behind what is in focus."""
+
+SMALL: dict[str, Any] = WIDE | {"camera": WIDE["camera"] | {"resolution": (60, 45), "pixel_pitch": 0.04}}
+MOMENT = 2.0  # s; a machine with other work to do takes a few times as long as one without
+
+
+def rows(seed: int, *shape: int) -> np.ndarray[Any, Any]:
+    return np.random.default_rng(seed).random((40, 300, *shape), dtype=np.float32)
+
+
+RADII = rows(1) * 2 + np.linspace(0, 12, 300, dtype=np.float32)
+HOLES = rows(2) < 0.3
+WORKS: dict[str, Callable[[], Any]] = {
+    "occluded": lambda: clsco.render_frame(SMALL, truth=()).color,
+    "layered": lambda: clsco.render_frame(SMALL | {"psf": {"occlusion": "layered"}}, truth=()).color,
+    "discs": lambda: clsco.defocus(rows(0), RADII),
+    "Gaussians": lambda: clsco.defocus(rows(0), RADII, "gaussian"),
+    "sampled": lambda: clsco.defocus(rows(0, 3), RADII, {"edge": "sampled"}),
+    "near": lambda: clsco.defocus(rows(0), RADII / 8, {"edge": "sampled"}),
+    "general": lambda: clsco.defocus(rows(0), RADII, {"aperture": {"blades": 6}}),
+    "one radius": lambda: clsco.defocus(rows(0), np.full_like(RADII, 5.0)),
+    "scatter": lambda: clsco.defocus(rows(0), RADII, method="scatter"),
+    "tiles": lambda: clsco.defocus(rows(0), RADII, method="tiles"),
+    "coarse2": lambda: clsco.defocus(rows(0), RADII, method="coarse2"),
+    "texture": lambda: clsco.inpaint(rows(0), HOLES, method="texture"),
+    "biharmonic": lambda: clsco.inpaint(rows(0), HOLES, method="biharmonic"),
+    "mean-median": lambda: clsco.inpaint(rows(0), HOLES, method="mean-median"),
+}
+
+
+@pytest.fixture
+def counted(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """How long every piece took; all but the smallest launches are cut."""
+    monkeypatch.setattr(pieces, "PIECE", 2e-5)
+    sizes: list[float] = []
+    resized = pieces.resized
+    monkeypatch.setattr(pieces, "resized", lambda size, seconds: sizes.append(seconds) or resized(size, seconds))
+    return sizes
+
+
+@pytest.mark.parametrize("name", mostly_slow(list(WORKS), ["occluded", "Gaussians", "discs", "mean-median"]))
+def test_pieces_have_the_bits_of_the_whole(name: str, counted: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
+    found = WORKS[name]()
+    assert len(counted) > 4
+    monkeypatch.undo()
+    assert (found == WORKS[name]()).all()
+
+
+@contextmanager
+def interrupted(after: float) -> Iterator[list[float]]:
+    """SIGINT after so many seconds; gives when it came, and checks that KeyboardInterrupt does soon after."""
+    came: list[float] = []
+
+    def interrupt() -> None:
+        came.append(time.perf_counter())
+        os.kill(os.getpid(), signal.SIGINT)
+
+    timer = threading.Timer(after, interrupt)
+    timer.start()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            yield came
+        assert time.perf_counter() - came[0] < MOMENT
+    finally:
+        timer.cancel()
+        timer.join()
+
+
+@pytest.fixture
+def warm() -> None:
+    """Kernels are compiled to their end, whatever comes meanwhile."""
+    narrow = WIDE | {"camera": WIDE["camera"] | {"f_number": 11.0}}
+    clsco.render_frame(narrow, truth=())
+    with clsco.Live() as live:
+        live.render(narrow, truth=())
+
+
+@pytest.mark.usefixtures("warm")
+@pytest.mark.parametrize("after", mostly_slow([0.3, 1.0, 2.5], [1.0]))
+def test_a_frame_of_a_minute_ends_with_ctrl_c_and_the_next_one_has_its_bits(after: float) -> None:
+    expected = clsco.render_frame(SMALL).color
+    with interrupted(after):
+        clsco.render_frame(WIDE, truth=())
+    assert (clsco.render_frame(SMALL).color == expected).all()
+
+
+@pytest.mark.usefixtures("warm")
+def test_other_long_calls_end_with_ctrl_c() -> None:
+    image, radii = np.ones((2000, 3000, 3), np.float32), np.full((2000, 3000), 60.0, np.float32)
+    radii[::2] = 50.0
+    with interrupted(1.0):
+        clsco.defocus(image, radii, "gaussian")
+    with interrupted(1.0):
+        clsco.inpaint(image[..., 0], np.tile(HOLES, (50, 10)), method="texture")
+    with interrupted(1.0):
+        next(clsco.reference.render(clsco.parse_scene(WIDE)))
+    with interrupted(1.0), clsco.Live() as live:
+        live.render(WIDE, truth=())
+
+
+@pytest.mark.usefixtures("warm")
+def test_a_cancel_ends_a_launch_that_is_under_way() -> None:
+    with clsco.Live() as live:
+        expected = live.render(SMALL, truth=()).color
+        timer = threading.Timer(1.0, live.cancel)
+        began = time.perf_counter()
+        timer.start()
+        with pytest.raises(CanceledError):
+            live.render(WIDE, truth=())
+        assert time.perf_counter() - began < 1.0 + MOMENT
+        assert (live.render(SMALL, truth=()).color == expected).all()
+
+
+def test_no_piece_of_a_heavy_frame_is_long() -> None:
+    """Time by the processor's clock of the device, whatever else the machine does: a few pieces may be slower."""
+    sizes: list[float] = []
+    heavy = WIDE | {"camera": WIDE["camera"] | {"f_number": 2.0}}
+    with pytest.MonkeyPatch.context() as patch:
+        resized = pieces.resized
+        patch.setattr(pieces, "resized", lambda size, seconds: sizes.append(seconds) or resized(size, seconds))
+        clsco.render_frame(heavy, truth=())
+    assert len(sizes) > 5
+    assert np.median(sizes) < 0.2
+    assert max(sizes) < MOMENT
+
+
+def test_the_host_does_not_run_ahead() -> None:
+    """Nothing is enqueued for longer than a moment, however many launches there are."""
+    session = session_for(None)
+    scene = WIDE | {"camera": WIDE["camera"] | {"f_number": 8.0}}
+    scene |= {"sequence": {"samples": 40}, "motion": {}}
+    scene["object"] = [each | {"motion": {"velocity": (1.0, 0.0, 0.0)}} for each in scene["object"]]
+    with interrupted(1.5):
+        clsco.render_frame(scene, truth=())
+    began = time.perf_counter()
+    session.queue.finish()
+    assert time.perf_counter() - began < MOMENT
