@@ -17,7 +17,7 @@ from clsco.errors import DeviceError
 from clsco.frame.frame import Frame
 from clsco.frame.strips import Strip
 from clsco.opencl.buffers import download
-from clsco.opencl.pieces import spent
+from clsco.opencl.pace import spent
 from clsco.opencl.session import Progress, Session
 from clsco.optics.slabs import Slabs
 from clsco.passes.blur import Events

@@ -20,7 +20,7 @@ from clsco.kept import Kept
 from clsco.opencl import pocl_cache as poclcache
 from clsco.opencl import pocl_cpu as poclcpu
 from clsco.opencl.device import Device, _not_forked, choose, described, failure
-from clsco.opencl.pieces import Pace
+from clsco.opencl.pace import Pace
 
 KEPT_BYTES = 2**28
 _TIMED = cl.command_queue_properties.PROFILING_ENABLE

@@ -40,7 +40,7 @@ FILES_OF: dict[Blur, tuple[str, ...]] = {
     "none": ("blur/accumulate.cl",),
 }
 
-UNITS_PER_TAP = 1 / 125  # of work (`clsco.opencl.pieces`), were all sources as wide as the widest
+UNITS_PER_TAP = 1 / 125  # of work (`clsco.opencl.pace`), were all sources as wide as the widest
 
 # Features of what casts rays at surfaces, which a blur does not, and of what only sources on surfaces have.
 PLAIN = dict.fromkeys(

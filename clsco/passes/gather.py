@@ -9,7 +9,7 @@ import pyopencl as cl
 
 from clsco.constants import COLUMN_STEP, ROW_TILE
 from clsco.frame.strips import BAND, Grid
-from clsco.opencl import pieces as cut
+from clsco.opencl import pace
 from clsco.opencl.buffers import download_into, empty, filled_with, upload_kept
 from clsco.opencl.program import kernel, launch_whole
 from clsco.passes.blur import UNITS_PER_TAP, Events, TableBlur, Target
@@ -18,10 +18,10 @@ from clsco.plan.methods import BlurSpec
 from clsco.records import Struct
 
 HIDDEN_TAP = 3e-9  # s, of a tap of a source that is hidden in part, sub-pixel sources and all
-LONGEST = 1.0  # s that a launch may take if all taps were such; a frame may have many more than the one before
+LONGEST = 2.0  # s that a launch may take if all taps were such: a frame may have many more than the one before
 VECTOR = 1.5e-9  # s of the work of a vector of taps, before any was measured
-BRIEF = 4  # times shorter than others is a first piece
-MOST_VECTORS, DONE = 2**30, 2**31 - 1
+BRIEF = 2  # times shorter than others is a first piece
+MOST_VECTORS, OTHERS, DONE = 2**30, 2**30, 2**31 - 1  # the last two as in gather.cl
 
 
 class Gather(TableBlur):
@@ -60,12 +60,12 @@ class Gather(TableBlur):
             before = (*head, *self.alike, *self.scratch, np.int32(start))
             after = (self.position, *parts, *self.layout, *tail)
             expected = session.pace.expected(run, work)
-            if expected <= cut.PIECE and (not self.spec.occluders or most <= LONGEST):
+            if expected <= pace.PIECE and (not self.spec.occluders or most <= LONGEST):
                 pieces = [self._launch(before, 0, 0, after)]
                 session.pace.launched(run, work, pieces, expected)
             else:
                 pieces = self._in_pieces(before, after, min(self.bands, -(-rows // BAND) - start))
-                session.pace.measured(run, work, sum(map(cut.spent, pieces)))
+                session.pace.measured(run, work, sum(map(pace.spent, pieces)))
             events.extend(("gather", event) for event in pieces)
 
     def _launch(self, before: tuple[Any, ...], steps: int, vectors: int, after: tuple[Any, ...]) -> cl.Event:
@@ -78,18 +78,19 @@ class Gather(TableBlur):
         knows before what is hidden, and where."""
         session, columns = self.target.session, int(self.camera["columns"])
         at_once = -(-bands // session.device.compute_units)  # bands that a core takes one after the other
-        steps, vectors = 1, max(1, int(cut.PIECE / BRIEF / VECTOR / at_once))
+        steps, vectors = 1, max(1, int(pace.PIECE / BRIEF / VECTOR / at_once))
         walked = np.zeros(self.bands, np.int32)
         cl.enqueue_copy(session.queue, self.position, walked)
         pieces: list[cl.Event] = []
-        while (least := int(walked[:bands].min())) != DONE:
+        while (walked[:bands] != DONE).any():
+            least = int((walked[:bands] % OTHERS).min())
             session.go_on()
             pieces.append(self._launch(before, steps, vectors, after))
             download_into(session, self.position, walked)
             if least * self.step < columns:
-                steps = cut.resized(steps, cut.spent(pieces[-1]))
+                steps = pace.resized(steps, pace.spent(pieces[-1]))
             else:
-                vectors = min(cut.resized(vectors, cut.spent(pieces[-1])), MOST_VECTORS)
+                vectors = min(pace.resized(vectors, pace.spent(pieces[-1])), MOST_VECTORS)
             if session.progress is not None:
                 session.progress.share = float(np.mean(walked[:bands] == DONE))
         return pieces

@@ -11,11 +11,14 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+import pyopencl as cl
 import pytest
 
 import clsco
 from clsco.errors import CanceledError
-from clsco.opencl import pieces
+from clsco.opencl import pace
+from clsco.opencl.buffers import filled_with
+from clsco.opencl.program import launch
 from clsco.opencl.session import session_for
 from tests.slow import mostly_slow
 
@@ -59,14 +62,24 @@ WORKS: dict[str, Callable[[], Any]] = {
 }
 
 
+def recorded(patch: pytest.MonkeyPatch) -> list[float]:
+    """Gets the time of every piece, s."""
+    found: list[float] = []
+    resized = pace.resized
+
+    def noted(size: int, seconds: float) -> int:
+        found.append(seconds)
+        return resized(size, seconds)
+
+    patch.setattr(pace, "resized", noted)
+    return found
+
+
 @pytest.fixture
 def counted(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """How long every piece took; all but the smallest launches are cut."""
-    monkeypatch.setattr(pieces, "PIECE", 2e-5)
-    sizes: list[float] = []
-    resized = pieces.resized
-    monkeypatch.setattr(pieces, "resized", lambda size, seconds: sizes.append(seconds) or resized(size, seconds))
-    return sizes
+    monkeypatch.setattr(pace, "PIECE", 2e-5)
+    return recorded(monkeypatch)
 
 
 @pytest.mark.parametrize("name", mostly_slow(list(WORKS), ["occluded", "Gaussians", "discs", "mean-median"]))
@@ -144,25 +157,37 @@ def test_a_cancel_ends_a_launch_that_is_under_way() -> None:
 
 def test_no_piece_of_a_heavy_frame_is_long() -> None:
     """Time by the processor's clock of the device, whatever else the machine does: a few pieces may be slower."""
-    sizes: list[float] = []
     heavy = WIDE | {"camera": WIDE["camera"] | {"f_number": 2.0}}
     with pytest.MonkeyPatch.context() as patch:
-        resized = pieces.resized
-        patch.setattr(pieces, "resized", lambda size, seconds: sizes.append(seconds) or resized(size, seconds))
+        sizes = recorded(patch)
         clsco.render_frame(heavy, truth=())
     assert len(sizes) > 5
     assert np.median(sizes) < 0.2
     assert max(sizes) < MOMENT
 
 
-def test_the_host_does_not_run_ahead() -> None:
-    """Nothing is enqueued for longer than a moment, however many launches there are."""
+SPIN = """
+__kernel void spin(const int count, __global float *out)
+{
+    const int i = get_global_id(0);
+    float sum = i;
+    for (int k = 0; k < count; ++k)
+        sum = sqrt(sum + k);
+    out[i] += sum;
+}
+"""
+
+
+def test_the_host_stays_a_moment_ahead_of_the_device_and_what_is_short_is_not_waited_for() -> None:
     session = session_for(None)
-    scene = WIDE | {"camera": WIDE["camera"] | {"f_number": 8.0}}
-    scene |= {"sequence": {"samples": 40}, "motion": {}}
-    scene["object"] = [each | {"motion": {"velocity": (1.0, 0.0, 0.0)}} for each in scene["object"]]
-    with interrupted(1.5):
-        clsco.render_frame(scene, truth=())
-    began = time.perf_counter()
+    run = cl.Program(session.context, SPIN).build().all_kernels()[0]
+    out = filled_with(session, 4 * 4096)
+    assert {len(launch(session, run, (4096,), (64,), np.int32(10), out)) for _ in range(20)} == {1}
+    events = launch(session, run, (4096,), (64,), np.int32(1000), out)  # expected to be as short
+    events[-1].wait()
+    each = sum(map(pace.spent, events))
+    for _ in range(100):
+        events += launch(session, run, (4096,), (64,), np.int32(1000), out)
+        left = sum(event.command_execution_status > 0 for event in events)
+        assert left < 4 + 8 * pace.PIECE / each
     session.queue.finish()
-    assert time.perf_counter() - began < MOMENT

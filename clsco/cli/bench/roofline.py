@@ -8,7 +8,7 @@ import numpy as np
 import pyopencl as cl
 
 from clsco.opencl.buffers import empty
-from clsco.opencl.pieces import spent
+from clsco.opencl.pace import spent
 from clsco.opencl.program import launch
 from clsco.opencl.session import Session
 

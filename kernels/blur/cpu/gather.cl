@@ -97,6 +97,7 @@ static void settle(int first, int last, int apart, int shift, int plane, int pit
 #define BLOCK_WORK 32
 #define HIDDEN_WORK 256
 #define HIDDEN_TAPS 16
+#define OTHERS (1 << 30)  // in `position`: there are sources that do not fit in
 #define DONE INT_MAX
 
 // Each work-item adds to BAND rows of `total`, the first one's band being `start`, all the radiance that reaches them,
@@ -130,9 +131,10 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
     const int apart = group ? (int)get_global_size(0) * BAND * pitch : total_plane;
     const int shift = group ? (own * BAND - first) * pitch : 0;  // from a row of the frame to that of part
     const int from = MAX(first - psf.reach, -camera.above), to = MIN(end + psf.reach, camera.height - camera.above);
-    int at_first = cut ? position[own] : 0;
-    if (at_first == DONE)
+    const int before = cut ? position[own] : 0;
+    if (before == DONE)
         return;
+    int at_first = before & (OTHERS - 1);
 #if BY_ROWS || BY_COLUMNS
     const int steps = (camera.columns + GATHER_STEP - 1) / GATHER_STEP;
     if (at_first < steps) {
@@ -141,7 +143,7 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
                                       at_first * GATHER_STEP, until * GATHER_STEP, scratch + own * scratch_size, pitch,
                                       pad, total);
         if (cut)
-            position[own] = until;
+            position[own] = others || (before & OTHERS) ? until | OTHERS : until < steps ? until : DONE;
         if (cut || !others)
             return;
         at_first = steps;

@@ -1,0 +1,69 @@
+"""How long launches take, and how far the host is ahead of the device: a fraction of a second at most.
+
+Python hears of a signal when a call of OpenCL returns, and nothing takes back what is enqueued. So long launches are
+cut into pieces whose size follows from the time of those before, and the host stays a fraction of a second ahead of the
+device. What takes less is launched at once, and nothing waits for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from typing import Any
+
+import pyopencl as cl
+
+PIECE = 0.1  # s that a piece takes, and that the host is ahead of the device before it waits
+GROWTH = 4  # a piece is at most so many times as large as the one before
+UNIT = 25e-9  # s of a unit of work before any was measured: what kernels take for a pixel
+
+_END, _START = cl.profiling_info.END, cl.profiling_info.START
+
+
+class Pace:
+    """How long the kernels of a queue take, and how far the host is ahead of the device."""
+
+    def __init__(self) -> None:
+        self._rates: dict[Hashable, float] = {}  # s per unit of work
+        self._pending: dict[Hashable, tuple[list[cl.Event], float]] = {}
+        self._ahead = 0.0
+        self._mark: cl.Event | None = None
+
+    def expected(self, key: Hashable, work: float) -> float:
+        """Seconds that so much work of a kernel will take, by what it took last."""
+        if (pending := self._pending.get(key)) is not None:
+            events, done = pending
+            if (status := events[-1].command_execution_status) <= 0:  # done, or failed
+                del self._pending[key]
+                if status == 0:
+                    self.measured(key, done, sum(map(spent, events)))
+        return self._rates.get(key, UNIT) * work
+
+    def launched(self, key: Hashable, work: float, events: list[cl.Event], seconds: float) -> None:
+        """Note a launch of so much work, expected to take so long, and wait where the host is too far ahead."""
+        self._pending.setdefault(key, (events, work))
+        self._ahead += seconds
+        if self._ahead > PIECE:
+            if self._mark is not None:
+                self._mark.wait()
+            self._mark, self._ahead = events[-1], 0.0
+
+    def measured(self, key: Hashable, work: float, seconds: float) -> None:
+        """Note what so much work took."""
+        self._rates[key] = seconds / work
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._rates.clear()
+        self._pending.clear()
+        self._mark, self._ahead = None, 0.0
+
+
+def spent(event: cl.Event) -> float:
+    """Seconds that a command took on the device, which is done with it."""
+    info: Any = event.get_profiling_info
+    return 1e-9 * float(info(_END) - info(_START))
+
+
+def resized(size: int, seconds: float) -> int:
+    """Size of a piece after one of this size that took so long."""
+    return max(1, int(size * min(PIECE / max(seconds, 1e-9), GROWTH)))
