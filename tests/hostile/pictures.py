@@ -17,6 +17,8 @@ import tifffile
 from numpy.typing import NDArray
 from PIL import Image
 
+from clsco.files.depth_codes import dpt_bytes
+
 Array = NDArray[Any]
 
 
@@ -54,6 +56,13 @@ def samples() -> dict[str, tuple[str, bytes]]:
     planes = {name: np.ascontiguousarray(light[..., k]) for k, name in enumerate("RGB")}
     archive = io.BytesIO()
     np.savez_compressed(archive, depth=light[..., 0])
+    turned = Image.Exif()
+    turned[274] = 6
+    adobe = bytes(imagecodecs.cms_profile("adobergb"))
+    tagged = {"exif": turned, "icc_profile": adobe}
+    layers = {f"ViewLayer.Combined.{name}": plane for name, plane in planes.items()} | {
+        "ViewLayer.Depth.Z": planes["R"]
+    }
     found = {
         "gray png": (".png", bytes(imagecodecs.png_encode(gray))),
         "color png": (".png", encoded(Image.fromarray(color).save, "PNG")),
@@ -75,6 +84,12 @@ def samples() -> dict[str, tuple[str, bytes]]:
         "pfm": (".pfm", pfm(light)),
         "npy": (".npy", encoded(np.save, light)),
         "npz": (".npz", archive.getvalue()),
+        "dpt": (".dpt", dpt_bytes(light[..., 0] + 1)),
+        "tagged png": (".png", encoded(Image.fromarray(color).save, "PNG", **tagged)),
+        "tagged jpeg": (".jpg", encoded(Image.fromarray(color).save, "JPEG", **tagged)),
+        "tagged tiff": (".tif", tiff(color, iccprofile=adobe, extratags=[(274, 3, 1, 6, True)])),
+        "keyed png": (".png", encoded(Image.fromarray(color).save, "PNG", transparency=(1, 2, 3))),
+        "layered exr": (".exr", exr(OpenEXR.ZIP_COMPRESSION, **layers)),
     }
     return {name: (suffix, bytes(content)) for name, (suffix, content) in found.items()}
 
