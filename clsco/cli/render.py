@@ -29,7 +29,7 @@ from clsco.errors import SceneError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from clsco.engine.batch import Span
+    from clsco.engine.batch import Job, Span
     from clsco.frame.frame import Frame
     from clsco.frame.truth_files import TruthFile
     from clsco.plan.request import Request
@@ -154,6 +154,20 @@ def render_to_folders(
         from clsco.cli.video import write_clips
 
         write_clips(jobs, preset)
+    if not quiet:
+        echo(_written(out, jobs))
+
+
+def _written(out: Path, jobs: Sequence[Job]) -> str:
+    """What is where now, in a line."""
+    place, count = click.format_filename(out), sum(len(job.frames) for job in jobs)
+    if not count:
+        return f"{place}: all frames are there already"
+    first = next(job for job in jobs if job.frames)
+    views = " of two views" if len(first.prepared.plans) > 1 else ""
+    where = f" in {len(jobs)} folders" if len(jobs) > 1 else ""
+    kinds = ", ".join(dict.fromkeys(("png", "json", *(file.format for file in first.files))))
+    return f"{place}: {count} frame{'s' * (count > 1)}{views}{where}, from frame_{first.frames[0]:04d} on: {kinds}"
 
 
 def _render_to_pipe(

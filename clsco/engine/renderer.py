@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, replace
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -97,6 +98,7 @@ class Renderer:
     def begin(self, times: Sequence[float]) -> None:
         """Begin a frame of these time samples: no radiance yet."""
         plan, space = self.plan, self._ready
+        self.began = perf_counter()
         self.events: Events = []
         shape = (plan.rows, plan.columns)
         image = shape if plan.channels == 1 else (*shape, plan.channels)
@@ -227,6 +229,7 @@ class Renderer:
         seconds: dict[str, float] = {}
         for name, event in self.events:
             seconds[name] = seconds.get(name, 0.0) + spent(event)
+        seconds["host"] = perf_counter() - self.began - sum(seconds.values())
         device, report = self.scene.session.device, self._approximation_report()
         return {
             "frame": index,

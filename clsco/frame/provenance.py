@@ -16,7 +16,10 @@ from clsco.scene.model import AnyShape, Scene, Within
 
 # Units of derived parameters and of a frame's metadata, where the name does not say them.
 DERIVED_UNITS = {"derived.aperture_diameter": "mm", "derived.sensor_distance": "mm"}
-FRAME_UNITS = {"intermediate[].time": "s", "seconds": "s, by pass on the device"}
+FRAME_UNITS = {
+    "intermediate[].time": "s",
+    "seconds": "s, by pass on the device, and of the host besides; not what prepares the scene or writes files",
+}
 
 
 def views(scene: Scene) -> tuple[Eye, ...]:

@@ -71,8 +71,22 @@ def names(folder: Path) -> list[str]:
     return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
 
 
-def test_render_writes_frames_and_says_nothing(ball: Path, tmp_path: Path) -> None:
-    result = clsco_("render", ball, "-o", tmp_path / "new" / "out", "--truth", "npz,exr", "--frames", "1:")
+def test_render_ends_with_what_it_wrote(ball: Path, tmp_path: Path) -> None:
+    def said(*words: object) -> str:
+        result = clsco_("render", *words)
+        assert (result.exit_code, result.stderr) == (0, "")
+        return result.stdout
+
+    words = (ball, "-o", tmp_path / "out", "--frames", "1:")
+    assert said(*words) == f"{tmp_path / 'out'}: 2 frames, from frame_0001 on: png, json\n"
+    assert said(*words, "--resume") == f"{tmp_path / 'out'}: all frames are there already\n"
+    assert said(*words, "--quiet") == ""
+    both = said(ball, "-o", tmp_path / "two", "--set", "camera.f_number=[2,4]", "--frames", "0:1", "--truth", "npz:depth")
+    assert both == f"{tmp_path / 'two'}: 2 frames in 2 folders, from frame_0000 on: png, json, npz\n"
+
+
+def test_render_writes_frames(ball: Path, tmp_path: Path) -> None:
+    result = clsco_("render", ball, "-o", tmp_path / "new" / "out", "--truth", "npz,exr", "--frames", "1:", "--quiet")
     assert (result.exit_code, result.output) == (0, "")
     wanted = [f"frame_000{n}.{suffix}" for n in (1, 2) for suffix in ("exr", "json", "npz", "png")]
     assert names(tmp_path / "new") == [f"out/{name}" for name in wanted]
@@ -87,6 +101,7 @@ def test_render_writes_frames_and_says_nothing(ball: Path, tmp_path: Path) -> No
 
 def test_the_json_tells_every_parameter_and_what_became_of_it(ball: Path, tmp_path: Path) -> None:
     settings = ["--set", "camera.f_number=4", "--set", "object.0.radius=25", "--precision", "single"]
+    began = time.perf_counter()
     assert clsco_("render", ball, "-o", tmp_path, *settings).exit_code == 0
     recorded = json.loads((tmp_path / "frame_0002.json").read_text())
     scene = clsco.load_scene(ball, ["camera.f_number=4", "object.0.radius=25"])
@@ -101,7 +116,8 @@ def test_the_json_tells_every_parameter_and_what_became_of_it(ball: Path, tmp_pa
     counters = {"missing_pixels", "filled_pixels", "unfilled_pixels", "sweeps"}
     assert all(counters <= set(moment) for moment in recorded["intermediate"])
     assert recorded["device"]
-    assert set(recorded["seconds"]) >= {"trace", "gather"}
+    assert set(recorded["seconds"]) >= {"trace", "gather", "host"}
+    assert 0 < sum(recorded["seconds"].values()) < time.perf_counter() - began  # of three frames, and all else
     assert "ground_truth" not in recorded["seconds"]  # nobody asked for it
     assert list(recorded["files"]) == ["frame_0002.png"]
     assert read_complete(tmp_path, 2) == recorded
