@@ -81,7 +81,8 @@ def test_render_ends_with_what_it_wrote(ball: Path, tmp_path: Path) -> None:
     assert said(*words) == f"{tmp_path / 'out'}: 2 frames, from frame_0001 on: png, json\n"
     assert said(*words, "--resume") == f"{tmp_path / 'out'}: all frames are there already\n"
     assert said(*words, "--quiet") == ""
-    both = said(ball, "-o", tmp_path / "two", "--set", "camera.f_number=[2,4]", "--frames", "0:1", "--truth", "npz:depth")
+    two = ("--set", "camera.f_number=[2,4]", "--frames", "0:1", "--truth", "npz:depth")
+    both = said(ball, "-o", tmp_path / "two", *two)
     assert both == f"{tmp_path / 'two'}: 2 frames in 2 folders, from frame_0000 on: png, json, npz\n"
 
 
