@@ -171,9 +171,9 @@ def write_folder_clip(
     pictures, transfer = _pictures(frames, eye, view, from_exr), frames.transfer
     if view in VIEWS:
         shown, transfer = VIEWS[view], "srgb"
-        scale = shown.scale(frames.arrays(shown.array, eye))
+        scale = shown.scale(_measured(frames, shown.array, eye))
         facts.append(shown.label(scale))
-        pictures = (shown.paint(array, scale) for array in frames.arrays(shown.array, eye))
+        pictures = (shown.paint(array, scale) for array in _measured(frames, shown.array, eye))
     comment = "; ".join([f"clsco {__version__}", *facts])
     rate = playing.rate(frames.interval, where)
 
@@ -183,6 +183,15 @@ def write_folder_clip(
             advance()
 
     return [*facts, *write_clip(target, counted(), rate, preset, transfer, transfer_tag, comment)]
+
+
+def _measured(frames: WrittenFrames, name: str, eye: str) -> Iterator[NDArray[Any]]:
+    """An array of each frame; blur radii are +inf where nothing is, as far as the depth is there to say so."""
+    arrays = frames.arrays(name, eye)
+    if name != "coc" or not frames.has("depth", eye):
+        return arrays
+    pairs = zip(arrays, frames.arrays("depth", eye), strict=True)
+    return (np.where(np.isfinite(depth), radius, np.inf) for radius, depth in pairs)
 
 
 def _pictures(frames: WrittenFrames, eye: str, view: str, from_exr: bool) -> Iterator[NDArray[Any]]:

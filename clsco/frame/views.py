@@ -77,8 +77,15 @@ def _depth_label(scale: tuple[float, ...]) -> str:
 
 
 def _radius_extent(radius: NDArray[Any]) -> tuple[float, ...]:
-    _require(radius, "coc")
-    return (float(np.abs(radius).max()),)
+    seen = radius[_require(radius, "coc", np.inf)]
+    return (float(np.abs(seen).max(initial=0.0)),)
+
+
+def _paint_radius(radius: NDArray[Any], scale: tuple[float, ...]) -> Picture:
+    """Near dark, far bright; black where nothing is, which is not in focus."""
+    seen = np.isfinite(radius)
+    painted = viridis(np.where(seen, radius, 0.0), -scale[0], scale[0])
+    return np.where(seen[..., None], painted, np.uint8(0))
 
 
 def _flow_extent(flow: NDArray[Any]) -> tuple[float, ...]:
@@ -91,8 +98,11 @@ VIEWS = {
     "coc": View(
         "coc",
         _radius_extent,
-        lambda radius, scale: viridis(radius, -scale[0], scale[0]),
-        lambda scale: f"coc: viridis from {0.0 - scale[0]:.6g} px (dark, near) to {scale[0]:.6g} px (bright, far)",
+        _paint_radius,
+        lambda scale: (
+            f"coc: viridis from {0.0 - scale[0]:.6g} px (dark, near) to {scale[0]:.6g} px (bright, far); "
+            "nothing is black"
+        ),
     ),
     "flow": View(
         "flow",

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import SceneError
+from clsco.errors import ImageError, SceneError
 from clsco.files.arrays import read_exr, read_npz
 from clsco.files.atomic import refuse
 from clsco.files.images import read_image
@@ -84,6 +84,14 @@ class WrittenFrames:
             if array.shape[2:] not in {"color": ((), (3,)), "sharp": ((), (3,)), "flow": ((2,),)}.get(name, ((),)):
                 refuse(where, f"{name} must have its channels", f"shape {array.shape}")
             yield array.astype(np.float32, copy=False)
+
+    def has(self, name: str, eye: str = "") -> bool:
+        """Whether the first frame has an array."""
+        try:
+            next(self.arrays(name, eye))
+        except ImageError:
+            return False
+        return True
 
     def _file(self, number: int, suffix: str, eye: str) -> Path:
         return self.folder / f"{frame_json(self.folder, number).stem}{'_' if eye else ''}{eye}.{suffix}"

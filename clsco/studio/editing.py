@@ -436,7 +436,10 @@ class Editor:
         elif parts[0] == "group" and len(parts) > 2 and parts[1].isdecimal():
             node, parts = at(self.scene.groups, parts[1:2]), parts[2:]
         for part in parts:
-            node = at(node, [part]) if isinstance(node, tuple) else getattr(node, part, None)
+            if isinstance(node, tuple):
+                node = at(node, [part])
+            else:  # keys alone, and nothing else that a model has
+                node = getattr(node, part) if part in getattr(type(node), "model_fields", ()) else None
         return node
 
     def _object(self, index: int) -> Any:

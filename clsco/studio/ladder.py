@@ -111,6 +111,17 @@ def coarser(scene: Scene, size: tuple[int, int], eighths: int, is_plain: bool = 
     return scene.model_copy(update=changes)
 
 
+def unblurred(scene: Scene) -> Scene:
+    """The scene with the same depth, normals and objects, and no blur: one time sample and hardly any aperture.
+
+    Validated: the same bits as with it (tests/studio/test_renderer.py).
+    """
+    psf = scene.psf.model_copy(update={"silhouette_samples": 1, "occlusion": "none"})
+    camera = scene.camera.model_copy(update={"aperture_diameter": 1e-9 * scene.camera.aperture_diameter})
+    sequence = scene.sequence.model_copy(update={"samples": 1, "sampling": "midpoint"})
+    return scene.model_copy(update={"psf": psf, "camera": camera, "sequence": sequence})
+
+
 def _preview_samples(scene: Scene) -> int:
     samples = scene.sequence.samples
     return min(samples, MOST_SAMPLES) if isinstance(samples, int) else MOST_SAMPLES

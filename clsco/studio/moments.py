@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from clsco.frame.frame import Frame
-from clsco.optics.motion import Eye, poses_at, rest_center
+from clsco.optics.motion import Eye, poses_at, rest_center, sample_times
 from clsco.reference.common.geometry import project
 from clsco.scene.model import Scene
 
@@ -49,13 +49,15 @@ def eye_of(frame: Frame) -> Eye:
     return "right" if frame.eye == "right" else "left"
 
 
-def exposure_of(frame: Frame, scene: Scene) -> dict[str, Any]:
+def exposure_of(frame: Frame, scene: Scene, samples: int) -> dict[str, Any]:
     """What the time line shows of a frame.
 
     Parameters
     ----------
     frame : Frame
     scene : Scene
+    samples : int
+        Of the frame, as its plan has them.
 
     Returns
     -------
@@ -68,8 +70,8 @@ def exposure_of(frame: Frame, scene: Scene) -> dict[str, Any]:
     begin = frame.index * scene.sequence.interval
     assert scene.sequence.shutter is not None
     shutter = [begin, begin + scene.sequence.shutter]
-    times = [sample["time"] for sample in frame.metadata["intermediate"]]
-    return {"times": times, "shutter": shutter, "arrows": _arrows(scene, shutter, frame)}
+    times, _ = sample_times(scene.sequence, frame.index, samples)
+    return {"times": times.tolist(), "shutter": shutter, "arrows": _arrows(scene, shutter, frame)}
 
 
 def _arrows(scene: Scene, shutter: list[float], frame: Frame) -> list[list[float]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from fastapi import FastAPI
-from nicegui import ui
+from nicegui import Client, ui
 
 from clsco.studio.pictures import VIEWS
 from clsco.studio.server import Studio
@@ -45,7 +45,8 @@ COMPARISONS = (
     ("8", "difference × 8"),
     ("64", "difference × 64"),
 )
-SCRIPTS = ("colors", "studio", "keep", "tools", "line", "compare", "progress", "inspect", "forms", "brush")
+SCRIPTS = ("colors", "studio", "badge", "keep", "tools", "line", "compare", "progress", "inspect", "forms", "brush")
+MOST_UNSHOWN = 8  # pages
 STYLES = ("studio", "forms")
 _VIEW_FILTER = """<svg width="0" height="0" aria-hidden="true">
 <filter id="view-filter" x="0" y="0" width="1" height="1">
@@ -61,12 +62,21 @@ def attach(app: FastAPI, studio: Studio) -> None:
 
     @ui.page("/", title="clsco studio", language="en-US")
     async def page(s: str = "") -> None:
+        end_pages()
         name = await studio.tab(s)
         ui.add_head_html("".join(f'<link rel="stylesheet" href="static/{style}.css">' for style in STYLES))
         ui.add_body_html("".join(f'<script defer src="static/{script}.js"></script>' for script in SCRIPTS))
         draw(name, studio)
 
     ui.run_with(app, title="clsco studio", show_welcome_message=False, tailwind=False, dark=True)
+
+
+def end_pages() -> None:
+    """Let go of pages that were loaded and that no browser shows, but for the latest: NiceGUI keeps them for a minute,
+    and each has some megabytes. A page that comes back loads itself again, and its tab has the scene."""
+    unshown = [client for client in Client.instances.values() if not client.has_socket_connection]
+    for client in sorted(unshown, key=lambda client: client.created)[:-MOST_UNSHOWN]:
+        client.delete()
 
 
 def draw(name: str, studio: Studio) -> None:
@@ -138,7 +148,7 @@ def _middle() -> None:
         say("canvas", id="over", aria_hidden="true")
         say("div", id="hint", hidden=True)
         ui.html(_VIEW_FILTER, sanitize=False)
-        say("div", id="badge")
+        say("div", "no picture yet", id="badge", data_rung="earlier")
         say("div", id="pin-badge", hidden=True)
         say("div", id="progress", role="status", hidden=True)
         say("div", id="message", role="alert", hidden=True)

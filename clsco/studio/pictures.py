@@ -29,6 +29,7 @@ VIEWS = {
 }
 """Attributes of a frame, by what the studio calls them, in the order of the tabs."""
 
+UNBLURRED = ("depth", "normal", "id")  # views that are the same without blur, which takes the time
 DRAGGING, LOSSY, EXACT, PINNED, STACKED, REFERENCE = range(6)
 MESSAGE, JPEG, PNG, FLOAT16, FLOAT32 = range(5)
 HEADER = struct.Struct("<IBBHHBHHBI")
@@ -41,26 +42,27 @@ QUALITY = {DRAGGING: 80, LOSSY: 95}
 class Picture:
     """What is shown of a frame.
 
-    Attributes
-    ----------
-    rung : int
-        DRAGGING, LOSSY or EXACT; to compare with these PINNED, an exact picture of another scene, and REFERENCE, one by
-        `clsco.reference`; STACKED: one of a focal stack.
-    view : str
-        One of VIEWS.
-    size, full : (int, int)
-        Columns and rows of the picture, and of the frame.
-    encoding : int
-        JPEG or PNG, or FLOAT16 or FLOAT32: little endian, channels last.
-    payload : bytes
-    seconds : float
-        Time that it took to render.
-    about : dict, optional
-        What else is known of an exact frame, as JSON can hold it.
-    is_plain : bool
-        Without occlusion.
-    eye : str
-        "left" or "right" of a stereo pair, else "".
+        Attributes
+        ----------
+        rung : int
+            UNBLURRED = ("depth", "normal", "id")  # views that are the same without blur, which takes the time
+    DRAGGING, LOSSY or EXACT; to compare with these PINNED, an exact picture of another scene, and REFERENCE, one by
+            `clsco.reference`; STACKED: one of a focal stack.
+        view : str
+            One of VIEWS.
+        size, full : (int, int)
+            Columns and rows of the picture, and of the frame.
+        encoding : int
+            JPEG or PNG, or FLOAT16 or FLOAT32: little endian, channels last.
+        payload : bytes
+        seconds : float
+            Time that it took to render.
+        about : dict, optional
+            What else is known of an exact frame, as JSON can hold it.
+        is_plain : bool
+            Without occlusion.
+        eye : str
+            "left" or "right" of a stereo pair, else "".
     """
 
     rung: int
@@ -88,15 +90,20 @@ def packed_message(revision: int, content: dict[str, Any]) -> bytes:
 
 def truth_of(view: str) -> tuple[str, ...]:
     """What has to be rendered besides the color to see this."""
+    if view == "blur radius":
+        return VIEWS[view], "mask"
     return () if view == "color" else (VIEWS[view],)
 
 
 def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int, int], seconds: float) -> Picture:
     """Encode what is shown of a frame.
 
-    Images are JPEG, but for EXACT the PNG that `clsco render` writes; all else is floats, for DRAGGING of 16 bits.
+    Images are JPEG, but for EXACT the PNG that `clsco render` writes; all else is floats, for DRAGGING of 16 bits. The
+    blur radius is NaN where nothing is, which is not in focus.
     """
     data: NDArray[Any] = getattr(frame, VIEWS[view])
+    if view == "blur radius" and frame.mask is not None:
+        data = np.where(frame.mask, data, np.nan)
     if view in IMAGES:
         is_exact = rung >= EXACT
         bits = min(frame.metadata["bits"], 16) if is_exact else 8

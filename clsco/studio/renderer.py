@@ -18,10 +18,11 @@ from clsco.errors import CanceledError, ClscoError, DeviceError, SceneError
 from clsco.frame.frame import Frame
 from clsco.optics.motion import Eye
 from clsco.scene.model import Scene
-from clsco.studio.ladder import Ladders, coarser, work_of
-from clsco.studio.pictures import DRAGGING, EXACT, IMAGES, LOSSY, Picture
+from clsco.studio.ladder import Ladders, coarser, unblurred, work_of
+from clsco.studio.pictures import DRAGGING, EXACT, IMAGES, LOSSY, UNBLURRED, Picture
 
 TICK = 0.5  # s between words of what takes long
+SILENCE = 30.0  # s without one, after which the process is given up: it is stopped, or its driver hangs
 
 
 class RendererEndedError(ClscoError):
@@ -186,7 +187,7 @@ class Renderer:
             try:
                 self._pipe.send((what, number, content))
                 while True:
-                    of, answer = await self._answers.get()
+                    of, answer = await asyncio.wait_for(self._answers.get(), SILENCE)
                     if of < 0:
                         raise EOFError
                     if of != number:
@@ -202,6 +203,11 @@ class Renderer:
                     if answer is None:
                         return
                     yield answer
+            except TimeoutError:  # an OSError, too
+                is_whole = True
+                self._kill()
+                rule = f"renderer: must say something within {SILENCE:g} s; got nothing; it is started again"
+                raise RendererEndedError(rule) from None
             except (OSError, EOFError):
                 is_whole = True
                 raise RendererEndedError(self._buried()) from None
@@ -221,7 +227,14 @@ class Renderer:
         """End the process."""
         if self._process is not None:
             self._process.terminate()
-            self._buried()
+            self._process.join(1.0)
+            self._kill()
+
+    def _kill(self) -> None:
+        """End a process that need not end by itself: one that is stopped does not."""
+        assert self._process is not None
+        self._process.kill()
+        self._buried()
 
     def _buried(self) -> str:
         """Let go of a process that has ended, and say how."""
@@ -271,6 +284,11 @@ def _work(pipe: Connection, device: str | None) -> None:
         threading.Thread(target=task, daemon=True).start()
     while True:
         worker.answer(*jobs.get())
+
+
+def _needed(job: Job) -> Scene:
+    """The scene of a job, without what its view does not show and takes the time: the blur."""
+    return unblurred(job.scene) if job.view in UNBLURRED and job.scene.is_analytic else job.scene
 
 
 @dataclass
@@ -368,13 +386,14 @@ class _Worker:
         from clsco.inputs.textures import texture_size
         from clsco.studio.pictures import picture_of, truth_of
 
-        size = job.scene.camera.resolution or texture_size(job.scene.objects[0].inputs()["texture"])
-        work = work_of(job.scene, size)
+        wanted = _needed(job)
+        size = wanted.camera.resolution or texture_size(job.scene.objects[0].inputs()["texture"])
+        work = work_of(wanted, size)
         ladders = self._ladders_of(job)
-        ladder, eighths = ladders.choose(job.scene, work)
+        ladder, eighths = ladders.choose(wanted, work)
         is_plain = ladder is ladders.plain
         start = time.perf_counter()
-        scene = coarser(job.scene, size, eighths, is_plain)
+        scene = coarser(wanted, size, eighths, is_plain)
         frame = self._frame(scene, job, truth_of(job.view))
         picture = picture_of(frame, scene, job.view, DRAGGING, size, time.perf_counter() - start)
         ladder.measured(work, eighths, time.perf_counter() - start)
@@ -385,26 +404,29 @@ class _Worker:
 
         self._check(number)
         start = time.perf_counter()
-        frame = self._frame(job.scene, job, truth_of(job.view))
+        scene = _needed(job)
+        frame = self._frame(scene, job, truth_of(job.view))
         seconds, (rows, columns) = time.perf_counter() - start, frame.color.shape[:2]
-        self._ladders_of(job).whole.bounded(work_of(job.scene, (columns, rows)), seconds)
+        self._ladders_of(job).whole.bounded(work_of(scene, (columns, rows)), seconds)
         rungs = (LOSSY, EXACT) if job.view in IMAGES and job.rung == EXACT else (job.rung,)
         for rung in rungs:
             self._check(number)
             picture = picture_of(frame, job.scene, job.view, rung, (columns, rows), seconds)
             if rung == EXACT:
-                picture = replace(picture, about=self._about(job, frame, seconds))
+                picture = replace(picture, about=self._about(job, scene, frame, seconds))
             self._send(number, picture)
 
-    def _about(self, job: Job, frame: Frame, seconds: float) -> dict[str, Any]:
+    def _about(self, job: Job, rendered: Scene, frame: Frame, seconds: float) -> dict[str, Any]:
         from clsco.plan.prepare import prepare
         from clsco.plan.request import Request
         from clsco.studio.moments import exposure_of
         from clsco.studio.pictures import truth_of
         from clsco.studio.planned import plan_line
 
-        prepared = prepare(job.scene, Request(truth_of(job.view)), self._live.session.device, self._live.files)
-        return {"plan": plan_line(prepared, seconds)} | exposure_of(frame, job.scene)
+        request, device, files = Request(truth_of(job.view)), self._live.session.device, self._live.files
+        prepared = prepare(rendered, request, device, files)
+        whole = prepared if rendered is job.scene else prepare(job.scene, request, device, files)
+        return {"plan": plan_line(prepared, seconds)} | exposure_of(frame, job.scene, whole.plan.samples)
 
     def _ladders_of(self, job: Job) -> Ladders:
         return self._ladders.setdefault((job.view, len(job.scene.objects), job.scene.moves), Ladders())

@@ -7,6 +7,7 @@ import json
 import secrets
 import socket
 import threading
+import traceback
 import webbrowser
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
@@ -32,12 +33,14 @@ from clsco.studio.preview import Preview
 from clsco.studio.renderer import Renderer
 from clsco.studio.routes import add_routes
 from clsco.studio.session import Session
+from clsco.studio.tables import is_path
 from clsco.studio.uploads import keep_image
 
 MAX_PATCH = 2**16  # bytes
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 STATIC = Path(__file__).parent / "static"
 MOST_TABS = 64
+MOST_LEVELS = 12  # of lists and tables in a message; those of a scene have half of them
 LEAVING = '{"leaving":true}'  # says a page that is loaded again, or left
 MOST_WATCHED = 2000  # keys with a control
 TICK = 0.5  # s between looks at the jobs
@@ -154,14 +157,16 @@ class Studio:
         try:
             with suppress(WebSocketDisconnect, RuntimeError):
                 while True:
-                    text = await socket.receive_text()
+                    text = (await socket.receive()).get("text")
+                    if text is None:  # the end, or bytes, which no page sends
+                        break
                     if len(text) > MAX_PATCH:
                         await socket.close(1009)
                         break
                     if text == LEAVING:
                         await socket.close()
                         break
-                    await self._heard(tab, preview, pointer, text)
+                    await self.hear(tab, preview, pointer, text)
         finally:
             for end in endings:
                 end()
@@ -170,14 +175,29 @@ class Studio:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
 
-    async def _heard(self, tab: Tab, preview: Preview, pointer: Pointer, text: str) -> None:
-        """What a tab says; nothing in it is code, and what is none of these is passed over."""
+    async def hear(self, tab: Tab, preview: Preview, pointer: Pointer, text: str) -> None:
+        """Do what a tab says, or tell it why not: whatever it is, the tab goes on."""
         try:
             said = json.loads(text)
-        except ValueError:
+            is_flat = _is_flat(said, MOST_LEVELS)
+        except (ValueError, RecursionError):
+            is_flat = False
+        if not is_flat:
+            await preview.tell(error=[f"message: must be JSON of at most {MOST_LEVELS} levels; got something else"])
             return
-        if not isinstance(said, dict):
-            return
+        try:
+            if isinstance(said, dict):
+                await self._do(tab, preview, pointer, said)
+        except SceneError as error:
+            await preview.tell(error=error.messages)
+        except Exception as error:  # a fault of ours, which is no reason to end the tab
+            if isinstance(error, WebSocketDisconnect | RuntimeError) and not isinstance(error, RecursionError):
+                raise  # nobody is there to be told
+            traceback.print_exc()
+            await preview.tell(error=[f"studio: must not fail; got {type(error).__name__}"])
+
+    async def _do(self, tab: Tab, preview: Preview, pointer: Pointer, said: dict[str, Any]) -> None:
+        """Do what a message says; nothing in it is code, and what is none of these is passed over."""
         match said:
             case {"ack": [int(revision), int(rung)]}:
                 preview.acknowledge(revision, rung)
@@ -185,12 +205,13 @@ class Studio:
                 drag = said.get("drag")
                 try:
                     tab.session.patch(path, value, drag if isinstance(drag, int) else None)
-                except SceneError as error:
-                    await preview.tell(error=error.messages)
+                finally:
+                    if isinstance(count := said.get("count"), int):  # the page knows then what its picture is of
+                        await preview.tell(heard=count, faults=dict(tab.session.faults))
             case {"hidden": bool(is_hidden)}:
                 preview.hide(is_hidden)
             case {"watch": list(paths)}:
-                tab.watched = tuple(path for path in paths[:MOST_WATCHED] if isinstance(path, str))
+                tab.watched = tuple(path for path in paths[:MOST_WATCHED] if isinstance(path, str) and is_path(path))
                 tab.told.set()
             case {"at": [int(x), int(y)]} if min(x, y) >= 0:
                 pointer.ask(x, y)
@@ -207,10 +228,7 @@ class Studio:
             }:
                 pointer.pull(across, down, along, drag)
             case {"link": str(link)}:
-                try:
-                    tab.session.load_share(link)
-                except SceneError as error:
-                    await preview.tell(error=error.messages)
+                tab.session.load_share(link)
             case {"do": "pin thesis"}:
                 preview.pin(as_the_thesis(tab.session))
             case {"do": "pin reference"}:
@@ -222,12 +240,8 @@ class Studio:
                 await preview.tell(kept=tab.session.remembered())
             case {"resume": {"scene": str(link), "file": str(file), "digest": str(digest)}, "tab": str(before)}:
                 if before not in self.tabs:  # else it is still there, and this is a copy of its page
-                    try:
-                        tab.session.resume(link, file, digest)
-                    except SceneError as error:
-                        await preview.tell(error=error.messages)
-                    else:
-                        await preview.tell(resumed=True)
+                    tab.session.resume(link, file, digest)
+                    await preview.tell(resumed=True)
             case {"do": "undo"}:
                 tab.session.undo()
             case {"do": "redo"}:
@@ -242,15 +256,19 @@ class Studio:
                 if said.get("again"):
                     preview.changed()
             case {"stack": [int() | float() as nearest, int() | float() as farthest, int(steps)]}:
-                try:
-                    scenes = stack_scenes(tab.session, nearest, farthest, steps)
-                except SceneError as error:
-                    await preview.tell(error=error.messages)
-                else:
-                    await preview.tell(stack=[focus_distance(scene.camera) for scene in scenes])
-                    preview.stack(scenes)
+                scenes = stack_scenes(tab.session, nearest, farthest, steps)
+                await preview.tell(stack=[focus_distance(scene.camera) for scene in scenes])
+                preview.stack(scenes)
             case _:
                 return
+
+
+def _is_flat(value: Any, levels: int) -> bool:
+    """Whether lists and tables are in each other at most so many times."""
+    if not isinstance(value, list | dict):
+        return True
+    inner = value.values() if isinstance(value, dict) else value
+    return levels > 0 and all(_is_flat(each, levels - 1) for each in inner)
 
 
 def as_the_thesis(session: Session) -> Scene:

@@ -33,6 +33,15 @@ _START: dict[str, Table] = {  # of shapes that have no defaults
 }
 
 
+def is_path(path: str) -> bool:
+    """Whether something can be the path of a key."""
+    try:
+        path_parts(path)
+    except SceneError:
+        return False
+    return True
+
+
 def path_parts(path: str) -> list[str]:
     """Parts of the path of a key, "object.0.radius". Raises SceneError for what cannot be one."""
     parts = key_parts(path) if len(path) <= LONGEST else []

@@ -64,7 +64,10 @@ def test_a_clip_has_one_scale() -> None:
 
     radius = VIEWS["coc"]
     scale = radius.scale([np.array([[-3.0, 1.0]]), np.array([[2.0, 0.0]])])
-    assert radius.label(scale) == "coc: viridis from -3 px (dark, near) to 3 px (bright, far)"
+    assert radius.label(scale) == "coc: viridis from -3 px (dark, near) to 3 px (bright, far); nothing is black"
+    sharp, nothing = radius.paint(np.array([[0.0, np.inf]]), scale)[0]
+    assert sharp.tolist() != nothing.tolist() == [0, 0, 0]
+    assert radius.scale([np.full((1, 2), np.inf)]) == (0.0,)
     flow = VIEWS["flow"]
     assert flow.scale([np.array([[[3.0, 4.0]]]), np.zeros((1, 1, 2))]) == (5.0,)
 
@@ -72,6 +75,6 @@ def test_a_clip_has_one_scale() -> None:
 @pytest.mark.parametrize("name", VIEWS)
 def test_other_numbers_are_refused(name: str) -> None:
     shape = (2, 2, 2) if name == "flow" else (2, 2)
-    for wrong in (np.nan, -np.inf, *(() if name == "depth" else (np.inf,))):
+    for wrong in (np.nan, -np.inf, *((np.inf,) if name == "flow" else ())):
         with pytest.raises(ImageError, match=f"^view: {name} must be finite"):
             VIEWS[name].scale([np.full(shape, wrong)])

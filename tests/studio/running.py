@@ -63,7 +63,7 @@ class Running:
 
 @contextmanager
 def studio(root: Path, *arguments: str, browser: str = "") -> Iterator[Running]:
-    """Start `clsco studio`, and end it; browser: a command that it opens, else there is none."""
+    """Start `clsco studio`, and end it, without a traceback; browser: a command that it opens, else there is none."""
     command = [str(Path(sys.executable).parent / "clsco"), "studio", "--root", str(root), *arguments]
     command += [] if browser else ["--no-browser"]
     environment = {**os.environ, "BROWSER": browser}
@@ -81,7 +81,8 @@ def studio(root: Path, *arguments: str, browser: str = "") -> Iterator[Running]:
         if process.poll() is None:
             process.send_signal(signal.SIGINT)
         try:
-            process.communicate(timeout=10)
+            _, said = process.communicate(timeout=10)
         except subprocess.TimeoutExpired:
             process.kill()
-            process.communicate()
+            _, said = process.communicate()
+    assert "Traceback" not in said, said

@@ -241,3 +241,13 @@ def test_nicegui_keeps_nothing_in_the_current_folder() -> None:
 
     assert not (Storage.path / "storage-general.json").exists()
     assert not Storage.path.is_dir()
+
+
+def test_pages_that_nobody_looks_at_do_not_fill_the_memory(running: Running) -> None:
+    def grown(loads: int) -> float:
+        for _ in range(loads):
+            assert get(running).status_code == 200
+        return int(Path(f"/proc/{running.process.pid}/statm").read_text().split()[1]) * 4096 / 2**20
+
+    before = grown(10)
+    assert grown(20) < before + 30.0  # each page has 3.5 MiB

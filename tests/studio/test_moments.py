@@ -45,7 +45,9 @@ def test_times_beyond_the_interval_are_taken_to_be_within() -> None:
 def test_the_exposure_is_that_of_the_frame() -> None:
     scene = scene_of()
     frame = clsco.render_frame(scene, 1, truth=())
-    found = exposure_of(frame, scene)
+    samples = [sample["time"] for sample in frame.metadata["intermediate"]]
+    found = exposure_of(frame, scene, len(samples))
+    assert found["times"] == samples
     assert found["shutter"] == pytest.approx([0.5, 0.9])
     assert all(0.5 < time < 0.9 for time in found["times"])
     assert len(found["times"]) == frame.metadata["samples"]
@@ -57,4 +59,4 @@ def test_the_exposure_is_that_of_the_frame() -> None:
 
 def test_what_does_not_move_has_no_exposure() -> None:
     scene = clsco.load_scene(EXAMPLES / "sphere.toml").replace("camera.resolution", [32, 32])
-    assert exposure_of(clsco.render_frame(scene, truth=()), scene) == {"times": [], "shutter": None, "arrows": []}
+    assert exposure_of(clsco.render_frame(scene, truth=()), scene, 1) == {"times": [], "shutter": None, "arrows": []}

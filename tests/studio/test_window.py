@@ -149,6 +149,16 @@ def test_two_tabs_do_not_write_over_each_other(page: Any, running: Running, root
     other.wait_for_timeout(500)
     assert "radius = 22" in (root / "other.toml").read_text()
     assert "radius = 21" in (root / "sphere.toml").read_text()
+    other.get_by_role("button", name="Save as", exact=True).click()  # over a file that is another one
+    dialog.get_by_label("File in").fill("small.toml")
+    dialog.get_by_role("button", name="Save", exact=True).click()
+    dialog.get_by_role("alert").wait_for()
+    assert "small.toml: is there already" in dialog.get_by_role("alert").inner_text()
+    dialog.get_by_role("button", name="Save under another name").click()
+    dialog.get_by_label("File in").fill("third.toml")
+    dialog.get_by_role("button", name="Save", exact=True).click()
+    dialog.wait_for(state="hidden")
+    assert "radius = 22" in (root / "third.toml").read_text()
     type_in(page, "object.0.radius", "23")
     rest(page)
     assert number(other, "object.0.radius") == 22
@@ -230,3 +240,29 @@ def test_axe_finds_nothing_in_any_dialog(running: Running, width: int) -> None:
             page.keyboard.press("Escape")
             page.wait_for_function("document.querySelector('dialog[open]') === null")
         assert {name: found for name, found in faults.items() if found} == {}
+
+
+BADGE = "document.querySelector('#badge').textContent"
+
+
+def test_the_badge_says_of_what_the_picture_is(page: Any) -> None:
+    assert page.evaluate(BADGE) == "exact of these values"
+    type_in(page, "object.0.distance", "-1")
+    assert page.evaluate(BADGE) == "earlier values, 1 fault"
+    type_in(page, "camera.focal_length", "-1")
+    assert page.evaluate(BADGE) == "earlier values, 2 faults"
+    type_in(page, "object.0.distance", "300")
+    type_in(page, "camera.focal_length", "20")
+    page.wait_for_function(f"{BADGE} === 'exact of these values'", timeout=20000)
+    # Each state of the badge, while nothing is rendered, after a change of the values, of the view and of the shape.
+    says = """(change) => {
+      const said = [], badge = document.querySelector("#badge");
+      new MutationObserver(() => said.push(badge.textContent)).observe(badge, { childList: true });
+      eval(change);
+      return new Promise((done) => setTimeout(() => done([badge.textContent, ...said]), 0));
+    }"""
+    assert page.evaluate(says, "studio.look('depth')")[0] == "earlier view: color"
+    page.wait_for_function(f"studio.rung === 2 && {BADGE} === 'exact of these values'", timeout=20000)
+    changed = "studio.set('object.0.shape', 'sphere'); studio.flush()"
+    assert page.evaluate(says, changed)[0] == "earlier values"
+    page.wait_for_function(f"{BADGE} === 'exact of these values'", timeout=20000)

@@ -42,24 +42,26 @@
     return data;
   };
 
+  const nothing = (x, y) => ((x + y) % 8 < 2 ? [90, 90, 90] : [40, 40, 40]); // hatched
+
   const VIEWS = {
     depth: (values, width, height) => {
       const [least, most] = extremes(values), span = (LEVELS - 1) / (most - least || 1);
       const data = each(width, height, (at, x, y) => (Number.isFinite(values[at])
-        ? VIRIDIS[Math.round((values[at] - least) * span)] : (x + y) % 8 < 2 ? [90, 90, 90] : [40, 40, 40]));
+        ? VIRIDIS[Math.round((values[at] - least) * span)] : nothing(x, y)));
       return { data, legend: { least: `${short(least)} mm`, most: `${short(most)} mm`, about: "depth Z; hatched: nothing there", color: viridis } };
     },
     "blur radius": (values, width, height) => {
       const [least, most] = extremes(values), size = Math.max(Math.abs(least), Math.abs(most), 0.5), half = (LEVELS - 1) / 2;
       const inFocus = (at) => Math.abs(values[at]) < 0.5;
       const data = each(width, height, (at, x, y) => {
-        if (!Number.isFinite(values[at])) return [40, 40, 40];
+        if (!Number.isFinite(values[at])) return nothing(x, y);
         const edge = inFocus(at) !== inFocus(x ? at - 1 : at) || inFocus(at) !== inFocus(y ? at - width : at);
         if (edge) return [0, 0, 0];
         const color = DIVERGING[Math.round(half * (1 + values[at] / size))];
         return values[at] < 0 && (x + y) % 6 === 0 ? mixed(color, [0, 0, 0], 0.35) : color;
       });
-      const about = "blur radius R; hatched: in front of the focal surface; outlined: |R| < 0.5 px";
+      const about = "blur radius R; hatched: in front of the focal surface, gray: nothing there; outlined: |R| < 0.5 px";
       return { data, legend: { least: `−${short(size)} px`, most: `${short(size)} px`, about, color: diverging } };
     },
     flow: (values, width, height) => {

@@ -23,6 +23,7 @@
     forget();
     studio.send(studio.wanted());
     line();
+    studio.badge();
   };
 
   studio.ask = ask;
@@ -105,8 +106,7 @@
     const image = await kept.get(next);
     if (!player || studio.index !== next) return;
     one("#canvas").getContext("2d").drawImage(image, 0, 0);
-    one("#badge").textContent = "played";
-    one("#badge").dataset.rung = 0;
+    studio.played();
     line();
   };
 

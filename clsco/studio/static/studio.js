@@ -4,7 +4,7 @@
 
 (() => {
   const HEAD = 20; // bytes before the pixels
-  const LOSSY = 1, EXACT = 2, PINNED = 3, STACKED = 4; // 0: while something is dragged; from PINNED on: to compare with
+  const EXACT = 2, PINNED = 3, STACKED = 4; // 0: while something is dragged; from PINNED on: to compare with
   const MESSAGE = 0, JPEG = 1, PNG = 2, FLOAT16 = 3;
   const VIEWS = ["color", "sharp", "depth", "blur radius", "flow", "normal", "id", "mask", "missing"];
   const ECHO = 300; // ms in which the server answers a change
@@ -36,6 +36,7 @@
     socket.onopen = () => {
       tries = 0;
       studio.revision = -1;
+      studio.revised(null);
       watched = "";
       watch();
       if (link) send({ link });
@@ -60,6 +61,7 @@
       full: [head.getUint16(11, true), head.getUint16(13, true)], plain: Boolean(head.getUint8(15) & 1),
       right: Boolean(head.getUint8(15) & 2), number: head.getUint32(16, true),
     };
+    if (picture.rung < PINNED) studio.revised(picture.revision);
     if (picture.encoding === MESSAGE) told(JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, HEAD))));
     else show(picture, buffer);
   };
@@ -124,9 +126,7 @@
     image.close();
     studio.revision = picture.revision;
     studio.rung = picture.rung;
-    one("#badge").textContent = picture.rung === EXACT ? "exact" : picture.rung === LOSSY ? "full size"
-      : `preview ${Math.round((8 * picture.width) / columns)}/8${picture.plain ? ", no occlusion" : ""}`;
-    one("#badge").dataset.rung = picture.rung;
+    studio.badge(picture);
     one("#size").textContent = `${columns} × ${rows} px`;
     studio.done();
     studio.compare();
@@ -250,7 +250,7 @@
 
   const flush = () => {
     for (const [path, [value, number]] of waiting) {
-      send({ path, value, drag: number });
+      send({ path, value, drag: number, count: studio.changes() });
       studio.sent.set(path, value);
     }
     waiting.clear();
@@ -391,6 +391,7 @@
   const look = (view) => {
     studio.view = view;
     studio.rung = -1;
+    studio.badge();
     for (const button of all("[data-view]")) button.setAttribute("aria-selected", String(button.dataset.view === view));
     send({ view });
     studio.unstack();

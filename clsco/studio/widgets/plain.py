@@ -40,11 +40,13 @@ def button(text: str, pressed: Callable[[], object], **attributes: Any) -> ui.el
 
 def tried(action: Callable[[], object]) -> bool:
     """Do something, and show what is wrong with it; whether nothing was."""
+    client = ui.context.client  # what was pressed may be gone afterwards
     try:
         action()
     except ClscoError as error:
         messages = error.messages if isinstance(error, SceneError) else (str(error),)
-        ui.notify("\n".join(messages[:6]), type="negative", multi_line=True, close_button="Close", timeout=12000)
+        with client:
+            ui.notify("\n".join(messages[:6]), type="negative", multi_line=True, close_button="Close", timeout=12000)
         return False
     return True
 
@@ -104,16 +106,17 @@ class Dialog:
                 button("Close", self.close)
 
     def open(self) -> None:
-        """Show it."""
-        ui.run_javascript(f"getHtmlElement({self.element.id}).showModal()")
+        """Show it, if it is not shown."""
+        place = f"getHtmlElement({self.element.id})"
+        self.element.client.run_javascript(f"if (!{place}.open) {place}.showModal()")
 
     def close(self) -> None:
         """Hide it."""
-        ui.run_javascript(f"getHtmlElement({self.element.id}).close()")
+        self.element.client.run_javascript(f"getHtmlElement({self.element.id}).close()")
 
     @contextmanager
     def filled(self) -> Iterator[None]:
-        """Fill it anew."""
+        """Fill it anew: what was pressed in it is gone then, and with it the context in which NiceGUI draws."""
         self.body.clear()
         with self.body:
             yield
