@@ -106,7 +106,7 @@ def draw(name: str, studio: Studio) -> None:
                     say("th", keys, scope="row")
                     say("td", meaning)
         say("button", "Close", data_close="#keys")
-    for end in ends:
+    for end in (*ends, studio.page_ended):
         ui.context.client.on_delete(end)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import json
 import secrets
 import socket
@@ -42,6 +43,7 @@ STATIC = Path(__file__).parent / "static"
 MOST_TABS = 64
 MOST_LEVELS = 12  # of lists and tables in a message; those of a scene have half of them
 LEAVING = '{"leaving":true}'  # says a page that is loaded again, or left
+COLLECTED = 32  # pages after whose end garbage is collected, which takes some tenths of a second
 MOST_WATCHED = 2000  # keys with a control
 TICK = 0.5  # s between looks at the jobs
 KEPT = "kept_"  # names of scenes begin with it, in the folder of the state
@@ -82,6 +84,7 @@ class Studio:
         self.renderer = Renderer(device)
         self.jobs = Jobs(self.root)
         self.tabs: dict[str, Tab] = {}
+        self._ended = 0  # pages
         self.jobs.state.remove(*(path.name for path in self.kept()[MOST_KEPT:]))
 
     def new_session(self) -> Session:
@@ -110,6 +113,12 @@ class Studio:
         new = secrets.token_urlsafe(12)
         self.tabs[new] = Tab(self.new_session())
         return new
+
+    def page_ended(self) -> None:
+        """A page is gone. What it leaves refers to itself, has megabytes, and would be there for long."""
+        self._ended += 1
+        if self._ended % COLLECTED == 0:
+            gc.collect()
 
     def kept(self) -> list[Path]:
         """Scenes that were kept when a studio ended, the latest first."""
@@ -393,6 +402,8 @@ def serve(
     )  # fmt: skip
     show(f"http://{shown}:{port}/?t={token}")
     server = _Server(config)
+    gc.collect()
+    gc.freeze()  # what stays is not looked through for what pages leave
     if opens_browser:
         state.write(OPENING, _OPENING.format(address=f"http://{shown}:{port}/?c={guarded.new_code()}").encode())
         server.begun = lambda: webbrowser.open((state.path / OPENING).as_uri())

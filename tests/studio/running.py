@@ -73,7 +73,7 @@ def studio(root: Path, *arguments: str, browser: str = "") -> Iterator[Running]:
         assert process.stderr is not None
         line = process.stdout.readline()
         assert line.startswith("http://"), process.stderr.read()
-        answer = httpx.get(line.strip())
+        answer = httpx.get(line.strip(), timeout=30)
         place = re.search(r'"(/\w+)/"', answer.text)
         assert place is not None, answer.text
         yield Running(line.strip(), process, place[1], {"Cookie": answer.headers["set-cookie"].partition(";")[0]})

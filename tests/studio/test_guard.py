@@ -36,7 +36,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 
 def get(running: Running, path: str = "/", **headers: str) -> httpx.Response:
     given = {**running.cookie, **{name.replace("_", "-"): value for name, value in headers.items()}}
-    return httpx.get(running.page + path, headers=given)
+    return httpx.get(running.page + path, headers=given, timeout=30)
 
 
 def status_of_socket(running: Running, path: str, headers: dict[str, str], origin: str | None) -> int:
@@ -49,7 +49,7 @@ def status_of_socket(running: Running, path: str, headers: dict[str, str], origi
 
 def test_the_printed_address_gives_a_cookie_that_scripts_do_not_see(running: Running) -> None:
     for headers in ({}, {"Sec-Fetch-Site": "cross-site"}):  # from the file that opens it, say
-        answer = httpx.get(running.address, headers=headers)
+        answer = httpx.get(running.address, headers=headers, timeout=30)
         assert answer.status_code == 200
         token = running.address.rpartition("=")[2]
         assert len(token) >= 43  # 256 bits
@@ -243,11 +243,53 @@ def test_nicegui_keeps_nothing_in_the_current_folder() -> None:
     assert not Storage.path.is_dir()
 
 
-def test_pages_that_nobody_looks_at_do_not_fill_the_memory(running: Running) -> None:
-    def grown(loads: int) -> float:
-        for _ in range(loads):
-            assert get(running).status_code == 200
-        return int(Path(f"/proc/{running.process.pid}/statm").read_text().split()[1]) * 4096 / 2**20
+PLACES = (
+    "", "/", "/x", "/static/studio.js", "/scene?tab=x", "/texture?tab=x&kind=png", "/share?tab=x", "/frames?tab=x",
+    "/result?job=1&name=x.png", "/thumbnail?tab=x&path=title", "/inpainting/mask?tab=x", POLLING,
+)  # fmt: skip
 
-    before = grown(10)
-    assert grown(20) < before + 30.0  # each page has 3.5 MiB
+
+def test_no_request_without_all_of_it_is_answered(running: Running) -> None:
+    name, _, value = running.cookie["Cookie"].partition("=")
+    token = running.address.rpartition("=")[2]
+    own = {"Origin": running.origin}
+    wrong: list[tuple[str, dict[str, str]]] = [  # what is before the path, and what comes with it
+        (running.place, {}), (running.place, {"Cookie": f"{name}={token}"}),
+        (running.place, {"Cookie": f"{name}={value}x"}),
+        (running.place, {"Cookie": f'{name}="{value}"'}), (running.place, {"Authorization": f"Bearer {token}"}),
+        (running.place.upper(), running.cookie), (running.place[:-1], running.cookie), ("", running.cookie),
+        (f"/x{running.place}", running.cookie), (f"/%2e{running.place}", running.cookie),
+        (running.place, {**running.cookie, "Sec-Fetch-Site": "cross-site"}),
+    ]  # fmt: skip
+    count = 0
+    with httpx.Client(base_url=running.origin, timeout=30) as client:
+        for before, headers in wrong:
+            for path in PLACES:
+                for method in ("GET", "POST", "HEAD", "PUT", "OPTIONS", "DELETE"):
+                    answer = client.request(method, f"{before}{path}" or "/", headers={**own, **headers})
+                    assert answer.status_code == 403, (method, before, path, headers)
+                    count += 1
+    assert count == 792
+
+
+OUTSIDE = ("etc/passwd", "../guard.py", "../../../../../../../../etc/passwd")
+DOTS = ("..", "%2e%2e", ".%2e", "%252e%252e", "..%2f", "..%5c", "..\\", "....//", "%c0%ae%c0%ae", "..;")
+
+
+def test_no_path_leads_out(running: Running) -> None:
+    with running.client() as client:
+        tab = tab_of(running)
+        places = (
+            "/static/{}",
+            "/_nicegui/3/static/{}",
+            "/{}",
+            "/scene?tab={}",
+            "/result?job=1&name={}",
+            f"/thumbnail?tab={tab}&path={{}}",
+        )
+        tries = [place.format(path.replace("..", dots)) for place in places for path in OUTSIDE for dots in DOTS]
+        for path in dict.fromkeys(tries):
+            answer = client.get(path)
+            assert answer.status_code in (404, 403, 422), path
+            assert b"root:" not in answer.content
+            assert b"class Guard" not in answer.content
