@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ipaddress
-import os
 from pathlib import Path
 
 import click
@@ -39,15 +38,12 @@ def studio(
     if not root.is_dir():
         raise SceneError(f"--root: must be a folder; got {root}")
     try:
-        from clsco.studio.server import Studio, serve
-
-        opened = Studio(root, scene, device)
-        # Read from the working folder else, which may be a stranger's, and as soon as NiceGUI is imported.
-        os.environ["NICEGUI_STORAGE_PATH"] = str(opened.jobs.state.path / "nicegui")
         from clsco.studio.page import attach
+        from clsco.studio.server import Studio, serve
     except ModuleNotFoundError as error:
         raise SceneError(f"studio: needs {error.name}: pip install 'clsco[studio]'; got no such module") from None
     require_device(device)
+    opened = Studio(root, scene, device)
     opened.new_session()  # a scene with faults ends here
     if not is_loopback:
         warning = (
