@@ -330,7 +330,7 @@ def defocus(
             raise click.UsageError(f"{focus.option}: goes without --{name.replace('_', '-')}; got both")
     sweep = scenes_from_files(image, depth, options, overrides, (image_layer, depth_layer))
     check_pair(sweep.scenes[0])
-    loaded = focused_files([(Path("defocus"), sweep)], focus)
+    loaded = focused_files([(image, sweep)], focus)
     if not alone:
         render_to_folders(loaded, out, files, computation, quiet)
         return

@@ -272,7 +272,7 @@ def test_the_command_tells_of_wrong_usage_and_of_what_it_was_given(files: tuple[
         ([image, tmp_path / "none.exr", "-o", tmp_path / "a"], 1, "none.exr: must be a file that can be read; got "),
         ([image, depth, "-o", tmp_path / "a", "--f-number", 2, "--aperture-diameter", 3], 1, "not both; got 3.0"),
         ([image, depth, "-o", tmp_path / "a", "--focus-at", "3;4"], 2, "must be X,Y, a pixel's column and row counted"),
-        ([image, depth, "-o", tmp_path / "a", "--focus-at", "12,0"], 1, "defocus: --focus-at: must be a pixel of"),
+        ([image, depth, "-o", tmp_path / "a", "--focus-at", "12,0"], 1, "image.png: --focus-at: must be a pixel of"),
         ([image, depth, "-o", tmp_path / "a", "--focus-depth", "1.5"], 2, "1.5 is not in the range 0.0<=x<=1.0"),
         ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--focus-depth", "0.5"], 2, "without --focus-depth"),
         ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--focus-distance", "250"], 2, "got both"),
