@@ -278,9 +278,9 @@ def test_the_command_tells_of_wrong_usage_and_of_what_it_was_given(files: tuple[
         ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--focus-distance", "250"], 2, "got both"),
         ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--focal-length", "400"], 1, "greater than focal_l"),
         ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--unit", "coc", "--scale", "0.1"], 1,
-         'defocus: --focus-at: depths must be known; got unit = "coc"'),
+         'image.png: --focus-at: depths must be known; got unit = "coc"'),
         ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--set", "camera.focus_distance=[250, 300]"], 1,
-         "defocus: --focus-at: goes without several values of the focus; got 2"),
+         "image.png: --focus-at: goes without several values of the focus; got 2"),
     ]  # fmt: skip
     for words, status, message in cases:
         result = clsco_("defocus", *words)
