@@ -5,18 +5,79 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from clsco.opencl.session import Progress
 
 
 @contextmanager
 def progress(total: int, quiet: bool, what: str = "frames") -> Iterator[Callable[[], object]]:
     """Show a bar on a terminal, nothing in a pipe; gives what is to be called after each frame, or what it is."""
-    if quiet or sys.stderr is None or not sys.stderr.isatty() or not total:
+    with _bar(total, quiet, what, None) as advance:
+        yield advance
+
+
+@contextmanager
+def frame_progress(total: int, quiet: bool, device: str | None) -> Iterator[Callable[[], object]]:
+    """A bar as of `progress` that shows where in a frame the device is, too, and the time that is left."""
+    if not _is_shown(total, quiet):
+        yield lambda: None
+        return
+    from clsco.opencl.session import Progress, session_for
+
+    session = session_for(device)
+    session.progress = here = Progress()
+    try:
+        with _bar(total, quiet, "frames", lambda done, elapsed: position(here, done, total, elapsed)) as advance:
+
+            def after_frame() -> None:
+                here.done = 0
+                advance()
+
+            yield after_frame
+    finally:
+        session.progress = None
+
+
+def position(here: Progress, done: float, total: int, elapsed: float) -> str:
+    """Say what is done in a frame, how much of it where it takes long, of which time sample, and the time left.
+
+    done: frames of `total`; elapsed: s.
+    """
+    share = f" {here.share:.0%}" if 0.0 < here.share < 1.0 else ""
+    sample = f", time sample {min(here.done + 1, here.total)} of {here.total}" if here.total > 1 else ""
+    part = (done + here.done / max(here.total, 1)) / total
+    left = f", {elapsed * (1.0 - part) / part:.0f} s left" if 0.0 < part < 1.0 else ""
+    return f"{here.doing}{share}{sample}{left}"
+
+
+def _is_shown(total: int, quiet: bool) -> bool:
+    return not quiet and sys.stderr is not None and sys.stderr.isatty() and total > 0
+
+
+@contextmanager
+def _bar(
+    total: int, quiet: bool, what: str, beside: Callable[[float, float], str] | None
+) -> Iterator[Callable[[], object]]:
+    """beside: what stands after the bar, of what is done and the seconds since it began."""
+    if not _is_shown(total, quiet):
         yield lambda: None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn
+    from rich.progress import TimeElapsedColumn as Elapsed
+    from rich.text import Text
 
-    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    columns: list[ProgressColumn] = [TextColumn(what), BarColumn(), MofNCompleteColumn(), Elapsed()]
+    if beside is not None:
+        shown = beside
+
+        class Beside(ProgressColumn):
+            def render(self, task: Task) -> Text:
+                return Text(shown(task.completed, task.elapsed or 0.0))
+
+        columns.append(Beside())
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task(what, total=total)
         yield lambda: bar.advance(task)

@@ -125,7 +125,7 @@ def render_to_folders(
         from clsco.frame.files import require_truth_formats
 
         require_truth_formats(files)
-    from clsco.cli.progress import progress
+    from clsco.cli.progress import frame_progress
     from clsco.plan.prepare import prepare_files
 
     request = request_for(files, computation)
@@ -145,7 +145,7 @@ def render_to_folders(
         from clsco.cli.video import remove_clips
 
         remove_clips(jobs, preset)  # those of older frames
-    with progress(sum(len(job.frames) for job in jobs), quiet) as advance:
+    with frame_progress(sum(len(job.frames) for job in jobs), quiet, computation.device) as advance:
         for job, frames in batch.run(jobs, computation.device):
             for frame in frames:
                 report_approximation(job.folder, frame)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from clsco.constants import COLUMN_STEP, ROW_TILE
+from clsco.constants import COLUMN_STEP, ROW_TILE, WIDE_LANES
 from clsco.frame.strips import BAND, Grid
 from clsco.opencl import pace
 from clsco.opencl.buffers import download_into, empty, filled_with, upload_kept
@@ -80,6 +80,8 @@ class Gather(TableBlur):
         at_once = -(-bands // session.device.compute_units)  # bands that a core takes one after the other
         steps, vectors = 1, max(1, int(pace.PIECE / BRIEF / VECTOR / at_once))
         walked = np.zeros(self.bands, np.int32)
+        all_steps = -(-columns // self.step) * bool(self.scratch)
+        of_band = all_steps + (BAND + 2 * self.spec.reach) * -(-int(self.camera["width"]) // WIDE_LANES)
         cl.enqueue_copy(session.queue, self.position, walked)
         pieces: list[cl.Event] = []
         while (walked[:bands] != DONE).any():
@@ -92,5 +94,5 @@ class Gather(TableBlur):
             else:
                 vectors = min(pace.resized(vectors, pace.spent(pieces[-1])), MOST_VECTORS)
             if session.progress is not None:
-                session.progress.share = float(np.mean(walked[:bands] == DONE))
+                session.progress.share = float(np.minimum(walked[:bands] % OTHERS / of_band, 1.0).mean())
         return pieces

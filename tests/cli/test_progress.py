@@ -1,0 +1,46 @@
+"""What the bar says, and that it ends."""
+
+from __future__ import annotations
+
+import os
+import pty
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from clsco.cli.progress import position
+from clsco.opencl.session import Progress
+
+
+@pytest.mark.parametrize(
+    ("here", "done", "said"),
+    [
+        (Progress("compiling gather"), 0, "compiling gather"),
+        (Progress("blur", 0.25, 0, 1), 0, "blur 25%"),
+        (Progress("blur", 1.0, 3, 12), 0, "blur, time sample 4 of 12, 70 s left"),
+        (Progress("trace", 0.0, 0, 1), 1, "trace, 10 s left"),
+    ],
+)
+def test_where_a_frame_is(here: Progress, done: int, said: str) -> None:
+    assert position(here, done, 2, 10.0) == said
+
+
+def test_a_terminal_shows_frames_and_what_the_device_does(tmp_path: Path) -> None:
+    words = ["render", "examples/sphere.toml", "--set", "camera.resolution=[32,32]", "-o", str(tmp_path)]
+    ours, theirs = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-c", "from clsco.cli.process import run; run()", *words],
+        stderr=theirs, stdout=subprocess.DEVNULL, cwd=Path(__file__).parents[2], env=os.environ | {"TERM": "xterm"},
+    )  # fmt: skip
+    os.close(theirs)
+    shown = b""
+    with suppress(OSError):  # when the other end is closed
+        while chunk := os.read(ours, 4096):
+            shown += chunk
+    os.close(ours)
+    assert process.wait(60) == 0
+    assert b"frames" in shown
+    assert b"1/1" in shown
