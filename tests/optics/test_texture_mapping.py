@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import pi, sqrt
+from math import cos, pi, sin, sqrt
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ import pytest
 
 from clsco.constants import WRAP_CLAMP, WRAP_MIRROR, WRAP_REPEAT
 from clsco.optics.texture_mapping import texture_map
-from clsco.reference.trace.mapping import texel_at
+from clsco.reference.trace.mapping import along_axis, texel_at
 from clsco.scene.model import Object
 from tests.scenes import scene_from
 
@@ -98,3 +98,33 @@ def test_cones_are_rolled_out_without_stretching() -> None:
     assert np.linalg.norm(places[1] - places[0]) == pytest.approx(1e-4, rel=1e-6)
     places = [np.array(place) for place in texel(shape, point(length, angle), point(length, angle + 1e-4))]
     assert np.linalg.norm(places[1] - places[0]) == pytest.approx(1e-4 * length * s, rel=1e-6)
+
+
+MOVED_AND_TURNED = {"texture_offset": [0.5, 0.0], "texture_angle": 90.0}
+
+
+@pytest.mark.parametrize(
+    ("item", "point", "expected"),
+    [
+        ({"shape": "rectangle", "size": [40, 30], "texture_repeats": 2}, (-20.0, 0.0, 0.0), (-0.5, 0.5)),
+        ({"shape": "rectangle", "size": [40, 20], **MOVED_AND_TURNED}, (0, 20, 0), (0.5, 0.5)),
+        ({"shape": "sphere", "texture_repeats": 4}, (0.0, 1.0, -1e-9), (0.5, 2.5)),
+        ({"shape": "ellipsoid", "semi_axes": [10, 20, 10]}, (0, 20 * sin(0.5), -10 * cos(0.5)), (0.5, 0.5 + 0.5 / pi)),
+    ],
+)  # fmt: skip
+def test_what_the_page_of_scene_files_says(item: Any, point: Any, expected: Any) -> None:
+    """An even number ends in halves; the offset turns with the image; repeats and latitude on round bodies."""
+    shown = scene_from({}, {"texture_mapping": "surface", **item}).objects[0]
+    found = texture_map(shown, 64, 32)
+    texel = texel_at(found, np.array([point], float) @ found.frame.T)
+    np.testing.assert_allclose([texel.column[0] / 64, 1 - texel.row[0] / 32], expected, rtol=0, atol=1e-6)
+
+
+def test_triplanar_images_read_right_from_the_right_the_top_and_the_front() -> None:
+    """Right and up for who looks from there: away, up; right, away; right, up."""
+    shown = scene_from({}, {"shape": "sphere", "texture_mapping": "triplanar", "texture_size": 10.0}).objects[0]
+    found = texture_map(shown, 32, 32)
+    for axis, (right, up) in enumerate((((0, 0, 1), (0, 1, 0)), ((1, 0, 0), (0, 0, 1)), ((1, 0, 0), (0, 1, 0)))):
+        texel = texel_at(found, along_axis(np.array([right, up], float), axis))
+        np.testing.assert_allclose(texel.column, [19.2, 16.0])
+        np.testing.assert_allclose(texel.row, [16.0, 12.8])
