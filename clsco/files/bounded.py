@@ -5,11 +5,13 @@ from __future__ import annotations
 import io
 import math
 import os
-import zipfile
-from typing import Any, BinaryIO, NamedTuple
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import zipfile  # 3 ms
 
 HEADER = 2**14  # bytes of the header of an NPY at most; numpy takes 10000
 MOST_DIRECTORY = 2**22  # bytes of what an archive says of its members: 40,000 or more of them
@@ -69,6 +71,8 @@ def npy_array(content: bytes | bytearray | memoryview, dtype: np.dtype[Any], sha
 
 def open_archive(file: BinaryIO) -> zipfile.ZipFile:
     """Open a ZIP archive whose directory is small. Raises ValueError where it is not, BadZipFile for none."""
+    import zipfile
+
     size = file.seek(0, os.SEEK_END)
     file.seek(max(0, size - 22 - 65535))
     tail = file.read(22 + 65535)
@@ -80,6 +84,8 @@ def open_archive(file: BinaryIO) -> zipfile.ZipFile:
 
 def open_member(archive: zipfile.ZipFile, name: str) -> zipfile.ZipExtFile:
     """Open a member that is stored or deflated; of other kinds Python unpacks more than is read at once."""
+    import zipfile
+
     about = archive.getinfo(name)
     if about.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise ValueError(f"{name} compressed by another method than deflate")

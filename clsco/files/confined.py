@@ -11,19 +11,21 @@ import importlib
 import json
 import math
 import os
-import subprocess
 import sys
 import threading
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco.resources import open_regular
+
+if TYPE_CHECKING:
+    import subprocess
 
 MEMORY = 2**28  # bytes that a decoder may take
 FACTOR = 4  # and so many times what it may give
@@ -46,6 +48,8 @@ class _Serving:
 
     def start(self) -> subprocess.Popen[bytes]:
         if self.process is None:
+            import subprocess  # 4 ms, and most commands read no such file
+
             path = os.pathsep.join(filter(None, (str(_ROOT), os.environ.get("PYTHONPATH"))))
             self.process = subprocess.Popen(
                 [sys.executable, "-P", "-c", _COMMAND], stdin=subprocess.PIPE, stdout=subprocess.PIPE,

@@ -29,6 +29,7 @@ from clsco.resources import DEVICE, open_regular
 MAX_PIXELS = 2**27
 MAX_SIDE = 65536
 LARGEST_EXR = 2**29  # values in all channels, which are decoded together
+DENSEST_EXR = 2**15  # values of a byte: a chunk of one color by DWAB, the densest of the compressions, has half as many
 MOST_WINDOW = 4  # times the pixels of an EXR's display window that a part of it may have
 MOST_SCANS = 100  # of a JPEG, each of which goes over all pixels; encoders make up to about 20
 PIXEL_BYTES = 32  # of a file for each pixel, four of float64
@@ -307,6 +308,7 @@ def exr_parts(file: BinaryIO) -> Sequence[Any]:
     parts: Sequence[Any] = codec(path_of(file), "OpenEXR", "exr").File(str(file.name), header_only=True).parts
     values, layers = 0, list[str]()
     width, height = _window(parts[0].header["displayWindow"])  # which parts have in common
+    check_limits(path_of(file), width, height)
     for part in parts:
         columns, rows = _window(part.header["dataWindow"])
         check_limits(path_of(file), columns, rows)
@@ -319,6 +321,8 @@ def exr_parts(file: BinaryIO) -> Sequence[Any]:
         layers.append(f"{len(part.header['channels'])} channels of {columns} x {rows}")
     if values > LARGEST_EXR:
         refuse(path_of(file), f"an EXR must hold at most {LARGEST_EXR} values", " and ".join(layers[:3]))
+    if (size := os.fstat(file.fileno()).st_size) * DENSEST_EXR < values:
+        raise ValueError(f"{size} bytes of {' and '.join(layers[:3])}")
     return parts
 
 

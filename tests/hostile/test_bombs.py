@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import struct
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -16,8 +17,9 @@ from clsco.errors import ImageError
 from clsco.files import confined as confining
 from clsco.files.confined import confined
 from clsco.files.images import read_image
+from clsco.inputs.depth_files import read_depth
 from tests.hostile import bombs
-from tests.hostile.pictures import tiff
+from tests.hostile.pictures import exr, tiff
 
 ZEROS = 2**26
 ALLOWED = ZEROS // 2
@@ -45,6 +47,25 @@ def test_bombs_take_little(name: str, tmp_path: Path, monkeypatch: pytest.Monkey
     assert said.startswith("refused"), said
     assert peak() - before < ALLOWED
     assert time.process_time() - start < bombs.ALLOWED_S
+
+
+def test_an_exr_whose_header_says_far_more_than_its_bytes(tmp_path: Path) -> None:
+    path, small = tmp_path / "image.exr", exr(Y=np.zeros((4, 4), np.float32))
+    path.write_bytes(small.replace(struct.pack("<4i", 0, 0, 3, 3), struct.pack("<4i", 0, 0, 11_000, 11_000)))
+    with pytest.raises(
+        ImageError, match=rf"must be a whole EXR; got {len(small)} bytes of 1 channels of 11001 x 11001"
+    ):
+        read_image(path)
+
+
+def test_an_exr_whose_display_window_is_huge(tmp_path: Path) -> None:
+    path, small = tmp_path / "image.exr", exr(Y=np.zeros((4, 4), np.float32))
+    window = struct.pack("<4i", 0, 0, 3, 3)
+    at = small.index(window, small.index(b"displayWindow"))
+    path.write_bytes(small[:at] + struct.pack("<4i", 0, -(2**24), 3, 3) + small[at + 16 :])
+    for read in (read_image, read_depth):
+        with pytest.raises(ImageError, match="columns and rows must be from 1 to 65536"):
+            read(path)
 
 
 def test_all_arrays_of_a_sample_have_a_limit() -> None:
