@@ -13,6 +13,7 @@ from typing import Any
 import pyopencl as cl
 
 PIECE = 0.1  # s that a piece takes, and that the host is ahead of the device before it waits
+AT_ONCE = 16  # launches that the host is ahead at least, and not much more, as they may take longer than those before
 GROWTH = 4  # a piece is at most so many times as large as the one before
 UNIT = 25e-9  # s of a unit of work before any was measured: what kernels take for a pixel
 
@@ -41,7 +42,7 @@ class Pace:
     def launched(self, key: Hashable, work: float, events: list[cl.Event], seconds: float) -> None:
         """Note a launch of so much work, expected to take so long, and wait where the host is too far ahead."""
         self._pending.setdefault(key, (events, work))
-        self._ahead += seconds
+        self._ahead += max(seconds, PIECE / AT_ONCE)
         if self._ahead > PIECE:
             if self._mark is not None:
                 self._mark.wait()
