@@ -122,7 +122,7 @@ def path_of(file: BinaryIO) -> Path:
 
 def codec(path: Path, module: str, extra: str) -> Any:
     """Import the decoder of a file. Raises ImageError that names the extra of clsco that brings it."""
-    if module == "av":  # whose wheel has GnuTLS, which would read settings from /tmp/vendor, where anybody can put them
+    if module == "av":  # whose wheel has GnuTLS, which would read settings that anybody may put in a shared folder
         os.environ.setdefault("GNUTLS_SYSTEM_PRIORITY_FILE", os.devnull)
     try:
         return importlib.import_module(module)

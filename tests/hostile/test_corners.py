@@ -135,10 +135,10 @@ def test_a_size_of_memory_beyond_all_measure() -> None:
 def test_an_output_that_cannot_be_written(monkeypatch: pytest.MonkeyPatch) -> None:
     echo = click.echo
 
-    def full(message: str, err: bool = False) -> None:
+    def full(message: str, err: bool = False, nl: bool = True) -> None:
         if not err:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        echo(message, err=err)
+        echo(message, err=err, nl=nl)
 
     monkeypatch.setattr(click, "echo", full)
     refused = clsco_("schema")
