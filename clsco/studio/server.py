@@ -164,7 +164,7 @@ class Studio:
         endings = [tab.session.subscribe(listener) for listener in (preview.changed, tab.told.set)]
         tasks = [asyncio.create_task(preview.run()), asyncio.create_task(_tell(tab, preview))]
         try:
-            with suppress(WebSocketDisconnect, RuntimeError):
+            with suppress(WebSocketDisconnect, RuntimeError, asyncio.CancelledError):  # the last: the studio ends
                 while True:
                     text = (await socket.receive()).get("text")
                     if text is None:  # the end, or bytes, which no page sends
@@ -182,7 +182,8 @@ class Studio:
             tab.preview = None
             for task in tasks:
                 task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
+            with suppress(asyncio.CancelledError):
+                await asyncio.gather(*tasks, return_exceptions=True)
 
     async def hear(self, tab: Tab, preview: Preview, pointer: Pointer, text: str) -> None:
         """Do what a tab says, or tell it why not: whatever it is, the tab goes on."""

@@ -85,4 +85,5 @@ def studio(root: Path, *arguments: str, browser: str = "") -> Iterator[Running]:
         except subprocess.TimeoutExpired:
             process.kill()
             _, said = process.communicate()
-    assert "Traceback" not in said, said
+    # NiceGUI's sockets, which are open when the server ends, are canceled.
+    assert all("CancelledError" in part for part in said.split("Traceback")[1:]), said
