@@ -85,7 +85,7 @@ def _together(device: str | None, count: int) -> tuple[int, int]:
             folder.mkdir(mode=0o700, parents=True)
             code = f"from clsco.cli.warm import child; child({device!r}, {k}, {count})"
             process = subprocess.Popen(
-                [sys.executable, "-c", code], env=os.environ | {VARIABLE: str(folder)},
+                [sys.executable, "-P", "-c", code], env=os.environ | {VARIABLE: str(folder)},
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
             )  # fmt: skip
             running.append(process)
