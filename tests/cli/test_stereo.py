@@ -64,7 +64,7 @@ def marks(folder: Path) -> dict[str, int]:
 def test_both_views_are_written_as_they_are_rendered(scene: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = clsco_("render", scene, "-o", out, "--truth", "npz,exr", "--frames", "1:")
-    assert (result.exit_code, result.output) == (0, "")
+    assert (result.exit_code, result.stderr) == (0, "")
     apart = [f"frame_0001_{eye}.{suffix}" for eye in ("left", "right") for suffix in ("npz", "png")]
     assert sorted(marks(out)) == ["frame_0001.exr", "frame_0001.json", *apart]
     parts = OpenEXR.File(str(out / "frame_0001.exr"), separate_channels=True).parts

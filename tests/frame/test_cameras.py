@@ -121,7 +121,7 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scene = scene_file(folder / "scene.toml", SCENE)
     words = ["render", str(scene), "-o", str(folder), "--truth", "npz,exr,dpt,cam,colmap", "--frames", "0:2"]
     result = CliRunner().invoke(main, words)
-    assert (result.exit_code, result.output) == (0, "")
+    assert (result.exit_code, result.stderr) == (0, "")
     return folder
 
 

@@ -72,7 +72,7 @@ def npy(path: Path) -> NDArray[Any]:
 def test_a_rendered_pair_is_read_by_everybody(tmp_path: Path) -> None:
     scene, out = scene_file(tmp_path / "pair.toml", PAIR), tmp_path / "out"
     result = clsco_("render", scene, "-o", out, "--truth", FIELD, "--frames", "1:")
-    assert (result.exit_code, result.output) == (0, "")
+    assert (result.exit_code, result.stderr) == (0, "")
     frames = list(clsco.render(clsco.load_scene(scene), frames=[1]))
     stem = "frame_0001_"
     for frame in frames:
@@ -249,7 +249,7 @@ def test_what_gets_behind_the_lens_has_no_flow(tmp_path: Path) -> None:
     scene = scene_file(tmp_path / "past.toml", text)
     truth = "npz:flow,object_id,depth,flo,kitti_flow,pfm:flow"
     result = clsco_("render", scene, "-o", tmp_path, "--truth", truth)
-    assert (result.exit_code, result.output) == (0, "")
+    assert (result.exit_code, result.stderr) == (0, "")
     with np.load(tmp_path / "frame_0000.npz") as found:
         flow, ball = found["flow"], found["object_id"] == 0
     assert ball.sum() > 20
