@@ -13,7 +13,7 @@ from clsco.files.cameras import Pinhole
 from clsco.files.depth_codes import MM_PER_M
 from clsco.frame.frame import Frame
 from clsco.frame.provenance import views
-from clsco.optics.lens import focus_distance, ray_step
+from clsco.optics.lens import ray_step
 from clsco.optics.motion import Eye, eye_pose, middle_time, poses_at, rest_center
 from clsco.scene.model import Scene
 
@@ -133,7 +133,7 @@ def exr_attributes(scene: Scene, index: int, eye: Eye = "left") -> dict[str, Any
     times = {"expTime": sequence.shutter, "framesPerSecond": frame_rate(sequence.interval)} if timed else {}
     return {
         "aperture": lens.focal_length / lens.aperture_diameter,
-        "focus": focus_distance(lens) / MM_PER_M,
+        "focus": lens.focused_distance / MM_PER_M,
         **times,
         "chromaticities": BT709,
         "worldToCamera": world_to_camera,

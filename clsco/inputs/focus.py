@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from clsco.errors import SceneError
 from clsco.inputs.depth_maps import FARTHEST
 from clsco.inputs.files import InputFiles
-from clsco.optics.lens import SHARP, blur_radius, focus_distance, ray_step
+from clsco.optics.lens import SHARP, blur_radius, ray_step
 from clsco.optics.motion import poses_at
 from clsco.optics.quadrics import place, predict_inverse_depth
 from clsco.scene.model import Camera, DepthMap, Scene
@@ -63,7 +63,7 @@ def lens_line(camera: Camera, w: Array) -> str:
     low, high = (round(float(blur_radius(camera, end)), 2) + 0.0 for end in (near, far))
     percent = "under 1" if 0 < 100 * sharp < w.size else f"{100 * sharp // w.size}"
     line = f"R {low:.3g} to {high:.3g} px; in focus: {percent} % of the picture"
-    depths = f"depths {_distance(near)} to {_distance(far)}, focus at {focus_distance(camera):.6g} mm"
+    depths = f"depths {_distance(near)} to {_distance(far)}, focus at {camera.focused_distance:.6g} mm"
     if sharp == 0:
         line += f" ({depths}; --focus-at and --focus-depth focus on what is there)"
     elif sharp == seen.size:

@@ -61,12 +61,6 @@ def blur_radius(camera: Camera, inverse_depth: NDArray[np.float64] | float) -> N
     return np.asarray(blur_scale(camera) * (focus_power(camera) - np.asarray(inverse_depth, dtype=np.float64)))
 
 
-def focus_distance(camera: Camera) -> float:
-    """Distance in mm of the plane in focus; infinity where the detector stands at the focal length."""
-    power = focus_power(camera)
-    return 1.0 / power if power > 0 else float("inf")
-
-
 def ray_step(camera: Camera) -> float:
     """Slope between the rays of neighboring pixels, p / s0 (3.1 with 2.4)."""
     return camera.pixel_pitch / camera.normalization_distance

@@ -111,7 +111,7 @@ class CameraMotion(ObjectMotion):
 
 
 class Camera(Strict):
-    """Thin lens and detector. After validation every distance is a number, whichever of a pair was given."""
+    """Thin lens and detector. Of a pair of keys either is given; `opening` and `focused_distance` follow from both."""
 
     focal_length: Length = 20.0
     """Focal length f, mm."""
@@ -136,6 +136,15 @@ class Camera(Strict):
     def opening(self) -> float:
         """F-number f / D, whichever of it and the aperture's diameter was given."""
         return self.focal_length / self.aperture_diameter
+
+    @property
+    def focused_distance(self) -> float:
+        """Distance in focus, mm, whichever of it and the sensor's distance was given; infinite where the detector is
+        not beyond the focal length."""
+        if self.focus_distance is not None:
+            return self.focus_distance
+        power = 1.0 / self.focal_length - 1.0 / self.sensor_distance
+        return 1.0 / power if power > 0 else math.inf
 
     @field_validator("f_number")
     @classmethod

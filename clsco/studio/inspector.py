@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clsco.files.transfer import encode
 from clsco.frame.frame import Frame
-from clsco.optics.lens import SHARP, blur_radius, blur_scale, focus_distance, focus_power, ray_step
+from clsco.optics.lens import SHARP, blur_radius, blur_scale, focus_power, ray_step
 from clsco.optics.motion import middle_time, poses_at, rest_center
 from clsco.optics.psf import reach, weights
 from clsco.reference.blur.blur import tilt_factor
@@ -190,7 +190,7 @@ def lens_figures(scene: Scene, depth: float | None) -> dict[str, Any]:
     camera = scene.camera
     power, margin = focus_power(camera), SHARP / blur_scale(camera)
     found = {
-        "focus": focus_distance(camera),
+        "focus": camera.focused_distance,
         "near": 1 / (power + margin),
         "far": 1 / (power - margin) if power > margin else math.inf,
         "focal_length": camera.focal_length,

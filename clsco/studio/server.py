@@ -21,7 +21,6 @@ from fastapi.responses import JSONResponse, Response
 from starlette.staticfiles import StaticFiles
 
 from clsco.errors import ClscoError, ImageError, SceneError
-from clsco.optics.lens import focus_distance
 from clsco.scene.model import Scene
 from clsco.scene.toml import toml_text
 from clsco.studio.door import door
@@ -267,7 +266,7 @@ class Studio:
                     preview.changed()
             case {"stack": [int() | float() as nearest, int() | float() as farthest, int(steps)]}:
                 scenes = stack_scenes(tab.session, nearest, farthest, steps)
-                await preview.tell(stack=[focus_distance(scene.camera) for scene in scenes])
+                await preview.tell(stack=[scene.camera.focused_distance for scene in scenes])
                 preview.stack(scenes)
             case _:
                 return

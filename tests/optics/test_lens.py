@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from clsco.optics.lens import blur_radius, blur_scale, focus_distance, focus_power, lens_radius, ray_step
+from clsco.optics.lens import blur_radius, blur_scale, focus_power, lens_radius, ray_step
 from clsco.scene.model import Camera
 
 EPS = np.finfo(np.float64).eps
@@ -44,7 +44,7 @@ def thesis_radius(camera: Camera, u: float) -> float:
 
 @pytest.mark.parametrize("camera", LENSES, ids=lambda c: f"{c.focal_length:g} mm")
 def test_radius_from_half_the_focus_distance_to_infinity(camera: Camera) -> None:
-    near = 0.5 * focus_distance(camera)
+    near = 0.5 * camera.focused_distance
     for u in np.geomspace(near, 1e9, 200).tolist():
         # 1/u is rounded once: the figure to reach is 1e-4 px, and float64 stays a million times below it. K is
         # the difference of 1/f and 1/s, rounded by eps of those.
@@ -58,9 +58,9 @@ def test_radius_from_half_the_focus_distance_to_infinity(camera: Camera) -> None
 
 def test_the_thesis_camera_focuses_at_a_quarter_of_a_meter() -> None:
     camera = Camera()
-    assert focus_distance(camera) == pytest.approx(250.0172, abs=1e-4)  # 1 / (1/20 - 1/21.739) mm by hand
+    assert camera.focused_distance == pytest.approx(250.0172, abs=1e-4)  # 1 / (1/20 - 1/21.739) mm by hand
     assert blur_scale(camera) == 20.0 * 10.0 / (2.0 * 0.01)
-    assert float(blur_radius(camera, 1.0 / focus_distance(camera))) == pytest.approx(0.0, abs=1e-10)
+    assert float(blur_radius(camera, 1.0 / camera.focused_distance)) == pytest.approx(0.0, abs=1e-10)
     # "Blur at most about 6 px": at 292 mm, 10^4 (1/250.0172 - 1/292) = 5.75 px.
     assert float(blur_radius(camera, 1.0 / 292.0)) == pytest.approx(1e4 * (1 / 250.0172 - 1 / 292.0), abs=1e-4)
 
@@ -85,8 +85,8 @@ def test_radius_is_linear_in_inverse_depth() -> None:
 def test_focus_at_infinity() -> None:
     camera = Camera(sensor_distance=20.0)
     assert focus_power(camera) == 0.0
-    assert focus_distance(camera) == np.inf
-    assert focus_distance(Camera(sensor_distance=19.0)) == np.inf  # nearer than the focal length: nothing is sharp
+    assert camera.focused_distance == np.inf
+    assert Camera(sensor_distance=19.0).focused_distance == np.inf  # nearer than the focal length: nothing is sharp
     assert (blur_radius(camera, np.array([0.0, 0.01])) == [0.0, -blur_scale(camera) * 0.01]).all()
 
 
@@ -94,7 +94,10 @@ def test_focus_at_infinity() -> None:
 def test_focus_distance_gives_the_detector_its_place(focus: float) -> None:
     camera = Camera(focus_distance=focus)
     # s = f u / (u - f); K = 1/f - 1/s loses the digits that u has over f.
-    assert focus_distance(camera) == pytest.approx(focus, rel=8 * EPS * focus / 20.0)
+    assert camera.focused_distance == focus
+    given = Camera(sensor_distance=camera.sensor_distance)
+    assert given.focus_distance is None
+    assert given.focused_distance == pytest.approx(focus, rel=8 * EPS * focus / 20.0)
     assert camera.sensor_distance == pytest.approx(1.0 / (1.0 / 20.0 - 1.0 / focus), rel=8 * EPS * focus / (focus - 20))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.optics.lens import blur_radius, focus_distance, lens_radius
+from clsco.optics.lens import blur_radius, lens_radius
 from clsco.optics.motion import Pose, rest_center, rotation_matrix
 from clsco.optics.quadrics import place
 from clsco.optics.visibility import Layer, lens_extent
@@ -102,7 +102,7 @@ def lens_points(rays: Array, w: Array, dx: Array, dy: Array) -> Array:
 
     All light that leaves through the plane in focus at one place gets to one place on the detector.
     """
-    far = focus_distance(CAMERA)
+    far = CAMERA.focused_distance
     step = CAMERA.pixel_pitch / CAMERA.normalization_distance
     point = rays / w[..., None]
     focused = far * (rays + np.stack([dx * step, -dy * step, np.zeros_like(dx)], axis=-1))
@@ -166,7 +166,7 @@ def random_points(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
     """Rays (N, 3) over a wide view and inverse depths (N,), on both sides of all occluders, none of them in focus."""
     rays = np.concatenate([rng.uniform(-0.3, 0.3, (count, 2)), np.ones((count, 1))], axis=-1)
     depth = np.where(rng.random(count) < 0.7, rng.uniform(60.0, 400.0, count), rng.uniform(400.0, 4000.0, count))
-    near_focus = np.abs(depth / focus_distance(CAMERA) - 1) < 0.02
+    near_focus = np.abs(depth / CAMERA.focused_distance - 1) < 0.02
     return rays, 1.0 / np.where(near_focus, 330.0, depth)
 
 
@@ -228,7 +228,7 @@ def test_a_hollow_surface_hides_its_own_inside(name: str) -> None:
         layer = Layer(1, 1, 0, far)
         rays, _ = random_points(rng, 8000)
         w, label, _ = nearest_surface([surface], [item.bounds], layer, rays)
-        chosen = (label > 0) & (np.abs(1 / np.where(w > 0, w, 1.0) / focus_distance(CAMERA) - 1) > 0.02)
+        chosen = (label > 0) & (np.abs(1 / np.where(w > 0, w, 1.0) / CAMERA.focused_distance - 1) > 0.02)
         rays, w = rays[chosen], w[chosen]
         if not w.size:
             continue

@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 
 from clsco import SceneError, parse_scene
-from clsco.optics.lens import focus_distance
 from clsco.scene.schema import scene_schema
 from clsco.studio.editing import STEPS, THESIS
 from clsco.studio.session import Session
@@ -356,4 +355,4 @@ def test_each_scene_of_a_sweep_can_be_shown(tmp_path: Path) -> None:
 def focus(session: Session) -> tuple[float, float]:
     """F-number and focus distance of the scene that is shown."""
     camera = session.scene.camera
-    return camera.focal_length / camera.aperture_diameter, focus_distance(camera)
+    return camera.focal_length / camera.aperture_diameter, camera.focused_distance
