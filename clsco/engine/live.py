@@ -102,7 +102,9 @@ class Live:
             ((_, frame),) = render_prepared(self.session, [prepared], [number], keeps_rays=True)
         return frame
 
-    def response(self, scene: SceneLike, x: int, y: int, index: int = 0, *, item: int = 0) -> NDArray[np.float32]:
+    def response(
+        self, scene: SceneLike, x: int, y: int, index: int = 0, *, item: int | None = None
+    ) -> NDArray[np.float32]:
         """What a frame receives from one source.
 
         Parameters

@@ -14,11 +14,12 @@ from clsco.engine.sequence import frame_numbers, render_frame
 from clsco.errors import SceneError
 from clsco.frame.frame import Frame
 from clsco.inputs.files import InputFiles
+from clsco.inputs.focus import seen
 from clsco.opencl.session import DeviceLike
 from clsco.optics.lens import ray_step
 from clsco.optics.motion import poses_at, rest_center, rest_poses
 from clsco.optics.quadrics import place, predict_inverse_depth
-from clsco.plan.prepare import prepare
+from clsco.plan.prepare import Prepared, prepare
 from clsco.scene.arrays import ArrayInput
 from clsco.scene.file import SceneLike, scene_of
 from clsco.scene.model import Object, Scene
@@ -59,7 +60,7 @@ def response(
     y: int,
     index: int = 0,
     *,
-    item: int = 0,
+    item: int | None = None,
     device: DeviceLike = None,
     precision: str | None = None,
 ) -> NDArray[np.float32]:
@@ -74,8 +75,8 @@ def response(
         reaches, but for `border = "renormalize"` and depth maps.
     index : int
         Number of the frame, from 0.
-    item : int
-        Number of the object that the source is on, from 0.
+    item : int, optional
+        Number of the object that the source is on, from 0. By default the one that is seen there at t = 0.
     device, precision
         As for `render_frame`.
 
@@ -87,7 +88,7 @@ def response(
     Raises
     ------
     SceneError, ImageError, DeviceError, KernelError
-        As `render_frame`; there is no such source.
+        As `render_frame`; there is no such source, or without `item` nothing is seen there.
 
     Notes
     -----
@@ -101,19 +102,26 @@ def response(
 
 
 def only_lit(
-    scene: Scene, x: SupportsIndex, y: SupportsIndex, index: int = 0, item: int = 0, files: InputFiles | None = None
+    scene: Scene,
+    x: SupportsIndex,
+    y: SupportsIndex,
+    index: int = 0,
+    item: int | None = None,
+    files: InputFiles | None = None,
 ) -> Lit:
     """The scene with the source of `response` lit. Raises as `response` for what cannot be.
 
     files: as for `clsco.plan.prepare.prepare`.
     """
     frame_numbers([scene], [index])
-    number = _within("item", item, 0, len(scene.objects) - 1)
-    plan = prepare(scene, files=files).plan
+    known = None if item is None else _within("item", item, 0, len(scene.objects) - 1)
+    prepared = prepare(scene, files=files)
+    plan = prepared.plan
     widens = scene.is_analytic and scene.psf.border == "lose"
     beside = plan.guard_px if widens else 0
     column = _within("x", x, -beside, plan.columns - 1 + beside)
     row = _within("y", y, -beside, plan.rows - 1 + beside)
+    number = _seen_at(prepared, column, row) if known is None else known
     # Textures go on mirrored beyond the frame. With a margin, the source's mirror images are too far off to be seen.
     inward = min(column, row, plan.columns - 1 - column, plan.rows - 1 - row)
     far = plan.guard_px + FILTER_REACH + (_longest_way(plan.scene, number, index) if scene.moves else 0)
@@ -125,6 +133,14 @@ def only_lit(
     objects[number] = _projected(scene.objects[number], ArrayInput(texture, "texture"))
     camera = scene.camera.model_copy(update={"resolution": (columns, rows)})
     return Lit(scene.model_copy(update={"camera": camera, "objects": tuple(objects), "light": None}), margin)
+
+
+def _seen_at(prepared: Prepared, column: int, row: int) -> int:
+    """Number of the object that is seen in a pixel at t = 0. Raises SceneError where nothing is."""
+    number = int(seen(prepared.scene, prepared.maps, np.array([row]), np.array([column]))[1][0, 0])
+    if number < 0:
+        raise SceneError(f"x, y: must be on a surface at t = 0; got nothing at {column}, {row}")
+    return number
 
 
 def _within(name: str, value: SupportsIndex, least: int, most: int) -> int:

@@ -115,12 +115,13 @@ def focused(scene: Scene, files: InputFiles, focus: Focus) -> Scene:
         x, y = focus.at
         if not (0 <= x < columns and 0 <= y < rows):
             raise SceneError(f"{focus.option}: must be a pixel of the {columns} x {rows}, counted from 0; got {x},{y}")
-        w = float(_nearest(scene, maps, np.array([y]), np.array([x]))[0, 0])
-        if w == 0 and not any(item.is_background for item in scene.objects):
+        nearest, whose = seen(scene, maps, np.array([y]), np.array([x]))
+        w = float(nearest[0, 0])
+        if whose[0, 0] < 0:
             raise SceneError(f"{focus.option}: must be on a surface; got nothing at {x},{y}")
     else:
         step = 1 + int(np.sqrt(rows * columns / MOST_POINTS))
-        found = _nearest(scene, maps, np.arange(0, rows, step), np.arange(0, columns, step))
+        found, _ = seen(scene, maps, np.arange(0, rows, step), np.arange(0, columns, step))
         if not (found > 0).any():
             raise SceneError(f"{focus.option}: must be on a surface; got nothing in the picture")
         assert focus.share is not None
@@ -130,14 +131,22 @@ def focused(scene: Scene, files: InputFiles, focus: Focus) -> Scene:
     return scene.replace("camera.focus_distance", 1.0 / w)
 
 
-def _nearest(scene: Scene, maps: Sequence[Array | None], i: NDArray[np.intp], j: NDArray[np.intp]) -> Array:
-    """Inverse depth in 1/mm of what is seen in rows i and columns j at t = 0, (len(i), len(j)); 0 where nothing is."""
+def seen(
+    scene: Scene, maps: Sequence[Array | None], i: NDArray[np.intp], j: NDArray[np.intp]
+) -> tuple[Array, NDArray[np.intp]]:
+    """Inverse depth in 1/mm and number of the object that is seen in rows i and columns j at t = 0, (len(i), len(j)).
+
+    Where no surface is, w is 0, and the number that of a background, or -1. Rows and columns of a depth map, see
+    `InputFiles.maps`, lie in the frame.
+    """
     assert scene.camera.resolution is not None
     columns, rows = scene.camera.resolution
     step = ray_step(scene.camera)
     x, y = np.meshgrid((j - (columns - 1) / 2) * step, ((rows - 1) / 2 - i) * step)
-    nearest = np.zeros(x.shape)
-    for item, pose, depth in zip(scene.objects, poses_at(scene, 0.0), maps, strict=True):
+    behind = next((number for number, item in enumerate(scene.objects) if item.is_background), -1)
+    nearest, whose = np.zeros(x.shape), np.full(x.shape, behind)
+    for number, (item, pose, depth) in enumerate(zip(scene.objects, poses_at(scene, 0.0), maps, strict=True)):
         w = predict_inverse_depth(item, place(item, pose), x, y) if depth is None else depth[np.ix_(i, j)]
+        whose[w > nearest] = number
         np.maximum(nearest, w, out=nearest)
-    return nearest
+    return nearest, whose

@@ -91,6 +91,48 @@ def test_a_response_has_the_way_of_its_source_and_none_of_the_texture() -> None:
     np.testing.assert_allclose(clsco.response(other, 7, 5), moved, atol=2e-6)
 
 
+SKY = {"shape": "background", "texture": "checkerboard"}
+DOT = {"shape": "disc", "center": [0.0, 0.0, 280.0], "radius": 3.0}
+EVEN = {"shape": "depth_map", "depth": np.full((11, 14), 290.0)}
+FALLING = EVEN | {"depth": np.linspace(260.0, 320.0, 154).reshape(11, 14)}  # near above, far below
+
+
+@pytest.mark.parametrize(
+    ("objects", "pixel", "number"),
+    [
+        ((WALL, BALL), (7, 5), 1),
+        ((WALL, BALL), (0, 0), 0),
+        ((WALL, BALL), (-1, 5), 0),  # beside the frame
+        ((BALL, SKY), (7, 5), 0),
+        ((SKY, BALL), (0, 10), 0),
+        ((WALL, DOT | {"motion": {"velocity": [90.0, 0.0, 0.0]}}), (7, 5), 1),  # gone later
+        ((EVEN, FALLING), (7, 1), 1),
+        ((EVEN, FALLING), (7, 9), 0),
+    ],
+)
+def test_a_source_is_on_the_object_that_is_seen(objects: Any, pixel: tuple[int, int], number: int) -> None:
+    scene = scene_from(TABLES, *objects, sequence={"frames": 2, "interval": 1.0, "shutter": 0.2})
+    for index in (0, 1):
+        lit = only_lit(scene, *pixel, index).scene.objects
+        assert [not isinstance(item.texture, str) for item in lit] == [k == number for k in range(len(lit))]
+
+
+def test_the_response_without_a_number_is_that_of_what_is_seen() -> None:
+    scene = scene_from(TABLES, WALL, BALL)
+    expected = clsco.response(scene, 7, 5, item=1)
+    assert expected.max() > 0
+    np.testing.assert_array_equal(clsco.response(scene, 7, 5), expected)
+    with clsco.Live() as live:
+        np.testing.assert_array_equal(live.response(scene, 7, 5), expected)
+
+
+def test_a_source_must_be_somewhere() -> None:
+    scene = scene_from(TABLES, BALL)
+    with pytest.raises(clsco.SceneError, match="x, y: must be on a surface at t = 0; got nothing at 0, 10"):
+        clsco.response(scene, 0, 10)
+    assert clsco.response(scene, 0, 10, item=0).max() == 0.0
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
