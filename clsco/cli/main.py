@@ -198,13 +198,21 @@ def schema() -> None:
 @main.command()
 @scenes_wanted
 def validate(scenes: tuple[Path, ...]) -> None:
-    """Check scene files and their textures without rendering; reports all faults of all files."""
+    """Check scene files and their textures without rendering; reports valid files, and all faults of the others."""
     from clsco.plan.prepare import prepare_files
     from clsco.scene.sweep import load_sweeps
 
-    for path, labels, _ in prepare_files(load_sweeps(scenes)):
+    faults: list[str] = []
+    for loaded in load_sweeps(scenes):
+        try:
+            ((path, labels, _),) = prepare_files([loaded])
+        except SceneError as error:
+            faults.extend(error.messages)
+            continue
         count = f", {len(labels)} scenes" if labels != ("",) else ""
         echo(f"{click.format_filename(path)}: valid{count}")
+    if faults:
+        raise SceneError(faults)
 
 
 @main.command()
