@@ -247,9 +247,7 @@ def test_a_bad_scene_is_reported_in_one_line(name: str, bad: Path) -> None:
 def test_validate_tells_all_faults_of_all_files(bad: Path, ball: Path) -> None:
     result = clsco_("validate", ball, *(bad / name for name in BAD_SCENES), ball)
     assert (result.exit_code, result.stdout) == (1, f"{ball}: valid\n" * 2)
-    lines = result.stderr.splitlines()
-    assert len(lines) == len(BAD_SCENES)
-    for line, (name, (_, rule)) in zip(lines, BAD_SCENES.items(), strict=True):
+    for line, (name, (_, rule)) in zip(result.stderr.splitlines(), BAD_SCENES.items(), strict=True):
         assert name in line
         assert rule in line
     result = clsco_("validate", ball, ball)
