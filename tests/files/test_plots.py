@@ -23,7 +23,8 @@ def test_settings_of_others_do_not_count(tmp_path: Path, where: str) -> None:
     folder = tmp_path / ("" if where == "here" else "config/matplotlib")
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "matplotlibrc").write_text("text.usetex: True\n")
-    environ = os.environ | {"XDG_CACHE_HOME": f"{tmp_path}/cache", "XDG_CONFIG_HOME": f"{tmp_path}/config"}
+    inherited = {name: value for name, value in os.environ.items() if name != "MPLCONFIGDIR"}  # of tests before
+    environ = inherited | {"XDG_CACHE_HOME": f"{tmp_path}/cache", "XDG_CONFIG_HOME": f"{tmp_path}/config"}
     printed = subprocess.run(
         [sys.executable, "-c", FIGURE], check=True, capture_output=True, text=True, cwd=tmp_path, env=environ
     )

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
@@ -131,8 +132,10 @@ def gathered(
     total = Amid(session, np.zeros((given.channels, rows, pitch), np.float32), LEFT_ALONE)
     arrays = (table.intervals, table.coefficients, table.taps, table.outlines)
     head = (given.camera(), struct, sources.source, sources.value, *(upload(session, each) for each in arrays))
-    layout = (np.int32(start), np.int32(group), part.buffer, np.int32(pitch), np.int32(pad), total.buffer)
-    launch(session, kernel(program, "gather"), (2,), (1,), *head, *scratch, *layout)
+    whole = cl.cltypes.make_int2(0, 0)  # type: ignore[attr-defined]
+    position = upload(session, np.zeros(2, np.int32))
+    layout = (np.int32(group), part.buffer, np.int32(pitch), np.int32(pad), total.buffer)
+    launch(session, kernel(program, "gather"), (2,), (1,), *head, *scratch, np.int32(start), whole, position, *layout)
     return total.now()[..., pad : pad + columns]
 
 

@@ -119,9 +119,9 @@ def on_a_gpu(session: Session, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     spread = import_module("clsco.passes.blur")
     launch = spread.launch
 
-    def noted(session: Session, kernel: Any, *args: Any) -> Any:
+    def noted(session: Session, kernel: Any, *args: Any, work: float) -> Any:
         names.append(kernel.function_name)
-        return launch(session, kernel, *args)
+        return launch(session, kernel, *args, work=work)
 
     monkeypatch.setattr(spread, "launch", noted)
     return names
