@@ -22,7 +22,8 @@ def report_inputs(planned: Sequence[PreparedFile]) -> None:
     from clsco.inputs.focus import lens_line
     from clsco.scene.model import DepthMap
 
-    for _, labels, prepared in planned:
+    for path, labels, prepared in planned:
+        report_stretched(path, prepared)
         for label, each in zip(labels, prepared, strict=True):
             maps = [item for item in each.scene.objects if isinstance(item, DepthMap)]
             if label == labels[0]:  # all scenes of a file have the same images
@@ -33,6 +34,14 @@ def report_inputs(planned: Sequence[PreparedFile]) -> None:
                 where = f"{item.depth} (with {label})" if label else str(item.depth)
                 line = lens_line(each.scene.camera, each.files.map(each.scene, item))
                 echo(f"{where}: {line}", err=True)
+
+
+def report_stretched(path: Path, prepared: Iterable[Prepared]) -> None:
+    """Say on stderr which images of the scenes of a file are stretched, once per size of the frame."""
+    from clsco.inputs.textures import stretched
+
+    for line in stretched(each.scene for each in prepared):
+        echo(f"{click.format_filename(path)}: {line}", err=True)
 
 
 def report_notes(path: str, notes: Iterable[str]) -> None:

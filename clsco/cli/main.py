@@ -18,7 +18,7 @@ from clsco import __version__
 from clsco.cli.batch import batch
 from clsco.cli.convert import convert
 from clsco.cli.focus import focus_at_option, focus_depth_option, focused_files, parsed_focus
-from clsco.cli.inputs import report_inputs, report_loss, report_notes
+from clsco.cli.inputs import report_inputs, report_loss, report_notes, report_stretched
 from clsco.cli.options import (
     PATH,
     Commands,
@@ -130,6 +130,7 @@ def plan(scene: Path, overrides: tuple[str, ...], files: tuple[TruthFile, ...], 
 
     device = ThisMachine(kind="gpu") if gpu else None
     first = _first(scene, overrides, request_for(files, memory=memory), device)
+    report_stretched(scene, [first])
     from clsco.cli.tables import plan_tables, print_tables
 
     print_tables(*plan_tables(first.plans))
@@ -205,12 +206,13 @@ def validate(scenes: tuple[Path, ...]) -> None:
     faults: list[str] = []
     for loaded in load_sweeps(scenes):
         try:
-            ((path, labels, _),) = prepare_files([loaded])
+            ((path, labels, prepared),) = prepare_files([loaded])
         except SceneError as error:
             faults.extend(error.messages)
             continue
         count = f", {len(labels)} scenes" if labels != ("",) else ""
         echo(f"{click.format_filename(path)}: valid{count}")
+        report_stretched(path, prepared)
     if faults:
         raise SceneError(faults)
 

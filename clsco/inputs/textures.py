@@ -5,12 +5,11 @@ Computed in float64, some rows at a time, and kept in float32: what a frame of 8
 
 from __future__ import annotations
 
-import functools
 import math
 import os
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
@@ -212,6 +211,39 @@ def load_scene_textures(scene: Scene, load: Callable[..., Texture] = load_textur
     return scene.model_copy(update={"camera": camera}), tuple(placed)
 
 
+def stretched(scenes: Iterable[Scene]) -> list[str]:
+    """Projected images of another aspect than the frame, each with the first object that has it; drawn ones have none.
+
+    Parameters
+    ----------
+    scenes : iterable of Scene
+        With their resolutions.
+
+    Returns
+    -------
+    list of str
+        Like "object[0].texture: is stretched from 640 x 480 to the frame's 512 x 512 px", each once. A side that is
+        rounded to a whole pixel does not count.
+
+    Raises
+    ------
+    ImageError
+        As `texture_size`.
+    """
+    size_of, found = cache(texture_size), dict[str, None]()
+    for scene in scenes:
+        assert scene.camera.resolution is not None
+        width, height = scene.camera.resolution
+        projected = [(item.inputs()["texture"], k) for k, item in enumerate(scene.objects) if item.mapped is None]
+        first = {source: number for source, number in reversed(projected) if not is_drawn(source)}
+        for source, number in sorted(first.items(), key=lambda each: each[1]):
+            columns, rows = size_of(source)
+            if abs(width * rows - height * columns) >= max(columns, rows):  # in proportion, a side is a pixel off
+                size = f"{columns} x {rows} to the frame's {width} x {height} px"
+                found[f"object[{number}].texture: is stretched from {size}"] = None
+    return list(found)
+
+
 def own_size(source: TextureSource) -> tuple[int, int] | None:
     """Rows and columns that a texture on a surface is loaded in: its own, and one texel of a color."""
     return (1, 1) if is_drawn(source) and source not in PATTERNS else None
@@ -322,7 +354,7 @@ def _random(row: NDArray[np.intp], column: NDArray[np.intp], layer: int) -> Floa
     return numbers
 
 
-@functools.cache
+@cache
 def _random_table() -> Floats:
     # Raw output of the bit generator is the one random stream that NumPy promises never to change.
     raw = np.asarray(np.random.PCG64(20).random_raw(512 * 512), np.uint64)

@@ -99,3 +99,14 @@ def test_a_bad_value_of_a_sweep_is_reported_before_anything_is_written(stack: Pa
     (line,) = messages(clsco_(*command[:-1]))
     assert line.startswith(f"error: {stack}: object[0].texture: {tmp_path / 'texture.npy'}: must be a file")
     assert not (tmp_path / "out").exists()
+
+
+def test_commands_say_that_an_image_is_stretched(stack: Path, still: Path, tmp_path: Path) -> None:
+    assert clsco_("validate", stack).stderr == ""
+    np.save(tmp_path / "texture.npy", np.zeros((9, 9), np.float32))
+    line = f"{stack}: object[0].texture: is stretched from 9 x 9 to the frame's 12 x 9 px\n"
+    result = clsco_("validate", stack, still)
+    assert (result.exit_code, result.stdout) == (0, f"{stack}: valid, 3 scenes\n{still}: valid\n")
+    assert (result.stderr, clsco_("plan", stack).stderr) == (line, line)
+    result = clsco_("render", stack, "-o", tmp_path / "out", "--quiet", "--set", "camera.resolution=[[12, 9], [8, 8]]")
+    assert (result.exit_code, result.stderr) == (0, line)  # of the square frames nothing is to be said

@@ -20,9 +20,10 @@ from clsco.inputs.textures import (
     checkerboard,
     load_scene_textures,
     load_texture,
+    stretched,
     texture_size,
 )
-from clsco.scene.model import BUILT_IN_TEXTURES, Plane, Scene
+from clsco.scene.model import BUILT_IN_TEXTURES, Background, Camera, DepthMap, Plane, Scene
 
 Array = NDArray[Any]
 BITS_AND_TRANSFERS = pytest.mark.parametrize(
@@ -275,3 +276,39 @@ def test_names_what_textures_there_are(load: Any, tmp_path: Path) -> None:
         load(tmp_path / "Brick")
     with pytest.raises(ImageError, match=r"none.png: must be a file that can be read; got No such file"):
         load(tmp_path / "none.png")
+
+
+@pytest.mark.parametrize(
+    ("image", "frame", "is_stretched"),
+    [
+        ((640, 480), (512, 512), True),
+        ((480, 640), (640, 480), True),
+        ((640, 480), (320, 240), False),
+        ((1000, 667), (512, 341), False),  # as near as whole pixels come: 341.5
+        ((1000, 667), (512, 342), False),
+        ((1000, 667), (512, 340), True),
+        ((3, 2), (640, 427), False),
+        ((3, 2), (640, 428), True),
+    ],
+)
+def test_a_projected_image_of_another_aspect_is_stretched(
+    image: tuple[int, int], frame: tuple[int, int], is_stretched: bool
+) -> None:
+    array = np.zeros(image[::-1], np.float32)
+    (size, other), line = (f"{columns} x {rows}" for columns, rows in (image, frame)), "object[1].texture: is stretched"
+    items = {"projected": Plane(distance=300.0, texture=array), "pattern": Plane(distance=300.0)}
+    items["lying"] = Plane(distance=300.0, texture=array, texture_mapping="surface", texture_size=(9.0, 3.0))
+    names = ("pattern", "projected", "lying", "projected")  # the same image again is one
+    scene = Scene(camera=Camera(resolution=frame), objects=tuple(items[name] for name in names))
+    found = stretched([scene, scene])
+    assert found == ([f"{line} from {size} to the frame's {other} px"] if is_stretched else [])
+
+
+def test_backgrounds_and_depth_maps_are_stretched_as_well() -> None:
+    array = np.zeros((480, 640), np.float32)
+    items = Background(texture=array), DepthMap(depth=np.full((8, 8), 300.0), texture=array[:, :600])
+    found = stretched([Scene(camera=Camera(resolution=(8, 8)), objects=items)])
+    assert [line[: line.index(" to")] for line in found] == [
+        "object[0].texture: is stretched from 640 x 480",
+        "object[1].texture: is stretched from 600 x 480",
+    ]
