@@ -14,7 +14,7 @@ from clsco.opencl.buffers import download, empty
 from clsco.opencl.session import Session
 from clsco.optics.motion import Pose
 from clsco.optics.psf_tables import psf_table
-from clsco.optics.quadrics import place
+from clsco.optics.quadrics import cutting_bounds, place
 from clsco.optics.visibility import Layer, lens_cells
 from clsco.passes.pack import camera_struct, layer_struct, psf_struct, surface_structs
 from clsco.plan.plan import make_plan
@@ -68,6 +68,7 @@ __kernel void see_taps(const camera_t camera, __constant surface_t *surfaces, co
 """
 CAMERA = Camera(resolution=(144, 120), pixel_pitch=0.04, aperture_diameter=25.0, focus_distance=250.0)
 BOX = ((-20.0, 14.0), (-16.0, 25.0), (-30.0, 22.0))
+CUT = ((-20.0, 8.0), (-16.0, 25.0), (-30.0, 22.0))
 BALL = Sphere(center=(-10.0, 4.0, 190.0), radius=14.0)
 BOWL = Quadric(coefficients=(1.0, 0.8, 0.0, 0, 0, 0, 0, 0, -2.0, 0), center=(3.0, 0.0, 180.0))
 DISC = Disc(center=(-3.0, 4.0, 190.0), radius=14.0, rotation=(50.0, 20.0, 0.0))
@@ -85,7 +86,7 @@ SCENES: dict[str, tuple[Object, ...]] = {
     "card, narrow lens": (Plane(distance=190.0, slope_x=0.9, bounds=BOX), NEAR_FOCUS),
     "disc": (DISC, WALL),
     "disc, narrow lens": (DISC, NEAR_FOCUS),
-    "cap": (BALL.model_copy(update={"bounds": BOX}), WALL),
+    "cap": (BALL.model_copy(update={"bounds": CUT}), WALL),
     "bounded paraboloid": (BOWL.model_copy(update={"bounds": BOX}), WALL),
     "tube, narrow lens": (Cylinder(center=(3.0, 0.0, 200.0), radius=9.0, axis=(0.4, 0.1, 1.0), bounds=BOX), NEAR_FOCUS),
     "bounded cone": (Cone(apex=(2.0, 3.0, 170.0), half_angle=35.0, bounds=BOX), WALL),
@@ -130,7 +131,7 @@ def see(
     """Sources of the last object at random pixels, and what is in their way; width: of the sources, px."""
     far = len(items) - 1
     layer = layer or Layer(1 << far, (1 << far) - 1)
-    surfaces, bounds = [place(item, STILL) for item in items], [item.bounds for item in items]
+    surfaces, bounds = [place(item, STILL) for item in items], [cutting_bounds(item) for item in items]
     rng, count = np.random.default_rng(17), 900
     at = np.stack([rng.integers(-10, 154, count), rng.integers(-10, 130, count)], axis=-1)
     offset = rng.integers(-2, 3, (count, 2)) / 8 if width < 1 else np.zeros((count, 2))

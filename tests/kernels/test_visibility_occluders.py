@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from clsco.opencl.buffers import download, empty
 from clsco.opencl.session import Session
 from clsco.optics.motion import Pose
-from clsco.optics.quadrics import place
+from clsco.optics.quadrics import cutting_bounds, place
 from clsco.optics.visibility import Layer, lens_extent
 from clsco.passes.pack import camera_struct, surface_structs
 from clsco.records import Real, in_parts
@@ -178,7 +178,7 @@ def meet(
         (k, own, root, _), at = key.tolist(), np.flatnonzero((chosen == key).all(axis=1))
         rays, nothing = np.stack([given["x"][at], given["y"][at], np.ones(at.size)], axis=-1), np.zeros(at.size)
         state[at], edge[at], visibility = check_visibility(
-            CAMERA, placed[k : k + 1], [items[k].bounds], Layer(1, 1, 0 if own else -1, root), psf,
+            CAMERA, placed[k : k + 1], [cutting_bounds(items[k])], Layer(1, 1, 0 if own else -1, root), psf,
             Points(rays, given["w"][at], given["radius"][at], nothing, nothing, width),
         )  # fmt: skip
         occluders += [
@@ -262,7 +262,8 @@ def test_near_bounds_in_single_precision(session: Session, run_source: Runner) -
     for k, slope_x in enumerate((0.9, 0.8)):
         x, y = (-35.012, 36.123), (-34.321, 33.789)
         corner = np.array([x[k], y[k], slope_x * x[k] + 0.4 * y[k]])
-        z = (float(corner[2]), 50.0) if k == 0 else (-50.0, float(corner[2]))
+        # All six cut: by 0.001 mm in z, there where x and y do.
+        z = (float(corner[2]) + 0.001, 30.0) if k == 0 else (-30.0, float(corner[2]) - 0.001)
         item = Plane(distance=181.371, slope_x=slope_x, slope_y=0.4, bounds=(x, y, z))
         surfaces.append((item, pose))
         behind = corner + np.array([0.0, 0.0, 0.05]) + rng.uniform(-0.02, 0.02, (points, 3))
