@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import html
 from collections.abc import Iterable
 
 import numpy as np
@@ -38,6 +36,9 @@ def png_to_show(image: NDArray[np.floating]) -> bytes:
 
 def html_to_show(line: str, images: Iterable[NDArray[np.floating]] = ()) -> str:
     """A line with images of linear radiance below it, as HTML that needs no other file."""
+    import base64  # as html 1 ms, and few frames are shown
+    import html
+
     pictures = (base64.b64encode(png_to_show(image)).decode() for image in images)
     shown = "".join(f'<img alt="" src="data:image/png;base64,{picture}">' for picture in pictures)
     return f"<div><code>{html.escape(line)}</code><br>{shown}</div>"
