@@ -79,7 +79,8 @@ FORWARD: Any = {
 
 
 @pytest.mark.parametrize("scene", [
-    walls(), walls(psf={"occlusion": "layered"}), scene_from(FORWARD | {"fill": {"method": "ait"}}),
+    pytest.param(walls(), marks=pytest.mark.slow), walls(psf={"occlusion": "layered"}),
+    scene_from(FORWARD | {"fill": {"method": "ait"}}),
     scene_from(FORWARD | {"fill": {"method": "mean_median"}}),
 ], ids=["visibility", "layered", "ait", "mean and median"])  # fmt: skip
 def test_scenes_agree_with_the_reference(scene: clsco.Scene) -> None:
