@@ -1,5 +1,5 @@
-"""What the machine has: folders that are shipped, those of the user's cache, temporary ones; processors; and regular
-files, opened so that no link, pipe or device can stand in for one."""
+"""Resources of the machine: folders that are shipped, those of the user's cache, temporary ones; processors; and
+regular files, opened so that no link, pipe or device can stand in for one."""
 
 from __future__ import annotations
 
@@ -222,7 +222,7 @@ def remove_left(folder: Path, prefix: str) -> None:
 
 
 def _is_gone(process: int) -> bool:
-    """Whether a process of this machine has ended, also where nobody has asked yet how."""
+    """Test whether a process of this machine has ended, also where nobody has asked yet how."""
     try:
         os.kill(process, 0)
         with open(f"/proc/{process}/stat", "rb") as file:

@@ -1,4 +1,4 @@
-"""What `clsco defocus` does: an image and its depth map to scenes, and one image file."""
+"""The command `clsco defocus`: an image and its depth map to scenes, and one image file."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ focus_depth_option = click.option(
 
 
 def parsed_focus(at: tuple[int, int] | None, share: float | None) -> Focus | None:
-    """What is to be in focus; None where neither option is given. Raises click.UsageError for both."""
+    """Focus that the options ask for, None where neither is given. Raises click.UsageError for both."""
     if at is None and share is None:
         return None
     if at is not None and share is not None:

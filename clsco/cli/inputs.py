@@ -1,4 +1,4 @@
-"""What commands say of the files that they were given: colors, depth maps, and what the lens makes of these."""
+"""Reports of commands on their input files: colors, depth maps, and what the lens makes of these."""
 
 from __future__ import annotations
 

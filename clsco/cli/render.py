@@ -159,7 +159,7 @@ def render_to_folders(
 
 
 def _written(out: Path, jobs: Sequence[Job]) -> str:
-    """What is where now, in a line."""
+    """Line that says which files were written, and where."""
     place, count = click.format_filename(out), sum(len(job.frames) for job in jobs)
     if not count:
         return f"{place}: all frames are there already"

@@ -99,7 +99,7 @@ def _together(device: str | None, count: int) -> tuple[int, int]:
 
 
 def _answer(process: subprocess.Popen[str]) -> int:
-    """What a process prints at last, once it has ended."""
+    """Wait for a process, and read the number that it prints at last."""
     assert process.stdout is not None
     lines = process.stdout.read().strip().splitlines()
     if process.wait():

@@ -129,7 +129,7 @@ class _Folder:
         self.where = str(self.root)
 
     def _path(self, key: str) -> Path:
-        """Where a key is. Raises ImageError where a link leads out of the set, as in a folder of a stranger one may."""
+        """Path of a key. Raises ImageError where a link leads out of the set, as in a folder of a stranger one may."""
         path = self.root / checked_key(key)
         if not path.parent.resolve().is_relative_to(self.root.resolve()):
             refuse(path, "must lie in the folder of the data set", "a link that leaves it")

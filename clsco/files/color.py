@@ -58,7 +58,7 @@ class Color:
 
     @property
     def is_plain(self) -> bool:
-        """Whether an output looks the same without any word of it."""
+        """True where an output looks the same without a profile."""
         return not self.icc and not self.chunks
 
     @property
@@ -67,7 +67,7 @@ class Color:
         return len(self.icc) + (0 if self.curve is None else self.curve.radiance.nbytes)
 
     def transfer(self, wanted: str) -> str | Curve:
-        """What decodes and encodes codes where a scene wants "srgb" or "linear": its own curve in place of "srgb"."""
+        """Transfer curve of codes where a scene wants "srgb" or "linear": its own curve in place of "srgb"."""
         return self.curve if wanted == "srgb" and self.curve is not None else wanted
 
     def png_chunks(self) -> tuple[tuple[bytes, bytes], ...]:
@@ -151,7 +151,7 @@ def _parsed(icc: bytes) -> tuple[str, int, list[NDArray[np.float64]] | None]:
 
 
 def _name(desc: bytes) -> str:
-    """What a profile calls itself: of version 2 or 4, printable and short."""
+    """Name in a profile of version 2 or 4, printable and short."""
     if desc[:4] == b"mluc" and len(desc) >= 28:
         size, start = struct.unpack_from(">II", desc, 20)
         text = desc[start : start + min(size, 200)].decode("utf-16-be", "replace")

@@ -137,7 +137,10 @@ def confined(function: str, file: BinaryIO, most: int, **options: Any) -> Found:
 
 
 def _answer(process: subprocess.Popen[bytes], request: bytes, most: int) -> Found | str:
-    """What the process says; a text for an error. Raises EOFError where it ends, ValueError for what is no answer."""
+    """Read the answer of the process, a text for an error.
+
+    Raises EOFError where the process ends, ValueError for what is no answer.
+    """
     assert process.stdin is not None
     assert process.stdout is not None
     process.stdin.write(request + b"\n")

@@ -159,7 +159,7 @@ def _stored_size(file: BinaryIO, kind: str) -> tuple[int, int]:
 
 
 def tags(file: BinaryIO, kind: str) -> Tags:
-    """What an opened file says about its pixels; goes back to its first byte."""
+    """Read what an opened file says about its pixels; goes back to its first byte."""
     file.seek(0)
     found = _TAGS.get(kind, lambda _: Tags())(file)
     file.seek(0)
@@ -226,7 +226,7 @@ def _decode_png(file: BinaryIO) -> NDArray[Any]:
 
 
 def _keyed(png: bytes, data: NDArray[Any], depth: int, color: int, transparency: bytes) -> int:
-    """How many pixels of a PNG have a color that its chunk tRNS makes transparent."""
+    """Count the pixels of a PNG whose color its chunk tRNS makes transparent."""
     if color == PALETTE:
         seen_through = np.frombuffer(transparency.ljust(256, b"\xff")[:256], np.uint8) < 255
         return int(seen_through[_by_imageio(png, ".png", mode="P")].sum()) if seen_through.any() else 0
@@ -271,7 +271,7 @@ def _decode_jpeg(file: BinaryIO) -> NDArray[Any]:
 
 
 def _tiff_header(file: BinaryIO) -> tuple[dict[str, Any], bytes]:
-    """What a TIFF says of its page, and its color profile."""
+    """Read the tags of a TIFF's page, and its color profile."""
     require(path_of(file), "tifffile", "formats")
     found, (profile,) = confined("clsco.files.tiff:header", file, MOST_TAG)
     if found["pages"] != 1:

@@ -40,7 +40,7 @@ class Picture:
     below: int = 0
 
     def notes(self) -> tuple[str, ...]:
-        """What is to be known of it, in a line each."""
+        """Notes for the user, a line each."""
         below = f"{self.below} of {self.data.size} values are below 0: floats keep them, codes end at 0"
         return tuple(filter(None, (self.color.note, below if self.below else "")))
 
@@ -373,7 +373,7 @@ class ImageWriter:
         self.write(path, image, *([color] if self.color_kinds else []))
 
     def loss(self, color: Color) -> str:
-        """What such a file does not say of its colors, in one line; "" where nothing is lost."""
+        """Line on what such a file cannot say of its colors; "" where nothing is lost."""
         if color.is_plain or any(getattr(color, kind) for kind in self.color_kinds):
             return ""
         return f"{self.label} has no place for the color profile {color.name}, which is left out"

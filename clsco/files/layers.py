@@ -113,12 +113,12 @@ def depth_channels(names: Sequence[str], layer: str | None = None) -> list[str]:
 
 
 def _own(name: str, layer: str | None) -> str:
-    """What a channel is called within the layer that was named, or in the file."""
+    """Name of a channel within the layer that was named, or in the file."""
     return name if layer is None else name.rpartition(".")[2]
 
 
 def _layers(names: Iterable[str]) -> Mapping[str, set[str]]:
-    """What the channels of each layer are called within it."""
+    """Names of the channels of each layer within it."""
     found: dict[str, set[str]] = {}
     for name in names:
         layer, _, own = name.rpartition(".")

@@ -120,7 +120,7 @@ def checked_png(file: BinaryIO) -> tuple[bytes, int, int, bytes | None]:
 
 
 def _unpacks_to(packed: list[bytes], count: int) -> bool:
-    """Whether deflated data have so many bytes or more; no more than BLOCK of them are there at once."""
+    """Test whether deflated data have so many bytes or more, with at most BLOCK of them in memory."""
     inflater = zlib.decompressobj()
     for part in packed:
         while part and count > 0 and not inflater.eof:

@@ -1,4 +1,4 @@
-"""What image files say about their pixels: how the camera was held, and the colors that their codes stand for."""
+"""Tags of image files: how the camera was held, and the colors that codes stand for."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Tags:
 
     @property
     def is_laid_down(self) -> bool:
-        """Whether stored rows are columns of the upright image."""
+        """True where stored rows are columns of the upright image."""
         return self.orientation >= 5
 
     def color(self, channels: int) -> Color:

@@ -16,7 +16,7 @@ logging.getLogger("tifffile").addHandler(logging.NullHandler())  # its findings 
 
 
 def header(file: BinaryIO) -> tuple[dict[str, Any], list[NDArray[Any]]]:
-    """What a TIFF says of its first page, and how many pages it has; and the bytes of the page's color profile."""
+    """Read the tags of a TIFF's first page, the number of its pages, and the bytes of the page's color profile."""
     with tifffile.TiffFile(file) as tiff:
         page = tiff.pages[0]
         assert isinstance(page, TiffPage)  # the first one always is

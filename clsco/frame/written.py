@@ -86,7 +86,7 @@ class WrittenFrames:
             yield array.astype(np.float32, copy=False)
 
     def has(self, name: str, eye: str = "") -> bool:
-        """Whether the first frame has an array."""
+        """True where the first frame has an array."""
         try:
             next(self.arrays(name, eye))
         except ImageError:

@@ -139,7 +139,7 @@ class InputFiles:
         return self._once("picture", source, lambda: picture_of(source), lambda picture: picture.data.nbytes)
 
     def about(self, source: Source) -> About:
-        """What is to be known of `picture` without its pixels, once per content."""
+        """Facts of `picture` without its pixels, read once per content."""
 
         def read() -> About:
             picture = self.picture(source)

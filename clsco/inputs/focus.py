@@ -1,4 +1,4 @@
-"""What a lens does to depth maps, in a line, and the lens that focuses on a point or on a share of a scene."""
+"""Focus: the line on what a lens does to depth maps, and lenses that focus on a point or a share of a scene."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MOST_POINTS = 2**20  # of a frame, whose depths a share is taken of
 
 @dataclass(frozen=True)
 class Focus:
-    """What is to be in focus: a point of the picture, or a share of its depths.
+    """Target of the focus: a point of the picture, or a share of its depths.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Focus:
 
     @property
     def option(self) -> str:
-        """What a command calls it."""
+        """Option of commands that gives it."""
         return "--focus-depth" if self.at is None else "--focus-at"
 
 

@@ -105,7 +105,7 @@ def assign_soft_edges(
 
 
 def _found(radius: Array, stored: Array | None, image: Callable[[], NDArray[Any]] | None) -> tuple[Indices, Array]:
-    """What `assign_soft_edges` finds at once."""
+    """Edges that `assign_soft_edges` finds in one strip."""
     height, width = radius.shape
     shapes = [radius] if stored is None else [stored, radius]  # an edge is as even in the one that was blurred
     stored = shapes[0]

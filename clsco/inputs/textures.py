@@ -124,7 +124,7 @@ def color_codes(color: str) -> Codes:
 
 
 def is_gray(name: str) -> bool:
-    """Whether a built-in pattern or a color has one channel."""
+    """Test whether a built-in pattern or a color has one channel."""
     return name in PATTERNS or color_codes(name).ndim == 0
 
 

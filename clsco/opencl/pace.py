@@ -1,4 +1,4 @@
-"""How long launches take, and how far the host is ahead of the device: a fraction of a second at most.
+"""Pace of launches: their times, and how far the host is ahead of the device, a fraction of a second at most.
 
 Python hears of a signal when a call of OpenCL returns, and nothing takes back what is enqueued. So long launches are
 cut into pieces whose size follows from the time of those before, and the host stays a fraction of a second ahead of the
@@ -21,7 +21,7 @@ _END, _START = cl.profiling_info.END, cl.profiling_info.START
 
 
 class Pace:
-    """How long the kernels of a queue take, and how far the host is ahead of the device."""
+    """Times of the kernels of a queue, and how far the host is ahead of the device."""
 
     def __init__(self) -> None:
         self._rates: dict[Hashable, float] = {}  # s per unit of work

@@ -1,4 +1,4 @@
-"""Which bounds of an object cut its surface: others would only cost time, and soften an edge that is none (pure).
+"""Bounds of an object that cut its surface: others would only cost time, and soften an edge that is none (pure).
 
 A surface is Q(p) = p M p + 2 L p + K = 0 in the object's own frame. Where no bound but one is left, the farthest point
 along that one's axis is a root of Q where Q does not change across the axis: inside of the other bounds, on their faces

@@ -228,7 +228,7 @@ class Psf(Strict):
 
     @property
     def asks_for_rays(self) -> bool:
-        """Whether visibility tests are not only the default, but given."""
+        """True where visibility tests are given, not only the default."""
         return self.occlusion == "visibility" and "occlusion" in self.model_fields_set
 
     def of_images(self) -> Self:

@@ -1,4 +1,4 @@
-"""What a studio's folder has for it: scenes, images and depth maps, and nothing else, and nothing outside of it."""
+"""Files in a studio's folder: scenes, images and depth maps, nothing else, and nothing outside of it."""
 
 from __future__ import annotations
 

@@ -125,7 +125,7 @@ class Guard:
         return None
 
     def _has_cookie(self, headers: dict[str, list[str]]) -> bool:
-        """Whether the cookie came along, compared in constant time."""
+        """Test whether the cookie came along, in constant time."""
         for line in headers.get("cookie", ()):
             for part in line.split(";"):
                 name, _, value = part.strip().partition("=")
@@ -134,7 +134,7 @@ class Guard:
         return False
 
     def _is_first(self, scope: Scope) -> bool:
-        """Whether this is the printed address, or the one that the browser was opened with."""
+        """Test whether this is the printed address, or the one that the browser was opened with."""
         if scope["type"] != "http" or scope["method"] != "GET" or scope["path"] != "/":
             return False
         kind, _, given = scope["query_string"].partition(b"=")

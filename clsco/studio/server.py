@@ -273,7 +273,7 @@ class Studio:
 
 
 def _is_flat(value: Any, levels: int) -> bool:
-    """Whether lists and tables are in each other at most so many times."""
+    """Test whether lists and tables are nested at most so deep."""
     if not isinstance(value, list | dict):
         return True
     inner = value.values() if isinstance(value, dict) else value

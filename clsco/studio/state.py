@@ -1,4 +1,4 @@
-"""What a studio keeps for the next one: not in the folder that it works in, which may come from a stranger, but in a
+"""State of a studio for the next one: not in the folder that it works in, which may come from a stranger, but in a
 private one of the user."""
 
 from __future__ import annotations

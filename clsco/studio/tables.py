@@ -34,7 +34,7 @@ _START: dict[str, Table] = {  # of shapes that have no defaults
 
 
 def is_path(path: str) -> bool:
-    """Whether something can be the path of a key."""
+    """Test whether something can be the path of a key."""
     try:
         path_parts(path)
     except SceneError:

@@ -47,7 +47,7 @@ def keep_image(root: Path, content: bytes, kind: str) -> str:
 
 
 def holds(path: Path, content: bytes) -> bool:
-    """Whether a file, and nothing that stands in for one, has this content."""
+    """Test whether a regular file has this content."""
     try:
         return read_regular(path, len(content)) == content
     except OSError:

@@ -243,30 +243,29 @@ def _long_lists(folder: Path) -> Made:
     return "bomb.parquet", CONTAINERS["parquet"].read
 
 
-def _pax(folder: Path) -> Made:
-    """A tar whose header of a member is digits, in which `tarfile` looks for a record from each of them on."""
-    path, body = folder / "bomb.tar", b"1" * 210_000
-    head = tarfile.TarInfo("././@PaxHeader")
-    head.type, head.size = tarfile.XHDTYPE, len(body)
-    with tarfile.open(path, "w", format=tarfile.USTAR_FORMAT) as tar:
-        tar.addfile(head, io.BytesIO(body))
-        tar.addfile(tarfile.TarInfo("000000001.meta.json"))
-    return path.name, CONTAINERS["webdataset"].read
-
-
-def _sparse_pax(folder: Path) -> Made:
-    """A tar whose header is a map of a sparse file, which is read line by line from its end on."""
-    path, count = folder / "bomb.tar", 20_000
-    records = b"".join(
-        b"%d %s\n" % (len(text) + 3 if len(text) < 97 else len(text) + 4, text)
-        for text in [b"GNU.sparse.offset=0", b"GNU.sparse.numbytes=0"] * (count // 4)
-    )
-    head = tarfile.TarInfo("././@PaxHeader")
+def _tar_with_header(folder: Path, records: bytes) -> Made:
+    """A tar of one member, with these records in its extended header."""
+    path, head = folder / "bomb.tar", tarfile.TarInfo("././@PaxHeader")
     head.type, head.size = tarfile.XHDTYPE, len(records)
     with tarfile.open(path, "w", format=tarfile.USTAR_FORMAT) as tar:
         tar.addfile(head, io.BytesIO(records))
         tar.addfile(tarfile.TarInfo("000000001.meta.json"))
     return path.name, CONTAINERS["webdataset"].read
+
+
+def _pax(folder: Path) -> Made:
+    """A tar whose header of a member is digits, in which `tarfile` looks for a record from each of them on."""
+    return _tar_with_header(folder, b"1" * 210_000)
+
+
+def _sparse_pax(folder: Path) -> Made:
+    """A tar whose header is a map of a sparse file, which is read line by line from its end on."""
+    count = 20_000
+    records = b"".join(
+        b"%d %s\n" % (len(text) + 3 if len(text) < 97 else len(text) + 4, text)
+        for text in [b"GNU.sparse.offset=0", b"GNU.sparse.numbytes=0"] * (count // 4)
+    )
+    return _tar_with_header(folder, records)
 
 
 def _pax_chain(folder: Path) -> Made:

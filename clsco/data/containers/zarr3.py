@@ -147,7 +147,10 @@ class _Column:
 
 
 def _parsed_column(folder: Path) -> _Column:
-    """What `zarr.json` of an array says. Raises ValueError, KeyError or TypeError for what `write` does not make."""
+    """Read type and shape from `zarr.json` of an array.
+
+    Raises ValueError, KeyError or TypeError for what `write` does not make.
+    """
     about = json.loads(read_regular(folder / "zarr.json", LARGEST_JSON))
     codecs, rows = about["codecs"], about["chunk_grid"]["configuration"]["chunk_shape"]
     is_sharded = codecs[0]["name"] == "sharding_indexed"

@@ -216,8 +216,11 @@ def mark_entered(winner: NDArray[np.int64], known: NDArray[np.bool_], guard: int
 
 
 def _beyond_edge(lines: NDArray[np.bool_], place: NDArray[np.int64]) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-    """What is beyond the first or last known pixel of each line (L, N), where its place was at that end of the line;
-    and the number of the pixel (L, N) that is nearest of these two."""
+    """Mark what is beyond the first or last known pixel of each line (L, N), where its place was at that end.
+
+    lines: (L, N), known; place: (L, N), px, of each source along its line. Besides, the number (L, N) of the nearer one
+    of these two pixels.
+    """
     length = lines.shape[1]
     at, some = np.arange(length), lines.any(axis=1)
     first, last = lines.argmax(axis=1), length - 1 - lines[:, ::-1].argmax(axis=1)
