@@ -230,7 +230,7 @@ def _identity(drawn: Distribution, samples: range, options: dict[str, Any], prec
 
 
 def _places(names: Sequence[str], every: bool, workers: int | None) -> tuple[list[Place], str, str]:
-    """Where processes work, the family of their devices, and the precision of these."""
+    """Places for the processes, the family of their devices, and the precision of these."""
     require_opencl()
     from clsco.data.pool import places
     from clsco.data.shards import device_family
@@ -260,7 +260,7 @@ def _memory_limit(workers: int) -> int:
 
 
 def _line(out: str, status: Status) -> str:
-    """What has been made, in one line."""
+    """Summary of a set in one line."""
     failed = f", {status.failed} failed" if status.failed else ""
     whole = "" if status.is_whole else f" of {status.shards}, as far as it is made"
     made = f"{status.made} samples in {len(status.done)} shards"

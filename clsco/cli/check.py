@@ -39,7 +39,7 @@ FIGURES: dict[str, tuple[str, float]] = {
 
 @dataclass(frozen=True)
 class Difference:
-    """How far an output is from the reference's.
+    """Difference of an output from the reference's.
 
     largest, rms: in `unit`; row, column: of the largest; count: pixels above `figure`; pixels: of the frame.
     """

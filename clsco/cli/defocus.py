@@ -68,7 +68,7 @@ def check_pair(scene: Scene) -> None:
 
 
 def is_image_file(out: Path) -> bool:
-    """Whether OUT names an image file and no folder; raises ImageError for an image that cannot be written."""
+    """True if OUT names an image file and no folder; raises ImageError for an image that cannot be written."""
     suffix = out.suffix.lower()
     if out.is_dir():
         return False

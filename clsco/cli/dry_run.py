@@ -1,4 +1,4 @@
-"""What `clsco batch --dry-run` prints."""
+"""Tables of `clsco batch --dry-run`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ BAR = 40  # characters of the longest bar
 
 
 def dry_run_tables(found: DryRun) -> list[RenderableType]:
-    """What a data set will be: parameters, what samples show, size and time."""
+    """Tables of a data set to be made: parameters, measures of samples, size and time."""
     parameters = [
         (one.name, _number(one.low), _number(one.mean), _number(one.high), one.note) for one in found.parameters
     ]

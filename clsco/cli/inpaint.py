@@ -1,4 +1,4 @@
-"""What `clsco inpaint` does: an image and its mask from files, and the filled image to one."""
+"""Implementation of `clsco inpaint`: an image and its mask from files, and the filled image to one."""
 
 from __future__ import annotations
 

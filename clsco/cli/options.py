@@ -1,4 +1,4 @@
-"""What commands have in common: options with their parsers, and a group that turns errors into exit statuses."""
+"""Options that commands share, with their parsers, and a group that turns errors into exit statuses."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ def one_value(name: str, kind: type[Any], *options: Callable[[Command], Command]
 
 @dataclass(frozen=True)
 class Extent:
-    """How much `clsco bench` measures: options of these names."""
+    """Extent of `clsco bench`: options of these names."""
 
     quick: bool = False
     compare: bool = False
@@ -159,7 +159,7 @@ class Extent:
 
 @dataclass(frozen=True)
 class Computation:
-    """Where and how frames are computed: options of `render` and `defocus`."""
+    """Place and method of computing frames: options of `render` and `defocus`."""
 
     device: str | None
     precision: str | None

@@ -1,4 +1,4 @@
-"""How far work has come, as a bar on a terminal."""
+"""Progress of work, as a bar on a terminal."""
 
 from __future__ import annotations
 

@@ -90,7 +90,7 @@ def render(
 
 
 def request_for(files: tuple[TruthFile, ...], computation: Computation | None = None, **options: Any) -> Request:
-    """What is requested for these files of ground truth: the outputs in them, or without such files none."""
+    """Request for these files of ground truth: the outputs in them, or without such files none."""
     from clsco.frame.files import needed_truth
     from clsco.plan.request import Request
 

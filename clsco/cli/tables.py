@@ -39,7 +39,8 @@ def _table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], ri
 
 
 def plan_tables(plans: Sequence[Plan]) -> list[RenderableType]:
-    """What a plan does, leaves out, and costs, and which keys of the scene it has no use for.
+    """Tables of a plan: its passes, the parts that it leaves out, its costs, and keys of the scene that it has no use
+    for.
 
     plans: one, or those of the left and the right view of a stereo pair.
     """
@@ -149,7 +150,7 @@ def check_tables(checked: Checked) -> list[RenderableType]:
 
 
 def inpaint_tables(report: Report) -> list[RenderableType]:
-    """What filling an image has taken; of the method mean-median the figures of the thesis' table (figure 5.21)."""
+    """Tables of filling an image; for the method mean-median with the figures of the thesis' table (figure 5.21)."""
     figures, rows = report.figures(), [("missing pixels", f"{report.missing_pixels}")]
     if "border_pixels" in figures:
         rows += [("border pixels", f"{figures['border_pixels']}"), ("sweeps", f"{figures['sweeps']}")]

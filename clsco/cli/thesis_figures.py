@@ -33,7 +33,7 @@ class Made:
         return found
 
     def samples(self) -> list[dict[str, Any]]:
-        """What is recorded of all time samples of all frames."""
+        """Records of all time samples of all frames."""
         return [sample for frame in self.frames for sample in frame.metadata["intermediate"]]
 
 
@@ -64,7 +64,7 @@ class Figure:
 
     @property
     def scenes(self) -> tuple[str, ...]:
-        """Those whose frames it shows."""
+        """Scenes whose frames the figure shows."""
         return tuple(dict.fromkeys(picture.partition("/")[0] for picture in self.pictures))
 
 
@@ -104,7 +104,7 @@ class Number:
     is_input: bool = False
 
     def agrees(self, got: float) -> bool:
-        """Whether a measured value is what is stated."""
+        """True if a measured value agrees with the stated one."""
         if self.most is not None:
             return got <= self.most
         decimals = len(self.stated.partition(".")[2])
@@ -116,7 +116,7 @@ def _frame(scene: str, number: int = 0) -> str:
 
 
 def _subframe(scene: str, number: int) -> str:
-    """Of five in each frame, counted through all of them."""
+    """Path of a sub-frame; each frame has five, and they are counted through all frames."""
     return f"{scene}/frame_{number // 5:04d}_sample_{number % 5:02d}.png"
 
 
@@ -288,7 +288,7 @@ def _camera(name: str, stated: str, digits: int, unit: str = "mm") -> Number:
 
 
 def _filling(before: str, after: str, stated: str) -> tuple[Number, ...]:
-    """What is missing in a figure, and filled in another one."""
+    """Numbers on a figure with missing pixels, and on another one where they are filled."""
     missing, filled = ((f"fig_4_{int(number[2:]):02d}",) for number in (before, after))
     note = AWAY if after == "4.14" else ""
     return (

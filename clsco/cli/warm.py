@@ -1,4 +1,5 @@
-"""What `clsco devices --warm` does: kernels of usual scenes, images and masks compiled ahead, by several processes."""
+"""Implementation of `clsco devices --warm`: kernels of usual scenes, images and masks compiled ahead, by several
+processes."""
 
 from __future__ import annotations
 
@@ -33,7 +34,7 @@ RADIUS = 9.0  # px: more than the smallest discs reach
 
 @dataclass(frozen=True)
 class Warmed:
-    """What was compiled.
+    """Result of compiling ahead.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a sample shows, from a coarse grid of rays in float64: which samples are accepted, and keys that follow from it.
+"""Acceptance of samples, and keys derived from what they show, by a coarse grid of rays in float64.
 
 Nothing here depends on a device: the same rays are cast for every rendering of a sample.
 """
@@ -43,7 +43,7 @@ class UnfitError(SceneError):
 
 @dataclass(frozen=True)
 class Look:
-    """What is seen at the middle of some frames, each on RAYS x RAYS rays at equal distances over the frame.
+    """Surfaces seen at the middle of some frames, each on RAYS x RAYS rays at equal distances over the frame.
 
     Attributes
     ----------
@@ -87,7 +87,8 @@ class _Seen:
 
 
 def looks_of(scenes: Sequence[Scene]) -> list[Look]:
-    """What the variants of a sample show, scenes of analytic objects with a resolution; of stereo pairs the left views.
+    """Cast rays at the variants of a sample: scenes of analytic objects with a resolution; of stereo pairs the left
+    views.
 
     Rays are cast once for all lenses. Validated against the ground truth of the reference.
     """
@@ -174,7 +175,7 @@ Bounds = tuple[tuple[str, float, float], ...]
 
 
 def bounds_of(table: Any) -> tuple[Bounds, list[str]]:
-    """What [accept] asks for, as measures with the least and the largest value, and messages on its faults."""
+    """Measures of [accept] with their least and largest values, and messages on faults of the table."""
     if not isinstance(table, Mapping):
         return (), [f"accept: must be a table; got {shown(table)}"]
     found, faults = [], list[str]()
@@ -271,7 +272,7 @@ def _rounded(value: float) -> float:
 
 
 def derivation(key: tuple[str, str], value: Any) -> Any:
-    """What a key of [derive] asks for: a number, or a distribution of it. Raises RefusedError."""
+    """Value of a key of [derive]: a number, or a distribution of it. Raises RefusedError."""
     form = DERIVED[key]
     if not isinstance(value, Mapping) or set(value) != {form}:
         raise RefusedError(f"must be {{ {form} = value }}")

@@ -1,4 +1,4 @@
-"""What a generator yields, made in another thread before it is asked for."""
+"""Prefetch a generator's items in a thread."""
 
 from __future__ import annotations
 

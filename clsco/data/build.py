@@ -21,8 +21,8 @@ from clsco.scene.text import shown
 
 @dataclass(frozen=True)
 class Values:
-    """Of one sample: of each parameter, the row of each table of rows, and of each object of each population the values
-    of its parameters."""
+    """Parameter values of one sample, the row of each of its tables of rows, and the values of each object of its
+    populations."""
 
     values: Sequence[Any]
     rows: Sequence[int]
@@ -112,7 +112,7 @@ class Builder:
             self._fit(item, population.shapes)
 
     def _fit(self, item: dict[str, Any], shapes: tuple[str, ...]) -> None:
-        """Where the shape varies: leave out keys that belong to another of the shapes, and give each its place."""
+        """Leave out keys of an object that belong to another shape than the drawn one, and place the rest."""
         shape = item.get("shape")
         own = SHAPES[shape].model_fields.keys() if isinstance(shape, str) and shape in SHAPES else set(item)
         others = {key for one in shapes if one in SHAPES for key in SHAPES[one].model_fields}

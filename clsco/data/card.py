@@ -1,4 +1,4 @@
-"""What a data set says of itself: dataset.json for programs, README.md for people and for the Hugging Face hub."""
+"""Card of a data set: dataset.json for programs, README.md for people and for the Hugging Face hub."""
 
 from __future__ import annotations
 

@@ -94,7 +94,8 @@ def run_cluster(job: Job, shards: Sequence[int], address: str, advance: Callable
 
 
 def _ended_well(distributed: Any, schedule: Schedule, task: Task, future: Any, address: str) -> bool:
-    """What has come of a task. Raises ClscoError where no other will do better."""
+    """Record how a task ended; True if it gave its result. Raises ClscoError where every other task would fail as
+    well."""
     if future.status == "cancelled":
         raise _lost(address)
     if future.status == "error":
@@ -142,7 +143,7 @@ def _distributed() -> Any:
 
 
 def _workers(client: Any, address: str) -> Mapping[str, Any]:
-    """What the scheduler says of its workers. Raises ClscoError where it is gone, and so says nothing."""
+    """Workers as the scheduler lists them. Raises ClscoError if the scheduler is gone."""
     found: Mapping[str, Any] | None = client.scheduler_info(n_workers=-1).get("workers")
     if found is None:
         raise _lost(address)

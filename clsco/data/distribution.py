@@ -64,7 +64,7 @@ class Sample:
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """What was drawn for many samples.
+    """Values drawn for many samples.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a data set will be, before it is made: parameters, what samples show, size and time, and some pictures."""
+"""Preview of a data set before it is made: parameters, measures of samples, size and time, and some pictures."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ TILE = 200  # px, the longer side of a picture
 BINS = 12
 VALUES = 8  # of a choice that are listed
 BYTES = {"color": 2, "sharp": 2, "alpha": 2, "normal": 12, "flow": 8, "flow_backward": 8, "uv": 8}
-"""Of a pixel; of the first three for each channel. Masks have 1 byte, all else 4."""
+"""Bytes of a pixel; of the first three for each channel. Masks have 1 byte, all other arrays 4."""
 MASKS = ("mask", "filled", "missing", "hidden", "flow_occluded", "occluded")
 
 
@@ -67,7 +67,7 @@ class Histogram:
 
 @dataclass(frozen=True)
 class DryRun:
-    """What `dry_run` finds.
+    """Result of `dry_run`.
 
     Attributes
     ----------
@@ -214,7 +214,7 @@ class _Collected:
 
 
 def _summaries(distribution: Distribution, seed: int, count: int) -> tuple[Summary, ...]:
-    """Of all parameters of all samples, at their first attempt."""
+    """Summaries of all parameters over all samples, at their first attempt."""
     parts = distribution.parts
     fixed = [_Collected(one) for one in (*parts.parameters, *(rows.parameter for rows in parts.rows))]
     counts = [_Collected(population.count) for population in parts.populations]
@@ -235,7 +235,8 @@ def _summaries(distribution: Distribution, seed: int, count: int) -> tuple[Summa
 
 
 def _histograms(samples: Sequence[Sample]) -> tuple[Histogram, ...]:
-    """Of what samples show; those with depth maps, at which no rays are cast, are left out."""
+    """Histograms of depth, blur and motion over samples; samples with depth maps, at which no rays are cast, are left
+    out."""
     looks = list[Look]()
     for sample in samples:
         if all(scene.is_analytic for scene in sample.scenes):

@@ -98,7 +98,7 @@ def stored_size(about: Mapping[str, Any]) -> int:
 
 
 def is_png(dtype: str, shape: tuple[int, ...]) -> bool:
-    """Whether a PNG holds such an array: of masks and codes, gray or with three channels."""
+    """True if a PNG can hold such an array: of masks and codes, gray or with three channels."""
     return dtype in ("bool", "uint8", "uint16") and (len(shape) == 2 or (len(shape) == 3 and shape[2] == 3))
 
 
@@ -158,7 +158,7 @@ def _json(value: Any) -> str:
 
 
 def parsed_meta(path: Path, content: bytes | str) -> dict[str, Any]:
-    """What describes a record, whose arrays are such as `described` takes.
+    """Parse the meta.json of a record, whose arrays are such as `described` takes.
 
     Parameters
     ----------

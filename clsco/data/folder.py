@@ -160,7 +160,7 @@ class Folder:
 
 
 def cell_value(text: str) -> Any:
-    """What a cell says: true, false, a number, or text."""
+    """Value of a cell of a table: true, false, a number, or text."""
     text = text.strip()
     if text in ("true", "false"):
         return text == "true"

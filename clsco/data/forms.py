@@ -40,7 +40,8 @@ MAX_DIMENSIONS = 64
 
 @dataclass
 class Found:
-    """What the forms of a file have in common: its folder and splits, and how many dimensions of a Sobol sequence."""
+    """Context that the forms of a file share: its folder and splits, and the number of dimensions of a Sobol
+    sequence."""
 
     folder: Folder
     splits: Splits
@@ -131,7 +132,7 @@ def _entries(value: Any) -> tuple[Any, ...]:
 
 
 def _deep(entry: Any) -> bool:
-    """Whether a list has more in it than a vector, or the bounds of an object."""
+    """True if a list holds more than a vector, or than the bounds of an object."""
     inner = [part for part in entry if isinstance(part, list)] if isinstance(entry, list) else []
     tables = isinstance(entry, list) and any(isinstance(part, Mapping) for part in entry)
     return tables or any(isinstance(part, list | Mapping) for one in inner for part in one)
@@ -241,7 +242,7 @@ FORMS: dict[str, tuple[Callable[[Mapping[str, Any], Found], Form], tuple[str, ..
 
 
 def is_form(value: Any) -> bool:
-    """Whether a table stands for a value."""
+    """True if a table stands for a value."""
     return isinstance(value, Mapping) and any(key in FORMS for key in value)
 
 

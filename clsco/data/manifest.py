@@ -1,4 +1,4 @@
-"""What a data set holds: one part of the manifest for each shard, and all of them together.
+"""Manifest of a data set: one part for each shard, and all of them together.
 
 A part is a file of JSON lines: the first one describes the shard and its files, then there is a line for each sample
 in it, and at last a line for each sample that failed. It is a function of the set and the number of the shard alone.
@@ -72,7 +72,7 @@ class Identity:
         return found
 
     def differences(self, record: Mapping[str, Any]) -> list[str]:
-        """What of the record of another is not as here: "seed must be 1, as in the set; got 2"."""
+        """Messages on the entries in which another record differs: "seed must be 1, as in the set; got 2"."""
         return [
             f"{name.replace('_', ' ')} must be {_shown(value)}, as in the set; got {_shown(record.get(name))}"
             for name, value in self.record().items()
@@ -110,7 +110,7 @@ class Part:
 
     @property
     def numbers(self) -> range:
-        """Of its samples."""
+        """Numbers of the part's samples."""
         return range(self.first, self.first + self.count)
 
 
@@ -120,7 +120,7 @@ def line(value: Mapping[str, Any]) -> str:
 
 
 def part_key(shard: int) -> str:
-    """Where the part of a shard is."""
+    """Storage key of the part of a shard."""
     return f"{PARTS}/{shard:06d}.jsonl"
 
 
@@ -166,7 +166,7 @@ def rows_of(data: bytes) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
 
 
 def _is_row(row: Any) -> bool:
-    """Whether it is about a sample that is in a file."""
+    """True if a row is about a sample that is in a file."""
     if not isinstance(row, dict) or not _is_count(row.get("number")) or not _is_count(row.get("offset")):
         return False
     texts, tables = (row.get("file"), row.get("split")), (row.get("parameters"), row.get("arrays"))
@@ -176,7 +176,7 @@ def _is_row(row: Any) -> bool:
 
 
 def _is_failure(row: Any) -> bool:
-    """Whether it is about a sample that failed."""
+    """True if a row is about a sample that failed."""
     if not isinstance(row, dict) or not _is_count(row.get("number")) or not isinstance(row.get("error"), str):
         return False
     return "scene" in row and (row["scene"] is None or isinstance(row["scene"], dict))
@@ -272,7 +272,7 @@ class Parts:
         return found
 
     def _fault(self, part: Part, data: bytes, sizes: Mapping[str, int] | None, hashes: bool) -> str:
-        """What is wrong with the files of a part, "" for nothing."""
+        """Message on the first fault of a part's files, "" for none."""
         if hashes:
             require_rows(part, data)
         for name, (size, digest) in part.files.items():

@@ -1,4 +1,4 @@
-"""What a distribution file is made of: a scene with the values that never vary, parameters, and populations."""
+"""Parts of a distribution file: a scene with the values that never vary, parameters, and populations."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Parts:
     derived: tuple[tuple[tuple[str, ...], Any], ...]
     """Keys with what is wanted of them, a number or the parameter that has it."""
     sized: bool
-    """Whether samples need a resolution: rays are cast at them, or points placed in the view."""
+    """True if samples need a resolution: rays are cast at them, or points placed in the view."""
 
 
 class Reader:
@@ -297,7 +297,7 @@ class Reader:
         return [Rows(parameter, tuple(locations), table)]
 
     def _derived(self) -> list[tuple[tuple[str, ...], Any]]:
-        """What [derive] asks for; a distribution of it as the parameter that has it."""
+        """Values of the keys of [derive]; a distribution is replaced by the parameter that draws it."""
         found: dict[tuple[str, ...], Any] = {}
         given = self._tables.derive if isinstance(self._tables.derive, dict) else {}
         if given is not self._tables.derive:
@@ -348,17 +348,17 @@ class Reader:
 
 
 def _key_of_file(key: Location) -> str:
-    """Which of FILE_KEYS a place in the file is for."""
+    """Key of FILE_KEYS that a place in the file belongs to."""
     return "depth" if "depth" in key else "texture"
 
 
 def is_file(key: str, name: str) -> bool:
-    """Whether what an object has under one of FILE_KEYS names a file, and no pattern or color."""
+    """True if an object's value under one of FILE_KEYS names a file, and no pattern or color."""
     return key == "depth" or not is_drawn(name)
 
 
 def _is_table(location: Location) -> bool:
-    """Whether a key has a table of the scene, and not one that stands for a value."""
+    """True if a key has a table of the scene, and not a table that stands for a value."""
     return location[-1] == "motion" or isinstance(location[-1], int)
 
 

@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 RECYCLED_SHARDS = 32  # after so many a process is replaced: what leaks in drivers goes with it
 END_S = 20.0  # until a process that was asked to end is killed
 THREADS = "POCL_MAX_PTHREAD_COUNT"
-"""What the wheel of PoCL 3.0 reads; later ones read the other name."""
+"""Variable that the wheel of PoCL 3.0 reads; later ones read the other name."""
 _THREAD_VARIABLES = (THREADS, "POCL_CPU_MAX_CU_COUNT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a process works: its device, and how many threads it takes on a processor, 0 where that is left open."""
+    """Device of a working process, and the number of threads it takes on a processor, 0 where that is left open."""
 
     device: DeviceName
     threads: int = 0
@@ -54,7 +54,7 @@ class _Worker:
 
 
 def places(devices: Sequence[tuple[DeviceName, bool]], workers: int | None) -> list[Place]:
-    """Where processes work: one for each graphics card, on a processor one for each of its cores.
+    """List the places for working processes: one for each graphics card, on a processor one for each of its cores.
 
     Parameters
     ----------

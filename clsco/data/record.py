@@ -170,7 +170,7 @@ def array_sha256(array: NDArray[Any]) -> str:
 
 
 def is_wanted(name: str, wanted: Collection[str] | None) -> bool:
-    """Whether an array is one of those wanted, by its whole name or by what it holds: "left.color" is a "color"."""
+    """True if an array is wanted, by its whole name or by its kind: "left.color" is a "color"."""
     return wanted is None or name in wanted or name.rpartition(".")[2] in wanted
 
 

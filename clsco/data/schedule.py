@@ -1,4 +1,4 @@
-"""Which tasks are left of a set, and what follows where one of them fails."""
+"""Schedule of the tasks of a set: which are left, and what follows when one of them fails."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Schedule:
 
     @property
     def is_over(self) -> bool:
-        """Whether all shards are made."""
+        """True if all shards are made."""
         return self._left == 0
 
     def done(self, task: Task) -> None:

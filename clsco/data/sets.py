@@ -38,7 +38,7 @@ class DataSet:
         return shard_numbers(self.samples, self.identity.shard_size)
 
     def numbers(self, shard: int) -> range:
-        """Of the samples of a shard."""
+        """Numbers of the samples of a shard."""
         return numbers_of(shard, self.samples, self.identity.shard_size)
 
     def done(self, shards: Iterable[int], hashes: bool, faults: list[str]) -> dict[int, Part]:
@@ -47,7 +47,7 @@ class DataSet:
         return Parts(self.storage).done(identity.digest, self.samples, identity.shard_size, shards, hashes, faults)
 
     def lines(self, shard: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-        """What the manifest says of the samples of a shard, and of those that failed; nothing without a part."""
+        """Rows of the manifest about the samples of a shard, and about those that failed; none without a part."""
         data = self.storage.read(part_key(shard))
         return ([], []) if data is None else rows_of(data)
 
@@ -79,7 +79,7 @@ def open_set(storage: Storage) -> DataSet:
 
 
 def known_license(storage: Storage) -> str:
-    """What the card of a set says of its license, "" where there is none."""
+    """License on the card of a set, "" where there is none."""
     try:
         return str(json.loads(storage.read(CARD) or b"{}").get("license", ""))
     except (ValueError, AttributeError, RecursionError):
@@ -87,7 +87,7 @@ def known_license(storage: Storage) -> str:
 
 
 def begun(wanted: DataSet, goes_on: bool) -> bool:
-    """Whether a set is in the storage that may be gone on with.
+    """True if the storage holds a set that may be resumed.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def begun(wanted: DataSet, goes_on: bool) -> bool:
 
 @dataclass(frozen=True)
 class Status:
-    """How far a set has come.
+    """Progress of a set.
 
     Attributes
     ----------
@@ -141,7 +141,7 @@ class Status:
 
     @property
     def is_whole(self) -> bool:
-        """Whether all shards are done."""
+        """True if all shards are done."""
         return len(self.done) == self.shards
 
     @property
@@ -156,7 +156,7 @@ class Status:
 
     @property
     def bytes(self) -> int:
-        """Of all files of shards."""
+        """Size of all files of shards."""
         return sum(size for part in self.done.values() for size, _ in part.files.values())
 
     @property
@@ -166,7 +166,7 @@ class Status:
 
 
 def status_of(there: DataSet, hashes: bool = False) -> Status:
-    """How far a set has come, by the parts of its manifest and the sizes of its files, or their hashes."""
+    """Measure the progress of a set, by the parts of its manifest and the sizes of its files, or their hashes."""
     faults: list[str] = []
     done = there.done(there.shards, hashes, faults)
     return Status(len(there.shards), len(there.samples), done, tuple(faults), _rate(there, done))

@@ -60,7 +60,7 @@ class Job:
     where: str
 
     def numbers(self, shard: int) -> range:
-        """Of the samples of a shard."""
+        """Numbers of the samples of a shard."""
         return numbers_of(shard, self.samples, self.identity.shard_size)
 
 
@@ -78,7 +78,7 @@ class Made:
 
 
 def device_family(device: Device) -> str:
-    """What devices that give the same bits have in common.
+    """Name of the family of devices that give the same bits.
 
     Of processors the driver and the width of its vectors, not the name; of others the name as well.
     """
@@ -230,7 +230,7 @@ class ShardMaker:
         return Made(shard, files, part, len(rows), len(failures), began, spent)
 
     def _portable(self, error: object) -> str:
-        """What is wrong, without the place of the distribution on this machine."""
+        """Message of an error, without the folder of the distribution on this machine."""
         distribution = self.job.distribution
         text = str(error).replace(distribution.where, Path(distribution.where).name)
         return text.replace(f"{distribution.folder}/", "")
@@ -261,7 +261,7 @@ class ShardMaker:
         self.storage.write(f"{LOG}/{made.shard:06d}.jsonl", f"{line(log)}\n".encode())
 
     def _is_whole(self, data: bytes, shard: int) -> bool:
-        """Whether the part of a shard is of this set, with all samples, and its files are as it says."""
+        """True if the part of a shard is of this set, has all samples, and describes its files as they are."""
         try:
             part = parsed_part(data)
         except ImageError:

@@ -1,4 +1,4 @@
-"""Where a data set is: a local folder, or an address of an object store by fsspec. Objects are whole or absent."""
+"""Storage of a data set: a local folder, or an address of an object store by fsspec. Objects are whole or absent."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Storage(Protocol):
         """Put bytes under a key."""
 
     def read(self, key: str) -> bytes | None:
-        """What is under a key, None where nothing is."""
+        """Content of a key, None where it has none."""
 
     def digest(self, key: str) -> str | None:
         """SHA-256 of what is under a key, None where nothing is."""
@@ -59,7 +59,7 @@ class Storage(Protocol):
         """Keys that begin with `prefix`, a folder, with their bytes."""
 
     def has_others(self) -> bool:
-        """Whether anything is there that is not hidden."""
+        """True if the storage holds anything that is not hidden."""
 
     def remove(self, key: str) -> None:
         """Remove a file or a folder, if it is there."""

@@ -23,8 +23,8 @@ MAX_SOBOL = 2**24  # samples: the way to one of them takes a time that grows wit
 
 @dataclass(frozen=True)
 class Draw:
-    """What values depend on: random words (n, words), the name of the parameter, the seed, and of every sample its
-    number (n,) and the position of its split (n,)."""
+    """Input of a draw: random words (n, words), the name of the parameter, the seed, and for every sample its number
+    (n,) and the position of its split (n,)."""
 
     words: Words
     name: str
@@ -35,15 +35,15 @@ class Draw:
 
 @dataclass(frozen=True)
 class Form:
-    """Of one value, or of `size` numbers."""
+    """Distribution of one value, or of `size` numbers."""
 
     size: int | None
     designed: ClassVar[bool] = False
-    """Whether values follow from the number of the sample, and not from chance alone."""
+    """True if values follow from the number of the sample, and not from chance alone."""
 
     @property
     def words(self) -> int:
-        """How many it takes."""
+        """Number of random words that a draw takes."""
         return self.size or 1
 
     def column(self, draw: Draw) -> Column:
@@ -347,6 +347,6 @@ def qmc() -> Any:
 
 
 def shares(weights: Sequence[float]) -> tuple[float, ...]:
-    """What positive weights are up to and including each, of 1."""
+    """Cumulative shares of positive weights, up to 1."""
     total = math.fsum(weights)
     return tuple(math.fsum(weights[: k + 1]) / total for k in range(len(weights)))

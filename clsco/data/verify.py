@@ -42,7 +42,7 @@ def chosen_samples(there: DataSet, count: int) -> list[int]:
 
 
 def verify_files(there: DataSet, advance: Advance) -> list[str]:
-    """What of a set is not as its manifest says, a line each: parts, files, and arrays in them."""
+    """List where a set differs from its manifest, a line each: parts, files, and arrays in them."""
     findings: list[str] = []
     for shard in there.shards:
         faults: list[str] = []
@@ -59,7 +59,8 @@ def verify_files(there: DataSet, advance: Advance) -> list[str]:
 def verify_samples(
     there: DataSet, numbers: Sequence[int], device: str | None, advance: Advance, folder: Path
 ) -> list[str]:
-    """What of some samples is not as it is rendered again, a line each, and where flow is not what motion gives.
+    """List samples that differ when they are rendered again, a line each, and flow that does not follow from the
+    motion.
 
     folder: of the distribution file, where textures lie.
     """

@@ -68,7 +68,8 @@ def perform(maker: ShardMaker, task: Task, advance: Any = lambda: None) -> tuple
 
 
 def failure_of(error: BaseException) -> tuple[str, str]:
-    """What an error means: "fatal" where it is the disk's or the store's, so that other shards meet it; "failed"."""
+    """Class of an error: "fatal" where the disk or the store failed, so that other shards fail as well, else
+    "failed"."""
     text = str(error) if isinstance(error, ClscoError) else f"sample: must be made; got {error!r}"
     known: BaseException | None = error
     while known is not None:

@@ -38,7 +38,7 @@ _CHOICES = ("texture_mapping", "unit")
 
 @dataclass(frozen=True)
 class State:
-    """What undo comes back to."""
+    """State of an editor, which undo returns to."""
 
     table: Table
     apart: tuple[Mapping[str, Table], ...]  # of each object, the keys of the shapes that it has had
@@ -52,7 +52,7 @@ class State:
 
     @cached_property
     def labels(self) -> tuple[str, ...]:
-        """Of all scenes of a valid table, as `clsco render` calls their folders; "" for the only one."""
+        """Labels of all scenes of a valid table, as `clsco render` calls their folders; "" for the only one."""
         return parse_sweep(self.table).labels if swept_keys(self.table) else ("",)
 
     @property
@@ -131,7 +131,7 @@ class Editor:
 
     @property
     def state(self) -> State:
-        """Where undo comes back to."""
+        """Current state, which undo returns to."""
         return self._state
 
     @property
@@ -146,7 +146,7 @@ class Editor:
 
     @property
     def folder(self) -> Path:
-        """Where relative paths of the scene start."""
+        """Folder that relative paths of the scene start from."""
         return self._state.path.parent if self._state.path is not None else self.root
 
     @property
@@ -268,7 +268,7 @@ class Editor:
         return value
 
     def shown(self, path: str) -> Any:
-        """What a box shows: the value that is not valid, else that in force."""
+        """Value to show in a box: the one that is not valid, else the one in force."""
         if path in self.refused:
             return self.refused[path]
         value = self.known(path)
@@ -413,7 +413,7 @@ class Editor:
         return absolute(scene, start)
 
     def _file_rule(self, start: Path, key: str, name: str) -> str:
-        """What is wrong with the name of a file; "" for nothing."""
+        """Rule that the name of a file breaks; "" for none."""
         try:
             path = (start / name).resolve()
             if not any(path.is_relative_to(place) for place in self.readable):
@@ -471,7 +471,7 @@ class Editor:
 
 
 def _overlaps(path: str, other: str) -> bool:
-    """Whether two paths are one, or one is in the other."""
+    """True if two paths are equal, or one contains the other."""
     return path == other or path.startswith(f"{other}.") or other.startswith(f"{path}.")
 
 

@@ -90,7 +90,7 @@ class Filler:
 
 
 def _work(pipe: Connection) -> None:
-    """What the process does until the studio is gone."""
+    """Fill images that the studio sends, in a process, until the studio is gone."""
     from clsco.engine.inpaint import inpaint
 
     while True:

@@ -108,7 +108,7 @@ class Field:
 
     @property
     def is_paired(self) -> bool:
-        """Whether the value is a list of pairs."""
+        """True if the value is a list of pairs."""
         return self.key == "bounds"
 
     def value(self, numbers: Sequence[float]) -> Any:

@@ -1,4 +1,4 @@
-"""What Generate and its kin run: scenes beside their frames, and the command lines that make these."""
+"""Jobs of Generate and its kin: scenes are stored beside their frames, with the command lines that make them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ STEPS = 16  # at which the progress of a data set is seen, at least
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is written besides the frames.
+    """Outputs besides the frames.
 
     truth: formats as for `clsco render --truth`; preset: of a clip beside the frames, "" for none.
     """
@@ -40,7 +40,7 @@ class Wanted:
     device: str = ""
 
     def options(self) -> list[str]:
-        """Of `clsco render`."""
+        """Options of `clsco render` for these outputs."""
         found = ["--truth", self.truth] if self.truth else []
         found += ["--subframes"] if self.subframes else []
         found += ["--video", self.preset] if self.preset else []

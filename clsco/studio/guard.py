@@ -1,4 +1,4 @@
-"""What stands before every request to the studio: who may ask, from where, and how much may be sent.
+"""Guard before every request to the studio: checks who asks, from where, and how much is sent.
 
 The studio listens on the loopback interface, which all users of the machine and all pages in the user's browser reach.
 So a request must name this server as its host (a foreign name that points here is DNS rebinding), come from the

@@ -26,7 +26,7 @@ from clsco.studio.removals import REMOVALS
 from clsco.studio.session import Session
 
 METHODS = ("mean-median", "biharmonic", "texture")
-"""Of `clsco inpaint`, that of the thesis first."""
+"""Methods of `clsco inpaint`, that of the thesis first."""
 MOST_RUNS = 2**20
 LARGEST = 2**24  # pixels that are filled while somebody waits
 ROWS = {  # of the table in figure 5.21, with what `Report.figures` calls them
@@ -42,7 +42,7 @@ ROWS = {  # of the table in figure 5.21, with what `Report.figures` calls them
 
 @dataclass(frozen=True, eq=False)
 class Filled:
-    """What a method has made.
+    """Image that a method has filled.
 
     method : str
     image : (rows, columns[, 3]) of the image's type

@@ -1,4 +1,4 @@
-"""What is known of a pixel of a frame, of its point spread function, and of the lens."""
+"""Figures of one pixel of a frame, of its point spread function, and of the lens."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = Fals
 
 
 def source_of(frame: Frame, scene: Scene, x: int, y: int) -> tuple[int, int, int] | str:
-    """Where the point that a pixel shows in the middle of the exposure was in the reference pose.
+    """Find the source, in the reference pose, of the point that a pixel shows in the middle of the exposure.
 
     Returns
     -------
@@ -141,7 +141,7 @@ def point_spread(scene: Scene, radius: float, gradient: NDArray[np.float64]) -> 
 
 
 def figures_of(spread: NDArray[np.floating], column: int, row: int) -> dict[str, Any]:
-    """What is known of how the light of a source spreads.
+    """Measure how the light of a source spreads.
 
     Parameters
     ----------

@@ -87,7 +87,7 @@ class Job:
 
     @property
     def command(self) -> str:
-        """Of `clsco`: "render", "video", "batch", "inpaint"."""
+        """Command of `clsco`: "render", "video", "batch", "inpaint"."""
         return self.arguments[0]
 
     @property
@@ -197,7 +197,7 @@ class Jobs:
             self._tell()
 
     def files(self, number: int) -> list[Path]:
-        """What a job has made and can be shown, in the order of its names."""
+        """List the pictures and clips that a job has made, by name."""
         folder = self.root / self.job(number).folder
         found: list[Path] = []
         for place, folders, names in os.walk(folder):  # passes over folders of unfinished work, which may go meanwhile
@@ -349,7 +349,7 @@ def _read(state: StateFolder) -> list[Job]:
 
 
 def _began(process: int) -> int | None:
-    """When a process began, in the clock's ticks since the system did; None where there is none that runs."""
+    """Start time of a process, in the clock's ticks since the system's; None where no such process runs."""
     try:
         fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
     except OSError:
@@ -358,7 +358,7 @@ def _began(process: int) -> int | None:
 
 
 def _has_group(group: int) -> bool:
-    """Whether a process of a group runs."""
+    """True if a process of a group runs."""
     for place in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):
             fields = place.read_text().rpartition(")")[2].split()

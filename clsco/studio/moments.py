@@ -45,12 +45,12 @@ def moment_of(scene: Scene, index: int, time: float) -> Scene:
 
 
 def eye_of(frame: Frame) -> Eye:
-    """Whose view a frame is; one that is no half of a pair is that of the left eye, where the camera is."""
+    """Eye that a frame belongs to; one that is no half of a pair is the left eye's, where the camera is."""
     return "right" if frame.eye == "right" else "left"
 
 
 def exposure_of(frame: Frame, scene: Scene, samples: int) -> dict[str, Any]:
-    """What the time line shows of a frame.
+    """Data of the time line for a frame.
 
     Parameters
     ----------

@@ -46,7 +46,7 @@ class Grip:
     axes: NDArray[np.float64]
 
     def value(self, camera: Camera, across: float, down: float, is_along: bool) -> float | list[float]:
-        """Where the object is when the pointer has moved so far.
+        """Position of the object after the pointer has moved by a distance.
 
         Parameters
         ----------

@@ -1,5 +1,5 @@
-"""What jobs may write: formats of ground truth, clips and data sets, and distributions to draw from; with the extra of
-clsco that each needs and that is not installed, in words."""
+"""Choices for jobs: formats of ground truth, clips and data sets, and distributions to draw from; with the name of each
+extra of clsco that is needed and not installed."""
 
 from __future__ import annotations
 

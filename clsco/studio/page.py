@@ -201,7 +201,7 @@ def _middle() -> None:
 
 
 def _shown() -> None:
-    """How the view shows the picture, which it leaves as it is."""
+    """Controls of the view's exposure and gamma, which leave the picture as it is."""
     with say("details", id="shown"):
         with say("summary", title="Exposure and gamma of the view; the scene and its files stay as they are"):
             say("span", "View: ")
@@ -241,7 +241,7 @@ def _stack() -> None:
 
 
 def _inspector() -> None:
-    """What is known of the pixel under the cursor."""
+    """Panel with the figures of the pixel under the cursor."""
     with say("section", aria_label="Inspector"):
         with say("div").classes("row"):
             say("h2", "Inspector")

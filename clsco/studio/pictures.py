@@ -40,7 +40,7 @@ QUALITY = {DRAGGING: 80, LOSSY: 95}
 
 @dataclass(frozen=True)
 class Picture:
-    """What is shown of a frame.
+    """Picture of a frame, as it is sent to the page.
 
         Attributes
         ----------
@@ -89,7 +89,7 @@ def packed_message(revision: int, content: dict[str, Any]) -> bytes:
 
 
 def truth_of(view: str) -> tuple[str, ...]:
-    """What has to be rendered besides the color to see this."""
+    """Outputs that a view needs besides the color."""
     if view == "blur radius":
         return VIEWS[view], "mask"
     return () if view == "color" else (VIEWS[view],)

@@ -1,4 +1,4 @@
-"""What the picture at rest takes, in a line."""
+"""Cost of the picture at rest, in a line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the pointer does in the picture of a tab: ask, measure, focus, and drag objects."""
+"""Uses of the pointer in the picture of a tab: ask, measure, focus, and drag objects."""
 
 from __future__ import annotations
 

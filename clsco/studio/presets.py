@@ -92,7 +92,7 @@ def _copied(path: Path, root: Path) -> str:
 
 
 def is_as_the_thesis(session: Session) -> bool:
-    """Whether PSF and method are those of the thesis."""
+    """True if PSF and method are the thesis'."""
     return {key: session.table.get(key) for key in _METHOD[:2]} == {key: _thesis()[key] for key in _METHOD[:2]}
 
 

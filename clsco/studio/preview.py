@@ -1,4 +1,4 @@
-"""What one tab is shown: coarse pictures while something is dragged, then the exact one; the latest state wins."""
+"""Pictures of one tab: coarse ones while something is dragged, then the exact one; the latest state wins."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Refer = Callable[[Job, Callable[[float], Coroutine[Any, Any, None]]], Awaitable[
 
 
 class Edited(Protocol):
-    """What a preview needs of a `Session`."""
+    """Part of a `Session` that a preview needs."""
 
     @property
     def scene(self) -> Scene: ...
@@ -38,7 +38,7 @@ class Edited(Protocol):
 
 
 class Renders(Protocol):
-    """What a preview needs of a `Renderer`."""
+    """Part of a `Renderer` that a preview needs."""
 
     def pictures(self, job: Job, watch: Watch | None = None) -> AsyncGenerator[Picture, None]: ...
     async def inspect(self, question: Question, watch: Watch | None = None) -> dict[str, Any]: ...
@@ -327,5 +327,5 @@ class Preview:
 
 
 def _kind(scene: Scene) -> Any:
-    """What scenes that use the same kernels have in common."""
+    """Key that scenes with the same kernels share."""
     return tuple(item.shape for item in scene.objects), scene.psf.model, scene.aperture.shape, scene.motion.warp

@@ -55,7 +55,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Question:
-    """What is known of a pixel is asked for; frames of one `key` are the same.
+    """Request for the figures of a pixel; frames of one `key` are the same.
 
     measures: the response of its source is asked for, which takes a rendering of its own.
     """
@@ -71,7 +71,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Progress:
-    """How far work is that takes long.
+    """Progress of long work.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ Watch = Callable[[Progress], Coroutine[Any, Any, None]]
 
 
 class Renderer:
-    """What the server has of the renderer: jobs go in, one at a time, and pictures come out.
+    """Handle of the renderer's process: jobs go in, one at a time, and pictures come out.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ class Renderer:
 
     @property
     def pid(self) -> int | None:
-        """Of the process, if there is one."""
+        """Id of the process, if there is one."""
         return self._process.pid if self._process is not None else None
 
     def start(self) -> None:
@@ -150,7 +150,7 @@ class Renderer:
                 yield answer
 
     async def inspect(self, question: Question, watch: Watch | None = None) -> dict[str, Any]:
-        """What is known of a pixel. `watch` and what it raises are as for `pictures`.
+        """Ask for the figures of a pixel. `watch` and errors are as for `pictures`.
 
         Returns
         -------
@@ -348,7 +348,7 @@ class _Worker:
         self._send(number, error)
 
     def _short_of_memory(self, content: Job | Question | Scene) -> ClscoError:
-        """What is said where the device is too small even for strips, or the host for the frame."""
+        """Error where the device is too small even for strips, or the host for the frame."""
         from clsco.plan.memory import device_bytes, free_bytes
         from clsco.plan.prepare import prepare
 

@@ -1,4 +1,4 @@
-"""What the page asks for by address: results of jobs, small pictures of textures, images and masks of inpainting."""
+"""Addresses that the page requests: results of jobs, small pictures of textures, images and masks of inpainting."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ class Tab:
 
 
 class Studio:
-    """What all tabs share.
+    """State that all tabs share.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a tab of the studio works on: a scene with its file, its link, and what is kept of it."""
+"""Session of a tab: a scene with its file, its link, and the values that outlive a reload."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Session(Editor):
 
     @property
     def is_saved(self) -> bool:
-        """Whether the scene is what is in its file, or a new one."""
+        """True if the scene is the one in its file, or a new one."""
         return self._saved == (self.path, self.table)
 
     def open(self, path: Path) -> None:
@@ -93,7 +93,7 @@ class Session(Editor):
         self._tell()
 
     def difference(self, path: Path | None = None) -> str:
-        """What `save` would change in a file, as a unified diff. Raises SceneError."""
+        """Changes that `save` would make in a file, as a unified diff. Raises SceneError."""
         target, text, _ = self._written(path)
         return difference(target, text)
 
@@ -110,8 +110,8 @@ class Session(Editor):
         self.take(self._state_of(table, None), missing)
 
     def remembered(self) -> dict[str, Any]:
-        """What `resume` needs: the link of the scene, its file below the root and the digest of that, and the values
-        that are not valid.
+        """Data for `resume`: the link of the scene, its file below the root and the digest of that, and the values that
+        are not valid.
         """
         path = self.path
         return {

@@ -158,7 +158,7 @@ def _update(document: Any, table: Mapping[str, Any]) -> None:
 
 
 def _is_array(value: Any) -> bool:
-    """Whether a value is an array of tables."""
+    """True if a value is an array of tables."""
     return isinstance(value, list) and bool(value) and all(isinstance(item, Mapping) for item in value)
 
 
@@ -173,13 +173,13 @@ def _append(document: Any, key: str, value: Any) -> None:
 
 
 def _same(before: Any, value: Any) -> bool:
-    """Whether a value of tomlkit is that of a scene, of the same type."""
+    """True if a value of tomlkit equals a scene's and has the same type."""
     plain = before.unwrap() if hasattr(before, "unwrap") else before
     return bool(plain == value) and repr(plain) == repr(value)
 
 
 def difference(path: Path, text: str) -> str:
-    """What a text would change in a file, as a unified diff."""
+    """Changes that a text would make in a file, as a unified diff."""
     try:
         before = read_regular(path, LARGEST, follow=True).decode("utf-8-sig", "replace").splitlines()
     except OSError:  # none, or what is no scene

@@ -130,7 +130,7 @@ def reshaped(item: Table, shape: Any, kept: Mapping[str, Table]) -> tuple[Table,
 
 
 def seed(key: str, value: Any) -> list[Any] | None:
-    """What a vector without a default begins with when a component is given; None where it is no vector."""
+    """Start value of a vector without a default when one component is given; None for a key that is no vector."""
     return [value, value] if key in _ALL_ALIKE else _SEEDS.get(key)
 
 

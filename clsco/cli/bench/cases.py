@@ -1,4 +1,4 @@
-"""What is measured: a grid of cases, and the scene that they share (float64, pure)."""
+"""Cases of the benchmark: a grid of them, and the scene that they share (float64, pure)."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Case:
 
     @property
     def task(self) -> tuple[int, float, Scene, str, int]:
-        """What cases have in common whose speed and error can be compared."""
+        """Key that cases share whose speed and error can be compared."""
         return self.size, self.radius, self.scene, self.psf, self.channels
 
 

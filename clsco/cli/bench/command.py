@@ -1,4 +1,4 @@
-"""What `clsco bench` does: speed against error, or stability; each with its steps, files and tables."""
+"""Tasks of `clsco bench`: speed against error, or stability; each with its steps, files and tables."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class Task(Protocol):
     """A run of the command."""
 
     def notices(self) -> list[str]:
-        """What is left out, a line each. Raises ClscoError where an extra is missing."""
+        """Notes on cases that are left out, a line each. Raises ClscoError where an extra is missing."""
 
     def steps(self, device: Device) -> int:
-        """How often `run` calls `advance`."""
+        """Number of times that `run` calls `advance`."""
 
     def run(self, device: Device, folder: Path, advance: Advance) -> tuple[list[RenderableType], str]:
         """Measure, and write the files: tables, and what falls short of its bound in one line, or ""."""
@@ -87,7 +87,8 @@ class Stability:
 
 
 def make_task(extent: Extent, stability: bool) -> Task:
-    """What the command's options ask for. Raises ClscoError where they do not go together, or a peer is missing."""
+    """Make the task that the command's options ask for. Raises ClscoError where they do not go together, or a peer is
+    missing."""
     if stability:
         if extent != Extent(quick=extent.quick):
             rule = "must stand without --compare, --size, --radius and --minutes"

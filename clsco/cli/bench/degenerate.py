@@ -180,8 +180,8 @@ def cases() -> dict[str, Target]:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a case in one precision: numbers that are not finite, rays of another class than the reference's,
-    and those of them that are on an edge (see EDGE); refused: why it was, where that is so."""
+    """Result of a case in one precision: counts of numbers that are not finite, of rays of another class than the
+    reference's, and of such rays that are on an edge (see EDGE); refused: the reason if the case was refused."""
 
     name: str
     precision: Real
@@ -193,7 +193,7 @@ class Outcome:
 
 
 def reference_hits(target: Target) -> NDArray[np.bool_]:
-    """Which rays of a target's window (side, side) hit in the NumPy reference."""
+    """Mask of the rays of a target's window (side, side) that hit in the NumPy reference."""
     x, y = target.window.slopes()
     rays = np.stack([x.high, y.high, np.ones(x.high.shape)], axis=-1)
     w, label = solve_quadric(target.placed(), None, rays)
@@ -236,7 +236,7 @@ def scene_of(target: Target) -> Scene:
 
 
 def distinct(targets: Mapping[str, Target]) -> dict[str, Target]:
-    """Those that are neither turned nor multiples of others."""
+    """Select the targets that are neither turned nor multiples of other targets."""
     return {name: target for name, target in targets.items() if ", turned by" not in name and ", times" not in name}
 
 

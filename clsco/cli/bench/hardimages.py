@@ -101,7 +101,7 @@ def _by_radius(radii: Array, errors: Mapping[str, Array]) -> list[tuple[float, M
 
 
 def steps_of_radius(session: Session, psf: Psf, name: str, ratio: float) -> HardCase:
-    """How far a PSF changes from one radius to the next, which a ramp in depth shows as an edge."""
+    """Measure how far a PSF changes from one radius to the next, which a ramp in depth shows as an edge."""
     step = 0.01
     radii = np.arange(0.05, 6.0, step)
     errors = {
@@ -193,7 +193,7 @@ def _truth(
 
 
 def gaussian_cut(session: Session) -> HardCase:
-    """What a cut takes from a Gaussian: 2 sigma against 3 sigma, the default."""
+    """Measure the energy that a cut takes from a Gaussian: 2 sigma against 3 sigma, the default."""
     radii = np.array([0.7, 1.0, 2.0, 4.0, 6.0])
     # No PSF of unit energy that ends at 3 sigma is closer: the 0.54 % beyond it are missing there and too much here.
     bound = 1.001 * 2.0 * (1.0 - erf(3.0 / 2.0**0.5) ** 2)
@@ -351,7 +351,7 @@ def stalled_filling(session: Session) -> HardCase:
 
 
 def _stalls(missing: NDArray[np.bool_]) -> bool:
-    """Whether pixels with four known neighbors run out before missing pixels do."""
+    """True if pixels with four known neighbors run out before missing pixels do."""
     left = missing.copy()
     while left.any():
         known = np.pad(~left, 1).astype(int)

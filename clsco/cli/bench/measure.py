@@ -58,7 +58,7 @@ BATCH_SHARE, PEER_BYTES = 8, 32
 
 @dataclass(frozen=True)
 class Row(Case):
-    """What was measured of one case; ns are medians per pixel and channel, None where there is no such figure.
+    """Measurements of one case; ns are medians per pixel and channel, None where there is no such figure.
 
     cost_ns: cpu_ns, but device_ns on a device that is no processor; cpu_ns: process CPU time; device_ns, kernels_ns:
     between the events of the kernels; first_call_s: with programs and tables, on the crop; rms_error, largest_error: of
@@ -101,7 +101,7 @@ class Bench:
 
 @dataclass(frozen=True)
 class _First:
-    """What was measured of a case on its crop."""
+    """Measurements of a case on its crop."""
 
     first_call_s: float
     crop_px: int
@@ -124,7 +124,7 @@ class _Ready:
 
     @property
     def bytes(self) -> int:
-        """What it holds until it is timed, with its own copy of the image, or about that."""
+        """Bytes that the case holds until it is timed, with its own copy of the image, approximately."""
         pixels = self.case.size**2
         own = PEER_BYTES * pixels if self.device_bytes is None else self.device_bytes
         return own + 4 * self.case.channels * pixels
@@ -159,12 +159,12 @@ def run(grid: Grid, device: Device, peers: Sequence[Peer], advance: Callable[[],
 
 
 def steps(grid: Grid, device: Device, peers: Sequence[Peer]) -> int:
-    """How often `run` calls `advance`."""
+    """Number of times that `run` calls `advance`."""
     return len(grid_cases(grid, device.has_fp64, peers)) * (1 + grid.rounds)
 
 
 def front(costs: Sequence[float], errors: Sequence[float]) -> list[bool]:
-    """Which of some points no other one beats: none is as good in both and better in one (Pareto)."""
+    """Mark the points that no other point beats: none is as good in both and better in one (Pareto)."""
     on = [False] * len(costs)
     best = (np.inf, np.inf)
     for error, cost, k in sorted(zip(errors, costs, range(len(costs)), strict=True), key=lambda point: point[1::-1]):

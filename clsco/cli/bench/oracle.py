@@ -142,7 +142,7 @@ def exactly(high: float, low: float) -> Any:
 
 
 def agreement(found: Any, exact: Any) -> float:
-    """How many bits two numbers of mpmath have in common, 106 for all; 0 where one of them alone is 0."""
+    """Count the bits in which two numbers of mpmath agree, 106 for all; 0 where one of them alone is 0."""
     with mpmath.workdps(DIGITS):
         if found == exact:
             return 106.0

@@ -1,4 +1,4 @@
-"""Which cases of the benchmark are left out: by what they took at smaller sizes, and as time is over."""
+"""Choice of the benchmark's cases that are left out: by their times at smaller sizes, and when time is over."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Paces:
         self.first_call_s: dict[Case, float] = {}
 
     def note(self, case: Case, seconds: float) -> None:
-        """How long a call in full size takes, or at least."""
+        """Record how long a call in full size takes, or at least."""
         self.known[case.kind] = (case.size, seconds / case.size**2)
 
     def objection(self, case: Case) -> str:

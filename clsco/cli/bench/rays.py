@@ -83,12 +83,12 @@ class Caster:
         self.statistics = empty(session, 16)
 
     def __call__(self, target: Target) -> tuple[NDArray[np.bool_], Array]:
-        """Whether rays hit (side, side), and inverse depth in 1/mm, all its digits."""
+        """Cast the rays of a target: mask of hits (side, side), and inverse depth in 1/mm with all its digits."""
         self.launch("cast", target)
         return self._found(target.window.side)
 
     def blur(self, target: Target, camera: Camera) -> tuple[NDArray[np.bool_], Array]:
-        """Whether rays hit (side, side), and the signed blur radius there in px."""
+        """Cast the rays of a target: mask of hits (side, side), and the signed blur radius there in px."""
         self.launch("pinhole", target, blur_scale(camera), focus_power(camera))
         return self._found(target.window.side)
 
@@ -123,7 +123,7 @@ def ulps(found: NDArray[np.float32], exact_w: Wide) -> Array:
 
 
 def certain(target: Target, of: oracle.Surface, exact: oracle.Depths, band: float) -> NDArray[np.bool_]:
-    """Where neither discriminant nor leading coefficient is within `band` of 0, relative to their own terms.
+    """Mask of rays whose discriminant and leading coefficient are not within `band` of 0, relative to their own terms.
 
     Those of the discriminant are what Lagrange's identity leaves of B^2 - A C: its sign is no rounding there, even
     where both products are 1e12 times their difference.

@@ -1,4 +1,4 @@
-"""What a run of the benchmark leaves: a table, JSON, CSV and plots; the extra `bench` has matplotlib for them."""
+"""Report of the benchmark: a table, JSON, CSV and plots; the extra `bench` has matplotlib for them."""
 
 from __future__ import annotations
 

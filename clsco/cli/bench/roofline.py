@@ -1,4 +1,5 @@
-"""What the device can do at best, by two small kernels, and what of it a number of taps in a time is."""
+"""Roofline of the device, measured by two small kernels, and the share of it that a number of taps in a time
+reaches."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a hard case of numerics is, how it is measured, and whether what was found is within its bound (pure)."""
+"""Hard cases of numerics: their values, their measurement, and their bounds (pure)."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class HardCase:
 
     @property
     def reached(self) -> bool:
-        """Whether every error of the package is within its bound, and nothing is of another class."""
+        """True if every error of the package is within its bound, and nothing is of another class."""
         own = [self.worst(form) for form in FORMS[1:]]
         within = all(not error > bound for error, bound in zip(own, self.bounds, strict=True))
         return within and any(isfinite(error) for error in own) and (self.wrong is None or not any(self.wrong[1:]))
@@ -59,7 +59,8 @@ class HardCase:
 
 @dataclass(frozen=True)
 class Compared:
-    """How one form did: its largest error, nan where all values are of another class, how many are, and of how many."""
+    """Comparison of one form: its largest error, nan where all values are of another class, their count, and that of
+    all."""
 
     error: float
     wrong: int

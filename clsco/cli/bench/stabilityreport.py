@@ -1,4 +1,4 @@
-"""What `clsco bench --stability` measures and leaves: tables, JSON, CSV, and one plot of error against conditioning."""
+"""Report of `clsco bench --stability`: tables, JSON, CSV, and one plot of error against conditioning."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Stability:
     rendered: list[Outcome]
 
     def shortfalls(self) -> list[str]:
-        """What is not within its bound, a line each."""
+        """Cases that are beyond their bounds, a line each."""
         lines = [f"{case.name}: beyond its bound" for case in self.cases if not case.reached]
         lines += [
             f"{found.family}, {found.precision}: {found.worst_ulp:.3g} ULP, {found.misclassified} misclassified"
@@ -58,7 +58,7 @@ class Stability:
 
 
 def steps(quick: bool) -> int:
-    """How often `run` calls `advance`."""
+    """Number of times that `run` calls `advance`."""
     return len(hardgeometry.CASES) + len(FAMILIES) + 1 + (0 if quick else len(hardimages.CASES) + 1)
 
 

@@ -57,7 +57,7 @@ class Found:
 
     @property
     def reached(self) -> bool:
-        """Whether the figures are."""
+        """True if the errors are within the family's figure."""
         return self.worst_ulp <= self.figure and self.misclassified == 0
 
 
@@ -113,7 +113,7 @@ def _window(
 
 
 def _bits(of: oracle.Surface, x: Wide, y: Wide, w: Wide, at: list[int]) -> float:
-    """How many bits of an inverse depth the oracle and mpmath have in common; 0 where one of them misses."""
+    """Count the bits in which the oracle's and mpmath's inverse depths agree; 0 where one of them misses."""
     place = tuple(at)
     slopes = [oracle.exactly(v.high[place], v.low[place]) for v in (x, y)]
     return oracle.agreement(oracle.exactly(w.high[place], w.low[place]), oracle.solve_mp(of, *slopes))

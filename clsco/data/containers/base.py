@@ -1,4 +1,4 @@
-"""What all containers have in common: how a shard is written, and read one record at a time."""
+"""Common interface of containers: shards are written, and read one record at a time."""
 
 from __future__ import annotations
 

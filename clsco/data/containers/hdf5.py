@@ -119,7 +119,7 @@ class Hdf5Reader(ShardReader):
         return self._h5py.File(path, "r", locking=False)  # which some network file systems do not have
 
     def _inside(self, group: Any, name: str, kind: type[Any]) -> Any:
-        """What a group has of this name: in the file itself, not where a link or an external file leads."""
+        """Member of a group that is stored in the file itself, not behind a link or in an external file."""
         link = group.get(name, getlink=True)
         found = group[name] if isinstance(link, self._h5py.HardLink) else None
         apart = isinstance(found, self._h5py.Dataset) and (found.external or found.is_virtual)

@@ -189,7 +189,7 @@ def _tools() -> None:
 
 
 def _progress(inpainting: Inpainting, method: str, seconds: float) -> None:
-    """How far a method is, and what ends it."""
+    """Progress of a method, with a button that cancels it."""
     share = inpainting.filler.share
     with say("div").classes("row"):
         say("span", f"{_LABELS[method]}: {100.0 * share:.0f} %, {seconds:.0f} s")
@@ -198,7 +198,7 @@ def _progress(inpainting: Inpainting, method: str, seconds: float) -> None:
 
 
 def _results(inpainting: Inpainting, tab: str, folder: str) -> None:
-    """What the methods have made, and the table of figure 5.21."""
+    """Images that the methods have filled, and the table of figure 5.21."""
     if not inpainting.results:
         return
     now = time.monotonic_ns()

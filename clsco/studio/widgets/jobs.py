@@ -123,7 +123,7 @@ def generate_dialog(session: Session, jobs: Jobs, device: str = "") -> Callable[
 
 
 def _all_frames(session: Session) -> str:
-    """What Generate writes, in words."""
+    """Label of Generate: the number of frames or scenes that it writes."""
     scenes, frames = len(session.state.labels), session.scene.sequence.frames
     if scenes > 1:
         return f"Write the frames of {scenes} scenes"
@@ -202,7 +202,7 @@ def draw_jobs(session: Session, jobs: Jobs) -> Callable[[], None]:
 
 
 def _state(job: Job) -> str:
-    """How far a job is, in words."""
+    """State and progress of a job, in words."""
     if job.status != "running":
         return WORDS[job.status]
     left = job.seconds_left(time.time())
@@ -264,7 +264,7 @@ def _how_far(job: Job) -> str:
 
 
 def _pictures(jobs: Jobs, job: Job) -> int:
-    """What a job has made, as small pictures and clips; returns how many pictures there are."""
+    """Show a job's results as small pictures and clips; returns the number of pictures."""
     if job.command == "batch":
         parts = min(job.done, SHOWN) if job.status == "done" else 0
         with say("div").classes("pictures"):

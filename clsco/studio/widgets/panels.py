@@ -28,7 +28,7 @@ _TYPE, _PROPERTIES, _MOTION = 1, 2, 3  # of the panels of the thesis
 
 @dataclass
 class Chosen:
-    """What the panels of a page are of.
+    """State of the panels of a page.
 
     index: of the object; is_open: panels by title; before: motions that were given up, by path.
     """
@@ -89,7 +89,7 @@ def draw_panels(session: Session, chosen: Chosen | None = None) -> Callable[[], 
 
 
 def _names(session: Session, chosen: Chosen) -> Any:
-    """What the list of objects is drawn by: it is drawn again where it differs."""
+    """Key of the list of objects: the list is drawn again when it changes."""
     return chosen.index, [(item["shape"], item.get("name")) for item in session.table["object"]]
 
 
@@ -98,7 +98,8 @@ def _is_thesis(session: Session, chosen: Chosen) -> Any:  # noqa: ARG001 - as `_
 
 
 def _form(session: Session, chosen: Chosen) -> Any:
-    """What panels are drawn by; nothing that is typed or dragged in them, as who does that must not be disturbed."""
+    """Key of the panels: they are drawn again when it changes. Values that are typed or dragged in them are not in it,
+    as drawing would disturb whoever does that."""
     path = f"object.{chosen.index}"
     moves = [is_chosen(session, f"{path}.motion.{key}") for key in _MOTIONS]
     counts = [len(session.table.get(key, ())) for key in ("object", "group")]
@@ -106,7 +107,7 @@ def _form(session: Session, chosen: Chosen) -> Any:
 
 
 def is_chosen(session: Session, path: str) -> bool:
-    """Whether a motion is: it is given, be it 0."""
+    """True if a motion is given, be it 0."""
     return at(session.table, path.split(".")) is not None or any(key.startswith(path) for key in session.refused)
 
 

@@ -1,4 +1,4 @@
-"""Which scene of a file with several is shown."""
+"""Choice of the scene that is shown, of a file with several."""
 
 from __future__ import annotations
 
