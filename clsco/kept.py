@@ -60,7 +60,7 @@ class Kept:
 
     @property
     def bytes(self) -> int:
-        """Of all values that are kept."""
+        """Size of all values that are kept."""
         return self._bytes
 
     def forget(self, key: Hashable) -> None:

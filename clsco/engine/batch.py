@@ -46,11 +46,11 @@ class Job:
     frames: tuple[int, ...]
     files: tuple[TruthFile, ...]
     before: Mapping[int, int | None] = field(default_factory=dict)
-    """When each frame in the folder was written, ns; None for none."""
+    """Times at which the frames in the folder were written, ns; None for none."""
 
 
 def folders(scenes: Sequence[Path], out: Path) -> list[Path]:
-    """Where each scene's frames go: into `out`, or for several scenes into a folder of each one's name in it.
+    """Folder of each scene's frames: `out`, or for several scenes a folder of each one's name in it.
 
     Raises SceneError where two scenes would share a folder, or one would leave `out`.
     """
@@ -171,7 +171,7 @@ def _required(file: TruthFile) -> list[str]:
 
 
 def _written(folder: Path, index: int) -> int | None:
-    """When a frame was written, ns; None where it is not there."""
+    """Time at which a frame was written, ns; None where it is not there."""
     try:
         return frame_json(folder, index).stat().st_mtime_ns
     except OSError:

@@ -179,7 +179,7 @@ def defocus(
 
 @dataclass(frozen=True)
 class DefocusReport(ApproximationReport):
-    """How an image was blurred.
+    """Report on how an image was blurred.
 
     Attributes
     ----------

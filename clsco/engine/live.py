@@ -105,7 +105,7 @@ class Live:
     def response(
         self, scene: SceneLike, x: int, y: int, index: int = 0, *, item: int | None = None
     ) -> NDArray[np.float32]:
-        """What a frame receives from one source.
+        """Response of a frame to one source.
 
         Parameters
         ----------

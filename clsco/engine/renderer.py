@@ -189,7 +189,7 @@ class Renderer:
         self.space = self._workspace()
 
     def _outgrown(self) -> bool:
-        """Whether the frame met more than was predicted; if so, makes room for it."""
+        """True if the frame met more than was predicted; then makes room for it."""
         plan = self.plan
         if plan.static_map:
             return False
@@ -209,7 +209,7 @@ class Renderer:
         return True
 
     def _too_far_off(self) -> bool:
-        """Whether the frame's error passes the tolerance; if so, takes the next better approximation."""
+        """True if the frame's error passes the tolerance; then takes the next better approximation."""
         report = self._approximation_report()
         if report is None or report.tolerance is None or report.at_most <= report.tolerance:
             return False

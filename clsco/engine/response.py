@@ -1,4 +1,4 @@
-"""How the light of one source spreads over a frame: frames of scenes in which nothing else is lit."""
+"""Light of one source spread over a frame: frames of scenes in which nothing else is lit."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Lit:
     margin: int
 
     def inside(self, frame: Frame) -> NDArray[np.float32]:
-        """What arrives in the frame without its margin, (rows, columns)."""
+        """Crop the margin from the frame: (rows, columns)."""
         image = frame.color if frame.color.ndim == 2 else frame.color[..., 0]
         rows, columns = image.shape
         return image[self.margin : rows - self.margin, self.margin : columns - self.margin]
@@ -64,7 +64,7 @@ def response(
     device: DeviceLike = None,
     precision: str | None = None,
 ) -> NDArray[np.float32]:
-    """What a frame receives from one source: its point spread function, as the scene lets it through.
+    """Response of a frame to one source: its point spread function, as the scene lets it through.
 
     Parameters
     ----------

@@ -173,7 +173,7 @@ def render_sweep(
 def checked_request(
     truth: str | Iterable[str], method: str, tolerance: float | None, precision: str | None, memory: str | int | None
 ) -> Request:
-    """What users request of a rendering. Raises SceneError for what cannot be."""
+    """Check a user's request for a rendering. Raises SceneError for what cannot be."""
     if precision not in (None, "single", "double"):
         raise SceneError(f"precision: must be single or double; got {precision}")
     check_method(method)
@@ -319,7 +319,7 @@ def _in_lockstep(plans: Sequence[tuple[Plan, ...]], limit: Limit) -> list[list[P
 
 
 def _shares_rays(one: tuple[Plan, ...], other: tuple[Plan, ...]) -> bool:
-    """Whether what rays hit for one lens serves another one."""
+    """True if hits of rays for one lens serve another one."""
     return all(
         casts_for_lenses(a)
         and casts_for_lenses(b)
@@ -329,7 +329,7 @@ def _shares_rays(one: tuple[Plan, ...], other: tuple[Plan, ...]) -> bool:
 
 
 def casts_for_lenses(plan: Plan) -> bool:
-    """Whether rays are cast, and nothing but sources is made of what they hit."""
+    """True if rays are cast, and nothing but sources is made of what they hit."""
     return plan.blur in ("gather", "tiles") and "trace" in {step.kind for step in plan.passes}
 
 

@@ -34,7 +34,8 @@ class Shrinking(Generic[F]):
         self.fitting = fit(limit)
 
     def run(self, work: Callable[[F], T]) -> T:
-        """What `work` gives. Raises DeviceError where nothing smaller fits, and for all other errors of the device."""
+        """Return the result of `work`. Raises DeviceError where nothing smaller fits, and for all other errors of the
+        device."""
         while True:
             try:
                 with self.session.reporting():

@@ -1,4 +1,4 @@
-"""What the passes of a plan work with on a device, and the table of what runs for each of them."""
+"""Workspace of a plan's passes on a device, and the table of the function that runs each of them."""
 
 from __future__ import annotations
 

@@ -156,7 +156,7 @@ def remove_stale(folder: str | os.PathLike[str]) -> None:
 
 
 def same_place(path: str | os.PathLike[str], other: str | os.PathLike[str]) -> bool:
-    """Whether two paths, existing or not, are one after all symbolic links; a link to itself is only itself."""
+    """True if two paths, existing or not, are one after all symbolic links; a link to itself is only itself."""
     return os.path.realpath(path) == os.path.realpath(other)
 
 

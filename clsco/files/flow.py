@@ -19,7 +19,7 @@ KITTI_ZERO = 32768  # code of 0 px
 
 
 def _checked(where: str, flow: NDArray[np.floating], valid: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
-    """Which vectors are known: valid, by default all, and finite."""
+    """Check a flow and mark its known vectors: valid, by default all, and finite."""
     if flow.ndim != 3 or flow.shape[2] != 2:
         refuse_shape(where, "(rows, columns, 2)", flow)
     finite = np.isfinite(flow).all(axis=-1)

@@ -51,7 +51,7 @@ class Picture:
 
     @property
     def is_float(self) -> bool:
-        """Whether the values are linear radiance, not codes."""
+        """True if the values are linear radiance, not codes."""
         return self.data.dtype.kind == "f"
 
 
@@ -343,7 +343,7 @@ def write_exr_image(path: str | os.PathLike[str], image: NDArray[np.floating]) -
 
 @dataclass(frozen=True)
 class ImageWriter:
-    """How one image is written to a file of an extension.
+    """Writer of images with one file extension.
 
     Attributes
     ----------

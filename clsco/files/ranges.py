@@ -1,4 +1,4 @@
-"""Where arrays leave the range of a file's format, and by what."""
+"""Excess of arrays over the range of a file's format."""
 
 from __future__ import annotations
 

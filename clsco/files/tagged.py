@@ -1,4 +1,4 @@
-"""What the binary files of Middlebury and Sintel have in common: a tag, which is a float, sizes, and floats after them.
+"""Binary files of Middlebury and Sintel: a tag, which is a float, sizes, and floats after them.
 
 All of it is little endian.
 """

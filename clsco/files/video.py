@@ -31,7 +31,7 @@ _BT709_PRIMARIES, _RGB_MATRIX, _BT709_MATRIX, _LIMITED, _FULL = 1, 0, 1, 1, 2
 
 @dataclass(frozen=True)
 class Preset:
-    """How a clip is stored.
+    """Storage of a clip: container, codec and pixel format.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class Preset:
 
     @property
     def is_yuv(self) -> bool:
-        """Whether it stores luma and color differences; else RGB, or gray as it is, without loss."""
+        """True if it stores luma and color differences; else RGB, or gray as it is, without loss."""
         return self.pixels.startswith("yuv")
 
     @property
@@ -236,7 +236,7 @@ def write_clip(
 
 
 def _rounded_rate(path: Path, rate: Fraction) -> tuple[str, ...]:
-    """What FFmpeg reads, where that is another rate: Matroska has it in ns."""
+    """Note on the rate that FFmpeg reads where it is another one: Matroska has it in ns."""
     with codec(path, "av", "video").open(str(path.absolute())) as container:
         seen = container.streams.video[0].average_rate
     return () if seen == rate else (f"FFmpeg reads a rate of {seen} from it, near {rate}; mp4 keeps it",)
@@ -298,7 +298,7 @@ def _alike(where: Path, first: NDArray[Any], others: Iterator[NDArray[Any]]) -> 
 
 @dataclass(frozen=True)
 class _Clip:
-    """What `write_clip` was given, with the first frame."""
+    """Arguments of `write_clip`, with the first frame."""
 
     where: Path
     preset: Preset
@@ -321,7 +321,7 @@ class _Clip:
 
     @property
     def tags(self) -> dict[str, int]:
-        """Of the colors, as attributes of a codec context and of each frame."""
+        """Tags of the colors, as attributes of a codec context and of each frame."""
         is_rgb = not self.preset.is_yuv and self.pixels == self.preset.pixels  # gray is a luma without color
         return {
             "color_primaries": _BT709_PRIMARIES,
@@ -383,7 +383,7 @@ class _Clip:
         return [np.stack([blue, green, red, np.zeros_like(red)], axis=-1)]
 
     def changes(self, name: str) -> tuple[str, ...]:
-        """What differs from the frames, and readers see."""
+        """Changes against the frames that readers see."""
         rows, columns = self.first.shape[:2]
         found = []
         if self.first.dtype == np.uint16 and self.preset.bits < 16:

@@ -53,12 +53,12 @@ def pinhole(scene: Scene, index: int, eye: Eye = "left") -> Pinhole:
 
 
 def eye_of(frame: Frame) -> Eye:
-    """Which of the scene's views a frame is: the only one counts as left."""
+    """Eye that a frame is of: the only view of a scene counts as left."""
     return "right" if frame.eye == "right" else "left"
 
 
 def gets_behind(scene: Scene, frame: Frame, step: int) -> NDArray[np.bool_]:
-    """Which surface points of a frame are not before the lens at the middle of the shutter `step` frames later.
+    """Mark surface points of a frame that are not before the lens at the middle of the shutter `step` frames later.
 
     Their flow is 0, as no pixel shows them.
 

@@ -107,7 +107,7 @@ def _shown(path: Path, shot: Shot) -> Scene:
 
 
 def _known(shot: Shot, wanted: TruthFile) -> NDArray[np.bool_]:
-    """Where a flow or a disparity holds: on surfaces, and of flow on those that do not get behind the lens."""
+    """Mark known pixels of a flow or a disparity: on surfaces, and of flow on those that do not get behind the lens."""
     (frame,), (name,) = shot.views, wanted.names
     assert frame.mask is not None  # is among what the format needs besides
     if name not in _FLOWS or shot.scene is None or not shot.scene.moves:
@@ -326,7 +326,8 @@ def read_complete(folder: str | os.PathLike[str], index: int) -> dict[str, Any] 
 
 
 def holds_truth(content: Mapping[str, Any], truth: Sequence[TruthFile]) -> bool:
-    """Whether files of a frame hold what is wanted, by the content of its JSON file and by no more than their names."""
+    """True if files of a frame hold the wanted truth, by the content of its JSON file and by no more than their
+    names."""
     recorded = content.get("truth")
     texts = [text for text in recorded if isinstance(text, str)] if isinstance(recorded, list) else []
     partial = {re.split("[+:]", text)[0]: text for text in texts}

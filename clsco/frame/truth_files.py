@@ -1,5 +1,4 @@
-"""Which files of ground truth there are and what they hold, as `clsco render --truth` names them: "npz", "flo",
-"npz:depth,coc", "npz+float16"."""
+"""Files of ground truth, as `clsco render --truth` names them: "npz", "flo", "npz:depth,coc", "npz+float16"."""
 
 from __future__ import annotations
 
@@ -67,7 +66,7 @@ class TruthFile:
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """What a file of ground truth is written from.
+    """Content of a file of ground truth.
 
     Attributes
     ----------

@@ -94,7 +94,7 @@ def _colors(frames: Iterable[Frame | NDArray[Any]]) -> Iterator[NDArray[Any]]:
 
 @dataclass(frozen=True)
 class Playing:
-    """How fast a clip plays.
+    """Speed at which a clip plays.
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ class Playing:
         return rate_of(interval, where, self.speed) if self.fps is None else self.fps
 
     def about(self, interval: float, where: str) -> str:
-        """What the rate is, and how it differs from the scene's."""
+        """Describe the rate, and how it differs from the scene's."""
         rate = self.rate(interval, where)
         said = f"{rate} frames per second"
         if self.fps is None and self.speed == 1:
@@ -217,7 +217,7 @@ def _beside(left: NDArray[Any], right: NDArray[Any], transfer: str) -> NDArray[A
 
 
 def clip_path(path: Path, eye: str) -> Path:
-    """Where the clip of a view goes: of a stereo pair clip_left.mp4 and clip_right.mp4."""
+    """Path of the clip of a view: of a stereo pair clip_left.mp4 and clip_right.mp4."""
     return path.with_name(f"{path.stem}_{eye}{path.suffix}") if eye else path
 
 

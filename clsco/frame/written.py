@@ -26,7 +26,7 @@ MOST_FAULTS = 20
 _CHANNELS = {
     "color": "R G B", "sharp": "sharp.R sharp.G sharp.B", "depth": "Z", "coc": "coc", "flow": "flow.u flow.v",
 }  # fmt: skip
-"""Of an EXR, by the names that arrays have in an NPZ."""
+"""Channels of an EXR, by the names that arrays have in an NPZ."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Which method fills the holes of an image best: tried on known pixels, in holes of the same shape."""
+"""Choice of the method that fills the holes of an image best: tried on known pixels, in holes of the same shape."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def choose_method(
 
 
 def _windows(missing: NDArray[np.bool_]) -> list[tuple[slice, slice]]:
-    """Those that are examined; an image that is smaller along an axis gives its whole size."""
+    """Windows to examine; an image that is smaller along an axis gives its whole size."""
     rows, columns = (range(0, max(size - WINDOW, 0) + 1, WINDOW) for size in missing.shape)
     places = [(slice(i, i + WINDOW), slice(j, j + WINDOW)) for i in rows for j in columns]
     with_holes = [place for place in places if missing[place].any()]
@@ -57,7 +57,7 @@ def _windows(missing: NDArray[np.bool_]) -> list[tuple[slice, slice]]:
 
 
 def _tried(holes: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Where known pixels of a window are taken for missing."""
+    """Mask of known pixels of a window that are taken for missing."""
     tried = np.roll(holes, SHIFT, axis=(0, 1)) & ~holes
     for axis in (0, 1):
         rim = min(RIM, holes.shape[axis] // 4)

@@ -19,7 +19,7 @@ MOST_STEPS = 500  # 12 to 90 are needed for holes from single pixels to 300 px
 
 
 def block_turns(missing: Mask, block: int) -> NDArray[np.int64]:
-    """When blocks are filled (ceil(H / block), ceil(W / block)): their turn from 0 on, -1 for those that miss nothing.
+    """Order of filling blocks (ceil(H / block), ceil(W / block)): their turn from 0 on, -1 for those that miss nothing.
 
     missing: (H, W), not all of it. From what is known inwards, ring by ring, and of each ring first the blocks of one
     color of a chessboard, then those of the other. A block with known pixels is in ring 0, one that is wholly missing
@@ -73,7 +73,8 @@ def doubled(coarse: Array, missing: Mask) -> Array:
 
 
 def spline_holes(missing: Mask) -> Mask:
-    """Where quadratic B-splines of twice the size lie in the holes (H, W) as a whole: (ceil(H / 2), ceil(W / 2)).
+    """Mask of quadratic B-splines of twice the size that lie in the holes (H, W) as a whole: (ceil(H / 2), ceil(W /
+    2)).
 
     A coarse pixel's spline is refined into those of the fine pixels 2 k - 1 to 2 k + 2 along each axis; what is beyond
     the border does not count.

@@ -58,7 +58,7 @@ SHARES = {"score": 0.5, "fill": 0.2, "smooth": 0.2, "blend": 0.1}  # of the whol
 
 @dataclass(eq=False)
 class Stages:
-    """What the stages have made of the missing pixels (M,), and of known ones beside them (B,); K channels.
+    """Results of the stages for the missing pixels (M,), and for known ones beside them (B,); K channels.
 
     pixels, border: numbers in the order of rows; filled, smoothed: (M, K) after stages 1 and 2; gradients: (B,)
     Sobel's magnitude; blended: (B, K) medians, which those pixels take that have the `histogram`'s threshold; score:
@@ -79,7 +79,7 @@ class Stages:
 
     @property
     def is_blended(self) -> Mask:
-        """Which of the border pixels (B,) take their median."""
+        """Mask of the border pixels (B,) that take their median."""
         if self.histogram is None or self.histogram.threshold is None:
             return np.zeros(self.border.size, np.bool_)
         return self.gradients >= self.histogram.threshold
@@ -166,7 +166,7 @@ class Layout:
         return self._number.take(self._framed(self.border)).astype(np.int64)
 
     def near(self) -> NDArray[np.int32]:
-        """How many known neighbors missing pixels have (M,)."""
+        """Number of known neighbors of missing pixels (M,)."""
         known = np.zeros(self.shape, np.uint8)
         known.ravel()[self._framed(self.border)] = 1
         for axis in (0, 1):
@@ -342,7 +342,7 @@ class Holes:
         return self.values()
 
     def values(self) -> Floats:
-        """What missing pixels have now, (M, K)."""
+        """Current values of missing pixels, (M, K)."""
         shape = (self.channels, int(self.slots))
         planes: Floats = download(self.session, self.value, shape, np.float32)
         return np.stack([plane.take(self.index) for plane in planes], axis=1)

@@ -36,7 +36,7 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Filled:
-    """What a method gives: values (N, K) of pixels by their numbers (N,) in the image, and its stages if any."""
+    """Result of a method: values (N, K) of pixels by their numbers (N,) in the image, and its stages if any."""
 
     pixels: NDArray[np.int64]
     values: NDArray[np.float32]

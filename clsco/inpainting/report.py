@@ -25,7 +25,7 @@ MEAN, MEDIAN = "#0072b2", "#d55e00"
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """What filling an image has taken.
+    """Report on filling an image.
 
     method: that was used; device: its name; shape, dtype: of the image; missing_pixels; seconds: in all; stages: of the
     method mean-median, None where nothing was missing and of other methods; constants: of that method.
@@ -96,8 +96,8 @@ def write_report(
 
 
 class Display:
-    """How an image of any kind is shown in 8 bits: codes as they are, floats as sRGB, relative to white or what is
-    brighter."""
+    """Display of an image of any kind in 8 bits: codes as they are, floats as sRGB, relative to white or the brightest
+    value."""
 
     def __init__(self, image: NDArray[Any], missing: NDArray[np.bool_]) -> None:
         self.white = 1.0

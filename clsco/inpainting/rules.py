@@ -59,7 +59,7 @@ def most_sweeps(rows: int, columns: int) -> int:
 
 @dataclass(frozen=True)
 class Score:
-    """How well mean and median of k known neighbors estimate known pixels (figure 5.3).
+    """Errors of mean and median of k known neighbors as estimates of known pixels (figure 5.3).
 
     mean, median: squared errors by k, summed over all pixels with eight known neighbors, all channels and all subsets
     of k neighbors, times (2 k scale)^2, which makes them whole numbers; entries below 4 are 0. samples: pixels times
@@ -86,7 +86,7 @@ class Score:
 
 
 def score_scale(span: float) -> float:
-    """What values are multiplied with before they are rounded for scores: a power of two, span times it at most 2^16.
+    """Factor of values before they are rounded for scores: a power of two, span times it at most 2^16.
 
     span: largest less smallest value, 0 or more.
     """

@@ -62,7 +62,8 @@ def fill_in_tiles(
 def _within(
     part: tuple[slice, ...], pixels: NDArray[np.int64], columns: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Of pixels (N,), numbers in an image of so many columns, those in a part: which they are, row and column there."""
+    """Select the pixels (N,), numbers in an image of so many columns, in a part: their positions, row and column
+    there."""
     first, end = np.searchsorted(pixels, (part[0].start * columns, part[0].stop * columns))
     row, column = np.divmod(pixels[first:end], columns)
     inside = np.flatnonzero((column >= part[1].start) & (column < part[1].stop))

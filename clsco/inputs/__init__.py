@@ -1,1 +1,1 @@
-"""What a scene names on disk: textures and depth maps."""
+"""Files that a scene names: textures and depth maps."""

@@ -53,7 +53,7 @@ class About(NamedTuple):
 
 
 class InputFiles:
-    """What scenes name on disk, decoded. Safe to share between threads.
+    """Decoded files that scenes name. Safe to share between threads.
 
     Parameters
     ----------
@@ -193,8 +193,7 @@ class InputFiles:
         return self.kept.get((what, content), read, lambda v: size(v) if self._content(source) == content else beyond)
 
     def _content(self, source: Source) -> Hashable | None:
-        """What identifies an array, or the content of a file and how it is read; None where there is none, as of a
-        pipe."""
+        """Key of an array, or of a file's content and how it is read; None where there is none, as of a pipe."""
         if isinstance(source, ArrayInput):
             return "array", source.sha256
         path = source
@@ -209,7 +208,7 @@ class InputFiles:
 
 @cache
 def _code() -> str:
-    """What decides what patterns look like."""
+    """Digest of the code that patterns depend on."""
     return code_digest(textures, transfer_curves)
 
 
@@ -220,6 +219,6 @@ def shared_files() -> InputFiles:
 
 
 def _stamp(path: str) -> tuple[int, ...]:
-    """What changes where a file does; the last two are times in ns."""
+    """Stamp of a file, which changes when the file does; the last two numbers are times in ns."""
     found = Path(path).stat()
     return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns

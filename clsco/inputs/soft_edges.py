@@ -125,7 +125,7 @@ def _found(radius: Array, stored: Array | None, image: Callable[[], NDArray[Any]
 
 
 def _soft_edges(radius: Array, shapes: list[Array]) -> _Edges:
-    """Those that rows cross, in any of the shapes."""
+    """Find the edges that rows cross, in any of the shapes."""
     parts = []
     for top in range(0, len(radius), ROWS):
         strip = slice(top, top + ROWS)
@@ -149,7 +149,7 @@ def _steep(radius: Array) -> tuple[Indices, Indices]:
 
 
 def _edges(radius: Array, stored: Array, line: Indices, column: Indices, top: int) -> _Edges:
-    """Those of lines from number `top` on that are steepest at places."""
+    """Edges of lines from number `top` on that are steepest at places."""
     near = _steps(stored, line, column, 2)
     near /= near[:, 2:3].copy()
     some = (np.abs(near[:, 1]) < 1) & (np.abs(near[:, 3]) <= 1) & (near >= -FLAT).all(axis=1)
@@ -217,7 +217,7 @@ def _surface(
 
 
 def _supported(edges: _Edges, columns: int) -> _Edges:
-    """Those that go on in the line above or below, up to two pixels to the side."""
+    """Select edges that go on in the line above or below, up to two pixels to the side."""
     middle = edges.first + (edges.count + 1) // 2
     width = columns + 4
     kept = np.zeros(len(middle), np.bool_)

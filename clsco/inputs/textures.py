@@ -35,7 +35,7 @@ TextureSource = str | os.PathLike[str] | ArrayInput
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """What a surface looks like, in linear radiance.
+    """Image of a surface, in linear radiance.
 
     radiance: float32 (rows, columns) or (rows, columns, 3), 1 = white, finite; row 0 on top.
     bits: 8, 16 or 32 per value, as it was stored. source: name of the pattern, path of the file, or what an array is

@@ -77,7 +77,7 @@ class Pages:
 
     @property
     def bytes(self) -> int:
-        """Of blocks that nobody uses."""
+        """Size of the blocks that nobody uses."""
         return self._bytes
 
     def clear(self) -> None:

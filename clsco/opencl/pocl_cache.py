@@ -45,7 +45,7 @@ _AT_ONCE = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 _Sums = dict[str, list[int]]
 _Listing = tuple[int, list[str], list[str]]  # when a folder changed, names of its files and of its folders
 _listings: dict[str, _Listing] = {}
-"""Of folders by their path: to ask whether one has changed takes a tenth of the time to read it."""
+"""Listings of folders by path: to ask whether one has changed takes a tenth of the time to read it."""
 
 
 def prepare(environ: MutableMapping[str, str] = os.environ) -> None:
@@ -70,7 +70,7 @@ def prepare(environ: MutableMapping[str, str] = os.environ) -> None:
 
 
 def is_on_disk() -> bool:
-    """Whether PoCL's folder is where files can be, which /proc is not."""
+    """True if PoCL's folder is where files can be, which /proc is not."""
     try:
         return shutil.disk_usage(_folder()).total > 0
     except OSError:  # a folder of the user's that is not there yet
@@ -78,7 +78,7 @@ def is_on_disk() -> bool:
 
 
 def has_room(folder: Path | None = None) -> bool:
-    """Whether programs can be compiled into a folder, by default PoCL's, which ends the process on a full disk."""
+    """True if programs can be compiled into a folder, by default PoCL's, which ends the process on a full disk."""
     try:
         return shutil.disk_usage(folder or _folder()).free >= ROOM
     except OSError:  # a folder of the user's that is not there yet
@@ -207,7 +207,7 @@ def _names(folder: Path) -> Iterator[tuple[str, bool]]:
 
 
 def _listed(path: str) -> tuple[_Listing, bool]:
-    """What is in a folder, and whether this process has read it before, since it changed."""
+    """Content of a folder, and whether this process has read it before, since it changed."""
     changed = os.stat(path).st_mtime_ns  # noqa: PTH116
     known = _listings.get(path)
     if known is not None and known[0] == changed:

@@ -33,7 +33,7 @@ _BY_FLAGS = (
     ({"avx512f", "avx512cd", "avx512dq", "avx512bw", "avx512vl"}, b"skylake-avx512"),
     ({"avx2", "fma", "bmi2"}, b"haswell"),
 )
-"""What the processor must have, and the name in LLVM that PoCL's library for it was compiled for."""
+"""Features that a processor must have, and the name in LLVM that PoCL's library for it was compiled for."""
 
 
 def ensure_known(device: cl.Device) -> None:
@@ -63,7 +63,7 @@ def _is_nameless(device: cl.Device) -> bool:
 
 @lru_cache
 def _builds_nothing(device: cl.Device) -> bool:
-    """Whether a build of an empty kernel fails: 3 ms where it does, 30 ms where it does not."""
+    """True if a build of an empty kernel fails: 3 ms where it does, 30 ms where it does not."""
     if not pocl_cache.has_room():  # what succeeds is written there, and would end the process
         return False
     with pocl_cache.exclusive(), warnings.catch_warnings():

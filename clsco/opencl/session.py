@@ -26,7 +26,7 @@ KEPT_BYTES = 2**28
 _TIMED = cl.command_queue_properties.PROFILING_ENABLE
 
 DeviceLike: TypeAlias = str | cl.Device | cl.Context | cl.CommandQueue | None
-"""What users give as `device`: a part of a name, "cpu", "gpu", an object of pyopencl, or None for the default."""
+"""Argument `device` of users: a part of a name, "cpu", "gpu", an object of pyopencl, or None for the default."""
 
 Program: TypeAlias = dict[str, cl.Kernel]
 """A built program: its kernels by name. Looking a kernel up in OpenCL costs 0.2 ms, so they are kept."""
@@ -34,7 +34,7 @@ Program: TypeAlias = dict[str, cl.Kernel]
 
 @dataclass
 class Progress:
-    """How far a rendering is, for another thread to look at.
+    """Progress of a rendering, for another thread to look at.
 
     Attributes
     ----------
@@ -71,9 +71,9 @@ class Session:
         self.canceled = threading.Event()
         """Set to have what works here end at its next step; see `go_on`."""
         self.progress: Progress | None = None
-        """Where somebody looks at it. The host then runs ahead of the device by a time sample, and no farther."""
+        """Progress for another thread to look at. The host then runs ahead of the device by one time sample at most."""
         self.programs: dict[Hashable, Program] = {}
-        """What `program.build` has built here, by text and options, and by the features that gave these."""
+        """Programs that `program.build` has built here, by text and options, and by the features that gave these."""
         self.compiled: set[tuple[cl.Kernel, tuple[int, ...], bool, bool]] = set()
         """Kernels and launch shapes that the driver has compiled already, kept by `program.launch`."""
         self.pace = Pace()

@@ -64,7 +64,7 @@ def cutting(rows: tuple[tuple[float, ...], ...], nappe: int, bounds: Bounds) -> 
 
 
 def _ends(matrix: Matrix, axis: int, box: Matrix) -> Iterator[float]:
-    """Where a surface may be farthest along an axis, in either direction; infinite where it has no end.
+    """Candidates for the ends of a surface along an axis, in either direction; infinite where it has no end.
 
     matrix: (M, L; L, K); box: (3, 2), low and high, which holds along the other axes and, of finite roots, along all.
     """

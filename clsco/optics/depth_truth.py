@@ -141,7 +141,7 @@ def map_occluded(
     camera: Camera, items: Sequence[Object], depth: NDArray[np.floating], object_id: NDArray[np.int32],
     now: Sequence[Pose], there: Sequence[Pose], opposite: NDArray[np.floating],
 ) -> NDArray[np.bool_]:  # fmt: skip
-    """Which points are not visible in other poses, from depth.
+    """Mark points that are not visible in other poses, from depth.
 
     Parameters
     ----------

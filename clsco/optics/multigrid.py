@@ -23,7 +23,7 @@ SHARPENING = 3 / 16
 
 
 def sharpening(psf: Psf) -> float:
-    """Of the coarse frame before it is enlarged."""
+    """Sharpening of the coarse frame before it is enlarged."""
     return 0.0 if shape_of(psf).soft else SHARPENING
 
 
@@ -33,7 +33,7 @@ def coarse_psf(psf: Psf) -> Psf:
 
 
 def loss(psf: Psf, finest: bool) -> float:
-    """What of R^2 in px^2 the way to the next coarser grid and back does by itself; finest: from the frame's own."""
+    """Change of R^2 in px^2 by the way to the next coarser grid and back; finest: from the frame's grid."""
     own = shape_of(psf if finest else coarse_psf(psf)).pixel_moment
     added = 2 * SHARING - 8 * sharpening(psf) + 4 * shape_of(coarse_psf(psf)).pixel_moment
     return (added - own) / shape_of(psf).second_moment

@@ -28,7 +28,7 @@ Mask = tuple[tuple[float, float, float], ...]
 
 @dataclass(frozen=True)
 class PsfShape:
-    """What the weights of a PSF are like: all that methods and kernels ask of it, from `shape_of`.
+    """Properties of a PSF's weights: all that methods and kernels ask of it, from `shape_of`.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class PsfShape:
 
     @property
     def signed(self) -> bool:
-        """Whether the weights of -R differ from those of R."""
+        """True if the weights of -R differ from those of R."""
         return self.kind == "general"
 
     @property
@@ -73,7 +73,7 @@ class PsfShape:
         return np.array(self.mask, np.float64).reshape(-1, 3)
 
     def is_sharp(self, largest: float) -> bool:
-        """Whether the PSF of the |blur radius| `largest` px is 1 in its own pixel and 0 elsewhere."""
+        """True if the PSF of the |blur radius| `largest` px is 1 in its own pixel and 0 elsewhere."""
         if self.sampled:
             return largest < MINIMUM_BLUR or self.extent * largest < 1.0
         area_only = self.pixel_moment < PIXEL_MOMENT["integrated"]

@@ -155,7 +155,7 @@ def _cubics(values: Array, half_width: int) -> Iterator[NDArray[np.float32]]:
 
 
 def _outline(block: NDArray[np.float32]) -> NDArray[np.int32]:
-    """Where the weights of an interval are, and where they are all the same: int32 (half-width + 1, 2).
+    """Outline of the weights of an interval, and of the part where they are all the same: int32 (half-width + 1, 2).
 
     block: coefficients (|dy|, powers, |dx|). Of the column |dx| = n: the first |dy| whose weight is not the one in the
     middle, where those of all columns nearer the middle are, too, and the last |dy| with a weight above 0.

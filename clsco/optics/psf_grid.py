@@ -109,7 +109,7 @@ def span_of(psf: Psf, smallest: float, largest: float, subpixel: bool) -> range:
 
 
 def is_near(psf: Psf, largest: float) -> bool:
-    """Whether sampled discs up to `largest` px reach so little that each tap of a row of sources is added by itself."""
+    """True if sampled discs up to `largest` px reach so little that each tap of a row of sources is added by itself."""
     return shape_of(psf).kind == "disc" and table_reach(psf, largest) <= NEAR
 
 

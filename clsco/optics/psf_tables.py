@@ -65,7 +65,7 @@ class PsfTable:
 
 
 def psf_features(psf: Psf) -> dict[str, int]:
-    """What programs are compiled for: the kind of a PSF; GENERAL is the number of edges of its lens mask."""
+    """Features that programs are compiled for: the kind of a PSF; GENERAL is the number of edges of its lens mask."""
     shape = shape_of(psf)
     features = {"SAMPLED": shape.sampled, "DISC": shape.kind == "disc", "SEPARABLE": shape.kind == "separable"}
     return {name: int(value) for name, value in features.items()} | {"GENERAL": len(shape.mask)}

@@ -19,8 +19,8 @@ MOST_SLABS = 8
 
 @dataclass(frozen=True)
 class Slabs:
-    """Of one time sample: first bins of the second and each further depth layer; how far behind an edge surface may be
-    visible, px."""
+    """Depth layers of one time sample: first bins of the second and each further one; the distance behind an edge at
+    which surface may be visible, px."""
 
     bounds: tuple[int, ...]
     deep: int
@@ -52,7 +52,7 @@ def slab_bounds(latest: NDArray[np.int32]) -> list[int]:
 
 
 def depth_of_hidden(psf: Psf, largest_sum: int) -> int:
-    """How far behind an edge surface may be visible, px: as far as the blurs of both sides reach together.
+    """Distance behind an edge at which surface may be visible, px: the blurs of both sides reach together as far.
 
     largest_sum: of the |radii| on both sides of a discontinuity, px.
     """
@@ -75,7 +75,7 @@ def levels_of(rows: int, columns: int, deep: int, planes: int) -> list[tuple[int
 
 
 def most_deep(psf: Psf, largest: float) -> int:
-    """What `depth_of_hidden` is at most for |radii| up to `largest` px."""
+    """Upper bound of `depth_of_hidden` for |radii| up to `largest` px."""
     return depth_of_hidden(psf, ceil(2.0 * largest))
 
 

@@ -67,12 +67,12 @@ class Stencil:
 
 
 def is_summed(psf: Psf, half_width: int) -> bool:
-    """Whether PSFs of this half-width in px use rectangles."""
+    """True if PSFs of this half-width in px use rectangles."""
     return not shape_of(psf).soft and half_width >= SUMMED
 
 
 def is_by_axes(psf: Psf) -> bool:
-    """Whether a PSF has two stencils, for its rows and then its columns."""
+    """True if a PSF has two stencils, for its rows and then its columns."""
     return shape_of(psf).kind == "separable"
 
 

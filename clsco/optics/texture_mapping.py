@@ -1,4 +1,4 @@
-"""Where a point of a surface is in the image that lies on it (float64, pure).
+"""Map points of a surface to the image that lies on it (float64, pure).
 
 A point p of an object's own frame (mm) is q = frame p. Two coordinates of q are lengths or angles on the surface:
 
@@ -53,7 +53,7 @@ Matrix = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TextureMap:
-    """How an image lies on a surface.
+    """Map of an image onto a surface.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class TextureMap:
 
 
 def needs_detail(scene: Scene, largest: float) -> bool:
-    """Whether sources of textures on surfaces need more than their means, for |R| up to `largest` px."""
+    """True if sources of textures on surfaces need more than their means, for |R| up to `largest` px."""
     return scene.has_mapped_textures and texture_spread(scene.psf) * largest > DETAILED_LEAST
 
 
@@ -95,7 +95,7 @@ def texture_spread(psf: Psf) -> float:
 
 
 def texture_map(item: Object, columns: int, rows: int) -> TextureMap:
-    """How a texture of so many columns and rows lies on an object.
+    """Map a texture of so many columns and rows onto an object.
 
     Parameters
     ----------

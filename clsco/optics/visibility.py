@@ -1,4 +1,5 @@
-"""Which objects can occlude others: groups of objects that are blurred one after the other (float64, pure).
+"""Occlusion groups: objects that cannot hide each other are blurred together, groups one after the other (float64,
+pure).
 
 Every object of a scene scatters its own radiance, including parts that are hidden in the pinhole image. Objects that
 cannot hide each other share an occlusion group (`Layer`), and its visibility tests take only objects that can occlude a
@@ -71,7 +72,8 @@ def lens_floats(psf: Psf) -> Array:
 
 
 def extent(item: Object, poses: Sequence[Pose], seen: Array) -> Extent:
-    """Where an object can be over all `poses`; seen: inverse depths in 1/mm at rays over the frame, 0 for none."""
+    """Bounds of an object's image and depth over all `poses`; seen: inverse depths in 1/mm at rays over the frame, 0
+    for none."""
     hit = seen[seen > 0]
     depths = (0.9 * float(hit.min()), 1.1 * float(hit.max())) if hit.size else (0.0, inf)
     found = []
@@ -90,7 +92,7 @@ def _hull(a: Extent, b: Extent) -> Extent:
 
 
 def may_hide(near: Extent, far: Extent, camera: Camera, reach: float) -> bool:
-    """Whether a point in `near` can be between one in `far` and the lens; reach: radius of the lens, in its own."""
+    """True if a point in `near` can be between one in `far` and the lens; reach: extent of the lens in lens radii."""
     depth = near.w[1] - far.w[0]
     if depth <= 0.0:
         return False
@@ -101,7 +103,7 @@ def may_hide(near: Extent, far: Extent, camera: Camera, reach: float) -> bool:
 
 
 def is_hollow(item: Object) -> bool:
-    """Whether the inside of a surface may be visible past its own edge: it is curved, and cut by bounds."""
+    """True if the inside of a surface may be visible past its own edge: it is curved, and cut by bounds."""
     return not isinstance(item, Plane | Rectangle) and cutting_bounds(item) is not None
 
 

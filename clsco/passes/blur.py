@@ -49,13 +49,12 @@ PLAIN = dict.fromkeys(
 
 Events = list[tuple[str, cl.Event]]
 Maps = Literal["none", "wide", "float"]
-"""What `prepare_sources` makes sources of: nothing; a map of wide_t, and where it has none; a map of float without
-gaps."""
+"""Input of `prepare_sources`: none; a map of wide_t, which may have gaps; a map of float without gaps."""
 MAPS: tuple[Maps, ...] = ("none", "wide", "float")
 
 
 def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict[str, int]:
-    """Which kernels of the blur are compiled, and for what: the same ones for all scenes that agree in these.
+    """Features that kernels of the blur are compiled for: the same ones for all scenes that agree in these.
 
     Parameters
     ----------
@@ -96,7 +95,7 @@ def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict
 
 @dataclass(frozen=True)
 class Target:
-    """Where passes run: on a session's device, with the kernels of a program, in the precision of its geometry."""
+    """Device, program and precision for passes: a session, the kernels of a program, the precision of its geometry."""
 
     session: Session
     program: Program
@@ -111,7 +110,7 @@ class Target:
 
 
 def blur_target(session: Session, spec: BlurSpec, channels: int, real: Real, maps: Maps = "wide") -> Target:
-    """Where sources are blurred: with a program of `blur_features`; none for `convolve`, which builds its own."""
+    """Target of the blur: a program of `blur_features`; none for `convolve`, which builds its own."""
     files = FILES_OF[spec.method]
     features = blur_features(spec, channels, session.device.has_fp64, maps)
     return Target(session, build(session, files, features, structs(real), real) if files else {}, real)

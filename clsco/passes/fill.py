@@ -163,7 +163,7 @@ class Filler:
         return self._found()
 
     def _depths(self) -> tuple[cl.Buffer, ...]:
-        """What the bound on the depth of neighbors is made from, and kept in."""
+        """Buffers with depths of neighbors, and the bound that is made from them."""
         return (self.planes.w, *self.planes.far) if self.is_far else ()
 
     def _sweep(self, source: cl.Buffer, count: int, wins: np.int32, minimum: np.int32, events: Events) -> None:

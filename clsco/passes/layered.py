@@ -27,7 +27,7 @@ Planes = tuple[cl.Buffer, cl.Buffer, cl.Buffer]
 
 
 class Labels:
-    """Which depth layer each pixel of a grid is in, which one goes on behind it, and how near an edge it is.
+    """Labels of a grid's pixels: the depth layer of each, the one that goes on behind it, and the distance of an edge.
 
     Buffers, by the names of `clsco.plan.buffers.layered_buffers`: latest: where discontinuities of a time sample are,
     by class and bin; slab, seed, hidden, edge: uchar (height, width); offset: int (height, width).

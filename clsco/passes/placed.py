@@ -112,7 +112,7 @@ class PlacedScene:
 
     @property
     def content(self) -> Hashable:
-        """What identifies the textures: the same for the same ones; None where that is not known."""
+        """Key of the textures: the same for the same ones; None where it is not known."""
         found = ("textures", self.channels, *(texture.content for texture in self.stack))
         found += ("mapped", *(texture.content for texture in self.mapped)) if self.mapped else ()
         return None if None in found else found

@@ -101,7 +101,7 @@ class TableStore:
 
 @cache
 def _code() -> str:
-    """What decides what blocks contain, besides their PSF."""
+    """Digest of the code that blocks depend on, besides their PSF."""
     return code_digest(constants, polygon, psf_module, psf_blocks, psf_grid)
 
 
@@ -146,7 +146,7 @@ def _holds(table: PsfTable, span: range) -> bool:
 
 
 def _is_disc(psf: Psf, subpixel: int) -> bool:
-    """Whether a table is that of a sampled disc."""
+    """True if a table is that of a sampled disc."""
     return shape_of(psf).kind == "disc" and not subpixel
 
 

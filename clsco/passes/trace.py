@@ -50,7 +50,7 @@ class HitKey(NamedTuple):
 
 
 class Hits(Protocol):
-    """Where planes of what rays hit are, for several lenses."""
+    """Store of the planes of what rays hit, for several lenses."""
 
     def planes(self, sizes: Sizes, key: HitKey, cast: Cast) -> HitPlanes:
         """The planes of an occlusion group, cast into where they are not there.

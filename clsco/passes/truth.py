@@ -120,7 +120,7 @@ class GroundTruth:
             download_into(self.scene.session, buffers[name], array[strip.inside])
 
     def _of_maps(self, before: float, time: float, later: float, events: Events) -> Arrays:
-        """Of a scene with depth maps, which no ray can be cast at: of the pixels in their new places."""
+        """Ground truth of a scene with depth maps, which no ray can be cast at: from the pixels in their new places."""
         scene, plan, camera, pixels = self.scene, self.plan, self.plan.scene.camera, self.pixels
         now, then = scene.at(time), scene.at(later)
         if isinstance(pixels, StaticMap):

@@ -51,7 +51,7 @@ class Warped:
 
 
 def forward_features(plan: Plan, owned: bool) -> dict[str, int]:
-    """What reproject.cl and fill.cl are compiled for; owned: bands of the image without atomics, for CPUs.
+    """Features that reproject.cl and fill.cl are compiled for; owned: bands of the image without atomics, for CPUs.
 
     A depth map has no outline that a ray could miss: where there is one, domain "surface" is "span". Holes are filled
     from the far side (FILL_FAR) where a scene may have surfaces at several depths: several objects, or a depth map.
@@ -190,7 +190,7 @@ class ForwardWarp:
         return self._frame(warped.status, np.uint8) > 0
 
     def truth(self, sample: TimeSample, wanted: Collection[str], events: Events) -> dict[str, NDArray[Any]]:
-        """What is wanted of these, float32 or as stated, (rows, columns[, channels]); sample: of weight 1.
+        """Wanted ones of these arrays, float32 or as stated, (rows, columns[, channels]); sample: of weight 1.
 
         "sharp": radiance after the move; "filled": uint8, as `Warped.status`. Of a scene with a depth map, at which no
         ray can be cast, also what is known of the pixels' surface, filled ones included: "depth" in mm, +inf for none,

@@ -1,4 +1,5 @@
-"""Which sources of wide blur a coarser grid can hold, at which radius, and how far off that is (float64, pure).
+"""Approximation of wide blur on coarser grids: which sources they hold, at which radius, and with which error (float64,
+pure).
 
 Host and kernels: clsco/passes/multigrid.py, kernels/blur/multigrid.cl.
 """
@@ -29,7 +30,7 @@ PIXELS_PER_PLACE, FEWEST_PLACES, MOST_PLACES = 1024, 256, 512  # where errors ar
 
 @dataclass(frozen=True)
 class ApproximationReport:
-    """How the blur of an image was computed, and the measured error of an approximation.
+    """Report on how the blur of an image was computed, with the measured error of an approximation.
 
     Attributes
     ----------
@@ -64,7 +65,7 @@ class ApproximationReport:
 
 
 def asked_alike(report: Mapping[str, Any] | None, method: str, tolerance: float | None) -> bool:
-    """Whether a frame with this report (an `ApproximationReport` as a mapping, or None) has the same request."""
+    """True if a frame with this report (an `ApproximationReport` as a mapping, or None) has the same request."""
     if report is None:
         return tolerance is None and method not in METHODS
     return report.get("tolerance") == tolerance and (tolerance is not None or report.get("method") == method)
@@ -80,7 +81,7 @@ def checked_tolerance(tolerance: float, method: str) -> float:
 
 
 def can_convolve(psf: Psf) -> bool:
-    """Whether `convolve` and coarser grids can blur by this PSF: the same one everywhere, and for -R."""
+    """True if `convolve` and coarser grids can blur by this PSF: the same one everywhere, and for -R."""
     return psf.border == "lose" and not shape_of(psf).signed
 
 

@@ -71,7 +71,7 @@ TRUTH_BUFFERS: dict[str, tuple[type[np.generic], int]] = {
 
 
 class DeviceFacts(Protocol):
-    """What of a device the sizes of buffers depend on, and what they may take; `clsco.opencl.device.Device` has it."""
+    """Device limits that buffer sizes depend on; `clsco.opencl.device.Device` has them."""
 
     @property
     def kind(self) -> str:
@@ -79,7 +79,7 @@ class DeviceFacts(Protocol):
 
     @property
     def has_fp64(self) -> bool:
-        """Whether it computes in double precision."""
+        """True if the device computes in double precision."""
 
     @property
     def compute_units(self) -> int:
@@ -95,7 +95,7 @@ class DeviceFacts(Protocol):
 
     @property
     def unified_memory(self) -> bool:
-        """Whether it works in the machine's memory."""
+        """True if the device works in the machine's memory."""
 
 
 @dataclass(frozen=True)
@@ -116,8 +116,8 @@ def bands_at_a_time(rows: int, cores: int) -> int:
 
 
 def band_scratch(psf: Psf, largest: float, fp64: bool) -> Scratch:
-    """What `gather` keeps for each band of a frame with radii up to `largest` px: of sampled discs whole rows of them,
-    of small reach ("near") or any ("rows"), and of others columns of them."""
+    """Kind of scratch that `gather` keeps for each band of a frame with radii up to `largest` px: for sampled discs
+    whole rows of them, of small reach ("near") or any ("rows"), for other PSFs columns."""
     if is_near(psf, largest):
         return "near"
     found: dict[str, Scratch] = {"disc": "rows" if fp64 else "none", "general": "none"}
@@ -245,7 +245,7 @@ def level_buffers(spec: BlurSpec, grid: Grid, finest: bool) -> Sizes:
 
 
 def multigrid_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts, places: int = 0) -> Sizes:
-    """What coarser grids take besides `blur_buffers` of the frame's own.
+    """Sizes of the buffers of coarser grids, besides `blur_buffers` of the frame's own.
 
     Parameters
     ----------
@@ -429,8 +429,8 @@ def source_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
 
 
 def hit_buffers(grid: Grid, mapped: bool) -> Sizes:
-    """What rays of an occlusion group hit, for all lenses (`clsco.passes.trace.Hits`); mapped: textures lie on
-    surfaces, and a plane has their texels per pixel."""
+    """Sizes of the planes of what rays of an occlusion group hit, for all lenses (`clsco.passes.trace.Hits`); mapped:
+    textures lie on surfaces, and a plane has their texels per pixel."""
     pixels, planes = grid.sources, grid.channels + mapped
     return {"value": 4 * planes * pixels, "depth": WIDE_BYTES * pixels, "hit": pixels}
 

@@ -1,4 +1,4 @@
-"""What of all that can be done a scene has no use for, and why."""
+"""Parts of the pipeline that a scene has no use for, with reasons."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from clsco.plan.plan import Plan
 
 
 def left_out(plan: Plan) -> tuple[tuple[str, str], ...]:
-    """What a scene has no use for.
+    """List the parts of the pipeline that a scene has no use for.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ _UNITS |= {f"{p}ib": 1024**n for n, p in enumerate("kmgt", 1)}
 
 @dataclass(frozen=True)
 class Limit:
-    """What the buffers of a frame may take, in bytes.
+    """Limit of a frame's buffers, in bytes.
 
     total: all of them; buffer: each of them; given: by the user, so that it is an error where nothing fits; views: that
     are on the device together and share `total`, as those of a stereo pair.
@@ -94,7 +94,7 @@ def buffer_bytes(plan: Plan) -> Sizes:
 
 
 def is_layered(psf: Psf, method: Blur) -> bool:
-    """Whether `clsco.defocus` puts its image into slabs."""
+    """True if `clsco.defocus` puts its image into depth layers."""
     return psf.occlusion == "layered" and method != "convolve"
 
 
@@ -131,7 +131,7 @@ def _sum(sizes: Mapping[str, int], views: int) -> int:
 
 
 def fits(sizes: Mapping[str, int], limit: Limit) -> bool:
-    """Whether buffers of these sizes fit the limit, for all views together."""
+    """True if buffers of these sizes fit the limit, for all views together."""
     return _sum(sizes, limit.views) <= limit.total and max(sizes.values()) <= limit.buffer
 
 

@@ -57,7 +57,7 @@ class BlurSpec:
 
     @property
     def marked(self) -> bool:
-        """Whether sources say what they are: whole, in sub-pixel sources, or partly occluded."""
+        """True if sources carry marks: whole, in sub-pixel sources, or partly occluded."""
         return self.subpixels > 0 or self.occluders > 0
 
     @property
@@ -67,7 +67,7 @@ class BlurSpec:
 
 
 def is_sharp(psf: Psf, largest: float) -> bool:
-    """Whether the PSF of the |blur radius| `largest` px keeps all light in its pixel."""
+    """True if the PSF of the |blur radius| `largest` px keeps all light in its pixel."""
     return shape_of(psf).is_sharp(largest)
 
 

@@ -70,7 +70,7 @@ SILHOUETTE_SLOTS = 12  # pixels near silhouettes per row and column of the frame
 
 @dataclass(frozen=True)
 class Plan:
-    """What rendering a scene takes.
+    """Plan of rendering a scene: passes, buffers and costs.
 
     Attributes
     ----------
@@ -179,7 +179,7 @@ class Plan:
 
     @cached_property
     def spec(self) -> BlurSpec:
-        """What the blur is made for; with approximations, for the first one."""
+        """Specification of the blur; with approximations, of the first one."""
         room = occluder_room(max(layer.occluders.bit_count() for layer in self.layers))
         least = METHODS[self.approximations[0]] if self.approximations else None
         return BlurSpec(
@@ -195,7 +195,7 @@ class Plan:
 
     @property
     def eye_moved(self) -> bool:
-        """Whether the frame is seen from elsewhere than the textures."""
+        """True if the frame is seen from elsewhere than the textures."""
         return displaced(self.scene, self.eye)
 
     @property
@@ -219,7 +219,7 @@ class Plan:
 
     @cached_property
     def passes(self) -> tuple[Pass, ...]:
-        """What is run: for each time sample in this order, and "ground truth" once for a frame."""
+        """Passes to run: each time sample runs them in this order, and "ground truth" runs once for a frame."""
         return _passes(self)
 
     def features(self) -> dict[str, int]:
@@ -263,14 +263,14 @@ def widened(plan: Plan, smallest: float, largest: float) -> Plan:
 
 
 def _hides_nothing(scene: Scene) -> bool:
-    """Whether the lens sees all that the pinhole sees: a single surface, without an inside and not of a map."""
+    """True if the lens sees all that the pinhole sees: a single surface, without an inside and not of a map."""
     return len(scene.objects) == 1 and scene.is_analytic and not is_hollow(scene.objects[0])
 
 
 def _occlusion(
     scene: Scene, rays: bool, sharp: bool, poses_at_times: list[tuple[Pose, ...]], w: Array
 ) -> tuple[Occlusion, tuple[Layer, ...]]:
-    """How what hides what is dealt with, and the layers of objects that follow."""
+    """Choose how occlusion is computed, and the occlusion groups that follow."""
     together = (Layer((1 << len(scene.objects)) - 1, 0),)
     wanted = scene.psf.occlusion
     if wanted == "none" or sharp or _hides_nothing(scene):

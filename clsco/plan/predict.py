@@ -50,18 +50,19 @@ def _grid(scene: Scene, guard: int) -> tuple[Array, Array]:
 
 
 def displaced(scene: Scene, eye: Eye) -> bool:
-    """Whether one of a stereo pair sees the scene from elsewhere than the textures."""
+    """True if a view of a stereo pair sees the scene from elsewhere than the textures."""
     return scene.stereo is not None and (eye == "right" or scene.stereo.toe_in > 0.0)
 
 
 def is_static_map(scene: Scene) -> bool:
-    """Whether every pixel shows what it does in a depth map and its image: nothing else is there, and nothing moves."""
+    """True if every pixel shows its own pixel of a depth map and its image: there is nothing else, and nothing
+    moves."""
     return len(scene.objects) == 1 and not scene.is_analytic and not scene.moves and scene.stereo is None
 
 
 def is_forward(scene: Scene, eye: Eye) -> bool:
-    """Whether pixels of the reference pose are moved: with the forward warp what moves, and depth maps unless all is
-    static."""
+    """True if pixels of the reference pose are moved: moving objects with the forward warp, and depth maps unless all
+    is static."""
     if not scene.is_analytic:
         return not is_static_map(scene)
     return scene.motion.warp == "forward" and (scene.moves or displaced(scene, eye))
@@ -161,21 +162,21 @@ def _samples(scene: Scene, maps: Maps) -> int:
 
 
 def _fills_view(scene: Scene, w: Array) -> bool:
-    """Whether no silhouette is in sight: the surface is hit everywhere, and cannot have a hole between rays."""
+    """True if no silhouette is in sight: the surface is hit everywhere, and cannot have a hole between rays."""
     item = scene.objects[0]
     simple = len(scene.objects) == 1 and cutting_bounds(item) is None and item.shape != "quadric"
     return simple and bool((w > 0).all())
 
 
 def _faces_camera(item: Plane | Rectangle | Disc) -> bool:
-    """Whether a flat surface is parallel to the detector in its reference pose."""
+    """True if a flat surface is parallel to the detector in its reference pose."""
     slopes = (item.slope_x, item.slope_y) if isinstance(item, Plane) else (0.0, 0.0)
     normal = static_rotation(item) @ (-slopes[0], -slopes[1], 1.0)
     return not normal[:2].any()
 
 
 def _constant_blur(scene: Scene) -> bool:
-    """Whether every pixel has the same radius at any time: a plane that stays parallel to the detector."""
+    """True if every pixel has the same radius at any time: a plane that stays parallel to the detector."""
     item, camera = scene.objects[0], scene.camera.motion
     turns = any(any(motion.angular_velocity[:2]) for motion in (*scene.motions(item), camera))
     turned = scene.stereo is not None and scene.stereo.toe_in > 0.0

@@ -48,7 +48,7 @@ class Prepared:
 
     @cached_property
     def textures(self) -> tuple[Texture, ...]:
-        """Of every object; with a channel more for `alpha`."""
+        """Textures of every object; with a channel more for `alpha`."""
         found = self.files.textures(self.scene)
         if not self.plan.alpha:
             return found
@@ -58,7 +58,7 @@ class Prepared:
 
     @cached_property
     def maps(self) -> Maps:
-        """Of every object, see `InputFiles.maps`."""
+        """Maps of every object, see `InputFiles.maps`."""
         return self.files.maps(self.scene)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""What is requested of a rendering besides its scene."""
+"""Request for a rendering, besides its scene."""
 
 from __future__ import annotations
 

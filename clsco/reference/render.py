@@ -59,7 +59,7 @@ def _cast_sources(view: View, layer: Layer, guard: int, detail: bool) -> tuple[S
 
 @dataclass(frozen=True, eq=False)
 class _Warped:
-    """What a forward warp gives: sources, the object of each (H, W), status of the filling (H, W), its report."""
+    """Result of a forward warp: sources, the object of each (H, W), status of the filling (H, W), its report."""
 
     sources: Sources
     objects: NDArray[np.uint8]
@@ -163,7 +163,7 @@ def _with_channels(radiance: NDArray[np.float32], channels: int) -> Array:
 
 
 def _moves_pixels(plan: Plan) -> bool:
-    """Whether pixels of the reference pose are warped forward; those of a static depth map stay where they are."""
+    """True if pixels of the reference pose are warped forward; those of a static depth map stay where they are."""
     return plan.forward or plan.static_map
 
 

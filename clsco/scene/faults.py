@@ -98,7 +98,7 @@ def at_most(where: str, messages: Iterable[str]) -> list[str]:
 
 
 def _texts(tables: Iterable[Mapping[str, Any]], key: str) -> list[str | None]:
-    """What tables have under a key, None where that is no text."""
+    """Texts that tables have under a key, None where a value is no text."""
     return [text if isinstance(text := table.get(key), str) else None for table in tables]
 
 

@@ -105,7 +105,7 @@ def swept_keys(mapping: Mapping[str, Any]) -> list[tuple[Location, Any]]:
 
 
 def _is_vector(annotation: Any) -> bool:
-    """Whether a key holds several numbers, so that a flat list is one value."""
+    """True if a key holds several numbers, so that a flat list is one value."""
     return get_origin(annotation) is tuple or any(map(_is_vector, get_args(annotation)))
 
 
@@ -146,7 +146,7 @@ def missing_input(key: str, name: str) -> str:
 
 
 def _exists(folder: Path, name: str) -> bool:
-    """Whether a file of this name exists."""
+    """True if a file of this name exists."""
     try:
         return (folder / name).exists()
     except (OSError, ValueError):  # not a file name: too long, or with a null character

@@ -206,8 +206,8 @@ class Psf(Strict):
     silhouette_samples: Annotated[int, Within(1, 16)] = 4
     """Sources per pixel and axis near silhouettes; 1: off."""
     occlusion: Literal["visibility", "layered", "none"] = "visibility"
-    """How nearer surfaces hide farther ones: visibility tests towards the lens, depth layers of the image, or not at
-    all. Default, where surfaces are not analytic (depth maps, forward warp): layered."""
+    """Occlusion by nearer surfaces: visibility tests towards the lens, depth layers of the image, or none. Default,
+    where surfaces are not analytic (depth maps, forward warp): layered."""
     sigma_ratio: Annotated[float, Within(1e-6, 10.0)] = math.sqrt(0.5)
     """sigma / |R|; only with model = "gaussian"."""
     truncation: Annotated[float, Within(1.0, 6.0)] = Field(
@@ -287,7 +287,7 @@ class Sequence(Strict):
 
 
 class Motion(Strict):
-    """How the radiance of a moved surface is found, and what an angular velocity means."""
+    """Method that finds the radiance of a moved surface, and meaning of an angular velocity."""
 
     warp: Literal["inverse", "forward"] = "inverse"
     """Cast rays at the moved surface, or move the pixels of the reference pose."""
@@ -328,7 +328,7 @@ class Light(Strict):
     direction: Direction | None = None
     """Towards a light that is far away: right, up, towards the camera; of any length."""
     position: Point | None = None
-    """Where a light is that is not, in the camera's frame in the reference pose, mm; instead of direction."""
+    """Position of a light that is near, in the camera's frame in the reference pose, mm; instead of direction."""
     ambient: Annotated[float, Within(0.0, 1.0)] = 0.0
     """Share of the texture that is seen without the light."""
 
@@ -461,7 +461,7 @@ class Scene(Strict):
 
     @property
     def moves(self) -> bool:
-        """Whether an object, its group or the camera moves."""
+        """True if an object, its group or the camera moves."""
         motions = (motion for item in self.objects for motion in self.motions(item))
         return self.camera.motion.moves or any(motion.moves for motion in motions)
 
@@ -471,17 +471,17 @@ class Scene(Strict):
 
     @property
     def is_ray_castable(self) -> bool:
-        """Whether every surface is analytic at any time: no depth map, and no pixels moved by a forward warp."""
+        """True if every surface is analytic at any time: no depth map, and no pixels moved by a forward warp."""
         return self.is_analytic and not (self.moves and self.motion.warp == "forward")
 
     @property
     def has_mapped_textures(self) -> bool:
-        """Whether a texture lies on a surface, and is not projected."""
+        """True if a texture lies on a surface, and is not projected."""
         return any(item.mapped is not None for item in self.objects)
 
     @property
     def is_analytic(self) -> bool:
-        """Whether every object is: there is no depth map."""
+        """True if every object is analytic: there is no depth map."""
         return all(item.is_analytic for item in self.objects)
 
 

@@ -96,7 +96,7 @@ def rotation_rows(rotation: EulerAngles | AxisAngle | UnitQuaternion | None) -> 
 
 
 def depth_row(rotation: EulerAngles | AxisAngle | UnitQuaternion | None) -> Vector:
-    """What a rotated point's z, away from the camera, is made of: the last of `rotation_rows`."""
+    """Last of `rotation_rows`, which gives a rotated point's z, away from the camera."""
     return rotation_rows(rotation)[2]
 
 

@@ -53,7 +53,7 @@ class ObjectMotion(Strict):
 
     @property
     def moves(self) -> bool:
-        """Whether any component of either velocity differs from 0."""
+        """True if any component of either velocity differs from 0."""
         return any(self.velocity) or any(self.angular_velocity)
 
 
@@ -74,12 +74,12 @@ class _Object(Textured):
 
     @property
     def is_analytic(self) -> bool:
-        """Whether the surface has an equation, so that rays can be cast at it."""
+        """True if the surface has an equation, so that rays can be cast at it."""
         return True
 
     @property
     def is_background(self) -> bool:
-        """Whether it is what is behind all others, and no surface in the ground truth."""
+        """True if the object is behind all others, and no surface in the ground truth."""
         return False
 
     def files(self) -> dict[str, str]:
@@ -309,7 +309,7 @@ class Quadric(_Bounded):
     coefficients: Coefficients
     """a200 a020 a002 a110 a011 a101 a100 a010 a001 a000; x, y and z in mm."""
     center: Point = (0.0, 0.0, 250.0)
-    """Where x = y = z = 0, mm; the origin."""
+    """Origin, where x = y = z = 0, mm."""
 
 
 class DepthMap(_Bounded):
@@ -331,7 +331,7 @@ class DepthMap(_Bounded):
     depth_kind: Literal["z", "ray"] = "z"
     """Depth along the optical axis, or distance from the lens along the ray of a pixel; the latter only of lengths."""
     no_depth: Literal["around", "far"] = "around"
-    """Where the file has no depth, such as 0: depth of the surfaces around, or infinitely far, as the sky is."""
+    """Depth of pixels that have none in the file, such as 0: of the surfaces around, or infinite, as of the sky."""
     soft_edges: Literal["assign", "keep"] = "assign"
     """Depths between two surfaces at their edge, as of averaged or blurred files: each becomes that of one of the two,
     or all are kept."""
@@ -379,7 +379,7 @@ class DepthMap(_Bounded):
 
 
 class Background(_Bounded):
-    """What is behind all other objects, infinitely far away: an image, or a color."""
+    """Background behind all other objects, infinitely far away: an image, or a color."""
 
     MAPPINGS: ClassVar[Mapping[str, Mapped]] = {}
     shape: Literal["background"] = "background"

@@ -291,7 +291,7 @@ def _components(value: Any) -> list[Any]:
 
 
 def _is_finite(value: Any) -> bool:
-    """Whether a value is a number whose differences are finite."""
+    """True if a value is a number whose differences are finite."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     return abs(value) < 1e300  # so that differences are finite as well

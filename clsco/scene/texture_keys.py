@@ -21,7 +21,7 @@ Wrap = Literal["repeat", "mirror", "clamp", "none"]
 
 
 def is_drawn(texture: object) -> bool:
-    """Whether a texture is built in, or a color, and neither a file nor an array."""
+    """True if a texture is built in, or a color, and neither a file nor an array."""
     return isinstance(texture, str) and (texture in BUILT_IN_TEXTURES or COLOR.fullmatch(texture) is not None)
 
 
@@ -48,8 +48,8 @@ def _one_or_two(value: Any) -> Any:
 
 
 class _Rule(NamedTuple):
-    """What a mapping takes: texture_size ("", "may", "must"), how many numbers of texture_repeats, and what turns or
-    moves the image."""
+    """Keys that a mapping takes: texture_size ("", "may", "must"), how many numbers of texture_repeats, and those that
+    turn or move the image."""
 
     size: Literal["", "may", "must"]
     repeats: int
@@ -80,7 +80,7 @@ class Textured(Strict):
     """Keys of the texture of an object."""
 
     MAPPINGS: ClassVar[Mapping[str, Mapped]] = TRIPLANAR
-    """How textures may lie on the shape: `texture_mapping` -> kind."""
+    """Mappings of textures onto the shape: `texture_mapping` -> kind."""
 
     texture: TextureInput = "bricks"
     """bricks, checkerboard, slanted_edge, siemens_star, a color "#rrggbb", or an image: a path, relative to the scene
@@ -93,7 +93,7 @@ class Textured(Strict):
     texture_repeats: _Repeats | None = None
     """Copies of the image across the surface, or across and up, in place of a size."""
     texture_offset: _Shifts | None = None
-    """How many copies the image is moved to the right and up; by default not at all."""
+    """Copies by which the image is moved to the right and up; by default not at all."""
     texture_angle: Angle | None = None
     """Turn of the image on the surface, counterclockwise as seen from outside, deg; by default none."""
     texture_wrap: Wrap | None = None
@@ -102,17 +102,17 @@ class Textured(Strict):
 
     @property
     def mapped(self) -> Mapped | None:
-        """How the texture lies on the surface, None for a projected one."""
+        """Mapping of the texture onto the surface, None for a projected one."""
         return None if self.texture_mapping == "projected" else self.MAPPINGS[self.texture_mapping]
 
     @property
     def wrap(self) -> Wrap:
-        """What is beyond the image."""
+        """Continuation of the image beyond its edges."""
         once = self.mapped == "card" and self.texture_size is None and self.texture_repeats is None
         return self.texture_wrap or ("clamp" if once else "repeat")
 
     def inputs(self) -> dict[str, str | ArrayInput]:
-        """What the object is made of, by key: the name of a pattern, the path of a file, or an array."""
+        """Inputs of the object by key: the name of a pattern, the path of a file, or an array."""
         return {"texture": cast("str | ArrayInput", self.texture)}
 
     def textures(self) -> tuple[str | ArrayInput, ...]:
@@ -120,7 +120,7 @@ class Textured(Strict):
         return (self.inputs()["texture"],)
 
     def texture_keys(self) -> dict[str, Any]:
-        """What is given of how the texture lies, by key."""
+        """Given values of the keys on how the texture lies."""
         names = [name for name in Textured.model_fields if name in self.model_fields_set]
         return {name: getattr(self, name) for name in names}
 
@@ -141,7 +141,7 @@ class SixSided(Textured):
 
     @property
     def has_sides(self) -> bool:
-        """Whether its sides may differ."""
+        """True if the sides may have different images."""
         return self.texture_mapping == "cube"
 
     def inputs(self) -> dict[str, str | ArrayInput]:

@@ -41,7 +41,7 @@ def _parts(table: Mapping[str, Any], name: str, header: str) -> list[str]:
 
 
 def _is_table(value: Any) -> bool:
-    """Whether a value is a table, or a list of tables."""
+    """True if a value is a table, or a list of tables."""
     return isinstance(value, Mapping) or (isinstance(value, list) and any(isinstance(v, Mapping) for v in value))
 
 

@@ -113,7 +113,7 @@ def quarter_discriminant(surface: PlacedSurface, d: Array) -> Array:
 
 
 def root_counts(surface: PlacedSurface, bounds: Bounds | None, d: Array, own: Array, w: Array) -> NDArray[np.bool_]:
-    """Whether roots (...) are in front of the lens, on the right nappe, within the bounds, and on the disc.
+    """Mark roots (...) that are in front of the lens, on the right nappe, within the bounds, and on the disc.
 
     d, own: (..., 3) rays in the canonical and in the object's own frame; w: (...) 1/mm, finite or not. Nothing
     is divided by Z: every comparison is multiplied by w.

@@ -140,7 +140,8 @@ def occluded_share(m: Occluder, x: Array, y: Array) -> Array:
 
 
 def hides_all(m: Occluder, most: Array) -> tuple[Mask, tuple[Mask, ...]]:
-    """Whether a surface hides the lens (N,) at 16 points all over it, a little beyond its rim, `most` (N,), among them.
+    """Mark sources (N,) for which a surface hides the lens at 16 points all over it, a little beyond its rim, `most`
+    (N,), among them.
 
     Also which conditions (N,) each some crossing there does not meet wholly; others can be dropped, but for one where
     there is one crossing.

@@ -70,7 +70,7 @@ class Points:
 
 @dataclass(frozen=True, eq=False)
 class Lens:
-    """How the lens is divided for N sources.
+    """Division of the lens into cells for N sources.
 
     cells (N,): per lens radius, signed as the blur radius; wide (N,): a cell is a pixel; blur (N,): |R| extent, px;
     extent: of the lens in lens radii; width: of the sources, px.
@@ -151,7 +151,7 @@ class Slopes:
 
 
 def slopes_of(surface: PlacedSurface, e: Equation, w: Array, d: Array) -> Slopes:
-    """How the coefficients change with the tap; d: D (N,) in the middle of the lens."""
+    """Derivatives of the coefficients by the tap; d: D (N,) in the middle of the lens."""
     q, l, o, side = surface.canonical.q, surface.canonical.l, surface.offset, e.sign  # noqa: E741
     ex, ey = e.along_x, e.along_y
     bx, by = (side * (_dot(q, e.point * u) + w * _dot(l, u)) for u in (ex, ey))
@@ -163,7 +163,7 @@ def slopes_of(surface: PlacedSurface, e: Equation, w: Array, d: Array) -> Slopes
 
 
 def crossing_place(camera: Camera, e: Equation, d: Array) -> Array:
-    """Where the line meets the surface, or passes it: (N,) distance in the image, px per lens radius."""
+    """Distance in the image at which the line meets the surface, or passes it, (N,), px per lens radius."""
     root = np.sqrt(np.maximum(d, 0.0))
     # The outline itself is at sqrt(F / C): half of it keeps its edge from growing endlessly where the line passes the
     # surface next to the point.
@@ -196,7 +196,8 @@ def outline_slope(m: Slopes) -> Array:
 
 
 def outline_of(e: Equation, m: Slopes, soft: Array, most: Array) -> Outline:
-    """Of two crossings, or none: h over the width `soft` (N,) of the edge; most (N,): cells to the farthest tap."""
+    """Outline of a surface with two crossings, or none: h over the width `soft` (N,) of the edge; most (N,): cells to
+    the farthest tap."""
     under = np.sqrt(e.C * e.F)
     h = -e.B - under
     change = e.F * (np.hypot(m.C_x, m.C_y) + (np.abs(m.C_xx) + np.abs(m.C_xy) + np.abs(m.C_yy)) * most) * most
@@ -217,7 +218,7 @@ def outline_of(e: Equation, m: Slopes, soft: Array, most: Array) -> Outline:
 
 
 def disc_outline(surface: PlacedSurface, e: Equation, points: Points, soft: Array, most: Array) -> Outline:
-    """Of a disc of radius r about the third axis; arguments as for `outline_of`.
+    """Outline of a disc of radius r about the third axis; arguments as for `outline_of`.
 
     The line to the lens crosses its plane at v = -p_z / o_z, within the radius where
     h = r |w o_z - p_z| - |p o_z - p_z o|_xy >= 0,
@@ -253,7 +254,7 @@ def disc_outline(surface: PlacedSurface, e: Equation, points: Points, soft: Arra
 
 
 def keep_equation(e: Equation, m: Slopes, soft: Array, outline: Outline, limits: Sequence[Array]) -> Occluder:
-    """What is tested for taps: the outline, and the equation for those that have limits."""
+    """Collect the terms that taps are tested by: the outline, and the equation for those that have limits."""
     zero = np.zeros_like(e.B)
     return Occluder(
         h=outline.h,
@@ -271,8 +272,8 @@ def keep_equation(e: Equation, m: Slopes, soft: Array, outline: Outline, limits:
 
 
 def out_of_the_way(camera: Camera, surface: PlacedSurface, rays: Array, w: Array, extent: float) -> Mask:
-    """Whether (N,) nothing of a surface can be between the points and the lens: the line to lens point l goes over the
-    image by lens_radius l per inverse depth."""
+    """Mark points (N,) that nothing of a surface can be before: the line to lens point l goes over the image by
+    lens_radius l per inverse depth."""
     way = lens_radius(camera) * extent * (surface.seen.w[1] - w)
     far = way <= 0
     for axis, (low, high) in enumerate((surface.seen.x, surface.seen.y)):
@@ -283,7 +284,7 @@ def out_of_the_way(camera: Camera, surface: PlacedSurface, rays: Array, w: Array
 def meet_occluder(
     camera: Camera, surface: PlacedSurface, bounds: Bounds | None, points: Points, lens: Lens, own: bool = False
 ) -> tuple[NDArray[np.uint8], Mask, Occluder]:
-    """How a surface hides the lens from N points.
+    """Find how a surface hides the lens from N points.
 
     own: the points are on the surface itself, of which another part may be between them and the lens. Returns whether
     the lens is CLEAR, PARTLY or all HIDDEN (N,), which points are on the surface's other side than the lens or near an
@@ -350,7 +351,7 @@ def _planar(limits: Sequence[Array], points: int) -> Occluder:
 
 @dataclass(frozen=True, eq=False)
 class Visibility:
-    """What hides the lens from sources; made by `check_visibility`.
+    """Occluders of the lens for each source; made by `check_visibility`.
 
     row: (sources,) where a source is in the other arrays, -1 if nothing hides it or all is hidden. Of the M others:
     radius px; wide; x, y: place of the source in its pixel, px; occluders: per surface which of them it concerns, and

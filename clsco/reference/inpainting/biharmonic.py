@@ -97,7 +97,7 @@ def finer(fine: Array, coarse: Array, missing: Mask) -> Array:
 
 
 def _refinement(size: int) -> Array:
-    """What the splines of ceil(size / 2) coarse pixels count at `size` fine ones, mirrored at the border."""
+    """Weights of the splines of ceil(size / 2) coarse pixels at `size` fine ones, mirrored at the border."""
     result = np.zeros((size, (size + 1) // 2))
     for i in range(size):
         result[i, i // 2] += 0.75

@@ -1,4 +1,4 @@
-"""How well mean and median of neighbors estimate known pixels (thesis, chapter 5)."""
+"""Score of mean and median of neighbors as estimates of known pixels (thesis, chapter 5)."""
 
 from __future__ import annotations
 

@@ -240,7 +240,7 @@ def level_count(deep: int) -> int:
 
 
 def depth_of_hidden(psf: Psf, largest_sum: int) -> int:
-    """How far behind an edge surface may be seen, px: as far as the blurs of both sides reach together."""
+    """Distance behind an edge at which surface may be seen, px: the blurs of both sides reach together as far."""
     return ceil(float(psf_extent(psf, largest_sum))) + 2
 
 

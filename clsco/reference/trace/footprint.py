@@ -1,4 +1,4 @@
-"""What pixels see of images on surfaces, filtered over their footprints, in NumPy float64.
+"""Textures on surfaces, filtered over the footprints of pixels, in NumPy float64.
 
 How the mean over a pixel is formed, and what detail is, stands at the head of kernels/trace/footprint.clh.
 """
@@ -101,8 +101,8 @@ def _offsets(nodes: int, cells: int, shift: float) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Footprint:
-    """What is read of a texture for n pixels or parts of them: kinds (n, 6): level, nodes and cells to the right,
-    nodes and cells down, and whether it is bent; changes: of column and row from part to part, right and down."""
+    """Reads of a texture for n pixels or parts of them: kinds (n, 6): level, nodes and cells to the right, nodes and
+    cells down, and whether it is bent; changes: of column and row from part to part, right and down."""
 
     kinds: Indices
     changes: tuple[tuple[Array, Array], tuple[Array, Array]]

@@ -1,4 +1,4 @@
-"""How much of its texture a surface shows in a light: Lambert's law, without shadows or fall-off."""
+"""Shading of a texture by a light: Lambert's law, without shadows or fall-off."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where points of surfaces are in the images that lie on them, in NumPy float64.
+"""Places of surface points in the images that lie on them, in NumPy float64.
 
 Coordinates are those of `clsco.optics.texture_mapping`.
 """
@@ -82,7 +82,7 @@ class Texel:
 
 
 def mapped_point(surface: PlacedSurface, found: TextureMap, camera: Camera, rays: Array, w: Array) -> Mapped:
-    """Where hits of rays (n, 3) at inverse depths w (n,) in 1/mm are in the frame of a texture."""
+    """Points of rays (n, 3) at inverse depths w (n,) in 1/mm, in the frame of a texture."""
     d = turned(surface.turn, rays)
     gradient = canonical_gradient(surface, d, w)
     n, facing = turned_back(surface.turn, gradient), (gradient * d).sum(axis=-1)
@@ -172,7 +172,7 @@ def texel_change(found: TextureMap, q: Array, dq: Array) -> tuple[Array, Array]:
 
 
 def is_bent(found: TextureMap, point: Mapped) -> NDArray[np.bool_]:
-    """Whether coordinates are far from linear within the footprints of pixels (n,)."""
+    """Mark pixels (n,) within whose footprints coordinates are far from linear."""
     q, right, down = point.at, point.right, point.down
     if found.kind in (MAP_LONGITUDE, MAP_CONE):
         least = (q[..., 0] ** 2 + q[..., 2] ** 2) / BENT

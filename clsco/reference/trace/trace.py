@@ -106,7 +106,7 @@ class View:
 
     @property
     def channels(self) -> int:
-        """Of the textures."""
+        """Number of channels of the textures."""
         first = self.textures[0]
         return int((first.levels[0] if isinstance(first, MappedTexture) else first).shape[-1])
 
@@ -125,8 +125,9 @@ def everything(scene: Scene) -> Layer:
 
 @dataclass(frozen=True, eq=False)
 class Cast:
-    """What rays (...) meet: inverse depth in 1/mm, label, object, blur radius in px, its gradient, radiance; parts: per
-    axis into which its texture cuts a pixel, 0 none; share: of the difference to its neighbors that it takes."""
+    """Hits of rays (...): inverse depth in 1/mm, label, object, blur radius in px, its gradient, radiance; parts:
+    number along each axis into which the texture cuts a pixel, 0 for none; share: of the difference to the neighbors
+    that it takes."""
 
     w: Array
     label: NDArray[np.uint8]
@@ -311,7 +312,8 @@ def _with_parts(
     view: View, hit: Cast, sources: Sources, pixel: tuple[NDArray[np.intp], NDArray[np.intp]],
     cut: NDArray[np.intp], guard: int,
 ) -> Cast:  # fmt: skip
-    """What rays (M, S, S) in pixels meet, where these are cut into parts: linear in the pixel but for the texture.
+    """Replace hits of rays (M, S, S) in pixels that are cut into parts: they are linear in the pixel but for the
+    texture.
 
     pixel: rows and columns (M,); cut: parts (M,) per axis, 0 where `hit` stays.
     """

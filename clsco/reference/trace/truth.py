@@ -81,7 +81,7 @@ def moved_pixel(
 def occluded_among(
     scene: Scene, surfaces: tuple[PlacedSurface, ...], pixel: tuple[Array, Array, Array], w: Array
 ) -> NDArray[np.bool_]:
-    """Whether points at inverse depth w are not visible in the pixels that `moved_pixel` gives, between surfaces."""
+    """Mark points at inverse depth w that are not visible, between surfaces, in the pixels that `moved_pixel` gives."""
     row, column, ratio = pixel
     bounds = [cutting_bounds(item) for item in scene.objects]
     seen, _, _ = nearest_surface(surfaces, bounds, everything(scene), pixel_ray(scene.camera, row, column))
@@ -90,7 +90,7 @@ def occluded_among(
 
 
 def _texture_coordinates(view: View, number: int, rays: Array, w: Array) -> Array:
-    """Where hits (rows, columns) of an object are in its texture: (right, up) from the lower left corner, in images."""
+    """Coordinates of hits (rows, columns) in an object's texture: (right, up) from the lower left corner, in images."""
     surface, texture, camera = view.surfaces[number], view.textures[number], view.scene.camera
     found, hit = np.zeros((*w.shape, 2)), w > 0.0
     if isinstance(texture, MappedTexture):

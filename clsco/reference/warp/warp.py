@@ -124,7 +124,8 @@ def reproject_nearest(target: NDArray[np.int64], key: NDArray[np.float32], pixel
 
 
 def reproject_gaps(winner: NDArray[np.int64], depth: NDArray[np.float32], columns: int) -> NDArray[np.bool_]:
-    """What is known (H, W) without winners that only show through a nearer surface, which has grown and left gaps.
+    """Mark known pixels (H, W): winners, but for those that only show through a nearer surface, which has grown and
+    left gaps.
 
     winner, depth: (H, W), from `reproject_winner` and `reproject_depth`; columns: of the frame. On opposite
     sides of such a pixel, in its row, its column or on a diagonal, and at most 3 px away, the first winners that are
@@ -156,7 +157,7 @@ def reproject_gaps(winner: NDArray[np.int64], depth: NDArray[np.float32], column
 
 
 def reproject_gather(winner: NDArray[np.int64], values: Array) -> tuple[NDArray[np.bool_], Array]:
-    """Which targets (pixels,) have a winner, and its values (pixels, channels), 0 where there is none.
+    """Mark targets (pixels,) with a winner, and gather its values (pixels, channels), 0 where there is none.
 
     values: (sources, channels).
     """
@@ -167,7 +168,7 @@ def reproject_gather(winner: NDArray[np.int64], values: Array) -> tuple[NDArray[
 def reproject(
     scene: Scene, textures: Sequence[Array], surfaces: Surfaces, maps: Maps, poses: Sequence[Pose], guard: int
 ) -> Reprojected:
-    """What is known of the padded grid after the objects' move to `poses`.
+    """Forward warp: move the pixels of the reference pose to `poses` on the padded grid.
 
     textures: (rows, columns, C) of the frame's size, one per object; surfaces, maps: as for `reproject_rest`; guard:
     px. Sources are the pixels of the frame itself, with its pinhole image; the nearest wins, of equals the

@@ -1,0 +1,66 @@
+"""Docstrings and comments that head definitions begin with what a thing is or does: a noun or an imperative verb."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+HOLLOW = ("Of", "What", "Whatever", "Whether", "Which", "Those", "How", "Where", "Who", "Whose", "When")
+FIRST_WORD = re.compile(r"\W*(\w+)")
+HEADS = re.compile(r"(?:^//[^\n]*\n)+(?=\S)", re.MULTILINE)  # of a file, a function, a struct or a macro
+
+
+def docstrings(text: str) -> Iterator[tuple[int, str]]:
+    """Lines and texts of docstrings: of modules, classes, functions and attributes."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            yield node.lineno, node.value.value
+
+
+def heads(text: str) -> Iterator[tuple[int, str]]:
+    """Lines and texts of comments that head definitions of a kernel file."""
+    for found in HEADS.finditer(text):
+        yield text.count("\n", 0, found.start()) + 1, found[0]
+
+
+def hollow(found: Iterator[tuple[int, str]]) -> list[int]:
+    """Lines whose text begins with a word that stands for a noun which is left out."""
+    words = ((line, FIRST_WORD.match(text)) for line, text in found)
+    return [line for line, word in words if word and word[1] in HOLLOW]
+
+
+def sources(*folders: str) -> list[Path]:
+    return [path for folder in folders for kind in ("py", "cl", "clh") for path in (ROOT / folder).rglob(f"*.{kind}")]
+
+
+def test_first_words_are_nouns_or_verbs() -> None:
+    files = sources("clsco")
+    assert len(files) > 200
+    found = {
+        f"{path.relative_to(ROOT)}:{line}"
+        for path in files
+        for line in hollow((docstrings if path.suffix == ".py" else heads)(path.read_text("utf-8")))
+    }
+    assert sorted(found) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ('"""What it does."""', 1),
+        ('def f() -> bool:\n    """Whether it is."""', 2),
+        ('class A:\n    x: int\n    r"""Of both."""', 3),
+        ('"""Limits of a device. What they are for."""\n', None),
+    ],
+)
+def test_a_hollow_docstring_is_found(text: str, line: int | None) -> None:
+    assert hollow(docstrings(text)) == ([] if line is None else [line])
+
+
+def test_a_hollow_head_is_found() -> None:
+    assert hollow(heads("int n; // where\n\n// Which one,\n// of all.\nint first(void);\n\n// Sum.\n")) == [3]
