@@ -126,7 +126,7 @@ __kernel void pick(const camera_t camera, __global const float *radius, __global
             source[at + i] = MOVED(source[at + i]);
 }
 
-// Of TAP_LANES nodes, the first of which begins at p: sums (1, 3, 3, 1) along a row.
+// Sums (1, 3, 3, 1) along a row of TAP_LANES nodes, the first of which begins at p.
 static inline float8 along(float16 left, float16 right)
 {
     return (left.even + right.odd) + 3 * (left.odd + right.even);

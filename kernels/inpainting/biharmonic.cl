@@ -1,11 +1,12 @@
 // The biharmonic equation in holes: conjugate gradients with a preconditioner of splines at all sizes
-// (clsco/inpainting/biharmonic.py has the method and its sources). Unknowns are in lists: `list` holds their pixels, row
-// by row, `index` (rows, columns) their places in the list, -1 at pixels that are none. Vectors are (count, CHANNELS).
-// Sums have a fixed order. One work-item per unknown unless said otherwise. Twin: clsco/reference/inpainting/biharmonic.py.
+// (clsco/inpainting/biharmonic.py has the method and its sources). Unknowns are in lists: `list` holds their pixels,
+// row by row, `index` (rows, columns) their places in the list, -1 at pixels that are none. Vectors are (count,
+// CHANNELS). Sums have a fixed order. One work-item per unknown unless said otherwise. Twin:
+// clsco/reference/inpainting/biharmonic.py.
 
 __constant int STEP_Y[4] = {-1, 1, 0, 0}, STEP_X[4] = {0, 0, -1, 1};
 
-// Of an image what is known, or of a vector what is not; the other pointer is 0.
+// Value of a known pixel of an image, or of an unknown one of a vector; the other pointer is 0.
 static inline real value_at(__global const float *image, __global const real *vector, int place, int at, int c)
 {
     if (image)
@@ -137,7 +138,7 @@ __kernel void turn_direction(__global const real *sums, const int now, __global 
     }
 }
 
-// What a coarse pixel's spline counts along an axis of so many fine pixels at the fine pixel i: quadratic B-splines are
+// Weight of a coarse pixel's spline at the fine pixel i, along an axis of so many fine pixels: quadratic B-splines are
 // refined by 1/4, 3/4, 3/4, 1/4, and mirrored at the border.
 static inline real refinement(int coarse, int i, int size)
 {

@@ -32,7 +32,7 @@ static bool in_frame(const camera_t camera, int x, int y)
     return column >= 0 && column < camera.columns && row >= 0 && row < camera.rows;
 }
 
-// Whether the fill domain contains a pixel: with "surface" its ray has to meet one of the moved surfaces.
+// True if the fill domain contains a pixel: with "surface" its ray has to meet one of the moved surfaces.
 static bool may_be_missing(const camera_t camera, __constant surface_t *surfaces, int count, int x, int y)
 {
 #if DOMAIN_SURFACE
@@ -85,7 +85,7 @@ static float far_bound(const camera_t camera, __global const uchar *valid, __glo
     return FAR_SLACK * found;
 }
 
-// Whether a valid pixel may serve one with this bound.
+// True if a valid pixel may serve one with this bound.
 static bool serves(__global const uchar *valid, __global const wide_t *w, int at, float bound)
 {
     return valid[at] && (float)narrow(w[at]) <= bound;

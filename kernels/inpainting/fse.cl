@@ -193,7 +193,8 @@ __kernel void extrapolate_blocks(const int rows, const int columns, __global con
         for (int k = 0; k < PIXELS; ++k) {
             const int phase = (u * (FSE_BEFORE + k / FSE_BLOCK) + v * (FSE_BEFORE + k % FSE_BLOCK)) & (FSE_SIDE - 1);
             for (int c = 0; c < CHANNELS; ++c)
-                block[k * CHANNELS + c] += 2 * (q_re[c] * cosines[phase * HALF + 1] - q_im[c] * sines[phase * HALF + 1]);
+                block[k * CHANNELS + c] +=
+                    2 * (q_re[c] * cosines[phase * HALF + 1] - q_im[c] * sines[phase * HALF + 1]);
         }
     }
     for (int k = 0; k < CHANNELS * PIXELS; ++k)

@@ -41,7 +41,7 @@ static void rows_of(int row[3], int at, __global const int2 *beside)
     row[2] = beside[at].y;
 }
 
-// How many of the neighbors of all lanes are valid, and what that means.
+// Counts the valid neighbors of all lanes, and chooses mean or median by the counts.
 static void count_near(around_t *around, const real8 *near, int median_wins)
 {
     int8 count = 0;
@@ -78,7 +78,7 @@ static void fill_vector(const int slots, __global const int *list, int first, in
     }
 }
 
-// What becomes of an entry that a sweep has taken: it gets its value, and those beside it come into the next list.
+// Settles an entry that a sweep has taken: it gets its value, and its missing neighbors come into the next list.
 static void settle_entry(const int slots, int at, __global const int2 *beside, int missing, int minimum,
                          __global const float *found, __global float *value, __global int *near, __global int *lists,
                          __global int *state)

@@ -1,4 +1,4 @@
-// Missing pixels: how well mean and median of neighbors estimate known pixels (thesis, chapter 5). Twin:
+// Missing pixels: scores of mean and median of neighbors as estimates of known pixels (thesis, chapter 5). Twin:
 // clsco/reference/inpainting/score.py.
 
 #if FILL_MEAN_MEDIAN

@@ -173,8 +173,8 @@ static bool flag_near(__global const int *offset, int begin, int end, int width,
     return true;
 }
 
-// Of each pixel of a run the squared distance to the nearest seed, deep^2 + 1 for none within `deep` px, and how many
-// columns away that is. Of two at the same distance the nearer column's counts, of two such columns the left one's.
+// Squared distance of each pixel of a run to the nearest seed, deep^2 + 1 for none within `deep` px, and the number of
+// columns to it. Of two at the same distance the nearer column's counts, of two such columns the left one's.
 // offset: of the first pixel; of all columns up to `deep` px away there are some.
 static inline void nearest_seeds(__global const int *offset, int deep, int *restrict best, int *restrict away)
 {

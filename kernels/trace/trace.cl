@@ -1,5 +1,6 @@
-// Casts rays against analytic surfaces: the sources of one time sample. Along a ray r w = 1/Z solves C w^2 + 2 B w + A = 0 (common/geometry.clh); the blur radius is R = blur_scale (focus_power - w)
-// (2.33). Twin: clsco/reference/trace/trace.py. Host: clsco/engine/renderer.py, for all scenes of analytic surfaces.
+// Casts rays against analytic surfaces: the sources of one time sample. Along a ray r, w = 1/Z solves
+// C w^2 + 2 B w + A = 0 (common/geometry.clh); the blur radius is R = blur_scale (focus_power - w) (2.33). Twin:
+// clsco/reference/trace/trace.py. Host: clsco/passes/trace.py, for all scenes of analytic surfaces.
 //
 // Sources lie on the frame, or a strip of its rows, and on the apron around it that contributes to it: (height, width),
 // row-major.
@@ -8,13 +9,13 @@
 //   label   uchar (height, width): 0 no surface, else which root of which object was hit, and on which side of others
 //   depth   wide_t (height, width): inverse depth, with OCCLUDED
 //   texture float (textures, CHANNELS, frame_rows, columns); surface_t names its object's. Then mipmaps, float (sides,
-//           rows, columns, CHANNELS) per level, of textures that lie on surfaces: texture_map_t of each object says where
+//           rows, columns, CHANNELS) per level, of textures that lie on surfaces: texture_map_t of an object has where
 // Features besides geometry.clh's: MOVED (not all is in its reference pose), TILT, SUBPIXELS (sources per axis in a
 // pixel at a silhouette, 0 none), SAMPLED, OCCLUDED.
 // Square roots and floors as instructions took a plane from 36 to 12 ns per pixel, one cast for all lenses of a sweep
 // the prepass from 31 to 6 and 20 per lens (benchmarks/optimisation_log.md).
 
-// What the lens makes of a hit: its record; below 0 where none of its radiance reaches the lens. subpixel: the source
+// Record of a hit, as the lens takes it; below 0 where none of its radiance reaches the lens. subpixel: the source
 // is one of SUBPIXELS^2. In and out: label, statistics.
 static float4 source_record(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
                             wide3_t ray, wide_t w, int subpixel, uchar *label, __global int *statistics)
@@ -69,8 +70,8 @@ static float take_radiance(const camera_t camera, __constant surface_t *surfaces
 }
 
 #if TEXTURED && SUBPIXELS
-// Of a pixel with a texture on a surface: its share in what neighbors exchange, 0 where it has no part in it, and its
-// record, marked where it needs sub-pixel sources; root: the label before any visibility test.
+// Record of a pixel with a texture on a surface, marked where it needs sub-pixel sources. Out: its share in what
+// neighbors exchange, 0 where it has no part in it. root: the label before any visibility test.
 static float4 with_detail(const camera_t camera, __constant texture_map_t *maps, float4 record, wide_t w, uchar root,
                           float texels, __global float *share)
 {
@@ -125,7 +126,8 @@ __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const
 }
 
 // The part of trace that all lenses have in common. Out: value, depth, and hit uchar (height, width), the label before
-// any visibility test. With textures on surfaces value has a plane more, of texels per pixel as `surface_texture` gives them.
+// any visibility test. With textures on surfaces value has a plane more, of texels per pixel as `surface_texture` gives
+// them.
 __kernel void cast(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const float weight,
                    __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *value,
                    __global wide_t *depth, __global uchar *hit)
@@ -147,8 +149,8 @@ __kernel void cast(const camera_t camera, __constant surface_t *surfaces, const 
 #endif
 }
 
-// The rest of it, for one lens. In: depth, hit, and with textures on surfaces value, as `cast` leaves them. Out: source,
-// label, statistics, and with these textures share.
+// The rest of it, for one lens. In: depth, hit, and with textures on surfaces value, as `cast` leaves them. Out:
+// source, label, statistics, and with these textures share.
 __kernel void aim(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
                   __global const wide_t *depth, __global const uchar *hit, __global float *source,
                   __global uchar *label, __global int *statistics
@@ -175,9 +177,9 @@ __kernel void aim(const camera_t camera, __constant surface_t *surfaces, const l
 }
 
 #if SUBPIXELS
-// Gives a slot to every pixel within 2 px of a change of label, and to those whose texture is DETAILED or FINE. Slots come
-// in any order; what is in them does not. In: label. Out: marks of source, pixels (slots): index p of the pixel, of one
-// that is only DETAILED -1 - 2 p, that is only FINE -2 - 2 p; statistics.
+// Gives a slot to every pixel within 2 px of a change of label, and to those whose texture is DETAILED or FINE. Slots
+// come in any order; what is in them does not. In: label. Out: marks of source, pixels (slots): index p of the pixel,
+// of one that is only DETAILED -1 - 2 p, that is only FINE -2 - 2 p; statistics.
 __kernel void mark_silhouettes(const camera_t camera, __global const uchar *label, const int capacity,
                                __global float *source, __global int *pixels, __global int *statistics)
 {

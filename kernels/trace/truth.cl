@@ -2,7 +2,7 @@
 // ground_truth of clsco/reference/trace/trace.py. Host: clsco/passes/truth.py, for all scenes of analytic surfaces.
 // Outputs that are not wanted are null: one program makes any of them.
 
-// Where a hit is in the image in the pose `other`: column, row, and its depth there over its depth here.
+// Place of a hit in the image in the pose `other`: column, row, and its depth there over its depth here.
 static wide3_t moved_pixel(__constant surface_t *surface, const camera_t camera, __constant pose_t *other, wide3_t ray,
                            wide_t w)
 {
@@ -18,13 +18,13 @@ static bool outside_frame(const camera_t camera, wide3_t whole)
              at.y < camera.frame_rows - (real)0.5);
 }
 
-// Whether a surface at inverse depth `seen` hides a point at inverse depth w here, w / ratio there.
+// True if a surface at inverse depth `seen` hides a point at inverse depth w here, w / ratio there.
 static bool covered(wide_t seen, wide_t ratio, wide_t w)
 {
     return wide_less(wide_mul(w, wide_add(widened(1), widened((real)1e-6))), wide_mul(seen, ratio));
 }
 
-// Whether a point at inverse depth w is not visible where it is in the pixel `there`, between other surfaces.
+// True if a point at inverse depth w is not visible in the pixel `there`, between other surfaces.
 static bool occluded_among(__constant surface_t *surfaces, const camera_t camera, const layer_t layer, wide3_t there,
                            wide_t w)
 {
@@ -39,9 +39,9 @@ static bool occluded_among(__constant surface_t *surfaces, const camera_t camera
 // point is not visible from the pinhole in the reference pose, and its texture is what that sees), sharp radiance, uv
 // (right and up from the lower left corner of the texture, in images of it); of a stereo pair disparity px and occluded
 // (the point is not visible in the other view); flow_backward px to the pose `previous`, and flow_occluded (the
-// point is not visible in the next frame). `still` are the surfaces in the reference pose, `opposite` those in the frame
-// of the other view, in poses `there`, and `following` those in the next frame; to_left: 1 for the right view, -1 for
-// the left one.
+// point is not visible in the next frame). `still` are the surfaces in the reference pose, `opposite` those in the
+// frame of the other view, in poses `there`, and `following` those in the next frame; to_left: 1 for the right view, -1
+// for the left one.
 __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces, __constant surface_t *still,
                            __constant pose_t *next, const layer_t layer,
                            __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,

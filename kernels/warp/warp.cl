@@ -248,7 +248,7 @@ static int nearer_pixel(const camera_t camera, __global const int *depth, int x,
     return -1;
 }
 
-// Whether a winner is visible only through a surface that has grown: on opposite sides are nearer ones that were
+// True if a winner is visible only through a surface that has grown: on opposite sides are nearer ones that were
 // neighbors in the reference pose, on one surface, which was closed between them.
 static bool shows_through(const camera_t camera, __global const int *depth, __global const int *winner, int x, int y)
 {
@@ -296,11 +296,11 @@ __kernel void reproject_gaps(const camera_t camera, __global const int *restrict
 }
 #endif
 
-// What the winners bring. In: texture float (textures, CHANNELS, rows, columns), of which each surface names its own;
-// moved, winner, object; weight of the time sample in the exposure. Out, on the padded grid: value float (CHANNELS,
-// height, width), radiance times weight; w wide_t, inverse depth in 1/mm; coc wide_t, signed radius in px; valid uchar,
-// there is a winner; status uchar, 0; seen uchar, with SEVERAL, its object. All 0 without one, and seen NO_OBJECT. With
-// FILL_FAR valid is from reproject_gaps, and winners of other pixels do not count.
+// Gathers the winners' values. In: texture float (textures, CHANNELS, rows, columns), of which each surface names its
+// own; moved, winner, object; weight of the time sample in the exposure. Out, on the padded grid: value float
+// (CHANNELS, height, width), radiance times weight; w wide_t, inverse depth in 1/mm; coc wide_t, signed radius in px;
+// valid uchar, there is a winner; status uchar, 0; seen uchar, with SEVERAL, its object. All 0 without one, and seen
+// NO_OBJECT. With FILL_FAR valid is from reproject_gaps, and winners of other pixels do not count.
 __kernel void reproject_gather(const camera_t camera, const float weight, __global const float *texture,
                                __global const wide_t *moved, __global const int *winner,
 #if SEVERAL

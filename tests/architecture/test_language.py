@@ -1,4 +1,4 @@
-"""Docstrings and comments that head definitions begin with what a thing is or does: a noun or an imperative verb."""
+"""Docstrings, and comments that head definitions, begin with a noun or a verb; lines of kernels are short."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 HOLLOW = ("Of", "What", "Whatever", "Whether", "Which", "Those", "How", "Where", "Who", "Whose", "When")
 FIRST_WORD = re.compile(r"\W*(\w+)")
-HEADS = re.compile(r"(?:^//[^\n]*\n)+(?=\S)", re.MULTILINE)  # of a file, a function, a struct or a macro
+HEADS = re.compile(r"(?:^//[^\n]*\n)+", re.MULTILINE)  # of a file, a function, a struct or a macro
 
 
 def docstrings(text: str) -> Iterator[tuple[int, str]]:
@@ -39,7 +39,7 @@ def sources(*folders: str) -> list[Path]:
 
 
 def test_first_words_are_nouns_or_verbs() -> None:
-    files = sources("clsco")
+    files = sources("clsco", "kernels")
     assert len(files) > 200
     found = {
         f"{path.relative_to(ROOT)}:{line}"
@@ -64,3 +64,12 @@ def test_a_hollow_docstring_is_found(text: str, line: int | None) -> None:
 
 def test_a_hollow_head_is_found() -> None:
     assert hollow(heads("int n; // where\n\n// Which one,\n// of all.\nint first(void);\n\n// Sum.\n")) == [3]
+
+
+def test_no_line_of_a_kernel_is_too_long() -> None:
+    lines = {
+        f"{path.relative_to(ROOT)}:{number}": len(line)
+        for path in sources("kernels")
+        for number, line in enumerate(path.read_text("utf-8").splitlines(), 1)
+    }
+    assert {place: length for place, length in lines.items() if length > 120} == {}

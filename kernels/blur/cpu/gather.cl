@@ -92,8 +92,8 @@ static void settle(int first, int last, int apart, int shift, int plane, int pit
 #define SOURCE_BLOCK WIDE_LANES  // sources of a row that are classified at once
 #define GATHER_STEP (BY_ROWS ? ROW_TILE : COLUMN_STEP)  // columns
 
-// Work in vectors of taps, roughly: of a block that has no other sources, of one that is hidden in part, and for each of
-// its vectors.
+// Work in vectors of taps, roughly: of a block that has no other sources, of one that is hidden in part, and for each
+// of its vectors.
 #define BLOCK_WORK 32
 #define HIDDEN_WORK 256
 #define HIDDEN_TAPS 16
@@ -101,10 +101,11 @@ static void settle(int first, int last, int apart, int shift, int plane, int pit
 #define DONE INT_MAX
 
 // Each work-item adds to BAND rows of `total`, the first one's band being `start`, all the radiance that reaches them,
-// row by row of sources. budget: with 0 all of it; else of sources that fit in so many steps of columns, and then, by the
-// launches that follow, others of so much work, in vectors of taps: position, of a work-item, is what has been walked, 0
-// at first, DONE in the end. Such pieces give the sums of the whole, in its order. part: BAND rows for each work-item, of which every `group` rows of sources the sum goes on to
-// total; with group 0 it is total. scratch: see rows.clh, near.clh and columns.clh, zeros as well.
+// row by row of sources. budget: with 0 all of it; else of sources that fit in so many steps of columns, and then, by
+// the launches that follow, others of so much work, in vectors of taps: position, of a work-item, is what has been
+// walked, 0 at first, DONE in the end. Such pieces give the sums of the whole, in its order. part: BAND rows for each
+// work-item, of which every `group` rows of sources the sum goes on to total; with group 0 it is total. scratch: see
+// rows.clh, near.clh and columns.clh, zeros as well.
 __kernel void gather(const camera_t camera, const psf_t psf, __global const float *source,
                      __global const float *value, __global const int2 *intervals,
                      __global const float *coefficients,
