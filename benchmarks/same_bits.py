@@ -85,7 +85,7 @@ def hashes(examples: Path, only: str, methods: list[str]) -> Iterator[tuple[str,
 
 
 def clsco_errors() -> tuple[type[Exception], ...]:
-    """What a version raises where a scene and a method, or an output, do not go together."""
+    """Errors of a version where a scene and a method, or an output, do not go together."""
     from clsco.errors import ClscoError
 
     return (ClscoError,)
@@ -143,7 +143,7 @@ def of_images(examples: Path) -> Iterator[tuple[str, str]]:
 
 
 def digest(values: Any) -> str:
-    """Of shape, type and bytes."""
+    """Digest of an array's shape, type and bytes."""
     array = np.ascontiguousarray(values)
     return hashlib.sha256(f"{array.shape} {array.dtype}".encode() + array.tobytes()).hexdigest()
 

@@ -49,7 +49,7 @@ def sky() -> NDArray[np.float32]:
 
 
 def objects() -> dict[str, dict[str, Any]]:
-    """What is shown, by label."""
+    """Objects in the picture, by label."""
     image, place = grid(8, 4), [0.0, 0.0, 280.0]
     sides = {key: grid(2, 2, k / 6, letter) for k, (key, letter) in enumerate(LETTERS.items())}
     around = LAID | {"texture": image, "rotation": TILTED, "center": place}

@@ -1,4 +1,4 @@
-"""What the tests share: one session on PoCL, which runs everywhere, and a kernel cache for each worker."""
+"""Fixtures of all tests: one session on PoCL, which runs everywhere, and a kernel cache for each worker."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `clsco bench --compare` adds: the blur beside numba and OpenCV, whole frames beside a traced lens and Mitsuba,
+"""Peers of `clsco bench --compare`: the blur beside numba and OpenCV, whole frames beside a traced lens and Mitsuba,
 and the forward warp beside numba."""
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Comparison:
     missing: dict[str, str]
 
     def notices(self) -> list[str]:
-        """What is left out, a line each. Raises ClscoError where plots could not be made."""
+        """Notes on peers that are left out, a line each. Raises ClscoError where plots could not be made."""
         require_matplotlib("bench", "bench")
         lines = [f"{tool}: left out, as {why}" for tool, why in self.missing.items()]
         if self.frames and (absent := lens.missing()):
@@ -86,7 +86,7 @@ class Comparison:
         return self.frames.samples if self.frames and "Mitsuba" in self.tools else ()
 
     def steps(self, device: Device) -> int:
-        """How often `run` calls `advance`."""
+        """Number of times that `run` calls `advance`."""
         count = measure.steps(self.grid, device, self._peers)
         count += lens.steps(self._samples) if self._traced else 0
         return count + (warp.steps() if self._warped(device) else 0)
@@ -111,7 +111,7 @@ class Comparison:
 
 
 def comparison(grid: Grid, quick: bool, whole: bool) -> Comparison:
-    """What the command's options ask for.
+    """Make the comparison that the command's options ask for.
 
     Parameters
     ----------
@@ -147,6 +147,6 @@ def write(folder: Path, bench: Compared) -> None:
 
 
 def tables(bench: Compared) -> list[RenderableType]:
-    """Those of `report.tables`, of whole frames, and of warps."""
+    """Tables of `report.tables`, of whole frames, and of warps."""
     frames = [lens_table(bench.lens)] if bench.lens else []
     return [*report.tables(bench), *frames, *([warp_table(bench.warp)] if bench.warp else [])]

@@ -95,12 +95,12 @@ class _Timed:
 
 
 def missing() -> str | None:
-    """What is not installed that tracing needs; None where all is there."""
+    """Names of packages that tracing needs and that are not installed; None where all are there."""
     return " and ".join(name for name in ("numba", "scipy") if find_spec(name) is None) or None
 
 
 def steps(samples: Sequence[int]) -> int:
-    """How often `run` calls `advance`."""
+    """Number of times that `run` calls `advance`."""
     return 1 + ROUNDS * (len(PSFS) + len(samples))
 
 
@@ -136,7 +136,7 @@ def sized(size: int) -> Scene:
 
 
 def cache_folder() -> Path | None:
-    """Where traced frames are kept, in the user's cache folder; None where that cannot be written."""
+    """Folder of traced frames in the user's cache folder; None where it cannot be written."""
     try:
         folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "clsco" / "traced"
         folder.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""What else blurs by a radius map or by one radius: numba's direct scatter and OpenCV; the extra `bench` has both.
+"""Peers that blur by a radius map or by one radius: numba's direct scatter and OpenCV; the extra `bench` has both.
 
 Mitsuba, the other peer, makes whole frames (`benchmarks.speed.lens`).
 """

@@ -51,7 +51,7 @@ def scene_of(size: int, frames: int = 1) -> Scene:
 
 
 def render_frame(size: int, memory: str) -> Callable[[], object]:
-    """What renders one frame more of a scene."""
+    """Make a function that renders one frame more of a scene."""
     frames = clsco.render(scene_of(size, frames=2), truth=(), memory=memory)
 
     def call() -> dict[str, Any]:
@@ -74,13 +74,13 @@ def image_and_radii(size: int, spots: bool) -> tuple[Plane, Plane]:
 
 
 def defocus_image(size: int, memory: str, layered: bool = False) -> Callable[[], object]:
-    """What defocuses an image."""
+    """Make a function that defocuses an image."""
     image, coc = image_and_radii(size, layered)
     return lambda: clsco.defocus(image, coc, {"occlusion": "layered" if layered else "none"}, memory=memory)
 
 
 def run_map_command(size: int, memory: str) -> Callable[[], object]:
-    """What runs `clsco defocus` on an image and its map of radii."""
+    """Make a function that runs `clsco defocus` on an image and its map of radii."""
     from clsco.cli.main import main
 
     folder = Path(tempfile.mkdtemp(prefix="clsco-sizes-"))
@@ -100,7 +100,7 @@ def run_map_command(size: int, memory: str) -> Callable[[], object]:
 
 
 def run_command(size: int, memory: str) -> Callable[[], object]:
-    """What runs `clsco render` on a scene file."""
+    """Make a function that runs `clsco render` on a scene file."""
     from clsco.cli.main import main
     from clsco.scene.changes import dump
 

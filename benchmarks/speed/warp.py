@@ -103,7 +103,7 @@ def run(device: Device, size: int, advance: Callable[[], object]) -> list[WarpRo
 
 
 def steps() -> int:
-    """How often `run` calls `advance`."""
+    """Number of times that `run` calls `advance`."""
     return 2 * ROUNDS * len(SCENES)
 
 

@@ -140,7 +140,7 @@ def surfaces_of(item: Mapping[str, Any]) -> list[Surface]:
 
 @njit(cache=True)
 def _inside(k, x, y, z):  # type: ignore[no-untyped-def]
-    """Whether a point of the object's frame is within all that cuts the surface."""
+    """True if a point of the object's frame is within all that cuts the surface."""
     return (
         k[10] <= x <= k[11] and k[12] <= y <= k[13] and k[14] <= z <= k[15] and x * x + y * y <= k[16]
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What the ray tracer needs of a scene: shapes as ten coefficients in frames of their own, and the poses of these.
+"""Input of the ray tracer: shapes as ten coefficients in frames of their own, and the poses of these.
 
 A scene is read by attribute names only (`scene.camera.focal_length`, ...): no code is shared with the package.
 """
@@ -22,7 +22,7 @@ Textures = NDArray[Any] | Sequence[NDArray[Any]]
 
 @dataclass(frozen=True)
 class Problem:
-    """What the kernel needs of a scene, in mm, s and rad; a cached image is keyed by these fields.
+    """Input of the tracing kernel, in mm, s and rad; a cached image is keyed by these fields.
 
     `coefficients` (objects, 10), in the order a200 a020 a002 a110 a011 a101 a100 a010 a001 a000, about `centers`
     (objects, 3), x right, y up, z away from the camera; `bounds` (objects, 7) as x0 x1 y0 y1 z0 z1 in the same frame,

@@ -61,7 +61,7 @@ def _uniform(state):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, inline="always")
 def _inside(box, x, y, z):  # type: ignore[no-untyped-def]
-    """Whether a point of the object's frame lies in its bounds."""
+    """True if a point of the object's frame lies in its bounds."""
     within = (box[0] <= x) & (x <= box[1]) & (box[2] <= y) & (y <= box[3]) & (box[4] <= z) & (z <= box[5])
     return within & (x * x + y * y <= box[6])
 

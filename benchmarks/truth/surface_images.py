@@ -23,7 +23,7 @@ SIZE = NUMBERS + 9
 
 
 def lies(item: Any) -> bool:
-    """Whether the texture of an object lies on its surface."""
+    """True if the texture of an object lies on its surface."""
     return getattr(item, "texture_mapping", "projected") != "projected"
 
 

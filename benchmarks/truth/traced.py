@@ -1,4 +1,5 @@
-"""What the benchmarks of errors share: a traced picture with its noise per pixel, errors in dB, files of figures."""
+"""Common parts of the benchmarks of errors: a traced picture with its noise per pixel, errors in dB, files of
+figures."""
 
 from __future__ import annotations
 

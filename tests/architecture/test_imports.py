@@ -51,7 +51,7 @@ OUTSIDE = {
 
 
 def imported(text: str, modules: set[str]) -> set[str]:
-    """What a file imports anywhere in it: names of clsco's modules without "clsco.", and of others the first name."""
+    """Imports anywhere in a file: names of clsco's modules without "clsco.", and of other packages the first name."""
     found = set()
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):

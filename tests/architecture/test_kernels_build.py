@@ -99,7 +99,7 @@ GIVEN_BY_THE_BUILD |= {"__FMA__", "__SSE4_1__", "__AVX__", "__AVX2__", "__AVX512
 
 
 def headers(files: tuple[str, ...]) -> tuple[str, ...]:
-    """What is built before files; visibility is tested where they do so together."""
+    """Headers that are built before files; visibility is tested where they do so together."""
     own = [header for name in files for header in HEADERS_OF.get(name, ())]
     own += [CPU_FORMS[header] for header in (BUILTINS, *own) if header in CPU_FORMS]
     occlusion = (SINGLE_TAPS, GATHERED_TAPS, *OCCLUSION_HEADERS) if files in OCCLUSION else ()

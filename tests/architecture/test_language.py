@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-HOLLOW = ("Of", "What", "Whatever", "Whether", "Which", "Those", "How", "Where", "Who", "Whose", "When")
+HOLLOW = ("Of", "What", "Whether", "Which", "Those", "How", "Where", "Who", "Whose", "When")
 FIRST_WORD = re.compile(r"\W*(\w+)")
 HEADS = re.compile(r"(?:^//[^\n]*\n)+", re.MULTILINE)  # of a file, a function, a struct or a macro
 
@@ -39,8 +39,8 @@ def sources(*folders: str) -> list[Path]:
 
 
 def test_first_words_are_nouns_or_verbs() -> None:
-    files = sources("clsco", "kernels")
-    assert len(files) > 200
+    files = sources("clsco", "kernels", "tests", "benchmarks")
+    assert len(files) > 500
     found = {
         f"{path.relative_to(ROOT)}:{line}"
         for path in files

@@ -1,4 +1,4 @@
-"""What is shipped: the wheel's contents, the lazy front door, and the repository's own rules on files."""
+"""Rules on what is shipped: the wheel's contents, the lazy front door, and the repository's own rules on files."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def shipped() -> set[str]:
-    """What the wheel has to hold, as its names: the package, the kernels, and the example scenes."""
+    """Names that the wheel has to hold: the package, the kernels, and the example scenes."""
     suffixes = {
         "clsco": (".py", ".js", ".css"),
         "kernels": (".py", ".cl", ".clh"),

@@ -1,4 +1,4 @@
-"""What is built for a GPU is plain OpenCL C 1.2: no extension of clang, and nothing that knows a processor."""
+"""Programs for a GPU are plain OpenCL C 1.2: no extension of clang, and nothing that knows a processor."""
 
 from __future__ import annotations
 

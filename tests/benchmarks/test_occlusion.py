@@ -32,7 +32,7 @@ def _roots(a: Array, b: Array, c: Array) -> list[Array]:
 
 
 def _meetings(item: Any, start: Array, direction: Array) -> list[Array]:
-    """Where lines meet a surface at rest, as multiples of `direction` (rays, 3) from `start`; vector algebra."""
+    """Places where lines meet a surface at rest, as multiples of `direction` (rays, 3) from `start`; vector algebra."""
     if item.shape == "plane":
         normal = np.array([item.slope_x, item.slope_y, -1.0])
         return [-(start @ normal + item.distance) / (direction @ normal)]

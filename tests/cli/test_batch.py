@@ -101,7 +101,7 @@ def size(folder: Path) -> str:
 
 @pytest.mark.parametrize(("textures", "failed"), [('"none.png"', 6), ('"bricks", "none.png"', None)])
 def test_failed_samples_are_the_exit_status(place: Path, textures: str, failed: int | None) -> None:
-    """Those that this command was to make, now or before."""
+    """The exit status counts samples that this command was to make, now or before."""
     text = DISTRIBUTION.replace(
         "[[object]]", f"[[vary.object]]\nindex = 0\ntexture = {{ choice = [{textures}] }}\n[[object]]"
     )

@@ -1,4 +1,4 @@
-"""How far an image is from the reference's."""
+"""Differences of an image from the reference's."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ KEPT = f"import pyopencl, clsco.opencl.device; pyopencl._PYOPENCL_NO_CACHE = Fal
 
 
 def ran(code: str, **environ: str) -> subprocess.CompletedProcess[str]:
-    """What a Python process does where nothing but these variables, and the cache of kernels, is set."""
+    """Run a Python process where nothing but these variables, and the cache of kernels, is set."""
     kept = {name: os.environ[name] for name in ("PATH", "POCL_CACHE_DIR", "CLSCO_POCL_CPU")}
     return subprocess.run(
         [sys.executable, "-c", code], check=False, capture_output=True, text=True, timeout=120, env=kept | environ
@@ -72,7 +72,7 @@ class Planted:
         self.mark = mark
 
     def __reduce__(self) -> tuple[object, tuple[object, ...]]:
-        """What is called when it is unpickled."""
+        """Call that unpickling makes."""
         return Path.touch, (self.mark,)
 
 

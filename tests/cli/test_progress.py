@@ -1,4 +1,4 @@
-"""What the bar says, and that it ends."""
+"""Text of the progress bar, and its end."""
 
 from __future__ import annotations
 

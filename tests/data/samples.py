@@ -63,7 +63,7 @@ def record(number: int, size: tuple[int, int] = (9, 12), wanted: tuple[str, ...]
 
 
 def same(one: Record, other: Record) -> bool:
-    """Whether two records are one: keys, types, shapes, bits, JSON."""
+    """True if two records are equal: keys, types, shapes, bits, JSON."""
     arrays = one.arrays.keys() == other.arrays.keys() and one.sha256() == other.sha256()
     return arrays and one.key == other.key and one.meta == other.meta
 

@@ -62,7 +62,7 @@ def cluster() -> Iterator[Cluster]:
 
 
 def no_strays(folder: Path) -> bool:
-    """Whether no hidden file is left; that of a worker goes at the end of its task."""
+    """True if no hidden file is left; that of a worker goes at the end of its task."""
     end = time.monotonic() + 10.0
     while any(folder.glob(".*")) and time.monotonic() < end:
         time.sleep(0.05)

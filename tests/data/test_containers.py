@@ -31,7 +31,7 @@ def written(folder: Path, form: str, records: list[Record]) -> Path:
 
 
 def digest(path: Path) -> str:
-    """Of all files and their names."""
+    """Digest of all files and their names."""
     total = hashlib.sha256()
     for name, content in (contents(path) if path.is_dir() else {"": path.read_bytes()}).items():
         total.update(f"{name} {len(content)}\n".encode() + content)

@@ -161,7 +161,7 @@ def test_hugging_face(form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def test_spawned_workers_read_a_set(tmp_path: Path) -> None:
-    """What a DataLoader does: a data set that is sent to a process without anything of its parent."""
+    """A data set is sent to a process without anything of its parent, as a DataLoader does."""
     opened = clsco.data.open(make_set(tmp_path / "set"), arrays=("depth",))
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         found = pool.map(opened.__getitem__, range(len(opened)))

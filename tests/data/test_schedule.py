@@ -1,4 +1,4 @@
-"""Which samples are left out where processes die, whatever order tasks end in."""
+"""Samples that are left out where processes die, whatever order tasks end in."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `clsco batch verify` finds."""
+"""Findings of `clsco batch verify`."""
 
 from __future__ import annotations
 

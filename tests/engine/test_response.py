@@ -1,4 +1,4 @@
-"""What a frame receives from one source: by linearity, against the reference, and at the border."""
+"""Response of a frame to one source: by linearity, against the reference, and at the border."""
 
 from __future__ import annotations
 

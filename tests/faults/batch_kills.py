@@ -201,7 +201,7 @@ def digests(out: Path) -> dict[str, str]:
 
 
 def differences(wanted: dict[str, str], out: Path) -> list[str]:
-    """What is not as in a set that nobody disturbed."""
+    """Differences from a set that nobody disturbed."""
     end = time.monotonic() + SETTLED_S
     while any(out.glob(".*")) and time.monotonic() < end:
         time.sleep(0.1)

@@ -135,7 +135,7 @@ def _runs(child: int) -> bool:
 
 
 def render(scene: Path, out: Path, log: Path, naive: bool) -> int:
-    """What the child does: the command, with a note of each frame that is written."""
+    """Run the command in the child, with a note of each frame that is written."""
     from clsco.cli.main import main as command
     from clsco.engine import batch
     from clsco.frame.files import write_frame
@@ -215,7 +215,7 @@ def digests(out: Path) -> dict[str, str]:
 
 
 def ends_as(wanted: dict[str, str], out: Path) -> list[str]:
-    """What differs from a batch that nobody killed."""
+    """Differences from a batch that nobody killed."""
     try:
         got = digests(out)
     except (AssertionError, OSError, ValueError) as error:

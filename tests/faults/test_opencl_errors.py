@@ -73,7 +73,7 @@ Attempt: TypeAlias = tuple[Path, Path, Counter]  # scene, folder, which call fai
 
 
 def attempted(attempt: Attempt) -> tuple[int, dict[str, str], Counter]:
-    """What `rendered` gives, and the calls."""
+    """Results of `rendered`, and the calls."""
     return *rendered(*attempt), attempt[-1]
 
 

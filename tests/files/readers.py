@@ -1,4 +1,5 @@
-"""How others read files of ground truth, in a few lines each where their packages are large: the steps are theirs."""
+"""Readers of ground truth as other packages have them, in a few lines each where these are large: the steps are
+theirs."""
 
 from __future__ import annotations
 

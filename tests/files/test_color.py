@@ -268,7 +268,7 @@ def clsco_(*words: object) -> Result:
 
 @pytest.mark.parametrize("out", ["out.png", "out.tif"])
 def test_kept_pixels_look_the_same(tmp_path: Path, out: str) -> None:
-    """Of `inpaint`, and of a `defocus` that blurs nothing: the codes and the profile are those of the image."""
+    """Codes and profile stay those of the image, through `inpaint` and through a `defocus` that blurs nothing."""
     icc = made("adobergb")
     image = saved(tmp_path / "image.jpg", PHOTO, icc)
     codes = read_image(image).data

@@ -53,7 +53,7 @@ distance = 380.0
 slope_x = 0.3
 """
 Model = tuple[Callable[[Array, Array, Array], Array], Callable[[Array], Array]]
-"""Of a camera: points of the world (n, 3), mm, of columns, rows and depths; and columns and rows (2, n) of them."""
+"""Camera model: points of the world (n, 3), mm, of columns, rows and depths; and columns and rows (2, n) of them."""
 
 
 def pinhole_model(focal: Array, center: Array, rotation: Array, translation: Array) -> Model:

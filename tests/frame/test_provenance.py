@@ -1,4 +1,4 @@
-"""What is reported of a scene: units of its parameters, its hash, and keys that it has no use for."""
+"""Reports on a scene: units of its parameters, its hash, and keys that it has no use for."""
 
 from __future__ import annotations
 

@@ -151,7 +151,7 @@ def test_render_writes_and_resumes_them(tmp_path: Path) -> None:
     out, scene = tmp_path / "out", scene_file(tmp_path / "plane.toml", PLANE)
 
     def render(truth: str) -> bool:
-        """Whether the frame was rendered."""
+        """True if the frame was rendered."""
         before = (out / "frame_0000.json").stat().st_mtime_ns if out.exists() else 0
         words = ["render", str(scene), "-o", str(out), "--resume", "--truth", truth]
         result = CliRunner().invoke(main, words)

@@ -332,7 +332,7 @@ BOMBS: dict[str, Callable[[Path], Made]] = {
 
 
 def read_all(path: Path, read: Callable[[Path], Any]) -> str:
-    """What comes of reading a bomb: "refused", or what was read."""
+    """Read a bomb to its end: "refused", or what was read."""
     try:
         found = read(path)
         if hasattr(found, "record"):
@@ -388,7 +388,7 @@ def _peak() -> int:
 
 
 def _reader_of(name: str, folder: Path) -> Callable[[Path], object]:
-    """What reads a bomb, from a small one."""
+    """Reader of a bomb, tried on a small one."""
     global ZEROS
     before, ZEROS = ZEROS, 2**20
     try:

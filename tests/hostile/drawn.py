@@ -69,7 +69,7 @@ class Draws:
         return one(*shapes)
 
     def image(self) -> Any:
-        """What may lie on a surface: a pattern, a color, or an array, as small as one texel."""
+        """Image that may lie on a surface: a pattern, a color, or an array, as small as one texel."""
         size = self.one((1, 1), (1, 7), (25, 40), (33, 16, 3))
         return self.one(*TEXTURES, "#c86432", self.rng.random(size).astype(np.float32))
 

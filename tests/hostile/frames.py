@@ -30,7 +30,7 @@ from tests.hostile.drawn import sections
 
 
 def agrees(scene: Scene, method: str) -> list[str]:
-    """What is wrong with the first frame, or frames of a stereo pair."""
+    """Faults of the first frame, or frames of a stereo pair."""
     frames = list(clsco.render(scene, method=method, precision="double", device="pocl"))
     found = []
     for frame, exact in zip(frames, reference.render(scene), strict=True):
@@ -39,7 +39,7 @@ def agrees(scene: Scene, method: str) -> list[str]:
 
 
 def outcome(number: int, tally: dict[str, int]) -> list[str]:
-    """What is wrong with a case; counts it."""
+    """Faults of a case, which is counted."""
     tally["cases"] += 1
     content, rng = sections(number), np.random.default_rng([11, number])
     while True:

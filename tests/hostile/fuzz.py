@@ -92,7 +92,7 @@ def work(numbers: range, given: argparse.Namespace) -> int:
 
 
 def outcome(case: Case, folder: Path, number: int, tally: dict[str, int]) -> list[str]:
-    """What is wrong with what comes of a case; counts it."""
+    """Faults in the outcome of a case, which is counted."""
     where, path = "scene", folder / f"case{case.suffix}"
     if case.text is not None:
         path.write_bytes(case.text)
@@ -122,7 +122,7 @@ def outcome(case: Case, folder: Path, number: int, tally: dict[str, int]) -> lis
 
 
 def picture_outcome(picture: tuple[str, str, bytes], folder: Path, tally: dict[str, int]) -> list[str]:
-    """What is wrong with what comes of a damaged image, read as an image and as depths; counts it."""
+    """Faults in the outcome of a damaged image, read as an image and as depths; counts it."""
     name, suffix, content = picture
     path = folder / f"picture{suffix}"
     path.write_bytes(content)
@@ -152,7 +152,8 @@ def _is_small(sweep: Sweep) -> bool:
 
 
 def _unnamed(error: SceneError, where: str, case: Case) -> list[str]:
-    """Whether no message of a single change names its key, one of the same table, or one that depends on that table."""
+    """Fault if no message of a single change names its key, one of the same table, or one that depends on that
+    table."""
     if not case.changed:
         return []
     path = list(case.changed)

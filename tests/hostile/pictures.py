@@ -23,7 +23,7 @@ Array = NDArray[Any]
 
 
 def encoded(save: Callable[..., object], *arguments: Any, **options: Any) -> bytes:
-    """What `save` writes into a file that it is given first or last."""
+    """Bytes that `save` writes into a file that it is given first or last."""
     stream = io.BytesIO()
     save(stream, *arguments, **options)
     return stream.getvalue()

@@ -84,7 +84,7 @@ def readers(folder: Path, spare: Path) -> dict[str, Callable[[], object]]:
 
 
 def faults(seed: int, numbers: range, folder: Path) -> tuple[list[str], int]:
-    """What of changed sets ends in something else than a ClscoError of one line, and how many such errors there are."""
+    """Changed sets that end in something else than a ClscoError of one line, and the number of such errors."""
     make_set(folder / "whole", form="folders+raw")
     found, refused = list[str](), 0
     for number in numbers:

@@ -60,7 +60,7 @@ def run(words: list[str]) -> tuple[Result, float]:
 
 
 def faults(words: list[str], status: int, named: str) -> Iterator[str]:
-    """What is wrong with how a command line ends."""
+    """Faults in the end of a command line."""
     result, seconds = run(words)
     if not isinstance(result.exception, SystemExit):
         yield f"must end in an error; got {result.exception!r}"

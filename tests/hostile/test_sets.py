@@ -67,7 +67,7 @@ def test_json_that_no_set_has(text: str) -> None:
 
 
 class TestTerminal:
-    """What is foreign is printed with escapes in place of what a terminal obeys."""
+    """Foreign text is printed with escapes in place of what a terminal obeys."""
 
     def test_visible(self) -> None:
         assert visible(ESCAPES) == "\\x1b[2J\\x9b31m\\u202e\\u2066\\x07\\r\\x7f\\ud800\\u200b"

@@ -1,4 +1,4 @@
-"""What may come of hostile input: a scene or messages of one line that name a key, soon, and nothing written."""
+"""Allowed outcomes of hostile input: a scene or messages of one line that name a key, soon, and nothing written."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def watched() -> Iterator[list[str]]:
 
 
 def faults_of(error: ClscoError, where: str) -> list[str]:
-    """What is wrong with the messages of an error, which has to name `where`, a key, a rule and a value."""
+    """Faults in the messages of an error, which has to name `where`, a key, a rule and a value."""
     messages = error.messages if isinstance(error, SceneError) else (str(error),)
     found = [] if messages else ["no message"]
     for message in messages:

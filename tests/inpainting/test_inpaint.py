@@ -48,7 +48,7 @@ def damage(shape: tuple[int, ...], seed: int = 2) -> Mask:
 
 
 def expected_of(image: Array, missing: Mask, **constants: Any) -> tuple[Array, Inpainted]:
-    """What the reference makes of an image."""
+    """Result of the reference for an image."""
     planes = image.astype(np.float32).reshape(*missing.shape, -1)
     found = reference(planes, missing, value_span(image, missing), MeanMedian(**constants))
     return np.asarray(found.blended), found

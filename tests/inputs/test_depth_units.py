@@ -1,4 +1,4 @@
-"""What the numbers of depth maps mean in each unit, and one line where they cannot be meant."""
+"""Meaning of the numbers of depth maps in each unit, and one line where they cannot be meant."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the lens does to depth maps in one line, and lenses that are focused on a point or a share of a scene."""
+"""Reports on what the lens does to depth maps, and lenses that are focused on a point or a share of a scene."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ ROW, J = np.mgrid[:SIDE, :SIDE]
 
 
 def fine_disc() -> Array:
-    """Where a disc is, (SIDE FINE, SIDE FINE)."""
+    """Mask of a disc, (SIDE FINE, SIDE FINE)."""
     y, x = (np.mgrid[: SIDE * FINE, : SIDE * FINE] + 0.5) / FINE - SIDE / 2
     return np.asarray(np.hypot(x - 0.7, y + 0.4) < 27)
 

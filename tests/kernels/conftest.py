@@ -167,7 +167,7 @@ class Case:
         return [None if item.shape == "depth_map" else place(item, pose) for item, pose in pairs]
 
     def twin(self) -> Reprojected:
-        """What is known according to the reference."""
+        """Known pixels according to the reference."""
         textures = list(self.textures.astype(np.float64))
         return reproject(self.plan.scene, textures, self.rest, self.maps, self.poses, self.guard)
 

@@ -78,7 +78,7 @@ def random_subpixels(sources: Sources, samples: int, count: int, smallest: float
 
 @dataclass(frozen=True)
 class Light:
-    """What the sources of a frame are and how they are spread: all that the host hands to the kernels."""
+    """Sources of a frame and their blur: all that the host hands to the kernels."""
 
     psf: Psf
     sources: Sources
@@ -250,7 +250,7 @@ SMOOTH = Psf(model="gaussian", sigma_ratio=0.3)
 
 @pytest.mark.parametrize("tilt", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_more_rows_of_wide_gaussians_than_are_kept_at_a_time(session: Session, tilt: bool) -> None:
-    """Of rows that reach a band items take at most ITEMS_BYTES, and its rows come in several parts."""
+    """Rows that reach a band are more than the items of ITEMS_BYTES, so that they come in several parts."""
     psf, shape, guard = SMOOTH.model_copy(update={"tilt": tilt}), (strips.BAND + 30, 20), 3
     given = light(psf, shape=shape, guard=guard, largest=60.0, steepest=0.01)
     rows, columns = np.indices(given.sources.lit.shape)
@@ -426,7 +426,7 @@ def test_light_is_kept_in_fixed_point(session: Session) -> None:
 
 
 def test_scatter_with_32_bits(session: Session) -> None:
-    """Where there are no 64-bit atomics, light is counted in 2^-31 of what a pixel can get at most, some ten whites."""
+    """Without 64-bit atomics, light is counted in 2^-31 of what a pixel can get at most, some ten whites."""
     given = light(Psf(), shape=(64, 64), largest=9.0, guard=10, channels=3, samples=2)
     with Session(replace(session.device, has_int64_atomics=False)) as lesser:
         found = blurred(lesser, given, "scatter")

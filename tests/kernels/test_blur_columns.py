@@ -121,7 +121,7 @@ def gathered(session: Session, given: Light, group: int = 0, part: Amid | None =
 
 @pytest.mark.parametrize(("shape", "guard"), [((9, 45), 3), ((3, ROW_TILE + 40), 9), ((5, ROW_TILE), 0)])
 def test_small_discs_amid_others(session: Session, shape: tuple[int, int], guard: int) -> None:
-    """Of rows above and below the grid nothing comes, nor anything to what is beyond the frame."""
+    """Nothing comes from rows above and below the grid, nor goes to what is beyond the frame."""
     given = light(DISC, shape=shape, guard=guard, largest=7.4)
     assert_close(gathered(session, given), given.expected(), ROUNDING)
 

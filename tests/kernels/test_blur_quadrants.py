@@ -43,7 +43,8 @@ def test_columns_of_any_guard_band_have_the_same_bits(session: Session, model: s
 
 @pytest.mark.parametrize("tilt", [False, True])
 def test_bright_light_that_reaches_all_that_is_kept(session: Session, tilt: bool) -> None:
-    """Of the first rows of a band, up to the widest tap above them: nothing of it is taken for that of another row."""
+    """The first rows of a band are lit, up to the widest tap above them: nothing of it is taken for that of another
+    row."""
     given = light(Psf(tilt=tilt), shape=(BAND + 9, 7), guard=3, largest=26.0, smallest=20.0).constant(26.0)
     sources = replace(given.sources, radiance=np.where(given.sources.lit[..., None], 1e7, 0.0))
     given = replace(given, sources=sources)

@@ -91,7 +91,7 @@ def test_nothing_is_added_behind_the_last_row(session: Session, largest: float) 
 @pytest.mark.parametrize("tilt", [False, True])
 @pytest.mark.parametrize("psf", [DISCS, Psf(model="gaussian")], ids=["discs", "gaussians"])
 def test_shorter_vectors_change_no_bit(session: Session, monkeypatch: pytest.MonkeyPatch, psf: Psf, tilt: bool) -> None:
-    """How many of them go together hangs on what the device has registers for; the result does not."""
+    """The device's registers decide how many taps go together; the result does not depend on it."""
     psf = psf.model_copy(update={"tilt": tilt})
     given = light(psf, shape=(20, 2 * BOUND_COLUMNS + 11), guard=5, largest=21.0, steepest=0.05, channels=2)
     found = []

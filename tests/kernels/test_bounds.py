@@ -1,4 +1,4 @@
-"""Which roots of a quadric count: within bounds, as near to them as arithmetic can tell, and of one root."""
+"""Roots of a quadric that count: within bounds, as near to them as arithmetic can tell, and of one root."""
 
 from __future__ import annotations
 

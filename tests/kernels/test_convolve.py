@@ -144,7 +144,7 @@ def test_sums_of_either_width(session: Session) -> None:
 
 @pytest.mark.parametrize("psf", [Psf(), Psf(model="gaussian")], ids=name_of)
 def test_dark_images(session: Session, psf: Psf) -> None:
-    """What is brightest in an image is what its error is counted in, if it is not black."""
+    """Errors are relative to the brightest value of an image, if it is not black."""
     for brightest in (1e-9, 0.0):
         light = brightest * lit(psf, 13.3, (30, 40, 1))
         expected = convolve(psf, light, 13.3, guard_of(psf, 13.3))

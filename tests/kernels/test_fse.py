@@ -87,7 +87,7 @@ def test_as_many_waves_as_the_contrast_asks_for(session: Session) -> None:
     ("first", "other"), [((0, 3), (0, 5)), ((0, 3), (0, 11)), ((0, 3), (1, 3)), ((0, 13), (1, 3)), ((0, 5), (1, 3))]
 )
 def test_of_equally_strong_waves_the_first(session: Session, first: tuple[int, int], other: tuple[int, int]) -> None:
-    """Of a window with a single value all waves are exactly as strong; two of them count. A lane holds every eighth."""
+    """All waves are exactly as strong in a window with a single value; two of them count. A lane holds every eighth."""
     value, preference = np.zeros((FSE_SIDE, FSE_SIDE), np.float32), np.zeros((FSE_SIDE, FSE_SIDE // 2), np.float32)
     value[0, 0] = preference[first] = preference[other] = 1
     constants = (np.ones_like(value), preference, tables().cosines, tables().sines)
@@ -103,7 +103,7 @@ def test_of_equally_strong_waves_the_first(session: Session, first: tuple[int, i
 
 
 def test_a_block_ends_at_the_right_border(session: Session) -> None:
-    """Of an odd number of columns: what is beyond the last one is not the first pixel of the next row."""
+    """The number of columns is odd: what is beyond the last one is not the first pixel of the next row."""
     image = picture(40, 37, 2)
     missing = np.zeros((40, 37), bool)
     missing[3, 36] = missing[4, 0] = True  # the first is settled after the second

@@ -33,7 +33,7 @@ FIGURE = 1e-5
 
 
 class View:
-    """What a pinhole sees, on the padded grid, and how it is blurred."""
+    """Image of a pinhole, on the padded grid, and its blur."""
 
     def __init__(
         self, radii: tuple[float, ...], shape: tuple[int, int] = (47, 69), guard: int = 6, channels: int = 1,

@@ -45,7 +45,7 @@ def plane(session: Session, array: Array, around: float, dtype: Any = np.float32
 
 
 def test_jumps_are_added_to_those_known(session: Session) -> None:
-    """Of exactly as many px as divide classes, of more than the largest class, at either end, and amid holes.
+    """Jumps of exactly as many px as divide classes, of more than the largest class, at either end, and amid holes.
 
     Radii beyond the bins are in the outermost ones.
     """
@@ -129,7 +129,7 @@ def seeds_of(kind: str, shape: tuple[int, int]) -> Array:
 @pytest.mark.parametrize("kind", ["none", "aside", "farther aside", "ends", "lone", "left", "0.002", "0.01", "0.2"])
 @pytest.mark.parametrize(("columns", "deep"), [(200, 20), (192, 9), (203, 3), (150, 11), (70, 8)])
 def test_nearest_seeds_of_runs(session: Session, kind: str, columns: int, deep: int) -> None:
-    """Of a run amid the row, or at an end of it; with seeds as far away as they may be, and many equally near."""
+    """Runs are amid the row, or at an end of it; with seeds as far away as they may be, and many equally near."""
     shape = (17, columns)
     seed = seeds_of(kind, shape)
     slab = RNG(65).integers(0, 4, shape).astype(np.uint8)

@@ -203,7 +203,7 @@ def test_sweeps_are_the_same_launched_or_not(session: Session, most: int, monkey
 
 
 def test_a_group_sweeps_what_is_left_of_a_list(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What comes before in the list stays as it is."""
+    """Earlier entries of the list stay as they are."""
     monkeypatch.setattr(mean_median, "group_size", lambda session: 8)
     missing = np.zeros((18, 27), np.bool_)
     missing[1::3, 1::3] = True

@@ -58,7 +58,7 @@ def light_of(shape: tuple[int, int], largest: float, channels: int, falls: bool 
 def spread(
     session: Session, psf: Psf, light: Light, guard: int, least: float, places: Array | None, real: Real = "double"
 ) -> tuple[Multigrid, Sources]:
-    """What blurs a frame and measures its error at places, and the light as it takes it."""
+    """Blur of a frame that measures its error at places, and the light as it takes it."""
     height, width, channels = light.radiance.shape
     camera = frame_struct(height - 2 * guard, width - 2 * guard, guard, real)
     size = np.abs(light.radius[light.lit])
@@ -118,7 +118,7 @@ def test_the_device_does_what_the_twin_does(session: Session, psf: Psf, guard: i
 
 
 def test_shares_in_what_is_left_of_a_row(session: Session) -> None:
-    """Where radii begin to move, a row that is no multiple of a vector ends."""
+    """Radii begin to move where a row ends that is no multiple of a vector."""
     psf, guard, channels = PSFS[0], 3, 3
     light = light_of((SHAPE[0] + 2 * guard, SHAPE[1] + 2 * guard), 11.0, channels, falls=True)
     share = twin.shares(psf, twin.measure_radii(light, None)[0], 2.0, 0)
@@ -132,7 +132,7 @@ def test_shares_in_what_is_left_of_a_row(session: Session) -> None:
 @pytest.mark.parametrize("psf", PSFS, ids=lambda psf: f"{psf.model}-{psf.edge}")
 @pytest.mark.parametrize("marked", [True, False])
 def test_radii_come_back_from_coordinates(session: Session, psf: Psf, marked: bool) -> None:
-    """Those of sources that may move: that are there, whole and with nothing in their way."""
+    """Radii of sources that may move: that are there, whole and with nothing in their way."""
     rows, columns, pitch, edge = 3, 21, 48, 8
     sampled = psf.edge == "sampled"
     radius = np.geomspace(1.01 * MINIMUM_BLUR if sampled else 0.01, 5.9, rows * columns).reshape(rows, columns)

@@ -76,7 +76,7 @@ def ends_with(values: Array) -> Array:
 
 
 def assert_ends(session: Session, buffer: cl.Buffer, expected: Array) -> None:
-    """What is in a buffer made by `ends_with`: these values, and the same after them as before."""
+    """Check a buffer made by `ends_with`: these values, and the same after them as before."""
     found = download(session, buffer, (expected.size + 2 * TAP_LANES,), np.float32)
     np.testing.assert_allclose(found[: expected.size].reshape(expected.shape), expected, rtol=2e-6, atol=1e-5)
     assert (found[expected.size :] == UNTOUCHED).all()
@@ -168,7 +168,7 @@ def test_records_of_nodes(session: Session, program: Program) -> None:
 
 @pytest.mark.parametrize(("columns", "guard"), [(63, 3), (15, 4), (16, 3)])
 def test_the_way_back(session: Session, program: Program, columns: int, guard: int) -> None:
-    """Where a row ends with a vector, and one before."""
+    """Rows end with a vector, and one before."""
     rng, sharp = np.random.default_rng(5), 0.2
     rows, nodes, around = coarse_frame(ROWS, columns, guard)
     coarse_pad, coarse_pitch = margin(nodes, around, 8)

@@ -145,8 +145,8 @@ def _term_sizes(surfaces: Array, x: Array, y: Array, d: Array, real: Real) -> tu
 
 
 def conditions(surfaces: Array, x: Array, y: Array, exact: Exact, real: Real) -> tuple[Array, Array, Array]:
-    """How much rounding may change: what relative errors of one unit in the terms of A, B and D come to, relative to
-    w; discriminant and leading coefficient, whose signs decide, relative to their terms."""
+    """Condition numbers: what relative errors of one unit in the terms of A, B and D come to, relative to w;
+    discriminant and leading coefficient, whose signs decide, relative to their terms."""
     a_size, b_size, d_size = _term_sizes(surfaces, x, y, exact.d, real)
     a, discriminant, t, root = (np.abs(v) for v in (exact.a, exact.discriminant, exact.t, exact.root))
     with np.errstate(divide="ignore", invalid="ignore"):

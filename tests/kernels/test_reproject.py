@@ -106,7 +106,7 @@ class Kernels:
         return found, download(self.session, winner, (pixels,), np.int32)
 
     def gaps(self, winner: Array, depth: Array, local: tuple[int, int] = (1, 8)) -> Array:
-        """What is known without what shows through."""
+        """Known pixels without what shows through."""
         height, width = self.case.shape
         size = (-(-width // (OWNED_PIXELS if self.owned else 1)), height)
         valid = self.out(np.uint8, height * width, 9)
@@ -242,7 +242,7 @@ def test_local_sizes_change_no_bit(session: Session, make_case: Maker, warps: Wa
 
 @pytest.mark.parametrize("owned", [True, False])
 def test_range_of_radii(session: Session, make_case: Maker, owned: bool) -> None:
-    """Of pixels that are known, of which there are few or none, in the last column and the last row as well."""
+    """Few or no pixels are known, in the last column and the last row as well."""
     case = make_case((Plane(),), (9, 70))
     kernels, (height, width) = Kernels(session, case, owned), case.shape
     rng = np.random.default_rng(11)

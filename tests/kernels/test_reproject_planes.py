@@ -162,7 +162,7 @@ def test_each_band_writes_its_own_rows(session: Session, mapped: Any) -> None:
 
 
 def test_gather_takes_each_object_from_its_texture(session: Session, mapped: Any) -> None:
-    """What is not valid has nothing, winner or not."""
+    """Pixels that are not valid have nothing, winner or not."""
     rng, shape, sources = np.random.default_rng(7), mapped.shape, 5 * OWNED_PIXELS
     winner, valid = rng.integers(0, sources, shape), rng.random(shape) < 0.6
     moved, whose = rng.uniform(0.003, 0.005, sources), rng.integers(0, 2, sources).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""Which pixels get sub-pixels, by labels alone."""
+"""Pixels that get sub-pixels, by labels alone."""
 
 from __future__ import annotations
 

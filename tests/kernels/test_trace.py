@@ -79,7 +79,7 @@ TUBE = Cylinder(center=(2.0, 1.0, 230.0), radius=24.0, axis=(0.2, 0.1, 1.0), bou
 
 
 def bounded(wanted: Scene) -> bool:
-    """Whether a curved surface is cut, so that the lens sees its inside past its edge."""
+    """True if a curved surface is cut, so that the lens sees its inside past its edge."""
     return any(item.bounds is not None and item.shape != "plane" for item in wanted.objects)
 
 
@@ -124,7 +124,7 @@ SOME += ["bounded paraboloid", "one pixel", "nothing in visibility", "ball in a 
 
 @dataclass
 class Traced:
-    """What trace.cl wrote: arrays as they lie on the device."""
+    """Output of trace.cl: arrays as they lie on the device."""
 
     plan: Plan
     label: Array

@@ -62,7 +62,7 @@ def buffers(session: Session, **sizes: int) -> dict[str, cl.Buffer]:
 
 
 def written(session: Session, buffer: cl.Buffer, shape: tuple[int, ...], dtype: Any) -> Array:
-    """What a kernel wrote to one of `buffers`, and that it wrote nothing beyond."""
+    """Download what a kernel wrote to one of `buffers`, and check that it wrote nothing beyond."""
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
     found = download(session, buffer, (size + SPARE,), np.uint8)
     assert (found[size:] == UNTOUCHED).all()

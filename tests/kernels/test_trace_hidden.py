@@ -1,4 +1,4 @@
-"""What trace.cl makes of points that were behind the lens, or that something stands before."""
+"""Output of trace.cl for points that were behind the lens, or that something stands before."""
 
 from __future__ import annotations
 
@@ -71,7 +71,8 @@ def test_what_is_behind_the_lens_in_the_next_frame_is_not_visible(session: Sessi
 
 
 def test_subpixel_sources_of_all_layers_are_marked(session: Session) -> None:
-    """Whether something hides a sub-pixel source, all of it or in part: its edge is as soft as the source is wide."""
+    """Sub-pixel sources are marked if something hides all of them or a part: their edge is as soft as the source is
+    wide."""
     plan = planned(scene(ROW, psf=Psf(silhouette_samples=2)), 1)
     kinds = np.zeros(3, np.int64)
     for layer in plan.layers:

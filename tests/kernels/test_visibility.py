@@ -112,7 +112,7 @@ ROWS = (-6, -2, 0, 3, 7)  # of taps, two vectors of 8 in each
 
 @dataclass(frozen=True)
 class Seen:
-    """What the device finds for N sources and T taps, and what the twin does; wide: of the lens, by the twin."""
+    """Results of the device for N sources and T taps, and of the twin; wide: of the lens, by the twin."""
 
     state: Array
     edge: Array

@@ -65,7 +65,7 @@ def any_way(rng: np.random.Generator) -> Array:
 
 
 def quadric(rng: np.random.Generator, **given: Any) -> Quadric:
-    """Of any kind, also of two sheets and around the lens; every other of those without two of the squares."""
+    """Quadric of any kind, also of two sheets and around the lens; every other of those without two of the squares."""
     size = rng.uniform(3, 30)
     c = np.concatenate([rng.normal(size=6), rng.normal(size=3) * size, rng.normal(size=1) * size**2])
     if rng.random() < 0.2:
@@ -74,7 +74,7 @@ def quadric(rng: np.random.Generator, **given: Any) -> Quadric:
 
 
 def some_surfaces(rng: np.random.Generator, count: int) -> list[tuple[Object, Pose]]:
-    """Of every shape, any way round, a third of each with bounds; the lens is inside some, and on others."""
+    """Surfaces of every shape, any way round, a third of each with bounds; the lens is inside some, and on others."""
     found: list[tuple[Object, Pose]] = []
     for k in range(count):
         middle = tuple((rng.normal(size=3) * (15, 15, 30) + (0, 0, 180)).tolist())
@@ -135,7 +135,7 @@ def some_points(rng: np.random.Generator, surfaces: list[tuple[Object, Pose]], e
 
 @dataclass(frozen=True)
 class Met:
-    """What the device finds for N points, and what the twin does; occluders: of which points, and what it has of them.
+    """Results of the device for N points, and of the twin; occluders: of which points, and what it has of them.
 
     rims: (N, 3) of a visibility_t; fields: (N, ...) each, of its first occluder.
     """
@@ -190,7 +190,7 @@ def meet(
 
 
 def conditions(occluder: Occluder) -> tuple[Array, Array]:
-    """How many of them are left (N,), and what they are (N, 7, 4), 0 where there are none."""
+    """Number of conditions that are left (N,), and the conditions (N, 7, 4), 0 where there are none."""
     points = occluder.f0.size
     count, limits = np.zeros(points, np.int64), np.zeros((points, 7, 4))
     for k, limit in enumerate(occluder.limits):
@@ -227,7 +227,7 @@ def assert_same_occluders(met: Met, limit: float = FLOAT) -> None:
 
 @pytest.mark.parametrize(("psf", "gather"), [(PILLBOX, 1), (GAUSSIAN, 0)], ids=["vectors", "gaussian"])
 def test_any_surface_before_any_point(session: Session, run_source: Runner, psf: Psf, gather: int) -> None:
-    """What it hides, of wide lenses and narrow ones, and every number that is kept of it."""
+    """Surfaces hide wide lenses and narrow ones as the twin says, in every number that is kept of them."""
     rng, width = np.random.default_rng(7), 1.0 if gather else 0.25
     surfaces = some_surfaces(rng, 128)
     given = some_points(rng, surfaces, 40)

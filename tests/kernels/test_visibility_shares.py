@@ -83,7 +83,7 @@ class Surfaces:
         return np.concatenate(single, axis=1).astype(np.float32)
 
     def shares(self) -> Array:
-        """Of the twin."""
+        """Shares of the twin."""
         columns = [twin.occluded_share(self.occluder, x, y) for x, y in zip(self.x.T, self.y.T, strict=True)]
         return np.stack(columns, axis=-1)
 
@@ -114,7 +114,7 @@ def surfaces(b: Array, c: Array, f: Array, limits: Array, count: Array, rng: np.
 
 
 def drawn(kind: str) -> Surfaces:
-    """Of random numbers, such that C > 0 all over the lens."""
+    """Surfaces of random numbers, such that C > 0 all over the lens."""
     rng = np.random.default_rng(29)
     b = rng.uniform(-1, 1, (COUNT, 3)) * [0.5, 0.05, 0.05]
     c = [1.5, 0, 0, 0, 0, 0] + rng.uniform(-1, 1, (COUNT, 6)) * [0.5, 0.02, 0.02, 0.0015, 0.0015, 0.0015]
@@ -237,7 +237,8 @@ def test_shares_of_planes(session: Session, run_source: Runner, gather: int) -> 
 @pytest.mark.parametrize("gather", [1, 0])
 @pytest.mark.parametrize("kind", ["once", "own", "twice"])
 def test_conditions_that_are_needed(session: Session, run_source: Runner, kind: str, gather: int) -> None:
-    """Those are left that are not met wherever the lens is looked at, in their order, and with one crossing the first.
+    """Conditions are left that are not met wherever the lens is looked at, in their order, and with one crossing the
+    first.
 
     Left out is what rounding may decide: where it makes a difference to move conditions by a thousandth.
     """

@@ -26,7 +26,7 @@ PARTS = """\
 
 
 def whole(session: Session, buffer: cl.Buffer, shape: tuple[int, ...], real: Real) -> Array:
-    """What PUT wrote, float64 (...): the sum of the parts, the first of which is that sum rounded to float."""
+    """Download what PUT wrote, float64 (...): the sum of the parts, the first of which is that sum rounded to float."""
     if real == "double":
         return download(session, buffer, shape, np.float64)
     parts = download(session, buffer, shape, WIDE[real])

@@ -81,11 +81,11 @@ def rendered(given: Scene, frame: int = 0, precision: str | None = None) -> Fram
 
 
 def same_bits(one: Any, other: Any) -> bool:
-    """Whether two arrays are equal bit by bit, but for the sign of 0."""
+    """True if two arrays are equal bit by bit, but for the sign of 0."""
     return bool(np.array_equal(np.asarray(one), np.asarray(other)))
 
 
 def hit(frame: Frame) -> NDArray[np.bool_]:
-    """Where a surface is."""
+    """Mask of pixels with a surface."""
     assert frame.mask is not None
     return frame.mask

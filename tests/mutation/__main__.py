@@ -1,4 +1,4 @@
-"""Whether the tests kill small faults: each mutant of a file is run against the tests that reach it.
+"""Mutation test: each mutant of a file, a small fault, is run against the tests that reach it, which have to kill it.
 
     python -m tests.mutation --against quick slow simulator --share 20 -o mutation.json
 
@@ -95,7 +95,7 @@ class Trial:
             self.free.put(copy)
 
     def results(self, wanted: Sequence[Mutant], end: float) -> Generator[tuple[Mutant, Result], None, None]:
-        """What came of each, as they end; none begins after `end`, of time.monotonic()."""
+        """Results of the mutants, as they end; none begins after `end`, of time.monotonic()."""
         if {"quick", "slow"} & set(self.against):
             self.tests.record({mutant.file for mutant in wanted}, self.made)
             wanted = sorted(wanted, key=self.tests.switches.has, reverse=True)  # the others have texts of their own
@@ -114,7 +114,7 @@ class Trial:
         pool.shutdown()
 
     def tried(self, mutant: Mutant, end: float) -> Result | None:
-        """What came of one: `outcome` is killed, survived, timeout or not built; `by`: the test that killed it."""
+        """Result of one mutant: `outcome` is killed, survived, timeout or not built; `by`: the test that killed it."""
         if self.stopped.is_set() or time.monotonic() > end:
             return None
         copy, begun = self.free.get(), time.monotonic()

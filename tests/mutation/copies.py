@@ -60,7 +60,7 @@ class Copy:
             self.collected = None
 
     def recorded(self, file: str, switched: bool, timeout: float) -> dict[str, Any]:
-        """What each test of a file launches, see `Recorder`. Raises RuntimeError where one fails."""
+        """Launches of each test of a file, see `Recorder`. Raises RuntimeError where one fails."""
         status = self._tests([file], switched).run(self.records, 0, timeout)
         self.stop()
         if status not in (0, pytest.ExitCode.NO_TESTS_COLLECTED):  # none that are not slow
@@ -71,7 +71,7 @@ class Copy:
         return found
 
     def tried(self, mutant: Mutant, files: Sequence[str], tests: Sequence[str], timeout: float) -> tuple[str, str]:
-        """What came of a mutant, and the test that failed; tests: of the files, in order."""
+        """Outcome of a mutant, and the test that failed; tests: of the files, in order."""
         if not tests:
             return "survived", ""
         if self.switches.has(mutant):

@@ -1,4 +1,4 @@
-"""What the reference gives for the same arguments is computed once: mutants of the kernels leave it as it is."""
+"""Memo of the reference: the same arguments are computed once, as mutants of the kernels leave it as it is."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def _keeping(folder: Path, function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _constants() -> list[tuple[str, str, object]]:
-    """Of all modules: tests change some."""
+    """Constants of all modules: tests change some."""
     return [
         (module.__name__, name, value)
         for module in [module for name, module in sorted(sys.modules.items()) if name.split(".")[0] == "clsco"]

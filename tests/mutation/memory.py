@@ -1,4 +1,4 @@
-"""What is known of mutants: which were killed, and why others survive."""
+"""Records of mutants: which were killed, and why others survive."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def unmatched(found: Iterable[Mutant], known: dict[str, dict[str, str]]) -> list
 
 
 class Killed:
-    """Which mutants were killed: hashes of the code of their function and of what they change there.
+    """Killed mutants: hashes of the code of their function and of what they change there.
 
     So one that has changed is tried again, alone. What it calls, and tests, may have changed nevertheless: without the
     file all are tried again.

@@ -147,7 +147,7 @@ def _opencl_owners(text: str) -> Iterator[tuple[str, int, int]]:
 
 
 def _named(tokens: list[str]) -> str:
-    """What a definition defines: the name before its arguments, its lengths or its value, attributes apart."""
+    """Name that a definition defines: before its arguments, its lengths or its value, attributes apart."""
     words = " ".join(tokens)
     words = re.sub(r"__attribute__ \( \( (?:[^()]|\( [^()]* \))*\) \)", "", words)
     found = re.search(r"(\w+) (?:[(\[=]|;)", words)
@@ -184,7 +184,7 @@ def _joined(tokens: list[str]) -> str:
 
 
 def _starts(text: str) -> list[int]:
-    """Where lines begin, and the text ends."""
+    """Positions at which lines begin, and the text ends."""
     starts = [0]
     for line in text.splitlines(keepends=True):
         starts.append(starts[-1] + len(line))
@@ -203,7 +203,7 @@ def _number(text: str) -> str:
 
 
 def _changed(kind: str, old: str, closes: bool) -> str | None:
-    """What takes the place of a token; closes: the one before it ends an operand."""
+    """Replacement of a token; closes: the one before it ends an operand."""
     if kind == "number":
         return _number(old)
     if kind == "name":
@@ -239,7 +239,7 @@ def _opencl(text: str) -> Iterator[tuple[int, str, str]]:
 
 
 def _casts(text: str, end: int) -> bool:
-    """Whether the parenthesis that ends before `end` names a type."""
+    """True if the parenthesis that ends before `end` names a type."""
     named = re.search(r"\((?:__global |__constant |const )*(\w+)\s*\**\)\s*$", text[max(0, end - 80) : end])
     return named is not None and C_TYPE.match(named[1]) is not None
 

@@ -1,4 +1,4 @@
-"""Which tests can kill a mutant of a kernel: those that launch a kernel that has it after the preprocessor."""
+"""Reach of tests: a test can kill a mutant of a kernel if it launches a kernel that has it after the preprocessor."""
 
 from __future__ import annotations
 

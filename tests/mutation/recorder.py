@@ -1,4 +1,4 @@
-"""What each test launches: which kernels of which program texts."""
+"""Recorder of the launches of each test: which kernels of which program texts."""
 
 from __future__ import annotations
 

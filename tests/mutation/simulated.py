@@ -23,7 +23,7 @@ from tests.oclgrind.cases import all_cases
 
 
 def _process(arguments: Sequence[str], given: str, timeout: float | None) -> str:
-    """What the worker prints."""
+    """Output of the worker."""
     with tempfile.TemporaryDirectory(prefix="clsco-simulated-") as place:
         environ = simulator.environ(Path(place) / "log", "races") | {"PYTHONPATH": str(ROOT)}
         command = [sys.executable, "-m", "tests.mutation.simulated", *arguments]
@@ -36,7 +36,7 @@ def _process(arguments: Sequence[str], given: str, timeout: float | None) -> str
 
 
 def recorded() -> dict[str, Any]:
-    """What each case launches."""
+    """Launches of each case."""
     with tempfile.TemporaryDirectory(prefix="clsco-simulated-") as place:
         _process(["record", f"{place}/cases"], "", None)
         found: dict[str, Any] = json.loads((Path(place) / "cases").read_text("utf-8"))
@@ -44,7 +44,7 @@ def recorded() -> dict[str, Any]:
 
 
 def tried(mutant: Mutant, cases: Sequence[str], timeout: float) -> tuple[str, str]:
-    """What came of a mutant, and the case that killed it, of those named."""
+    """Outcome of a mutant, and the case that killed it, of those named."""
     text = mutant.of((ROOT / mutant.file).read_text("utf-8"))
     try:
         by = _process(["try"], json.dumps([mutant.file.removeprefix("kernels/"), text, cases]), timeout).strip()

@@ -85,7 +85,7 @@ class Switches:
             self._write(file)
 
     def has(self, mutant: Mutant) -> bool:
-        """Whether it is in the text of its file."""
+        """True if a mutant is in the text of its file."""
         return mutant in self.numbers and self.numbers[mutant] not in self.left_out
 
     def switched(self, program: str) -> str:
@@ -190,7 +190,8 @@ def _tokens(text: str) -> Iterator[Token]:
 
 
 def _piece(tokens: list[Token], k: int) -> tuple[int, int] | None:
-    """What has to stand twice where token k changes: a number, a call, or an operator with all beside its operands."""
+    """Piece that has to stand twice where token k changes: a number, a call, or an operator with all beside its
+    operands."""
     token = tokens[k]
     if token.text[0].isalpha():
         last = _matching(tokens, k + 1, 1) if k + 1 < len(tokens) and tokens[k + 1].text == "(" else None

@@ -1,4 +1,4 @@
-"""Which tests look at which file, and which of them can kill a mutant."""
+"""Tests by the files that they look at, and by the mutants that they can kill."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ TESTS = {
 
 
 def files() -> list[str]:
-    """What is changed: all kernels, and the host's arithmetic."""
+    """Files that are changed: all kernels, and the host's arithmetic."""
     folder = ROOT / "kernels"
     kernels = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*.cl*"))
     assert set(kernels) == {name for name in TESTS if not name.startswith("clsco/")}, "a kernel file without tests"
@@ -91,7 +91,7 @@ def tests_of(file: str) -> list[str]:
 
 
 class Tests:
-    """Which tests can kill a mutant, as they were seen to run without a change."""
+    """Tests that can kill a mutant, as they were seen to run without a change."""
 
     def __init__(self, switches: Switches) -> None:
         self.switches = switches

@@ -1,4 +1,4 @@
-"""What is run on Oclgrind: small scenes and images that ask for every pair of features, in many shapes.
+"""Cases for Oclgrind: small scenes and images that ask for every pair of features, in many shapes.
 
 A scene is drawn from CHOICES; its features are those that clsco itself compiles its kernels for. All features together
 would be too many (over 10^6); of drawn scenes those are taken that add pairs of features until no drawn one adds any.
@@ -162,7 +162,7 @@ def plans_of(drawn: Drawn) -> list[Plan]:
 
 
 def features_of(drawn: Drawn) -> dict[str, Any]:
-    """What decides what of the kernels is compiled and run, of all eyes."""
+    """Features that decide what of the kernels is compiled and run, of all eyes."""
     found: dict[str, Any] = {"precision": drawn["precision"], "lenses": drawn["lenses"], "device": str(drawn["device"])}
     for plan in plans_of(drawn):
         fp64 = drawn["device"].get("has_fp64", True)
@@ -306,7 +306,8 @@ def scene_cases() -> Iterator[Case]:
 
 
 def long_cases() -> Iterator[Case]:
-    """What small images have no need of: sums of wide discs, coarser grids, many missing pixels, runs amid a row."""
+    """Cases that small images have no need of: sums of wide discs, coarser grids, many missing pixels, runs amid a
+    row."""
     rng = np.random.default_rng(11)
     image, coc = rng.random((5, 4)).astype(np.float32), np.full((5, 4), SUMMED + 2.0)
     holes = rng.random((10, 11, 1)).astype(np.float32)
@@ -338,7 +339,7 @@ def long_cases() -> Iterator[Case]:
 
 
 def discs(reach: int, tilt: bool) -> list[Array]:
-    """Of three channels; beyond NEAR their taps are not added one by one."""
+    """Blur of three channels by sampled discs; beyond NEAR their taps are not added one by one."""
     image, coc = np.ones((2, 9, 3), np.float32), np.linspace(reach, reach + 0.9, 18).reshape(2, 9)
     return [blurred_image(image, coc, Psf(edge="sampled", tilt=tilt, occlusion="none"), "gather")]
 
@@ -352,7 +353,7 @@ def slabs_of_long_rows() -> list[Array]:
 
 
 def fault_cases() -> Iterator[Case]:
-    """What faults are planted in: few work-items, of which some have nothing to do."""
+    """Cases that faults are planted in: few work-items, of which some have nothing to do."""
     rng = np.random.default_rng(7)
     image, codes = rng.random((3, 6, 2)).astype(np.float32), rng.random((6, 7, 1)).astype(np.float32)
     coc, jump = rng.uniform(0.9, 1.4, (3, 6)), np.where(np.arange(6) < 2, -2.0, 1.5) * np.ones((3, 1))

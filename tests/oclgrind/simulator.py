@@ -122,7 +122,7 @@ _enqueue_copy = cl.enqueue_copy
 
 
 def _copy(queue: cl.CommandQueue, to: Any, source: Any, **options: Any) -> Any:
-    """What the host writes of a part of a buffer leaves the rest uninitialized for it, so that is done by a kernel."""
+    """Copy by a kernel: where the host writes a part of a buffer, the simulator takes the rest for uninitialized."""
     if not isinstance(to, _Buffer) or isinstance(source, _Buffer) or source.nbytes == to.size:
         return _enqueue_copy(queue, to, source, **options)
     data = np.frombuffer(source.tobytes(), np.uint8)
@@ -155,7 +155,8 @@ def _buffer(*args: Any, **options: Any) -> cl.Buffer:
 
 @lru_cache(maxsize=1)
 def _queue() -> cl.CommandQueue:
-    """Of all cases: in a second context it takes for uninitialized what the first one had at the same address."""
+    """Queue of all cases: in a second context the simulator takes for uninitialized what the first had at the same
+    address."""
     context = cl.Context([choose("oclgrind").handle])
     return cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
 

@@ -24,7 +24,7 @@ Results = list[dict[str, Any]]
 
 
 def work(folder: Path, jobs: Sequence[tuple[str, ...]]) -> Results:
-    """What workers print, each the check and the arguments of a job; so many at a time as there are processors."""
+    """Output of workers, each the check and the arguments of a job; so many at a time as there are processors."""
     found: Results = []
     for first in range(0, len(jobs), PROCESSES):
         running = []

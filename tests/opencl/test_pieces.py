@@ -77,7 +77,7 @@ def recorded(patch: pytest.MonkeyPatch) -> list[float]:
 
 @pytest.fixture
 def counted(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """How long every piece took; all but the smallest launches are cut."""
+    """Record the time of every piece; all but the smallest launches are cut."""
     monkeypatch.setattr(pace, "PIECE", 2e-5)
     return recorded(monkeypatch)
 

@@ -250,7 +250,7 @@ def chosen(root: Path) -> str:
 def test_a_folder_that_others_may_write_to_is_not_used(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], place: str, mode: int
 ) -> None:
-    """What is in it is executed."""
+    """Files in the folder are executed."""
     ours = tmp_path / "clsco" / f"pocl-{poclcache._versions()}"
     planted = ours / "AB/one/work.so"
     planted.parent.mkdir(parents=True)

@@ -225,7 +225,7 @@ ITEMS: tuple[Object, ...] = (Sphere(center=(10.0, -5.0, 200.0), motion=TURNING),
 
 
 def seen_from(scene: Scene, number: int, point: Array, time: float) -> Array:
-    """Where a point of an object, given as it is at rest, is in the frame of the left camera."""
+    """Position in the frame of the left camera of a point of an object, given as it is at rest."""
     item = scene.objects[number]
     pose, center = poses_at(scene, time)[number], rest_center(item)
     return np.asarray(center + pose.shift + pose.rotation @ (point - center))

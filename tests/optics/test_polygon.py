@@ -112,7 +112,7 @@ def test_weights_are_areas_by_brute_force(tent: bool) -> None:
 @pytest.mark.parametrize("samples", [0, 2])
 @pytest.mark.parametrize("edge", ["integrated", "area"])
 def test_tables_hold_the_weights(samples: int, edge: str) -> None:
-    """Of the light at most 1e-4 is elsewhere, at any radius of either sign, and 2e-5 on the mean."""
+    """At most 1e-4 of the light is elsewhere, at any radius of either sign, and 2e-5 on the mean."""
     psf = iris(5, 8.0, edge)
     table, off = psf_table(psf, 0.0, 6.0, samples), []
     lost = table.intervals.nbytes + table.coefficients.nbytes + table.taps.nbytes + table.outlines.nbytes

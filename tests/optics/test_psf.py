@@ -349,7 +349,8 @@ def stored_octant(table: PsfTable, coordinate: float) -> Array:
 
 
 def check_outline(table: PsfTable, coordinate: float, weights: Array) -> None:
-    """Of columns of a quadrant (|dy|, |dx|): how many taps have the weight in the middle, and where the last one is."""
+    """Check the outline of columns of a quadrant (|dy|, |dx|): how many taps have the weight in the middle, and the
+    last one."""
     first, last = table.outlines[int(coordinate) - table.first].T
     n, t = np.arange(len(weights)), coordinate % 1.0
     same = np.minimum.accumulate(np.logical_and.accumulate(weights == weights[0, 0]).sum(axis=0))

@@ -65,7 +65,7 @@ def test_wide_discs_have_rectangles(psf: Psf) -> None:
 
 
 def test_wide_discs_take_few_weights() -> None:
-    """What the rectangles leave grows as the radius does, not as its square."""
+    """The weights that rectangles leave grow as the radius does, not as its square."""
     for psf, most in zip(PSFS[:3], (3.0, 6.0, 10.0), strict=True):
         for radius in (20.0, 60.0):
             assert len(stencils(psf, radius)[0].weights) < most * radius

@@ -1,4 +1,4 @@
-"""Where known points of every shape are in the image on it."""
+"""Places of known points of every shape in the image on it."""
 
 from __future__ import annotations
 

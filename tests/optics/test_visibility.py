@@ -1,4 +1,4 @@
-"""Which objects can hide each other, and in which layers they are spread: never too few."""
+"""Occlusion groups: objects that can hide each other, and the groups they are spread in: never too few."""
 
 from __future__ import annotations
 
@@ -219,7 +219,7 @@ def random_item(rng: np.random.Generator, name: str) -> Object:
 
 
 def blocked(plan: Plan, near: int, far: int, time: float) -> bool:
-    """Whether one object is in the way of some of the light of another one that the frame gets."""
+    """True if one object is in the way of some of the light of another one that the frame gets."""
     scene, items = plan.scene, plan.scene.objects
     surfaces = [place(*one) for one in zip(items, poses_at(scene, time, plan.eye), strict=True)]
     bounds = [item.bounds for item in items]

@@ -1,4 +1,4 @@
-"""What is infinitely far away: seen by the lens with the blur of infinity, and no surface in the ground truth."""
+"""Backgrounds, infinitely far away: seen by the lens with the blur of infinity, and no surface in the ground truth."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ def sharp(wanted: Scene) -> Any:
 
 
 def test_a_white_sphere_has_the_cosine() -> None:
-    """Of a far light behind the camera n . l is the normal's part along the axis."""
+    """In a far light behind the camera n . l is the normal's part along the axis."""
     frame = sharp(scene(WHITE, light={"direction": [0.0, 0.0, 9.0]}, psf=PLAIN))
     np.testing.assert_allclose(frame.sharp[frame.mask], -frame.normal[frame.mask][:, 2], atol=1e-6)
     assert frame.sharp[~frame.mask].max() == 0.0

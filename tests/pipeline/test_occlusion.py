@@ -186,7 +186,7 @@ def test_none_spreads_what_the_pinhole_sees() -> None:
 
 
 def deviation(folder: Path, items: list[dict[str, Any]], **psf: Any) -> NDArray[np.float64]:
-    """How far from 1 the image of white objects is, 128 x 128 px."""
+    """Distance from 1 of the image of white objects, 128 x 128 px."""
     write_png(folder / "white.png", np.full((128, 128), 255, np.uint8))
     camera = {"resolution": [128, 128], "focus_distance": 250.0}
     painted = [item | {"texture": str(folder / "white.png")} for item in items]

@@ -84,7 +84,7 @@ def test_a_subframe_is_the_frame_of_one_time_sample(name: str) -> None:
 
 
 def test_missing_is_what_the_samples_count() -> None:
-    """Of one sample all pixels that are counted, of several their union, whether they are filled or not."""
+    """All pixels that one sample counts are missing, of several samples their union, whether they are filled or not."""
     for wanted in (CASES["forward"], CASES["not filled"]):
         for frame in rendered(wanted, "missing"):
             counts = [sample["missing_pixels"] for sample in frame.metadata["intermediate"]]

@@ -135,7 +135,7 @@ CARDS = [CARD | {"bounds": [[-5.0, 4.0], [-75.0 + k, 75.0], [-1.0, 1.0]], "dista
     ],
 )
 def test_slabs_in_strips(method: str, sections: dict[str, Any], peak: list[int]) -> None:
-    """Where slabs begin is for all strips to say; what goes on behind an edge is made from what is near."""
+    """All strips have a say in where slabs begin; what goes on behind an edge is made from what is near."""
     camera = {"resolution": [COLUMNS, TALL], "pixel_pitch": 0.04, "aperture_diameter": 8.0}
     scene = scene_from({"camera": camera, "psf": {"occlusion": "layered"}}, **sections)
     whole = list(clsco.render(scene, method=method))

@@ -1,4 +1,4 @@
-"""What several objects give to those who compare views: flow, disparity, depth maps, sweeps."""
+"""Outputs of several objects for those who compare views: flow, disparity, depth maps, sweeps."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def fetched(image: NDArray[Any], row: NDArray[Any], column: NDArray[Any]) -> NDA
 
 
 def whole_cell(number: NDArray[Any], row: NDArray[Any], column: NDArray[Any], own: NDArray[Any]) -> NDArray[Any]:
-    """Where all four pixels around a position show the object `own`."""
+    """Mask of positions around which all four pixels show the object `own`."""
     rows, columns = number.shape
     i, j = np.floor(row).astype(int), np.floor(column).astype(int)
     inside = (i >= 0) & (i < rows - 1) & (j >= 0) & (j < columns - 1)

@@ -1,4 +1,4 @@
-"""What a scene is given to do, and above all what it is not."""
+"""Passes that a scene is given, and above all those that it is not."""
 
 from __future__ import annotations
 
@@ -371,13 +371,13 @@ CARD = Plane(distance=230.0, bounds=((-2.0, 2.0), (-2.0, 2.0), (-1.0, 1.0)))
 
 
 def cards(occlusion: Any, method: str = "auto", tolerance: float | None = None, gpu: bool = True) -> Plan:
-    """Of a card before a plane."""
+    """Plan of a card before a plane."""
     pair = scene_of(CARD, psf=Psf(occlusion=occlusion)).model_copy(update={"objects": (CARD, TILTED)})
     return make_plan(pair, 1, (), method, tolerance=tolerance, device=GPU if gpu else None)
 
 
 def method_of(given: Plan) -> str:
-    """What is said of the blur's method."""
+    """Method of the blur, in words."""
     return next(dict(each.parameters)["method"] for each in given.passes if each.kind == "blur")
 
 

@@ -1,4 +1,4 @@
-"""What a plan predicts of a scene before it is rendered: ranges of the blur radius, ways over the image, work."""
+"""Predictions of a plan before a scene is rendered: ranges of the blur radius, ways over the image, work."""
 
 from __future__ import annotations
 
@@ -189,7 +189,7 @@ def test_silhouettes_may_be_in_sight_of_what_fills_the_view_at_rest(items: tuple
 
 
 def test_room_for_the_pixels_along_the_limb_of_a_ball_that_fills_the_frame() -> None:
-    """Those within 2 px of it, on both sides."""
+    """Pixels within 2 px of the limb, on both sides, need room."""
     given = plan_of(Sphere(), size=(480, 480))
     assert isinstance(given.slots, int)
     assert given.slots >= 4 * 3.15 * given.grid.height

@@ -1,4 +1,4 @@
-"""What a plan makes of a scene's structure: what kernels are compiled for, methods, layers, strips, and its words."""
+"""Structure of a scene in its plan: features of kernels, methods, layers, strips, and its words."""
 
 from __future__ import annotations
 

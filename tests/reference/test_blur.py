@@ -257,7 +257,7 @@ def test_prepared_gradient_of_one_pixel_is_zero() -> None:
 
 
 def thin_lens(scene: Scene, sources: Sources, texture: Array, guard: int) -> Array:
-    """What a detector behind a thin lens sees of a plane: mean over detector pixel and lens of f(x).
+    """Image of a plane on a detector behind a thin lens: mean over detector pixel and lens of f(x).
 
     x' = x + R(x) l, where R is linear in x for a plane: x = (I + l g^T)^-1 (x' - R(0) l) in closed form.
     """

@@ -199,7 +199,7 @@ def test_a_wall_is_occluded_where_a_card_goes() -> None:
 
 
 def test_what_turns_away_is_occluded_in_the_next_frame() -> None:
-    """Of a ball at a great distance that turns by 90 deg from frame to frame, half of what is visible."""
+    """A ball at a great distance turns by 90 deg from frame to frame: half of what is visible is occluded."""
     turning = ObjectMotion(angular_velocity=(0.0, 90.0, 0.0))
     ball = SMALL_SPHERE.model_copy(update={"center": (0.0, 0.0, 280.0), "motion": turning})
     truth = ground_truth(scene_of(ball, size=SIZE), (random_texture(),), 0)

@@ -73,7 +73,7 @@ def quadric_of(item: Object) -> tuple[Array, Array, float]:
 
 
 def crossings(item: Object, pose: Pose, start: Array, end: Array) -> Array:
-    """Whether the lines from start to end (..., 3) in mm cross a surface, apart from their ends: (...)."""
+    """Mask of lines from start to end (..., 3) in mm that cross a surface, apart from their ends: (...)."""
     matrix, vector, constant = quadric_of(item)
     own: list[Array] = [(point - rest_center(item) - pose.shift) @ pose.rotation for point in (start, end)]
     way = own[1] - own[0]
@@ -131,7 +131,7 @@ def free_shares(
 
 
 def blocked_lines(items: Sequence[Object], poses: Sequence[Pose], rays: Array, w: Array, lens: Array) -> Array:
-    """Whether any of the surfaces is crossed by the line from each point to each place in the lens: (T, N)."""
+    """Mask of lines from each point to each place in the lens that any of the surfaces crosses: (T, N)."""
     taps = lens[:, None] * blur_radius(CAMERA, w)[None, :, None]
     ends = lens_points(rays, w, taps[..., 0], taps[..., 1])
     assert np.abs(ends[..., 2]).max() < 1e-6  # the lens is where z = 0, and as wide as it is said to be
@@ -142,7 +142,7 @@ def blocked_lines(items: Sequence[Object], poses: Sequence[Pose], rays: Array, w
 
 
 def passes_lens(item: Object, pose: Pose, extent: float) -> bool:
-    """Whether a quadric without its bounds goes through the lens, where nothing is to be seen of a scene."""
+    """True if a quadric without its bounds goes through the lens, where nothing is to be seen of a scene."""
     matrix, vector, constant = quadric_of(item)
     angle = np.arange(64) * (np.pi / 32)
     rings = [size * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1) for size in np.linspace(0, extent, 9)]
@@ -248,7 +248,7 @@ def test_a_hollow_surface_hides_its_own_inside(name: str) -> None:
 
 
 def test_points_inside_of_another_object_are_hidden() -> None:
-    """Of two balls that share a lens of space each hides the other's part that is in it, at any lens point."""
+    """Two balls share a lens of space: each hides the other's part that is in it, at any lens point."""
     left, right = Sphere(center=(-5.0, 0.0, 200.0), radius=12.0), Sphere(center=(5.0, 3.0, 204.0), radius=10.0)
     for own, other in ((left, right), (right, left)):
         surface = place(other, STILL)
@@ -269,7 +269,7 @@ def test_points_inside_of_another_object_are_hidden() -> None:
 
 @pytest.mark.parametrize("name", [name for name in OCCLUDERS if name.endswith("around the lens")])
 def test_around_the_lens(name: str) -> None:
-    """Where the lens is inside of a convex surface, all that is inside sees it, and nothing outside does."""
+    """A lens inside of a convex surface is seen by all that is inside, and by nothing outside."""
     item = OCCLUDERS[name]
     assert place(item, STILL).constant < 0
     rays, w = random_points(np.random.default_rng(9), 3000)

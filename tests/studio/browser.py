@@ -119,7 +119,7 @@ def open_scene(page: Any, name: str) -> None:
 
 
 def axe_faults(page: Any) -> list[tuple[str, str]]:
-    """What axe has against a page: the rule, and the first element that breaks it."""
+    """Faults that axe finds in a page: the rule, and the first element that breaks it."""
     axe = pytest.importorskip("axe_playwright_python", reason="needs axe: pip install axe-playwright-python")
     (script,) = Path(axe.__file__).parent.rglob("axe.min.js")
     page.evaluate(script.read_text())

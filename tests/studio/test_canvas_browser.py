@@ -93,7 +93,7 @@ def codes(scene: clsco.Scene, index: int = 0) -> NDArray[np.int64]:
 
 
 def at(page: Any, column: float, row: float) -> tuple[float, float]:
-    """Where a pixel of the frame is on the page."""
+    """Place of a pixel of the frame on the page."""
     box = page.locator("#canvas").bounding_box()
     return box["x"] + (column + 0.5) * box["width"] / 128, box["y"] + (row + 0.5) * box["height"] / 128
 

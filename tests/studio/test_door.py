@@ -69,7 +69,7 @@ async def _app(scope: Any, receive: Any, send: Any) -> None:
 
 
 async def _talk(*parts: bytes, pause: float = 0.0) -> list[bytes]:
-    """What is answered to parts that are sent one after the other; it ends when the server ends the connection."""
+    """Answers to parts that are sent one after the other; it ends when the server ends the connection."""
     loop, made = asyncio.get_running_loop(), door("ours")
     config, state = uvicorn.Config(_app, log_level="critical"), ServerState()
     server = await loop.create_server(lambda: made(config, state, {}), "127.0.0.1", 0)

@@ -152,7 +152,7 @@ def test_no_path_leaves_its_folder(running: Running, path: str) -> None:
 
 
 def raw(running: Running, line: str, *headers: str, status: int) -> bytes:
-    """What a client answers that checks nothing of what it sends."""
+    """Answer to a client that checks nothing of what it sends."""
     host, port = running.host.split(":")
     own = (f"Host: {running.host}", f"Cookie: {running.cookie['Cookie']}", f"Origin: {running.origin}")
     answer = b""

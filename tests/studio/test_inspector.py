@@ -1,4 +1,4 @@
-"""What is known of a pixel: its point spread function by the model and as measured, and where its source is."""
+"""Figures of a pixel: its point spread function by the model and as measured, and the place of its source."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What takes long, in Chromium: the reference beside the work, time samples that are counted, and Esc."""
+"""Long work in Chromium: the reference beside the work, time samples that are counted, and Esc."""
 
 from __future__ import annotations
 

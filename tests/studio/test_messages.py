@@ -1,4 +1,4 @@
-"""What a tab may say that no page of ours says: it is refused with a message, and the tab goes on."""
+"""Messages of a tab that no page of ours sends: each is refused with a message, and the tab goes on."""
 
 from __future__ import annotations
 

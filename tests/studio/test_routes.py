@@ -1,4 +1,4 @@
-"""What the page asks for by address: only what is there for it."""
+"""Addresses that the page asks for: each tab gets only its own."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How long it takes from the command to the window."""
+"""Time from the command to the window."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ def running(root: Path) -> Iterator[Running]:
 
 
 def focused(page: Any) -> dict[str, Any]:
-    """What has the focus, which is seen."""
+    """Element that has the focus, which is seen."""
     found: dict[str, Any] = page.evaluate(FOCUSED)
     if found["part"] != "BODY":
         assert found["style"] != "none", found
