@@ -23,13 +23,14 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     In single precision every real number has a low part, what rounding to float left of it (kernels/common/wide.clh): a
     scalar x is followed by x_low, an array of n numbers is one of 2 n, the low parts last.
 
-    camera_t: rows, columns of the frame, or of a strip of it (strips.py); frame_rows: of the frame; top: first
-    row of the strip; guard: columns, above: rows of the grid before its own; width, height of the grid; step: slope
-    between neighboring rays; blur_scale px mm; focus_power 1/mm; lens_radius mm. surface_t: see surfaces.PlacedSurface;
-    texture: its number in the stack. light_t: see light.PlacedLight. pose_t: see motion.Pose. layer_t: see
-    occlusion.Layer; count: of all objects. psf_t: how a blur radius becomes a coordinate in the tables, which intervals
-    they hold (first, count), and which of them radii are clamped to (low to end - 1), see psf_tables.PsfTable; the
-    rest: see occlusion.
+    camera_t: rows, columns of the frame, or of a strip of it (`clsco.frame.strips`); frame_rows: of the frame; top:
+    first row of the strip; guard: columns, above: rows of the grid before its own; width, height of the grid; step:
+    slope between neighboring rays; blur_scale px mm; focus_power 1/mm; lens_radius mm. surface_t: see
+    `clsco.optics.quadrics.PlacedSurface`; texture: its number in the stack. texture_map_t: see
+    `clsco.optics.texture_mapping.TextureMap`. light_t: see `clsco.optics.light.PlacedLight`. pose_t: see
+    `clsco.optics.motion.Pose`. layer_t: see `clsco.optics.visibility.Layer`; count: of all objects. psf_t: how a blur
+    radius becomes a coordinate in the tables, which intervals they hold (first, count), and which of them radii are
+    clamped to (low to end - 1), see `clsco.optics.psf_tables.PsfTable`; lens_extent: of the lens in lens radii.
     """
     i, two, three, nine = "i4", (2,), (3,), (9,)
     camera: list[Any] = [

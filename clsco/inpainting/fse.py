@@ -40,7 +40,7 @@ def fill_texture(
     bits on every run of a device. Memory beside the image: a byte per pixel, per missing one 8 and the result; and that
     of one tile (`clsco.inpainting.tiles`), about 28 channels + 12 bytes per pixel of 1024 x 1024.
     Raises ImageError where nothing is known, DeviceError. Validated against `clsco.reference.inpainting.fse`
-    (tests/kernels/test_texture.py) and beside OpenCV's FSR (benchmarks/inpainting).
+    (tests/kernels/test_fse.py) and beside OpenCV's FSR (benchmarks/inpainting).
     """
     features = {"CHANNELS": image.shape[2], "SAMPLED": 0, "GENERAL": 0}
     program = build(session, ["inpainting/fse.cl"], features, structs("float"), "float")

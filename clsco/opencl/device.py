@@ -83,7 +83,7 @@ def list_devices(name: str | None = None, source: str = "device") -> tuple[tuple
     devices : tuple of Device
         In the platforms' order.
     choice : Choice
-        `choice.device` (None where none can be chosen) and `choice.reason` in words.
+        `device` of the choice (None where none can be chosen), and its `reason` in words.
 
     Notes
     -----

@@ -48,7 +48,7 @@ class PsfShape:
     pixel_moment : float
         What the pixels of source and detector add to it per axis, px^2.
     mask : tuple of (x, y, distance)
-        Edges of the opening of "general", see `polygon.lens_mask`; empty for a circle.
+        Edges of the opening of "general", see `clsco.optics.polygon.lens_mask`; empty for a circle.
     name : str
         For reports.
     """

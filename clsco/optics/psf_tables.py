@@ -34,8 +34,8 @@ Blocks = Callable[[Psf, int, int], WeightBlock]
 class PsfTable:
     """Weights over a range of blur radii as piecewise cubics, in the layout that the kernels read.
 
-    A source of radius R has the coordinate u (see `table_coordinate`), interval floor(u) and position
-    t = u - floor(u); its weight at (dx, dy) is c0 + t (c1 + t (c2 + t c3)).
+    A source of radius R has the coordinate u (see `clsco.optics.psf_grid.table_coordinate`), interval floor(u) and
+    position t = u - floor(u); its weight at (dx, dy) is c0 + t (c1 + t (c2 + t c3)).
     intervals: int32 (count, 2): start in `coefficients`, half-width in px.
     coefficients: float32, per interval rows of (POWERS, lanes): row |dy| = 0..half-width (a main table), or
     rows -half-width..half-width for each of the S/2 x S offsets of a sub-pixel source. Of a general shape all rows of
@@ -47,8 +47,8 @@ class PsfTable:
     (taps, count / TAP_LANES, POWERS, WIDE_LANES): of the octant's taps a >= b >= 0 in the order of a (a + 1) / 2 + b
     or, of what is separable, of those along an axis, the coefficients of WIDE_LANES intervals from every TAP_LANES-th
     one on; zeros beyond the reach of an interval, and after the last one. outlines: int32, (count, reach + 1, 2), see
-    `_outline`, but for what is separable. Of a sampled disc coefficients and taps have the one weight of each interval,
-    and outlines the square roots of 0, 1, ... up to the last interval's number, rounded down.
+    `clsco.optics.psf_blocks._outline`, but for what is separable. Of a sampled disc coefficients and taps have the one
+    weight of each interval, and outlines the square roots of 0, 1, ... up to the last interval's number, rounded down.
     place: what the table is kept as; one that is made for more radii takes the place of an earlier one.
     """
 

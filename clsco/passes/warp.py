@@ -51,7 +51,7 @@ class Warped:
 
 
 def forward_features(plan: Plan, owned: bool) -> dict[str, int]:
-    """Features that reproject.cl and fill.cl are compiled for; owned: bands of the image without atomics, for CPUs.
+    """Features that warp.cl and fill.cl are compiled for; owned: bands of the image without atomics, for CPUs.
 
     A depth map has no outline that a ray could miss: where there is one, domain "surface" is "span". Holes are filled
     from the far side (FILL_FAR) where a scene may have surfaces at several depths: several objects, or a depth map.

@@ -164,7 +164,7 @@ def column_bytes(psf: Psf, channels: int, far: int) -> int:
 
 
 def blur_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
-    """Buffers of a blur (`clsco.passes.blur.make_blur`) on the frame's own grid.
+    """Buffers of a blur (`clsco.passes.blur`) on the frame's own grid.
 
     Parameters
     ----------

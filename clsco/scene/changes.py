@@ -39,7 +39,7 @@ def key_parts(key: str) -> list[str]:
 
 
 def override(data: dict[str, Any], overrides: Sequence[str], where: str) -> None:
-    """Apply overrides to `data` in their order, see `load_scene`; raises SceneError for text that is not KEY=VALUE."""
+    """Apply overrides to `data` in order, see `clsco.load_scene`; raises SceneError for text that is not KEY=VALUE."""
     messages = []
     for text in overrides:
         key, equals, value = text.partition("=")

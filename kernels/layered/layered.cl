@@ -407,7 +407,7 @@ __kernel void keep_sources(const camera_t camera, const int near_edges, __global
 
 // Adds a blurred layer behind those before. It gets the room that they have left, all of it: at a cut through a
 // continuous surface the two coverages add up to that of the whole, and nothing is lost. In: blurred float (CHANNELS,
-// rows, from_pitch), with scratch columns as `total` in blur.cl. In and out: covered float (rows, columns), total.
+// rows, from_pitch), with scratch columns as the total of blur.cl. In and out: covered float (rows, columns), total.
 __kernel void composite(const camera_t camera, const int from_pitch, const int from_pad,
                         __global const float *blurred, __global float *covered,
 #if SCATTER

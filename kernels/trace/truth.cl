@@ -1,5 +1,5 @@
 // The ground truth of a frame: what rays of a pinhole meet at pixel centers, at the middle of the exposure. Twin:
-// ground_truth of clsco/reference/trace/trace.py. Host: clsco/passes/truth.py, for all scenes of analytic surfaces.
+// ground_truth of clsco/reference/trace/truth.py. Host: clsco/passes/truth.py, for all scenes of analytic surfaces.
 // Outputs that are not wanted are null: one program makes any of them.
 
 // Place of a hit in the image in the pose `other`: column, row, and its depth there over its depth here.

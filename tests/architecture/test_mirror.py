@@ -1,4 +1,4 @@
-"""Each kernel and each shared function of the device has its twin in NumPy, found by file and name."""
+"""Each kernel and each shared function of the device has its twin in NumPy: by file, name, and what functions take."""
 
 from __future__ import annotations
 
@@ -79,6 +79,34 @@ WITHOUT_TWIN = {
     "columns": dict.fromkeys(["finish_tile", "add_columns"], "the sum of scatter, column by column"),
 }
 
+# Parameters that the twin of a function calls otherwise, or has in one record.
+SYNONYMS = {
+    "s": "surface", "ray": "rays", "whole_ray": "rays", "D": "d", "m": "matrix", "v": "vector", "n": "normal",
+    "map": "texture_map texture", "object": "number", "point_w": "position",
+}  # fmt: skip
+RECORDS = {"points": ["ray", "w"], "texture": ["texture", "map"]}
+ON_THE_DEVICE = {"bounds", "texture_filter"}  # in surface_t, and a feature
+# Functions that take other things than their twins, and why.
+OTHERWISE = {
+    "table_coordinate": "psf_t has the range of the table",
+    "hides_all": "conditions of an occluder_t are dropped in place",
+    "keep_equation": "fields of an occluder_t are filled one after the other",
+    "flatten_limits": "limits of an occluder_t are changed in place",
+    "check_visibility": "its caller divides the lens, by the radius that it has already",
+    "cell_visibility": "one cell after the other, given by its middle",
+    "estimate": "settings of all lanes are in an around_t",
+    "detailed_texture": "FINE and SUBPIXELS are features",
+    "sample_texture": "camera_t has the size of the texture, and margins are left out",
+    "add_texel": "texels of any dimensions at once",
+    "footprint_of": "what changes from part to part, right and down, is one argument",
+    "mean_texture": "a side of a cube map is part of its texel",
+    "on_side": "of a change",
+    "texels_of": "one axis after the other",
+    "laplacian": "pixel by pixel, of an image or a vector",
+    "outside_frame": "column and row are in one vector",
+    "occluded_among": "objects and their bounds are in surface_t",
+}
+
 # Files whose twin is part of another file.
 PART_OF = {"gather": "blur", "sources": "trace", "texture": "trace", "tiles": "blur"}
 PART_OF |= dict.fromkeys(
@@ -100,10 +128,34 @@ def plain(text: str) -> str:
     return re.sub(r"__attribute__\s*\(\((?:[^()]|\([^()]*\))*\)\)", " ", text)
 
 
-def twins(name: str) -> set[str]:
-    (path,) = (ROOT / "clsco" / "reference").rglob(f"{name}.py")
-    tree = ast.parse(path.read_text("utf-8"))
-    return {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+def twins(path: Path) -> dict[str, ast.FunctionDef]:
+    (twin,) = (ROOT / "clsco" / "reference").rglob(f"{PART_OF.get(path.stem, path.stem)}.py")
+    tree = ast.parse(twin.read_text("utf-8"))
+    return {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
+
+
+def taken(text: str) -> dict[str, list[str]]:
+    """Names of what the functions of a device take: by value, or to be read only."""
+    found = {}
+    heads = r"\b(?:static|inline|INLINE)\s+[\w\s*]*?\b(\w+)\s*\(([^()]*)\)\s*\{"
+    for name, parameters in re.findall(heads, plain(text)):
+        read = [one for one in parameters.split(",") if "const" in one or not re.search(r"[*\[]", one)]
+        found[name] = [re.findall(r"\w+", one)[-1] for one in read if one.strip()]
+    return found
+
+
+def matches(taken: list[str], function: ast.FunctionDef) -> bool:
+    """True if a function of the device takes what its twin takes, in the same order."""
+    names = [one.arg for one in (*function.args.args, *function.args.kwonlyargs) if one.arg not in ON_THE_DEVICE]
+    for name in names:
+        record = RECORDS.get(name, [])
+        if record and taken[:1] == record[:1] and set(record) <= set(taken):
+            taken = [one for one in taken if one not in record]
+        elif taken and name in (taken[0], *SYNONYMS.get(taken[0], "").split()):
+            taken = taken[1:]
+        else:
+            return False
+    return not taken
 
 
 def test_there_are_kernels() -> None:
@@ -114,14 +166,42 @@ def test_there_are_kernels() -> None:
 def test_each_kernel_has_its_twin(path: Path) -> None:
     names = kernel_names(path.read_text("utf-8"))
     assert names
-    assert names - twins(PART_OF.get(path.stem, path.stem)) == WITHOUT_TWIN.get(path.stem, {}).keys()
+    assert names - twins(path).keys() == WITHOUT_TWIN.get(path.stem, {}).keys()
 
 
 @pytest.mark.parametrize("path", HEADERS, ids=lambda path: path.name)
 def test_each_shared_function_has_its_twin(path: Path) -> None:
     names = inline_names(path.read_text("utf-8"))
     assert names
-    assert names - twins(PART_OF.get(path.stem, path.stem)) == WITHOUT_TWIN.get(path.stem, {}).keys()
+    assert names - twins(path).keys() == WITHOUT_TWIN.get(path.stem, {}).keys()
+
+
+def test_functions_take_what_their_twins_take() -> None:
+    pairs = {
+        name: matches(parameters, twins(path)[name])
+        for path in (*KERNELS, *HEADERS)
+        for name, parameters in taken(path.read_text("utf-8")).items()
+        if name in twins(path)
+    }
+    assert len(pairs) > 60
+    assert {name for name, alike in pairs.items() if not alike} == OTHERWISE.keys()
+
+
+@pytest.mark.parametrize(
+    ("device", "twin", "alike"),
+    [
+        ("static real f(const lens_t lens, wide3_t ray, real w, real *out) {", "lens, rays, w", True),
+        ("INLINE int f(__constant surface_t *s, real w) {", "surface, bounds, w", True),
+        ("static int f(wide3_t ray, wide_t w, real x) {", "points, x", True),
+        ("static int f(__global const float *at, real w) {", "w, at", False),
+        ("static int f(real w, real x) {", "w", False),
+        ("static int f(real w) {", "w, x", False),
+    ],
+)
+def test_what_functions_take_is_compared(device: str, twin: str, alike: bool) -> None:
+    (node,) = ast.parse(f"def f({twin}): ...").body
+    assert isinstance(node, ast.FunctionDef)
+    assert matches(taken(device)["f"], node) == alike
 
 
 def test_names_are_found_in_any_dress() -> None:

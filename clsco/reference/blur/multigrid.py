@@ -122,7 +122,7 @@ def coarse(
 ) -> tuple[Array, Array]:
     """Approximated frame (m, n, C), and the part of it that came from coarser grids.
 
-    Arguments as for `clsco.reference.blur.blur.scatter`; least: as for `clsco.passes.multigrid.Coarse`.
+    Arguments as for `clsco.reference.blur.blur.scatter`; least: as for `clsco.passes.multigrid.Multigrid`.
     """
     return _blurred(psf, sources, sub, shape, guard, least, 0)
 

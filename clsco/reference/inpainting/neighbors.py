@@ -9,7 +9,7 @@ from clsco.reference.common.geometry import Array
 
 Mask = NDArray[np.bool_]
 Bounds = NDArray[np.float32] | None
-"""(H, W): largest inverse depth in 1/mm of neighbors that may serve a missing pixel, by `inpainting.fill`."""
+"""Largest inverse depth (H, W) in 1/mm of neighbors that may serve a pixel, from `clsco.reference.inpainting.fill`."""
 Pixels = NDArray[np.int64]
 
 # Rows down, columns right: W E, N S, NW SE, NE SW. Opposite neighbors are pairs.

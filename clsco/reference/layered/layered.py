@@ -251,8 +251,8 @@ def layered(
 
     radiance: (H, W, C) on the padded grid, linear; coc: (H, W) signed blur radius in px; valid: (H, W) there is
     surface; shape: (m, n) of the frame; guard: px; largest: px, no |coc| is larger. Without a discontinuity it is
-    `blur.scatter`. Validated: a cut through a slanted plane leaves no seam, an edge before a plane is
-    its closed form, one brightness stays so, and against the ray tracer.
+    `clsco.reference.blur.blur.scatter`. Validated: a cut through a slanted plane leaves no seam, an edge before a plane
+    is its closed form, one brightness stays so, and against the ray tracer.
     """
     low, bins = bins_of(largest)
     latest, largest_sum = find_discontinuities(coc, valid, low, bins, 2 * reach(psf, largest) + 1)

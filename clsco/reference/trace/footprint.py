@@ -48,7 +48,12 @@ def wrapped_index(i: Indices, count: int, wrap: int) -> Indices:
 
 
 def add_texel(
-    level: Array, found: TextureMap, texture_filter: Filter, at: tuple[Indices, Indices, Indices], y: Array, x: Array
+    level: Array,
+    texture_map: TextureMap,
+    texture_filter: Filter,
+    at: tuple[Indices, Indices, Indices],
+    y: Array,
+    x: Array,
 ) -> Array:
     """Values (n, channels) of a level (sides, rows, columns, channels) at places.
 
@@ -74,9 +79,9 @@ def add_texel(
     rows, columns = level.shape[1:3]
     total = np.zeros((*y.shape, level.shape[3]))
     for a, across in enumerate(weights[0]):
-        i = wrapped_index(row + a, rows, found.wrap_y)
+        i = wrapped_index(row + a, rows, texture_map.wrap_y)
         for b, along in enumerate(weights[1]):
-            j = wrapped_index(column + b, columns, found.wrap_x)
+            j = wrapped_index(column + b, columns, texture_map.wrap_x)
             texel = np.where(((i < 0) | (j < 0))[..., None], 0.0, level[side, i, j])
             total += (across * along)[..., None] * texel
     return total
@@ -148,10 +153,10 @@ def _mean_of_kind(
 ) -> Array:  # fmt: skip
     """`mean_texture` of pixels `here`, which have one level and the same nodes."""
     level, nodes_x, cells_x, nodes_y, cells_y, bent = (int(n) for n in footprint.kinds[here][0])
-    found, stored = texture.map, texture.levels[level]
-    border = CUBE_BORDER if found.kind == MAP_CUBE else 0
-    share_x = (stored.shape[2] - 2 * border) / found.columns
-    share_y = (stored.shape[1] - 2 * border) / found.rows
+    texture_map, stored = texture.map, texture.levels[level]
+    border = CUBE_BORDER if texture_map.kind == MAP_CUBE else 0
+    share_x = (stored.shape[2] - 2 * border) / texture_map.columns
+    share_y = (stored.shape[1] - 2 * border) / texture_map.rows
     right, down = (
         tuple(c[here] * s for c, s in zip(change, (share_x, share_y), strict=True)) for change in footprint.changes
     )
@@ -161,15 +166,15 @@ def _mean_of_kind(
         for a, weight_x in zip(*_offsets(nodes_x, cells_x, shift[0]), strict=True):
             at = center
             if bent:
-                at = texel_at(found, point.at[here] + a * point.right[here] + b * point.down[here])
-            x = wrapped_position(at.column, found.columns, found.wrap_x) * share_x - 0.5
-            y = wrapped_position(at.row, found.rows, found.wrap_y) * share_y - 0.5
+                at = texel_at(texture_map, point.at[here] + a * point.right[here] + b * point.down[here])
+            x = wrapped_position(at.column, texture_map.columns, texture_map.wrap_x) * share_x - 0.5
+            y = wrapped_position(at.row, texture_map.rows, texture_map.wrap_y) * share_y - 0.5
             if not bent:
                 x = x + a * right[0] + b * down[0]
                 y = y + a * right[1] + b * down[1]
             i, j = np.floor(y), np.floor(x)
             place = (at.side, i.astype(np.intp) + border, j.astype(np.intp) + border)
-            total += weight_y * weight_x * add_texel(stored, found, texture.texture_filter, place, y - i, x - j)
+            total += weight_y * weight_x * add_texel(stored, texture_map, texture.texture_filter, place, y - i, x - j)
     return total
 
 

@@ -56,11 +56,11 @@ class MappedTexture:
 
 
 def mapped_texture(
-    images: Sequence[NDArray[np.float32]], found: TextureMap, psf: Psf, texture_filter: Filter
+    images: Sequence[NDArray[np.float32]], texture_map: TextureMap, psf: Psf, texture_filter: Filter
 ) -> MappedTexture:
     """A `MappedTexture` of images (rows, columns, channels): one, or the six of a cube map."""
     levels = tuple(level.astype(np.float64) for level in mipmap(images))
-    return MappedTexture(levels, found, texture_spread(psf), texture_filter)
+    return MappedTexture(levels, texture_map, texture_spread(psf), texture_filter)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,7 @@ class Texel:
     side: Indices
 
 
-def mapped_point(surface: PlacedSurface, found: TextureMap, camera: Camera, rays: Array, w: Array) -> Mapped:
+def mapped_point(surface: PlacedSurface, texture_map: TextureMap, camera: Camera, rays: Array, w: Array) -> Mapped:
     """Points of rays (n, 3) at inverse depths w (n,) in 1/mm, in the frame of a texture."""
     d = turned(surface.turn, rays)
     gradient = canonical_gradient(surface, d, w)
@@ -90,9 +90,11 @@ def mapped_point(surface: PlacedSurface, found: TextureMap, camera: Camera, rays
     steps = []
     for axis, sign in ((0, 1.0), (1, -1.0)):
         change = np.eye(3)[axis] + rays * (n[..., axis] * each)[..., None]
-        steps.append(turned(found.frame, turned(surface.own_turn, change * (sign * ray_step(camera) / w)[..., None])))
+        steps.append(
+            turned(texture_map.frame, turned(surface.own_turn, change * (sign * ray_step(camera) / w)[..., None]))
+        )
     own = surface.own_offset + turned(surface.own_turn, rays) / w[..., None]
-    return Mapped(turned(found.frame, own), *steps)
+    return Mapped(turned(texture_map.frame, own), *steps)
 
 
 def square_from_axis(q: Array) -> Array:
@@ -114,9 +116,9 @@ def on_side(q: Array, side: Indices) -> Array:
     return np.asarray(np.take_along_axis(q, axes[side], -1) * signs[side])
 
 
-def texels_of(found: TextureMap, x: Array, y: Array) -> tuple[Array, Array]:
+def texels_of(texture_map: TextureMap, x: Array, y: Array) -> tuple[Array, Array]:
     """Columns and rows of coordinates, or of their changes."""
-    (a, b), (c, d) = found.scale
+    (a, b), (c, d) = texture_map.scale
     return a * x + b * y, c * x + d * y
 
 
@@ -129,55 +131,55 @@ def wrapped_position(position: Array, count: int, wrap: int) -> Array:
     return np.asarray(np.maximum(position, -FARTHEST_TEXEL))
 
 
-def texel_at(found: TextureMap, q: Array) -> Texel:
+def texel_at(texture_map: TextureMap, q: Array) -> Texel:
     """The texels at q (n, 3), before any wrapping."""
     x, y, side = q[..., 0], q[..., 1], np.zeros(q.shape[:-1], np.intp)
     angle = np.arctan2(x, q[..., 2])
-    if found.kind == MAP_CYLINDER:
+    if texture_map.kind == MAP_CYLINDER:
         x = angle
-    elif found.kind == MAP_LONGITUDE:
+    elif texture_map.kind == MAP_LONGITUDE:
         x, y = angle, np.arctan2(y, np.hypot(x, q[..., 2]))
-    elif found.kind == MAP_CONE:
+    elif texture_map.kind == MAP_CONE:
         length = np.sqrt((q * q).sum(axis=-1))
-        x, y = length * np.sin(found.slant * angle), length * np.cos(found.slant * angle)
-    elif found.kind == MAP_CUBE:
+        x, y = length * np.sin(texture_map.slant * angle), length * np.cos(texture_map.slant * angle)
+    elif texture_map.kind == MAP_CUBE:
         side, on = cube_side(q)
         x, y = on[..., 0] / on[..., 2], on[..., 1] / on[..., 2]
-    column, row = texels_of(found, x, y)
-    return Texel(column + found.shift[0], row + found.shift[1], side)
+    column, row = texels_of(texture_map, x, y)
+    return Texel(column + texture_map.shift[0], row + texture_map.shift[1], side)
 
 
-def texel_change(found: TextureMap, q: Array, dq: Array) -> tuple[Array, Array]:
+def texel_change(texture_map: TextureMap, q: Array, dq: Array) -> tuple[Array, Array]:
     """Change of column and row where q changes by dq, (n, 3)."""
     x, y = dq[..., 0], dq[..., 1]
-    if found.kind in (MAP_CYLINDER, MAP_LONGITUDE, MAP_CONE):
+    if texture_map.kind in (MAP_CYLINDER, MAP_LONGITUDE, MAP_CONE):
         square = square_from_axis(q)
         x = (q[..., 2] * dq[..., 0] - q[..., 0] * dq[..., 2]) / square
-        if found.kind == MAP_LONGITUDE:
+        if texture_map.kind == MAP_LONGITUDE:
             radius = np.sqrt(square)
             out = (q[..., 0] * dq[..., 0] + q[..., 2] * dq[..., 2]) / radius
             y = (radius * dq[..., 1] - q[..., 1] * out) / (square + q[..., 1] ** 2)
-        if found.kind == MAP_CONE:
+        if texture_map.kind == MAP_CONE:
             length = np.sqrt(square + q[..., 1] ** 2)
             out = np.where(length > 0.0, (q * dq).sum(axis=-1) / np.where(length > 0.0, length, 1.0), 0.0)
-            around = length * x * found.slant
-            angle = found.slant * np.arctan2(q[..., 0], q[..., 2])
+            around = length * x * texture_map.slant
+            angle = texture_map.slant * np.arctan2(q[..., 0], q[..., 2])
             x = out * np.sin(angle) + around * np.cos(angle)
             y = out * np.cos(angle) - around * np.sin(angle)
-    if found.kind == MAP_CUBE:
+    if texture_map.kind == MAP_CUBE:
         side, on = cube_side(q)
         d = on_side(dq, side)
         x, y = ((d[..., k] * on[..., 2] - on[..., k] * d[..., 2]) / on[..., 2] ** 2 for k in (0, 1))
-    return texels_of(found, x, y)
+    return texels_of(texture_map, x, y)
 
 
-def is_bent(found: TextureMap, point: Mapped) -> NDArray[np.bool_]:
+def is_bent(texture_map: TextureMap, point: Mapped) -> NDArray[np.bool_]:
     """Mark pixels (n,) within whose footprints coordinates are far from linear."""
     q, right, down = point.at, point.right, point.down
-    if found.kind in (MAP_LONGITUDE, MAP_CONE):
+    if texture_map.kind in (MAP_LONGITUDE, MAP_CONE):
         least = (q[..., 0] ** 2 + q[..., 2] ** 2) / BENT
         return np.asarray((least < (right * right).sum(axis=-1)) | (least < (down * down).sum(axis=-1)))
-    if found.kind == MAP_CUBE:
+    if texture_map.kind == MAP_CUBE:
         own, corners = cube_side(q)[0], [q + a * right + b * down for a in (-1.0, 1.0) for b in (-1.0, 1.0)]
         return np.any([cube_side(corner)[0] != own for corner in corners], axis=0)
     return np.zeros(q.shape[:-1], dtype=bool)
@@ -199,13 +201,13 @@ def along_axis(q: Array, axis: int) -> Array:
     return np.asarray(q[..., ((2, 1, 0), (0, 2, 1), (0, 1, 2))[axis]])
 
 
-def texture_coordinates(texture: MappedTexture, surface: PlacedSurface, camera: Camera, rays: Array, w: Array) -> Array:
+def texture_coordinates(surface: PlacedSurface, texture: MappedTexture, camera: Camera, rays: Array, w: Array) -> Array:
     """(right, up) from the lower left corner of the image (n, 2), in images; of a cube map in a row of its six."""
-    found = texture.map
-    at = mapped_point(surface, found, camera, rays, w).at
-    if found.kind == MAP_TRIPLANAR:
+    texture_map = texture.map
+    at = mapped_point(surface, texture_map, camera, rays, w).at
+    if texture_map.kind == MAP_TRIPLANAR:
         largest = np.argmax(np.abs(own_normal(surface, rays, w)), axis=-1)
         at = np.choose(largest[:, None], [along_axis(at, axis) for axis in range(3)])
-    texel = texel_at(found, at)
-    u, v = texel.column / found.columns, 1.0 - texel.row / found.rows
-    return np.stack([(texel.side + u) / 6.0 if found.kind == MAP_CUBE else u, v], axis=-1)
+    texel = texel_at(texture_map, at)
+    u, v = texel.column / texture_map.columns, 1.0 - texel.row / texture_map.rows
+    return np.stack([(texel.side + u) / 6.0 if texture_map.kind == MAP_CUBE else u, v], axis=-1)

@@ -66,7 +66,7 @@ class SubpixelSources:
 
     row, column (M,): padded-grid pixel; hit (M, S, S): there is surface that is visible from the lens; visibility: the
     occluders of those, in their order, None for none at all; radius (M, S, S) px; gradient (M, S, S, 2) px per px;
-    radiance (M, S, S, C). Source (i, j) is `psf_tables.subpixel_offsets(S)[i]` rows and [j]
+    radiance (M, S, S, C). Source (i, j) is `clsco.optics.psf.subpixel_offsets(S)[i]` rows and [j]
     columns off the pixel's center.
     """
 

@@ -63,7 +63,7 @@ def _hidden(view: View, rest: PlacedSurface, number: int, rays: Array, w: Array)
 
 
 def moved_pixel(
-    surface: PlacedSurface, other: Pose, camera: Camera, rays: Array, w: Array
+    surface: PlacedSurface, camera: Camera, other: Pose, rays: Array, w: Array
 ) -> tuple[Array, Array, Array]:
     """Row and column in px of hits in the pose `other`, and their depth there over that here (0 behind the lens)."""
     body = turned(other.rotation, body_point(surface, rays, w))
@@ -94,7 +94,7 @@ def _texture_coordinates(view: View, number: int, rays: Array, w: Array) -> Arra
     surface, texture, camera = view.surfaces[number], view.textures[number], view.scene.camera
     found, hit = np.zeros((*w.shape, 2)), w > 0.0
     if isinstance(texture, MappedTexture):
-        found[hit] = texture_coordinates(texture, surface, camera, rays[hit], w[hit])
+        found[hit] = texture_coordinates(surface, texture, camera, rays[hit], w[hit])
         return found
     row, column, valid = rest_pixel(surface, camera, rays, w)
     if not view.moved:
@@ -113,7 +113,7 @@ def _stereo(
     disparity, occluded = np.zeros(hit.w.shape), np.zeros(hit.w.shape, dtype=bool)
     _, at_column = padded_grid(scene.camera, 0)
     for k, surface in enumerate(view.surfaces):
-        pixel = moved_pixel(surface, poses[k], scene.camera, rays, hit.w)
+        pixel = moved_pixel(surface, scene.camera, poses[k], rays, hit.w)
         own = hit.number == k
         disparity = np.where(own, (1.0 if eye == "right" else -1.0) * (pixel[1] - at_column), disparity)
         occluded = np.where(own, occluded_among(scene, other.surfaces, pixel, hit.w), occluded)
@@ -144,7 +144,7 @@ def ground_truth(scene: Scene, textures: tuple[Texture, ...], frame: int, eye: E
     hidden, flow_occluded = np.zeros(w.shape, dtype=bool), np.zeros(w.shape, dtype=bool)
     for k, surface in enumerate(view.surfaces):
         own = hit.number == k
-        pixel, last = (moved_pixel(surface, poses[k], camera, rays, w) for poses in (later, earlier))
+        pixel, last = (moved_pixel(surface, camera, poses[k], rays, w) for poses in (later, earlier))
         flow = np.where(own[..., None], np.stack([pixel[1] - column, pixel[0] - row], axis=-1), flow)
         backward = np.where(own[..., None], np.stack([last[1] - column, last[0] - row], axis=-1), backward)
         flow_occluded = np.where(own, occluded_among(scene, following, pixel, w), flow_occluded)
