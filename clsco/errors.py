@@ -48,7 +48,7 @@ class KernelError(ClscoError):
 
 
 def visible(text: str, lines: bool = False) -> str:
-    """A text with escapes in place of all that is neither seen nor a space, such as control characters, those that
+    r"""A text with escapes in place of all that is neither seen nor a space, such as control characters, those that
     turn the direction of writing, and halves of surrogates: names of files, and texts in them, may be anybody's.
 
     Parameters

@@ -65,6 +65,13 @@ class Record:
     meta : mapping
         What JSON holds: number, seed, split, attempts, version, parameters, scene, labels; `arrays`, by name dtype,
         shape, unit, convention, of codes the transfer curve and the share of values that were `clipped`; and `frames`.
+
+    Examples
+    --------
+    >>> import clsco.data
+    >>> record = clsco.data.open("DATA")[0]
+    >>> record["depth"].dtype, record.radiance("color").shape, record.image("color").dtype
+    (dtype('float32'), (9, 12, 3), dtype('uint8'))
     """
 
     key: str

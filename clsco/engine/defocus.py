@@ -159,6 +159,16 @@ def defocus(
     blurred in horizontal strips, with the same bits, but for an approximation, which needs the whole image (where a
     tolerance leaves the choice, the exact blur is taken).
     Validated against `clsco.reference.blur.blur.scatter` and `clsco.reference.layered.layered.layered` to 1e-5.
+
+    Examples
+    --------
+    >>> import clsco
+    >>> import numpy as np
+    >>> image, blur_radius = np.zeros((24, 32), np.float32), np.full((24, 32), 3.0)
+    >>> image[12, 16] = 1.0
+    >>> blurred = clsco.defocus(image, blur_radius)
+    >>> bool(abs(blurred[12, 16] - 1 / (np.pi * 3.0**2)) < 1e-4), round(float(blurred.sum()), 4)
+    (True, 1.0)
     """
     model = psf_of(psf).of_images()
     for name, value, kinds in (("outside", outside, Outside), ("soft_edges", soft_edges, SoftEdges)):

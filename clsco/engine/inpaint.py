@@ -95,6 +95,17 @@ def inpaint(
     Notes
     -----
     Validated bit by bit against `clsco.reference.inpainting` (tests/inpainting).
+
+    Examples
+    --------
+    >>> import clsco
+    >>> import numpy as np
+    >>> image = np.add.outer(np.arange(24.0), np.arange(32.0))
+    >>> mask = np.zeros(image.shape, bool)
+    >>> mask[10:14, 10:14] = True
+    >>> filled = clsco.inpaint(np.where(mask, 0.0, image), mask, method="biharmonic")
+    >>> bool(abs(filled - image).max() < 1e-3)
+    True
     """
     session, (picture, holes), as_given = on_host(device, image=image, mask=mask)
     checked = _checked(picture, without_mask("mask", holes))

@@ -43,16 +43,19 @@ class Live:
     SceneError
         `keep` is no size.
 
-    Examples
-    --------
-    >>> with clsco.Live() as live:
-    ...     for distance in range(250, 320, 10):
-    ...         frame = live.render(scene.replace("camera.focus_distance", distance), truth=())
-
     Notes
     -----
     A `Live` renders one scene at a time; threads that render at the same time have one each, and share compiled
     kernels. Validated: the bits of a fresh process (tests/engine/test_live.py); `benchmarks/speed/live.py` has times.
+
+    Examples
+    --------
+    >>> import clsco
+    >>> ball = clsco.Sphere(center=(0, 0, 280), radius=30)
+    >>> scene = clsco.Scene(camera=clsco.Camera(resolution=(32, 24), pixel_pitch=0.2), objects=(ball,))
+    >>> with clsco.Live() as live:
+    ...     for distance in (250, 260, 270):
+    ...         frame = live.render(scene.replace("camera.focus_distance", distance), truth=())
     """
 
     def __init__(self, device: DeviceLike = None, *, keep: int | str = "512MiB") -> None:

@@ -96,6 +96,15 @@ def response(
     of radiance times response. Occlusion, motion, the border, and what `psf` has are as in the frame. The source is the
     pixel of a projected texture, wherever the surface carries it; how textures are mapped and lit does not matter.
     Validated: that sum, and the response that `clsco.reference` gives (tests/engine/test_response.py).
+
+    Examples
+    --------
+    >>> import clsco
+    >>> ball = clsco.Sphere(center=(0, 0, 280), radius=30)
+    >>> scene = clsco.Scene(camera=clsco.Camera(resolution=(32, 24), pixel_pitch=0.2), objects=(ball,))
+    >>> spread = clsco.response(scene, 16, 12)
+    >>> spread.shape, round(float(spread.sum()), 4)
+    ((24, 32), 1.0)
     """
     lit = only_lit(scene_of(scene), x, y, index, item)
     return lit.inside(render_frame(lit.scene, index, truth=(), device=device, precision=precision))

@@ -84,6 +84,15 @@ def render(
     which needs the whole frame (where a tolerance leaves the choice, the exact blur is taken).
     Validated against `clsco.reference.render` on every scene in examples/, and a ray tracer
     (benchmarks/truth/accuracy.py).
+
+    Examples
+    --------
+    >>> import clsco
+    >>> ball = clsco.Sphere(center=(0, 0, 280), radius=30)
+    >>> scene = clsco.Scene(camera=clsco.Camera(resolution=(32, 24), pixel_pitch=0.2), objects=(ball,))
+    >>> for frame in clsco.render(scene, truth=("depth", "mask")):
+    ...     print(frame.index, frame.color.shape, frame.depth.dtype, frame.flow)
+    0 (24, 32) float32 None
     """
     options: dict[str, Any] = {"truth": truth, "device": device, "precision": precision, "method": method}
     found = render_sweep((scene_of(scene),), **options, tolerance=tolerance, frames=frames, memory=memory)
@@ -120,6 +129,15 @@ def render_frame(
     ------
     SceneError, ImageError, DeviceError, KernelError
         As `render`, all at the call.
+
+    Examples
+    --------
+    >>> import clsco
+    >>> ball = clsco.Sphere(center=(0, 0, 280), radius=30)
+    >>> scene = clsco.Scene(camera=clsco.Camera(resolution=(32, 24), pixel_pitch=0.2), objects=(ball,))
+    >>> frame = clsco.render_frame(scene, truth="depth")
+    >>> bool(abs(frame.depth.min() - 250) < 0.1)  # mm
+    True
     """
     known = scene_of(scene)
     if known.stereo is not None:
@@ -163,6 +181,15 @@ def render_sweep(
     Where scenes that follow each other differ in nothing but the lens, rays are cast at their surfaces once for all of
     them (at sub-pixels near silhouettes once for each). Validated: the same bits as from `render` for each scene
     (tests/cli/test_sweep.py).
+
+    Examples
+    --------
+    >>> import clsco
+    >>> ball = clsco.Sphere(center=(0, 0, 280), radius=30)
+    >>> scene = clsco.Scene(camera=clsco.Camera(resolution=(32, 24), pixel_pitch=0.2), objects=(ball,))
+    >>> lenses = [scene.replace("camera.f_number", number) for number in (2, 4)]
+    >>> [number for number, frame in clsco.render_sweep(lenses, truth=())]
+    [0, 1]
     """
     found = [scene_of(scene) for scene in (scenes.scenes if isinstance(scenes, Sweep) else scenes)]
     chosen = None if frames is None else frame_numbers(found, frames)

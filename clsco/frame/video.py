@@ -70,6 +70,16 @@ def write_video(
     Frame k is shown from k / rate on. The same frames give the same bytes with the same version of PyAV. Validated for
     each preset by reading pixels, rate and color tags back: ffv1, ffv1-16 and h264-lossless give the codes that went
     in, bit by bit (docs/video.md has the others' errors).
+
+    Examples
+    --------
+    >>> import clsco
+    >>> import numpy as np
+    >>> import tempfile
+    >>> pictures = [np.full((24, 32, 3), level, np.uint8) for level in (0, 128, 255)]
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     clsco.write_video(f"{folder}/clip.y4m", pictures, 24)
+    ()
     """
     if transfer not in TRANSFERS:
         raise ImageError(f"transfer: must be one of {', '.join(TRANSFERS)}; got {transfer}")

@@ -29,6 +29,13 @@ class MeanMedian:
     fewer only where the filling would stall; smoothing_rounds: 0 to 1000, 0 turns stage 2 off; border_share: of the
     pixels around holes, from 0 (turns stage 3 off) to 1, those with the largest gradients are blended.
     Raises SceneError for other values.
+
+    Examples
+    --------
+    >>> import clsco
+    >>> options = clsco.MeanMedian(estimator="median", smoothing_rounds=0)  # inpaint(image, mask, options=options)
+    >>> options.minimum
+    4
     """
 
     estimator: Literal["scored", "mean", "median"] = "scored"

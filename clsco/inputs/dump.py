@@ -43,6 +43,19 @@ def dump_scene(scene: Scene, path: str | os.PathLike[str] | None = None) -> str:
     -----
     From the file of a scene with arrays `clsco.load_scene` makes a scene with the names of their files, and frames of
     the same bits.
+
+    Examples
+    --------
+    >>> import clsco
+    >>> scene = clsco.Scene(camera=clsco.Camera(f_number=4), objects=(clsco.Plane(),))
+    >>> print(clsco.dump_scene(scene), end="")
+    [camera]
+    f_number = 4.0
+    <BLANKLINE>
+    [[object]]
+    shape = "plane"
+    >>> clsco.parse_scene(clsco.dump_scene(scene)) == scene
+    True
     """
     if path is None:
         arrays = [(index, *each) for index, item in enumerate(scene.objects) for each in item.arrays().items()]

@@ -88,6 +88,13 @@ def list_devices(name: str | None = None, source: str = "device") -> tuple[tuple
     Notes
     -----
     Nothing is raised where no device can be chosen: the reason says so.
+
+    Examples
+    --------
+    >>> import clsco
+    >>> devices, choice = clsco.list_devices()
+    >>> choice.device in devices
+    True
     """
     devices = _devices()
     try:

@@ -134,6 +134,15 @@ def render(scene: Scene, *, subframes: bool = False, frames: Iterable[int] | Non
     frames: numbers of the wanted frames, by default all. Errors: those of the plan and of the textures. Metadata:
     {"intermediate": [...]}, one mapping per time sample with its time in s, its weight and the counts of
     `clsco.reference.inpainting.fill.FillReport`.
+
+    Examples
+    --------
+    >>> import clsco
+    >>> ball = clsco.Sphere(center=(0, 0, 280), radius=30)
+    >>> scene = clsco.Scene(camera=clsco.Camera(resolution=(32, 24), pixel_pitch=0.2), objects=(ball,))
+    >>> (exact,) = clsco.reference.render(scene)
+    >>> bool(abs(clsco.render_frame(scene).color - exact.color).max() < 1e-5)
+    True
     """
     scene, loaded = load_scene_textures(scene)
     images = [image for texture in loaded for image in texture.images]

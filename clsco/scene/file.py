@@ -55,6 +55,14 @@ def load_scene(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
     SceneError
         One message per fault, `file: key: rule; got value`. Keys with several values, which only `clsco.load_sweep`
         reads, are faults.
+
+    Examples
+    --------
+    >>> import clsco
+    >>> from clsco.resources import folder
+    >>> scene = clsco.load_scene(folder("examples") / "sphere.toml", ["camera.f_number=4"])
+    >>> scene.camera.f_number, scene.objects[0].radius
+    (4.0, 30.0)
     """
     where = os.fspath(path)
     data = read_mapping(where, overrides)
@@ -173,6 +181,16 @@ def parse_scene(mapping: Mapping[str, Any] | str, where: str = "scene") -> Scene
     ------
     SceneError
         One message per fault, `where: key: rule; got value`.
+
+    Examples
+    --------
+    >>> import clsco
+    >>> scene = clsco.parse_scene({"object": [{"shape": "sphere", "center": [0, 0, 280], "radius": 30}]})
+    >>> scene == clsco.parse_scene('object = [{ shape = "sphere", center = [0, 0, 280], radius = 30 }]')
+    True
+    >>> clsco.parse_scene({"object": [{"shape": "sphere", "radius": -1}]})
+    Traceback (most recent call last):
+    clsco.errors.SceneError: scene: object[0].radius: must be greater than 0 mm; got -1
     """
     return parsed(Scene, table_of(mapping, where), where)
 

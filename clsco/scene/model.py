@@ -456,6 +456,13 @@ class Scene(Strict):
         Notes
         -----
         `model_copy(update=...)` of pydantic checks nothing, and leaves what was derived from the old value.
+
+        Examples
+        --------
+        >>> import clsco
+        >>> scene = clsco.Scene(objects=(clsco.Sphere(center=(0, 0, 280)),))
+        >>> scene.replace("object[0].radius", 20).objects[0].radius
+        20.0
         """
         return replaced(self, path, value)
 

@@ -95,6 +95,14 @@ def load_sweep(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
     Keys of [camera], [motion], [sequence], [camera.motion], [object.motion] and [group.motion] may be a list of values,
     or a range { from = 200, to = 400, steps = 9 } that includes both ends; for a vector a list of vectors, or a range
     of vectors. Several such keys give all combinations, the first key of the file changing slowest.
+
+    Examples
+    --------
+    >>> import clsco
+    >>> from clsco.resources import folder
+    >>> sweep = clsco.load_sweep(folder("examples") / "sphere.toml", ["camera.f_number=[2, 4]"])
+    >>> sweep.labels
+    ('f_number_2', 'f_number_4')
     """
     where = os.fspath(path)
     data = read_mapping(where, overrides)
@@ -149,6 +157,13 @@ def parse_sweep(mapping: Mapping[str, Any] | str, where: str = "scene") -> Sweep
     ------
     SceneError
         As `clsco.load_sweep`.
+
+    Examples
+    --------
+    >>> import clsco
+    >>> sweep = clsco.parse_sweep({"camera": {"f_number": [2, 4]}, "object": [{"shape": "plane"}]})
+    >>> [scene.camera.f_number for scene in sweep.scenes]
+    [2.0, 4.0]
     """
     mapping = _listed(table_of(mapping, where))
     if not isinstance(mapping, Mapping) or not (given := swept_keys(mapping)):
