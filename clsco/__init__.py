@@ -22,7 +22,7 @@ Functions
 render, render_frame, render_sweep
     All frames of a scene, one frame, the frames of several scenes.
 response
-    What a frame receives from one source: the point spread function with occlusion, motion and border.
+    The response of a frame to one source: its point spread function with occlusion, motion and border.
 defocus, inpaint
     Blur an image by its map of blur radii; fill its missing pixels.
 load_scene, parse_scene
@@ -45,7 +45,7 @@ Scene, Camera, Aperture, Psf, Sequence, Motion, Fill, ImageOptions, Light, Stere
 ObjectMotion, CameraMotion
     Velocities of an object or a group, and of the camera.
 Plane, Rectangle, Disc, Box, Sphere, Cylinder, Cone, Ellipsoid, Quadric, DepthMap, Background
-    What a scene holds.
+    The objects of a scene.
 Frame
     A rendered image with its ground truth.
 Live

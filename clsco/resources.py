@@ -75,7 +75,7 @@ def private_folder(*names: str, environ: Mapping[str, str] = os.environ, kind: K
     Parameters
     ----------
     *names : str
-        Of the folder and those above it, from the top.
+        Names of the folder and those above it, from the top.
     environ : mapping
         XDG_CACHE_HOME names the cache folder, by default ~/.cache; XDG_STATE_HOME that of state, by default
         ~/.local/state.

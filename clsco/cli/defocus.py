@@ -103,12 +103,12 @@ def write_color(out: Path, frame: Frame, bits: int, transfer: str, color: Color 
     out : Path
     frame : Frame
     bits : {8, 16, 32}
-        Of the image that was blurred. A format holds codes of as many bits, at most its own; where it can, 32 bits are
-        linear float32.
+        Bits of the image that was blurred. A format holds codes of as many bits, at most its own; where it can, 32 bits
+        are linear float32.
     transfer : {"srgb", "linear"}
-        Of codes.
+        Transfer curve of codes.
     color : Color, optional
-        Of the image that was blurred, and so of the file; its curve takes the place of "srgb".
+        Color of the image that was blurred, and so of the file; its curve takes the place of "srgb".
 
     Raises
     ------

@@ -51,9 +51,9 @@ class Figure:
     pictures : tuple of str
         Files in the folder of the command, in the order of the figure.
     chosen : str
-        What the thesis does not state, and what is taken.
+        Choices that the thesis does not state.
     is_sized : bool
-        Whether the thesis states all that its numbers depend on.
+        True if the thesis states all that its numbers depend on.
     """
 
     number: str
@@ -80,9 +80,9 @@ class Number:
     stated : str
         By the thesis, "" where it states none.
     scenes : tuple of str
-        Where it is measured; none for a default of clsco.
+        Scenes that it is measured in; none for a default of clsco.
     measure : callable
-        Of a `Made`; of several scenes the largest counts.
+        Measures it in a `Made`; of several scenes the largest counts.
     digits : int
         Decimals that are shown.
     most : float, optional

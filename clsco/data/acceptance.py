@@ -48,7 +48,7 @@ class Look:
     Attributes
     ----------
     inverse_depth : ndarray of float64, (n,)
-        Of the rays that meet a surface, of all these frames, 1/mm.
+        Inverse depth of the rays that meet a surface, of all these frames, 1/mm.
     blur : ndarray of float64, (n,)
         |R| there, px; with what is seen of a background.
     flow : ndarray of float64, (n,)
@@ -56,7 +56,7 @@ class Look:
     valid : float
         Share of rays that meet a surface, of the frame with the least.
     visible : float
-        Of the rays that would meet an object if it were alone, the share that does; of the object and frame with the
+        Share of the rays that meet an object, of those that would if it were alone; of the object and frame with the
         least. 0 where an object is not in the frame. A box is one object.
     """
 

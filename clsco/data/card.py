@@ -63,7 +63,7 @@ def write_card(storage: Storage, identity: Identity) -> None:
         Its `dataset.json` is kept, what it has of the license and the distribution above all, and gains arrays, files,
         counts, how to load it and how to cite it.
     identity : Identity
-        Of the set.
+        Identity of the set.
 
     Raises
     ------

@@ -54,7 +54,7 @@ def run_cluster(job: Job, shards: Sequence[int], address: str, advance: Callable
     job : Job
     shards : sequence of int
     address : str
-        Of the scheduler, such as tcp://host:8786.
+        Address of the scheduler, such as tcp://host:8786.
     advance : callable
         Takes numbers of samples that are done since the last call.
 

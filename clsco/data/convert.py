@@ -41,7 +41,7 @@ def convert(
     Returns
     -------
     (DataSet, Status)
-        What is in `target` now.
+        The set in `target` and its progress.
 
     Raises
     ------

@@ -42,13 +42,13 @@ class Sample:
     split : str
         "" where there are no splits.
     attempts : int
-        How often it was drawn until it was accepted, from 1.
+        Number of draws until it was accepted, from 1.
     parameters : dict
         Values by name, such as "camera.focus_distance": what JSON can have.
     table : dict
         Content of a scene file that renders the sample by itself, in the folder of the distribution file.
     labels : tuple of str
-        Of the variants, as of a sweep; ("",) for one.
+        Labels of the variants, as of a sweep; ("",) for one.
     scenes : tuple of Scene
         One for each label.
     """
@@ -69,11 +69,11 @@ class Drawn:
     Attributes
     ----------
     values, rows : list of ndarray, (n,) or (n, size)
-        Of the parameters that every sample has, and of its tables of rows.
+        Values of the parameters that every sample has, and of its tables of rows.
     owners : list of ndarray of int64, (m,)
-        Of each population: position of the sample of each object.
+        Positions of the samples that the objects of each population belong to.
     members : list of list of ndarray, (m,) or (m, size)
-        Of each population: values of its parameters.
+        Values of the parameters of each population.
     """
 
     values: list[Column]

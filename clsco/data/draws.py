@@ -90,15 +90,15 @@ def stream_words(
     seed : int
         0 to 2^64 - 1.
     numbers : ndarray of uint64, (n,)
-        Of the samples.
+        Numbers of the samples.
     names : list of str
-        Of the parameters.
+        Names of the parameters.
     counts : list of int
-        How many words each of them takes.
+        Words that each parameter takes.
     attempt : int
         From 1.
     elements : ndarray of uint64, (n,), optional
-        Of a population, below 2^32; by default 0.
+        Numbers in a population, below 2^32; by default 0.
 
     Returns
     -------

@@ -74,26 +74,26 @@ class DryRun:
     count : int
         Samples of the set.
     parameters : tuple of Summary
-        Of all samples, as drawn first, before any is refused.
+        Values of all samples, as drawn first, before any is refused.
     splits : dict of str to int
         Samples of each split.
     looked_at : int
         Samples that all below is from, at equal distances in the set.
     attempts : int
-        How often they were drawn in all.
+        Number of draws in all.
     failed : tuple of str
         Messages of those that give no sample.
     histograms : tuple of Histogram
     frames : float
-        Of a sample, all variants and views counted: the mean.
+        Mean number of frames of a sample, all variants and views counted.
     bytes : dict of str to float
-        Of a sample, by array, before compression: the mean.
+        Mean size of a sample, by array, before compression.
     weights : float
         Predicted work of a frame, in weights of its blur: the median.
     seconds : float or None
         Predicted for the set, with one process on the device that was found.
     basis : str
-        What `seconds` is from, or why there is none.
+        Basis of `seconds`, or the reason for None.
     sheet : Path or None
         The contact sheet, if it was written.
     """

@@ -135,7 +135,7 @@ def meta_bytes(record: Record, flat: bool = False) -> bytes:
     ----------
     record : Record
     flat : bool
-        What is nested is text, again JSON: `datasets` needs one type for each key, and scenes differ in theirs.
+        Nested tables are text, again JSON: `datasets` needs one type for each key, and scenes differ in theirs.
 
     Returns
     -------

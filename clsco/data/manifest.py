@@ -40,13 +40,13 @@ class Identity:
     arrays : tuple of str
         As they are called in files.
     precision : str
-        Of the geometry: "double" or "single".
+        Precision of the geometry: "double" or "single".
     splits : tuple of (str, float)
     version : str
-        Of clsco.
+        Version of clsco.
     device_family : str
     types : tuple of (str, str)
-        Of arrays that are not stored as by default, as `parse_stored` gives them.
+        Types of arrays that are not stored as by default, as `parse_stored` gives them.
     """
 
     distribution: str
@@ -92,7 +92,7 @@ class Part:
     first, count : int
         Numbers of its samples.
     made, failed : int
-        How many of them are in its files, and how many are not.
+        Numbers of samples that are in its files, and that are not.
     files : mapping
         Key to its bytes and SHA-256.
     rows : str
@@ -234,13 +234,13 @@ class Parts:
         identity : str
             Digest of that of the set.
         samples : range
-            Of the set.
+            Samples of the set.
         size : int
             Samples of a shard.
         shards : iterable of int
-            Those that are looked at.
+            Shards to look at.
         hashes : bool
-            Whether files must have the SHA-256 that their part names; else their sizes are compared.
+            Files must have the SHA-256 that their part names; else their sizes are compared.
         faults : list of str
             A line is added for each part that is there, but whose shard is not whole.
 

@@ -63,7 +63,7 @@ class Record:
         several variants "v01.color", of all three "v01.f0003.left.color". Images are codes, uint8 or uint16, or linear
         floats.
     meta : mapping
-        What JSON holds: number, seed, split, attempts, version, parameters, scene, labels; `arrays`, by name dtype,
+        Content of its JSON: number, seed, split, attempts, version, parameters, scene, labels; `arrays`, by name dtype,
         shape, unit, convention, of codes the transfer curve and the share of values that were `clipped`; and `frames`.
 
     Examples
@@ -119,7 +119,7 @@ class Record:
             .png in sRGB codes of 16 bits, .tif, .tiff and .exr in linear float32; .npz holds all arrays as they are
             stored.
         name : str
-            Of the image.
+            Name of the image.
 
         Raises
         ------
@@ -230,9 +230,9 @@ def make_record(
     ----------
     sample : Sample
     seed : int
-        Of the data set.
+        Seed of the data set.
     frames : sequence of sequence of Frame
-        Of each variant all frames in their order, of a stereo pair left and right after each other.
+        All frames of each variant in order, of a stereo pair left and right after each other.
     wanted : collection of str
         Names in files. What a frame does not have is left out, such as `uv` where no texture lies on a surface.
     stored : mapping, optional

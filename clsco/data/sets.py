@@ -93,7 +93,7 @@ def begun(wanted: DataSet, goes_on: bool) -> bool:
     ----------
     wanted : DataSet
     goes_on : bool
-        Whether it should be.
+        The set is to be resumed.
 
     Raises
     ------
@@ -124,7 +124,7 @@ class Status:
     Attributes
     ----------
     shards, samples : int
-        Of the whole set.
+        Numbers in the whole set.
     done : mapping
         Parts of the shards that are whole, by number.
     faults : tuple of str

@@ -96,7 +96,7 @@ class Renderer:
     arrays : tuple of str
         Arrays besides color, as they are called in files.
     precision : str
-        Of the geometry.
+        Precision of the geometry.
     """
 
     def __init__(self, device: Device, arrays: tuple[str, ...], precision: str) -> None:

@@ -114,7 +114,7 @@ def flow_error(scene: Scene, frame: Frame, depth: NDArray[np.float32], flow: NDA
     frame : Frame
         With `object_id`.
     depth : ndarray of float32 (rows, columns), mm
-        Where each surface point is; the scene's motion takes it to the middle of the next frame's shutter.
+        Depth of each surface point; the scene's motion takes it to the middle of the next frame's shutter.
     flow : ndarray of float32 (rows, columns, 2), px
 
     Returns

@@ -127,7 +127,7 @@ def defocus(
     memory : int or str, optional
         Most that buffers on the device take, in bytes or like "1.5GiB"; by default half of what is free.
     outside : {"mirror", "black"}
-        What lights the image from beyond its border: its mirror image, as a depth map's, so that uniform radiance stays
+        Light from beyond the image's border: its mirror image, as a depth map's, so that uniform radiance stays
         uniform; or nothing, so that it darkens there. With border = "renormalize" nothing does.
     soft_edges : {"assign", "keep"}
         Radii between those of two surfaces at their edge, as of averaged or blurred depth: each becomes that of one of

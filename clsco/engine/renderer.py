@@ -48,9 +48,9 @@ class Renderer:
     plan : Plan
         Fitted to the limit.
     prepared : Prepared
-        What the plan was made from.
+        The scene, its files and its plan.
     limit : Limit
-        Where the plan turns out to be too small, the larger one is fitted to it.
+        Limit that a larger plan is fitted to, if the plan turns out to be too small.
     hits : Hits, optional
         Shared with the renderers of other lenses, whose plans have the same apron.
 

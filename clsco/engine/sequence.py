@@ -54,9 +54,9 @@ def render(
     device : str, pyopencl.Device, Context or CommandQueue, optional
         Part of a device's name, "cpu" or "gpu", or where to work.
     precision : {"double", "single"}, optional
-        Of the geometry; by default double where the device has it.
+        Precision of the geometry; by default double where the device has it.
     method : str
-        Of the blur: "auto"; "gather", "scatter", "tiles" or "convolve" where it can blur the scene; or an
+        Method of the blur: "auto"; "gather", "scatter", "tiles" or "convolve" where it can blur the scene; or an
         approximation: "coarse2", "coarse4", "coarse8", "coarse16".
     tolerance : float, optional
         RMS error of white up to which an approximation is taken where it is faster; None for the exact blur.

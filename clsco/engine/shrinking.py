@@ -22,7 +22,7 @@ class Shrinking(Generic[F]):
     session : Session
     limit : Limit
     fit : callable
-        What fits a limit.
+        Makes what fits a limit.
     taken : callable
         Bytes of it on the device.
     """

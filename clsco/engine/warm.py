@@ -42,7 +42,7 @@ def run_near(session: Session, prepared: Prepared) -> int:
     Returns
     -------
     int
-        How many plans were run.
+        Number of plans that were run.
     """
     small, count = _small(prepared), 0
     columns, rows = small.scene.camera.resolution or (SIDE, SIDE)

@@ -49,12 +49,12 @@ class Workspace:
     scene : PlacedScene
     target : Target
     buffers : mapping
-        Those of `SHARED` that the plan has.
+        Buffers of `SHARED` that the plan has.
     blur : FrameBlur
     tracer : Tracer
     layers : DepthLayers, optional
     pixels : ForwardWarp or StaticMap, optional
-        What moves the pixels of the reference pose, or has them as they are.
+        Moves the pixels of the reference pose, or has them as they are.
     """
 
     plan: Plan

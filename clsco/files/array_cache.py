@@ -37,7 +37,7 @@ class ArrayCache:
     Parameters
     ----------
     folder : Path or None
-        Of the cache alone; None for a cache that keeps nothing.
+        Folder of the cache alone; None for a cache that keeps nothing.
     """
 
     def __init__(self, folder: Path | None) -> None:

@@ -88,7 +88,7 @@ def together(folder: Path, name: str) -> Iterator[Path]:
     folder : Path
         Older files there stay until they are replaced.
     name : str
-        Of what the files make up.
+        Name of what the files make up.
 
     Yields
     ------

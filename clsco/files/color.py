@@ -42,11 +42,11 @@ class Color:
     chunks : tuple of (bytes, bytes)
         Chunks of a PNG that stand for a profile: kind and content.
     channels : {0, 1, 3}
-        Of images that the profile is for; 0 for any.
+        Channels of images that the profile is for; 0 for any.
     curve : Curve, optional
-        Of its codes; None for that of sRGB.
+        Curve of its codes; None for that of sRGB.
     note : str
-        What could not be taken from the file, in one line; "" where all was.
+        Note on what could not be taken from the file, in one line; "" where all was.
     """
 
     name: str = "sRGB"

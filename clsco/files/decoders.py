@@ -181,7 +181,7 @@ def decoded(file: BinaryIO, kind: str, layer: str | None = None) -> NDArray[Any]
     file : BinaryIO
     kind : str
     layer : str, optional
-        Of an EXR, as for `clsco.files.layers.image_channels`.
+        Layer of an EXR, as for `clsco.files.layers.image_channels`.
 
     Returns
     -------
@@ -346,7 +346,7 @@ def exr_planes(file: BinaryIO, choose: Callable[[list[str]], list[str]], outside
     choose : callable
         Gives the names of those that are wanted from all, which are as `full_names` makes them.
     outside : float
-        What pixels of the display window have that are not in the data window of a part.
+        Value of pixels of the display window that are not in the data window of a part.
 
     Returns
     -------

@@ -33,7 +33,7 @@ def dpt_bytes(depth: NDArray[np.floating], where: str = "depth") -> bytes:
     depth : ndarray of float, (rows, columns)
         Planar Z in mm; +inf, where nothing is, stays +inf.
     where : str
-        What messages begin with.
+        Place or name that messages begin with.
 
     Returns
     -------
@@ -74,7 +74,7 @@ def kitti_depth_codes(depth: NDArray[np.floating], where: str = "depth") -> NDAr
     depth : ndarray of float, (rows, columns)
         Planar Z in mm; +inf, where nothing is, becomes 0. Rounded to 1/256 m, which is 3.9 mm.
     where : str
-        What messages begin with.
+        Place or name that messages begin with.
 
     Returns
     -------
@@ -106,7 +106,7 @@ def kitti_disparity_codes(
     valid : ndarray of bool, (rows, columns), optional
         The others, and what is not finite, become 0. By default all are valid.
     where : str
-        What messages begin with.
+        Place or name that messages begin with.
 
     Returns
     -------
@@ -137,7 +137,7 @@ def pfm_bytes(array: NDArray[np.floating], where: str = "array") -> bytes:
         Two channels get a third one of zeros, as the flow of FlyingThings has it. Any values: a reader of disparity
         takes +inf for unknown.
     where : str
-        What messages begin with.
+        Place or name that messages begin with.
 
     Returns
     -------

@@ -36,7 +36,7 @@ def flo_bytes(flow: NDArray[np.floating], valid: NDArray[np.bool_] | None = None
     valid : ndarray of bool, (rows, columns), optional
         The others, and vectors that are not finite, are stored as unknown: 1e10. By default all are valid.
     where : str
-        What messages begin with.
+        Place or name that messages begin with.
 
     Returns
     -------
@@ -96,7 +96,7 @@ def kitti_flow_codes(
     valid : ndarray of bool, (rows, columns), optional
         The others, and vectors that are not finite, become (0, 0, 0). By default all are valid.
     where : str
-        What messages begin with.
+        Place or name that messages begin with.
 
     Returns
     -------

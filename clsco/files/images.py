@@ -30,7 +30,7 @@ class Picture:
     data : ndarray, (rows, columns) or (rows, columns, 3)
         Gray, or red, green, blue; row 0 on top.
     color : Color
-        What its codes stand for.
+        Color space of its codes.
     below : int
         Values below 0, which floats may have, as of a filter that rings.
     """
@@ -66,7 +66,7 @@ def read_image(
     hidden : ndarray of bool, (rows, columns), optional
         Pixels that do not matter, and may hold any floats; none by default.
     layer : str, optional
-        Of an EXR with several, as for `clsco.files.layers.image_channels`.
+        Layer of an EXR with several, as for `clsco.files.layers.image_channels`.
 
     Returns
     -------
@@ -122,7 +122,7 @@ def check_sizes(
     wanted, size : (int, int)
         Columns and rows.
     hint : str
-        Where rows and columns are exchanged.
+        Hint where rows and columns are exchanged.
     """
     if size != wanted:
         sizes = [f"{columns} x {rows}" for columns, rows in (wanted, size)]
@@ -140,7 +140,7 @@ def check_alike(image: str, other: str, size: tuple[int, int], formats: Mapping[
     size : (int, int)
         Columns and rows of the other file, upright.
     formats : mapping
-        Of the other file, as for `clsco.files.decoders.opened`.
+        Formats of the other file, as for `clsco.files.decoders.opened`.
     """
     _, turned, untagged = _turned_alone(image, other, formats)
     hint = f"{turned} is turned upright by its orientation tag, and {untagged} has none: turn it likewise"
@@ -203,7 +203,7 @@ def write_png(
     path : path
     data : ndarray of uint8 or uint16, (rows, columns) or (rows, columns, 3)
     color : Color, optional
-        What the codes stand for; by default nothing is said, which is sRGB.
+        Color space of the codes; by default nothing is said, which is sRGB.
 
     Raises
     ------
@@ -222,7 +222,7 @@ def write_tiff(path: str | os.PathLike[str], data: NDArray[Any], color: Color = 
     path : path
     data : ndarray of uint8, uint16 or float32, (rows, columns) or (rows, columns, 3)
     color : Color, optional
-        Whose ICC profile goes into the file.
+        Color space whose ICC profile goes into the file.
 
     Raises
     ------
@@ -278,7 +278,7 @@ def write_exr(
     *views : mapping of str to ndarray, (rows, columns)
         Channels of each view; several views are parts with the attribute `view`, as OpenEXR has them since version 2.0.
     names : sequence of str
-        Of the views, "left" and "right" for stereo pairs; () for a single one.
+        Names of the views, "left" and "right" for stereo pairs; () for a single one.
     attributes : sequence of mapping, optional
         Standard attributes of each view, such as {"aperture": 2.8}.
 
@@ -354,7 +354,7 @@ class ImageWriter:
     code_bits : int
         Most bits of codes that the format holds; 0: none.
     floats : bool
-        Whether it holds linear float32.
+        The file holds linear float32.
     needs : (str, str), optional
         Module that it needs, and the extra of clsco that brings it.
     color_kinds : tuple of str
@@ -407,7 +407,7 @@ def save_image(path: str | os.PathLike[str], image: NDArray[np.float32], bits: i
     image : ndarray of float32, (rows, columns[, 3])
         1 = white; codes end at 0 and 1.
     bits : {8, 16, 32}
-        Of codes; 32 makes 16.
+        Bits of codes; 32 makes 16.
 
     Raises
     ------

@@ -21,12 +21,12 @@ def npy_bytes(array: NDArray[Any], zstd: bool = False, where: str = "array") -> 
     Parameters
     ----------
     array : ndarray
-        Of numbers or bools, of any shape.
+        Numbers or bools, of any shape.
     zstd : bool
         Compress the whole file as one frame of Zstandard: `np.load(io.BytesIO(zstandard.decompress(content)))` reads
         it, and `zstd -d` makes an NPY of it.
     where : str
-        What messages begin with.
+        Place or name that messages begin with.
 
     Returns
     -------

@@ -23,9 +23,9 @@ def require_matplotlib(what: str, extra: str) -> None:
     Parameters
     ----------
     what : str
-        What needs it, for the message.
+        Name of what needs it, for the message.
     extra : str
-        What to install of clsco for it.
+        Extra of clsco that brings it.
 
     Raises
     ------

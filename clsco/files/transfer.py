@@ -66,7 +66,7 @@ def decode(data: NDArray[np.generic], transfer: Transfer) -> NDArray[np.float64]
     Returns
     -------
     ndarray of float64
-        Of the same shape, 1 = white.
+        Linear radiance of the same shape, 1 = white.
 
     Notes
     -----
@@ -98,7 +98,7 @@ def encode(linear: NDArray[np.floating], bits: int, transfer: Transfer) -> NDArr
     Returns
     -------
     ndarray of uint8 or uint16
-        Of the same shape.
+        Codes of the same shape.
 
     Notes
     -----

@@ -44,7 +44,7 @@ class Preset:
     bits : int
         Per value.
     options : dict
-        Of the encoder.
+        Options of the encoder.
     gray : str
         Pixel format of gray frames; "" where they are stored as color.
     least : int
@@ -178,22 +178,22 @@ def write_clip(
     target : Path or BinaryIO
         A stream holds what was written before an error.
     frames : iterable of ndarray, (rows, columns) or (rows, columns, 3)
-        Of one shape and type: codes (uint8, uint16) or linear radiance (floats, 1 = white), which is clipped.
+        Codes (uint8, uint16) or linear radiance (floats, 1 = white), which is clipped; of one shape and type.
     rate : Fraction
         Frames per second.
     preset : str
         One of `PRESETS`.
     transfer : {"srgb", "linear"}
-        Of the codes, and for floats.
+        Transfer curve of the codes, and for floats.
     transfer_tag : {"srgb", "linear", "bt709"}, optional
-        What the file says of it, by default that.
+        Transfer curve that the file states, by default `transfer`.
     comment : str
         For the file's metadata, where the container has any.
 
     Returns
     -------
     tuple of str
-        What had to be changed: 16 bits that became 8, sizes that were padded, a rate that readers of Matroska round.
+        Changes that were made: 16 bits that became 8, sizes that were padded, a rate that readers of Matroska round.
 
     Raises
     ------

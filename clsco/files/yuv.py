@@ -28,7 +28,7 @@ def yuv_planes(codes: NDArray[Any], bits: int, blocks: tuple[int, int] = (1, 1))
     codes : ndarray of uint8 or uint16, (rows, columns) or (rows, columns, 3)
         Not linear: of the transfer that the video states. Rows and columns are multiples of those in `blocks`.
     bits : {8, 10}
-        Of the planes.
+        Bits of the planes.
     blocks : (int, int)
         Rows and columns of pixels that share a color difference: (2, 2) for 4:2:0, (1, 2) for 4:2:2.
 

@@ -234,16 +234,16 @@ def write_frame(
         One frame, or the left and the right one of a stereo pair, whose files are frame_0000_left.png and so on; an EXR
         holds both, as the views left and right. Their sub-frames, if any, are frame_0000_sample_00.png and so on.
     bits : {8, 16, 32}
-        Of the textures; 32 makes a PNG of 16.
+        Bits of the textures; 32 makes a PNG of 16.
     transfer : {"srgb", "linear"}
-        Of the PNG alone, which clips radiance below 0 and above 1; the others keep it.
+        Transfer curve of the PNG alone, which clips radiance below 0 and above 1; the others keep it.
     truth : sequence of TruthFile
         Each holds the color and all truth of the frame, or what it names of them, linear. What belongs to a scene
         (`write_scene_files`) is left out.
     about : mapping, optional
         Content of the JSON file besides the frame's own metadata.
     scene : Scene, optional
-        What the frame shows, with its resolution: gives an EXR the attributes of its camera, and cam needs it.
+        Scene that the frame shows, with its resolution: gives an EXR the attributes of its camera, and cam needs it.
     color : Color, optional
         Color space of the PNG, whose curve takes the place of "srgb"; by default sRGB. Of another one the JSON file has
         the name, and an EXR does not say that its primaries are those of BT.709.
@@ -293,7 +293,7 @@ def write_scene_files(folder: str | os.PathLike[str], scene: Scene, truth: Seque
     Parameters
     ----------
     folder : path
-        Of the frames.
+        Folder of the frames.
     scene : Scene
         With its resolution.
     truth : sequence of TruthFile

@@ -87,7 +87,7 @@ class Frame:
     flow_occluded : bool (rows, columns)
         The point is not visible in the next frame: another surface or its own hides it, or it is outside.
     uv : float32 (rows, columns, 2)
-        Where the surface point is in the image of its texture, right and up from the lower left corner, in images: in a
+        Place of the surface point in the image of its texture, right and up from the lower left corner, in images: in a
         repeated one beyond 1; of a cube map in a row of its six. Where a texture lies on a surface only.
     disparity : float32 (rows, columns), px
         Column in the left view less column in the right one of the surface point; 0 where nothing is. Of a stereo pair
@@ -95,7 +95,7 @@ class Frame:
     occluded : bool (rows, columns)
         The point is not visible in the other view: an occluder hides it, or it is outside.
     alpha : float32 (rows, columns)
-        How much of the light of a pixel comes from surfaces, blurred as `color` is, which has the rest of it black: the
+        Share of a pixel's light that comes from surfaces, blurred as `color` is, which has the rest of it black: the
         coverage of an image with associated (premultiplied) alpha. The background is no surface.
     subframes : float32 (samples, rows, columns[, 3])
         Linear radiance of each time sample by itself, blurred by defocus: `color` is their weighted mean.
@@ -103,7 +103,7 @@ class Frame:
     eye : str
         "left" or "right" of a stereo pair, else "".
     metadata : mapping
-        What made the frame; values that JSON can hold.
+        Record of what made the frame; values that JSON can hold.
     """
 
     index: int

@@ -100,7 +100,7 @@ def scene_sha256(scene: Scene, digests: Mapping[str, str] | None = None) -> str:
     scene : Scene
         With its resolution.
     digests : mapping, optional
-        Of `file_digests`, where they are known.
+        Digests of `file_digests`, where they are known.
 
     Returns
     -------
@@ -127,7 +127,7 @@ def record(scene: Scene, digests: Mapping[str, str] | None = None) -> dict[str, 
     scene : Scene
         With its resolution.
     digests : mapping, optional
-        Of `file_digests`, where they are known.
+        Digests of `file_digests`, where they are known.
 
     Returns
     -------

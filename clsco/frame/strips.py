@@ -50,7 +50,7 @@ def cut(rows: int, tallest: int, guard: int, reach: int, step: int = 1) -> tuple
     Parameters
     ----------
     rows : int
-        Of the frame.
+        Rows of the frame.
     tallest : int
         Rows of a strip at most: a multiple of BAND, or all rows.
     guard : int
@@ -103,7 +103,7 @@ class Grid:
     Attributes
     ----------
     rows, columns : int
-        Of the frame, or the strip, px.
+        Size of the frame, or the strip, px.
     guard : int
         Width of the apron, px.
     channels : int
@@ -146,7 +146,7 @@ def frame_struct(
     Parameters
     ----------
     rows, columns : int
-        Of the frame, px.
+        Size of the frame, px.
     guard : int
         Width of the apron, px.
     real : {"double", "float"}

@@ -71,7 +71,7 @@ class Shot:
     Attributes
     ----------
     views : sequence of Frame
-        Of one file: a frame, or both views of a stereo pair.
+        Views in one file: a frame, or both views of a stereo pair.
     scene : Scene or None
         That they show, with its resolution.
     color : Color
@@ -90,18 +90,18 @@ class TruthFormat:
     Attributes
     ----------
     name : str
-        Of its files: "{stem}_{array}.flo"; of a scene's its folder.
+        Name of its files: "{stem}_{array}.flo"; of a scene's its folder.
     write : callable
         Takes a path, what is written, and what of it is wanted; of a file `per` array that one name.
     per : {"frame", "view", "array", "scene"}
-        What has a file of its own: both views of a stereo pair together, each view, each array of a view, or the whole
+        Unit that has one file: both views of a stereo pair together, each view, each array of a view, or the whole
         scene.
     arrays : tuple of str, optional
-        Those that it can hold, as they are called in files; by default any.
+        Arrays that it can hold, as they are called in files; by default any.
     besides : tuple of str
         Attributes of a frame that it needs to know where its arrays hold.
     options : tuple of str
-        Of `OPTIONS`.
+        Some of `OPTIONS`.
     needs : (str, str), optional
         Module that it needs, and the extra of clsco that brings it.
     """
@@ -123,7 +123,7 @@ def parse_truth(text: str, formats: Mapping[str, TruthFormat]) -> tuple[TruthFil
     text : str
         Such as "npz,flo", "npz:depth,coc,exr" or "npz+float16+compressed:depth".
     formats : mapping of str to TruthFormat
-        Those there are.
+        Known formats.
 
     Returns
     -------

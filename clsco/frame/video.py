@@ -48,16 +48,16 @@ def write_video(
         mp4, mp4-444, hevc10, av1, webm, h264-lossless, ffv1, ffv1-16, prores, prores-hq or y4m; by default the first
         of these with the extension.
     transfer : {"srgb", "linear"}
-        Of the codes; floats are encoded by it.
+        Transfer curve of the codes; floats are encoded by it.
     transfer_tag : {"srgb", "linear", "bt709"}, optional
-        What the file says of it, by default that. Some players show "bt709" more truly.
+        Transfer curve that the file states, by default `transfer`. Some players show "bt709" more truly.
     comment : str
         For the file's metadata, by default the version of clsco.
 
     Returns
     -------
     tuple of str
-        What had to be changed, one line each: codes of 16 bits that were rounded, sizes that were padded to be even.
+        Changes that were made, one line each: codes of 16 bits that were rounded, sizes that were padded to be even.
 
     Raises
     ------
@@ -151,7 +151,7 @@ def write_folder_clip(
         As for `write_clip`.
     frames : WrittenFrames
     eye : str
-        Of `frames.eyes`.
+        One of `frames.eyes`.
     preset : str
     playing : Playing
     view : str
@@ -167,7 +167,7 @@ def write_folder_clip(
     Returns
     -------
     list of str
-        What users have to know: the rate, the scale of colors, and what `write_clip` changed.
+        Notes for users: the rate, the scale of colors, and what `write_clip` changed.
 
     Raises
     ------

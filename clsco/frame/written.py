@@ -37,13 +37,13 @@ class WrittenFrames:
     ----------
     folder : Path
     numbers : range
-        Of the frames, without a hole.
+        Numbers of the frames, without a hole.
     eyes : tuple of str
         ("",), or ("left", "right") of stereo pairs.
     interval : float
         Seconds from frame to frame.
     transfer : {"srgb", "linear"}
-        Of the PNG files.
+        Transfer curve of the PNG files.
     of : int
         Frames that the scene has.
     scenes : frozenset of str

@@ -168,7 +168,7 @@ def load_scene_depths(
     scene : Scene
         With its resolution.
     load : callable, optional
-        What gives it for an object, by default from its file or array.
+        Gives it for an object, by default from its file or array.
 
     Raises
     ------

@@ -31,7 +31,7 @@ class Focus:
     at : (int, int), optional
         Column and row, px, from 0 in the upper left corner.
     share : float, optional
-        Of the picture that is nearer: 0 the nearest depth, 0.5 the median, 1 the farthest.
+        Share of the picture that is nearer: 0 the nearest depth, 0.5 the median, 1 the farthest.
     """
 
     at: tuple[int, int] | None = None

@@ -74,8 +74,8 @@ def assign_soft_edges(
     radius : ndarray (rows, columns)
         Anything linear in the inverse depth, in px of the blur radius; NaN where nothing is.
     stored : ndarray (rows, columns), optional
-        What was averaged or blurred where that is not linear in the radius, such as the depth; NaN where nothing is. An
-        edge is where it has half of its step.
+        Values that were averaged or blurred where these are not linear in the radius, such as the depth; NaN where
+        nothing is. An edge is where they have half of their step.
     image : callable, optional
         Gives linear radiance (rows, columns[, channels]); called where there is a soft edge. Where the surfaces differ
         in color, a pixel is of the one whose color it has more of.

@@ -76,7 +76,7 @@ def list_devices(name: str | None = None, source: str = "device") -> tuple[tuple
     name : str, optional
         As `device` of `clsco.render`: a part of a name, "cpu" or "gpu".
     source : str
-        What the reason calls `name`.
+        Origin of `name`, as the reason calls it.
 
     Returns
     -------

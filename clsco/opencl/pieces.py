@@ -21,17 +21,17 @@ def in_pieces(
     ----------
     session : Session
     key : hashable
-        What takes as long as others of this key for as much work.
+        Key of launches that take as long for as much work.
     units : int
     work : float
-        Of all units, in what takes UNIT s before any was measured.
+        Work of all units, in what takes UNIT s before any was measured.
     enqueue : callable
-        Of the first unit and the end; returns the event.
+        Enqueues from the first unit to the end; returns the event.
 
     Returns
     -------
     list of Event
-        Of the pieces, in order.
+        Events of the pieces, in order.
 
     Raises
     ------

@@ -39,9 +39,9 @@ class Progress:
     Attributes
     ----------
     doing : str
-        What was begun last: the kind of a pass, or what is compiled.
+        Step that was begun last: the kind of a pass, or what is compiled.
     share : float
-        Of what was launched last, 0 to 1.
+        Share of the last launch that is done, 0 to 1.
     done, total : int
         Time samples, of all strips.
     """

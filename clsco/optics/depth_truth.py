@@ -82,7 +82,7 @@ def map_flow(
     object_id : ndarray of int32, (rows, columns)
         -1 where there is no surface.
     now, then : sequence of Pose
-        Of all objects.
+        Poses of all objects.
 
     Returns
     -------

@@ -20,7 +20,7 @@ class PlacedLight:
     place : ndarray of float64, (3,)
         The unit vector towards it, or where it is, in mm.
     is_near : bool
-        Whether the latter.
+        The light is at a place, and not far away.
     ambient : float
         Share of a texture that is seen without it.
     members : int

@@ -61,7 +61,7 @@ def running_integral(corners: Array, radius: Array, x: Array, y: Array, tent: bo
     Parameters
     ----------
     corners : ndarray (n, 2)
-        Of one lens radius.
+        Corners of the polygon in a circle of one lens radius.
     radius : ndarray
         Signed, px, not 0.
     x, y : ndarray

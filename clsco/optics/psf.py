@@ -46,7 +46,7 @@ class PsfShape:
     second_moment : float
         Per axis, of R = 1 px, without what `pixel_moment` adds; px^2.
     pixel_moment : float
-        What the pixels of source and detector add to it per axis, px^2.
+        Moment that the pixels of source and detector add to it per axis, px^2.
     mask : tuple of (x, y, distance)
         Edges of the opening of "general", see `clsco.optics.polygon.lens_mask`; empty for a circle.
     name : str

@@ -28,13 +28,13 @@ class WeightBlock:
     widths : ndarray of int32, (count,)
         Half-widths in px.
     coefficients : ndarray of float32
-        Those of all intervals, one after the other.
+        Coefficients of all intervals, one after the other.
     negative : ndarray of float32
         The same for negative radii of a signed shape, else empty.
     taps : ndarray of float32, (taps, POWERS, count)
-        Of a main table, by tap.
+        Coefficients of a main table, by tap.
     outlines : ndarray of int32, (count, half-width + 1, 2)
-        Of a main table, see `_outline`.
+        Outlines of a main table, see `_outline`.
     """
 
     widths: NDArray[np.int32]

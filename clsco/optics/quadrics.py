@@ -41,7 +41,7 @@ class Canonical:
     nappe : int
         Sign that the third canonical coordinate must have, 0 for either.
     radius : float
-        Of a disc about the third axis, which cuts the plane that the surface is then; mm.
+        Radius of a disc about the third axis, which cuts the plane that the surface is then; mm.
     """
 
     q: Vector

@@ -70,7 +70,7 @@ class TextureMap:
     wrap_x, wrap_y : int
         One of WRAP_... beyond the sides, and beyond top and bottom.
     columns, rows : int
-        Of the image.
+        Size of the image, texels.
     """
 
     kind: int
@@ -102,7 +102,7 @@ def texture_map(item: Object, columns: int, rows: int) -> TextureMap:
     item : Object
         With a mapping other than "projected".
     columns, rows : int
-        Of the texture, or of each of the six of a cube map.
+        Size of the texture, or of each of the six of a cube map.
 
     Returns
     -------

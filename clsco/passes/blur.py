@@ -63,7 +63,7 @@ def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict
     fp64 : bool
         The device has doubles.
     maps : Maps
-        What sources are made of.
+        Maps that sources are made of.
 
     Returns
     -------
@@ -127,7 +127,7 @@ class Sources:
     value : Buffer
         Radiance times weight.
     sub_source, sub_value : Buffer, optional
-        Of `capacity` pixels near silhouettes.
+        Sub-pixel sources of `capacity` pixels near silhouettes.
     surfaces, layer, depth, sub_depth : optional
         Occluders, and the depth of sources; None where nothing is in their way.
     radius : float
@@ -212,11 +212,11 @@ class FrameSum:
     target : Target
     spec : BlurSpec
     grid : Grid
-        Of the frame, or the tallest of its strips.
+        Grid of the frame, or the tallest of its strips.
     camera : numpy.void
         camera_t of the strip that it begins with.
     sizes : dict
-        Of the buffers, by `clsco.plan.buffers.blur_buffers`.
+        Sizes of the buffers, by `clsco.plan.buffers.blur_buffers`.
     """
 
     def __init__(self, target: Target, spec: BlurSpec, grid: Grid, camera: Struct, sizes: Sizes) -> None:

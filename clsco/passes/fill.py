@@ -54,7 +54,7 @@ class FillPlanes:
     far : tuple of Buffer
         Bounds on the depth of neighbors, where holes are filled from the far side.
     done, sums, other_value, other_w : Buffer, optional
-        Of mean/median filling.
+        Buffers of mean/median filling.
     """
 
     value: cl.Buffer
@@ -97,9 +97,9 @@ class Filler:
     camera : numpy.void
         camera_t, whose padded grid the planes have.
     features : dict
-        Of the program.
+        Features of the program.
     sizes : dict
-        Of the buffers, by `clsco.plan.buffers.fill_buffers`.
+        Sizes of the buffers, by `clsco.plan.buffers.fill_buffers`.
 
     Raises
     ------

@@ -86,11 +86,11 @@ class DepthLayers:
     Parameters
     ----------
     blur : FrameBlur
-        Of the frame, or a strip of it, by one of MANY_RADII and without sub-pixel sources.
+        Blur of the frame, or a strip of it, by one of MANY_RADII and without sub-pixel sources.
     target : Target
-        Of the frame's blur.
+        Target of the frame's blur.
     grid : Grid
-        Of the frame, or the tallest of its strips.
+        Grid of the frame, or the tallest of its strips.
 
     Raises
     ------

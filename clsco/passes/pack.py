@@ -89,7 +89,7 @@ def texture_map_structs(
         First float of each one's mipmap.
     psf : Psf
     covered : float
-        What the last channel has where there is no image: 1 of coverage, else 0.
+        Value of the last channel where there is no image: 1 of coverage, else 0.
     real : {"double", "float"}
     """
     found_structs = []

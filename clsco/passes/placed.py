@@ -39,7 +39,7 @@ class TimeSample:
     weight : float
         In the exposure.
     poses : tuple of Pose
-        Of every object before the camera, wherever that is itself.
+        Pose of every object before the camera, wherever that is itself.
     placed : tuple of PlacedSurface or None
         The objects in their poses.
     packed : ndarray
@@ -67,11 +67,11 @@ class PlacedScene:
     session : Session
     scene : Scene
     textures : sequence of Texture
-        Of every object (`clsco.inputs.textures.load_scene_textures`).
+        Texture of every object (`clsco.inputs.textures.load_scene_textures`).
     real : {"double", "float"}
         Precision of the geometry.
     eye : {"left", "right"}
-        Of a stereo pair.
+        View of a stereo pair.
     covered : bool
         The last channel is coverage.
 

@@ -58,7 +58,7 @@ class Hits(Protocol):
         Parameters
         ----------
         sizes : dict
-            Of the planes, by `clsco.plan.buffers.hit_buffers`.
+            Sizes of the planes, by `clsco.plan.buffers.hit_buffers`.
         key : HitKey
         cast : callable
             Enqueues the kernel that fills planes.
@@ -110,18 +110,18 @@ class Work:
     camera : numpy.void
         camera_t of the strip.
     events : list
-        What was enqueued.
+        Launches that were enqueued.
     sample : TimeSample
     group : Layer, optional
         The occlusion group that is traced and blurred.
     planes : (Buffer, Buffer, Buffer)
         An image with its radii, where there is one.
     sources : Sources
-        What the blur adds.
+        Sources that the blur adds.
     depth_layers : dict
         Depth layers of whole time samples by their times, where the frame is made in strips.
     report : dict
-        What is reported of a time sample.
+        Report on a time sample.
     missing : ndarray of bool (rows, columns), optional
         Pixels of the frame that were missing, filled or not, where that is wanted.
     """

@@ -42,7 +42,7 @@ class GroundTruth:
     scene : PlacedScene
     tracer : Tracer
     pixels : ForwardWarp or StaticMap, optional
-        What moves the pixels of the reference pose, or has them as they are.
+        Moves the pixels of the reference pose, or has them as they are.
     """
 
     plan: Plan

@@ -33,11 +33,11 @@ class BlurSpec:
     subpixels : int
         Sub-pixel sources per axis at silhouettes, 0 for none.
     tilt : bool
-        Whether sources have the gradient of R.
+        Sources have the gradient of R.
     occluders : int
         Objects that may stand in the way of one source, as `occluder_room` rounds their number.
     limited : bool
-        Whether any of them has bounds, or one nappe of two, or is a disc.
+        Any occluder has bounds, or one nappe of two, or is a disc.
     brightest : float
         Largest |radiance|, which sets the unit of sums of whole numbers.
     least : float, optional

@@ -29,7 +29,7 @@ class Pass:
     ----------
     kind : Kind
     parameters : tuple of (str, str)
-        What it works with, for reports.
+        Parameters of the pass, for reports.
     buffers : dict
         Bytes of its buffers on the device by their names; one name is one buffer in all passes.
     group : Layer, optional

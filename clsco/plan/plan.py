@@ -77,11 +77,11 @@ class Plan:
     scene : Scene
         With its resolution.
     device : DeviceFacts
-        Where it is to run.
+        Device that it is to run on.
     eye : {"left", "right"}
-        Of a stereo pair.
+        View of a stereo pair.
     channels, rows, columns : int
-        Of the frame: 1 or 3, and one more for `alpha`; px, px.
+        Size of the frame: channels 1 or 3, and one more for `alpha`; px, px.
     samples : int
         Time samples per frame.
     guard_px : int
@@ -89,13 +89,13 @@ class Plan:
     smallest_blur, largest_blur : float
         Predicted range of |R| in px over the whole sequence, with a margin.
     blur : Blur
-        How radiance is spread.
+        Method that spreads radiance.
     silhouettes : int
         Sub-pixel sources per axis, 0 for none.
     tilt : bool
-        Whether weights depend on the gradient of R.
+        Weights depend on the gradient of R.
     forward, static_map, moves : bool
-        Whether pixels of the reference pose are moved; taken as they are; whether anything moves.
+        Pixels of the reference pose are moved; they are taken as they are; anything moves.
     occlusion : Occlusion
         As it is done.
     layers : tuple of Layer
@@ -103,7 +103,7 @@ class Plan:
     truth : tuple of str
         Outputs besides color and alpha.
     alpha : bool
-        Whether the last channel is coverage.
+        The last channel is coverage.
     taps : float
         Predicted weights per frame.
     strip_rows : int
@@ -299,21 +299,21 @@ def make_plan(
     scene : Scene
         With a resolution (`clsco.inputs.textures.load_scene_textures`).
     channels : int
-        Of its textures.
+        Channels of its textures.
     truth : tuple of str
         Names of the outputs that are wanted besides color.
     method : str
         "auto", or one of "gather", "scatter", "tiles", "convolve" where it can do the scene, or an approximation
         (`clsco.plan.approximation.METHODS`).
     eye : {"left", "right"}
-        Of a stereo pair.
+        View of a stereo pair.
     maps : sequence of ndarray of float64 (rows, columns) or None, optional
         Inverse depth in 1/mm of every object that is a depth map, 0 where nothing is; None for others
         (`clsco.inputs.depth_maps.load_scene_depths`).
     tolerance : float, optional
         RMS error of white up to which an approximation is taken; None for none.
     device : DeviceFacts, optional
-        Where it is to run; by default this machine's processor.
+        Device that it is to run on; by default this machine's processor.
 
     Returns
     -------

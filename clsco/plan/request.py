@@ -18,7 +18,7 @@ class Request:
     tolerance : float, optional
         RMS error of white up to which an approximation is taken; None for the exact blur.
     precision : {"single", "double"}, optional
-        Of the geometry; by default double where the device has it.
+        Precision of the geometry; by default double where the device has it.
     memory : int or str, optional
         Most that buffers on the device take; by default half of what is free.
     """

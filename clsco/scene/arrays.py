@@ -26,11 +26,11 @@ class ArrayInput:
     Attributes
     ----------
     array : ndarray
-        Of a texture uint8, uint16 or float32, (rows, columns) or (rows, columns, 3); of a depth float64, (rows,
+        Texture in uint8, uint16 or float32, (rows, columns) or (rows, columns, 3), or depth in float64, (rows,
         columns).
     kind : {"texture", "depth"}
     sha256 : str
-        Of its type, shape and values, hexadecimal.
+        Hash of its type, shape and values, hexadecimal.
     """
 
     __slots__ = ("array", "kind", "sha256")

@@ -32,7 +32,7 @@ def group_origin(group: Group, objects: Sequence[AnyShape]) -> Vector:
     ----------
     group : Group
     objects : sequence of AnyShape
-        Those of the scene, of which one is in the group at least.
+        Objects of the scene, at least one of them in the group.
 
     Returns
     -------

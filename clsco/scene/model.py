@@ -442,7 +442,7 @@ class Scene(Strict):
         path : str
             Key of the scene file, such as "camera.f_number" or "object.0.radius".
         value
-            Of the key; a table or a list of them as mappings, or as objects of this package.
+            Value of the key; tables as mappings, or as objects of this package.
 
         Returns
         -------

@@ -73,7 +73,7 @@ def repeated_names(names: Iterable[str | None], table: str = "object") -> list[t
     names : iterable of str or None
         Name of each object; None where none was given.
     table : str
-        What the objects are called in a file.
+        Name of the objects' array in a file.
 
     Returns
     -------

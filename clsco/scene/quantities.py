@@ -81,7 +81,7 @@ class Within:
     unit : str
         Unit for messages; empty for a pure number.
     ends : {"[]", "[)", "()"}
-        Whether the ends belong to the interval.
+        Brackets that say which ends belong to the interval.
     """
 
     low: float

@@ -17,11 +17,11 @@ def arranged(text: str, key: str, order: Sequence[int | None], new: Sequence[str
     text : str
         Valid TOML.
     key : str
-        Of the array: "object" for [[object]].
+        Key of the array: "object" for [[object]].
     order : sequence of int or None
         For each table its number in the text, counted from 0; None for a new one.
     new : sequence of str
-        What a new table is, for each place in `order`.
+        Text of a new table, for each place in `order`.
 
     Returns
     -------

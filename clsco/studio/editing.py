@@ -106,7 +106,7 @@ class Editor:
     faults : dict
         Messages by paths of keys, of values that are not valid.
     refused : dict
-        Those values, by paths.
+        Values that are not valid, by paths.
     is_linked : bool
         The semi-axes b and c of ellipsoids are changed together, as the thesis has them alike.
 
@@ -183,7 +183,7 @@ class Editor:
         Returns
         -------
         bool
-            Whether the scene changed. Where the value is not valid, `faults` says why.
+            The scene changed. Where the value is not valid, `faults` says why.
         """
         waiting = {other: old for other, old in self.refused.items() if not _overlaps(other, path)}
         if path.endswith(".shape"):  # what was typed for another shape goes
@@ -220,7 +220,7 @@ class Editor:
         Parameters
         ----------
         index : int
-            Of the object.
+            Index of the object.
         """
         item = self._state.objects[index]
         objects = self._state.objects.copy()

@@ -24,7 +24,7 @@ class Filler:
     Attributes
     ----------
     share : float
-        Of the image that is being filled, from 0 to 1.
+        Share of the image that is filled, from 0 to 1.
     """
 
     def __init__(self, device: str | None = None) -> None:

@@ -52,18 +52,18 @@ class Field:
     default : Any
         The value that the key has if it is not given; None for none.
     least, most : float or None
-        What is valid; of a vector, each component.
+        Ends of the valid range; of a vector, of each component.
     step : float
-        Of a slider.
+        Step of a slider.
     choices : tuple of (value, label)
-        Of a number or an image: what may be there instead.
+        Other values that a number or an image may have instead.
     help : str
     slider : tuple of two float, or None
         Ends of a slider; beyond them a number is typed.
     components : tuple of str
         Labels of the components of a vector.
     fewest : int
-        How many components must be given.
+        Number of components that must be given.
     is_integer : bool
     """
 
@@ -140,7 +140,7 @@ def panels(session: Session, index: int = 0) -> tuple[Panel, ...]:
     ----------
     session : Session
     index : int
-        Of the object whose keys are shown.
+        Index of the object whose keys are shown.
 
     Returns
     -------

@@ -46,9 +46,9 @@ class Guard:
     Parameters
     ----------
     app : ASGI application
-        What is guarded.
+        Application to guard.
     hosts : collection of str
-        What the header Host may be, with the port.
+        Allowed values of the header Host, with the port.
     token : str
         The secret of the first address, `/?t=`, which gives a cookie for this server alone.
     key : bytes

@@ -142,7 +142,7 @@ class Inpainting:
         Parameters
         ----------
         column, row : int
-            Of the pixel.
+            Place of the pixel.
         tolerance : float
             Largest difference of a channel, as a share of white.
         erase : bool

@@ -125,7 +125,7 @@ def point_spread(scene: Scene, radius: float, gradient: NDArray[np.float64]) -> 
     radius : float
         px.
     gradient : ndarray of float64, (2,)
-        Of R, px per px, right and down, by which weights are tilted.
+        Gradient of R, px per px, right and down, by which weights are tilted.
 
     Returns
     -------
@@ -148,7 +148,7 @@ def figures_of(spread: NDArray[np.floating], column: int, row: int) -> dict[str,
     spread : ndarray of float, (rows, columns)
         Weights.
     column, row : int
-        Of the source.
+        Place of the source.
 
     Returns
     -------

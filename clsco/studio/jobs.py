@@ -48,22 +48,22 @@ class Job:
     number : int
     title : str
     arguments : tuple of str
-        Of `clsco`; paths are relative to the root.
+        Arguments of `clsco`; paths are relative to the root.
     folder : str
-        Where its files go, relative to the root.
+        Folder of its files, relative to the root.
     pattern : str
-        Of the files in the folder that are counted as progress; of data sets their samples are.
+        Pattern of the files in the folder that are counted as progress; of data sets samples are counted.
     total : int
-        How many of them there will be; 0 where nobody knows.
+        Expected number of files; 0 where nobody knows.
     status : str
     done : int
         Files or samples that are there.
     began, ended : float
         Seconds since 1970; 0 before.
     process, process_began : int
-        Of the running command, by number and start time, as numbers come again.
+        Process of the running command, by number and start time, as numbers come again.
     message : str
-        What went wrong.
+        Message on what went wrong.
     """
 
     number: int
@@ -109,12 +109,12 @@ class Jobs:
     root : Path
         Folder that all of them work in.
     environment : mapping, optional
-        Of the processes, besides that of this one.
+        Variables of the processes, besides those of this one.
 
     Attributes
     ----------
     state : StateFolder
-        What is kept for the next studio.
+        Files that are kept for the next studio.
 
     Raises
     ------

@@ -23,7 +23,7 @@ def moment_of(scene: Scene, index: int, time: float) -> Scene:
     ----------
     scene : Scene
     index : int
-        Of the frame.
+        Number of the frame.
     time : float
         Seconds since the reference pose, taken to be within the interval of the frame.
 
@@ -57,7 +57,7 @@ def exposure_of(frame: Frame, scene: Scene, samples: int) -> dict[str, Any]:
     frame : Frame
     scene : Scene
     samples : int
-        Of the frame, as its plan has them.
+        Time samples of the frame, as its plan has them.
 
     Returns
     -------

@@ -28,13 +28,13 @@ class Grip:
     Attributes
     ----------
     path : str
-        Of the key that says where it is: "object.0.center".
+        Path of the key that says where it is: "object.0.center".
     start : tuple of float
         Its value before, mm; of a plane the distance alone.
     normal : ndarray of float64, (3,)
-        Of a plane, with 1 as its last component; else along z.
+        Normal of a plane, with 1 as its last component; else along z.
     depth : float
-        Of the point that is held, mm.
+        Depth of the point that is held, mm.
     axes : ndarray of float64, (3, 3)
         From the camera's axes at the middle of the shutter to those of the scene.
     """
@@ -59,7 +59,7 @@ class Grip:
         Returns
         -------
         float or list of float
-            Of the key, mm.
+            New value of the key, mm.
 
         Notes
         -----
@@ -82,13 +82,13 @@ def grip(session: Session, index: int, object_id: int, depth: float, eye: Eye = 
     ----------
     session : Session
     index : int
-        Of the frame.
+        Number of the frame.
     object_id : int
         As the frame has it, in which a box is six objects.
     depth : float
-        Of the point that is held, mm.
+        Depth of the point that is held, mm.
     eye : {"left", "right"}
-        Of a stereo pair.
+        View of a stereo pair.
 
     Returns
     -------

@@ -58,7 +58,7 @@ class Picture:
         seconds : float
             Time that it took to render.
         about : dict, optional
-            What else is known of an exact frame, as JSON can hold it.
+            Further figures of an exact frame, as JSON can hold them.
         is_plain : bool
             Without occlusion.
         eye : str

@@ -30,7 +30,7 @@ async def reference_picture(job: Job, predicted: Callable[[float], Coroutine[Any
     Parameters
     ----------
     job : Job
-        Of any rung.
+        Job of any rung.
     predicted : coroutine function of float
         Is given about how many seconds it will take.
 

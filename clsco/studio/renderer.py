@@ -43,7 +43,7 @@ class Job:
     rung : int
         DRAGGING: one picture, as large as the time for it allows. EXACT: the frame, lossy first where that is quicker.
     eye : {"left", "right"}
-        Of a stereo pair.
+        View of a stereo pair.
     """
 
     scene: Scene
@@ -76,7 +76,7 @@ class Progress:
     Attributes
     ----------
     doing : str
-        What is waited for: a pass, what is compiled, or another tab.
+        Work that is waited for: a pass, what is compiled, or another tab.
     done, total : int
         Time samples.
     still : float
@@ -155,7 +155,7 @@ class Renderer:
         Returns
         -------
         dict
-            What `clsco.studio.inspector.inspected` gives, and `seconds` that measuring takes; or where the question
+            Figures of `clsco.studio.inspector.inspected`, and `seconds` that measuring takes; or where the question
             measures `x`, `y`, and `response`, what `clsco.studio.inspector.figures_of` gives of the response.
         """
         async with aclosing(self._ask("inspect", question, watch)) as answers:

@@ -73,7 +73,7 @@ class Studio:
     root : Path
         Folder with all files that may be read and written.
     scene : Path, optional
-        What a new tab begins with.
+        Scene that a new tab begins with.
     device : str, optional
         As for `clsco.render`.
     """

@@ -237,7 +237,7 @@ def from_link(text: str, places: Iterable[Path]) -> tuple[Table, dict[str, tuple
     text : str
         From `link_of`, with or without "#s=".
     places : iterable of Path
-        Where its files may be; the first is the folder of the studio.
+        Folders that its files may be in; the first is the folder of the studio.
 
     Returns
     -------

@@ -72,7 +72,7 @@ class Container:
     name : str
         As users give it.
     suffix : str
-        Of a shard's name; "" where it is a folder without one.
+        End of a shard's name; "" where it is a folder without one.
     write : callable
         Takes a new local path and records; the same records give the same bytes. Few records are in memory at a time.
     read : callable

@@ -89,9 +89,9 @@ class _Column:
     shape : tuple of int
     dtype : dtype
     rows : int
-        Of the first dimension, in a file.
+        Size of the first dimension in a file.
     is_sharded, is_packed : bool
-        Whether each row is a chunk of its own, and whether chunks are compressed.
+        Each row is a chunk by itself; chunks are compressed.
     """
 
     folder: Path

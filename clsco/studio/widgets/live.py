@@ -17,9 +17,9 @@ def number(field: Field, value: Any) -> None:
     Parameters
     ----------
     field : Field
-        Of a number.
+        Field of a number.
     value
-        What is shown; None: nothing.
+        Value to show; None: nothing.
     """
     with say("div").classes("live"):
         box = f"box-{field.path}"

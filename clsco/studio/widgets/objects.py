@@ -20,7 +20,7 @@ def object_list(session: Session, index: int, choose: Callable[[int], None]) -> 
     ----------
     session : Session
     index : int
-        Of the object in the panels.
+        Index of the object in the panels.
     choose : function of int
         Shows another one.
     """
